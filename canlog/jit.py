@@ -14,7 +14,7 @@ from enum import Enum
 from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Final, NewType, ParamSpec, TypeGuard, TypeVar, cast
+from typing import Any, NewType, ParamSpec, TypeGuard, TypeVar, cast
 
 import numba
 import numpy as np
@@ -278,26 +278,6 @@ def inlined_kernel(function: Callable[P, R]) -> Callable[P, R]:
     A call hands every array over as seven numbers; where a call does no more work than that, it costs half of the time.
     """
     return _compiled(function, _nrt=False, forceinline=True)
-
-
-def unchecked_kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile an `inlined_kernel` in which a division by zero is infinite: no check of each one is in the way.
-
-    Products and sums are not joined, though that would be a little faster: where they are depends on what was compiled
-    before, so the last digit would be another one in every cache.
-    """
-    return _compiled(function, forceinline=True, **_UNCHECKED)
-
-
-def row_kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile an `array_kernel` that goes along rows of which none waits for another: several are done at once.
-
-    What it calls must be `unchecked_kernel`s, or small, and have no branches.
-    """
-    return _compiled(function, **_UNCHECKED)
-
-
-_UNCHECKED: Final[dict[str, bool | str]] = {"_nrt": False, "error_model": "numpy"}
 
 
 def _compiled(function: Callable[P, R], **options: bool | str) -> Callable[P, R]:

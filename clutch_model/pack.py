@@ -1,69 +1,17 @@
 """The laws of a clutch pack: friction of its lining, heat, and the oil film between rough, permeable surfaces.
 
 A law in the plural takes numbers or whole arrays; its singular is the same law, compiled for other kernels to call.
-
-An estimator follows a film from point to point, and each waits for the one before. What its thickness alone decides
-takes logarithms, powers and an error function; so `film_shape` asks these laws once for each surface, and between what
-they say a short polynomial does. Divisions, which take longest then, are made of what is known early.
 """
 
 import math
-from functools import lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from canlog.arrays import FloatArray
-from canlog.jit import array_kernel, kernel, unchecked_kernel
+from canlog.jit import array_kernel, kernel
 from clutch_model.calibration import ClutchCalibration, FrictionCurve, clutch_of_gear, faces
 from clutch_model.units import Quantity
 
-# Exponential and logarithm as plain arithmetic: a loop over rows does several at once, with calls of the C library one.
-_FRACTION_BITS: Final = np.int64(52)
-_EXPONENT_START: Final = np.int64(1023)
-_ROUNDER: Final = 1.5 * 2.0**52  # a sum with it has no digits behind the point, and its last bits are the whole number
-_MOST: Final = 700.0  # of an exponent: its power has a number
-_PER_LOG_2: Final = 1.0 / math.log(2.0)
-_LOG_2: Final = float.fromhex("0x1.62e42fefap-1")  # its products with whole numbers are exact
-_LOG_2_REST: Final = float.fromhex("0x1.cf79abc9e3b3ap-40")
-_ROOT_HALF_BITS: Final = np.float64(math.sqrt(0.5)).view(np.int64)
-_E: Final = tuple(1.0 / math.factorial(n) for n in range(14))  # Taylor's series, right to 2e-16 up to half of log(2)
-_L: Final = tuple(1.0 / n for n in range(3, 25, 2))  # of the area tangent, right to 1e-17 up to 0.172
-
-
-@unchecked_kernel
-def row_exponential(exponent: float) -> float:
-    """Return e to a power, which counts as -700 or 700 beyond; right to 1e-15."""
-    bounded = min(max(exponent, -_MOST), _MOST)
-    rounded = bounded * _PER_LOG_2 + _ROUNDER
-    twos = rounded - _ROUNDER
-    x = (bounded - twos * _LOG_2) - twos * _LOG_2_REST
-    x2 = x * x
-    first = (_E[0] + x * _E[1]) + x2 * (_E[2] + x * _E[3])
-    second = (_E[4] + x * _E[5]) + x2 * (_E[6] + x * _E[7])
-    third = (_E[8] + x * _E[9]) + x2 * (_E[10] + x * _E[11])
-    series = first + x2 * x2 * (second + x2 * x2 * (third + x2 * x2 * (_E[12] + x * _E[13])))
-    power_bits = (np.float64(rounded).view(np.int64) + _EXPONENT_START) << _FRACTION_BITS
-    return series * np.int64(power_bits).view(np.float64)
-
-
-@unchecked_kernel
-def row_logarithm(value: float) -> float:
-    """Return the natural logarithm of a positive number that is not below 1e-307; right to 1e-15."""
-    bits = np.float64(value).view(np.int64)
-    twos = (bits - _ROOT_HALF_BITS) >> _FRACTION_BITS
-    near_one = np.int64(bits - (twos << _FRACTION_BITS)).view(np.float64)
-    x = (near_one - 1.0) / (near_one + 1.0)
-    x2 = x * x
-    x4 = x2 * x2
-    first = (_L[0] + x2 * _L[1]) + x4 * (_L[2] + x2 * _L[3])
-    second = (_L[4] + x2 * _L[5]) + x4 * (_L[6] + x2 * _L[7])
-    third = (_L[8] + x2 * _L[9]) + x4 * _L[10]
-    series = first + x4 * x4 * (second + x4 * x4 * third)
-    return twos * _LOG_2 + (2.0 * x + (2.0 * x * x2 * series + twos * _LOG_2_REST))
-
-
-_NEXT_TO_ZERO: Final = 1e-290  # [rad/s]: has a logarithm, and a weight of 1
 gear_clutch = kernel(clutch_of_gear)  # for other kernels: the only law of the gearbox that they call
 
 
@@ -97,13 +45,6 @@ def stribeck_weights(slip_rad_s: Quantity, law: FrictionLaw) -> Quantity:
 
 
 stribeck_weight = kernel(stribeck_weights)
-
-
-@unchecked_kernel
-def row_stribeck_weight(slip_rad_s: float, law: FrictionLaw) -> float:
-    """Return `stribeck_weight` for kernels that go along rows; right to 1e-13."""
-    excess = max(abs(slip_rad_s) - law.lock_band_rad_s, _NEXT_TO_ZERO) * (1.0 / law.stribeck_speed_rad_s)
-    return row_exponential(-row_exponential(law.stribeck_exponent * row_logarithm(excess)))
 
 
 @kernel
@@ -359,35 +300,16 @@ def viscosities_pa_s(temperature_k: Quantity, a_pa_s: float, b_k: float, pole_k:
 viscosity_pa_s = kernel(viscosities_pa_s)  # the same law, for other kernels
 
 
-# Slopes over the film are taken over this ratio.
-_SLOPE_STEP: Final = 1e-4
-# Polynomials in a film as thick as the roughness: the laws have their corners at whole roughnesses, where one ends.
-_PIECES: Final = 128
-_MOST_PIECES: Final = 2**14  # up to an open gap, whatever the surface: 2 MB
-_COEFFICIENTS: Final = 5
-_CONTACT, _MOBILITY, _SHEAR = range(3)
-_KEPT_SURFACES: Final = 8
-
-
-class FilmShape(NamedTuple):
-    """What films of any thickness are by their surface alone, in the form the kernels take."""
-
-    pieces: FloatArray  # (pieces, 3, _COEFFICIENTS): contact per stiffness, mobility times squeeze factor [m^3], shear
-    per_piece_1_m: float
+_SLOPE_STEP: Final = 1e-4  # ratio of thicknesses over which a slope is taken
 
 
 class FilmPoint(NamedTuple):
-    """What a film of some thickness answers to any pressure and slip, and one that is a step thicker: for its slope."""
+    """What a film of some thickness is, whatever presses or shears it."""
 
     film_m: float
-    per_film_1_m: float  # its reciprocal
     contact_pa: float
     mobility_m: float
     shear: float  # `shear_factor_difference`
-    thicker_contact_pa: float
-    thicker_mobility_m: float
-    thicker_shear: float
-    step_m: float  # by which that one is thicker
 
 
 def slower_film(law: FilmLaw, ratio: float) -> FilmLaw:
@@ -395,91 +317,32 @@ def slower_film(law: FilmLaw, ratio: float) -> FilmLaw:
     return law._replace(squeeze_factor_m2=law.squeeze_factor_m2 * ratio)
 
 
-def film_shape(law: FilmLaw) -> FilmShape:
-    """Return the shape of a clutch's films: the same for all pistons, stiffnesses and mobilities of one surface."""
-    return _shape(law.roughness_m, law.permeability_m2, law.lining_thickness_m, law.slip_coefficient, law.open_gap_m)
-
-
-@lru_cache(maxsize=_KEPT_SURFACES)
-def _shape(
-    roughness_m: float, permeability_m2: float, lining_thickness_m: float, slip_coefficient: float, open_gap_m: float
-) -> FilmShape:
-    law = FilmLaw(*np.ones(len(FilmLaw._fields)).tolist())._replace(
-        roughness_m=roughness_m,
-        permeability_m2=permeability_m2,
-        lining_thickness_m=lining_thickness_m,
-        slip_coefficient=slip_coefficient,
-    )
-    piece_m = max(roughness_m / _PIECES, open_gap_m / _MOST_PIECES)
-    count = int(open_gap_m / piece_m) + 2
-    along = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_COEFFICIENTS) + 0.5) / _COEFFICIENTS)  # Chebyshev's points
-    values = np.empty((count, 3, _COEFFICIENTS))
-    _ask((np.arange(count)[:, None] + along) * piece_m, law, values)
-    pieces = values @ np.linalg.inv(np.vander(along, increasing=True)).T
-    return FilmShape(pieces=np.ascontiguousarray(pieces), per_piece_1_m=1.0 / piece_m)
+@array_kernel
+def film_point(film_m: float, law: FilmLaw) -> FilmPoint:
+    """Return contact, mobility and shear of a film of this thickness."""
+    contact_pa, mobility_m = contact_pressure_pa(film_m, law), film_mobility_m(film_m, law)
+    return FilmPoint(film_m, contact_pa, mobility_m, shear_factor_difference(film_m / law.roughness_m))
 
 
 @array_kernel
-def _ask(film_m: FloatArray, law: FilmLaw, values: FloatArray) -> None:
-    """Fill in what the laws say of some films; (n, m) of them and (n, 3, m) values."""
-    for row in range(film_m.shape[0]):
-        for column in range(film_m.shape[1]):
-            one_m = film_m[row, column]
-            values[row, _CONTACT, column] = contact_pressure_pa(one_m, law)
-            values[row, _MOBILITY, column] = film_mobility_m(one_m, law)
-            values[row, _SHEAR, column] = shear_factor_difference(one_m / law.roughness_m)
+def thicker_m(point: FilmPoint) -> float:
+    """Return the thickness [m] that a slope over the film is taken to."""
+    return point.film_m * (1.0 + _SLOPE_STEP)
 
 
-@unchecked_kernel
-def film_point(film_m: float, law: FilmLaw, shape: FilmShape) -> FilmPoint:
-    """Return contact, mobility and shear of a film not above its open gap, and of one a ten thousandth thicker."""
-    place, pieces = film_m * shape.per_piece_1_m, shape.pieces
-    piece = min(max(int(place), 0), len(pieces) - 1)  # also where a film is no number
-    along = place - piece
-    further = along + _SLOPE_STEP * place
-    stiffness_pa, per_squeeze_1_m2 = law.contact_stiffness_pa, 1.0 / law.squeeze_factor_m2
-    return FilmPoint(
-        film_m,
-        1.0 / film_m,
-        stiffness_pa * max(0.0, _value(pieces, piece, _CONTACT, along)),
-        per_squeeze_1_m2 * _value(pieces, piece, _MOBILITY, along),
-        _value(pieces, piece, _SHEAR, along),
-        stiffness_pa * max(0.0, _value(pieces, piece, _CONTACT, further)),
-        per_squeeze_1_m2 * _value(pieces, piece, _MOBILITY, further),
-        _value(pieces, piece, _SHEAR, further),
-        _SLOPE_STEP * film_m,
-    )
-
-
-@unchecked_kernel
-def _value(pieces: FloatArray, piece: int, law: int, along: float) -> float:
-    """Return what the polynomial of one law says so far along a piece, whose length is 1."""
-    c = pieces[piece, law]
-    value: float = c[0] + along * (c[1] + along * (c[2] + along * (c[3] + along * c[4])))
-    return value
-
-
-@unchecked_kernel
-def point_rate_m_s(point: FilmPoint, piston_pa: float, fluidity: float, law: FilmLaw) -> float:
-    """Return `film_rate_m_s` by the piston pressure, closed above the touch point; ``fluidity`` is 1/viscosity."""
+@array_kernel
+def point_rate_m_s(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLaw) -> float:
+    """Return `film_rate_m_s` by the piston pressure: a pack is closed above its touch point."""
     applied_pa = applied_pressure_pa(piston_pa, law)
-    return _rate_m_s(point.film_m, point.contact_pa, point.mobility_m * fluidity, applied_pa, law)
-
-
-@unchecked_kernel
-def point_motion(point: FilmPoint, piston_pa: float, fluidity: float, law: FilmLaw) -> tuple[float, float]:
-    """Return `point_rate_m_s`, and how much faster a thicker film moves, per thickness [1/s]."""
-    applied_pa, thicker_m = applied_pressure_pa(piston_pa, law), point.film_m + point.step_m
-    rate_m_s = _rate_m_s(point.film_m, point.contact_pa, point.mobility_m * fluidity, applied_pa, law)
-    thicker_m_s = _rate_m_s(thicker_m, point.thicker_contact_pa, point.thicker_mobility_m * fluidity, applied_pa, law)
-    return rate_m_s, (thicker_m_s - rate_m_s) * (point.per_film_1_m * (1.0 / _SLOPE_STEP))
-
-
-@unchecked_kernel
-def _rate_m_s(film_m: float, contact_pa: float, yielding_m_pa_s: float, applied_pa: float, law: FilmLaw) -> float:
-    """Return the rate of a film that yields so much to a pressure [m/(Pa s)]; `film_rate_m_s`."""
-    opening_m_s = (law.open_gap_m - film_m) * (1.0 / law.separation_time_s)
     if applied_pa <= 0.0:
-        return opening_m_s
-    springs_pa = law.separation_pressure_pa * (1.0 - film_m * (1.0 / law.open_gap_m))
-    return min((springs_pa + contact_pa - applied_pa) * yielding_m_pa_s, opening_m_s)
+        return _opening_m_s(point.film_m, law)
+    return _closed_rate_m_s(point.film_m, point.contact_pa, point.mobility_m, applied_pa, viscosity, law)
+
+
+@array_kernel
+def point_motion(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLaw) -> tuple[float, float]:
+    """Return `point_rate_m_s`, and how much faster a thicker film moves, per thickness [1/s]."""
+    applied_pa, thicker = applied_pressure_pa(piston_pa, law), thicker_m(point)
+    rate_m_s = point_rate_m_s(point, piston_pa, viscosity, law)
+    thicker_m_s = film_rate_m_s(thicker, applied_pa, viscosity, applied_pa > 0.0, law)
+    return rate_m_s, (thicker_m_s - rate_m_s) / (thicker - point.film_m)

@@ -17,9 +17,8 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import row_kernel, unchecked_kernel
 from clutch_model.calibration import Calibration, InputSide, SensorBias, TorqueSource
-from clutch_model.pack import FrictionLaw, row_exponential, row_logarithm, row_stribeck_weight, slower_film
+from clutch_model.pack import slower_film
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.drives import (
     PRESSURE_DEGREE,
@@ -44,14 +43,14 @@ from diag_service.diagnosis.friction.film import (
     COARSE,
     FilmCause,
     FilmTrack,
+    PackLaw,
     PackLaws,
     PressureDrive,
-    direction,
+    directions,
     film_tangents,
     heat_w,
     integrate_films,
     levers_m3,
-    pack_laws,
 )
 
 MAX_MOMENT_COUNT = 24  # beyond it the quadrature, not the noise, limits
@@ -92,11 +91,10 @@ class Torques(NamedTuple):
         count = rows.stop - rows.start
         lever_m3, parts_nm = np.empty((2, 2, count)), np.empty((2, 6, count))
         for m, (drive, track, law) in enumerate(zip(drives, tracks, laws, strict=True)):
-            own = _Rows(
-                drive.slip_rad_s[rows], track.contact_pa[rows], warmed[m].clutch_k[rows], track.viscous_nm[rows],
-                track.open_nm[rows],
-            )  # fmt: skip
-            _fill_torques(own, law.friction, law.film.contact_factor_m3, lever_m3[m], parts_nm[m])
+            lever_m3[m] = levers_m3(drive.slip_rad_s[rows], law.friction, law.film.contact_factor_m3)
+            parts_nm[m, :2] = lever_m3[m] * track.contact_pa[rows]
+            parts_nm[m, 2:4] = parts_nm[m, :2] * _over_reference_k(warmed[m].clutch_k[rows])
+            parts_nm[m, 4], parts_nm[m, 5] = track.viscous_nm[rows], track.open_nm[rows]
         return cls(lever_m3=lever_m3, contact_nm=parts_nm[:, :2], parts_nm=parts_nm)
 
 
@@ -179,10 +177,7 @@ class Balance:
 
     def slip_energy_j(self, clutch: int, mu: FloatArray) -> float:
         """Return the heat made in a clutch over the whole cut [J], for its ``(mu_c, mu_s)``."""
-        drive, track = self.measured[clutch - 1], self.tracks[clutch - 1]
-        law, slip_rad_s = self.laws[clutch - 1], np.ascontiguousarray(drive.slip_rad_s)
-        factor_m3 = law.film.contact_factor_m3
-        return GRID_S * heat_w(slip_rad_s, track.contact_pa, track.viscous_nm, mu, law.friction, factor_m3)
+        return GRID_S * heat_w(self.measured[clutch - 1], self.tracks[clutch - 1], mu, self.laws[clutch - 1])
 
 
 def weigh(weights: Weights, torques: Torques) -> tuple[ClutchMoments, ClutchMoments]:
@@ -202,34 +197,9 @@ def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: Sensor
     return reading_nm - negative_nm + corrected_nm, corrected_nm
 
 
-class _Rows(NamedTuple):
-    """Rows of what is known of a clutch, in the form the kernel takes; (n,) each."""
-
-    slip_rad_s: FloatArray
-    contact_pa: FloatArray
-    clutch_k: FloatArray
-    viscous_nm: FloatArray
-    open_nm: FloatArray
-
-
-@unchecked_kernel
-def _over_reference_k(clutch_k: float) -> float:
+def _over_reference_k(clutch_k: FloatArray) -> FloatArray:
     """Return how warm a pack is for its friction [K]: what the laws of cold oil err by, alike, makes a kelvin two."""
-    return clutch_k - REFERENCE_K + min(clutch_k - WORKING_K, 0.0)
-
-
-@row_kernel
-def _fill_torques(
-    rows: _Rows, law: FrictionLaw, contact_factor_m3: float, lever_m3: FloatArray, parts_nm: FloatArray
-) -> None:
-    for row in range(len(rows.slip_rad_s)):
-        weight = row_stribeck_weight(rows.slip_rad_s[row], law)
-        lever_m3[0, row], lever_m3[1, row] = levers_m3(rows.slip_rad_s[row], weight, contact_factor_m3)
-        by_mu_c_nm, by_mu_s_nm = lever_m3[0, row] * rows.contact_pa[row], lever_m3[1, row] * rows.contact_pa[row]
-        warm_k = _over_reference_k(rows.clutch_k[row])
-        parts_nm[0, row], parts_nm[1, row] = by_mu_c_nm, by_mu_s_nm
-        parts_nm[2, row], parts_nm[3, row] = by_mu_c_nm * warm_k, by_mu_s_nm * warm_k
-        parts_nm[4, row], parts_nm[5, row] = rows.viscous_nm[row], rows.open_nm[row]
+    return clutch_k - REFERENCE_K + np.minimum(clutch_k - WORKING_K, 0.0)
 
 
 COLD_SPAN_K: Final = 60.0  # below that temperature, where the deviations are as large as these:
@@ -298,6 +268,27 @@ class ContactAnswers(NamedTuple):
     doubt_nm: FloatArray  # standard deviation of what no law of friction and film holds
 
 
+def contact_answers(
+    slip_rad_s: FloatArray,
+    contact_nm: FloatArray,
+    contact_pa: FloatArray,
+    film_doubt_nm: FloatArray,
+    mu: FloatArray,
+    law: PackLaw,
+) -> ContactAnswers:
+    """Return how the contact of a clutch answers; ``contact_nm`` is (2, n), by mu_c and by mu_s, all others (n,)."""
+    curve, area_ratio = law.friction, law.film.piston_area_m2 / law.film.lining_area_m2
+    excess = np.maximum(np.abs(slip_rad_s) / curve.stribeck_speed_rad_s, MIN_EXCESS)
+    by_speed_nm = contact_nm[1] * (mu[1] - mu[0]) * curve.stribeck_exponent * excess**curve.stribeck_exponent
+    return ContactAnswers(
+        by_slip_nms=-by_speed_nm / (excess * curve.stribeck_speed_rad_s) * directions(slip_rad_s),
+        by_pressure_m3=area_ratio * mu[0] * contact_nm.sum(axis=0) / np.maximum(contact_pa, 1.0),
+        by_stribeck_speed_nm=by_speed_nm,
+        by_stribeck_exponent_nm=-by_speed_nm * np.log(excess),
+        doubt_nm=np.hypot(film_doubt_nm, DOUBT_RATIO * (mu @ contact_nm)),
+    )
+
+
 def coldness(tracks: tuple[FilmTrack, FilmTrack], rows: slice) -> tuple[float, ...]:
     """Return how cold each pack is on some rows: 0 at work, 1 where its oil is 60 K colder."""
     return tuple(
@@ -342,14 +333,14 @@ class Sensitivity:
         self._torques = Torques.of(self._planned, tracks, balance.tracks, laws, rows)
         is_cold = max(balance.film_steps) >= LEAST_SECANT
         self._lost_nm = self._by_slower_films(tracks) if is_cold else [None, None]
-        self._answers = [ContactAnswers(*np.empty((5, rows.stop - rows.start))) for _ in laws]
-        for m, answers in enumerate(self._answers):
-            law, slip_rad_s, contact_pa = laws[m], self._planned[m].slip_rad_s[rows], tracks[m].contact_pa[rows]
-            doubt_nm, area_ratio = balance.tracks[m].doubt_nm[rows], law.film.piston_area_m2 / law.film.lining_area_m2
+        self._answers = []
+        for m, law in enumerate(laws):
+            doubt_nm = balance.tracks[m].doubt_nm[rows]
             if (lost_nm := self._lost_nm[m]) is not None:
                 doubt_nm = np.hypot(doubt_nm, COLD_DOUBT_RATIO * balance.film_steps[m] * lost_nm)
-            contact_nm, mu = self._torques.contact_nm[m], balance.mu[m]
-            _fill_answers(slip_rad_s, contact_nm, contact_pa, doubt_nm, mu, law.friction, area_ratio, answers)
+            contact_nm, contact_pa = self._torques.contact_nm[m], tracks[m].contact_pa[rows]
+            slip_rad_s = self._planned[m].slip_rad_s[rows]
+            self._answers.append(contact_answers(slip_rad_s, contact_nm, contact_pa, doubt_nm, balance.mu[m], law))
         self._nominal = weigh(balance.weights, self._torques)
         self.noises = self._noises()
         self.slope = self._slope()
@@ -570,31 +561,3 @@ def measured(balance: Balance, near: Sequence[Measurement] = ()) -> tuple[Measur
         Measurement(residual=residual[band], slope=found.slope[band], noise=noise, overlap=overlap)
         for band, noise, overlap in zip(bands, found.noises, found.overlaps, strict=True)
     )
-
-
-@row_kernel
-def _fill_answers(
-    slip_rad_s: FloatArray, torques_nm: FloatArray, contact_pa: FloatArray, film_doubt_nm: FloatArray, mu: FloatArray,
-    curve: FrictionLaw, area_ratio: float, answers: ContactAnswers,
-) -> None:  # fmt: skip
-    speed_rad_s, exponent = curve.stribeck_speed_rad_s, curve.stribeck_exponent
-    for row in range(len(slip_rad_s)):
-        excess = max(abs(slip_rad_s[row]) / speed_rad_s, MIN_EXCESS)
-        log_excess = row_logarithm(excess)
-        by_mu_c_nm, by_mu_s_nm = torques_nm[0, row], torques_nm[1, row]
-        by_log_nm = by_mu_s_nm * (mu[1] - mu[0]) * exponent * row_exponential(exponent * log_excess)
-        answers.by_slip_nms[row] = -by_log_nm / (excess * speed_rad_s) * direction(slip_rad_s[row])
-        answers.by_pressure_m3[row] = area_ratio * mu[0] * (by_mu_c_nm + by_mu_s_nm) / max(contact_pa[row], 1.0)
-        answers.by_stribeck_speed_nm[row] = by_log_nm
-        answers.by_stribeck_exponent_nm[row] = -by_log_nm * log_excess
-        whole_nm = by_mu_c_nm * mu[0] + by_mu_s_nm * mu[1]
-        answers.doubt_nm[row] = math.sqrt(film_doubt_nm[row] ** 2 + (DOUBT_RATIO * whole_nm) ** 2)
-
-
-def compile_balance(calibration: Calibration) -> None:
-    """Have everything compiled before the first shift comes: it must not wait for it."""
-    law, zeros = pack_laws(calibration)[0], np.zeros(2)
-    factor_m3, answers = law.film.contact_factor_m3, ContactAnswers(*np.zeros((5, 2)))
-    _fill_torques(_Rows(zeros, zeros, zeros, zeros, zeros), law.friction, factor_m3, np.empty((2, 2)), np.empty((6, 2)))
-    heat_w(zeros, zeros, zeros, zeros, law.friction, factor_m3)
-    _fill_answers(zeros, np.zeros((2, 2)), zeros, zeros, zeros, law.friction, 1.0, answers)

@@ -16,7 +16,6 @@ from diag_service.diagnosis.friction.balance import (
     LEAST_SECANT,
     WORKING_K,
     Balance,
-    compile_balance,
     measured,
     slower_films,
 )
@@ -178,7 +177,6 @@ class Estimator:
         compile_usability()
         plausibility.compile_plausibility()
         compile_window()
-        compile_balance(self._calibration)
         compile_film(self._calibration)
         compile_tangents(self._calibration)
 

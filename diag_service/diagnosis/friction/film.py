@@ -8,31 +8,34 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import array_kernel, unchecked_kernel
+from canlog.jit import array_kernel
 from clutch_model.calibration import Calibration
 from clutch_model.pack import (
     CONTACT_END,
     FilmLaw,
     FilmPoint,
-    FilmShape,
     FrictionLaw,
     applied_pressure_pa,
     clutch_heating_rate_k_s,
+    contact_pressure_pa,
     contact_torque_nm,
+    contact_torques_nm,
     equilibrium_film_m,
     film_law,
     film_point,
-    film_shape,
     friction_law,
     kinetic_friction,
     piston_pressure_pa,
     piston_pressures_pa,
     point_motion,
     point_rate_m_s,
+    shear_factor_difference,
     sheared_torque_nm,
-    stribeck_weight,
+    stribeck_weights,
+    thicker_m,
     viscosity_pa_s,
 )
+from clutch_model.units import Quantity
 from diag_service.diagnosis.alignment import GRID_S
 
 COARSE = 2  # points of the grid: steps in which a film may be followed whose derivatives alone are wanted
@@ -58,7 +61,6 @@ class PackLaw(NamedTuple):
     """What a calibration says of one clutch and its oil, in the form the kernels take."""
 
     film: FilmLaw
-    shape: FilmShape
     friction: FrictionLaw
     oil: _Oil
     heat_capacity_j_k: float
@@ -117,7 +119,6 @@ class _Pack(NamedTuple):
     """A clutch, what drives its film and what is to be filled, in the form the kernel takes."""
 
     law: FilmLaw
-    shape: FilmShape
     friction: FrictionLaw
     heat: HeatLaw
     piston_pa: FloatArray
@@ -143,7 +144,6 @@ def pack_laws(calibration: Calibration) -> PackLaws:
         found.append(
             PackLaw(
                 film=law,
-                shape=film_shape(law),
                 friction=friction_law(clutch.friction),
                 oil=oil,
                 heat_capacity_j_k=float(clutch.thermal.heat_capacity_j_k),
@@ -180,7 +180,6 @@ def integrate_films(
     packs = [
         _Pack(
             law=law.film,
-            shape=law.shape,
             friction=law.friction,
             heat=HeatLaw(*law.oil, law.heat_capacity_j_k, law.convection_w_k, drive.oil_k, drive.clutch_k),
             piston_pa=np.ascontiguousarray(drive.piston_pa[0:count:step]),
@@ -219,25 +218,25 @@ def _integrate(one: _Pack, other: _Pack, step_s: float) -> tuple[float, float]:
     return _warmed_k(one, last, at_one, step_s)[0], _warmed_k(other, last, at_other, step_s)[0]
 
 
-@unchecked_kernel
+@array_kernel
 def _start(pack: _Pack) -> _State:
     film_m = equilibrium_film_m(applied_pressure_pa(pack.piston_pa[0], pack.law), pack.law)
-    return _State(film_point(film_m, pack.law, pack.shape), pack.heat.start_k, 0.0)
+    return _State(film_point(film_m, pack.law), pack.heat.start_k, 0.0)
 
 
-@unchecked_kernel
+@array_kernel
 def _next(pack: _Pack, k: int, at: _State, step_s: float) -> _State:
     """Fill row k and return what the pack is at the next point."""
     clutch_k, viscosity = _warmed_k(pack, k, at, step_s)
     point, law, driving_pa = at.point, pack.law, 0.5 * (pack.piston_pa[k] + pack.piston_pa[k + 1])
     if point.film_m >= law.open_gap_m and applied_pressure_pa(driving_pa, law) <= 0.0:  # an open pack stays open
         return _State(point, clutch_k, at.film_rate_1_s)
-    film_m = _film_step(point, driving_pa, 1.0 / viscosity, law, step_s)
-    film_rate_1_s = abs(film_m - point.film_m) * (point.per_film_1_m * (1.0 / step_s))
-    return _State(film_point(film_m, law, pack.shape), clutch_k, film_rate_1_s)
+    film_m = _film_step(point, driving_pa, viscosity, law, step_s)
+    film_rate_1_s = abs(film_m - point.film_m) / (point.film_m * step_s)
+    return _State(film_point(film_m, law), clutch_k, film_rate_1_s)
 
 
-@unchecked_kernel
+@array_kernel
 def _warmed_k(pack: _Pack, k: int, at: _State, step_s: float) -> tuple[float, float]:
     """Fill row k; return the temperature of the pack a step later [K] and the viscosity of its oil at this point."""
     point, law, heat, rows, slip = at.point, pack.law, pack.heat, pack.rows, pack.slip_rad_s[k]
@@ -260,7 +259,7 @@ def _warmed_k(pack: _Pack, k: int, at: _State, step_s: float) -> tuple[float, fl
     return at.clutch_k + step_s * rate_k_s, viscosity
 
 
-@unchecked_kernel
+@array_kernel
 def film_torques_nm(
     slip_rad_s: float, film_m: float, viscosity: float, shear: float, open_drag_ratio: float, law: FilmLaw
 ) -> tuple[float, float]:
@@ -276,7 +275,7 @@ def film_torques_nm(
     return open_nm, (1.0 - openness) * full_nm * open_drag_ratio ** min(_DOUBT_RISE * openness, 1.0)
 
 
-@unchecked_kernel
+@array_kernel
 def _whole_nm(
     slip_rad_s: float, film_m: float, viscosity: float, shear: float, open_drag_ratio: float, law: FilmLaw
 ) -> float:
@@ -284,7 +283,7 @@ def _whole_nm(
     return open_nm + closing_nm
 
 
-@unchecked_kernel
+@array_kernel
 def _doubt(openness: float, film_rate_1_s: float, piston_pa: float, law: FilmLaw) -> float:
     """Return the standard deviation of what a film shears, as a ratio to that torque; docs/model.md "Cold oil"."""
     if openness > 0.0 and abs(piston_pa - piston_pressure_pa(0.0, law)) < _HOVER_PA:
@@ -292,19 +291,19 @@ def _doubt(openness: float, film_rate_1_s: float, piston_pa: float, law: FilmLaw
     return min(_DOUBT_RISE * openness + _TIMING_S * film_rate_1_s, 1.0)
 
 
-@unchecked_kernel
+@array_kernel
 def _openness(film_m: float, law: FilmLaw) -> float:
     """Return how far a pack is open: 0 as long as asperities touch, 1 at its open gap."""
     touching_m = CONTACT_END * law.roughness_m
-    return max(0.0, film_m - touching_m) * (1.0 / (law.open_gap_m - touching_m))
+    return max(0.0, film_m - touching_m) / (law.open_gap_m - touching_m)
 
 
-@unchecked_kernel
-def _film_step(point: FilmPoint, piston_pa: float, fluidity: float, law: FilmLaw, step_s: float) -> float:
+@array_kernel
+def _film_step(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLaw, step_s: float) -> float:
     """Return the film one step later by the exponential Rosenbrock-Euler rule, exact for a linear rate."""
-    rate_m_s, slope_1_s = point_motion(point, piston_pa, fluidity, law)
+    rate_m_s, slope_1_s = point_motion(point, piston_pa, viscosity, law)
     reach = slope_1_s * step_s
-    stretch = step_s if abs(reach) < 1e-6 else (math.exp(min(reach, 50.0)) - 1.0) * (step_s / reach)
+    stretch = step_s if abs(reach) < 1e-6 else step_s * math.expm1(min(reach, _MOST_REACH)) / reach
     return min(max(point.film_m + rate_m_s * stretch, law.min_film_m), law.open_gap_m)
 
 
@@ -381,7 +380,7 @@ def film_tangents(
         contact=np.empty(len(FilmCause)),
         viscous=np.empty(len(FilmCause)),
     )
-    _follow(moved, law.film, law.shape, law.oil, np.zeros(len(FilmCause)), answers)
+    _follow(moved, law.film, law.oil, np.zeros(len(FilmCause)), answers)
     return answers.torque_nm
 
 
@@ -393,15 +392,15 @@ def compile_tangents(calibration: Calibration) -> None:
 
 
 @array_kernel
-def _follow(moved: _Moved, law: FilmLaw, shape: FilmShape, oil: _Oil, by: FloatArray, answers: _Answers) -> None:
+def _follow(moved: _Moved, law: FilmLaw, oil: _Oil, by: FloatArray, answers: _Answers) -> None:
     """Fill the answers; ``by`` are the derivatives of the film itself [m], zero at first."""
     film_m = equilibrium_film_m(applied_pressure_pa(moved.piston_pa[0], law), law)
-    point = film_point(film_m, law, shape)
+    point = film_point(film_m, law)
     count, k = len(moved.piston_pa), 0
     while k < count:
         viscosity = viscosity_pa_s(moved.clutch_k[k], oil.a_pa_s, oil.b_k, oil.pole_k)
-        fluidity, points = 1.0 / viscosity, min(COARSE, count - 1 - k)
-        if points > 1 and not _is_quiet(moved, k, points, point, fluidity, law):
+        points = min(COARSE, count - 1 - k)
+        if points > 1 and not _is_quiet(moved, k, points, point, viscosity, law):
             points = 1
         following = k + max(points, 1)
         if following > answers.first:
@@ -411,30 +410,31 @@ def _follow(moved: _Moved, law: FilmLaw, shape: FilmShape, oil: _Oil, by: FloatA
                     by_contact = answers.lever_m3[row] * answers.contact[cause]
                     answers.torque_nm[row, cause] = by_contact + answers.viscous[cause]
         if points > 0:
-            later_m = _step(moved, k, points, point, fluidity, law, by)
+            later_m = _step(moved, k, points, point, viscosity, law, by)
             if later_m != point.film_m:
-                point = film_point(later_m, law, shape)
+                point = film_point(later_m, law)
         k = following
 
 
-@unchecked_kernel
-def _is_quiet(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: float, law: FilmLaw) -> bool:
+@array_kernel
+def _is_quiet(moved: _Moved, k: int, points: int, point: FilmPoint, viscosity: float, law: FilmLaw) -> bool:
     """Return whether a film hardly changes over some points: then one step follows it."""
     driving_pa = 0.5 * (moved.piston_pa[k] + moved.piston_pa[k + points])
-    rate = point_rate_m_s(point, driving_pa, fluidity, law)
+    rate = point_rate_m_s(point, driving_pa, viscosity, law)
     return abs(rate) * points * GRID_S < _QUIET * point.film_m
 
 
-@unchecked_kernel
+@array_kernel
 def _answer(
     moved: _Moved, k: int, point: FilmPoint, viscosity: float, law: FilmLaw, by: FloatArray, contact: FloatArray,
     viscous: FloatArray,
 ) -> None:  # fmt: skip
-    slip, drag_ratio, film_m, step_m = moved.slip_rad_s[k], moved.open_drag_ratio, point.film_m, point.step_m
+    slip, drag_ratio, film_m, thicker = moved.slip_rad_s[k], moved.open_drag_ratio, point.film_m, thicker_m(point)
+    step_m, thicker_shear = thicker - film_m, shear_factor_difference(thicker / law.roughness_m)
     whole_nm = _whole_nm(slip, film_m, viscosity, point.shear, drag_ratio, law)
-    thicker_nm = _whole_nm(slip, film_m + step_m, viscosity, point.thicker_shear, drag_ratio, law)
+    thicker_nm = _whole_nm(slip, thicker, viscosity, thicker_shear, drag_ratio, law)
     stiffer_nm = _whole_nm(slip, film_m, viscosity * (1.0 + _VISCOSITY_STEP), point.shear, drag_ratio, law)
-    by_film_pa_m = (point.thicker_contact_pa - point.contact_pa) / step_m
+    by_film_pa_m = (contact_pressure_pa(thicker, law) - point.contact_pa) / step_m
     by_film_n = (thicker_nm - whole_nm) / step_m
     for j in range(len(by)):
         contact[j] = by_film_pa_m * by[j]
@@ -443,8 +443,10 @@ def _answer(
     viscous[_VISCOSITY] += (stiffer_nm - whole_nm) / _VISCOSITY_STEP
 
 
-@unchecked_kernel
-def _step(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: float, law: FilmLaw, by: FloatArray) -> float:
+@array_kernel
+def _step(
+    moved: _Moved, k: int, points: int, point: FilmPoint, viscosity: float, law: FilmLaw, by: FloatArray
+) -> float:
     """Return the film some points later [m], and set its derivatives: the same rule, linearised."""
     film_m = point.film_m
     before_pa, after_pa, step_s = moved.piston_pa[k], moved.piston_pa[k + points], points * GRID_S
@@ -452,17 +454,17 @@ def _step(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: float,
     if film_m >= law.open_gap_m and applied_pressure_pa(driving_pa, law) <= 0.0:
         by[:] = 0.0  # an open pack stays open
         return film_m
-    rate, slope_1_s = point_motion(point, driving_pa, fluidity, law)
+    rate, slope_1_s = point_motion(point, driving_pa, viscosity, law)
     reach = min(slope_1_s * step_s, _MOST_REACH)
     kept = math.exp(reach)
-    stretch = step_s if abs(reach) < 1e-6 else step_s * (kept - 1.0) / reach
+    stretch = step_s if abs(reach) < 1e-6 else step_s * math.expm1(reach) / reach
     later_m = film_m + rate * stretch
     if later_m < law.min_film_m or later_m > law.open_gap_m:
         by[:] = 0.0
         return min(max(later_m, law.min_film_m), law.open_gap_m)
     by_pa = 0.0  # where separators, not the piston, move the pack
     if applied_pressure_pa(driving_pa, law) > 0.0:  # the rate jumps there: no difference across it is a derivative
-        pushed = point_rate_m_s(point, driving_pa + _PRESSURE_STEP_PA, fluidity, law)
+        pushed = point_rate_m_s(point, driving_pa + _PRESSURE_STEP_PA, viscosity, law)
         by_pa = (pushed - rate) / _PRESSURE_STEP_PA
     for j in range(len(by)):
         by[j] *= kept
@@ -478,31 +480,20 @@ def _step(moved: _Moved, k: int, points: int, point: FilmPoint, fluidity: float,
     return later_m
 
 
-@unchecked_kernel
-def direction(slip_rad_s: float) -> float:
+def directions(slip_rad_s: Quantity) -> Quantity:
     """Return the sign of the slip, fading near zero."""
-    return min(max(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0), 1.0)
+    sign: Quantity = np.clip(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0, 1.0)
+    return sign
 
 
-@unchecked_kernel
-def levers_m3(slip_rad_s: float, weight: float, contact_factor_m3: float) -> tuple[float, float]:
-    """Return the torque of a contact per pressure, by mu_c and by mu_s [m^3]."""
-    full_m3 = contact_torque_nm(direction(slip_rad_s), 1.0, 1.0, contact_factor_m3)
-    return full_m3 * (1.0 - weight), full_m3 * weight
+def levers_m3(slip_rad_s: FloatArray, law: FrictionLaw, contact_factor_m3: float) -> FloatArray:
+    """Return the torque of a contact per pressure [m^3], by mu_c and by mu_s: (2, n) for n slips."""
+    full_m3 = contact_torques_nm(directions(slip_rad_s), 1.0, 1.0, contact_factor_m3)
+    weight = stribeck_weights(slip_rad_s, law)
+    return np.stack([full_m3 * (1.0 - weight), full_m3 * weight])
 
 
-@array_kernel
-def heat_w(
-    slip_rad_s: FloatArray, contact_pa: FloatArray, viscous_nm: FloatArray, mu: FloatArray, law: FrictionLaw,
-    contact_factor_m3: float,
-) -> float:  # fmt: skip
-    """Return the sum of the heat made at each point [W]."""
-    total_w = 0.0
-    for row in range(len(slip_rad_s)):
-        torque_nm = viscous_nm[row]
-        if contact_pa[row] > 0.0:
-            weight = stribeck_weight(slip_rad_s[row], law)
-            by_mu_c, by_mu_s = levers_m3(slip_rad_s[row], weight, contact_factor_m3)
-            torque_nm += (by_mu_c * mu[0] + by_mu_s * mu[1]) * contact_pa[row]
-        total_w += abs(torque_nm * slip_rad_s[row])
-    return total_w
+def heat_w(drive: PressureDrive, track: FilmTrack, mu: FloatArray, law: PackLaw) -> float:
+    """Return the sum of the heat made at each point [W], for ``(mu_c, mu_s)``."""
+    lever_m3 = mu @ levers_m3(drive.slip_rad_s, law.friction, law.film.contact_factor_m3)
+    return float(np.abs((track.viscous_nm + lever_m3 * track.contact_pa) * drive.slip_rad_s).sum())

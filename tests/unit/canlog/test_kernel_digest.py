@@ -15,7 +15,7 @@ from canlog.jit import UnknownIngredientError, kernel_key
 LAW = '''"""A law and its constants."""
 import numpy as np
 from typing import NamedTuple
-from canlog.jit import array_kernel, unchecked_kernel, inlined_kernel, kernel
+from canlog.jit import array_kernel, inlined_kernel, kernel
 from {package} import numbers
 
 FACTOR = 2.0
@@ -120,7 +120,6 @@ def test_what_is_not_compiled_in_changes_nothing(workshop: Workshop, old: str, n
         ("value + 1.0", "value + 2.0"),
         ("    first: float\n    second: float", "    second: float\n    first: float"),
         ("@kernel\ndef inner", "@inlined_kernel\ndef inner"),
-        ("@kernel\ndef inner", "@unchecked_kernel\ndef inner"),
         ("@kernel\ndef outer", "@array_kernel\ndef outer"),
     ],
 )

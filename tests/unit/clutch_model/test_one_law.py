@@ -17,7 +17,6 @@ from clutch_model.pack import (
     friction_law,
     piston_pressure_pa,
     piston_pressures_pa,
-    row_stribeck_weight,
     shear_factor_difference,
     sheared_torque_nm,
     stribeck_weight,
@@ -81,11 +80,6 @@ def test_handing_a_number_on_is_no_second_writing() -> None:
     ("of_one", "of_many", "points"),
     [
         (lambda x: stribeck_weight(x, FRICTION), lambda x: stribeck_weights(x, FRICTION), (-400.0, 400.0)),
-        (
-            lambda x: row_stribeck_weight(x, FRICTION),
-            lambda x: stribeck_weights(x, FRICTION),
-            (-400.0, 400.0),
-        ),
         (lambda x: contact_torque_nm(-1.0, 0.1, x, 5e-3), lambda x: contact_torques_nm(-x / x, 0.1, x, 5e-3), (1, 1e6)),
         (lambda x: piston_pressure_pa(x, LAW), lambda x: piston_pressures_pa(x, LAW), (0.0, 15e5)),
         (
@@ -94,7 +88,7 @@ def test_handing_a_number_on_is_no_second_writing() -> None:
             (240.0, 440.0),
         ),
     ],
-    ids=["(8)", "(8) of rows", "(6)", "(H6)", "(8a)"],
+    ids=["(8)", "(6)", "(H6)", "(8a)"],
 )
 def test_a_law_is_the_same_for_one_number_and_for_an_array(
     of_one: Callable[[float], float],
@@ -111,8 +105,7 @@ def test_the_weight_is_that_of_the_model_for_every_exponent(exponent: float) -> 
     slips = np.array([0.0, 0.05, law.lock_band_rad_s, 1.0, -6.0, 50.0])
     beyond = np.maximum(np.abs(slips) - law.lock_band_rad_s, 0.0) / law.stribeck_speed_rad_s
     expected = np.where(beyond > 0.0, np.exp(-(beyond**exponent)), 1.0)
-    for weight in (stribeck_weight, row_stribeck_weight):
-        assert [weight(float(slip), law) for slip in slips] == pytest.approx(expected, rel=1e-14)
+    assert [stribeck_weight(float(slip), law) for slip in slips] == pytest.approx(expected, rel=1e-14)
 
 
 def test_piston_and_lining_pressure_are_inverse() -> None:
