@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
-from canlog.jit import array_kernel, kernel
+from canlog.jit import array_kernel
 from clutch_model.calibration import Calibration, SensorNoise
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
 from diag_service.diagnosis.events import Event
@@ -85,23 +85,26 @@ class Resampled:
         self, times_s: FloatArray, value: FloatArray, grid_s: FloatArray, curve: "RowCurve | None" = None
     ) -> None:
         self.times_s, self.value, self.curve = times_s, value, curve
-        self.left = np.empty(len(grid_s), dtype=np.int64)
-        self.share, self.on_grid = np.empty(len(grid_s)), np.empty(len(grid_s))
         if curve is not None:
             times_s, value = curve.times_s, curve.value
-        _resample(times_s, value, grid_s, self.left, self.share, self.on_grid)
+        self.left = np.clip(times_s.searchsorted(grid_s, "right") - 1, 0, len(times_s) - 2)
+        begin_s = times_s[self.left]
+        self.share = np.clip((grid_s - begin_s) / (times_s[self.left + 1] - begin_s), 0.0, 1.0)
+        self.on_grid = (1.0 - self.share) * value[self.left] + self.share * value[self.left + 1]
+
+    def _shares(self, rows: slice) -> FloatArray:
+        """Return the share of each sample in some rows of the grid: (rows, samples that they lie between)."""
+        place, share = self.left[rows] - self.left[rows][0], self.share[rows]
+        shares, row = np.zeros((len(place), place[-1] + 2)), np.arange(len(place))
+        shares[row, place], shares[row, place + 1] = 1.0 - share, share
+        return shares
 
     def to_samples(self, weights: Sequence[FloatArray], pieces: Sequence[slice]) -> tuple[FloatArray, ...]:
         """Return the weight of each sample in weighted sums over pieces of the grid, shape (k, n) each.
 
         ``weights`` has shape (k, rows) for each piece; the samples are those that its rows lie between.
         """
-        found = []
-        for own, rows in zip(weights, pieces, strict=True):
-            left = self.left[rows]
-            found.append(np.zeros((len(own), left[-1] + 2 - left[0])))
-            _spread(own, left, self.share[rows], found[-1])
-        return tuple(found)
+        return tuple(of_rows @ self._shares(rows) for of_rows, rows in zip(weights, pieces, strict=True))
 
     def shared(self, one: Sums, other: Sums, rows: Sequence[slice], *, is_followed: bool = False) -> list[FloatArray]:
         """Return covariances of two sums with weights of `to_samples`, in variances of the sensor."""
@@ -117,13 +120,11 @@ class Resampled:
         self, values: FloatArray, places: Sequence[slice], pieces: Sequence[slice]
     ) -> tuple[FloatArray, ...]:
         """Return values as means around the samples of `to_samples`, shape (n,) each; ``places`` are of the pieces."""
-        found = []
-        for place, rows in zip(places, pieces, strict=True):
-            left = self.left[rows]
-            means, weight = np.zeros((2, left[-1] + 2 - left[0]))
-            _average(values[place], left, self.share[rows], means, weight)
-            found.append(means)
-        return tuple(found)
+        shares = [self._shares(rows) for rows in pieces]
+        return tuple(
+            values[place] @ share / np.maximum(share.sum(axis=0), _NO_WEIGHT)
+            for place, share in zip(places, shares, strict=True)
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,9 +152,15 @@ def sample_times_s(series: Series, origin_ns: int) -> FloatArray:
     message has no counter, or the sender did not keep to one schedule: then no sample near one end of the shift comes
     within a period of it.
     """
-    times_s = np.empty(len(series.t_ns))
-    _free_of_jitter(series.t_ns, series.sequence, origin_ns, series.period_ns * NS_TO_S, times_s)
-    return times_s
+    times_s: FloatArray = (series.t_ns - origin_ns) * NS_TO_S
+    if series.period_ns <= 0 or len(times_s) == 0 or series.sequence[0] < 0:
+        return times_s
+    scheduled_s = (series.sequence - series.sequence[0]) * (series.period_ns * NS_TO_S)
+    delay_s = times_s - scheduled_s
+    earliest_s = delay_s.min()
+    if max(delay_s[:END_COUNT].min(), delay_s[-END_COUNT:].min()) - earliest_s > series.period_ns * NS_TO_S:
+        return times_s
+    return np.asarray(scheduled_s + earliest_s)
 
 
 def segment_centres_s(times_s: FloatArray, speed_rad_s: FloatArray, segment_rad: float) -> FloatArray:
@@ -167,13 +174,11 @@ def segment_centres_s(times_s: FloatArray, speed_rad_s: FloatArray, segment_rad:
 
 def sampling_times(event: Event) -> SampleTimes:
     """Return when the signals of the balance were sampled, as far as they are there, freed of transmission jitter."""
-    found = {}
-    for signal in BALANCE_SIGNALS:
-        series = event.columns.get(signal)
-        if series is not None:
-            found[signal] = times_s = np.empty(len(series.t_ns))
-            _free_of_jitter(series.t_ns, series.sequence, event.start_ns, series.period_ns * NS_TO_S, times_s)
-    return found
+    return {
+        signal: sample_times_s(series, event.start_ns)
+        for signal in BALANCE_SIGNALS
+        if (series := event.columns.get(signal)) is not None
+    }
 
 
 def measured_times(sampled: SampleTimes, event: Event, calibration: Calibration) -> SampleTimes:
@@ -365,134 +370,32 @@ def held_s(times_s: FloatArray, value: FloatArray, step: float) -> float:
     return held if held > HELD_ROWS * float(np.median(np.diff(times_s))) else 0.0
 
 
-def compile_alignment() -> None:
-    """Have everything compiled before the first shift comes: it must not wait for it."""
-    ends, one = np.array([0.0, 1.0]), np.zeros((1, 2))
-    signal = Resampled(ends, ends, ends)
-    signal.to_samples([one], [slice(None)])
-    signal.around_samples(ends, [slice(None)], [slice(None)])
-    read_samples(np.arange(2), ends, 0, 1.0, ends, np.empty(2))
-    _free_of_jitter(np.arange(2), np.arange(2), 0, 1.0, np.empty(2))
-    _lag_behind(ends, ends, ends, 1.0, np.empty(2))
-
-
 def _expected_pa(event: Event, command: Signal, grid_s: FloatArray) -> FloatArray | None:
     """Return the piston pressure to be expected from its command on the grid, a first-order lag behind it, or None."""
     series = event.columns.get(command)
     if series is None or not len(series.t_ns):
         return None
-    times_s, expected_pa = sample_times_s(series, event.start_ns), np.empty_like(grid_s)
-    _lag_behind(times_s, series.value, grid_s, GRID_S / COMMAND_LAG_S, expected_pa)
+    expected_pa = np.interp(grid_s, sample_times_s(series, event.start_ns), series.value)
+    _lag(expected_pa, GRID_S / COMMAND_LAG_S)
     return expected_pa
 
 
 def readings(columns: Columns, signals: Iterable[Signal], origin_ns: int, at_s: FloatArray) -> dict[Signal, FloatArray]:
     """Return what signals read at rising times after a moment, without those of fewer than two samples."""
-    found = {}
-    for signal in signals:
-        series = columns.get(signal)
-        if series is not None and len(series.t_ns) > 1:
-            found[signal] = np.empty(len(at_s))
-            read_samples(series.t_ns, series.value, origin_ns, 1e9, at_s, found[signal])
-    return found
+    return {
+        signal: np.interp(at_s, (series.t_ns - origin_ns) * NS_TO_S, series.value)
+        for signal in signals
+        if (series := columns.get(signal)) is not None and len(series.t_ns) > 1
+    }
 
 
 @array_kernel
-def read_samples(
-    t_ns: Int64Array, value: FloatArray, origin_ns: int, unit_ns: float, at: FloatArray, reading: FloatArray
-) -> None:
-    """Fill in what a signal reads at rising times: linear between samples, constant beyond both ends.
-
-    Times are counted from ``origin_ns`` in units of so many nanoseconds; the signal has one sample at least.
-    """
-    sample, last = 0, len(t_ns) - 1
-    before, after = (t_ns[0] - origin_ns) / unit_ns, (t_ns[min(1, last)] - origin_ns) / unit_ns
-    for row in range(len(at)):
-        while sample < last and after <= at[row]:
-            sample, before = sample + 1, after
-            after = (t_ns[min(sample + 1, last)] - origin_ns) / unit_ns
-        reading[row] = value[sample]
-        if sample < last and before < at[row]:
-            reading[row] += (value[sample + 1] - value[sample]) / (after - before) * (at[row] - before)
+def _lag(values: FloatArray, share: float) -> None:
+    """Have values follow themselves by a first-order lag, which takes up a share of what is missing at each."""
+    for row in range(1, len(values)):
+        values[row] = values[row - 1] + (values[row] - values[row - 1]) * share
 
 
-@array_kernel
-def _free_of_jitter(
-    t_ns: Int64Array, sequence: Int64Array, origin_ns: int, period_s: float, times_s: FloatArray
-) -> None:
-    """Fill in when samples were taken: by the sender's schedule, or as received where there is none to be seen."""
-    count = len(t_ns)
-    for row in range(count):
-        times_s[row] = (t_ns[row] - origin_ns) * NS_TO_S
-    if period_s <= 0.0 or count == 0 or sequence[0] < 0:
-        return
-    at_begin_s, at_end_s, earliest_s = np.inf, np.inf, np.inf
-    for row in range(count):
-        delay_s = times_s[row] - (sequence[row] - sequence[0]) * period_s
-        earliest_s = min(earliest_s, delay_s)
-        if row < END_COUNT:
-            at_begin_s = min(at_begin_s, delay_s)
-        if row >= count - END_COUNT:
-            at_end_s = min(at_end_s, delay_s)
-    if max(at_begin_s, at_end_s) - earliest_s > period_s:
-        return
-    for row in range(count):
-        times_s[row] = (sequence[row] - sequence[0]) * period_s + earliest_s
-
-
-@array_kernel
-def _lag_behind(times_s: FloatArray, value: FloatArray, grid_s: FloatArray, share: float, lagging: FloatArray) -> None:
-    """Fill in a signal on the grid, linear between samples and constant beyond, with a first-order lag behind it."""
-    sample, last, lagged = 0, len(times_s) - 1, np.nan
-    for row in range(len(grid_s)):
-        while sample < last and times_s[sample + 1] <= grid_s[row]:
-            sample += 1
-        target = value[sample]
-        if sample < last and times_s[sample] < grid_s[row]:
-            rise = (value[sample + 1] - value[sample]) / (times_s[sample + 1] - times_s[sample])
-            target += rise * (grid_s[row] - times_s[sample])
-        if row == 0:
-            lagged = target
-        lagged += (target - lagged) * share
-        lagging[row] = lagged
-
-
-@kernel
-def _resample(
-    times_s: FloatArray, value: FloatArray, grid_s: FloatArray, left: Int64Array, share: FloatArray, on_grid: FloatArray
-) -> None:
-    sample = 0
-    for row in range(len(grid_s)):
-        while sample < len(times_s) - 2 and times_s[sample + 1] <= grid_s[row]:
-            sample += 1
-        passed = (grid_s[row] - times_s[sample]) / (times_s[sample + 1] - times_s[sample])
-        left[row], share[row] = sample, min(max(passed, 0.0), 1.0)
-        on_grid[row] = (1.0 - share[row]) * value[sample] + share[row] * value[sample + 1]
-
-
-@array_kernel
-def _spread(weights: FloatArray, left: Int64Array, share: FloatArray, spread: FloatArray) -> None:
-    first = left[0]
-    for k in range(weights.shape[0]):
-        sample, at_left, at_right = first, 0.0, 0.0  # summed before they are stored: ten rows lie between two samples
-        for j in range(weights.shape[1]):
-            if left[j] != sample:
-                spread[k, sample - first] += at_left
-                spread[k, sample - first + 1] += at_right
-                sample, at_left, at_right = left[j], 0.0, 0.0
-            at_right += weights[k, j] * share[j]
-            at_left += weights[k, j] * (1.0 - share[j])
-        spread[k, sample - first] += at_left
-        spread[k, sample - first + 1] += at_right
-
-
-@array_kernel
-def _average(values: FloatArray, left: Int64Array, share: FloatArray, means: FloatArray, weight: FloatArray) -> None:
-    for j in range(len(values)):
-        sample = left[j] - left[0]
-        means[sample] += values[j] * (1.0 - share[j])
-        means[sample + 1] += values[j] * share[j]
-        weight[sample] += 1.0 - share[j]
-        weight[sample + 1] += share[j]
-    for sample in range(len(means)):
-        means[sample] /= max(weight[sample], _NO_WEIGHT)
+def compile_alignment() -> None:
+    """Have everything compiled before the first shift comes: it must not wait for it."""
+    _lag(np.zeros(2), 0.0)

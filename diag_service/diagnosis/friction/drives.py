@@ -1,6 +1,5 @@
 """What an event gives to its films and its balance: slip window and test functions, sensor zeros, drives."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -9,8 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array
-from canlog.jit import array_kernel
+from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.pack import clutch_later_k
 from diag_service.diagnosis.alignment import GRID_S, NS_TO_S, TURNING_RAD_S, AlignedSignals, Resampled
@@ -85,8 +83,10 @@ def find_window(
     """
     if len(grid_s) < 2:
         return None
-    is_told, is_rest = np.empty((2, len(grid_s)), np.bool_)
-    _mark(grid_s, slip_rad_s, over_touch_pa, is_seen, np.zeros(2), is_told, is_rest)
+    is_after = grid_s >= 0.0
+    is_loaded = (over_touch_pa > LOADED_PA).any(axis=0)
+    is_told = is_loaded & _slips_one_way(slip_rad_s, over_touch_pa).all(axis=0) & is_seen & is_after
+    is_rest = (over_touch_pa < RESTING_PA).all(axis=0) & is_seen & ~is_after
     step_s = float(grid_s[1] - grid_s[0])
     fade, least = round((FADE_S + row_s) / step_s), round(MIN_PIECE_S / step_s)
     stretches = [(first + fade, stop) for first, stop in _stretches(is_told) if stop - first >= fade + least]
@@ -96,58 +96,22 @@ def find_window(
     return SlipWindow.of((*rest, *pieces)) if pieces else None
 
 
-@array_kernel
-def _mark(
-    grid_s: FloatArray, slip_rad_s: FloatArray, over_touch_pa: FloatArray, is_seen: BoolArray, way: FloatArray,
-    is_told: BoolArray, is_rest: BoolArray,
-) -> None:  # fmt: skip
-    """Fill where a clutch is loaded and each one slips as it did or carries nothing, and where both rest before.
-
-    ``way`` is the sign of the last slip under load of each clutch, zero at first.
-    """
-    for row in range(len(grid_s)):
-        is_loaded, is_open, do_slip = False, True, True
-        for m in range(2):
-            slip, over_pa = slip_rad_s[m, row], over_touch_pa[m, row]
-            is_loaded |= over_pa > LOADED_PA
-            is_open &= over_pa < RESTING_PA
-            if over_pa < RELEASED_PA:
-                continue
-            if abs(slip) > SLIP_MIN_RAD_S:
-                do_slip &= slip * way[m] >= 0.0
-                way[m] = math.copysign(1.0, slip)
-            else:
-                do_slip = False
-        is_told[row] = is_loaded and do_slip and is_seen[row] and grid_s[row] >= 0.0
-        is_rest[row] = is_open and is_seen[row] and grid_s[row] < 0.0
-
-
-def compile_window() -> None:
-    """Have everything compiled before the first shift comes: it must not wait for it."""
-    find_window(np.arange(2.0), np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2, np.bool_))
-    loaded_clutch(SlipWindow.between(0, 2), np.zeros((2, 2)), np.zeros((2, 2)))
-    _sines(2, 1)
+def _slips_one_way(slip_rad_s: FloatArray, over_touch_pa: FloatArray) -> BoolArray:
+    """Return where each clutch slips the way it did when it last slipped under load, or carries nothing; (2, n)."""
+    is_released = over_touch_pa < RELEASED_PA
+    does_slip = ~is_released & (np.abs(slip_rad_s) > SLIP_MIN_RAD_S)
+    rows = np.where(does_slip, np.arange(slip_rad_s.shape[1]), -1)
+    last = np.maximum.accumulate(rows, axis=1)
+    before = np.pad(last[:, :-1], ((0, 0), (1, 0)), constant_values=-1)  # the row of the last slip before each
+    was_rad_s = np.where(before < 0, 0.0, np.take_along_axis(slip_rad_s, np.maximum(before, 0), axis=1))
+    return is_released | (does_slip & (slip_rad_s * was_rad_s >= 0.0))
 
 
 def _stretches(is_told: BoolArray) -> list[list[int]]:
     """Return first row and the row after the last one of each run of true values."""
-    edges = np.empty(len(is_told) + 1, np.int64)
-    found: list[list[int]] = edges[: _find_edges(is_told, edges)].reshape(-1, 2).tolist()
+    edges = np.flatnonzero(np.diff(is_told, prepend=False, append=False))
+    found: list[list[int]] = edges.reshape(-1, 2).tolist()
     return found
-
-
-@array_kernel
-def _find_edges(is_told: BoolArray, edges: Int64Array) -> int:
-    """Fill where runs of true values begin and end; return how many edges that are."""
-    count, was_told = 0, False
-    for row in range(len(is_told)):
-        if is_told[row] != was_told:
-            edges[count], was_told = row, is_told[row]
-            count += 1
-    if was_told:
-        edges[count] = len(is_told)
-        count += 1
-    return count
 
 
 def _pieces(first: int, stop: int, longest: int) -> list[Piece]:
@@ -159,20 +123,9 @@ def _pieces(first: int, stop: int, longest: int) -> list[Piece]:
 
 def loaded_clutch(window: SlipWindow, slip_rad_s: FloatArray, over_touch_pa: FloatArray) -> int:
     """Return the clutch that carries most while it slips in a window, 1 or 2; arrays as for `find_window`."""
-    lead_pa = sum(_lead_pa(slip_rad_s, over_touch_pa, piece.first, piece.stop) for piece in window.slipping)
-    return 1 if lead_pa >= 0.0 else 2
-
-
-@array_kernel
-def _lead_pa(slip_rad_s: FloatArray, over_touch_pa: FloatArray, first: int, stop: int) -> float:
-    """Return by how much more clutch 1 carries than clutch 2 on some rows, in sums of pressure while they slip."""
-    lead_pa, sign = 0.0, 1.0
-    for m in range(2):
-        for row in range(first, stop):
-            if abs(slip_rad_s[m, row]) > SLIP_MIN_RAD_S:
-                lead_pa += sign * max(over_touch_pa[m, row], 0.0)
-        sign = -1.0
-    return lead_pa
+    carried_pa = np.where(np.abs(slip_rad_s) > SLIP_MIN_RAD_S, np.maximum(over_touch_pa, 0.0), 0.0)
+    first, second = sum(carried_pa[:, piece.first : piece.stop].sum(axis=1) for piece in window.slipping)
+    return 1 if first >= second else 2
 
 
 Span = tuple[float, float]
@@ -281,31 +234,13 @@ def _sines(row_count: int, count: int) -> tuple[FloatArray, FloatArray]:
     Sums weighted with them are exact for what is linear between rows: each row's weight is the integral of the function
     times the hat that is 1 on this row and 0 on those beside it.
     """
-    step = np.pi / (row_count - 1)
-    along = np.arange(row_count) * step  # of the slowest: all others follow from it
-    value, rate = np.empty((2, count, row_count))
-    value[0], rate[0] = np.sin(along), np.cos(along)
-    _fill_sines(step, value, rate)
+    turn = np.arange(1, count + 1)[:, None] * (np.pi / (row_count - 1))  # of each function from row to row [rad]
+    along, hat = turn * np.arange(row_count), (np.sin(0.5 * turn) / (0.5 * turn)) ** 2
+    value, rate = np.sin(along) * hat * GRID_S, np.cos(along) * hat * turn
+    half = GRID_S * (1.0 - np.sin(turn) / turn) / turn  # a hat at an end is half a one
+    value[:, :1], value[:, -1:] = half, -half * np.cos(along[:, -1:]).round()
+    rate[:, [0, -1]] *= 0.5
     return value, rate
-
-
-@array_kernel
-def _fill_sines(step: float, value: FloatArray, rate: FloatArray) -> None:
-    for k in range(1, len(value)):  # sin (k+1)x = 2 cos x sin kx - sin (k-1)x, and cos likewise
-        for row in range(value.shape[1]):
-            sine_before, cosine_before = (value[k - 2, row], rate[k - 2, row]) if k > 1 else (0.0, 1.0)
-            value[k, row] = 2.0 * rate[0, row] * value[k - 1, row] - sine_before
-            rate[k, row] = 2.0 * rate[0, row] * rate[k - 1, row] - cosine_before
-    for k in range(len(value)):
-        turn = (k + 1) * step  # of this function from row to row [rad]
-        hat = (math.sin(0.5 * turn) / (0.5 * turn)) ** 2
-        for row in range(value.shape[1]):
-            value[k, row] *= hat * GRID_S
-            rate[k, row] *= hat * turn
-        value[k, 0] = GRID_S * (1.0 - math.sin(turn) / turn) / turn  # half a hat
-        value[k, -1] = -value[k, 0] if k % 2 else value[k, 0]
-        rate[k, 0] *= 0.5
-        rate[k, -1] *= 0.5
 
 
 def smoothed(values: FloatArray, window: SlipWindow, degree: int) -> FloatArray:

@@ -21,7 +21,6 @@ from diag_service.diagnosis.friction.balance import (
 )
 from diag_service.diagnosis.friction.drives import (
     PackTemperatures,
-    compile_window,
     measured_drives,
     on_other_grid,
     rows_in_slip,
@@ -41,13 +40,12 @@ from diag_service.diagnosis.friction.evidence import (
     Knowledge,
     Measurement,
     State,
-    compile_evidence,
     displaced,
     fuse,
     skew_variance,
 )
 from diag_service.diagnosis.friction.film import compile_film, compile_tangents, pack_laws
-from diag_service.diagnosis.friction.judgement import JudgedEvent, compile_selection, omission_cost
+from diag_service.diagnosis.friction.judgement import JudgedEvent, omission_cost
 from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
 from diag_service.diagnosis.quality import plausibility
 from diag_service.diagnosis.quality.data_quality import Samples, aligned, compile_usability
@@ -171,12 +169,8 @@ class Estimator:
 
     def prepare(self) -> None:
         """Have everything compiled before the first shift comes: it must not wait for it."""
-        compile_evidence()
-        compile_selection()
         compile_alignment()
         compile_usability()
-        plausibility.compile_plausibility()
-        compile_window()
         compile_film(self._calibration)
         compile_tangents(self._calibration)
 

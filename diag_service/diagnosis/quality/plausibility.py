@@ -13,8 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
-from canlog.jit import array_kernel
+from canlog.arrays import BoolArray, FloatArray, Series
 from clutch_model.calibration import clutch_of_gear
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, GRID_S, NS_TO_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
@@ -81,25 +80,16 @@ def zero_has_jumped(known: PressureZeros, measured: PressureZeros, limits: Quali
     return bool(np.any(moved_pa**2 > limits.zero_gate * variance))
 
 
-def compile_plausibility() -> None:
-    """Have everything compiled before the first shift comes: it must not wait for it."""
-    one = np.zeros(2)
-    _longest_run(one)
-    _off_command(one, one, 0, np.ones(2, np.bool_), 0.0, 0.0, np.empty(2))
-    _mark_arrived(one, one, 0.0, 0.0, 1, np.empty(2, np.bool_))
-    _largest_sum(one, 1)
-    _divide(one, one, 0.0, np.empty(2))
-    _hold(np.zeros(2, np.int64), one, 0, one, np.empty(2))
-
-
 def is_frozen(series: Series, signal: Signal, limits: QualityLimits = LIMITS) -> bool:
     """Return whether a signal repeats one value longer than its own noise and resolution explain.
 
     How often neighbours are equal elsewhere in the signal says how likely a repetition is. Of a signal without noise it
     says nothing: it may well rest.
     """
-    value = np.ascontiguousarray(series.value)
-    run_count, first, longest = _longest_run(value)
+    value = series.value
+    edges = np.flatnonzero(np.diff(value, prepend=np.nan, append=np.nan) != 0.0)  # of runs of one value
+    lengths = np.diff(edges)
+    run_count, first, longest = len(lengths), int(edges[lengths.argmax()]), int(lengths.max())
     if signal is not Signal.ENGINE_TORQUE and value[first] <= _LEAST:
         return False
     others = len(value) - longest
@@ -108,20 +98,6 @@ def is_frozen(series: Series, signal: Signal, limits: QualityLimits = LIMITS) ->
     if longest <= 1.0 + math.log(limits.repeats_chance / len(value)) / math.log(share):
         return False
     return _noise_in_steps(value, first, first + longest) >= limits.least_noise_steps
-
-
-@array_kernel
-def _longest_run(value: FloatArray) -> tuple[int, int, int]:
-    """Return how many runs of one value there are, where the first of the longest begins, and how long it is."""
-    run_count, first, longest, begin = 1, 0, 1, 0
-    for row in range(1, len(value) + 1):
-        if row < len(value) and value[row] == value[row - 1]:
-            continue
-        if row - begin > longest:
-            first, longest = begin, row - begin
-        begin = row
-        run_count += row < len(value)
-    return run_count, first, longest
 
 
 def _noise_in_steps(value: FloatArray, first: int, stop: int) -> float:
@@ -174,9 +150,7 @@ def geared_stretches(
     first, second = gears
     if first is None or second is None:
         return [slice(max(0, clutch.rows.start - round(limits.in_gear_s / GRID_S)), len(grid_s))]
-    held = np.empty((2, len(grid_s)))
-    for gear, series in zip(held, (first, second), strict=True):
-        _hold(series.t_ns, series.value, event.start_ns, grid_s, gear)
+    held = np.stack([_held(series, event.start_ns, grid_s) for series in (first, second)])
     edges = np.flatnonzero((held[:, 1:] != held[:, :-1]).any(axis=0)) + 1
     ringing = round(limits.ringing_s / GRID_S)
     starts = [0, *(edges + ringing).tolist()]
@@ -185,35 +159,19 @@ def geared_stretches(
     return [slice(start, stop) for start, stop in stretches if stop - start >= least and held[:, start].min() > 0.0]
 
 
-@array_kernel
-def _hold(t_ns: Int64Array, value: FloatArray, origin_ns: int, grid_s: FloatArray, held: FloatArray) -> None:
-    """Fill in the value in force at each point of the grid; the first one before its time."""
-    sample, last = 0, len(t_ns) - 1
-    for row in range(len(grid_s)):
-        while sample < last and (t_ns[sample + 1] - origin_ns) * NS_TO_S <= grid_s[row]:
-            sample += 1
-        held[row] = value[sample]
+def _held(series: Series, origin_ns: int, grid_s: FloatArray) -> FloatArray:
+    """Return the value in force at each point of the grid; the first one before its time."""
+    latest = ((series.t_ns - origin_ns) * NS_TO_S).searchsorted(grid_s, "right") - 1
+    return series.value[np.maximum(latest, 0)]
 
 
 def shaft_gap_rad_s(signals: AlignedSignals, rows: slice, limits: QualityLimits = LIMITS) -> float:
     """Return how far both input shafts are apart [rad/s], up to the ratio of their gears."""
     first, second = (speed.on_grid[rows] for speed in signals.input_speed)
-    ratios = np.empty_like(first)
-    count = _divide(first, second, limits.turning_rad_s, ratios)
-    if not count:
+    does_turn = second > limits.turning_rad_s  # at a standstill there is no ratio
+    if not does_turn.any():
         return 0.0
-    return _largest_mean(first - median(ratios[:count]) * second, limits.speeds_mean_s)
-
-
-@array_kernel
-def _divide(first: FloatArray, second: FloatArray, turning_rad_s: float, ratios: FloatArray) -> int:
-    """Fill in the ratios of two speeds where the second turns: at a standstill there is none; return how many."""
-    count = 0
-    for row in range(len(first)):
-        if second[row] > turning_rad_s:
-            ratios[count] = first[row] / second[row]
-            count += 1
-    return count
+    return _largest_mean(first - median(first[does_turn] / second[does_turn]) * second, limits.speeds_mean_s)
 
 
 def _misses_command(signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits) -> bool:
@@ -227,90 +185,40 @@ def _misses_command(signals: AlignedSignals, clutch: SlippingClutch, limits: Qua
     first, touch_pa = clutch.rows.start, clutch.touch_pressure_pa
     read_pa = signals.pressure[clutch.number - 1].on_grid[clutch.rows] - clutch.pressure_zero_pa
     judged_pa = expected_pa[clutch.rows]
-    has_arrived, longest = np.empty(len(read_pa), np.bool_), round(limits.catching_up_s / GRID_S)
-    behind_pa = limits.pressure_window_pa
-    count = _mark_arrived(read_pa, judged_pa, touch_pa + limits.travel_pa, behind_pa, longest, has_arrived)
-    if count * GRID_S < limits.pressure_mean_s:
+    longest = round(limits.catching_up_s / GRID_S)
+    has_arrived = _arrived(read_pa, judged_pa, touch_pa + limits.travel_pa, limits.pressure_window_pa, longest)
+    if np.count_nonzero(has_arrived) * GRID_S < limits.pressure_mean_s:
         return False
     by_clock_pa = limits.command_clock_s * abs(float(judged_pa[-1] - judged_pa[0])) / (len(judged_pa) * GRID_S)
-    beyond_pa = np.empty_like(read_pa)
-    following_s = limits.following_ratio * COMMAND_LAG_S
-    mean_pa = _off_command(read_pa, expected_pa, first, has_arrived, touch_pa, following_s, beyond_pa)
+    error_pa = np.maximum(read_pa, touch_pa) - np.maximum(judged_pa, touch_pa)
+    rate_pa_s = np.gradient(expected_pa, GRID_S)[first : first + len(read_pa)]
+    excused_pa = limits.following_ratio * COMMAND_LAG_S * np.abs(rate_pa_s)  # so far it may be ahead of the command
+    beyond_pa = np.copysign(np.maximum(np.abs(error_pa) - excused_pa, 0.0), error_pa) * has_arrived
     return (
-        abs(mean_pa) > limits.pressure_window_pa + by_clock_pa
+        abs(float(error_pa[has_arrived].mean())) > limits.pressure_window_pa + by_clock_pa
         or _largest_mean(beyond_pa, limits.pressure_mean_s) > limits.pressure_moment_pa
     )
 
 
-@array_kernel
-def _mark_arrived(
-    read_pa: FloatArray,
-    expected_pa: FloatArray,
-    pressing_pa: float,
-    behind_pa: float,
-    longest: int,
-    has_arrived: BoolArray,
-) -> int:
-    """Mark where a piston presses: not on its way, nor its pressure still rising to the command behind it.
+def _arrived(
+    read_pa: FloatArray, expected_pa: FloatArray, pressing_pa: float, behind_pa: float, longest: int
+) -> BoolArray:
+    """Return where a piston presses: not on its way, nor its pressure still rising to the command behind it.
 
-    So long a rise lasts ``longest`` rows at most. Return how many rows are marked.
+    So long a rise lasts ``longest`` rows at most.
     """
-    count, left, did_press = 0, 0, True
-    for row in range(len(read_pa)):
-        presses = read_pa[row] > pressing_pa
-        left = longest if presses and not did_press else left
-        is_rising = left > 0 and expected_pa[row] - read_pa[row] > behind_pa
-        left = left - 1 if is_rising else 0
-        has_arrived[row] = presses and not is_rising
-        count += has_arrived[row]
-        did_press = presses
-    return count
-
-
-@array_kernel
-def _off_command(
-    read_pa: FloatArray,
-    expected_pa: FloatArray,
-    first: int,
-    has_arrived: BoolArray,
-    touch_pa: float,
-    following_s: float,
-    beyond_pa: FloatArray,
-) -> float:
-    """Return the mean error of a pressure [Pa] where its piston has arrived; fill in by how much it is beyond excuse.
-
-    ``expected_pa`` is of the whole grid, everything else from its row ``first`` on. So much is excused as the command
-    moves in ``following_s``: that far it may be ahead.
-    """
-    total_pa, count = 0.0, 0
-    for row in range(len(read_pa)):
-        beyond_pa[row] = 0.0
-        if has_arrived[row]:
-            before, after = max(first + row - 1, 0), min(first + row + 1, len(expected_pa) - 1)
-            rate_pa_s = (expected_pa[after] - expected_pa[before]) / ((after - before) * GRID_S)
-            error_pa = max(read_pa[row], touch_pa) - max(expected_pa[first + row], touch_pa)
-            beyond_pa[row] = math.copysign(max(abs(error_pa) - following_s * abs(rate_pa_s), 0.0), error_pa)
-            total_pa, count = total_pa + error_pa, count + 1
-    return total_pa / count
+    presses = read_pa > pressing_pa
+    has_arrived, is_behind = presses.copy(), expected_pa - read_pa > behind_pa
+    for start in (np.flatnonzero(presses[1:] & ~presses[:-1]) + 1).tolist():
+        rising = is_behind[start : start + longest]
+        has_arrived[start : start + (len(rising) if rising.all() else int(rising.argmin()))] = False
+    return has_arrived
 
 
 def _largest_mean(values: FloatArray, span_s: float) -> float:
     """Return the largest magnitude of the running mean over a span of the grid."""
-    count = min(round(span_s / GRID_S), len(values))
-    return _largest_sum(values, count) / count
-
-
-@array_kernel
-def _largest_sum(values: FloatArray, count: int) -> float:
-    """Return the largest magnitude that a sum of so many values in a row has."""
-    until, before, largest = 0.0, 0.0, 0.0  # sums of all values up to the last one, and up to the first one
-    for row in range(len(values)):
-        until += values[row]
-        if row >= count:
-            before += values[row - count]
-        if row >= count - 1:
-            largest = max(largest, abs(until - before))
-    return largest
+    count, sums = min(round(span_s / GRID_S), len(values)), np.concatenate([[0.0], np.cumsum(values)])
+    return float(np.abs(sums[count:] - sums[: len(sums) - count]).max()) / count
 
 
 @dataclass(slots=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from canlog.arrays import Series
-from diag_service.diagnosis.alignment import Resampled, read_samples, sample_times_s, segment_centres_s
+from diag_service.diagnosis.alignment import Resampled, sample_times_s, segment_centres_s
 
 if TYPE_CHECKING:
     from canlog.arrays import FloatArray
@@ -105,13 +105,3 @@ def test_sample_weights_are_the_transpose_of_interpolation() -> None:
     weights, value = rng.normal(size=(4, 300)), rng.normal(size=20)
     resampled = Resampled(times_s, value, grid_s)
     assert np.allclose(resampled.to_samples([weights], [slice(None)])[0] @ value, weights @ resampled.on_grid)
-
-
-def test_a_signal_is_read_between_its_samples_as_numpy_reads_it() -> None:
-    rng = np.random.default_rng(3)
-    t_ns = np.cumsum(rng.integers(0, 20_000_000, 50))  # two may have come at once
-    series = Series(t_ns=t_ns, sequence=np.arange(50), value=rng.normal(size=50))
-    at_s = np.sort(np.concatenate(((-1.0, 2.0), rng.uniform(0.0, 0.6, 200), (t_ns - 7) / 1e9)))
-    reading = np.empty(len(at_s))
-    read_samples(series.t_ns, series.value, 7, 1e9, at_s, reading)
-    assert np.array_equal(reading, np.interp(at_s, (t_ns - 7) / 1e9, series.value))
