@@ -21,7 +21,7 @@ from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import without_friction
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
 from diag_service.diagnosis.lockup.state import LockupState
-from diag_service.diagnosis.quality.data_quality import QualityBasis, compile_data_quality, gate, named_late
+from diag_service.diagnosis.quality.data_quality import QualityBasis, gate, named_late
 from diag_service.diagnosis.quality.plausibility import MeaningCheck
 from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, Status, Tier
 from diag_service.diagnosis.shifts.shifts import DriveFinder
@@ -73,7 +73,6 @@ class Stages:
         tells_ratios = lacks_torque and decoder.signals >= PRESSURES | {Signal.ENGINE_SPEED}
         self.is_relative = self.tier is not Tier.FRICTION and tells_ratios  # friction is known up to a scale at best
         self._estimator = Estimator(calibration)
-        compile_data_quality()
         compile_indices()
         if self.tier is Tier.FRICTION and self._lockup is None:
             self._estimator.prepare()

@@ -48,7 +48,7 @@ from diag_service.diagnosis.friction.film import compile_film, compile_tangents,
 from diag_service.diagnosis.friction.judgement import JudgedEvent, omission_cost
 from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
 from diag_service.diagnosis.quality import plausibility
-from diag_service.diagnosis.quality.data_quality import Samples, aligned, compile_usability
+from diag_service.diagnosis.quality.data_quality import Samples, aligned
 from diag_service.diagnosis.records import LEAST_SLIP_ROWS, FrictionSlope, Reason, Revision, ShiftEstimate, Status
 
 COLD_STD: Final = {
@@ -170,7 +170,7 @@ class Estimator:
     def prepare(self) -> None:
         """Have everything compiled before the first shift comes: it must not wait for it."""
         compile_alignment()
-        compile_usability()
+
         compile_film(self._calibration)
         compile_tangents(self._calibration)
 

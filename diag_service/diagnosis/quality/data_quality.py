@@ -16,7 +16,6 @@ from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.alive_counter import row_period_ns
 from canlog.e2e.e2e_state import E2eState
 from canlog.e2e.profile1 import COUNTER_PERIOD
-from canlog.jit import array_kernel, inlined_kernel, kernel
 from clutch_model.calibration import Calibration, TorqueSource
 from diag_service.diagnosis.alignment import (
     ANSWER_S,
@@ -38,7 +37,6 @@ from diag_service.diagnosis.events import SLIPS_IN_GEAR, EndReason, Event, Event
 from diag_service.diagnosis.records import DataQuality, QualityPart, Reason
 
 
-@kernel
 def median(values: FloatArray) -> float:
     """Return the median of finite values, shape (n,), n >= 1."""
     return float(np.median(values))
@@ -110,6 +108,7 @@ MOST: Final = 1e9  # SI: likewise; a signal of a bus that is a floating-point nu
 SHAFT_GEARS: Final = (Signal.INPUT1_GEAR, Signal.INPUT2_GEAR)
 _LAG_NS: Final = round(COMMAND_LAG_S / NS_TO_S)
 _NEVER: Final = np.empty(0, np.int64)
+_NO_RATIO: Final = np.empty(0)
 _WHEELS: Final = (Signal.WHEEL_FL_SPEED, Signal.WHEEL_FR_SPEED, Signal.WHEEL_RL_SPEED, Signal.WHEEL_RR_SPEED)
 _PRESSURES: Final = (
     (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH1_PRESSURE_COMMAND),
@@ -138,53 +137,21 @@ def _wheels(event: Event, limits: QualityLimits) -> float | None:
     gears = [columns[signal] for signal in SHAFT_GEARS if signal in columns]
     changes_ns = np.concatenate([_NEVER, *(gear.t_ns[1:][np.diff(gear.value) != 0.0] for gear in gears)])
     wheels = [columns[signal] for signal in _WHEELS if signal in columns]
-    ratios, ends = np.empty(sum(len(wheel.t_ns) for wheel in wheels)), [0]
-    least_m_s, ringing_s = limits.least_wheel_m_s, limits.ringing_s
-    for wheel in wheels:
-        series = wheel.t_ns, wheel.value, output.t_ns, output.value
-        ends.append(_divide(*series, changes_ns, least_m_s, ringing_s, ratios, ends[-1]))
-    found = ratios[: ends[-1]]
+    ratios = [_ratios(wheel, output, changes_ns, limits) for wheel in wheels]
+    found = np.concatenate([_NO_RATIO, *ratios])
     if not len(found):
         return None
-    return limits.wheel_ratio.score(math.sqrt(_worst_spread(found, median(found), np.array(ends))))
+    middle = median(found)
+    return limits.wheel_ratio.score(max(math.sqrt(np.mean((own / middle - 1.0) ** 2)) for own in ratios if len(own)))
 
 
-@array_kernel
-def _divide(
-    t_ns: Int64Array,
-    wheel_m_s: FloatArray,
-    output_ns: Int64Array,
-    output_rad_s: FloatArray,
-    changes_ns: Int64Array,
-    least_m_s: float,
-    ringing_s: float,
-    ratios: FloatArray,
-    first: int,
-) -> int:
-    """Fill in a wheel's speed over that of the output where both turn and no shaft rings; return where it ends."""
-    stop, sample = first, 0
-    for row in range(len(t_ns)):
-        sample = _last_sample(output_ns, sample, t_ns[row])
-        turning_rad_s = _reading(output_ns, output_rad_s, sample, t_ns[row])
-        is_told = wheel_m_s[row] > least_m_s and turning_rad_s > 0.0
-        for change_ns in changes_ns:
-            is_told = is_told and abs(t_ns[row] - change_ns) * NS_TO_S > ringing_s
-        if is_told:
-            ratios[stop] = wheel_m_s[row] / turning_rad_s
-            stop += 1
-    return stop
-
-
-@array_kernel
-def _worst_spread(ratios: FloatArray, middle: float, ends: Int64Array) -> float:
-    """Return the largest mean square by which the ratios of one wheel are off the middle, as a share of it."""
-    worst = 0.0
-    for wheel in range(len(ends) - 1):
-        total = 0.0
-        for row in range(ends[wheel], ends[wheel + 1]):
-            total += (ratios[row] / middle - 1.0) ** 2
-        worst = max(worst, total / max(ends[wheel + 1] - ends[wheel], 1))
-    return worst
+def _ratios(wheel: Series, output: Series, changes_ns: Int64Array, limits: QualityLimits) -> FloatArray:
+    """Return a wheel's speed over that of the output where both turn and no shaft rings."""
+    turning_rad_s = _reading(output, wheel.t_ns)
+    is_told = (wheel.value > limits.least_wheel_m_s) & (turning_rad_s > 0.0)
+    for change_ns in changes_ns:
+        is_told &= np.abs(wheel.t_ns - change_ns) * NS_TO_S > limits.ringing_s
+    return np.asarray(wheel.value[is_told] / turning_rad_s[is_told])
 
 
 def _hub(columns: Columns, limits: QualityLimits) -> float | None:
@@ -210,43 +177,13 @@ def _pressures(columns: Columns, limits: QualityLimits) -> float | None:
 
 def _apart(series: Series, other: Series, lag_ns: int = 0) -> FloatArray:
     """Return a signal less what another one read at its times, or ``lag_ns`` before them."""
-    differences = np.empty(len(series.t_ns))
-    _subtract(series.t_ns, series.value, other.t_ns, other.value, lag_ns, differences)
-    return differences
+    return np.asarray(series.value - _reading(other, series.t_ns - lag_ns))
 
 
-@array_kernel
-def _subtract(
-    t_ns: Int64Array,
-    value: FloatArray,
-    other_ns: Int64Array,
-    other: FloatArray,
-    lag_ns: int,
-    differences: FloatArray,
-) -> None:
-    sample = 0
-    for row in range(len(t_ns)):
-        at_ns = t_ns[row] - lag_ns
-        sample = _last_sample(other_ns, sample, at_ns)
-        differences[row] = value[row] - _reading(other_ns, other, sample, at_ns)
-
-
-@inlined_kernel
-def _last_sample(t_ns: Int64Array, sample: int, at_ns: int) -> int:
-    """Return which sample was the last one at a time, from an earlier one on."""
-    while sample < len(t_ns) - 1 and t_ns[sample + 1] <= at_ns:
-        sample += 1
-    return sample
-
-
-@inlined_kernel
-def _reading(t_ns: Int64Array, value: FloatArray, sample: int, at_ns: int) -> float:
-    """Return what a signal reads after some sample: linear up to the next one, constant beyond both ends."""
-    reading = float(value[sample])
-    if sample < len(t_ns) - 1 and t_ns[sample] < at_ns:
-        rise = (value[sample + 1] - value[sample]) / (t_ns[sample + 1] - t_ns[sample])
-        reading += rise * (at_ns - t_ns[sample])
-    return reading
+def _reading(series: Series, at_ns: Int64Array) -> FloatArray:
+    """Return what a signal reads at some times: linear between samples, constant beyond both ends."""
+    origin_ns = series.t_ns[0]  # so that floating-point numbers hold nanoseconds
+    return np.interp(at_ns - origin_ns, series.t_ns - origin_ns, series.value)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -364,27 +301,20 @@ def aligned(
     return align(times, samples.event, samples.oil_k, gaps, other, rows)
 
 
-@array_kernel
 def _largest(value: FloatArray) -> float:
     """Return the largest absolute value; 0 of none."""
-    most = 0.0
-    for one in value:
-        most = max(most, abs(one))
-    return most
+    return float(np.abs(value).max(initial=0.0))
 
 
-@array_kernel
 def longest_silence_s(times_s: FloatArray, from_s: float, duration_s: float) -> float:
     """Return for how long [s] nothing was sampled between the event's start and its end; inf for fewer than 2 samples.
 
     Samples before the start count from ``from_s`` on.
     """
-    count, longest_s, latest_s = 0, 0.0, 0.0
-    for time_s in times_s:
-        if from_s <= time_s <= duration_s:
-            since_s = latest_s if count else min(0.0, time_s)
-            count, longest_s, latest_s = count + 1, max(longest_s, time_s - since_s), time_s
-    return max(longest_s, duration_s - latest_s) if count > 1 else np.inf
+    seen_s = times_s[(from_s <= times_s) & (times_s <= duration_s)]
+    if len(seen_s) < 2:
+        return math.inf
+    return max(0.0, float(seen_s[0]), float(np.diff(seen_s).max()), duration_s - float(seen_s[-1]))
 
 
 def gaps_s(times: SampleTimes, event: Event, limits: QualityLimits = LIMITS, row_s: float = 0.0) -> FloatArray | None:
@@ -398,31 +328,13 @@ def gaps_s(times: SampleTimes, event: Event, limits: QualityLimits = LIMITS, row
         period_s = event.columns[signal].period_ns * NS_TO_S or limits.nominal_period_s
         is_row = row_s and is_of_rows(event.columns[signal])
         longest_s = limits.row_gap_periods * row_s if is_row else limits.gap_periods * period_s
-        least_step_s, longest_step_s = _step_range_s(times_s)
-        if least_step_s <= 0.0:
+        steps_s = np.diff(times_s)
+        if steps_s.min(initial=math.inf) <= 0.0:
             return None
-        if longest_step_s > longest_s:
-            found += [times_s[row : row + 2] for row in np.flatnonzero(np.diff(times_s) > longest_s)]
+        found += [times_s[row : row + 2] for row in np.flatnonzero(steps_s > longest_s)]
         if duration_s - times_s[-1] > longest_s:
             found.append(np.array((times_s[-1], duration_s)))
     return np.array(found).reshape(-1, 2)
-
-
-@array_kernel
-def _step_range_s(times_s: FloatArray) -> tuple[float, float]:
-    """Return the least and the longest time [s] from one sample to the next; inf and -inf if there is only one."""
-    least_s, longest_s = np.inf, -np.inf
-    for row in range(1, len(times_s)):
-        step_s = times_s[row] - times_s[row - 1]
-        least_s, longest_s = min(least_s, step_s), max(longest_s, step_s)
-    return least_s, longest_s
-
-
-def compile_usability() -> None:
-    """Have everything compiled before the first shift comes: it must not wait for it."""
-    longest_silence_s(np.zeros(2), 0.0, 0.0)
-    _largest(np.zeros(1))
-    _step_range_s(np.zeros(2))
 
 
 _DAYS_PER_YEAR: Final = 365.25
@@ -505,17 +417,6 @@ def gate(event: Event, basis: QualityBasis, limits: QualityLimits = LIMITS, *, t
     return Gate(quality=quality, samples=samples, against=against)
 
 
-def compile_data_quality() -> None:
-    """Have everything compiled before the first shift comes: it must not wait for it."""
-    one = Series(t_ns=np.zeros(1, np.int64), sequence=np.zeros(1, np.int64), value=np.zeros(1))
-    _divide(one.t_ns, one.value, one.t_ns, one.value, _NEVER, 0.0, 0.0, np.empty(1), 0)
-    _apart(one, one)
-    _worst_spread(one.value, 1.0, one.t_ns)
-    median(one.value)
-    _late_count(np.zeros(1, np.int64), np.zeros(1, np.int64), 1, 1.0)
-    _share_at_ends(np.zeros(1), 0.0, 1.0)
-
-
 def _numbered(columns: Columns) -> list[Series]:
     """Return the signals of the torque balance whose message counts its transmissions."""
     series = [columns[signal] for signal in BALANCE_SIGNALS if signal in columns]
@@ -545,20 +446,14 @@ def _time(numbered: Sequence[Series], limits: QualityLimits) -> float | None:
     series = [one for one in numbered if one.period_ns > 0]
     if not series:
         return None
-    late = sum(_late_count(one.t_ns, one.sequence, one.period_ns, limits.late_periods) for one in series)
+    late = sum(_late_count(one, limits.late_periods) for one in series)
     return 1.0 - late / sum(len(one.t_ns) for one in series)
 
 
-@array_kernel
-def _late_count(t_ns: Int64Array, sequence: Int64Array, period_ns: int, late_periods: float) -> int:
+def _late_count(series: Series, late_periods: float) -> int:
     """Return how many samples came so many periods later than the schedule of the one that came earliest by it."""
-    earliest_ns = t_ns[0] - sequence[0] * period_ns
-    for row in range(len(t_ns)):
-        earliest_ns = min(earliest_ns, t_ns[row] - sequence[row] * period_ns)
-    count = 0
-    for row in range(len(t_ns)):
-        count += t_ns[row] - sequence[row] * period_ns - earliest_ns > late_periods * period_ns
-    return count
+    delays_ns = series.t_ns - series.sequence * series.period_ns
+    return int(np.count_nonzero(delays_ns - delays_ns.min() > late_periods * series.period_ns))
 
 
 def _saturation(
@@ -573,12 +468,9 @@ def _saturation(
     return limits.saturated_ratio.score(max(shares)) if shares else None
 
 
-@array_kernel
 def _share_at_ends(value: FloatArray, low: float, high: float) -> float:
-    margin, count = 1e-6 * (high - low), 0
-    for one in value:
-        count += one >= high - margin or (low < 0.0 and one <= low + margin)
-    return count / len(value)
+    margin = 1e-6 * (high - low)
+    return float(np.mean((value >= high - margin) | ((low < 0.0) & (value <= low + margin))))
 
 
 def _calibration(end_ns: int, made: date | None, limits: QualityLimits) -> float | None:
