@@ -18,15 +18,12 @@ from benchmarks.prognosis.truth import REFERENCE, Fleet
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.prognosis import (
     Ageing,
-    Hindsight,
     PeerGroup,
     Peers,
     Population,
     ageings,
-    hindsights,
     learn,
     prognose,
-    with_bends,
 )
 
 ResultT = TypeVar("ResultT")
@@ -62,13 +59,6 @@ def ageings_of_seed(seed: int, name: str, fleet: Fleet, until_km: float) -> list
     history = life.history.first(life.rows_until(until_km))
     kind = PeerGroup(vehicle_type=name, fluid="usual")
     return ageings(f"{name} {seed}", 1, history, REFERENCE, [kind, kind])
-
-
-def hindsights_of_seed(seed: int, name: str, population: Population) -> list[tuple[Ageing, list[Hindsight]]]:
-    """Return what would have been foretold of a vehicle's fluids, and what came."""
-    life = life_of(seed, ERRORS, fleet_of(name))
-    own = ageings_of_seed(seed, name, fleet_of(name), DRIVEN_KM)
-    return hindsights(life.history, REFERENCE, own, population)
 
 
 def told_of_seed(seed: int, fleet: Fleet, peers: Peers | None) -> list[Told]:
@@ -140,13 +130,11 @@ def peers_table(population: Population) -> Table:
 
 
 def bends_table(population: Population) -> Table:
-    """Return how lives bend, as learned."""
-    factors = sorted({factor for peers in population.peers for factor in peers.bends})
-    table = Table("type", "lives", *(f"{factor:g} times" for factor in factors), title="Bends to come, as learned")
+    """Return how often lives bend, as learned."""
+    table = Table("type", "lives that ended", "bend", title="Lives that bend, as learned")
     for peers in population.peers:
         if peers.kind.fluid is None:
-            shares = (f"{100.0 * peers.bends.get(factor, 0.0):.0f} %" for factor in factors)
-            table.add_row(peers.kind.vehicle_type, str(peers.bend_life_count), *shares)
+            table.add_row(peers.kind.vehicle_type, str(peers.bend_life_count), f"{100.0 * peers.bend_chance:.0f} %")
     return table
 
 
@@ -165,10 +153,6 @@ def population_tables(first_seed: int, count: int, each: Each) -> list[Table]:
         work = partial(ageings_of_seed, name=name, fleet=fleet_of(name), until_km=DRIVEN_KM)
         learned += chain.from_iterable(each(work, known))
     population = learn(learned)
-    foretold: list[tuple[Ageing, list[Hindsight]]] = []
-    for name in TYPES:
-        foretold += chain.from_iterable(each(partial(hindsights_of_seed, name=name, population=population), known))
-    population = with_bends(population, foretold)
     told: list[Told] = []
     for name in TYPES:
         tell = partial(told_of_seed, fleet=fleet_of(name), peers=population.of(name, "usual"))

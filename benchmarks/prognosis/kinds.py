@@ -26,6 +26,8 @@ M_PER_KM: Final = 1000.0
 MARKS: Final = (0.25, 0.5, 0.75, 0.9)
 FOLLOWED_AFTER: Final = 0.05  # of a life after its knee
 STREAM: Final = 91
+_ORACLE_BINS: Final = 40
+_ORACLE_LIVES: Final = 300
 _COURSE: Final = np.linspace(0.0, 1.0, 2001)
 _AHEAD_KM: Final = FARTHEST_KM * np.linspace(0.0, 1.0, 2001) ** 2
 
@@ -162,6 +164,47 @@ def usual_life(age_km: float) -> FloatArray:
     gone = norm.cdf(np.log(age_km / USUAL_KM) / LIFE_LOG_STD)
     life_km = USUAL_KM * np.exp(LIFE_LOG_STD * norm.ppf(gone + (1.0 - gone) * PROBABILITIES))
     return np.asarray(np.maximum(life_km - age_km, 0.0), np.float64)
+
+
+def kind_oracle(history: History, evens: float, *, start_std: float = 0.06) -> FloatArray:
+    """Return what who knows how even lives and those with a knee are drawn foretells of a margin, as quantiles [km].
+
+    ``evens`` is the share of lives without a knee among them. Of this life nothing is known but its results.
+    """
+    own = history.fluid_number == history.fluid_number[-1]
+    odometer_km = history.odometer_m[own] / M_PER_KM
+    begin_km = odometer_km[0]
+    age_km = odometer_km - begin_km
+    margin = (history.mu_c[own] - history.mu_s[own]) / (REFERENCE.mu_c - REFERENCE.mu_s)
+    noise = float(np.std(np.diff(margin))) / 2.0**0.5
+    place = np.minimum((age_km / age_km[-1] * _ORACLE_BINS).astype(int), _ORACLE_BINS - 1)
+    count = np.maximum(np.bincount(place, minlength=_ORACLE_BINS), 1e-9)
+    means = [np.bincount(place, one, _ORACLE_BINS) / count for one in (age_km, margin, history.sump_temperature_k[own])]
+    at_km, value, warmth_k = means[0], means[1], means[2] - 353.15
+    weight = count / noise**2
+    life_km = np.exp(np.linspace(np.log(0.9 * age_km[-1]), np.log(260_000.0), _ORACLE_LIVES))
+    knee, factor = (one.ravel() for one in np.meshgrid(np.linspace(0.66, 0.87, 8), np.linspace(2.4, 5.3, 7)))
+    knee, factor = np.append(knee, 1.0), np.append(factor, 1.0)
+    chance = np.append(np.full(len(knee) - 1, (1.0 - evens) / (len(knee) - 1)), evens)
+    share = at_km / life_km[:, None, None]
+    bend = factor[:, None] - 1.0
+    worn = (share + bend * np.maximum(share - knee[:, None], 0.0)) / (1.0 + bend * (1.0 - knee[:, None]))
+    # Start, an error that the results share and temperature are normal: each life has an exact likelihood.
+    columns = np.stack((1.0 - worn, np.ones_like(worn), np.broadcast_to(warmth_k, worn.shape)), axis=-1) * np.array(
+        [start_std, 0.02, 0.003]
+    )
+    surprise = value - (1.0 - worn)
+    right = np.einsum("lkbi,lkb->lki", columns, weight * surprise)
+    normal = np.einsum("lkbi,lkbj->lkij", columns * weight[:, None], columns) + np.eye(3)
+    explained = np.einsum("lki,lki->lk", right, np.linalg.solve(normal, right[..., None])[..., 0])
+    log_likelihood = 0.5 * (explained - np.sum(weight * surprise**2, axis=-1) - np.linalg.slogdet(normal)[1])
+    log_prior = norm.logpdf(np.log(life_km / USUAL_KM), scale=LIFE_LOG_STD)[:, None] + np.log(
+        np.maximum(chance, 1e-300)
+    )
+    belief = np.exp(log_likelihood + log_prior - np.max(log_likelihood + log_prior)).sum(axis=1)
+    passed = (np.cumsum(belief) - 0.5 * belief) / belief.sum()
+    left_km = np.maximum(life_km - age_km[-1], 0.0)
+    return np.interp(PROBABILITIES, passed, left_km)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,11 +1,9 @@
 """What the fluids of the fleet have in common, by type and fluid."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
-from typing import Final
 
 from sqlalchemy import Engine, select
 
@@ -13,18 +11,15 @@ from clutch_model.calibration import FrictionCurve
 from diag_service.diagnosis.prognosis import (
     Ageing,
     Common,
-    Hindsight,
     History,
     Monthly,
     PeerGroup,
     Population,
     ageings,
     common_of,
-    hindsights,
     history_of_estimates,
     learn,
     monthly,
-    with_bends,
     without,
 )
 from fleet_backend.database import transaction
@@ -34,7 +29,6 @@ from fleet_backend.page.past import results_of
 from fleet_backend.page.vehicle_state import fills_of
 from fleet_backend.schema import CLUTCH
 
-MOST_LOOKED_BACK: Final = 200  # clutches of a type, evenly spread: how lives bend is learned from no more
 Key = tuple[str, int]  # vehicle and clutch
 Record = Mapping[str, object]
 
@@ -79,7 +73,6 @@ def fleet_ageing(engine: Engine) -> FleetAgeing:
     told = ((key, one.ageings()) for key in keys if (one := read(key)) is not None)
     lives = {key: own for key, own in told if own is not None}
     population = replace(learn(list(chain.from_iterable(lives.values()))), common=common)
-    population = with_bends(population, _looked_back(read, lives, population))
     return FleetAgeing(
         population=population,
         usual=list(_usual(population)),
@@ -97,22 +90,6 @@ def _common(engine: Engine, keys: Sequence[Key]) -> dict[str, Common]:
             months.setdefault(one.vehicle_type, []).extend(monthly(one.history))
     found = {name: common_of(clutches) for name, clutches in months.items()}
     return {name: one for name, one in found.items() if one is not None}
-
-
-def _looked_back(
-    read: Callable[[Key], _Clutch | None], lives: Mapping[Key, Sequence[Ageing]], population: Population
-) -> Iterator[tuple[Ageing, Sequence[Hindsight]]]:
-    """Yield what would have been foretold of the fluids of some clutches of each type, and what came."""
-    types: dict[str, list[Key]] = {}
-    for key, own in lives.items():
-        if own:
-            types.setdefault(own[0].kind.vehicle_type, []).append(key)
-    for keys in types.values():
-        for key in keys[:: -(-len(keys) // MOST_LOOKED_BACK)]:
-            one = read(key)
-            if one is not None:
-                with suppress(*BEYOND_NUMBERS):
-                    yield from hindsights(one.history, one.reference, lives[key], population)
 
 
 def _clutch(engine: Engine, common: Mapping[str, Common], key: Key) -> _Clutch | None:
@@ -153,5 +130,5 @@ def _usual(population: Population) -> Iterator[Record]:
                 "loss_per_m": usual.loss_per_m,
                 "loss_log_std": usual.loss_log_std,
                 "bend_life_count": peers.bend_life_count,
-                "bends": {f"{factor:g}": chance for factor, chance in peers.bends.items()},
+                "bend_chance": peers.bend_chance,
             }

@@ -1,12 +1,11 @@
 """Prognosis: from the past results of one clutch to how far its fluid will go, with how sure that is."""
 
 from diag_service.diagnosis.prognosis.channels import ChannelName
-from diag_service.diagnosis.prognosis.fluid_lives import ageings, hindsights
+from diag_service.diagnosis.prognosis.fluid_lives import ageings
 from diag_service.diagnosis.prognosis.history import History, history_of, history_of_estimates
 from diag_service.diagnosis.prognosis.population import (
     Ageing,
     Common,
-    Hindsight,
     Monthly,
     PeerGroup,
     Peers,
@@ -18,7 +17,6 @@ from diag_service.diagnosis.prognosis.population import (
     monthly,
     population_from,
     population_record,
-    with_bends,
     without,
 )
 from diag_service.diagnosis.prognosis.prognosis import Outlook, Prognosis, prognose
@@ -28,7 +26,6 @@ __all__ = [
     "Ageing",
     "ChannelName",
     "Common",
-    "Hindsight",
     "History",
     "Monthly",
     "Outlook",
@@ -41,7 +38,6 @@ __all__ = [
     "ageings",
     "common_course",
     "common_of",
-    "hindsights",
     "history_of",
     "history_of_estimates",
     "learn",
@@ -49,6 +45,5 @@ __all__ = [
     "population_from",
     "population_record",
     "prognose",
-    "with_bends",
     "without",
 ]

@@ -1,6 +1,6 @@
 """Everything that a prognosis assumes beyond the results, as numbers.
 
-How the rate wanders, bends, random wear, powers of the work and the future load were tuned on simulated lives (seeds
+Bends, random wear, powers of the work and the future load were tuned on simulated lives (seeds
 below 2000); all else is chosen by reasoning: usual losses are usual intervals of change, with room on both sides.
 
 Margin is ``mu_C - mu_S`` over that of new fluid: 1 when new, 0 where the slope turns. Level: ``mu_C`` over that of new.
@@ -18,7 +18,7 @@ SERVICE_DISTANCE_M: Final = 1.5e7  # to the next service, where nobody says anot
 
 # How the work of a fluid may count; each with its probability before any result.
 HEATS_PER_K: Final = {0.0: 0.4, 0.017: 0.25, 0.04: 0.2, 0.07: 0.15}  # exp(this * kelvins of oil): twice in 40, 17, 10 K
-SHAPES: Final = {0.5: 0.02, 0.7: 0.04, 1.0: 0.86, 1.3: 0.04, 1.7: 0.04}  # wear is a power of the work: below 1 it slows
+SHAPES: Final = {0.5: 0.01, 0.7: 0.02, 1.0: 0.94, 1.3: 0.02, 1.7: 0.01}  # wear is a power of the work: below 1 it slows
 ENERGY_PROBABILITY: Final = 0.4  # that the work counts by the energy of slip, not by distance alone
 RANDOMNESS: Final = {
     0.0: 0.72,
@@ -28,12 +28,19 @@ RANDOMNESS: Final = {
 }  # random wear after a usual life, as a share of the usual wear
 USUAL_LIFE_M: Final = 9.5e7  # at which all shapes have the same wear
 
-KNEE_PROBABILITY: Final = 0.2  # that the rate has changed once while this fluid was in
-BENT_LOG_STD: Final = 0.9  # of the factor by which it changed, natural logarithm
-# Factor of the mean rate of what is left, by a knee at hand or far: its chance.
-FUTURE_BENDS: Final = {2.5: 0.02, 4.5: 0.065}
-LIFE_LOG_STD: Final = 0.4  # of whole lives, bends and all, natural logarithm
-LOAD_LOG_STD: Final = 0.05  # future against recent load, natural logarithm
+# A bend behind: the rate has changed once while this fluid was in.
+BENT_PROBABILITY: Final = 0.14
+BENT_FACTOR: Final = 2.2  # by which, the median, and the deviation of its natural logarithm
+BENT_LOG_STD: Final = 0.75
+RATE_BEFORE_STD: Final = 0.6  # of the rate before it, over the usual rate
+CLEAR_BEND: Final = 1.5  # a smaller factor is no bend that lives are counted by
+# A knee ahead makes the rate some times as large from a share of the life on; each with its chance where there is one.
+KNEE_PROBABILITY: Final = 0.2
+KNEE_FACTORS: Final = {1.7: 0.2, 2.5: 0.3, 3.5: 0.3, 5.0: 0.2}
+KNEE_SHARES: Final = {0.45: 0.15, 0.6: 0.15, 0.7: 0.2, 0.78: 0.2, 0.85: 0.2, 0.93: 0.1}
+HAND_SHARE: Final = 0.28  # of that probability: that the rate becomes so large at once, whatever the age
+HAND_FACTOR: Final = 4.5
+LOAD_LOG_STD: Final = 0.02  # future against recent load, natural logarithm
 NEXT_FLUID_LOG_STD: Final = 0.35  # ageing rate of one vehicle from fluid to fluid
 
 
@@ -46,9 +53,8 @@ class ChannelPrior:
     rate_std_per_m: float  # a weak belief that knows no sign: it alone says whether there is a trend
     typical_rate_per_m: float  # median loss; prognoses know that fluid ages
     typical_log_std: float  # of the natural logarithm of the loss
+    fall: float  # over a whole life
     usual_wear: float  # after a usual life, what random wear is a share of
-    knee_std_per_m: float  # change of the rate where it changes
-    wander: float  # rate^2 per metre: how the rate wanders all the time [1/m^3]
     temperature_std_per_k: float
     floor_std: float  # of a mean of any number of results: what does not average out
 
@@ -58,10 +64,9 @@ MARGIN_OF_NEW: Final = ChannelPrior(
     start_std=0.10,
     rate_std_per_m=2.5e-8,
     typical_rate_per_m=1.05e-8,  # 95,000 km for the whole margin
-    typical_log_std=0.5,
+    typical_log_std=0.4,
+    fall=1.0,
     usual_wear=1.0,
-    knee_std_per_m=1.5e-8,
-    wander=(0.05e-8) ** 2 / 5.0e7,  # 0.05 of the margin per 100,000 km, gathered over 50,000 km
     temperature_std_per_k=2.0e-3,
     floor_std=0.01,
 )
@@ -71,9 +76,8 @@ LEVEL_OF_NEW: Final = ChannelPrior(
     rate_std_per_m=2.0e-9,
     typical_rate_per_m=1.0e-9,  # 10 % in 100,000 km
     typical_log_std=0.8,
+    fall=0.2,
     usual_wear=0.1,
-    knee_std_per_m=2.5e-9,
-    wander=(0.2e-9) ** 2 / 5.0e7,
     temperature_std_per_k=5.0e-4,  # the same as in the calibration
     floor_std=0.003,
 )

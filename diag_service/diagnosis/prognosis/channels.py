@@ -40,6 +40,7 @@ class Clock:
     age_m: FloatArray  # (n,) since the first row with this fluid
     ahead_m: FloatArray  # (d,) by which it advances over each of `DISTANCE_M` from today
     log_prior: float  # natural logarithm of its probability before any result
+    shape: float = 1.0  # power of the work
 
     @property
     def pace(self) -> float:
@@ -100,6 +101,7 @@ def _shaped(distance_m: FloatArray, pace: FloatArray, ahead_m: FloatArray, shape
         age_m=USUAL_LIFE_M * (work_m / USUAL_LIFE_M) ** shape,
         ahead_m=USUAL_LIFE_M * ((now + ahead_m / USUAL_LIFE_M) ** shape - now**shape),
         log_prior=float(np.log(chance)),
+        shape=shape,
     )
 
 

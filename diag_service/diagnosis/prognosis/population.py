@@ -1,9 +1,8 @@
 """What the clutches of a fleet have in common: how fast fluids of one kind age, how they bend, how far they differ.
 
 Empirical Bayes: each life of a fluid says how fast it went, with its own doubt; the scatter beyond that doubt is that
-of the population. Both are robust, so that a bad batch among many does not widen what is usual. Each past life is also
-foretold at some of its ages as if nothing bent: the shares of bends that explain best what truly came are found by
-expectation and maximization (Dempster, Laird, Rubin 1977).
+of the population. Both are robust, so that a bad batch among many does not widen what is usual. How many lives bend is
+found by expectation and maximization (Dempster, Laird, Rubin 1977).
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -14,10 +13,9 @@ from typing import Any, Final
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
-from diag_service.diagnosis.prognosis.assumptions import FUTURE_BENDS, ChannelPrior
+from diag_service.diagnosis.prognosis.assumptions import KNEE_PROBABILITY, ChannelPrior
 from diag_service.diagnosis.prognosis.channels import ChannelName
 from diag_service.diagnosis.prognosis.history import History
-from diag_service.diagnosis.prognosis.trend import Passage
 
 SURE_STEP_STD: Final = 4.0  # of a step that many clutches make at once
 LEAST_CLUTCHES: Final = 8  # that say what is common at one time
@@ -118,69 +116,8 @@ def _middle(value: FloatArray) -> tuple[float, float]:
     return middle, 1.2533 * 1.4826 * float(np.median(np.abs(value - middle))) / float(np.sqrt(len(value)))
 
 
-FACTORS: Final = (1.0, 0.6, 0.85, 1.2, 1.5, 2.0, 2.5, 3.3, 4.5)  # of the rate, the first of them no bend
-ASSUMED_LIVES: Final = 4.0  # that the assumed bends count as
-SHARED_LIVES: Final = 30.0  # that the bends of all types count as, for one type
-_BLUR: Final = 0.08  # of what was left: how exactly the end of a past life is known
-_LEAST: Final = 1e-4  # probability of any end: no bend is impossible
-_BEND_ROUNDS: Final = 200
-
-Bends = Mapping[float, float]  # factor of the rate: chance that it comes before the end
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Hindsight:
-    """What would have been foretold of a past life at one of its ages, and what came."""
-
-    share: float  # of the life that was over
-    left_m: float  # that it truly lasted from then on, or was followed
-    has_ended: bool
-    passage: Passage  # if nothing bent
-
-
-def bends_of(groups: Mapping[str, Sequence[Sequence[Hindsight]]]) -> dict[str, Bends]:
-    """Return the bends of each type from the looks at its lives; what they share comes from all of them."""
-    likelihoods = {name: _likelihoods(lives) for name, lives in groups.items()}
-    assumed = np.array([1.0 - sum(FUTURE_BENDS.values()), *(FUTURE_BENDS.get(one, 0.0) for one in FACTORS[1:])])
-    every = np.concatenate([rows for rows, _ in likelihoods.values()])
-    weight = np.concatenate([weight for _, weight in likelihoods.values()])
-    shared = _shares(every, weight, ASSUMED_LIVES * assumed)
-    found: dict[str, Bends] = {}
-    for name, (rows, own) in likelihoods.items():
-        shares = _shares(rows, own, SHARED_LIVES * shared)
-        found[name] = dict(zip(FACTORS[1:], shares[1:].tolist(), strict=True))
-    return found
-
-
-def _likelihoods(lives: Sequence[Sequence[Hindsight]]) -> tuple[FloatArray, FloatArray]:
-    """Return how likely each bend makes what came of each look, and the weight of each; a life counts as one."""
-    rows = [_likelihood(look) for life in lives for look in life]
-    weight = [1.0 / len(life) for life in lives for _ in life]
-    return np.array(rows).reshape(-1, len(FACTORS)), np.array(weight)
-
-
-def _likelihood(look: Hindsight) -> FloatArray:
-    near_m, far_m = look.left_m * (1.0 - _BLUR), look.left_m * (1.0 + _BLUR)
-    ends_m = np.array([near_m, far_m] if look.has_ended else [look.left_m, np.inf])
-    ends_m = np.minimum(ends_m, look.passage.distance_m[-1])
-    passed = np.array([look.passage.bent_within(ends_m, {} if factor == 1.0 else {factor: 1.0}) for factor in FACTORS])
-    if not look.has_ended:
-        return np.asarray(1.0 - passed[:, 0] + _LEAST)
-    return np.asarray(passed[:, 1] - passed[:, 0] + _LEAST)
-
-
-def _shares(likelihood: FloatArray, weight: FloatArray, before: FloatArray) -> FloatArray:
-    """Return the share of each bend; ``before``: how many lives say so already."""
-    shares = np.full(len(FACTORS), 1.0 / len(FACTORS))
-    for _ in range(_BEND_ROUNDS):
-        belief = likelihood * shares
-        belief *= (weight / belief.sum(axis=1))[:, None]
-        shares = belief.sum(axis=0) + before
-        shares /= shares.sum()
-    return shares
-
-
 LEAST_LIVES: Final = 8  # of a kind; fewer say nothing of their scatter
+ASSUMED_LIVES: Final = 10.0  # that the assumed chance of a bend counts as
 LEAST_SCATTER: Final = {"start": 0.005, "loss_log": 0.05}  # no population is believed to be all alike
 MOST_LOSS_DOUBT: Final = 0.5  # of a loss: beyond that its logarithm is not normal
 COURSE_LOG_STD: Final = 0.10  # the rate of one moment against the mean of its life so far: ageing is no straight line
@@ -217,6 +154,7 @@ class Ageing:
     is_present: bool  # the fluid that is in now
     courses: Mapping[ChannelName, Course]  # until the limit was passed, or so far
     lasted_m: float | None = None  # until the limit was passed; None: it was not
+    bent_odds: float = 1.0  # that its wear clearly bent until then, over those before any result
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -236,8 +174,8 @@ class Peers:
     kind: PeerGroup
     life_count: int
     channels: Mapping[ChannelName, Usual]
-    bends: Bends = field(default_factory=lambda: FUTURE_BENDS)
-    bend_life_count: int = 0  # lives that say how they bend; 0: it is assumed
+    bend_chance: float = KNEE_PROBABILITY  # that wear becomes clearly faster before the end of a life
+    bend_life_count: int = 0  # lives that say so; 0: it is assumed
     version: int | None = None  # of the population
 
     def prior(self, name: ChannelName, before: ChannelPrior) -> ChannelPrior:
@@ -271,27 +209,6 @@ class Population:
         return None if found is None else replace(found, version=self.version)
 
 
-def with_bends(population: Population, told: Iterable[tuple[Ageing, Sequence[Hindsight]]]) -> Population:
-    """Return a population that knows how lives of each type bend, by looks at past ones.
-
-    Types of which fewer than `LEAST_LIVES` lives are looked at keep what is assumed.
-    """
-    groups: dict[str, list[Sequence[Hindsight]]] = {}
-    for life, own in told:
-        if own:
-            groups.setdefault(life.kind.vehicle_type, []).append(own)
-    known = {name: lives for name, lives in groups.items() if len(lives) >= LEAST_LIVES}
-    bends = bends_of(known) if known else {}
-    return replace(
-        population,
-        peers=tuple(
-            replace(one, bends=bends[name], bend_life_count=len(known[name])) if name in bends else one
-            for one in population.peers
-            for name in (one.kind.vehicle_type,)
-        ),
-    )
-
-
 def learn(lives: Iterable[Ageing]) -> Population:
     """Return what lives of fluids have in common, by type and fluid, and by type alone."""
     groups: dict[PeerGroup, list[Ageing]] = {}
@@ -301,14 +218,26 @@ def learn(lives: Iterable[Ageing]) -> Population:
         for kind in {life.kind, replace(life.kind, fluid=None)}:
             groups.setdefault(kind, []).append(life)
     order = sorted(groups, key=lambda kind: (kind.vehicle_type, kind.fluid or ""))
-    found = (_peers(kind, groups[kind]) for kind in order)
+    types = {
+        kind.vehicle_type: [life for life in groups[kind] if life.lasted_m is not None]
+        for kind in order
+        if kind.fluid is None
+    }
+    found = (_peers(kind, groups[kind], types[kind.vehicle_type]) for kind in order)
     return Population(life_count=count, peers=tuple(one for one in found if one.channels))
 
 
-def _peers(kind: PeerGroup, lives: Sequence[Ageing]) -> Peers:
+def _peers(kind: PeerGroup, lives: Sequence[Ageing], ended: Sequence[Ageing]) -> Peers:
+    """Return what is usual for a kind; how often wear bends is told by all lives of its type that ended."""
     channels = {name: _usual([life.courses[name] for life in lives if name in life.courses]) for name in ChannelName}
     known = {name: usual for name, usual in channels.items() if usual is not None}
-    return Peers(kind=kind, life_count=len(lives), channels=known)
+    if len(ended) < LEAST_LIVES:
+        return Peers(kind=kind, life_count=len(lives), channels=known)
+    odds, chance = np.array([life.bent_odds for life in ended]), KNEE_PROBABILITY
+    for _ in range(_ROUNDS):
+        bent_count = float(np.sum(chance * odds / (chance * odds + 1.0 - chance)))
+        chance = (bent_count + ASSUMED_LIVES * KNEE_PROBABILITY) / (len(ended) + ASSUMED_LIVES)
+    return Peers(kind=kind, life_count=len(lives), channels=known, bend_chance=chance, bend_life_count=len(ended))
 
 
 def _usual(courses: Sequence[Course]) -> Usual | None:
@@ -365,7 +294,7 @@ def population_record(population: Population) -> dict[str, Any]:
                 "channels": {
                     name.value: {key: getattr(usual, key) for key in _USUAL} for name, usual in one.channels.items()
                 },
-                "bends": [{"factor": factor, "chance": chance} for factor, chance in one.bends.items()],
+                "bend_chance": one.bend_chance,
                 "bend_life_count": one.bend_life_count,
             }
             for one in population.peers
@@ -407,8 +336,8 @@ def _written_peers(record: Mapping[str, Any]) -> Peers:
             ChannelName(name): Usual(**{key: _number(usual[key]) for key in _USUAL})
             for name, usual in record["channels"].items()
         },
-        bends={_number(one["factor"]): _number(one["chance"]) for one in record["bends"]},
-        bend_life_count=int(record["bend_life_count"]),
+        bend_chance=_number(record.get("bend_chance", KNEE_PROBABILITY)),  # older programs tell bends otherwise
+        bend_life_count=int(record["bend_life_count"]) if "bend_chance" in record else 0,
     )
 
 

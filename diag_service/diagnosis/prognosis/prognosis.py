@@ -10,8 +10,10 @@ from clutch_model.calibration import FrictionCurve
 from clutch_model.units import degc_from_k
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from diag_service.diagnosis.prognosis.assumptions import (
-    FUTURE_BENDS,
+    HAND_FACTOR,
+    HAND_SHARE,
     HORIZON_M,
+    KNEE_PROBABILITY,
     LEAST_ROWS,
     LOAD_LOG_STD,
     REFERENCE_K,
@@ -22,32 +24,25 @@ from diag_service.diagnosis.prognosis.changes import FluidStart, fluid_starts
 from diag_service.diagnosis.prognosis.channels import ChannelName
 from diag_service.diagnosis.prognosis.fluid_lives import (
     CHANGE_MARGIN_RATIO,
-    AgedChannel,
     FluidLife,
-    Value,
     either,
     fluid_lives,
 )
 from diag_service.diagnosis.prognosis.history import History
 from diag_service.diagnosis.prognosis.population import Peers
-from diag_service.diagnosis.prognosis.trend import Fit, Part, Passage, probability_falling, summary
+from diag_service.diagnosis.prognosis.trend import AgedChannel, Passage, Value
 
 M_PER_KM = 1000.0
-CLEAR_BEND = 1.5  # factor of the rate
 PERCENT = 100.0
 
 
 def _of_kind(peers: Peers | None) -> Iterator[str]:
     """Yield how ageing may bend, and with what it begins, by what the fleet tells of such clutches."""
-    if peers is not None and peers.bend_life_count:
-        faster = sum(chance for factor, chance in peers.bends.items() if factor >= CLEAR_BEND)
-        yield (
-            f"ageing may bend before the limit is passed as in {peers.bend_life_count} lives of this type, "
-            f"{PERCENT * faster:.0f} % of them to {CLEAR_BEND:g} times the rate or more"
-        )
-    else:
-        factors, chance = " or ".join(f"{factor:g}" for factor in FUTURE_BENDS), sum(FUTURE_BENDS.values())
-        yield f"ageing may become {factors} times as fast before the limit is passed, {PERCENT * chance:.0f} % in all"
+    chance = KNEE_PROBABILITY if peers is None else peers.bend_chance
+    told = f", as in {peers.bend_life_count} lives of this type" if peers is not None and peers.bend_life_count else ""
+    at_hand = f"{HAND_FACTOR:g} times as fast at once in {PERCENT * HAND_SHARE * chance:.0f} %"
+    chances = f"{PERCENT * chance:.0f} % of lives{told}, {at_hand}"
+    yield f"ageing may become clearly faster before the limit is passed: at some share of the life in {chances}"
     if peers is not None:
         fluid = "any fluid" if peers.kind.fluid is None else peers.kind.fluid
         which = "" if peers.version is None else f" (population {peers.version})"
@@ -160,13 +155,12 @@ def prognose(
         return blank
     lives = fluid_lives(history, starts, reference, peers)
     today = lives[-1]
-    sure = max(probability_falling(one.by_distance) for one in today.channels.values())
+    sure = max(one.probability_falling for one in today.channels.values())
     events_per_m = _events_per_m(history)
     energy_j = history.slip_energy_j
     energy_per_m = None if energy_j is None else float(np.mean(energy_j[-120:])) * events_per_m
-    bends = FUTURE_BENDS if peers is None else peers.bends
-    watch = either(today, WATCH_MARGIN_RATIO, WATCH_LEVEL_RATIO).bent(bends)
-    change = either(today, CHANGE_MARGIN_RATIO, CHANGE_LEVEL_RATIO).bent(bends, today.usual)
+    watch = either(today, WATCH_MARGIN_RATIO, WATCH_LEVEL_RATIO)
+    change = either(today, CHANGE_MARGIN_RATIO, CHANGE_LEVEL_RATIO)
     return replace(
         blank,
         outlook=Outlook.AGEING if sure >= SURE_OF_AGEING else Outlook.NO_TREND,
@@ -189,27 +183,22 @@ def _reach(when: Passage, events_per_m: float, service_distance_m: float) -> Rea
 
 
 def _state(channel: AgedChannel, energy_j_per_m: float | None) -> ChannelState:
-    rate, one, per_m = channel.rate_per_m, channel.by_distance, energy_j_per_m
+    rate, per_m = channel.rate_per_m, energy_j_per_m
     return ChannelState(
-        now=_value(one, Part.NOW),
+        now=channel.now,
         rate_per_m=rate,
         rate_per_j=None if per_m is None else Value(mean=rate.mean / per_m, std=rate.std / per_m),
-        temperature_per_k=_value(one, Part.WARMTH),
-        probability_falling=probability_falling(one),
+        temperature_per_k=channel.warmth_per_k,
+        probability_falling=channel.probability_falling,
     )
-
-
-def _value(one: Fit, part: Part) -> Value:
-    mean, std = summary(one, part)
-    return Value(mean=mean, std=std)
 
 
 def _lining(lives: list[FluidLife]) -> Value | None:
     """Return how much of the first new fluid's level the newest did not bring back; what they share is not in it."""
-    new = [life.channels[ChannelName.LEVEL].by_distance for life in lives if life.is_new]
+    new = [life.channels[ChannelName.LEVEL].seen_start for life in lives if life.is_new]
     if len(new) < 2 or not lives[-1].is_new:
         return None
-    first, last = _value(new[0], Part.SEEN_START), _value(new[-1], Part.SEEN_START)
+    first, last = new[0], new[-1]
     ratio = last.mean / first.mean
     return Value(mean=ratio - 1.0, std=float(np.hypot(last.std, ratio * first.std)) / first.mean)
 

@@ -1,282 +1,267 @@
-"""How one channel has aged: a line that wanders, may have bent once, and has a temperature and a scale in it.
+"""How one channel has aged and how it may go on: courses of wear, weighted by what the results say of each.
 
-All of it is linear and normal, so each assumed bend has an exact answer; bends are weighted by how well each one
-explains the results. Rates are then held against what is known of fluids: they age. Equations: docs/prognosis.md.
+A course is a clock, an amount of random wear and at most one bend, behind or ahead. Start, rates, errors and random
+wear of each are linear and normal, so each has an exact answer. Rates and bends to come are summed over a grid. Ages
+are counted in usual lives. Equations: docs/prognosis.md.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Final, Self
 
 import numpy as np
 
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.prognosis.assumptions import (
+    BENT_FACTOR,
     BENT_LOG_STD,
+    BENT_PROBABILITY,
+    CLEAR_BEND,
+    HAND_FACTOR,
+    HAND_SHARE,
     HORIZON_M,
-    KNEE_PROBABILITY,
+    KNEE_FACTORS,
+    KNEE_SHARES,
     LOAD_LOG_STD,
+    RANDOMNESS,
+    RATE_BEFORE_STD,
+    USUAL_LIFE_M,
     ChannelPrior,
 )
 from diag_service.diagnosis.prognosis.channels import DISTANCE_M, Bins, Channel, Clock
 
-KNEE_SHARES: Final = (0.1, 0.3, 0.5, 0.65, 0.75, 0.85, 0.9, 0.95)  # of the age, where a bend is looked for
-LEAST_KNEE_BINS: Final = 8
-RATE_STEPS: Final = np.linspace(-4.0, 4.0, 33)  # standard deviations about each bend's rate
-LEAST_WEIGHT: Final = 5e-3  # of the largest: what is left out of a mixture
-
-
-class Part(IntEnum):
-    """What is asked of a fit: places in its vectors."""
-
-    NOW = 0  # the channel today, without common errors
-    RATE = 1  # per metre of the clock
-    START = 2  # the channel when the fluid was first seen
-    WARMTH = 3  # per kelvin
-    SEEN_START = 4  # the start with its common errors: what two fluids of one vehicle share
+BENDS: Final = np.array([0.1, 0.3, 0.5, 0.65, 0.75, 0.85, 0.9, 0.95])  # of the age, where a bend is looked for
+LEAST_BENT_BINS: Final = 8
+LOSS_STEPS: Final = np.linspace(0.0, 1.0, 25)
+FARTHEST_STD: Final = 3.5  # of a rate from its mean
+MOST_LOG_RATIO: Final = 3.0  # of a loss over the usual one
+LEAST_LOG_WEIGHT: Final = -6.0  # of a course against the best
+COURSES: Final = 500  # of equal weight, that stand for all
+NOW, START, RATE = range(3)  # places in the state of a course: the channel today and at first sight, and its rate
+_STUDENT: Final = 3.0  # degrees of freedom of the logarithm of a life
+_LOG_STUDENT: Final = float(np.log(1.0883))  # its constant over that of the normal distribution
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fit:
-    """What each assumed bend makes of a channel: (m, 5) means, (m, 5, 5) covariances, (m,) logarithms of evidence."""
+class Value:
+    """A number and its standard deviation."""
 
-    mean: FloatArray
-    covariance: FloatArray
-    log_evidence: FloatArray
-    prior_rate_variance: FloatArray  # (m,) of the belief without sign
+    mean: float
+    std: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Mixture:
-    """A channel today as a mixture of normal distributions, each at a fixed rate of ageing; shape (k,)."""
+class Future:
+    """Courses that a channel may take from today, each as likely as the other, shape (k,)."""
 
-    weight: FloatArray  # sums to one
-    rate_per_m: FloatArray  # of the clock, negative
+    ahead: FloatArray  # (k, d) by which the clock of each advances over `DISTANCE_M`, its bend to come included
+    loss: FloatArray
     now: FloatArray
-    now_variance: FloatArray
     start: FloatArray
+    now_variance: FloatArray
     start_variance: FloatArray
     now_start_covariance: FloatArray
-    wander: float  # of the rate, per metre of the clock
-    random_per_m: float  # variance of random wear, likewise
-    clock: Clock
-
-
-def fit(channel: Channel, clock: int, now_m: float, prior: ChannelPrior, random_per_m: float) -> Fit:
-    """Return what a channel says by the clock of this number, which stands at ``now_m``, if wear is that random."""
-    bins, common_std, age_m = channel.bins, channel.common_std, channel.bins.ages_m[clock]
-    shares = KNEE_SHARES if len(age_m) >= LEAST_KNEE_BINS else ()
-    knees_m = np.array([np.inf, *(share * now_m for share in shares)])  # the first of them never
-    reach_m = np.maximum(age_m - knees_m[:, None], 0.0)
-    now_reach_m = np.maximum(now_m - knees_m, 0.0)
-    knee = prior.knee_std_per_m**2
-    warmth, warmth_variance = _warmth(bins, prior)
-    seen = _shared(bins, age_m, prior, common_std, random_per_m, warmth_variance)
-    seen = seen + knee * reach_m[:, :, None] * reach_m[:, None, :]
-    cross = _cross(bins, age_m, prior, common_std, now_m, warmth_variance)[None, :, :].repeat(len(knees_m), axis=0)
-    cross[:, Part.NOW] += random_per_m * age_m
-    cross[:, Part.NOW] += knee * now_reach_m[:, None] * reach_m
-    cross[:, Part.RATE] += knee * reach_m
-    before = _before(prior, common_std, now_m, warmth_variance)[None, :, :].repeat(len(knees_m), axis=0)
-    before[:, Part.NOW, Part.NOW] += knee * now_reach_m**2 + random_per_m * now_m
-    before[:, Part.NOW, Part.RATE] += knee * now_reach_m
-    before[:, Part.RATE, Part.NOW] += knee * now_reach_m
-    before[:, Part.RATE, Part.RATE] += knee * (now_reach_m > 0.0)
-    expected = np.array([prior.start, 0.0, prior.start, warmth, prior.start])
-    surprise = bins.value - prior.start - warmth * bins.warmth_k
-    residual = np.broadcast_to(surprise[:, None], (len(knees_m), len(age_m), 1))
-    solved = np.linalg.solve(seen, np.concatenate((residual, cross.swapaxes(1, 2)), axis=2))
-    _, log_determinant = np.linalg.slogdet(seen)
-    explained = np.einsum("n,mn->m", surprise, solved[:, :, 0])
-    return Fit(
-        mean=expected + np.einsum("mpn,mn->mp", cross, solved[:, :, 0]),
-        covariance=before - cross @ solved[:, :, 1:],
-        log_evidence=_log_knee_prior(len(knees_m)) - 0.5 * (explained + log_determinant),
-        prior_rate_variance=before[:, Part.RATE, Part.RATE],
-    )
-
-
-def _log_knee_prior(count: int) -> FloatArray:
-    if count == 1:
-        return np.zeros(1)
-    shares = np.array(KNEE_SHARES)
-    edges = np.concatenate(([0.0], 0.5 * (shares[1:] + shares[:-1]), [1.0]))  # a bend may come at any distance
-    late = np.diff(edges**3)  # by wear so far, knees become likelier
-    return np.asarray(np.log([1.0 - KNEE_PROBABILITY, *KNEE_PROBABILITY * late]), np.float64)
-
-
-def _warmth(bins: Bins, prior: ChannelPrior) -> tuple[float, float]:
-    """Return temperature coefficient and its variance, from what results that are close in age say of it."""
-    before = prior.temperature_std_per_k**2
-    share = before / (before + bins.warmth_variance)
-    return share * bins.warmth_per_k, share * bins.warmth_variance
-
-
-def _shared(
-    bins: Bins,
-    age_m: FloatArray,
-    prior: ChannelPrior,
-    common_std: float,
-    random_per_m: float | FloatArray,
-    warmth_variance: float,
-) -> FloatArray:
-    """Return the covariance of the bins, bends apart, shape (..., b, b); ages may have several clocks, (..., b)."""
-    constant = prior.start_std**2 + common_std**2
-    one, other = age_m[..., :, None], age_m[..., None, :]
-    warmth = warmth_variance * np.outer(bins.warmth_k, bins.warmth_k)
-    later, earlier = np.maximum(one, other), np.minimum(one, other)
-    line = prior.rate_std_per_m**2 * one * other
-    wander = prior.wander * earlier**2 * (3.0 * later - earlier) / 6.0 + random_per_m * earlier
-    return np.asarray(constant + line + warmth + wander + np.diag(bins.variance + prior.floor_std**2))
-
-
-def log_evidence(channel: Channel, prior: ChannelPrior, random_per_m: FloatArray) -> FloatArray:
-    """Return the logarithm of the evidence for each clock and variance of random wear without bends, shape (c, v)."""
-    bins = channel.bins
-    warmth, warmth_variance = _warmth(bins, prior)
-    seen = _shared(
-        bins, bins.ages_m[:, None, :], prior, channel.common_std, random_per_m[:, None, None], warmth_variance
-    )
-    surprise = bins.value - prior.start - warmth * bins.warmth_k
-    root = np.linalg.cholesky(seen)
-    scaled = np.linalg.solve(root, np.broadcast_to(surprise[:, None], (*seen.shape[:-1], 1)))[..., 0]
-    log_determinant = 2.0 * np.sum(np.log(np.diagonal(root, axis1=-2, axis2=-1)), axis=-1)
-    return np.asarray(-0.5 * (np.sum(scaled**2, axis=-1) + log_determinant), np.float64)
-
-
-def _cross(
-    bins: Bins, age_m: FloatArray, prior: ChannelPrior, common_std: float, now_m: float, warmth_variance: float
-) -> FloatArray:
-    """Return the covariance of each part with the bins, bends apart, shape (5, b)."""
-    start, rate = prior.start_std**2, prior.rate_std_per_m**2
-    wander = prior.wander * age_m**2
-    return np.array(
-        [
-            start + rate * now_m * age_m + wander * (3.0 * now_m - age_m) / 6.0,
-            rate * age_m + wander / 2.0,
-            np.full_like(age_m, start),
-            warmth_variance * bins.warmth_k,
-            np.full_like(age_m, start + common_std**2),
-        ]
-    )
-
-
-def _before(prior: ChannelPrior, common_std: float, now_m: float, warmth_variance: float) -> FloatArray:
-    """Return the covariance of the parts before any result, bends apart, shape (5, 5)."""
-    start, rate = prior.start_std**2, prior.rate_std_per_m**2
-    covariance = np.zeros((len(Part), len(Part)))
-    covariance[np.ix_([Part.NOW, Part.START, Part.SEEN_START], [Part.NOW, Part.START, Part.SEEN_START])] = start
-    covariance[Part.NOW, Part.NOW] += rate * now_m**2 + prior.wander * now_m**3 / 3.0
-    covariance[Part.NOW, Part.RATE] = covariance[Part.RATE, Part.NOW] = rate * now_m + prior.wander * now_m**2 / 2.0
-    covariance[Part.RATE, Part.RATE] = rate + prior.wander * now_m
-    covariance[Part.WARMTH, Part.WARMTH] = warmth_variance
-    covariance[Part.SEEN_START, Part.SEEN_START] += common_std**2
-    return covariance
-
-
-def weights(one: Fit) -> FloatArray:
-    """Return the probability of each bend, without what is known of fluids, shape (m,)."""
-    raw = np.exp(one.log_evidence - one.log_evidence.max())
-    return np.asarray(raw / raw.sum())
-
-
-def probability_falling(one: Fit) -> float:
-    """Return the probability that the channel falls, by the results alone."""
-    z = -one.mean[:, Part.RATE] / np.sqrt(one.covariance[:, Part.RATE, Part.RATE])
-    return float(weights(one) @ normal_cdf(z))
-
-
-def summary(one: Fit, part: Part) -> tuple[float, float]:
-    """Return mean and deviation of a part over all bends."""
-    weight, mean = weights(one), one.mean[:, part]
-    centre = float(weight @ mean)
-    return centre, float(np.sqrt(weight @ (one.covariance[:, part, part] + (mean - centre) ** 2)))
-
-
-def fallen(one: Fit) -> tuple[float, float]:
-    """Return mean and deviation of what the channel has lost since its start, over all bends."""
-    weight, mean = weights(one), one.mean[:, Part.START] - one.mean[:, Part.NOW]
-    covariance = one.covariance[:, [Part.START, Part.NOW]][:, :, [Part.START, Part.NOW]]
-    variance = covariance[:, 0, 0] + covariance[:, 1, 1] - 2.0 * covariance[:, 0, 1]
-    centre = float(weight @ mean)
-    return centre, float(np.sqrt(weight @ (np.maximum(variance, 0.0) + (mean - centre) ** 2)))
-
-
-def aged(one: Fit, prior: ChannelPrior, clock: Clock, random_per_m: float) -> tuple[Mixture, float]:
-    """Return the channel at all rates at which a fluid may age, and the logarithm of the evidence for this clock.
-
-    The belief without sign is taken out of each rate's probability and the one on ageing fluids put in.
-    """
-    mean, covariance = one.mean, one.covariance
-    std = np.sqrt(covariance[:, Part.RATE, Part.RATE])
-    rate = mean[:, Part.RATE, None] + std[:, None] * RATE_STEPS
-    log_weight = one.log_evidence[:, None] - 0.5 * RATE_STEPS**2
-    variance = one.prior_rate_variance[:, None]
-    without_sign = -0.5 * (rate**2 / variance + np.log(variance))
-    # What is usual says little of the rate after a bend: a knee makes it several times as large.
-    log_std = np.array([prior.typical_log_std, *np.full(len(mean) - 1, np.hypot(prior.typical_log_std, BENT_LOG_STD))])
-    log_weight = log_weight + _log_ageing(rate, prior, log_std[:, None]) - without_sign
-    top = float(log_weight.max())
-    if not np.isfinite(top):
-        # Results say that friction rises: as slow an ageing as is known.
-        slowest = np.full(len(mean), -prior.typical_rate_per_m * np.exp(-2.5 * prior.typical_log_std))
-        farthest = -0.5 * float(RATE_STEPS[-1]) ** 2
-        barely = _mixture(weights(one), slowest, mean, covariance, prior, clock, random_per_m)
-        return barely, float(one.log_evidence.max()) + farthest
-    weight = np.exp(log_weight - top)
-    log_evidence = top + float(np.log(weight.sum()))
-    bend, step = np.nonzero(weight > LEAST_WEIGHT * weight.max())
-    chosen = weight[bend, step]
-    gain = covariance[:, :, Part.RATE] / covariance[:, Part.RATE, Part.RATE, None]
-    left = covariance - gain[:, :, None] * covariance[:, None, Part.RATE, :]
-    moved = mean[bend] + gain[bend] * (rate[bend, step] - mean[bend, Part.RATE])[:, None]
-    share = chosen / chosen.sum()
-    return _mixture(share, rate[bend, step], moved, left[bend], prior, clock, random_per_m), log_evidence
-
-
-def _mixture(
-    weight: FloatArray,
-    rate: FloatArray,
-    mean: FloatArray,
-    covariance: FloatArray,
-    prior: ChannelPrior,
-    clock: Clock,
-    random_per_m: float,
-) -> Mixture:
-    return Mixture(
-        weight=weight,
-        rate_per_m=rate,
-        now=mean[:, Part.NOW],
-        now_variance=np.maximum(covariance[:, Part.NOW, Part.NOW], 0.0),
-        start=mean[:, Part.START],
-        start_variance=np.maximum(covariance[:, Part.START, Part.START], 0.0),
-        now_start_covariance=covariance[:, Part.NOW, Part.START],
-        wander=prior.wander,
-        random_per_m=random_per_m,
-        clock=clock,
-    )
-
-
-def _log_ageing(rate: FloatArray, prior: ChannelPrior, log_std: FloatArray) -> FloatArray:
-    """Return the logarithm of the density of rates of fluids, up to a constant: losses are log-normal."""
-    loss = np.where(rate < 0.0, -rate, 1.0)
-    distance = (np.log(loss) - np.log(prior.typical_rate_per_m)) / log_std
-    density = -0.5 * distance**2 - np.log(loss) - np.log(log_std)
-    return np.asarray(np.where(rate < 0.0, density, -np.inf))
-
-
-_LOADS: Final = np.array([-1.5, -0.5, 0.5, 1.5])  # standard deviations of the load
-_LOAD_WEIGHTS: Final = np.array([0.159, 0.341, 0.341, 0.159])  # of the normal distribution beyond one, and below
+    random: FloatArray  # variance of random wear over a usual life
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class UsualLife:
-    """How old a fluid is and how long one lasts as a rule: the logarithm has Student's distribution, 3 degrees."""
+class AgedChannel:
+    """One channel with one fluid. What is said of its past knows no sign: friction may seem to rise."""
 
-    age_m: float
-    median_m: float
-    log_std: float
+    probability_falling: float  # since the start
+    now: Value
+    seen_start: Value  # with the errors that two fluids of one vehicle share
+    fallen: Value  # since the start
+    warmth_per_k: Value
+    bent_odds: float  # that wear has clearly bent upwards, over those before any result
+    rate_per_m: Value  # as fluids age
+    future: Future
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Courses:
+    """What the results say of each course, shape (clocks, amounts of random wear, bends behind, ...)."""
+
+    log_weight: FloatArray
+    unknown: FloatArray  # (..., 3) start as seen over that expected, rate before the bend, rate now
+    unknown_covariance: FloatArray
+    mean: FloatArray  # (..., 3) of the state
+    covariance: FloatArray
+    age: FloatArray  # (clocks,) today
+    random: FloatArray  # (amounts,)
+
+
+def aged(channel: Channel, clocks: Sequence[Clock], prior: ChannelPrior, bend_chance: float) -> AgedChannel:
+    """Return how a channel has aged and may age by each clock, the first of which is the plain distance.
+
+    ``bend_chance`` is the probability that wear becomes clearly faster at some share of a life.
+    """
+    warmth = _warmth(channel.bins, prior)
+    courses = _courses(channel, clocks, prior, warmth)
+    future, rate_per_m = _future(courses, clocks, prior, bend_chance)
+    # By distance, whatever clock explains it better.
+    weight = np.exp(courses.log_weight[0] - courses.log_weight[0].max())
+    weight /= weight.sum()
+    mean, covariance = courses.mean[0], courses.covariance[0]
+    unknown, unknown_covariance = courses.unknown[0], courses.unknown_covariance[0]
+    fallen = mean[..., START] - mean[..., NOW]
+    variance = covariance[..., NOW, NOW] + covariance[..., START, START] - 2.0 * covariance[..., NOW, START]
+    variance = np.maximum(variance, 1e-12)
+    is_bent = unknown[..., 2] < CLEAR_BEND * unknown[..., 1]
+    is_bent[:, 0] = False
+    bent = min(float(np.sum(weight * is_bent)), 0.999)
+    return AgedChannel(
+        probability_falling=float(np.sum(weight * normal_cdf(fallen / np.sqrt(variance)))),
+        now=_value(weight, mean[..., NOW], covariance[..., NOW, NOW]),
+        seen_start=_value(weight, prior.start + unknown[..., 0], unknown_covariance[..., 0, 0]),
+        fallen=_value(weight, fallen, variance),
+        warmth_per_k=warmth,
+        bent_odds=bent / (1.0 - bent) * (1.0 - BENT_PROBABILITY) / BENT_PROBABILITY,
+        rate_per_m=rate_per_m,
+        future=future,
+    )
+
+
+def _value(weight: FloatArray, mean: FloatArray, variance: FloatArray | float) -> Value:
+    centre = float(np.sum(weight * mean))
+    spread = float(np.sum(weight * (variance + (mean - centre) ** 2)))
+    return Value(mean=centre, std=spread**0.5)
+
+
+def _warmth(bins: Bins, prior: ChannelPrior) -> Value:
+    """Return the temperature coefficient, from what results that are close in age say of it."""
+    before = prior.temperature_std_per_k**2
+    share = before / (before + bins.warmth_variance)
+    return Value(mean=share * bins.warmth_per_k, std=(share * bins.warmth_variance) ** 0.5)
+
+
+def _courses(channel: Channel, clocks: Sequence[Clock], prior: ChannelPrior, warmth: Value) -> _Courses:
+    """Return the exact answer for each course: regression on start and two rates, with random wear in the errors."""
+    bins, ages = channel.bins, channel.bins.ages_m / USUAL_LIFE_M
+    age = np.array([one.age_m[-1] for one in clocks]) / USUAL_LIFE_M
+    random = (prior.usual_wear * np.array(list(RANDOMNESS))) ** 2
+    bends = BENDS if len(bins.value) >= LEAST_BENT_BINS else BENDS[:0]
+    bend = np.multiply.outer(age, [0.0, *bends])  # the first of them none
+    before = np.minimum(ages[:, None, :], bend[:, :, None])
+    surprise = bins.value - prior.start - warmth.mean * bins.warmth_k
+    level = np.broadcast_to([surprise, np.ones_like(surprise)], (len(clocks), 2, len(surprise)))
+    given = np.concatenate((level, before, ages[:, None] - before), axis=1)[:, None]
+    walk = random[:, None, None] * ages[:, None, None]  # of random wear today with that at each mean
+    columns = np.concatenate((np.repeat(given, len(random), axis=1), walk), axis=2)
+    noise = np.diag(bins.variance + prior.floor_std**2) + warmth.std**2 * np.outer(bins.warmth_k, bins.warmth_k)
+    covariance = noise + random[:, None, None] * np.minimum(ages[:, None, :], ages[:, :, None])[:, None]
+    gram = columns @ np.linalg.solve(covariance, columns.swapaxes(-1, -2))
+    place = np.array([[1, 2 + one, 2 + bend.shape[1] + one] for one in range(bend.shape[1])])
+
+    usual = prior.typical_rate_per_m * USUAL_LIFE_M
+    start_variance, common_variance = prior.start_std**2, channel.common_std**2
+    expected = np.array([0.0, -usual, 0.0])
+    stds = [np.hypot(prior.start_std, channel.common_std), RATE_BEFORE_STD * usual, prior.rate_std_per_m * USUAL_LIFE_M]
+    precision = np.array(stds) ** -2.0
+    unknown_covariance = np.linalg.inv(gram[:, :, place[:, :, None], place[:, None, :]] + np.diag(precision))
+    pull = gram[:, :, place, 0] + precision * expected
+    unknown = np.einsum("cvmij,cvmj->cvmi", unknown_covariance, pull)
+    misfit = gram[:, :, 0, 0] + np.linalg.slogdet(covariance)[1]
+    explained = np.einsum("cvmi,cvmi->cvm", pull, unknown) + np.linalg.slogdet(unknown_covariance)[1]
+    chances = np.add.outer([one.log_prior for one in clocks], np.log(list(RANDOMNESS.values())))
+
+    # From the unknowns to the state: a part of the start as seen is an error, and random wear is in what is now.
+    true_share = start_variance / (start_variance + common_variance)
+    to_now = np.stack((np.full_like(bend, true_share), bend, age[:, None] - bend), axis=-1)[:, None]
+    turn = np.zeros((*unknown.shape, 3))
+    turn[..., NOW, :] = to_now - gram[:, :, -1][:, :, place]
+    turn[..., START, 0] = true_share
+    turn[..., RATE, 2] = 1.0
+    mean = np.einsum("cvmij,cvmj->cvmi", turn, unknown)
+    mean[..., : START + 1] += prior.start
+    mean[..., NOW] += gram[:, :, -1, 0, None]
+    state = turn @ unknown_covariance @ turn.swapaxes(-1, -2)
+    state[..., : START + 1, : START + 1] += true_share * common_variance
+    state[..., NOW, NOW] += (np.multiply.outer(age, random) - gram[:, :, -1, -1])[:, :, None]
+    return _Courses(
+        log_weight=0.5 * (explained - misfit[:, :, None]) + chances[:, :, None] + _log_bent(bends),
+        unknown=unknown,
+        unknown_covariance=unknown_covariance,
+        mean=mean,
+        covariance=state,
+        age=age,
+        random=random,
+    )
+
+
+def _log_bent(bends: FloatArray) -> FloatArray:
+    if not len(bends):
+        return np.zeros(1)
+    edges = np.concatenate(([0.0], 0.5 * (bends[1:] + bends[:-1]), [1.0]))  # a bend may come at any distance
+    late = np.diff(edges**3)  # by wear so far, bends become likelier
+    return np.asarray(np.log([1.0 - BENT_PROBABILITY, *BENT_PROBABILITY * late]), np.float64)
+
+
+def _future(
+    courses: _Courses, clocks: Sequence[Clock], prior: ChannelPrior, bend_chance: float
+) -> tuple[Future, Value]:
+    """Return the courses to come and the rate today: losses only, none unheard of.
+
+    The belief without sign is taken out of each rate's probability, that on ageing fluids and whole lives put in.
+    """
+    likely = np.nonzero(courses.log_weight > courses.log_weight.max() + LEAST_LOG_WEIGHT)
+    clock, amount, bend = likely
+    mean, covariance = courses.mean[likely], courses.covariance[likely]
+    usual, any_std = prior.typical_rate_per_m * USUAL_LIFE_M, prior.rate_std_per_m * USUAL_LIFE_M
+    middle, variance = -mean[:, RATE], covariance[:, RATE, RATE]
+    bounds = usual * np.exp([-MOST_LOG_RATIO, MOST_LOG_RATIO])
+    reach = FARTHEST_STD * np.sqrt(variance)
+    low, high = (np.log(np.clip(middle + one, *bounds)) for one in (-reach, reach))
+    width = np.maximum(high - low, 1e-6)[:, None]
+    loss = np.exp(low[:, None] + width * LOSS_STEPS)
+    of_results = -0.5 * (loss - middle[:, None]) ** 2 / variance[:, None] + 0.5 * (loss / any_std) ** 2
+    log_weight = courses.log_weight[likely][:, None] + of_results + np.log(width / np.sqrt(variance)[:, None])
+
+    # What may come: nothing, a bend at hand, or a knee at some share of the life; after one bend no knee.
+    factor = np.array([1.0, HAND_FACTOR, *np.repeat(list(KNEE_FACTORS), len(KNEE_SHARES))])
+    share = np.array([1.0, 0.0, *np.tile(list(KNEE_SHARES), len(KNEE_FACTORS))])
+    knees = bend_chance * np.outer(list(KNEE_FACTORS.values()), list(KNEE_SHARES.values())).ravel()
+    at_hand = HAND_SHARE * bend_chance
+    chance = np.array([1.0 - bend_chance - at_hand, at_hand, *knees])
+    age = courses.age[clock][:, None, None]
+    left = np.maximum(mean[:, None, None, NOW] - prior.start + prior.fall, 0.0) / loss[:, :, None]
+    life = prior.fall / loss[:, :, None] / (1.0 + (factor - 1.0) * (1.0 - share))
+    knee = np.maximum(share * life - age, 0.0)
+    shape = np.array([one.shape for one in clocks])[clock][:, None, None]
+    log_ratio = np.log(life * usual / prior.fall) / shape / prior.typical_log_std
+    density = -0.5 * (_STUDENT + 1.0) * np.log1p(log_ratio**2 / _STUDENT)
+    density -= np.log(prior.typical_log_std * shape) + _LOG_STUDENT
+    is_bent = bend > 0
+    was = np.log(np.maximum(-courses.unknown[likely][is_bent, 1], 0.2 * usual) * BENT_FACTOR)[:, None]
+    density[is_bent, :, 0] = -0.5 * ((np.log(loss[is_bent]) - was) / BENT_LOG_STD) ** 2 - np.log(BENT_LOG_STD)
+    density[..., 1] = density[..., 0]
+    density[..., 2:] = np.where((knee[..., 2:] > 0.0) & ~is_bent[:, None, None], density[..., 2:], -np.inf)
+    every = log_weight[:, :, None] + density + np.log(chance)
+
+    # Evenly by what is left, so that few courses stand for all.
+    near = np.where(factor > 1.0, np.minimum(left, knee), left)
+    order = np.argsort(near + (left - near) / factor, axis=None)
+    cumulative = np.cumsum(np.exp(every - every.max()).ravel()[order])
+    picked = order[np.searchsorted(cumulative, cumulative[-1] * (np.arange(COURSES) + 0.5) / COURSES)]
+    row, step, way = np.unravel_index(picked, every.shape)
+    own = loss[row, step]
+    gain = covariance[:, :, RATE] / variance[:, None]
+    known = covariance - gain[:, :, None] * covariance[:, None, RATE]
+    moved = mean[row] + gain[row] * (middle[row] - own)[:, None]
+    advance = (np.array([one.ahead_m for one in clocks]) / USUAL_LIFE_M)[clock[row]]
+    to_bend = np.where(way > 0, knee[row, step, way], np.inf)[:, None]
+    per_m = -own * np.array([one.pace for one in clocks])[clock[row]] / USUAL_LIFE_M
+    future = Future(
+        ahead=advance + (factor[way] - 1.0)[:, None] * np.maximum(advance - to_bend, 0.0),
+        loss=own,
+        now=moved[:, NOW],
+        start=moved[:, START],
+        now_variance=known[row, NOW, NOW],
+        start_variance=known[row, START, START],
+        now_start_covariance=known[row, NOW, START],
+        random=courses.random[amount[row]],
+    )
+    return future, _value(np.full(COURSES, 1.0 / COURSES), per_m, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -309,56 +294,18 @@ class Passage:
         neither = (1.0 - self.probability) * (1.0 - other.probability)
         return Passage(distance_m=self.distance_m, probability=1.0 - neither)
 
-    def bent(self, bends: Mapping[float, float], usual: UsualLife | None = None) -> "Passage":
-        """Return the same, widened by what is still to come: factors by which the rate may change, their chances."""
-        return Passage(distance_m=self.distance_m, probability=self.bent_within(self.distance_m, bends, usual))
 
-    def bent_within(
-        self, distance_m: FloatArray, bends: Mapping[float, float], usual: UsualLife | None = None
-    ) -> FloatArray:
-        """Return the probability to pass the limit within each distance, if the load or the rate may still change.
-
-        Either makes the clock of ageing run faster or slower, as if more or less were driven: a factor is that of the
-        mean rate of what is left. A bend is likelier where it makes the whole life more usual.
-        """
-        factor = np.array([1.0, *bends])
-        log_weight = np.log(np.maximum([1.0 - sum(bends.values()), *bends.values()], 1e-300))
-        if usual is not None:
-            life_m = np.maximum(usual.age_m + self.quantiles_m(np.array([0.5])) / factor, 1.0)
-            log_density = -2.0 * np.log1p((np.log(life_m / usual.median_m) / usual.log_std) ** 2 / 3.0)
-            log_weight += np.maximum(log_density - log_density[0], 0.0)
-        weight = np.exp(log_weight - log_weight.max())
-        driven_m = np.multiply.outer(distance_m, np.multiply.outer(factor, np.exp(_LOADS * LOAD_LOG_STD)))
-        passed = np.interp(driven_m, self.distance_m, self.probability)
-        return np.asarray(np.minimum(passed @ _LOAD_WEIGHTS @ (weight / weight.sum()), 1.0))
-
-
-def passage(mixtures: Sequence[Mixture], limits: Sequence[tuple[float, float]]) -> Passage:
-    """Return when a channel passes the first of some limits, if rates only wander.
-
-    Parameters
-    ----------
-    mixtures :
-        The channel today by each clock; all weights together sum to one.
-    limits :
-        Pairs: a number, and the share of the channel's own start that is added to it.
-    """
-    steady = np.max([np.sum([_steady(one, *limit) for one in mixtures], axis=0) for limit in limits], axis=0)
-    return Passage(distance_m=DISTANCE_M, probability=np.maximum.accumulate(steady))
-
-
-def _steady(mixture: Mixture, limit: float, start_share: float) -> FloatArray:
-    """Return the probability to be below a limit after each distance, shape (d,)."""
-    now = mixture.now - start_share * mixture.start
-    variance = (
-        mixture.now_variance
-        - 2.0 * start_share * mixture.now_start_covariance
-        + start_share**2 * mixture.start_variance
-    )
-    ahead_m = mixture.clock.ahead_m
-    mean = now[:, None] + mixture.rate_per_m[:, None] * ahead_m
-    spread = np.maximum(variance, 1e-12)[:, None] + mixture.wander * ahead_m**3 / 3.0 + mixture.random_per_m * ahead_m
-    return np.asarray(mixture.weight @ normal_cdf((limit - mean) / np.sqrt(spread)))
+def passage(future: Future, limits: Sequence[tuple[float, float]]) -> Passage:
+    """Return when a channel passes the first of some limits: a number, and the share of its own start added to it."""
+    fall = future.loss[:, None] * future.ahead
+    to_come = future.random[:, None] * future.ahead + (LOAD_LOG_STD * fall) ** 2
+    passed = []
+    for limit, share in limits:
+        now = future.now - share * future.start
+        variance = future.now_variance - 2.0 * share * future.now_start_covariance + share**2 * future.start_variance
+        spread = np.maximum(variance, 1e-12)[:, None] + to_come
+        passed.append(np.mean(normal_cdf((limit - now[:, None] + fall) / np.sqrt(spread)), axis=0))
+    return Passage(distance_m=DISTANCE_M, probability=np.maximum.accumulate(np.max(passed, axis=0)))
 
 
 def normal_cdf(value: FloatArray) -> FloatArray:

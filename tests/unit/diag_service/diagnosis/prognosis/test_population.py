@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diag_service.diagnosis.prognosis import ChannelName, PeerGroup, ageings, hindsights, learn, prognose, with_bends
-from diag_service.diagnosis.prognosis.assumptions import FUTURE_BENDS
+from diag_service.diagnosis.prognosis import ChannelName, PeerGroup, ageings, learn, prognose
+from diag_service.diagnosis.prognosis.assumptions import KNEE_PROBABILITY
 from diag_service.diagnosis.prognosis.population import Ageing, Course, location_and_scatter
 from tests.support.pasts import REFERENCE, ageing, past
 
@@ -107,27 +107,17 @@ def test_a_life_is_followed_until_its_limit_and_no_farther() -> None:
     assert young.lasted_m is None
 
 
-def test_looking_back_tells_what_came_of_a_life() -> None:
-    history = past(ageing(300, until=-0.2), step_m=2.0e5, noise_ratio=0.004)
-    lives = ageings("car1", 1, history, REFERENCE, [KIND])
-    ((life, told),) = hindsights(history, REFERENCE, lives, learn([]))
-    assert life.lasted_m is not None
-    assert all(one.has_ended for one in told)
-    assert [one.share for one in told] == sorted(one.share for one in told)
-    late = told[-1]
-    assert late.left_m == pytest.approx((1.0 - late.share) * life.lasted_m)
-    assert late.passage.quantile_m(0.5) == pytest.approx(late.left_m, rel=0.2)
-
-
-def test_bends_are_learned_of_types_with_enough_lives() -> None:
-    history = past(ageing(300, until=-0.2), step_m=2.0e5, noise_ratio=0.004)
-    lives = ageings("car1", 1, history, REFERENCE, [KIND])
-    told = hindsights(history, REFERENCE, lives, learn([]))
-    population = learn(fleet(20, log_std=0.2))
-    (few, _), (enough, _) = with_bends(population, told * 7).peers, with_bends(population, told * 25).peers
-    assert (few.bends, few.bend_life_count) == (FUTURE_BENDS, 0)
+@pytest.mark.parametrize("is_bent", [False, True])
+def test_how_often_lives_bend_is_learned_of_types_with_enough_that_ended(is_bent: bool) -> None:
+    at = np.linspace(0.0, 1.0, 300)
+    worn = at + 3.0 * np.maximum(at - 0.7, 0.0) if is_bent else at
+    history = past(1.0 - 1.2 * worn / worn[-1], step_m=2.0e5, noise_ratio=0.004)
+    (ended,) = ageings("car1", 1, history, REFERENCE, [KIND])
+    assert (ended.bent_odds > 3.0) is is_bent
+    few, enough = (learn([*fleet(20, log_std=0.2), *[ended] * count]).peers[0] for count in (7, 25))
+    assert (few.bend_chance, few.bend_life_count) == (KNEE_PROBABILITY, 0)
     assert enough.bend_life_count == 25
-    assert sum(enough.bends.values()) < 0.75 * sum(FUTURE_BENDS.values())  # none of them bent
+    assert enough.bend_chance > 0.6 if is_bent else enough.bend_chance < 0.6 * KNEE_PROBABILITY
 
 
 def test_a_new_vehicle_begins_with_its_population() -> None:

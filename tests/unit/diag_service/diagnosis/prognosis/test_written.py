@@ -16,6 +16,7 @@ from diag_service.diagnosis.prognosis import (
     population_from,
     population_record,
 )
+from diag_service.diagnosis.prognosis.assumptions import KNEE_PROBABILITY
 
 POPULATION = Population(
     life_count=40,
@@ -25,7 +26,7 @@ POPULATION = Population(
             kind=PeerGroup(vehicle_type="dct", fluid=None),
             life_count=40,
             channels={ChannelName.MARGIN: Usual(start=1.0, start_std=0.1, loss_per_m=1.2e-8, loss_log_std=0.21)},
-            bends={0.5: 0.02, 1.5: 0.1},
+            bend_chance=0.12,
             bend_life_count=31,
         ),
     ),
@@ -39,6 +40,13 @@ def test_what_is_written_is_read_to_the_last_digit() -> None:
     found = again.of("dct", "a fluid of its own")
     assert found is not None
     assert found.version == 3
+
+
+def test_a_population_of_an_older_program_assumes_how_often_lives_bend() -> None:
+    record: dict[str, Any] = json.loads(json.dumps(population_record(POPULATION)))
+    del record["peers"][0]["bend_chance"]
+    (peers,) = population_from(record).peers
+    assert (peers.bend_chance, peers.bend_life_count) == (KNEE_PROBABILITY, 0)
 
 
 @pytest.mark.parametrize(
