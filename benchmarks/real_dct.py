@@ -9,8 +9,10 @@ Downshifts are predicted from the other downshifts, launches from all power upsh
 
 import argparse
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from scipy.special import stdtrit
@@ -38,6 +40,7 @@ from diag_service.diagnosis.prediction import (
     STEP_RATIO,
     STEP_S,
     TORQUE_SOURCES,
+    Prediction,
     Scales,
     SlipPhase,
     Standing,
@@ -50,7 +53,63 @@ from diag_service.service.stopping import Trigger
 from ecu_emulator.cli import main as emulator
 
 RPM = 30.0 / np.pi  # of rad/s
-SPLITS = {"each from all others": left_out_one_by_one, "second half from the first": second_half_from_first}
+
+
+def _mean_rate(known: Sequence[SlipPhase], phase: SlipPhase) -> float:
+    own = [one for one in known if one.clutch == phase.clutch] or known
+    return float(np.mean([one.change_rad_s[-1] / one.t_s[-1] for one in own]))
+
+
+def _line_of_pressure(known: Sequence[SlipPhase], phase: SlipPhase) -> float:
+    rates = [one.change_rad_s[-1] / one.t_s[-1] for one in known]
+    slope, level = np.polyfit([one.mean_pa for one in known], rates, 1)
+    return float(slope * phase.mean_pa + level)
+
+
+def _nearest_shift(known: Sequence[SlipPhase], phase: SlipPhase) -> float:
+    nearest = min(known, key=lambda one: (one.to_gear != phase.to_gear, abs(one.mean_pa - phase.mean_pa)))
+    return float(nearest.change_rad_s[-1] / nearest.t_s[-1])
+
+
+SIMPLER: Final[Mapping[str, Callable[[Sequence[SlipPhase], SlipPhase], float]]] = {
+    "mean rate of the clutch": _mean_rate,
+    "line through mean pressure": _line_of_pressure,
+    "nearest shift": _nearest_shift,
+}
+"""Rates of engine speed from other shifts, each a straight line through the slip phase."""
+
+
+def predicted_simply(name: str, known: Sequence[SlipPhase], phase: SlipPhase) -> Prediction:
+    """Return what a simpler model says of a shift; its deviation is what it misses on the known ones, each left out."""
+    rate = SIMPLER[name]
+    missed = [
+        rate([other for other in known if other is not one], one) * one.t_s[-1] - one.change_rad_s[-1] for one in known
+    ]
+    mean = rate(known, phase) * phase.t_s[1:]
+    std = float(np.sqrt(np.mean(np.square(missed)))) * phase.t_s[1:] / phase.t_s[-1]
+    return Prediction(mean_rad_s=mean, scale_rad_s=std, freedom=float(len(known)))
+
+
+def beside_simpler(shown: Shown, known: Sequence[SlipPhase]) -> Shown:
+    """Return a shift with what simpler models say of it from the same others."""
+    simpler = {name: predicted_simply(name, known, shown.phase) for name in SIMPLER}
+    return replace(shown, predictions={**shown.predictions, **simpler})
+
+
+def each_from_others(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[Shown]:
+    """Yield every shift with what the others say of it."""
+    for one in left_out_one_by_one(named, touch_pa):
+        yield beside_simpler(one, [other for _, other in named if other is not one.phase])
+
+
+def half_from_half(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[Shown]:
+    """Yield the shifts of the second half with what those of the first say."""
+    known = [phase for _, phase in named[: (len(named) + 1) // 2]]
+    for one in second_half_from_first(named, touch_pa):
+        yield beside_simpler(one, known)
+
+
+SPLITS = {"each from all others": each_from_others, "second half from the first": half_from_half}
 
 
 def meaning_of(table: Path, folder: Path) -> Interpretation:
@@ -143,7 +202,7 @@ def emulated(vehicles: int, cycles: int, folder: Path) -> Iterator[Shown]:
         emulator(["record", str(log), "--seed", str(seed), "--cycles", str(cycles)])
         written(log, table, np.random.default_rng(seed))
         named, touch_pa = slips([table], meaning_of(table, folder))
-        yield from left_out_one_by_one(power_upshifts(named), touch_pa)
+        yield from each_from_others(power_upshifts(named), touch_pa)
         log.unlink()
 
 
@@ -207,11 +266,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for title, split in SPLITS.items():
                 shown = list(split(upshifts, touch_pa))
                 print("\n".join(table(f"Recorded, {title}", shown)), flush=True)
-                if options.picture and split is left_out_one_by_one:
+                if options.picture and split is each_from_others:
                     drawn = max(shown[1:], key=lambda one: len(one.phase.t_s))
                     options.picture.write_text(picture(drawn), encoding="utf-8")
             if len(downshifts) > LEAST_EVENTS:
-                shown = list(left_out_one_by_one(downshifts, touch_pa))
+                shown = list(each_from_others(downshifts, touch_pa))
                 print("\n".join(table("Recorded, each from all others", shown, "downshifts")))
             known = [phase for _, phase in upshifts]
             print("\n" + "\n".join(launch_lines(options.tables, meaning, known, touch_pa)), flush=True)

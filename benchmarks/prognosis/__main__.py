@@ -29,7 +29,7 @@ from benchmarks.prognosis.error_model import errors_table, rows_of
 from benchmarks.prognosis.evaluation import LATE_MARKS, MARKS, METHODS, Account, Forecast, account_of
 from benchmarks.prognosis.fills import fill_account_of, fills_table
 from benchmarks.prognosis.fleets import TYPES, population_tables
-from benchmarks.prognosis.kinds import kind_looks, kinds_table
+from benchmarks.prognosis.kinds import kind_looks, kinds_table, oracles_table
 from benchmarks.prognosis.lives import life_km_of, life_of
 from benchmarks.prognosis.scores import crps, is_covered, is_near
 from benchmarks.prognosis.simulators import simulators_tables
@@ -211,7 +211,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         for table in simulators_tables(seeds, partial(each, jobs=arguments.jobs)):
             console.print(table)
     elif arguments.kinds:
-        console.print(kinds_table([look for looks in each(kind_looks, seeds, arguments.jobs) for look in looks]))
+        kinds = [look for looks in each(kind_looks, seeds, arguments.jobs) for look in looks]
+        console.print(kinds_table(kinds), oracles_table(kinds))
     elif arguments.decompose:
         console.print(decomposition_table(seeds, partial(each, jobs=arguments.jobs)))
     elif arguments.error_model:

@@ -26,8 +26,9 @@ M_PER_KM: Final = 1000.0
 MARKS: Final = (0.25, 0.5, 0.75, 0.9)
 FOLLOWED_AFTER: Final = 0.05  # of a life after its knee
 STREAM: Final = 91
+ORACLE_KNEES: Final = (0.1, 0.25)  # share of lives with a knee that an oracle believes in
 _ORACLE_BINS: Final = 40
-_ORACLE_LIVES: Final = 300
+_ORACLE_LIVES: Final = 180
 _COURSE: Final = np.linspace(0.0, 1.0, 2001)
 _AHEAD_KM: Final = FARTHEST_KM * np.linspace(0.0, 1.0, 2001) ** 2
 
@@ -166,10 +167,10 @@ def usual_life(age_km: float) -> FloatArray:
     return np.asarray(np.maximum(life_km - age_km, 0.0), np.float64)
 
 
-def kind_oracle(history: History, evens: float, *, start_std: float = 0.06) -> FloatArray:
+def kind_oracles(history: History, knees: Sequence[float]) -> list[FloatArray]:
     """Return what who knows how even lives and those with a knee are drawn foretells of a margin, as quantiles [km].
 
-    ``evens`` is the share of lives without a knee among them. Of this life nothing is known but its results.
+    ``knees`` are the shares of lives with a knee, one for each oracle. Of this life they know nothing but its results.
     """
     own = history.fluid_number == history.fluid_number[-1]
     odometer_km = history.odometer_m[own] / M_PER_KM
@@ -185,26 +186,27 @@ def kind_oracle(history: History, evens: float, *, start_std: float = 0.06) -> F
     life_km = np.exp(np.linspace(np.log(0.9 * age_km[-1]), np.log(260_000.0), _ORACLE_LIVES))
     knee, factor = (one.ravel() for one in np.meshgrid(np.linspace(0.66, 0.87, 8), np.linspace(2.4, 5.3, 7)))
     knee, factor = np.append(knee, 1.0), np.append(factor, 1.0)
-    chance = np.append(np.full(len(knee) - 1, (1.0 - evens) / (len(knee) - 1)), evens)
     share = at_km / life_km[:, None, None]
     bend = factor[:, None] - 1.0
     worn = (share + bend * np.maximum(share - knee[:, None], 0.0)) / (1.0 + bend * (1.0 - knee[:, None]))
     # Start, an error that the results share and temperature are normal: each life has an exact likelihood.
     columns = np.stack((1.0 - worn, np.ones_like(worn), np.broadcast_to(warmth_k, worn.shape)), axis=-1) * np.array(
-        [start_std, 0.02, 0.003]
+        [0.06, 0.02, 0.003]
     )
     surprise = value - (1.0 - worn)
     right = np.einsum("lkbi,lkb->lki", columns, weight * surprise)
     normal = np.einsum("lkbi,lkbj->lkij", columns * weight[:, None], columns) + np.eye(3)
     explained = np.einsum("lki,lki->lk", right, np.linalg.solve(normal, right[..., None])[..., 0])
     log_likelihood = 0.5 * (explained - np.sum(weight * surprise**2, axis=-1) - np.linalg.slogdet(normal)[1])
-    log_prior = norm.logpdf(np.log(life_km / USUAL_KM), scale=LIFE_LOG_STD)[:, None] + np.log(
-        np.maximum(chance, 1e-300)
-    )
-    belief = np.exp(log_likelihood + log_prior - np.max(log_likelihood + log_prior)).sum(axis=1)
-    passed = (np.cumsum(belief) - 0.5 * belief) / belief.sum()
+    log_prior = norm.logpdf(np.log(life_km / USUAL_KM), scale=LIFE_LOG_STD)[:, None]
+    likelihood = np.exp(log_likelihood + log_prior - np.max(log_likelihood + log_prior))
     left_km = np.maximum(life_km - age_km[-1], 0.0)
-    return np.interp(PROBABILITIES, passed, left_km)
+    found = []
+    for one in knees:
+        belief = one * likelihood[:, :-1].mean(axis=1) + (1.0 - one) * likelihood[:, -1]
+        passed = (np.cumsum(belief) - 0.5 * belief) / belief.sum()
+        found.append(np.asarray(np.interp(PROBABILITIES, passed, left_km), np.float64))
+    return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -219,6 +221,7 @@ class KindLook:
     line_number: float
     usual: float
     usual_number: float
+    oracles: tuple[float, ...]  # by `ORACLE_KNEES`; empty where there is none
 
 
 def kind_looks(seed: int) -> list[KindLook]:
@@ -236,8 +239,10 @@ def _look(life: KindLife, share: float, mark: float | None) -> KindLook | None:
         return None
     left_km = np.array([min(life.life_km - age_km, FARTHEST_KM)])
     line, number_km = straight_line(history)
-    forecasts = (change.passage.quantiles_m(PROBABILITIES) / M_PER_KM, line, usual_life(age_km))
-    ours, of_line, of_usual = (float(crps(one[None], left_km)[0]) for one in forecasts)
+    knees = () if life.kind is Kind.BURSTS else (1.0 if life.kind is Kind.LATE_KNEE else 0.0, *ORACLE_KNEES)
+    oracles = kind_oracles(history, knees) if knees else ()
+    forecasts = (change.passage.quantiles_m(PROBABILITIES) / M_PER_KM, line, usual_life(age_km), *oracles)
+    ours, of_line, of_usual, *of_oracles = (float(crps(one[None], left_km)[0]) for one in forecasts)
     return KindLook(
         kind=life.kind,
         mark=mark,
@@ -247,6 +252,7 @@ def _look(life: KindLife, share: float, mark: float | None) -> KindLook | None:
         line_number=abs(number_km - float(left_km[0])),
         usual=of_usual,
         usual_number=abs(max(USUAL_KM - age_km, 0.0) - float(left_km[0])),
+        oracles=tuple(of_oracles),
     )
 
 
@@ -282,3 +288,19 @@ def _cells(looks: Sequence[KindLook]) -> tuple[str, ...]:
         f"{ours:,.0f}",
         *(f"{ours / rival:.2f}" for rival in rivals),
     )
+
+
+def oracles_table(looks: Sequence[KindLook]) -> Table:
+    """Return the CRPS of who knows how lives are drawn, over that of the better rival and of the better number."""
+    knows = ("kind known", *(f"{100 * one:.0f} % knees" for one in ORACLE_KNEES))
+    table = Table("lives", "age", *(f"{name}, / {rival}" for name in knows for rival in ("better", "number")))
+    for kind in KINDS:
+        for mark in MARKS:
+            own = [one for one in looks if one.kind is kind and one.mark == mark and one.oracles]
+            if own:
+                rivals = np.mean([(one.line, one.usual, one.line_number, one.usual_number) for one in own], axis=0)
+                better = (min(rivals[:2]), min(rivals[2:]))
+                means = np.mean([one.oracles for one in own], axis=0)
+                cells = (f"{mean / rival:.2f}" for mean in means for rival in better)
+                table.add_row(kind.value, f"{100 * mark:.0f} %", *cells)
+    return table

@@ -220,7 +220,7 @@ _PREDICT: Final = Command(
     Option("--halves", "predict the second half from the first (default: each shift from all others)"),
     *(JSON, VERBOSE),
     description="Friction, up to a scale, is found in some shifts; given the pressures and the first speed of another, "
-    "it predicts the course of engine speed while the clutch slips, with intervals, beside three simpler models. "
+    "it predicts the course of engine speed while the clutch slips, with intervals. "
     "Needs engine speed, both clutch pressures, and speeds behind the clutches or ratios; no torque, no drawing.",
     examples=(f"{PROGRAM} predict drive-a.csv drive-b.csv --profile car.toml",),
 )

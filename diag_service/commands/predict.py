@@ -1,4 +1,4 @@
-"""``diag-service predict``: friction found in some shifts of logs, held against the others, beside simpler models."""
+"""``diag-service predict``: friction found in some shifts of logs, held against the others."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -18,14 +18,12 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.prediction import (
     LEAST_EVENTS,
     PRESSURES,
-    SIMPLER,
     NoPhase,
     Prediction,
     SlipPhase,
     Standing,
     fitted,
     predicted,
-    predicted_simply,
     slip_phase,
 )
 from diag_service.diagnosis.records import dump
@@ -50,7 +48,7 @@ QUANTILES: Final = (np.arange(400) + 0.5) / 400.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shown:
-    """One shift, left out of what it was predicted from, and what each model said of it."""
+    """One shift, left out of what it was predicted from, and what was said of it, by the name of the model."""
 
     log: str
     phase: SlipPhase
@@ -89,21 +87,16 @@ def second_half_from_first(named: Sequence[tuple[str, SlipPhase]], touch_pa: flo
 
 
 def _shown(log: str, phase: SlipPhase, known: Sequence[SlipPhase], touch_pa: float | None) -> Shown:
-    ours = predicted(fitted(known, touch_pa), phase)
-    return Shown(
-        log=log,
-        phase=phase,
-        predictions={OURS: ours, **{name: predicted_simply(name, known, phase) for name in SIMPLER}},
-    )
+    return Shown(log=log, phase=phase, predictions={OURS: predicted(fitted(known, touch_pa), phase)})
 
 
 def scores(shown: Sequence[Shown]) -> dict[str, dict[str, float]]:
-    """Return what each model was worth at the ends of the slip phases, and over all their samples.
+    """Return what the model was worth at the ends of the slip phases, and over all their samples.
 
     ``crps_rad_s``, the continuous ranked probability score, is an error that a too narrow or too wide interval
     enlarges; ``inside_50`` and ``inside_90`` are how many of 1 lay inside these intervals.
     """
-    return {name: _score([(one.phase, one.predictions[name]) for one in shown]) for name in (OURS, *SIMPLER)}
+    return {name: _score([(one.phase, one.predictions[name]) for one in shown]) for name in shown[0].predictions}
 
 
 def _score(pairs: Sequence[tuple[SlipPhase, Prediction]]) -> dict[str, float]:
@@ -248,7 +241,7 @@ def _lines(title: str, shown: Sequence[Shown]) -> Iterator[str]:
             f"{one.log[:16]:<16} {gears:>5} {len(one.phase.t_s):>7} {rpm_from_rad_s(true):>8.0f} {spread:>15} "
             f"{100 * (mean / true - 1):>5.0f}%  {inside[0]:>7} {inside[1]:>7}"
         )
-    yield f"{'model':<28} {'median error':>12} {'CRPS rpm':>10} {'in 50 %':>8} {'in 90 %':>8}   of all samples"
+    yield f"{'all':<28} {'median error':>12} {'CRPS rpm':>10} {'in 50 %':>8} {'in 90 %':>8}   of all samples"
     for name, score in scores(shown).items():
         yield (
             f"{name:<28} {100 * score['median_error_ratio']:>10.0f} % {rpm_from_rad_s(score['crps_rad_s']):>10.0f} "

@@ -10,7 +10,7 @@ drawing is needed, and no engine torque. Pressures are read ``delay_s`` apart fr
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product, starmap
 from typing import Final, NamedTuple
@@ -495,41 +495,3 @@ def _beside(
         pull += design.T @ certainty @ left
     found = np.linalg.inv(information)
     return Relative(start + float(found[-1] @ pull), float(np.hypot(np.sqrt(found[-1, -1]), law_std)))
-
-
-# --- what is simpler --------------------------------------------------------------------------------------------------
-
-
-def _mean_rate(known: Sequence[SlipPhase], phase: SlipPhase) -> float:
-    own = [one for one in known if one.clutch == phase.clutch] or known
-    return float(np.mean([one.change_rad_s[-1] / one.t_s[-1] for one in own]))
-
-
-def _line_of_pressure(known: Sequence[SlipPhase], phase: SlipPhase) -> float:
-    rates = [one.change_rad_s[-1] / one.t_s[-1] for one in known]
-    slope, level = np.polyfit([one.mean_pa for one in known], rates, 1)
-    return float(slope * phase.mean_pa + level)
-
-
-def _nearest_shift(known: Sequence[SlipPhase], phase: SlipPhase) -> float:
-    nearest = min(known, key=lambda one: (one.to_gear != phase.to_gear, abs(one.mean_pa - phase.mean_pa)))
-    return float(nearest.change_rad_s[-1] / nearest.t_s[-1])
-
-
-SIMPLER: Final[Mapping[str, Callable[[Sequence[SlipPhase], SlipPhase], float]]] = {
-    "mean rate of the clutch": _mean_rate,
-    "line through mean pressure": _line_of_pressure,
-    "nearest shift": _nearest_shift,
-}
-"""Rates of engine speed from other shifts, each a straight line through the slip phase."""
-
-
-def predicted_simply(name: str, known: Sequence[SlipPhase], phase: SlipPhase) -> Prediction:
-    """Return what a simpler model says; its deviation is what it misses on the known shifts, each left out."""
-    rate = SIMPLER[name]
-    missed = [
-        rate([other for other in known if other is not one], one) * one.t_s[-1] - one.change_rad_s[-1] for one in known
-    ]
-    mean = rate(known, phase) * phase.t_s[1:]
-    std = float(np.sqrt(np.mean(np.square(missed)))) * phase.t_s[1:] / phase.t_s[-1]
-    return Prediction(mean_rad_s=mean, scale_rad_s=std, freedom=float(len(known)))

@@ -164,9 +164,8 @@ def test_shifts_of_a_table_are_predicted_from_each_other(tmp_path: Path) -> None
     assert run.status == 0, run.err
     group = next(one for one in map(json.loads, run.out.splitlines()) if one["group"] == "power upshifts")
     assert len(group["shifts"]) == 10
-    ours, clutch_rate = group["scores"]["friction"], group["scores"]["mean rate of the clutch"]
-    assert ours["median_error_ratio"] < 0.15
-    assert ours["crps_rad_s"] < 0.6 * clutch_rate["crps_rad_s"]
+    (score,) = group["scores"].values()
+    assert score["median_error_ratio"] < 0.15
     assert json.loads(json.dumps(diag_service.predict(table, profile)))[0] == group
     shown = ended("predict", table, "--profile", profile, "--halves").out
     assert "power upshifts: change of engine speed in the slip [rpm]" in shown

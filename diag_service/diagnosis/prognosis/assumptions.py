@@ -29,17 +29,17 @@ RANDOMNESS: Final = {
 USUAL_LIFE_M: Final = 9.5e7  # at which all shapes have the same wear
 
 # A bend behind: the rate has changed once while this fluid was in.
-BENT_PROBABILITY: Final = 0.14
+BENT_PROBABILITY: Final = 0.2
 BENT_FACTOR: Final = 2.2  # by which, the median, and the deviation of its natural logarithm
 BENT_LOG_STD: Final = 0.75
 RATE_BEFORE_STD: Final = 0.6  # of the rate before it, over the usual rate
 CLEAR_BEND: Final = 1.5  # a smaller factor is no bend that lives are counted by
 # A knee ahead makes the rate some times as large from a share of the life on; each with its chance where there is one.
-KNEE_PROBABILITY: Final = 0.2
+KNEE_PROBABILITY: Final = 0.07
 KNEE_FACTORS: Final = {1.7: 0.2, 2.5: 0.3, 3.5: 0.3, 5.0: 0.2}
 KNEE_SHARES: Final = {0.45: 0.15, 0.6: 0.15, 0.7: 0.2, 0.78: 0.2, 0.85: 0.2, 0.93: 0.1}
-HAND_SHARE: Final = 0.28  # of that probability: that the rate becomes so large at once, whatever the age
-HAND_FACTOR: Final = 4.5
+HAND_SHARE: Final = 0.85  # of that probability, beside it: that the rate becomes so large at once, whatever the age
+HAND_FACTOR: Final = 5.5
 LOAD_LOG_STD: Final = 0.02  # future against recent load, natural logarithm
 NEXT_FLUID_LOG_STD: Final = 0.35  # ageing rate of one vehicle from fluid to fluid
 

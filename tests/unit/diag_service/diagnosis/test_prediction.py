@@ -6,18 +6,17 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
+from benchmarks.real_dct import SIMPLER, predicted_simply
 from canlog.arrays import FloatArray, Series
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.prediction import (
-    SIMPLER,
     NoPhase,
     RelativeSurvey,
     SlipPhase,
     Standing,
     fitted,
     predicted,
-    predicted_simply,
     relative_friction,
     simulated,
     slip_phase,
