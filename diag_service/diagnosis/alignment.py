@@ -92,19 +92,18 @@ class Resampled:
         self.share = np.clip((grid_s - begin_s) / (times_s[self.left + 1] - begin_s), 0.0, 1.0)
         self.on_grid = (1.0 - self.share) * value[self.left] + self.share * value[self.left + 1]
 
-    def _shares(self, rows: slice) -> FloatArray:
-        """Return the share of each sample in some rows of the grid: (rows, samples that they lie between)."""
-        place, share = self.left[rows] - self.left[rows][0], self.share[rows]
-        shares, row = np.zeros((len(place), place[-1] + 2)), np.arange(len(place))
-        shares[row, place], shares[row, place + 1] = 1.0 - share, share
-        return shares
-
     def to_samples(self, weights: Sequence[FloatArray], pieces: Sequence[slice]) -> tuple[FloatArray, ...]:
         """Return the weight of each sample in weighted sums over pieces of the grid, shape (k, n) each.
 
         ``weights`` has shape (k, rows) for each piece; the samples are those that its rows lie between.
         """
-        return tuple(of_rows @ self._shares(rows) for of_rows, rows in zip(weights, pieces, strict=True))
+        found = []
+        for of_rows, rows in zip(weights, pieces, strict=True):
+            place, share = self.left[rows] - self.left[rows][0], self.share[rows]
+            shares, row = np.zeros((len(place), place[-1] + 2)), np.arange(len(place))
+            shares[row, place], shares[row, place + 1] = 1.0 - share, share
+            found.append(of_rows @ shares)
+        return tuple(found)
 
     def shared(self, one: Sums, other: Sums, rows: Sequence[slice], *, is_followed: bool = False) -> list[FloatArray]:
         """Return covariances of two sums with weights of `to_samples`, in variances of the sensor."""
@@ -120,11 +119,14 @@ class Resampled:
         self, values: FloatArray, places: Sequence[slice], pieces: Sequence[slice]
     ) -> tuple[FloatArray, ...]:
         """Return values as means around the samples of `to_samples`, shape (n,) each; ``places`` are of the pieces."""
-        shares = [self._shares(rows) for rows in pieces]
-        return tuple(
-            values[place] @ share / np.maximum(share.sum(axis=0), _NO_WEIGHT)
-            for place, share in zip(places, shares, strict=True)
-        )
+        found = []
+        for place, rows in zip(places, pieces, strict=True):
+            left, share, of_rows = self.left[rows] - self.left[rows][0], self.share[rows], values[place]
+            both, count = np.concatenate([left, left + 1]), left[-1] + 2
+            weight = np.bincount(both, np.concatenate([1.0 - share, share]), count)
+            total = np.bincount(both, np.concatenate([(1.0 - share) * of_rows, share * of_rows]), count)
+            found.append(total / np.maximum(weight, _NO_WEIGHT))
+        return tuple(found)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,7 +154,7 @@ def sample_times_s(series: Series, origin_ns: int) -> FloatArray:
     message has no counter, or the sender did not keep to one schedule: then no sample near one end of the shift comes
     within a period of it.
     """
-    times_s: FloatArray = (series.t_ns - origin_ns) * NS_TO_S
+    times_s = np.asarray((series.t_ns - origin_ns) * NS_TO_S, dtype=np.float64)
     if series.period_ns <= 0 or len(times_s) == 0 or series.sequence[0] < 0:
         return times_s
     scheduled_s = (series.sequence - series.sequence[0]) * (series.period_ns * NS_TO_S)

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.hops import listing, modules_of, record, trip_of_a_shift, trip_of_decoding
 from tests.plugins.broker import Mosquitto
 
-EVENT_CALLS, EVENT_MODULES = 500, 20  # to the stored result
+EVENT_CALLS, EVENT_MODULES = 590, 20  # to the stored result; 500 while sums were kernels, whose calls do not count
 BROKER_MODULES = 30
 DECODE_CALLS, DECODE_MODULES = 1_600, 30  # from a log to its table
 

@@ -64,7 +64,7 @@ class ClutchMoments(NamedTuple):
     viscous: FloatArray  # (k,)
     opened: FloatArray  # (k,) the part of it that an open pack drags
     by_friction: FloatArray  # (k, 2)
-    by_warm_friction: FloatArray  # (k, 2) the same times the pack's warmth, see `_over_reference_k`
+    by_warm_friction: FloatArray  # (k, 2) the same times the pack's warmth, see `Torques.of`
 
 
 class Torques(NamedTuple):
@@ -93,7 +93,8 @@ class Torques(NamedTuple):
         for m, (drive, track, law) in enumerate(zip(drives, tracks, laws, strict=True)):
             lever_m3[m] = levers_m3(drive.slip_rad_s[rows], law.friction, law.film.contact_factor_m3)
             parts_nm[m, :2] = lever_m3[m] * track.contact_pa[rows]
-            parts_nm[m, 2:4] = parts_nm[m, :2] * _over_reference_k(warmed[m].clutch_k[rows])
+            clutch_k = warmed[m].clutch_k[rows]  # what the laws of cold oil err by, alike, makes a kelvin two
+            parts_nm[m, 2:4] = parts_nm[m, :2] * (clutch_k - REFERENCE_K + np.minimum(clutch_k - WORKING_K, 0.0))
             parts_nm[m, 4], parts_nm[m, 5] = track.viscous_nm[rows], track.open_nm[rows]
         return cls(lever_m3=lever_m3, contact_nm=parts_nm[:, :2], parts_nm=parts_nm)
 
@@ -195,11 +196,6 @@ def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: Sensor
     negative_nm = np.minimum(reading_nm - offset_nm, 0.0)
     corrected_nm = negative_nm / bias.motoring_gain
     return reading_nm - negative_nm + corrected_nm, corrected_nm
-
-
-def _over_reference_k(clutch_k: FloatArray) -> FloatArray:
-    """Return how warm a pack is for its friction [K]: what the laws of cold oil err by, alike, makes a kelvin two."""
-    return clutch_k - REFERENCE_K + np.minimum(clutch_k - WORKING_K, 0.0)
 
 
 COLD_SPAN_K: Final = 60.0  # below that temperature, where the deviations are as large as these:

@@ -277,7 +277,7 @@ class Evidence:
             if seen.overlap is not None:
                 joint[:-1, -1] -= seen.overlap
             count += len(seen.residual)
-        matrix, gradient = symmetric(joint[:-1, :-1]), joint[:-1, -1]
+        matrix, gradient = 0.5 * (joint + joint.T)[:-1, :-1], joint[:-1, -1]  # but for rounding it is symmetric
         vector = matrix @ at + gradient
         constant = float(joint[-1, -1] + (vector + gradient) @ at)
         if readings is not None:
@@ -359,10 +359,12 @@ def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
     """Return what earlier knowledge and evidence say together; what was certain stays as it is."""
     if not evidence.count:  # then all does, to the last digit
         return Fusion(knowledge=earlier, chi_square=0.0, information=evidence.matrix)
-    scale = np.outer(earlier.std(), earlier.std())
+    std = earlier.std()
+    scale = np.outer(std, std)
     correlation = np.divide(earlier.covariance, scale, out=np.zeros_like(scale), where=scale > 0.0)
     looser = np.eye(len(scale)) + correlation @ (evidence.matrix * scale)
-    covariance = symmetric(scale * np.linalg.solve(looser, correlation))
+    covariance = scale * np.linalg.solve(looser, correlation)
+    covariance = 0.5 * (covariance + covariance.T)
     gradient = evidence.vector - evidence.matrix @ earlier.mean
     step = covariance @ gradient
     return Fusion(
@@ -370,11 +372,6 @@ def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
         chi_square=evidence.chi_square(earlier.mean) - float(gradient @ step),
         information=evidence.matrix,
     )
-
-
-def symmetric(matrix: FloatArray) -> FloatArray:
-    """Return a matrix that is symmetric but for rounding as one that is."""
-    return 0.5 * (matrix + matrix.T)
 
 
 def _loosened(matrix: FloatArray, vector: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray, float]:
@@ -386,4 +383,4 @@ def _loosened(matrix: FloatArray, vector: FloatArray, variance: FloatArray) -> t
     std = np.sqrt(variance)
     sides = std[:, None] * np.column_stack([matrix, vector])
     taken = sides.T @ np.linalg.solve(np.eye(len(std)) + sides[:, :-1] * std, sides)
-    return symmetric(matrix - taken[:-1, :-1]), vector - taken[:-1, -1], float(taken[-1, -1])
+    return matrix - 0.5 * (taken + taken.T)[:-1, :-1], vector - taken[:-1, -1], float(taken[-1, -1])

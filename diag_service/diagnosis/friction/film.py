@@ -35,7 +35,6 @@ from clutch_model.pack import (
     thicker_m,
     viscosity_pa_s,
 )
-from clutch_model.units import Quantity
 from diag_service.diagnosis.alignment import GRID_S
 
 COARSE = 2  # points of the grid: steps in which a film may be followed whose derivatives alone are wanted
@@ -480,15 +479,15 @@ def _step(
     return later_m
 
 
-def directions(slip_rad_s: Quantity) -> Quantity:
-    """Return the sign of the slip, fading near zero."""
-    sign: Quantity = np.clip(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0, 1.0)
-    return sign
+def directions(slip_rad_s: FloatArray) -> FloatArray:
+    """Return the sign of each slip, fading near zero."""
+    return np.clip(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0, 1.0)
 
 
 def levers_m3(slip_rad_s: FloatArray, law: FrictionLaw, contact_factor_m3: float) -> FloatArray:
     """Return the torque of a contact per pressure [m^3], by mu_c and by mu_s: (2, n) for n slips."""
-    full_m3 = contact_torques_nm(directions(slip_rad_s), 1.0, 1.0, contact_factor_m3)
+    one_pa = np.ones_like(slip_rad_s)
+    full_m3 = contact_torques_nm(directions(slip_rad_s), 1.0, one_pa, contact_factor_m3)
     weight = stribeck_weights(slip_rad_s, law)
     return np.stack([full_m3 * (1.0 - weight), full_m3 * weight])
 

@@ -75,7 +75,7 @@ def _search(base: Knowledge, evidences: Sequence[Evidence]) -> _Search:
         precision=np.linalg.inv(covariance),
         matrices=matrices * scale,
         gradients=(vectors - matrices @ base.mean) * std,
-        constants=np.array([one.chi_square(base.mean) for one in evidences], dtype=np.float64),
+        constants=np.array([one.constant for one in evidences]) + (matrices @ base.mean - 2.0 * vectors) @ base.mean,
         omissions=np.array([omission_cost(one) for one in evidences], dtype=np.float64),
     )
 

@@ -37,11 +37,6 @@ from diag_service.diagnosis.events import SLIPS_IN_GEAR, EndReason, Event, Event
 from diag_service.diagnosis.records import DataQuality, QualityPart, Reason
 
 
-def median(values: FloatArray) -> float:
-    """Return the median of finite values, shape (n,), n >= 1."""
-    return float(np.median(values))
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Band:
     """From where on a flaw costs data quality, and from where on it takes all of it."""
@@ -141,7 +136,7 @@ def _wheels(event: Event, limits: QualityLimits) -> float | None:
     found = np.concatenate([_NO_RATIO, *ratios])
     if not len(found):
         return None
-    middle = median(found)
+    middle = np.median(found)
     return limits.wheel_ratio.score(max(math.sqrt(np.mean((own / middle - 1.0) ** 2)) for own in ratios if len(own)))
 
 
@@ -167,7 +162,7 @@ def _hub(columns: Columns, limits: QualityLimits) -> float | None:
 def _pressures(columns: Columns, limits: QualityLimits) -> float | None:
     """Compare clutch pressures with what was commanded a moment before."""
     differences_pa = [
-        median(np.abs(_apart(pressure, command, _LAG_NS)))
+        float(np.median(np.abs(_apart(pressure, command, _LAG_NS))))
         for read, commanded in _PRESSURES
         for pressure, command in ((columns.get(read), columns.get(commanded)),)
         if pressure is not None and command is not None and len(pressure.t_ns) and len(command.t_ns)
@@ -183,7 +178,7 @@ def _apart(series: Series, other: Series, lag_ns: int = 0) -> FloatArray:
 def _reading(series: Series, at_ns: Int64Array) -> FloatArray:
     """Return what a signal reads at some times: linear between samples, constant beyond both ends."""
     origin_ns = series.t_ns[0]  # so that floating-point numbers hold nanoseconds
-    return np.interp(at_ns - origin_ns, series.t_ns - origin_ns, series.value)
+    return np.asarray(np.interp(at_ns - origin_ns, series.t_ns - origin_ns, series.value))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -218,7 +213,7 @@ def usable_samples(event: Event, limits: QualityLimits = LIMITS) -> Samples | Re
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     for one, times_s in sampled.items():
         series = event.columns[one]
-        if _largest(series.value) > MOST:
+        if np.abs(series.value).max(initial=0.0) > MOST:
             return Reason.OUT_OF_RANGE
         own_s = series.period_ns * NS_TO_S or limits.nominal_period_s
         period_s = row_s if row_s and is_of_rows(series) else own_s
@@ -290,7 +285,7 @@ def aligned(
         return Reason.TIME_UNSURE  # frames of one message came at one time
     if samples.row_s:
         noise_std = noise_of_signals(calibration.noise)
-        if any(_largest(samples.event.columns[one].value) > MOST_NOISES * noise_std[one] for one in times):
+        if any(np.abs(samples.event.columns[one].value).max() > MOST_NOISES * noise_std[one] for one in times):
             return Reason.OUT_OF_RANGE  # a cell may hold any number
         rows = Rows(
             period_s=samples.row_s,
@@ -299,11 +294,6 @@ def aligned(
             noise_std=noise_std,
         )
     return align(times, samples.event, samples.oil_k, gaps, other, rows)
-
-
-def _largest(value: FloatArray) -> float:
-    """Return the largest absolute value; 0 of none."""
-    return float(np.abs(value).max(initial=0.0))
 
 
 def longest_silence_s(times_s: FloatArray, from_s: float, duration_s: float) -> float:
@@ -446,31 +436,25 @@ def _time(numbered: Sequence[Series], limits: QualityLimits) -> float | None:
     series = [one for one in numbered if one.period_ns > 0]
     if not series:
         return None
-    late = sum(_late_count(one, limits.late_periods) for one in series)
+    late = 0
+    for one in series:  # than the schedule of the sample that came earliest by it
+        delays_ns = one.t_ns - one.sequence * one.period_ns
+        late += int(np.count_nonzero(delays_ns - delays_ns.min() > limits.late_periods * one.period_ns))
     return 1.0 - late / sum(len(one.t_ns) for one in series)
-
-
-def _late_count(series: Series, late_periods: float) -> int:
-    """Return how many samples came so many periods later than the schedule of the one that came earliest by it."""
-    delays_ns = series.t_ns - series.sequence * series.period_ns
-    return int(np.count_nonzero(delays_ns - delays_ns.min() > late_periods * series.period_ns))
 
 
 def _saturation(
     columns: Columns, scale_ends: Mapping[Signal, tuple[float, float]], limits: QualityLimits
 ) -> float | None:
     """Judge how many samples lie at an end of their scale; zero is no end: that is where sensors rest."""
-    shares = [
-        _share_at_ends(columns[signal].value, *scale_ends[signal])
-        for signal in BALANCE_SIGNALS
-        if signal in scale_ends and signal in columns and len(columns[signal].value)
-    ]
+    shares = []
+    for signal in BALANCE_SIGNALS:
+        if signal in scale_ends and signal in columns and len(value := columns[signal].value):
+            low, high = scale_ends[signal]
+            margin = 1e-6 * (high - low)
+            is_at_end = (value >= high - margin) | ((low < 0.0) & (value <= low + margin))
+            shares.append(float(is_at_end.mean()))
     return limits.saturated_ratio.score(max(shares)) if shares else None
-
-
-def _share_at_ends(value: FloatArray, low: float, high: float) -> float:
-    margin = 1e-6 * (high - low)
-    return float(np.mean((value >= high - margin) | ((low < 0.0) & (value <= low + margin))))
 
 
 def _calibration(end_ns: int, made: date | None, limits: QualityLimits) -> float | None:

@@ -18,7 +18,7 @@ from clutch_model.calibration import clutch_of_gear
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, GRID_S, NS_TO_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
-from diag_service.diagnosis.quality.data_quality import LIMITS, SHAFT_GEARS, QualityLimits, median
+from diag_service.diagnosis.quality.data_quality import LIMITS, SHAFT_GEARS, QualityLimits
 from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 
 _LEAST: Final = 0.0  # what a sensor of pressure or speed cannot show less of: it repeats that with reason
@@ -106,7 +106,7 @@ def _noise_in_steps(value: FloatArray, first: int, stop: int) -> float:
     moved = np.abs(steps[steps != 0.0])
     if len(steps) < 3 or not len(moved):
         return math.inf
-    return median(np.abs(np.diff(steps))) * _STD_OF_SECOND_DIFFERENCE / float(moved.min())
+    return float(np.median(np.abs(np.diff(steps)))) * _STD_OF_SECOND_DIFFERENCE / float(moved.min())
 
 
 def speed_gap_rad_s(
@@ -171,7 +171,7 @@ def shaft_gap_rad_s(signals: AlignedSignals, rows: slice, limits: QualityLimits 
     does_turn = second > limits.turning_rad_s  # at a standstill there is no ratio
     if not does_turn.any():
         return 0.0
-    return _largest_mean(first - median(first[does_turn] / second[does_turn]) * second, limits.speeds_mean_s)
+    return _largest_mean(first - np.median(first[does_turn] / second[does_turn]) * second, limits.speeds_mean_s)
 
 
 def _misses_command(signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits) -> bool:
