@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array
+from canlog.arrays import BoolArray, FloatArray
 from canlog.jit import array_kernel
 from clutch_model.pack import clutch_heating_rate_k_s
 from diag_service.diagnosis.shifts.slip_tracking import LOADED_PA, SLIP_RAD_S
@@ -28,7 +28,7 @@ RELEASED_RATIO = 0.1  # an off-going clutch that is asked for less than this sha
 MIN_TORQUE_NM = 10.0  # below it a ratio of torques says nothing
 SMOOTH_S = 0.06  # half width of the parabola that differentiates the engine speed
 LEAST_APART = 1e-6  # a determinant: three samples a few milliseconds apart have as much
-ENGINE, ON, OFF, CAR, PRESSURE_ON, PRESSURE_OFF, COMMAND, ASKED, TORQUE, SLOPE, ROW_COUNT = range(11)  # of rows
+ENGINE, ON, OFF, CAR, PRESSURE_ON, PRESSURE_OFF, COMMAND, ASKED, TORQUE, ROW_COUNT = range(10)  # of rows
 
 
 @array_kernel
@@ -70,43 +70,20 @@ def largest_swing(slip_rad_s: FloatArray, pressed_rad_s: FloatArray) -> float:
     return largest if largest >= 0.0 else least
 
 
-@array_kernel
 def fit_ratio(asked_nm: FloatArray, engine_nm: FloatArray, inertia_nm: FloatArray) -> tuple[float, float, float, float]:
     """Return what engine, 1 N m and inertia are of the torque asked for, by least squares, and its scatter."""
-    square, by_engine, by_offset, by_inertia, residual = 0.0, 0.0, 0.0, 0.0, 0.0
-    for row in range(len(asked_nm)):
-        square += asked_nm[row] ** 2
-        by_offset += asked_nm[row]
-        by_engine += asked_nm[row] * engine_nm[row]
-        by_inertia += asked_nm[row] * inertia_nm[row]
-    by_engine, by_offset, by_inertia = by_engine / square, by_offset / square, by_inertia / square
-    for row in range(len(asked_nm)):
-        residual += (engine_nm[row] - inertia_nm[row] - (by_engine - by_inertia) * asked_nm[row]) ** 2
-    return by_engine, by_offset, by_inertia, math.sqrt(residual / len(asked_nm) / square)
+    square = float(asked_nm @ asked_nm)
+    by_engine, by_offset, by_inertia = (
+        float(asked_nm @ one) / square for one in (engine_nm, np.ones_like(asked_nm), inertia_nm)
+    )
+    residual = engine_nm - inertia_nm - (by_engine - by_inertia) * asked_nm
+    return by_engine, by_offset, by_inertia, math.sqrt(float(np.mean(residual**2)) / square)
 
 
-@array_kernel
-def pick_asked(
-    slip_rad_s: FloatArray,
-    on_nm: FloatArray,
-    off_nm: FloatArray,
-    is_signed: bool,  # noqa: FBT001 - a compiled function
-    asked_nm: FloatArray,
-    rows: Int64Array,
-) -> int:
-    """Fill in the torque asked of a clutch that slips and alone carries the engine, signed as its slip, and where.
-
-    Return how many rows there are.
-    """
-    count = 0
-    for row in range(len(slip_rad_s)):
-        if abs(slip_rad_s[row]) <= SLIP_RAD_S or abs(on_nm[row]) <= MIN_TORQUE_NM:
-            continue
-        if abs(off_nm[row]) < RELEASED_RATIO * max(on_nm[row], MIN_TORQUE_NM):
-            asked_nm[count] = on_nm[row] if is_signed or slip_rad_s[row] > 0.0 else -on_nm[row]
-            rows[count] = row
-            count += 1
-    return count
+def asked_alone(slip_rad_s: FloatArray, on_nm: FloatArray, off_nm: FloatArray) -> BoolArray:
+    """Return where a clutch slips and alone is asked to carry the engine."""
+    is_released = np.abs(off_nm) < RELEASED_RATIO * np.maximum(on_nm, MIN_TORQUE_NM)
+    return (np.abs(slip_rad_s) > SLIP_RAD_S) & (np.abs(on_nm) > MIN_TORQUE_NM) & is_released
 
 
 @array_kernel
@@ -140,17 +117,12 @@ def _mean(row: FloatArray, first: int, stop: int) -> float:
     return total / max(stop - first, 1)
 
 
-@array_kernel
-def _differentiate(car_m_s: FloatArray, slopes: FloatArray) -> None:
-    """Fill in the slope of a straight line around each row [m/s2]; near both ends it stays."""
-    square = 0.0
-    for k in range(-SLOPE_ROWS, SLOPE_ROWS + 1):
-        square += k * k
-    for row in range(SLOPE_ROWS, len(car_m_s) - SLOPE_ROWS):
-        moment = 0.0
-        for k in range(-SLOPE_ROWS, SLOPE_ROWS + 1):
-            moment += k * car_m_s[row + k]
-        slopes[row] = moment / square / GRID_S
+def _slopes(car_m_s: FloatArray) -> FloatArray:
+    """Return the slope of a straight line around each row [m/s2]; NaN near both ends."""
+    slopes, along = np.full(len(car_m_s), np.nan), np.arange(-SLOPE_ROWS, SLOPE_ROWS + 1)
+    if len(car_m_s) > 2 * SLOPE_ROWS:
+        slopes[SLOPE_ROWS:-SLOPE_ROWS] = np.correlate(car_m_s, along, "valid") / (along @ along * GRID_S)
+    return slopes
 
 
 @array_kernel
@@ -193,17 +165,17 @@ def _speeds_told(
     return flare, (row - first) * GRID_S, max(-moment / square / GRID_S, 0.0)
 
 
-@array_kernel
 def _car_told(slopes: FloatArray, first: int, stop: int) -> tuple[float, float, float]:
     """Return by how much the car's acceleration fell below that before and after, its jerk, and the larger of both."""
     end = min(stop + 1, len(slopes) - SLOPE_ROWS)
-    before, after = _mean(slopes, SLOPE_ROWS, first - SLOPE_ROWS // 2), _mean(slopes, end - SLOPE_ROWS, end)
+    before = float(slopes[SLOPE_ROWS : first - SLOPE_ROWS // 2].mean())
+    after = float(slopes[end - SLOPE_ROWS : end].mean())
     level = min(before, after)
-    hole, jerk = 0.0, 0.0
-    for row in range(first, end):
-        hole = max(hole, level - slopes[row])
-        jerk = max(jerk, abs(slopes[row] - slopes[row - JERK_ROWS]) / (JERK_ROWS * GRID_S))
-    return (np.nan, np.nan, np.nan) if math.isnan(level) else (hole, jerk, max(abs(before), abs(after)))
+    if math.isnan(level + after):
+        return math.nan, math.nan, math.nan
+    rises = np.abs(slopes[first:end] - slopes[first - JERK_ROWS : end - JERK_ROWS])
+    hole, jerk = float(np.nanmax(level - slopes[first:end])), float(np.nanmax(rises)) / (JERK_ROWS * GRID_S)
+    return max(hole, 0.0), jerk, max(abs(before), abs(after))
 
 
 @array_kernel
@@ -250,27 +222,21 @@ def _loads_told(
     return tie_up, energy_on, energy_off, peak_on_k, peak_off_k if is_handover else np.nan
 
 
-@array_kernel
-def _map_told(rows: FloatArray, stop: int) -> tuple[float, float]:
+def _map_told(command_pa: FloatArray, asked_nm: FloatArray) -> tuple[float, float]:
     """Return the pressure at which the control believes that the clutch carries nothing [Pa], and its deviation."""
-    command, asked = rows[COMMAND], rows[ASKED]
-    count, x1, x2, y1, y2, xy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for row in range(1, stop - 1):
-        is_steady = abs(asked[row + 1] - asked[row - 1]) < 15.0  # commands of two messages, a row apart
-        if is_steady and asked[row] > ASKED_NM and asked[row - 1] > ASKED_NM and asked[row + 1] > ASKED_NM:
-            count, x1, y1 = count + 1, x1 + asked[row], y1 + command[row]
-            x2, y2, xy = x2 + asked[row] ** 2, y2 + command[row] ** 2, xy + asked[row] * command[row]
-    if count < LEAST_PAIRS:
-        return np.nan, np.nan
-    x1, y1 = x1 / count, y1 / count
-    across = x2 / count - x1 * x1
+    before, here, after = asked_nm[:-2], asked_nm[1:-1], asked_nm[2:]
+    is_steady = np.abs(after - before) < 15.0  # commands of two messages, a row apart
+    is_told = is_steady & (np.minimum(np.minimum(before, after), here) > ASKED_NM)
+    x, y = here[is_told], command_pa[1:-1][is_told]
+    across = float(x.var()) if len(x) >= LEAST_PAIRS else 0.0
     if not across > 100.0:  # 10 N m
-        return np.nan, np.nan
-    slope = (xy / count - x1 * y1) / across
-    rms = math.sqrt(max(y2 / count - y1 * y1 - slope * slope * across, 0.0))
+        return math.nan, math.nan
+    slope = float((x - x.mean()) @ y) / len(x) / across
+    rms = math.sqrt(max(float(y.var()) - slope * slope * across, 0.0))
     if rms > MAP_PA:
-        return np.nan, np.nan
-    return y1 - slope * x1, rms * math.sqrt((1.0 + x1 * x1 / across) / count) + 500.0  # half a step of the command
+        return math.nan, math.nan
+    std = rms * math.sqrt((1.0 + float(x.mean()) ** 2 / across) / len(x))
+    return float(y.mean()) - slope * float(x.mean()), std + 500.0  # half a step of the command
 
 
 @array_kernel
@@ -296,42 +262,35 @@ def _fill_told(
     return 1.0 - max(short_pa, 0.0) / stroke_pa, pulse * GRID_S / max(at_end, LEAST_FILLED), pulse * GRID_S, 0.0
 
 
-@array_kernel
 def response_told(rows: FloatArray, first: int, stop: int, touch_pa: float) -> tuple[float, float, float]:
     """Return how the pressure of a closed clutch follows its command: lag [s], ratio, and what the highest lacks [Pa].
 
     By least squares: the pressure is a part of the command and of its slope.
     """
-    command, pressure = rows[COMMAND], rows[PRESSURE_ON]
-    n, c1, d1, cc, cd, dd, p1, pc, pd, top, top_row = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1
-    for row in range(first + 2, min(stop + 8, len(command) - 2)):
-        here = command[row] - touch_pa
-        least = min(command[row - 2], command[row + 2]) - touch_pa
-        if not (least > PULSE_PA and pressure[row - 2] > touch_pa + LOADED_PA and pressure[row] > touch_pa + LOADED_PA):
-            continue
-        slope, read = (command[row + 1] - command[row - 1]) / (2.0 * GRID_S), pressure[row] - touch_pa
-        n, c1, d1, p1 = n + 1, c1 + here, d1 + slope, p1 + read
-        cc, cd, dd = cc + here * here, cd + here * slope, dd + slope * slope
-        pc, pd = pc + read * here, pd + read * slope
-        if here > top:
-            top, top_row = here, row
-    if n < LEAST_PAIRS:
-        return np.nan, np.nan, np.nan
-    cc, cd, dd, pc, pd = cc - c1 * c1 / n, cd - c1 * d1 / n, dd - d1 * d1 / n, pc - p1 * c1 / n, pd - p1 * d1 / n
+    command, pressure = rows[COMMAND] - touch_pa, rows[PRESSURE_ON] - touch_pa
+    at = np.arange(first + 2, min(stop + 8, len(command) - 2))
+    is_closed = (pressure[at - 2] > LOADED_PA) & (pressure[at] > LOADED_PA)
+    at = at[is_closed & (np.minimum(command[at - 2], command[at + 2]) > PULSE_PA)]
+    if len(at) < LEAST_PAIRS:
+        return math.nan, math.nan, math.nan
+    by = np.stack([command[at], (command[at + 1] - command[at - 1]) / (2.0 * GRID_S)])
+    by -= by.mean(axis=1, keepdims=True)
+    (cc, cd), (_, dd) = (by @ by.T).tolist()
+    pc, pd = (by @ pressure[at]).tolist()
     whole = cc * dd - cd * cd
-    if whole <= 0.0:
-        return np.nan, np.nan, np.nan
+    if not whole > 0.0:
+        return math.nan, math.nan, math.nan
     reach, by_slope = (pc * dd - pd * cd) / whole, (pd * cc - pc * cd) / whole
-    stays = min(top_row + 4, len(pressure) - 3)
-    return -by_slope / reach, reach, top - (_mean(pressure, stays - 2, stays + 3) - touch_pa)
+    top = int(at[command[at].argmax()])
+    stays = min(top + 4, len(pressure) - 3)
+    return -by_slope / reach, reach, float(command[top] - pressure[stays - 2 : stays + 3].mean())
 
 
-@array_kernel
 def quality_told(
     rows: FloatArray,
     first: int,
     stop: int,
-    is_handover: bool,  # noqa: FBT001 - a compiled function
+    is_handover: bool,  # noqa: FBT001 - handed on to compiled functions
     skew_s: float,
     touch_pa: tuple[float, float],
     packs: tuple[tuple[float, float, float], tuple[float, float, float]],
@@ -339,24 +298,18 @@ def quality_told(
     heat: tuple[float, float, float, float],
 ) -> tuple[float, ...]:
     """Return the fields of `_Found`; the event lasts from row ``first`` to before ``stop``."""
-    flare, locked_s, lock_rate = _speeds_told(rows, first, stop, is_handover, skew_s)
-    _differentiate(rows[CAR], rows[SLOPE])
-    hole, jerk, acceleration = _car_told(rows[SLOPE], first, stop)
-    tie_up, energy_on, energy_off, peak_on, peak_off = _loads_told(
-        rows, first, stop, is_handover, touch_pa, packs, heat
-    )
-    believed, believed_std = _map_told(rows, stop)
-    share, fill_s, pulse_s, early_s = _fill_told(rows, first, stop, touch_pa[0], stroke_pa)
     return (
-        flare, locked_s, lock_rate, hole, jerk, acceleration, tie_up, energy_on, energy_off, peak_on, peak_off,
-        believed, believed_std, share, fill_s, pulse_s, early_s,
-    )  # fmt: skip
+        *_speeds_told(rows, first, stop, is_handover, skew_s),
+        *_car_told(_slopes(rows[CAR]), first, stop),
+        *_loads_told(rows, first, stop, is_handover, touch_pa, packs, heat),
+        *_map_told(rows[COMMAND, :stop], rows[ASKED, :stop]),
+        *_fill_told(rows, first, stop, touch_pa[0], stroke_pa),
+        *response_told(rows, first, stop, touch_pa[0]),
+    )
 
 
 def compile_indices() -> None:
     """Have everything compiled before the first shift comes: it must not wait for it."""
     fit_slopes(np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(1))
-    fit_ratio(np.ones(1), np.ones(1), np.ones(1))
     stuck_rows(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_), 0.0)
     largest_swing(np.zeros(1), np.zeros(1))
-    pick_asked(np.zeros(1), np.zeros(1), np.zeros(1), False, np.empty(1), np.empty(1, np.int64))

@@ -145,8 +145,8 @@ class ShiftScorer:
         nothing = np.full((loops.ROW_COUNT, 30), np.nan)
         none, pack = (0.0, 0.0), (0.0, 1.0, 0.0)
         loops.quality_told(nothing, 15, 20, True, 0.0, none, (pack, pack), 1.0, _NO_HEAT)  # compiled before events
-        loops.response_told(nothing, 15, 20, 0.0)
 
+    @np.errstate(over="ignore", invalid="ignore")  # a damaged value of a log may be any number
     def score(self, event: Event, known: Knowledge | None, warm: PackTemperatures | None = None) -> ShiftQuality | None:
         """Return how well an event went; None if the stream broke off.
 
@@ -187,8 +187,9 @@ class ShiftScorer:
                 age_s = (event.start_ns - warm.at_ns) / NS_PER_S
                 heat = oil_k, warm.clutch_k[on], warm.clutch_k[off], age_s
         stroke_pa = packs[0].stroke_pa
-        parts = loops.quality_told(rows, first, stop, on != off, skew_s, touch_pa, (on_pack, off_pack), stroke_pa, heat)
-        found = _Found._make((*parts, *loops.response_told(rows, first, stop, touch_pa[0])))
+        found = _Found._make(
+            loops.quality_told(rows, first, stop, on != off, skew_s, touch_pa, (on_pack, off_pack), stroke_pa, heat)
+        )
         errors = {} if known is None else self._control_errors(on, found, touch_pa[0], known)
         return _judged(event, found, errors, packs, is_second=on == 1)
 
@@ -336,6 +337,7 @@ class _Grid(NamedTuple):
     clutch: int  # that of the gear
 
 
+@np.errstate(over="ignore", invalid="ignore")  # likewise
 def measure(event: Event, calibration: Calibration) -> ShiftIndices:
     """Return the indices of a shift as far as its signals go."""
     is_complete = event.end_reason is EndReason.COMPLETE and event.end_ns > event.start_ns
@@ -411,12 +413,12 @@ def _torque_capacity(grid: _Grid, slip_rad_s: FloatArray, calibration: Calibrati
     engine_nm = grid.values.get(Signal.ENGINE_TORQUE)
     if asked is None or engine_nm is None or Signal.ENGINE_SPEED not in grid.event.columns:
         return None
-    asked_nm, rows = np.empty(len(slip_rad_s)), np.empty(len(slip_rad_s), np.int64)
-    count = loops.pick_asked(slip_rad_s, *asked, asked_nm, rows)
-    if count * INDEX_GRID_S < MIN_WINDOW_S:
+    on_nm, off_nm, is_signed = asked
+    rows = np.flatnonzero(loops.asked_alone(slip_rad_s, on_nm, off_nm))
+    if len(rows) * INDEX_GRID_S < MIN_WINDOW_S:
         return None
-    asked_nm, rows = asked_nm[:count], rows[:count]
-    speed, accelerations = grid.event.columns[Signal.ENGINE_SPEED], np.zeros(count)
+    asked_nm = on_nm[rows] if is_signed else on_nm[rows] * np.where(slip_rad_s[rows] > 0.0, 1.0, -1.0)
+    speed, accelerations = grid.event.columns[Signal.ENGINE_SPEED], np.zeros(len(rows))
     loops.fit_slopes((speed.t_ns - grid.event.start_ns) / NS_PER_S, speed.value, grid.t_s[rows], accelerations)
     inertia_nm = calibration.input_side.engine_inertia_kg_m2 * accelerations
     by_engine, by_offset, by_inertia, scatter = loops.fit_ratio(asked_nm, engine_nm[rows], inertia_nm)

@@ -356,6 +356,7 @@ class QualityBasis:
     torque: TorqueSource = TorqueSource.MEASURED
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a damaged value of a log may be any number
 def data_quality(event: Event, basis: QualityBasis, limits: QualityLimits = LIMITS) -> DataQuality:
     """Return how far the data of a shift can be believed."""
     numbered = _numbered(event.columns)
