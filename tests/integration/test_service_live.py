@@ -179,7 +179,7 @@ def test_the_bus_may_come_from_the_environment(tmp_path: Path, bus: UdpBus) -> N
         (("-i", INTERFACE, "-c", "not a group"), 3, "not a group"),
         (("-i", INTERFACE, "-b", "-5"), 2, "bit rate"),
         (("-i", INTERFACE, "--duration", "-1"), 2, "duration"),
-        (("-i", INTERFACE, "--duration", "soon"), 2, "invalid float"),
+        (("-i", INTERFACE, "--duration", "soon"), 2, "not a valid float"),
     ],
 )
 def test_a_bus_that_cannot_be_used_is_told_in_one_line(

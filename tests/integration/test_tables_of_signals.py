@@ -59,7 +59,7 @@ def near(value: object) -> object:
     return pytest.approx(value, rel=1e-6, abs=1e-12) if isinstance(value, float) else value
 
 
-@pytest.mark.parametrize("suffix", ["csv", "parquet", "arrows", "mf4"])
+@pytest.mark.parametrize("suffix", ["csv", "parquet", "arrows"])
 def test_a_table_gives_what_its_frames_give(log: Path, profile: Path, suffix: str) -> None:
     table = log.with_suffix(f".{suffix}")
     run = ended("decode", log, "-o", table, "--layout", "wide", "--force")
