@@ -16,7 +16,7 @@ from canlog.database.misreadings import bare, check_sizes, line_of, misreadings
 from canlog.errors import NOTICE, DefinitionError
 from canlog.files import read_small_file
 
-MAX_FILE_BYTES: Final = 32 * 2**20  # the largest public databases have about 5 MB as DBC, some more as ARXML
+MAX_FILE_BYTES: Final = 16 * 2**20  # the largest public ones have 5 MB; parsing takes up to 70 times the memory
 MAX_WARNINGS: Final = 20
 HEAD_CHARACTERS: Final = 65_536  # a file says what it is in its beginning
 
