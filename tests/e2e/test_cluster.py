@@ -13,9 +13,9 @@ from diag_service.service.stopping import Controls
 from tests.plugins.drives import SHIFT_COUNT
 from tests.support.certificates import certify, tls_words
 from tests.support.cluster import Cluster
+from tests.support.folders import fill_folder
 from tests.support.patience import HANG_S
 from tests.support.s3 import BUCKET, in_environment, s3_environment, s3_server, store
-from tests.tools.folders import fill_folder
 
 ONE_DEATH = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}  # of a worker is enough to blame its log
 

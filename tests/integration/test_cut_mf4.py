@@ -1,6 +1,5 @@
 """MF4 recordings that were not closed or are cut, as asammdf completes them: a beginning that is told, or none."""
 
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -120,10 +119,3 @@ def test_a_file_that_ends_before_its_records_is_one_clear_error(plain: Path, tmp
     for cut in (63, 64, 100, 500, recording.data_at // 2, recording.data_at, recording.data_at + 24):
         with pytest.raises(SourceError, match=r"damaged|no CAN frame"):
             read(recording.contents[:cut], tmp_path)
-
-
-def test_cuts_are_at_many_kinds_of_places(plain: Path) -> None:
-    for layout in Layout:
-        recording = laid_out(plain, layout, is_sorted=True, is_finished=True)
-        assert len(cuts(recording)) >= (2 if layout is Layout.ZIPPED else 5)
-        assert all(first <= second for first, second in pairwise(recording.record_ends))

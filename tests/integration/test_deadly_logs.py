@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from tests.plugins.drives import SHIFT_COUNT
+from tests.support.folders import fill_folder
 from tests.support.patience import HANG_S
 from tests.support.service import environment
-from tests.tools.folders import fill_folder
 
 
 @pytest.mark.slow

@@ -6,10 +6,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import cantools
 import pyarrow.parquet as pq
 import pytest
-from cantools.database.can import Database
 
 from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import IncompleteError, StoppedError
@@ -130,16 +128,6 @@ def test_nothing_is_proposed_where_an_identifier_fits_or_testers_speak(
 
 
 STATE_LOG = log_of("100#00000000", "100#09640000", "100#0AFFFF00", "100#07FEFF00", "100#0B010000")
-
-
-def test_no_text_of_a_value_table_and_no_range_removes_a_value(tmp_path: Path) -> None:
-    rows = decoded(tmp_path, STATES, STATE_LOG)
-    database = cantools.database.load_string(STATES, "dbc")
-    assert isinstance(database, Database)
-    for row, line in zip(rows, STATE_LOG.splitlines(), strict=True):
-        wanted = database.decode_message(0x100, bytes.fromhex(line.split("#")[1]), decode_choices=False)
-        assert isinstance(wanted, dict)
-        assert {name: row[f"Brake.{name}"] for name in wanted} == wanted
 
 
 def test_named_states_stand_beside_the_numbers(tmp_path: Path) -> None:

@@ -16,8 +16,8 @@ from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import ConfigError, StoreError
 from diag_service.service.stopping import Controls
 from tests.plugins.drives import SHIFT_COUNT
+from tests.support.folders import fill_folder, kill_and_resume
 from tests.support.in_process import ended as run
-from tests.tools.folders import fill_folder, kill_and_resume
 
 LOG_COUNT = 5
 

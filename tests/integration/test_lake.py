@@ -28,8 +28,8 @@ from diag_service.service.stopping import Controls
 from diag_service.settings.config import DiagnosisConfig
 from tests.plugins.drives import SHIFT_COUNT
 from tests.support.documents import page_text
+from tests.support.folders import fill_folder
 from tests.support.s3 import BUCKET, in_environment, s3_environment, s3_server, store
-from tests.tools.folders import fill_folder
 
 CONFIG = DiagnosisConfig(vehicle="vehicle", calibration=nominal_calibration())
 SIGNALS = "EngineSpeed,*Temperature*"

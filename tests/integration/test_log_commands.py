@@ -7,11 +7,9 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import cantools
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from cantools.database.can import Database
 
 from canlog.column_files import TableFormat
 from canlog.errors import DefinitionError, OutputError, SourceError
@@ -24,8 +22,6 @@ from diag_service.errors import ConfigError
 from diag_service.mapping.profile import load_profile
 from diag_service.mapping.tiers import tier_of
 from diag_service.service.stopping import Controls
-from tests.support.in_process import ended as run
-from tests.support.service import service
 
 FRAME_COUNT = 1000
 
@@ -68,12 +64,6 @@ def test_inspect_tells_what_is_on_the_bus_and_what_is_wrong(
     assert 0.2 < record["bus_load_ratio"] < 0.4  # 621 frames a second
 
 
-def test_inspect_as_a_process(short_log: Path, tmp_path: Path) -> None:
-    ended = run("inspect", short_log)
-    assert (ended.status, ended.err) == (0, "")
-    assert "TCU_Pressures" in ended.out
-
-
 def test_signals_proposes_a_profile_that_works(
     drive_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -87,38 +77,6 @@ def test_signals_proposes_a_profile_that_works(
     assert tier_of(proposed.keys()) == 1
     assert proposed == {signal: ours[signal] for signal in proposed}  # each line is the right one
     assert Signal.CLUTCH_TORQUE not in proposed
-
-
-def expected_values(log: Path) -> dict[tuple[int, str], float]:
-    """Return every value as cantools decodes it, by frame and signal."""
-    database = cantools.database.load_file(DBC_PATH)
-    assert isinstance(database, Database)
-    values: dict[tuple[int, str], float] = {}
-    for row, line in enumerate(log.read_text(encoding="ascii").splitlines()):
-        identifier, payload = line.split()[2].split("#")
-        message = database.get_message_by_frame_id(int(identifier, 16))
-        decoded = message.decode(bytes.fromhex(payload), decode_choices=False)
-        assert isinstance(decoded, dict)
-        values |= {(row, f"{message.name}.{name}"): float(str(value)) for name, value in decoded.items()}
-    return values
-
-
-def test_decode_wide_holds_what_cantools_decodes(short_log: Path, tmp_path: Path) -> None:
-    output = tmp_path / "out.parquet"
-    execute("decode", short_log, "-o", output)
-    table = pq.read_table(output)
-    assert table.num_rows == FRAME_COUNT
-    assert table.schema.field("TCU_Pressures.Clutch1Pressure").metadata == {b"unit": b"bar"}
-    assert str(table.schema.field("time").type) == "timestamp[ns, tz=UTC]"
-    found = {
-        (row, name): value
-        for name in table.column_names
-        if "." in name
-        for row, value in enumerate(table.column(name).to_pylist())
-        if value is not None
-    }
-    assert found == expected_values(short_log)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.parquet", "short.log"]
 
 
 def test_row_groups_are_small_whatever_the_log(short_log: Path, tmp_path: Path) -> None:
@@ -145,13 +103,6 @@ def test_what_cannot_be_done_is_told(
 ) -> None:
     with pytest.raises(error, match=re.escape(text)):
         execute(*(argument.format(log=short_log, tmp=tmp_path) for argument in arguments))
-
-
-def test_decode_without_pyarrow_says_what_to_install(short_log: Path, tmp_path: Path) -> None:
-    program = "import sys; sys.modules['pyarrow'] = None; from diag_service.cli import main; sys.exit(main())"
-    arguments = ("decode", short_log, "-o", tmp_path / "o.parquet")
-    with service(tmp_path / "run", *arguments, program=(sys.executable, "-c", program)) as running:
-        running.wait().assert_one_line(2, "pip install '.[parquet]'")
 
 
 def test_what_reads_mf4_loads_nothing_that_is_not_needed(drive_log: Path, tmp_path: Path) -> None:

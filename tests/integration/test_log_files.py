@@ -14,10 +14,9 @@ from canlog.errors import SourceError
 from canlog.frames import join
 from canlog.logs import LogFormat, read_log
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.errors import RecordError
 from ecu_emulator.log_formats.record import open_log
-from tests.support.traffic import START_NS, as_received, assert_same, assert_same_contents, random_frames
+from tests.support.traffic import START_NS, as_received, assert_same, random_frames
 
 SUFFIXES = {
     LogFormat.CANDUMP: ".log",
@@ -73,37 +72,12 @@ def test_python_can_reads_what_is_written(shared_format: LogFormat, tmp_path: Pa
     assert np.array_equal(ids, FRAMES.can_id)
 
 
-def test_what_python_can_writes_is_read(shared_format: LogFormat, tmp_path: Path) -> None:
-    log_format = shared_format
-    path = tmp_path / f"drive{SUFFIXES[log_format]}"
-    frames = FRAMES[:2_000]
-    # python-can's ASC files keep the start to the millisecond only, and only if its digits need no leading zero.
-    start_ns = START_NS // 10**9 * 10**9 if log_format is LogFormat.ASC else START_NS
-    t_ns = as_received(frames, start_ns).t_ns - int(frames.t_s[0] * 1e6) * 1000
-    with can.Logger(path) as logger:
-        for message, t in zip(to_messages(frames), t_ns, strict=True):
-            message.timestamp = float(t) / 1e9
-            logger.on_message_received(message)
-    reader = read_log(path)
-    batch = join(list(reader))
-    assert_same_contents(batch, as_received(frames))
-    assert np.array_equal(batch.t_ns, t_ns)
-    assert not reader.counts.rejected
-
-
 def test_the_same_frames_give_the_same_file(log_format: LogFormat, tmp_path: Path) -> None:
     first, second = (record(tmp_path / f"{name}{SUFFIXES[log_format]}", FRAMES[:500]) for name in "ab")
     if log_format is LogFormat.MF4:  # asammdf notes in the file when it was written
         assert_same(list(read_log(first)), join(list(read_log(second))))
     else:
         assert first.read_bytes() == second.read_bytes()
-
-
-def test_contents_decide_not_the_name(log_format: LogFormat, tmp_path: Path) -> None:
-    path = record(tmp_path / f"drive{SUFFIXES[log_format]}", FRAMES[:100]).rename(tmp_path / "drive.bin")
-    reader = read_log(path)
-    reader.close()
-    assert reader.format is log_format
 
 
 @pytest.mark.parametrize(

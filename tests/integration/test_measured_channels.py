@@ -152,29 +152,6 @@ def test_signals_that_were_decoded_of_a_bus_are_channels(tmp_path: Path) -> None
     assert found["EngineSpeed"] == (np.arange(50.0).tolist(), (10_000 * np.arange(50)).tolist())
 
 
-@pytest.mark.parametrize("layout", Layout)
-@pytest.mark.parametrize("is_sorted", [True, False])
-def test_a_finished_file_is_read_whole_and_a_cut_one_is_refused_or_told(
-    tmp_path: Path, layout: Layout, is_sorted: bool
-) -> None:
-    whole, path = tmp_path / "whole.mf4", tmp_path / "cut.mf4"
-    written(whole, GROUPS[:1], compression=0)
-    recording = laid_out(whole, layout, is_sorted=is_sorted, is_finished=True)
-    path.write_bytes(recording.contents)
-    reader, found = values(path)
-    assert {len(own) for own, _ in found.values()} == {len(FAST_S)}
-    assert not reader.counts.truncated
-    path.write_bytes(recording.contents[: int(recording.record_ends[1000]) - 5])
-    try:
-        reader, found = values(path)
-    except SourceError as exc:
-        assert "damaged or cut off" in str(exc)  # noqa: PT017 - either may be
-        return
-    assert reader.counts.truncated
-    own = found["nEng\\ETKC:1"][0]
-    assert own == pytest.approx(np.rint(SPEED / 0.25)[: len(own)] * 0.25, abs=1e-9)
-
-
 @pytest.mark.parametrize("is_sorted", [True, False])
 def test_a_file_that_was_not_closed_tells_every_row_that_is_there(tmp_path: Path, is_sorted: bool) -> None:
     whole, path = tmp_path / "whole.mf4", tmp_path / "cut.mf4"

@@ -12,13 +12,8 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
-from pyarrow import parquet
 
 from dbc.contract import DBC_PATH
-from diag_service.batch.journal import Entry
-from diag_service.batch.tables import write_results
-from diag_service.diagnosis.records import shift_record
-from tests.support.builders import shift_result
 from tests.support.patience import HANG_S
 
 ODD = b"log\xe9-\xff[b]"  # Latin-1, no text at all, and what looks like rich's markup
@@ -128,16 +123,6 @@ def test_the_longest_names_will_do(command: str, odd: Path) -> None:
     output = odd / ("n" * 251 + ".csv")
     told = run("diag_service", command, odd / odd_name(".log"), "--dbc", DBC_PATH, "-o", output, cwd=odd)
     assert (told.status, output.is_file()) == (0, True)
-
-
-@pytest.mark.parametrize("suffix", [".jsonl", ".csv", ".parquet"])
-def test_every_kind_of_table_takes_such_names(odd: Path, suffix: str) -> None:
-    output = odd / odd_name(suffix)
-    drive: dict[str, object] = {"paths": ["log\udce9.log"]}
-    write_results(output, [Entry(key="1", drive=drive, shifts=(shift_record(shift_result(1)),))])
-    content = output.read_bytes()
-    text = str(parquet.read_table(io.BytesIO(content))) if suffix == ".parquet" else content.decode()
-    assert "\\xe9.log" in text
 
 
 def odd_text(folder: Path) -> str:

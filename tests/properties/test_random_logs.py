@@ -1,18 +1,33 @@
-"""Any frames in any format, by writers that are not ours: frames, times, channels, directions, flags and counts."""
+"""Any frames in any format, by writers that are not ours: frames, times, channels, directions, flags and counts.
 
+And such logs changed anywhere: reading ends in frames by the columns' rules, in counts of every line, or in one error.
+"""
+
+import io
+import struct
+import tempfile
+import zlib
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
+from canlog.errors import SourceError
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch, join
 from canlog.logs import read_log
+from canlog.logs.detection import TEXT_LOGS
 from canlog.logs.log_counts import LogCounts
+from canlog.logs.text_kernels import IS_LENGTH
+from canlog.logs.text_log import LOOK_AHEAD_BYTES, ends_by_returns
+from tests.support import measurements
 from tests.support.capture_grammars import CAPTURE_GRAMMARS
 from tests.support.log_grammars import CODE_OF_LENGTH, GRAMMARS, PACKERS, Frame, Grammar
 from tests.support.wild_grammars import CONSOLE_GAPS, WILD_GRAMMARS
@@ -113,3 +128,106 @@ def test_gaps_between_frames_are_added_up(drawn: list[Frame]) -> None:
     assert rows(batch, CONSOLE_GAPS) == [row(frame, CONSOLE_GAPS) for frame in written]
     assert reader.counts == LogCounts(frames=len(written), skipped=0, notes=reader.counts.notes)
     assert "candump -t d" in reader.counts.notes[0]
+
+
+CONTAINER = struct.Struct("<4sHHLLH6xL4x")
+FORMATS = sorted({name.split(maxsplit=1)[0] for name in ALL_GRAMMARS})
+PARTS = ("blf objects", *(name for name in PACKERS if name != "plain"), "signals", "parquet", "measured")
+SIGNALS = (
+    b"Time [ms],Speed [rpm],Cut,Note\n" + b"".join(b"%d,%d.5,on,ok\n" % (37 * row, 900 + row) for row in range(30)),
+    b"a recorder\nZeit;Druck\ns;kPa\n" + b"".join(b"%d,5;%d,86\n" % (row, row) for row in range(30)),
+    b"Time\tA\tA\n" + b"".join(b'23:59:%02d\t"%d"\t\n' % (row, row) for row in range(30)),
+)
+ALPHABET = st.sampled_from(b"0123456789ABCDEFabcdefx#()., \t\r\n;*:-_=TRrd$\0\xff").map(lambda value: bytes([value]))
+
+
+def written(name: str) -> bytes:
+    """Return a log of a few frames of every kind."""
+    grammar = ALL_GRAMMARS[name]
+    kinds = [
+        Frame(t_us=9_000 * number, can_id=0x123 + number, is_extended=number % 2 == 1, length=length, is_fd=length > 8,
+              data=bytes(range(length)), is_remote=number == 5, is_error=number == 6, channel=number % 3)
+        for number, length in enumerate((0, 3, 8, 12, 64, 2, 8, 8))
+    ]  # fmt: skip
+    with tempfile.NamedTemporaryFile(suffix=f".{name.split(maxsplit=1)[0]}") as file:
+        grammar.write(Path(file.name), [grammar.sayable(frame) for frame in kinds])
+        return Path(file.name).read_bytes()
+
+
+@cache
+def sounds(name: str) -> tuple[bytes, ...]:
+    """Return sound files of a format, of a packer, or of signals."""
+    if name in FORMATS:
+        return tuple(written(one) for one in ALL_GRAMMARS if one.split(maxsplit=1)[0] == name)
+    if name in PACKERS:
+        return (PACKERS[name](written("candump")),)
+    if name == "blf objects":  # as BLF stores them unpacked
+        log = written("blf")
+        objects = zlib.decompress(log[144 + CONTAINER.size : 144 + CONTAINER.unpack_from(log, 144)[3]])
+        head = CONTAINER.pack(b"LOBJ", 16, 1, CONTAINER.size + len(objects), 10, 0, len(objects))
+        return (log[:144] + head + objects,)
+    if name == "parquet":
+        out = io.BytesIO()
+        pq.write_table(pa.table({"t_s": np.arange(40) / 50.0, "Speed": np.arange(40.0)}), out)
+        return (out.getvalue(),)
+    if name == "measured":
+        times_s = np.arange(10) / 10.0
+        with tempfile.NamedTemporaryFile(suffix=".mf4") as file:
+            heat = measurements.Measured("Heat", "degC", 80.0 + times_s, invalid=times_s > 0.5)
+            measurements.written(Path(file.name), [(times_s, [heat])])
+            return (Path(file.name).read_bytes(),)
+    return SIGNALS
+
+
+def altered(sound: bytes) -> st.SearchStrategy[bytes]:
+    """Return logs of pieces of a sound one, of characters of the grammars, and of anything."""
+    lines = st.sampled_from(sound.splitlines(keepends=True))
+    places = st.tuples(st.integers(0, len(sound)), st.integers(0, 200))
+    pieces = places.map(lambda place: sound[place[0] : place[0] + place[1]])
+    mixed = st.lists(st.one_of(lines, pieces, ALPHABET, st.binary(max_size=40)), max_size=30).map(b"".join)
+    changes = st.lists(st.tuples(st.integers(0, len(sound) - 1), st.integers(0, 255)), max_size=8)
+    return st.one_of(
+        mixed, mixed.map(lambda rest: sound[:200] + rest), changes.map(lambda found: changed(sound, found))
+    )
+
+
+def changed(sound: bytes, changes: list[tuple[int, int]]) -> bytes:
+    """Return a log with some of its bytes changed."""
+    found = bytearray(sound)
+    for place, value in changes:
+        found[place] = value
+    return bytes(found)
+
+
+@pytest.mark.parametrize("name", [*FORMATS, *PARTS])
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data())
+def test_what_is_changed_anywhere_ends_in_frames_counts_or_one_error(name: str, data: st.DataObject) -> None:
+    text = data.draw(st.one_of([altered(one) for one in sounds(name)]))
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "drive"
+        path.write_bytes(text)
+        try:
+            reader = read_log(path)
+            batches = list(reader)
+        except SourceError as error:
+            refusal = str(error)
+        else:
+            refusal = ""
+    assert "\n" not in refusal
+    if refusal:
+        return
+    for batch in batches:
+        assert (batch.t_ns % 1000 == 0).all()
+        assert IS_LENGTH[batch.length].all()
+        assert ((batch.length <= 8) | (batch.flags & FD_FLAG != 0)).all()
+        is_standard = (batch.can_id & np.uint32(EXTENDED_FLAG | ERROR_FLAG)) == 0
+        assert ((batch.can_id & np.uint32(0x1FFF_FFFF))[is_standard] <= 0x7FF).all()
+        assert not batch.data[np.arange(batch.width) >= batch.length[:, None]].any()
+    counts = reader.counts
+    assert sum(len(batch) for batch in batches) == counts.frames
+    if reader.format in TEXT_LOGS and name not in PACKERS:
+        whole = (text.replace(b"\r", b"\n") if ends_by_returns(text[:LOOK_AHEAD_BYTES]) else text).count(b"\n")
+        accounted = counts.frames + counts.skipped + sum(counts.rejected.values())
+        assert whole <= accounted
+        assert accounted <= whole + 1 or counts.notes  # a line of several frames is said

@@ -1,7 +1,6 @@
 """Compiled signals decode to the same bits as cantools; what is no measurement is marked."""
 
 import math
-from typing import Final
 
 import cantools
 import numpy as np
@@ -21,13 +20,6 @@ from tests.support.wire import CONTRACTS, DATABASE
 UInt8Array = npt.NDArray[np.uint8]
 
 payloads = hnp.arrays(np.uint8, st.tuples(st.integers(1, 12), st.just(8)))
-factors = st.one_of(
-    st.integers(-1000, 1000).filter(bool),
-    st.sampled_from([1, 1.0, 2.0, 0.25, 0.01, 0.4, -0.1, 1e-9, 3]),
-    st.floats(1e-6, 1e6),
-)
-offsets = st.one_of(st.sampled_from([0, -40, 0.0, -273.15, 0.5]), st.integers(-(10**6), 10**6), st.floats(-1e6, 1e6))
-BITS: Final = 64
 
 
 def single(
@@ -51,23 +43,6 @@ def single(
     return Message(0x100, "M", 8, [signal], strict=False)
 
 
-@st.composite
-def layouts(draw: st.DrawFn) -> Message:
-    """Draw a message with one integer or float signal anywhere in it."""
-    is_float = draw(st.booleans())
-    length = draw(st.sampled_from([16, 32, 64]) if is_float else st.integers(1, BITS))
-    start = draw(st.integers(0, BITS - length))
-    return single(
-        start,
-        length,
-        big=draw(st.booleans()),
-        scale=draw(factors),
-        offset=draw(offsets),
-        is_signed=draw(st.booleans()),
-        is_float=is_float,
-    )
-
-
 def expected(message: Message, data: UInt8Array, name: str = "S") -> list[float]:
     """Return what cantools decodes, NaN where the signal is not in the frame."""
     rows = [message.decode(row.tobytes(), decode_choices=False) for row in data]
@@ -85,22 +60,6 @@ def assert_same_bits(actual: npt.NDArray[np.float64], wanted: list[float]) -> No
     is_nan = np.isnan(reference)
     assert np.array_equal(np.isnan(actual), is_nan)
     assert np.array_equal(actual[~is_nan].view(np.uint64), reference[~is_nan].view(np.uint64))
-
-
-@given(layouts(), payloads)
-def test_any_layout_decodes_to_the_bits_of_cantools(message: Message, data: UInt8Array) -> None:
-    decoded = compile_signal(message, message.signals[0]).decode(PayloadWords(data))
-    assert_same_bits(decoded.value, expected(message, data))
-
-
-@pytest.mark.parametrize("name", sorted(CONTRACTS))
-@given(data=payloads)
-def test_own_messages_decode_to_the_bits_of_cantools(name: str, data: UInt8Array) -> None:
-    message = DATABASE.get_message_by_name(name)
-    words = PayloadWords(data)
-    for signal in message.signals:
-        decoded = compile_signal(message, signal).decode(words)
-        assert_same_bits(decoded.value, expected(message, data, signal.name))
 
 
 @pytest.mark.parametrize("name", sorted(CONTRACTS))

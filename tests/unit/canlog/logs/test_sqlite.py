@@ -4,13 +4,11 @@ import sqlite3
 from contextlib import closing
 from pathlib import Path
 
-import can
 import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, join
-from canlog.logs import LogFormat, LogReject, read_log
-from canlog.logs.log_counts import LogCounts
+from canlog.logs import LogReject, read_log
 
 TABLE = "CREATE TABLE messages (ts, arbitration_id, extended, remote, error, dlc, data)"
 ENDLESS_VIEW = (
@@ -26,24 +24,6 @@ def database(path: Path, *rows: tuple[object, ...], table: str = TABLE) -> Path:
         connection.executemany("INSERT INTO messages VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
         connection.commit()
     return path
-
-
-def test_what_python_can_writes_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "drive.db"
-    with can.Logger(path) as logger:
-        for index in range(100):
-            logger.on_message_received(
-                can.Message(timestamp=1.7e9 + index / 1000, arbitration_id=index, is_extended_id=index % 2 == 1,
-                            data=bytes(range(index % 9)))
-            )  # fmt: skip
-    reader = read_log(path)
-    assert reader.format is LogFormat.SQLITE
-    batch = join(list(reader))
-    assert batch.t_ns.tolist() == [1_700_000_000_000_000_000 + index * 1_000_000 for index in range(100)]
-    assert batch.can_id.tolist() == [index | EXTENDED_FLAG * (index % 2) for index in range(100)]
-    assert batch.length.tolist() == [index % 9 for index in range(100)]
-    assert batch.data[8].tobytes() == bytes(range(8))
-    assert reader.counts == LogCounts(frames=100)
 
 
 def test_kinds_of_frames(tmp_path: Path) -> None:
@@ -98,25 +78,3 @@ def test_a_database_without_the_table_is_one_clear_error(statement: str, tmp_pat
         connection.commit()
     with pytest.raises(SourceError, match="SQLite"):
         list(read_log(path))
-
-
-@pytest.mark.parametrize("place", range(150, 40_000, 3_301))
-def test_a_damaged_page_ends_the_reading_and_is_counted(place: int, tmp_path: Path) -> None:
-    path = database(tmp_path / "drive.db", *[GOOD] * 2_000)
-    contents = bytearray(path.read_bytes())
-    contents[place : place + 64] = b"\xff" * 64
-    path.write_bytes(contents)
-    found, error = frames_or_error(path)
-    assert found <= 2_000
-    assert found >= 1_700 or error
-
-
-def frames_or_error(path: Path) -> tuple[int, str]:
-    """Return how many frames came out, and what was said of the rest."""
-    reader = None
-    try:
-        reader = read_log(path)
-        found = sum(len(batch) for batch in reader)
-    except SourceError as exc:
-        return 0, str(exc)
-    return found, reader.counts.first_rejected

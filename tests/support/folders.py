@@ -1,28 +1,19 @@
-"""A folder of logs, analysed by several processes, killed half-way and started again: no file twice, none missing.
+"""A folder of logs, analysed by several processes, killed half-way and started again: no file twice, none missing."""
 
-python -m tests.tools.folders --logs 100 --jobs 2
-"""
-
-import argparse
 import json
 import signal
 import subprocess
-import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import psutil
 
-from tests.plugins.drives import send_time_s
 from tests.support.patience import HANG_S
 from tests.support.service import PROGRAM, environment
 
-RECORD_TIMEOUT_S = 600.0
 POLL_S = 0.02
 
 
@@ -80,33 +71,3 @@ def kill_and_resume(folder: Path, output: Path, *, jobs: int, kill_after: int) -
 
 def _line_count(path: Path) -> int:
     return path.read_bytes().count(b"\n") if path.exists() else 0
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Do it with many logs and print what was found; the status is 0 if every log was analysed exactly once."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--logs", type=int, default=100)
-    parser.add_argument("--jobs", type=int, default=2)
-    options = parser.parse_args(arguments)
-    with TemporaryDirectory() as name:
-        folder = Path(name)
-        log = folder / "cycle.log"
-        command = [sys.executable, "-m", "ecu_emulator", "record", str(log)]
-        subprocess.run(command, check=True, capture_output=True, timeout=RECORD_TIMEOUT_S)
-        lines = log.read_bytes().splitlines(keepends=True)
-        begun_s = send_time_s(lines[0])
-        log.write_bytes(b"".join(line for line in lines if send_time_s(line) < begun_s + 12.0))
-        paths = fill_folder(folder / "logs", log, options.logs)
-        run = kill_and_resume(folder / "logs", folder / "out.jsonl", jobs=options.jobs, kill_after=options.logs // 2)
-    missing = {str(path) for path in paths} - run.files.keys()
-    twice = [path for path, count in run.files.items() if count > 1]
-    repeated = [key for key, count in run.shift_keys.items() if count > 1]
-    print(f"{options.logs} logs, {options.jobs} processes, killed after {run.done_before} were done; then:")
-    print(run.second_stderr.strip())
-    print(f"missing {len(missing)}, twice {len(twice)}, shifts {run.shift_keys.total()}, of them twice {len(repeated)}")
-    print(f"processes that outlived the kill: {run.outlived}")
-    return 1 if missing or twice or repeated or run.outlived else 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

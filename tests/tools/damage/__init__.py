@@ -1,1 +1,0 @@
-"""Damage to recordings, generated, and what the service makes of it."""
