@@ -104,20 +104,6 @@ def test_tables_in_memory_are_those_of_the_file(drive: Path, values: ValuesName)
     pd.testing.assert_frame_equal(frame, pd.read_parquet(output), check_categorical=False)
 
 
-def test_a_table_is_pieced_together(drive: Path) -> None:
-    lines = "".join(
-        f"({1 + number / 1000:.6f}) can0 10{number % 2}#{number % 5:02X}0{number % 7}\n" for number in range(900)
-    )
-    drive.write_text(lines, encoding="ascii")
-    database = canlog.load_database(drive.with_name("car.dbc"))
-    log = canlog.Log([drive], database, max_cells=70)
-    table = log.to_arrow("wide", "texts")
-    assert table.num_rows == 900
-    assert table["message"].num_chunks > 10
-    whole = canlog.read(drive, database)
-    assert log.to_polars("wide", "texts").to_dicts() == whole.to_polars("wide", "texts").to_dicts()
-
-
 def test_a_database_that_matches_nothing_gives_an_empty_table(log: canlog.Log, drive: Path) -> None:
     drive.write_text("(1.000000) can0 7AB#00\n", encoding="ascii")
     other = canlog.read(drive, drive.with_name("car.dbc"))

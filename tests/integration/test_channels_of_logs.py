@@ -93,15 +93,6 @@ def _buses(request: pytest.FixtureRequest, lines: list[bytes], tmp_path_factory:
     ]
 
 
-def test_a_second_log_with_another_channel_contributes(halves: list[Path], lines: list[bytes]) -> None:
-    found = followed(halves)
-    assert not found.rejected
-    assert found.counts.decoded + found.counts.ignored == len(lines)
-    assert len(found.shifts) == 3
-    assert [log.used_channels for log in found.contributions.logs] == [(0,), (1,)]
-    assert not found.contributions.idle
-
-
 def test_buses_recorded_at_the_same_time_both_contribute(buses: list[Path], lines: list[bytes]) -> None:
     found = followed(buses)
     twice = sum(can_id(line) == GATEWAY for line in lines)
@@ -171,20 +162,6 @@ def test_more_logs_than_there_are_channel_numbers(lines: list[bytes], tmp_path: 
     assert not found.rejected
     assert sum(log.frames for log in found.contributions.logs) == 20 * 300
     assert all(log.frames == 20 for log in found.contributions.logs)
-
-
-def test_shares_add_up_to_the_frame(buses: list[Path]) -> None:
-    found = followed(buses)
-    logs = found.contributions.logs
-    assert sum(log.frames for log in logs) == found.counts.on_bus
-    assert sum(log.decoded for log in logs) == found.counts.decoded
-    assert sum(log.ignored for log in logs) == found.counts.ignored
-    for log, path in zip(logs, buses, strict=True):
-        assert log.path == str(path)
-        assert log.frames == len(path.read_bytes().splitlines())
-        assert log.frames == log.decoded + log.ignored + sum(log.rejected.values())
-        for one in log.channels:
-            assert one.frames == one.decoded + one.ignored + sum(one.rejected.values())
 
 
 def test_a_named_channel_that_a_log_lacks_is_said(halves: list[Path]) -> None:

@@ -81,16 +81,6 @@ def test_a_strict_reader_stops_at_the_first_fault_and_says_where(
     assert str(caught.value).count(str(path)) == 1
 
 
-def test_a_strict_reader_stops_where_a_file_is_cut_and_not_at_a_sound_one(tmp_path: Path) -> None:
-    path = tmp_path / "drive.blf"
-    with open_log(path, start_ns=START_NS) as log:
-        log.write(FRAMES)
-    assert_same(list(read_log(path, is_strict=True)), as_received(FRAMES))
-    path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(SourceError, match="cut_off"):
-        list(read_log(path, is_strict=True))
-
-
 def test_logs_that_overlap_are_merged_by_time(tmp_path: Path) -> None:
     paths = [tmp_path / "a.log", tmp_path / "b.blf", tmp_path / "c.asc"]
     rows = [slice(0, 2_000, 2), slice(1, 2_000, 2), slice(2_000, 3_000)]

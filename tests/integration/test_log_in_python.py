@@ -98,12 +98,6 @@ def test_a_lone_pattern_is_one_pattern(drive: Path) -> None:
         canlog.write_table(*paths, canlog.TableChoice(signals="A*"))
 
 
-def test_a_reader_closes_its_file(drive: Path) -> None:
-    with canlog.read_log(drive / "drive.log") as reader:
-        next(reader)
-    assert reader.has_ended
-
-
 def test_frames_are_a_table_without_a_database(drive: Path) -> None:
     table = canlog.read(drive / "drive.log").frames_to_arrow()
     rows = table.to_pylist()

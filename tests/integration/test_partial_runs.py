@@ -83,16 +83,6 @@ def test_an_analysis_that_was_stopped_carries_no_verdict(cycle_log: Path) -> Non
         assert clutch["friction"] is not None
 
 
-def test_people_read_that_an_analysis_was_stopped(cycle_log: Path) -> None:
-    ended = stopped(signal.SIGINT, "analyze", cycle_log)
-    assert ended.status == 130
-    said, table = ended.out.split("condition", 1)
-    assert "stopped early" in said
-    assert "only a part of the drive was seen" in said
-    assert "no verdict" in table
-    assert "good" not in table
-
-
 def test_the_papers_method_marks_what_it_pooled_from_a_part(cycle_log: Path) -> None:
     ended = stopped(signal.SIGINT, "analyze", cycle_log, "--estimator", "paper", "--json")
     pooled = [record for record in ended.records if record["scope"] == "pooled"]

@@ -192,18 +192,6 @@ def test_a_file_may_be_called_so(drive_log: Path, tmp_path: Path, monkeypatch: p
     assert "300 frames" in ended("inspect", "./-").out
 
 
-def test_inspect_and_signals_read_a_pipe(drive_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    content = b"".join(drive_log.read_bytes().splitlines(keepends=True)[:1_000])
-    path = tmp_path / "short.log"
-    path.write_bytes(content)
-    for command in ("inspect", "signals"):
-        file = ended(command, path).out
-        with piped(monkeypatch, [content]):
-            pipe = ended(command, "-").out
-        names = {"inspect": (str(path), "standard input"), "signals": ("short.log", "standard input")}[command]
-        assert pipe == file.replace(*names).replace('name = "short"', 'name = "piped"')
-
-
 @pytest.mark.parametrize("words", [["--format", "blf"], ["--format", "mf4"], ["--json"]])
 def test_what_cannot_go_to_standard_output_is_told(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert emulator.main(["record", "-", *words]) in {2, 4}

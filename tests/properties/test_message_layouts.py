@@ -110,15 +110,3 @@ def test_signals_decode_together_as_each_by_itself(message: Message, seed: int) 
         assert (alone.is_good is None) == (found.is_good is None)
         if alone.is_good is not None and found.is_good is not None:
             assert np.array_equal(alone.is_good, found.is_good)
-
-
-@settings(deadline=None)  # a busy machine is no failure
-@given(messages(), st.integers(0, 2**32))
-def test_classic_rows_and_wide_rows_decode_alike(message: Message, seed: int) -> None:
-    narrow = random_payloads(seed, message.length)
-    wide = np.zeros((ROWS, 64), np.uint8)
-    wide[:, : narrow.shape[1]] = narrow
-    for signal in message_table(message).signals.values():
-        near, far = signal.decode(PayloadWords(narrow)), signal.decode(PayloadWords(wide))
-        assert same_bits(near.value, far.value)
-        assert near.invalid.total == far.invalid.total

@@ -200,7 +200,7 @@ def changed(sound: bytes, changes: list[tuple[int, int]]) -> bytes:
 
 
 @pytest.mark.parametrize("name", [*FORMATS, *PARTS])
-@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_what_is_changed_anywhere_ends_in_frames_counts_or_one_error(name: str, data: st.DataObject) -> None:
     text = data.draw(st.one_of([altered(one) for one in sounds(name)]))

@@ -38,14 +38,12 @@ from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.log_formats.record import DEFAULT_START_NS, open_log
 from ecu_emulator.log_formats.table import TableOptions, write_table
-from tests.support import measurements
 from tests.support.builders import drive_scenario
 from tests.support.capture_grammars import CAPTURE_GRAMMARS
 from tests.support.log_grammars import Frame
 
 DURATION_S: Final = 10.0  # three shifts
 MOST_STD: Final = 4.0  # an estimate may be off, by its own account
-SLOW: Final = 5  # rows of a fast group for one of a slow one
 
 Generator = np.random.Generator
 
@@ -151,28 +149,15 @@ def write_parquet(path: Path, rows: Rows) -> None:
     pq.write_table(pa.table({"Time [s]": rows.times_s} | columns), path)
 
 
-def write_measured(path: Path, rows: Rows) -> None:
-    """Write groups of different rates, as INCA does: the temperature comes seldom."""
-    times_s, groups = rows.times_s - measurements.START.timestamp(), dict[int, list[measurements.Measured]]()
-    for place, (name, unit) in enumerate(rows.heads):
-        every = SLOW if name == "Oil Temperature" else 1
-        values = rows.cells[::every, place]
-        invalid = np.isnan(values) if np.isnan(values).any() else None
-        measured = measurements.Measured(name, unit, np.nan_to_num(values), invalid=invalid)
-        groups.setdefault(every, []).append(measured)
-    measurements.written(path, [(times_s[::every], channels) for every, channels in groups.items()])
-
-
 LOGS: Final[Mapping[str, Callable[[Path, EncodedFrames], None]]] = MappingProxyType({
     ".log": write_recorded, ".asc": write_recorded, ".blf": write_recorded, ".mf4": write_recorded,
     ".log.gz": write_recorded, ".db": write_sqlite, ".pcapng": write_capture,
 })  # fmt: skip
 TABLES: Final[Mapping[str, Callable[[Path, Rows], None]]] = MappingProxyType(
-    {".csv": write_csv, ".parquet": write_parquet, ".measured.mf4": write_measured}
+    {".csv": write_csv, ".parquet": write_parquet}
 )
 TEXTS: Final = frozenset({".log", ".asc"})
 TELL_ANY_CUT: Final = frozenset({".blf", ".log.gz"})  # say how long they are, or have an end of their own
-Damage = Callable[[str, bytes, Generator], Damaged]  # of a suffix and a sound recording
 
 
 def flip_bits(_: str, sound: bytes, rng: Generator) -> Damaged:
@@ -232,10 +217,10 @@ def of_frames(frames: EncodedFrames, jump: tuple[int, int] | None = None) -> Dam
 def taken(suffix: str, rows: Int64Array) -> Damaged:
     """Return some frames, or rows of a table, in the order that is asked for."""
     if suffix in LOGS:
-        all_frames, _ = drive()
-        columns = (all_frames.t_s, all_frames.can_id, all_frames.length, all_frames.data)
-        t_s, can_id, length, data = (column[rows] for column in columns)
-        return of_frames(EncodedFrames(t_s=t_s, can_id=can_id, length=length, data=data))
+        sent, _ = drive()
+        return of_frames(
+            EncodedFrames(t_s=sent.t_s[rows], can_id=sent.can_id[rows], length=sent.length[rows], data=sent.data[rows])
+        )
     table = short_table()
     changed = replace(table, times_s=table.times_s[rows], cells=table.cells[rows])
     return Damaged(contents=changed, counts={"rejected": 0})

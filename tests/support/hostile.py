@@ -1,13 +1,12 @@
 """Files that are made to do harm, and what refusing them takes: time and memory of all processes that work on them.
 
-Endless loops, bombs, tables without an end, ten gigabytes of nothing behind a sound header,
-devices, pipes and sockets in place of files. Each is read by a process of its own; what it and its children use is
-sampled while they run. The limits are 10 s of processor time and 512 MiB, the interpreter and all libraries included.
+Endless loops, bombs, tables without an end, ten gigabytes of nothing behind a sound header. Each is read by a process
+of its own; what it and its children use is sampled while they run. The limits are 10 s of processor time and 512 MiB,
+the interpreter and all libraries included.
 """
 
 import lzma
 import os
-import socket
 import sqlite3
 import struct
 import subprocess
@@ -18,7 +17,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pyarrow as pa
@@ -46,19 +45,6 @@ except SourceError as exc:
     said = str(exc)
 print(said)
 """
-READ = """
-import sys
-from importlib import import_module
-from pathlib import Path
-module, _, name = sys.argv[2].partition(":")
-try:
-    getattr(import_module(module), name)(Path(sys.argv[1]))
-    print()
-except Exception as exc:
-    if not type(exc).__module__.endswith(".errors"):
-        raise
-    print(exc)
-"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +52,6 @@ class Refusal:
     """What it took to refuse a file, and what was said."""
 
     cpu_s: float
-    wall_s: float
     peak_bytes: int
     said: str
 
@@ -98,17 +83,6 @@ def mf4(*blocks: bytes) -> bytes:
 def mf4_loop() -> bytes:
     """Return a file whose first data group names itself as the next."""
     return mf4(struct.pack("<4s4xQQ", b"##DG", 64, 4) + struct.pack("<4Q", 168, 0, 0, 0) + bytes(8))
-
-
-def mf4_channel_loop() -> bytes:
-    """Return a file with a channel that names itself as the next, in a group with a billion records."""
-    group, channel = 168 + 64, 168 + 64 + 104
-    dg = struct.pack("<4s4xQQ", b"##DG", 64, 4) + struct.pack("<4Q", 0, group, 0, 0) + bytes(8)
-    cg = struct.pack("<4s4xQQ", b"##CG", 104, 6) + struct.pack("<6Q", 0, channel, 0, 0, 0, 0)
-    cg += struct.pack("<QQHH4xLL", 0, 10**9, 0, 0, 16, 0)
-    cn = struct.pack("<4s4xQQ", b"##CN", 160, 8) + struct.pack("<8Q", channel, 0, 0, 0, 0, 0, 0, 0)
-    cn += struct.pack("<BBBBLLLLBBH", 0, 0, 0, 0, 0, 8, 0, 0, 0, 0, 0) + bytes(48)
-    return mf4(dg, cg, cn)
 
 
 def sqlite_file(*statements: str) -> bytes:
@@ -148,27 +122,10 @@ def arrow_bomb() -> bytes:
     return found
 
 
-def nested_parquet() -> bytes:
-    """Return a table whose cells are lists in lists in lists, beside a time and a signal."""
-    cells: Any = [1.0]
-    for _ in range(60):
-        cells = [cells]
-    written = pa.BufferOutputStream()
-    pq.write_table(pa.table({"time": np.arange(50.0), "speed": np.arange(50.0), "deep": [cells] * 50}), written)
-    found: bytes = written.getvalue().to_pybytes()
-    return found
-
-
 def xz_bomb() -> bytes:
     packer = lzma.LZMACompressor(preset=0)
     block = LINE * 60_000
     return b"".join(packer.compress(block) for _ in range(400)) + packer.flush()
-
-
-def listen_at(path: Path) -> None:
-    """Leave a socket there."""
-    with socket.socket(socket.AF_UNIX) as listener:
-        listener.bind(str(path))
 
 
 def written(contents: Callable[[], bytes]) -> Callable[[Path], object]:
@@ -196,38 +153,24 @@ HOSTILE: Final[Mapping[str, Callable[[Path], object]]] = MappingProxyType({
     "row.csv": written(lambda: TABLE_HEAD + TABLE_ROWS + b"101.0," + b"1," * (32 << 20) + b"\n" + TABLE_ROWS),
     "quotes.csv": written(lambda: TABLE_HEAD + TABLE_ROWS + b'"' * (16 << 20)),
     "bomb.parquet": written(parquet_bomb),
-    "nested.parquet": written(nested_parquet),
     "bomb.arrows": written(arrow_bomb),
     "bomb.log.xz": written(xz_bomb),
     "line.log": written(lambda: LINE + b"x" * (64 << 20)),
     "loop.mf4": written(mf4_loop),
-    "channels.mf4": written(mf4_channel_loop),
     "cell.db": written(lambda: sqlite_file(MESSAGES, HUGE_CELL)),
     "hollow.trc": hollow(lambda: b";$FILEVERSION=1.1\n;$STARTTIME=46000.5\n"),
     "hollow.blf": hollow(endless_blf),
     "hollow.mf4": hollow(mf4),
     "middle-hollow.log": hollow(lambda: LINES, has_end=True),
-    "zero.log": lambda path: path.symlink_to("/dev/zero"),
-    "zero.profile": lambda path: path.symlink_to("/dev/zero"),
-    "zero.calibration": lambda path: path.symlink_to("/dev/zero"),
-    "pipe.dbc": os.mkfifo,
-    "socket.log": listen_at,
 })  # fmt: skip
 """What makes each of them, by name."""
-READERS: Final[Mapping[str, str]] = MappingProxyType({
-    ".dbc": "canlog.database.loading:load_database",
-    ".profile": "diag_service.mapping.profile:load_profile",
-    ".calibration": "clutch_model.calibration:read_calibration",
-})  # fmt: skip
-"""By suffix; everything else is a log."""
 
 
 def refusal_of(path: Path) -> Refusal:
     """Have a file read by a process of its own, and return what that took."""
-    reader = READERS.get(path.suffix)
     began_s = time.monotonic()
     process = subprocess.Popen(
-        [sys.executable, "-c", READ_LOG if reader is None else READ, str(path), str(reader)],
+        [sys.executable, "-c", READ_LOG, str(path)],
         stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, start_new_session=True,
     )  # fmt: skip
     cpu_s: dict[int, float] = {}
@@ -242,7 +185,7 @@ def refusal_of(path: Path) -> Refusal:
         time.sleep(SAMPLE_S)
     process.kill()
     said = process.communicate()[0].strip()
-    return Refusal(cpu_s=sum(cpu_s.values()), wall_s=time.monotonic() - began_s, peak_bytes=peak_bytes, said=said)
+    return Refusal(cpu_s=sum(cpu_s.values()), peak_bytes=peak_bytes, said=said)
 
 
 def session_of(leader: int) -> list[int]:

@@ -30,12 +30,6 @@ def fd(count: int) -> FrameBatch:
     )
 
 
-def test_flags_and_channel_are_zeros_unless_given() -> None:
-    batch = classic(3)
-    assert batch.flags.tolist() == batch.channel.tolist() == [0, 0, 0]
-    assert batch.flags.dtype == batch.channel.dtype == np.uint8
-
-
 def test_rows_are_taken_from_every_column() -> None:
     batch = fd(6)
     for rows, expected in (

@@ -89,25 +89,6 @@ class Workshop:
         return import_module(f"{PACKAGE}.{module}")
 
 
-def test_a_kernel_in_another_module_is_another_one(workshop: Workshop) -> None:
-    moved = kernel_key(workshop.law(module="moved").outer.py_func)
-    assert moved != workshop.key()
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("FACTOR = 2.0", "FACTOR = 2.0  # a comment\n\n# and another"),
-        ('"""Return half of it."""', '"""Return one half."""'),
-        ("    return value\n\nLATE", "    return 2.0 * value\n\nLATE"),
-        ("UNUSED = 7.0", "UNUSED = 8.0"),
-        ("OFFSET = 3.0", "# moved down\n\nOFFSET = 3.0"),
-    ],
-)
-def test_what_is_not_compiled_in_changes_nothing(workshop: Workshop, old: str, new: str) -> None:
-    assert workshop.key(old, new) == workshop.key()
-
-
 @pytest.mark.parametrize(
     ("old", "new"),
     [

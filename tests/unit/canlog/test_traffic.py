@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from canlog.arrays import Int64Array
-from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FrameBatch
-from canlog.traffic import MAX_IDS, IdTraffic, Jump, TrafficMeter, TrafficReport
+from canlog.frames import ERROR_FLAG, FrameBatch
+from canlog.traffic import IdTraffic, Jump, TrafficMeter, TrafficReport
 from tests.support.batches import frames_at
 
 MS = 1_000_000
@@ -67,14 +67,6 @@ def test_load_at_a_bit_rate() -> None:
     bits = (34 + 64) * 1.1 + 13
     assert report.bus_load_ratio == pytest.approx(bits * 1000 / 250_000, rel=1e-3)
     assert report.peak_load_ratio == pytest.approx(bits * 1000 / 250_000, rel=1e-3)
-
-
-def test_identifiers_beyond_what_any_bus_has_are_counted_and_not_listed() -> None:
-    noise = [frames_at(START_NS + np.arange(4000) * MS, EXTENDED_FLAG + 4000 * at + np.arange(4000)) for at in range(9)]
-    report = measured(*noise, noise[0], noise[-1])
-    assert (len(report.ids), report.frames, report.unlisted_frames) == (MAX_IDS, 44_000, 40_000 - MAX_IDS)
-    assert {one.count for one in report.ids[:4000]} == {2}
-    assert {one.count for one in report.ids[4000:]} == {1}
 
 
 def test_kinds_and_channels_are_told_apart() -> None:

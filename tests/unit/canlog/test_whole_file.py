@@ -35,12 +35,6 @@ def test_a_file_takes_its_place_when_it_is_complete(tmp_path: Path) -> None:
     assert names(tmp_path) == ["table.csv"]
 
 
-@pytest.mark.parametrize("name", ["n" * 251 + ".csv", "\u6cb9" * 83 + ".csv"])
-def test_the_longest_name_that_a_file_can_have_will_do(name: str, tmp_path: Path) -> None:
-    write(tmp_path / name, b"all")
-    assert names(tmp_path) == [name]
-
-
 @pytest.mark.parametrize("name", ["n" * 256, "none/table.csv", "folder"])
 def test_a_name_that_cannot_be_is_told(name: str, tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()

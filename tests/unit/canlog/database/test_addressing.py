@@ -18,7 +18,6 @@ from canlog.database.addressing import (
     parameter_group,
     rows_by_slot,
 )
-from canlog.decode.codec import Codec
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import DefinitionError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
@@ -118,11 +117,6 @@ def test_messages_that_cannot_be_told_apart_are_refused(addresses: list[MessageA
     assert overwritten(addresses) == {0: 1}
 
 
-def test_messages_that_can_be_told_apart_overwrite_nothing() -> None:
-    exact = MessageAddress(name="A", can_id=EEC1, is_extended=True, is_group=False)
-    assert overwritten([group(EEC1), group(EEC1 | 0x0F), group(EEC1 | 0xFE), exact]) == {}
-
-
 def test_database_or_profile_says_that_a_message_is_of_j1939() -> None:
     own = DATABASE.messages[0]
     assert message_address(eec1()).is_group
@@ -182,13 +176,6 @@ def test_unknown_frames_are_ignored_and_counted_once() -> None:
     monitor = LinkMonitor([eec1()])
     assert reasons(monitor, batch([0x0CF0_0500 | EXTENDED_FLAG, 0x400])) == [UNKNOWN_ID, UNKNOWN_ID]
     assert monitor.counts.sum() == monitor.counts[-1, UNKNOWN_ID] == 2
-
-
-def test_all_senders_of_a_group_are_decoded_by_the_codec() -> None:
-    ids = [can_id | EXTENDED_FLAG for can_id in (EEC1 | 7, 0x18F0_0403, 0x0CF0_0500)]
-    (found,) = Codec([eec1()]).decode(batch(ids))
-    assert found.rows.tolist() == [0, 1]
-    assert found.signals["ActualEngPercentTorque"].value.tolist() == [-125.0, -125.0]
 
 
 def test_rows_are_grouped_by_slot_in_their_order() -> None:

@@ -11,7 +11,7 @@ from cantools.database.can.signal import Signal
 from cantools.database.errors import DecodeError
 
 from canlog.decode.codec import Codec, FrameFate, MessageValues
-from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
+from canlog.frames import EXTENDED_FLAG, FD_FLAG, FrameBatch
 from tests.support.batches import frames_at
 from tests.support.cantools_oracle import reference, same_bits
 from tests.support.wire import DATABASE
@@ -72,19 +72,6 @@ def test_every_page_of_a_multiplexer_is_met() -> None:
     assert found.signals["FarPage"].is_good.tolist() == [True, False, False, False, True, False]
 
 
-def test_every_frame_has_one_fate() -> None:
-    message = DATABASE.messages[0]
-    ids = [message.frame_id | flag for flag in (0, REMOTE_FLAG, ERROR_FLAG, EXTENDED_FLAG, 0)]
-    batch = frames_at(np.arange(5), ids, [8, 8, 8, 8, 7])
-    codec = Codec(DATABASE.messages)
-    whole, part = codec.decode(batch)
-    assert (whole.rows.tolist(), part.rows.tolist()) == ([0], [4])
-    match = codec.match(batch)
-    assert match.slot.tolist() == [0, -1, -1, -1, 0]
-    assert match.counts[0].tolist() == [1, 1, 0, 0, 0, 0, 0, 0]
-    assert match.counts[-1].tolist() == [0, 0, 0, 0, 1, 1, 1, 0]
-
-
 @pytest.mark.parametrize("database", [DATABASE, corners()], ids=["own", "corners"])
 def test_short_frames_give_the_signals_that_fit_as_cantools_does(database: Database) -> None:
     codec = Codec(database.messages, check_range=False)
@@ -114,15 +101,6 @@ def test_short_frames_give_the_signals_that_fit_as_cantools_does(database: Datab
     assert all(values.values())
 
 
-def test_what_lies_behind_the_end_of_a_short_frame_is_counted() -> None:
-    message = Message(0x100, "M", 8, [Signal("A", start=0, length=8), Signal("B", start=56, length=8)])
-    batch = frames_at(np.arange(3), 0x100, [0, 7, 8], 1)
-    found = list(Codec([message]).decode(batch))
-    assert [(one.rows.tolist(), list(one.signals), dict(one.cut_off)) for one in found] == [
-        ([2], ["A", "B"], {}), ([0], [], {"A": 1, "B": 1}), ([1], ["A"], {"B": 1}),
-    ]  # fmt: skip
-
-
 @pytest.mark.parametrize(
     ("size", "is_fd", "fd_flag", "length", "fate"),
     [
@@ -146,21 +124,7 @@ def test_messages_longer_than_their_frames_need_a_transport_protocol(
     assert len(list(codec.decode(batch))) == (fate is not FrameFate.TRANSPORTED)
 
 
-def test_of_messages_with_one_identifier_the_last_counts() -> None:
-    first, last = (Message(0x100, name, 8, [Signal(name, start=0, length=8)]) for name in ("First", "Last"))
-    codec = Codec([first, last])
-    assert [table.message.name for table in codec.tables] == ["Last"]
-    assert codec.overwritten == ((first, last),)
-
-
 def test_signals_of_one_name_in_a_message_are_numbered() -> None:
     signals = [Signal("A", start=0, length=8), Signal("A", start=8, length=8)]
     (table,) = Codec([Message(0x100, "M", 8, signals, strict=False)]).tables
     assert {name: one.field.shift for name, one in table.signals.items()} == {"A": 0, "A#2": 8}
-
-
-def test_signal_that_cannot_be_decoded_does_not_take_the_others_along() -> None:
-    signals = [Signal("Wide", start=0, length=80), Signal("Narrow", start=80, length=8)]
-    (table,) = Codec([Message(0x100, "M", 64, signals, is_fd=True)]).tables
-    assert table.signals.keys() == {"Narrow"}
-    assert table.refused == {"Wide": "M.Wide has 80 bits; up to 64 are understood"}

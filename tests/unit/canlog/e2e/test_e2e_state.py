@@ -126,25 +126,6 @@ def test_one_broken_frame_in_a_window_is_tolerated_two_are_not(reason: FrameReas
     assert stage.states == (INVALID,)
 
 
-@pytest.mark.parametrize("reason", [REPEATED, JUMP])
-def test_a_counter_that_does_not_count_costs_trust(reason: FrameReason) -> None:
-    stage = machine()
-    stage.judge(on_time(WINDOW), verdicts([OK] * WINDOW))
-    stage.judge(on_time(WINDOW - MIN_OK, WINDOW), verdicts([reason] * (WINDOW - MIN_OK)))
-    assert stage.states == (VALID,)
-    stage.judge(on_time(1, 2 * WINDOW - MIN_OK), verdicts([reason]))
-    assert stage.states == (INVALID,)
-
-
-def test_trust_that_was_lost_must_be_earned_anew() -> None:
-    stage = machine()
-    stage.judge(on_time(WINDOW + 2), verdicts([OK] * WINDOW + [BAD_CRC] * 2))
-    stage.judge(on_time(MIN_OK - 1, WINDOW + 2), verdicts([OK] * (MIN_OK - 1)))
-    assert stage.states == (INVALID,)
-    stage.judge(on_time(1, WINDOW + 2 + MIN_OK), verdicts([OK]))
-    assert stage.states == (VALID,)
-
-
 def test_silence_is_found_at_the_same_moment_by_the_next_frame_and_by_frames_of_others() -> None:
     timeout_ns = TIMEOUT_CYCLES * CYCLE_NS
     expected = change((WINDOW - 1) * CYCLE_NS + timeout_ns, INVALID)

@@ -48,13 +48,6 @@ def reasons(verdicts: FrameVerdicts) -> list[FrameReason]:
     return [FrameReason(reason) for reason in verdicts.reason.tolist()]
 
 
-def test_undisturbed_frames_are_numbered_without_gaps() -> None:
-    link, verdicts = check(frames([number % 15 for number in range(40)]))
-    assert reasons(verdicts) == [OK] * 40
-    assert verdicts.sequence.tolist() == list(range(40))
-    assert link.missing.tolist() == [0]
-
-
 def test_counter_may_start_anywhere() -> None:
     _, verdicts = check(frames([13, 14, 0, 1]))
     assert verdicts.sequence.tolist() == [0, 1, 2, 3]
@@ -68,19 +61,6 @@ def test_lost_frames_are_counted_by_counter_and_time(lost: int) -> None:
     assert verdicts.sequence.tolist() == numbers
     assert verdicts.missing.tolist() == [0, 0, 0, lost, 0, 0]
     assert link.missing.tolist() == [lost]
-
-
-def test_damaged_frame_is_rejected_but_not_missing() -> None:
-    link, verdicts = check(frames([0, 1, 2, 3], damaged=[2]))
-    assert reasons(verdicts) == [OK, OK, BAD_CRC, OK]
-    assert verdicts.sequence.tolist() == [0, 1, -1, 3]
-    assert link.missing.tolist() == [0]
-
-
-def test_damaged_and_lost_frames_are_told_apart() -> None:
-    link, verdicts = check(frames([0, 1, 4, 5], [0, 10, 40, 50], damaged=[2]))
-    assert reasons(verdicts) == [OK, OK, BAD_CRC, OK]
-    assert link.missing.tolist() == [2]
 
 
 def test_short_frame_is_rejected_before_its_crc_is_looked_at() -> None:
@@ -287,12 +267,6 @@ def test_counter_without_a_known_cycle_time() -> None:
 def test_protected_message_of_another_size_is_refused() -> None:
     with pytest.raises(DefinitionError, match="Short: protection is understood for messages of 8 bytes"):
         LinkMonitor(foreign('BA_ "E2EDataId" BO_ 256 4660;\n'))
-
-
-def test_two_messages_with_one_identifier_are_refused() -> None:
-    message = foreign()[1]
-    with pytest.raises(DefinitionError, match="identifier 0x100"):
-        LinkMonitor([message, message])
 
 
 def test_nothing_to_look_at() -> None:

@@ -5,7 +5,7 @@ from datetime import datetime
 import pytest
 
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
-from canlog.logs.asc import AscLog, is_asc_header
+from canlog.logs.asc import AscLog
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_log import reader_of
 from tests.support.batches import read_whole
@@ -183,13 +183,6 @@ def test_a_date_that_is_understood_stays_where_a_later_one_is_not() -> None:
     batch, counts = read(HEADER + b"Begin Triggerblock someday\n1.0 1 123 Rx d 0\n")
     assert batch.t_ns.tolist() == [START_NS + 1_000_000_000]
     assert not counts.notes
-
-
-def test_recognition() -> None:
-    assert is_asc_header(b"base hex  timestamps absolute")
-    assert is_asc_header(b"date Thu Jan 01 10:00:00.500 2026")
-    assert not is_asc_header(b"date,time,id")
-    assert not is_asc_header(b"(1.0) can0 123#11")
 
 
 @pytest.mark.parametrize(

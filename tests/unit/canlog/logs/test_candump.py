@@ -2,13 +2,12 @@
 
 import io
 
-import numpy as np
 import pytest
 
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch, join
 from canlog.logs.candump import CandumpLog
 from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.text_log import frames_of, reader_of
+from canlog.logs.text_log import reader_of
 from tests.support.batches import read_whole
 
 
@@ -61,6 +60,7 @@ def test_a_line_becomes_a_frame(line: bytes, t_ns: int, can_id: int, length: int
         b"(1.0) can0 123#112233445566778899",
         b"(1.0) can0 123#R9",
         b"(1.0) can0 123#11 X",
+        *(b"(1.0) can0 123##" + payload for payload in (b"", b"G", b"0" + b"5A" * 9, b"0" + b"5A" * 65)),
         b"\xff\x00\x80",
     ],
 )
@@ -88,13 +88,6 @@ def test_can_fd_is_taken_and_widens_what_follows(payload: bytes, flags: int, len
     assert counts == LogCounts(frames=3)
 
 
-@pytest.mark.parametrize("payload", [b"", b"G", b"0" + b"5A" * 9, b"0" + b"5A" * 65])
-def test_an_fd_frame_of_a_length_that_there_is_not_is_malformed(payload: bytes) -> None:
-    batch, counts = read(b"(1.0) can0 123##" + payload + b"\n")
-    assert len(batch) == 0
-    assert counts.rejected == {LogReject.MALFORMED: 1}
-
-
 def test_channels_have_the_number_in_their_name_unless_it_is_taken() -> None:
     names = (b"can2", b"vcan2", b"slcan", b"can2", b"can17")
     batch, _ = read(b"".join(b"(1.0) %s 123#11\n" % name for name in names))
@@ -105,31 +98,6 @@ def test_a_last_line_without_newline_counts_if_nothing_can_be_missing() -> None:
     batch, counts = read(b"(1.0) can0 123#11\n(2.0) can0 123#1122334455667788")
     assert len(batch) == 2
     assert counts == LogCounts(frames=2)
-
-
-def test_blocks_cut_lines_anywhere() -> None:
-    # Three blocks of 2 MiB; line lengths differ, so that their borders fall inside lines.
-    lines = [b"(%d.%06d) can0 %03X#%s\n" % (k, k, k % 0x800, b"5A" * (k % 9)) for k in range(180_000)]
-    lines[100_000] = b"garbage\n"
-    batch, counts = read(b"".join(lines))
-    kept = np.delete(np.arange(180_000), 100_000)
-    assert np.array_equal(batch.t_ns, kept * 1_000_001_000)
-    assert np.array_equal(batch.length, kept % 9)
-    assert counts.first_rejected == "line 100001: malformed"
-
-
-def test_a_line_without_end_does_not_fill_the_memory() -> None:
-    batch, counts = read(b"(1.0) can0 123#11\n" + b"x" * 5_000_000 + b"\n(2.0) can0 123#11\n")
-    assert len(batch) == 2
-    assert counts.rejected == {LogReject.MALFORMED: 1}
-    assert counts.first_rejected == "line 2: malformed"
-
-
-def test_recognition() -> None:
-    assert len(frames_of(CandumpLog(), b"# comment\n(1.0) can0 123#11\n"))
-    assert len(frames_of(CandumpLog(), b"(1.0) can0 123##0"))
-    assert not len(frames_of(CandumpLog(), b"time,id,data\n1.0,123,11\n"))
-    assert not len(frames_of(CandumpLog(), b""))
 
 
 def test_what_a_wide_row_held_before_is_gone() -> None:

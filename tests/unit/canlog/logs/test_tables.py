@@ -9,7 +9,7 @@ import pytest
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.logs.detection import TEXT_LOGS, LogFormat
 from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.text_log import frames_of, reader_of
+from canlog.logs.text_log import reader_of
 from tests.support.batches import read_whole
 
 CSV_HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data\n"
@@ -371,21 +371,6 @@ def test_a_line_without_end_does_not_fill_the_memory() -> None:
     _, counts = read(LogFormat.CRTD, b"12.6 R11 402 00\n" + b"x" * 5_000_000 + b"\n12.6 R11 402 00\n")
     assert counts.frames == 2
     assert counts.rejected == {LogReject.MALFORMED: 1}
-
-
-@pytest.mark.parametrize(
-    "log_format", [LogFormat.TRC, LogFormat.CSV, LogFormat.GVRET, LogFormat.BUSMASTER, LogFormat.CRTD]
-)
-def test_a_format_finds_no_frames_in_another(log_format: LogFormat) -> None:
-    samples = {
-        LogFormat.TRC: b"  1   1.0 8 4 01 02 03 04\n",
-        LogFormat.CSV: b"0.5,0x1,0,0,0,1,AQ==\n",
-        LogFormat.GVRET: b"7,00000123,false,0,1,5A\n",
-        LogFormat.BUSMASTER: b"16:49:37:3329 Rx 1 0x144 s 1 5E\n",
-        LogFormat.CRTD: b"12.6 R11 402 00\n",
-    }
-    found = {name: len(frames_of(TEXT_LOGS[log_format](), text)) for name, text in samples.items()}
-    assert [name for name, count in found.items() if count] == [log_format]
 
 
 def test_the_epoch_of_pcan_is_a_day_number() -> None:

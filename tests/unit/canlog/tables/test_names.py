@@ -32,12 +32,6 @@ def test_names_that_differ_stay_plain() -> None:
     assert list(found.columns.values()) == ["A.X", "A.Y", "B.X"]
 
 
-def test_messages_of_one_name_get_their_identifiers() -> None:
-    found = names(("A", 0x1, ("X",)), ("A", 0x18FEF100, ("X",)), ("B", 2, ("X",)))
-    assert found.messages == ("A@0x001", "A@0x18FEF100", "B")
-    assert list(found.columns.values()) == ["A@0x001.X", "A@0x18FEF100.X", "B.X"]
-
-
 def test_dots_that_make_two_columns_alike() -> None:
     found = names(("A.B", 1, ("C",)), ("A", 2, ("B.C", "D")))
     assert list(found.columns.values()) == ["A.B@0x001.C", "A@0x002.B.C", "A.D"]
@@ -54,7 +48,3 @@ def test_in_the_last_resort_there_are_numbers() -> None:
     found = names(("A@0x001", 5, ("X",)), ("A", 1, ("X",)), ("A", 2, ("X",)))
     assert found.messages == ("A@0x001", "A@0x001#2", "A@0x002")
     assert len(set(found.columns.values())) == 3
-
-
-def test_signals_of_one_name_in_a_message() -> None:
-    assert list(names(("A", 1, ("X", "X"))).columns.values()) == ["A.X", "A.X#2"]

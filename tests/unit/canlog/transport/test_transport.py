@@ -8,7 +8,7 @@ import pytest
 from canlog.frames import EXTENDED_FLAG
 from canlog.transport import Fault, Protocol, Reassembler, Transfer
 from tests.support.batches import frames_at
-from tests.support.transport_traffic import MS, Sent, batch_of, generator, j1939
+from tests.support.transport_traffic import MS, Sent, batch_of
 
 
 def frames(*lines: tuple[int, int, str]) -> list[Sent]:
@@ -169,15 +169,6 @@ def test_many_senders_at_a_time_are_bounded() -> None:
     assert reassembler.counts.incomplete[Protocol.ISO_TP, Fault.TOO_MANY] >= 3_900
     reassembler.close()
     assert reassembler.counts.incomplete_count == 5_000
-
-
-def test_j1939_is_put_together_in_one_batch_or_frame_by_frame() -> None:
-    traffic = j1939(generator(3), 20)
-    whole, single = Reassembler(), Reassembler()
-    at_once = whole.feed(batch_of(traffic.frames)) + whole.close()
-    one_by_one = [one for frame in traffic.frames for one in single.feed(batch_of([frame]))] + single.close()
-    assert at_once == one_by_one
-    assert whole.counts == single.counts
 
 
 def test_noise_of_any_length_takes_no_memory() -> None:
