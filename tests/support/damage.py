@@ -150,13 +150,13 @@ def write_parquet(path: Path, rows: Rows) -> None:
 
 
 LOGS: Final[Mapping[str, Callable[[Path, EncodedFrames], None]]] = MappingProxyType({
-    ".log": write_recorded, ".asc": write_recorded, ".blf": write_recorded, ".mf4": write_recorded,
+    ".log": write_recorded, ".blf": write_recorded, ".mf4": write_recorded,
     ".log.gz": write_recorded, ".db": write_sqlite, ".pcapng": write_capture,
 })  # fmt: skip
 TABLES: Final[Mapping[str, Callable[[Path, Rows], None]]] = MappingProxyType(
     {".csv": write_csv, ".parquet": write_parquet}
 )
-TEXTS: Final = frozenset({".log", ".asc"})
+TEXTS: Final = frozenset({".log"})
 TELL_ANY_CUT: Final = frozenset({".blf", ".log.gz"})  # say how long they are, or have an end of their own
 
 
@@ -193,8 +193,7 @@ def garble(suffix: str, sound: bytes, rng: Generator) -> Damaged:
     if suffix not in TEXTS:
         return replace_piece(suffix, sound, rng)
     lines, count, frames = sound.splitlines(keepends=True), int(rng.integers(1, 40)), len(drive()[0])
-    last = len(lines) - (lines[-1][:3].lower() == b"end")
-    for number in rng.choice(np.arange(last - frames, last), count, replace=False).tolist():
+    for number in rng.choice(frames, count, replace=False).tolist():
         lines[number] = b"\x01" + rng.choice(np.r_[0x01:0x09, 0x80:0x100], 20).astype(np.uint8).tobytes() + b"\n"
     counts = {"frames": frames - count, "rejected": count}
     return Damaged(contents=b"".join(lines), counts=counts, must_be_noticed=True)
