@@ -2,15 +2,13 @@
 
 import re
 from dataclasses import replace
-from datetime import UTC, datetime
-from itertools import combinations
 from pathlib import Path
 
 import pytest
 
 from diag_service.diagnosis.records import ShiftQuality
 from tests.support import grafana
-from tests.support.grafana import DASHBOARDS, FOLDER, ROOT, Query, Table
+from tests.support.grafana import DASHBOARDS, FOLDER, ROOT, Query
 from tests.support.histories import history
 from tests.support.image.compose import read_compose
 from tests.support.prometheus import RULES, Samples, recorded
@@ -23,8 +21,6 @@ COMPOSE = read_compose(ROOT / "docker-compose.yml")["services"]
 KINDS = {"postgres": "grafana-postgresql-datasource", "prometheus": "prometheus"}
 QUERIES = list(grafana.queries())
 METRIC = re.compile(r"\bclutchdiag_\w+")
-SINCE, UNTIL = datetime(2026, 1, 1, tzinfo=UTC), datetime(2026, 1, 2, tzinfo=UTC)
-WIDTH = 24  # columns of Grafana's grid
 OFTEN_NONE = {  # where nothing went wrong, or too little was seen
     "clutchdiag_bus_errors_total",
     "clutchdiag_cause_probability",
@@ -60,18 +56,6 @@ def test_a_dashboard_is_whole(path: Path) -> None:
         assert panel["title"]
         assert panel["description"].endswith(".")
         assert panel["fieldConfig"]["defaults"]["unit"]
-
-
-@pytest.mark.parametrize("path", DASHBOARDS, ids=lambda path: path.stem)
-def test_no_panel_covers_another(path: Path) -> None:
-    places = [panel["gridPos"] for panel in grafana.dashboard(path)["panels"]]
-    assert all(place["x"] + place["w"] <= WIDTH for place in places)
-    assert [pair for pair in combinations(places, 2) if overlap(*pair)] == []
-
-
-def overlap(one: Table, other: Table) -> bool:
-    pairs = (("x", "w"), ("y", "h"))
-    return all(one[at] < other[at] + other[by] and other[at] < one[at] + one[by] for at, by in pairs)
 
 
 def test_dashboards_have_names_of_their_own_and_there_is_one_for_each_source() -> None:
@@ -137,15 +121,3 @@ def test_the_page_lists_every_metric(last: Samples) -> None:
     listed = {name for name in listed if not name.startswith(OF_THE_FLEET)}
     assert listed == {name for name, _ in last} | OFTEN_NONE
     assert metrics_page.written(page) == page
-
-
-def test_macros_and_variables_are_filled_in_as_grafana_does() -> None:
-    text = "SELECT 1 FROM t WHERE $__timeFilter(end_at) AND vehicle IN ($vehicle)"
-    assert grafana.sql(text, ["a", "o'b"], SINCE, UNTIL) == (
-        "SELECT 1 FROM t WHERE end_at BETWEEN '2026-01-01T00:00:00Z' AND '2026-01-02T00:00:00Z'"
-        " AND vehicle IN ('a','o''b')"
-    )
-    assert grafana.promql('m{vehicle=~"$vehicle"}[$__range]', ["a", "b"], "2h") == 'm{vehicle=~"(a|b)"}[2h]'
-    for wrong in ("$__timeGroup(end_at, 1d)", "$other"):
-        with pytest.raises(ValueError, match="unknown"):
-            grafana.sql(wrong, ["a"], SINCE, UNTIL)

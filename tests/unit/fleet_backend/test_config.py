@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from fleet_backend.config import parse_broker, parse_listen, parse_moment, parse_pace
-from fleet_backend.database import default_database, open_database, place_of
+from fleet_backend.database import default_database, open_database
 from fleet_backend.errors import ConfigError
 from tests.support.certificates import certify
 
@@ -60,11 +60,6 @@ def test_a_moment_without_a_zone_is_utc() -> None:
 def test_only_two_databases_are_known(address: str) -> None:
     with pytest.raises(ConfigError, match="the database must be"):
         open_database(address)
-
-
-def test_a_database_is_shown_without_its_password() -> None:
-    engine = open_database("postgresql://fleet:secret@example.org/fleet")
-    assert place_of(engine) == "postgresql+psycopg://fleet:***@example.org/fleet"
 
 
 def test_the_default_database_is_in_the_state_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -10,16 +10,14 @@ import pytest
 
 from diag_service.diagnosis.records import shift_record, status_record
 from fleet_backend.choices import Pace
-from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
-from fleet_backend.ingest import FILTERS, Worker
-from fleet_backend.intake import MessageKind
+from fleet_backend.errors import BrokerError, RowRefusedError
+from fleet_backend.ingest import Worker
 from fleet_backend.writer import Batch, Identity
 from fleet_contract import (
     NEVER,
     JsonObject,
     Outgoing,
     bundle_messages,
-    fluid_message,
     read_message,
     shift_message,
     status_message,
@@ -29,7 +27,6 @@ from fleet_link import Message
 from tests.golden import messages_v1
 from tests.support.fleet import NOW, delivered, fleet_result, message_of
 from tests.support.outboxes import STATUS
-from tests.support.patience import HANG_S
 
 
 class Records:
@@ -104,20 +101,6 @@ async def test_the_commit_comes_first_and_the_broker_hears_last() -> None:
     assert records.settled == messages
 
 
-async def test_a_database_that_is_away_is_waited_for() -> None:
-    records = Records()
-    failures = iter([True, True, True, False])
-
-    def refuse(_batch: Batch) -> None:
-        if next(failures):
-            raise DatabaseAwayError("gone")
-
-    records.refuse = refuse
-    await worker_of(records).settle(records, [message_of(fleet_result(1))])
-    assert records.steps == ["store"] * 4 + ["send", "settle"]
-    assert len(records.stored) == 1
-
-
 async def test_one_row_that_never_fits_does_not_stop_the_others() -> None:
     records = Records()
 
@@ -161,58 +144,12 @@ async def test_vehicles_hear_whether_bundles_are_taken(*, reach_us: bool, are_wa
     assert takes_bundles(read_message(ack.topic, ack.payload).data) is (reach_us and are_wanted)
 
 
-async def test_poison_is_kept_settled_and_counted() -> None:
-    records = Records()
-    worker = worker_of(records)
-    await worker.settle(records, [Message(topic="x", payload=b"", packet_id=1), message_of(fleet_result(1), 2)])
-    assert worker.counts == {MessageKind.POISON: 1, MessageKind.SHIFT: 1}
-    assert len(records.settled) == 2
-    assert len(records.sent) == 1
-
-
-async def test_it_comes_back_after_every_lost_connection() -> None:
-    records = Records([[message_of(fleet_result(1))], []])
-    task = asyncio.ensure_future(worker_of(records).run())
-    async with asyncio.timeout(HANG_S):
-        while records.steps.count("connect") < 4:  # noqa: ASYNC110 - the worker has no event for it
-            await asyncio.sleep(0.001)
-    task.cancel()
-    await asyncio.gather(task, return_exceptions=True)
-    assert len(records.stored) == 1
-
-
-def test_results_are_shared_among_workers_and_states_go_to_each() -> None:
-    assert FILTERS == (
-        "$share/ingest/clutchdiag/v1/+/shift",
-        "$share/ingest/clutchdiag/v1/+/bundle",
-        "clutchdiag/v1/+/status",
-        "clutchdiag/v1/+/metrics",
-        "clutchdiag/v1/+/controller",
-        "clutchdiag/v1/+/fluid",
-    )
-
-
-def test_the_broker_may_send_two_batches_at_most() -> None:
-    assert Pace(batch_size=70).max_unsettled == 140
-
-
-NOW_TEXT = "2026-03-01T12:00:00.000000Z"
 FILL: JsonObject = {
     "filled_at": "2026-01-01T00:00:00.000000Z",
     "odometer_m": 61_200_000.0,
     "product": "DCTF-II",
     "note": None,
 }
-
-
-async def test_a_vehicle_that_comes_hears_which_fills_the_fleet_knows() -> None:
-    records = Records()
-    records.known_fills = {"car1": [FILL], "car2": [FILL]}
-    await worker_of(records).settle(records, [delivered(messages_v1()["status-online"])])
-    assert records.steps == ["store", "fills", "send", "settle"]
-    (told,) = records.sent
-    assert (told.topic, told.is_retained) == ("clutchdiag/v1/car1/fills", True)
-    assert read_message(told.topic, told.payload).data["fills"] == [FILL]
 
 
 async def test_a_vehicle_that_goes_hears_nothing_and_one_that_comes_that_there_is_no_fill() -> None:
@@ -231,25 +168,3 @@ async def test_an_analysis_hears_which_fills_the_fleet_knows() -> None:
     await worker_of(records).settle(records, [delivered(status_message(status_record(status)))])
     (told,) = records.sent
     assert read_message(told.topic, told.payload).data["fills"] == [FILL]
-
-
-async def test_a_vehicle_that_stays_hears_of_a_fill_once_when_the_fleet_has_noted_it() -> None:
-    records, metrics = Records(), delivered(messages_v1()["metrics"])
-    worker = worker_of(records)
-    await worker.settle(records, [metrics])
-    assert records.sent == []
-    records.known_fills = {"car1": [FILL]}
-    for _ in range(2):
-        await worker.settle(records, [metrics])
-    (told,) = records.sent
-    assert read_message(told.topic, told.payload).data["fills"] == [FILL]
-
-
-async def test_the_fills_that_a_vehicle_knows_are_stored() -> None:
-    records = Records()
-    worker = worker_of(records)
-    unnamed = FILL | {"product": None}
-    await worker.settle(records, [delivered(fluid_message("car1", NOW_TEXT, [FILL, unnamed], is_to_vehicle=False))])
-    (batch,) = records.stored
-    assert [row["product"] for row in batch.fills] == ["DCTF-II", "not named"]
-    assert worker.counts == {MessageKind.FILLS: 1}

@@ -6,19 +6,13 @@ from dataclasses import replace
 
 import pytest
 
-from diag_service.diagnosis.records import clutch_record, shift_record
-from fleet_backend.intake import MessageKind, Taken, batch_of, receipts_of, refuse, take, take_all
+from fleet_backend.intake import MessageKind, Taken, refuse, take, take_all
 from fleet_backend.rows import moment
 from fleet_contract import (
     Outcome,
-    clutch_message,
-    controller_message,
-    metrics_message,
-    shift_message,
-    status_message,
 )
 from fleet_link import Message
-from tests.golden import CONTROLLER, messages_v1
+from tests.golden import messages_v1
 from tests.support.fleet import NOW, delivered, fleet_result, message_of
 
 GOOD = message_of(fleet_result(7))
@@ -60,14 +54,6 @@ def test_what_cannot_be_unpacked_is_one_message_kept_aside() -> None:
         assert (taken.row["vehicle"], taken.message) == ("car1", message)
     (taken,) = take_all(replace(bundle(GOOD.payload), topic="clutchdiag/v1/car 1/bundle"), NOW)
     assert taken.row["reason"] == "topic"
-
-
-def test_a_good_result_becomes_a_row_and_a_receipt() -> None:
-    taken = take(GOOD, NOW)
-    assert taken.kind is MessageKind.SHIFT
-    assert (taken.row["vehicle"], taken.row["seq"], taken.row["condition"]) == ("car1", 7, "good")
-    assert taken.receipt is not None
-    assert (taken.receipt.key.seq, taken.receipt.outcome) == (7, Outcome.ACCEPTED)
 
 
 @pytest.mark.parametrize(
@@ -126,13 +112,6 @@ def test_a_key_that_no_acknowledgement_can_carry_gets_none(data: dict[str, objec
     assert poison(changed(GOOD, **data), "schema").receipt is None
 
 
-def test_another_vehicle_in_the_payload_is_an_identity_of_the_topics_vehicle() -> None:
-    taken = poison(changed(GOOD, vehicle="car2"), "identity")
-    assert taken.row["vehicle"] == "car1"
-    assert taken.receipt is not None
-    assert taken.receipt.key.vehicle == "car1"
-
-
 @pytest.mark.parametrize(
     "topic", ["clutchdiag/v1/car1", "clutchdiag/v2/car1/shift", "clutchdiag/v1/car1/nonsense", "x"]
 )
@@ -140,54 +119,6 @@ def test_a_strange_topic_is_poison(topic: str) -> None:
     assert poison(replace(GOOD, topic=topic), "topic").receipt is None
 
 
-def test_a_state_that_the_backend_does_not_keep_is_poison() -> None:
-    poison(delivered(clutch_message(clutch_record(shift_record(fleet_result(1))))), "topic")
-
-
-def test_status_and_metrics_become_rows_of_their_vehicle() -> None:
-    record = {
-        "schema": "clutchdiag/status/v1",
-        "vehicle": "car1",
-        "status": "online",
-        "connected_at": "2026-01-01T00:00:00.000000Z",
-        "service_version": "1",
-        "algorithm_version": "a",
-        "calibration_version": "c",
-    }
-    online = take(delivered(status_message(record)), NOW)
-    assert (online.kind, online.row["is_online"]) == (MessageKind.STATUS, True)
-    metrics = take(delivered(metrics_message("car1", "2026-01-01T00:00:00.000000Z", {"outbox_count": 3})), NOW)
-    assert (metrics.kind, metrics.row["metrics"]) == (MessageKind.METRICS, '{"outbox_count": 3}')
-    codes = take(delivered(controller_message(CONTROLLER.record)), NOW)
-    assert (codes.kind, codes.receipt) == (MessageKind.CONTROLLER, None)
-    assert batch_of([codes]).controllers == [codes.row]
-
-
-def test_rows_and_receipts_are_sorted_by_table_and_vehicle() -> None:
-    messages = [GOOD, message_of(fleet_result(1, vehicle="car2")), changed(GOOD, quality=2.0)]
-    taken = [take(message, NOW) for message in messages]
-    batch = batch_of(taken)
-    assert (len(batch.shifts), len(batch.quarantined), len(batch.statuses)) == (2, 1, 0)
-    assert {vehicle: len(receipts) for vehicle, receipts in receipts_of(taken).items()} == {"car1": 2, "car2": 1}
-
-
-def test_what_the_database_refuses_can_be_refused_later() -> None:
-    taken = refuse(GOOD, "database", "too strange", NOW)
-    assert (taken.kind, taken.row["reason"]) == (MessageKind.POISON, "database")
-    assert taken.receipt is not None
-    assert taken.receipt.outcome is Outcome.QUARANTINED
-
-
 def test_the_same_poison_has_one_digest_and_another_topic_another() -> None:
     rows = [refuse(replace(GOOD, topic=topic), "schema", "x", NOW).row for topic in ("a", "a", "b")]
     assert rows[0]["digest"] == rows[1]["digest"] != rows[2]["digest"]
-
-
-def test_a_row_holds_every_number_of_the_record() -> None:
-    record = shift_record(fleet_result(3))
-    row = take(delivered(shift_message(record)), NOW).row
-    assert row["mu_c"] == 0.1361
-    assert row["running_mu_s"] == 0.1 + 0.02
-    assert row["running_shift_count"] == 3
-    assert row["reasons"] == ""
-    assert row["odometer_m"] == 1234.0

@@ -1,7 +1,5 @@
 """Tables for terminals: what is wrapped, what is left out, and when records become blocks."""
 
-import pytest
-
 from fleet_backend.layout import Sheet, lines_of, plain
 
 ROW = ("WVWZZZ1JZ3W386752", "2", "change fluid", "+2.10 ±0.60", "1234")
@@ -60,12 +58,6 @@ def test_a_pipe_has_all_on_one_line() -> None:
         "vehicle            clutch  condition     slope        km    reason",
         "WVWZZZ1JZ3W386752  2       change fluid  +2.10 ±0.60  1234  slope negative",
     ]
-
-
-@pytest.mark.parametrize("width", [30, 42, 52, 80])
-def test_a_text_keeps_its_colour(width: int) -> None:
-    coloured = {line.plain[span.start : span.end] for line in lines_of(SHEET, width) for span in line.spans}
-    assert {"change", "fluid"} <= {word for text in coloured for word in text.split()}
 
 
 def test_what_a_terminal_would_act_on_is_shown_instead() -> None:

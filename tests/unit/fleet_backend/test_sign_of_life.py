@@ -7,14 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from fleet_backend.application import answers, give_signs, prepare
+from fleet_backend.application import give_signs, prepare
 from fleet_backend.choices import Pace
 from fleet_backend.database import open_database
 from fleet_backend.errors import ConfigError
 from fleet_backend.ingest import Inbox, Worker
 from fleet_backend.writer import Writer
 from tests.support.fleet import NOW
-from tests.support.patience import HANG_S
 
 PERIOD_S = 0.01
 
@@ -47,10 +46,6 @@ async def signs(path: Path, url: str, *, is_listening: bool, patience_s: float) 
     return is_touched(path)
 
 
-async def test_a_worker_that_listens_to_both_gives_signs(tmp_path: Path, sqlite_url: str) -> None:
-    assert await signs(tmp_path / "alive", sqlite_url, is_listening=True, patience_s=HANG_S)
-
-
 async def test_without_its_broker_it_gives_none(tmp_path: Path, sqlite_url: str) -> None:
     assert not await signs(tmp_path / "alive", sqlite_url, is_listening=False, patience_s=0.2)
 
@@ -58,10 +53,6 @@ async def test_without_its_broker_it_gives_none(tmp_path: Path, sqlite_url: str)
 async def test_without_its_database_it_gives_none(tmp_path: Path) -> None:
     nobody = "postgresql://nobody@127.0.0.1:1/none"
     assert not await signs(tmp_path / "alive", nobody, is_listening=True, patience_s=0.2)
-
-
-def test_a_database_that_is_not_there_does_not_answer() -> None:
-    assert not answers(open_database("postgresql://nobody@127.0.0.1:1/none"))
 
 
 def test_a_file_that_cannot_be_made_is_said_at_once(tmp_path: Path) -> None:

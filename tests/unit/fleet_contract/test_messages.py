@@ -34,7 +34,6 @@ from fleet_contract import (
     read_message,
     receipts_of,
     shift_message,
-    takes_bundles,
 )
 from fleet_contract.messages import MAX_BUNDLE_BYTES, MAX_RECEIPTS
 from tests.support.builders import shift_result
@@ -207,21 +206,6 @@ def test_whatever_comes_is_events_or_an_error_of_the_contract(payload: bytes | s
     assert not isinstance(payload, str) or [json.loads(event) for event in events] == [json.loads(payload)]
 
 
-def test_a_bundle_is_no_message() -> None:
-    with pytest.raises(MalformedError, match="a bundle"):
-        read_message("clutchdiag/v1/car1/bundle", zlib.compress(TEXT))
-
-
-@pytest.mark.parametrize("is_so", [False, True])
-def test_an_acknowledgement_says_whether_bundles_are_taken(*, is_so: bool) -> None:
-    receipts = [Receipt(key=key_of(shift_record(shift_result())))]
-    now = "2026-01-01T00:00:00.000000Z"
-    (ack,) = ack_messages("car1", receipts, sent_at=now, worker="w", takes_bundles=is_so)
-    assert takes_bundles(read_message(ack.topic, ack.payload).data) is is_so
-    (older,) = ack_messages("car1", receipts, sent_at=now, worker="w")
-    assert b"takes_bundles" not in older.payload
-
-
 NOW = "2026-01-01T00:00:00.000000Z"
 KEY = key_of(shift_record(shift_result()))
 
@@ -244,10 +228,6 @@ def test_the_longest_acknowledgement_is_within_the_limit() -> None:
     assert len(message.payload) > Channel.ACK.max_bytes // 2
     first, *_ = receipts_of(read_message(message.topic, message.payload).data)
     assert first == replace(receipts[0], reason="\U0001f697" * 100)
-
-
-def test_nothing_to_say_is_no_message() -> None:
-    assert list(ack_messages("car1", [], sent_at=NOW, worker="w")) == []
 
 
 def test_a_key_is_one_word_whatever_is_in_it() -> None:

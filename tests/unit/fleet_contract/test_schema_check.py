@@ -46,24 +46,6 @@ def refusal(schema_part: Mapping[str, object], value: object) -> str:
 
 
 @pytest.mark.parametrize(
-    ("part", "value"),
-    [
-        ({"type": "integer"}, 1),
-        ({"type": ["integer", "null"]}, None),
-        ({"type": "number"}, 1.0),
-        ({"type": ["integer", "number"]}, 1.0),
-        ({"enum": [1, 2]}, 2),
-        ({"type": "integer", "maximum": 2**63 - 1}, 2**63 - 1),
-        ({"format": "date-time"}, "2026-01-31T10:00:00.000001Z"),
-        ({"pattern": "^a$"}, "a"),
-    ],
-    ids=str,
-)
-def test_what_is_described_passes(part: Mapping[str, object], value: object) -> None:
-    assert refusal(part, value) == ""
-
-
-@pytest.mark.parametrize(
     ("part", "value", "said"),
     [
         ({"type": "integer"}, 1.0, "an integer is written without a fraction, got 1.0"),
@@ -94,12 +76,6 @@ def test_a_refusal_says_what_is_wrong(part: Mapping[str, object], value: object,
 def test_the_place_of_a_mistake_is_named() -> None:
     nested = {"properties": {"a": {"properties": {"b": {"items": {"type": "string"}}}}}}
     assert refusal(nested, {"a": {"b": ["x", 1]}}) == 'a: b: 1: the value is not of type "string", got 1'
-
-
-def test_a_strangers_name_is_not_repeated_at_length() -> None:
-    part = {"additionalProperties": {"type": "number"}, "propertyNames": {"maxLength": 5}}
-    assert len(refusal(part, {"a\n" * 5000: "b"})) < 300
-    assert refusal(part, {"a\n" * 5000: "b"}).isprintable()
 
 
 def test_a_property_may_be_called_as_a_keyword_is() -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fleet_contract import Address, Channel, TopicError, filter_of, parse_topic, topic_of
+from fleet_contract import Address, Channel, TopicError, parse_topic, topic_of
 
 ADDRESSES = [
     Address(vehicle="car-1", channel=channel, clutch=2 if channel is Channel.CLUTCH else None) for channel in Channel
@@ -54,14 +54,3 @@ def test_no_other_topic_is_ours(topic: str) -> None:
 def test_no_topic_for_what_has_none(vehicle: str, channel: Channel, clutch: int | None) -> None:
     with pytest.raises(TopicError):
         topic_of(vehicle, channel, clutch)
-
-
-def test_subscriptions_reach_every_vehicle() -> None:
-    assert filter_of(Channel.SHIFT) == "clutchdiag/v1/+/shift"
-    assert filter_of(Channel.CLUTCH) == "clutchdiag/v1/+/clutch/+"
-    assert filter_of(Channel.SHIFT, group="ingest") == "$share/ingest/clutchdiag/v1/+/shift"
-
-
-def test_only_the_backend_speaks_to_vehicles_and_only_states_are_retained() -> None:
-    assert [channel for channel in Channel if channel.is_to_vehicle] == [Channel.ACK, Channel.FILLS]
-    assert [channel for channel in Channel if not channel.is_retained] == [Channel.SHIFT, Channel.BUNDLE, Channel.ACK]

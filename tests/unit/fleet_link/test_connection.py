@@ -96,13 +96,6 @@ async def test_a_broker_that_does_not_take_us_is_down(script: Script, terms: Ter
             await asyncio.wait_for(Connection.open(address, terms), HANG_S)
 
 
-async def test_where_nobody_listens_it_says_so() -> None:
-    async with broker(hang_up) as address:
-        pass
-    with pytest.raises(LinkDownError, match="Connection refused"):
-        await Connection.open(address, LONG)
-
-
 async def test_nothing_more_is_taken_from_a_broker_that_reads_nothing() -> None:
     """What is sent without waiting lies in memory until it is written."""
     is_over = asyncio.Event()
@@ -163,16 +156,6 @@ async def test_another_version_is_told_from_a_refusal() -> None:
     async with broker(saying(NOT_THIS_VERSION)) as address:
         with pytest.raises(VersionRefusedError):
             await Connection.open(address, LONG)
-
-
-async def test_no_answer_to_a_message_is_an_error() -> None:
-    async with broker(saying(ACCEPTED)) as address:
-        connection = await opened(address)
-        with pytest.raises(LinkDownError, match=r"no answer in 0\.2 s"):
-            await connection.publish_all(messages(1))
-        with pytest.raises(LinkDownError, match=r"no answer in 0\.2 s"):
-            await connection.subscribe(["t"])
-        await connection.close()
 
 
 async def test_messages_of_others_are_no_answer_to_ours() -> None:

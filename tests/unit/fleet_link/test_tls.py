@@ -23,13 +23,6 @@ def test_the_name_of_the_broker_is_checked_and_old_versions_are_not_spoken(files
     assert context.minimum_version is ssl.TLSVersion.TLSv1_2
 
 
-def test_a_renewal_is_noticed(files: TlsFiles, tmp_path: Path) -> None:
-    before = files.fingerprint()
-    assert files.fingerprint() == before
-    certify(tmp_path, "car1")
-    assert files.fingerprint() != before
-
-
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
@@ -48,11 +41,6 @@ def test_files_that_may_be_put_right_are_a_matter_of_patience(
     files.fingerprint()
     with pytest.raises(AddressError, match=message):
         files.context()
-
-
-def test_a_certificate_without_a_key_is_a_mistake(tmp_path: Path) -> None:
-    with pytest.raises(AddressError, match="needs its key"):
-        TlsFiles(certificate=tmp_path / "car1.crt")
 
 
 def test_a_secret_may_come_through_a_pipe(tmp_path: Path) -> None:

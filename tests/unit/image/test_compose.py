@@ -143,12 +143,6 @@ def test_a_bus_that_is_not_there_is_told_after_a_stated_wait(tmp_path: Path) -> 
     assert SERVICES["emulator"]["depends_on"] == {"service": {"condition": "service_healthy"}}
 
 
-def test_the_broker_has_one_port_everywhere() -> None:
-    text = (ROOT / "docker-compose.yml").read_text(encoding="utf-8")
-    settings = [line for line in text.splitlines() if not line.startswith("#")]
-    assert [line for line in settings if "1883" in line and "${BROKER_PORT:-1883}" not in line] == []
-
-
 def test_the_image_runs_as_a_number_that_is_not_root() -> None:
     (user,) = [entry.text for entry in LAST.instructions if entry.name == "USER"]
     assert re.fullmatch(r"[1-9]\d*:[1-9]\d*", user)

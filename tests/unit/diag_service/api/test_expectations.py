@@ -79,12 +79,6 @@ def test_the_same_frames_pass_whatever_their_neighbours() -> None:
     expect_same_frames(sent, sent[:2], unseen_at_end=1)
 
 
-def test_identifiers_of_11_and_of_29_bits_are_not_the_same() -> None:
-    short, long = message(0xA0, 1), can.Message(arbitration_id=0xA0, data=b"\2", is_extended_id=True)
-    expect_same_frames([short, long], [long, short])
-    assert told([short], [long]).startswith("2 of 2 identifiers differ: A0 (1 sent, 0 received), frame 1: 01 did not")
-
-
 def test_a_frame_that_is_lost_altered_added_or_late_is_named() -> None:
     sent = [message(0xA0, number, 0) for number in range(5)]
     assert told(sent, [*sent[:2], *sent[3:]]) == (

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from canlog.logs import LogReader, read_log
-from diag_service.console import ReadingLine, ending_key, is_confirmed, reading_text
+from diag_service.console import ReadingLine, ending_key, is_confirmed
 from tests.support.patience import HANG_S
 
 LINES = "".join(f"({1767225600 + number}.000000) can0 100#00\n" for number in range(90_000))
@@ -61,15 +61,6 @@ def test_a_pipe_sees_nothing(tmp_path: Path) -> None:
         line.show("calibrating")
         assert sum(len(batch) for batch in reader) == 90_000
     assert pipe.getvalue() == ""
-
-
-def test_what_has_no_size_tells_its_frames(tmp_path: Path) -> None:
-    reader, _ = watched(tmp_path / ("a" * 60 + ".log"), io.StringIO(), [0.0])
-    next(reader)
-    text = reading_text(reader)
-    reader.close()
-    assert text.startswith("reading ...")
-    assert text.endswith(f" %, {reader.counts.frames} frames")
 
 
 @pytest.fixture(name="keyboard")
@@ -142,10 +133,3 @@ def test_a_program_that_shall_end_takes_it_for_a_no(monkeypatch: pytest.MonkeyPa
     with person(monkeypatch) as end:
         assert not is_confirmed("clear?", lambda: False)
         assert_shown(end, b"clear?")
-
-
-def test_where_nobody_sits_the_command_line_has_the_word(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sys.stdin", io.StringIO("n\n"))
-    assert is_confirmed("clear?", lambda: True)
-    monkeypatch.setattr("sys.stdin", None)
-    assert is_confirmed("clear?", lambda: True)

@@ -7,7 +7,6 @@ from contextlib import asynccontextmanager, closing
 import pytest
 
 from diag_service.delivery import Acknowledge, DeliveryLimits, MemoryLink, Outbox
-from diag_service.delivery.delivery import Bundling
 from diag_service.diagnosis.records import shift_record
 from diag_service.errors import PublishError, PublishRefusedError
 from diag_service.store import ResultStore
@@ -159,19 +158,3 @@ async def test_what_of_a_bundle_nobody_acknowledged_comes_again_alone(store: Res
     await drained(store, Place(link))
     assert link.bundled == [10]
     assert seqs(link)[10:] == [10]
-
-
-def test_connections_that_break_under_bundles_are_followed_by_some_without(store: ResultStore) -> None:
-    store.note_takes_bundles(is_taken=True)
-    put(store, [1, 2])
-    rows = store.waiting("car1", after=0, limit=2)
-    bundling, counts = Bundling(store, is_allowed=True), []
-    for _ in range(28):
-        bundling.begin()
-        counts.append(len(bundling.packed([rows])))
-        bundling.note_broken([row.position for row in rows])
-    assert counts == [*[1] * 3, *[2] * 10] * 2 + [1, 1]
-    bundling.begin()
-    bundling.packed([rows])
-    bundling.note_arrived([rows[0].position])
-    assert len(bundling.packed([rows])) == 1

@@ -9,10 +9,10 @@ import pytest
 
 from canlog.errors import NOTICE
 from diag_service.delivery import Acknowledge, DeliveryLimits, MemoryLink, Outbox
-from diag_service.diagnosis.records import FluidFill, shift_record
-from diag_service.errors import PublishError, StoreFullError
+from diag_service.diagnosis.records import shift_record
+from diag_service.errors import PublishError
 from diag_service.store import ResultStore, VehicleState, Versions
-from fleet_contract import Channel, Outcome, Outgoing, Receipt, key_of, metrics_message, read_message
+from fleet_contract import Outcome, Outgoing, Receipt, key_of, metrics_message, read_message
 from tests.support.builders import shift_result
 from tests.support.patience import HANG_S
 
@@ -56,28 +56,6 @@ async def until(condition: Callable[[], bool]) -> None:
     async with asyncio.timeout(HANG_S):
         while not condition():  # noqa: ASYNC110 - the condition lives in a database
             await asyncio.sleep(0.001)
-
-
-async def test_what_waits_is_sent_in_order_then_what_comes(store: ResultStore) -> None:
-    link = MemoryLink()
-    outbox = Outbox(store, "car1", Broker(link).connect, "broker", limits=QUICK)
-    put(store, 1, 2)
-    sender = asyncio.create_task(outbox.run())
-    await until(lambda: seqs(link) == [1, 2])
-    put(store, 3)
-    outbox.wake()
-    await until(lambda: seqs(link) == [1, 2, 3])
-    assert await outbox.close(sender) == 0
-    assert store.unpublished_count("car1") == 0
-
-
-async def test_closing_sends_what_is_left(store: ResultStore) -> None:
-    link = MemoryLink()
-    outbox = Outbox(store, "car1", Broker(link).connect, "broker", limits=QUICK)
-    sender = asyncio.create_task(outbox.run())
-    put(store, *range(1, 251))  # more than one read of the store, and nobody said so
-    assert await outbox.close(sender) == 0
-    assert sorted(seqs(link)) == list(range(1, 251))
 
 
 async def test_a_broken_connection_loses_nothing(store: ResultStore) -> None:
@@ -126,47 +104,6 @@ async def test_what_was_acknowledged_just_before_the_connection_broke_is_sent_ag
     await outbox.close(sender)
 
 
-async def test_a_loss_while_idle_is_noticed(store: ResultStore) -> None:
-    first, second = MemoryLink(), MemoryLink()
-    broker = Broker(first, second)
-    outbox = Outbox(store, "car1", broker.connect, "broker", limits=QUICK)
-    sender = asyncio.create_task(outbox.run())
-    await until(lambda: broker.attempt_count == 1)
-    first.cut.set()
-    await until(lambda: broker.attempt_count == 2)
-    await outbox.close(sender)
-
-
-async def test_an_absent_broker_is_told_of_once_and_tried_again(
-    store: ResultStore, caplog: pytest.LogCaptureFixture
-) -> None:
-    broker = Broker(link := MemoryLink())
-    broker.is_absent = True
-    outbox = Outbox(store, "car1", broker.connect, "broker.example", limits=QUICK)
-    put(store, 1, 2, 3)
-    sender = asyncio.create_task(outbox.run())
-    await until(lambda: broker.attempt_count > 5)
-    broker.is_absent = False
-    await until(lambda: seqs(link) == [1, 2, 3])
-    await outbox.close(sender)
-    warnings = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
-    assert len(warnings) == 1
-    assert "broker.example" in warnings[0]
-    assert "3 results wait" in warnings[0]
-
-
-async def test_a_refused_result_blocks_the_queue_not_the_run(store: ResultStore) -> None:
-    refusing = MemoryLink()
-    refusing.is_refusing = True
-    broker = Broker(refusing)
-    outbox = Outbox(store, "car1", broker.connect, "broker", limits=QUICK)
-    put(store, 1, 2)
-    sender = asyncio.create_task(outbox.run())
-    await until(lambda: not broker.links)
-    broker.is_absent = True
-    assert await outbox.close(sender) == 2
-
-
 async def test_a_broker_that_lets_us_in_and_refuses_results_is_told_of_once_and_asked_less_and_less_often(
     store: ResultStore, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -192,30 +129,6 @@ async def test_a_broker_that_lets_us_in_and_refuses_results_is_told_of_once_and_
     assert caplog.records[-1].getMessage() == "broker broker takes results again"
 
 
-async def test_closing_an_outbox_whose_broker_is_absent_takes_one_attempt(store: ResultStore) -> None:
-    broker = Broker()
-    broker.is_absent = True
-    outbox = Outbox(store, "car1", broker.connect, "broker", limits=QUICK)
-    put(store, 1)
-    sender = asyncio.create_task(outbox.run())
-    async with asyncio.timeout(HANG_S):
-        assert await outbox.close(sender) == 1
-
-
-async def test_closing_an_outbox_whose_broker_is_silent_takes_a_limited_time(store: ResultStore) -> None:
-    class Silent(MemoryLink):
-        async def send(self, messages: Sequence[Outgoing]) -> None:
-            if messages:
-                await asyncio.Event().wait()
-
-    outbox = Outbox(store, "car1", Broker(Silent()).connect, "broker", limits=QUICK)
-    put(store, 1)
-    sender = asyncio.create_task(outbox.run())
-    async with asyncio.timeout(HANG_S):
-        assert await outbox.close(sender, timeout_s=0.05) == 1
-    assert sender.cancelled()
-
-
 # --- with a backend whose word counts ---
 
 
@@ -225,46 +138,6 @@ def backend_outbox(store: ResultStore, broker: Broker, limits: DeliveryLimits = 
 
 def receipts(*seqs: int, outcome: Outcome = Outcome.ACCEPTED, reason: str | None = None) -> list[Receipt]:
     return [Receipt(key=key_of(shift_record(shift_result(seq))), outcome=outcome, reason=reason) for seq in seqs]
-
-
-async def test_only_the_backend_lets_a_result_be_forgotten(store: ResultStore) -> None:
-    link = MemoryLink()
-    outbox = backend_outbox(store, Broker(link))
-    put(store, 1, 2, 3)
-    sender = asyncio.create_task(outbox.run())
-    await until(lambda: seqs(link) == [1, 2, 3] and link.on_receipts is not None)
-    assert store.unpublished_count("car1") == 3
-    assert link.on_receipts is not None
-    link.on_receipts(receipts(2, 99))
-    await until(lambda: store.unpublished_count("car1") == 2)
-    link.on_receipts(receipts(1, 3, 2))
-    assert await outbox.close(sender) == 0
-    assert seqs(link) == [1, 2, 3]
-
-
-async def test_a_backend_that_acknowledges_at_once_gets_each_result_once(store: ResultStore) -> None:
-    link = MemoryLink(is_acknowledging=True)
-    outbox = backend_outbox(store, Broker(link))
-    put(store, *range(1, 1001))
-    sender = asyncio.create_task(outbox.run())
-    assert await outbox.close(sender, HANG_S) == 0
-    assert sorted(seqs(link)) == list(range(1, 1001))
-    assert (outbox.counts.sent, outbox.counts.acknowledged, outbox.counts.repeated) == (1000, 1000, 0)
-
-
-async def test_what_nobody_acknowledged_is_sent_again_over_the_next_connection(store: ResultStore) -> None:
-    first, second = MemoryLink(), MemoryLink(is_acknowledging=True)
-    outbox = backend_outbox(store, Broker(first, second))
-    put(store, 1, 2)
-    sender = asyncio.create_task(outbox.run())
-    await until(lambda: seqs(first) == [1, 2])
-    assert first.on_receipts is not None
-    first.on_receipts(receipts(1))
-    await until(lambda: store.unpublished_count("car1") == 1)
-    first.cut.set()
-    await until(lambda: store.unpublished_count("car1") == 0)
-    assert seqs(second) == [2]
-    await outbox.close(sender)
 
 
 async def test_silence_is_told_once_and_results_are_sent_again_less_and_less_often(
@@ -360,50 +233,3 @@ async def test_what_a_dying_worker_took_with_it_is_sent_again_soon(store: Result
     await until(lambda: seqs(link) == [1, 2, 1])  # long before its time limit
     link.on_receipts(receipts(1))
     assert await outbox.close(sender) == 0
-
-
-async def test_a_disk_without_room_for_a_receipt_is_tried_again(
-    store: ResultStore, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def refuse(_receipts: Sequence[Receipt]) -> list[int]:
-        raise StoreFullError("cannot use store x: database or disk is full")
-
-    first, second = MemoryLink(is_acknowledging=True), MemoryLink(is_acknowledging=True)
-    broker = Broker(first, second)
-    outbox = backend_outbox(store, broker)
-    put(store, 1)
-    with monkeypatch.context() as full:
-        full.setattr(store, "note_receipts", refuse)
-        sender = asyncio.create_task(outbox.run())
-        await until(lambda: "disk is full; 1 results wait" in caplog.text)
-    await until(lambda: store.unpublished_count("car1") == 0)
-    assert (seqs(first), seqs(second)) == ([1], [1])
-    assert await outbox.close(sender) == 0
-
-
-FILL = FluidFill(vehicle="car1", filled_at="2026-01-01T00:00:00.000000Z", product="DCTF-II")
-FLEET_FILL = FluidFill(vehicle="car1", filled_at="2026-02-01T00:00:00.000000Z")
-
-
-def told_fills(link: MemoryLink) -> list[list[str]]:
-    messages = [read_message(message.topic, message.payload) for message in link.others]
-    return [
-        [str(fill["filled_at"]) for fill in fills]
-        for message in messages
-        if message.address.channel is Channel.FLUID and isinstance(fills := message.data["fills"], list)
-    ]
-
-
-async def test_fluid_fills_are_told_once_per_connection_and_those_of_the_fleet_are_noted(store: ResultStore) -> None:
-    store.add_fills([FILL])
-    link = MemoryLink()
-    link.fleet_fills = [FLEET_FILL, FILL]
-    outbox = Outbox(store, "car1", Broker(link).connect, "memory", limits=QUICK)
-    sender = asyncio.create_task(outbox.run())
-    await until(lambda: len(told_fills(link)) >= 1)
-    put(store, 1)
-    outbox.wake()
-    await until(lambda: seqs(link) == [1])
-    assert await outbox.close(sender) == 0
-    assert store.fills("car1") == [FILL, FLEET_FILL]
-    assert told_fills(link) == [[FILL.filled_at, FLEET_FILL.filled_at]]

@@ -4,11 +4,9 @@ import io
 import json
 from dataclasses import replace
 
-import pytest
 from rich.console import Console
 
 from diag_service.delivery import ConsoleReporter, JsonLinesReporter, MemoryReporter, News, PipeReporter
-from diag_service.diagnosis.events import EventKind
 from diag_service.diagnosis.records import Reason, ShiftResult, ShiftStatistics, shift_record
 from diag_service.diagnosis.summary import FrameCounts, Summary, frames_line, shifts_line
 from tests.support.builders import rejected, shift_result
@@ -35,12 +33,6 @@ def numbers() -> Summary:
     statistics = statistics.with_shift(shift_result(2), is_new=False)
     statistics = statistics.with_shift(interrupted(3), is_new=True)
     return Summary(vehicle="car1", frames=FRAMES, shifts=statistics, unpublished_count=2)
-
-
-def test_frames_add_up_or_not() -> None:
-    assert FRAMES.is_balanced
-    assert not replace(FRAMES, decoded=71).is_balanced
-    assert replace(FRAMES, unsupported=5, on_bus=105).is_balanced
 
 
 def test_the_numbers_in_words() -> None:
@@ -87,17 +79,6 @@ def test_people_see_a_line_per_shift_whatever_the_width() -> None:
     assert len(lines) == 4
 
 
-def test_specialists_see_more_of_each_shift() -> None:
-    out = io.StringIO()
-    reporter = ConsoleReporter(Console(file=out, width=40), is_detailed=True)
-    reporter.report(shift_result(1))
-    reporter.report(interrupted(2))
-    lines = [" ".join(line.split()) for line in out.getvalue().splitlines()]
-    assert lines[0] == "shift gears event clutch status mu_C ± 2 std mu_S ± 2 std P(slope<0) trust oil clutch is"
-    assert lines[1] == "1 1-2 shift 2 valid 0.1361 0.0024 0.1200 0.0032 0.000 0.85 80 °C good"
-    assert lines[2] == "2 2-3 shift 1 rejected - - - - - 0.85 - no verdict [interrupted]"
-
-
 def test_people_see_at_the_end_what_to_do_and_then_the_clutches() -> None:
     out = io.StringIO()
     ConsoleReporter(Console(file=out, width=80)).report(numbers())
@@ -125,16 +106,6 @@ def test_specialists_see_what_the_verdict_rests_on() -> None:
     assert text.endswith(frames_line(FRAMES) + "\n")
 
 
-def test_specialists_see_the_ratio_after_the_last_shift() -> None:
-    out = io.StringIO()
-    statistics = ShiftStatistics()
-    statistics = statistics.with_shift(interrupted(1), is_new=True)
-    statistics = statistics.with_shift(shift_result(2), is_new=True)
-    summary = Summary(vehicle="car1", frames=FRAMES, shifts=statistics, unpublished_count=None)
-    ConsoleReporter(Console(file=out, width=80), is_detailed=True).report(summary)
-    assert "mu_C1/mu_C2 1.004 ± 0.028, mu_S1/mu_S2 0.991 ± 0.034\n" in out.getvalue()
-
-
 def test_a_broken_pipe_is_told_once_and_then_nothing_is_written() -> None:
     class Broken(MemoryReporter):
         def report(self, news: News) -> None:
@@ -151,22 +122,3 @@ def test_a_broken_pipe_is_told_once_and_then_nothing_is_written() -> None:
     assert breaks == ["broken"]
     assert [result.seq for result in broken.results] == [1]
     assert broken.summaries == []
-
-
-def test_other_errors_pass_a_pipe() -> None:
-    class Failing(MemoryReporter):
-        def report(self, news: News) -> None:
-            super().report(news)
-            raise OSError("no space left")
-
-    with pytest.raises(OSError, match="no space left"):
-        PipeReporter(Failing(), lambda: None).report(shift_result(1))
-
-
-def test_an_event_without_a_change_of_gears_has_one_gear() -> None:
-    out = io.StringIO()
-    reporter = ConsoleReporter(Console(file=out, width=40))
-    result = shift_result(1, to_gear=1)
-    launch = replace(result.estimate, from_gear=1, kind=EventKind.LAUNCH)
-    reporter.report(replace(result, estimate=launch))
-    assert out.getvalue().splitlines()[1].split()[:4] == ["1", "1", "launch", "1"]

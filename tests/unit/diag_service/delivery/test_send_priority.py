@@ -29,21 +29,6 @@ def handed_out(priority: SendPriority, limit: int) -> list[int]:
     return [row.key.seq for row in priority.next(limit)]
 
 
-def test_a_short_backlog_goes_in_order(store: ResultStore) -> None:
-    put(store, 1, 5)
-    priority = SendPriority(store, "car1")
-    assert handed_out(priority, 8) == [1, 2, 3, 4, 5]
-    assert handed_out(priority, 8) == []
-
-
-def test_a_long_backlog_goes_from_both_ends(store: ResultStore) -> None:
-    put(store, 1, 20)
-    priority = SendPriority(store, "car1")
-    assert handed_out(priority, 8) == [20, 19, 1, 2, 3, 4, 5, 6]
-    assert handed_out(priority, 8) == [18, 17, 7, 8, 9, 10, 11, 12]
-    assert handed_out(priority, 8) == [13, 14, 15, 16]
-
-
 def test_what_happens_now_goes_first_but_does_not_stop_the_backlog(store: ResultStore) -> None:
     put(store, 1, 20)
     priority = SendPriority(store, "car1")
@@ -51,13 +36,6 @@ def test_what_happens_now_goes_first_but_does_not_stop_the_backlog(store: Result
     assert handed_out(priority, 8) == [21, 22, 23, 24, 25, 26, 1, 2]
     assert handed_out(priority, 8) == [27, 28, 29, 30, 20, 3, 4, 5]
     assert [row.key.seq for row in priority.next_fresh(8)] == []
-
-
-def test_without_a_backlog_all_room_is_for_what_happens_now(store: ResultStore) -> None:
-    priority = SendPriority(store, "car1")
-    put(store, 1, 20)
-    assert [row.key.seq for row in priority.next_fresh(3)] == [1, 2, 3]
-    assert handed_out(priority, 8) == [4, 5, 6, 7, 8, 9, 10, 11]
 
 
 @settings(deadline=None)

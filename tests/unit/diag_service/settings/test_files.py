@@ -77,32 +77,22 @@ def test_every_option_can_be_set_and_left_out() -> None:
     assert settings() == UNSET
 
 
-@pytest.mark.parametrize("name", VALUES)
-def test_an_option_of_the_file(name: str, tmp_path: Path) -> None:
+def test_every_option_may_be_in_the_file(tmp_path: Path) -> None:
     file = tmp_path / "car.toml"
-    file.write_text(toml({name: VALUES[name]}), encoding="utf-8")
-    assert changed(settings(file)) == {name: str(VALUES[name])}
+    file.write_text(toml(VALUES), encoding="utf-8")
+    assert changed(settings(file)) == {name: str(value) for name, value in VALUES.items()}
 
 
-@pytest.mark.parametrize("name", VALUES)
-def test_an_option_that_the_file_leaves_out(name: str, tmp_path: Path) -> None:
-    file = tmp_path / "car.toml"
-    file.write_text(toml({key: value for key, value in VALUES.items() if key != name}), encoding="utf-8")
-    assert settings(file)[name] == UNSET[name]
-
-
-@pytest.mark.parametrize("name", VALUES)
-def test_an_option_of_the_environment(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(PREFIX + name.upper(), str(VALUES[name]))
-    assert changed(settings()) == {name: str(VALUES[name])}
-
-
-@pytest.mark.parametrize("name", VALUES)
-def test_an_option_of_the_command_line(name: str) -> None:
-    word = f"--{name.replace('_', '-')}"
-    assert changed(settings(None, word, *([] if VALUES[name] is True else [str(VALUES[name])]))) == {
-        name: str(VALUES[name])
-    }
+@pytest.mark.parametrize("name", ["store_budget", "dbc", "fd"])  # a number, a file, a switch
+@pytest.mark.parametrize("place", ["file", "environment", "command line"])
+def test_an_option_is_set_alone(name: str, place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file, words = tmp_path / "car.toml", list[str]()
+    file.write_text(toml({name: VALUES[name]} if place == "file" else {}), encoding="utf-8")
+    if place == "environment":
+        monkeypatch.setenv(PREFIX + name.upper(), str(VALUES[name]))
+    if place == "command line":
+        words = [f"--{name.replace('_', '-')}", *([] if VALUES[name] is True else [str(VALUES[name])])]
+    assert changed(settings(file, *words)) == {name: str(VALUES[name])}
 
 
 @pytest.mark.parametrize("off", ["0", "false", "no"])
@@ -141,21 +131,13 @@ def test_who_stands_over_whom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     ("text", "message"),
     [
         ("vehicel = 'car1'", "vehicel: Extra inputs are not permitted"),
-        ("store_budget = 'large'", "store_budget"),
         ("acknowledge = 'nobody'", "acknowledge"),
-        ("acknowledge = 1", "acknowledge: must be broker or backend"),
         ("bitrate = 5.5", "bitrate: must be a whole number"),
-        ("bitrate = true", "bitrate: must be a whole number"),
         ("duration = 'long'", "duration: must be a number"),
-        ("duration = 2026-01-01", "duration: must be a number"),
         ("fd = 'perhaps'", "fd: must be true or false"),
-        ("fd = 2", "fd: must be true or false"),
-        ("vehicle = 5", "vehicle: must be a text"),
-        ("store = ['a', 'b']", "store: must be a file name"),
         ('store = "a\\u0000b"', "store: must be a file name"),
         ("fd = 2\nvehicle = 5", "fd: must be true or false; vehicle: must be a text"),
         ("vehicle = ", "is not TOML"),
-        ("[bus]\nchannel = 'vcan0'", "bus: Extra inputs are not permitted"),
     ],
 )
 def test_a_file_that_is_wrong_is_refused(text: str, message: str, tmp_path: Path) -> None:
@@ -163,11 +145,6 @@ def test_a_file_that_is_wrong_is_refused(text: str, message: str, tmp_path: Path
     file.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=message):
         read_settings(file)
-
-
-def test_a_file_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="No such file"):
-        read_settings(tmp_path / "none.toml")
 
 
 def test_what_is_wrong_is_not_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -237,16 +214,6 @@ def test_a_shown_text_is_read_back_as_it_was(text: str) -> None:
     assert len(shown.splitlines()) == len(VALUES)
 
 
-def test_config_check_prints_what_a_run_would_use(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("CLUTCHDIAG_BROKER", "mqtt://car1:hunter2@host")
-    assert main(["config", "check", "--vehicle", "car1"]) == 0
-    captured = capsys.readouterr()
-    assert "hunter2" not in captured.out + captured.err
-    assert tomllib.loads(captured.out)["vehicle"] == "car1"
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -282,11 +249,6 @@ def test_a_variable_that_nothing_reads_is_an_error_that_names_the_nearest(monkey
         settings()
     assert "hunter2" not in str(caught.value)
     monkeypatch.setenv("CLUTCHDIAG_VEHICEL", "")  # as good as not set
-    assert settings() == UNSET
-
-
-def test_the_backend_s_variables_are_no_mistake_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CLUTCHDIAG_DATABASE", "postgresql://fleet@db/fleet")
     assert settings() == UNSET
 
 

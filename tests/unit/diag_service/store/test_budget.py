@@ -33,15 +33,6 @@ def kept(store: ResultStore) -> list[int]:
     return [result.seq for result in store.results("car1")]
 
 
-def test_a_store_within_its_budget_drops_nothing(store: ResultStore) -> None:
-    for seq in range(1, 20):
-        store.add(long_result(seq), STATE)
-    assert kept(store) == list(range(1, 20))
-    dropped = store.dropped_counts()
-    assert dropped.empty + dropped.undelivered == 0
-    assert store.used_bytes() <= BUDGET_BYTES
-
-
 def test_what_is_delivered_goes_first_then_what_is_empty_then_the_oldest(store: ResultStore) -> None:
     for seq in range(1, 21):
         store.add(long_result(seq, is_empty=11 <= seq <= 15), STATE)

@@ -26,14 +26,6 @@ def _store() -> Iterator[ResultStore]:
         yield store
 
 
-def test_a_result_and_its_state_are_kept(store: ResultStore) -> None:
-    assert store.add(shift_result(1), state(1))
-    assert store.add(shift_result(2), state(2))
-    assert list(store.results("car1")) == [shift_result(1), shift_result(2)]
-    assert store.state("car1") == state(2)
-    assert store.state("car2") is None
-
-
 def test_a_known_key_changes_nothing(store: ResultStore) -> None:
     store.add(shift_result(1), state("first"))
     louder = replace(shift_result(1), produced_at="2027-01-01T00:00:00.000000Z")
@@ -56,14 +48,6 @@ def test_every_part_of_the_key_counts(store: ResultStore, other: object) -> None
     assert isinstance(other, type(shift_result()))
     store.add(shift_result(1), state())
     assert store.add(other, state())
-
-
-def test_a_result_is_found_by_its_key_only(store: ResultStore) -> None:
-    result = shift_result(1)
-    store.add(result, state())
-    assert store.find("car1", result.stream, 1, VERSIONS) == result
-    assert store.find("car1", result.stream, 2, VERSIONS) is None
-    assert store.find("car1", result.stream, 1, replace(VERSIONS, algorithm="algorithm-2")) is None
 
 
 def test_nothing_is_stored_of_a_result_that_is_not_finite(store: ResultStore) -> None:
@@ -99,13 +83,6 @@ def test_the_outbox_is_ordered_and_forgets_what_was_acknowledged(store: ResultSt
     assert store.unpublished_count("car2") == 1
 
 
-def test_the_latest_result_of_each_clutch(store: ResultStore) -> None:
-    assert store.latest("car1") == []
-    for seq, gear in ((1, 2), (2, 3), (3, 4), (4, 6)):
-        store.add(shift_result(seq, to_gear=gear), state())
-    assert [(row.clutch, row.key.seq) for row in store.latest("car1")] == [(1, 2), (2, 4)]
-
-
 def test_the_latest_result_ended_last_and_was_made_like_the_one_stored_last(store: ResultStore) -> None:
     older, other = shift_result(1, to_gear=2, stream="older"), shift_result(9, to_gear=2)
     for one in (shift_result(5, to_gear=2), older, shift_result(2, to_gear=3, stream="older")):
@@ -115,16 +92,6 @@ def test_the_latest_result_ended_last_and_was_made_like_the_one_stored_last(stor
     assert [row.key.algorithm_version for row in store.latest("car1")] == ["another"]
     own = Versions(algorithm=older.algorithm_version, calibration=older.calibration_version)
     assert [row.key.seq for row in store.latest("car1", own)] == [2, 5]
-
-
-def test_the_outbox_is_read_from_both_ends(store: ResultStore) -> None:
-    for seq in range(1, 7):
-        store.add(shift_result(seq), state())
-    store.mark_published([4])
-    assert [row.key.seq for row in waiting(store, after=1, before=6)] == [2, 3, 5]
-    assert [row.key.seq for row in store.waiting("car1", after=1, before=6, limit=2, newest_first=True)] == [5, 3]
-    assert [row.key.seq for row in store.stored([4, 99, 2])] == [4, 2]
-    assert (store.last_position("car1"), store.last_position("car2")) == (6, 0)
 
 
 def test_a_backend_settles_by_key_what_is_here(store: ResultStore) -> None:
@@ -157,11 +124,6 @@ def test_threads_take_turns(store: ResultStore) -> None:
     for thread in threads:
         thread.join()
     assert sorted(result.seq for result in store.results("car1")) == list(range(1, 151))
-
-
-def test_closing_twice_does_no_harm(store: ResultStore) -> None:
-    store.close()
-    store.close()
 
 
 def fill(day: int, vehicle: str = "car1") -> FluidFill:

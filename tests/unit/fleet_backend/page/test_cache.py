@@ -15,15 +15,6 @@ class Maker:
         return [self.count] * self._length
 
 
-def test_a_value_is_made_once_for_each_state() -> None:
-    remembered, make = Cache(10, len), Maker()
-    first = remembered.of("a", 1, make)
-    assert remembered.of("a", 1, make) is first
-    assert remembered.of("b", 1, make) is not first
-    assert remembered.of("a", 2, make) is not first
-    assert make.count == 3
-
-
 def test_a_value_is_the_same_as_itself_alone() -> None:
     one, other = [1], [1]
     assert Same(one) == Same(one)
@@ -44,9 +35,3 @@ def test_what_nobody_asked_for_longest_goes_first_and_all_goes_in_time() -> None
     now_s = LONGEST_S
     remembered.of("b", 0, make)
     assert make.count == 5
-
-
-def test_one_value_is_kept_however_large_it_is() -> None:
-    remembered, make = Cache(1, len), Maker(7)
-    assert remembered.of("a", 0, make) is remembered.of("a", 0, make)
-    assert make.count == 1

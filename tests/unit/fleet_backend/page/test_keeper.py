@@ -65,12 +65,6 @@ def test_only_vehicles_with_news_are_read_again() -> None:
     assert keeper.snapshot.number == 2
 
 
-def test_fluids_and_types_are_those_that_there_are() -> None:
-    keeper = Keeper(Fleet(clutch_now("Taxi-7", fluid="A"), clutch_now("car1"), clutch_now("car2", fluid="A")))
-    keeper.refresh()
-    assert (keeper.snapshot.fluids, keeper.snapshot.types) == (("A",), ("nominal-1",))
-
-
 def test_new_fluid_makes_it_read_its_vehicle_and_time_all() -> None:
     fleet = Fleet(clutch_now("a"), clutch_now("b"))
     keeper = Keeper(fleet)

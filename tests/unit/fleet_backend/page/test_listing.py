@@ -36,13 +36,6 @@ def test_parts_are_the_whole(fleet: list[ClutchNow], limit: int) -> None:
     assert tuple(found) == whole
 
 
-def test_the_worst_comes_first() -> None:
-    good, falling = clutch_now("a"), clutch_now("b", condition="watch", probability_negative_slope=0.9)
-    weak = clutch_now("c", condition="watch", level_ratio=0.8)
-    bad, unknown = clutch_now("d", condition="change_fluid"), clutch_now("e", condition="no_verdict", mu_c=None)
-    assert worst_first([good, unknown, weak, falling, bad]) == (bad, falling, weak, good, unknown)
-
-
 def test_a_list_goes_on_where_the_last_clutch_has_gone() -> None:
     fleet = worst_first([clutch_now(name) for name in ("a", "b", "c")])
     part = part_of(fleet, None, 2)

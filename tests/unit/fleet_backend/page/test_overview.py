@@ -2,11 +2,9 @@
 
 from datetime import timedelta
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet_backend.page.errors import NotFoundError
 from fleet_backend.page.fleet_view import SORTS, answer_of, vehicles_of
 from fleet_backend.page.listing import Wanted
 from fleet_backend.page.records import ClutchNow
@@ -69,10 +67,3 @@ def test_a_vehicle_is_as_its_worse_clutch() -> None:
     assert dict(found.counts) == {"change_fluid": 1, "watch": 1, "good": 1, "no_verdict": 0}
     watched = answer_of(by_vehicle(fleet), Wanted(condition="good"), None, None, 50)
     assert [one.vehicle for one in watched.vehicles] == ["b"]
-
-
-def test_a_place_of_another_order_is_none() -> None:
-    vehicles = by_vehicle([clutch_now("a"), clutch_now("b")])
-    after = answer_of(vehicles, ANY, "km", None, 1).next
-    with pytest.raises(NotFoundError, match="not a position in a list"):
-        answer_of(vehicles, ANY, "vehicle", after, 1)

@@ -3,10 +3,8 @@
 import re
 from datetime import UTC, datetime, timedelta
 
-import numpy as np
 import pytest
 
-from clutchdiag_io.pages.plot import broken
 from fleet_backend.page.pictures import Course, Quantity, course_picture
 from fleet_backend.page.records import Fill, TrendPoint, VehicleAnswer
 from tests.support.fleet_page import clutch_now
@@ -42,9 +40,3 @@ def test_the_curve_and_its_bands_break_at_a_fill(quantity: Quantity) -> None:
 def test_a_fill_at_the_end_of_an_event_belongs_behind_it_and_one_after_all_at_the_end() -> None:
     moments = course([ENDS[3], ENDS[9] + timedelta(days=3)]).moments
     assert [place for place, *_ in moments] == [5.0, 10.0]
-
-
-def test_of_each_stretch_the_ends_are_drawn() -> None:
-    (values,) = broken([50], 10, np.arange(100.0))
-    first, second = np.split(values, np.flatnonzero(np.isnan(values)) + 1)[:2]
-    assert [first[0], first[-2], second[0], second[-2]] == [0.0, 49.0, 50.0, 99.0]
