@@ -1,23 +1,47 @@
 """Every command of every program without extras: help and version as ever, else one line that says what to install."""
 
 import re
+from collections.abc import Mapping
 from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
 
-from tests.support.documents import ROOT
-from tests.support.plain_install import PlainInstall, core_distributions, extra_modules, plain_install
+from diag_service.commands.arguments import COMMAND_LINE as DIAG_SERVICE
+from ecu_emulator.arguments import COMMAND_LINE as ECU_EMULATOR
+from fleet_backend.arguments import COMMAND_LINE as FLEET_BACKEND
+from tests.support.documents import MODULES, ROOT
+from tests.support.plain_install import Outcome, PlainInstall, core_distributions, extra_modules, plain_install
 from tests.support.ports import free_port
 
-PROGRAMS = {
-    "ecu-emulator": "ecu_emulator.cli",
-    "diag-service": "diag_service.cli",
-    "fleet-backend": "fleet_backend.cli",
-}
-COMMAND = re.compile(r"^  ([a-z][a-z-]*)(?:  +\S|$)", re.MULTILINE)
+COMMANDS = {str(one.name): list(one.commands) for one in (ECU_EMULATOR, DIAG_SERVICE, FLEET_BACKEND)}
 CANDUMP = "(1767225600.000000) vcan0 123#0011223344556677\n" * 4
 MDF = b"MDF     4.10    asammdf ".ljust(512, b"\0")
+FLEET = "--database sqlite:///fleet.sqlite"
+WORDS = {"trend": "car1 2", "fill": "car1 oil", "ingest": "--broker mqtt://127.0.0.1", "retain": "--months 12"}
+WORDS |= {"forget": "car1"}
+OF_THE_FLEET = {
+    f"{one} {FLEET} {WORDS.get(one, '')}": "page" if one in {"serve", "watch"} else "fleet"
+    for one in COMMANDS["fleet-backend"]
+    if one != "follow"
+}
+ASKED: Mapping[str, Mapping[str, str]] = {  # words, and the extra that they lack; empty: none
+    "ecu-emulator": {"pdx -o tcu.pdx": "odx", "record made.mf4": "mf4", "scenarios": ""},
+    "diag-service": {
+        "dtc -i virtual -c x --active --description car.pdx": "odx,uds",
+        "decode drive.log -o d.parquet": "parquet",
+        "decode drive.log -o -": "parquet",
+        "analyze drive.log -o a.parquet": "parquet",
+        "lake check .": "cluster",
+        "analyze . --lake lake": "cluster",
+        **dict.fromkeys((f"{one} drive.mf4" for one in ("inspect", "signals", "analyze")), "mf4"),
+        "calibrate drive.mf4 -o c.toml": "mf4",
+        **dict.fromkeys((f"{one} drive.log" for one in ("inspect", "signals", "analyze")), ""),
+        "config check": "",
+    },
+    "fleet-backend": {**OF_THE_FLEET, f"ingest {FLEET} --broker nats://127.0.0.1": "nats"},
+}
+LEFT_OUT = "analyze logs --jobs 1"  # a folder with a log that needs an extra
 
 
 @pytest.fixture(name="plain", scope="module")
@@ -44,130 +68,43 @@ def test_what_is_to_be_installed_is_where_pip_finds_it() -> None:
     assert [line for line in advice if re.search(r"pip install[^`]* '?(clutchdiag|canlog)\b", line)] == []
 
 
-def test_nothing_of_the_extras_can_be_imported(plain: PlainInstall) -> None:
-    modules = sorted(extra_modules())
-    assert {"sqlalchemy", "alembic", "psycopg", "pyarrow", "asammdf", "amqtt"} <= set(modules)
-    found = plain.run("-c", f"import importlib.util as u; print([m for m in {modules} if u.find_spec(m)])")
-    assert found.out == "[]\n"
-
-
-@pytest.mark.parametrize("program", PROGRAMS)
-def test_help_and_version_need_no_extra(plain: PlainInstall, program: str) -> None:
-    module = PROGRAMS[program]
-    version, text = plain.run_all(module, [["--version"], ["--help"]])
-    assert (version.status, text.status) == (0, 0)
-    assert version.out.startswith(f"{program} ")
-    assert re.search(r"2 usage[^;0-9]* or an extra that is not installed", " ".join(text.out.split()))
-    commands = COMMAND.findall(text.out)
-    assert len(commands) >= 3
-    for command, told in zip(commands, plain.run_all(module, [[one, "--help"] for one in commands]), strict=True):
-        assert told.status == 0, command
-        assert told.out.startswith(f"Usage: {program} {command} "), command
-        assert told.err == "", command
-
-
-def test_every_program_starts_as_a_module(plain: PlainInstall) -> None:
-    for program, module in PROGRAMS.items():
-        started = plain.run("-m", module.removesuffix(".cli"), "--version")
-        assert (started.status, started.err) == (0, ""), program
-
-
-def test_every_command_of_the_backend_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
-    (text,) = plain.run_all("fleet_backend.cli", [["--help"]])
-    more = {"trend": ["car1", "2"], "fill": ["car1", "oil"], "ingest": ["--broker", "mqtt://127.0.0.1"]}
-    more |= {"retain": ["--months", "12"], "forget": ["car1"]}
-    commands = [one for one in COMMAND.findall(text.out) if one != "follow"]
-    database = ["--database", f"sqlite:///{tmp_path}/fleet.sqlite"]
-    told = plain.run_all("fleet_backend.cli", [[one, *database, *more.get(one, [])] for one in commands])
-    assert [outcome.status for outcome in told] == [2] * len(commands)
-    for command, outcome in zip(commands, told, strict=True):
-        one_line("fleet-backend", "page" if command in {"serve", "watch"} else "fleet", outcome.err)
-    assert list(tmp_path.iterdir()) == []
+@pytest.mark.parametrize("program", MODULES)
+def test_a_program_without_extras_helps_works_and_says_what_it_lacks(
+    plain: PlainInstall, tmp_path: Path, program: str
+) -> None:
+    """One start for all words of a program."""
+    (tmp_path / "drive.log").write_text(CANDUMP, encoding="utf-8")
+    (tmp_path / "logs").mkdir()
+    for place in ("drive.mf4", "logs/drive.mf4"):
+        (tmp_path / place).write_bytes(MDF)
+    helps = [f"{command} --help" for command in COMMANDS[program]]
+    runs = ["--version", "--help", *helps, *ASKED[program], *([LEFT_OUT] if program == "diag-service" else [])]
+    outcomes = plain.run_all(f"{MODULES[program]}.cli", [words.split() for words in runs], cwd=tmp_path)
+    told: dict[str, Outcome] = dict(zip(runs, outcomes, strict=True))
+    assert told["--version"].out.startswith(f"{program} ")
+    assert re.search(r"2 usage[^;0-9]* or an extra that is not installed", " ".join(told["--help"].out.split()))
+    for words in helps:
+        assert (told[words].status, told[words].err) == (0, ""), words
+        assert told[words].out.startswith(f"Usage: {program} {words.split()[0]} "), words
+    for words, extra in ASKED[program].items():
+        assert told[words].status == (2 if extra else 0), (words, told[words])
+        assert "Traceback" not in told[words].err
+        if extra:
+            one_line(program, extra, told[words].err.splitlines(keepends=True)[-1])
+    if LEFT_OUT in told:
+        assert told[LEFT_OUT].status == 3
+        assert "drive.mf4: not read: " in told[LEFT_OUT].out
+        assert "pip install '.[mf4]'" in told[LEFT_OUT].err
+    assert {path.name for path in tmp_path.iterdir()} == {"drive.log", "logs", "drive.mf4"}
 
 
 def test_a_broker_is_followed_without_an_extra(plain: PlainInstall) -> None:
-    (told,) = plain.run_all("fleet_backend.cli", [["follow", f"mqtt://127.0.0.1:{free_port()}"]])
+    told = plain.run("-m", "fleet_backend", "follow", f"mqtt://127.0.0.1:{free_port()}")
     assert (told.status, "error: broker 127.0.0.1:" in told.err) == (3, True)
-
-
-def test_extras_are_asked_for_at_once(plain: PlainInstall, tmp_path: Path) -> None:
-    package = tmp_path / "car.pdx"
-    database = ["--database", "sqlite:///fleet.sqlite"]
-    runs = {
-        "page": ["serve", *database],
-        "nats": ["ingest", *database, "--broker", "nats://127.0.0.1"],
-    }
-    told = plain.run_all("fleet_backend.cli", list(runs.values()), cwd=tmp_path)
-    for extras, outcome in zip(runs, told, strict=True):
-        one_line("fleet-backend", extras, outcome.err)
-    words = ["dtc", "-i", "virtual", "-c", "x", "--active", "--description", str(package)]
-    (asked,) = plain.run_all("diag_service.cli", [words], cwd=tmp_path)
-    one_line("diag-service", "odx,uds", asked.err)
-
-
-def test_a_pdx_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
-    (told,) = plain.run_all("ecu_emulator.cli", [["pdx", "-o", str(tmp_path / "tcu.pdx")]])
-    assert told.status == 2
-    one_line("ecu-emulator", "odx", told.err)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_parquet_and_mf4_say_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
-    log, mdf = tmp_path / "drive.log", tmp_path / "drive.mf4"
-    log.write_text(CANDUMP, encoding="utf-8")
-    mdf.write_bytes(MDF)
-    runs: dict[str, list[list[str | Path]]] = {
-        "parquet": [
-            ["decode", log, "-o", "d.parquet"],
-            ["decode", log, "-o", "-"],
-            ["analyze", log, "-o", "a.parquet"],
-        ],
-        "cluster": [
-            ["lake", "check", tmp_path],
-            ["analyze", tmp_path, "--lake", tmp_path / "lake"],
-        ],
-        "mf4": [
-            ["inspect", mdf],
-            ["signals", mdf],
-            ["analyze", mdf],
-            ["calibrate", mdf, "-o", "c.toml"],
-        ],
-    }
-    asked = [(extra, [str(word) for word in words]) for extra, all_words in runs.items() for words in all_words]
-    told = plain.run_all("diag_service.cli", [words for _, words in asked], cwd=tmp_path)
-    for (extra, words), outcome in zip(asked, told, strict=True):
-        assert outcome.status == 2, (words, outcome)
-        one_line("diag-service", extra, outcome.err.splitlines(keepends=True)[-1])
-        assert "Traceback" not in outcome.err
-
-
-def test_a_folder_goes_on_without_the_logs_that_need_an_extra(plain: PlainInstall, tmp_path: Path) -> None:
-    (tmp_path / "drive.mf4").write_bytes(MDF)
-    (told,) = plain.run_all("diag_service.cli", [["analyze", str(tmp_path), "--jobs", "1"]], cwd=tmp_path)
-    assert told.status == 3
-    assert "drive.mf4: not read: " in told.out
-    assert "pip install '.[mf4]'" in told.err
-
-
-def test_a_log_in_mf4_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
-    (told,) = plain.run_all("ecu_emulator.cli", [["record", str(tmp_path / "drive.mf4")]])
-    assert told.status == 2
-    one_line("ecu-emulator", "mf4", told.err)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_the_rest_works_without_extras(plain: PlainInstall, tmp_path: Path) -> None:
-    log = tmp_path / "drive.log"
-    log.write_text(CANDUMP, encoding="utf-8")
-    runs = [["inspect", str(log)], ["signals", str(log)], ["analyze", str(log)], ["config", "check"]]
-    assert [outcome.status for outcome in plain.run_all("diag_service.cli", runs, cwd=tmp_path)] == [0] * len(runs)
-    (listed,) = plain.run_all("ecu_emulator.cli", [["scenarios"]])
-    assert listed.status == 0
 
 
 @pytest.mark.parametrize(("module", "program"), [("demo", "demo"), ("demo.fleet", "fleet")])
 def test_the_demonstrations_say_what_to_install(plain: PlainInstall, tmp_path: Path, module: str, program: str) -> None:
-    assert plain.run("-m", module, "--help").status == 0
     told = plain.run("-m", module, "--output", str(tmp_path / "output"))
     assert told.status == 2
     one_line(program, "[a-z,]+", told.err)
@@ -187,7 +124,11 @@ def test_a_plain_install_is_no_larger_than_it_was_said_to_be() -> None:
 
 def test_python_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
     (tmp_path / "drive.log").write_text(CANDUMP, encoding="utf-8")
-    program = """
+    modules = sorted(extra_modules())
+    assert {"sqlalchemy", "alembic", "psycopg", "pyarrow", "asammdf", "amqtt"} <= set(modules)
+    program = f"""
+import importlib.util
+print([name for name in {modules} if importlib.util.find_spec(name)])
 import diag_service, ecu_emulator
 for package in (diag_service, ecu_emulator):
     for name in package.__all__:
@@ -208,4 +149,4 @@ for wanted in (
     extras = ["parquet", None, None, "parquet", "mf4", "uds", "uds"]
     names = ["", "pandas", "polars", "", "", "", ""]
     wanted = [f"'.[{extra}]' in the checkout" if extra else name for extra, name in zip(extras, names, strict=True)]
-    assert told.out.splitlines() == wanted, told.err
+    assert told.out.splitlines() == ["[]", *wanted], told.err

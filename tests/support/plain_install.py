@@ -6,7 +6,7 @@ import subprocess
 import venv
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import Distribution, PackageNotFoundError, distribution, distributions
+from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Final
 
@@ -122,11 +122,6 @@ def extra_modules() -> set[str]:
     extras = project()["project"]["optional-dependencies"]
     names = {normal(Requirement(text).name) for name, texts in extras.items() if name != "dev" for text in texts}
     return {module for name in names - core for module in _modules(_top_entries(distribution(name)))}
-
-
-def installed_only_with_extras() -> set[str]:
-    """Return the distributions of this environment that a plain install does not have."""
-    return {normal(found.name) for found in distributions()} - core_distributions() - {"clutchdiag"}
 
 
 def _top_entries(found: Distribution) -> list[Path]:
