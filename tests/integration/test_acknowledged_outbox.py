@@ -67,21 +67,6 @@ async def test_the_broker_forgets_everything_and_nothing_is_lost(store: ResultSt
     assert backend.seqs() == set(range(1, 101))
 
 
-async def test_brokers_and_services_die_and_nothing_is_lost(store: ResultStore, broker: Mosquitto) -> None:
-    with Acknowledger(broker.port) as backend:
-        for first in (1, 51, 101):
-            async with running(store, broker) as outbox:
-                put(store, range(first, first + 50))
-                outbox.wake()
-                await until(lambda: outbox.counts.sent > 10)
-                await asyncio.to_thread(broker.kill)
-                await asyncio.to_thread(broker.start)
-                await until(lambda: outbox.counts.acknowledged > 10)
-        async with running(store, broker):
-            await until(lambda: store.unpublished_count("car1") == 0)
-    assert backend.seqs() == set(range(1, 151))
-
-
 async def test_acknowledgements_wait_for_a_vehicle_that_is_away(store: ResultStore, broker: Mosquitto) -> None:
     put(store, range(1, 21))
     with Acknowledger(broker.port, is_acknowledging=False) as backend:

@@ -1,14 +1,12 @@
 """The outbox and a real Mosquitto: absent, killed, silent, refusing."""
 
 import asyncio
-import socket
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from amqtt.broker import Broker as AmqttBroker
 from jsonschema import Draft202012Validator
 
 from diag_service.delivery import DeliveryLimits, MqttConnector, Outbox
@@ -166,16 +164,6 @@ async def test_a_silent_broker_delays_the_end_for_a_limited_time(store: ResultSt
     broker.thaw()
 
 
-async def test_a_listener_that_is_no_broker_delays_the_end_for_a_limited_time(store: ResultStore) -> None:
-    put(store, [1])
-    with socket.create_server(("127.0.0.1", 0)) as mute:
-        outbox = outbox_for(store, local(mute.getsockname()[1]))
-        async with sending(outbox) as sender:
-            await asyncio.sleep(0.2)
-            async with asyncio.timeout(HANG_S):
-                assert await outbox.close(sender, timeout_s=0.3) == 1
-
-
 async def test_nobody_at_the_port(store: ResultStore) -> None:
     put(store, [1])
     outbox = outbox_for(store, local(free_port()))
@@ -216,20 +204,3 @@ def _online(service_version: str) -> dict[str, object]:
         "algorithm_version": "algorithm-1",
         "calibration_version": "1+0123456789ab",
     }
-
-
-async def test_a_broker_that_speaks_version_3_1_1_only(store: ResultStore) -> None:
-    """The embedded broker of the demo is one."""
-    port = free_port()
-    embedded = AmqttBroker(
-        {
-            "listeners": {"default": {"type": "tcp", "bind": f"127.0.0.1:{port}"}},
-            "plugins": {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}},
-        }
-    )
-    await embedded.start()
-    put(store, range(1, 4))
-    outbox = outbox_for(store, local(port))
-    async with sending(outbox) as sender:
-        assert await outbox.close(sender) == 0
-    await embedded.shutdown()

@@ -117,14 +117,6 @@ def test_the_fleet_is_told_as_it_is(fleet: Connection) -> None:
     assert {(row["vehicle"], row["clutch"]) for row in alarms} == {("car3", 1), ("car3", 2)}
 
 
-@pytest.mark.parametrize("vehicle", ["car1", "nobody"])
-def test_a_chosen_vehicle_is_shown_alone(fleet: Connection, vehicle: str) -> None:
-    (query,) = (one for one in grafana.of_source("fleet") if one.asker == "mu_C, friction at high slip A")
-    shown = {row["metric"] for row in ask(fleet, grafana.sql(query.text, [vehicle], SINCE, UNTIL))}
-    names = {f"car1 clutch {clutch}, DCTF 75W since 2026-01-01" for clutch in (1, 2)}
-    assert shown == (names if vehicle == "car1" else set())
-
-
 @pytest.mark.parametrize("asker", ["mu_C, friction at high slip B", "P(slope < 0) A", "mu_C over that of new fluid A"])
 def test_a_curve_ends_at_a_fill_and_another_begins(fleet: Connection, asker: str) -> None:
     (annotation,) = (one for one in grafana.of_source("fleet") if one.asker == "New fluid")

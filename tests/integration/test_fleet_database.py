@@ -12,11 +12,10 @@ from diag_service.tester.polling import ControllerReport
 from diag_service.tester.trouble import TroubleCode
 from fleet_backend import queries
 from fleet_backend.choices import Axis, Pace
-from fleet_backend.database import open_database, transaction
+from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError, RowRefusedError, UnknownVehicleError
 from fleet_backend.ingest import Worker
 from fleet_backend.intake import MessageKind
-from fleet_backend.migrate import migrate
 from fleet_backend.rows import Poison, Row, controller_row, quarantine_row, status_row
 from fleet_backend.schema import CLUTCH, REVISION, SHIFT_RESULT, VEHICLE
 from fleet_backend.writer import Batch, Writer, identity_of
@@ -36,21 +35,6 @@ def results(engine: Engine) -> list[Row]:
     ]
     Writer(engine).store(Batch(shifts=rows))
     return rows
-
-
-def test_any_order_and_any_repetition_leave_the_same_table(engine: Engine) -> None:
-    rows = results(engine)
-    clean = queries.table_hash(engine)
-    assert clean.row_count == len(rows) == 80
-    late = [row for row in rows for _ in range(3)]
-    np.random.default_rng(1).shuffle(late)
-    other = open_database("sqlite://")
-    migrate(other)
-    writer = Writer(other)
-    for first in range(0, len(late), 7):
-        writer.store(Batch(shifts=late[first : first + 7]))
-    assert queries.table_hash(other) == clean
-    other.dispose()
 
 
 def test_the_hash_tells_a_changed_number(engine: Engine) -> None:
@@ -95,16 +79,6 @@ def test_one_key_with_two_times_of_making_is_one_row(engine: Engine, is_reversed
         found = connection.execute(select(SHIFT_RESULT.c.produced_at).where(SHIFT_RESULT.c.seq == 1)).scalars().all()
     assert found == [told[0]["produced_at"]]
     assert queries.result_count(engine) == 3
-
-
-def test_a_newer_algorithm_supersedes_and_nothing_is_lost(engine: Engine) -> None:
-    for algorithm in ("algorithm-10", "algorithm-9"):
-        rows = [row_of(fleet_result(seq, algorithm=algorithm)) for seq in (1, 2, 3)]
-        Writer(engine).store(Batch(shifts=rows))
-    trend = queries.trend(engine, "car1", 2, Axis.SHIFT)
-    assert [record["seq"] for record in trend] == [1, 2, 3]
-    assert {record["algorithm_version"] for record in trend} == {"algorithm-10"}
-    assert queries.result_count(engine) == 6
 
 
 def test_the_running_condition_is_that_of_the_last_shift_of_the_newest_stream(engine: Engine) -> None:
@@ -162,12 +136,6 @@ def test_a_trend_has_three_axes_and_knows_the_fluid(engine: Engine) -> None:
     assert [record["fluid"] for record in records] == ["old oil"] * 3 + ["new oil"] * 2
     assert records[0]["covariance_mu_c_mu_s"] == pytest.approx(0.4 * 0.0012 * 0.0016)
     assert queries.trend(engine, "car1", 1, Axis.SHIFT) == []
-
-
-def test_a_trend_says_of_which_kind_each_event_was(engine: Engine) -> None:
-    rows = [row_of(fleet_result(seq)) | {"kind": kind} for seq, kind in ((1, "launch"), (2, None), (3, "kickdown"))]
-    Writer(engine).store(Batch(shifts=rows))
-    assert [record["kind"] for record in queries.trend(engine, "car1", 2, Axis.SHIFT)] == ["launch", None, "kickdown"]
 
 
 def test_a_fill_needs_a_known_vehicle_and_is_noted_once(engine: Engine) -> None:
@@ -239,15 +207,6 @@ def test_the_end_of_the_latest_connection_counts_in_any_order(engine: Engine) ->
     assert seen["connected_at"] == START + timedelta(days=1)
 
 
-def test_the_latest_metrics_stay(engine: Engine) -> None:
-    for day in (2, 1):
-        row: Row = {"vehicle": "car1", "metrics": f'{{"day": {day}}}', "metrics_at": START + timedelta(days=day)}
-        Writer(engine).store(Batch(metrics=[row]))
-    with engine.begin() as connection:
-        (vehicle,) = connection.execute(VEHICLE.select()).all()
-    assert vehicle.metrics == '{"day": 2}'
-
-
 def controller(read_at: str, *codes: TroubleCode, vehicle: str = "car1") -> Row:
     report = ControllerReport(
         vehicle=vehicle, read_at=read_at, controller="7E1 (answers 7E9)", description="TCU", codes=codes
@@ -272,13 +231,6 @@ def test_the_latest_word_of_a_controller_stays_and_is_told_code_by_code(engine: 
         ("car2", None, None),
     ]
     assert told[0]["read_at"] == START + timedelta(days=1)
-
-
-def test_when_a_vehicle_was_last_heard_of_is_its_latest_result(engine: Engine) -> None:
-    results(engine)
-    records = queries.last_seen(engine)
-    assert [record["vehicle"] for record in records] == ["car0", "car1", "car2"]
-    assert {record["last_result_at"] for record in records} == {START + timedelta(seconds=77.023456)}  # bus
 
 
 def test_a_row_that_does_not_fit_takes_the_whole_batch_back(engine: Engine) -> None:

@@ -6,20 +6,17 @@ from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import Engine, update
+from sqlalchemy import Engine
 
-from fleet_backend import queries
-from fleet_backend.database import transaction
 from fleet_backend.intake import INGESTED, MessageKind, Taken, batch_of, take_all
 from fleet_backend.office.retention import retain
 from fleet_backend.office.watching import Orders, Watch
 from fleet_backend.page.access import Access
 from fleet_backend.page.site import site
-from fleet_backend.schema import SHIFT_RESULT
-from fleet_backend.writer import Batch, Writer
+from fleet_backend.writer import Writer
 from fleet_contract import Channel, Outcome
-from tests.support.extremes import FAR, Schema, message, put, values
-from tests.support.fleet import delivered, fleet_result, message_of, row_of
+from tests.support.extremes import Schema, message, put, values
+from tests.support.fleet import delivered, fleet_result, message_of
 from tests.support.fleet_page import sources_of
 
 NOW = datetime(2026, 6, 15, 12, tzinfo=UTC)
@@ -79,29 +76,6 @@ async def test_a_number_at_its_bounds_is_stored_and_one_beyond_is_put_aside(engi
                 assert taken.receipt is None or taken.receipt.outcome is Outcome.QUARANTINED
         Writer(engine).store(batch_of([one for one, _ in judged]))
     await all_goes_on(engine)
-
-
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-async def test_two_results_of_an_old_database_that_no_sum_takes_stop_nobody(engine: Engine) -> None:
-    rows = [row_of(fleet_result(seq, vehicle="old")) for seq in range(1, 2 * len(FAR) + 1)]
-    Writer(engine).store(Batch(shifts=[*rows, row_of(fleet_result(1, vehicle="good"))]))
-    names = (
-        "mu_c",
-        "mu_s",
-        "std_mu_c",
-        "running_mu_c",
-        "level_ratio",
-        "slip_energy_j",
-        "odometer_m",
-        "sump_temperature_k",
-    )
-    with transaction(engine) as connection:
-        for row in rows:
-            far = float(FAR[int(str(row["seq"])) // 2 % len(FAR)])
-            own = (SHIFT_RESULT.c.vehicle == "old") & (SHIFT_RESULT.c.seq == row["seq"])
-            connection.execute(update(SHIFT_RESULT).where(own).values(dict.fromkeys(names, far)))
-    await all_goes_on(engine)
-    assert {record["vehicle"] for record in queries.worst_first(engine)} == {"old", "good"}
 
 
 @pytest.mark.parametrize(("year", "is_stored"), [(1, False), (1899, False), (1900, True), (2199, True), (9999, False)])

@@ -1,8 +1,6 @@
 """Workers between a real Mosquitto and a real database: killed, paused, poisoned, and nothing lost or doubled."""
 
 import json
-import os
-import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -19,15 +17,12 @@ from sqlalchemy import Engine, select
 from clutch_model.calibration import nominal_calibration
 from demo.fleet.servers import PostgresServer
 from diag_service.diagnosis.records import shift_record
-from fleet_backend import application, queries
-from fleet_backend.application import run_ingest
-from fleet_backend.choices import Pace, Quotas
+from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
 from fleet_backend.schema import CALIBRATION
 from fleet_backend.writer import Batch, Writer
 from fleet_contract import Outgoing, shift_message
-from fleet_link import TlsFiles, parse_broker
 from tests.plugins.broker import Mosquitto
 from tests.plugins.drives import SHIFT_COUNT
 from tests.support.fleet import fleet_result, row_of
@@ -223,25 +218,6 @@ def _wait_until(is_done: Callable[[], bool], timeout_s: float = HANG_S) -> None:
     while not is_done():
         assert time.monotonic() < deadline_s
         time.sleep(0.05)
-
-
-def test_a_worker_ends_well_when_it_is_told_to(tmp_path: Path, broker: Mosquitto, sqlite_url: str) -> None:
-    with worker(tmp_path, broker.url, sqlite_url) as pid:
-        os.kill(pid, signal.SIGTERM)
-        _wait_until(lambda: _is_dead(pid))
-    log = (tmp_path / "worker-0.log").read_text(encoding="utf-8")
-    assert "results committed" in log.splitlines()[-1]
-    assert "Traceback" not in log
-
-
-def test_an_error_that_nobody_expected_is_told_by_itself(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
-    def connected(*_: object, **__: object) -> None:
-        raise LookupError("of all things")
-
-    monkeypatch.setattr(application, "connected", connected)
-    address = parse_broker("mqtt://127.0.0.1:1", TlsFiles())
-    with pytest.raises(LookupError, match="of all things"):
-        run_ingest(engine, address, Pace(), "worker", group="group", quotas=Quotas())
 
 
 def test_results_of_logs_tell_their_calibration_and_nothing_of_a_connection(

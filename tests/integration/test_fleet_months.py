@@ -14,7 +14,6 @@ from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import ConfigError
 from fleet_backend.intake import MessageKind, Taken, batch_of, take_all
 from fleet_backend.layout import lines_of
-from fleet_backend.migrate import migrate
 from fleet_backend.months import RANK, keep_months, partitions
 from fleet_backend.office.retention import retain
 from fleet_backend.office_tables import AUDIT
@@ -44,20 +43,6 @@ def place_of_rows(engine: Engine) -> dict[str, int]:
     with transaction(engine) as connection:
         found = connection.execute(text("SELECT tableoid::regclass::text, count(*) FROM shift_result GROUP BY 1"))
         return {str(name): int(count) for name, count in found}
-
-
-def test_two_contents_of_one_result_in_two_months_are_one_result(months: Engine) -> None:
-    rows = [made_at("2026-05-31"), made_at("2026-12-01")]
-    one = open_database("sqlite://")
-    migrate(one)
-    for engine in (months, one):
-        for row in rows:
-            Writer(engine).store(Batch(shifts=[row]))
-    (record,) = queries.worst_first(months)
-    assert record["end_at"] == rows[0]["end_at"]
-    assert len(queries.trend(months, "car1", 2, Axis.SHIFT)) == 1
-    assert queries.table_hash(months) == queries.table_hash(one)
-    one.dispose()
 
 
 def test_months_are_made_ahead_and_take_what_waited_for_them(months: Engine) -> None:

@@ -17,7 +17,6 @@ from playwright.sync_api import Browser, Page
 
 from clutchdiag_io.pages.content import SAFE_HEADERS as HEADERS
 from diag_service.diagnosis.records import Condition
-from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.intake import batch_of, take
 from fleet_backend.page import server
@@ -314,15 +313,6 @@ def test_a_page_links_to_the_same_for_programs(reader: httpx.Client) -> None:
     for path in PAGES[:-1]:
         (link,) = re.findall(r'<a href="(/api/[^"]*)">', reader.get(path).text)
         assert reader.get(unescape(link)).status_code == 200
-
-
-def test_the_table_of_the_command_line_has_the_same_clutches(reader: httpx.Client, sqlite_url: str) -> None:
-    engine = open_database(sqlite_url)
-    fill_database(engine)
-    worst = [(one["vehicle"], one["clutch"], one["mu_c"]) for one in queries.worst_first(engine)]
-    engine.dispose()
-    found = told(reader, "/api/v1/clutches")["clutches"]
-    assert [(one["vehicle"], one["clutch"], one["mu_c"]) for one in found] == worst
 
 
 def test_half_a_request_does_not_keep_a_connection(database: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -57,7 +57,7 @@ from fleet_backend.page.records import Due
 from fleet_backend.page.running import DatabaseSource
 from fleet_backend.page.site import site
 from fleet_backend.page.view import Sources, View
-from fleet_backend.rows import Poison, moment, quarantine_row
+from fleet_backend.rows import moment
 from fleet_backend.writer import Batch, Writer
 from fleet_contract import status_message
 from fleet_contract.orders import Action
@@ -115,22 +115,6 @@ def test_what_became_different_is_told_with_its_reasons(engine: Engine) -> None:
         parts.append(changes_view.find(sources_of(engine), question))
         after = {"after": parts[-1].next} if parts[-1].next else {}
     assert [one for part in parts for one in part.changes] == list(found.changes)
-
-
-def test_the_quarantine_comes_in_parts(engine: Engine) -> None:
-    kept = [
-        quarantine_row(Poison(topic="t", vehicle=None, payload=bytes([number]), reason="schema", detail="d"), at)
-        for number, at in enumerate([NOW, NOW, NOW, NOW - timedelta(days=1), NOW + timedelta(days=1)])
-    ]
-    Writer(engine).store(Batch(quarantined=kept))
-    sources, found, after = sources_of(engine), list[str](), dict[str, str]()
-    for _ in kept:
-        part = quarantine_view.find(sources, ask(quarantine_view.VIEW, limit="2", **after))
-        found += [one.digest for one in part.messages]
-        if part.next is None:
-            break
-        after = {"after": part.next}
-    assert found == [one["digest"] for one in queries.quarantined(sources.engine, 99)]
 
 
 class CountingPasts(Cache[Past]):
@@ -252,24 +236,6 @@ def test_alarms_and_days_call_a_clutch_by_its_name(engine: Engine) -> None:
     assert [one.element for one in due] == ["lock-up clutch"]
 
 
-def test_a_clutch_with_a_name_is_called_by_it_in_lists_and_on_the_pages_of_its_vehicle(engine: Engine) -> None:
-    given, name = store_lockup_clutch(engine, Condition.GOOD), "lock-up clutch"
-    sources, asked = sources_of(engine), ask(vehicle_view.VIEW, "taxi")
-    answer = vehicle_view.find(sources, asked)
-    shown = vehicle_view.show(answer, asked, sources)
-    titles = [section.title for section in shown.sections]
-    assert "Lock-up clutch" in titles
-    texts = [*titles, *(figure.caption for one in shown.sections for figure in one.figures)]
-    assert not [text for text in texts if "clutch 1" in text.lower()]
-    (row,) = queries.worst_first(engine)
-    assert row["element"] == name
-    assert report.fleet_table([row]).rows[0][1] == name
-    one = shift_of(engine, "taxi", given.stream, 1)
-    assert one is not None
-    subtitle = shift_view.show(one, ask(shift_view.VIEW, "taxi", stream=given.stream, seq="1"), sources).subtitle
-    assert subtitle.startswith("lock-up clutch, ")
-
-
 def test_news_are_seen_and_a_reader_writes_nothing(database: str) -> None:
     writing, reading = open_database(database), open_database(database, must_exist=True, is_read_only=True)
     Writer(writing).store(Batch(shifts=[row_of(fleet_result(1))]))
@@ -286,18 +252,6 @@ def test_news_are_seen_and_a_reader_writes_nothing(database: str) -> None:
         Writer(reading).store(Batch(shifts=[row_of(fleet_result(3))]))
     for engine in (writing, reading):
         engine.dispose()
-
-
-def test_the_trend_is_in_the_order_of_the_view(engine: Engine) -> None:
-    rows = [row_of(one) for one in (*history(30, stream="b"), *history(60, stream="a"))]
-    for row in rows[:30]:  # another drive
-        row.update({name: int(str(row[name])) - 10**13 for name in ("start_bus_ns", "end_bus_ns")})
-    Writer(engine).store(Batch(shifts=rows))
-    answer = vehicle_view.find(sources_of(engine), ask(vehicle_view.VIEW, "car1"))
-    with transaction(engine) as connection:
-        statement = "SELECT stream, seq FROM shift_history WHERE vehicle = 'car1' AND clutch = 2 ORDER BY shift_number"
-        wanted = [tuple(row) for row in connection.execute(text(statement))]
-    assert [(one.stream, one.seq) for one in answer.clutches[1].trend] == wanted
 
 
 def test_the_prognosis_is_that_of_the_service(engine: Engine) -> None:
@@ -444,25 +398,6 @@ async def test_pages_name_a_clock_that_was_not_set(engine: Engine) -> None:
             answer = await client.get(path)
             told = re.sub("<[^>]*>", " ", answer.text)
             assert (answer.status_code, "clock not set" in told, "1970" in told) == (200, True, False), path
-
-
-async def test_a_page_is_drawn_again_when_something_is_new(engine: Engine) -> None:
-    """Until then it is what it was, but for the moment at which the fleet was read."""
-    Writer(engine).store(Batch(shifts=[row_of(one) for one in history(4)]))
-    sources = sources_of(engine)
-    transport = httpx.ASGITransport(site(sources, Access(), now=lambda: NOW))
-    async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
-
-        async def pages() -> list[str]:
-            answers = [await client.get(path) for path in ("/", "/?q=car1", "/vehicles/car1")]
-            return [re.sub("read at [0-9:]+", "", one.text) for one in answers]
-
-        first = await pages()
-        assert first == await pages()
-        Writer(engine).store(Batch(shifts=[row_of(fleet_result(5, condition=Condition.CHANGE_FLUID))]))
-        sources.keeper.refresh()
-        again = await pages()
-        assert all(one != before for one, before in zip(again, first, strict=True))
 
 
 def test_a_vehicle_is_shown_before_what_is_usual_in_the_fleet(engine: Engine) -> None:

@@ -15,7 +15,7 @@ from fleet_backend.database import open_database
 from fleet_backend.rows import Poison, quarantine_row
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
-from tests.support.terminal import before_head, in_broken_pipe, in_pipe, in_terminal, on_full_disk
+from tests.support.terminal import before_head, in_broken_pipe, in_terminal
 
 VIN, LONGEST = "WVWZZZ1JZ3W386752", "bus-" + "0123456789" * 6
 QUESTIONS = (["table"], ["trend", VIN, "2"], ["alarms"], ["quarantine"], ["seen"])
@@ -75,13 +75,6 @@ def test_a_width_can_be_asked_for(capsys: pytest.CaptureFixture[str], database: 
     assert max(len(line) for line in capsys.readouterr().out.splitlines() if LONGEST not in line) <= 50
 
 
-def test_a_wide_terminal_shows_all_columns(database: str) -> None:
-    head = in_terminal(250, MODULE, "table", "--database", database).lines[1]
-    assert re.split(r" {2,}", head.strip()) == [
-        *("vehicle", "clutch", "condition", "slope", "P<0", "mu_C", "mu_S", "shifts", "km", "fluid", "last shift"),
-    ]
-
-
 def test_a_reader_who_hangs_up_is_no_error(sqlite_url: str) -> None:
     engine = open_database(sqlite_url)
     rows = [row_of(fleet_result(1, vehicle=f"vehicle-{number:040}")) for number in range(1500)]  # above a pipe's 64 KiB
@@ -92,24 +85,6 @@ def test_a_reader_who_hangs_up_is_no_error(sqlite_url: str) -> None:
     assert told.out.count(b"\n") == 1
     broken = in_broken_pipe(MODULE, "seen", "--json", "--database", sqlite_url)
     assert (broken.status, broken.err) == (0, b"")
-
-
-@pytest.mark.parametrize("words", [["table"], ["hash"], ["table", "--json"]], ids=" ".join)
-def test_a_short_answer_into_a_broken_pipe_is_no_error(database: str, words: list[str]) -> None:
-    broken = in_broken_pipe(MODULE, *words, "--database", database)
-    assert (broken.status, broken.err) == (0, b"")
-
-
-def test_an_answer_that_cannot_be_written_is_an_error(database: str) -> None:
-    told = on_full_disk(MODULE, "hash", "--database", database)
-    assert told.status == 1
-    assert re.fullmatch(rb"fleet-backend: error: [^\n]*No space left on device[^\n]*\n", told.err)
-
-
-def test_a_narrow_encoding_is_no_error(database: str) -> None:
-    told = in_pipe(MODULE, "table", "--database", database, PYTHONIOENCODING="ascii")
-    assert (told.status, told.err) == (0, b"")
-    assert VIN.encode() in told.out
 
 
 @pytest.mark.parametrize(
@@ -199,12 +174,6 @@ def test_another_programs_database_is_left_alone(capsys: pytest.CaptureFixture[s
         assert other.execute("SELECT name FROM sqlite_master").fetchall() == [("places",)]
     other.close()
     assert len(before) == path.stat().st_size
-
-
-@pytest.mark.parametrize("address", ["sqlite://", "sqlite:///:memory:", "sqlite://fleet.sqlite", "sqlite:///"])
-def test_an_address_without_a_file_is_an_error(capsys: pytest.CaptureFixture[str], address: str) -> None:
-    assert main(["table", "--database", address]) == 2
-    assert "sqlite:///FILE" in capsys.readouterr().err
 
 
 def test_a_postgresql_without_our_schema_names_the_command(

@@ -1,7 +1,6 @@
 """What earlier versions left: messages on the way and stores with undelivered results reach the present backend."""
 
 import asyncio
-import json
 import sqlite3
 from collections.abc import Iterator
 from contextlib import AbstractAsyncContextManager, closing
@@ -14,23 +13,13 @@ from diag_service.delivery import Acknowledge, Link, MqttConnector, Outbox
 from diag_service.store import ResultStore
 from fleet_backend import queries
 from fleet_backend.database import open_database
-from fleet_backend.intake import MessageKind, batch_of, take
-from fleet_backend.writer import Writer
-from fleet_link import BrokerAddress, Message
+from fleet_link import BrokerAddress
 from tests.golden import earlier
 from tests.plugins.broker import Mosquitto
-from tests.support.fleet import NOW
 from tests.support.fleet_worker import worker
 from tests.support.patience import HANG_S
 
 GOLDEN = Path(__file__).parents[1] / "golden"
-KINDS = {
-    "shift": MessageKind.SHIFT,
-    "shift-rejected": MessageKind.SHIFT,
-    "status-online": MessageKind.STATUS,
-    "status-offline": MessageKind.STATUS,
-    "metrics": MessageKind.METRICS,
-}
 
 
 @pytest.fixture(name="engine")
@@ -38,20 +27,6 @@ def _engine(sqlite_url: str) -> Iterator[Engine]:
     opened = open_database(sqlite_url)
     yield opened
     opened.dispose()
-
-
-def test_messages_of_every_version_are_understood(engine: Engine) -> None:
-    for folder in sorted(GOLDEN.glob("v[0-9]*")):
-        taken = []
-        for name, kind in KINDS.items():
-            payload = (folder / f"{name}.json").read_bytes().strip()
-            topic = f"clutchdiag/v1/{json.loads(payload)['data']['vehicle']}/{name.split('-')[0]}"
-            taken.append(take(Message(topic=topic, payload=payload, packet_id=1), NOW))
-            assert taken[-1].kind is kind, taken[-1].row
-        Writer(engine).store(batch_of(taken))
-    assert queries.result_count(engine) == 2
-    (seen,) = queries.last_seen(engine)
-    assert not seen["is_online"]
 
 
 @pytest.mark.broker

@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterator, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, closing
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -83,30 +83,6 @@ def known_to_the_fleet(engine: Engine) -> list[tuple[datetime, str, float | None
     columns = (FLUID_FILL.c.filled_at, FLUID_FILL.c.product, FLUID_FILL.c.odometer_m)
     with transaction(engine) as connection:
         return [tuple(row) for row in connection.execute(select(*columns).order_by(FLUID_FILL.c.filled_at))]
-
-
-async def test_fills_travel_both_ways_and_survive_a_restart_of_everything(
-    broker: Mosquitto, engine: Engine, tmp_path: Path
-) -> None:
-    path = tmp_path / "car1.sqlite"
-    async with world(broker, engine, path) as store:
-        put(store, range(1, 4))
-        store.add_fills([OWN])
-        await until(lambda: len(known_to_the_fleet(engine)) == 1)
-    assert known_to_the_fleet(engine) == [(datetime(2026, 1, 1, tzinfo=UTC), "DCTF-II", 61_200_000.0)]
-    queries.note_fill(engine, "car1", "DCTF 75W", at=OF_THE_FLEET, odometer_m=None, note="workshop")
-    broker.stop()
-    broker.start()
-    async with world(broker, engine, path) as store:
-        await until(lambda: len(store.fills("car1")) == 2)
-        fills = store.fills("car1")
-        later = (OF_THE_FLEET + timedelta(days=1)).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
-        assert store.fluid_at("car1", later) == fills[1]
-    assert fills == [
-        OWN,
-        FluidFill(vehicle="car1", filled_at="2026-02-01T12:00:00.000000Z", product="DCTF 75W", note="workshop"),
-    ]
-    assert len(known_to_the_fleet(engine)) == 2
 
 
 async def test_a_fill_that_is_taken_back_at_either_end_is_so_at_both(

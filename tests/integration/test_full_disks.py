@@ -15,7 +15,6 @@ import pytest
 from sqlalchemy import Engine
 
 from diag_service.diagnosis.records import shift_record
-from diag_service.store import ResultStore, VehicleState, Versions
 from diag_service.store.file import WAITING
 from fleet_backend import queries
 from fleet_backend.choices import Axis
@@ -25,8 +24,6 @@ from fleet_contract import Outgoing, shift_message
 from tests.integration.test_service_live import counts_say
 from tests.plugins.broker import Mosquitto
 from tests.plugins.disk import Mount, fill_up
-from tests.plugins.drives import SHIFT_COUNT as FEW_SHIFTS
-from tests.support.builders import shift_result
 from tests.support.fleet import fleet_result
 from tests.support.fleet_worker import worker
 from tests.support.patience import HANG_S
@@ -35,10 +32,7 @@ from tests.support.service import service
 
 pytestmark = [pytest.mark.vcan, pytest.mark.broker]
 
-STATE = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
-MIB = 2**20
 SHIFT_COUNT = 10  # of the drive
-BUDGET_RESULTS = 1200  # some 4 MiB
 MESSAGE_COUNT = 150
 
 
@@ -69,40 +63,6 @@ def test_a_vehicle_whose_disk_fills_up_goes_on_and_delivers_everything(
     assert [shift["seq"] for shift in ended.shifts] == list(range(1, SHIFT_COUNT + 1))
     assert ended.summary["shifts"]["unpublished"] == 0
     assert "the disk takes results again; 0 were given up" in ended.err
-
-
-def test_a_vehicle_that_starts_on_a_full_disk_goes_on_when_there_is_room(
-    mount: Mount, drive_log: Path, tmp_path: Path
-) -> None:
-    store = mount("size=1m") / "car.sqlite"
-    ResultStore.open(store).close()  # an earlier start
-    filler = fill_up(store.parent)
-    program = (sys.executable, "-m", "tests.support.fast_bus", str(drive_log), "0")
-    arguments = ("run", "--store", store, "--json", "--vehicle", "car1")
-    with service(tmp_path / "edge", *arguments, program=program) as running:
-        running.wait_for(lambda: "results wait in memory" in running.err, HANG_S)
-        filler.unlink()
-        running.wait_for(lambda: running.out.count("\n") == FEW_SHIFTS, HANG_S)
-        running.send(signal.SIGTERM)
-        ended = running.wait()
-    assert ended.status == 0, ended.err
-    assert "car.sqlite is full; until the next start no other program can read it" in ended.err
-    with closing(ResultStore.open(store)) as again:
-        assert [result.seq for result in again.results("car1")] == list(range(1, FEW_SHIFTS + 1))
-
-
-def test_a_store_with_a_budget_never_fills_its_disk_and_counts_what_goes(mount: Mount) -> None:
-    with closing(ResultStore.open(mount("size=6m") / "car.sqlite", budget_bytes=MIB)) as store:
-        for seq in range(1, BUDGET_RESULTS + 1):
-            store.add(shift_result(seq), STATE)
-            if seq <= BUDGET_RESULTS // 2:
-                store.mark_published([seq])
-        dropped = store.dropped_counts()
-        kept = [result.seq for result in store.results("car1")]
-        assert store.used_bytes() <= MIB
-    assert dropped.delivered >= BUDGET_RESULTS // 2 - 1  # all that someone else has, before any that nobody has
-    assert dropped.delivered + dropped.empty + dropped.undelivered + len(kept) == BUDGET_RESULTS
-    assert kept[-1] == BUDGET_RESULTS
 
 
 def test_a_backend_whose_disk_fills_up_waits_and_stores_everything(

@@ -1,7 +1,6 @@
 """Results are for their owner's eyes: modes of the files that hold them, and warnings where they travel in the open."""
 
 import os
-import re
 import signal
 import sqlite3
 import subprocess
@@ -72,15 +71,6 @@ def test_a_store_that_is_not_ours_to_close_is_warned_of(
     assert "car.sqlite can be read by other users (mode 664): Operation not permitted" in caplog.text
 
 
-def test_another_programs_file_keeps_its_mode(tmp_path: Path) -> None:
-    path = tmp_path / "places.sqlite"
-    with closing(sqlite3.connect(path)) as other:
-        other.execute("CREATE TABLE places (name TEXT)")
-    with pytest.raises(Exception, match="another program"):
-        ResultStore.open(path)
-    assert path.stat().st_mode & 0o777 == 0o644
-
-
 def test_the_journal_of_a_folder_run_is_private_and_its_output_is_not(tmp_path: Path) -> None:
     folder, output = tmp_path / "logs", tmp_path / "all.jsonl"
     folder.mkdir()
@@ -103,16 +93,6 @@ def test_a_broker_on_another_machine_without_encryption_is_warned_of_once(
 ) -> None:
     assert main(["config", "check", "--broker", url]) == 0
     assert capsys.readouterr().err.count("unencrypted") == count
-
-
-def test_an_analysis_warns_once(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    log = tmp_path / "a.log"
-    log.write_text(CANDUMP, encoding="utf-8")
-    assert main(["analyze", str(log), "--broker", "mqtt://car:secret@broker.invalid"]) == 0
-    err = capsys.readouterr().err
-    assert re.findall(r"warning: results and the broker's password go to broker.invalid unencrypted.*mqtts://", err)
-    assert err.count("unencrypted") == 1
-    assert "secret" not in err
 
 
 def test_a_backend_warns_once(sqlite_url: str) -> None:

@@ -1,35 +1,82 @@
-"""The Python of docs/python.md, canlog.md, prognosis.md and README.md runs as it stands, block after block."""
+"""The Python that README.md and pages of docs/ show runs as it stands, and files that they show are read.
 
+Blocks of docs/diagnostics.md for odxtools and python-OBD are run where those libraries are:
+tests/integration/test_uds_pdx.py, tests/e2e/test_obd.py.
+"""
+
+import asyncio
 import re
+import runpy
 import shutil
 import subprocess
 import sys
+import textwrap
+from collections.abc import Mapping
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 import pyarrow as pa
 import pytest
+from udsoncan.configs import default_client_config
 
 import canlog
 import diag_service
 import ecu_emulator
+from canlog.frames import TX_FLAG
+from canlog.logs.log_counts import LogCounts
+from canlog.logs.text_log import frames_of
+from diag_service.delivery import Outbox
 from diag_service.diagnosis.prognosis import Prognosis
-from tests.support.documents import page_text
+from diag_service.mapping.profile import load_profile
+from diag_service.store import ResultStore
+from diag_service.tester.description_files import load_file
+from ecu_emulator.diagnostics.memory import TestResult as Result
+from fleet_contract import Channel, read_message
+from tests.integration.test_tester import vehicle
+from tests.support.builders import shift_result
+from tests.support.documents import ROOT, page_text
+from tests.support.doip.tester import entity
 from tests.support.histories import history
 from tests.support.in_process import never_a_program
+from tests.support.outboxes import STATE
+from tests.support.patience import HANG_S
+from tests.support.uds.wire import parked_controller
 
-PAGE = "docs/python.md"
+PAGE, DIAGNOSTICS = "docs/python.md", "docs/diagnostics.md"
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 DATABASE = 'VERSION ""\nBU_: A\nBO_ 256 Engine: 2 A\n SG_ Speed : 0|16@1+ (0.25,0) [0|0] "rpm" A\n'
 FRAMES = 100_000
+TOO_HOT = 0x27874B  # P2787, confirmed in one cycle
+
+
+def block(page: str, word: str, language: str = "python") -> str:
+    """Return the block of a page that holds a word."""
+    found = re.findall(rf"^( *)```{language}\n(.*?)^\1```", page_text(page), re.MULTILINE | re.DOTALL)
+    (text,) = (text for _, text in found if word in text)
+    return textwrap.dedent(text)
+
+
+def moved(page: str, word: str, places: Mapping[str, str]) -> str:
+    """Return the block of a page that holds a word, with other places than those of the page."""
+    text = block(page, word)
+    for old, new in places.items():
+        assert old in text
+        text = text.replace(old, new)
+    return text
+
+
+def run(text: str, names: dict[str, Any]) -> None:
+    exec(compile(text, "a page", "exec"), names)  # noqa: S102 - what the pages are for
 
 
 def played(page: str, least: int, names: dict[str, object]) -> dict[str, object]:
     """Run the blocks of a page in their order, and return the names that they leave."""
     blocks = BLOCK.findall(page_text(page))
     assert len(blocks) >= least
-    for number, block in enumerate(blocks, start=1):
-        exec(compile(block, f"{page}, block {number}", "exec"), names)  # noqa: S102 - what the page is for
+    for text in blocks:
+        run(text, names)
     return names
 
 
@@ -81,10 +128,10 @@ def test_the_block_of_the_prognosis_runs() -> None:
 
 def test_a_block_that_starts_processes_is_a_file_that_they_can_import(drive_log: Path, tmp_path: Path) -> None:
     shutil.copy(drive_log, tmp_path / "drive.log")
-    files = [block for block in BLOCK.findall(page_text(PAGE)) if "__main__" in block]
+    files = [text for text in BLOCK.findall(page_text(PAGE)) if "__main__" in text]
     assert files
-    for number, block in enumerate(files):
-        (tmp_path / f"file{number}.py").write_text(block, encoding="utf-8")
+    for number, text in enumerate(files):
+        (tmp_path / f"file{number}.py").write_text(text, encoding="utf-8")
         command = [sys.executable, f"file{number}.py"]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (0, "")
@@ -102,3 +149,82 @@ def test_every_public_name_is_documented(package: object) -> None:
                "DiagServiceError", "EmulatorError", "PublishError", "ResultError", "ResultTable", "FolderAnalysis",
                "PaperAnalysis", "LiveDiagnosis", "Recording"}  # fmt: skip
     assert [name for name in names if name not in records and f"{name}" not in pages and name != "__version__"] == []
+
+
+def test_the_layout_reads_a_log() -> None:
+    layout: dict[str, Any] = {"__name__": "howto"}
+    run(block("docs/howto.md", "class Plain"), layout)
+    counts = LogCounts()
+    text = b"# plain-can 1\n1767225600.001000 1 0B0 rx 2 51 D0\n1767225600.5 2 18FEF100 tx 1 07\n1.5 1 0B0 rx 2 51"
+    batch = frames_of(layout["Plain"](), text, counts)
+    assert batch.t_ns.tolist() == [1_767_225_600_001_000_000, 1_767_225_600_500_000_000]
+    assert batch.can_id.tolist() == [0x0B0, 0x98FEF100]
+    assert [bytes(row[:length]) for row, length in zip(batch.data, batch.length, strict=True)] == [b"\x51\xd0", b"\x07"]
+    assert batch.channel.tolist() == [1, 2]
+    assert batch.flags.tolist() == [0, TX_FLAG]
+    assert counts.skipped == 1
+    assert sum(counts.rejected.values()) == 1
+
+
+async def test_the_link_takes_what_the_outbox_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with closing(ResultStore.in_memory()) as store:
+        for seq in (1, 2):
+            store.add(shift_result(seq), STATE)
+        outbox = Outbox(
+            store, "car1", runpy.run_path(str(ROOT / "examples" / "spool_link.py"))["connect"], "spool.jsonl"
+        )
+        sender = asyncio.create_task(outbox.run())
+        assert await outbox.close(sender) == 0
+        assert store.unpublished_count("car1") == 0
+    lines = (tmp_path / "spool.jsonl").read_bytes().splitlines()
+    messages = [read_message(topic.decode(), payload) for topic, _, payload in (line.partition(b" ") for line in lines)]
+    assert [one.data["seq"] for one in messages if one.address.channel is Channel.SHIFT] == [1, 2]
+
+
+@pytest.fixture(name="patient")
+def _patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the library wait for a busy machine."""
+    for name, value in {"request_timeout": HANG_S, "p2_timeout": HANG_S, "use_server_timing": False}.items():
+        monkeypatch.setitem(default_client_config, name, value)
+
+
+@pytest.mark.usefixtures("patient")
+def test_a_tester_on_the_bus(capsys: pytest.CaptureFixture[str]) -> None:
+    controller = parked_controller()
+    for _ in range(20):
+        controller.report(TOO_HOT, Result.FAILED)
+    with vehicle("page", controller):
+        run(
+            moved(DIAGNOSTICS, "PythonIsoTpConnection", {"vcan0": "page", "socketcan": "virtual"}), {"__name__": "page"}
+        )
+    said = capsys.readouterr().out
+    assert "WDCTEMUL3TED00047" in said
+    assert f"0x{TOO_HOT:06x}" in said.lower()
+
+
+@pytest.mark.usefixtures("patient")
+def test_a_tester_over_ip() -> None:
+    with entity() as (_, server):
+        ports = f"tcp_port={server.place.port}, udp_port={server.place.port}"
+        run(moved(DIAGNOSTICS, "doipclient", {"0x1011)": f"0x1011, {ports})"}), {})
+        assert server.counts["requests"] == 1
+
+
+def test_a_description_of_ones_own(tmp_path: Path) -> None:
+    path = tmp_path / "gearbox.toml"
+    path.write_text(block("docs/tester.md", 'name = "gearbox"', "toml"), encoding="utf-8")
+    described = load_file(path).description
+    assert (described.name, described.request_id, described.response_id) == ("gearbox", 0x7E1, 0x7E9)
+    values = described.values(described.find_data("oil"), bytes.fromhex("04 B0 01") + b"A7")
+    assert values == {"temperature [degC]": 80.0, "state": "warm", "batch": "A7"}
+    assert described.trouble_text(0x02184B) == "Transmission Fluid Over Temperature Condition"
+
+
+def test_asked_signals_of_a_profile_are_read_as_shown(tmp_path: Path) -> None:
+    path = tmp_path / "car.toml"
+    path.write_text(block("docs/own-car.md", "did = ", "toml"), encoding="utf-8")
+    profile = load_profile(path)
+    (asked,) = profile.asked.values()
+    assert (asked.number, asked.request_id, asked.is_signed) == (0x38EB, 0x7E1, True)
+    assert {signal.value for signal in profile.sources} == {"clutch1_pressure_pa", "engine_speed_rad_s"}

@@ -2,7 +2,6 @@
 
 import asyncio
 import re
-from pathlib import Path
 
 import pytest
 
@@ -10,7 +9,6 @@ from demo.fleet.__main__ import BROKER_LINES
 from fleet_backend.broker import connected, is_of_bundles
 from fleet_backend.errors import BrokerError
 from fleet_backend.ingest import FILTERS
-from fleet_link import TlsFiles, parse_broker
 from tests.support.grafana import ROOT
 from tests.unit.fleet_link.test_connection import ACCEPTED, Script, broker, packet
 
@@ -48,13 +46,6 @@ async def test_a_broker_that_refuses_results_is_an_error() -> None:
         with pytest.raises(BrokerError, match="shift was refused"):
             async with connected(address, FILTERS, max_unsettled=20):
                 pass
-
-
-async def test_a_certificate_that_is_just_renewed_is_tried_again(tmp_path: Path) -> None:
-    address = parse_broker("mqtts://localhost", TlsFiles(authority=tmp_path / "ca.crt"))
-    with pytest.raises(BrokerError, match=r"ca\.crt"):
-        async with connected(address, FILTERS, max_unsettled=20):
-            pass
 
 
 def test_every_place_tells_a_broker_not_to_drop_by_count() -> None:

@@ -23,10 +23,6 @@ def test_a_schema_of_ours_is_one(name: str) -> None:
     [
         {"$ref": "#/$defs/nowhere"},
         {"format": "no format of anyone"},
-        {"type": 7},
-        {"type": "decimal"},
-        {"minimum": "1"},
-        {"items": 1},
         {"pattern": "("},
     ],
     ids=str,
@@ -49,20 +45,15 @@ def refusal(schema_part: Mapping[str, object], value: object) -> str:
     ("part", "value", "said"),
     [
         ({"type": "integer"}, 1.0, "an integer is written without a fraction, got 1.0"),
-        ({"type": ["null", "integer"]}, 1.0, "an integer is written without a fraction, got 1.0"),
         ({"enum": [1, 2]}, 2.0, "an integer is written without a fraction, got 2.0"),
         ({"type": "integer"}, True, 'the value is not of type "integer", got True'),
-        ({"enum": [1, 2]}, True, "the value is not one of 1 or 2, got True"),
-        ({"type": "integer"}, 1.5, 'the value is not of type "integer", got 1.5'),
         ({"maximum": 1}, 1.5, "the value is greater than the maximum of 1, got 1.5"),
         ({"pattern": "^a$"}, "a\n", "the value does not match \"^a$\", got 'a\\n'"),
         ({"maxLength": 3}, "x" * 1000, f"the value is longer than 3 characters, got '{'x' * 59}..."),
         ({"required": ["b", "a"]}, {}, '"b" is a required property; "a" is a required property'),
-        ({"uniqueItems": True}, [1, 1], "the value has non-unique elements"),
         ({"items": {"type": "null"}}, [1] * 9, "and more"),
         ({"format": "date-time"}, "2026-13-01T00:00:00Z", 'the value is not a "date-time"'),
         ({"format": "date-time"}, "2016-12-31T23:59:60Z", 'the value is not a "date-time"'),  # Python knows none
-        ({"format": "date-time"}, "0000-01-01T00:00:00Z", 'the value is not a "date-time"'),
     ],
     ids=str,
 )

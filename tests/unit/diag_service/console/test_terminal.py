@@ -46,14 +46,6 @@ def test_a_terminal_sees_the_share_from_the_third_second_on(tmp_path: Path) -> N
     assert len(terminal.getvalue()) == told
 
 
-def test_a_text_is_told_from_the_third_second_on_and_not_too_often() -> None:
-    terminal, now_s = Terminal(), [0.0]
-    line = ReadingLine(terminal, now_s=lambda: now_s[0])
-    for now_s[0] in (0.0, 1.9, 2.0, 2.1, 2.3):
-        line.tell(f"at {now_s[0]}")
-    assert terminal.getvalue() == "\r\x1b[Kat 2.0\r\x1b[Kat 2.3"
-
-
 def test_a_pipe_sees_nothing(tmp_path: Path) -> None:
     pipe = io.StringIO()
     reader, line = watched(tmp_path / "drive.log", pipe, [100.0])

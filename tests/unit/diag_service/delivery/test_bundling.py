@@ -81,20 +81,6 @@ def seqs(link: MemoryLink) -> list[int]:
     return [result.seq for result in link.results]
 
 
-async def test_a_backend_that_says_so_gets_bundles_also_after_a_restart(store: ResultStore) -> None:
-    put(store, [1])
-    link = MemoryLink(is_acknowledging=True, takes_bundles=True)
-    await drained(store, Place(link))
-    assert (link.bundled, store.takes_bundles()) == ([], True)
-    put(store, range(2, COUNT + 2))
-    outbox = await drained(store, Place(link))
-    assert sum(link.bundled) == COUNT
-    assert max(link.bundled) == MAX_BUNDLED
-    assert sorted(seqs(link)) == list(range(1, COUNT + 2))
-    assert seqs(link)[1] == COUNT + 1  # the newest first
-    assert (outbox.counts.sent, outbox.counts.repeated) == (COUNT, 0)
-
-
 async def test_what_happens_now_goes_beside_the_backlog_not_in_it(store: ResultStore) -> None:
     class Busy(MemoryLink):
         async def send(self, messages: Sequence[Outgoing]) -> None:

@@ -1,7 +1,7 @@
 """The outbox against a broker in memory: order, marks, absence, return, and a bounded goodbye."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Sequence
 from contextlib import asynccontextmanager, closing
 from dataclasses import replace
 
@@ -11,14 +11,13 @@ from canlog.errors import NOTICE
 from diag_service.delivery import Acknowledge, DeliveryLimits, MemoryLink, Outbox
 from diag_service.diagnosis.records import shift_record
 from diag_service.errors import PublishError
-from diag_service.store import ResultStore, VehicleState, Versions
+from diag_service.store import ResultStore
 from fleet_contract import Outcome, Outgoing, Receipt, key_of, metrics_message, read_message
 from tests.support.builders import shift_result
-from tests.support.patience import HANG_S
+from tests.support.outboxes import STATE, until
 
 QUICK = DeliveryLimits(first_pause_s=0.001)
 NOW = "2026-01-01T00:00:00.000000Z"
-STATE = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 
 
 class Broker:
@@ -50,12 +49,6 @@ def put(store: ResultStore, *seqs: int) -> None:
 
 def seqs(link: MemoryLink) -> list[int]:
     return [result.seq for result in link.results]
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(HANG_S):
-        while not condition():  # noqa: ASYNC110 - the condition lives in a database
-            await asyncio.sleep(0.001)
 
 
 async def test_a_broken_connection_loses_nothing(store: ResultStore) -> None:

@@ -9,7 +9,6 @@ import pytest
 
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.store import ResultStore, VehicleState, Versions
-from diag_service.store.file import GIVEN_UP
 from tests.support.builders import rejected, shift_result
 
 STATE = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
@@ -61,16 +60,3 @@ def test_the_newest_result_of_each_clutch_stays(tmp_path: Path) -> None:
             store.mark_published([seq])
         assert kept(store) == [8, 9]
         assert store.next_seq() == 1  # those were of a stream of their own
-
-
-def test_what_goes_is_found_without_reading_all_results(store: ResultStore) -> None:
-    said: list[str] = []
-    store._connection.set_trace_callback(said.append)
-    seq = 0
-    while not (store.dropped_counts().empty or store.dropped_counts().undelivered):
-        store.add(long_result(seq := seq + 1), STATE)
-    store._connection.set_trace_callback(None)
-    for name in ("delivered", "empty"):
-        drop = next(text for text in said if text.startswith("DELETE") and GIVEN_UP[name] in text)
-        plan = store._connection.execute(f"EXPLAIN QUERY PLAN {drop}").fetchall()
-        assert any(f"INDEX {name}" in step for *_, step in plan)

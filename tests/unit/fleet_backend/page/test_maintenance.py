@@ -3,31 +3,9 @@
 from datetime import UTC, date, datetime, timedelta
 
 from diag_service.diagnosis.prognosis import history_of, prognose
-from fleet_backend.page.maintenance_view import by_day, driven_a_day_m, due_of
-from fleet_backend.page.records import Due
+from fleet_backend.page.maintenance_view import driven_a_day_m, due_of
 from tests.support.fleet_page import clutch_now
 from tests.support.histories import CALIBRATION, history
-
-
-def due(vehicle: str, day: date | None, *, is_overdue: bool = False) -> Due:
-    return Due(
-        vehicle=vehicle,
-        clutch=1,
-        element=None,
-        condition="good",
-        is_overdue=is_overdue,
-        due_from=day,
-        half_by=day,
-        most_by=day,
-        distance_a_day_m=None,
-        text="",
-    )
-
-
-def test_the_next_day_comes_first_and_what_has_none_last() -> None:
-    some = (due("none", None), due("late", date(2026, 5, 1)), due("soon", date(2026, 2, 1)))
-    overdue = due("overdue", date(2026, 3, 1), is_overdue=True)
-    assert [one.vehicle for one in by_day((*some, overdue))] == ["overdue", "soon", "late", "none"]
 
 
 def test_how_much_a_vehicle_is_driven_is_counted_over_the_last_months() -> None:

@@ -75,12 +75,3 @@ async def test_a_page_rests_between_two_renewals() -> None:
     assert clock() - began_s >= 0.1
     long_rest = await begun(News(keeper, rest_s=1000.0).stream(1, None))
     assert await anext(long_rest) == "id: 3\nevent: news\ndata: 3\n\n"  # it knew an older state
-
-
-async def test_an_end_waits_for_no_rest() -> None:
-    fleet, keeper = a_fleet()
-    news = News(keeper, rest_s=1000.0)
-    stream = await begun(news.stream(1, None))
-    asyncio.get_running_loop().call_later(0.01, news.end)
-    await drive(fleet, keeper, "a", 2)
-    assert [one async for one in stream] == []

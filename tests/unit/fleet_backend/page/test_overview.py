@@ -47,23 +47,3 @@ def test_parts_in_every_order_are_the_whole(fleet: list[ClutchNow], sort: str | 
     assert sum(whole.counts.values()) == whole.matching_count == len(vehicles)
     if sort is not None and not sort.startswith("-"):
         assert found == [one.vehicle for one in answer_of(vehicles, ANY, f"-{sort}", None, 99).vehicles][::-1]
-
-
-def test_a_vehicle_is_as_its_worse_clutch() -> None:
-    fleet = [
-        clutch_now("a", 1, condition="good", odometer_m=2e6, end_at=NOW + timedelta(days=1), fluid="new"),
-        clutch_now("a", 2, condition="watch", advice="watch it"),
-        clutch_now("b", 1, condition="good"),
-        clutch_now("c", 1, condition="change_fluid"),
-    ]
-    found = answer_of(by_vehicle(fleet), ANY, None, None, 50)
-    assert [(one.vehicle, one.condition) for one in found.vehicles] == [
-        ("c", "change_fluid"),
-        ("a", "watch"),
-        ("b", "good"),
-    ]
-    one = found.vehicles[1]
-    assert (one.clutch, one.advice, one.odometer_m, one.fluid) == (2, "watch it", 2e6, "new")
-    assert dict(found.counts) == {"change_fluid": 1, "watch": 1, "good": 1, "no_verdict": 0}
-    watched = answer_of(by_vehicle(fleet), Wanted(condition="good"), None, None, 50)
-    assert [one.vehicle for one in watched.vehicles] == ["b"]
