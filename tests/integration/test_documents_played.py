@@ -60,6 +60,7 @@ ELSEWHERE = {
     "diag-service calibrate first.log": "tests/integration/test_calibrate_story.py",
     "ecu-emulator record later.log": "tests/integration/test_calibrate_story.py",
     "diag-service analyze later.log": "tests/integration/test_calibrate_story.py",
+    **dict.fromkeys(("diag-service learn", "diag-service analyze drive-b.csv"), "tests/integration/test_learn.py"),
     "export": "tests/integration/test_fleet_cli.py",
     "fleet-backend ingest": "tests/e2e/test_fleet_chaos.py",
     "fleet-backend follow": "tests/integration/test_follow.py",
