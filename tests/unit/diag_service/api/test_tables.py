@@ -79,11 +79,6 @@ def test_the_thresholds_of_the_verdict_are_drawn() -> None:
         assert "mu_C below 80 % of new: change fluid" in words
 
 
-def test_without_a_level_there_is_no_threshold() -> None:
-    unknown = [replace(one, verdict=replace(one.verdict, level_ratio=None)) for one in history(4)]
-    assert levels_and_words(unknown) == [([], ""), ([], "")]
-
-
 def test_the_picture_shows_shifts_as_the_table_has_them() -> None:
     first, *others, last = history(5)
     revision = Revision(
