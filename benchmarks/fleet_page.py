@@ -25,9 +25,11 @@ from sqlalchemy import BigInteger, Column, Engine, MetaData, Table, insert, text
 
 from demo.fleet.servers import PostgresServer
 from fleet_backend import queries
+from fleet_backend.alarms import book
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
 from fleet_backend.office.watching import Orders, Watch
+from fleet_backend.office_tables import ALARM
 from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.running import DatabaseSource
 from fleet_backend.schema import SHIFT_RESULT, UtcDateTime
@@ -295,7 +297,7 @@ def crowd(database: str, vehicle_count: int) -> bool:
         took("round of the watch, the next", watch.round),
         took("question, table", lambda: queries.worst_first(engine, 50)),
         took("question, last seen", lambda: queries.last_seen(engine)),
-        took("question, runs of verdicts", lambda: queries.clutch_alarms(engine, is_open_only=True)),
+        took("question, open alarms", lambda: book.alarms(engine, ALARM.c.cleared_at.is_(None))),
     ]
     engine.dispose()
     with page_of(database) as (address, process):

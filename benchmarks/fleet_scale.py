@@ -104,8 +104,6 @@ def questions(vehicle_count: int) -> dict[str, Callable[[Engine], object]]:
         "state of a vehicle": lambda engine: state_of(engine, "h7"),
         "one event": lambda engine: past.shift_of(engine, "h7", *newest(engine, "h7")),
         "last seen": queries.last_seen,
-        "runs of verdicts of a vehicle": lambda engine: past.alarms_of(engine, "h20"),
-        "open alarms of the fleet": lambda engine: queries.clutch_alarms(engine, is_open_only=True),
     }
 
 

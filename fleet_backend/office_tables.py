@@ -19,7 +19,7 @@ from sqlalchemy import (
     text,
 )
 
-from fleet_backend.schema import METADATA, SORTED_BY_BYTES, UtcDateTime
+from fleet_backend.schema import METADATA, UtcDateTime
 
 __all__ = ["METADATA"]  # with the tables of both modules
 
@@ -91,17 +91,6 @@ POPULATION: Final = Table(
     Column("learned_at", UtcDateTime, nullable=False),
     Column("clutch_count", BigInteger, nullable=False),  # learned from
     Column("content", Text, nullable=False),  # JSON object
-)
-
-ALARM_ACKNOWLEDGEMENT: Final = Table(
-    "alarm_acknowledgement",
-    METADATA,
-    Column("vehicle", Text, primary_key=True),
-    Column("stream", SORTED_BY_BYTES, primary_key=True),
-    Column("seq", BigInteger, primary_key=True, autoincrement=False),  # a shift of the alarm
-    Column("acknowledged_at", UtcDateTime, nullable=False),
-    Column("acknowledged_by", Text, nullable=False),
-    Column("note", Text),
 )
 
 AUDIT: Final = Table(

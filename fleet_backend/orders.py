@@ -76,18 +76,6 @@ def is_alarming_since(connection: Connection, vehicle: str, clutch: int, filled_
     return connection.execute(select(table.seq).where(*own, *is_since).limit(1)).first() is not None
 
 
-def without_old_fluid(connection: Connection, alarms: Iterable[Row]) -> list[dict[str, Any]]:
-    """Return runs of verdicts to change the fluid; one that only the earlier fluid caused is over since the fill."""
-    told = [dict(alarm) for alarm in alarms]
-    fluids = present_fluids(connection, sorted({one["vehicle"] for one in told if one["cleared_at"] is None}))
-    for one in told:
-        filled_at, _ = fluids.get(one["vehicle"], (None, ""))
-        if one["cleared_at"] is None and filled_at is not None and one["raised_at"] <= filled_at:
-            is_over = not is_alarming_since(connection, one["vehicle"], one["clutch"], filled_at)
-            one["cleared_at"] = filled_at if is_over else None
-    return told
-
-
 def _finding(row: Row, names: Mapping[tuple[str, int], str]) -> orders.Finding:
     return orders.Finding(
         clutch=row["clutch"],

@@ -27,8 +27,8 @@ from sqlalchemy import (
 from fleet_backend.choices import Axis
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError, UnknownVehicleError
-from fleet_backend.office_tables import ALARM_ACKNOWLEDGEMENT, COMMAND_LINE, note_change
-from fleet_backend.orders import clutch_names, present_fluids, with_orders, without_old_fluid
+from fleet_backend.office_tables import COMMAND_LINE, note_change
+from fleet_backend.orders import clutch_names, present_fluids, with_orders
 from fleet_backend.schema import (
     FLUID_FILL,
     KEY_COLUMNS,
@@ -75,12 +75,6 @@ CLUTCH_TREND: Final = _view(
     *("running_slope_s_rad", "running_std_slope_s_rad", "running_probability_negative_slope"),
     *("condition", "level_ratio", "fluid", "fluid_since", "stream", "seq"),
     *("algorithm_version", "calibration_version", "kind"),
-)
-
-CLUTCH_ALARM: Final = _view(
-    "clutch_alarm",
-    *("vehicle", "clutch", "alarm_number", "raised_at", "cleared_at", "shift_count", "reason", "stream", "seq"),
-    *("acknowledged_at", "acknowledged_by", "note"),
 )
 
 IDENTITY_ALARM: Final = _view("identity_alarm", "vehicle", "raised_at", "last_at", "message_count", "reason")
@@ -153,39 +147,9 @@ def clutch_name(engine: Engine, vehicle: str, clutch: int) -> str:
         return name_of(clutch, clutch_names(connection).get((vehicle, clutch)))
 
 
-def clutch_alarms(engine: Engine, *, is_open_only: bool) -> Sequence[Record]:
-    """Return the alarms of all clutches, the latest first."""
-    table = CLUTCH_ALARM
-    statement = select(table).order_by(table.c.raised_at.desc(), table.c.vehicle, table.c.clutch)
-    statement = statement.where(table.c.cleared_at.is_(None)) if is_open_only else statement
-    with transaction(engine) as connection:
-        told = without_old_fluid(connection, connection.execute(statement).mappings().all())
-        names = clutch_names(connection)
-    named = [{**one, "element": names.get((one["vehicle"], one["clutch"]))} for one in told]
-    return [one for one in named if one["cleared_at"] is None or not is_open_only]
-
-
 def identity_alarms(engine: Engine) -> Sequence[Record]:
     """Return who is pretended to be, as long as nobody has acknowledged it."""
     return _records(engine, select(IDENTITY_ALARM).order_by(IDENTITY_ALARM.c.last_at.desc()))
-
-
-def acknowledge_clutch(engine: Engine, vehicle: str, clutch: int, *, by: str, note: str | None, at: datetime) -> None:
-    """Acknowledge the latest alarm of a clutch; raises ConfigError if there is none to acknowledge."""
-    table = CLUTCH_ALARM
-    with transaction(engine) as connection:
-        alarm = connection.execute(
-            select(table.c.stream, table.c.seq)
-            .where(table.c.vehicle == vehicle, table.c.clutch == clutch, table.c.acknowledged_at.is_(None))
-            .order_by(table.c.alarm_number.desc())
-            .limit(1)
-        ).first()
-        if alarm is None:
-            raise ConfigError(f"clutch {clutch} of {vehicle} has no alarm that waits for an acknowledgement")
-        values = {"vehicle": vehicle, "stream": alarm.stream, "seq": alarm.seq, "note": note}
-        connection.execute(insert(ALARM_ACKNOWLEDGEMENT).values(acknowledged_at=at, acknowledged_by=by, **values))
-        told = f"clutch {clutch} of {vehicle}: {note or ''}"
-        _note(connection, at, by, "acknowledge run of verdicts", told)
 
 
 def acknowledge_quarantine(engine: Engine, vehicle: str, *, by: str, at: datetime) -> int:

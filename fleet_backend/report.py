@@ -65,10 +65,10 @@ def trend_table(title: str, records: Sequence[Record]) -> Sheet:
     )
 
 
-def alarm_table(clutches: Sequence[Record], identities: Sequence[Record]) -> Sheet:
-    """Return all alarms; those of clutches before those of strangers."""
+def alarm_table(raised: Sequence[Record], identities: Sequence[Record]) -> Sheet:
+    """Return all alarms; those that rules raised before those of strangers."""
     rows: list[Record] = [
-        {**record, "kind": "change fluid", "clutch": record["element"] or record["clutch"]} for record in clutches
+        {**record, "kind": record["rule"], "clutch": record["element"] or record["clutch"]} for record in raised
     ]
     rows += [{**record, "kind": f"identity ({record['message_count']} messages)"} for record in identities]
     return _sheet(

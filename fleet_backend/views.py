@@ -120,116 +120,6 @@ _SEEN_LAST: Final = """
   FROM clutch AS k WHERE k.vehicle = v.vehicle
 """
 
-# Runs of verdicts that say change_fluid; a shift without verdict neither raises nor clears. It reads the history of
-# those vehicles alone that ever had such a verdict, which the partial index finds.
-_ALARM_HISTORY: Final = """WITH streams AS (
-  SELECT c.vehicle, c.clutch, c.stream, c.seq, c.end_at, c.condition, c.condition_reason,
-    max({c_at}) OVER (PARTITION BY c.vehicle, c.stream) AS stream_last_at
-  FROM current_shift AS c
-  WHERE c.vehicle IN (SELECT a.vehicle FROM shift_result AS a WHERE a.condition = 'change_fluid')
-), history AS (
-  SELECT h.*, row_number() OVER (
-    PARTITION BY h.vehicle, h.clutch ORDER BY h.stream_last_at, h.stream, h.seq
-  ) AS shift_number
-  FROM streams AS h"""
-# From those blocks alone that hold such a verdict: each of them and what follows up to one that certainly holds another
-# (there is one version of each result in it, and none that was replaced), if need be in later streams. A block has the
-# 1024 positions of schema.BLOCK. A stream begins at block -1 and cannot go on behind the one of the last position.
-_ALARM_HISTORY_BY_BLOCKS: Final = """WITH places AS (
-  SELECT o.vehicle, o.clutch, o.stream, o.stream_last_at, p.block,
-    lead(p.block) OVER (PARTITION BY o.vehicle, o.clutch, o.stream ORDER BY p.block) AS next_block,
-    count(*) FILTER (WHERE p.block >= 0) OVER (
-      PARTITION BY o.vehicle, o.clutch ORDER BY o.stream_last_at, o.stream, p.block
-    ) AS alarming_count
-  FROM (
-    SELECT e.vehicle, e.clutch, e.stream, max(e.last_at) OVER (PARTITION BY e.vehicle, e.stream) AS stream_last_at
-    FROM clutch_stream AS e
-    WHERE e.vehicle IN (SELECT a.vehicle FROM clutch_block AS a WHERE a.condition = 'change_fluid')
-  ) AS o
-  LEFT JOIN (
-    SELECT b.vehicle, b.clutch, b.stream, array_agg(DISTINCT b.block) AS blocks
-    FROM clutch_block AS b
-    WHERE b.condition = 'change_fluid'
-    GROUP BY b.vehicle, b.clutch, b.stream
-  ) AS a ON a.vehicle = o.vehicle AND a.clutch = o.clutch AND a.stream = o.stream
-  CROSS JOIN LATERAL unnest(-1::bigint || a.blocks) AS p (block)
-), stretches AS (
-  SELECT p.*, coalesce(k.block, p.next_block - 1, 9007199254740991) AS last_block, count(k.block) OVER (
-    PARTITION BY p.vehicle, p.clutch, p.alarming_count ORDER BY p.stream_last_at, p.stream, p.block
-    ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING
-  ) AS calm_count
-  FROM places AS p
-  LEFT JOIN LATERAL (
-    SELECT b.block
-    FROM clutch_block AS b
-    WHERE b.vehicle = p.vehicle AND b.clutch = p.clutch AND b.stream = p.stream
-      AND b.block > p.block AND b.block <= coalesce(p.next_block - 1, 9007199254740991)
-    GROUP BY b.block
-    HAVING bool_or(b.condition <> 'no_verdict') AND min(b.version_rank) = max(b.version_rank)
-      AND min(b.month) = max(b.month)
-    ORDER BY b.block
-    LIMIT 1
-  ) AS k ON true
-  WHERE p.alarming_count > 0
-), history AS (
-  SELECT c.vehicle, c.clutch, c.stream, s.seq, s.end_at, s.condition, s.condition_reason, row_number() OVER (
-    PARTITION BY c.vehicle, c.clutch ORDER BY c.stream_last_at, c.stream, s.seq
-  ) AS shift_number
-  FROM stretches AS c
-  CROSS JOIN LATERAL (
-    SELECT DISTINCT ON (r.seq) r.seq, r.clutch, r.end_at, r.condition, r.condition_reason
-    FROM (
-      SELECT DISTINCT m.month FROM clutch_block AS m
-      WHERE m.vehicle = c.vehicle AND m.stream = c.stream AND m.block BETWEEN c.block AND c.last_block
-    ) AS n
-    CROSS JOIN LATERAL (
-      SELECT * FROM shift_result AS t
-      WHERE t.vehicle = c.vehicle AND t.stream = c.stream
-        AND t.seq BETWEEN c.block * 1024 AND c.last_block * 1024 + 1023
-        AND t.produced_at >= n.month::timestamp AT TIME ZONE 'UTC'
-        AND t.produced_at < (n.month + interval '1 month') AT TIME ZONE 'UTC'
-      OFFSET 0
-    ) AS r
-    ORDER BY r.seq, r.version_rank DESC, r.content_digest
-  ) AS s
-  WHERE s.clutch = c.clutch AND c.calm_count = 0"""
-_ALARMS: Final = """
-CREATE VIEW clutch_alarm AS
-{history}
-), verdicts AS (
-  SELECT g.vehicle, g.clutch, g.stream, g.seq, g.end_at, g.shift_number, g.condition_reason,
-    CASE g.condition WHEN 'change_fluid' THEN 1 ELSE 0 END AS alarming
-  FROM history AS g
-  WHERE g.condition <> 'no_verdict'
-), neighbours AS (
-  SELECT v.*,
-    coalesce(lag(v.alarming) OVER (PARTITION BY v.vehicle, v.clutch ORDER BY v.shift_number), 0) AS was_alarming,
-    lead(v.alarming) OVER (PARTITION BY v.vehicle, v.clutch ORDER BY v.shift_number) AS will_alarm,
-    lead(v.end_at) OVER (PARTITION BY v.vehicle, v.clutch ORDER BY v.shift_number) AS next_end_at
-  FROM verdicts AS v
-), numbered AS (
-  SELECT n.*, sum(CASE WHEN n.alarming = 1 AND n.was_alarming = 0 THEN 1 ELSE 0 END) OVER (
-    PARTITION BY n.vehicle, n.clutch ORDER BY n.shift_number
-  ) AS alarm_number
-  FROM neighbours AS n
-)
-SELECT
-  m.vehicle, m.clutch, m.alarm_number,
-  max(CASE WHEN m.was_alarming = 0 THEN m.end_at END) AS raised_at,
-  max(CASE WHEN m.will_alarm = 0 THEN m.next_end_at END) AS cleared_at,
-  count(DISTINCT m.shift_number) AS shift_count,
-  max(CASE WHEN m.was_alarming = 0 THEN m.condition_reason END) AS reason,
-  max(CASE WHEN m.was_alarming = 0 THEN m.stream END) AS stream,
-  max(CASE WHEN m.was_alarming = 0 THEN m.seq END) AS seq,
-  max(a.acknowledged_at) AS acknowledged_at,
-  max(a.acknowledged_by) AS acknowledged_by,
-  max(a.note) AS note
-FROM numbered AS m
-LEFT JOIN alarm_acknowledgement AS a ON a.vehicle = m.vehicle AND a.stream = m.stream AND a.seq = m.seq
-WHERE m.alarming = 1
-GROUP BY m.vehicle, m.clutch, m.alarm_number
-"""
-
 # What pretends to come from a vehicle and does not; acknowledging the messages clears it.
 _IDENTITY_ALARM: Final = """
 CREATE VIEW identity_alarm AS
@@ -248,7 +138,6 @@ _ONE_TABLE: Final = {
     "is_newer": "newer.version_rank > s.version_rank",
     "last_results": LAST_RESULTS,
     "seen_last": _SEEN_LAST,
-    "history": _ALARM_HISTORY,
     "running_since": "datetime(h.running_since_bus_ns / 1000000000, 'unixepoch')",
 }
 _BY_MONTH: Final = {
@@ -257,11 +146,10 @@ _BY_MONTH: Final = {
     " AND (newer.version_rank > s.version_rank OR newer.content_digest < s.content_digest)",
     "last_results": _LAST_BY_MONTH,
     "seen_last": "SELECT max(e.last_at) FROM clutch_stream AS e WHERE e.vehicle = v.vehicle",
-    "history": _ALARM_HISTORY_BY_BLOCKS,
     "running_since": "to_timestamp(h.running_since_bus_ns / 1e9)",
 }
 _VIEWS: Final = (
-    *(_CURRENT_SHIFT, _SHIFT_HISTORY, _CLUTCH_TREND, _RUNNING_CONDITION, _FLEET, _LAST_SEEN, _ALARMS, _IDENTITY_ALARM),
+    *(_CURRENT_SHIFT, _SHIFT_HISTORY, _CLUTCH_TREND, _RUNNING_CONDITION, _FLEET, _LAST_SEEN, _IDENTITY_ALARM),
 )
 
 

@@ -104,10 +104,10 @@ async def run_fleet(folder: Path, cycles: int, console: Console, *, stays: bool)
             await _backend(folder, "fill", database, name, fluid, "--at", "2025-12-01")
         took_s = time.monotonic() - began_s
         console.print(f"database  {sum(counts)} results of {len(counts)} vehicles, {took_s:.0f} s\n")
+        await _backend(folder, "watch", database, "--once", "--silence-days", str(OLD_DRIVES_DAYS))
         for question in ("table", "alarms"):
             answer = await _backend(folder, question, database, "--width", str(console.width))
             console.print(answer, markup=False, soft_wrap=True)
-        await _backend(folder, "watch", database, "--once", "--silence-days", str(OLD_DRIVES_DAYS))
         await _show_page(_subfolder(folder, "page"), database, console, stays=stays)
     return DONE
 

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
-from sqlalchemy import Connection, Engine, func, insert, or_, select, update
+from sqlalchemy import ColumnElement, Connection, Engine, func, insert, or_, select, update
 
 from fleet_backend.alarms.rules import Event, Rule, Subject, Transition
 from fleet_backend.database import transaction
 from fleet_backend.errors import RowRefusedError
 from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, note_change
+from fleet_backend.orders import clutch_names
 
 CLAIM: Final = timedelta(seconds=60)  # whoever takes a message has so long to deliver it
 _TOGETHER: Final = 500  # in one transaction
@@ -46,6 +47,17 @@ def open_alarms(engine: Engine) -> dict[Subject, bool]:
         return {Subject(vehicle=row.vehicle, clutch=row.clutch, rule=Rule(row.rule)): True for row in rows}
 
 
+def alarms(engine: Engine, *which: ColumnElement[bool]) -> list[dict[str, Any]]:
+    """Return alarms with the names of their clutches, the latest first; clutch None: of the vehicle as a whole."""
+    order = (ALARM.c.raised_at.desc(), ALARM.c.vehicle, ALARM.c.clutch, ALARM.c.rule)
+    with transaction(engine) as connection:
+        names = clutch_names(connection)
+        rows = connection.execute(select(ALARM).where(*which).order_by(*order)).mappings().all()
+    return [
+        {**row, "clutch": row["clutch"] or None, "element": names.get((row["vehicle"], row["clutch"]))} for row in rows
+    ]
+
+
 def write(engine: Engine, steps: Iterable[Transition], carriers: Sequence[str]) -> list[Transition]:
     """Write transitions with a message for each carrier; return those that another process had not written already."""
     waiting = list(steps)
@@ -66,6 +78,14 @@ def acknowledge(engine: Engine, subject: Subject, number: int, note: Note) -> bo
             told = f"{_key(subject, number)}: {note.text or ''}"
             note_change(connection, at=note.at, who=note.by, role=note.role, action="acknowledge alarm", subject=told)
     return count > 0
+
+
+def acknowledge_open(engine: Engine, vehicle: str, clutch: int, note: Note) -> int:
+    """Acknowledge all open alarms of a clutch that nobody has; return how many; clutch 0: the vehicle as a whole."""
+    waiting = (ALARM.c.cleared_at.is_(None), ALARM.c.acknowledged_at.is_(None))
+    own = alarms(engine, ALARM.c.vehicle == vehicle, ALARM.c.clutch == clutch, *waiting)
+    subjects = ((Subject(vehicle=vehicle, clutch=clutch, rule=Rule(one["rule"])), one["number"]) for one in own)
+    return sum(acknowledge(engine, subject, number, note) for subject, number in subjects)
 
 
 def take(engine: Engine, carrier: str, now: datetime) -> Letter | None:

@@ -2,22 +2,24 @@
 
 from typing import Final
 
+from click import Choice
+
 from clutchdiag_io.command_line import FILE, FLOAT, Command, Option
-from fleet_backend.arguments import CLUTCH, COMMON, METRICS, PROGRAM, QUESTION, VEHICLE, count
+from fleet_backend.arguments import COMMON, METRICS, PROGRAM, QUESTION, VEHICLE, count
 
 DEFAULT_SERVICE_KM: Final = 15_000
 DEFAULT_SILENCE_DAYS: Final = 14
 DEFAULT_LISTEN: Final = "127.0.0.1:8090"
 _ALARMS: Final = Command(
     "alarms",
-    "show or acknowledge alarms",
+    "show or acknowledge alarms that the watch raised",
     *QUESTION,
     Option("--all", "include cleared alarms"),
     Option(
         "--acknowledge VEHICLE",
-        "acknowledge the latest alarm of its --clutch, or without --clutch what was kept aside on its topics",
+        "acknowledge the open alarms of its --clutch, or without --clutch what was kept aside on its topics",
     ),
-    Option("--clutch", "whose alarm is acknowledged", CLUTCH),
+    Option("--clutch", "whose alarms are acknowledged; 0: those of the vehicle as a whole", Choice([0, 1, 2])),
     Option("--by WHO", "who acknowledges (default: the user)"),
     Option("--note TEXT", "a note to keep with it"),
     examples=(

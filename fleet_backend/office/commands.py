@@ -12,6 +12,7 @@ from typing import Any
 from sqlalchemy import Engine
 
 from fleet_backend import queries, report
+from fleet_backend.alarms import book
 from fleet_backend.alarms.rules import Limits, parse_service_km, parse_silence
 from fleet_backend.commands import metrics_of, tell, user_name
 from fleet_backend.config import parse_listen
@@ -19,6 +20,7 @@ from fleet_backend.database import default_database, open_database
 from fleet_backend.errors import ConfigError, ExtraMissingError
 from fleet_backend.office.retention import forget_vehicle
 from fleet_backend.office.retention import retain as retain_months
+from fleet_backend.office_tables import ALARM, COMMAND_LINE
 from fleet_backend.page.access import Access, read_access
 
 
@@ -26,11 +28,10 @@ def alarms(options: SimpleNamespace, engine: Engine) -> None:
     if options.acknowledge is not None:
         _acknowledge(options, engine)
         return
-    clutches = queries.clutch_alarms(engine, is_open_only=not options.all)
+    raised = book.alarms(engine, *(() if options.all else (ALARM.c.cleared_at.is_(None),)))
     identities = queries.identity_alarms(engine)
-    records = [{"alarm": "clutch", **record} for record in clutches]
-    records += [{"alarm": "identity", **record} for record in identities]
-    tell(options, records, lambda: report.alarm_table(clutches, identities))
+    records = [*raised, *({"rule": "identity", **record} for record in identities)]
+    tell(options, records, lambda: report.alarm_table(raised, identities))
 
 
 def _acknowledge(options: SimpleNamespace, engine: Engine) -> None:
@@ -41,8 +42,12 @@ def _acknowledge(options: SimpleNamespace, engine: Engine) -> None:
         count = queries.acknowledge_quarantine(engine, vehicle, by=by, at=now)
         sys.stdout.write(f"{count} messages on the topics of {vehicle} acknowledged\n")
     else:
-        queries.acknowledge_clutch(engine, vehicle, clutch, by=by, note=options.note, at=now)
-        sys.stdout.write(f"alarm of clutch {clutch} of {vehicle} acknowledged\n")
+        note = book.Note(by=by, role=COMMAND_LINE, at=now, text=options.note)
+        whose = f"clutch {clutch} of {vehicle}" if clutch else vehicle
+        count = book.acknowledge_open(engine, vehicle, clutch, note)
+        if not count:
+            raise ConfigError(f"{whose} has no alarm that waits for an acknowledgement")
+        sys.stdout.write(f"{count} alarms of {whose} acknowledged\n")
 
 
 def peers(options: SimpleNamespace, engine: Engine) -> None:

@@ -13,11 +13,10 @@ from diag_service.diagnosis.records import Causes, ShiftQuality, from_plain
 from fleet_backend import schema
 from fleet_backend.database import transaction
 from fleet_backend.months import CLUTCH_BLOCK, has_partitions, months_with
-from fleet_backend.orders import since_of, without_old_fluid
+from fleet_backend.orders import since_of
 from fleet_backend.page.calibrations import remember
-from fleet_backend.page.records import ClutchAlarm, ShiftAnswer
+from fleet_backend.page.records import ShiftAnswer
 from fleet_backend.page.vehicle_state import fills_in
-from fleet_backend.queries import CLUTCH_ALARM
 from fleet_contract.orders import NO_VERDICT, is_of_earlier_fluid
 
 SAME_RATIO: Final = 0.5
@@ -134,16 +133,6 @@ def _is_same(one: Row, other: Row) -> bool:
     shared_ns = min(one["end_bus_ns"], other["end_bus_ns"]) - max(one["start_bus_ns"], other["start_bus_ns"])
     longer_ns = max(row["end_bus_ns"] - row["start_bus_ns"] for row in (one, other))
     return bool(one["stream"] != other["stream"] and shared_ns > SAME_RATIO * longer_ns)
-
-
-def alarms_of(engine: Engine, vehicle: str) -> tuple[ClutchAlarm, ...]:
-    """Return the alarms of a vehicle's clutches, the latest first."""
-    table = CLUTCH_ALARM
-    names = [field.name for field in fields(ClutchAlarm)]
-    statement = select(table).where(table.c.vehicle == vehicle).order_by(table.c.raised_at.desc())
-    with transaction(engine) as connection:
-        rows = without_old_fluid(connection, connection.execute(statement).mappings().all())
-    return tuple(ClutchAlarm(**{name: row[name] for name in names}) for row in rows)
 
 
 def shift_of(engine: Engine, vehicle: str, stream: str, seq: int) -> ShiftAnswer | None:

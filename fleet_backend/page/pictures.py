@@ -203,7 +203,7 @@ def _moments(
         if ends
     ]
     for alarm in answer.alarms:
-        if alarm.clutch == clutch:
+        if alarm.clutch == clutch and alarm.rule == "verdict":
             happened.append((alarm.raised_at, "change_fluid", "alarm"))
             if alarm.cleared_at is not None:
                 happened.append((alarm.cleared_at, "good", "alarm over"))

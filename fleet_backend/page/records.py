@@ -86,13 +86,17 @@ class Fill:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ClutchAlarm:
-    """A run of verdicts to change the fluid."""
+class Alarm:
+    """An alarm that a rule raised."""
 
-    clutch: int
+    vehicle: str
+    clutch: int | None  # null: of the vehicle as a whole
+    element: str | None  # as of `ClutchNow`
+    rule: str
+    number: int  # from 1 on, of each vehicle, clutch and rule
     raised_at: datetime
     cleared_at: datetime | None
-    reason: str | None
+    reason: str
     acknowledged_at: datetime | None
     acknowledged_by: str | None
     note: str | None
@@ -185,7 +189,7 @@ class VehicleAnswer:
     order: str | None
     outlook: str | None  # how far the fluid will go, or why that cannot be said
     fills: tuple[Fill, ...]
-    alarms: tuple[ClutchAlarm, ...]
+    alarms: tuple[Alarm, ...]
     clutches: tuple[ClutchHistory, ...]
     changes: tuple[Course, ...]  # of gears
     loads: tuple[Load, ...]
@@ -284,23 +288,6 @@ class ChangesAnswer:
     changes: tuple[Change, ...]
     clutch_count: int  # with results that arrived since then
     next: str | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Alarm:
-    """An alarm that a rule raised."""
-
-    vehicle: str
-    clutch: int | None  # null: of the vehicle as a whole
-    element: str | None  # as of `ClutchNow`
-    rule: str
-    number: int  # from 1 on, of each vehicle, clutch and rule
-    raised_at: datetime
-    cleared_at: datetime | None
-    reason: str
-    acknowledged_at: datetime | None
-    acknowledged_by: str | None
-    note: str | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,19 +8,18 @@ from sqlalchemy import BigInteger, Connection, Engine, Select, bindparam, cast, 
 
 from fleet_backend.database import transaction
 from fleet_backend.months import CLUTCH_STREAM, has_partitions
-from fleet_backend.office_tables import ALARM_ACKNOWLEDGEMENT, POPULATION
+from fleet_backend.office_tables import ALARM, POPULATION
 from fleet_backend.page.records import Fill
 from fleet_backend.schema import FLUID_FILL, RANKED_AT, SHIFT_RESULT, VEHICLE, UtcDateTime
 from fleet_contract.orders import distinct
 
 _OWN: Final[Any] = bindparam("vehicle")
-_NOTED: Final = ALARM_ACKNOWLEDGEMENT.c
+_STEPS: Final = func.count() + func.count(ALARM.c.cleared_at) + func.count(ALARM.c.acknowledged_at)
 _ABOUT: Final = select(
     VEHICLE.c.is_online,
     VEHICLE.c.connected_at,
     VEHICLE.c.service_version,
-    select(func.count()).where(_NOTED.vehicle == _OWN).scalar_subquery().label("acknowledged_count"),
-    select(func.max(_NOTED.acknowledged_at)).where(_NOTED.vehicle == _OWN).scalar_subquery().label("acknowledged_at"),
+    select(_STEPS).where(ALARM.c.vehicle == _OWN).scalar_subquery().label("alarm_step_count"),
     select(func.max(POPULATION.c.version)).scalar_subquery().label("population_version"),
 ).where(VEHICLE.c.vehicle == _OWN)
 _STORED: Final = (
@@ -70,8 +69,7 @@ class VehicleState:
     is_online: bool | None  # as its service said
     connected_at: datetime | None
     service_version: str | None
-    acknowledged_count: int  # alarms
-    acknowledged_at: datetime | None  # the last of them
+    alarm_step_count: int  # how often an alarm was raised, cleared or acknowledged
     population_version: int | None  # of the fleet, the newest
     fills: tuple[Fill, ...]  # the earliest first
     stored: tuple[Stored, ...]

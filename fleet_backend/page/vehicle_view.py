@@ -1,6 +1,6 @@
 """One vehicle: what to do, how far its fluid will go, and how each clutch went."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from math import isfinite
 from typing import Any, Final
 
@@ -10,6 +10,8 @@ from diag_service.diagnosis.condition.shift_course import course_lines
 from diag_service.diagnosis.condition.shift_quality import Load
 from diag_service.diagnosis.records import Causes
 from diag_service.report.pictures import causes_section, course_tables
+from fleet_backend.alarms import book
+from fleet_backend.office_tables import ALARM
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
 from fleet_backend.page.cache import Same
@@ -23,7 +25,7 @@ from fleet_backend.page.pictures import (
     course_keys,
     course_picture,
 )
-from fleet_backend.page.records import ClutchAlarm, ClutchHistory, ClutchNow, TrendPoint, Usual, VehicleAnswer
+from fleet_backend.page.records import Alarm, ClutchHistory, ClutchNow, TrendPoint, Usual, VehicleAnswer
 from fleet_backend.page.vehicle_state import VehicleState, state_of
 from fleet_backend.page.view import Shown, Sources, View, list_section
 from fleet_contract.orders import UNKNOWN_FLUID, Action, name_of, title_of
@@ -67,7 +69,7 @@ def find(sources: Sources, ask: Ask) -> VehicleAnswer:
             order=order,
             outlook=outlook_text((one.prognosis for one in pasts), clutches[0]) if clutches else None,
             fills=state.fills,
-            alarms=past.alarms_of(sources.engine, vehicle),
+            alarms=tuple(Alarm(**one) for one in book.alarms(sources.engine, ALARM.c.vehicle == vehicle)),
             clutches=tuple(
                 ClutchHistory(
                     now=now,
@@ -282,13 +284,12 @@ def _event_cells(point: TrendPoint) -> tuple[Cell, ...]:
 
 
 def _events_section(answer: VehicleAnswer) -> Section:
-    names = {one.now.clutch: one.now.element for one in answer.clutches}
     happened = [
         *(
             (fill.filled_at, f"new fluid: {fill.product}", wording.km(fill.odometer_m), fill.note)
             for fill in answer.fills
         ),
-        *(entry for alarm in answer.alarms for entry in _alarm_entries(alarm, names)),
+        *(entry for alarm in answer.alarms for entry in _alarm_entries(alarm)),
     ]
     rows = tuple(
         (moment(at), what, km, wording.plain(note))
@@ -298,14 +299,14 @@ def _events_section(answer: VehicleAnswer) -> Section:
     return list_section("events", "What happened", table, "No new fluid was noted, and there was no alarm.")
 
 
-def _alarm_entries(alarm: ClutchAlarm, names: Mapping[int, str | None]) -> Iterator[tuple[Any, str, Cell, str | None]]:
-    whose = name_of(alarm.clutch, names.get(alarm.clutch))
-    yield alarm.raised_at, f"alarm of {whose}: {alarm.reason}", NONE, None
+def _alarm_entries(alarm: Alarm) -> Iterator[tuple[Any, str, Cell, str | None]]:
+    whose = "" if alarm.clutch is None else f" of {name_of(alarm.clutch, alarm.element)}"
+    yield alarm.raised_at, f"alarm{whose}: {alarm.reason}", NONE, None
     if alarm.acknowledged_at is not None:
-        who = f"alarm of {whose} acknowledged by {alarm.acknowledged_by}"
+        who = f"alarm{whose} acknowledged by {alarm.acknowledged_by}"
         yield alarm.acknowledged_at, who, NONE, alarm.note
     if alarm.cleared_at is not None:
-        yield alarm.cleared_at, f"alarm of {whose} over", NONE, None
+        yield alarm.cleared_at, f"alarm{whose} over", NONE, None
 
 
 VIEW: Final = View(

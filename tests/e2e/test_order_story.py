@@ -17,6 +17,7 @@ from diag_service.delivery import MqttConnector, Outbox
 from diag_service.store import ResultStore
 from ecu_emulator.cli import main as emulator
 from fleet_backend import queries
+from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter
 from fleet_backend.alarms.rules import Rule
 from fleet_backend.broker import connected
@@ -25,6 +26,7 @@ from fleet_backend.cli import main as fleet
 from fleet_backend.database import open_database
 from fleet_backend.ingest import FILTERS, Worker
 from fleet_backend.office.watching import Orders, Watch
+from fleet_backend.office_tables import ALARM
 from fleet_backend.page import clutches_view, maintenance_view, vehicle_view
 from fleet_backend.page.asking import Ask, read_words
 from fleet_backend.page.vehicle_state import fills_of
@@ -201,7 +203,7 @@ async def test_from_aged_fluid_to_sound_fluid_all_tell_the_same(
         await until(lambda: len(fills_of(world.engine, "car1")) == 1, HANG_S)
         assert set(world.all_who_tell(capsys).values()) == {CLOSED}
         assert world.alarms_now() == [(f"car1/{clutch}/verdict/1", "cleared", CLOSED) for clutch in (1, 2)]
-        assert queries.clutch_alarms(world.engine, is_open_only=True) == []
+        assert book.alarms(world.engine, ALARM.c.cleared_at.is_(None)) == []
     assert console_of(world, old) == CLOSED  # what was analysed before is told again, and is of the earlier fluid
 
     assert console_of(world, new) == SOUND

@@ -147,38 +147,6 @@ def test_a_fill_needs_a_known_vehicle_and_is_noted_once(engine: Engine) -> None:
         queries.note_fill(engine, "car1", "oil", at=NOW, odometer_m=None, note=None)
 
 
-def store_verdicts(engine: Engine, verdicts: str, *, seed: int | None = None) -> None:
-    """Store a clutch's shifts, one letter each: good, worn, or none; in order or shuffled."""
-    kinds = {"g": Condition.GOOD, "w": WORN, "n": Condition.NO_VERDICT}
-    rows = [row_of(fleet_result(seq, condition=kinds[kind])) for seq, kind in enumerate(verdicts, 1)]
-    if seed is not None:
-        np.random.default_rng(seed).shuffle(rows)
-    for row in rows:
-        Writer(engine).store(Batch(shifts=[row]))
-
-
-@pytest.mark.parametrize("seed", [None, 1, 2])
-def test_alarms_are_raised_and_cleared_whatever_the_order_of_arrival(engine: Engine, seed: int | None) -> None:
-    store_verdicts(engine, "gwwnwggww", seed=seed)
-    last, first = queries.clutch_alarms(engine, is_open_only=False)
-    assert (first["seq"], first["shift_count"], last["seq"], last["shift_count"]) == (2, 3, 8, 2)
-    assert first["cleared_at"] is not None
-    assert first["cleared_at"] > first["raised_at"]  # type: ignore[operator]  # both are moments
-    assert last["cleared_at"] is None
-    assert queries.clutch_alarms(engine, is_open_only=True) == [last]
-
-
-def test_an_acknowledged_alarm_stays_so_when_earlier_shifts_arrive_late(engine: Engine) -> None:
-    writer = Writer(engine)
-    writer.store(Batch(shifts=[row_of(fleet_result(seq, condition=WORN)) for seq in (5, 6)]))
-    queries.acknowledge_clutch(engine, "car1", 2, by="ann", note="seen", at=NOW)
-    with pytest.raises(ConfigError, match="no alarm"):
-        queries.acknowledge_clutch(engine, "car1", 2, by="bob", note=None, at=NOW)
-    writer.store(Batch(shifts=[row_of(fleet_result(4, condition=WORN))]))
-    (alarm,) = queries.clutch_alarms(engine, is_open_only=True)
-    assert (alarm["seq"], alarm["acknowledged_by"], alarm["acknowledged_at"], alarm["note"]) == (4, "ann", NOW, "seen")
-
-
 def test_who_pretends_to_be_another_is_an_alarm_until_acknowledged(engine: Engine) -> None:
     poison = Poison(topic="clutchdiag/v1/a/shift", vehicle="a", payload=b"{}", reason="identity", detail="it is b")
     rows = [quarantine_row(poison, NOW), quarantine_row(poison, NOW + timedelta(1))]

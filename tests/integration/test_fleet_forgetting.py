@@ -7,6 +7,7 @@ import pytest
 from sqlalchemy import Engine, inspect, text
 
 from fleet_backend import queries
+from fleet_backend.alarms import book
 from fleet_backend.cli import main
 from fleet_backend.database import transaction
 from fleet_backend.errors import UnknownVehicleError
@@ -37,7 +38,7 @@ def _filled(engine: Engine) -> Engine:
     )
     row: dict[str, object] = {"vehicle": VEHICLE, "calibration_version": "1", "content": "{}"}
     Writer(engine).store(Batch(quarantined=[quarantine_row(poison, NOW)], calibrations=[row]))
-    queries.acknowledge_clutch(engine, VEHICLE, 2, by="ann", note=None, at=NOW)
+    book.acknowledge_open(engine, VEHICLE, 2, book.Note(by="ann", role="workshop", at=NOW, text=None))
     return engine
 
 

@@ -9,16 +9,19 @@ from pathlib import Path
 from uuid import uuid4
 
 import pytest
-from sqlalchemy import Engine, inspect, text
+from sqlalchemy import Engine, bindparam, inspect, text
 
 from demo.fleet.servers import PostgresServer
+from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseError
 from fleet_backend.migrate import check_schema, migrate
+from fleet_backend.office_tables import ALARM
+from fleet_backend.schema import UtcDateTime
 from fleet_backend.writer import Batch, Writer
 from tests.golden import earlier
-from tests.support.fleet import fleet_result, row_of
+from tests.support.fleet import NOW, fleet_result, row_of
 from tests.support.outboxes import until
 from tests.support.patience import HANG_S
 
@@ -81,10 +84,23 @@ def test_a_database_of_the_schema_before_becomes_what_a_new_one_is(empty: Engine
     Writer(empty).store(Batch(shifts=rows))
     with pytest.raises(DatabaseError, match="older schema r0021; run: fleet-backend migrate"):
         check_schema(empty)
+    worn = [row_of(fleet_result(seq, vehicle="worn", condition=Condition.CHANGE_FLUID)) for seq in (1, 2)]
+    raised = {"vehicle": "worn", "clutch": 2, "rule": "verdict", "number": 1, "raised_at": NOW, "reason": "worn fluid"}
+    noted = {"vehicle": "worn", "stream": "stream-1", "seq": 2, "acknowledged_at": NOW, "acknowledged_by": "ann"}
+    acknowledgement = table("alarm_acknowledgement", *(column(name) for name in noted))
+    Writer(empty).store(Batch(shifts=worn))
+    with transaction(empty) as connection:
+        connection.execute(ALARM.insert().values(raised))
+        connection.execute(
+            acknowledgement.insert().values(noted | {"acknowledged_at": bindparam("at", NOW, UtcDateTime())})
+        )
     before = queries.table_hash(empty)
     migrate(empty)
     check_schema(empty)
     assert schema_of(empty) == schema_of(new)
+    with transaction(empty) as connection:
+        (alarm,) = connection.execute(ALARM.select().where(ALARM.c.vehicle == "worn")).all()
+    assert (alarm.number, alarm.acknowledged_by, alarm.acknowledged_at, alarm.cleared_at) == (1, "ann", NOW, None)
     assert queries.table_hash(empty) == before
     latest = {(one["clutch"], one["stream"]) for one in queries.worst_first(empty) if one["vehicle"] == "car9"}
     assert latest == {(1, "stream-1"), (2, "without a clock")}

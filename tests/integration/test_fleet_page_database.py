@@ -27,6 +27,7 @@ from diag_service.diagnosis.records import (
     status_record,
 )
 from fleet_backend import queries, report
+from fleet_backend.alarms import book
 from fleet_backend.alarms.rules import Rule
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction
@@ -35,7 +36,7 @@ from fleet_backend.intake import batch_of, take_all
 from fleet_backend.office.retention import forget_vehicle
 from fleet_backend.office.watching import Orders
 from fleet_backend.office.watching import Watch as WatchOfOffice
-from fleet_backend.office_tables import FLUID_DUE
+from fleet_backend.office_tables import ALARM, FLUID_DUE
 from fleet_backend.page import (
     alarms_view,
     changes_view,
@@ -230,7 +231,7 @@ def test_alarms_and_days_call_a_clutch_by_its_name(engine: Engine) -> None:
     (own,) = (one for one in answer.alarms if one.clutch)
     title = alarms_view.show_one(own, asked, sources).title
     assert title == "Alarm 1: taxi, lock-up clutch: verdict"
-    assert report.alarm_table(queries.clutch_alarms(engine, is_open_only=True), []).rows[0][2] == "lock-up clutch"
+    assert report.alarm_table(book.alarms(engine, ALARM.c.clutch == 1), []).rows[0][2] == "lock-up clutch"
     assert queries.clutch_name(engine, "taxi", 1) == "lock-up clutch"
     due = maintenance_view.find(sources, ask(maintenance_view.VIEW)).clutches
     assert [one.element for one in due] == ["lock-up clutch"]
