@@ -7,14 +7,14 @@ clutch in the newest month without a look at the others. A result that no month 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import UTC, date, datetime, time, timedelta
+from datetime import UTC, date, datetime
 from typing import Final
 
-from sqlalchemy import Connection, Engine, and_, column, func, select, table, text
+from sqlalchemy import Connection, Engine, column, table, text
 
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError
-from fleet_backend.schema import BLOCK, KEY_COLUMNS, RANKED_AT, UtcDateTime
+from fleet_backend.schema import KEY_COLUMNS, RANKED_AT, UtcDateTime
 
 AHEAD_MONTHS: Final = 3  # kept ready, so that a forgotten command costs a quarter before results gather in the last
 MOST_MONTHS: Final = 120
@@ -166,17 +166,12 @@ def _month(name: str) -> date | None:
 
 TABLE: Final = "shift_result"
 _RANKED_AT: Final = RANKED_AT["postgresql"]
-_NO_VERSION: Final = "''"  # what was replaced may have said something else: two versions are nothing certain
 _STREAM: Final = "vehicle, clutch, stream"
 _LAST: Final = "last_seq, last_version_rank, last_produced_at, last_digest"
-_MONTH: Final = "CAST(date_trunc('month', n.produced_at AT TIME ZONE 'UTC') AS date)"
 CLUTCH_STREAM: Final = table(
     "clutch_stream",
     *(column(name) for name in ("vehicle", "clutch", "stream", "result_count", "last_seq")),
     *(column(name, UtcDateTime) for name in ("last_at", "last_stored_at")),
-)
-CLUTCH_BLOCK: Final = table(
-    "clutch_block", *(column(name) for name in ("vehicle", "stream", "block", "month", "version_rank"))
 )
 MAKE: Final = (
     f"ALTER TABLE {TABLE} ADD PRIMARY KEY ({', '.join(KEY_COLUMNS)}, produced_at)",
@@ -189,13 +184,6 @@ CREATE TABLE clutch_stream (
   PRIMARY KEY ({_STREAM}), FOREIGN KEY (vehicle, clutch) REFERENCES clutch (vehicle, clutch)
 ) WITH (fillfactor = 70)
 """,
-    """
-CREATE TABLE clutch_block (
-  vehicle text, stream text COLLATE "C", block bigint, clutch smallint, month date, version_rank text COLLATE "C",
-  condition text, PRIMARY KEY (vehicle, stream, block, clutch, month, version_rank, condition)
-)
-""",
-    "CREATE INDEX clutch_block_alarming ON clutch_block (vehicle) WHERE condition = 'change_fluid'",
 )
 
 
@@ -207,14 +195,6 @@ def _streams(source: str, count: str = "count(*) OVER w") -> str:
         " max(n.stored_at) OVER w, n.seq, n.version_rank, n.produced_at, n.content_digest"
         f" FROM {source} AS n WINDOW w AS (PARTITION BY n.vehicle, n.clutch, n.stream)"
         " ORDER BY n.vehicle, n.clutch, n.stream, n.seq DESC, n.version_rank DESC, n.content_digest"
-    )
-
-
-def _blocks(source: str, rank: str = "n.version_rank") -> str:
-    """Return the statement for the rows of ``clutch_block`` that results make."""
-    return (
-        f"SELECT DISTINCT n.vehicle, n.stream, n.seq / {BLOCK}, n.clutch, {_MONTH}, {rank}, n.condition"  # noqa: S608
-        f" FROM {source} AS n ORDER BY 1, 2, 3, 4, 5, 6, 7"
     )
 
 
@@ -230,30 +210,23 @@ _JOIN: Final = (
     + ", ".join(f"{name} = CASE WHEN {_LATER} THEN excluded.{name} ELSE e.{name} END" for name in _LAST.split(", "))
 )
 _INTO_STREAMS: Final = f"INSERT INTO clutch_stream AS e ({_STREAM}, result_count, last_at, last_stored_at, {_LAST}) "
-_INTO_BLOCKS: Final = "INSERT INTO clutch_block "
 RANK: Final = (
     f"UPDATE clutch_stream AS e SET last_at = s.at FROM (SELECT {_STREAM}, max({_RANKED_AT.format('')}) AS at"  # noqa: S608
     f" FROM {TABLE} GROUP BY {_STREAM}) AS s WHERE s.at <> e.last_at"
     " AND s.vehicle = e.vehicle AND s.clutch = e.clutch AND s.stream = e.stream"
 )
-FILL: Final = (_INTO_STREAMS + _streams(TABLE), _INTO_BLOCKS + _blocks(TABLE))
+FILL: Final = _INTO_STREAMS + _streams(TABLE)
 _LEFT: Final = f"(SELECT s.* FROM {TABLE} AS s WHERE s.vehicle IN (SELECT vehicle FROM gone))"  # noqa: S608
 _CAME: Final = f"""
 CREATE OR REPLACE FUNCTION shift_result_came() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN
   {_INTO_STREAMS} {_streams("fresh", "CASE TG_OP WHEN 'INSERT' THEN count(*) OVER w ELSE 0 END")} {_JOIN};
-  {_INTO_BLOCKS} {_blocks("fresh")} ON CONFLICT DO NOTHING;
-  IF TG_OP = 'UPDATE' THEN
-    {_INTO_BLOCKS} {_blocks("fresh", _NO_VERSION)} ON CONFLICT DO NOTHING;
-  END IF;
   RETURN NULL;
 END $$
 """
 _WENT: Final = f"""
 CREATE OR REPLACE FUNCTION shift_result_went() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN
   DELETE FROM clutch_stream WHERE vehicle IN (SELECT vehicle FROM gone);
-  DELETE FROM clutch_block WHERE vehicle IN (SELECT vehicle FROM gone);
   {_INTO_STREAMS} {_streams(_LEFT)};
-  {_INTO_BLOCKS} {_blocks(_LEFT)};
   RETURN NULL;
 END $$
 """  # noqa: S608 - our own names, in this and what follows
@@ -286,20 +259,7 @@ WHERE g.vehicle = e.vehicle AND g.clutch = e.clutch AND g.stream = e.stream
     f"CREATE TEMPORARY TABLE old ON COMMIT DROP AS SELECT {_STREAM} FROM clutch_stream WHERE {_OLD}",  # noqa: S608
     f"DELETE FROM clutch_stream WHERE {_OLD}",  # noqa: S608
     _INTO_STREAMS + _streams(_STILL_THERE),
-    "DELETE FROM clutch_block WHERE month < :month",
-    f"{_INTO_BLOCKS}{_blocks('kept')} ON CONFLICT DO NOTHING",
 )
-
-
-def months_with(connection: Connection, vehicle: str, stream: str, seq: int) -> tuple[datetime, datetime] | None:
-    """Return when the first month begins and the last ends in which results near a position are; None without any."""
-    block = CLUTCH_BLOCK.c
-    here = and_(block.vehicle == vehicle, block.stream == stream, block.block == seq // BLOCK)
-    first, last = connection.execute(select(func.min(block.month), func.max(block.month)).where(here)).one()
-    if first is None:
-        return None
-    after = last.replace(day=28) + timedelta(days=4)  # some day of the month after it
-    return datetime.combine(first, time(), UTC), datetime.combine(after.replace(day=1), time(), UTC)
 
 
 def note_going(connection: Connection, edge: datetime) -> None:
@@ -308,10 +268,9 @@ def note_going(connection: Connection, edge: datetime) -> None:
 
 
 def forget(connection: Connection, edge: datetime) -> None:
-    """Bring both tables to what is left once the results counted by `note_going`, of whole months, are gone."""
+    """Bring `CLUTCH_STREAM` to what is left once the results counted by `note_going`, of whole months, are gone."""
     for statement in _FORGET:
-        known = {"edge": edge, "month": edge.astimezone(UTC).date()}
-        connection.execute(text(statement), {name: value for name, value in known.items() if f":{name}" in statement})
+        connection.execute(text(statement), {"edge": edge} if ":edge" in statement else {})
 
 
 @contextmanager

@@ -56,7 +56,6 @@ RANKED_AT: Final = {
 }
 # The first part finds the months.
 IS_OLD: Final = f"({{0}}produced_at < :until AND ({_DATED} OR {{0}}stored_at < :until))"
-BLOCK: Final = 1024  # positions of a stream that clutch_block tells of together
 SORTED_BY_BYTES: Final = Text().with_variant(Text(collation="C"), "postgresql")  # as SQLite sorts everywhere
 
 

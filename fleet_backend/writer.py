@@ -35,7 +35,6 @@ from fleet_backend.database import place_of, transaction
 from fleet_backend.errors import RowRefusedError
 from fleet_backend.rows import Row, told_fill
 from fleet_backend.schema import (
-    BLOCK,
     CALIBRATION,
     CLUTCH,
     FLUID_FILL,
@@ -64,16 +63,12 @@ _MAKE: Final = (
 )
 _COPY: Final = f"COPY {_STAGE} ({_COLUMNS}) FROM STDIN (FORMAT BINARY)"
 _ORDER: Final = ", ".join(_KEY)
-# By months another time of making is another key: such rivals are looked for behind what is new in a stream alone.
+# By months another time of making is another key: such rivals are looked for, in all months, of what comes late alone.
 _RIVALS: Final = (
-    f"{_STAGE} AS s CROSS JOIN LATERAL ("  # noqa: S608 - our own names
-    "SELECT DISTINCT b.month FROM clutch_block AS b WHERE b.vehicle = s.vehicle AND b.stream = s.stream"
-    f" AND b.block = s.seq / {BLOCK} AND b.version_rank = s.version_rank AND s.seq <= ("
-    "SELECT max(e.last_seq) FROM clutch_stream AS e WHERE e.vehicle = s.vehicle AND e.stream = s.stream)) AS m"
-    f" CROSS JOIN LATERAL (SELECT r.* FROM {SHIFT_RESULT.name} AS r WHERE r.produced_at <> s.produced_at"
-    " AND (r.vehicle, r.stream, r.seq, r.version_rank) = (s.vehicle, s.stream, s.seq, s.version_rank)"
-    " AND r.produced_at >= m.month::timestamp AT TIME ZONE 'UTC'"
-    " AND r.produced_at < (m.month + interval '1 month') AT TIME ZONE 'UTC' OFFSET 0) AS r"
+    f"{_STAGE} AS s CROSS JOIN LATERAL (SELECT r.* FROM {SHIFT_RESULT.name} AS r"  # noqa: S608 - our own names
+    " WHERE (r.vehicle, r.stream, r.seq, r.version_rank) = (s.vehicle, s.stream, s.seq, s.version_rank)"
+    " AND r.produced_at <> s.produced_at AND s.seq <= (SELECT max(e.last_seq) FROM clutch_stream AS e"
+    " WHERE e.vehicle = s.vehicle AND e.stream = s.stream) OFFSET 0) AS r"
 )
 _HAS_RIVALS: Final = f"SELECT EXISTS (SELECT FROM {_RIVALS})"  # noqa: S608
 _IDENTITY: Final = (*KEY_COLUMNS, "content_digest")  # of a result and its content

@@ -32,7 +32,6 @@ from sqlalchemy import (
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError, DatabaseError
 from fleet_backend.months import (
-    CLUTCH_BLOCK,
     CLUTCH_STREAM,
     TABLE,
     forget,
@@ -179,7 +178,7 @@ def _count(connection: Connection, table: Table | TableClause, vehicle: str) -> 
 def _tables(connection: Connection) -> Iterator[Table | TableClause]:
     """Yield the tables that have rows about vehicles, those that refer to others before these."""
     there = set(inspect(connection).get_table_names())
-    for table in (CLUTCH_BLOCK, CLUTCH_STREAM, *reversed(METADATA.sorted_tables)):
+    for table in (CLUTCH_STREAM, *reversed(METADATA.sorted_tables)):
         if table.name in there and ("vehicle" in table.c or table is ALARM_MESSAGE):
             yield table
 

@@ -6,13 +6,13 @@ from dataclasses import fields
 from datetime import datetime, timedelta
 from typing import Any, Final, TypeVar
 
-from sqlalchemy import Connection, Engine, Interval, Select, and_, func, literal, or_, select, tuple_
+from sqlalchemy import Connection, Engine, Interval, Select, and_, func, literal, select
 
 from clutchdiag_io.people import is_dated
 from diag_service.diagnosis.records import Causes, ShiftQuality, from_plain
 from fleet_backend import schema
 from fleet_backend.database import transaction
-from fleet_backend.months import CLUTCH_BLOCK, has_partitions, months_with
+from fleet_backend.months import has_partitions
 from fleet_backend.orders import since_of
 from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ShiftAnswer
@@ -47,23 +47,16 @@ Row = Mapping[str, Any]  # of any table: what a column holds is the schema's mat
 def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_by_month: bool = False) -> Select[Any]:
     """Return the statement for the newest results of a clutch, of each event the newest version.
 
-    Where results are kept ``is_by_month``, a newer version is looked for only in blocks of positions that hold several,
-    and among those made within a month of the older one: both say when the event ended.
+    Where results are kept ``is_by_month``, a newer version is looked for only among those made within a month of the
+    older one: both say when the event ended.
     """
     table = schema.SHIFT_RESULT
-    newer = select(_NEWER.c.seq).where(
-        _NEWER.c.vehicle == table.c.vehicle,
-        _NEWER.c.stream == table.c.stream,
-        _NEWER.c.seq == table.c.seq,
-        _NEWER.c.version_rank > table.c.version_rank,
+    newest = select(func.max(_NEWER.c.version_rank)).where(
+        *(_NEWER.c[name] == table.c[name] for name in ("vehicle", "stream", "seq"))
     )
-    is_current = ~newer.exists()
     if is_by_month:
-        newer = newer.where(_NEWER.c.produced_at.between(table.c.produced_at - _NEAR, table.c.produced_at + _NEAR))
-        block = CLUTCH_BLOCK.c
-        mixed = select(block.stream, block.block).where(block.vehicle == vehicle).group_by(block.stream, block.block)
-        mixed = mixed.having(func.min(block.version_rank) < func.max(block.version_rank))
-        is_current = or_(tuple_(table.c.stream, table.c.seq // schema.BLOCK).not_in(mixed), ~newer.exists())
+        newest = newest.where(_NEWER.c.produced_at.between(table.c.produced_at - _NEAR, table.c.produced_at + _NEAR))
+    is_current = table.c.version_rank == newest.scalar_subquery()  # not EXISTS, which might read whole months
     order = (table.c.vehicle, table.c.clutch, table.c.produced_at, table.c.stream)
     return (
         select(*(table.c[name] for name in _TREND_COLUMNS))
@@ -140,11 +133,6 @@ def shift_of(engine: Engine, vehicle: str, stream: str, seq: int) -> ShiftAnswer
     table = schema.SHIFT_RESULT
     own = and_(table.c.vehicle == vehicle, table.c.stream == stream, table.c.seq == seq)
     with transaction(engine) as connection:
-        if has_partitions(engine):
-            span = months_with(connection, vehicle, stream, seq)
-            if span is None:
-                return None
-            own = and_(own, table.c.produced_at >= span[0], table.c.produced_at < span[1])
         statement = select(table).where(own).order_by(table.c.version_rank.desc())
         rows = _revised(connection, [dict(row) for row in connection.execute(statement).mappings()])
         remember(connection, [(vehicle, row["calibration_version"]) for row in rows[:1]])

@@ -16,11 +16,12 @@ from fleet_backend.page import past
 from fleet_backend.page.running import DatabaseSource
 from fleet_backend.page.vehicle_state import Stored, state_of
 from fleet_backend.rows import Row
-from fleet_backend.schema import BLOCK, KEY_COLUMNS, SHIFT_RESULT
+from fleet_backend.schema import KEY_COLUMNS, SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
 
 WORN = Condition.CHANGE_FLUID
+FAR = 1024  # positions apart
 VERDICTS = (WORN, *3 * (Condition.GOOD,), Condition.NO_VERDICT)
 NOW = datetime(2026, 6, 15, 12, tzinfo=UTC)
 
@@ -32,18 +33,17 @@ def _by_month(postgres_url: str) -> Iterator[Engine]:
     opened.dispose()
 
 
-def tables(connection: Connection) -> list[set[tuple[object, ...]]]:
-    found = (connection.exec_driver_sql(words) for words in ("TABLE clutch_stream", "TABLE clutch_block"))
-    return [{tuple(row) for row in rows} for rows in found]
+def streams(connection: Connection) -> set[tuple[object, ...]]:
+    return {tuple(row) for row in connection.exec_driver_sql("TABLE clutch_stream")}
 
 
 def check(engine: Engine) -> None:
-    """Assert that both tables are what they would be if they were made anew."""
+    """Assert that the table of streams is what it would be if it were made anew."""
     with transaction(engine) as connection:
-        kept = tables(connection)
-        for statement in ("TRUNCATE clutch_stream, clutch_block", *FILL):
+        kept = streams(connection)
+        for statement in ("TRUNCATE clutch_stream", FILL):
             connection.exec_driver_sql(statement)
-        assert kept == tables(connection)
+        assert kept == streams(connection)
 
 
 def history(seed: int, count: int = 60) -> list[Row]:
@@ -51,7 +51,7 @@ def history(seed: int, count: int = 60) -> list[Row]:
     rng = np.random.default_rng(seed)
     rows: dict[tuple[object, ...], Row] = {}
     while len(rows) < count:
-        seq = max(1, int(rng.integers(0, 5)) * BLOCK + int(rng.integers(-2, 3)))
+        seq = max(1, int(rng.integers(0, 5)) * FAR + int(rng.integers(-2, 3)))
         result = fleet_result(
             seq,
             vehicle=f"car{rng.integers(2)}",
@@ -94,7 +94,7 @@ def test_what_is_found_by_months_is_what_one_table_says(by_month: Engine, sqlite
         ],
         lambda engine: [(one.clutch, one.result_count, one.produced_at) for one in stored_of(engine, "car1")],
         lambda engine: {(row["seq"], row["algorithm_version"]) for row in past.results_of(engine, "car1", 1)},
-        lambda engine: [found_version(engine, seq) for seq in range(BLOCK - 2, BLOCK + 3)],
+        lambda engine: [found_version(engine, seq) for seq in range(FAR - 2, FAR + 3)],
         lambda engine: set(DatabaseSource(engine).vehicles_with_news(NOW)),
     )
     for ask in asked:
@@ -102,7 +102,7 @@ def test_what_is_found_by_months_is_what_one_table_says(by_month: Engine, sqlite
     one_table.dispose()
 
 
-def test_months_that_go_or_are_made_and_deletions_leave_both_tables_right(by_month: Engine) -> None:
+def test_months_that_go_or_are_made_and_deletions_leave_the_streams_right(by_month: Engine) -> None:
     Writer(by_month).store(Batch(shifts=history(4, 80)))
     keep_months(by_month, datetime(2026, 1, 1, tzinfo=UTC), 0)
     keep_months(by_month, datetime(2026, 4, 1, tzinfo=UTC), 0, 3)
@@ -110,5 +110,5 @@ def test_months_that_go_or_are_made_and_deletions_leave_both_tables_right(by_mon
     retain(by_month, 2, now=NOW, by="ann")
     check(by_month)
     with transaction(by_month) as connection:
-        connection.execute(delete(SHIFT_RESULT).where(SHIFT_RESULT.c.vehicle == "car1", SHIFT_RESULT.c.seq < BLOCK))
+        connection.execute(delete(SHIFT_RESULT).where(SHIFT_RESULT.c.vehicle == "car1", SHIFT_RESULT.c.seq < FAR))
     check(by_month)

@@ -33,6 +33,6 @@ def upgrade() -> None:
     else:
         RANK_INDEX.drop(connection)
         RANK_INDEX.create(connection)
-    for name in ("vehicle_lot", "clutch_month", "alarm_acknowledgement"):  # which nobody reads any more
+    for name in ("vehicle_lot", "clutch_month", "clutch_block", "alarm_acknowledgement"):  # which nobody reads any more
         op.execute(f"DROP TABLE IF EXISTS {name}")
     make_views(connection)
