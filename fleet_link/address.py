@@ -12,7 +12,6 @@ from typing import Final
 from urllib.parse import unquote, urlsplit
 
 from canlog.files import check_plain_file, read_small_file
-from fleet_link.errors import AddressError
 
 MAX_SECRET_BYTES: Final = 64 * 1024
 PIPE_WAIT_S: Final = 5.0  # for whoever writes a secret into a pipe
@@ -21,6 +20,26 @@ _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 _NATS_PORTS: Final = {"nats": 4222, "nats+tls": 4222}
 _ENCRYPTED: Final = frozenset({"mqtts", "nats+tls"})
 _FORM: Final = "the broker must be mqtt[s]://[user[:password]@]host[:port]"
+
+
+class LinkError(Exception):
+    """Root of all errors raised by this package; its text is one clear line for the user."""
+
+
+class AddressError(LinkError):
+    """The broker's address, a certificate or a secret cannot be used: correct it."""
+
+
+class LinkDownError(LinkError):
+    """The broker is absent, silent, refuses us or has hung up: connect again later."""
+
+
+class VersionRefusedError(LinkDownError):
+    """The broker does not speak this version of MQTT: try another."""
+
+
+class MessageRefusedError(LinkDownError):
+    """The broker says no to a message."""
 
 
 def check_secret_mode(path: Path) -> None:

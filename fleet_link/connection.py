@@ -7,6 +7,7 @@ refused a message, and acknowledges what it received before anyone has kept it.
 import asyncio
 import contextlib
 import logging
+import math
 import ssl
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -21,15 +22,59 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
 from fleet_contract import Outgoing
-from fleet_link.address import BrokerAddress
-from fleet_link.arrivals import Arrivals, Message
-from fleet_link.errors import LinkDownError, MessageRefusedError, VersionRefusedError
+from fleet_link.address import BrokerAddress, LinkDownError, MessageRefusedError, VersionRefusedError
 
 AT_MOST_ONCE: Final = 0
 AT_LEAST_ONCE: Final = 1
 _MOST_WAITING: Final = 1_000  # of what wants an answer: a broker that gives none must not fill our memory
 _PAHO_LOG: Final = logging.getLogger("mqtt")
 _PAHO_LOG.setLevel(logging.WARNING)  # it would tell of every packet
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Message:
+    """What a broker delivered."""
+
+    topic: str
+    payload: bytes
+    packet_id: int  # for its acknowledgement to the broker; 0 needs none
+    is_retained: bool = False  # kept by the broker from before we asked for it
+
+
+class Arrivals:
+    """Messages that wait to be taken, and how many bytes they hold.
+
+    Parameters
+    ----------
+    max_bytes :
+        Of two batches; None: only their count matters.
+    """
+
+    def __init__(self, max_bytes: int | None) -> None:
+        self._messages: deque[Message] = deque()
+        self._bytes = 0
+        self._batch_bytes = math.inf if max_bytes is None else max_bytes / 2
+
+    def __len__(self) -> int:
+        return len(self._messages)
+
+    def append(self, message: Message) -> None:
+        self._messages.append(message)
+        self._bytes += len(message.payload)
+
+    def has_batch(self, limit: int) -> bool:
+        """Return whether as many wait as a batch may have."""
+        return len(self._messages) >= limit or self._bytes >= self._batch_bytes
+
+    def take(self, limit: int) -> list[Message]:
+        """Return the next messages, as many as a batch may have."""
+        found: list[Message] = []
+        size = 0
+        while self._messages and len(found) < limit and size < self._batch_bytes:
+            found.append(self._messages.popleft())
+            size += len(found[-1].payload)
+        self._bytes -= size
+        return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

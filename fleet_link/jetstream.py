@@ -13,9 +13,8 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Final, Self
 
 from fleet_contract import Outgoing
-from fleet_link.address import BrokerAddress
-from fleet_link.arrivals import Message
-from fleet_link.errors import LinkDownError
+from fleet_link.address import BrokerAddress, LinkDownError
+from fleet_link.connection import Message
 
 if TYPE_CHECKING:
     from nats.aio.client import Client

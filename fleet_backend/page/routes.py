@@ -4,20 +4,32 @@ import asyncio
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from functools import cache
 from typing import Final
 from urllib.parse import parse_qsl, quote, urlencode, urlsplit
 
 import msgspec
+from jinja2 import Environment
+from markupsafe import Markup
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from fleet_backend.page.access import Access, Role, Viewer, check_role, check_token
+from clutchdiag_io.pages.content import Link, templates_of
+from fleet_backend.page.access import NOBODY, Access, Role, Viewer, check_role, check_token
 from fleet_backend.page.asking import LIMIT, VEHICLE, Ask, Parameter, ParameterType, read_words
 from fleet_backend.page.errors import AskError, ForbiddenError, LoginError
-from fleet_backend.page.html import body_of, html_of
-from fleet_backend.page.view import Action, Drawn, Sources, View
+from fleet_backend.page.view import Action, Drawn, Shown, Sources, View
+
+NAVIGATION: Final = (
+    Link(text="Fleet", href="/"),
+    Link(text="Clutches", href="/clutches"),
+    Link(text="Alarms", href="/alarms"),
+    Link(text="Maintenance", href="/maintenance"),
+    Link(text="Changes", href="/changes"),
+    Link(text="Quarantine", href="/quarantine"),
+)
 
 ASKING: Final = 4  # answers at a time that ask the database: more would wait for each other, and for new connections
 THINKING: Final = 2  # likewise that ask none
@@ -176,3 +188,49 @@ async def _form_words(request: Request) -> list[tuple[str, str]]:
     if len({name for name, _ in words}) != len(words):
         raise AskError("a field of the form is given twice")
     return words
+
+
+def html_of(view: View, drawn: Drawn, *, viewer: Viewer, api_href: str, number: int, complaint: str | None) -> str:
+    """Return the page of an answer.
+
+    Parameters
+    ----------
+    api_href :
+        Address of the same answer for programs.
+    viewer :
+        Who reads it.
+    number :
+        Of the snapshot that it is from.
+    complaint :
+        Why what is shown is older than it should be, if it is.
+    """
+    return (
+        _templates()
+        .get_template("view.html")
+        .render(
+            page=drawn.shown,
+            body=drawn.body,
+            navigation=NAVIGATION,
+            viewer=viewer,
+            here=view.page_path,
+            api_href=api_href,
+            complaint=complaint,
+            number=number,
+        )
+    )
+
+
+def body_of(shown: Shown) -> Markup:
+    """Return the sections of a page, which are the most of it and the same for all readers."""
+    return Markup(_templates().get_template("body.html").render(page=shown))  # noqa: S704 - a template escapes
+
+
+def problem_page(title: str, detail: str) -> str:
+    """Return the page of something that went wrong."""
+    template = _templates().get_template("problem.html")
+    return template.render(title=title, detail=detail, navigation=NAVIGATION, here="", viewer=NOBODY)
+
+
+@cache
+def _templates() -> Environment:
+    return templates_of("fleet_backend.page")
