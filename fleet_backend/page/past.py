@@ -6,7 +6,7 @@ from dataclasses import fields
 from datetime import datetime, timedelta
 from typing import Any, Final, TypeVar
 
-from sqlalchemy import Connection, Engine, Interval, Select, and_, func, literal, select
+from sqlalchemy import Connection, Engine, Interval, Select, and_, func, literal, or_, select, tuple_
 
 from clutchdiag_io.people import is_dated
 from diag_service.diagnosis.records import Causes, ShiftQuality, from_plain
@@ -17,7 +17,7 @@ from fleet_backend.orders import since_of
 from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ShiftAnswer
 from fleet_backend.page.vehicle_state import fills_in
-from fleet_contract.orders import NO_VERDICT, is_of_earlier_fluid
+from fleet_contract.orders import EARLIEST, NO_VERDICT, is_of_earlier_fluid
 
 SAME_RATIO: Final = 0.5
 MOST_RESULTS: Final = 4000  # of one clutch, the newest; two years of a taxi
@@ -47,22 +47,27 @@ Row = Mapping[str, Any]  # of any table: what a column holds is the schema's mat
 def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_by_month: bool = False) -> Select[Any]:
     """Return the statement for the newest results of a clutch, of each event the newest version.
 
-    Where results are kept ``is_by_month``, a newer version is looked for only among those made within a month of the
-    older one: both say when the event ended.
+    Where results are kept ``is_by_month``, a newer version is looked for only where the newest positions hold several,
+    and among those made within a month of the older one: both say when the event ended.
     """
     table = schema.SHIFT_RESULT
-    newest = select(func.max(_NEWER.c.version_rank)).where(
-        *(_NEWER.c[name] == table.c[name] for name in ("vehicle", "stream", "seq"))
+    own, order = (table.c.vehicle == vehicle, table.c.clutch == clutch), ("vehicle", "clutch", "produced_at", "stream")
+    newest_first = [table.c[name].desc() for name in order]
+    newer = select(_NEWER.c.seq).where(
+        *(_NEWER.c[name] == table.c[name] for name in ("vehicle", "stream", "seq")),
+        _NEWER.c.version_rank > table.c.version_rank,
     )
+    is_current = ~newer.exists()
     if is_by_month:
-        newest = newest.where(_NEWER.c.produced_at.between(table.c.produced_at - _NEAR, table.c.produced_at + _NEAR))
-    is_current = table.c.version_rank == newest.scalar_subquery()  # not EXISTS, which might read whole months
-    order = (table.c.vehicle, table.c.clutch, table.c.produced_at, table.c.stream)
+        newer = newer.where(_NEWER.c.produced_at.between(table.c.produced_at - _NEAR, table.c.produced_at + _NEAR))
+        edge = select(table.c.produced_at).where(*own).order_by(*newest_first).offset(most).limit(1).scalar_subquery()
+        edge = func.coalesce(edge, EARLIEST)
+        mixed = select(_NEWER.c.stream, _NEWER.c.seq).group_by(_NEWER.c.stream, _NEWER.c.seq).having(func.count() > 1)
+        mixed = mixed.where(_NEWER.c.vehicle == vehicle, _NEWER.c.produced_at >= edge - _NEAR)
+        is_single = and_(table.c.produced_at >= edge, tuple_(table.c.stream, table.c.seq).not_in(mixed))
+        is_current = or_(is_single, ~newer.exists())
     return (
-        select(*(table.c[name] for name in _TREND_COLUMNS))
-        .where(table.c.vehicle == vehicle, table.c.clutch == clutch, is_current)
-        .order_by(*(column.desc() for column in order))
-        .limit(most)
+        select(*(table.c[name] for name in _TREND_COLUMNS)).where(*own, is_current).order_by(*newest_first).limit(most)
     )
 
 

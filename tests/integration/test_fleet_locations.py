@@ -10,7 +10,7 @@ from sqlalchemy import Connection, Engine, delete
 from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
-from fleet_backend.months import FILL, keep_months
+from fleet_backend.months import FILL, has_partitions, keep_months
 from fleet_backend.office.retention import retain
 from fleet_backend.page import past
 from fleet_backend.page.running import DatabaseSource
@@ -76,6 +76,13 @@ def found_version(engine: Engine, seq: int) -> str | None:
     return None if found is None else found.algorithm_version
 
 
+def newest_moments(engine: Engine) -> list[list[datetime]]:
+    """Return when the newest results of a clutch were made, of a few and of more than there are."""
+    with transaction(engine) as connection:
+        asked = (past.current_results("car1", 1, most, is_by_month=has_partitions(engine)) for most in (1, 2, 5, 9, 60))
+        return [[row.produced_at for row in connection.execute(statement)] for statement in asked]
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_what_is_found_by_months_is_what_one_table_says(by_month: Engine, sqlite_url: str, seed: int) -> None:
     one_table = open_database(sqlite_url)
@@ -94,6 +101,7 @@ def test_what_is_found_by_months_is_what_one_table_says(by_month: Engine, sqlite
         ],
         lambda engine: [(one.clutch, one.result_count, one.produced_at) for one in stored_of(engine, "car1")],
         lambda engine: {(row["seq"], row["algorithm_version"]) for row in past.results_of(engine, "car1", 1)},
+        newest_moments,
         lambda engine: [found_version(engine, seq) for seq in range(FAR - 2, FAR + 3)],
         lambda engine: set(DatabaseSource(engine).vehicles_with_news(NOW)),
     )
