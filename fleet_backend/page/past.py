@@ -60,8 +60,8 @@ def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_b
     is_current = ~newer.exists()
     if is_by_month:
         newer = newer.where(_NEWER.c.produced_at.between(table.c.produced_at - _NEAR, table.c.produced_at + _NEAR))
-        edge = select(table.c.produced_at).where(*own).order_by(*newest_first).offset(most).limit(1).scalar_subquery()
-        edge = func.coalesce(edge, EARLIEST)
+        beyond = select(table.c.produced_at).where(*own).order_by(*newest_first).offset(most).limit(1)
+        edge = func.coalesce(beyond.scalar_subquery(), EARLIEST)
         mixed = select(_NEWER.c.stream, _NEWER.c.seq).group_by(_NEWER.c.stream, _NEWER.c.seq).having(func.count() > 1)
         mixed = mixed.where(_NEWER.c.vehicle == vehicle, _NEWER.c.produced_at >= edge - _NEAR)
         is_single = and_(table.c.produced_at >= edge, tuple_(table.c.stream, table.c.seq).not_in(mixed))
