@@ -9,7 +9,7 @@ from pathlib import Path
 from uuid import uuid4
 
 import pytest
-from sqlalchemy import Engine, bindparam, inspect, text
+from sqlalchemy import Engine, bindparam, column, inspect, table, text
 
 from demo.fleet.servers import PostgresServer
 from diag_service.diagnosis.records import Condition
