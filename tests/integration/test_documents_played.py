@@ -68,6 +68,7 @@ ELSEWHERE = {
     "fleet-backend partitions": "tests/integration/test_fleet_months.py",
     "fleet-backend serve": "tests/integration/test_fleet_page.py",
     "fleet-backend watch": "tests/integration/test_fleet_alarms.py",
+    "fleet-backend alarms --acknowledge": "tests/integration/test_fleet_cli.py",
     "curl": "tests/integration/test_fleet_page.py",
     "pip install": "tests/integration/test_canlog_alone.py",
     "pip-audit": "CONTRIBUTING.md",

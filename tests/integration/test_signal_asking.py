@@ -133,7 +133,8 @@ def test_where_the_profile_allows_it_a_round_is_one_datum_that_the_controller_wa
     for _ in [*reader.feed(batch_of(ear.frames)), *reader.drain()]:
         pass
     assert reader.answered.keys() == {one.data_id for one in profile.asked.values()}
-    assert reader.faults.keys() <= {"refused with 31"}  # to forget what was never defined
+    by_load = {"no answer in time", "an answer to no request"}  # of a machine that was busy meanwhile
+    assert reader.faults.keys() <= {"refused with 31", *by_load}  # to forget what was never defined
 
 
 @pytest.mark.asks(may_define=True)
