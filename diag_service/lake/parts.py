@@ -6,7 +6,6 @@ files tell of is there once.
 """
 
 import hashlib
-import sys
 import time
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -71,7 +70,6 @@ class Manifest:
         self._place = place
         self._full_rows = full_rows
         self._rows: dict[str, LogRow] = {}
-        self._uses: Counter[str] = Counter()  # of parts, by rows that hold
         self._file_of: dict[str, str] = {}  # of the row that holds
         self._counts: dict[str, int] = {}  # of rows, by file
         self._noted: list[LogRow] = []
@@ -86,7 +84,6 @@ class Manifest:
         return tuple(self._rows.values())
 
     def row(self, source: str) -> LogRow | None:
-        """Return what became of a log; None if nothing did."""
         return self._rows.get(source)
 
     def add(self, rows: Sequence[LogRow]) -> None:
@@ -129,16 +126,14 @@ class Manifest:
     def superseded(self, rows: Iterable[LogRow]) -> list[str]:
         """Return the parts that rows make superfluous: those of the rows that hold, unless another one has them."""
         new = {row.source: row for row in rows}
-        gone = Counter(part for source in new for row in [self.row(source)] if row is not None for part in row.parts)
+        gone = Counter(part for row in self.rows if row.source in new for part in row.parts)
+        uses = Counter(part for row in self.rows for part in row.parts)
         kept = {part for row in new.values() for part in row.parts}
-        return sorted(part for part, count in gone.items() if self._uses[part] == count and part not in kept)
+        return sorted(part for part, count in gone.items() if uses[part] == count and part not in kept)
 
     def _take(self, rows: Sequence[LogRow], name: str) -> None:
         self._counts[name] = len(rows)
         for row in rows:
-            if row.source in self._rows:
-                self._uses.subtract(self._rows[row.source].parts)
-            self._uses.update(row.parts)
             self._rows[row.source], self._file_of[row.source] = replace(row, account="") if row.account else row, name
 
     def _holding(self, name: str) -> Any:  # noqa: ANN401 - a table of an untyped library
@@ -209,9 +204,8 @@ def _table(place: Place, name: str, columns: list[str] | None = None) -> Any:  #
 
 
 def _row(row: dict[str, Any]) -> LogRow:
-    same = {name: sys.intern(row[name]) for name in ("vehicle", "settings", "signals", "algorithm_version", "outcome")}
     parts = tuple(filter(None, row["parts"].split(_SEPARATOR)))
-    return LogRow(**{"account": "", **row, **same, "parts": parts, "made_at": iso_utc(row["made_at"])})
+    return LogRow(**{"account": "", **row, "parts": parts, "made_at": iso_utc(row["made_at"])})
 
 
 SHIFTS, SIGNALS = "shifts", "signals"
@@ -245,7 +239,7 @@ def parts_of(lake: Place, vehicle: str = "", *, with_unfinished: bool = False) -
     """Yield all parts of a lake, or of a vehicle, if asked for with those that a killed process has not finished."""
     for kind in (SHIFTS, SIGNALS):
         for part in lake.held(kind, with_unfinished=with_unfinished).values():
-            if not vehicle or _folder(vehicle) in part.name.split("/"):
+            if not vehicle or f"vehicle={vehicle}" in part.name.split("/"):
                 yield part
 
 
@@ -290,10 +284,6 @@ def disagreement(lake: Place) -> Disagreement:
         twice=tuple(sorted({content for (content, _), settings in shifts.items() if len(settings) > 1})),
         told=f"{len(rows)} logs, {failed} of them not analysed, {what}",
     )
-
-
-def _folder(vehicle: str) -> str:
-    return f"vehicle={vehicle}"
 
 
 def content_digest(path: Path) -> str:

@@ -35,32 +35,26 @@ class Place:
 
     In a folder a file is written aside, synced and renamed. In an object store a put is atomic by itself.
 
-    Raises
-    ------
-    ConfigError
-        If the address names no place, or its library does not know it.
-    ExtraMissingError
-        If the library for it is not installed.
-    StoreError
-        From every method, if the store does not do what is asked.
+    Raises ConfigError if the address names no place, ExtraMissingError if the library for it is not installed, and
+    from every method StoreError if the store does not do what is asked.
     """
 
     def __init__(self, address: str) -> None:
         if "::" in address:
             raise ConfigError(f"{address}: one store at a time, not one inside another")
         core = load_extra("fsspec.core", "a store needs fsspec", "cluster")
+        below = load_extra("fsspec.implementations.dirfs", "a store needs fsspec", "cluster")
         if "://" not in address:
             address = str(Path(address).absolute())
         try:
-            self._files, self._root = core.url_to_fs(address, use_listings_cache=False)
+            files, root = core.url_to_fs(address, use_listings_cache=False)
         except ImportError as exc:
             raise ConfigError(f"{address}: {exc}") from exc
         except (ValueError, OSError, TypeError) as exc:
             raise ConfigError(f"{address} is not a store: {exc}") from exc
-        self._root = self._root.rstrip("/")
+        self._files = below.DirFileSystem(root.rstrip("/"), files)  # names are below the place
         self.address = address.rstrip("/")
-        protocols = self._files.protocol
-        self.is_local = "file" in ((protocols,) if isinstance(protocols, str) else protocols)
+        self.is_local = "file" in ((files.protocol,) if isinstance(files.protocol, str) else files.protocol)
 
     def held(self, under: str = "", *, with_unfinished: bool = False) -> dict[str, Held]:
         """Return the files below, by name; none where there is no such folder.
@@ -71,18 +65,16 @@ class Place:
         with _translated("look into", self.address):
             try:
                 self._files.invalidate_cache()
-                top = f"{self._root}/{under}".rstrip("/")
-                listed = self._walked(top) if self.is_local else self._files.find(top, detail=True)
+                listed = self._walked(under) if self.is_local else self._files.find(under, detail=True)
             except FileNotFoundError:
                 return {}
-            every = (self._held(path, info) for path, info in sorted(listed.items()))
-            known = (one for one in every if one is not None)
-            return {one.name: one for one in known if with_unfinished or not one.name.endswith(UNFINISHED)}
+        held = (_held(name, info) for name, info in sorted(listed.items()) if name and info["type"] == "file")
+        return {one.name: one for one in held if with_unfinished or not one.name.endswith(UNFINISHED)}
 
     @contextmanager
     def opened(self, name: str) -> Iterator[Any]:
         """Give a file for reading."""
-        with _translated("read", self._shown(name)), self._files.open(self._full(name), "rb") as file:
+        with _translated("read", self._shown(name)), self._files.open(name, "rb") as file:
             yield file
 
     def brought(self, name: str, folder: Path) -> Path:
@@ -91,36 +83,24 @@ class Place:
         Raises SourceError, too, if this file alone has gone or is archived: the store still answers.
         """
         if self.is_local:
-            return Path(self._full(name))
+            return Path(self._files.path, name)
         path = folder / PurePosixPath(name).name
-        try:
-            with _translated("read", self._shown(name)):
-                self._files.get_file(self._full(name), str(path))
-        except StoreError as exc:
-            if self.has_refused(name, exc):
-                raise SourceError(str(exc)) from exc
-            raise
+        with _translated("read", self._shown(name)):
+            try:
+                self._files.get_file(name, str(path))
+            except (FileNotFoundError, PermissionError) as exc:
+                with suppress(FileNotFoundError):
+                    self._files.info(name)  # where the store tells nothing any more, it is not about one file
+                raise SourceError(f"cannot read {self._shown(name)}: {exc}") from exc
         return path
-
-    def has_refused(self, name: str, error: StoreError) -> bool:
-        """Return whether an error is about one file alone."""
-        if not isinstance(error.__cause__, FileNotFoundError | PermissionError):
-            return False
-        try:
-            self._files.info(self._full(name))
-        except FileNotFoundError:
-            return True
-        except Exception:  # noqa: BLE001 - each library of a store has errors of its own, without a common root
-            return False
-        return True
 
     def put(self, name: str, source: Path) -> None:
         """Copy a file there; it takes the place of one of that name."""
         with _translated("write", self._shown(name)):
             if not self.is_local:
-                self._files.put_file(str(source), self._full(name))
+                self._files.put_file(str(source), name)
                 return
-            path = Path(self._full(name))
+            path = Path(self._files.path, name)
             path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(path, StoreError) as part:
                 with source.open("rb") as read, part.open("wb") as written:
@@ -133,34 +113,28 @@ class Place:
         """Remove files, of which some may be gone, and on this machine the folders that then hold nothing."""
         for name in names:
             with _translated("remove", self._shown(name)), suppress(FileNotFoundError):
-                self._files.rm_file(self._full(name))
+                self._files.rm_file(name)
             if self.is_local:
                 with suppress(OSError):  # it holds something
-                    Path(self._full(name)).parent.rmdir()
-
-    def _full(self, name: str) -> str:
-        return f"{self._root}/{name}"
+                    Path(self._files.path, name).parent.rmdir()
 
     def _shown(self, name: str) -> str:
         return f"{self.address}/{name}"
 
-    def _walked(self, top: str) -> dict[str, Any]:
+    def _walked(self, under: str) -> dict[str, Any]:
         """Return the files below a folder of this machine; fsspec tells of no folder that it may not read."""
-        found = dict[str, Any]()
-        for folder, _, names in os.walk(top, onerror=_tell):
-            for path in (f"{folder}/{name}" for name in names):
-                try:
-                    found[path] = self._files.info(path)
-                except FileNotFoundError:  # a link that leads nowhere: a file that nobody can read
-                    found[path] = {"type": "file", "size": 0}
-        return found
+        listed = dict[str, Any]()
+        for folder, _, names in os.walk(Path(self._files.path, under), onerror=_tell):
+            for name in (Path(folder, name).relative_to(self._files.path).as_posix() for name in names):
+                listed[name] = {"type": "file", "size": 0}
+                with suppress(FileNotFoundError):  # a link that leads nowhere: a file that nobody can read
+                    listed[name] = self._files.info(name)
+        return listed
 
-    def _held(self, path: str, info: Mapping[str, Any]) -> Held | None:
-        name = path.removeprefix(self._root).lstrip("/")
-        if not name or info["type"] != "file" or name.endswith("/"):
-            return None
-        mark = info.get("ETag") or info.get("etag") or info.get("mtime") or info.get("updated") or ""
-        return Held(name=name, size_bytes=int(info["size"]), mark=str(mark))
+
+def _held(name: str, info: Mapping[str, Any]) -> Held:
+    mark = info.get("ETag") or info.get("etag") or info.get("mtime") or info.get("updated") or ""
+    return Held(name=name, size_bytes=int(info["size"]), mark=str(mark))
 
 
 def _tell(error: OSError) -> None:
@@ -173,7 +147,7 @@ def _translated(verb: str, what: str) -> Iterator[None]:
     """Raise StoreError in place of what a library raises."""
     try:
         yield
-    except StoreError:
+    except (SourceError, StoreError):
         raise
     except Exception as exc:  # each library of a store has errors of its own, without a common root
         raise StoreError(f"cannot {verb} {what}: {exc or type(exc).__name__}") from exc

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Final, TextIO
 from urllib.parse import urlsplit
 
-from canlog.errors import NOTICE
 from canlog.extras import load_extra
 from diag_service.batch.processes import DEADLY, handed_out, progress_bar, shared_out
 from diag_service.batch.worker import leave_to_parent
@@ -32,7 +31,6 @@ PATIENCE_S: Final = 120.0  # how long there may be no worker
 MOST_HANDED_OUT: Final = 1000  # what a scheduler holds, however many logs there are
 RETRIES: Final = 2  # of a log whose store refused
 Rows = Generator[LogRow, None, None]
-_LOG = logging.getLogger(__name__)
 
 
 def find_logs(places: Sequence[str], lake: Place, vehicle: str, *, has_vehicles: bool) -> list[LakeLog]:
@@ -94,8 +92,6 @@ def fill_lake(
     manifest = Manifest(lake)
     missing = to_do(job, logs, manifest, is_retried=is_retried)
     before = len(logs) - len(missing)
-    if before:
-        _LOG.log(NOTICE, "%d of %d logs were done before", before, len(logs))
     rows = (
         _made_by_cluster(job, missing, *scheduler, stop)
         if scheduler
@@ -107,7 +103,8 @@ def fill_lake(
             manifest.note(row)
             counts.update({row.outcome: 1, "shifts": row.shifts})
             bar.update(task, advance=row.size_bytes, done=counts[DONE] + counts[FAILED])
-            stream.write(line_of(row) + "\n")
+            result = f"{row.shifts} shifts" if row.outcome == DONE else "not analysed"
+            stream.write(f"{row.source}: {result}{f'; {row.reason}' if row.reason else ''}\n")
             stream.flush()
     manifest.put_together()
     finished = before + counts[DONE] + counts[FAILED]
@@ -192,8 +189,3 @@ def _made_by_cluster(job: Job, logs: Sequence[LakeLog], address: str, tls: TlsFi
                     yield row_of(job, log, reason=DEADLY)
                 else:
                     suspects.append(log)
-
-
-def line_of(row: LogRow) -> str:
-    said = f"{row.shifts} shifts" if row.outcome == DONE else "not analysed"
-    return f"{row.source}: {said}{f'; {row.reason}' if row.reason else ''}"

@@ -1,12 +1,12 @@
 """One log of a lake: fetched, analysed, its parts written; whatever is wrong with it becomes the reason in its row."""
 
+import faulthandler
 import hashlib
-import os
 import threading
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -44,8 +44,8 @@ from diag_service.settings.config import DiagnosisConfig
 from fleet_contract import JsonObject
 
 PARTS_VERSION: Final = "1"  # of how parts are laid out; those of an older one are made anew
-GRACE_FACTOR: Final = 1.5  # a log that does not heed its time limit ends its process after so many times of it
-EXIT_OVERDUE: Final = 86
+GRACE_S: Final = 30.0  # a log that does not heed its time limit ends its process so much later
+STDERR: Final = 2  # its descriptor: a stream that stands in for it may have none
 _MAKERS: Final[list["Maker"]] = []  # of this process: one, of the job that it works at
 _ONE_AT_A_TIME: Final = threading.Lock()  # whatever threads a worker has: memory is reckoned by logs
 
@@ -82,10 +82,6 @@ class Job:
     signal_settings: str  # digest of what decides about them
     time_limit_s: float
 
-    @property
-    def digest(self) -> tuple[object, ...]:
-        return self.lake, self.settings, self.signal_settings, self.time_limit_s
-
     @classmethod
     def of(cls, config: DiagnosisConfig, lake: str, signals: str | None, time_limit_s: float) -> "Job":
         """Return what is to be done; raises ConfigError if database and profile cannot be used or a signal is none."""
@@ -111,14 +107,10 @@ def signal_digest(meaning: Interpretation, signals: str, log_columns: str) -> st
 
 
 class Maker:
-    """Makes the parts of logs in one process; database and profile are read once.
+    """Makes the parts of logs in one process; database and profile are read once."""
 
-    ``end`` ends the process at once, with an exit status.
-    """
-
-    def __init__(self, job: Job, *, end: Callable[[int], object] = os._exit) -> None:
+    def __init__(self, job: Job) -> None:
         self.job = job
-        self._end = end
 
     @cached_property
     def _analyst(self) -> Analyst:
@@ -145,7 +137,7 @@ class Maker:
         """
         analyst, limit_s = self._analyst, self.job.time_limit_s
         content = ""
-        with TemporaryDirectory(prefix="clutchdiag-") as name, _limited(limit_s, self._end) as stop:
+        with TemporaryDirectory(prefix="clutchdiag-") as name, _limited(limit_s) as stop:
             path = folder = Path(name)
             try:
                 path = Place(log.place).brought(log.held.name, folder)
@@ -204,7 +196,7 @@ def row_of(
 def make_in_worker(job: Job, log: LakeLog) -> LogRow:
     """Make the parts of a log in a process that gets many of the same job, one after another."""
     with _ONE_AT_A_TIME:
-        if not _MAKERS or _MAKERS[0].job.digest != job.digest:
+        if not _MAKERS or replace(_MAKERS[0].job, config=job.config) != job:  # `settings` is a digest of the former
             _MAKERS[:] = [Maker(job)]
         return _MAKERS[0].make(log)
 
@@ -223,15 +215,15 @@ def _analysed(analyst: Analyst, log: LakeLog, path: Path, stop: Trigger, limit_s
 
 
 @contextmanager
-def _limited(limit_s: float, end: Callable[[int], object]) -> Iterator[Trigger]:
+def _limited(limit_s: float) -> Iterator[Trigger]:
     """Give a trigger that the time limit sets; a process that does not heed it is ended, with all that it holds."""
     stop = Trigger()
-    timers = [threading.Timer(limit_s, stop.set), threading.Timer(GRACE_FACTOR * limit_s, end, (EXIT_OVERDUE,))]
-    for timer in timers:
-        timer.daemon = True
-        timer.start()
+    timer = threading.Timer(limit_s, stop.set)
+    timer.daemon = True
+    timer.start()
+    faulthandler.dump_traceback_later(limit_s + GRACE_S, exit=True, file=STDERR)
     try:
         yield stop
     finally:
-        for timer in timers:
-            timer.cancel()
+        timer.cancel()
+        faulthandler.cancel_dump_traceback_later()

@@ -5,6 +5,8 @@ import json
 import os
 import re
 import shutil
+import subprocess
+import sys
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import closing
@@ -23,7 +25,7 @@ from diag_service.errors import ConfigError, IncompleteError, StoreError
 from diag_service.lake.parts import DONE, FAILED, Disagreement, LogRow, Manifest, disagreement, forget
 from diag_service.lake.places import Place
 from diag_service.lake.run import find_logs, to_do
-from diag_service.lake.work import EXIT_OVERDUE, Job, LakeLog, Maker
+from diag_service.lake.work import Job, LakeLog, Maker
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import DiagnosisConfig
 from tests.plugins.drives import SHIFT_COUNT
@@ -323,14 +325,12 @@ def test_what_a_killed_run_left_is_told_and_can_be_removed(logs: Path, filled: P
 
 
 def test_a_log_that_takes_too_long_or_breaks_the_program_is_a_row(tmp_path: Path, logs: Path) -> None:
-    ends: list[int] = []
     place = Place(str(tmp_path / "lake"))
     log = next(
         one for one in find_logs([str(logs)], place, "car", has_vehicles=True) if one.held.name.endswith("1.log")
     )
-    row = Maker(Job.of(CONFIG, place.address, None, 1e-6), end=ends.append).make(log)
+    row = Maker(Job.of(CONFIG, place.address, None, 1e-6)).make(log)
     assert (row.outcome, row.reason, row.parts) == (FAILED, "took longer than 1e-06 s", ())
-    assert ends == [EXIT_OVERDUE]
     maker = Maker(Job.of(CONFIG, place.address, None, 60.0))
 
     class Broken:
@@ -345,6 +345,15 @@ def test_a_log_that_takes_too_long_or_breaks_the_program_is_a_row(tmp_path: Path
     assert "none.log" in Maker(Job.of(CONFIG, place.address, None, 60.0)).make(gone).reason
     with pytest.raises(ConfigError, match="another database, profile, calibration or version"):
         Maker(replace(Job.of(CONFIG, place.address, None, 60.0), settings="other")).make(log)
+
+
+def test_a_log_that_does_not_heed_its_limit_ends_its_worker() -> None:
+    program = (
+        "import time; from diag_service.lake import work; work.GRACE_S = 0.0\nwith work._limited(0.01): time.sleep(600)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "Timeout" in done.stderr
 
 
 @pytest.mark.parametrize(
@@ -414,9 +423,6 @@ def test_an_object_that_has_gone_or_is_archived_is_a_row_and_a_folder_nobody_may
     rows = [Maker(job).make(log) for log in found]
     assert [row.outcome for row in rows] == [FAILED, FAILED]
     assert all(row.reason.startswith(f"cannot read {row.source}: ") for row in rows)
-    lost = StoreError("the credentials have expired")
-    lost.__cause__ = ConnectionError()
-    assert not Place(f"s3://{BUCKET}").has_refused("old/archived.log", lost)
     (tmp_path / "secret" / "car9").mkdir(parents=True)
     scanned = os.scandir
 
