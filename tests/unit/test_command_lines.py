@@ -57,16 +57,3 @@ def test_the_exit_status_of_every_program_is_in_its_help(program: Program, capsy
         program.parse(["--help"])
     assert ended.value.code == 0
     assert "exit status: 0 " in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-@pytest.mark.parametrize("name", PROGRAMS)
-def test_every_program_completes_in_every_shell(
-    name: str, shell: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    variable = f"_{name.upper().replace('-', '_')}_COMPLETE"
-    monkeypatch.setenv(variable, f"{shell}_source")
-    with pytest.raises(SystemExit) as ended:
-        PROGRAMS[name].parse([])
-    assert ended.value.code == 0
-    assert f"{variable}={shell}_complete" in capsys.readouterr().out

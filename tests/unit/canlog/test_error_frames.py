@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from canlog.frames import ERROR_FLAG, BusTrouble, FrameBatch, count_errors, empty_batch, is_error, reports
+from canlog.frames import ERROR_FLAG, BusTrouble, FrameBatch, count_errors
 from tests.support.batches import frames_at
 
 CASES = [
@@ -36,17 +36,3 @@ def error_frames(*frames: tuple[int, int]) -> FrameBatch:
 @pytest.mark.parametrize(("classes", "controller", "told"), CASES)
 def test_every_kind_has_its_bits(classes: int, controller: int, told: set[BusTrouble]) -> None:
     assert count_errors(error_frames((classes, controller))) == dict.fromkeys(told, 1)
-
-
-def test_counts_add_up_over_a_batch() -> None:
-    batch = error_frames(*((classes, controller) for classes, controller, _ in CASES))
-    expected = {error: sum(error in told for _, _, told in CASES) for error in BusTrouble}
-    assert count_errors(batch) == expected
-    assert reports(batch, BusTrouble.BUS_OFF).sum() == 2
-
-
-def test_frames_of_the_bus_are_no_errors_whatever_their_identifier() -> None:
-    plain = frames_at([0, 0], [0x040, 0x8000_0040], data=0xFF)
-    assert not is_error(plain).any()
-    assert not count_errors(plain)
-    assert not count_errors(empty_batch())

@@ -1,11 +1,8 @@
 """Batches keep all their columns, whatever is done to them."""
 
-from dataclasses import replace
-
 import numpy as np
 
-from canlog.frames import BRS_FLAG, FD_FLAG, FrameBatch, clear_padding, empty_batch, join
-from tests.support.traffic import assert_same
+from canlog.frames import BRS_FLAG, FD_FLAG, FrameBatch, empty_batch, join
 
 
 def classic(count: int) -> FrameBatch:
@@ -53,22 +50,3 @@ def test_a_join_is_as_wide_as_its_widest_part() -> None:
     assert both.flags.tolist() == [0, 0, 0, FD_FLAG | BRS_FLAG, FD_FLAG | BRS_FLAG, 0]
     assert both.channel.tolist() == [0, 0, 0, 0, 1, 0]
     assert join([classic(3), classic(2), empty_batch()]).width == 8
-
-
-def test_padding_is_cleared_at_any_width() -> None:
-    for batch in (classic(3), fd(3)):
-        length = np.array([0, 3, batch.width], np.uint8)
-        cleared = clear_padding(np.full_like(batch.data, 7), length)
-        assert [np.count_nonzero(row) for row in cleared] == length.tolist()
-        assert (cleared[1, :3] == 7).all()
-
-
-def test_a_plain_batch_is_itself_and_any_other_becomes_one() -> None:
-    assert (plain := classic(4)).plain() is plain
-    every_second, frozen, narrow = classic(4)[::2], classic(4), classic(4)
-    frozen.data.setflags(write=False)
-    for batch in (every_second, frozen, replace(narrow, length=narrow.length.astype(np.int64))):
-        made = batch.plain()
-        assert made is not batch
-        assert made.plain() is made
-        assert_same(made, batch)

@@ -42,15 +42,3 @@ def test_sizes_are_limited_whatever_the_file_system_says(tmp_path: Path) -> None
     assert b"Name:" in read_small_file(Path("/proc/self/status"))  # which claims to have no bytes
     with pytest.raises(OSError, match="too large"):
         read_small_file(Path("/proc/self/status"), 4)
-
-
-def test_the_null_device_is_an_empty_file() -> None:
-    assert read_toml_file(Path(os.devnull)) == {}
-
-
-@pytest.mark.parametrize("text", ["a = ", "a = " + "[" * 100_000, "a = " + "{a = " * 50_000])
-def test_no_toml_is_a_value_error(text: str, tmp_path: Path) -> None:
-    path = tmp_path / "it"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=r"nested|Invalid|line"):
-        read_toml_file(path)

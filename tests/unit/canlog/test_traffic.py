@@ -1,13 +1,12 @@
 """Traffic measured: rates, jitter, gaps, jumps and load, the same for any cutting of the stream."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from canlog.arrays import Int64Array
-from canlog.frames import ERROR_FLAG, FrameBatch
+from canlog.frames import FrameBatch
 from canlog.traffic import IdTraffic, Jump, TrafficMeter, TrafficReport
 from tests.support.batches import frames_at
 
@@ -39,11 +38,6 @@ def test_a_steady_message() -> None:
     assert found.jitter_s == pytest.approx(0.0, abs=1e-8)
 
 
-def test_jitter_is_the_deviation_of_the_intervals() -> None:
-    noise_ns = np.random.default_rng(1).normal(0.0, 0.2 * MS, 5000).astype(np.int64)
-    assert only_id(frames(np.arange(5000) * 10 * MS + noise_ns)).jitter_s == pytest.approx(0.2e-3 * 2**0.5, rel=0.05)
-
-
 def test_missing_frames_are_gaps_and_no_jitter() -> None:
     kept = np.delete(np.arange(1000), [*range(200, 205), *range(500, 510)])
     found = only_id(frames(kept * 10 * MS))
@@ -69,22 +63,6 @@ def test_load_at_a_bit_rate() -> None:
     assert report.peak_load_ratio == pytest.approx(bits * 1000 / 250_000, rel=1e-3)
 
 
-def test_kinds_and_channels_are_told_apart() -> None:
-    t_ns = np.arange(3) * 10 * MS
-    report = measured(frames(t_ns), frames(t_ns + 30 * MS, channel=1), frames(t_ns + 60 * MS, ERROR_FLAG | 4))
-    assert [(one.channel, one.can_id, one.count) for one in report.ids] == [
-        (0, 0x100, 3),
-        (0, ERROR_FLAG | 4, 3),
-        (1, 0x100, 3),
-    ]
-    assert (report.error_frames, report.remote_frames, report.fd_frames, report.sent_frames) == (3, 0, 0, 0)
-
-
-def test_nothing_is_nothing() -> None:
-    assert measured() == measured(frames(np.empty(0, np.int64)))
-    assert only_id(frames(np.zeros(1, np.int64))).rate_hz == 0.0
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_cutting_the_stream_changes_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -106,23 +84,3 @@ def test_cutting_the_stream_changes_nothing(seed: int) -> None:
         )
         assert one.rate_hz == pytest.approx(other.rate_hz)
         assert one.jitter_s == pytest.approx(other.jitter_s, abs=1e-8)
-
-
-@pytest.mark.parametrize("pause_ms", [0, 500, 999, 1_001, 3_000])
-@pytest.mark.parametrize("count", [2, 10, 300, 5_000])
-def test_the_busiest_second_is_never_less_busy_than_all_of_the_log(pause_ms: int, count: int) -> None:
-    """Bursts of ten frames with pauses between them: silence of up to a second is time of the bus."""
-    times = np.arange(count) * MS + np.arange(count) // 10 * pause_ms * MS
-    report = measured(frames(times))
-    assert 0.0 < report.bus_load_ratio <= report.peak_load_ratio
-    if pause_ms > 1_000 and count > 100:
-        assert report.bus_load_ratio == pytest.approx(report.peak_load_ratio, rel=0.1)
-
-
-def test_the_load_is_that_of_the_busiest_channel() -> None:
-    times = np.arange(2_000) * MS
-    alone = measured(frames(times))
-    twice = frames(np.repeat(times, 2))
-    both = measured(replace(twice, channel=np.arange(4_000, dtype=np.uint8) % 2))
-    assert both.bus_load_ratio == pytest.approx(alone.bus_load_ratio, rel=1e-2)
-    assert both.peak_load_ratio == pytest.approx(alone.peak_load_ratio, rel=1e-2)

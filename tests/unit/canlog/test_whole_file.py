@@ -35,14 +35,6 @@ def test_a_file_takes_its_place_when_it_is_complete(tmp_path: Path) -> None:
     assert names(tmp_path) == ["table.csv"]
 
 
-@pytest.mark.parametrize("name", ["n" * 256, "none/table.csv", "folder"])
-def test_a_name_that_cannot_be_is_told(name: str, tmp_path: Path) -> None:
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(OutputError, match="cannot write "):
-        write(tmp_path / name, b"all")
-    assert names(tmp_path) == ["folder"]
-
-
 def test_two_who_write_the_same_do_not_mix(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     with replacing(path, OutputError) as first, replacing(path, OutputError) as second:

@@ -2,7 +2,6 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from clutch_model.pack import (
-    applied_pressure_pa,
     contact_pressure_pa,
     equilibrium_film_m,
     film_law,
@@ -10,18 +9,11 @@ from clutch_model.pack import (
     shear_factor_difference,
     viscous_torque_nm,
 )
-from tests.support.film_laws import measured_film_rate_m_s, squeeze_rate_m_s
+from tests.support.film_laws import squeeze_rate_m_s
 
 CLUTCH = nominal_calibration().clutches[0]
 LAW = film_law(CLUTCH)
 VISCOSITY = 6.4e-3
-
-
-def test_the_return_spring_wins_below_the_touch_point() -> None:
-    touch_pa = CLUTCH.touch_pressure_pa
-    assert applied_pressure_pa(0.5 * touch_pa, LAW) == 0.0
-    assert applied_pressure_pa(touch_pa, LAW) == pytest.approx(0.0, abs=1e-6)
-    assert applied_pressure_pa(2.0 * touch_pa, LAW) > 0.0
 
 
 @pytest.mark.parametrize("applied_pa", [1e3, 1e4, 2.5e5, 6e5])
@@ -29,18 +21,6 @@ def test_equilibrium_film_carries_the_load(applied_pa: float) -> None:
     film_m = equilibrium_film_m(applied_pa, LAW)
     assert contact_pressure_pa(film_m, LAW) == pytest.approx(applied_pa, rel=1e-9)
     assert squeeze_rate_m_s(film_m, applied_pa, VISCOSITY, LAW) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_an_unloaded_pack_stands_open() -> None:
-    assert equilibrium_film_m(0.0, LAW) == LAW.open_gap_m
-    assert contact_pressure_pa(4.0 * LAW.roughness_m, LAW) == 0.0
-
-
-def test_an_open_pack_drifts_to_its_gap() -> None:
-    film_m = 0.4 * LAW.open_gap_m
-    expected_m_s = (LAW.open_gap_m - film_m) / LAW.separation_time_s
-    assert film_rate_m_s(film_m, 0.0, VISCOSITY, False, LAW) == pytest.approx(expected_m_s)
-    assert film_rate_m_s(LAW.open_gap_m, 0.0, VISCOSITY, False, LAW) == 0.0
 
 
 def test_a_closed_pack_opens_no_faster_than_an_open_one() -> None:
@@ -57,16 +37,6 @@ def test_separator_springs_slow_the_squeeze() -> None:
     assert without < with_springs < 0.0
     left_pa = applied_pa - LAW.separation_pressure_pa * (1.0 - film_m / LAW.open_gap_m)
     assert with_springs == pytest.approx(without * left_pa / applied_pa, rel=1e-12)
-
-
-def test_a_measured_pressure_closes_the_pack_above_the_touch_point() -> None:
-    film_m = 20e-6
-    below_pa, above_pa = 0.99 * CLUTCH.touch_pressure_pa, 3.0 * CLUTCH.touch_pressure_pa
-    applied_pa = applied_pressure_pa(above_pa, LAW)
-    assert measured_film_rate_m_s(film_m, below_pa, VISCOSITY, LAW) > 0.0
-    assert measured_film_rate_m_s(film_m, above_pa, VISCOSITY, LAW) == film_rate_m_s(
-        film_m, applied_pa, VISCOSITY, True, LAW
-    )
 
 
 def test_shear_factor_is_that_of_a_smooth_film_when_wide_open() -> None:

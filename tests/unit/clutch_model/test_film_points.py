@@ -1,6 +1,5 @@
 """A point of a film, as an estimator follows it: it moves as the law of the film says."""
 
-import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
@@ -22,7 +21,3 @@ def test_a_film_moves_from_a_point_as_the_law_says(ratio: float, piston_pa: floa
     assert rate_m_s == point_rate_m_s(point, piston_pa, VISCOSITY, LAW)
     assert rate_m_s == pytest.approx(rates[0], rel=1e-12)
     assert slope_1_s == pytest.approx((rates[1] - rates[0]) / (1e-4 * film_m), rel=1e-7)
-
-
-def test_what_is_no_film_is_no_number() -> None:
-    assert np.isnan(film_point(float("nan"), LAW).mobility_m)

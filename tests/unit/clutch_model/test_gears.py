@@ -2,7 +2,6 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from clutch_model.calibration import clutch_of_gear
@@ -26,12 +25,6 @@ def test_clutch_1_carries_the_odd_gears(gear: int, clutch: int) -> None:
     assert clutch_of(gear) == clutch - 1  # the place in pairs, as the compiled control takes it
 
 
-def test_it_is_the_same_for_arrays() -> None:
-    gears = np.arange(-1, 9)
-    assert clutch_of_gear(gears).tolist() == [clutch_of_gear(int(gear)) for gear in gears]
-    assert clutch_of_gear(gears.astype(np.float64)).tolist() == clutch_of_gear(gears).tolist()
-
-
 def test_nobody_else_decides_which_clutch_carries_a_gear() -> None:
     again = [
         f"{path.relative_to(ROOT)}:{line}"
@@ -40,10 +33,3 @@ def test_nobody_else_decides_which_clutch_carries_a_gear() -> None:
         for line in halved(path.read_text(encoding="utf-8"))
     ]
     assert again == []
-
-
-@pytest.mark.parametrize(
-    "line", ["1 if event.to_gear % 2 else 2", "rows[:, Col.TARGET_GEAR] % 2 == 1", "(gear - 1) % 2"]
-)
-def test_a_second_place_would_be_found(line: str) -> None:
-    assert list(halved(line))

@@ -10,20 +10,16 @@ import pytest
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from clutch_model.pack import (
-    applied_pressure_pa,
     contact_torque_nm,
     contact_torques_nm,
     film_law,
     friction_law,
     piston_pressure_pa,
     piston_pressures_pa,
-    shear_factor_difference,
-    sheared_torque_nm,
     stribeck_weight,
     stribeck_weights,
     viscosities_pa_s,
     viscosity_pa_s,
-    viscous_torque_nm,
 )
 
 ROOT = Path(__file__).parents[3]
@@ -66,17 +62,6 @@ def test_nobody_else_writes_a_law_again() -> None:
 
 
 @pytest.mark.parametrize(
-    "line", ["law.contact_factor_m3 * mu * p", "mu * p * law.film.contact_factor_m3", "x = a / (b_k - c)"]
-)
-def test_a_second_writing_would_be_found(line: str) -> None:
-    assert list(calculated_with(line))
-
-
-def test_handing_a_number_on_is_no_second_writing() -> None:
-    assert not list(calculated_with("contact_torque_nm(1.0, mu, p, law.contact_factor_m3) + other_nm"))
-
-
-@pytest.mark.parametrize(
     ("of_one", "of_many", "points"),
     [
         (lambda x: stribeck_weight(x, FRICTION), lambda x: stribeck_weights(x, FRICTION), (-400.0, 400.0)),
@@ -106,13 +91,3 @@ def test_the_weight_is_that_of_the_model_for_every_exponent(exponent: float) -> 
     beyond = np.maximum(np.abs(slips) - law.lock_band_rad_s, 0.0) / law.stribeck_speed_rad_s
     expected = np.where(beyond > 0.0, np.exp(-(beyond**exponent)), 1.0)
     assert [stribeck_weight(float(slip), law) for slip in slips] == pytest.approx(expected, rel=1e-14)
-
-
-def test_piston_and_lining_pressure_are_inverse() -> None:
-    assert applied_pressure_pa(piston_pressure_pa(3.0e5, LAW), LAW) == pytest.approx(3.0e5, rel=1e-12)
-
-
-def test_a_known_shear_factor_changes_nothing() -> None:
-    film_m, viscosity = 1.3 * LAW.roughness_m, 6.4e-3
-    known = sheared_torque_nm(20.0, film_m, viscosity, shear_factor_difference(1.3), LAW)
-    assert known == pytest.approx(viscous_torque_nm(20.0, film_m, viscosity, LAW), rel=1e-14)

@@ -1,6 +1,5 @@
 """Tables of files become records: what does not fit is named with its key, its cause and its value."""
 
-import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple
@@ -106,22 +105,3 @@ def test_whole_numbers_stay_whole_but_where_compiled_code_takes_them() -> None:
 def test_what_does_not_fit_is_named(change: dict[str, object], complaint: str) -> None:
     with pytest.raises(CalibrationError, match=complaint):
         record_from(Car, WHOLE | change, "car.")
-
-
-@pytest.mark.parametrize("table", [None, 3, "car", [WHOLE]])
-def test_what_is_no_table_is_refused_with_the_error_that_is_asked_for(table: object) -> None:
-    with pytest.raises(ArithmeticError, match=r"^must be a table, got "):
-        record_from(Car, table, error=ArithmeticError)
-    with pytest.raises(ArithmeticError, match=r"^clutch 1 must be a table"):
-        record_from(Car, table, "clutch 1 ", error=ArithmeticError)
-
-
-def test_a_member_that_is_given_is_no_key() -> None:
-    with pytest.raises(CalibrationError, match="mass_kg is unknown"):
-        record_from(Car, {"mass_kg": 1.0}, mass_kg=2.0)
-
-
-def test_numbers_that_are_not_finite_are_for_the_record_to_judge() -> None:
-    assert record_from(Car, {"mass_kg": math.inf}).mass_kg == math.inf
-    with pytest.raises(CalibrationError, match=r"radius_m must be > 0, got nan"):
-        record_from(Wheel, {"radius_m": math.nan})

@@ -21,21 +21,3 @@ from clutch_model import units
 )
 def test_known_values(convert: Callable[[float], float], value: float, expected: float) -> None:
     assert convert(value) == pytest.approx(expected, rel=1e-12)
-
-
-def test_arrays_convert_like_floats() -> None:
-    speeds = np.array([0.0, 750.0, 6500.0])
-    assert units.rad_s_from_rpm(speeds).tolist() == [units.rad_s_from_rpm(float(speed)) for speed in speeds]
-
-
-@pytest.mark.parametrize(
-    ("there", "back"),
-    [
-        (units.rad_s_from_rpm, units.rpm_from_rad_s),
-        (units.pa_from_bar, units.bar_from_pa),
-        (units.k_from_degc, units.degc_from_k),
-        (units.m_s_from_km_h, units.km_h_from_m_s),
-    ],
-)
-def test_there_and_back(there: Callable[[float], float], back: Callable[[float], float]) -> None:
-    assert back(there(123.456)) == pytest.approx(123.456, rel=1e-14)

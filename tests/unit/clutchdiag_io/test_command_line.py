@@ -91,28 +91,6 @@ def test_a_complaint_is_one_line_that_names_the_help(
     assert capsys.readouterr() == ("", f"oracle: error: {text} (see {helper} --help)\n")
 
 
-def test_help_shows_every_option_an_example_and_the_exit_status(capsys: pytest.CaptureFixture[str]) -> None:
-    for words in (["answer", "-h"], ["answer", "why", "--help"]):
-        with pytest.raises(SystemExit) as ended:
-            ORACLE.parse(words)
-        assert ended.value.code == 0
-        out, err = capsys.readouterr()
-        assert err == ""
-        assert out.startswith("Usage: oracle answer [OPTIONS] WORD...\n\n  answer a question\n")
-        for text in ("WORD...  what is asked", "-o, --output FILE", "-n, --count COUNT", "--colour [red|blue]"):
-            assert f"  {text}" in out
-        assert "\nExamples:\n  oracle answer why -o answer.txt\n" in out
-        assert out.endswith("\n\nexit status: 0 answered\n")
-
-
-def test_the_program_s_help_shows_its_commands(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        ORACLE.parse(["--help"])
-    out = capsys.readouterr().out
-    assert out.startswith("Usage: oracle [OPTIONS] COMMAND ...\n\n  Answers questions.\n")
-    assert "Commands:\n  answer  answer a question\n  well    look after the well\n\nexit status" in out
-
-
 @pytest.mark.parametrize(
     ("line", "place", "offered"),
     [
@@ -132,12 +110,3 @@ def test_a_shell_completes_words(
         ORACLE.parse([])
     assert ended.value.code == 0
     assert {one.partition(",")[2] for one in capsys.readouterr().out.split()} == offered
-
-
-def test_a_shell_completes_file_names(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setenv("_ORACLE_COMPLETE", "bash_complete")
-    monkeypatch.setenv("COMP_WORDS", "oracle answer -o dri")
-    monkeypatch.setenv("COMP_CWORD", "3")
-    with pytest.raises(SystemExit):
-        ORACLE.parse([])
-    assert capsys.readouterr().out == "file,dri\n"

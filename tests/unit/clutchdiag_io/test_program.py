@@ -21,10 +21,3 @@ def test_an_error_is_one_line_and_a_status(
 ) -> None:
     assert complain("oracle", exc, STATUSES, hint=" (ask)") == status
     assert capsys.readouterr() == ("", f"oracle: error: {line}\n")
-
-
-def test_where_it_came_from_is_shown_if_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
-    assert complain("oracle", RuntimeError("crossed"), STATUSES, is_verbose=True, hint=" (ask)") == 1
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "RuntimeError: crossed"
-    assert lines[-1] == "oracle: error: unexpected RuntimeError: crossed"

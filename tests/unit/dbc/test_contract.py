@@ -4,8 +4,7 @@ import cantools
 import pytest
 from cantools.database.can.signal import Signal
 
-import dbc
-from canlog.e2e.message_contract import PROTECTION_SIGNALS, MessageContract, message_contract, message_contracts
+from canlog.e2e.message_contract import PROTECTION_SIGNALS, MessageContract, message_contracts
 from canlog.e2e.profile1 import DATA_START_BIT
 from dbc.contract import load_contract
 
@@ -82,16 +81,3 @@ def test_highest_raw_value_says_not_available(signal: Signal) -> None:
     assert signal.minimum == signal.offset
     assert signal.maximum < signal.offset + signal.scale * highest
     assert signal.comment
-
-
-def test_database_without_attributes_is_unprotected_and_not_cyclic() -> None:
-    text = 'VERSION ""\nBU_: A\nBO_ 256 M: 8 A\n SG_ Crc8 : 0|8@1+ (1,0) [0|0] "" A\n'
-    database = cantools.database.load_string(text, "dbc")
-    assert isinstance(database, cantools.database.can.Database)
-    contract = message_contract(database.messages[0])
-    assert (contract.cycle_ms, contract.phase_ms, contract.data_id, contract.signals) == (0, 0, None, ("Crc8",))
-
-
-def test_public_names() -> None:
-    assert dbc.__all__ == sorted(dbc.__all__)
-    assert all(hasattr(dbc, name) for name in dbc.__all__)

@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 
 from ecu_emulator.arguments import COMMAND_LINE
-from ecu_emulator.commands import choose_scenario, drive_options, started_at
+from ecu_emulator.commands import choose_scenario, drive_options
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.drive_names import DriveName
-from ecu_emulator.scenario.scenario import Ambient, Scenario
+from ecu_emulator.scenario.scenario import Scenario
 from ecu_emulator.truth import TruthWriter
 
 
@@ -23,13 +23,6 @@ def test_the_shift_cycle_is_driven_unless_something_else_is_named() -> None:
     assert scenario.truth.plant == {}
 
 
-@pytest.mark.parametrize("name", [name.value for name in DriveName])
-def test_every_drive_can_be_named(name: str) -> None:
-    scenario = chosen("--drive", name, "--endless", "--seed", "4")
-    assert (scenario.drive, scenario.endless, scenario.seed_of_drive) == (name, True, 4)
-    assert scenario.is_on_the_road == (name != "cycle")
-
-
 @pytest.mark.parametrize(
     ("oil_degc", "coolant_degc", "air_degc"), [("-10", -10.0, -10.0), ("40", 40.0, 20.0), ("95", 80.0, 20.0)]
 )
@@ -40,25 +33,11 @@ def test_a_car_with_cold_oil_has_stood_in_the_cold(oil_degc: str, coolant_degc: 
     assert ambient.temperature_k - 273.15 == pytest.approx(air_degc)
 
 
-def test_what_is_colder_stays_colder() -> None:
-    cold = Ambient(temperature_k=263.15, oil_temperature_k=353.15, coolant_temperature_k=343.15)
-    assert started_at(cold, 363.15) == Ambient(
-        temperature_k=263.15, oil_temperature_k=363.15, coolant_temperature_k=343.15
-    )
-
-
 def test_a_mass_is_a_truth_of_the_vehicle_beside_others(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
     path.write_text('name = "own"\n[truth.plant]\nvehicle.drag_area_m2 = 0.6\nvehicle.mass_kg = 1500\n')
     scenario = chosen("--scenario", str(path), "--mass-kg", "2100")
     assert scenario.truth.plant == {"vehicle.drag_area_m2": 0.6, "vehicle.mass_kg": 2100.0}
-
-
-def test_a_scenario_file_names_a_drive(tmp_path: Path) -> None:
-    path = tmp_path / "own.toml"
-    path.write_text('name = "own"\ndrive = "day"\nendless = true\n')
-    assert (chosen("--scenario", str(path)).drive, chosen("--scenario", str(path)).endless) == ("day", True)
-    assert chosen("--scenario", str(path), "--drive", "us06").drive == "us06"
 
 
 @pytest.mark.parametrize(
@@ -75,11 +54,6 @@ def test_a_drive_that_cannot_be_is_named_in_one_line(tmp_path: Path, line: str, 
     path.write_text(f'name = "own"\n{line}\n')
     with pytest.raises(ConfigError, match=named):
         chosen("--scenario", str(path))
-
-
-def test_the_routine_of_the_workshop_belongs_to_the_shift_cycle() -> None:
-    with pytest.raises(ConfigError, match="before shift cycles only"):
-        chosen("--drive", "city", "--routine", "3")
 
 
 def test_the_odometer_begins_where_it_is_told_and_goes_on_from_the_drive_before(tmp_path: Path) -> None:

@@ -4,29 +4,25 @@ import asyncio
 import json
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import replace
 
 import pytest
 
-from diag_service.diagnosis.records import shift_record, status_record
+from diag_service.diagnosis.records import shift_record
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, RowRefusedError
 from fleet_backend.ingest import Worker
 from fleet_backend.writer import Batch, Identity
 from fleet_contract import (
-    NEVER,
     JsonObject,
     Outgoing,
     bundle_messages,
     read_message,
     shift_message,
-    status_message,
     takes_bundles,
 )
 from fleet_link import Message
 from tests.golden import messages_v1
 from tests.support.fleet import NOW, delivered, fleet_result, message_of
-from tests.support.outboxes import STATUS
 
 
 class Records:
@@ -159,12 +155,3 @@ async def test_a_vehicle_that_goes_hears_nothing_and_one_that_comes_that_there_i
     await worker_of(records).settle(records, [delivered(messages_v1()["status-online"])])
     (told,) = records.sent
     assert (told.is_retained, read_message(told.topic, told.payload).data["fills"]) == (False, [])
-
-
-async def test_an_analysis_hears_which_fills_the_fleet_knows() -> None:
-    records = Records()
-    records.known_fills = {"car1": [FILL]}
-    status = replace(STATUS, is_online=False, connected_at=NEVER)
-    await worker_of(records).settle(records, [delivered(status_message(status_record(status)))])
-    (told,) = records.sent
-    assert read_message(told.topic, told.payload).data["fills"] == [FILL]

@@ -27,20 +27,6 @@ def test_where_there_is_room_nothing_is_wrapped() -> None:
     ]
 
 
-def test_texts_are_wrapped_between_words_first() -> None:
-    assert shown(52)[1:5] == [
-        "vehicle            clutch  condition   slope    km",
-        "─" * 52,
-        "WVWZZZ1JZ3W386752  2       change      +2.10    1234",
-        "                           fluid       ±0.60",
-    ]
-
-
-def test_then_columns_go_and_are_named() -> None:
-    assert shown(42)[1] == "vehicle           clutch condition  slope"
-    assert "Hidden at this width: km." in " ".join(shown(42))
-
-
 def test_in_the_end_a_record_is_a_block() -> None:
     assert shown(30)[1:] == [
         "",
@@ -50,13 +36,6 @@ def test_in_the_end_a_record_is_a_block() -> None:
         "slope      +2.10 ±0.60",
         "km         1234",
         "reason     slope negative",
-    ]
-
-
-def test_a_pipe_has_all_on_one_line() -> None:
-    assert shown(None)[1:] == [
-        "vehicle            clutch  condition     slope        km    reason",
-        "WVWZZZ1JZ3W386752  2       change fluid  +2.10 ±0.60  1234  slope negative",
     ]
 
 

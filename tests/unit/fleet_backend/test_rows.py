@@ -38,25 +38,3 @@ def test_a_digest_is_made_of_what_python_writes_for_numbers(numbers: list[float]
     row = ROW | dict(zip(FRICTION_COLUMNS, numbers, strict=False))
     told = repr(tuple(row[name] for name in CONTENT)).encode()
     assert content_digest(row) == int.from_bytes(blake2b(told, digest_size=8).digest(), signed=True)
-
-
-def test_the_kind_of_an_event_is_kept_beside_what_the_digest_is_made_of() -> None:
-    row = row_of(fleet_result())
-    record = json.loads((GOLDEN / "v1" / "shift.json").read_bytes())["data"]
-    launch = shift_row({**record, "kind": "launch", "end_reason": "complete"})
-    earlier = shift_row({key: value for key, value in record.items() if key not in {"kind", "end_reason"}})
-    assert (launch["kind"], launch["end_reason"]) == ("launch", "complete")
-    assert (earlier["kind"], earlier["end_reason"]) == (None, None)
-    assert launch["content_digest"] == earlier["content_digest"]
-    assert row["kind"] == "shift"
-
-
-def test_what_a_prognosis_needs_is_kept_beside_what_the_digest_is_made_of() -> None:
-    record = json.loads((GOLDEN / "v1" / "shift.json").read_bytes())["data"]
-    trust = {"score": 0.75, "parts": {"frames": 1.0, "time": 0.75}}
-    row = shift_row({**record, "trust": trust})
-    older = shift_row({key: value for key, value in record.items() if key not in {"scale_free", "trust"}})
-    assert {f"scale_free_{name}": value for name, value in record["scale_free"].items()}.items() <= row.items()
-    assert (row["trust"], json.loads(str(row["trust_parts"]))) == (0.75, trust["parts"])
-    assert {older[name] for name in ("scale_free_mu_c", "scale_free_correlation", "trust", "trust_parts")} == {None}
-    assert row["content_digest"] == older["content_digest"]

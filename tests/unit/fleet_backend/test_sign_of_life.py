@@ -8,7 +8,6 @@ import pytest
 from fleet_backend.application import give_signs, prepare
 from fleet_backend.choices import Pace
 from fleet_backend.database import open_database
-from fleet_backend.errors import ConfigError
 from fleet_backend.ingest import Worker
 from fleet_backend.writer import Writer
 from tests.support.fleet import NOW
@@ -32,8 +31,3 @@ async def test_without_its_broker_or_its_database_it_gives_none(
     await asyncio.gather(task, return_exceptions=True)
     engine.dispose()
     assert path.stat().st_mtime == 0.0
-
-
-def test_a_file_that_cannot_be_made_is_said_at_once(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot touch"):
-        prepare(tmp_path / "nowhere" / "alive")

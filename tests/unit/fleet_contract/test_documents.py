@@ -9,7 +9,6 @@ from ruamel.yaml import YAML
 from vss_tools.main import get_trees
 from vss_tools.model import VSSDataDatatype
 
-from diag_service.diagnosis.records import Condition
 from fleet_contract import CLUTCHES, MAX_BUNDLED, Channel, schema, topic_of
 from fleet_contract.messages import MAX_BUNDLE_BYTES
 from fleet_contract.schema_check import ENVELOPE, SCHEMA_FOLDER
@@ -95,13 +94,6 @@ def _clutches(tmp_path: Path) -> dict[str, VSSDataDatatype]:
     root, _ = get_trees(tmp_path / "base.vspec", overlays=(VSS_OVERLAY_PATH,), strict=True)
     leaves = {leaf.get_fqn(): leaf.get_vss_data() for leaf in root.leaves}
     return {name: data for name, data in leaves.items() if isinstance(data, VSSDataDatatype)}
-
-
-def test_the_overlay_describes_both_clutches_alike(clutches: dict[str, VSSDataDatatype]) -> None:
-    branch = "Vehicle.Powertrain.Transmission.Clutch"
-    names = {name.rpartition(".")[2] for name in clutches}
-    assert set(clutches) == {f"{branch}.{clutch}.{name}" for clutch in ("Odd", "Even") for name in names}
-    assert clutches[f"{branch}.Odd.Condition"].allowed == [condition.name for condition in Condition]
 
 
 def test_the_overlay_says_which_key_fills_a_signal(clutches: dict[str, VSSDataDatatype]) -> None:

@@ -19,10 +19,8 @@ from fleet_contract import (
     ContractError,
     IdentityError,
     MalformedError,
-    Outcome,
     Outgoing,
     Receipt,
-    ResultKey,
     SchemaError,
     TopicError,
     ack_messages,
@@ -30,7 +28,6 @@ from fleet_contract import (
     bundled_events,
     clutch_message,
     key_of,
-    raw_shift_message,
     read_message,
     receipts_of,
     shift_message,
@@ -52,22 +49,9 @@ def changed(payload: bytes, *path: str, value: object) -> bytes:
     return json.dumps(event).encode()
 
 
-def test_a_text_that_exists_already_makes_the_same_message() -> None:
-    record = shift_record(shift_result())
-    text = json.dumps(record, separators=(",", ":"))
-    assert raw_shift_message(key_of(record), str(record["produced_at"]), text) == SHIFT
-
-
 def test_unknown_keys_are_ignored() -> None:
     payload = changed(changed(SHIFT.payload, "traceparent", value="00-1"), "data", "colour", value="amber")
     assert read_message(SHIFT.topic, payload).data["colour"] == "amber"
-
-
-def test_a_shift_quality_may_hold_the_corrections_that_earlier_programs_named() -> None:
-    for quality in ({"score": 80.0, "reasons": []}, {"score": 80.0, "reasons": [], "corrections": ["fill_error_s"]}):
-        assert (
-            read_message(SHIFT.topic, changed(SHIFT.payload, "data", "shift_quality", value=quality)).data["seq"] == 1
-        )
 
 
 @pytest.mark.parametrize(
@@ -144,16 +128,6 @@ def test_results_are_bundled_in_order_and_come_out_as_they_went_in(count: int) -
     assert (count % MAX_BUNDLED == 1) == any(bundle in messages for bundle in bundles)
 
 
-@pytest.mark.parametrize("size_bytes", [5_000, 16_000])
-def test_long_results_make_smaller_bundles(size_bytes: int) -> None:
-    messages = results(MAX_BUNDLED, size_bytes)
-    bundles = list(bundle_messages(messages))
-    assert all(len(bundle.payload) <= Channel.BUNDLE.max_bytes for bundle in bundles)
-    assert [event for bundle in bundles for event in bundled_events(bundle.payload)] == [
-        message.payload for message in messages
-    ]
-
-
 @pytest.mark.parametrize(
     ("payload", "words"),
     [
@@ -209,22 +183,6 @@ def test_receipts_are_read_back_in_as_many_messages_as_they_need() -> None:
     incoming = [read_message(message.topic, message.payload) for message in messages]
     assert [receipt for one in incoming for receipt in receipts_of(one.data)] == receipts
     assert len({one.event_id for one in incoming}) == len(messages)
-
-
-def test_the_longest_acknowledgement_is_within_the_limit() -> None:
-    longest = ResultKey(
-        vehicle="v" * 64, stream='"' * 128, seq=2**63 - 1, algorithm_version='"' * 128, calibration_version='"' * 128
-    )
-    receipts = [Receipt(key=longest, outcome=Outcome.QUARANTINED, reason="\U0001f697" * 999)] * MAX_RECEIPTS
-    (message,) = ack_messages("v" * 64, receipts, sent_at=NOW, worker="w")
-    assert len(message.payload) > Channel.ACK.max_bytes // 2
-    first, *_ = receipts_of(read_message(message.topic, message.payload).data)
-    assert first == replace(receipts[0], reason="\U0001f697" * 100)
-
-
-def test_a_key_is_one_word_whatever_is_in_it() -> None:
-    odd = replace(KEY, stream="a/b c", calibration_version="1+0/x")
-    assert odd.text == "car1/a%2Fb%20c/1/algorithm-1/1+0%2Fx"
 
 
 @pytest.mark.parametrize("change", [{"seq": "1"}, {"seq": True}, {"stream": None}, {"vehicle": 7}])

@@ -61,13 +61,3 @@ def test_what_is_no_sound_object_is_refused(payload: bytes) -> None:
 )
 def test_what_is_sound_is_read(payload: bytes, value: object) -> None:
     assert parse_object(payload, LIMIT) == value
-
-
-def test_many_brackets_side_by_side_are_not_deep() -> None:
-    assert parse_object(b'{"a":[' + b",".join([b"{}"] * 500) + b"]}", LIMIT) == {"a": [{}] * 500}
-    assert parse_object(nested(MAX_DEPTH), LIMIT)
-
-
-def test_length_counts_before_anything_else() -> None:
-    with pytest.raises(MalformedError, match="4 bytes, more than 3"):
-        parse_object(b"{}  ", 3)

@@ -35,18 +35,3 @@ def test_a_topic_is_read_back(address: Address) -> None:
 def test_no_other_topic_is_ours(topic: str) -> None:
     with pytest.raises(TopicError):
         parse_topic(topic)
-
-
-@pytest.mark.parametrize(
-    ("vehicle", "channel", "clutch"),
-    [
-        ("car/1", Channel.SHIFT, None),
-        ("+", Channel.SHIFT, None),
-        ("car1", Channel.SHIFT, 1),
-        ("car1", Channel.CLUTCH, None),
-        ("car1", Channel.CLUTCH, 3),
-    ],
-)
-def test_no_topic_for_what_has_none(vehicle: str, channel: Channel, clutch: int | None) -> None:
-    with pytest.raises(TopicError):
-        topic_of(vehicle, channel, clutch)

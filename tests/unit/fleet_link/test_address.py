@@ -1,7 +1,5 @@
 """Addresses of brokers, what of them is secret, and who on the way could read what goes there."""
 
-from pathlib import Path
-
 import pytest
 
 from fleet_link import AddressError, BrokerAddress, TlsFiles, parse_broker
@@ -44,15 +42,6 @@ def test_what_is_none_is_refused_without_repeating_it(url: str) -> None:
     with pytest.raises(AddressError, match="the broker must be mqtt") as caught:
         parse_broker(url)
     assert "hunter" not in str(caught.value)
-
-
-def test_a_password_of_a_file(tmp_path: Path) -> None:
-    file = tmp_path / "password"
-    file.write_text("hunter2\n", encoding="utf-8")
-    file.chmod(0o600)
-    address = parse_broker("mqtts://car1@host", None, file)
-    assert (address.password, address.port) == ("hunter2", 8883)
-    assert "hunter2" not in repr(address)
 
 
 @pytest.mark.parametrize(

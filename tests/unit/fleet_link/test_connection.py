@@ -7,13 +7,12 @@ from contextlib import asynccontextmanager, suppress
 import pytest
 
 from fleet_contract import Outgoing
-from fleet_link import BrokerAddress, Connection, LinkDownError, Terms, VersionRefusedError
+from fleet_link import BrokerAddress, Connection, LinkDownError, Terms
 from tests.support.patience import HANG_S
 
 ACCEPTED = bytes([0x20, 3, 0, 0, 0])  # CONNACK of MQTT 5 without properties
 AT_MOST_TWO = bytes([0x20, 6, 0, 0, 3, 0x21, 0, 2])  # with a Receive Maximum of 2
 NOT_AUTHORISED = bytes([0x20, 3, 0, 0x87, 0])
-NOT_THIS_VERSION = bytes([0x20, 2, 0, 1])  # as a broker of 3.1.1 says it
 UNSUBSCRIBE = 10  # the kind of a packet
 SHORT = Terms(timeout_s=0.2, stall_s=0.2)  # where silence is waited for; what a busy machine delays is given LONG
 LONG = Terms(timeout_s=HANG_S)
@@ -152,29 +151,6 @@ async def test_a_broker_that_sends_more_than_it_may_is_read_no_further(terms: Te
         await connection.close()
 
 
-async def test_another_version_is_told_from_a_refusal() -> None:
-    async with broker(saying(NOT_THIS_VERSION)) as address:
-        with pytest.raises(VersionRefusedError):
-            await Connection.open(address, LONG)
-
-
-async def test_messages_of_others_are_no_answer_to_ours() -> None:
-    async def chat(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        await packet(reader)
-        writer.write(ACCEPTED)
-        while True:
-            writer.write(bytes([0x30, 5, 0, 1]) + b"t" + bytes([0]) + b"x")
-            await writer.drain()
-            await asyncio.sleep(0.01)
-
-    async with broker(chat) as address:
-        connection = await opened(address)
-        with pytest.raises(LinkDownError, match="no answer"):
-            await asyncio.wait_for(connection.publish_all(messages(1)), HANG_S)
-        assert {message.payload for message in await connection.collect(10, 0.0)} == {b"x"}
-        await connection.close()
-
-
 async def test_no_more_is_in_flight_than_the_broker_takes() -> None:
     waiting, most = 0, 0
 
@@ -220,18 +196,6 @@ async def test_a_loss_ends_whoever_waits() -> None:
         await connection.close()
 
 
-async def test_bytes_that_are_no_mqtt_end_the_connection() -> None:
-    async def babble(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        await packet(reader)
-        writer.write(ACCEPTED + bytes([0x40, 1, 7]) + bytes([0xF0, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF]))
-        await reader.read()
-
-    async with broker(babble) as address:
-        connection = await Connection.open(address, Terms())
-        await asyncio.wait_for(connection.lost(), HANG_S)
-        await connection.close()
-
-
 @pytest.mark.parametrize("hop_count", range(5))
 async def test_whoever_gives_up_as_the_answer_comes_has_given_up(hop_count: int) -> None:
     """A service that is stopped at that moment sent on and never ended: asyncio.wait_for forgets, up to Python 3.11."""
@@ -261,19 +225,3 @@ async def test_whoever_gives_up_as_the_answer_comes_has_given_up(hop_count: int)
         with pytest.raises(asyncio.CancelledError):
             await sending
         await connection.close()
-
-
-async def test_whoever_gives_up_waiting_leaves_no_socket_behind() -> None:
-    is_asked = asyncio.Event()
-
-    async def stay_silent(reader: asyncio.StreamReader, _writer: asyncio.StreamWriter) -> None:
-        await packet(reader)
-        is_asked.set()
-        await reader.read()
-
-    async with broker(stay_silent) as address:
-        attempt = asyncio.create_task(Connection.open(address, Terms()))
-        await asyncio.wait_for(is_asked.wait(), HANG_S)
-        attempt.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await asyncio.wait_for(attempt, HANG_S)

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.full_estimator.fit import FLOOR_RATIO, FullEstimate, fit
 from benchmarks.full_estimator.inversion import clutch_torque_nm
-from benchmarks.full_estimator.windows import WINDOW_MIN_COUNT, Window, stretches
+from benchmarks.full_estimator.windows import Window
 from clutch_model.calibration import nominal_calibration
 from clutch_model.pack import equilibrium_film_m, film_law, friction_law
 
@@ -64,30 +64,3 @@ def test_the_stated_deviations_are_those_of_the_errors() -> None:
     assert np.sqrt(np.mean(np.square(scores), axis=0)) == pytest.approx(1.0, abs=0.4)
     assert np.mean([one.chi_square_ratio for one in estimates]) == pytest.approx(1.0, abs=0.03)
     assert all(one.std_mu_c >= FLOOR_RATIO * one.mu_c for one in estimates)
-
-
-def test_a_slip_that_is_off_costs_little() -> None:
-    plain = fitted([window(seed, std_pa=0.0) for seed in range(3)])
-    off = fitted([window(seed, slip_error_rad_s=0.05, std_pa=0.0) for seed in range(3)])
-    assert off.mu_s == pytest.approx(plain.mu_s, abs=0.5 * plain.random_std_mu_s)
-
-
-@pytest.mark.parametrize("fault_pa", [-2.0e4, 3.0e4, 1.0e5])
-def test_a_window_that_the_model_does_not_describe_is_refused(fault_pa: float) -> None:
-    sound = [window(seed) for seed in range(6)]
-    broken = replace(sound[2], reading_pa=sound[2].reading_pa + fault_pa * np.linspace(0.0, 2.0, COUNT) ** 2)
-    estimate = fitted([*sound[:2], broken, *sound[3:]])
-    assert (estimate.rejected_count, estimate.window_count) == (1, 5)
-    assert abs(estimate.mu_c - TRUE.mu_c) < 4.0 * estimate.random_std_mu_c
-
-
-def test_nothing_comes_of_nothing() -> None:
-    assert fit([], BELIEVED) is None
-
-
-def test_stretches_are_trimmed_and_long_enough() -> None:
-    wanted = np.zeros(200, dtype=np.bool_)
-    wanted[10:60] = True
-    wanted[100 : 100 + WINDOW_MIN_COUNT + 3] = True  # a sample short after trimming
-    assert stretches(wanted, 2) == [slice(12, 58)]
-    assert stretches(np.ones(30, dtype=np.bool_), 0) == [slice(0, 30)]

@@ -129,19 +129,3 @@ def test_the_smoother_is_the_least_squares_solution(handover: Handover) -> None:
     found = smooth(signals, forced, LAW, is_locked, about)
     assert found.states == pytest.approx(states, rel=1e-6, abs=1e-6)
     assert found.slip_std_rad_s[0] == pytest.approx(np.sqrt(slip_variance), rel=1e-3)  # rounding at the loose start
-
-
-def test_a_lock_is_worth_more_than_the_sensors(handover: Handover) -> None:
-    signals, forced, is_locked, about = handover
-    told = smooth(signals, forced, LAW, is_locked, about)
-    untold = smooth(signals, forced, LAW, np.zeros_like(is_locked), about)
-    assert told.slip_std_rad_s[0, 5] < 0.02
-    assert untold.slip_std_rad_s[0, 5] > 0.1
-    assert abs(told.slip_rad_s[0, 5]) < 0.02
-    assert np.all(told.slip_std_rad_s <= untold.slip_std_rad_s + 1e-12)
-
-
-def test_what_is_not_in_gear_is_not_coupled(handover: Handover) -> None:
-    forced = forcing(handover.signals, DRIVELINE, VEHICLE)
-    assert forced.is_coupled.all()
-    assert forced.ratio[:, 0] == pytest.approx([DRIVELINE.overall_ratios[2], DRIVELINE.overall_ratios[1]])

@@ -16,18 +16,15 @@ from canlog.database.addressing import (
     message_address,
     overwritten,
     parameter_group,
-    rows_by_slot,
 )
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import DefinitionError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from tests.support.batches import frames_at
-from tests.support.wire import DATABASE
 
 CORNERS: Final = Path(__file__).parents[3] / "data" / "corners.dbc"
 EEC1: Final = 0x0CF0_0400  # group 61444, without its sender
 OK: Final = FrameReason.OK
-UNKNOWN_ID: Final = FrameReason.UNKNOWN_ID
 OTHER_CHANNEL: Final = FrameReason.OTHER_CHANNEL
 OTHER_SENDER: Final = FrameReason.OTHER_SENDER
 
@@ -82,24 +79,10 @@ def test_standard_and_extended_identifiers_of_one_number_are_two_messages() -> N
     assert [find_slot(book, can_id) for can_id in (0x123, 0x123 | EXTENDED_FLAG, 0x124, 0x800)] == [0, 1, -1, -1]
 
 
-def test_a_whole_identifier_goes_before_a_group() -> None:
-    exact = MessageAddress(name="X", can_id=0x0CF0_0417, is_extended=True, is_group=False)
-    assert slots([group(EEC1), exact], 0x0CF0_0417, 0x0CF0_0418) == [1, 0]
-
-
 def test_messages_of_one_group_are_told_apart_by_sender() -> None:
     engine, retarder, rest = group(EEC1), group(EEC1 | 0x0F), group(EEC1 | 0xFE)
     assert slots([engine, retarder, rest], EEC1, EEC1 | 0x0F, EEC1 | 0x21) == [0, 1, 2]
     assert slots([engine, retarder], EEC1, EEC1 | 0x0F, EEC1 | 0x21) == [0, 1, -1]
-
-
-def test_messages_of_one_sender_and_group_are_told_apart_by_destination() -> None:
-    engine, retarder, other = group(0x0C00_000B), group(0x0C00_0F0B), group(0x0C00_0003)
-    sent = 0x0C00_000B, 0x0400_0F0B, 0x0C00_210B, 0x0C00_2103, 0x0C00_0021
-    assert slots([engine, retarder, other], *sent) == [0, 1, -1, 2, -1]
-    assert slots([engine, retarder, group(0x0C00_FF0B), other], *sent) == [0, 1, 2, 3, -1]
-    assert slots([group(0x0C00_00FE), group(0x0C00_0FFE), group(0x0C00_FF0B)], *sent) == [2, 2, 2, -1, 0]
-    assert overwritten([engine, retarder, group(0x1800_000B)]) == {0: 2}
 
 
 @pytest.mark.parametrize(
@@ -117,30 +100,6 @@ def test_messages_that_cannot_be_told_apart_are_refused(addresses: list[MessageA
     assert overwritten(addresses) == {0: 1}
 
 
-def test_database_or_profile_says_that_a_message_is_of_j1939() -> None:
-    own = DATABASE.messages[0]
-    assert message_address(eec1()).is_group
-    assert not message_address(own, is_j1939=True).is_group  # 11 bits
-    plain = Message(EEC1, "M", 8, [], is_extended_frame=True)
-    assert not message_address(plain).is_group
-    assert message_address(plain, is_j1939=True).is_group
-
-
-def test_a_message_whose_sender_has_another_one_for_others_is_known_by_its_destination() -> None:
-    engine, retarder, other, alone = (
-        Message(can_id, name, 8, [], is_extended_frame=True, protocol="j1939")
-        for can_id, name in ((0x0C00_000B, "E"), (0x0C00_0F0B, "R"), (0x0C00_0003, "O"), (0x0CEF_000B, "A"))
-    )
-    frames = batch([can_id | EXTENDED_FLAG for can_id in (0x0C00_000B, 0x0C00_0F0B, 0x0C00_0003)])
-    messages = [engine, retarder, other, alone]
-    known = LinkMonitor([engine], [message_address(engine, others=messages)])
-    assert reasons(known, frames) == [OK, UNKNOWN_ID, OTHER_SENDER]
-    known = LinkMonitor([alone], [message_address(alone, others=messages)])
-    assert reasons(known, batch([0x0CEF_000B | EXTENDED_FLAG, 0x0CEF_210B | EXTENDED_FLAG])) == [OK, OK]
-    named = LinkMonitor([other], [message_address(other, others=messages, sender=3)])
-    assert reasons(named, frames) == [OTHER_SENDER, OTHER_SENDER, OK]
-
-
 def test_the_first_sender_is_followed_and_the_others_are_counted() -> None:
     monitor = LinkMonitor([eec1()])
     ids = [can_id | EXTENDED_FLAG for can_id in (EEC1 | 7, EEC1 | 3, EEC1 | 7, 0x18F0_0407, EEC1 | 9)]
@@ -148,12 +107,6 @@ def test_the_first_sender_is_followed_and_the_others_are_counted() -> None:
     monitor.reset()
     assert reasons(monitor, batch(ids[1:3])) == [OTHER_SENDER, OK]
     assert monitor.senders(0) == {3: 2, 7: 4, 9: 1}
-
-
-def test_the_named_sender_is_followed() -> None:
-    monitor = LinkMonitor([eec1()], [message_address(eec1(), sender=3)])
-    ids = [can_id | EXTENDED_FLAG for can_id in (EEC1 | 7, EEC1 | 3, EEC1 | 7)]
-    assert reasons(monitor, batch(ids)) == [OTHER_SENDER, OK, OTHER_SENDER]
 
 
 def test_one_identifier_on_two_channels_is_counted_and_not_mixed() -> None:
@@ -164,29 +117,6 @@ def test_one_identifier_on_two_channels_is_counted_and_not_mixed() -> None:
     assert not monitor.senders(0)
     named = LinkMonitor([message], [message_address(message, channel=1)])
     assert reasons(named, batch([0x100] * 4, [2, 1, 2, 1])) == [OTHER_CHANNEL, OK, OTHER_CHANNEL, OK]
-
-
-def test_a_frame_that_is_not_sound_decides_nothing() -> None:
-    monitor = LinkMonitor([Message(0x100, "M", 8, [])])
-    assert reasons(monitor, batch([0x100], [1], length=7)) == [FrameReason.SHORT]
-    assert reasons(monitor, batch([0x100] * 2, [2, 1])) == [OK, OTHER_CHANNEL]
-
-
-def test_unknown_frames_are_ignored_and_counted_once() -> None:
-    monitor = LinkMonitor([eec1()])
-    assert reasons(monitor, batch([0x0CF0_0500 | EXTENDED_FLAG, 0x400])) == [UNKNOWN_ID, UNKNOWN_ID]
-    assert monitor.counts.sum() == monitor.counts[-1, UNKNOWN_ID] == 2
-
-
-def test_rows_are_grouped_by_slot_in_their_order() -> None:
-    slot = np.array([2, -1, 0, 2, 0, -1, 4, 2])
-    assert [(number, rows.tolist()) for number, rows in rows_by_slot(slot, 5)] == [
-        (0, [2, 4]),
-        (2, [0, 3, 7]),
-        (4, [6]),
-    ]
-    assert list(rows_by_slot(np.array([-1, -1]), 3)) == []
-    assert list(rows_by_slot(np.empty(0, np.int64), 0)) == []
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from canlog.database.loading import MAX_FILE_BYTES, load_database
 from canlog.decode.codec import Codec
 from canlog.errors import DefinitionError
 from canlog.frames import EXTENDED_FLAG
-from dbc.contract import load_contract
 from tests.support.batches import frames_at
 from tests.support.cantools_oracle import reference, same_bits
 from tests.support.wire import DATABASE
@@ -40,12 +39,6 @@ def refusal(path: Path) -> str:
     return text
 
 
-def test_own_database_loads_without_a_warning(caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING):
-        assert len(load_contract.__wrapped__().messages) == 12  # read anew
-    assert not caplog.records
-
-
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "cp1252"])
 def test_units_survive_any_usual_encoding(tmp_path: Path, encoding: str) -> None:
     text = HEAD + 'BO_ 256 M: 8 A\n SG_ s : 0|8@1+ (1,0) [0|0] "°C" A\n'
@@ -65,37 +58,6 @@ def test_every_message_that_breaks_strict_rules_is_named(tmp_path: Path, caplog:
     assert "overlapping in message M0." in said[0]
     assert "does not fit in message M1." in said[1]
     assert "and 10 more like these" in said[-1]
-
-
-@pytest.mark.parametrize(
-    ("encoding", "ends"),
-    [
-        ("utf-8", "\n"),
-        ("utf-8-sig", "\r\n"),
-        ("cp1252", "\r"),
-        ("utf-16", "\r\n"),
-        ("utf-16-le", "\r"),
-        ("utf-16-be", "\n"),
-    ],
-)
-def test_lines_are_counted_whatever_encoding_and_line_ends(tmp_path: Path, encoding: str, ends: str) -> None:
-    text = HEAD + SIGNAL + 'SIG_VALTYPE_ 300 x : 1;\nCM_ "\xfc";\n'
-    path = write(tmp_path, text.replace("\n", ends).encode(encoding))
-    assert "line 5: SIG_VALTYPE_ 300 x names no signal" in refusal(path)
-
-
-@pytest.mark.parametrize("end", ["", "\x1a", "\x00\x00", "// the end", "\n\n\x1a"])
-def test_how_a_file_ends_does_not_matter(tmp_path: Path, end: str, caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING, logger="canlog"):
-        assert len(load_database(write(tmp_path, HEAD + SIGNAL + end)).messages) == 1
-    assert not caplog.records
-
-
-def test_signals_of_no_message_do_no_harm(tmp_path: Path) -> None:
-    independent = 'BO_ 3221225472 VECTOR__INDEPENDENT_SIG_MSG: 0 A\n SG_ q : 0|8@1+ (1,0) [0|0] "" A\n'
-    path = write(tmp_path, HEAD + independent + SIGNAL + 'VAL_ 3221225472 q 0 "a";\nVAL_ 256 s 0 "b";\n')
-    (message,) = load_database(path).messages
-    assert message.signals[0].choices == {0: "b"}
 
 
 BUSES: Final = (
@@ -120,20 +82,6 @@ def test_messages_of_all_buses_unless_one_identifier_means_two_things(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
-    [("M:", "N:", "the identifier 0x100 belongs to M and to N"), ("256", "300", "2 messages are called M")],
-)
-def test_identifiers_and_names_that_are_there_twice_are_said(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, old: str, new: str, told: str
-) -> None:
-    path = write(tmp_path, HEAD + SIGNAL + SIGNAL.replace(old, new))
-    with caplog.at_level(logging.WARNING, logger="canlog"):
-        assert len(load_database(path).messages) == 2
-    said = [record.getMessage() for record in caplog.records if record.name.startswith("canlog")]
-    assert [one.rpartition(": ")[2] for one in said] == [told]
-
-
-@pytest.mark.parametrize(
     ("items", "cause"),
     [
         (' SG_ s : 8|8@1+ (1,0) [0|0] "" A\n', "message M has another signal s"),
@@ -155,36 +103,9 @@ def test_what_would_be_misread_is_refused_by_name(tmp_path: Path, items: str, ca
     assert f"some.dbc would be misread: {cause}" in refusal(write(tmp_path, HEAD + SIGNAL + items))
 
 
-def test_texts_of_no_signal_are_left_out_and_listed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    texts = 'VAL_ 256 s 1 "on; off" ;\n' + "".join(f'VAL_ {300 + k} x 0 "a;\nb";\n' for k in range(30))
-    path = write(tmp_path, HEAD + SIGNAL + texts)
-    with caplog.at_level(logging.WARNING, logger="canlog"):
-        (message,) = load_database(path).messages
-    assert message.signals[0].choices == {1: "on; off"}
-    said = [record.getMessage() for record in caplog.records]
-    assert said[0].endswith("some.dbc: line 6: VAL_ 300 x names no signal (left out)")
-    assert said[20].endswith("and 10 more like these")
-    assert len(said) == 21
-
-
 def test_missing_file_and_folder(tmp_path: Path) -> None:
     assert "No such file" in refusal(tmp_path / "absent.dbc")
     assert "directory" in refusal(tmp_path)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"",
-        b"hello, world",
-        b"\x7fELF\x02\x01\x01" + bytes(range(256)),
-        b'<?xml version="1.0"?><a/>',
-        b"<",
-        b"(0.1) can0 1#00\n",
-    ],
-)
-def test_other_content_is_refused(tmp_path: Path, content: bytes) -> None:
-    assert "a DBC file" in refusal(write(tmp_path, content))
 
 
 @pytest.mark.parametrize(
@@ -236,14 +157,6 @@ def kcd(message: str, signal: str) -> str:
 
 def sym(lines: str) -> str:
     return f'FormatVersion=6.0 // x\nTitle="x"\n\n{{SENDRECEIVE}}\n\n[m]\nID=100h\n{lines}\n'
-
-
-@pytest.mark.parametrize(
-    "before", ["// written by hand\n", "\n\t// one\r\n  // FormatVersion=5.0\r\n\r\n", "\ufeff//\n"]
-)
-def test_comments_may_stand_before_what_a_symbol_file_says_of_itself(tmp_path: Path, before: str) -> None:
-    (message,) = load_database(write(tmp_path, before + sym("Len=8\nVar=s unsigned 0,8"))).messages
-    assert (message.name, message.frame_id) == ("m", 0x100)
 
 
 ENTITIES: Final = '<!DOCTYPE a [<!ENTITY b "bbbbbbbb"><!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;">]>'
@@ -305,15 +218,6 @@ BO_ {0x89F112FE} Sails: 8 A
 BO_ {0x8DF10DFE} Rudder: 8 A
  SG_ Angle : 0|8@1+ (1,0) [0|0] "" A
 """
-SAID_GROUPS: Final = "their parameter groups (PGN)"
-
-
-def test_a_database_of_null_addresses_is_one_of_groups(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.INFO, logger="canlog"):
-        messages = load_database(write(tmp_path, BOAT)).messages
-    assert [message.protocol for message in messages] == ["j1939", "j1939"]
-    assert [SAID_GROUPS in record.getMessage() for record in caplog.records] == [True]
-    assert [Codec(messages).slot_of(EXTENDED_FLAG | one) for one in (0x09F11223, 0x05F10D10)] == [0, 1]
 
 
 @pytest.mark.parametrize(("protocol", "is_of_groups"), [("J1939", True), ("NMEA2000", True), ("", False)])
@@ -324,25 +228,6 @@ def test_the_protocol_of_the_whole_database_counts_where_no_message_has_one(
     text = BOAT.replace(f"{0x89F112FE}", f"{0x89F11255}") + attribute
     messages = load_database(write(tmp_path, text)).messages
     assert [message.protocol == "j1939" for message in messages] == [is_of_groups] * 2
-
-
-@pytest.mark.parametrize("other", [f"{0x89F113FF} Mast: 8 A", "256 Mast: 8 A"])
-def test_one_sender_more_takes_the_word_of_who_asks(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, other: str
-) -> None:
-    path = write(tmp_path, BOAT + f'BO_ {other}\n SG_ Top : 0|8@1+ (1,0) [0|0] "" A\n')
-    is_standard = other.startswith("256 ")
-    kinds = [None if not is_standard else "j1939"] * 2 + [None]
-    with caplog.at_level(logging.INFO, logger="canlog"):
-        assert [message.protocol for message in load_database(path).messages] == kinds
-        asked = load_database(path, is_j1939=True).messages
-    assert [message.protocol for message in asked] == ["j1939", "j1939", None if is_standard else "j1939"]
-    assert sum(SAID_GROUPS in record.getMessage() for record in caplog.records) == is_standard
-
-
-def test_entities_are_found_in_any_encoding(tmp_path: Path) -> None:
-    text = xml("&c;</NetworkDefinition>", ENTITIES)
-    assert "defines a document type" in refusal(write(tmp_path, text.encode("utf-16")))
 
 
 def as_kcd() -> str:
@@ -373,18 +258,6 @@ def test_every_format_decodes_to_the_bits_of_cantools(tmp_path: Path, text: str,
     for signal, decoded in found.signals.items():
         is_there = ~np.isnan(wanted[signal])
         assert same_bits(decoded.value[is_there], wanted[signal][is_there])
-
-
-def test_what_autosar_says_of_a_signal_arrives() -> None:
-    message = load_database(DATA / "engine.arxml").get_message_by_name("Engine")
-    speed, torque = (message.get_signal_by_name(name) for name in ("EngineSpeed", "EngineTorque"))
-    assert (message.frame_id, speed.unit, torque.unit) == (0x123, "rpm", "Nm")
-    assert (speed.scale, torque.scale, torque.offset, torque.is_signed) == (0.25, 0.5, -10.0, True)
-
-
-def test_sizes_inside_texts_are_harmless(tmp_path: Path) -> None:
-    path = write(tmp_path, HEAD + SIGNAL + 'CM_ SG_ 256 s "was SG_ s : 0|4000000000@1+, \\"quoted\\"";\n')
-    assert load_database(path).messages[0].name == "M"
 
 
 def test_huge_file_is_refused_unread(tmp_path: Path) -> None:

@@ -46,10 +46,6 @@ def test_named_codes_at_the_end_of_the_scale(
     assert codes(length, texts) == expected
 
 
-def test_a_signed_signal_has_two_ends() -> None:
-    assert codes(8, {-128: "invalid", 127: "SNA", -1: "Error"}, is_signed=True) == ((-128, -128), (127, 127))
-
-
 @pytest.mark.parametrize(
     ("length", "expected"),
     [
@@ -67,17 +63,6 @@ def test_j1939_sets_codes_apart(length: int, expected: tuple[CodeRange, ...]) ->
     assert codes(length, can_id=EEC1, protocol="j1939") == expected
     assert codes(length, can_id=EEC1) == ()  # the database does not call it J1939
     assert codes(length, can_id=PROPRIETARY_B, protocol="j1939") == ()
-
-
-def test_codes_of_both_kinds_are_told_once() -> None:
-    assert codes(8, {250: "SNA", 255: "SNA"}, can_id=EEC1, protocol="j1939") == ((0xFB, 0xFF),)
-    assert codes(8, dict.fromkeys(range(240, 256), "SNA"), can_id=EEC1, protocol="j1939") == ((240, 255),)
-
-
-def test_floats_have_no_codes() -> None:
-    conversion = BaseConversion.factory(is_float=True, choices={255: "SNA"})  # type: ignore[arg-type]  # as above
-    signal = Signal("S", start=0, length=32, conversion=conversion)
-    assert no_value_codes(Message(0x100, "M", 8, [signal]), signal) == ()
 
 
 @pytest.mark.parametrize(

@@ -62,16 +62,6 @@ def test_every_signal_has_the_bits_of_cantools(database: Database) -> None:
         assert_as_cantools(database.messages[values.slot], batch, values)
 
 
-def test_every_page_of_a_multiplexer_is_met() -> None:
-    message = corners().get_message_by_name("LongFrame")
-    batch = frames([message], 6, seed=1)
-    batch.data[:, 54] = [200, 3, 0, 255, 200, 3]
-    (found,) = Codec([message], check_range=False).decode(batch)
-    assert_as_cantools(message, batch, found)
-    assert found.signals["FarPage"].is_good is not None
-    assert found.signals["FarPage"].is_good.tolist() == [True, False, False, False, True, False]
-
-
 @pytest.mark.parametrize("database", [DATABASE, corners()], ids=["own", "corners"])
 def test_short_frames_give_the_signals_that_fit_as_cantools_does(database: Database) -> None:
     codec = Codec(database.messages, check_range=False)
@@ -122,9 +112,3 @@ def test_messages_longer_than_their_frames_need_a_transport_protocol(
     codec = Codec([message])
     assert np.flatnonzero(codec.match(batch).counts[0]).tolist() == [fate]
     assert len(list(codec.decode(batch))) == (fate is not FrameFate.TRANSPORTED)
-
-
-def test_signals_of_one_name_in_a_message_are_numbered() -> None:
-    signals = [Signal("A", start=0, length=8), Signal("A", start=8, length=8)]
-    (table,) = Codec([Message(0x100, "M", 8, signals, strict=False)]).tables
-    assert {name: one.field.shift for name, one in table.signals.items()} == {"A": 0, "A#2": 8}

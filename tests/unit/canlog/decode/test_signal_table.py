@@ -130,24 +130,6 @@ def test_multiplexed_signals_are_present_where_cantools_finds_them(data: UInt8Ar
         assert decoded.invalid.total == 0
 
 
-def test_page_of_nobody_carries_nothing() -> None:
-    decoded = compile_signal(multiplexed(), multiplexed().get_signal_by_name("First")).decode(
-        PayloadWords(values(0x0F, 0x04, 0x00))
-    )
-    assert decoded.is_good is not None
-    assert decoded.is_good.tolist() == [False, False, True]
-
-
-def test_absent_signal_is_not_counted_as_invalid() -> None:
-    data = np.zeros((2, 8), np.uint8)
-    data[:, 1:3] = [0xFF, 0x7F]  # 16383.5, out of range, but only present on page 0
-    data[1, 0] = 1
-    decoded = compile_signal(multiplexed(), multiplexed().get_signal_by_name("First")).decode(PayloadWords(data))
-    assert decoded.is_good is not None
-    assert decoded.is_good.tolist() == [False, False]
-    assert decoded.invalid.total == 1
-
-
 def values(*bytes_0: int) -> UInt8Array:
     data = np.zeros((len(bytes_0), 8), np.uint8)
     data[:, 0] = bytes_0
@@ -163,23 +145,6 @@ def test_range_is_checked_to_the_nearest_step() -> None:
     message = single(0, 8, scale=0.1, offset=-1.0, minimum=0.0, maximum=15.3)
     assert good(message, values(9, 10, 163, 164)) == [False, True, True, False]
     assert good(message, values(9, 10, 163, 164), check_range=False) == [True] * 4
-
-
-def test_range_of_a_falling_scale() -> None:
-    message = single(0, 8, scale=-0.5, offset=10, minimum=0.0, maximum=5.0)
-    assert good(message, values(9, 10, 20, 21)) == [False, True, True, False]
-
-
-@pytest.mark.parametrize(
-    ("minimum", "maximum"), [(None, None), (5.0, 5.0), (7.0, 3.0), (1e9, 2e9), (-math.inf, 10**400)]
-)
-def test_range_that_is_none_is_not_checked(minimum: float | None, maximum: float | None) -> None:
-    assert good(single(0, 8, minimum=minimum, maximum=maximum), values(0, 5, 255)) == [True] * 3
-
-
-def test_no_text_of_a_value_table_takes_a_value_away() -> None:
-    message = single(0, 8, minimum=0, maximum=255, choices={0: "Fault", 3: "Not available", 254: "Error", 255: "SNA"})
-    assert good(message, values(0, 3, 4, 254, 255)) == [True] * 5
 
 
 def test_codes_are_counted_apart_from_what_is_out_of_range() -> None:
@@ -217,24 +182,3 @@ def test_floats_that_are_no_numbers_are_no_measurements() -> None:
 def test_signals_that_cannot_be_decoded_are_refused(message: Message, complaint: str) -> None:
     with pytest.raises(DefinitionError, match=complaint):
         compile_signal(message, message.signals[0])
-
-
-def test_signal_beyond_a_frame_is_refused() -> None:
-    signal = Signal("S", start=512, length=8)
-    with pytest.raises(DefinitionError, match="outside the 64 bytes of a CAN FD frame"):
-        compile_signal(Message(0x100, "M", 70, [signal], is_fd=True), signal)
-
-
-def test_signal_wider_than_a_word_is_refused() -> None:
-    signal = Signal("S", start=0, length=65)
-    with pytest.raises(DefinitionError, match="has 65 bits; up to 64"):
-        compile_signal(Message(0x100, "M", 64, [signal], is_fd=True), signal)
-
-
-def test_multiplexers_that_select_each_other_are_refused() -> None:
-    signals = [Signal("A", start=0, length=8, is_multiplexer=True), Signal("B", start=8, length=8, is_multiplexer=True)]
-    message = Message(0x100, "M", 8, signals)
-    for signal, other in zip(message.signals, "BA", strict=True):
-        signal.multiplexer_ids, signal.multiplexer_signal = [1], other
-    with pytest.raises(DefinitionError, match="no proper multiplexer"):
-        compile_signal(message, message.get_signal_by_name("A"))

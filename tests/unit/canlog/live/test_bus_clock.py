@@ -9,7 +9,7 @@ import pytest
 
 from canlog.arrays import Int64Array
 from canlog.frames import FrameBatch
-from canlog.live.bus_clock import BusClock, ClockReading, read_clocks
+from canlog.live.bus_clock import BusClock, ClockReading
 from diag_service.diagnosis.records import Status
 from ecu_emulator.drive.recording import Drive
 from tests.support.builders import drive_scenario
@@ -90,65 +90,6 @@ def test_a_clock_that_steps_again_and_again_changes_no_bit() -> None:
     batches, clock = heard(steps)
     assert clock.step_count == len(steps)
     assert diagnosed(batches).fingerprint == undisturbed().fingerprint
-
-
-def test_a_clock_moved_before_the_start_moves_times_and_nothing_else() -> None:
-    moved = replace(frames(), t_ns=frames().t_ns + HOURS_NS)
-    for there, here in zip(diagnosed([moved]).diagnoses, undisturbed().diagnoses, strict=True):
-        assert there.estimate.friction == here.estimate.friction
-        assert there.estimate.data_quality == here.estimate.data_quality
-        assert there.estimate.start_ns == here.estimate.start_ns + HOURS_NS
-
-
-def test_without_a_step_the_kernels_stamps_stand() -> None:
-    batches, clock = heard({})
-    assert clock.step_count == 0
-    assert np.array_equal(np.concatenate([batch.t_ns for batch in batches]), frames().t_ns)
-
-
-def test_a_clock_that_is_corrected_slowly_is_followed() -> None:
-    readings = iter([ClockReading(number * 1_000_500_000, number * NS_PER_S) for number in range(100)])
-    clock = BusClock(lambda: next(readings))
-    for _ in range(99):
-        clock.look()
-    assert clock.step_count == 0
-    stamp = np.array([99 * 1_000_500_000], np.int64)
-    assert clock.bus_time_ns(stamp).tolist() == stamp.tolist()
-
-
-def test_a_machine_too_busy_to_read_both_clocks_at_once_sees_no_step() -> None:
-    readings = iter([ClockReading(1_000_000_000, 0), None, ClockReading(3_000_000_000, 2_000_000_000)])
-    clock = BusClock(lambda: next(readings))
-    stamp_ns = np.array([2_000_000_000])
-    for _ in range(2):
-        clock.look()
-        assert clock.bus_time_ns(stamp_ns).tolist() == stamp_ns.tolist()
-    assert clock.step_count == 0
-
-
-def test_clocks_that_are_never_read_at_one_moment_are_not_compared(monkeypatch: pytest.MonkeyPatch) -> None:
-    ticks = iter(range(0, 10**12, 7_000_000))  # every reading comes 7 ms after the one before
-    monkeypatch.setattr("time.clock_gettime_ns", lambda _clock: next(ticks))
-    assert read_clocks() is None
-
-
-def test_who_is_told_of_steps_looks_once_a_second_and_where_a_stamp_is_far_away() -> None:
-    looks: list[int] = []
-    clocks = Clocks(NS_PER_S, {5 * NS_PER_S: HOURS_NS})
-
-    def read() -> ClockReading:
-        looks.append(clocks.true_ns)
-        return clocks.read()
-
-    clock = BusClock(read)
-    for true_ns in range(NS_PER_S, 9 * NS_PER_S, NS_PER_S // 10):
-        clocks.true_ns = true_ns
-        stamp = clocks.wall_ns(np.array([true_ns - 1_000_000]))
-        clock.look_if_stale(int(stamp[0]))
-        assert clock.bus_time_ns(stamp).tolist() == [true_ns - 1_000_000]
-        clock.end_of_backlog()
-    assert clock.step_count == 1
-    assert 8 <= len(looks) <= 12
 
 
 def test_a_small_step_told_at_once_moves_neither_the_frames_before_nor_those_after() -> None:

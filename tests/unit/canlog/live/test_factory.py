@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from canlog.errors import SourceError
 from canlog.live.factory import complete_settings
 
 
@@ -23,9 +22,3 @@ def test_can_conf_stands_for_what_is_not_said(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setenv("CAN_CHANNEL", "street")
     assert complete_settings(None, None, None, fd=False).channel == "street"
     assert complete_settings("virtual", "yard", 125_000, fd=False).channel == "yard"
-
-
-def test_without_any_interface_it_says_where_one_is_named(tmp_path: Path) -> None:
-    (tmp_path / "can.conf").unlink()
-    with pytest.raises(SourceError, match=r"-i INTERFACE -c CHANNEL, CAN_INTERFACE and CAN_CHANNEL, or ~/can\.conf"):
-        complete_settings(None, None, None, fd=False)

@@ -1,9 +1,7 @@
 """The queue between receiver and service: nothing is lost in silence, nothing waits for ever."""
 
 import asyncio
-import gc
 import threading
-import weakref
 from collections.abc import AsyncIterator
 
 import numpy as np
@@ -43,18 +41,6 @@ async def test_silence_is_told_after_the_frames_before_it() -> None:
     assert_same(await _frames(heard), parts[1])
 
 
-async def test_silence_that_is_over_is_not_told() -> None:
-    whole, parts = batches(20)
-    queue = FrameQueue(linger_s=0.0)
-    queue.offer(parts[0])
-    queue.mark_silent()
-    queue.offer(parts[1])
-    queue.close()
-    heard = aiter(queue)
-    assert_same(await _frames(heard), whole)
-    assert [part async for part in heard] == []
-
-
 async def _frames(heard: AsyncIterator[FrameBatch | Silence]) -> FrameBatch:
     part = await asyncio.wait_for(anext(heard), timeout=HANG_S)
     assert isinstance(part, FrameBatch)
@@ -77,28 +63,6 @@ async def test_what_does_not_fit_is_dropped_newest_first_and_counted() -> None:
     assert queue.dropped == 55
 
 
-async def test_a_queue_half_full_does_not_wait_for_more() -> None:
-    _, parts = batches(60, 60)
-    queue = FrameQueue(limit=100, linger_s=3600.0)
-    queue.offer(parts[0])
-    taken = await asyncio.wait_for(queue.next_batch(), timeout=HANG_S)
-    assert taken is not None
-    assert len(taken) == 60
-
-
-async def test_the_end_comes_after_the_frames() -> None:
-    whole, parts = batches(20)
-    queue = FrameQueue(linger_s=3600.0)
-    queue.offer(parts[0])
-    queue.offer(parts[1])
-    queue.close()
-    taken = await asyncio.wait_for(queue.next_batch(), timeout=HANG_S)
-    assert taken is not None
-    assert_same(taken, whole)
-    assert await queue.next_batch() is None
-    assert await queue.next_batch() is None
-
-
 async def test_an_error_comes_after_the_frames_and_the_first_one_counts() -> None:
     _, parts = batches(10)
     queue = FrameQueue()
@@ -108,15 +72,6 @@ async def test_an_error_comes_after_the_frames_and_the_first_one_counts() -> Non
     assert await queue.next_batch() is not None
     with pytest.raises(SourceError, match="went down"):
         await queue.next_batch()
-
-
-async def test_a_closed_queue_takes_nothing_and_counts_it() -> None:
-    _, parts = batches(10)
-    queue = FrameQueue()
-    queue.close()
-    queue.offer(parts[0])
-    assert queue.dropped == 10
-    assert await queue.next_batch() is None
 
 
 async def test_a_thread_loses_nothing() -> None:
@@ -137,18 +92,3 @@ async def test_a_thread_loses_nothing() -> None:
     assert queue.dropped == 0
     assert_same([batch for batch in taken if len(batch)], whole)
     assert np.all(whole.length <= 8)
-
-
-async def test_a_queue_that_ended_with_an_error_is_not_kept_alive_by_it() -> None:
-    """An error refers to all that raised it: a bus that fails for months must not leave its receivers behind."""
-    queue = FrameQueue(linger_s=0.0)
-    queue.close(SourceError("gone"))
-    with pytest.raises(SourceError, match="gone"):
-        await queue.next_batch()
-    gone = weakref.ref(queue)
-    gc.disable()
-    try:
-        del queue
-        assert gone() is None
-    finally:
-        gc.enable()

@@ -41,22 +41,6 @@ async def test_a_frame_without_a_time_has_that_of_its_receipt() -> None:
     assert found == sorted(found)
 
 
-async def test_on_a_bus_with_times_of_its_own_it_has_the_last_one_heard() -> None:
-    assert await heard_s("own times", [7.0, 0.0, 8.5, 0.0]) == [7.0, 7.0, 8.5, 8.5]
-
-
-@pytest.mark.parametrize(("last_s", "is_told"), [(7.0, True), (7.001, False)])
-async def test_times_that_stand_still_are_told_once(
-    caplog: pytest.LogCaptureFixture, last_s: float, *, is_told: bool
-) -> None:
-    await heard_s(f"still until {last_s}", [*[7.0] * (pythoncan.MANY_FRAMES - 1), last_s, *[7.0] * 5])
-    text = (
-        f"still until {last_s}: its first 1,000 frames all have the same time, so nothing can be found in them: "
-        "the sender has to give each its own time, or none"
-    )
-    assert [record.getMessage() for record in caplog.records] == [text] * is_told
-
-
 async def _close_later(source: PythonCanSource) -> None:
     await asyncio.sleep(5.0 * SILENCE_S)
     await source.aclose()

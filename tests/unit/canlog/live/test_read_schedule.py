@@ -2,7 +2,7 @@
 
 import pytest
 
-from canlog.live.sources import EXPECTING_S, LATE_S, NS_PER_S, RELAXED_S, URGENT_S, ReadSchedule
+from canlog.live.sources import EXPECTING_S, LATE_S, NS_PER_S, URGENT_S, ReadSchedule
 from diag_service.diagnosis.shifts.shifts import POST_NS
 
 NOW_NS = 1_700_000_000_000_000_000
@@ -12,10 +12,6 @@ def waiting(*, due_ns: int | None = None) -> ReadSchedule:
     schedule = ReadSchedule()
     schedule.wait_for(is_expecting=True, due_ns=due_ns)
     return schedule
-
-
-def test_nothing_hurries_while_nothing_goes_on() -> None:
-    assert ReadSchedule().gather_s(None) == ReadSchedule().gather_s(NOW_NS) == RELAXED_S
 
 
 def test_the_end_of_a_shift_is_known_before_its_result_is_due() -> None:
@@ -28,13 +24,3 @@ def test_the_end_of_a_shift_is_known_before_its_result_is_due() -> None:
 def test_frames_are_looked_at_just_when_a_result_is_due(ahead_s: float, expected_s: float) -> None:
     schedule = waiting(due_ns=NOW_NS + round(ahead_s * NS_PER_S))
     assert schedule.gather_s(NOW_NS) == pytest.approx(expected_s)
-
-
-def test_a_source_hears_of_it_when_something_else_is_waited_for() -> None:
-    schedule, heard = ReadSchedule(), list[float]()
-    schedule.on_change = lambda: heard.append(schedule.gather_s(NOW_NS))
-    for _ in range(2):
-        schedule.wait_for(is_expecting=True, due_ns=None)
-    schedule.wait_for(is_expecting=True, due_ns=NOW_NS)
-    schedule.wait_for(is_expecting=False, due_ns=None)
-    assert heard == [EXPECTING_S, URGENT_S, RELAXED_S]

@@ -8,7 +8,7 @@ import pytest
 
 from canlog.errors import NOTICE, SourceError
 from canlog.frames import ERROR_FLAG, FrameBatch
-from canlog.live import BusState, LinkBreak, Silence, SourceCounts, SupervisedSource, supervise
+from canlog.live import BusState, LinkBreak, Silence, SourceCounts, SupervisedSource
 from canlog.live.supervisor import Backoff
 from tests.support.batches import frames_at
 from tests.support.patience import HANG_S
@@ -90,12 +90,6 @@ async def test_it_is_opened_again_until_that_works(caplog: pytest.LogCaptureFixt
     assert levels == [logging.WARNING, NOTICE] * 2
 
 
-async def test_silence_is_passed_on_and_is_no_break() -> None:
-    source = SupervisedSource(Script(), ShortSource(numbered(1), Silence(), numbered(2)), QUICK)
-    assert await parts_of(source, 3) == [[1], "silence", [2]]
-    assert source.status.interruption_count == 0
-
-
 @in_virtual_time
 async def test_closing_ends_the_wait_for_a_bus() -> None:
     source = SupervisedSource(Script(), ShortSource(failure="went down"), QUICK)
@@ -105,15 +99,6 @@ async def test_closing_ends_the_wait_for_a_bus() -> None:
     await source.aclose()
     await source.aclose()
     assert await asyncio.wait_for(iteration, HANG_S) == ["went down"]
-
-
-async def test_the_first_opening_must_succeed() -> None:
-    with pytest.raises(SourceError, match="still away"):
-        await supervise(Script())
-    source = await supervise(Script(ShortSource(numbered(1))))
-    assert source.description == "short"
-    assert source.status.state is BusState.UP
-    assert await parts_of(source, 1) == [[1]]
 
 
 @in_virtual_time
@@ -129,18 +114,6 @@ async def test_a_controller_that_is_bus_off_is_asked_to_restart_now_and_then(cap
     assert source.status.restart_count == script.restart_count
     assert [record.levelno for record in caplog.records] == [logging.WARNING]
     assert "not permitted" in caplog.text
-
-
-@in_virtual_time
-async def test_a_frame_ends_the_requests_for_a_restart() -> None:
-    script = Script()
-    first = ShortSource(numbered(1, flags=ERROR_FLAG), numbered(2))
-    source = SupervisedSource(script, first, QUICK)
-    iteration = asyncio.create_task(parts_of(source, 9))
-    await asyncio.sleep(0.05)
-    assert script.restart_count <= 1
-    await source.aclose()
-    assert await iteration == [[1], [2]]
 
 
 @in_virtual_time

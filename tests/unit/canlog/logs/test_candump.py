@@ -1,10 +1,8 @@
 """candump's grammar: what is a frame, what is not, and what the end of a file may hide."""
 
-import io
-
 import pytest
 
-from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch, join
+from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
 from canlog.logs.candump import CandumpLog
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_log import reader_of
@@ -88,40 +86,7 @@ def test_can_fd_is_taken_and_widens_what_follows(payload: bytes, flags: int, len
     assert counts == LogCounts(frames=3)
 
 
-def test_channels_have_the_number_in_their_name_unless_it_is_taken() -> None:
-    names = (b"can2", b"vcan2", b"slcan", b"can2", b"can17")
-    batch, _ = read(b"".join(b"(1.0) %s 123#11\n" % name for name in names))
-    assert batch.channel.tolist() == [2, 0, 1, 2, 17]
-
-
 def test_a_last_line_without_newline_counts_if_nothing_can_be_missing() -> None:
     batch, counts = read(b"(1.0) can0 123#11\n(2.0) can0 123#1122334455667788")
     assert len(batch) == 2
     assert counts == LogCounts(frames=2)
-
-
-def test_what_a_wide_row_held_before_is_gone() -> None:
-    wide = b"(1767225600.000000) can0 123##0" + b"FF" * 64 + b"\n"
-    narrow = b"(1767225600.000001) can0 123#11\n(1767225600.000002) can0 123#1122334455667788\n"
-    stream, counts = io.BytesIO(), LogCounts()
-    stream.write(wide * 20_000 + narrow * 50_000)
-    stream.seek(0)
-    *_, last = reader_of(CandumpLog)(stream, counts)
-    assert last.data[-1].tobytes() == bytes.fromhex("1122334455667788").ljust(last.width, b"\0")
-    assert counts.frames == 120_000
-
-
-@pytest.mark.parametrize("size", [1, 2, 3, 4, 5, 1_000_000])
-def test_a_byte_order_mark_before_the_log_is_no_part_of_it(size: int) -> None:
-    class Trickle(io.BytesIO):
-        """Gives so many bytes at a time, as a compressed file may."""
-
-        def readinto(self, buffer: "memoryview | bytearray") -> int:  # type: ignore[override]  # any buffer will do
-            return super().readinto(memoryview(buffer)[:size])
-
-    text = b"\xef\xbb\xbf(1.000000) can0 123#11\n(2.000000) can0 124#22 T\n(3.000000) can0 125#33 R\n"
-    counts = LogCounts()
-    batch = join(list(reader_of(CandumpLog)(Trickle(text), counts)))
-    assert batch.can_id.tolist() == [0x123, 0x124, 0x125]
-    assert batch.flags.tolist() == [0, TX_FLAG, 0]
-    assert counts == LogCounts(frames=3)

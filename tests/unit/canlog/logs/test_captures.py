@@ -1,6 +1,5 @@
 """Captures in pcap and pcapng: which packets are frames, what is skipped, and where the reader goes on after damage."""
 
-import io
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -10,18 +9,15 @@ import numpy as np
 import pytest
 
 from canlog.errors import SourceError
-from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FrameBatch
-from canlog.logs.captures import SWAPPED, capture_of, read_capture
+from canlog.frames import FrameBatch
+from canlog.logs.captures import SWAPPED, read_capture
 from canlog.logs.log_counts import LogCounts, LogReject
 from tests.support.batches import read_whole
 from tests.support.capture_grammars import (
     COOKED,
     COOKED_2,
-    ETHERNET,
     PACKETS,
     SOCKETCAN,
-    block,
-    option,
     pcap,
     pcapng,
     socketcan,
@@ -31,7 +27,6 @@ from tests.support.log_grammars import Frame
 FRAME = Frame(t_us=1_000, can_id=0x123, is_extended=False, length=3, data=b"\1\2\3")
 FRAMES = [replace(FRAME, t_us=1_000 * number) for number in range(10)]
 PCAP_HEADER = struct.pack("<LHHLLLL", 0xA1B2C3D4, 2, 4, 0, 0, 262144, SOCKETCAN)
-SECTION = block("<", 0x0A0D0D0A, struct.pack("<LHHq", 0x1A2B3C4D, 1, 0, -1))
 
 
 def read(contents: bytes) -> tuple[FrameBatch, LogCounts]:
@@ -62,31 +57,6 @@ def test_a_packet_is_a_frame_or_has_a_reason(packet: bytes, outcome: str) -> Non
     assert len(batch) == (1 if outcome else 2)
     assert counts.rejected == ({LogReject.MALFORMED: 1} if outcome else {})
     assert counts.first_rejected == ("packet 2: malformed" if outcome else "")
-
-
-def test_an_error_frame_keeps_its_class_and_what_it_carries() -> None:
-    packet = struct.pack(">LB3x8s", ERROR_FLAG | 0x44, 8, b"\0\x08\0\0\0\0\0\0")
-    batch, _ = read(PCAP_HEADER + record(packet))
-    assert batch.can_id.tolist() == [ERROR_FLAG | 0x44]
-    assert (batch.length[0], batch.data[0, 1]) == (8, 8)
-
-
-def test_a_long_payload_needs_no_mark_to_be_one_of_can_fd() -> None:
-    """Older programs wrote none; the size of the packet, or of the payload, says so."""
-    long = struct.pack(">LB3x", 0x123 | EXTENDED_FLAG, 12) + bytes(range(12))
-    padded = struct.pack(">LB3x", 0x123, 2).ljust(72, b"\0")
-    batch, _ = read(PCAP_HEADER + record(long) + record(padded))
-    assert (batch.length.tolist(), batch.flags.tolist()) == ([12, 2], [FD_FLAG, FD_FLAG])
-
-
-def test_packets_of_other_networks_are_skipped(tmp_path: Path) -> None:
-    pcapng(COOKED, ">", 9, has_others=True)(tmp_path / "a.pcapng", FRAMES)
-    batch, counts = read((tmp_path / "a.pcapng").read_bytes())
-    assert len(batch) == len(FRAMES)
-    assert counts == LogCounts(frames=len(FRAMES), skipped=3 * len(FRAMES))
-    assert capture_of(PCAP_HEADER) == "pcap"
-    with pytest.raises(SourceError, match=r"another kind of network than CAN \(link type 1\)"):
-        capture_of(PCAP_HEADER[:20] + struct.pack("<L", ETHERNET))
 
 
 @pytest.mark.parametrize("name", ["pcap", "pcapng"])
@@ -123,27 +93,6 @@ def test_a_section_begins_anew_in_its_own_byte_order(tmp_path: Path) -> None:
     assert counts == LogCounts(frames=20)
 
 
-@pytest.mark.parametrize("resolution", [12, 0x80 | 40, 0xFF])
-def test_an_interface_of_too_fine_a_clock_is_not_read(resolution: int) -> None:
-    interface = block("<", 1, struct.pack("<HHL", SOCKETCAN, 0, 0) + option("<", 9, bytes([resolution])))
-    packet = block("<", 6, struct.pack("<LLLLL", 0, 0, 5, 16, 16) + socketcan(FRAME))
-    unknown = block("<", 6, struct.pack("<LLLLL", 7, 0, 5, 16, 16) + socketcan(FRAME))
-    simple = block("<", 3, struct.pack("<L", 16) + socketcan(FRAME))
-    counts = LogCounts()
-    assert list(read_capture(io.BytesIO(SECTION + interface + packet + unknown + simple), counts)) == []
-    assert counts.skipped == 1
-    assert counts.rejected == {LogReject.MALFORMED: 2}
-
-
-def test_packets_longer_than_a_piece_are_read(tmp_path: Path) -> None:
-    pcapng(SOCKETCAN)(tmp_path / "a", FRAMES)
-    secret = block("<", 10, bytes(3 * 2**20))
-    sound = (tmp_path / "a").read_bytes()
-    batch, counts = read(sound[: -56 * 5] + secret + sound[-56 * 5 :])
-    assert len(batch) == 10
-    assert counts == LogCounts(frames=10, skipped=1)
-
-
 @pytest.mark.parametrize("can_ids", [(0x12A, 0x0E1, 0x241), (0x181, 0x281, 0x381), (0x0CF00400, 0x18FEF121)])
 @pytest.mark.parametrize("link", [SOCKETCAN, COOKED, COOKED_2])
 @pytest.mark.parametrize("order", ["<", ">"])
@@ -174,13 +123,3 @@ def test_identifiers_in_the_wrong_byte_order_are_swapped(
     assert counts == LogCounts(frames=len(frames), notes=(SWAPPED,))
     assert found.can_id.tolist() == sound.can_id.tolist()
     assert found.data.tolist() == sound.data.tolist()
-
-
-@pytest.mark.parametrize("frame", [replace(FRAME, is_error=True, length=0, data=b""), replace(FRAME, can_id=0x123)])
-@pytest.mark.parametrize("count", [1, 100])
-def test_sound_identifiers_are_not_swapped(frame: Frame, count: int, tmp_path: Path) -> None:
-    """An error frame may have no bytes, and a class of none."""
-    pcap(SOCKETCAN)(tmp_path / "a", [replace(frame, t_us=1_000 * number) for number in range(count)])
-    batch, counts = read((tmp_path / "a").read_bytes())
-    assert counts == LogCounts(frames=count)
-    assert set(batch.can_id.tolist()) == {ERROR_FLAG if frame.is_error else 0x123}

@@ -73,30 +73,9 @@ def test_what_is_damaged_is_counted(line: str) -> None:
     assert (len(batch), sum(counts.rejected.values())) == (0, 1)
 
 
-@pytest.mark.parametrize("name", ["c\x1b[?25hm", "\x1b]m can0", "can0\x1b;x;m", "(", "a)b", "x\x0c"])
-def test_odd_names_of_channels_end_the_reading(name: str) -> None:
-    counts = LogCounts()
-    batch, _ = read(f"  {name}  0A0   [1]  01\n (1.0) {name}  0A0   [1]  01\n", counts)
-    assert len(batch) + sum(counts.rejected.values()) == 2
-
-
-def test_explanations_of_errors_and_counts_of_drops_are_no_damage() -> None:
-    counts = LogCounts()
-    text = (
-        "DROPCOUNT: dropped 3 CAN frames on 'can0' socket (total drops 3)\n\n\tcontroller-problem{tx-error-warning}\n"
-    )
-    batch, notes = read(text, counts)
-    assert (len(batch), counts.skipped, counts.rejected) == (0, 3, {})
-    assert any("lost frames before it could print them" in note for note in notes)
-
-
 def times(*stamps: str) -> tuple[list[int], list[str]]:
     batch, notes = read("".join(f" {stamp}  can0  0A0   [1]  {k:02X}\n" for k, stamp in enumerate(stamps)))
     return (batch.t_ns // 1_000).tolist(), notes
-
-
-def test_times_since_the_epoch_are_taken_as_they_are() -> None:
-    assert times("(1767225600.000001)", "(1767225600.5)") == ([1_767_225_600_000_001, 1_767_225_600_500_000], [])
 
 
 def test_times_since_the_start_and_those_since_the_frame_before_are_told_apart() -> None:
@@ -114,10 +93,3 @@ def test_dates_are_local_times() -> None:
     local = [np.datetime64("2026-01-31T23:59:59.999999"), np.datetime64("2026-02-01T00:00:00.000001")]
     assert np.diff(found[:2]) == (local[1] - local[0]).astype(int)
     assert found[2] - found[1] == 759 * 86_400_000_000 - 1
-
-
-def test_frames_without_times_are_of_one_moment_and_that_is_said() -> None:
-    batch, notes = read("  can0  0A0   [1]  01\n  can1  0A0   [1]  02\n")
-    assert batch.t_ns.tolist() == [0, 0]
-    assert batch.channel.tolist() == [0, 1]
-    assert "no times" in notes[0]

@@ -1,11 +1,9 @@
 """What a file is taken for: a header, or most of its first lines; one line that fits proves nothing."""
 
-import codecs
-
 import pytest
 
 from canlog.errors import SourceError
-from canlog.logs.detection import PROBE_BYTES, LogFormat, detect
+from canlog.logs.detection import LogFormat, detect
 
 LINES = {
     LogFormat.CANDUMP: b"(1700000000.000000) can0 0A0#0011223344556677",
@@ -81,50 +79,3 @@ def test_one_line_that_fits_proves_nothing(line: bytes, where: int) -> None:
     lines = [PROSE] * where + [line] + [PROSE] * 30
     with pytest.raises(SourceError, match=r"not a log of a known format .*: only 1 of the first \d+ lines fit"):
         detect(b"\n".join(lines))
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        b"1 2 3 0",  # a table of numbers would be one of TRC, were its first column anything
-        b"1,2,0,3,0",  # and this one of GVRET
-        b"1.5 car",  # an event of CRTD by its first letter
-        b"0.5 some text behind a number",  # and one of ASC by its time
-        b"12:30:45:100 called, nobody there",
-        b"; a setting",
-    ],
-)
-def test_tables_of_something_else_are_no_logs(line: bytes) -> None:
-    with pytest.raises(SourceError, match="not a log of a known format"):
-        detect(b"\n".join([line] * 200))
-    for one in LINES.values():
-        with pytest.raises(SourceError, match="only 1 of"):
-            detect(b"\n".join([line] * 9 + [one]) if not line.startswith(b";") else b"\n".join([PROSE] * 9 + [one]))
-
-
-def test_a_line_that_the_probe_cuts_does_not_count() -> None:
-    line = LINES[LogFormat.CRTD] + b" 00" * 1_000
-    probe = (PROSE + b"\n" + LINES[LogFormat.CANDUMP] + b"\n") * 2 + LINES[LogFormat.CANDUMP] + b"\n" + line * 50
-    assert detect(probe[:PROBE_BYTES]).format is LogFormat.CANDUMP
-
-
-@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
-def test_a_text_in_utf_16_is_said_to_be_one(encoding: str) -> None:
-    text = b"\n".join([LINES[LogFormat.CANDUMP]] * 5).decode()
-    for mark in (b"", codecs.BOM_UTF16_BE if encoding.endswith("be") else codecs.BOM_UTF16_LE):
-        probe = text.encode(encoding)
-        with pytest.raises(SourceError, match="UTF-16: convert it to UTF-8"):
-            detect(probe if probe.startswith(mark) else mark + probe)
-
-
-@pytest.mark.parametrize(
-    ("probe", "name"),
-    [
-        (b"7z\xbc\xafrest", "a 7z archive"),
-        (b"\xd4\xc3\xb2\xa1".ljust(24, b"\1"), "a pcap capture of another"),
-        (b"\x89PNG\r\n", "a picture"),
-    ],
-)
-def test_other_formats_are_named(probe: bytes, name: str) -> None:
-    with pytest.raises(SourceError, match=name):
-        detect(probe)

@@ -1,15 +1,14 @@
 """Tables of signals: headers of many writers, cells that are none, and what becomes of each value."""
 
 import io
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
-from canlog.database.signal_columns import SignalColumn, column_id, columns_database
-from canlog.errors import DefinitionError, SourceError
+from canlog.database.signal_columns import SignalColumn, column_id
+from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
-from canlog.logs.detection import PROBE_BYTES, LogFormat, detect
+from canlog.logs.detection import LogFormat, detect
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.signal_tables import read_signal_table, table_header
 from tests.support.batches import read_whole
@@ -85,11 +84,6 @@ def test_tables_of_many_writers_hold_the_same(writer: str) -> None:
     assert not counts.rejected
 
 
-def test_dates_are_those_of_universal_time() -> None:
-    batch, _ = read(WRITERS["dates"])
-    assert batch.t_ns[0] == (31 * 86_400 + 10) * 1_000_000_000
-
-
 @pytest.mark.parametrize(
     ("steps", "unit"), [([0.037] * 3, "s"), ([37] * 3, "ms"), ([37_000] * 3, "us"), ([37_000_000] * 3, "ns")]
 )
@@ -110,13 +104,6 @@ def test_blank_cells_are_no_values_and_bad_ones_are_counted_with_their_place() -
     assert counts.first_rejected.startswith("line ")
 
 
-def test_a_bad_cell_among_numbers_of_two_digits_makes_no_bytes_of_them() -> None:
-    text = b"Time [s],Oil [degC]\n" + b"".join(b"%d,%s\n" % (row, b"?bad" if row == 5 else b"80") for row in range(40))
-    batch, counts = read(text)
-    assert values(batch, "Oil") == [80.0] * 39
-    assert counts.rejected == {LogReject.MALFORMED: 1}
-
-
 def test_switches_in_words_are_numbers_and_columns_of_words_are_left_out_and_named() -> None:
     text = b"Time [s],Cut,Mode\n1,On,sport\n2,OFF,sport\n3,on,eco\n4,off,eco\n"
     batch, counts = read(text)
@@ -135,84 +122,6 @@ def test_columns_behind_a_second_clock_of_another_pace_are_left_out_and_named(fi
     assert "'time_b' is another clock than that of the rows; left out are time_b, B" in counts.notes
 
 
-@pytest.mark.parametrize("clock", ["Run time [h]", "Lap Time [s]", "Device Time"])
-def test_columns_behind_what_is_no_other_clock_stay(clock: str) -> None:
-    cells = {"Run time [h]": "{0:.1f}", "Lap Time [s]": "{1:.2f}", "Device Time": "00:00:{2:05.2f}"}[clock]
-    told = [cells.format(row // 50 / 10, row % 90 / 100, row / 100) for row in range(300)]
-    batch, counts = read(
-        "".join([f"Time [s],{clock},B\n", *(f"{n / 100},{one},5\n" for n, one in enumerate(told))]).encode()
-    )
-    assert values(batch, "B") == [5.0] * 300
-    assert not [note for note in counts.notes if "another clock" in note]
-
-
-def test_a_comma_in_quotes_groups_digits_where_commas_separate_unless_it_is_a_decimal_one() -> None:
-    rows = "".join(f'{row / 10},"{900 + row:,}",1\n' for row in range(200))
-    assert values(read(f"Time [s],Speed [rpm],A\n{rows}".encode())[0], "Speed") == [900.0 + row for row in range(200)]
-    rows = "".join(f'"{row // 8},{row % 8 * 125:03d}","1,195"\n' for row in range(20))
-    batch, _ = read(f"Time [s],A\n{rows}".encode())
-    assert values(batch, "A") == [1.195] * 20
-    assert batch.t_ns[1] == 125_000_000
-
-
-def test_a_gear_that_is_a_word_at_first_is_read_and_its_words_are_no_values() -> None:
-    gears = ["N" if row < 150 else "R" if row > 14_990 else str(1 + row // 5000) for row in range(15_000)]
-    batch, counts = read("".join(["Time [s],Gear\n", *(f"{row},{gear}\n" for row, gear in enumerate(gears))]).encode())
-    assert len(values(batch, "Gear")) == 15_000 - 150 - 9
-    assert "'Gear' has no value at N" in counts.notes
-    assert not counts.rejected
-
-
-@pytest.mark.parametrize("before", ["ETAS\trecord\tTab\nCount\t90", "Car\tGolf\tR\nRoad\twet\tcold"])
-def test_words_as_wide_as_the_table_are_no_header(before: str) -> None:
-    rows = "".join(f"{row / 100}\t{row}\t5\n" for row in range(90))
-    header = table_header(f"{before}\ntime\tA\tB\nf8\tf8\tf8\ns\trpm\tbar\n{rows}".encode())
-    assert header is not None
-    assert header.columns == (SignalColumn("A", "rpm"), SignalColumn("B", "bar"))
-
-
-@pytest.mark.parametrize(
-    "times", [range(1_700_000_000_000, 1_700_000_000_040), [1_700_000_000_000 + row // 2 for row in range(40)]]
-)
-def test_milliseconds_since_1970_are_told_by_their_size(times: Sequence[int]) -> None:
-    batch, counts = read("".join(["Time,A\n", *(f"{one},5\n" for one in times)]).encode())
-    assert batch.t_ns.tolist() == [one * 1_000_000 for one in times]
-    assert "times are taken as ms: as such they count from 1970" in counts.notes
-
-
-def test_detecting_and_reading_find_the_same_columns_whatever_the_probe_cuts() -> None:
-    rows = "".join(f"{row / 100:.2f};{row};{'öööö' if row < 4500 else row}\n" for row in range(9000))
-    for shift in range(4):
-        text = f"{'x' * shift}Zeit [s];Öldruck [bar];Zustand\n{rows}".encode()
-        batch, _ = read(text)
-        assert [one.name for one in detect(text[:PROBE_BYTES]).columns] == ["Öldruck"]
-        assert set(batch.can_id.tolist()) == {column_id("Öldruck") | EXTENDED_FLAG}
-
-
-def test_a_name_that_comes_twice_is_numbered() -> None:
-    batch, counts = read(b"Time [s],A,A\n1,1,2\n2,3,4\n3,5,6\n")
-    assert values(batch, "A") == [1.0, 3.0, 5.0]
-    assert values(batch, "A (2)") == [2.0, 4.0, 6.0]
-    assert [note for note in counts.notes if "'A'" in note]
-
-
-def test_many_names_that_come_twice_hide_no_unit_that_was_assumed_nor_the_notes_of_other_logs() -> None:
-    names = [f"S{number}" for number in range(12)]
-    rows = "".join(f"{10 * row},{','.join(['1.5'] * 24)}\n" for row in range(50))
-    _, counts = read(f"Time,{','.join(2 * names)}\n{rows}".encode())
-    assert "times are taken as ms: their steps are 10" in counts.notes
-    total = LogCounts()
-    for number in range(12):
-        total.add(LogCounts(notes=(f"log{number}: times are taken as ms",)))
-    assert len(total.notes) == 12
-
-
-def test_times_of_day_go_on_over_midnight() -> None:
-    rows = b"".join(b"00:00:00.%d,2\n" % tenth for tenth in range(10))
-    batch, _ = read(b"Time,A\n23:59:59.8,0\n23:59:59.9,1\n" + rows)
-    assert np.diff(batch.t_ns).tolist() == [100_000_000] * 11
-
-
 @pytest.mark.parametrize("end", range(1, 30))
 def test_a_table_cut_anywhere_tells_no_value_that_was_not_written(end: int) -> None:
     text = WRITERS["plain"] + b"10.148,1004.25,123.456"
@@ -220,19 +129,6 @@ def test_a_table_cut_anywhere_tells_no_value_that_was_not_written(end: int) -> N
     assert set(values(batch, "Speed")) <= {*SPEEDS, 1004.25}
     assert values(batch, "Pressure") == PRESSURES
     assert counts.truncated is (end < 22)
-
-
-def test_a_separator_between_the_brackets_of_a_name_separates_nothing() -> None:
-    rows = "".join(f"{n / 10},{n + 1000},{n},{n * 2}\n" for n in range(10))
-    text = f"Offset,RPM,Probe -> AEM (03x0,2340,5130),Pressure (kPa)\ns,rpm,,\n\n[Channel Data]\n{rows}".encode()
-    names = ["RPM", "Probe -> AEM (03x0,2340,5130)", "Pressure"]
-    for whole in (text, text.replace(b"\ns,rpm,,", b"")):
-        found = detect(whole)
-        assert [one.name for one in found.columns][0::2] == names[0::2]
-        batch, counts = read(whole)
-        assert values(batch, "Pressure") == [2.0 * n for n in range(10)]
-        assert values(batch, found.columns[1].name) == [float(n) for n in range(10)]
-        assert counts.rejected == {}
 
 
 @pytest.mark.parametrize("units", ["", "s,rpm,kPa\n"])
@@ -254,15 +150,6 @@ def test_a_header_that_stands_again_between_rows_loses_nothing(count: int, units
     assert counts.rejected == {}
 
 
-def test_rows_behind_a_header_of_other_columns_are_counted_not_mixed() -> None:
-    rows = "".join(f"{n},{n + 1000},{n / 8}\n" for n in range(10))
-    other = "Time,Pressure,Speed\n" + "".join(f"{n},1,2\n" for n in range(10, 15))
-    batch, counts = read(f"Time,Speed,Pressure\n{rows}{other}Time,Speed,Pressure\n20,7,8\n".encode())
-    assert values(batch, "Speed") == [*range(1000, 1010), 7]
-    assert counts.rejected == {LogReject.MALFORMED: 5}
-    assert counts.first_rejected == "line 13, behind a header of other columns: malformed"
-
-
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
 @pytest.mark.parametrize("is_ended", [True, False])
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
@@ -281,14 +168,6 @@ def test_a_short_table_is_read_whole_or_refused(count: int, is_ended: bool, newl
     assert counts.rejected == ({} if is_ended else {LogReject.CUT_OFF: 1})
 
 
-def test_long_tables_are_read_in_blocks() -> None:
-    rows = 60_000
-    lines = "\n".join(f"{0.01 * row:.2f},{row},{row / 8}" for row in range(rows))
-    batch, counts = read(f"Time [s],A,B\n{lines}\n".encode())
-    assert values(batch, "A") == list(range(rows))
-    assert counts.frames == 2 * rows
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -303,15 +182,3 @@ def test_other_tables_are_not_taken_for_one(text: bytes) -> None:
     assert table_header(text) is None
     with pytest.raises(SourceError):
         list(read_signal_table(io.BytesIO(text), LogCounts()))
-
-
-def test_columns_make_a_database_whose_names_are_theirs() -> None:
-    database = columns_database(COLUMNS)
-    message = database.get_message_by_name("Speed")
-    assert message.frame_id == column_id("Speed")
-    assert message.decode(np.float64(12.25).tobytes()) == {"Speed": 12.25}
-
-
-def test_names_that_cannot_be_told_apart_are_an_error() -> None:
-    with pytest.raises(DefinitionError, match="cannot be told apart"):
-        columns_database([SignalColumn(name, "") for name in ("plumless", "buckeroo")])  # one CRC-32 for both

@@ -1,7 +1,6 @@
 """Text tables: what each format's lines mean, and that no line goes uncounted."""
 
-from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import datetime
 
 import numpy as np
 import pytest
@@ -181,102 +180,6 @@ def test_busmaster_has_three_kinds_of_time(mode: bytes, elapsed_us: list[int]) -
 
 
 @pytest.mark.parametrize(
-    ("counts", "elapsed_us", "note"),
-    [
-        ((b"3329", b"5", b"0005"), (332_900, 500, 500), ""),  # of 100 us, padded or not
-        ((b"0005", b"0012"), (500, 1_200), ""),
-        ((b"332", b"5", b"12", b"005"), (332_000, 5_000, 12_000, 5_000), "milliseconds"),
-        ((b"332900", b"000500"), (332_900, 500), ""),
-    ],
-)
-def test_busmaster_counts_behind_the_seconds(counts: tuple[bytes, ...], elapsed_us: tuple[int, ...], note: str) -> None:
-    lines = b"".join(b"0:0:1:" + count + b" Rx 1 0x7 s 0\n" for count in counts)
-    batch, found = read(LogFormat.BUSMASTER, BUSMASTER % b"ABSOLUTE" + lines)
-    start_us = int(LOCAL_START.timestamp()) * 10**6 + 325_000
-    assert (batch.t_ns // 1000 - start_us - 10**6).tolist() == list(elapsed_us)
-    assert not found.rejected
-    assert note in "".join(found.notes)
-    assert bool(note) == bool(found.notes)
-
-
-def test_busmaster_in_decimal() -> None:
-    header = (BUSMASTER % b"SYSTEM").replace(b"***HEX***", b"***DEC***")
-    lines = (
-        b"23:59:38:0000 Rx 1 291 s 3 000 010 255\n23:59:38:0001 Tx 2 419360000 x 2 7 08\n"
-        b"23:59:38:0002 Rx 1 7 sr 3\n23:59:38:0003 Rx 1 291 s-fd 12 1 2 3 4 5 6 7 8 9 10 11 12\n"
-        b"23:59:38:0004 Rx 1 291 s 2 10 256\n23:59:38:0005 Rx 1 0x123 s 1 10\n23:59:38:0005 Rx 1 2048 s 1 10\n"
-        b"***HEX***\n23:59:38:0006 Rx 1 0x123 s 1 10\n"
-    )
-    batch, counts = read(LogFormat.BUSMASTER, header + lines)
-    found = [(can_id, payload, flags) for _, can_id, _, payload, flags, _ in rows(batch)]
-    assert found == [
-        (291, "000aff", 0),
-        (419_360_000 | EXTENDED_FLAG, "0708", TX_FLAG),
-        (7 | REMOTE_FLAG, "000000", 0),
-        (291, "0102030405060708090a0b0c", FD_FLAG),
-        (0x123, "10", 0),
-    ]
-    assert counts.rejected == {LogReject.MALFORMED: 3}
-
-
-def test_a_last_decimal_byte_may_be_missing_digits() -> None:
-    header = (BUSMASTER % b"SYSTEM").replace(b"***HEX***", b"***DEC***")
-    whole = header + b"23:59:38:0000 Rx 1 291 s 3 000 010 255"
-    batch, counts = read(LogFormat.BUSMASTER, whole)
-    assert (len(batch), counts.truncated) == (1, False)
-    for missing in range(1, 20):
-        _, counts = read(LogFormat.BUSMASTER, whole[:-missing])
-        assert counts.truncated
-        assert counts.rejected == {LogReject.CUT_OFF: 1}
-
-
-@pytest.mark.parametrize(
-    ("start", "t_ns"),
-    [
-        (b"1:2:2026 23:59:37:7", int(LOCAL_START.replace(microsecond=7_000).timestamp() * 1e6) * 1000),
-        (b"2026-02-01 23:59:37.325", int(LOCAL_START.timestamp() * 1e6) * 1000),
-        (b"soon", None),
-    ],
-)
-def test_busmaster_starts(start: bytes, t_ns: int | None) -> None:
-    header = (BUSMASTER % b"ABSOLUTE").replace(b"1:2:2026 23:59:37:325", start)
-    batch, counts = read(LogFormat.BUSMASTER, header + b"0:0:1:0000 Rx 1 0x7 s 0\n")
-    assert batch.t_ns.tolist() == [(t_ns or 0) + 10**9]
-    assert bool(counts.notes) == (t_ns is None)
-
-
-def gvret(times: Sequence[str]) -> bytes:
-    return GVRET_HEADER + b"".join(b"%s,123,false,Rx,0,8,1,2,3,4,5,6,7,8\n" % time.encode() for time in times)
-
-
-@pytest.mark.parametrize(("per_second", "unit"), [(1_000_000, ""), (1_000, "milliseconds"), (1, "seconds")])
-@pytest.mark.parametrize("first_s", [0, -3, 1_600_000_000])
-def test_the_load_of_the_bus_tells_the_unit_of_gvret(per_second: int, unit: str, first_s: int) -> None:
-    gap_s = 0.004
-    times = [f"{(first_s + gap_s * k) * per_second:.{3 if per_second == 1 else 0}f}" for k in range(2_000)]
-    batch, counts = read(LogFormat.GVRET, gvret(times))
-    assert batch.t_ns.tolist() == [round((first_s + gap_s * k) * 1e6) * 1000 for k in range(2_000)]
-    assert counts.rejected == {}
-    assert (unit in counts.notes[0]) if unit else not counts.notes
-
-
-def test_a_slow_bus_and_a_short_log_keep_microseconds() -> None:
-    for times in ([str(100_000 * k) for k in range(200)], ["1", "2", "3"]):
-        batch, counts = read(LogFormat.GVRET, gvret(times))
-        assert batch.t_ns.tolist() == [int(time) * 1000 for time in times]
-        assert not counts.notes
-
-
-def test_the_directions_of_gvret_and_the_new_trc() -> None:
-    lines = b"1,123,false,Rx,0,0\n2,123,false,Tx,0,0\n3,123,false,tx,0,0\n4,123,false,,0,0\n"
-    batch, _ = read(LogFormat.GVRET, GVRET_HEADER + lines)
-    assert [row[4] for row in rows(batch)] == [0, TX_FLAG, TX_FLAG, 0]
-    lines = b"1 1.0 DT 1 0300 Rx - 0\n2 2.0 FD 1 0300 Tx - 0\n3 3.0 DT 1 0300 - - 0\n"
-    batch, _ = read(LogFormat.TRC, TRC_21 + lines)
-    assert [row[4] for row in rows(batch)] == [0, TX_FLAG | FD_FLAG, 0]
-
-
-@pytest.mark.parametrize(
     ("log_format", "header", "line"),
     [
         (LogFormat.CSV, CSV_HEADER, b"0.5,0x1,0,0,0,2,AQ=="),
@@ -344,16 +247,6 @@ def test_a_last_line_counts_only_if_nothing_of_it_can_be_missing(log_format: Log
         assert counts.rejected == {LogReject.CUT_OFF: 1}
 
 
-def test_events_between_frames_are_skipped() -> None:
-    text = (
-        TRC_21 + b"  1   1.0 ST 1  - Rx -  4  00 00 00 08 \r\n  2   2.0 EC 1 - Rx - 2 01 02\r\n"
-        b"  3   3.0 DT 1  0300 Rx -  0 \r\n; the end\r\n"
-    )
-    batch, counts = read(LogFormat.TRC, text)
-    assert rows(batch) == [(NOON_NS + 3_000_000, 0x300, 0, "", 0, 1)]
-    assert counts == LogCounts(frames=1, skipped=6)
-
-
 def test_blocks_cut_lines_anywhere_and_a_longer_payload_loses_nothing() -> None:
     lines = [b"%d,00000%03X,false,Rx,0,8,01,02,03,04,05,06,07,08\n" % (k * 1_000, k % 0x800) for k in range(100_000)]
     lines[60_000] = b"60000000,00000123,false,Rx,0,12," + b",".join([b"5A"] * 12) + b"\n"
@@ -365,14 +258,3 @@ def test_blocks_cut_lines_anywhere_and_a_longer_payload_loses_nothing() -> None:
     assert counts == LogCounts(
         frames=99_999, skipped=1, rejected={LogReject.MALFORMED: 1}, first_rejected="line 70002: malformed"
     )
-
-
-def test_a_line_without_end_does_not_fill_the_memory() -> None:
-    _, counts = read(LogFormat.CRTD, b"12.6 R11 402 00\n" + b"x" * 5_000_000 + b"\n12.6 R11 402 00\n")
-    assert counts.frames == 2
-    assert counts.rejected == {LogReject.MALFORMED: 1}
-
-
-def test_the_epoch_of_pcan_is_a_day_number() -> None:
-    batch, _ = read(LogFormat.TRC, b";$FILEVERSION=1.1\n;$STARTTIME=25569.0\n 1) 0.0 Rx 0300 0\n")
-    assert rows(batch)[0][0] == int(datetime(1970, 1, 1, tzinfo=UTC).timestamp())

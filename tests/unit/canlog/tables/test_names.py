@@ -26,22 +26,9 @@ def names(*messages: tuple[str, int, tuple[str, ...]]) -> TableNames:
     )
 
 
-def test_names_that_differ_stay_plain() -> None:
-    found = names(("A", 1, ("X", "Y")), ("B", 2, ("X",)))
-    assert found.messages == ("A", "B")
-    assert list(found.columns.values()) == ["A.X", "A.Y", "B.X"]
-
-
 def test_dots_that_make_two_columns_alike() -> None:
     found = names(("A.B", 1, ("C",)), ("A", 2, ("B.C", "D")))
     assert list(found.columns.values()) == ["A.B@0x001.C", "A@0x002.B.C", "A.D"]
-
-
-def test_a_signal_that_is_called_like_a_text_column() -> None:
-    found = names(("A", 1, ("X", "X.text", "Y")))
-    columns = list(found.columns.values())
-    assert columns[2] == "A.Y"
-    assert len({*columns, *(f"{column}.text" for column in columns)}) == 6
 
 
 def test_in_the_last_resort_there_are_numbers() -> None:

@@ -1,13 +1,8 @@
 """What each protocol says of messages that are not whole."""
 
-import tracemalloc
-
-import numpy as np
 import pytest
 
-from canlog.frames import EXTENDED_FLAG
 from canlog.transport import Fault, Protocol, Reassembler, Transfer
-from tests.support.batches import frames_at
 from tests.support.transport_traffic import MS, Sent, batch_of
 
 
@@ -57,13 +52,6 @@ def test_what_is_not_whole_is_counted_with_its_reason(
     assert incomplete[protocol, fault] == 1
 
 
-def test_packets_of_a_longer_message_without_announcement_are_not_taken_for_a_shorter_one() -> None:
-    packets = [(60 * k, TP_DT, f"{k:02X}{k:02X}{'00' * 6}") for k in (1, 2, 3)]
-    found, incomplete = put_together((0, TP_CM, "200E0002FFCAFE00"), *packets)
-    assert found == []
-    assert incomplete[Protocol.J1939_TP, Fault.FRAME_MISSING] == 1
-
-
 @pytest.mark.parametrize(
     ("lines", "counted"),
     [
@@ -104,15 +92,6 @@ def test_what_is_left_of_two_messages_is_counted_twice_and_of_one_once(
     assert (found, sum(incomplete.values())) == ([], counted)
 
 
-def test_a_last_packet_needs_no_padding() -> None:
-    for last, tail in (("02080910", ""), ("0208091011", "11")):
-        lines = [(0, TP_CM, "200A0002FFCAFE00"), (60, TP_DT, "0101020304050607"), (120, TP_DT, last)]
-        found, incomplete = put_together(*lines)
-        assert ([one.data.hex() for one in found], incomplete) == ([] if tail else ["01020304050607080910"], {
-            (Protocol.J1939_TP, Fault.FRAME_MISSING): 1,
-        } if tail else {})  # fmt: skip
-
-
 @pytest.mark.parametrize(
     ("lines", "fault"),
     [
@@ -138,21 +117,6 @@ def test_what_is_cut_is_counted_once(lines: list[tuple[int, int, str]], fault: t
     assert put_together(*lines) == ([], {fault: 1})
 
 
-def test_a_packet_that_was_cut_may_come_again() -> None:
-    packets = [(4, TO_DT, "0101"), (9, TO_DT, "0101020304050607"), (14, TO_DT, "02080910000000FF"), (18, TO_DT, "0208")]
-    packets[3:3] = [(16, TO_DT, "0208091000000000")]  # padded otherwise than what came before
-    found, incomplete = put_together((0, TO_CM, "100A0002FFCAFE00"), *packets, (22, BACK_CM, "130A0002FFCAFE00"))
-    assert ([one.data.hex() for one in found], incomplete) == (["01020304050607080910"], {})
-
-
-def test_zeros_behind_a_message_are_padding() -> None:
-    found, incomplete = put_together(
-        (0, TP_CM, "200A0002FFCAFE00"), (60, TP_DT, "0101020304050607"), (120, TP_DT, "0208091000000000"),
-    )  # fmt: skip
-    assert [one.data.hex() for one in found] == ["01020304050607080910"]
-    assert incomplete == {}
-
-
 def test_a_frame_of_another_sender_or_channel_does_not_interrupt() -> None:
     found, incomplete = put_together(
         (0, 0x7E8, "100A620102030405"), (1, 0x7E9, "100A720102030405"), (2, 0x7E0, "023E000000000000"),
@@ -160,22 +124,3 @@ def test_a_frame_of_another_sender_or_channel_does_not_interrupt() -> None:
     )  # fmt: skip
     assert [one.data.hex() for one in found] == ["3e00", "62010203040506070809", "72010203040516171819"]
     assert incomplete == {}
-
-
-def test_many_senders_at_a_time_are_bounded() -> None:
-    reassembler = Reassembler()
-    lines = [(0, EXTENDED_FLAG | 0x18DA0000 | (k & 0xFF) << 8 | k >> 8, "1FFF620102030405") for k in range(5_000)]
-    reassembler.feed(batch_of(frames(*lines)))
-    assert reassembler.counts.incomplete[Protocol.ISO_TP, Fault.TOO_MANY] >= 3_900
-    reassembler.close()
-    assert reassembler.counts.incomplete_count == 5_000
-
-
-def test_noise_of_any_length_takes_no_memory() -> None:
-    reassembler = Reassembler()
-    tracemalloc.start()
-    for first in range(0, 200_000, 20_000):
-        reassembler.feed(frames_at(np.arange(20_000) * MS, EXTENDED_FLAG + first + np.arange(20_000)))
-    held_bytes = tracemalloc.get_traced_memory()[0]
-    tracemalloc.stop()
-    assert held_bytes < 1_000_000  # a few bytes for each identifier would be more

@@ -24,11 +24,3 @@ def test_every_part_of_a_cell_is_escaped() -> None:
         f"<td>{NONE}</td></tr>\n"
         f'<tr><th scope="row">{SAFE}</th></tr>\n'
     )
-
-
-def test_each_cell_has_the_name_of_its_column_for_narrow_screens() -> None:
-    long = "a sentence on what to do, which needs a line of its own"
-    assert rows_markup([("car1", "2", long)], ("vehicle", Link(text="clutch", href="/?sort=clutch"), "what to do")) == (
-        '<tr><th scope="row" data-name="vehicle">car1</th><td data-name="clutch">2</td>'
-        f'<td data-name="what to do" class="wide">{long}</td></tr>\n'
-    )

@@ -36,20 +36,6 @@ def test_a_line_breaks_where_nothing_is_known() -> None:
     assert drawn(plot, "line").count("M") == 2
 
 
-def test_a_band_has_a_piece_for_each_known_stretch() -> None:
-    plot = Plot("band", UNIT, UNIT)
-    low = np.array([0.1, 0.1, np.nan, 0.2, 0.2])
-    plot.band(np.linspace(0.0, 1.0, 5), low, low + 0.1, "band")
-    assert drawn(plot, "band").count("Z") == 2
-    assert len(points(drawn(plot, "band"))) == 8
-
-
-def test_dots_that_are_not_known_are_left_out() -> None:
-    plot = Plot("dots", UNIT, UNIT)
-    plot.dots(np.array([0.1, 0.2, 0.3]), np.array([0.5, np.nan, 0.5]), "clutch1")
-    assert len(points(drawn(plot, "dots clutch1"))) == 2
-
-
 def test_a_text_is_no_markup() -> None:
     plot = Plot('a "picture" <of> & things', UNIT, Axis(low=0.0, high=1.0, label="<script>"))
     plot.level(0.5, "watch", "<b>&</b>")
@@ -60,13 +46,6 @@ def test_a_text_is_no_markup() -> None:
     assert root.get("aria-label") == 'a "picture" <of> & things'
     assert root.get("role") == "img"
     assert "<b>&</b>" in [one.text for one in root.iter("text")]
-
-
-def test_a_level_outside_the_picture_is_not_drawn() -> None:
-    plot = Plot("level", UNIT, UNIT)
-    before = str(plot.markup())
-    plot.level(2.0, "watch", "far away")
-    assert str(plot.markup()) == before
 
 
 @pytest.mark.parametrize(
@@ -82,15 +61,6 @@ def test_ticks_are_few_round_and_told_apart(low: float, high: float) -> None:
     assert [float(text) for text in texts] == pytest.approx(ticks)
 
 
-@pytest.mark.parametrize("values", [[], [np.nan], [3.0], [0.0], [-2.0, 5.0, np.inf]])
-def test_an_axis_shows_whatever_there_is(values: list[float]) -> None:
-    axis = Axis.around("x", np.array(values))
-    assert np.isfinite([axis.low, axis.high]).all()
-    assert axis.high > axis.low
-    for value in values:
-        assert not np.isfinite(value) or axis.low <= value <= axis.high
-
-
 def test_of_many_values_the_extremes_of_each_stretch_are_kept() -> None:
     values = np.zeros(10_000)
     values[1234], values[7777] = 5.0, -5.0
@@ -98,8 +68,3 @@ def test_of_many_values_the_extremes_of_each_stretch_are_kept() -> None:
     assert len(kept) <= 610
     assert {0, 1234, 7777, 9999} <= set(kept.tolist())
     assert (np.diff(kept) > 0).all()
-
-
-def test_few_values_are_all_kept_and_unknown_ones_do_no_harm() -> None:
-    assert thinned(np.arange(600.0), 600).tolist() == list(range(600))
-    assert len(thinned(np.full(5_000, np.nan), 100)) == 2

@@ -1,6 +1,5 @@
 """Results as rows, and as what libraries call a table."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from matplotlib.colors import to_hex
 from diag_service import Analysis, ShiftResult
 from diag_service.api.analysis import ResultTable
 from diag_service.api.picture import CONDITION_COLOUR
-from diag_service.diagnosis.records import Condition, Reason, Revision, Status
+from diag_service.diagnosis.records import Condition
 from tests.support.histories import history
 
 TYPES = {"seq": "int64", "friction.mu_c": "float64", "reasons": "string", "complete": "bool"}
@@ -43,14 +42,6 @@ def test_libraries_take_it_with_its_types() -> None:
     assert ResultTable(TYPES, []).to_arrow().schema == table.to_arrow().schema
 
 
-def test_a_notebook_shows_the_columns_that_have_values() -> None:
-    html = ResultTable({**TYPES, "empty": "string"}, ROWS * 15)._repr_html_()
-    assert "<th>friction.mu_c</th>" in html
-    assert "empty" not in html
-    assert "interrupted;&lt;b&gt;" in html
-    assert html.endswith("<p>and 10 more rows</p>")
-
-
 def analysis_of(results: list[ShiftResult], *incomplete: str, name: str = "drive.log") -> Analysis:
     summary = {"vehicle": "car1", "complete": not incomplete, "incomplete": incomplete, "clutches": [], "order": ""}
     return Analysis(paths=(Path(name),), results=tuple(results), summary=summary)
@@ -79,33 +70,8 @@ def test_the_thresholds_of_the_verdict_are_drawn() -> None:
         assert "mu_C below 80 % of new: change fluid" in words
 
 
-def test_the_picture_shows_shifts_as_the_table_has_them() -> None:
-    first, *others, last = history(5)
-    revision = Revision(
-        clutch=first.estimate.clutch,
-        end_bus_ns=first.estimate.end_ns,
-        status=Status.REJECTED,
-        reasons=(Reason.IMPLAUSIBLE,),
-        friction=None,
-        scale_free=None,
-    )
-    revised = [first, *others, replace(last, estimate=replace(last.estimate, revisions=(revision,)))]
-    for results, count in ((history(5), 3), (revised, 2)):
-        analysis = analysis_of(results)
-        is_shown = [row["clutch"] == 1 and row["status"] == "valid" for row in analysis.shifts]
-        dots = analysis.plot().axes[0].containers[0][0].get_xdata()
-        assert (len(dots), sum(is_shown)) == (count, count)
-
-
 def test_the_picture_of_a_part_of_a_drive_tells_no_verdict() -> None:
     for incomplete, is_told in (((), True), (("log_cut",), False)):
         axes = analysis_of(history(9), *incomplete).plot().axes[0]
         colours = {to_hex(strip.get_facecolor()) for strip in axes.patches}
         assert (colours != {CONDITION_COLOUR[Condition.NO_VERDICT]}) == is_told
-
-
-def test_a_name_that_is_no_text_is_shown_all_the_same() -> None:
-    analysis = analysis_of(history(2), name="log\udce9.log")
-    assert "log\\xe9.log" in repr(analysis)
-    assert "log\\xe9.log" in analysis._repr_html_()
-    assert analysis.plot().axes[0].get_title(loc="right") == "log\\xe9.log"

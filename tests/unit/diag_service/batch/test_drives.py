@@ -55,14 +55,3 @@ def test_a_link_to_a_log_of_the_folder_is_left_out_and_its_log_is_read_once(fold
         ("a link.log", f"a link to {folder / 'b.log'}, which is read already"),
         ("sub/z.log", f"a link to {folder / 'b.log'}, which is read already"),
     ]
-
-
-def test_a_link_to_a_log_elsewhere_is_a_log_once(folder: Path) -> None:
-    inside = folder / "sub"
-    for name in ("l.log", "m.log"):
-        (inside / name).symlink_to(folder / "b.log")
-    found = find_drives([inside])
-    assert [drive.paths for drive in found.drives] == [(inside / "a.dat",), (inside / "l.log",)]
-    assert [(one.path.name, one.reason) for one in found.left_out] == [
-        ("m.log", f"a link to {inside / 'l.log'}, which is read already")
-    ]

@@ -38,14 +38,6 @@ def test_what_was_cut_off_is_dropped(path: Path, tail: bytes) -> None:
         assert path.read_bytes() == whole
 
 
-def test_a_first_line_that_was_cut_off_is_dropped(tmp_path: Path) -> None:
-    path = tmp_path / "out.journal"
-    path.write_bytes(b'{"schema":"clutch')
-    with Journal(path, "a") as journal:
-        assert journal.done == {}
-    assert path.read_bytes() == b""
-
-
 def test_drives_of_other_settings_are_not_done(path: Path) -> None:
     with Journal(path, "b") as journal:
         assert journal.done == {}
@@ -63,8 +55,3 @@ def test_a_file_of_another_program_is_left_alone(tmp_path: Path, content: bytes)
 def test_one_run_at_a_time(path: Path) -> None:
     with Journal(path, "a"), pytest.raises(StoreError, match="in use by another run"):
         Journal(path, "a")
-
-
-def test_a_place_that_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match="No such file"):
-        Journal(tmp_path / "none" / "out.journal", "a")

@@ -1,13 +1,10 @@
 """Results as tables: the columns are the schema's, and a file appears whole or not at all."""
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from canlog.column_files import load_pyarrow
-from canlog.errors import ExtraMissingError
 from diag_service.batch.journal import Entry
 from diag_service.batch.tables import columns, flattened, write_results
 from diag_service.diagnosis.records import shift_record
@@ -39,9 +36,3 @@ def test_a_file_that_cannot_be_completed_does_not_appear(tmp_path: Path, name: s
         write_results(tmp_path / name, broken())
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_bytes() == b"before"
-
-
-def test_without_pyarrow_parquet_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    with pytest.raises(ExtraMissingError, match=r"pip install '\.\[parquet\]' in the checkout"):
-        load_pyarrow()

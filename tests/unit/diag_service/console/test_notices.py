@@ -7,7 +7,6 @@ import pytest
 
 from canlog.errors import NOTICE
 from diag_service.console import set_up_notices
-from diag_service.service.application import first_error
 
 
 @pytest.fixture(autouse=True)
@@ -39,9 +38,3 @@ def test_what_is_shown(verbosity: int, lines: list[str], capsys: pytest.CaptureF
     own.info("detail")
     logging.getLogger("mqtt").error("x")
     assert capsys.readouterr().err.splitlines() == lines
-
-
-def test_the_first_error_of_nested_groups() -> None:
-    first = ValueError("first")
-    group = BaseExceptionGroup("all", [ExceptionGroup("inner", [first, TypeError("second")]), KeyError("third")])
-    assert first_error(group) is first

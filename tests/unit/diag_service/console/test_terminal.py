@@ -4,7 +4,6 @@ import io
 import os
 import pty
 import select
-import termios
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -46,15 +45,6 @@ def test_a_terminal_sees_the_share_from_the_third_second_on(tmp_path: Path) -> N
     assert len(terminal.getvalue()) == told
 
 
-def test_a_pipe_sees_nothing(tmp_path: Path) -> None:
-    pipe = io.StringIO()
-    reader, line = watched(tmp_path / "drive.log", pipe, [100.0])
-    with line:
-        line.show("calibrating")
-        assert sum(len(batch) for batch in reader) == 90_000
-    assert pipe.getvalue() == ""
-
-
 @pytest.fixture(name="keyboard")
 def _keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """Return where a test types; standard input is the terminal that hears it."""
@@ -72,22 +62,6 @@ def test_the_key_ends_it_and_no_other_does(keyboard: int) -> None:
         assert not ended.is_set()
         os.write(keyboard, b"q")
         assert ended.wait(HANG_S)
-
-
-def test_the_terminal_is_as_before(keyboard: int) -> None:
-    before = termios.tcgetattr(keyboard)
-    with ending_key("q", lambda: None):
-        assert termios.tcgetattr(keyboard) != before
-    assert termios.tcgetattr(keyboard) == before
-
-
-def test_without_a_keyboard_nothing_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    for stdin in (None, open(os.devnull, encoding="utf-8")):  # noqa: SIM115, PTH123 - closed below
-        monkeypatch.setattr("sys.stdin", stdin)
-        with ending_key("q", lambda: None) as has_keyboard:
-            assert not has_keyboard
-        if stdin is not None:
-            stdin.close()
 
 
 @contextmanager
@@ -119,9 +93,3 @@ def test_only_a_yes_is_one(monkeypatch: pytest.MonkeyPatch, typed: str, is_yes: 
         os.write(end, f"{typed}\n".encode())
         assert is_confirmed("clear?", lambda: True) is is_yes
         assert_shown(end, b"clear? [y/N] ")
-
-
-def test_a_program_that_shall_end_takes_it_for_a_no(monkeypatch: pytest.MonkeyPatch) -> None:
-    with person(monkeypatch) as end:
-        assert not is_confirmed("clear?", lambda: False)
-        assert_shown(end, b"clear?")

@@ -98,14 +98,6 @@ async def test_what_happens_now_goes_beside_the_backlog_not_in_it(store: ResultS
     assert sorted(seqs(link)) == list(range(1, COUNT + 2))
 
 
-async def test_without_a_backend_nobody_gets_bundles(store: ResultStore) -> None:
-    store.note_takes_bundles(is_taken=True)
-    put(store, range(1, 11))
-    link = MemoryLink()
-    await drained(store, Place(link), Acknowledge.BROKER)
-    assert (link.bundled, len(link.results)) == ([], 10)
-
-
 @pytest.mark.parametrize("says_so", [False, True])
 async def test_bundles_that_nobody_hears_cost_time_and_nothing_else(store: ResultStore, *, says_so: bool) -> None:
     """A backend that was set back does not say that it takes them; behind an access list of before one does."""

@@ -1,23 +1,21 @@
 """The outbox against a broker in memory: order, marks, absence, return, and a bounded goodbye."""
 
 import asyncio
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, closing
 from dataclasses import replace
 
 import pytest
 
-from canlog.errors import NOTICE
 from diag_service.delivery import Acknowledge, DeliveryLimits, MemoryLink, Outbox
 from diag_service.diagnosis.records import shift_record
 from diag_service.errors import PublishError
 from diag_service.store import ResultStore
-from fleet_contract import Outcome, Outgoing, Receipt, key_of, metrics_message, read_message
+from fleet_contract import Outcome, Receipt, key_of
 from tests.support.builders import shift_result
 from tests.support.outboxes import STATE, until
 
 QUICK = DeliveryLimits(first_pause_s=0.001)
-NOW = "2026-01-01T00:00:00.000000Z"
 
 
 class Broker:
@@ -97,31 +95,6 @@ async def test_what_was_acknowledged_just_before_the_connection_broke_is_sent_ag
     await outbox.close(sender)
 
 
-async def test_a_broker_that_lets_us_in_and_refuses_results_is_told_of_once_and_asked_less_and_less_often(
-    store: ResultStore, caplog: pytest.LogCaptureFixture
-) -> None:
-    class Refusing(MemoryLink):
-        async def send(self, messages: Sequence[Outgoing]) -> None:
-            if any(message.topic.endswith("/shift") for message in messages):
-                raise PublishError("clutchdiag/v1/car1/shift was refused")
-
-    caplog.set_level(NOTICE)
-    broker = Broker(*(Refusing() for _ in range(100)))
-    outbox = Outbox(store, "car1", broker.connect, "broker", limits=DeliveryLimits(first_pause_s=0.01))
-    put(store, 1)
-    sender = asyncio.create_task(outbox.run())
-    await until(lambda: broker.attempt_count > 2)
-    await asyncio.sleep(0.6)
-    assert broker.attempt_count < 15
-    assert [record.getMessage() for record in caplog.records] == [
-        "broker broker: clutchdiag/v1/car1/shift was refused; 1 results wait in the store, trying again"
-    ]
-    broker.links[0] = link = MemoryLink()
-    await until(lambda: seqs(link) == [1])
-    await outbox.close(sender)
-    assert caplog.records[-1].getMessage() == "broker broker takes results again"
-
-
 # --- with a backend whose word counts ---
 
 
@@ -187,28 +160,6 @@ async def test_a_silent_backend_gets_no_more_than_a_window_and_what_happens_now(
     outbox.wake()
     await until(lambda: seqs(link)[20:] == [101])
     assert await outbox.close(sender, timeout_s=0.05) == 101
-
-
-async def test_metrics_and_greetings_are_sent(store: ResultStore) -> None:
-    link = MemoryLink()
-    greeting = metrics_message("car1", NOW, {"hello_count": 1})
-    outbox = Outbox(
-        store,
-        "car1",
-        Broker(link).connect,
-        "broker",
-        greetings=[greeting],
-        metrics=lambda numbers: metrics_message("car1", NOW, numbers),
-        limits=QUICK,
-    )
-    put(store, 1, 2)
-    sender = asyncio.create_task(outbox.run())
-    await until(lambda: len(link.others) == 2)
-    await outbox.close(sender)
-    assert link.others[0] == greeting
-    numbers = read_message(link.others[1].topic, link.others[1].payload).data["metrics"]
-    assert isinstance(numbers, dict)
-    assert numbers["outbox_sent_count"] == 2
 
 
 async def test_what_a_dying_worker_took_with_it_is_sent_again_soon(store: ResultStore) -> None:

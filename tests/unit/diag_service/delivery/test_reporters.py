@@ -8,7 +8,7 @@ from rich.console import Console
 
 from diag_service.delivery import ConsoleReporter, JsonLinesReporter, MemoryReporter, News, PipeReporter
 from diag_service.diagnosis.records import Reason, ShiftResult, ShiftStatistics, shift_record
-from diag_service.diagnosis.summary import FrameCounts, Summary, frames_line, shifts_line
+from diag_service.diagnosis.summary import FrameCounts, Summary, frames_line
 from tests.support.builders import rejected, shift_result
 
 FRAMES = FrameCounts(
@@ -35,16 +35,6 @@ def numbers() -> Summary:
     return Summary(vehicle="car1", frames=FRAMES, shifts=statistics, unpublished_count=2)
 
 
-def test_the_numbers_in_words() -> None:
-    assert frames_line(FRAMES) == (
-        "100 frames, 70 decoded, 10 ignored, 13 rejected (12 bad crc, 1 short), 7 dropped, 5 missing, "
-        "0 values not available"
-    )
-    assert shifts_line(numbers()) == (
-        "3 shifts (2 valid, 1 rejected), reasons (1 interrupted), 1 were stored before, 2 wait for the broker"
-    )
-
-
 def test_json_lines_hold_records_only() -> None:
     out, people = io.StringIO(), io.StringIO()
     reporter = JsonLinesReporter(out, Console(file=people))
@@ -65,20 +55,6 @@ def test_json_lines_hold_records_only() -> None:
     assert people.getvalue() == "listening on vcan0\n"
 
 
-def test_people_see_a_line_per_shift_whatever_the_width() -> None:
-    out = io.StringIO()
-    reporter = ConsoleReporter(Console(file=out, width=40))
-    reporter.report("vcan0")
-    reporter.report(shift_result(1))
-    reporter.report(interrupted(2))
-    lines = out.getvalue().splitlines()
-    assert lines[0] == "listening on vcan0"
-    assert " ".join(lines[1].split()) == "shift gears event clutch status mu_C ± 2 std clutch is"
-    assert " ".join(lines[2].split()) == "1 1-2 shift 2 valid 0.1361 0.0024 good"
-    assert " ".join(lines[3].split()) == "2 2-3 shift 1 rejected - - no verdict [interrupted]"
-    assert len(lines) == 4
-
-
 def test_people_see_at_the_end_what_to_do_and_then_the_clutches() -> None:
     out = io.StringIO()
     ConsoleReporter(Console(file=out, width=80)).report(numbers())
@@ -92,18 +68,6 @@ def test_people_see_at_the_end_what_to_do_and_then_the_clutches() -> None:
     assert text.endswith(frames_line(FRAMES) + "\n")
     for special in ("P(slope<0)", "mu_S", "scale-free"):
         assert special not in text
-
-
-def test_specialists_see_what_the_verdict_rests_on() -> None:
-    out = io.StringIO()
-    ConsoleReporter(Console(file=out, width=80), is_detailed=True).report(numbers())
-    text = out.getvalue()
-    assert "0.1200 ± 0.0032" in text
-    assert "clutch 2: mu-v slope negative with probability 0.000" in text
-    assert "  scale-free mu_C 0.1388 ± 0.0018, mu_S 0.1224 ± 0.0026; common scale ± 6.0 %\n" in text
-    assert "  scatter from shift to shift mu_C ± 0.0042, mu_S ± 0.0094 (18 shifts)\n" in text
-    assert "  trend mu_C -1.5 ± 0.9 %, mu_S +0.3 ± 1.7 % against the baseline (15 shifts)\n" in text
-    assert text.endswith(frames_line(FRAMES) + "\n")
 
 
 def test_a_broken_pipe_is_told_once_and_then_nothing_is_written() -> None:

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from benchmarks.real_dct import SIMPLER, predicted_simply
 from canlog.arrays import FloatArray, Series
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, Event
@@ -14,7 +13,6 @@ from diag_service.diagnosis.prediction import (
     NoPhase,
     RelativeSurvey,
     SlipPhase,
-    Standing,
     fitted,
     predicted,
     relative_friction,
@@ -67,21 +65,6 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
         size = said.scale_rad_s[-1] * stdtrit(said.freedom, 0.95)
         inside.append(abs(said.mean_rad_s[-1] - phases[8].change_rad_s[-1]) < size)
     assert np.mean(inside) >= 0.7  # of 24; with eight shifts to learn from 83 of 100 are, where 90 are asked
-
-
-def test_it_is_better_than_what_is_simpler() -> None:
-    rng = np.random.default_rng(3)
-    phases = [phase(rng, 2 + number % 3, noise_rad_s=3.0) for number in range(12)]
-
-    def missed(name: str) -> float:
-        errors = []
-        for one in phases:
-            known = [other for other in phases if other is not one]
-            said = predicted_simply(name, known, one) if name else predicted(fitted(known, TOUCH_PA), one)
-            errors.append(abs(said.mean_rad_s[-1] - one.change_rad_s[-1]))
-        return float(np.mean(errors))
-
-    assert missed("") < 0.7 * min(missed(name) for name in SIMPLER)
 
 
 def test_three_shifts_are_too_few() -> None:
@@ -152,18 +135,6 @@ def test_friction_up_to_a_scale_takes_a_signal_that_goes_with_torque() -> None:
     assert untold.found() == ()
 
 
-def test_a_survey_looks_at_the_last_times_that_the_car_stood() -> None:
-    """A log that goes on for months is a pipe of them."""
-    standing, event = Standing(2), upshift()
-    standing_still = replace(
-        event.columns[Signal.OUTPUT_SPEED], value=np.zeros(len(event.columns[Signal.OUTPUT_SPEED].t_ns))
-    )
-    for touch_pa in (1e5, 2e5, 3e5, 0.0):  # the last is no clutch that is held
-        held = replace(event.columns[Signal.CLUTCH1_PRESSURE], value=np.full(len(standing_still.t_ns), touch_pa))
-        standing.add(replace(event, columns={Signal.OUTPUT_SPEED: standing_still, Signal.CLUTCH1_PRESSURE: held}))
-    assert standing.touch_pa == 2.5e5
-
-
 def with_friction(ratios: FloatArray, rng: np.random.Generator) -> list[SlipPhase]:
     """Make shifts 2-3 and 3-4 by turns, whose friction has these ratios; none in which the engine hardly slows down."""
     made: list[SlipPhase] = []
@@ -186,18 +157,3 @@ def test_the_shift_whose_friction_was_lower_is_told_up_to_a_scale() -> None:
         inside += [abs(one.value - ratios[number]) < 2.0 * one.std for number, one in shifts]
     assert len(inside) == 12 * len(ratios)
     assert np.mean(inside) >= 0.9
-
-
-def test_friction_that_falls_from_shift_to_shift_has_a_trend_and_one_that_stays_has_none() -> None:
-    for fall in (0.0, 0.2):
-        ratios = 1.0 - fall * np.linspace(-0.5, 0.5, 16)
-        for one in relative_friction(with_friction(ratios, np.random.default_rng(2)), TOUCH_PA):
-            assert one.trend.value == pytest.approx(-fall, abs=2.0 * one.trend.std)
-            assert (one.trend.value < -0.1) == (fall > 0.0)
-            assert abs(one.slope_s_rad.value) < 2.0 * one.slope_s_rad.std  # the law has none
-
-
-def test_of_a_clutch_with_one_shift_nothing_is_told() -> None:
-    rng = np.random.default_rng(6)
-    phases = [replace(phase(rng, 3 if place else 2, noise_rad_s=2.0), number=place) for place in range(6)]
-    assert [one.clutch for one in relative_friction(phases, TOUCH_PA)] == [1]

@@ -5,7 +5,7 @@ import pytest
 
 from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.alive_counter import row_period_ns
-from diag_service.diagnosis.alignment import FRAME_AGE_STD_S, RowCurve, held_s
+from diag_service.diagnosis.alignment import RowCurve, held_s
 
 TIMES_S: FloatArray = np.arange(40, dtype=np.float64) * 0.04
 
@@ -18,31 +18,6 @@ def series(t_ns: Int64Array, *, sequence: int = -1, period_ns: int = 0) -> Serie
 def test_columns_with_the_times_of_one_table_have_its_period() -> None:
     rows_ns = np.arange(10) * 37_000_000
     assert row_period_ns([series(rows_ns), series(rows_ns), series(rows_ns[:9])]) == 37_000_000
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        series(np.arange(10) * 37_000_000 + 1_000_000),  # a message with times of its own
-        series(np.arange(10) * 37_000_000, sequence=3),  # one with a counter
-        series(np.arange(10) * 37_000_000, period_ns=10_000_000),  # one with a cycle
-        series(np.empty(0, np.int64)),
-    ],
-)
-def test_messages_of_a_bus_are_no_table(other: Series) -> None:
-    assert row_period_ns([series(np.arange(10) * 37_000_000), other]) == 0
-
-
-def test_a_value_at_rest_is_at_least_as_good_as_its_sensor() -> None:
-    curve = RowCurve(TIMES_S, np.full(40, 5.0), 0.1, 0.01, FRAME_AGE_STD_S)
-    assert curve.value == pytest.approx(np.full(len(curve.value), 5.0))
-    assert np.sqrt(np.diag(curve.covariance(20, 30))).max() < 1.0
-
-
-def test_an_age_of_all_rows_moves_the_whole_curve_one_way() -> None:
-    rising: FloatArray = 100.0 * TIMES_S
-    plain, aged = (RowCurve(TIMES_S, rising, 0.1, age_s, 0.0).covariance(20, 30) for age_s in (0.0, 0.01))
-    assert aged - plain == pytest.approx(np.full((10, 10), (100.0 * 0.01 / 0.1) ** 2), rel=1e-6)
 
 
 @pytest.mark.parametrize("period_s", [0.02, 0.1, 0.3])
@@ -58,20 +33,6 @@ def test_a_curve_states_how_far_it_is_off_between_few_rows(period_s: float) -> N
         off_nm = weights @ (curve.value - _torque_nm(curve.times_s))[first:stop]
         far.append(float(off_nm / np.sqrt(9.0 * weights @ curve.covariance(first, stop) @ weights)))
     assert 0.4 < np.sqrt(np.mean(np.square(far))) < 1.2
-
-
-def test_a_curve_tells_how_much_noise_of_its_rows_it_follows() -> None:
-    """So much is it too high where it is high: what multiplies it would come out too low."""
-    times_s, shared, told, rng = np.arange(0.0, 3.0, 0.005), list[float](), list[float](), np.random.default_rng(1)
-    for _ in range(200):
-        truth = np.cumsum(np.cumsum(rng.normal(0.0, 2e4 * 0.005**0.5, len(times_s)))) * 0.005  # its slope is a walk
-        rows = slice(0, None, 20)
-        curve = RowCurve(times_s[rows], truth[rows] + rng.normal(0.0, 5e3, 30), 5e3, 0.0, 0.0)
-        middle = slice(len(curve.times_s) // 4, 3 * len(curve.times_s) // 4)
-        off = curve.value - np.interp(curve.times_s, times_s, truth)
-        shared.append(float((off * curve.value)[middle].mean()) / 5e3**2)
-        told.append(float(np.diag(curve.followed(middle.start, middle.stop)).mean()))
-    assert 0.1 < np.mean(told) < np.mean(shared) < 0.8
 
 
 def _torque_nm(times_s: FloatArray) -> FloatArray:

@@ -12,8 +12,6 @@ from diag_service.diagnosis.summary import (
     capability_line,
     of_own_fluid,
     order_by,
-    summary_record,
-    values_line,
 )
 from fleet_contract.orders import Action
 from tests.support.builders import shift_result
@@ -51,41 +49,6 @@ def line(capability: Capability, *, has_shift: bool) -> str:
 )
 def test_the_line_for_people(capability: Capability, has_shift: bool, said: str) -> None:
     assert line(capability, has_shift=has_shift) == said
-
-
-def test_the_record_for_programs() -> None:
-    capability = Capability(profile="vw", tier=Tier.KINEMATIC, missing=MISSING, unseen=("pedal_ratio",))
-    record = summary_record(summary_of(capability=capability))
-    assert record["capability"] == {"profile": "vw", "tier": 3, "missing": MISSING, "unseen": ["pedal_ratio"]}
-
-
-def test_an_automatic_without_an_event_is_no_pair_of_clutches() -> None:
-    summary = summary_of(capability=Capability(elements=("lock-up clutch",)))
-    assert summary.order.reasons == ("Lock-up clutch: no event engaged it yet.",)
-    assert "elements" not in str(summary_record(summary)["capability"])
-
-
-def test_which_signals_lost_values_and_why() -> None:
-    invalid = {"pedal_ratio": {"out_of_range": 1}, "engine_speed_rad_s": {"not_available": 3, "out_of_range": 2}}
-    frames = FrameCounts(invalid_values=6, invalid=invalid)
-    assert values_line(frames) == (
-        "6 values of 2 signals were no measurements after the first real one: engine_speed_rad_s (5), pedal_ratio (1)"
-    )
-    at_first = {"engine_speed_rad_s": 2, "pedal_ratio": 1}
-    assert values_line(replace(frames, invalid_at_first=at_first)) == (
-        "3 values of 1 signal were no measurements after the first real one: engine_speed_rad_s (3)"
-    )
-    assert values_line(replace(frames, invalid_at_first={"engine_speed_rad_s": 5, "pedal_ratio": 1})) == ""
-    many = FrameCounts(invalid={f"signal{number}": {"not_available": number} for number in range(1, 28)})
-    assert values_line(many) == (
-        "378 values of 27 signals were no measurements after the first real one: signal27 (27), signal26 (26), "
-        "signal25 (25) and 24 more signals"
-    )
-    assert values_line(FrameCounts()) == ""
-    record = summary_record(summary_of(frames))
-    assert isinstance(record["frames"], dict)
-    assert record["frames"]["invalid_signals"] == invalid
-    assert "invalid_at_first" not in record["frames"]
 
 
 def test_what_rests_on_events_before_a_fill_says_nothing_of_the_fluid_after_it() -> None:

@@ -80,12 +80,6 @@ def test_what_is_no_sound_answer_gives_no_sample(answer: tuple[float, int, str],
     assert why in " ".join(overheard.faults)
 
 
-def test_patience_that_a_controller_asks_for_ends_with_the_age_that_a_sample_may_have() -> None:
-    asked, pending = (10, 0x7E1, "2238EB"), (40, 0x7E9, "7F2278")
-    assert told(asked, pending, (200, 0x7E9, "6238EB0001")) == [(105, 1.0)]
-    assert told(asked, pending, (300, 0x7E9, "6238EB0001")) == []
-
-
 @pytest.mark.parametrize("cut", [1, 2, 7])
 def test_samples_do_not_depend_on_how_the_stream_was_cut(cut: int) -> None:
     says = [
@@ -101,12 +95,6 @@ def test_samples_do_not_depend_on_how_the_stream_was_cut(cut: int) -> None:
     assert found.t_ns.tolist() == expected.t_ns.tolist()
     assert found.data.tolist() == expected.data.tolist()
     assert len(expected) == len(batch) + 160
-
-
-def test_stamps_of_one_moment_in_disorder_are_no_jump_of_time() -> None:
-    batch = batch_of((10, 0x7E1, "2238EB"), (40, 0x7E9, "6238EBFF9C"))
-    batch.t_ns[1] = batch.t_ns[0] - 3000
-    assert samples(Overheard([PRESSURE]), batch, (PRESSURE,)) == [(10, -100.0)]
 
 
 def test_bits_order_and_sign_are_as_the_profile_says() -> None:

@@ -10,20 +10,18 @@ import pytest
 from cantools.database.can import Database
 
 from canlog.e2e.protection_check import FrameReason
-from canlog.frames import ERROR_FLAG, FrameBatch, empty_batch, join
+from canlog.frames import ERROR_FLAG, FrameBatch, join
 from clutch_model.units import pa_from_bar, rad_s_from_rpm
-from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
+from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import Profile, SignalSource, load_profile
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder
-from ecu_emulator.drive.build import ROAD_MESSAGES
 from ecu_emulator.sensing import Readings
 from tests.support import wire
 from tests.support.batches import frames_at
-from tests.support.wire import CONTRACTS, DATABASE, START_NS, drive, of_message
+from tests.support.wire import CONTRACTS, DATABASE, START_NS, drive
 
-TCU_SHIFT: Final = CONTRACTS["TCU_Shift"].can_id
 CORNERS: Final = Path(__file__).parents[3] / "data" / "corners.dbc"
 
 
@@ -123,24 +121,6 @@ def test_bad_and_missing_frames_are_timed() -> None:
     assert counts.is_balanced
 
 
-def test_frames_that_no_signal_needs_are_ignored() -> None:
-    batch = received(drive(0.5))
-    other = FrameBatch(t_ns=batch.t_ns, can_id=batch.can_id + np.uint32(0x400), length=batch.length, data=batch.data)
-    stage = decoder()
-    (columns,) = stage.feed(other)
-    assert not columns.columns
-    assert not len(columns.bad_frame_ns)
-    assert columns.watermark_ns == batch.t_ns[-1]
-    assert stage.counts.ignored == stage.counts.on_bus == len(batch)
-
-
-def test_empty_batch_gives_nothing() -> None:
-    stage = decoder()
-    assert stage.feed(empty_batch()) == []
-    assert stage.counts.on_bus == 0
-    assert stage.counts.is_balanced
-
-
 @pytest.mark.parametrize("shift_ns", [-1000, -3_600_000_000_000, 1_000_001_000, 86_400_000_000_000])
 @pytest.mark.parametrize("together", [True, False])
 def test_jump_of_bus_time_starts_a_new_segment(shift_ns: int, together: bool) -> None:
@@ -155,19 +135,6 @@ def test_jump_of_bus_time_starts_a_new_segment(shift_ns: int, together: bool) ->
     assert stage.counts.missing == 0
     sequences = [part.columns[Signal.HUB_SPEED].sequence.tolist() for part in parts]
     assert sequences == [list(range(50)), list(range(50, 100))]
-
-
-def test_silence_of_up_to_a_second_is_no_jump() -> None:
-    batch = received(drive(0.1))
-    later = replace(batch, t_ns=batch.t_ns + (batch.t_ns[-1] - batch.t_ns[0]) + 1_000_000_000)
-    assert len(decoder().feed(join([batch, later]))) == 1
-
-
-def test_jump_at_every_frame() -> None:
-    batch = of_message(received(drive(0.05)), "TCU_Shift")
-    backwards = FrameBatch(t_ns=batch.t_ns[::-1].copy(), can_id=batch.can_id, length=batch.length, data=batch.data)
-    parts = decoder().feed(backwards)
-    assert [part.breaks_before for part in parts] == [False, True, True, True, True]
 
 
 def profile(**changes: SignalSource | None) -> Profile:
@@ -193,68 +160,6 @@ def test_everything_that_does_not_fit_is_listed() -> None:
     assert "\n" not in text
 
 
-def test_what_a_lenient_profile_names_in_vain_is_left_out() -> None:
-    odd = profile(current_gear=SignalSource(message="TCU_Gears", signal="CurrentGear"))
-    stage = Decoder(DATABASE, replace(odd, is_lenient=True))
-    assert stage.signals == odd.sources.keys() - {Signal.CURRENT_GEAR}
-
-
-def test_a_database_from_before_the_road_serves_as_well() -> None:
-    """What a profile calls optional may be missing, even where everything else must be there."""
-    messages = [message for message in DATABASE.messages if message.name not in ROAD_MESSAGES]
-    earlier = Database(messages=messages)
-    stage = Decoder(earlier, load_profile())
-    assert decoder().signals - stage.signals == decoder().optional_signals != frozenset()
-    sources = {signal: replace(source, optional=False) for signal, source in load_profile().sources.items()}
-    with pytest.raises(ConfigError, match="TCU_Drive"):
-        Decoder(earlier, replace(load_profile(), sources=sources))
-
-
-def test_signals_may_be_left_out() -> None:
-    names = {*BALANCE_SIGNALS, Signal.CURRENT_GEAR, Signal.TARGET_GEAR, Signal.SUMP_TEMPERATURE}
-    few = Profile(name="few", sources={s: source for s, source in load_profile().sources.items() if s in names})
-    stage = Decoder(DATABASE, few)
-    batch = received(drive(1.0))
-    (columns,) = stage.feed(batch)
-    assert columns.columns.keys() == names == stage.signals
-    assert stage.counts.ignored == np.isin(batch.can_id, [0x0A8, 0x0B2, 0x0C0, 0x0C1, 0x0D0]).sum()
-    assert stage.counts.is_balanced
-
-
-def test_foreign_database_without_protection() -> None:
-    signals = "\n".join(
-        f' SG_ S{k} : {8 * (k % 8)}|8@1+ (1,0) [0|0] "{unit}" A'
-        for k, unit in enumerate(("rpm", "Nm", "rpm", "rpm", "rpm", "bar", "bar", ""))
-    )
-    text = f'VERSION ""\nBU_: A\nBO_ 256 M: 8 A\n{signals}\nBO_ 257 N: 8 A\n SG_ T : 7|16@0+ (0.5,-40) [0|0] "degC" A\n'
-    database = cantools.database.load_string(text, "dbc")
-    assert isinstance(database, Database)
-    names = (
-        "engine_speed_rad_s",
-        "engine_torque_nm",
-        "hub_speed_rad_s",
-        "input1_speed_rad_s",
-        "input2_speed_rad_s",
-        "clutch1_pressure_pa",
-        "clutch2_pressure_pa",
-        "current_gear",
-    )
-    sources = {Signal(name): SignalSource(message="M", signal=f"S{k}") for k, name in enumerate(names)}
-    sources[Signal.TARGET_GEAR] = SignalSource(message="M", signal="S7", scale=2.0)
-    sources[Signal.SUMP_TEMPERATURE] = SignalSource(message="N", signal="T")
-    stage = Decoder(database, Profile(name="foreign", sources=sources))
-    data = np.array([[1, 2, 3, 4, 5, 6, 7, 3], [1, 0, 0, 0, 0, 0, 0, 0]], np.uint8)
-    can_id, length = np.array([0x100, 0x101], np.uint32), np.full(2, 8, np.uint8)
-    (columns,) = stage.feed(FrameBatch(t_ns=np.array([0, 0]), can_id=can_id, length=length, data=data))
-    value = {signal: series.value.tolist() for signal, series in columns.columns.items()}
-    assert value[Signal.INPUT1_SPEED] == [rad_s_from_rpm(4.0)]
-    assert value[Signal.CURRENT_GEAR] == [3.0]
-    assert value[Signal.TARGET_GEAR] == [6.0]
-    assert value[Signal.SUMP_TEMPERATURE] == [0.5 * 256 - 40 + 273.15]
-    assert columns.columns[Signal.HUB_SPEED].sequence.tolist() == [-1]
-    assert columns.columns[Signal.HUB_SPEED].period_ns == 0
-
-
 def test_a_controller_that_left_the_bus_ends_the_segment() -> None:
     batch = received(drive(1.0))
     batch.can_id[500] = ERROR_FLAG | 0x40
@@ -264,15 +169,6 @@ def test_a_controller_that_left_the_bus_ends_the_segment() -> None:
     assert after.watermark_ns == batch.t_ns[-1]
     assert stage.counts.rejected == {"remote_or_error": 1}
     assert stage.counts.is_balanced
-
-
-def test_an_interruption_ends_the_segment_without_a_jump_of_time() -> None:
-    batch = received(drive(1.0))
-    stage = decoder()
-    (first,) = stage.feed(batch[:500])
-    stage.interrupt()
-    (second,) = stage.feed(batch[500:])
-    assert (first.breaks_before, second.breaks_before) == (False, True)
 
 
 def truck(**more: object) -> Decoder:
@@ -303,18 +199,6 @@ def test_one_sender_of_a_parameter_group_gives_the_values_and_the_others_do_no_h
     assert counts.is_balanced
     assert counts.rejected == {"other_sender": 2}
     assert stage.messages["EEC1"].senders == {0x05: 2, 0x11: 3}
-
-
-def test_named_sender_and_several_of_them() -> None:
-    (columns,) = truck(source_address=5).feed(eec1([0x11, 0x05, 0x11]))
-    assert columns.columns[Signal.ENGINE_SPEED].value.tolist() == [rad_s_from_rpm(64.0)]
-    sources = {
-        **load_profile().sources,
-        Signal.PEDAL: SignalSource(message="TCU_Shift", signal="CurrentGear", unit="%", source_address=1),
-        Signal.CURRENT_GEAR: SignalSource(message="TCU_Shift", signal="CurrentGear", source_address=2),
-    }
-    with pytest.raises(ConfigError, match="several source addresses for TCU_Shift"):
-        Decoder(DATABASE, Profile(name="torn", sources=sources))
 
 
 def test_one_identifier_on_two_channels_is_never_mixed() -> None:

@@ -7,7 +7,6 @@ import cantools
 import pytest
 from cantools.database.can import Database
 
-from dbc.contract import load_contract
 from diag_service.diagnosis.records import Tier
 from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import choose_profile, interpret
@@ -32,11 +31,6 @@ def database(text: str) -> Database:
     return loaded
 
 
-def test_our_database_gets_our_profile() -> None:
-    fit = choose_profile(load_contract())
-    assert (fit.profile.name, fit.tier, fit.problems) == ("dct", Tier.FRICTION, ())
-
-
 def test_part_of_a_profile_is_enough_for_part_of_the_diagnosis() -> None:
     fit = choose_profile(database(HYUNDAI_LIKE))
     assert (fit.profile.name, fit.tier) == ("hyundai_dct", Tier.KINEMATIC)
@@ -55,19 +49,3 @@ def test_the_choice_is_said_aloud(tmp_path: Path, caplog: pytest.LogCaptureFixtu
         meaning = interpret(path, None)
     assert "profile hyundai_dct: 4 of 13 signals" in caplog.text
     assert [file.name for file in meaning.files] == ["car.dbc", "hyundai_dct.toml"]
-
-
-def test_a_profile_may_bring_its_database() -> None:
-    meaning = interpret(None, Path("j1939"))
-    assert {message.name for message in meaning.database.messages} >= {"EEC1", "ETC1", "ETC2"}
-
-
-def test_a_named_profile_that_does_not_fit_is_refused() -> None:
-    with pytest.raises(ConfigError, match="profile vw_mqb does not fit the database: the database has no message"):
-        interpret(None, Path("vw_mqb"))
-
-
-def test_what_is_built_in_needs_no_word(caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.INFO, logger="diag_service"):
-        assert interpret(None, None).files == ()
-    assert not caplog.text

@@ -6,7 +6,6 @@ import pytest
 
 from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
-from diag_service.commands.learn import said
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.mapping import learning
 from diag_service.mapping.learning import LearnedVehicle, VehicleSurvey
@@ -84,32 +83,6 @@ def test_a_deviation_is_what_stretches_differ_by_not_their_samples() -> None:
         assert abs(one.ratio - ratio) < 2.0 * one.std < 4e-4 * ratio
 
 
-def test_a_gear_that_only_gained_speed_is_told_as_it_was_recorded_there() -> None:
-    slowing = drive(np.array([2.0, 3.0, 4.0]), skew_s=0.03, slows=True)
-    found = learned(drive(np.array([1.0]), skew_s=0.03), slowing).gears[1].ratio
-    assert 1.001 < found.ratio / RATIOS[0] < 1.004  # 30 ms of its least gain, .09 a second
-    assert abs(found.ratio - RATIOS[0]) < 1.5 * found.std
-    assert found.std < 5e-3 * RATIOS[0]
-
-
-def test_gears_that_no_signal_names_are_numbered_from_the_highest_ratio() -> None:
-    found = learned(without(drive(EVERY_GEAR), Signal.TARGET_GEAR))
-    assert not found.are_named
-    assert [one.ratio.ratio for one in found.gears.values()] == pytest.approx(RATIOS, rel=2e-3)
-
-
-def test_one_damaged_speed_costs_no_gear() -> None:
-    batch = drive(EVERY_GEAR)
-    batch.columns[Signal.OUTPUT_SPEED].value[300] = 1e4
-    assert sorted(learned(batch).gears) == [1, 2, 3, 4]
-
-
-def test_a_gear_that_was_not_driven_is_absent() -> None:
-    found = learned(drive(np.array([1.0, 3.0, 4.0])))
-    assert sorted(found.gears) == [1, 3, 4]
-    assert found.ratios is None
-
-
 def test_a_held_touch_point_is_told_and_the_other_one_is_assumed() -> None:
     found = learned(drive(EVERY_GEAR))
     assert found.touch_pa.keys() == {1}
@@ -119,23 +92,6 @@ def test_a_held_touch_point_is_told_and_the_other_one_is_assumed() -> None:
     assert (other.origin, other.std) == ("assumed, as of clutch 1", learning.TYPE_STD_PA)
     calibration = described(found, nominal_calibration(), "car")
     assert [one.touch_pressure_pa for one in calibration.clutches] == pytest.approx([TOUCH_PA] * 2, rel=0.01)
-
-
-def test_only_what_the_log_tells_is_marked_as_from_the_log() -> None:
-    text = description_toml(learned(drive(EVERY_GEAR)), nominal_calibration(), "car", ())
-    first, second = text.partition("[gears]")[0].split("[[clutch]]")[1:]
-    assert first.count("# from the log") == 2
-    assert second.count("# from the log") == 0
-    assert second.count("# assumed, as of clutch 1") == 2
-    assert text.split("[[clutch]]")[0].count("# from the log") == 0  # an uncertainty that two constants make
-
-
-def test_a_lag_that_is_not_told_gives_its_true_reason() -> None:
-    batch = drive(EVERY_GEAR)
-    still = {**batch.columns, Signal.CLUTCH1_PRESSURE_COMMAND: series(np.arange(9.0), np.zeros(9))}
-    lines = "\n".join(said(learned(ColumnBatch(columns=still, watermark_ns=batch.watermark_ns))))
-    assert "clutch 1: lag of the pressure not told: its command moves too little" in lines
-    assert "clutch 2: lag of the pressure not told: the profile names no commanded pressure" in lines
 
 
 def test_without_pressures_and_commands_nothing_is_said_of_clutches() -> None:
@@ -160,24 +116,3 @@ def test_a_lag_is_found_behind_a_command() -> None:
     many = [ColumnBatch(columns=columns, watermark_ns=batch.watermark_ns)] * 5
     assert learned(*many).lag_s[1].value == pytest.approx(0.04, abs=0.003)
     assert learned(*many).lag_s[1].std == pytest.approx(0.0065)  # by the age of what is sent every 10 ms
-
-
-def test_pressures_that_are_named_the_wrong_way_round_are_noticed() -> None:
-    assert learned(drive(EVERY_GEAR, is_swapped=True)).is_swapped
-    assert not learned(drive(EVERY_GEAR)).is_swapped
-
-
-def test_nothing_moves_and_nothing_is_learned() -> None:
-    still = without(drive(EVERY_GEAR), Signal.ENGINE_SPEED)
-    assert learned(still).gears == {}
-    assert learned().gears == {}
-
-
-def test_memory_is_bounded() -> None:
-    survey, batch = VehicleSurvey(Signal.OUTPUT_SPEED), drive(EVERY_GEAR)
-    for _ in range(2 * learning.MOST_ROWS // len(batch.columns[Signal.OUTPUT_SPEED].t_ns)):
-        survey.add(batch)
-    assert sum(map(len, survey.rows)) <= learning.MOST_ROWS
-    found = survey.learned().ratios
-    assert found is not None
-    assert found.ratios == pytest.approx(RATIOS, rel=2e-3)

@@ -53,11 +53,6 @@ def test_valid_range_and_codes_of_the_profile() -> None:
     assert (found.is_good.tolist(), found.invalid.total) == ([True, False, False], 2)
 
 
-def test_the_neighbour_must_be_there() -> None:
-    with pytest.raises(ConfigError, match="M has no signal Lost"):
-        compile_source(message(), SignalSource(message="M", signal="Share", less="Lost"))
-
-
 def test_j1939_numbers() -> None:
     database = load_database(PROFILE_FOLDER / "j1939.dbc")
     found = find_message(database.messages, SignalSource(pgn=61444, spn=190))
@@ -75,15 +70,3 @@ def test_why_values_are_no_measurements_is_counted() -> None:
     assert found.is_good is not None
     assert found.is_good.tolist() == [False, False, False, False, True]
     assert found.invalid == InvalidCounts(not_available=1, out_of_range=2, incomplete=1)
-
-
-NAMED = TEXT + 'VAL_ 256 Loss 255 "SNA" ;\n'
-
-
-@pytest.mark.parametrize(("check_codes", "good"), [(True, [True, False]), (False, [True, True])])
-def test_a_profile_may_trust_every_code(check_codes: bool, good: list[bool]) -> None:
-    database = cantools.database.load_string(NAMED, "dbc")
-    assert isinstance(database, Database)
-    source = SignalSource(message="M", signal="Loss", check_range=False, check_codes=check_codes)
-    found = compile_source(database.messages[0], source).decode(PayloadWords(payloads((0, 254, 0), (0, 255, 0))))
-    assert ([True, True] if found.is_good is None else found.is_good.tolist()) == good

@@ -8,7 +8,7 @@ import pytest
 
 from clutch_model.calibration import TorqueSource
 from clutch_model.errors import CalibrationError
-from diag_service.diagnosis.columns import BALANCE_SIGNALS, GearRatios, Signal
+from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import SignalSource, find_profile, load_profile, shipped_profiles, to_si
 from diag_service.mapping.vehicle_file import read_description
@@ -45,21 +45,6 @@ def test_shipped_profiles_are_found_by_name() -> None:
     assert find_profile(Path("j1939")).database is not None
 
 
-def test_a_name_that_does_not_ship_is_refused_with_those_that_do() -> None:
-    with pytest.raises(ConfigError, match="no profile audi: give a TOML file or one of bmw_dkg, dct, dct_asked"):
-        find_profile(Path("audi"))
-
-
-def test_a_file_comes_before_a_shipped_name(tmp_path: Path) -> None:
-    path = write(tmp_path, '[signals]\nodometer_m = { message = "M", signal = "S" }\n')
-    assert find_profile(path).is_lenient is False
-
-
-def test_ratios_of_gears(tmp_path: Path) -> None:
-    text = '[signals]\n[gears]\nover = "output_speed_rad_s"\nratios = [4.0, 2.5, 1.5]\n'
-    assert load_profile(write(tmp_path, text)).gears == GearRatios(over=Signal.OUTPUT_SPEED, ratios=(4.0, 2.5, 1.5))
-
-
 @pytest.mark.parametrize(
     ("gears", "text"),
     [
@@ -94,29 +79,6 @@ current_gear = { message = "M", signal = "S", valid = [0, 8], invalid = [7], les
     assert profile.sources[Signal.ENGINE_SPEED].place == "PGN 61444 SPN 190"
 
 
-def test_entry_with_everything(tmp_path: Path) -> None:
-    text = '[signals]\nodometer_m = { message="M", signal="S", unit="km", scale=2, offset=-1.5, check_range=false }\n'
-    profile = load_profile(write(tmp_path, text))
-    assert profile.name == "some"
-    assert profile.sources == {
-        Signal.ODOMETER: SignalSource(message="M", signal="S", unit="km", scale=2, offset=-1.5, check_range=False)
-    }
-
-
-def test_protocol_channel_and_sender(tmp_path: Path) -> None:
-    text = """
-protocol = "j1939"
-channel = 2
-[signals]
-engine_speed_rad_s = { message = "EEC1", signal = "EngSpeed", source_address = 0 }
-"""
-    profile = load_profile(write(tmp_path, text))
-    assert (profile.is_j1939, profile.channel) == (True, 2)
-    assert profile.sources[Signal.ENGINE_SPEED].source_address == 0
-    plain = load_profile()
-    assert (plain.is_j1939, plain.channel) == (False, None)
-
-
 @pytest.mark.parametrize(
     ("line", "complaint"),
     [
@@ -132,12 +94,6 @@ engine_speed_rad_s = { message = "EEC1", signal = "EngSpeed", source_address = 0
 def test_unusable_protocol_or_channel_is_refused(tmp_path: Path, line: str, complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         load_profile(write(tmp_path, line + "\n[signals]\n"))
-
-
-@pytest.mark.parametrize("address", [-1, 256])
-def test_source_address_that_is_none_is_refused(address: int) -> None:
-    with pytest.raises(ConfigError, match="not one of J1939"):
-        SignalSource(message="M", signal="S", source_address=address)
 
 
 @pytest.mark.parametrize(
@@ -174,14 +130,6 @@ def test_source_address_that_is_none_is_refused(address: int) -> None:
 )
 def test_units(signal: Signal, unit: str | None, value: float, si: float) -> None:
     assert converted(signal, unit, value) == pytest.approx(si, rel=1e-12)
-
-
-def test_scale_and_offset_apply_in_the_unit_of_the_database() -> None:
-    assert converted(Signal.ODOMETER, "km", 10.0, scale=2.0, offset=1.0) == 21_000.0
-
-
-def test_unit_of_the_profile_overrides_that_of_the_database() -> None:
-    assert float(to_si(Signal.ODOMETER, source(unit="m"), "km")(np.array([5.0]))[0]) == 5.0
 
 
 @pytest.mark.parametrize(
@@ -226,23 +174,6 @@ shift_phase = { message = "M", signal = "S", valid = [3] }
     ):
         assert complaint in complaints
     assert "\n" not in complaints
-
-
-@pytest.mark.parametrize("text", ["", "signals = 3", "name = 'x'", "[signals]\n[more]\n"])
-def test_profile_without_its_table_is_refused(tmp_path: Path, text: str) -> None:
-    with pytest.raises(ConfigError, match="must have a table"):
-        load_profile(write(tmp_path, text))
-
-
-def test_unreadable_profiles_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="is not TOML"):
-        load_profile(write(tmp_path, "signals = ["))
-    with pytest.raises(ConfigError, match="No such file"):
-        load_profile(tmp_path / "absent.toml")
-    binary = tmp_path / "binary.toml"
-    binary.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ConfigError, match="is not TOML"):
-        load_profile(binary)
 
 
 def test_a_profile_says_where_engine_torque_comes_from(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from canlog.decode.signals import Decoded
 from diag_service.diagnosis.columns import Signal
 from diag_service.mapping.profile import load_profile
-from diag_service.mapping.proposal import SignalStatistics, candidates, profile_text, unfit_units
+from diag_service.mapping.proposal import SignalStatistics, candidates, profile_text
 
 
 def stat(
@@ -67,21 +67,6 @@ def test_what_cannot_be_is_not_proposed(wrong: SignalStatistics) -> None:
     assert proposed(wrong) == {}
 
 
-def test_a_signal_is_proposed_once_and_measured_comes_before_commanded() -> None:
-    found = candidates(
-        [
-            stat("P.Clutch1PressureCmd", "bar", 0, 20),
-            stat("P.Clutch1Pressure", "bar", 0, 20),
-            stat("S.ClutchTorque", "Nm", 0, 200),
-        ]
-    )
-    assert [one.statistics.signal for one in found[Signal.CLUTCH1_PRESSURE]] == [
-        "Clutch1Pressure",
-        "Clutch1PressureCmd",
-    ]
-    assert found.keys() == {Signal.CLUTCH1_PRESSURE, Signal.CLUTCH_TORQUE}
-
-
 def column(name: str, unit: str, *values: float) -> SignalStatistics:
     found = SignalStatistics(message=name, signal=name, unit=unit, is_column=True)
     for piece in np.array_split(np.array(values), 3):
@@ -95,14 +80,6 @@ def test_a_damaged_value_changes_no_proposal_and_is_shown() -> None:
     assert proposed(read, wanted) == {Signal.CLUTCH1_PRESSURE: "DCT Clutch 1 Pressure"}
     assert (read.lowest, read.highest, read.count) == (-6553.5, 6553.5, 1802)
     assert proposed(column("Clutch 1 Pressure", "kPa", *range(900), *[6553.5] * 9)) == {}
-
-
-def test_a_column_is_told_that_its_name_makes_a_signal_but_not_its_unit() -> None:
-    columns = [column("Oil Temp", "furlong", 1, 2, 3), column("Injector PW 1", "ms", 1, 2, 3)]
-    columns += [column("Engine Speed", "rpm", 1, 2, 3), column("Engine Speed Raw", "digits", 1, 2, 3)]
-    assert list(unfit_units(columns, candidates(columns))) == [
-        "the unit 'furlong' of Oil Temp is not one of sump_temperature_k"
-    ]
 
 
 def test_the_proposal_is_a_profile(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import pytest
 from canlog.database.loading import load_database
 from canlog.decode.signals import InvalidCounts, PayloadWords
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts
-from canlog.frames import EXTENDED_FLAG, FrameBatch
+from canlog.frames import FrameBatch
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.mapping.decoder import PIECE_FRAMES, Decoder, SamplePass
@@ -55,30 +55,6 @@ def test_small_batches_give_the_bits_of_large_ones(size: int) -> None:
     assert whole.counts.rejected
     bad_ns = np.concatenate([part.bad_frame_ns for part in in_pieces])
     assert np.array_equal(bad_ns, np.concatenate([part.bad_frame_ns for part in at_once]))
-
-
-def test_a_block_reads_like_a_mapping() -> None:
-    batch = received(drive(0.2, seed=1))
-    small = decoder().feed(batch)[0].columns
-    assert len(small) == len(list(small)) > 10
-    assert all(len(small[signal].t_ns) for signal in small)
-    with pytest.raises(KeyError):
-        decoder().feed(batch[:1])[0].columns[Signal.BRAKE_PRESSURE]
-
-
-def test_values_that_are_no_measurements_are_counted_alike_by_reason() -> None:
-    count = 5_000
-    data = np.zeros((count, 8), np.uint8)
-    data[:, 4] = np.arange(count) % 256  # the high byte of the engine speed, of which FB to FF say something else
-    batch = frames_at(np.arange(count) * 10_000_000, 0x0CF0_0400 | EXTENDED_FLAG, data=data)
-    database = load_database(PROFILE_FOLDER / "j1939.dbc")
-    whole, pieces = Decoder(database, load_shipped("j1939")), Decoder(database, load_shipped("j1939"))
-    whole.feed(batch)
-    for first in range(0, count, 100):
-        pieces.feed(batch[first : first + 100])
-    not_available = int(np.count_nonzero(data[:, 4] >= 0xFB))
-    assert whole.counts.invalid == {"engine_speed_rad_s": {"not_available": not_available}}
-    assert (pieces.counts, pieces.messages) == (whole.counts, whole.messages)
 
 
 def test_a_long_batch_comes_in_pieces_of_the_same_samples() -> None:

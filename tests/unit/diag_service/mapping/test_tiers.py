@@ -33,10 +33,6 @@ def test_tiers(signals: frozenset[Signal], tier: Tier | None) -> None:
     assert tier_of(signals) == tier
 
 
-def test_known_ratios_stand_for_gear_signals() -> None:
-    assert tier_of({Signal.ENGINE_SPEED, Signal.OUTPUT_SPEED}, knows_gears=True) is Tier.KINEMATIC
-
-
 def test_what_is_missing_is_named() -> None:
     assert missing_for_next(DCT) == ""
     assert missing_for_next(DCT - PRESSURES) == "friction needs clutch1_pressure_pa, clutch2_pressure_pa"
@@ -46,19 +42,4 @@ def test_what_is_missing_is_named() -> None:
     )
     assert missing_for_next({Signal.ENGINE_SPEED}).startswith(
         "shift time and slip need current_gear and target_gear or "
-    )
-
-
-def test_who_has_a_lockup_clutch_is_told_that_its_converter_is_to_be_described() -> None:
-    seen = frozenset(load_shipped("lockup").sources)
-    assert missing_for_next(seen) == (
-        "friction of a lock-up clutch needs a description with its converter (--calibration lockup)"
-    )
-    assert missing_for_next(seen, has_converter=True) == ""
-
-
-def test_what_is_missing_is_named_once() -> None:
-    signals = frozenset({Signal.ENGINE_SPEED, Signal.TARGET_GEAR, Signal.CLUTCH1_PRESSURE})
-    assert missing_for_next(signals) == (
-        "shift time and slip need current_gear or input_speed_rad_s or input1_speed_rad_s and input2_speed_rad_s"
     )

@@ -27,13 +27,6 @@ def test_a_workshop_reads_all_it_needs_before_any_detail() -> None:
     assert "watch: 90 %" in text
 
 
-def test_what_is_not_known_is_a_dash_and_no_picture_is_made_up() -> None:
-    found = replace(findings(30), calibration=None)
-    text = first_section(html_of(page_of(found, NOW)))
-    assert "<svg" not in text
-    assert "fluid</th><td>–</td>" in text
-
-
 def test_paper_gets_two_pages_unless_all_is_asked_for() -> None:
     short, full = (html_of(page_of(findings(30), NOW, is_full=is_full)) for is_full in (False, True))
     assert '<body class="short">' in short

@@ -1,21 +1,17 @@
 """What a store tells of the past: fluid by fluid, event by event, and what it leaves out."""
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from rich.table import Table
 from rich.text import Text
 
-from clutch_model.calibration import TorqueSource, nominal_calibration
+from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.prognosis import ChannelName, PeerGroup, Peers, Population, Usual
-from diag_service.diagnosis.records import Condition, FluidFill, ShiftQuality, shift_record, utc_from_bus_ns
+from diag_service.diagnosis.records import Condition, FluidFill, shift_record, utc_from_bus_ns
 from diag_service.errors import StoreError
 from diag_service.report.findings import findings_of_store
 from diag_service.report.history import history_lines, history_records, periods_of, shift_lines
-from diag_service.report.page import html_of, page_of
-from diag_service.service.session import versions_for
 from diag_service.store import Row, Versions
 from tests.support.histories import VERSIONS, fill_store, findings, history, of_version
 
@@ -43,37 +39,6 @@ def test_a_log_of_the_old_fluid_that_comes_late_is_not_what_was_last_said_of_it(
     assert [row.position for row in old.rows][-2:] == [19, 41]
     assert old.last_verdict == found.rows[18].result.verdict
     assert new.last_verdict == found.rows[38].result.verdict
-
-
-def test_what_is_last_said_of_a_fluid_is_what_the_order_goes_by() -> None:
-    found = findings(40)
-    early, late = found.rows[:20], found.rows[20:]
-    (fluid,) = periods_of(replace(found, rows=(*late, *early)), 1)
-    assert fluid.last_verdict == found.latest[0].verdict != fluid.rows[-1].result.verdict
-
-
-def test_a_clock_that_was_not_set_for_half_a_life_is_named(tmp_path: Path) -> None:
-    results = [
-        replace(one, estimate=replace(one.estimate, start_ns=number * 10**9, end_ns=(number + 1) * 10**9))
-        if number < 20
-        else one
-        for number, one in enumerate(history(40))
-    ]
-    fill_store(tmp_path / "car1.sqlite", results)
-    found = findings_of_store(tmp_path / "car1.sqlite", None, CALIBRATION)
-    table = [one for one in history_lines(found, [1], most_rows=10) if isinstance(one, Table)][1]
-    cells = list(table.columns[1].cells)
-    assert table.columns[1].header == "end (UTC)"
-    assert cells == ["clock not set"] * 5 + [cell for cell in cells if str(cell).startswith("2026-01-01")]
-    assert len(cells) == 10
-    assert not re.search("1970-01|in the log", html_of(page_of(found, "2026-02-01T00:00:00.000000Z", is_full=True)))
-
-
-def test_a_fluid_without_a_shift_yet_is_in_the_list() -> None:
-    later = FluidFill(vehicle="car1", filled_at="2027-01-01T00:00:00.000000Z")
-    old, new = periods_of(replace(findings(10), fills=(later,)), 2)
-    assert len(old.rows) == 5
-    assert new.rows == ()
 
 
 def test_every_event_is_a_record_and_the_last_one_has_the_fills() -> None:
@@ -106,49 +71,6 @@ def test_prognoses_begin_with_what_a_fleet_taught() -> None:
     assert among.split(" Before")[0] != alone == strangers
 
 
-def test_people_see_the_sentences_first_and_no_more_rows_than_asked_for() -> None:
-    head, order, first, second, outlook, *tables = history_lines(findings(40), (1, 2), most_rows=5)
-    assert isinstance(head, Text)
-    assert head.plain == "car1: 40 events"
-    assert str(order) == "Have the fluid changed at the next service."
-    assert str(outlook).startswith("No trend yet: left in, the fluid lasts at least ")
-    assert str(first).startswith("Clutch 1: ")
-    assert str(second).startswith("Clutch 2: ")
-    assert [table.row_count for table in tables if isinstance(table, Table)] == [1, 5, 1, 5]
-
-
-def test_a_fill_has_a_row_of_its_own_between_the_events() -> None:
-    later = FluidFill(vehicle="car1", filled_at="2027-01-01T12:00:00.000000Z", odometer_m=2.0e6)
-    found = replace(findings(40), fills=(fill_at(21), later))
-    *_, table = (one for one in history_lines(found, (1,), most_rows=50) if isinstance(one, Table))
-    rows = list(zip(*(column.cells for column in table.columns), strict=True))
-    assert [place for place, row in enumerate(rows) if row[3] == "new fluid"] == [10, 21]
-    assert rows[10][1:5] == (fill_at(21).filled_at[:16].replace("T", " "), "-", "new fluid", "DCTF-II")
-    assert rows[21][1:5] == ("2027-01-01 12:00", "2000", "new fluid", "-")
-
-
-def test_a_log_without_a_date_tells_its_own_seconds() -> None:
-    found = findings(4)
-    first_ns = found.rows[0].result.estimate.start_ns
-    rows = [
-        replace(row, result=replace(row.result, estimate=replace(one, start_ns=one.start_ns - first_ns, end_ns=end_ns)))
-        for row, one, end_ns in ((row, row.result.estimate, 10**9 * (k + 12)) for k, row in enumerate(found.rows))
-    ]
-    for shown, head, cells in (
-        (found, "end (UTC)", ["2026-01-01 00:00", "2026-01-01 00:00"]),
-        (replace(found, rows=tuple(rows)), "end in the log", ["12.0 s", "14.0 s"]),
-    ):
-        *_, table = (one for one in history_lines(shown, (1,), most_rows=5) if isinstance(one, Table))
-        assert (table.columns[1].header, list(table.columns[1].cells)) == (head, cells)
-
-
-def test_a_clutch_that_never_engaged_is_told() -> None:
-    found = findings(9)
-    one = tuple(row for row in found.rows if row.result.estimate.clutch == 2)
-    lines = list(history_lines(replace(found, rows=one), (1,), most_rows=5))
-    assert str(lines[-1]) == "Clutch 1: no event engaged it."
-
-
 def test_all_of_a_shift_is_told() -> None:
     record = shift_record(history(3)[0])
     lines = [line.plain for line in shift_lines(record)]
@@ -168,17 +90,6 @@ def test_a_store_gives_the_results_of_its_newest_versions(tmp_path: Path) -> Non
     assert found.fills == (fill_at(5),)
     other = replace(CALIBRATION, version="another")
     assert findings_of_store(tmp_path / "car1.sqlite", "car1", other).calibration is None
-
-
-@pytest.mark.parametrize("source", [TorqueSource.WITHOUT_CUT, TorqueSource.MODELLED])
-def test_results_of_a_profile_whose_torque_is_modelled_are_of_the_calibration_at_hand(
-    source: TorqueSource, tmp_path: Path
-) -> None:
-    modelled = CALIBRATION.with_torque(source)
-    own = versions_for(modelled)
-    fill_store(tmp_path / "car1.sqlite", [of_version(one, own) for one in history(3)])
-    found = findings_of_store(tmp_path / "car1.sqlite", None, CALIBRATION)
-    assert (found.versions, found.calibration) == (own, modelled)
 
 
 def test_a_store_with_several_vehicles_wants_a_name(tmp_path: Path) -> None:
@@ -202,19 +113,3 @@ def test_the_future_of_the_fluid_is_one_sentence() -> None:
     assert (
         "No prognosis yet: it takes 8 usable results of a clutch with this fluid; clutch 1 has 3, clutch 2 has 4."
     ) in few
-
-
-def test_how_well_it_shifts_is_a_table_with_the_load() -> None:
-    quality = ShiftQuality(
-        score=70.0, reasons=("touch_error_pa",), touch_error_pa=4_000.0,
-        std_touch_error_pa=1_000.0, slip_energy1_j=20e3, slip_energy2_j=0.0,
-    )  # fmt: skip
-    rows = tuple(
-        replace(row, result=replace(row.result, estimate=replace(row.result.estimate, shift_quality=quality)))
-        for row in findings(6).rows
-    )
-    lines = list(history_lines(replace(findings(6), rows=rows), (1, 2), most_rows=5))
-    (table,) = (line for line in lines if isinstance(line, Table) and str(line.title).startswith("How well it shifts"))
-    assert [next(iter(column.cells)) for column in table.columns][3:] == ["70", "70", "-", "70", "-", "touch error"]
-    told = [str(line) for line in lines if isinstance(line, Text)]
-    assert told[-1].startswith("Clutch 1 turned 0.12 MJ into heat in 6 events, launches: 0")

@@ -1,6 +1,5 @@
 """What a live run knows of its clutches before their first shift: the last word of earlier runs."""
 
-import logging
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -9,9 +8,8 @@ import pytest
 
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.events import DATED_NS
 from diag_service.diagnosis.records import Condition, FluidFill, ShiftResult
-from diag_service.diagnosis.summary import FrameCounts, latest_of
+from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import PROFILE_PATH, load_profile
 from diag_service.service.session import Session
@@ -56,23 +54,10 @@ def test_a_restart_forgets_no_verdict(store: ResultStore) -> None:
     assert run.summary(FrameCounts(), None).latest == ()
 
 
-def test_other_vehicles_begin_with_nothing(store: ResultStore) -> None:
-    assert session(store, vehicle="car2").latest == ()
-
-
 def test_results_of_another_program_are_left_out(store: ResultStore) -> None:
     other = of_version(worn(shift_result(3, to_gear=3)), replace(VERSIONS, algorithm="another-1"))
     store.add(other, STATE)
     assert verdicts(session(store)) == [(1, "GOOD"), (2, "CHANGE_FLUID")]
-
-
-def test_a_result_that_cannot_be_read_is_left_out_and_told(
-    store: ResultStore, caplog: pytest.LogCaptureFixture
-) -> None:
-    store._connection.execute("UPDATE result SET json = '{}' WHERE clutch = 2")
-    with caplog.at_level(logging.WARNING):
-        assert verdicts(session(store)) == [(1, "GOOD")]
-    assert "the last result of clutch 2 of car1 is left out" in caplog.text
 
 
 def test_a_log_of_earlier_hides_no_newer_result(store: ResultStore) -> None:
@@ -86,19 +71,6 @@ def test_a_log_of_earlier_hides_no_newer_result(store: ResultStore) -> None:
     assert run.summary(FrameCounts(), None).order.action is Action.CHANGE_NOW
 
 
-def test_after_a_clock_is_lost_the_latest_result_is_the_one_stored_last(store: ResultStore) -> None:
-    """Its times have no date: neither a dated result before it nor a fill of earlier hides it."""
-    undated = of_version(shift_result(1, stream="undated"), VERSIONS)
-    store.add(replace(undated, estimate=replace(undated.estimate, start_ns=1, end_ns=2)), STATE)
-    store.add_fills([replace(FILL, filled_at="2025-01-01T00:00:00.000000Z")])
-    assert verdicts(session(store)) == [(1, "GOOD"), (2, "GOOD")]
-    dated = [replace(undated, estimate=replace(undated.estimate, end_ns=DATED_NS + at_ns)) for at_ns in (5, 9, 7)]
-    last = replace(dated[0], estimate=replace(dated[0].estimate, end_ns=2))
-    assert [latest_of(one) for one in (dated, [*dated, last], [last, *dated], [last, dated[0]])] == [
-        (dated[1],), (last,), (dated[1],), (dated[0],)
-    ]  # fmt: skip
-
-
 def test_new_fluid_before_the_start_takes_the_verdicts_away(store: ResultStore) -> None:
     store.add_fills([FILL])
     run = session(store)
@@ -106,16 +78,6 @@ def test_new_fluid_before_the_start_takes_the_verdicts_away(store: ResultStore) 
     assert verdicts(run) == [(1, "NO_VERDICT"), (2, "NO_VERDICT")]
     assert {result.verdict.friction for result in run.latest} == {None}
     assert run.latest[1].estimate == shift_result(1).estimate
-
-
-def test_fluid_that_is_older_or_still_to_come_changes_nothing(store: ResultStore) -> None:
-    store.add_fills(
-        [replace(FILL, filled_at=moment) for moment in ("2025-01-01T00:00:00.000000Z", "2027-01-01T00:00:00.000000Z")]
-    )
-    run = session(store)
-    assert run.fluid is not None
-    assert run.fluid.filled_at.startswith("2025")
-    assert verdicts(run) == [(1, "GOOD"), (2, "CHANGE_FLUID")]
 
 
 def test_new_fluid_during_a_run_is_noted_with_the_next_shift_of_either_clutch() -> None:

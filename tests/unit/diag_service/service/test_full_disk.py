@@ -84,18 +84,6 @@ def test_results_wait_and_are_told_when_they_are_stored(store: FillingStore, cap
     ]
 
 
-def test_room_that_comes_between_two_shifts_is_used(store: FillingStore, caplog: pytest.LogCaptureFixture) -> None:
-    session, reporter = session_on(store)
-    assert not session.retry()
-    store.is_full = True
-    session.process(event(1))
-    assert not session.retry()
-    store.is_full = False
-    assert session.retry()
-    assert told(reporter) == [1]
-    assert caplog.text.count("results wait in memory") == 1
-
-
 def test_the_end_of_a_run_is_a_last_attempt(store: FillingStore) -> None:
     session, reporter = session_on(store)
     store.is_full = True
@@ -119,10 +107,3 @@ def test_what_waits_is_bounded_and_what_is_given_up_counted(store: FillingStore)
     assert len(told(reporter)) == 3
     assert len(set(told(reporter))) == 3
     assert np.all(np.diff(told(reporter)) > 0)
-
-
-def test_the_analysis_of_a_log_stops_at_a_full_disk(store: FillingStore) -> None:
-    session, _ = session_on(store, stream="a log")
-    store.is_full = True
-    with pytest.raises(StoreFullError):
-        session.process(event(1))

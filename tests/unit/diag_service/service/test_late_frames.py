@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import cache
 
-import numpy as np
 import pytest
 
 from canlog.frames import FrameBatch
@@ -69,27 +68,6 @@ def test_shifts_of_which_all_frames_came_in_a_burst_are_estimated(place: int, st
     assert outcome.counts.late > 400 * min(stall_s, 3.0)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_machine_that_stalls_again_and_again_loses_nothing(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    stalls_s = [(at, rng.uniform(0.02, 0.3)) for at in sorted(rng.uniform(0.5, DURATION_S - 0.5, 10))]
-    for step_s in (AT_ONCE_S, QUICK_S, SLOW_S):
-        outcome = diagnosed([after_stalls(frames(), stalls_s, step_s)])
-        assert_all_frames_are_used(outcome)
-        assert reasons(outcome) <= {Reason.TIME_UNSURE}
-
-
-@pytest.mark.parametrize("jitter_s", [0.01, 0.05, 0.1, 0.2])
-@pytest.mark.parametrize("seed", range(3))
-def test_a_reading_time_that_jitters_accuses_no_sensor(jitter_s: float, seed: int) -> None:
-    by_ns = np.random.default_rng(seed).uniform(0.0, 1e9 * jitter_s, len(frames())).astype(np.int64)
-    outcome = diagnosed([replace(frames(), t_ns=np.maximum.accumulate(frames().t_ns + by_ns))])
-    assert_all_frames_are_used(outcome)
-    assert len(outcome.diagnoses) == 3
-    assert reasons(outcome) <= {Reason.TIME_UNSURE}
-    assert any(one.estimate.status is Status.VALID for one in outcome.diagnoses)
-
-
 @pytest.mark.parametrize("tick_s", [0.02, 0.03, 0.05, 0.1, 0.2])
 def test_a_reader_that_looks_now_and_then_accuses_no_sensor(tick_s: float) -> None:
     """All that has gathered gets the time of the look."""
@@ -99,31 +77,6 @@ def test_a_reader_that_looks_now_and_then_accuses_no_sensor(tick_s: float) -> No
     assert reasons(outcome) <= {Reason.TIME_UNSURE, Reason.NO_SLIP_WINDOW}
 
 
-def test_frames_on_time_are_not_late() -> None:
-    assert whole().counts.late == 0
-    assert "late" not in frames_line(whole().counts)
-
-
-@pytest.mark.parametrize("pause_s", [0.3, 1.5])
-def test_a_sender_that_paused_is_not_late(pause_s: float) -> None:
-    """Its counters go on where they stood, but nothing gathered meanwhile: it did not measure, and its time stands."""
-    at_ns = frames().t_ns[0] + round(1e9 * stall_places()[1])
-    moved = np.where(frames().t_ns > at_ns, frames().t_ns + round(1e9 * pause_s), frames().t_ns)
-    outcome = diagnosed([replace(frames(), t_ns=moved)])
-    assert outcome.counts.late == 0
-    assert [one.estimate.status for one in outcome.diagnoses].count(Status.VALID) == 2
-    assert outcome.diagnoses[-1].estimate.end_ns - whole().diagnoses[-1].estimate.end_ns == round(1e9 * pause_s)
-
-
-def test_frames_behind_a_cut_are_not_late() -> None:
-    """Some seconds that are missing from a log are a gap, though what follows comes in quick succession."""
-    rows = np.flatnonzero(frames().t_ns - frames().t_ns[0] > 4e9)
-    later = frames()[rows[1000] :]
-    outcome = diagnosed([frames()[: rows[0]], replace(later, t_ns=later.t_ns[0] + (later.t_ns - later.t_ns[0]) // 4)])
-    assert Reason.TIME_UNSURE not in reasons(outcome)
-    assert outcome.counts.rejected_count == 0
-
-
 @pytest.mark.parametrize("stall_s", [0.5, 2.0])
 @pytest.mark.parametrize("step_s", [AT_ONCE_S, QUICK_S, SLOW_S])
 def test_how_a_late_stream_is_cut_changes_nothing(stall_s: float, step_s: float) -> None:
@@ -131,8 +84,3 @@ def test_how_a_late_stream_is_cut_changes_nothing(stall_s: float, step_s: float)
     for size in (1, 37):
         pieces = [late[start : start + size] for start in range(0, len(late), size)]
         assert diagnosed(pieces).fingerprint == diagnosed([late]).fingerprint
-
-
-def test_a_stream_that_ends_in_a_burst_is_used_to_its_end() -> None:
-    late = after_stalls(frames(), [(DURATION_S - 2.0, 1.99)], AT_ONCE_S)
-    assert diagnosed([late]).fingerprint == whole().fingerprint

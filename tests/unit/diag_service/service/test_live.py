@@ -2,14 +2,14 @@
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, closing
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from canlog.errors import NOTICE, SourceError
+from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.live import LinkBreak, Silence, SourceCounts
 from clutch_model.calibration import nominal_calibration
@@ -17,7 +17,7 @@ from dbc.contract import load_contract
 from diag_service.delivery import MemoryLink, MemoryReporter, Outbox, Reporter
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.friction import Posterior
-from diag_service.diagnosis.records import Reason, ShiftResult, Status
+from diag_service.diagnosis.records import Reason, ShiftResult
 from diag_service.errors import StoreError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import PROFILE_PATH, load_profile
@@ -131,47 +131,6 @@ async def test_a_failing_bus_is_told_after_all_it_gave(store: ResultStore) -> No
     assert len(reporter.summaries) == 1
 
 
-async def test_a_stop_that_came_first_ends_the_run(store: ResultStore) -> None:
-    reporter, stop = MemoryReporter(), Trigger()
-    stop.set()
-    await run(ListSource([]), session_for(store, reporter), stop=stop)
-    assert len(reporter.summaries) == 1
-
-
-async def test_what_asks_has_ended_before_the_bus_is_heard_no_more(store: ResultStore) -> None:
-    stop, source, order = Trigger(), ListSource([]), list[str]()
-    close = source.aclose
-
-    async def end_asking() -> None:
-        order.append("asks no more")
-
-    async def aclose() -> None:
-        order.append("hears no more")
-        await close()
-
-    source.aclose = aclose  # type: ignore[method-assign]
-    stop.set()
-    session = session_for(store, MemoryReporter())
-    async with asyncio.timeout(HANG_S):
-        await run_live(
-            source, session, stop=stop, counts_wanted=Trigger(), outbox=None, duration_s=None, end_asking=end_asking
-        )
-    assert order[:2] == ["asks no more", "hears no more"]
-
-
-class LateTrigger(Trigger):
-    """Somebody sets it while those who listened leave."""
-
-    def unsubscribe(self, listener: Callable[[], None]) -> None:
-        del listener
-
-
-def test_a_stop_that_comes_after_the_end_does_no_harm(store: ResultStore) -> None:
-    stop, session = LateTrigger(), session_for(store, MemoryReporter())
-    asyncio.run(run_live(ListSource([]), session, stop=stop, counts_wanted=Trigger(), outbox=None, duration_s=0.01))
-    stop.set()
-
-
 async def test_a_store_that_fails_ends_the_run_before_anything_is_told(
     store: ResultStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -199,28 +158,6 @@ async def test_a_link_hears_every_result_before_the_end(store: ResultStore) -> N
     assert reporter.summaries[0].unpublished_count == 0
 
 
-async def test_numbers_are_told_on_request(store: ResultStore, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(NOTICE)
-    stop, wanted = Trigger(), Trigger()
-    frames = gear_frames(1)
-    running = asyncio.create_task(
-        run_live(
-            ListSource([frames]),
-            session_for(store, MemoryReporter()),
-            stop=stop,
-            counts_wanted=wanted,
-            outbox=None,
-            duration_s=None,
-        )
-    )
-    async with asyncio.timeout(HANG_S):
-        while f"{len(frames)} decoded" not in caplog.text:
-            wanted.set()
-            await asyncio.sleep(0.02)
-        stop.set()
-        await running
-
-
 def test_the_running_state_survives_a_restart(store: ResultStore) -> None:
     first = session_for(store, MemoryReporter())
     for event in first.stages.segment(gear_frames(3)):
@@ -244,26 +181,6 @@ def test_a_state_of_other_versions_is_not_used(store: ResultStore, caplog: pytes
         assert [record.levelno for record in caplog.records] == [logging.WARNING]
         assert "results stay" in caplog.text
     assert len(list(store.results("car1"))) == 2
-
-
-def test_a_state_that_cannot_be_read_is_told_and_replaced(store: ResultStore, caplog: pytest.LogCaptureFixture) -> None:
-    session = session_for(store, MemoryReporter())
-    session.process(session.stages.segment(gear_frames(2))[0])
-    (result,) = store.results("car1")
-    store.add(replace(result, seq=2), VehicleState(filter_state={"odd": 1}, condition={}, versions=VERSIONS))
-    filter_state, _ = resume(store, "car1", VERSIONS, CALIBRATION)
-    assert filter_state.to_json() == Posterior.fresh(CALIBRATION).to_json()
-    assert "cannot be used" in caplog.text
-
-
-def test_feeding_gives_what_segments_and_conclusions_give(store: ResultStore) -> None:
-    frames = gear_frames(4)
-    whole = session_for(store, MemoryReporter()).stages.feed(frames)
-    stages = session_for(store, MemoryReporter()).stages
-    parts = [diagnosis for batch in cut(frames, 91) for diagnosis in stages.feed(batch)]
-    assert [diagnosis.estimate for diagnosis in parts] == [diagnosis.estimate for diagnosis in whole]
-    assert len(whole) == 3
-    assert all(diagnosis.estimate.status is Status.REJECTED for diagnosis in whole)
 
 
 class BreakingSource(ListSource):

@@ -13,17 +13,16 @@ from canlog.live import BusState, BusStatus
 from clutchdiag_io.metrics import Told
 from diag_service.diagnosis.condition.shift_quality import Load, borne
 from diag_service.diagnosis.events import EventKind
-from diag_service.diagnosis.records import Condition, FluidFill, ShiftQuality, ShiftResult, ShiftStatistics
+from diag_service.diagnosis.records import FluidFill, ShiftQuality, ShiftResult, ShiftStatistics
 from diag_service.diagnosis.summary import FrameCounts, Summary, of_present_fluid
 from diag_service.service.metrics import families as _families
 from diag_service.service.snapshot import Snapshot
-from tests.support.builders import rejected, shift_result
+from tests.support.builders import shift_result
 from tests.support.histories import history
 
 BUS = BusStatus(state=BusState.UP, errors={}, interruption_count=0, restart_count=0, last_problem=None)
 FILL = FluidFill(vehicle="car1", filled_at="2026-01-01T00:00:00.000000Z")
 MADE_S = 1_767_225_605.0  # 2026-01-01T00:00:05Z, as the builders have it
-LABELS = {"vehicle", "clutch", "verdict", "status", "advice", "coefficient"}
 
 
 def snapshot(*results: ShiftResult, fluid: FluidFill | None = None) -> Snapshot:
@@ -104,29 +103,6 @@ def test_every_number_of_a_verdict_is_there() -> None:
     }
 
 
-def test_of_a_clutch_that_never_engaged_it_is_said_that_nothing_is_known() -> None:
-    known = of_clutch(snapshot(shift_result(1)), 1)
-    assert known["verdict no_verdict"] == 1.0
-    assert sum(value for name, value in known.items() if name.startswith("verdict")) == 1.0
-    assert known["shifts_total valid"] == 0.0
-    assert not [name for name in known if "mu_" in name or "timestamp" in name]
-
-
-@pytest.mark.parametrize("condition", Condition)
-def test_one_verdict_is_true_at_a_time(condition: Condition) -> None:
-    result = shift_result(1)
-    result = replace(result, verdict=replace(result.verdict, condition=condition))
-    said = {name: value for name, value in of_clutch(snapshot(result), 2).items() if name.startswith("verdict")}
-    assert {name for name, value in said.items() if value} == {f"verdict {condition.name.lower()}"}
-    assert len(said) == len(Condition)
-
-
-def test_a_result_without_friction_has_its_verdict_and_its_outcome() -> None:
-    known = of_clutch(snapshot(rejected(shift_result(1))), 2)
-    assert (known["verdict no_verdict"], known["shifts_total rejected"], known["estimate_shifts"]) == (1.0, 1.0, 0.0)
-    assert not [name for name in known if "mu_" in name]
-
-
 def test_new_fluid_takes_verdict_and_friction_away_but_not_when_the_last_result_was() -> None:
     shown = snapshot(shift_result(1), fluid=FILL)
     later = replace(FILL, filled_at="2026-02-01T00:00:00.000000Z")
@@ -174,26 +150,3 @@ def test_what_the_clutches_had_to_bear_is_a_histogram_with_its_peak() -> None:
     assert found["slip_energy_joules_sum", None] == 44e3
     assert (found["launches_total", None], found["peak_temperature_kelvin", None]) == (1.0, 410.0)
     assert found["life_ratio_total", None] == pytest.approx(5e-6)
-
-
-def test_labels_do_not_grow_with_the_run() -> None:
-    early, late = (
-        {
-            (sample.name, *sorted(sample.labels.items()))
-            for sample in samples(snapshot(*history(count), fluid=FILL))
-            if not sample.name.endswith("advice_info")
-        }
-        for count in (60, 600)
-    )
-    assert early == late
-    of_vehicle = re.compile(r"clutchdiag_(clutch|fluid)_")
-    shown = [sample for sample in samples(snapshot(*history(600), fluid=FILL)) if of_vehicle.match(sample.name)]
-    assert {label for sample in shown for label in sample.labels} == LABELS
-    assert len([sample for sample in shown if sample.name.endswith("advice_info")]) == 2
-
-
-def test_a_clutch_with_a_name_is_labelled_by_it_and_has_no_second() -> None:
-    result = shift_result(1)
-    named = replace(result, verdict=replace(result.verdict, clutch=1, element="lock-up clutch"))
-    labels = {sample.labels["clutch"] for sample in samples(snapshot(named)) if sample.labels.get("clutch")}
-    assert labels == {"lock-up clutch"}

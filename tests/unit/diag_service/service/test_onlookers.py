@@ -1,8 +1,6 @@
 """Who looks on: snapshots of a live run, metrics and health checks over HTTP, the screen of the monitor."""
 
 import io
-import re
-import socket
 import urllib.error
 import urllib.request
 from collections.abc import AsyncIterator, Iterator
@@ -16,16 +14,12 @@ from canlog.e2e.e2e_state import E2eState
 from canlog.frames import BusTrouble, FrameBatch
 from canlog.live import BusState, BusStatus, SourceCounts
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.condition.verdict import Cause, advice
-from diag_service.diagnosis.records import Condition, ShiftQuality
-from diag_service.errors import ConfigError
-from diag_service.service.bus_run import Monitor, screen
-from diag_service.service.metrics import families, serving
+from diag_service.service.bus_run import Monitor
+from diag_service.service.metrics import serving
 from diag_service.service.session import Stage, Stuck
-from diag_service.service.snapshot import SILENT_S, STALE_S, Board, RateMeter, Snapshot, SnapshotTaker
-from diag_service.settings.config import ListenAddress, parse_listen_address
+from diag_service.service.snapshot import STALE_S, Board, RateMeter, Snapshot, SnapshotTaker
+from diag_service.settings.config import ListenAddress
 from diag_service.store import ResultStore
-from tests.support.builders import shift_result
 from tests.support.patience import HANG_S
 from tests.unit.diag_service.service.test_live import gear_frames, session_for
 
@@ -122,19 +116,6 @@ def test_rates_are_those_of_the_frames_heard_however_they_were_cut() -> None:
     assert shown[-1][1] == pytest.approx(0.2)
 
 
-def test_a_silent_bus_has_no_rate_and_a_jump_of_bus_time_none_of_its_own() -> None:
-    meter, begin_ns = RateMeter(0.0, 500_000), 10**18
-    meter.measure(1.0, begin_ns, {"TCU_Shift": 100}, 0)
-    meter.measure(1.0 + SILENT_S / 2, begin_ns, {"TCU_Shift": 100}, 0)
-    assert meter.rates_hz == {"TCU_Shift": 100.0}
-    meter.measure(1.0 + SILENT_S, begin_ns, {"TCU_Shift": 100}, 0)
-    assert meter.rates_hz == {"TCU_Shift": 0.0}
-    meter.measure(3.0 + SILENT_S, begin_ns + 10**15, {"TCU_Shift": 300}, 0)
-    assert meter.rates_hz == {"TCU_Shift": 100.0}
-    meter.measure(5.0 + SILENT_S, begin_ns, {"TCU_Shift": 500}, 0)
-    assert meter.rates_hz == {"TCU_Shift": 100.0}
-
-
 def test_metrics_carry_the_snapshot(url: str) -> None:
     status, text = get(f"{url}/metrics")
     assert status == 200
@@ -161,20 +142,6 @@ def test_metrics_carry_the_snapshot(url: str) -> None:
     assert samples["clutchdiag_last_shift_trust",] == 0.0
 
 
-def test_the_score_of_the_last_gear_change_is_told(snapshot: Snapshot) -> None:
-    def told(*qualities: ShiftQuality | None) -> list[float]:
-        results = [shift_result(seq) for seq in range(len(qualities))]
-        recent = tuple(
-            replace(result, estimate=replace(result.estimate, shift_quality=quality))
-            for result, quality in zip(results, qualities, strict=True)
-        )
-        found = families(replace(snapshot, recent=recent))
-        return [one.value for family in found if family.name == "clutchdiag_last_shift_score" for one in family.samples]
-
-    assert told(ShiftQuality(score=20.0), ShiftQuality(score=80.0), ShiftQuality(score=None), None) == [80.0]
-    assert told(ShiftQuality(score=None)) == told(None) == told() == []
-
-
 def test_health_follows_the_snapshot(snapshot: Snapshot) -> None:
     now_s = 0.0
     board = Board(lambda: now_s)
@@ -199,32 +166,6 @@ def test_health_follows_the_snapshot(snapshot: Snapshot) -> None:
         assert get(f"http://127.0.0.1:{port}/elsewhere")[0] == 404
 
 
-def test_a_client_that_says_nothing_holds_up_nobody(url: str) -> None:
-    host, port = url.removeprefix("http://").split(":")
-    with socket.create_connection((host, int(port)), timeout=HANG_S):
-        assert get(f"{url}/livez") == (200, "OK\n")
-
-
-def test_an_address_in_use_is_one_clear_line(url: str, board: Board) -> None:
-    address = parse_listen_address(url.removeprefix("http://"))
-    with pytest.raises(ConfigError, match=r"cannot serve metrics on 127\.0\.0\.1:"), serving(address, board):
-        raise AssertionError("two servers on one port")
-
-
-@pytest.mark.parametrize(
-    ("text", "host", "port"),
-    [("9464", "127.0.0.1", 9464), ("0.0.0.0:1", "0.0.0.0", 1), ("[::1]:80", "::1", 80), (":8000", "127.0.0.1", 8000)],  # noqa: S104 - parsed only
-)
-def test_addresses(text: str, host: str, port: int) -> None:
-    assert parse_listen_address(text) == ListenAddress(host=host, port=port)
-
-
-@pytest.mark.parametrize("text", ["", "host", "host:", "host:name", "1:70000", "-1"])
-def test_addresses_that_are_none(text: str) -> None:
-    with pytest.raises(ConfigError, match="HOST"):
-        parse_listen_address(text)
-
-
 def test_the_screen_shows_everything(snapshot: Snapshot) -> None:
     out = io.StringIO()
     with Monitor(Console(file=out, width=160)) as monitor:
@@ -238,54 +179,3 @@ def test_the_screen_shows_everything(snapshot: Snapshot) -> None:
     assert rows["IC_Odometer"][1:5] == ["0.0", "1.0", "no", "data"]
     assert rows["2"][:5] == ["2", "2-1", "shift", "1", "rejected"]
     assert "signal missing" in text
-
-
-def test_news_between_two_pictures_show_nothing(snapshot: Snapshot, capsys: pytest.CaptureFixture[str]) -> None:
-    out = io.StringIO()
-    monitor = Monitor(Console(file=out))
-    for news in ("vcan0", snapshot.recent[0], snapshot.summary):
-        monitor.report(news)
-    assert (out.getvalue(), *capsys.readouterr()) == ("", "", "")
-
-
-def test_the_screen_fits_eighty_columns_whatever_messages_are_called(snapshot: Snapshot) -> None:
-    name, counts = next(iter(snapshot.messages.items()))
-    long_name = "A_message_that_somebody_gave_a_name_of_more_than_forty_letters"
-    busy = replace(counts, decoded=123_456_789, missing=1_234_567)
-    wide = replace(
-        snapshot,
-        messages={**snapshot.messages, long_name: busy},
-        rates_hz={**snapshot.rates_hz, long_name: 1_000.0, name: 100.0},
-    )
-    console = Console(file=io.StringIO(), width=80, force_terminal=False)
-    console.print(screen(wide, (80, 24), "q ends this"))
-    assert isinstance(console.file, io.StringIO)
-    lines = console.file.getvalue().splitlines()
-    assert max(map(len, lines)) <= 80
-    assert any("123456789" in line and "1234567" in line for line in lines)
-    assert lines[-1].strip() == "q ends this"
-    shifts = [line for line in lines if re.match(r" +\d+  \d-\d +[a-z]", line)]
-    assert len(shifts) == 2
-
-
-def screen_lines(snapshot: Snapshot, width: int, height: int) -> list[str]:
-    out = io.StringIO()
-    Console(file=out, width=width, force_terminal=False).print(screen(snapshot, (width, height), "q ends this"))
-    return out.getvalue().splitlines()
-
-
-def test_the_screen_says_what_to_do_and_still_fits_eighty_columns(snapshot: Snapshot) -> None:
-    text = advice(2, Condition.WATCH, Cause.MARGIN_THIN, 0.24)
-    assert len(text) > 100
-    worn = shift_result(1)
-    worn = replace(worn, verdict=replace(worn.verdict, advice=text, condition=Condition.WATCH))
-    statistics = replace(snapshot.summary.shifts, latest={2: worn})
-    shown = replace(snapshot, summary=replace(snapshot.summary, shifts=statistics))
-    lines = screen_lines(shown, 80, 24)
-    assert max(map(len, lines)) <= 80
-    assert len(lines) <= 24
-    words = " ".join(" ".join(lines[:10]).split())
-    assert text not in words
-    assert words.count("Have the fluid changed at the next service.") == 1
-    wide = screen_lines(shown, 200, 50)
-    assert [line.strip() for line in wide].count(text) == 1

@@ -25,17 +25,6 @@ class Clock:
         return self.now_s
 
 
-def test_who_works_for_a_while_is_not_stuck_and_who_is_done_is_not_either() -> None:
-    clock = Clock()
-    progress = Progress(limit_s=STUCK_AFTER_S, now_s=clock)
-    assert progress.stuck is None
-    with progress.working(Stage.ESTIMATE):
-        clock.now_s += 0.9 * STUCK_AFTER_S
-        assert progress.stuck is None
-    clock.now_s += STUCK_AFTER_S
-    assert progress.stuck is None
-
-
 def test_the_stage_that_works_longest_is_named() -> None:
     clock = Clock()
     progress = Progress(limit_s=STUCK_AFTER_S, now_s=clock)

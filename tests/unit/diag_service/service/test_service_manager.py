@@ -26,16 +26,3 @@ def test_a_manager_is_told_the_life_of_the_service(manager_socket: socket.socket
     manager.stopping()
     heard = [manager_socket.recv(200).decode() for _ in range(4)]
     assert heard == ["READY=1", "WATCHDOG=1\nSTATUS=bus up", "STATUS=stuck in store", "STOPPING=1"]
-
-
-def test_an_abstract_address() -> None:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as heard:
-        heard.bind("\0clutchdiag-test-notify")
-        heard.settimeout(HANG_S)
-        ServiceManager("@clutchdiag-test-notify").ready()
-        assert heard.recv(100) == b"READY=1"
-
-
-@pytest.mark.parametrize("address", [None, "", "/nowhere/at/all"])
-def test_nobody_to_tell_is_no_error(address: str | None) -> None:
-    ServiceManager(address).ready()

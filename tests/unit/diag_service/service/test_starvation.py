@@ -18,12 +18,10 @@ from canlog.live import BusOpener, LinkBreak, Silence, SupervisedSource
 from canlog.live.supervisor import Backoff
 from diag_service.delivery import DeliveryLimits, DetachedReporter, MemoryLink, MemoryReporter, News, Outbox
 from diag_service.diagnosis.records import ShiftResult
-from diag_service.diagnosis.summary import Summary
-from diag_service.errors import PublishError, StoreError
+from diag_service.errors import PublishError
 from diag_service.store import ResultStore
 from ecu_emulator.bus.sender import open_bus
 from fleet_contract import Outgoing
-from tests.support.builders import shift_result
 from tests.support.patience import HANG_S
 from tests.unit.diag_service.service.test_live import ListSource, cut, gear_frames, run, session_for
 
@@ -110,32 +108,6 @@ async def test_a_publisher_that_dies_is_started_again(store: ResultStore, error:
     assert reporter.summaries[0].unpublished_count == 0
 
 
-async def test_a_publisher_whose_store_failed_ends_the_run(store: ResultStore) -> None:
-    with pytest.raises(StoreError, match="full"):
-        await run(
-            ListSource(cut(gear_frames(SHIFTS), 50)),
-            session_for(store, MemoryReporter()),
-            outbox=linked(FailingLink(StoreError("the disk is full")), store),
-        )
-
-
-class StuckLink(MemoryLink):
-    """Never returns."""
-
-    async def send(self, messages: Sequence[Outgoing]) -> None:
-        if messages:
-            await asyncio.Event().wait()
-
-
-async def test_a_publisher_that_blocks_holds_up_nobody(store: ResultStore, monkeypatch: pytest.MonkeyPatch) -> None:
-    outbox = linked(StuckLink(), store)
-    monkeypatch.setattr(Outbox.close, "__defaults__", (0.05,))
-    reporter = MemoryReporter()
-    await run(ListSource(cut(gear_frames(SHIFTS), 50)), session_for(store, reporter), outbox=outbox)
-    assert [result.seq for result in reporter.results] == [1, 2, 3, 4, 5]
-    assert reporter.summaries[0].unpublished_count == SHIFTS
-
-
 async def test_a_driver_that_fails_once_is_opened_again(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -170,33 +142,3 @@ async def test_a_driver_that_fails_once_is_opened_again(
 
 def _fail(*_: object, **__: object) -> None:
     raise can.CanOperationError("the driver is gone")
-
-
-def test_a_detached_reporter_keeps_the_order_and_tells_the_end() -> None:
-    memory = MemoryReporter()
-    reporter = DetachedReporter(memory)
-    for seq in range(1, 20):
-        reporter.report(shift_result(seq))
-    reporter.report(_summary())
-    assert [result.seq for result in memory.results] == list(range(1, 20))
-    assert len(memory.summaries) == 1
-
-
-def test_the_end_is_told_to_a_reader_who_was_behind() -> None:
-    slow = BlockingReporter()
-    reporter = DetachedReporter(slow, limit=1, drain_s=HANG_S)
-    for seq in range(1, 5):
-        reporter.report(shift_result(seq))
-    threading.Timer(0.05, slow.let_go.set).start()
-    reporter.report(_summary())
-    assert reporter.dropped > 0
-    assert len(slow.summaries) == 1
-
-
-def _summary() -> Summary:
-    store = ResultStore.in_memory()
-    try:
-        session = session_for(store, MemoryReporter())
-        return session.summary(session.stages.decoder.counts, None)
-    finally:
-        store.close()

@@ -6,7 +6,7 @@ import pytest
 
 from canlog.frames import FrameBatch, join
 from diag_service.diagnosis.summary import FrameCounts
-from diag_service.service.session import ENOUGH_FRAMES, SenderWatch
+from diag_service.service.session import SenderWatch
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.scenario_file import load_scenario, parse_scenario
 from tests.support.chain import diagnosed
@@ -53,13 +53,3 @@ def test_it_is_said_once_for_as_long_as_it_lasts_and_again_when_it_comes_back() 
     watch = SenderWatch()
     seen = [(1_000, 0), (2_000, 800), (3_000, 1_600), (4_000, 1_600), (5_000, 2_400)]
     assert [watch.look(counts(*pair)) is not None for pair in seen] == [False, True, False, False, True]
-
-
-def test_a_few_frames_tell_nothing() -> None:
-    watch = SenderWatch()
-    assert watch.look(counts(0, ENOUGH_FRAMES - 1)) is None
-    assert watch.look(counts(0, ENOUGH_FRAMES)) is not None
-
-
-def test_without_frames_nothing_is_said() -> None:
-    assert SenderWatch().look(FrameCounts()) is None

@@ -8,12 +8,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from diag_service.cli import main
 from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.commands.live import describe
 from diag_service.errors import ConfigError
-from diag_service.settings.options import SETTINGS, VARIABLES, read_settings
-from fleet_contract.settings import PREFIX, SERVICE_VARIABLES
+from diag_service.settings.options import SETTINGS, read_settings
+from fleet_contract.settings import PREFIX
 from tests.support.service import environment
 
 VALUES: dict[str, str | int | float | bool] = {
@@ -95,25 +94,6 @@ def test_an_option_is_set_alone(name: str, place: str, tmp_path: Path, monkeypat
     assert changed(settings(file, *words)) == {name: str(VALUES[name])}
 
 
-@pytest.mark.parametrize("off", ["0", "false", "no"])
-def test_the_environment_turns_off_what_the_file_turns_on(
-    off: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = tmp_path / "car.toml"
-    file.write_text("fd = true\nonly_mapped = true\n", encoding="utf-8")
-    monkeypatch.setenv("CLUTCHDIAG_FD", off)
-    monkeypatch.setenv("CLUTCHDIAG_ONLY_MAPPED", "")  # as good as not set
-    assert changed(settings(file)) == {"only_mapped": "True"}
-
-
-def test_commands_that_take_no_settings_leave_the_environment_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CLUTCHDIAG_DBC", "/none.dbc")
-    monkeypatch.setenv("CLUTCHDIAG_BITRATE", "125000")
-    monkeypatch.setenv("CLUTCHDIAG_OUTPUT", "no setting")
-    options = COMMAND_LINE.parse(["inspect", "a.log"])
-    assert (options.dbc, options.bitrate) == (None, 500_000)
-
-
 def test_who_stands_over_whom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "car.toml"
     file.write_text('vehicle = "file"\nchannel = "file"\ninterface = "file"\n', encoding="utf-8")
@@ -159,23 +139,6 @@ def test_what_is_wrong_is_not_repeated(tmp_path: Path, monkeypatch: pytest.Monke
     assert "hunter2" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        ("bitrate = 5e5", 500_000),
-        ("bitrate = '500000'", 500_000),
-        ("duration = 12", 12.0),
-        ("fd = 1", True),
-        ("fd = 'off'", False),
-        ("store = 'car.sqlite'", Path("car.sqlite")),
-    ],
-)
-def test_a_value_may_be_written_in_more_than_one_way(text: str, value: object, tmp_path: Path) -> None:
-    file = tmp_path / "car.toml"
-    file.write_text(text, encoding="utf-8")
-    assert settings(file)[text.split(maxsplit=1)[0]] == value
-
-
 def test_a_password_in_a_file_that_others_may_read_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "car.toml"
     file.write_text('broker = "mqtt://car1:hunter2@host"\n', encoding="utf-8")
@@ -185,16 +148,6 @@ def test_a_password_in_a_file_that_others_may_read_is_refused(tmp_path: Path) ->
     assert "hunter2" not in str(caught.value)
     file.chmod(0o600)
     assert read_settings(file) == {"broker": "mqtt://car1:hunter2@host"}
-
-
-def test_a_broker_in_a_file_that_is_no_address_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "car.toml"
-    file.write_text('broker = "mqtt://car1:hunter2@[::1"\n', encoding="utf-8")
-    file.chmod(0o600)
-    assert main(["config", "check", "--config", str(file)]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith("diag-service: error: the broker must be ")
-    assert "hunter2" not in err
 
 
 def test_the_settings_are_shown_as_a_file_with_the_password_masked() -> None:
@@ -207,33 +160,6 @@ def test_the_settings_are_shown_as_a_file_with_the_password_masked() -> None:
     assert "# metrics is not set\n" in text
 
 
-@pytest.mark.parametrize("text", ['a"b', "a'b", "a\\b", "a\nb", "a\x1bb", "\u00e4"])
-def test_a_shown_text_is_read_back_as_it_was(text: str) -> None:
-    shown = describe(SimpleNamespace(**{**VALUES, "interface": text}))
-    assert tomllib.loads(shown)["interface"] == text
-    assert len(shown.splitlines()) == len(VALUES)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--vehicle", "a/b"), "not a vehicle id"),
-        (("--acknowledge", "backend"), "without a broker"),
-        (("--cert", "a"), "needs its key"),
-        (("--cert", "a", "--key", "b"), "need a broker"),
-        (("--broker", "mqtt://host", "--ca", "a"), "mqtts://"),
-        (("--broker", "mqtt://host", "--password-file", "/none"), "cannot read /none"),
-        (("--store-budget", "0"), "disk budget"),
-        (("--config", "/none"), "cannot read /none"),
-    ],
-)
-def test_config_check_finds_what_is_wrong(
-    arguments: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["config", "check", *arguments]) == 2
-    assert message in capsys.readouterr().err
-
-
 def test_words_are_read_before_anything_heavy_is_loaded() -> None:
     code = (
         "import sys; from diag_service import cli; from diag_service.commands.arguments import COMMAND_LINE;"
@@ -241,17 +167,3 @@ def test_words_are_read_before_anything_heavy_is_loaded() -> None:
     )
     started = subprocess.run([sys.executable, "-c", code], check=False, env=environment())
     assert started.returncode == 0
-
-
-def test_a_variable_that_nothing_reads_is_an_error_that_names_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CLUTCHDIAG_VEHICEL", "hunter2")
-    with pytest.raises(ConfigError, match=r"CLUTCHDIAG_VEHICEL.*CLUTCHDIAG_VEHICLE") as caught:
-        settings()
-    assert "hunter2" not in str(caught.value)
-    monkeypatch.setenv("CLUTCHDIAG_VEHICEL", "")  # as good as not set
-    assert settings() == UNSET
-
-
-def test_the_contract_knows_every_variable() -> None:
-    assert {PREFIX + name.upper() for name in (*SETTINGS, "config")} == SERVICE_VARIABLES
-    assert f"{VARIABLES}_" == PREFIX

@@ -1,6 +1,5 @@
 """The store's rules, in memory; what disks do to it is in tests/integration/test_store_file.py."""
 
-import threading
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -8,7 +7,6 @@ from dataclasses import replace
 import pytest
 
 from diag_service.diagnosis.records import FluidFill, StoredResult, dump, shift_record
-from diag_service.errors import ResultError
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Outcome, Receipt, key_of
 from tests.support.builders import shift_result
@@ -48,12 +46,6 @@ def test_every_part_of_the_key_counts(store: ResultStore, other: object) -> None
     assert isinstance(other, type(shift_result()))
     store.add(shift_result(1), state())
     assert store.add(other, state())
-
-
-def test_nothing_is_stored_of_a_result_that_is_not_finite(store: ResultStore) -> None:
-    with pytest.raises(ResultError):
-        store.add(shift_result(1), state(float("nan")))
-    assert list(store.results("car1")) == []
 
 
 def test_live_sequence_numbers_are_never_used_again(store: ResultStore) -> None:
@@ -113,19 +105,6 @@ def waiting(store: ResultStore, *, after: int = 0, before: int = 2**62, limit: i
     return store.waiting("car1", after=after, before=before, limit=limit)
 
 
-def test_threads_take_turns(store: ResultStore) -> None:
-    def add(first: int) -> None:
-        for seq in range(first, first + 50):
-            store.add(shift_result(seq), state(seq))
-
-    threads = [threading.Thread(target=add, args=(first,)) for first in (1, 51, 101)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert sorted(result.seq for result in store.results("car1")) == list(range(1, 151))
-
-
 def fill(day: int, vehicle: str = "car1") -> FluidFill:
     return FluidFill(vehicle=vehicle, filled_at=f"2026-01-{day:02d}T00:00:00.000000Z", product=f"fluid {day}")
 
@@ -138,9 +117,3 @@ def test_the_fluid_of_a_moment_is_that_of_the_last_fill_before_it(store: ResultS
     assert store.fluid_at("car1", fill(3).filled_at) == fill(3)
     assert store.fluid_at("car1", fill(8).filled_at) == fill(3)
     assert store.fluid_at("car1", fill(20).filled_at) == fill(9)
-
-
-def test_a_fill_that_is_known_stays_as_it_was(store: ResultStore) -> None:
-    store.add_fills([fill(3)])
-    assert store.add_fills([replace(fill(3), product="another"), fill(4)]) == 1
-    assert store.fills("car1") == [fill(3), fill(4)]

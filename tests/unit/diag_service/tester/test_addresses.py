@@ -14,12 +14,6 @@ def test_the_rules_of_the_standard_give_the_answer(request_id: int, response_id:
     assert usual_response_id(request_id) == response_id
 
 
-@pytest.mark.parametrize("request_id", [0x7FF, 0x7F8, 0x1CDA10F1, 0x10000])
-def test_without_a_rule_the_answer_has_to_be_named(request_id: int) -> None:
-    with pytest.raises(ConfigError, match="--reply is needed"):
-        usual_response_id(request_id)
-
-
 def test_words_become_an_address() -> None:
     assert parse_address(None, None) is None
     assert parse_address("7e0", None) == CanAddress(request_id=0x7E0, response_id=0x7E8)

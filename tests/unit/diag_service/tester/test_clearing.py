@@ -3,7 +3,7 @@
 import pytest
 
 from diag_service.errors import ConfigError
-from diag_service.tester.questions import Clearing, parse_group
+from diag_service.tester.questions import parse_group
 from diag_service.tester.trouble import TroubleCode
 
 CODES = tuple(TroubleCode(number=number, status=0x0F) for number in (0x081107, 0x081109, 0x02184B, 0xC07300))
@@ -35,7 +35,3 @@ def test_a_code_that_is_not_there_is_not_cleared_by_guess() -> None:
 def test_what_names_no_group_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="--clear must be all, obd, a code"):
         parse_group(text)
-
-
-def test_what_is_gone_is_what_is_not_told_any_more() -> None:
-    assert Clearing(groups=(0x081107,), before=CODES, after=CODES[1:]).gone == CODES[:1]

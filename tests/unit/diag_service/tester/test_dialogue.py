@@ -6,12 +6,10 @@ from collections.abc import Sequence
 
 import pytest
 
-from diag_service.errors import ControllerError, MalformedError, PendingError, RefusedError, SilentError, StoppedError
+from diag_service.errors import PendingError, RefusedError, StoppedError
 from diag_service.tester.answers import Timing
-from diag_service.tester.description import UNKNOWN
 from diag_service.tester.dialogue import Dialogue
 from diag_service.tester.libraries import BaseConnection, TimeoutException
-from diag_service.tester.questions import read_troubles
 
 QUICK = Timing(p2_s=0.02, p2_star_s=0.05, longest_s=0.2, gap_s=0.0)
 VIN = bytes.fromhex("22 F1 90")
@@ -69,31 +67,10 @@ def test_patience_ends() -> None:
         tester.ask(VIN)
 
 
-def test_who_asked_for_time_once_and_says_no_more_is_not_asked_again() -> None:
-    tester, connection, _ = dialogue_of(["7f 22 78"], ["62 f1 90 41"])
-    with pytest.raises(PendingError, match=r"^7E1 asked for more time once in 0 s and never answered 22 F1 90$"):
-        tester.ask(VIN)
-    assert len(connection.asked) == 1
-
-
-def test_an_answer_that_breaks_the_rules_is_an_error() -> None:
-    tester, _, _ = dialogue_of(["59 02"])
-    text = "^7E1 answers 19 02 AF with 59 02, which is not a valid answer: at least 3 bytes are due, and it has 2$"
-    with pytest.raises(MalformedError, match=text):
-        tester.ask(bytes.fromhex("19 02 af"))
-
-
 def test_who_shall_stop_does_not_wait_for_a_busy_controller() -> None:
     looks = iter([True, True, False])
     tester = Dialogue(Scripted(*[["7f 22 21"]] * 9), "7E1", Timing(busy_pause_s=60.0), goes_on=lambda: next(looks))
     with pytest.raises(StoppedError, match="not everything was asked"):
-        tester.ask(VIN)
-
-
-def test_patience_that_was_asked_for_ends_as_well() -> None:
-    timing = Timing(p2_s=0.01, p2_star_s=0.01, longest_s=3600.0, most_silent=1)
-    tester = Dialogue(Endless("7f 22 78"), "7E1", timing)
-    with tester.patience(0.05), pytest.raises(SilentError):
         tester.ask(VIN)
 
 
@@ -118,26 +95,10 @@ def test_a_busy_controller_is_asked_again_after_longer_and_longer_pauses() -> No
     assert (tester.counts.requests, tester.counts.busy) == (3, 2)
 
 
-def test_a_controller_that_stays_busy_is_left_alone() -> None:
-    tester, connection, _ = dialogue_of(*[["7f 22 21"]] * 20)
-    with pytest.raises(RefusedError, match=r"busy, repeat request \(21\)") as refused:
-        tester.ask(VIN)
-    assert refused.value.code == 0x21
-    assert len(connection.asked) == 1 + QUICK.most_busy
-
-
 def test_late_answers_to_others_are_passed_over() -> None:
     tester, _, _ = dialogue_of(["62 f1 87 00", "7f 19 31", "6e f1 90", "62 f1 90 41"])
     assert tester.ask(VIN) == ANSWER
     assert tester.counts.stray == 3
-
-
-def test_only_others_answers_are_silence() -> None:
-    tester = Dialogue(Endless("62 f1 87 00"), "7E1", QUICK)
-    text = "^7E1 does not answer 22 F1 90: what came instead, last 62 F1 87 00, does not answer it$"
-    with pytest.raises(SilentError, match=text):
-        tester.ask(VIN)
-    assert tester.counts.stray > 0
 
 
 def test_what_is_not_answered_is_asked_once_more() -> None:
@@ -153,68 +114,8 @@ def test_a_refusal_says_what_was_asked_and_why() -> None:
         tester.ask(bytes.fromhex("31 01 03 01"))
 
 
-def test_no_answer_is_waited_for_if_none_is_wanted() -> None:
-    tester, connection, _ = dialogue_of()
-    assert tester.ask(bytes.fromhex("3e 80")) == b""
-    assert connection.asked == ["3e 80"]
-
-
 def test_a_session_is_left_whatever_happens_in_it() -> None:
     tester, connection, _ = dialogue_of(["50 03 00 32 01 f4"], ["7f 31 22"], ["50 01 00 32 01 f4"])
     with pytest.raises(RefusedError), tester.session(3):
         tester.ask(bytes.fromhex("31 01 03 01"))
     assert connection.asked == ["10 03", "31 01 03 01", "10 01"]
-
-
-def test_the_default_session_is_neither_entered_nor_left() -> None:
-    tester, connection, _ = dialogue_of()
-    with tester.session(1):
-        pass
-    assert connection.asked == []
-
-
-def test_a_lock_is_opened_by_its_mask() -> None:
-    tester, connection, _ = dialogue_of(["67 01 12 34"], ["67 02"])
-    tester.unlock(1, bytes.fromhex("ff 00"))
-    assert connection.asked == ["27 01", "27 02 ed 34"]
-
-
-def test_an_open_lock_is_left_alone() -> None:
-    tester, connection, _ = dialogue_of(["67 01 00 00"])
-    tester.unlock(1, b"\x01")
-    assert connection.asked == ["27 01"]
-
-
-def test_a_mask_of_another_length_is_named() -> None:
-    tester, _, _ = dialogue_of(["67 01 12 34"])
-    with pytest.raises(ControllerError, match="a seed of 2 bytes, the mask has 4"):
-        tester.unlock(1, bytes(4))
-
-
-def test_who_shall_stop_waits_no_longer() -> None:
-    looks = iter([True, True, False])
-    tester = Dialogue(Scripted(), "7E1", Timing(p2_s=60.0), goes_on=lambda: next(looks))
-    with pytest.raises(StoppedError, match="not everything was asked"):
-        tester.ask(VIN)
-
-
-def test_an_answer_may_begin_as_late_as_was_said_however_short_a_question_is_to_take() -> None:
-    tester = Dialogue(Scripted(), "7E1", Timing(p2_s=0.3, longest_s=0.02, most_silent=1, gap_s=0.0))
-    begun_s = time.monotonic()
-    with pytest.raises(SilentError):
-        tester.ask(VIN)
-    with tester.patience(0.01), pytest.raises(SilentError):
-        tester.ask(VIN)
-    assert time.monotonic() - begun_s >= 0.6
-
-
-def test_silence_about_what_was_kept_costs_no_code_and_is_met_once() -> None:
-    extended = [["59 06 08 11 07 2f 01 05"], ["59 06 08 11 09 2f 01 06"]]
-    tester, controller, _ = dialogue_of(["59 02 ff 08 11 07 2f 08 11 09 2f"], [], [], *extended)
-    codes = read_troubles(tester, UNKNOWN)
-    assert [(code.number, code.snapshots, len(code.extended)) for code in codes] == [
-        (0x081107, (), 1),
-        (0x081109, (), 1),
-    ]
-    assert {code.fault for code in codes} == {"7E1 does not answer 19 04 08 11 07 FF"}
-    assert [one[:5] for one in controller.asked] == ["19 02", "19 04", "19 04", "19 06", "19 06"]

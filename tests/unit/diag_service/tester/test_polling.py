@@ -6,9 +6,8 @@ from contextlib import closing
 
 import pytest
 
-from canlog.errors import DefinitionError
 from diag_service.delivery import MemoryReporter
-from diag_service.errors import ResultError, SilentError, StoreError
+from diag_service.errors import SilentError
 from diag_service.store import ResultStore
 from diag_service.tester.polling import ControllerReport, Poller, message_of, pause_s, publish_controller
 from diag_service.tester.trouble import Snapshot, TroubleCode
@@ -57,20 +56,6 @@ def test_it_asks_again_after_a_failure_and_says_so_once(caplog: pytest.LogCaptur
     ]
 
 
-def test_whatever_goes_wrong_it_asks_again() -> None:
-    is_told = threading.Event()
-    failures = [ResultError("a result holds a number that is not finite"), DefinitionError("no"), StoreError("full")]
-
-    def tell(_: ControllerReport) -> None:
-        if failures:
-            raise failures.pop()
-        is_told.set()
-
-    with Poller(report, tell, 0.001):
-        assert is_told.wait(HANG_S)
-    assert not failures
-
-
 def test_what_is_new_is_stored_and_told_and_all_is_published() -> None:
     reporter, published = MemoryReporter(), list[Outgoing]()
     with closing(ResultStore.in_memory()) as store:
@@ -88,23 +73,6 @@ def test_what_is_new_is_stored_and_told_and_all_is_published() -> None:
     assert published[0].is_retained
     read = read_message(published[-1].topic, published[-1].payload)
     assert read.data["produced_at"] == "2026-01-01T00:00:03.000000Z"
-
-
-def test_reports_have_their_share_of_a_budget() -> None:
-    with closing(ResultStore.in_memory()) as store:
-        store._budget_bytes = 8 * 2000
-        for number in range(100):
-            assert store.note_controller("car1", "7E1", str(number), f"{number:0500}")
-        kept = store.controller_reports("car1")
-    assert [int(text) for text in kept] == [97, 98, 99]  # 2,000 bytes of text in all, and the newest whatever it takes
-
-
-def test_the_newest_stays_however_long_it_is() -> None:
-    with closing(ResultStore.in_memory()) as store:
-        store._budget_bytes = 8
-        assert store.note_controller("car1", "7E1", "a", "x" * 5000)
-        assert store.note_controller("car1", "7E1", "b", "y" * 5000)
-        assert store.controller_reports("car1") == ["y" * 5000]
 
 
 @pytest.mark.parametrize("count", [1, 600, 3000])

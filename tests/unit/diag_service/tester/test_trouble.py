@@ -2,7 +2,6 @@
 
 import pytest
 
-from diag_service.errors import MalformedError
 from diag_service.tester.answers import belongs, fault
 from diag_service.tester.description import Coding, Datum, Description, Field, Trouble
 from diag_service.tester.trouble import read_codes, read_extended, read_snapshots
@@ -73,36 +72,12 @@ def test_what_breaks_the_rules_is_named(request_hex: str, response_hex: str, tex
     assert fault(bytes.fromhex(request_hex), bytes.fromhex(response_hex)) == text
 
 
-@pytest.mark.parametrize("kept", ["01", "01 01", "01 01 01", "01 01 0102 12", "01 02 0102 1234"])
-def test_a_snapshot_that_is_cut_off_is_none(kept: str) -> None:
-    with pytest.raises(MalformedError, match="cut off"):
-        read_snapshots(bytes.fromhex(f"59 04 081107 2F {kept}"), KNOWN)
-
-
-@pytest.mark.parametrize("kept", ["01", "10 12", "77"])
-def test_extended_data_that_are_cut_off_are_none(kept: str) -> None:
-    with pytest.raises(MalformedError, match="cut off"):
-        read_extended(bytes.fromhex(f"59 06 081107 2F {kept}"), KNOWN)
-
-
-def test_a_snapshot_of_an_unknown_number_of_data_stays_bytes() -> None:
-    (found,) = read_snapshots(bytes.fromhex("59 04 081107 2F 01 00 0102 1234"), KNOWN)
-    assert (found.data, found.rest) == ({}, bytes.fromhex("0102 1234"))
-
-
 def test_snapshots_are_data_with_their_units() -> None:
     found = read_snapshots(bytes.fromhex("59 04 081107 2F 01 01 0102 1234 02 02 0102 FFFF 0102 0001"), KNOWN)
     assert [(one.number, one.data, one.rest) for one in found] == [
         (1, {"vehicle speed": {"speed [km/h]": 46.6}}, b""),
         (2, {"vehicle speed": {"speed [km/h]": None}, "vehicle speed (0102)": {"speed [km/h]": 0.01}}, b""),
     ]
-
-
-def test_data_of_unknown_length_are_left_as_bytes() -> None:
-    (found,) = read_snapshots(bytes.fromhex("59 04 081107 2F 01 02 0102 1234 0999 AABB"), KNOWN)
-    assert found.data == {"vehicle speed": {"speed [km/h]": 46.6}}
-    assert found.rest == bytes.fromhex("0999 AABB")
-    assert read_snapshots(bytes.fromhex("59 04 081107 2F"), KNOWN) == ()
 
 
 def test_extended_records_are_told_apart_while_their_length_is_known() -> None:

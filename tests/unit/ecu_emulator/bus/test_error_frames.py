@@ -8,7 +8,6 @@ from can.io import CanutilsLogReader
 
 from ecu_emulator.bus.bus_faults import error_frames
 from ecu_emulator.bus.frames import joined
-from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.errors import RecordError
 from ecu_emulator.log_formats.record import open_log
 from tests.support.wire import drive
@@ -35,8 +34,3 @@ def test_other_logs_refuse_them_and_leave_nothing_behind(tmp_path: Path, suffix:
     ):
         log.write(FRAMES)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_bus_gets_them_as_such() -> None:
-    *_, last = to_messages(FRAMES)
-    assert (last.is_error_frame, last.is_extended_id, last.arbitration_id, last.data[2]) == (True, False, 0x88, 4)

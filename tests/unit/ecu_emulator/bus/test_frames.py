@@ -9,12 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canlog.arrays import FloatArray
-from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
-from dbc.contract import load_contract
 from ecu_emulator.bus.frames import SIGNAL_OF, EncodedFrames, FrameEncoder
 from ecu_emulator.sensing import Readings
-from tests.support.wire import CONTRACTS, DATABASE, drive, readings
+from tests.support.wire import CONTRACTS, DATABASE, readings
 
 TO_DBC_UNIT: dict[str, Callable[[float], float]] = {
     "rad_s": lambda value: value / (math.pi / 30.0),
@@ -71,19 +69,6 @@ def test_frames_are_protected(name: str) -> None:
     assert set(frames.can_id.tolist()) == {CONTRACTS[name].can_id}
 
 
-@given(st.lists(st.integers(0, 40), min_size=1, max_size=6))
-def test_counters_go_on_from_call_to_call(sizes: list[int]) -> None:
-    whole = readings("TCU_Shift", np.arange(float(sum(sizes))), np.random.default_rng(2))
-    encoder = FrameEncoder(DATABASE)
-    parts = []
-    for stop, size in zip(np.cumsum(sizes).tolist(), sizes, strict=True):
-        rows = slice(stop - size, stop)
-        cut = {quantity: values[rows] for quantity, values in whole.values.items()}
-        parts.append(encoder.encode(Readings(message="TCU_Shift", t_s=whole.t_s[rows], values=cut)))
-    assert np.array_equal(np.concatenate([part.data for part in parts]), FrameEncoder(DATABASE).encode(whole).data)
-    assert encoder.sent["TCU_Shift"] == sum(sizes)
-
-
 @pytest.mark.parametrize("name", sorted(CONTRACTS))
 def test_nan_becomes_the_code_for_not_available(name: str) -> None:
     encoder = FrameEncoder(DATABASE)
@@ -111,27 +96,3 @@ def test_values_out_of_range_saturate_and_are_counted(quantity: str, si: float, 
     frames = encoder.encode(inputs(**{quantity: np.array([si])}))
     assert decoded(frames, "ECM_TorqueSpeed")[signal] == limit
     assert encoder.saturated == {quantity: 1}
-
-
-def test_merge_sorts_by_time_and_then_by_identifier() -> None:
-    frames = drive(1.0)
-    order = list(zip(frames.t_s.tolist(), frames.can_id.tolist(), strict=True))
-    assert order == sorted(order)
-    assert len(frames) == 5 * 100 + 2 * 50 + 2 * 10 + 1
-    assert len(frames[10:20]) == 10
-
-
-def test_every_quantity_belongs_to_one_message() -> None:
-    found: set[str] = set()
-    for database in (DATABASE, load_contract("lockup")):
-        encoder = FrameEncoder(database)
-        carried = [quantity for name in message_contracts(database) for quantity in encoder.quantities(name)]
-        assert len(carried) == len(set(carried))
-        found |= set(carried)
-    assert found == set(SIGNAL_OF)
-
-
-def test_quantities_must_be_those_of_the_message() -> None:
-    sample = inputs(film_m=np.zeros(1))
-    with pytest.raises(ValueError, match="film_m"):
-        FrameEncoder(DATABASE).encode(sample)

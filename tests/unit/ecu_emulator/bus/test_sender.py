@@ -5,11 +5,10 @@ import threading
 from collections.abc import Callable, Iterator
 
 import can
-import numpy as np
 import pytest
 
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.bus.sender import open_bus, to_messages, transmit
+from ecu_emulator.bus.sender import open_bus, transmit
 from ecu_emulator.errors import BusError
 from tests.support.patience import HANG_S
 from tests.support.traffic import random_frames
@@ -66,14 +65,6 @@ def test_a_full_buffer_is_tried_again(stop: threading.Event) -> None:
     assert report.frames_given_up == 0
 
 
-def test_a_buffer_that_stays_full_costs_the_frame_and_is_counted(stop: threading.Event) -> None:
-    full = can.CanOperationError("Transmit buffer full")
-    with AnsweringBus(lambda _: full) as bus:
-        report = transmit(bus, chunks(quick_frames(5)), stop)
-    assert (report.frames_sent, report.frames_given_up) == (0, 5)
-    assert bus.attempts == report.retries + 5
-
-
 def test_a_bus_that_goes_away_ends_the_transmission(stop: threading.Event) -> None:
     down = can.CanOperationError("Failed to transmit", errno.ENETDOWN)
     with (
@@ -81,13 +72,6 @@ def test_a_bus_that_goes_away_ends_the_transmission(stop: threading.Event) -> No
         pytest.raises(BusError, match="after 10 frames"),
     ):
         transmit(bus, chunks(quick_frames(100)), stop)
-
-
-def test_the_cause_of_an_error_names_it_as_well(stop: threading.Event) -> None:
-    error = can.CanOperationError("failed to send via socket")
-    error.__cause__ = OSError(errno.ENETUNREACH, "Network is unreachable")
-    with AnsweringBus(lambda _: error) as bus, pytest.raises(BusError):
-        transmit(bus, chunks(quick_frames(3)), stop)
 
 
 def test_stopping_ends_at_once_and_is_no_completion(stop: threading.Event) -> None:
@@ -99,16 +83,6 @@ def test_stopping_ends_at_once_and_is_no_completion(stop: threading.Event) -> No
         timer.join()
     assert not report.is_complete
     assert report.duration_s < HANG_S  # the next frame is due in an hour
-
-
-def test_an_error_of_the_plant_reaches_the_caller(stop: threading.Event) -> None:
-    def breaking() -> Iterator[EncodedFrames]:
-        yield quick_frames(3)
-        raise ArithmeticError("the plant diverged")
-
-    with AnsweringBus() as bus, pytest.raises(ArithmeticError, match="diverged"):
-        transmit(bus, breaking(), stop)
-    assert len(bus.taken) == 3
 
 
 def test_a_plant_that_is_too_slow_is_counted(stop: threading.Event) -> None:
@@ -126,27 +100,6 @@ def test_a_plant_that_is_too_slow_is_counted(stop: threading.Event) -> None:
         report = transmit(bus, slow(), stop, on_progress=on_progress)
     assert report.frames_sent == 6
     assert report.underruns >= 1
-
-
-def test_no_frames_at_all(stop: threading.Event) -> None:
-    with AnsweringBus() as bus:
-        report = transmit(bus, [], stop)
-    assert (report.frames_sent, report.is_complete) == (0, True)
-
-
-def test_a_stretch_of_which_every_frame_was_lost_ends_nothing(stop: threading.Event) -> None:
-    frames = quick_frames(10)
-    with AnsweringBus() as bus:
-        report = transmit(bus, [frames[:5], frames[5:5], frames[5:]], stop)
-    assert (report.frames_sent, report.is_complete) == (10, True)
-
-
-def test_messages_hold_what_the_columns_hold() -> None:
-    frames = random_frames(200)
-    messages = to_messages(frames)
-    ids = [message.arbitration_id | (0x8000_0000 if message.is_extended_id else 0) for message in messages]
-    assert np.array_equal(ids, frames.can_id)
-    assert [message.dlc for message in messages] == frames.length.tolist()
 
 
 def test_an_unknown_interface_is_one_clear_line() -> None:

@@ -55,37 +55,11 @@ def test_values_are_back_in_si() -> None:
     assert values["time_s"] == 3.5
 
 
-def test_slip_is_the_hub_before_its_shaft() -> None:
-    values = noted(*frames("TCU_InputSpeeds", hub_speed_rad_s=150.0, input1_speed_rad_s=140.0)).now({})
-    assert values["clutch1_slip_rad_s"] == pytest.approx(10.0, abs=0.06)
-    assert "clutch2_slip_rad_s" not in values
-
-
 def test_what_was_not_sent_or_is_not_available_is_missing() -> None:
     values = noted(*frames("TCU_InputSpeeds", hub_speed_rad_s=150.0)).now({"shift_count": 2.0})
     assert set(values) == {"hub_speed_rad_s", "shift_count"}
     assert len(values) == 2
     assert values.get("engine_speed_rad_s") is None
-
-
-def test_a_frame_that_a_fault_cut_says_nothing() -> None:
-    values = SentValues(DATABASE)
-    values.note(frames("TCU_Temperature")[0].arbitration_id, b"\x01")
-    assert "sump_temperature_k" not in values.now({})
-
-
-def test_it_is_known_which_messages_have_come() -> None:
-    values = noted(*frames("TCU_Temperature"), *frames("TCU_Shift"))
-    assert values.has_all(["sump_temperature_k", "current_gear"])
-    assert not values.has_all(["sump_temperature_k", "hub_speed_rad_s"])
-
-
-def test_a_moment_does_not_change_when_more_is_sent() -> None:
-    values = noted(*frames("TCU_Temperature", sump_temperature_k=350.0))
-    before = values.now({})
-    message = frames("TCU_Temperature", sump_temperature_k=300.0)[0]
-    values.note(message.arbitration_id, bytes(message.data))
-    assert before["sump_temperature_k"] == pytest.approx(350.0, abs=0.5)
 
 
 def at(values: SentValues, due_s: float, *messages: can.Message) -> None:
@@ -128,14 +102,6 @@ def test_a_bus_on_which_nothing_is_said_becomes_old_by_the_clock() -> None:
     assert set(values.now({})) == {"current_gear"}
 
 
-def test_a_controller_that_is_switched_on_knows_nothing_of_before() -> None:
-    values = noted(*frames("BRK_Vehicle", vehicle_speed_m_s=0.0), *frames("TCU_Shift", current_gear=0.0))
-    values.restart()
-    at(values, 60.0, *frames("ECM_TorqueSpeed", engine_speed_rad_s=100.0))
-    assert set(values.now({})) == {"engine_speed_rad_s"}
-    assert set(values.silences.values()) == {0.0}  # the others have just been switched on as well
-
-
 class Sent:
     """The end of a bus that keeps what it is given."""
 
@@ -161,15 +127,6 @@ def test_a_controller_whose_vehicle_has_not_begun_is_busy_with_what_it_will_know
         answering.send(frames(name)[0])
     for request in live:
         assert not ask(request).startswith("7f")
-
-
-def test_shifts_are_counted_and_error_frames_are_no_values() -> None:
-    answering = Answering(Sent(), table="", memory=None, doip=None, is_fd=False)
-    for gear in (0.0, 1.0, 1.0, 2.0, 2.0, 3.0, 0.0, 2.0):
-        answering.send(frames("TCU_Shift", current_gear=gear)[0])
-    assert answering.controller.ask(b"\x22\x03\x02") == b"\x62\x03\x02\0\0\0\x03"
-    answering.send(can.Message(arbitration_id=0x0A0, is_error_frame=True, is_extended_id=False, data=bytes(8)))
-    assert answering.controller.ask(b"\x22\x01\x05") == b"\x62\x01\x05\xff\xff"
 
 
 @pytest.mark.parametrize(("step_s", "has_failed"), [(0.01, False), (0.1, True)])

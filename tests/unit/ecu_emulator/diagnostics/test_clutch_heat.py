@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ecu_emulator.answering.monitoring import Monitoring
-from ecu_emulator.diagnostics.clutches import heated_k, packs_of, slip_power_w
+from ecu_emulator.diagnostics.clutches import heated_k, packs_of
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.table_file import shipped_table
@@ -51,22 +51,6 @@ def test_the_computed_temperature_is_near_the_true_one(
     assert warming_k > 8.0
     assert np.abs(errors_k).max() < most_k
     assert np.abs(np.mean(errors_k)) < 0.2 * warming_k
-
-
-def test_what_is_not_known_makes_no_heat_and_time_cools() -> None:
-    slipping = {"sump_temperature_k": 360.0, "clutch1_pressure_pa": 5e5, "clutch1_slip_rad_s": 100.0}
-    assert heated_k(None, {}, 1.0, PACKS) is None
-    assert heated_k((370.0, 380.0), {}, 1.0, PACKS) == (370.0, 380.0)
-    hot = heated_k(None, slipping, 5.0, PACKS)
-    assert hot is not None
-    assert hot[0] > 380.0
-    assert hot[1] == 360.0
-    cold = heated_k(hot, {"sump_temperature_k": 340.0}, 3600.0, PACKS)
-    assert cold == pytest.approx((340.0, 340.0))
-    for name in ("clutch1_pressure_pa", "clutch1_slip_rad_s"):
-        assert slip_power_w({key: value for key, value in slipping.items() if key != name}, 1, PACKS[0]) == 0.0
-    assert slip_power_w({**slipping, "clutch1_touch_pressure_pa": 6e5}, 1, PACKS[0]) == 0.0  # it carries nothing yet
-    assert slip_power_w({**slipping, "clutch1_slip_rad_s": -100.0}, 1, PACKS[0]) == slip_power_w(slipping, 1, PACKS[0])
 
 
 class Judged:

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import math
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,10 +14,9 @@ from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.state import ServerState
-from ecu_emulator.diagnostics.table_file import parse_table
 from ecu_emulator.errors import RecordError
 from ecu_emulator.shift_control.touch_points import TouchPoint
-from tests.support.uds.full_table import full_table, full_text
+from tests.support.uds.full_table import full_table
 from tests.unit.ecu_emulator.diagnostics.bench import PARKED, SEED
 
 HOT = 0x27874B
@@ -54,11 +52,6 @@ def test_codes_written_data_and_wrong_keys_outlive_a_restart(tmp_path: Path) -> 
         assert second.ask(b"\x27\x03") == b"\x7f\x27\x37"
 
 
-def test_without_a_file_nothing_outlives_it() -> None:
-    controller().report(HOT, TestResult.FAILED)
-    assert controller().ask(b"\x19\x02\x08") == b"\x59\x02\xff"
-
-
 def test_what_cannot_be_kept_is_refused_and_forgotten(tmp_path: Path) -> None:
     folder = tmp_path / "disk"
     folder.mkdir()
@@ -72,24 +65,6 @@ def test_what_cannot_be_kept_is_refused_and_forgotten(tmp_path: Path) -> None:
         assert one.ask(b"\x19\x02\x08") == b"\x59\x02\xff\x27\x87\x4b\xaf"
         (folder / ".memory.json.part").rmdir()
         assert one.ask(b"\x14\xff\xff\xff") == b"\x54"
-
-
-def test_two_processes_cannot_share_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "memory.json"
-    with (
-        MemoryFile(path, full_table()),
-        pytest.raises(RecordError, match=r"memory.json is used by another process"),
-        MemoryFile(path, full_table()),
-    ):
-        pass
-
-
-def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with (
-        pytest.raises(RecordError, match=r"cannot lock .*No such file"),
-        MemoryFile(tmp_path / "no/file", full_table()),
-    ):
-        pass
 
 
 def _saved(path: Path) -> str:
@@ -159,59 +134,6 @@ def test_an_adaptation_that_cannot_be_is_not_believed(
 ) -> None:
     with pytest.raises(RecordError, match=r"memory.json is damaged"):
         _adapted(tmp_path / "memory.json", change)
-
-
-def test_a_file_of_another_controller_is_refused(tmp_path: Path) -> None:
-    other = parse_table(full_text().replace('code = "P2787"', 'code = "P2786"'), "other.toml")
-    path = tmp_path / "memory.json"
-    _saved(path)
-    with MemoryFile(path, other) as store, pytest.raises(RecordError, match="trouble code 27874B is not in the table"):
-        store.load()
-
-
-def test_the_file_can_be_read_by_people_and_its_owner_only(tmp_path: Path) -> None:
-    path = tmp_path / "memory.json"
-    document = json.loads(_saved(path))
-    assert document["codes"]["27874B"]["status"] == 0xAF
-    assert path.stat().st_mode & 0o777 == 0o600
-
-
-def test_a_thread_that_monitors_and_one_that_answers_do_not_disturb_each_other() -> None:
-    one = controller()
-
-    def monitor() -> None:
-        for _ in range(300):
-            one.report(HOT, TestResult.FAILED)
-            one.report(HOT, TestResult.PASSED)
-
-    thread = threading.Thread(target=monitor)
-    thread.start()
-    for _ in range(300):
-        assert one.ask(b"\x3e\x00") == b"\x7e\x00"
-        one.tick()
-    thread.join()
-    assert one.state.memory.records[HOT].occurrences == 255
-
-
-def test_time_brings_the_answer_that_was_awaited() -> None:
-    times = iter(float(number) for number in range(100, 400))
-    one = controller(clock=lambda: next(times) / 10.0)
-    unlock(one)
-    assert one.ask(b"\x31\x01\x03\x01\x01\x01") == b"\x7f\x31\x78"
-    assert one.tick() is None
-    one.finish(0x0301)
-    assert (one.tick() or b"").startswith(b"\x71\x01\x03\x01\x00")
-
-
-def test_cycles_and_warm_ups_reach_the_memory() -> None:
-    one = controller()
-    one.report(HOT, TestResult.FAILED)
-    for _ in range(43):
-        one.cycle()
-        one.warm_up()
-        one.report(HOT, TestResult.PASSED)
-    one.cycle()
-    assert one.ask(b"\x19\x02\x08") == b"\x59\x02\xff"
 
 
 def test_a_response_that_was_awaited_goes_to_the_client_who_asked() -> None:

@@ -30,14 +30,6 @@ def test_a_single_frame(frame: str, payload: str | None) -> None:
 
 
 @pytest.mark.parametrize(
-    ("frame", "payload"), [("f1 02 3e 00", "3e 00"), ("f1 07 01 02 03 04 05 06", None), ("f1", None)]
-)
-def test_a_single_frame_with_an_address_before_it(frame: str, payload: str | None) -> None:
-    found = single_payload(bytes.fromhex(frame), 1)
-    assert found == (None if payload is None else bytes.fromhex(payload))
-
-
-@pytest.mark.parametrize(
     "frame",
     [
         "10 08 22 01 00 01 01 01",
@@ -71,10 +63,6 @@ def test_frames_in_order_are_left_as_they_are(frame: str) -> None:
 )
 def test_frames_that_the_standard_ignores(frame: str) -> None:
     assert usable(bytes.fromhex(frame), 0, 100) is None
-
-
-def test_the_last_frame_of_a_message_may_be_short() -> None:
-    assert usable(b"\x21\x01\x02", 0, 2) == b"\x21\x01\x02"
 
 
 def test_flow_control_that_is_not_known_aborts_and_a_reserved_pause_is_the_longest() -> None:

@@ -10,14 +10,12 @@ from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.bus.sent_values import SentValues
 from ecu_emulator.diagnostics.memory import TestResult
-from ecu_emulator.diagnostics.monitors import NOMINAL_LIMITS, MonitorLimits, Watch, is_warm, judge
-from ecu_emulator.diagnostics.table_file import shipped_table, table_like, table_of
+from ecu_emulator.diagnostics.monitors import NOMINAL_LIMITS, MonitorLimits, Watch, judge
 from ecu_emulator.drive.recording import Drive, frames_of
 from ecu_emulator.plant.parameters import nominal_parameters
-from ecu_emulator.scenario.faults import Cause, CauseKind, SensorFault, SensorFaultKind
-from ecu_emulator.scenario.scenario import Ambient, Fluid, FluidCondition, Truth
+from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
+from ecu_emulator.scenario.scenario import Fluid, FluidCondition, Truth
 from ecu_emulator.scenario.scenario_file import load_scenario
-from tests.support.road import road_scenario
 
 STEP_S = 0.1
 HOLDING = {
@@ -116,12 +114,6 @@ def test_a_pressure_that_is_wrong_with_a_right_sensor_has_a_code_of_its_own(
     assert failing(*moments) == failing(*moments[6:]) == {codes[clutch - 1]}
 
 
-def test_a_pressure_that_was_wrong_for_a_moment_only_is_not_believed() -> None:
-    moments = changing(1, lambda pressure_pa: pressure_pa)
-    moments[10:12] = [moments[10] | {"clutch1_pressure_pa": 5e5}] * 2
-    assert failing(*moments) == set()
-
-
 @pytest.mark.parametrize(
     ("name", "code"),
     [
@@ -151,22 +143,6 @@ def test_fluid_that_stays_as_it_was_while_the_engine_warms_up_has_a_frozen_senso
     assert failing(*warming(0.0)[:29]) == set()  # it may still be too early
 
 
-def test_a_temperature_that_jumps_is_the_sensors_and_says_nothing_of_heat() -> None:
-    assert failing(HOLDING, HOLDING | {"sump_temperature_k": 395.0}) == {"P0711"}
-
-
-def test_a_wrong_ratio_names_its_own_gear() -> None:
-    limits = MonitorLimits(input_output_ratios=(4.780, 2.933, 2.153, 1.678, 1.390, 1.203, 1.0))
-    for gear, code in ((6, "P0729"), (7, "P076F")):
-        held = HOLDING | {"current_gear": gear, "target_gear": gear, "output_speed_rad_s": 120.0}
-        shaft = "input1" if gear == 7 else "input2"
-        watch, _ = judge(Watch(), held, 100.0, limits)
-        _, samples = judge(
-            watch, held | {f"{shaft}_speed_rad_s": 1.04 * 120.0 * (1.203 if gear == 6 else 1.0)}, 101.0, limits
-        )
-        assert {said for said, result in samples if said[:3] == "P07" and result is TestResult.PREFAILED} == {code}
-
-
 def test_a_shift_that_never_ends_fails() -> None:
     shifting = HOLDING | {"target_gear": 4.0, "shift_phase": 2.0}
     assert failing(shifting, shifting, shifting) == set()
@@ -181,15 +157,6 @@ def test_nothing_is_said_of_clutches_where_it_cannot_be_known() -> None:
     assert "P0733" not in verdicts(*[HOLDING | {"output_speed_rad_s": 2.0}] * 2)
     low = HOLDING | {"clutch1_pressure_command_pa": 1e5}
     assert not {"P0868", "P0746"} & set(verdicts(*[low] * 12))
-
-
-def test_a_warm_engine_makes_a_warm_up_cycle() -> None:
-    cold = Watch(start_coolant_k=300.0)
-    assert not is_warm(cold, {})
-    assert not is_warm(cold, {"coolant_temperature_k": 340.0})
-    assert is_warm(cold, {"coolant_temperature_k": 350.0})
-    assert not is_warm(Watch(start_coolant_k=340.0), {"coolant_temperature_k": 360.0})  # by 20 K only
-    assert not is_warm(Watch(), {"coolant_temperature_k": 360.0})
 
 
 def test_a_cycle_counts_once_it_was_driven_fast_and_slow_for_long_enough() -> None:
@@ -209,12 +176,6 @@ def test_a_cycle_counts_once_it_was_driven_fast_and_slow_for_long_enough() -> No
     assert not driven((fast, 290), (idling, 330))  # not fast for long enough
     assert not driven((fast, 310), (idling, 20), (fast, 270), (idling, 20))  # never idle for long enough
     assert not driven((idling | {"engine_speed_rad_s": 0.0}, 700))
-
-
-def test_every_code_that_a_monitor_says_is_in_the_table() -> None:
-    known = {trouble.code for trouble in shipped_table().troubles.values()}
-    for gear in range(1, 7):
-        assert set(verdicts(*[HOLDING | {"current_gear": gear, "target_gear": gear}] * 2)) <= known
 
 
 def driven(fluid: str, *faults: SensorFault) -> Iterator[dict[str, float]]:
@@ -273,15 +234,6 @@ def test_a_sound_drive_fails_nothing_and_tests_every_gear(fluid: str) -> None:
     assert {code: failures for code, failures in count.items() if failures} == {}
 
 
-def test_launches_creeps_and_stops_of_a_sound_car_fail_nothing() -> None:
-    ambient = Ambient(temperature_k=273.15, oil_temperature_k=273.15, coolant_temperature_k=273.15)
-    drive = Drive(replace(road_scenario("ideal"), ambient=ambient))
-    stretches = islice(drive.stretches(10.0), 24)
-    count = failures(sensed(merge([stretch.frames for stretch in stretches])))
-    assert set(count) >= {"P0811", "P0868", "P0777", "P0780", "P0731", "P0732", "P0716"}
-    assert {code: number for code, number in count.items() if number} == {}
-
-
 @pytest.mark.parametrize(
     ("quantity", "kind", "size", "code"),
     [
@@ -294,31 +246,6 @@ def test_launches_creeps_and_stops_of_a_sound_car_fail_nothing() -> None:
 )
 def test_a_fault_of_a_drive_is_found(quantity: str, kind: SensorFaultKind, size: float, code: str) -> None:
     assert failed_on_drive("ideal", SensorFault(quantity=quantity, kind=kind, size=size, start_s=5.0))[code] >= 5
-
-
-@pytest.mark.parametrize(("clutch", "size_pa", "start_s"), [(1, -3e5, 0.0), (2, 2e5, 5.0), (1, 6e5, 3.0)])
-def test_a_biased_sensor_fails_no_other_code_on_a_drive_whenever_it_begins(
-    clutch: int, size_pa: float, start_s: float
-) -> None:
-    fault = SensorFault(
-        quantity=f"clutch{clutch}_pressure_pa", kind=SensorFaultKind.OFFSET, size=size_pa, start_s=start_s
-    )
-    count = failed_on_drive("ideal", fault)
-    assert {code for code, number in count.items() if number} == {{1: "P0841", 2: "P0846"}[clutch]}
-
-
-def test_a_pump_that_no_longer_reaches_its_pressure_is_no_matter_of_sensors() -> None:
-    weak = (Cause(kind=CauseKind.WEAK_PUMP, strength=4.0),)
-    scenario = replace(load_scenario("ideal"), cycles=1, seed=2, causes=weak)
-    count = failures(sensed(frames_of(scenario)[0]))
-    assert count["P0868"] >= 10
-    assert not any(count.get(code) for code in ("P0841", "P0846", "P0746", "P0776", "P0747", "P0777"))
-
-
-@pytest.mark.parametrize("seed", [11, 12])
-def test_sound_vehicles_of_any_seed_fail_nothing(seed: int) -> None:
-    count = failures(sensed(frames_of(replace(load_scenario("ideal"), cycles=1, seed=seed))[0]))
-    assert {code: number for code, number in count.items() if number} == {}
 
 
 CONVERTER_LIMITS = MonitorLimits(
@@ -361,22 +288,3 @@ def test_a_lock_up_clutch_without_friction_slips_too_much() -> None:
 )
 def test_a_fault_of_an_automatics_drive_is_found(quantity: str, kind: SensorFaultKind, size: float, code: str) -> None:
     assert failed_with_converter(SensorFault(quantity=quantity, kind=kind, size=size, start_s=5.0))[code] >= 5
-
-
-def test_an_open_converter_that_does_not_slip_is_stuck_on() -> None:
-    known = {"lockup_state": 0.0, "lockup_slip_rad_s": 0.2, "engine_torque_nm": 80.0, "current_gear": 3.0}
-    assert failures([known] * 20, CONVERTER_LIMITS)["P0742"] > 5
-    assert failures([known | {"lockup_slip_rad_s": 12.0}] * 20, CONVERTER_LIMITS)["P0742"] == 0
-
-
-def test_the_controller_of_an_automatic_has_its_codes_beside_the_shared_ones() -> None:
-    own, shared = ({one.code for one in table.troubles.values()} for table in (table_of("lockup"), shipped_table()))
-    assert own - shared == {"P0741", "P0742", "P2757", "P2758"}
-    assert table_of("gs7") is shipped_table()
-    alike = table_like("vw_dsg", "lockup")
-    assert {one.code for one in alike.troubles.values()} == own
-    assert {*alike.data} == {*table_of("lockup").data, *table_like("vw_dsg").data}
-    assert {one.name for one in table_of("lockup").data.values()} >= {
-        "speed of the turbine",
-        "slip of the lock-up clutch",
-    }

@@ -2,14 +2,13 @@
 
 from collections.abc import Iterable
 from importlib.resources import files
-from itertools import chain
 from pathlib import Path
 
 import pytest
 
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.server import cycled, driven, switched_on, warmed_up
+from ecu_emulator.diagnostics.server import cycled, switched_on, warmed_up
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
 from ecu_emulator.errors import ConfigError
@@ -118,15 +117,6 @@ def test_vehicle_information(bench: Bench) -> None:
     assert bench.ask("09 02").endswith("34 38")
 
 
-def test_the_vehicle_is_numbered_as_iso_3779_has_it_and_as_no_app_shortens_it(bench: Bench) -> None:
-    vin = bytes.fromhex(bench.ask("09 02"))[3:].decode("ascii")
-    letters = {**dict(zip("ABCDEFGHJKLMNPRSTUVWXYZ", (*range(1, 9), *range(1, 6), 7, 9, *range(2, 10)), strict=True))}
-    weights = (8, 7, 6, 5, 4, 3, 2, 10, 0, 9, 8, 7, 6, 5, 4, 3, 2)
-    total = sum(weight * letters.get(sign, ord(sign) - ord("0")) for sign, weight in zip(vin, weights, strict=True))
-    assert vin[8] == "0123456789X"[total % 11]
-    assert vin.strip().strip("\0\1\2\\x012") == vin  # as python-OBD does
-
-
 def fail(bench: Bench, code: str) -> None:
     bench.monitor(code, TestResult.FAILED)
 
@@ -135,13 +125,6 @@ def good_cycle(bench: Bench, code: str) -> None:
     bench.monitor(code, TestResult.PASSED)
     bench.state = warmed_up(bench.state)
     bench.state = cycled(bench.table, bench.state)
-
-
-def test_codes_that_light_no_lamp_are_none_of_obd(bench: Bench) -> None:
-    fail(bench, "P0780")
-    fail(bench, "P0810")  # confirmed at once
-    assert [bench.ask(service) for service in ("03", "07", "0A")] == ["43 00", "47 00", "4a 00"]
-    assert bench.ask("01 01") == "41 01 00 04 00 00"
 
 
 def test_a_code_is_pending_then_confirmed_with_lamp_and_permanent(bench: Bench) -> None:
@@ -183,39 +166,6 @@ def test_a_client_clears_codes_at_standstill_but_not_those_that_are_permanent(be
     assert bench.ask("0A") == "4a 01 02 18"  # nothing was tested
     good_cycle(bench, "P0218")
     assert bench.ask("0A") == "4a 00"
-
-
-def test_a_permanent_code_that_nobody_clears_goes_when_it_has_healed(bench: Bench) -> None:
-    fail(bench, "P0218")
-    bench.state = cycled(bench.table, bench.state)
-    seen = []
-    for _ in range(3):
-        good_cycle(bench, "P0218")
-        seen.append(bench.ask("0A"))
-    assert seen == ["4a 01 02 18", "4a 01 02 18", "4a 00"]
-    assert bench.ask("03") == "43 01 02 18"  # confirmed until it ages
-
-
-def test_a_failure_after_a_clear_keeps_a_permanent_code(bench: Bench) -> None:
-    bench.values["vehicle_speed_m_s"] = 0.0
-    fail(bench, "P0218")
-    assert bench.ask("14 FF FF FF") == "54"
-    bench.monitor("P0218", TestResult.PASSED)
-    fail(bench, "P0218")
-    bench.state = cycled(bench.table, bench.state)
-    assert bench.ask("0A") == "4a 01 02 18"
-
-
-def test_distances_and_warm_ups_since_a_clear(bench: Bench) -> None:
-    bench.values["vehicle_speed_m_s"] = 0.0
-    assert bench.ask("01 21 30 31") == "41 21 00 00 30 00 31 30 3a"  # the lamp was never on; never cleared
-    fail(bench, "P0218")
-    bench.values["odometer_m"] = 12_350_678.0
-    bench.state = warmed_up(warmed_up(bench.state))
-    assert bench.ask("01 21 30") == "41 21 00 05 30 01"
-    assert bench.ask("14 FF FF FF") == "54"
-    bench.values["odometer_m"] = 12_352_978.0
-    assert bench.ask("01 21 30 31") == "41 21 00 00 30 00 31 00 02"
 
 
 def test_what_obd_keeps_outlives_the_current(bench: Bench, tmp_path: Path) -> None:
@@ -277,63 +227,6 @@ def _uds(bench: Bench) -> Bench:
     return made
 
 
-def test_codes_of_a_readiness_group(uds: Bench) -> None:
-    """ISO 14229-1: group, status availability, format, readiness group, then the codes of OBD, failed or not."""
-    fail(uds, "P0218")
-    told = bytes.fromhex(uds.ask("19 56 33 03"))
-    assert told[:6] == b"\x59\x56\x33\xff\x04\x03"
-    codes = {told[place : place + 3].hex(): told[place + 3] for place in range(6, len(told), 4)}
-    lamps = {trouble.number.to_bytes(3, "big").hex() for trouble in uds.table.troubles.values() if trouble.lights_lamp}
-    assert set(codes) == lamps
-    assert (codes["02184b"], codes["081107"]) == (0xAF, 0x50)
-    for wrong, nrc in (("19 56 33", "13"), ("19 56 33 03 00", "13"), ("19 56 FF 03", "31"), ("19 56 33 01", "31")):
-        assert uds.ask(wrong) == f"7f 19 {nrc}"
-
-
-def test_codes_that_have_a_record_of_extended_data(uds: Bench) -> None:
-    lamps = [trouble for trouble in uds.table.troubles.values() if trouble.lights_lamp]
-    regulated = bytes.fromhex(uds.ask("19 1A 91"))
-    assert regulated[:4] == b"\x59\x1a\xff\x91"
-    assert len(regulated) == 4 + 4 * len(lamps)
-    assert len(bytes.fromhex(uds.ask("19 1A 01"))) == 4 + 4 * len(uds.table.troubles)
-    assert [uds.ask(one) for one in ("19 1A", "19 1A 77", "19 1A 00", "19 1A FF")] == [
-        "7f 19 13", "7f 19 31", "7f 19 31", "7f 19 31",
-    ]  # fmt: skip
-
-
-def test_how_often_a_test_has_run_is_regulated_data(uds: Bench) -> None:
-    """SAE J1979-2, record 91: operation cycles in which it was completed, and those that were driven as they count."""
-    assert uds.ask("19 06 02 18 4B 91") == "59 06 02 18 4b 50 91 00 00 00 00"
-    for is_driven, result in ((True, TestResult.PASSED), (True, None), (False, TestResult.PASSED), (True, None)):
-        if result is not None:
-            uds.monitor("P0218", result)
-        if is_driven:
-            uds.state = driven(driven(uds.state))
-        uds.state = cycled(uds.table, uds.state)
-    assert uds.ask("19 06 02 18 4B 91") == "59 06 02 18 4b 40 91 00 02 00 03"
-    assert uds.ask("19 06 02 18 4B FE") == "59 06 02 18 4b 40 91 00 02 00 03"
-    assert uds.ask("14 FF FF 33") == "54"
-    assert uds.ask("19 06 02 18 4B 91") == "59 06 02 18 4b 50 91 00 02 00 03"  # no client clears that
-    assert uds.ask("19 06 08 10 54 91") == "59 06 08 10 54 50"  # it does not belong to OBD
-
-
-def test_the_use_of_monitors_outlives_the_current(uds: Bench, tmp_path: Path) -> None:
-    uds.monitor("P0218", TestResult.PASSED)
-    uds.state = cycled(uds.table, driven(uds.state))
-    uds.state = driven(uds.state)
-    with MemoryFile(tmp_path / "memory.json", uds.table) as store:
-        store.save(uds.state)
-    with MemoryFile(tmp_path / "memory.json", uds.table) as store:
-        kept = store.load()
-    uds.state = switched_on(uds.table, kept, uds.t_s)  # and with it another cycle is over
-    assert uds.ask("19 06 02 18 4B 91") == "59 06 02 18 4b 40 91 00 01 00 02"
-
-
-def test_the_classic_profile_has_nothing_of_the_other(bench: Bench) -> None:
-    asked = ("22 F4 0C", "19 42 33 08 FF", "19 55 33", "14 FF FF 33", "19 56 33 03", "19 1A 91", "19 06 02 18 4B 91")
-    assert [bench.ask(request)[-2:] for request in asked] == ["31", "12", "12", "31", "12", "31", "31"]
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -355,9 +248,3 @@ def test_a_table_is_checked_for_obd(old: str, new: str, message: str) -> None:
     assert old in TEXT
     with pytest.raises(ConfigError, match=message):
         parse_table(TEXT.replace(old, new, 1), "table")
-
-
-def test_pids_never_share_a_number_with_a_bitmap() -> None:
-    obd = shipped_table().obd
-    assert obd is not None
-    assert all(number % 0x20 for number in chain(obd.pids, obd.infos, obd.monitors))

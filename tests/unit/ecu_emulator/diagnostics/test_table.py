@@ -4,21 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from ecu_emulator.diagnostics.iso14229 import Service
-from ecu_emulator.diagnostics.table_file import load_table, parse_table, shipped_table
+from ecu_emulator.diagnostics.table_file import parse_table
 from ecu_emulator.errors import ConfigError
 
 TEXT = (Path(__file__).parents[4] / "ecu_emulator/diagnostics/tcu.toml").read_text(encoding="utf-8")
-
-
-def test_the_shipped_table_describes_every_service_that_there_is() -> None:
-    assert set(shipped_table().services) == set(Service)
-
-
-def test_the_trouble_codes_are_those_of_a_wet_dual_clutch() -> None:
-    codes = {trouble.code for trouble in shipped_table().troubles.values()}
-    assert codes >= {"P0811", "P2787", "P0218", "P0810", "P2788", "P0711", "P0841", "P0868", "P0776", "P0780"}
-    assert "P0741" not in codes  # the torque converter's
 
 
 @pytest.mark.parametrize(
@@ -86,14 +75,3 @@ def test_what_is_wrong_is_named(old: str, new: str, message: str) -> None:
     assert str(told.value).startswith("my.toml")
     assert message in str(told.value)
     assert "\n" not in str(told.value)
-
-
-def test_a_table_of_ones_own_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "other.toml"
-    path.write_text(TEXT.replace('name = "TCU"', 'name = "other"'), encoding="utf-8")
-    assert load_table(path).name == "other"
-    with pytest.raises(ConfigError, match=r"cannot read .*missing.toml: No such file"):
-        load_table(tmp_path / "missing.toml")
-    path.write_bytes(b"\xff\xfe")
-    with pytest.raises(ConfigError, match="is not UTF-8"):
-        load_table(path)

@@ -6,7 +6,7 @@ import struct
 import pytest
 
 from ecu_emulator.diagnostics.descriptions import Coding, Field
-from ecu_emulator.diagnostics.values import are_valid, decoded, encode
+from ecu_emulator.diagnostics.values import decoded, encode
 
 WIDE = Field(name="wide", kind=Coding.FLOAT, size_bytes=8, source="mu")
 NARROW = Field(name="narrow", kind=Coding.FLOAT, size_bytes=4, source="pressure_pa", unit="bar")
@@ -27,14 +27,3 @@ def test_what_is_not_known_is_not_a_number() -> None:
     data = encode((WIDE, NARROW), {"pressure_pa": math.nan})
     assert [math.isnan(number) for number in struct.unpack(">df", data)] == [True, True]
     assert decoded((WIDE, NARROW), data) == {}
-
-
-def test_what_is_too_large_for_four_bytes_is_infinite() -> None:
-    assert struct.unpack(">f", encode((NARROW,), {"pressure_pa": -1e60})) == (-math.inf,)
-
-
-def test_a_float_may_have_limits() -> None:
-    limited = Field(name="a", kind=Coding.FLOAT, size_bytes=8, minimum=0.0, maximum=1.0)
-    written = {value: are_valid((limited,), struct.pack(">d", value)) for value in (0.0, 1.0, 1.5, -0.1)}
-    assert written == {0.0: True, 1.0: True, 1.5: False, -0.1: False}
-    assert not are_valid((limited,), struct.pack(">d", math.nan))

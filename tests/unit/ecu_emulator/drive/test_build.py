@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from ecu_emulator.drive.build import ageing_factors, build_vehicle
+from ecu_emulator.drive.build import build_vehicle
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.parameters import nominal_parameters
-from ecu_emulator.scenario.scenario import FluidCondition, Truth, production_scatter
+from ecu_emulator.scenario.scenario import Truth, production_scatter
 from ecu_emulator.scenario.signals import NOMINAL_SENSORS
 from tests.support.builders import drive_scenario
-
-COMPARED = ("engine_torque_nm", "clutch1_pressure_pa", "clutch2_pressure_pa", "hub_speed_rad_s", "engine_speed_rad_s")
 
 
 def test_without_scatter_the_vehicle_is_the_nominal_one() -> None:
@@ -51,33 +49,6 @@ def test_each_deviation_reaches_its_place() -> None:
     assert (torque.gain_ratio - 1.0, torque.offset) == pytest.approx(
         (drawn["torque_gain_ratio"], drawn["torque_offset_nm"])
     )
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_differences_of_latency_are_those_drawn_and_no_sensor_sees_the_future(seed: int) -> None:
-    vehicle = build_vehicle(drive_scenario("ideal", seed=seed))
-    torque, first, second, hub, engine = (vehicle.sensors[quantity].latency_s for quantity in COMPARED)
-    assert min(torque, first, second, hub, engine) == 0.0
-    assert torque - hub == pytest.approx(vehicle.drawn["torque_latency_s"], abs=1e-15)
-    assert first - hub == pytest.approx(vehicle.drawn["pressure_latency_s"], abs=1e-15)
-    assert (first, hub) == (second, engine)
-
-
-@pytest.mark.parametrize(
-    ("fluid", "mu"), [("ideal", (0.14, 0.119)), ("case1", (0.133, 0.12495)), ("case2", (0.119, 0.13685))]
-)
-def test_fluids(fluid: str, mu: tuple[float, float]) -> None:
-    for clutch in build_vehicle(drive_scenario("noise_only", fluid=fluid)).calibration.clutches:
-        assert (clutch.friction.mu_c, clutch.friction.mu_s) == pytest.approx(mu)
-
-
-def test_ageing_leads_from_fresh_to_case_2() -> None:
-    factors = ageing_factors(4)
-    assert factors[0] == (1.0, 1.0)
-    assert factors[2] == pytest.approx((0.925, 1.075))
-    assert factors[4] == pytest.approx((0.85, 1.15))
-    assert build_vehicle(drive_scenario("noise_only", fluid="ageing")).calibration == nominal_calibration()
-    assert drive_scenario("ageing", fluid="ageing").fluid.condition is FluidCondition.AGEING
 
 
 def test_truth_overrides_reach_calibration_and_plant() -> None:

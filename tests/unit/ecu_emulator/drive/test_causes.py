@@ -36,32 +36,6 @@ def test_aged_fluid_is_in_both_clutches_and_takes_the_slope() -> None:
     assert aged.calibration.viscosity.a_pa_s < SOUND.calibration.viscosity.a_pa_s
 
 
-def test_causes_of_one_clutch_are_those_of_a_lock_up_clutch() -> None:
-    car = load_scenario("lockup")
-    for seed in range(4):  # of which some draw clutch 2
-        for kind in (CauseKind.GLAZED_LINING, CauseKind.PRESSURE_SENSOR):
-            sound = replace(car, seed=seed)
-            faulty = replace(sound, causes=(Cause(kind=kind, strength=2.0),))
-            before, after = build_vehicle(sound), build_vehicle(faulty)
-            first, drifted = after.calibration.clutches[0], after.sensors["lockup_pressure_pa"]
-            is_lining = kind is CauseKind.GLAZED_LINING
-            assert (first.friction != before.calibration.clutches[0].friction) is is_lining
-            assert (drifted != before.sensors["lockup_pressure_pa"]) is not is_lining
-            assert [cause.clutch for cause in after.causes] == [1]
-    with pytest.raises(ConfigError, match="has one clutch"):
-        replace(car, causes=(Cause(kind=CauseKind.GLAZED_LINING, clutch=2),))
-
-
-def test_hydraulics_and_sensors_err() -> None:
-    soft, weak = built("air:2").parameters.hydraulics, built("weak-pump:2").parameters.hydraulics
-    assert soft.pack_compliance_m3_pa > 2.0 * SOUND.parameters.hydraulics.pack_compliance_m3_pa
-    assert weak.supply_ratio < 0.8
-    gains = [built("pressure-sensor:2:1", seed).sensors["clutch1_pressure_pa"].gain_ratio for seed in range(8)]
-    assert min(gains) < 1.0 < max(gains)  # either way
-    drifted = built("torque-sensor:2").sensors["engine_torque_nm"]
-    assert abs(drifted.gain_ratio / SOUND.sensors["engine_torque_nm"].gain_ratio - 1.0) > 0.03
-
-
 def test_water_makes_friction_erratic_from_shift_to_shift() -> None:
     def spread(cause: str | None) -> float:
         _, truth = frames_of(replace(choose_scenario(DriveOptions(scenario=IDEAL, cause=cause)), cycles=1))
@@ -80,13 +54,6 @@ def test_a_cause_grows_by_the_odometer_and_the_truth_names_it() -> None:
         truth = drive_truth(scenario, build_vehicle(scenario))
         assert [(one.kind, one.clutch) for one in truth.causes] == [("glazed-lining", 1)] * len(strengths)
         assert [one.strength for one in truth.causes] == strengths
-
-
-def test_two_causes_come_together_and_each_car_has_its_own_size() -> None:
-    both = built("glazed-lining:2:1,weak-pump:1")
-    assert [one.kind for one in both.causes] == ["glazed-lining", "weak-pump"]
-    assert both.parameters.hydraulics == built("weak-pump:1").parameters.hydraulics
-    assert len({ratio(built("glazed-lining:1:1", seed), 0, "friction", "mu_c") for seed in range(5)}) == 5
 
 
 def test_every_cause_changes_the_car() -> None:

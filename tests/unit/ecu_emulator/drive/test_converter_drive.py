@@ -61,14 +61,6 @@ def test_frames_say_what_was_driven() -> None:
     assert np.median(np.array(turbine)[is_fifth] / np.array(output)[is_fifth]) == pytest.approx(1.285, rel=0.01)
 
 
-def test_the_same_scenario_makes_the_same_frames_however_it_is_cut() -> None:
-    one, other = (frames_of_all(stretches(SCENARIO, length_s, 40.0)[0]) for length_s in (10.0, 0.5))
-    count = min(len(one), len(other))  # a stretch ends where it is cut
-    assert count > 20_000
-    assert np.array_equal(one.data[:count], other.data[:count])
-    assert np.array_equal(one.t_s[:count], other.t_s[:count])
-
-
 def test_the_truth_has_shudder_and_the_friction_at_each_slip() -> None:
     aged = replace(SCENARIO, fluid=Fluid(condition=FluidCondition.CASE_2))
     found, drive = stretches(aged, 10.0, 250.0)

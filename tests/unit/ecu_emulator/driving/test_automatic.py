@@ -10,16 +10,14 @@ from clutch_model.calibration import Calibration, shipped_calibration
 from ecu_emulator.drive.build import FLUID_FACTORS
 from ecu_emulator.driving.indices import LockUpState
 from ecu_emulator.driving.trip import Car, Trip
-from ecu_emulator.plant.converter import converter_law, impeller_torque_nm, torque_ratio
 from ecu_emulator.plant.parameters import nominal_parameters
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.scenario import FluidCondition
 from ecu_emulator.truth import SHUDDER_HZ, ShudderTruth, ShudderWatcher
-from tests.unit.ecu_emulator.driving.drives import COLD_K, WARM_K, conditions, trace
+from tests.unit.ecu_emulator.driving.drives import WARM_K, conditions, trace
 
 COUNTRY = trace((0, 0), (2, 0), (14, 16), (30, 22), (44, 26), (50, 26), (58, 14), (66, 0), (68, 0))
 OUTWARD_S = 50.0
-CONVERTER = converter_law(shipped_calibration("lockup").converter)
 
 
 def with_fluid(fluid: FluidCondition) -> Calibration:
@@ -56,16 +54,6 @@ def test_no_energy_appears_or_gets_lost(audited: tuple[Trip, FloatArray]) -> Non
     assert balance.converter_j > balance.clutch_j > 0.0
 
 
-def test_the_gears_go_up_and_down_and_the_turbine_turns_with_them(audited: tuple[Trip, FloatArray]) -> None:
-    rows, ratios = audited[1], np.array([0.0, 4.696, 3.130, 2.104, 1.667, 1.285, 1.000, 0.839, 0.667]) * 3.15
-    gears = rows[:, Col.CURRENT_GEAR].astype(int)
-    assert set(gears.tolist()) == set(range(1, 9))
-    is_held = rows[:, Col.TARGET_GEAR] == gears
-    expected = ratios[gears[is_held]] * rows[is_held, Col.DIFF_SPEED]
-    assert np.abs(rows[is_held, Col.TURBINE_SPEED] - expected).max() < 1e-6
-    assert (rows[~is_held, Col.LOCKUP_STATE] != LockUpState.SLIPPING).all()
-
-
 def test_the_lock_up_clutch_slips_a_little_pulling_and_not_at_all_coasting(audited: tuple[Trip, FloatArray]) -> None:
     rows = audited[1]
     state, slip = rows[:, Col.LOCKUP_STATE], slip_rad_s(rows)
@@ -80,13 +68,6 @@ def test_the_lock_up_clutch_slips_a_little_pulling_and_not_at_all_coasting(audit
     assert rows[is_closed, Col.CURRENT_GEAR].min() >= 3
 
 
-def test_it_stays_open_in_the_cold() -> None:
-    rows = trip(oil_k=COLD_K, coolant_k=COLD_K).advance(30.0)
-    assert rows[:, Col.SUMP_TEMPERATURE].max() < WARM_K - 50.0
-    assert not rows[:, Col.LOCKUP_STATE].any()
-    assert rows[:, Col.IMPELLER_TORQUE].max() > 50.0
-
-
 @pytest.mark.parametrize("fluid", [FluidCondition.IDEAL, FluidCondition.CASE_1])
 @pytest.mark.parametrize("oil_k", [318.15, WARM_K, 383.15])
 def test_friction_that_rises_with_the_slip_never_shudders(fluid: FluidCondition, oil_k: float) -> None:
@@ -98,17 +79,3 @@ def test_friction_that_falls_with_the_slip_shudders_at_the_frequency_of_the_driv
     assert sum(one.t_end_s - one.t_start_s for one in found) > 3.0
     assert all(SHUDDER_HZ[0] < one.frequency_hz < 16.0 for one in found)
     assert max(one.amplitude_rad_s for one in found) > 3.0
-
-
-def test_the_converter_multiplies_torque_at_stall_and_couples_both_ways() -> None:
-    assert torque_ratio(200.0, 0.0, CONVERTER) == pytest.approx(2.0)
-    assert torque_ratio(200.0, 190.0, CONVERTER) == 1.0
-    for turbine in np.linspace(0.0, 199.0, 40).tolist():
-        taken_w = 200.0 * impeller_torque_nm(200.0, turbine, CONVERTER)
-        given_w = turbine * torque_ratio(200.0, turbine, CONVERTER) * taken_w / 200.0
-        assert 0.0 <= given_w < taken_w
-    assert impeller_torque_nm(200.0, 200.0, CONVERTER) == 0.0
-    for slower in (0.0, 100.0, 190.0):
-        forward, back = impeller_torque_nm(200.0, slower, CONVERTER), impeller_torque_nm(slower, 200.0, CONVERTER)
-        assert back == -forward
-    assert impeller_torque_nm(0.0, -5.0, CONVERTER) == 0.0

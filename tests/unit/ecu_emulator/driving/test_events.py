@@ -5,7 +5,6 @@ import pytest
 
 from canlog.arrays import FloatArray
 from ecu_emulator.driving.indices import DriveState, EventKind
-from ecu_emulator.driving.parameters import nominal_driving
 from ecu_emulator.driving.trip import Car, DriveConditions, Trip
 from ecu_emulator.plant.drive import FrictionFactors
 from ecu_emulator.plant.state import Col
@@ -46,40 +45,10 @@ def test_a_launch_slips_under_load_and_ends_locked(town: FloatArray) -> None:
     assert (after[:, Col.DRIVE_STATE] == DriveState.IN_GEAR).all()
 
 
-def test_a_creep_carries_little_and_fades_as_the_car_rolls() -> None:
-    rows = driven(trace((0, 0), (1.5, 0), (2.5, 0.8), (9, 0.8), (10, 0), (12, 0)))
-    creeps = of_kind(rows, EventKind.CREEP)
-    assert creeps
-    assert all(event.gears == (1, 1) and phases(event) == [HOLD] for event in creeps)
-    carried_nm = np.concatenate([event.rows[:, Col.CLUTCH1_TORQUE] for event in creeps])
-    assert 8.0 < carried_nm.max() < 30.0
-    assert rows[:, Col.VEHICLE_SPEED].max() < 1.7
-
-
 def test_a_launch_is_aborted_when_the_driver_lifts() -> None:
     rows = driven(trace((0, 0), (1, 0), (2.2, 2.0), (2.4, 2.0), (3.2, 0), (6, 0)))
     assert any(event.is_aborted for event in of_kind(rows, EventKind.LAUNCH))
     assert rows[-1, Col.VEHICLE_SPEED] == 0.0
-
-
-def test_a_launch_from_rolling_takes_the_gear_for_the_speed() -> None:
-    rows = driven(trace((0, 0), (1, 0), (9, 11), (11, 11), (16, 1.6), (17, 1.6), (23, 10), (25, 10)))
-    second = of_kind(rows, EventKind.LAUNCH)[-1]
-    assert second.rows[0, Col.VEHICLE_SPEED] > 1.0
-    assert not second.is_aborted
-
-
-@pytest.mark.parametrize("cruise_m_s", [8.3, 8.6, 9.0])
-def test_an_upshift_waits_for_a_foot_that_is_coming_off(cruise_m_s: float) -> None:
-    t_s = 1.0 + cruise_m_s / 1.2
-    eased_m_s = cruise_m_s + 0.7
-    rows = driven(trace((0, 0), (1, 0), (t_s, cruise_m_s), (t_s + 1.5, eased_m_s), (t_s + 6, eased_m_s - 2)))
-    upshifts = [event for event in events(rows) if event.gears[1] > event.gears[0]]
-    assert [event.kind for event in upshifts] == [EventKind.POWER_ON_UPSHIFT, EventKind.POWER_OFF_UPSHIFT]
-    released_ratio = nominal_driving().pedal.overrun_ratio
-    assert all(event.rows[:, Col.PEDAL].min() > released_ratio for event in upshifts[:1])
-    assert all(event.rows[:, Col.PEDAL].max() <= released_ratio for event in upshifts[1:])
-    assert abs(slip_rad_s(upshifts[1].rows, 2 - upshifts[1].gears[1] % 2)[-1]) < 1.0
 
 
 def test_coast_downshifts_blip_the_throttle_and_slip_shortly(town: FloatArray) -> None:
@@ -105,15 +74,6 @@ def test_a_skip_under_power_goes_over_the_other_shaft(sport: FloatArray) -> None
     assert rows[bridged, Col.CLUTCH2_TORQUE].min() > 50.0  # meanwhile the bridge carries
     assert slip_rad_s(rows[bridged], 2).min() > 5.0
     assert abs(slip_rad_s(rows, 1)[-1]) < 1.0
-
-
-def test_a_coasting_skip_opens_the_clutch(sport: FloatArray) -> None:
-    skip = only(sport, EventKind.COAST_SKIP)
-    assert skip.gears == (6, 4)
-    assert set(skip.rows[:, Col.SHAFT2_GEAR]) == {6.0, 0.0, 4.0}
-    changing = skip.rows[:, Col.SHAFT2_GEAR] == 0.0
-    assert np.abs(skip.rows[changing][:, [Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE]]).max() < 10.0
-    assert abs(slip_rad_s(skip.rows, 2)[-1]) < 1.0
 
 
 def test_in_a_kickdown_the_off_going_clutch_slips_first() -> None:
@@ -147,15 +107,6 @@ def test_a_driver_changes_the_mind_and_the_target_goes_back(moody: FloatArray) -
         assert (event.rows[~back, Col.TARGET_GEAR] != event.rows[~back, Col.CURRENT_GEAR]).all()
         assert event.rows[-1, Col.CURRENT_GEAR] == event.gears[0]
         assert np.count_nonzero(~back) >= 50  # milliseconds: no message on the bus misses the target
-
-
-def test_a_lift_in_mid_shift_leaves_no_shift_unfinished(moody: FloatArray) -> None:
-    changes = [event for event in events(moody) if event.gears[0] != event.gears[1]]
-    assert max(len(event.rows) for event in changes) < 4_000
-    in_gear = moody[moody[:, Col.DRIVE_STATE] == DriveState.IN_GEAR]
-    gear = in_gear[:, Col.CURRENT_GEAR]
-    shaft_gear = np.where(gear % 2 == 1.0, in_gear[:, Col.SHAFT1_GEAR], in_gear[:, Col.SHAFT2_GEAR])
-    assert np.array_equal(gear, shaft_gear)
 
 
 def re_slip_rad_s(friction: FrictionFactors, launched_s: float) -> float:

@@ -6,7 +6,6 @@ import pytest
 from canlog.arrays import FloatArray
 from ecu_emulator.driving.journey import Departure, Journey, PlannedTrip, Warmth
 from ecu_emulator.driving.trace import SpeedTrace
-from ecu_emulator.driving.trip import DriveConditions
 from ecu_emulator.plant.state import Col
 
 AIR_K = 263.15
@@ -75,22 +74,3 @@ def test_a_long_stay_is_left_out_but_cools_the_car_all_the_same() -> None:
     assert [departure.t_start_s for departure in departures] == [7201.0, 11.0]
     assert departures[0].warmth == departures[1].warmth
     assert departures[0].warmth.oil_k == pytest.approx(AIR_K + (START.oil_k + 1.0 - AIR_K) * np.exp(-0.8), abs=0.01)
-
-
-def test_in_a_hard_winter_the_car_stands_where_it_can_be_driven_off() -> None:
-    for stay_s, oil_k in ((3600.0, 283.0), (40_000.0, 258.15)):
-        one = Journey(iter([trip(1.0), trip(1.0, stay_s)]), Rolling, START, 240.0, np.inf)
-        driven(one, 10.0)
-        assert one.departure is not None
-        assert one.departure.warmth.oil_k == pytest.approx(oil_k, abs=0.1)
-        DriveConditions(oil_k=one.departure.warmth.oil_k, coolant_k=one.departure.warmth.coolant_k)
-
-
-def test_conditions_are_carried_from_trip_to_trip() -> None:
-    one = journey(trip(1.0), trip(1.0), trip(1.0))
-    rows = np.concatenate(driven(one, 10.0))
-    np.testing.assert_allclose(
-        rows[1000:2000, Col.SUMP_TEMPERATURE], rows[:1000, Col.SUMP_TEMPERATURE] + 1.0, atol=2e-3
-    )
-    assert one.departure is not None
-    assert one.departure.warmth.coolant_k == pytest.approx(START.coolant_k + 2.0, abs=3e-3)

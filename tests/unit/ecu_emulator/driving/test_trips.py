@@ -1,7 +1,6 @@
 """Trips, one after the other, and what becomes of a car that is parked in between."""
 
 from functools import cache
-from itertools import islice
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from ecu_emulator.driving.journey import (
     cooled_k,
     trips,
 )
-from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.drive_names import DriveName
 
 CYCLES = [DriveName.WLTC, DriveName.UDDS, DriveName.HWFET, DriveName.US06]
@@ -38,15 +36,6 @@ def test_a_public_cycle_is_one_trip_whatever_the_seed(name: DriveName) -> None:
     assert same(trip, other)
 
 
-@pytest.mark.parametrize("name", [*CYCLES, DriveName.CITY])
-def test_an_endless_drive_goes_on_without_being_parked(name: DriveName) -> None:
-    endless = list(islice(trips(name, 1, rounds=None), 3))
-    assert len(endless) == 3
-    assert all(trip.parked_s == 0.0 for trip in endless)
-    (first,) = trips(name, 1)
-    assert same(first, endless[0])
-
-
 def test_a_day_has_several_trips_with_the_car_parked_in_between() -> None:
     for seed in range(8):
         assert DAY_TRIPS[0] <= len(day(seed)) <= DAY_TRIPS[1]
@@ -62,12 +51,3 @@ def test_a_parked_car_cools_down_to_the_air() -> None:
     after_time_constant_k = cooled_k(warm_k, air_k, OIL_PARKED_TIME_CONSTANT_S, OIL_PARKED_TIME_CONSTANT_S)
     assert after_time_constant_k == pytest.approx(air_k + 100.0 / np.e)
     assert cooled_k(warm_k, air_k, 10.0 * 86_400.0, COOLANT_PARKED_TIME_CONSTANT_S) == pytest.approx(air_k)
-
-
-def test_a_cold_car_warms_up_in_warm_air() -> None:
-    assert 253.15 < cooled_k(253.15, 293.15, 3600.0, OIL_PARKED_TIME_CONSTANT_S) < 293.15
-
-
-def test_the_shift_cycle_is_no_drive_on_the_road() -> None:
-    with pytest.raises(ConfigError, match="no speed trace 'cycle'"):
-        next(trips(DriveName.CYCLE, 1))

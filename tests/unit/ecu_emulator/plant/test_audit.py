@@ -1,8 +1,5 @@
-import pytest
-
-from clutch_model.errors import DomainError
-from ecu_emulator.plant import DriveSettings, Powertrain
-from tests.support.cycles import FloatArray, powertrain
+from ecu_emulator.plant import Powertrain
+from tests.support.cycles import FloatArray
 
 
 def test_energy_is_conserved_over_a_cycle(driven_cycle: tuple[Powertrain, FloatArray]) -> None:
@@ -15,9 +12,3 @@ def test_energy_is_conserved_over_a_cycle(driven_cycle: tuple[Powertrain, FloatA
     assert balance.brake_j > 1.0e5
     assert balance.clutch_j > 1.0e4
     assert min(balance.bearing_j, balance.damper_j, balance.gear_j, balance.synchroniser_j, balance.tyre_j) > 0.0
-
-
-def test_without_an_audit_there_is_no_balance() -> None:
-    train = powertrain(DriveSettings())
-    with pytest.raises(DomainError, match="audited"):
-        assert train.power_balance

@@ -7,7 +7,7 @@ from clutch_model.calibration import nominal_calibration
 from clutch_model.pack import viscous_torque_nm
 from ecu_emulator.plant import DriveSettings, nominal_parameters
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.clutch import PEAK_SLIP_RAD_S, openness, refresh_contact, viscous_nm
+from ecu_emulator.plant.clutch import refresh_contact, viscous_nm
 from ecu_emulator.plant.course import as_record
 from ecu_emulator.plant.powertrain import drive_law
 
@@ -30,23 +30,6 @@ def test_an_open_pack_never_drags_more_than_its_peak(slip_rad_s: float) -> None:
     assert 0.0 < drag_nm(OPEN_M, slip_rad_s) <= PEAK_NM
     assert drag_nm(OPEN_M, -slip_rad_s) == -drag_nm(OPEN_M, slip_rad_s)
     assert viscous_torque_nm(85.0, OPEN_M, COLD_PA_S, LAW.film) > 100.0  # what the film law would say
-
-
-def test_the_drag_peaks_and_then_falls_as_air_gets_in() -> None:
-    assert drag_nm(OPEN_M, PEAK_SLIP_RAD_S) == pytest.approx(PEAK_NM)
-    assert drag_nm(OPEN_M, 3.0 * PEAK_SLIP_RAD_S) < 0.7 * PEAK_NM
-
-
-@pytest.mark.parametrize("film_m", [2.0e-6, 1.0e-5, 3.3e-5])
-def test_a_closed_pack_follows_the_film_law(film_m: float) -> None:
-    assert openness(film_m, LAW) == 0.0
-    assert drag_nm(film_m, 50.0) == viscous_torque_nm(50.0, film_m, COLD_PA_S, LAW.film)
-
-
-def test_between_open_and_closed_the_drag_has_no_jump() -> None:
-    films_m = np.linspace(3.0e-5, OPEN_M, 4000)
-    drags_nm = np.array([drag_nm(film_m, 85.0) for film_m in films_m])
-    assert np.abs(np.diff(np.log(drags_nm))).max() < 0.02
 
 
 def test_without_a_peak_the_film_law_holds_for_open_packs_too() -> None:

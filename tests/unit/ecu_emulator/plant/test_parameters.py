@@ -2,23 +2,14 @@ from typing import cast
 
 import pytest
 
-from clutch_model.errors import CalibrationError, DomainError
-from ecu_emulator.plant.course import as_record
-from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters, plant_table
-from ecu_emulator.plant.powertrain import overall_ratios
+from clutch_model.errors import CalibrationError
+from ecu_emulator.plant.parameters import PlantParameters, plant_table
 
 
 def changed(section: str, key: str, value: object) -> dict[str, object]:
     table = plant_table()
     cast("dict[str, object]", table[section])[key] = value
     return table
-
-
-def test_the_shipped_parameters_load() -> None:
-    parameters = nominal_parameters()
-    assert parameters.vehicle.mass_kg == 1700.0
-    assert parameters.shafts[1].clutch_inertia_kg_m2 == 0.008
-    assert overall_ratios(parameters.gearbox)[:2] == pytest.approx((0.0, 3.462 * 4.059))
 
 
 @pytest.mark.parametrize(
@@ -38,10 +29,6 @@ def test_a_number_outside_its_range_is_named(section: str, key: str, value: obje
         PlantParameters.from_mapping(changed(section, key, value))
 
 
-def test_drag_may_be_absent() -> None:
-    assert PlantParameters.from_mapping(changed("engine", "friction_nm", 0)).engine.friction_nm == 0.0
-
-
 def test_unknown_and_missing_keys_are_named() -> None:
     with pytest.raises(CalibrationError, match=r"sump\.colour is unknown"):
         PlantParameters.from_mapping(changed("sump", "colour", 1.0))
@@ -53,15 +40,3 @@ def test_unknown_and_missing_keys_are_named() -> None:
     table["shaft"] = [{}]
     with pytest.raises(CalibrationError, match="exactly 2"):
         PlantParameters.from_mapping(table)
-
-
-def test_a_record_reads_like_the_tuple_it_was_made_of() -> None:
-    law = nominal_parameters().control
-    record = as_record(law)
-    assert record.dwell_s == law.dwell_s
-    assert tuple(record.upshift_speeds_rad_s) == law.upshift_speeds_rad_s
-
-
-def test_a_record_holds_numbers_only() -> None:
-    with pytest.raises(DomainError, match="not part of a record"):
-        as_record((1.0, "two"))

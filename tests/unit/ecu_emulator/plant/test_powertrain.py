@@ -6,7 +6,6 @@ import pytest
 from ecu_emulator.plant import Col, DriveSettings, FrictionFactors, Powertrain
 from tests.support.cycles import CYCLE_SHIFTS, FloatArray, powertrain, shifts, slip_rad_s
 
-NOMINAL = DriveSettings()
 SHORT_S = 4.0
 
 
@@ -18,14 +17,6 @@ def rows(driven_cycle: tuple[Powertrain, FloatArray]) -> FloatArray:
 
 def test_a_cycle_has_ten_shifts(rows: FloatArray) -> None:
     assert shifts(rows) == CYCLE_SHIFTS
-
-
-def test_a_drive_ends_and_stays_ended(driven_cycle: tuple[Powertrain, FloatArray]) -> None:
-    assert not powertrain(NOMINAL).finished
-    train, rows = driven_cycle
-    assert train.finished
-    assert train.time_s == len(rows) / 1000.0
-    assert train.advance(1.0).shape == (0, len(Col))
 
 
 def test_the_same_seed_gives_the_same_drive_to_the_bit() -> None:
@@ -48,26 +39,6 @@ def test_a_locked_clutch_does_not_slip(rows: FloatArray) -> None:
         stuck = rows[:, Col.STICK1 + clutch - 1] == 1
         assert stuck.any()
         assert np.abs(slip_rad_s(rows, clutch)[stuck]).max() <= 0.1 + 1e-6
-
-
-def test_a_locked_clutch_stays_within_its_capacity(rows: FloatArray) -> None:
-    held = (rows[:, Col.SHIFT_PHASE] == 0) & (rows[:, Col.STICK1] == 1)
-    assert (np.abs(rows[held, Col.CLUTCH1_TORQUE]) < rows[held, Col.TORQUE1_COMMAND]).all()
-
-
-def test_the_clutch_of_the_gear_is_locked_while_nothing_shifts(rows: FloatArray) -> None:
-    steady = (rows[:, Col.SHIFT_PHASE] == 0) & (rows[:, Col.T_S] > 0.1)
-    is_odd = rows[:, Col.CURRENT_GEAR] % 2 == 1
-    assert (rows[steady & is_odd, Col.STICK1] == 1).all()
-    assert (rows[steady & ~is_odd, Col.STICK2] == 1).all()
-
-
-def test_preselection_passes_through_neutral(rows: FloatArray) -> None:
-    preselected = rows[:, Col.PRESELECTED_GEAR]
-    changes = preselected[np.flatnonzero(np.diff(preselected)) + 1].astype(int).tolist()
-    # 2nd is ready from the start; after every upshift the gear left stays in until neutral and the next one.
-    assert changes[:3] == [1, 0, 3]
-    assert changes.count(0) == 8  # 1st to 6th and back need eight changes of the idle shaft
 
 
 def test_friction_ages_from_cycle_to_cycle() -> None:

@@ -40,10 +40,3 @@ def test_a_gear_engages_without_losing_momentum() -> None:
     assert modes[at.LINK + 1] == ENGAGED
     assert output_momentum(y, u) == pytest.approx(before, rel=1e-14)
     assert y[at.W_G : at.W_G + 2] == pytest.approx(u[at.RATIO : at.RATIO + 2] * y[at.W_D], rel=1e-14)
-
-
-def test_the_sleeve_waits_for_low_slip() -> None:
-    y, u, modes = arrays(slip_rad_s=0.41)
-    close_synchronisers(y, u, modes, NO_ACCOUNT, LAW.plant)
-    assert modes[at.LINK + 1] == SYNCHRONISING
-    assert y[at.W_D] == 40.0

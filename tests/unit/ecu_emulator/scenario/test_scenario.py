@@ -1,23 +1,20 @@
-import pickle
 from dataclasses import fields, replace
-from pathlib import Path
 
 import pytest
 
 from clutch_model.calibration import nominal_calibration
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.scenario.faults import BusFault, BusFaultKind, Phase, SensorFault, SensorFaultKind
+from ecu_emulator.scenario.faults import Phase, SensorFault, SensorFaultKind
 from ecu_emulator.scenario.scenario import (
     Ambient,
     Driver,
-    FluidCondition,
     Routine,
     Scatter,
     Scenario,
     production_scatter,
 )
 from ecu_emulator.scenario.scenario_file import load_scenario, parse_scenario, shipped_scenarios
-from ecu_emulator.scenario.signals import NOMINAL_SENSORS, split_unit
+from ecu_emulator.scenario.signals import NOMINAL_SENSORS
 
 MINIMAL = 'name = "mine"\n'
 FAULT = "[[sensor_faults]]\nquantity = 'hub_speed_rad_s'\n"
@@ -29,19 +26,6 @@ def test_shipped_scenarios_load_and_are_named_like_their_files() -> None:
         scenario = load_scenario(name)
         assert scenario.name == name
         assert scenario.description
-
-
-def test_shipped_fluids() -> None:
-    fluids = {name: load_scenario(name).fluid.condition for name in shipped_scenarios()}
-    assert fluids == {
-        "ageing": FluidCondition.AGEING,
-        "case1": FluidCondition.CASE_1,
-        "case2": FluidCondition.CASE_2,
-        "gs7": FluidCondition.IDEAL,
-        "ideal": FluidCondition.IDEAL,
-        "lockup": FluidCondition.IDEAL,
-        "noise_only": FluidCondition.IDEAL,
-    }
 
 
 def test_noise_only_has_noise_and_nothing_else() -> None:
@@ -65,11 +49,6 @@ def test_production_scatter_is_half_of_what_the_service_allows_for() -> None:
         share = 0.0 if member.name == "input_shaft_inertia_ratio" else 0.5  # machined alike
         assert getattr(production_scatter(), member.name) == share * getattr(believed, member.name)
     assert load_scenario("ideal").scatter == production_scatter()
-
-
-def test_a_car_with_a_converter_has_no_shift_cycle() -> None:
-    with pytest.raises(ConfigError, match="its drive cannot be cycle"):
-        parse_scenario(f'{MINIMAL}\ntransmission = "lockup"', "text")
 
 
 def test_a_scenario_needs_only_a_name() -> None:
@@ -183,55 +162,6 @@ def test_sensor_faults_are_read_in_their_order() -> None:
     assert (drift.kind, drift.size, drift.shift, drift.phase) == (SensorFaultKind.DRIFT, -2.0, 3, Phase.INERTIA)
 
 
-def test_bus_faults_are_read() -> None:
-    text = MINIMAL + "[[bus_faults]]\nkind = 'loss'\nshare = 0.25\nmessage = 'TCU_Shift'\nduration_s = 3"
-    (loss,) = parse_scenario(text, "text").bus_faults
-    assert loss == BusFault(kind=BusFaultKind.LOSS, share=0.25, message="TCU_Shift", duration_s=3.0)
-
-
 def test_an_unknown_scenario_lists_the_shipped_ones() -> None:
     with pytest.raises(ConfigError, match="ageing, case1, case2, gs7, ideal, lockup, noise_only"):
         load_scenario("nothing")
-
-
-def test_a_file_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    path.write_text(MINIMAL, encoding="utf-8")
-    assert load_scenario(str(path)).name == "mine"
-
-
-@pytest.mark.parametrize("content", [None, b"\xff\xfe\x00"])
-def test_an_unreadable_file_is_named(tmp_path: Path, content: bytes | None) -> None:
-    path = tmp_path / "mine.toml"
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(ConfigError, match=r"mine\.toml"):
-        load_scenario(str(path))
-
-
-def test_a_folder_is_no_scenario(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot read scenario"):
-        load_scenario(str(tmp_path))
-
-
-def test_changes_are_checked_again() -> None:
-    with pytest.raises(ConfigError, match="cycles"):
-        replace(Scenario(name="mine"), cycles=-3)
-
-
-def test_a_scenario_can_be_sent_to_another_process() -> None:
-    scenario = load_scenario("case2")
-    assert pickle.loads(pickle.dumps(scenario)) == scenario  # noqa: S301 - our own bytes
-
-
-@pytest.mark.parametrize(
-    ("quantity", "parts"),
-    [
-        ("hub_speed_rad_s", ("hub_speed", "rad_s")),
-        ("wheel_fl_speed_m_s", ("wheel_fl_speed", "m_s")),
-        ("odometer_m", ("odometer", "m")),
-        ("current_gear", ("current_gear", "")),
-    ],
-)
-def test_the_unit_ends_the_name_of_a_quantity(quantity: str, parts: tuple[str, str]) -> None:
-    assert split_unit(quantity) == parts

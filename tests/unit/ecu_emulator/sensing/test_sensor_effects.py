@@ -31,13 +31,3 @@ def test_a_sampled_engine_speed_is_that_of_the_instant() -> None:
     assert np.max(np.abs(plain.values["engine_speed_rad_s"] - rows[::10, Col.ENGINE_SPEED])) > 0.2
     for quantity in ("engine_torque_nm", "hub_speed_rad_s"):
         assert np.array_equal(plain.values[quantity], sampled.values[quantity])
-
-
-def test_only_negative_torque_is_misjudged() -> None:
-    rows = made_up_rows(1000)
-    rows[:, Col.ENGINE_TORQUE] = np.linspace(-50.0, 100.0, len(rows))
-    reading = read_at(replace(PLACE, motoring_torque_ratio=0.9), rows)
-    true_nm = rows[::10, Col.ENGINE_TORQUE]
-    assert reading.values["engine_torque_nm"][true_nm > 0.0] == pytest.approx(true_nm[true_nm > 0.0], abs=0.0)
-    assert reading.values["engine_torque_nm"][true_nm < 0.0] == pytest.approx(0.9 * true_nm[true_nm < 0.0])
-    assert reading.values["hub_speed_rad_s"] == pytest.approx(rows[::10, Col.HUB_SPEED], abs=0.0)

@@ -9,7 +9,6 @@ from canlog.arrays import FloatArray
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.faults import Phase, PhaseCode, SensorFault, SensorFaultKind
 from ecu_emulator.sensing import SensorFaults
-from ecu_emulator.truth import ShiftWatcher
 from tests.unit.ecu_emulator.rows import made_up_rows, with_shift
 
 QUANTITY = "hub_speed_rad_s"
@@ -52,16 +51,6 @@ def test_a_spike_is_one_reading() -> None:
     assert counts == (1,)
 
 
-def test_what_is_not_available_is_nan() -> None:
-    wrong, _ = applied(fault("not_available", start_s=0.9))
-    assert np.array_equal(np.isnan(wrong), SEND_MS >= 900)
-
-
-def test_faults_of_one_quantity_add_up_in_their_order() -> None:
-    wrong, _ = applied(fault("offset", size=5.0), fault("frozen", start_s=0.5))
-    assert np.all(wrong[50:] == READING[49] + 5.0)
-
-
 def rows_with_shifts() -> FloatArray:
     """Return 900 ms with a shift at 100 ms and another at 500 ms, each phase 50 ms long."""
     rows = made_up_rows(900)
@@ -90,21 +79,6 @@ def test_a_fault_can_be_timed_by_a_shift(shift: int, phase: Phase, start_s: floa
     assert span_s == pytest.approx((begins_s, begins_s + 0.1))
     assert SEND_MS[np.flatnonzero(np.concatenate(wrong))[0]] / 1000.0 == pytest.approx(math.ceil(begins_s * 100) / 100)
     assert stage.changed_counts == (10,)
-
-
-@pytest.mark.parametrize("chunk", [900, 100, 37])
-def test_shifts_are_counted_as_the_truth_counts_them(chunk: int) -> None:
-    rows = rows_with_shifts()
-    rows[:100, Col.CURRENT_GEAR], rows[50:80, Col.SHIFT_PHASE] = 0.0, PhaseCode.PREFILL  # a start from neutral
-    rows[350:400, Col.SHIFT_PHASE] = PhaseCode.PREFILL  # the driver's mind changes
-    rows[410:420, Col.TARGET_GEAR], rows[420:, Col.CURRENT_GEAR] = 1.0, 1.0  # with open clutches, without phases
-    rows[420:500, Col.TARGET_GEAR], rows[700:, Col.CURRENT_GEAR] = 1.0, 3.0
-    stage = SensorFaults([fault("offset", size=1.0, shift=number) for number in (1, 2, 3)])
-    for first_ms in range(0, len(rows), chunk):
-        stage.feed(rows[first_ms : first_ms + chunk], first_ms)
-    assert [round(1e3 * span[0]) for span in stage.spans_s] == [100, 350, 500]
-    truths = ShiftWatcher().feed(rows)
-    assert [round(1e3 * shift.t_start_s) for shift in truths] == [100, 410, 500]
 
 
 def test_a_shift_that_does_not_come_triggers_nothing() -> None:

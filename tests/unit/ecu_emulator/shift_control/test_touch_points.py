@@ -12,9 +12,7 @@ from ecu_emulator.shift_control.touch_points import (
     Result,
     Sample,
     Search,
-    are_over,
     finding_of,
-    sample_of,
 )
 
 LIMIT_PA = 0.25e5
@@ -56,22 +54,6 @@ def test_the_touch_point_lies_between_what_is_felt_and_what_is_not(
     found = finding_of(told(loads_nm), STEPS)
     assert found.felt is felt
     assert pressure_pa is None or found.pressure_pa == pytest.approx(pressure_pa)
-
-
-def test_a_shaft_that_turns_or_a_sensor_that_is_silent_says_nothing() -> None:
-    loads_nm = [9, 8, 7, 6, 0, 0, 0, 0, 0]
-    assert finding_of(told(loads_nm, shaft_rad_s=9.0), STEPS).felt is Felt.UNCLEAR
-    assert finding_of(told(loads_nm, left_out=6), STEPS).felt is Felt.UNCLEAR
-    assert finding_of([], STEPS).felt is Felt.UNCLEAR
-    known = {"engine_torque_nm": 1.0, "engine_speed_rad_s": 75.0, "input1_speed_rad_s": 0.0}
-    assert sample_of(known, 1.0, 1) is None
-    for left_out in ("", *known):
-        values = {name: value for name, value in known.items() if name != left_out}
-        sample = sample_of({**values, "clutch1_pressure_command_pa": 0.0}, 1.0, 1)
-        assert sample is not None
-        assert sample.is_known is not bool(left_out)
-    assert not are_over([])
-    assert not are_over(told(loads_nm)[:300])
 
 
 def ended(*fine: Finding, coarse: Felt = Felt.BETWEEN) -> Result:

@@ -7,18 +7,14 @@ import pytest
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
-from clutch_model.pack import film_law
-from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.drive.build import BuiltVehicle, build_vehicle
-from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.plant.clutch import friction_ratio, grooved
+from ecu_emulator.plant.clutch import friction_ratio
 from ecu_emulator.plant.drive import DriveSettings
 from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters
 from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.scenario import Effects, Scenario
-from ecu_emulator.scenario.scenario_file import parse_scenario
 from tests.support.builders import drive_scenario
 
 NOMINAL = nominal_calibration()
@@ -40,19 +36,6 @@ def rows_with(**effects: float) -> FloatArray:
     return Powertrain(vehicle.calibration, vehicle.parameters, DriveSettings()).advance(DRIVE_S)
 
 
-def frames_with(duration_s: float, **effects: float) -> EncodedFrames:
-    parts: list[EncodedFrames] = []
-    for stretch in Drive(scenario_with(**effects)).stretches(duration_s):
-        parts.append(stretch.frames)
-        if stretch.end_s >= DRIVE_S - 0.01:
-            break
-    return merge(parts)
-
-
-def keys(frames: EncodedFrames) -> set[tuple[float, int, bytes]]:
-    return {(float(t), int(i), d.tobytes()) for t, i, d in zip(frames.t_s, frames.can_id, frames.data, strict=True)}
-
-
 @pytest.mark.parametrize(
     ("effect", "value", "place", "ratio"),
     [
@@ -68,14 +51,6 @@ def test_an_effect_on_the_clutch_changes_its_number_only(effect: str, value: flo
         assert getattr(after, name) == pytest.approx(ratio * getattr(before, name))
         assert replace(changed, **{part: replace(after, **{name: getattr(before, name)})}) == nominal
     assert vehicle.parameters == PARAMETERS
-
-
-def test_another_spring_or_viscosity_changes_that_only() -> None:
-    for changed, nominal in zip(vehicle_with(spring_force_n=30.0).calibration.clutches, NOMINAL.clutches, strict=True):
-        piston = replace(nominal.piston, spring_preload_n=nominal.piston.spring_preload_n + 30.0)
-        assert changed == replace(nominal, piston=piston)
-    thicker = replace(NOMINAL.viscosity, a_pa_s=NOMINAL.viscosity.a_pa_s * 1.25)
-    assert vehicle_with(viscosity_ratio=1.25).calibration == replace(NOMINAL, viscosity=thicker)
 
 
 @pytest.mark.parametrize(
@@ -105,15 +80,6 @@ def test_an_effect_on_the_plant_changes_its_number_only(effect: str, value: floa
     assert vehicle.calibration == NOMINAL
 
 
-def test_without_effects_nothing_is_switched_on() -> None:
-    assert Effects().switched_on() == {}
-    assert Effects(viscosity_ratio=1.25, engine_speed_is_sampled=True).switched_on() == {
-        "viscosity_ratio": 1.25,
-        "engine_speed_is_sampled": True,
-    }
-    assert Drive(scenario_with(spring_force_n=30.0)).truth.effects == {"spring_force_n": 30.0}
-
-
 @pytest.mark.parametrize("name", [member.name for member in fields(Effects) if member.metadata])
 def test_every_number_has_its_range(name: str) -> None:
     member = next(one for one in fields(Effects) if one.name == name)
@@ -121,13 +87,6 @@ def test_every_number_has_its_range(name: str) -> None:
         with pytest.raises(ConfigError, match=name):
             Effects(**{name: member.metadata[limit] + step})
         assert getattr(Effects(**{name: member.metadata[limit]}), name) == member.metadata[limit]
-
-
-def test_a_scenario_file_switches_effects_on() -> None:
-    scenario = parse_scenario(
-        'name = "odd"\n[effects]\nleast_cycle_ms = 20\nengine_speed_is_sampled = true\nviscosity_ratio = 1.25', "text"
-    )
-    assert scenario.effects == Effects(least_cycle_ms=20, engine_speed_is_sampled=True, viscosity_ratio=1.25)
 
 
 def test_friction_fades_with_the_heat_of_the_pack() -> None:
@@ -141,17 +100,6 @@ def test_friction_fades_with_the_heat_of_the_pack() -> None:
     assert np.ptp(rows[:, Col.MU_C2]) > 0.0
 
 
-def test_grooves_let_the_film_yield_faster() -> None:
-    law = film_law(NOMINAL.clutches[0])
-    eased = grooved(law, PARAMETERS.lining._replace(film_mobility_ratio=2.0))
-    assert eased == law._replace(squeeze_factor_m2=law.squeeze_factor_m2 / 2.0)
-    assert grooved(law, PARAMETERS.lining) == law
-    plain, fast = rows_with(), rows_with(film_mobility_ratio=4.0)
-    closing = (plain[:, Col.FILM2] < 140e-6) & (plain[:, Col.FILM2] > 20e-6) & (plain[:, Col.PRESSURE2] > 1.5e5)
-    assert np.count_nonzero(closing) > 5
-    assert np.all(fast[closing, Col.FILM2] < plain[closing, Col.FILM2])
-
-
 def test_the_crank_ripples_and_the_broadcast_torque_does_not() -> None:
     plain, rippled = rows_with(), rows_with(crank_ripple_ratio=0.5)
     pulling = slice(500, 1500)
@@ -163,18 +111,3 @@ def test_the_crank_ripples_and_the_broadcast_torque_does_not() -> None:
     # The modelled torque still sees the rippled speed through friction, a hundredth of the pulses.
     assert roughness(rippled, Col.ENGINE_TORQUE) < 1.0
     assert rippled[pulling, Col.ENGINE_TORQUE] == pytest.approx(plain[pulling, Col.ENGINE_TORQUE], rel=0.05)
-
-
-def test_no_message_is_sent_more_often_than_the_effect_allows() -> None:
-    plain, slow = frames_with(DRIVE_S), frames_with(DRIVE_S, least_cycle_ms=20)
-    for can_id in np.unique(plain.can_id):
-        before_ms, after_ms = (
-            np.unique(np.rint(np.diff(frames.t_s[frames.can_id == can_id]) * 1e3)) for frames in (plain, slow)
-        )
-        assert after_ms == pytest.approx(np.maximum(before_ms, 20.0))
-
-
-def test_lost_frames_are_lost_and_the_others_untouched() -> None:
-    plain, lossy = frames_with(DRIVE_S), frames_with(DRIVE_S, frame_loss_ratio=0.05)
-    assert keys(lossy) < keys(plain)
-    assert len(lossy) / len(plain) == pytest.approx(0.95, abs=0.02)

@@ -65,12 +65,6 @@ def test_a_launch_to_lock() -> None:
     assert event.oil_temperature_k == LAUNCH[500, Col.SUMP_TEMPERATURE]
 
 
-def test_drag_of_open_plates_is_no_slip() -> None:
-    assert only(LAUNCH).other_slip_energy_j == 0.0
-    event = only(with_event(quiet_rows(300), 100, 200, EventKind.REGEAR))
-    assert (event.peak_slip_rad_s, event.slip_energy_j) == (0.0, 0.0)
-
-
 def test_a_launch_that_is_broken_off_does_not_lock() -> None:
     rows = LAUNCH.copy()
     rows[1000:1600, Col.IS_ABORTED] = 1.0
@@ -78,15 +72,6 @@ def test_a_launch_that_is_broken_off_does_not_lock() -> None:
     rows[1600:, Col.INPUT1_SPEED] = HUB_RAD_S - 40.0
     event = only(rows)
     assert (event.is_locked, event.is_aborted) == (False, True)
-
-
-@pytest.mark.parametrize(("torque_nm", "is_locked"), [(TORQUE_NM, True), (0.0, False)])
-def test_a_clutch_that_is_about_to_stick_counts_as_locked_if_it_is_pressed(torque_nm: float, is_locked: bool) -> None:
-    rows = LAUNCH.copy()
-    rows[1600, Col.STICK1] = 0.0
-    rows[1600, Col.INPUT1_SPEED] = HUB_RAD_S - 0.5
-    rows[1600, Col.CLUTCH1_TORQUE] = torque_nm
-    assert only(rows).is_locked == is_locked
 
 
 def test_a_shift_shows_the_clutch_that_did_more_work() -> None:
@@ -107,23 +92,6 @@ def test_slip_that_comes_back_is_told_apart() -> None:
     event = only(with_event(with_slip(quiet_rows(2000), 200, chatter), 200, 1100, EventKind.LAUNCH))
     assert event.peak_slip_rad_s == 80.0
     assert event.reslip_rad_s == pytest.approx(12.0, rel=1e-3)
-
-
-@pytest.mark.parametrize("size", [1, 100, 2000])
-def test_slip_that_has_not_begun_does_not_come_back(size: int) -> None:
-    opened = np.concatenate((np.linspace(0.0, 40.0, 300), np.linspace(40.0, 0.0, 300)))  # from a clutch that sticks
-    rows = with_event(with_slip(quiet_rows(2000), 300, opened), 200, 1100, EventKind.LAUNCH)
-    watcher = EventWatcher()
-    (event,) = (event for start in range(0, len(rows), size) for event in watcher.feed(rows[start : start + size]))
-    assert event.peak_slip_rad_s == 40.0
-    assert event.reslip_rad_s < 1.0
-    assert event.is_locked
-
-
-def test_an_event_that_becomes_another_kind_has_its_last_name() -> None:
-    rows = with_event(quiet_rows(600), 100, 300, EventKind.CREEP)
-    rows[200:300, Col.EVENT_KIND] = EventKind.LAUNCH
-    assert only(rows).event == "launch"
 
 
 def test_an_event_cut_off_by_the_end_of_a_trip_is_told_once() -> None:

@@ -1,5 +1,4 @@
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,10 +16,8 @@ from ecu_emulator.truth import (
     RevWatcher,
     ShiftWatcher,
     Totals,
-    TripTruth,
     TruthLog,
     TruthWriter,
-    known_at_s,
     read_truth,
     truth_path,
 )
@@ -62,20 +59,6 @@ FAULT = FaultTruth(what="hub_speed_rad_s", kind="offset", size=2.0, t_start_s=0.
 ROWS = with_shift(with_shift(made_up_rows(1200), 100, 500, 1, 2), 700, 1000, 2, 3)
 
 
-def trip(number: int) -> TripTruth:
-    return TripTruth(
-        number=number,
-        trace="city",
-        t_start_s=1000.0 * number,
-        parked_s=300.0,
-        distance_m=5000.0,
-        oil_temperature_k=293.15,
-        coolant_temperature_k=293.15,
-        mu_c=(0.13, 0.14),
-        mu_s=(0.12, 0.11),
-    )
-
-
 def test_a_completed_shift_carries_the_truth_of_the_on_coming_clutch() -> None:
     upshift, next_upshift = ShiftWatcher().feed(ROWS)
     assert (upshift.number, upshift.from_gear, upshift.to_gear, upshift.clutch) == (1, 1, 2, 2)
@@ -84,12 +67,6 @@ def test_a_completed_shift_carries_the_truth_of_the_on_coming_clutch() -> None:
     assert upshift.clutch_temperature_k == pytest.approx(np.mean(ROWS[100:500, Col.CLUTCH2_TEMPERATURE]))
     assert (next_upshift.number, next_upshift.clutch) == (2, 1)
     assert next_upshift.mu_c == ROWS[999, Col.MU_C1]
-
-
-def test_a_shift_that_has_not_ended_is_not_reported() -> None:
-    watcher = ShiftWatcher()
-    assert watcher.feed(ROWS[:400]) == []
-    assert [shift.number for shift in watcher.feed(ROWS[400:])] == [1, 2]
 
 
 def test_a_shift_that_goes_back_to_where_it_began_is_none() -> None:
@@ -133,24 +110,6 @@ def test_a_truth_file_reads_back(tmp_path: Path) -> None:
     assert read_truth(path) == TruthLog(drive=DRIVE, shifts=shifts, totals=totals, revs=(rev,))
 
 
-def test_all_that_happens_reads_back(tmp_path: Path) -> None:
-    path = tmp_path / "truth.jsonl"
-    trips = (trip(1), trip(2))
-    with TruthWriter(path) as writer:
-        writer.drive(DRIVE)
-        writer.write([trips[0], EVENT, trips[1]])
-        writer.totals(Totals(shifts=0, events=1, duration_s=9.0, frames=5))
-    truth = read_truth(path)
-    assert (truth.trips, truth.events) == (trips, (EVENT,))
-    assert truth.totals is not None
-    assert truth.totals.events == 1
-
-
-def test_what_happened_is_known_when_it_has_ended_and_a_trip_when_it_begins() -> None:
-    assert known_at_s(EVENT) == EVENT.t_end_s
-    assert known_at_s(trip(1)) == trip(1).t_start_s
-
-
 def test_a_file_from_before_there_were_events_is_read(tmp_path: Path) -> None:
     path = tmp_path / "truth.jsonl"
     with TruthWriter(path) as writer:
@@ -176,29 +135,6 @@ def test_a_truth_without_end_stays_small_and_readable(tmp_path: Path) -> None:
     assert numbers == list(range(numbers[0], count + 1))
     assert older.stat().st_size < most_bytes + 2000
     assert path.stat().st_size < most_bytes + 2000
-
-
-def test_a_truth_that_goes_into_a_pipe_is_not_begun_anew(tmp_path: Path) -> None:
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)
-    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-    with TruthWriter(pipe, most_bytes=1000) as writer:
-        for _ in range(10):
-            writer.write([EVENT])
-        assert os.read(reader, 1 << 16).count(b"\n") == 10
-    os.close(reader)
-    assert list(tmp_path.iterdir()) == [pipe]
-    assert pipe.is_fifo()
-
-
-def test_a_truth_file_that_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match="cannot write truth"):
-        TruthWriter(tmp_path / "nowhere" / "truth.jsonl")
-
-
-def test_a_full_disk_is_one_clear_error() -> None:
-    with TruthWriter(Path("/dev/full")) as writer, pytest.raises(RecordError, match="No space left"):
-        writer.drive(DRIVE)
 
 
 @pytest.mark.parametrize(

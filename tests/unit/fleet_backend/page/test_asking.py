@@ -48,9 +48,3 @@ def test_what_is_wrong_is_said(query: list[tuple[str, str]], complaint: str) -> 
     with pytest.raises(AskError) as caught:
         ask(*query)
     assert str(caught.value).startswith(complaint)
-
-
-@pytest.mark.parametrize("vehicle", ["..", ".x", "a/b", "a b", "x" * 65, "ä"])
-def test_a_vehicle_has_a_name_that_the_contract_knows(vehicle: str) -> None:
-    with pytest.raises(AskError, match=r"^vehicle: "):
-        ask(vehicle=vehicle)

@@ -1,6 +1,6 @@
 """What was worked out is kept while what it was made of stays the same, in bounded memory, and not for ever."""
 
-from fleet_backend.page.cache import LONGEST_S, Cache, Same
+from fleet_backend.page.cache import LONGEST_S, Cache
 
 
 class Maker:
@@ -13,13 +13,6 @@ class Maker:
     def __call__(self) -> list[int]:
         self.count += 1
         return [self.count] * self._length
-
-
-def test_a_value_is_the_same_as_itself_alone() -> None:
-    one, other = [1], [1]
-    assert Same(one) == Same(one)
-    assert len({Same(one), Same(one), Same(other)}) == 2
-    assert Same(one) != one
 
 
 def test_what_nobody_asked_for_longest_goes_first_and_all_goes_in_time() -> None:

@@ -1,13 +1,11 @@
 """What is kept of the fleet: what arrives is seen, what fails is tried again, who listens hears of changes alone."""
 
-import asyncio
-import time
 from collections.abc import Sequence
 from datetime import datetime, timedelta
 
 from fleet_backend.errors import DatabaseAwayError
 from fleet_backend.orders import PresentFluid
-from fleet_backend.page.keeper import REST_RATIO, WHOLE_AFTER, Keeper
+from fleet_backend.page.keeper import WHOLE_AFTER, Keeper
 from fleet_backend.page.records import ClutchNow
 from fleet_backend.page.running import DatabaseSource, FillsSeen
 from tests.support.fleet import NOW
@@ -103,22 +101,3 @@ async def test_who_listens_hears_of_changes_and_a_database_that_is_away_is_said(
     fleet.clutches = [clutch_now("a", seq=3)]
     await keeper.look()
     assert (keeper.snapshot.number, heard) == (3, [2])
-
-
-async def test_a_fleet_that_takes_long_to_read_is_read_less_often() -> None:
-    looks: list[float] = []
-    twice, loop = asyncio.Event(), asyncio.get_running_loop()
-
-    class Slow(Fleet):
-        def now(self) -> datetime:
-            looks.append(time.monotonic())
-            time.sleep(0.01)
-            if len(looks) == 2:
-                loop.call_soon_threadsafe(twice.set)
-            return self.at
-
-    keeper = Keeper(Slow(clutch_now("a")))
-    task = asyncio.create_task(keeper.run(period_s=0.001))
-    await twice.wait()
-    task.cancel()
-    assert looks[1] - looks[0] >= 0.01 * (1.0 + REST_RATIO)

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet_backend.page.errors import NotFoundError
-from fleet_backend.page.listing import Wanted, cursor, matching, part_of, place_of, read_words, worst_first
+from fleet_backend.page.listing import cursor, part_of, place_of, read_words, worst_first
 from fleet_backend.page.records import ClutchNow
 from tests.support.fleet_page import clutch_now
 
@@ -62,12 +62,3 @@ STRANGE = (
 def test_nothing_else_is_taken_for_a_place(word: str) -> None:
     with pytest.raises(NotFoundError, match="not a position in a list"):
         part_of([clutch_now("a")], word, 1)
-
-
-def test_clutches_are_found_by_what_is_known_of_them() -> None:
-    fleet = [clutch_now("Taxi-7", fluid="A"), clutch_now("car1", condition="watch"), clutch_now("car2", fluid="A")]
-    assert [one.vehicle for one in matching(fleet, Wanted(name_part="AXI"))] == ["Taxi-7"]
-    assert [one.vehicle for one in matching(fleet, Wanted(fluid="A", name_part="c"))] == ["car2"]
-    assert [one.vehicle for one in matching(fleet, Wanted(condition="watch"))] == ["car1"]
-    assert matching(fleet, Wanted(calibration="other")) == []
-    assert matching(fleet, Wanted()) == fleet

@@ -1,11 +1,8 @@
 """What is due: in the order of its days, what is overdue first."""
 
-from datetime import UTC, date, datetime, timedelta
+from datetime import UTC, datetime, timedelta
 
-from diag_service.diagnosis.prognosis import history_of, prognose
-from fleet_backend.page.maintenance_view import driven_a_day_m, due_of
-from tests.support.fleet_page import clutch_now
-from tests.support.histories import CALIBRATION, history
+from fleet_backend.page.maintenance_view import driven_a_day_m
 
 
 def test_how_much_a_vehicle_is_driven_is_counted_over_the_last_months() -> None:
@@ -23,14 +20,3 @@ def test_how_much_a_vehicle_is_driven_is_counted_over_the_last_months() -> None:
     )
     for seen, wanted in cases:
         assert driven_a_day_m((start + timedelta(days=days), m) for days, m in seen) == wanted
-
-
-def test_no_day_is_foretold_from_a_clock_that_was_not_set() -> None:
-    found = prognose(1, history_of(history(200), (), 1), CALIBRATION.clutches[0].friction)
-    driven = [(datetime(2026, 1, day, tzinfo=UTC), day * 5.0e4) for day in (1, 11)]
-    dues = [
-        due_of(clutch_now(end_at=datetime(year, 1, 11, tzinfo=UTC)), [found], driven, date(2026, 2, 1))
-        for year in (2026, 1970)
-    ]
-    assert [one.half_by is not None for one in dues] == [True, False]
-    assert not dues[1].is_overdue

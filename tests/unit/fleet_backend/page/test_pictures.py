@@ -35,8 +35,3 @@ def test_the_curve_and_its_bands_break_at_a_fill(quantity: Quantity) -> None:
         (band,) = re.findall(r'<path d="([^"]*)" class="band clutch1"', picture)
         assert [one.count("M") for one in (line, band)] == [stretches] * 2
         assert picture.count("new fluid: DCTF-II") == len(fills)
-
-
-def test_a_fill_at_the_end_of_an_event_belongs_behind_it_and_one_after_all_at_the_end() -> None:
-    moments = course([ENDS[3], ENDS[9] + timedelta(days=3)]).moments
-    assert [place for place, *_ in moments] == [5.0, 10.0]

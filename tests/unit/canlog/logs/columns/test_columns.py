@@ -95,11 +95,6 @@ CELLS: dict[str, Callable[[int], str]] = {
     "length": lambda k: f"{1 + k % 2}",
     "data": lambda k: " ".join(["FE", f"{k:02X}"][: 1 + k % 2]),
 }
-BYTES: dict[str, Callable[[int], str]] = {
-    **CELLS,
-    "length": lambda _: "2",
-    "data": lambda k: f"FE;{k:02X}",
-}  # a column for each
 EXPECTED = [(10_000 * k, 0x100 + k % 3, ("fe", f"fe{k:02x}")[k % 2]) for k in range(20)]
 
 
@@ -114,27 +109,6 @@ def test_what_is_proposed_for_columns_that_nothing_names_reads_them(order: tuple
     batch, counts = read(ColumnsLog(choice), text)
     assert rows(batch) == EXPECTED
     assert (counts.rejected, counts.skipped) == ({}, int(has_names))
-
-
-def test_bytes_in_columns_of_their_own_are_proposed_too() -> None:
-    text = "When;Who;How many;What;And\n" + "".join(
-        ";".join(BYTES[word](k) for word in ("time", "id", "length", "data")) + "\n" for k in range(20)
-    )
-    with pytest.raises(SourceError, match="perhaps --columns 'time=When,id=Who,data=What-And,length=How many'"):
-        detect(text.encode())
-
-
-def test_what_is_left_open_is_said() -> None:
-    log = ColumnsLog()
-    batch, _ = read(log, "Time,ID,Data\n" + "".join(f"{k * 10},536870911,01\n" for k in range(20)))
-    assert batch.can_id[0] == 0x1FFF_FFFF | EXTENDED_FLAG
-    assert batch.t_ns[1] == 10_000_000
-    assert [note.split(":")[0] for note in log.notes] == [
-        "identifiers are taken as decimal", "times are taken as milliseconds",
-    ]  # fmt: skip
-    log = ColumnsLog()
-    read(log, "ID,Data\n123,01\n")
-    assert "no times" in log.notes[-1]
 
 
 @pytest.mark.parametrize(
@@ -175,20 +149,6 @@ def test_a_list_of_identifiers_is_no_log(text: str) -> None:
         detect(text.encode())
 
 
-def test_a_list_of_networks_may_stand_before_the_headers_of_several_kinds() -> None:
-    head = "Line,Abs Time(Sec),Status,Er,Tx,Description,Network,Node,"
-    networks = "".join(f"NET {number},Default,NET {number},CAN,500000,\n" for number in range(95))
-    kinds = [f"{head}ID,Cycle,Ch,B1-256,Dyn\n", f"{head}Arb ID,Remote,Xtd,B1,B2\n", f"{head}PT,Trgt,Src,B1,B2\n"]
-    lines = [f"{n},{n / 10},67,F,F,,NET {n % 3},,CF00400,F,T,0{n},7D,,,\n" for n in range(9)]
-    text = f"Vehicle Spy 3 Bus Traffic File\nNetwork Description,Hardware,Network,Protocol,Baud Rate\n{networks}\n"
-    text += "".join(kinds + lines)
-    assert detect(text.encode()).format is LogFormat.COLUMNS
-    batch, counts = read(ColumnsLog(), text)
-    assert rows(batch) == [(n * 100_000, 0xCF00400 | EXTENDED_FLAG, f"0{n}7d") for n in range(9)]
-    assert batch.channel.tolist() == [0, 1, 2] * 3
-    assert counts.rejected == {}
-
-
 @pytest.mark.parametrize(
     ("start", "stamps", "elapsed_us"),
     [
@@ -216,19 +176,6 @@ def test_the_times_of_clx000_have_any_of_their_parts(
     for wrong in ("0000", "1", "321T000000000", "01T250000000", "x", "99" * 9):
         more, counts = read(Clx000(), f"# Logger type: CL1000\nTimestamp;Type;ID;Data\n{wrong};0;1;00\n")
         assert (len(more), sum(counts.rejected.values())) == (0, 1), wrong
-
-
-def test_remote_frames_of_ixxat_say_so_where_others_have_bytes() -> None:
-    header = 'ASCII Trace IXXAT MiniMon V3\n"Time","Identifier (hex)","Format","Flags","Data (hex)"\n'
-    lines = (
-        '"00:00:01.5","184","Std","","00 06"\n"00:00:01.6","185","Std","Rtr","Remote request DLC = 4"\n'
-        '"00:00:01.7","18FEF100","Ext","Rtr","Remote request  DLC=8"\n"00:00:01.8","185","Std","","Rubbish"\n'
-    )
-    batch, counts = read(ColumnsLog(), header + lines)
-    assert batch.can_id.tolist() == [0x184, 0x185 | REMOTE_FLAG, 0x18FEF100 | EXTENDED_FLAG | REMOTE_FLAG]
-    assert batch.length.tolist() == [2, 4, 8]
-    assert not batch.data[1:].any()
-    assert counts.first_rejected == "line 6: malformed"
 
 
 def table(head: str, *cells: tuple[str, str]) -> str:
@@ -261,87 +208,3 @@ def test_the_base_of_identifiers_is_told_by_the_whole_column(text: str, can_ids:
     notes = [note for note in log.notes if note.startswith("identifiers are taken as")]
     assert len(notes) == bool(said)
     assert not said or notes[0].startswith(f"identifiers are taken as {said}")
-
-
-@pytest.mark.parametrize(("choice", "can_id"), [("id=addr:dec", 153), ("id=addr:hex", 0x153), ("id=2:hex", 0x153)])
-def test_who_says_a_base_overrules_what_it_looks_like(choice: str, can_id: int) -> None:
-    words = choice if "addr" in choice else f"time=1,{choice}"
-    log = ColumnsLog(f"{words},data={'data' if 'addr' in choice else '4'}")
-    batch, _ = read(log, table("time,addr,bus,data\n", ("153", "0acc"), ("1349", "c0")))
-    assert int(batch.can_id[0]) & 0x1FFFFFFF == can_id
-    assert not any("identifiers" in note for note in log.notes)
-
-
-def test_a_range_of_columns_ends_where_it_says() -> None:
-    batch, counts = read(ColumnsLog("time=1:s,id=2:hex,data=3-9"), "1.0,123,1,2,3,4,5,6,7,8\n2.0,123,1,2,3,4,5,6,7,x\n")
-    assert ([data for _, _, data in rows(batch)], counts.rejected) == (["01020304050607"] * 2, {})
-
-
-HCRL = (
-    "1478198376.389427,0316,8,05,21,68,09,21,21,00,6f,R\n1478198376.389636,018f,2,fe,5b,R\n"
-    "1478198376.389864,0000,8,00,00,00,00,00,00,00,00,T\n1478198376.390000,05f0,0,R\n"
-)
-
-
-@pytest.mark.parametrize(
-    "header",
-    [
-        "", "Timestamp,ID,DLC,DATA0,DATA1,DATA2,DATA3,DATA4,DATA5,DATA6,DATA7,Flag\n",
-        "Timestamp,ID,DLC,DATA[0],DATA[1],DATA[2],DATA[3],DATA[4],DATA[5],DATA[6],DATA[7],Flag\n",
-    ],
-)  # fmt: skip
-def test_labels_behind_bytes_are_none(header: str) -> None:
-    assert detect((header + HCRL).encode()).format is LogFormat.COLUMNS
-    batch, counts = read(ColumnsLog(), header + HCRL)
-    assert rows(batch) == [
-        (1_478_198_376_389_427, 0x316, "052168092121006f"), (1_478_198_376_389_636, 0x18F, "fe5b"),
-        (1_478_198_376_389_864, 0, "00" * 8), (1_478_198_376_390_000, 0x5F0, ""),
-    ]  # fmt: skip
-    assert counts.rejected == {}
-
-
-def test_columns_have_more_names() -> None:
-    text = "Unix Time,BusChannel,ID,MessageLength,Data\n1478198376.5,2,1A0,1,05\n1478198376.6,3,1A0,1,06\n"
-    log = ColumnsLog()
-    batch, counts = read(log, text)
-    assert (batch.channel.tolist(), counts.rejected) == ([2, 3], {})
-    assert rows(batch)[0] == (1_478_198_376_500_000, 0x1A0, "05")
-    batch, _ = read(ColumnsLog(), "Vehicle time (ms),ID,Data\n1500,1A0,05\n")
-    assert rows(batch) == [(1_500_000, 0x1A0, "05")]
-
-
-def test_channels_that_have_names_are_numbered_and_told() -> None:
-    log = ColumnsLog()
-    names = ["HS CAN", "MS CAN", "HS CAN", "LIN"]
-    text = "Time,Network,ID,Data\n" + "".join(f"{k}.5,{name},1A0,05\n" for k, name in enumerate(names))
-    batch, _ = read(log, text)
-    assert batch.channel.tolist() == [0, 1, 0, 2]
-    assert "channels are numbered by name: 0 HS CAN, 1 MS CAN, 2 LIN" in log.notes
-    log = ColumnsLog()
-    batch, _ = read(log, "Time [s],Bus,ID,Data\n1.5,can1,1A0,05\n1.6,CAN 2,1A0,05\n")
-    assert (batch.channel.tolist(), log.notes) == ([1, 2], [])
-
-
-NO_FRAMES = {
-    "canboat plain": [
-        f"2009-06-18Z09:46:{k:02d}.129,{2 + k % 2},{pgn},{36 + k % 3},255,8,ff,e0,6f,fb,ff,ff,{k:02x},ff"
-        for k, pgn in enumerate([127251, 60928, 129025, 65280] * 5)
-    ],
-    "signalk log": [f"15029791{k:05d};A;2017-08-17T14:12:{k:02d}Z,3,{127250 - k % 3 * 66325},1,255,8,ff,{k:02x},0,1,ff"
-                    for k in range(20)],
-    "nmea 0183": [f"$IIVHW,{k}.1,T,{k},M,01.2{k},N,02,K*{k + 16:02X}" for k in range(20)],
-    "temperatures": [f"{k}.5,2{k % 10},1{k % 7},{k + 10:02d},{k + 30:02d},{k + 50:02d}" for k in range(20)],
-    "persons": [f"{k};{5000 + 17 * k};{k % 9};{k + 20};{k + 30}" for k in range(20)],
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", NO_FRAMES)
-def test_no_columns_are_proposed_without_evidence(name: str) -> None:
-    with pytest.raises(SourceError) as refusal:
-        detect(("\n".join(NO_FRAMES[name]) + "\n").encode())
-    assert "perhaps" not in str(refusal.value)
-
-
-def test_where_a_column_tells_the_kind_digits_that_fit_no_kind_are_hexadecimal() -> None:
-    batch, _ = read(ColumnsLog(), "Time,ID,Extended,Length,Data\n" + "".join(f"{k},820,1,1,0A\n" for k in range(20)))
-    assert batch.can_id[0] == 0x820 | EXTENDED_FLAG

@@ -6,21 +6,16 @@ from dataclasses import replace
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge, no_verdict
-from diag_service.diagnosis.condition.verdict import Cause, Silence, advice, likely
+from diag_service.diagnosis.condition.condition import ConditionMemory, judge, no_verdict
 from diag_service.diagnosis.records import (
     Causes,
     ClutchVerdict,
     Condition,
     LikelyCause,
-    clutch_record,
-    dump,
-    parse_shift,
-    shift_record,
 )
 from diag_service.diagnosis.summary import Gap, newest_causes, order_by, unjudged
 from tests.support.builders import shift_result
-from tests.unit.diag_service.diagnosis.condition.test_condition import aged, believed, uncertain_scale
+from tests.unit.diag_service.diagnosis.condition.test_condition import believed
 
 CALIBRATION = nominal_calibration()
 
@@ -58,21 +53,6 @@ def test_a_fluid_of_which_nobody_is_sure_is_not_called_sound_without_saying_so()
     assert 20 < int(percent) < 80
 
 
-def test_a_verdict_that_merely_stands_says_what_calls_it_off() -> None:
-    verdict = verdict_on(0.1295, 0.1285, previous=Condition.CHANGE_FLUID)
-    assert verdict.condition is Condition.CHANGE_FLUID
-    assert verdict.advice is not None
-    assert verdict.advice.endswith(
-        "(26 % sure now, at least 95 % before; the verdict stands until that falls below 20 %)."
-    )
-
-
-def test_what_was_lost_of_the_own_friction_is_told_as_that() -> None:
-    verdict = judge(ConditionMemory.fresh(), uncertain_scale(aged(0.88)), 1, CALIBRATION)[1]
-    assert verdict.advice is not None
-    assert "it has lost more than 10 % of its own friction" in verdict.advice
-
-
 @pytest.mark.parametrize(
     ("verdict", "sentence"),
     [
@@ -87,35 +67,6 @@ def test_where_there_is_no_verdict_the_sentence_says_what_would_help(verdict: Cl
     assert verdict.advice is not None
     assert verdict.advice.startswith("Clutch 2: ")
     assert sentence in verdict.advice
-
-
-def test_a_calibration_that_does_not_fit_is_no_matter_of_the_fluid() -> None:
-    memory = ConditionMemory(fits=(Fit.MISFITS,) * 5)
-    verdict = judge(memory, believed(0.119, 0.137), 1, CALIBRATION)[1]
-    assert verdict.advice is not None
-    assert "diag-service calibrate makes one that does" in verdict.advice
-    assert "% sure" not in verdict.advice
-
-
-@pytest.mark.parametrize("ground", [*Cause, *Silence, None])
-@pytest.mark.parametrize("probability", [0.0, 0.2, 0.5, 0.949, 0.9949, 1.0])
-def test_it_is_one_line_that_promises_no_certainty(ground: Cause | Silence | None, probability: float) -> None:
-    for condition in (Condition.GOOD, Condition.WATCH, Condition.CHANGE_FLUID):
-        sentence = advice(1, condition, ground, probability)
-        assert sentence.startswith("Clutch 1: ")
-        assert sentence.endswith(".")
-        assert "\n" not in sentence
-        assert "100 %" not in sentence
-        assert len(sentence) <= 200
-
-
-def test_the_same_sentence_is_in_the_result_and_in_the_state_of_the_clutch() -> None:
-    result = shift_result()
-    worn = replace(result, verdict=replace(verdict_on(0.119, 0.137), clutch=result.verdict.clutch))
-    record = shift_record(worn)
-    assert isinstance(record["verdict"], dict)
-    assert record["verdict"]["advice"] == clutch_record(record)["advice"] == worn.verdict.advice
-    assert parse_shift(dump(record)).verdict.advice == worn.verdict.advice
 
 
 def why(cause: str, probability: float, aged: float = 0.05) -> Causes:
@@ -170,26 +121,3 @@ def test_why_is_told_by_the_result_by_which_the_order_goes() -> None:
     assert newest_causes([before]) == before.verdict.causes
     assert newest_causes([before, changed]) is None
     assert order_by([before, changed], None).sentence == "Nothing to do now: the fluid is sound."
-
-
-def test_results_of_before_have_no_sentence() -> None:
-    record = shift_record(shift_result())
-    assert isinstance(record["verdict"], dict)
-    del record["verdict"]["advice"]
-    assert parse_shift(dump(record)).verdict.advice is None
-    assert clutch_record(record)["advice"] is None
-
-
-@pytest.mark.parametrize(
-    ("probability", "said"),
-    [
-        (0.0, "under 0.1 % likely"),
-        (0.0004, "under 0.1 % likely"),
-        (0.0006, "0.1 % likely"),
-        (0.206, "20.6 % likely"),
-        (0.9994, "99.9 % likely"),
-        (1.0, "over 99.9 % likely"),
-    ],
-)
-def test_nothing_is_said_to_be_certain_or_impossible(probability: float, said: str) -> None:
-    assert likely(probability) == said

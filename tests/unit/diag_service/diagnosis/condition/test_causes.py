@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.condition.causes import ELSE, FEATURES, MIRRORED, SOUND, CauseJudge, described
+from diag_service.diagnosis.condition.causes import ELSE, SOUND, CauseJudge, described
 from diag_service.diagnosis.condition.condition import (
     BEGIN_COUNT,
-    JUDGED_EVERY,
     LEAST_COUNT,
     LOWER,
     MEASURED,
@@ -23,7 +22,6 @@ from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.records import Causes, Condition, LikelyCause
-from diag_service.report.pictures import causes_section
 from tests.support.builders import shift_estimate
 
 CALIBRATION = nominal_calibration()
@@ -126,26 +124,6 @@ def test_new_fluid_after_aged_fluid_is_no_fault(*, filled: bool) -> None:
     assert "e+" not in told
 
 
-def test_what_moved_most_is_told_beside_what_the_likeliest_cause_would_move() -> None:
-    causes = causes_of({name.format(1): size for name, size in GLAZED.items()})
-    assert first(causes) == ("glazed-lining", 1)
-    most = causes.moved[0]
-    assert (most.quantity, most.unit) == ("friction of clutch 1", "%")
-    assert most.change == pytest.approx(-12.0, abs=3.0 * most.std)
-    assert most.expected == pytest.approx(most.change, abs=3.0 * most.std)
-    assert len(causes.moved) == len({one.quantity for one in causes.moved}) == 6
-    (figure,) = causes_section(causes).figures
-    assert figure.table.rows[0][0] == most.quantity
-    assert most.quantity in figure.picture
-    assert not causes_section(replace(causes, moved=())).figures  # of an older program
-    assert all(one.expected == 0.0 for one in causes_of().moved)
-
-
-def test_fluid_that_was_not_aged_is_not_called_renewed() -> None:
-    causes = causes_of({name: -size for name, size in AGED.items()})
-    assert first(causes) == (ELSE, None)
-
-
 @pytest.mark.parametrize(
     ("moved", "cause"), [(GLAZED, ("glazed-lining", 1)), (AGED, ("aged-fluid", None)), (SCALE, (SOUND, None))]
 )
@@ -189,26 +167,6 @@ def test_what_fits_nothing_is_something_else() -> None:
     assert causes.advice.startswith("Something has changed that fits no known cause")
 
 
-def test_evidence_is_for_and_against_with_what_was_expected() -> None:
-    causes = causes_of({name.format(1): size for name, size in WORN.items()})
-    assert "touch point that the control uses of clutch 1 +0.09" in causes.likely[0].evidence
-    causes = causes_of({"believed_touch_pa1": 9e3})  # no longer filling: half of the signs are missing
-    worn = next((one for one in causes.likely if one.cause == "worn-lining"), None)
-    assert worn is None or "filling time of clutch 1" in worn.evidence.partition("Against")[2]
-
-
-def test_a_test_is_named_that_tells_the_likeliest_two_apart() -> None:
-    likely = tuple(
-        LikelyCause(cause=cause, clutch=clutch, probability=0.5, evidence="For it: x.")
-        for cause, clutch in (("aged-fluid", None), ("glazed-lining", 1))
-    )
-    test = JUDGE.test_between(likely)
-    assert test is not None
-    assert "oil sample" in test
-    assert "additives are used up" in test
-    assert JUDGE.test_between((replace(likely[0], probability=0.95), likely[1])) is None
-
-
 def test_every_pair_of_causes_has_a_test_or_is_told_by_driving() -> None:
     causes = list(described()["cause"])
     untold = []
@@ -218,14 +176,6 @@ def test_every_pair_of_causes_has_a_test_or_is_told_by_driving() -> None:
             if one < other and JUDGE.test_between(pair) is None:
                 untold.append((one, other))
     assert untold == []
-
-
-def test_signatures_are_mirrored_for_the_other_clutch() -> None:
-    own, others = (
-        next(one for one in JUDGE.signatures if (one.cause, one.clutch) == ("worn-lining", clutch)) for clutch in (1, 2)
-    )
-    assert own.mean[FEATURES.index("believed_touch1")] == others.mean[FEATURES.index("believed_touch2")] > 0.0
-    assert np.array_equal(own.mean[MIRRORED], others.mean)
 
 
 def test_a_course_survives_its_store_and_damage_is_found() -> None:
@@ -242,10 +192,6 @@ def test_a_course_survives_its_store_and_damage_is_found() -> None:
         ConditionMemory.from_json(damaged)
 
 
-def test_a_vehicle_without_events_is_stored_as_before() -> None:
-    assert "course" not in ConditionMemory.fresh().to_json()
-
-
 def test_new_fluid_begins_the_last_stretch_again() -> None:
     memory = ConditionMemory(course=Course(begun=stretch(), now=stretch(), event_count=100, found=causes_of()))
     course = memory.with_new_fluid("2026-01-01T00:00:00.000000Z", FRESH).course
@@ -255,15 +201,6 @@ def test_new_fluid_begins_the_last_stretch_again() -> None:
     assert course.found is None
     early = ConditionMemory(course=Course(begun=replace(stretch(), count=LEAST_COUNT), event_count=20))
     assert early.with_new_fluid("2026-01-01T00:00:00.000000Z", FRESH).course == Course()
-
-
-def test_causes_are_told_as_soon_as_they_can_be_after_friction_changed_and_then_now_and_again() -> None:
-    course = Course(begun=stretch(), now=stretch(), event_count=71, found=causes_of()).with_changed_friction()
-    few = replace(course, now=replace(stretch(), count=LEAST_COUNT - 1.0))
-    enough = replace(course, now=replace(stretch(), count=LEAST_COUNT))
-    assert (few.is_due, enough.is_due) == (False, True)
-    told = replace(enough, found=causes_of())
-    assert (told.is_due, replace(told, event_count=2 * JUDGED_EVERY).is_due) == (False, True)
 
 
 @pytest.mark.parametrize(("clutch", "is_held"), [(1, True), (2, False)])

@@ -1,6 +1,6 @@
 """The verdict, its thresholds and its hysteresis."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -73,14 +73,6 @@ def test_a_verdict_does_not_stay_for_another_cause_than_its_own() -> None:
     low = judge(replace(memory, grounds=(Cause.LEVEL_LOW, None)), sound_slope, 1, CALIBRATION)[1]
     assert (low.condition, low.reason.startswith(Cause.LEVEL_LOW)) == (Condition.CHANGE_FLUID, True)
     assert judge(memory, sound_slope, 1, CALIBRATION)[1].condition is not Condition.CHANGE_FLUID
-
-
-def test_the_reason_names_cause_and_certainty() -> None:
-    _, verdict = judge(ConditionMemory.fresh(), believed(0.119, 0.137), 2, CALIBRATION)
-    assert verdict.clutch == 2
-    assert "shudder" in verdict.reason
-    assert "5 shifts" in verdict.reason
-    assert verdict.level_ratio == pytest.approx(0.85)
 
 
 def test_what_more_shifts_will_tell_is_not_called_good() -> None:
@@ -175,20 +167,6 @@ def test_friction_lost_since_the_baseline_is_told_although_the_level_is_uncertai
     assert condition_of(replace(state, baselines=(None, None))) is by_level_alone
 
 
-def test_a_verdict_says_what_is_sharp_as_far_as_it_is_known() -> None:
-    _, unknown = judge(ConditionMemory.fresh(), believed(0.14, 0.119, shift_count=0), 1, CALIBRATION)
-    assert unknown.scale_free is None
-    assert unknown.common_scale_std_ratio is None
-    assert unknown.clutch_ratio is None
-    assert unknown.trend is None
-    _, verdict = judge(ConditionMemory.fresh(), believed(0.14, 0.119), 1, CALIBRATION)
-    assert verdict.scale_free is not None
-    assert verdict.common_scale_std_ratio == pytest.approx(np.hypot(0.03, 0.01))
-    assert verdict.clutch_ratio is not None
-    assert verdict.trend is None
-    assert verdict.shift_scatter is None
-
-
 def test_the_scatter_of_shifts_comes_with_the_verdict_once_there_were_enough() -> None:
     state, memory = believed(0.1361, 0.12), ConditionMemory.fresh()
     for number in range(1, LEAST_SHIFT_COUNT + 1):
@@ -280,15 +258,6 @@ def test_what_sound_drives_may_hold_costs_no_verdict(fits: tuple[Fit, ...]) -> N
     assert judge(memory, believed(0.140, 0.119), 1, CALIBRATION)[1].condition is Condition.GOOD
 
 
-def test_contradictions_that_do_not_end_speak_against_the_calibration() -> None:
-    assert ConditionMemory(fits=(AGREES,) * 5 + (CONTRADICTS,) * 7).misfit_text
-
-
-def test_what_was_long_ago_is_forgotten() -> None:
-    assert after(*[Reason.MISFIT] * 20).misfit_text
-    assert not after(*[Reason.MISFIT] * 20, *[None] * 16).misfit_text
-
-
 def test_events_whose_sensors_contradict_each_other_take_the_verdict_back_until_one_can_be_used() -> None:
     memory, state = ConditionMemory.fresh(), believed(0.14, 0.119)
     ours, other = shift_result().estimate, replace(shift_result().estimate, clutch=1)
@@ -304,12 +273,6 @@ def test_events_whose_sensors_contradict_each_other_take_the_verdict_back_until_
     assert verdict.reason.endswith("have them looked at (10 events)")
     assert judge(memory, state, 1, CALIBRATION)[1].condition is Condition.GOOD
     assert judge(memory.with_fit(ours), state, 2, CALIBRATION)[1].condition is Condition.GOOD
-
-
-def test_a_memory_of_an_earlier_version_knows_of_no_fit() -> None:
-    table = ConditionMemory.fresh().to_json()
-    del table["fits"]
-    assert ConditionMemory.from_json(table).fits == ()
 
 
 FILLED_AT = "2026-01-01T00:00:00.000000Z"
@@ -340,21 +303,6 @@ def test_what_new_fluid_does_not_bring_back_is_the_linings() -> None:
     assert verdict.lining.baseline_shift_count == BASELINE_SHIFT_COUNT
 
 
-def test_the_lining_is_compared_with_the_first_fluid_whatever_came_between() -> None:
-    first = ConditionMemory.fresh().with_new_fluid(FILLED_AT, aged(0.85))
-    second = first.with_new_fluid("2026-02-01T00:00:00.000000Z", aged(0.7))
-    assert second.linings == first.linings
-    assert ConditionMemory.fresh().with_new_fluid(FILLED_AT, believed(0.14, 0.119)).linings == (None, None)
-
-
-def test_a_memory_with_an_impossible_lining_is_refused() -> None:
-    table = ConditionMemory.fresh().with_new_fluid(FILLED_AT, aged(0.85)).to_json()
-    linings = table["linings"]
-    assert isinstance(linings, list)
-    with pytest.raises(ValueError, match="impossible lining"):
-        ConditionMemory.from_json(table | {"linings": [linings[0] | {"mu_c": 0.0}, None]})
-
-
 def test_it_says_while_it_learns_the_vehicle() -> None:
     new = believed(0.14, 0.119)
     _, verdict = judge(ConditionMemory.fresh(), new, 1, CALIBRATION)
@@ -370,22 +318,6 @@ def test_it_says_while_it_learns_the_vehicle() -> None:
         assert verdict.calibration_ratio == pytest.approx(ratio)
         assert verdict.reason.endswith(text)
         assert ("calibrating" in verdict.reason) is bool(text)
-
-
-def test_what_all_vehicles_of_a_type_have_alike_is_known() -> None:
-    alike = replace(
-        CALIBRATION, uncertainty=replace(CALIBRATION.uncertainty, torque_latency_s=0.0, viscosity_ratio=0.0)
-    )
-    state = replace(Posterior.fresh(alike), folded_counts=(5, 5))
-    assert judge(ConditionMemory.fresh(), state, 1, alike)[1].calibration_ratio == pytest.approx(2.0 / 8.0)
-
-
-def test_a_calibration_that_knows_all_that_driving_tells_is_not_called_calibrating() -> None:
-    scatter = {one.name: 0.03 * getattr(CALIBRATION.uncertainty, one.name) for one in fields(CALIBRATION.uncertainty)}
-    known = replace(CALIBRATION, uncertainty=replace(CALIBRATION.uncertainty, **scatter))
-    _, verdict = judge(ConditionMemory.fresh(), replace(Posterior.fresh(known), folded_counts=(5, 5)), 1, known)
-    assert verdict.calibration_ratio == 1.0
-    assert "calibrating" not in verdict.reason
 
 
 def modelled(state: Posterior) -> ClutchVerdict:

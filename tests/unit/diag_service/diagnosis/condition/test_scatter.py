@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diag_service.diagnosis.condition.verdict import LEAST_SHIFT_COUNT, Scatter
+from diag_service.diagnosis.condition.verdict import Scatter
 from diag_service.diagnosis.records import FrictionEstimate
 from tests.support.builders import friction_estimate
 
@@ -51,9 +51,3 @@ def test_the_error_of_the_running_estimate_is_taken_out() -> None:
     unsure = replace(RUNNING, random_std_mu_c=0.001)  # as unsure as a shift: half of each squared distance is its
     found = followed(rng.normal(size=(2000, 2)) * STD, unsure)
     assert found.variance_mu_c == pytest.approx(STD[0] ** 2 / 2.0, rel=0.35)
-
-
-def test_nothing_is_said_before_there_were_enough() -> None:
-    distances = np.random.default_rng(4).normal(size=(LEAST_SHIFT_COUNT, 2)) * STD
-    assert followed(distances[:-1]).reported is None
-    assert followed(distances).reported is not None

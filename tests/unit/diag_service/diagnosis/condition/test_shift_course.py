@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from diag_service.diagnosis.condition.shift_course import Course, courses, load_line, loads
-from diag_service.diagnosis.condition.shift_quality import PARTS, Load
+from diag_service.diagnosis.condition.shift_quality import PARTS
 from diag_service.diagnosis.events import EventKind
 from diag_service.diagnosis.records import ShiftEstimate, ShiftQuality
 from tests.support.builders import shift_result
@@ -48,10 +48,4 @@ def test_the_load_of_a_clutch_is_what_it_slipped() -> None:
     assert load_line(found) == (
         "Clutch 2 turned 0.05 MJ into heat in 3 events, launches: 2, at most 137 °C; 0.0020 % of its lining's life, as "
         "an index."
-    )
-
-
-def test_heat_that_no_pressure_tells_is_no_zero() -> None:
-    assert load_line(Load(clutch=1, launch_count=3)) == (
-        "Launches of clutch 1: 3; the signals do not tell what heat it took."
     )

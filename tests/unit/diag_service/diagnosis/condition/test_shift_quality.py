@@ -1,20 +1,18 @@
 """The quality of a made-up upshift whose every part is known."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray, Series
-from clutch_model.calibration import both_clutches, nominal_calibration
+from clutch_model.calibration import nominal_calibration
 from clutch_model.pack import film_law
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.condition.shift_quality import PARTS, ShiftScorer
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.drives import PackTemperatures
-from diag_service.diagnosis.friction.evidence import State
 from diag_service.diagnosis.records import ShiftQuality
 
 CALIBRATION = nominal_calibration()
@@ -140,19 +138,6 @@ def test_a_hole_in_the_acceleration_is_as_deep_as_it_is_and_jerks() -> None:
     assert set(found.reasons) >= {"torque_hole_m_s2", "jerk_m_s3"}
 
 
-def test_a_hole_is_felt_less_in_a_car_that_accelerates_more() -> None:
-    def with_hole(level_m_s2: float) -> ShiftQuality:
-        slope_m_s2 = level_m_s2 - np.where((T_S > 0.4) & (T_S < 0.8), 2.0, 0.0)
-        return quality(event(OUTPUT_SPEED=None, VEHICLE_SPEED=8.0 + np.cumsum(slope_m_s2) * 0.01))
-
-    gentle, brisk = with_hole(0.5), with_hole(4.0)
-    assert gentle.torque_hole_m_s2 == pytest.approx(brisk.torque_hole_m_s2, abs=0.01)
-    assert (gentle.acceleration_m_s2, brisk.acceleration_m_s2) == pytest.approx((0.5, 4.0), abs=0.05)
-    assert gentle.score is not None
-    assert brisk.score is not None
-    assert gentle.score < brisk.score - 5.0
-
-
 def test_a_touch_point_that_the_control_has_wrong_is_told_with_its_size() -> None:
     off_pa = 0.3 * BAR_PA
     command = np.where(T_S < 0.2, 0.0, TOUCH_PA - off_pa + ASKED_NM / NM_PER_PA)
@@ -170,42 +155,6 @@ def test_a_cavity_that_is_not_full_in_time_was_filled_for_too_short_a_time() -> 
     assert quality(event(CLUTCH2_PRESSURE=early)).fill_error_s == pytest.approx(-0.1, abs=0.02)
 
 
-def test_the_deviation_of_a_fill_reaches_to_that_of_a_later_touch_point() -> None:
-    piston, area_m2 = CALIBRATION.clutches[1].piston, CALIBRATION.clutches[1].geometry.piston_area_m2
-    stroke_pa = piston.spring_rate_n_m * piston.fill_stroke_m / area_m2
-    later_pa = math.hypot(math.sqrt(KNOWN.covariance[State.TOUCH2, State.TOUCH2]), 2.5e3)  # and of the reading
-    mean = KNOWN.mean.copy()
-    mean[State.TOUCH2] += later_pa
-    for share in (0.3, 0.5):
-        short = event(
-            CLUTCH2_PRESSURE=np.where(T_S < 0.25, TOUCH_PA - share * stroke_pa, TOUCH_PA + ASKED_NM / NM_PER_PA)
-        )
-        found, later = quality(short), ShiftScorer(CALIBRATION, None).score(short, replace(KNOWN, mean=mean))
-        assert later is not None
-        assert found.fill_error_s is not None
-        assert later.fill_error_s is not None
-        flow_s = math.hypot(0.2, 0.1) * found.fill_error_s
-        expected_s = math.hypot(later.fill_error_s - found.fill_error_s, flow_s, 0.01)
-        assert found.std_fill_error_s == pytest.approx(expected_s, rel=0.02)
-
-
-def test_a_spring_without_a_rate_does_not_tell_how_full_its_cavity_is() -> None:
-    clutches = both_clutches(
-        replace(one, piston=replace(one.piston, spring_preload_n=750.0, spring_rate_n_m=0.0))
-        for one in CALIBRATION.clutches
-    )
-    found = ShiftScorer(replace(CALIBRATION, clutches=clutches), None).score(event(), KNOWN)
-    assert found is not None
-    assert (found.fill_error_s, found.fill_time_s) == (None, None)
-    assert found.lock_rate_rad_s2 == quality(event()).lock_rate_rad_s2
-
-
-def test_a_damaged_command_is_no_part() -> None:
-    command_pa = TOUCH_PA + ASKED_NM / NM_PER_PA
-    command_pa[110] = 1e300
-    assert quality(event(CLUTCH2_PRESSURE_COMMAND=command_pa)).pressure_short_pa is None
-
-
 def test_what_signals_do_not_tell_is_left_out() -> None:
     found = quality(event(CLUTCH1_PRESSURE=None, CLUTCH2_PRESSURE=None), has_scale=False)
     assert (found.tie_up_nm, found.fill_error_s, found.touch_error_pa, found.slip_energy2_j) == (None,) * 4
@@ -214,34 +163,6 @@ def test_what_signals_do_not_tell_is_left_out() -> None:
     speeds = quality(event(OUTPUT_SPEED=None, VEHICLE_SPEED=None), has_scale=False)
     assert (speeds.jerk_m_s3, speeds.torque_hole_m_s2) == (None, None)
     assert speeds.lock_rate_rad_s2 == found.lock_rate_rad_s2
-
-
-def test_ratios_stand_in_for_shafts_that_no_signal_tells() -> None:
-    gears = GearRatios(over=Signal.OUTPUT_SPEED, ratios=(3.0, 2.4))
-    given = event(INPUT1_SPEED=None, INPUT2_SPEED=None, OUTPUT_SPEED=100.0, VEHICLE_SPEED=8.0)
-    assert quality(given, gears).flare_rad_s == quality(event()).flare_rad_s
-    assert quality(given).flare_rad_s is None
-
-
-def test_columns_that_are_a_row_apart_make_no_flare() -> None:
-    gears = GearRatios(over=Signal.OUTPUT_SPEED, ratios=(3.0, 2.4))
-    swing = 15.0 * np.sin(50.0 * T_S) * (T_S > LOCKED_S)  # of a locked driveline, 8 Hz
-    given = event(INPUT1_SPEED=None, INPUT2_SPEED=None, ENGINE_SPEED=ENGINE + swing)
-    rows = slice(None, None, 4)  # a row takes 0.04 s, and the output speed is asked for 0.03 s after the engine's
-    times_s = T_S[rows]
-    late = Series(
-        t_ns=START_NS + np.rint(times_s * 1e9).astype(np.int64),
-        sequence=np.arange(len(times_s)),
-        value=(NEW_RAD_S + 15.0 * np.sin(50.0 * (times_s - 0.03)) * (times_s > LOCKED_S)) / 2.4,
-    )
-    found = quality(replace(given, columns={**given.columns, Signal.OUTPUT_SPEED: late}), gears)
-    assert found.flare_rad_s is not None
-    assert found.flare_rad_s < 6.0  # 20 as the columns stand
-    runs_away = ENGINE + 30.0 * np.exp(-(((T_S - 0.4) / 0.1) ** 2))
-    flaring = event(INPUT1_SPEED=None, INPUT2_SPEED=None, ENGINE_SPEED=runs_away)
-    found = quality(replace(flaring, columns={**flaring.columns, Signal.OUTPUT_SPEED: late}), gears)
-    assert found.flare_rad_s is not None
-    assert found.flare_rad_s > 20.0
 
 
 def test_what_is_no_gear_change_has_no_score_and_what_was_broken_off_nothing() -> None:

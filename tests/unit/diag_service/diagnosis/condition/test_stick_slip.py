@@ -7,14 +7,14 @@ import pytest
 
 from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.columns import Columns, Signal
+from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge
 from diag_service.diagnosis.condition.shift_quality import measure
 from diag_service.diagnosis.condition.verdict import LAUNCH_WINDOW, Launches
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.records import Condition, ShiftEstimate, StickSlip
 from tests.support.builders import shift_estimate
-from tests.unit.diag_service.diagnosis.condition.test_condition import FILLED_AT, believed
+from tests.unit.diag_service.diagnosis.condition.test_condition import believed
 
 CALIBRATION = nominal_calibration()
 STEP_NS = 10_000_000
@@ -87,25 +87,6 @@ def test_a_swing_as_the_clutch_bites_and_a_second_launch_are_none() -> None:
         assert found < 4.0 * NOISE_RAD_S
 
 
-def test_a_second_launch_right_after_the_first_is_none_but_its_judder_is() -> None:
-    for swing_rad_s in (0.0, 9.0):
-        event = launch(swing_rad_s)
-        slip_rad_s = np.interp(T_S, [0.0, 0.3, 0.5, 0.9, 2.0, 3.5], [50.0, 0.0, 0.0, 30.0, 0.0, 0.0])
-        swing = event.columns[Signal.HUB_SPEED].value - launch(0.0).columns[Signal.HUB_SPEED].value
-        columns: Columns = {**event.columns, Signal.HUB_SPEED: series(200.0 + slip_rad_s + swing)}
-        assert measure(replace(event, columns=columns), CALIBRATION).reslip_rad_s == pytest.approx(swing_rad_s, abs=1.0)
-
-
-def test_without_a_pressure_what_is_asked_of_the_clutch_tells_its_load() -> None:
-    event = launch(12.0)
-    bare: Columns = {signal: one for signal, one in event.columns.items() if signal is not Signal.CLUTCH1_PRESSURE}
-    for asked_nm, expected_rad_s in ((80.0, 12.0), (0.0, 0.0)):
-        columns: Columns = {**bare, Signal.CLUTCH1_TORQUE_COMMAND: series(asked_nm)}
-        found = measure(replace(event, columns=columns), CALIBRATION).reslip_rad_s
-        assert found == pytest.approx(expected_rad_s, abs=2.0)
-    assert measure(replace(event, columns=bare), CALIBRATION).reslip_rad_s == pytest.approx(12.0, abs=2.0)
-
-
 def test_launches_to_lock_are_counted_and_nothing_else() -> None:
     memory = launched(0.4, 8.0, None)
     for other in (
@@ -120,12 +101,6 @@ def test_launches_to_lock_are_counted_and_nothing_else() -> None:
     table = memory.to_json()
     del table["launches"]
     assert ConditionMemory.from_json(table).launches == (Launches(), Launches())  # of an earlier version
-
-
-def test_the_last_launches_with_this_fluid_are_remembered() -> None:
-    memory = launched(*[8.0] * 5, *[0.1] * LAUNCH_WINDOW)
-    assert memory.launches[0].reported == StickSlip(launch_count=LAUNCH_WINDOW, judder_count=0)
-    assert launched(8.0).with_new_fluid(FILLED_AT, believed(0.14, 0.119)).launches == (Launches(), Launches())
 
 
 def test_judder_adds_to_what_friction_says_of_the_slope() -> None:
@@ -144,8 +119,3 @@ def test_judder_alone_is_no_verdict_but_it_holds_back_a_good_one() -> None:
     assert verdict.condition is Condition.NO_VERDICT
     assert verdict.advice is not None
     assert "it slips again after it has stuck" in verdict.advice
-
-
-def test_launches_without_judder_take_nothing_away() -> None:
-    worn = believed(0.119, 0.137)
-    assert judge(launched(*[0.2] * LAUNCH_WINDOW), worn, 1, CALIBRATION)[1].condition is Condition.CHANGE_FLUID

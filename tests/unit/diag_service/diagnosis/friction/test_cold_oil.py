@@ -1,8 +1,6 @@
 """What a clutch in cold oil still says of its friction."""
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,16 +11,7 @@ from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior, balance
-from diag_service.diagnosis.friction.balance import COLD_DOUBT_RATIO, COLD_SPAN_K, WORKING_K, Torques, coldness
-from diag_service.diagnosis.friction.estimator import (
-    COLD_FRICTION_RATIO,
-    COLD_STD,
-    FRICTION_RATIO,
-    SCALE_RATIO,
-    SCALE_ROW_S,
-    own_variance,
-)
-from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, STATE_COUNT, Considered
+from diag_service.diagnosis.friction.balance import COLD_DOUBT_RATIO, Torques
 from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films, pack_laws
 from diag_service.diagnosis.quality.data_quality import usable_samples
 from diag_service.diagnosis.records import Reason, Status
@@ -55,47 +44,6 @@ def test_a_film_that_closes_is_doubted_and_a_closed_one_hardly() -> None:
     assert doubt[closing] > 0.8
     assert cold.contact_pa[-1] > 0.0
     assert doubt[-1] < 0.1
-
-
-def test_warm_films_are_doubted_by_little() -> None:
-    assert (
-        track_of([0.0, 3e5, 3e5, 3e5, 3e5], 90.0).doubt_nm.max()
-        < 0.1 * track_of([0.0, 3e5, 3e5, 3e5, 3e5], 0.0).doubt_nm.max()
-    )
-
-
-def test_a_piston_at_its_touch_point_may_press_or_not() -> None:
-    touch_pa = CALIBRATION.clutches[0].touch_pressure_pa
-    hovering = track_of([0.0, touch_pa + 0.1e5, touch_pa + 0.1e5], 0.0)
-    assert hovering.contact_pa[-1] == 0.0
-    assert hovering.doubt_nm[-1] == pytest.approx(hovering.viscous_nm[-1], rel=0.1)
-
-
-@pytest.mark.parametrize(("below_k", "share"), [(-5.0, 0.0), (0.0, 0.0), (30.0, 0.5), (60.0, 1.0)])
-def test_each_event_has_a_film_of_its_own_the_colder_its_pack(below_k: float, share: float) -> None:
-    track = SimpleNamespace(clutch_k=np.full(10, WORKING_K - below_k * COLD_SPAN_K / 60.0))
-    at, cold = Posterior.fresh(CALIBRATION).known.mean, coldness(cast("Any", (track, track)), slice(0, 10))
-    balance = cast("Any", SimpleNamespace(coldness=cold, at=at, signals=signals_of(0.0)))
-    variance = own_variance(balance, 1)
-    for row in (STATE_COUNT + Considered.VISCOSITY, STATE_COUNT + Considered.TORQUE_GAIN):
-        assert variance[row] == pytest.approx((share * COLD_STD[row]) ** 2)
-    assert variance[STATE_COUNT + Considered.STRIBECK_SPEED] == 0.0
-    ratio = FRICTION_RATIO + share * COLD_FRICTION_RATIO
-    assert variance[:FRICTION_COUNT] == pytest.approx((ratio * at[:FRICTION_COUNT]) ** 2)
-
-
-def signals_of(row_s: float, curve: object = None) -> SimpleNamespace:
-    return SimpleNamespace(row_s=row_s, engine_speed=SimpleNamespace(curve=curve))
-
-
-def test_torques_asked_for_seldom_are_no_scale_for_an_engine_that_is_read_often() -> None:
-    """Between rows the torque does what no curve tells, and the engine's speed follows it: the two would agree."""
-    track = SimpleNamespace(clutch_k=np.full(10, WORKING_K))
-    at, warm = Posterior.fresh(CALIBRATION).known.mean, coldness(cast("Any", (track, track)), slice(0, 10))
-    scale = STATE_COUNT + Considered.TORQUE_GAIN
-    for row_s, curve, ratio in ((0.0, None, 0.0), (SCALE_ROW_S, None, SCALE_RATIO), (SCALE_ROW_S, object(), 0.0)):
-        balance = cast("Any", SimpleNamespace(coldness=warm, at=at, signals=signals_of(row_s, curve)))
-        assert own_variance(balance, 1)[[scale, scale + 1]] == pytest.approx([ratio**2, ratio**2])
 
 
 def test_friction_is_known_less_by_every_kelvin_below_work_twice() -> None:

@@ -19,7 +19,6 @@ from diag_service.diagnosis.friction.drives import (
     find_window,
     loaded_clutch,
     measured_drives,
-    on_other_grid,
     planned_drives,
 )
 from diag_service.diagnosis.friction.film import integrate_films, pack_laws
@@ -77,11 +76,6 @@ def test_locked_samples_between_two_stretches_are_never_used() -> None:
     assert pieces_of(found((slip, LOADED), (FAST, EMPTY))) == [(FADE, 400), (600 + FADE, 1000)]
 
 
-def test_a_sign_that_jumps_ends_a_stretch() -> None:
-    slip = np.where(GRID_S < 0.5, 30.0, -30.0)
-    assert pieces_of(found((slip, LOADED), (FAST, EMPTY))) == [(FADE, 500), (501 + FADE, 1000)]
-
-
 def test_an_empty_clutch_may_turn_as_it_likes() -> None:
     swinging = 30.0 * np.sin(40.0 * GRID_S)
     assert pieces_of(found((FAST, LOADED), (swinging, EMPTY)))[0][0] == FADE
@@ -122,28 +116,6 @@ def test_no_window_where_friction_cannot_be_seen(
     assert found(first, second) is None
 
 
-@pytest.mark.parametrize("count", [0, 1])
-def test_a_grid_that_is_no_grid_has_no_window(count: int) -> None:
-    nothing = np.zeros((2, count))
-    assert find_window(GRID_S[:count], nothing, nothing, SEEN[:count]) is None
-
-
-def test_the_clutch_is_the_one_that_carries_while_it_slips() -> None:
-    window = SlipWindow.of((Piece(first=100, stop=300), Piece(first=500, stop=900)))
-    over_pa = np.array([2.0 * LOADED, LOADED])
-    assert loaded_clutch(window, np.array([FAST, FAST]), over_pa) == 1
-    assert loaded_clutch(window, np.array([STILL, FAST]), over_pa) == 2
-    outside = np.where(GRID_S < 0.1, 40.0, 0.0)
-    assert loaded_clutch(window, np.array([outside, FAST]), over_pa) == 2
-
-
-def test_a_window_is_found_again_on_another_grid() -> None:
-    window = SlipWindow.of((Piece(first=100, stop=300, is_rest=True), Piece(first=500, stop=900)))
-    again = on_other_grid(window, GRID_S, GRID_S[40:])
-    assert pieces_of(again) == [(60, 260), (460, 860)]
-    assert [piece.is_rest for piece in again.pieces] == [True, False]
-
-
 def test_a_rest_before_the_event_is_a_piece_of_its_own() -> None:
     """At a stop both clutches are open; then one launches the car."""
     grid_s = 1e-3 * np.arange(-1800.0, 1200.0)
@@ -161,12 +133,6 @@ def test_a_rest_before_the_event_is_a_piece_of_its_own() -> None:
     assert loaded_clutch(window, slip, np.array([launching, np.full(len(grid_s), -1e5)])) == 1
 
 
-def test_what_slips_before_the_event_belongs_to_another() -> None:
-    window = find_window(GRID_S - 0.5, np.array([FAST, STILL]), np.array([LOADED, EMPTY]), SEEN)
-    assert pieces_of(window) == [(500 + FADE, 1000)]
-
-
-LET_GO_S = 0.2
 ARRIVED_S = 0.3
 PRESSURES_S = 0.01 * np.arange(51.0)
 STEPS_S = STEP_S * np.arange(250.0)
@@ -191,15 +157,6 @@ def signals_of(read_pa: FloatArray, expected_pa: FloatArray | None) -> AlignedSi
     )
 
 
-def drag_after_release_nm(read_over_touch_pa: FloatArray, *, has_command: bool) -> float:
-    """Return what a film shears 0.1 s after its piston was let go, as the sensor reads meanwhile."""
-    read_pa = TOUCH_PA + np.where(PRESSURES_S < LET_GO_S, 1e5, read_over_touch_pa)
-    expected_pa = np.where(STEPS_S < LET_GO_S, TOUCH_PA + 1e5, 0.0) if has_command else None
-    signals, laws = signals_of(read_pa, expected_pa), pack_laws(CALIBRATION)
-    track, _ = integrate_films(measured_drives(signals, Posterior.fresh(CALIBRATION).known.mean, None, 0, laws), laws)
-    return float(track.viscous_nm[np.searchsorted(STEPS_S, LET_GO_S + 0.1)])
-
-
 def test_no_film_feels_the_pulse_that_fills_its_piston() -> None:
     """The command is at 7 bar while oil flows and the pressure waits; the film closes once that arrives."""
     noise_pa = np.random.default_rng(1).normal(0.0, 4e3, 51)
@@ -212,19 +169,3 @@ def test_no_film_feels_the_pulse_that_fills_its_piston() -> None:
     assert ARRIVED_S < closed_s[0] == pytest.approx(closed_s[1], abs=0.01)
     late = STEPS_S > ARRIVED_S + 0.05
     assert np.array_equal(planned[0].piston_pa[late], commanded_pa[late])  # free of noise where oil has stopped
-
-
-def test_noise_does_not_press_the_film_of_a_piston_that_is_on_its_way_back() -> None:
-    rng = np.random.default_rng(1)
-    noises_pa = [rng.normal(0.0, 5e3, 51) for _ in range(40)]
-    with_command, without = (
-        np.mean([drag_after_release_nm(one, has_command=is_told) for one in noises_pa]) for is_told in (True, False)
-    )
-    as_it_is_nm = drag_after_release_nm(np.full(51, -500.0), has_command=False)
-    assert with_command == pytest.approx(as_it_is_nm, rel=0.1)
-    assert without > 1.5 * as_it_is_nm  # nobody knows that it was let go
-
-
-def test_what_reads_clearly_above_the_touch_point_presses_whatever_was_commanded() -> None:
-    read_pa = np.full(51, 2 * RELEASED_PA)
-    assert drag_after_release_nm(read_pa, has_command=True) == drag_after_release_nm(read_pa, has_command=False)

@@ -87,12 +87,6 @@ def test_a_shift_whose_data_are_not_believed_is_described_and_leaves_no_trace() 
     assert state is before
 
 
-def test_a_shift_whose_data_are_not_believed_is_not_held_against_the_state() -> None:
-    event, surprising = first_shifts()[0], known(0.30, 0.28)
-    _, estimate = ESTIMATOR.estimate(event, usable_samples(event), surprising, (Reason.LOW_DATA_QUALITY,))
-    assert (estimate.status, estimate.reasons) == (Status.REJECTED, (Reason.LOW_DATA_QUALITY,))
-
-
 def test_three_contradictions_in_a_row_start_the_friction_afresh() -> None:
     event = first_shifts()[0]
     state = before = known(0.20, 0.18)
@@ -122,17 +116,6 @@ def test_an_agreement_ends_the_row_of_contradictions() -> None:
     state, estimate = estimated(replace(contradicting(event), number=STEP_COUNT + 1), state)
     assert estimate.reasons == (Reason.NOT_UPDATED,)
     assert state.shift_counts == (0, 8)
-
-
-def test_the_numbers_of_an_earlier_stream_are_not_those_of_this_one() -> None:
-    """The state of a service that was stopped holds shifts of the same numbers."""
-    event = first_shifts()[0]
-    own = friction(estimated(event)[0], CLUTCH)
-    state, estimate = estimated(contradicting(event), known(own.mu_c, own.mu_s))
-    assert estimate.reasons == (Reason.NOT_UPDATED,)
-    state, estimate = estimated(event, state)
-    assert estimate.reasons == ()
-    assert state.is_used == (False, True)
 
 
 @pytest.mark.parametrize(
@@ -196,10 +179,3 @@ def test_a_clutch_that_never_carries_alone_says_nothing() -> None:
     state, estimate = estimated(event, known(0.14, 0.12))
     assert (estimate.status, estimate.reasons) == (Status.UNOBSERVED, (Reason.NO_SLIP_WINDOW,))
     assert state.shift_counts == (0, 7)
-
-
-def test_bad_frames_cost_quality() -> None:
-    event = first_shifts()[0]
-    clean, dirty = (estimated(replace(event, bad_frame_count=count))[1] for count in (0, 10))
-    assert dirty.quality == pytest.approx(clean.quality / (1.0 + 10 / clean.sample_count))
-    assert dirty.friction == clean.friction

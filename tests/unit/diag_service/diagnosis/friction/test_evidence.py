@@ -51,38 +51,6 @@ def test_fusing_is_least_squares(seed: int) -> None:
     assert fused.chi_square == pytest.approx(float(rest[0]), rel=1e-6)
 
 
-def test_what_is_certain_stays() -> None:
-    rng = np.random.default_rng(2)
-    known = knowledge(rng)
-    known.covariance[3, :] = known.covariance[:, 3] = 0.0
-    fused = fuse(known, Evidence.of([measurement(rng, known.mean + SCALES, known.mean)], known.mean))
-    assert fused.knowledge.mean[3] == known.mean[3]
-    assert not fused.knowledge.covariance[3].any()
-
-
-def test_what_is_kept_of_an_error_is_what_two_estimates_share() -> None:
-    """An error of the earlier mean moves the later one by ``kept``."""
-    rng = np.random.default_rng(3)
-    known = knowledge(rng)
-    evidence = Evidence.of([measurement(rng, known.mean, known.mean)], known.mean)
-    error = rng.normal(size=PARAMETER_COUNT) * SCALES
-    moved = fuse(Knowledge(mean=known.mean + error, covariance=known.covariance), evidence)
-    plain = fuse(known, evidence)
-    assert (moved.knowledge.mean - plain.knowledge.mean) / SCALES == pytest.approx(
-        plain.kept @ error / SCALES, abs=1e-8
-    )
-
-
-def test_an_overlap_is_taken_from_the_gradient() -> None:
-    rng = np.random.default_rng(4)
-    known = knowledge(rng)
-    plain = measurement(rng, known.mean, known.mean)
-    overlap = rng.normal(size=PARAMETER_COUNT) / SCALES
-    shared = Measurement(residual=plain.residual, slope=plain.slope, noise=plain.noise, overlap=overlap)
-    difference = Evidence.of([plain], known.mean).vector - Evidence.of([shared], known.mean).vector
-    assert difference * SCALES == pytest.approx(overlap * SCALES)
-
-
 def test_an_event_with_parameters_of_its_own_is_least_squares_with_twice_as_many() -> None:
     """Chi-square, least over what the event may differ by, at any parameters."""
     rng = np.random.default_rng(5)
@@ -100,16 +68,3 @@ def test_an_event_with_parameters_of_its_own_is_least_squares_with_twice_as_many
         least = evidence.chi_square(moved) + float(np.sum(own**2 / variance[free]))
         assert loosened.chi_square(at) == pytest.approx(least, rel=1e-9)
     assert loosened.count == evidence.count
-
-
-def test_an_event_without_parameters_of_its_own_says_what_it_says() -> None:
-    rng = np.random.default_rng(6)
-    known = knowledge(rng)
-    seen = measurement(rng, known.mean, known.mean)
-    evidence, readings = Evidence.of([seen], known.mean), Evidence.of_readings([5], [2.0], [0.25])
-    same = Evidence.of([seen], known.mean, variance=np.zeros(PARAMETER_COUNT))
-    assert np.array_equal(same.vector, evidence.vector)
-    assert same.matrix == pytest.approx(evidence.matrix, rel=1e-12)
-    both, apart = Evidence.of([seen], known.mean, readings), evidence.plus(readings)
-    assert np.array_equal(both.matrix, apart.matrix)
-    assert (both.constant, both.count) == (apart.constant, apart.count)

@@ -1,7 +1,5 @@
 """The film followed by the estimator against a much finer integration of the same law."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -14,7 +12,7 @@ from clutch_model.pack import (
     viscosity_pa_s,
 )
 from diag_service.diagnosis.alignment import GRID_S
-from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films, pack_laws
+from diag_service.diagnosis.friction.film import PressureDrive, integrate_films, pack_laws
 from tests.support.film_laws import measured_film_rate_m_s
 
 CALIBRATION = nominal_calibration()
@@ -69,37 +67,3 @@ def test_a_slipping_pack_heats_by_its_friction_power() -> None:
     heated_k = torque_nm * 50.0 / believed.thermal.heat_capacity_j_k
     assert track.final_clutch_k - OIL_K == pytest.approx(heated_k, rel=0.2)
     assert track.viscous_nm[250] > 0.0
-
-
-def test_a_locked_pack_stays_cool_despite_the_noise_of_its_slip() -> None:
-    slip = np.random.default_rng(1).normal(0.0, 0.3, 1000)
-    drive = PressureDrive(piston_pa=np.full(1000, 8e5), slip_rad_s=slip, oil_k=OIL_K, clutch_k=OIL_K)
-    assert integrate_films((drive, drive), pack_laws(CALIBRATION))[0].final_clutch_k == pytest.approx(OIL_K, abs=0.05)
-
-
-def test_thicker_oil_delays_the_contact() -> None:
-    grid_s = np.arange(0.0, 1.2, GRID_S)
-    drive = PressureDrive(
-        piston_pa=engagement_pa(grid_s), slip_rad_s=np.zeros(len(grid_s)), oil_k=OIL_K, clutch_k=OIL_K
-    )
-    oil = CALIBRATION.viscosity
-    thicker = replace(CALIBRATION, viscosity=replace(oil, a_pa_s=1.5 * oil.a_pa_s))
-    thin, thick = (integrate_films((drive, drive), pack_laws(one))[0] for one in (CALIBRATION, thicker))
-    rising = (grid_s > 0.42) & (grid_s < 0.7)
-    assert np.all(thick.contact_pa[rising] < thin.contact_pa[rising])
-
-
-@pytest.mark.parametrize("step", [1, 3])
-def test_each_pack_follows_its_own_drive(step: int) -> None:
-    grid_s = np.arange(0.0, 1.2, GRID_S)
-    pressed = PressureDrive(
-        piston_pa=engagement_pa(grid_s), slip_rad_s=np.full(len(grid_s), 30.0), oil_k=OIL_K, clutch_k=OIL_K
-    )
-    empty = replace(pressed, piston_pa=np.zeros(len(grid_s)), slip_rad_s=np.full(len(grid_s), -80.0), clutch_k=350.0)
-    for drives in ((pressed, empty), (empty, pressed)):
-        together = integrate_films(drives, pack_laws(CALIBRATION), 500, step)
-        for clutch, drive in enumerate(drives):
-            alone = integrate_films((drive, drive), pack_laws(CALIBRATION), 500, step)[clutch]
-            for name in FilmTrack._fields:
-                assert np.array_equal(getattr(together[clutch], name), getattr(alone, name)), name
-        assert together[0].viscous_nm[450] * together[1].viscous_nm[450] < 0.0  # they slip in opposite directions

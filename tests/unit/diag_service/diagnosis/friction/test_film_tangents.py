@@ -9,7 +9,6 @@ import pytest
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
-from clutch_model.pack import film_law, piston_pressure_pa
 from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, displaced
 from diag_service.diagnosis.friction.film import (
@@ -76,33 +75,3 @@ def test_a_derivative_is_what_a_small_change_makes(cause: FilmCause) -> None:
         expected = (getattr(changed, name) - getattr(plain, name)) / size
         error = np.linalg.norm(derivatives[:, cause] - expected)
         assert error < 0.15 * np.linalg.norm(expected), name  # of steps of a millisecond, and of a third of that
-
-
-def test_an_open_pack_answers_to_its_oil_only() -> None:
-    still, warm_k = replace(PLAIN, piston_pa=np.zeros_like(GRID)), np.full_like(GRID, 350.0)
-    found = tangents(still, warm_k, 1.0)
-    assert np.array_equal(found, tangents(still, warm_k, 0.0))
-    others = [cause for cause in FilmCause if cause is not FilmCause.VISCOSITY]
-    assert not found[:, others].any()
-    assert (found[:, FilmCause.VISCOSITY] > 0.0).all()
-
-
-def test_some_rows_are_those_of_the_whole() -> None:
-    warm_k = np.full_like(GRID, 350.0)
-    whole = tangents(PLAIN, warm_k, 0.01, slice(0, 400))
-    for first in (100, 101, 102, 350):
-        assert np.array_equal(tangents(PLAIN, warm_k, 0.01, slice(first, 400)), whole[first:])
-
-
-def test_a_pack_that_is_let_go_answers_alike_wherever_a_step_meets_its_touch_point() -> None:
-    """The rate jumps there: a difference across it had said a thousand times as much and more."""
-    falling_pa = np.interp(GRID, [0.0, 0.1, 0.15, 1.8], [4.0e5, 4.0e5, 0.0, 0.0])
-    touch_pa = piston_pressure_pa(0.0, film_law(CALIBRATION.clutches[1]))
-    middle_pa = 0.5 * (falling_pa[:-1] + falling_pa[1:])
-    last = int(np.flatnonzero(middle_pa > touch_pa)[-1])
-    warm_k = np.full_like(GRID, 350.0)
-    answers = []
-    for over_pa in (-200.0, -5.0, 5.0, 200.0):
-        moved = replace(PLAIN, piston_pa=falling_pa + touch_pa + over_pa - middle_pa[last])
-        answers.append(np.abs(tangents(moved, warm_k, 0.01)[last + 5 :]).max(axis=0))
-    assert (np.max(answers, axis=0) < 2.0 * np.min(answers, axis=0)).all()

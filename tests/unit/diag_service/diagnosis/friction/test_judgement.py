@@ -1,7 +1,6 @@
 """Which of the last events are believed, and from where on a clutch is another one; events are simple on purpose."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -18,11 +17,10 @@ from diag_service.diagnosis.friction.evidence import (
     Knowledge,
     Measurement,
     State,
-    fuse,
     prior_covariance,
     prior_mean,
 )
-from diag_service.diagnosis.friction.judgement import JudgedEvent, Scatter, after_change, judge, step_since
+from diag_service.diagnosis.friction.judgement import JudgedEvent, Scatter, judge
 from diag_service.diagnosis.friction.posterior import Posterior
 
 STD = 0.001  # of friction seen in one event
@@ -109,55 +107,6 @@ def test_a_change_too_small_for_any_event_to_be_left_out_is_followed_as_well(lev
     assert changed.fusion.knowledge.mean[:2] == pytest.approx(level * MU, abs=4.0 * STD)
 
 
-@pytest.mark.parametrize(
-    ("level", "scatter", "changed"),
-    [(1.06, 0.2, 8), (0.94, 0.2, 8), (1.06, 1.0, None), (1.03, 0.2, None), (1.0, 0.2, None)],
-)
-def test_where_events_differ_by_less_than_they_are_granted_a_plain_change_costs_less(
-    level: float, scatter: float, changed: int | None
-) -> None:
-    rng = np.random.default_rng(2)
-    granted = (0.6 * abs(level - 1.0) + 0.001) * MU[0]
-    quiet = cast("np.random.Generator", Quiet())
-    seen = [
-        event(number, 1, (level if number > 8 else 1.0) * MU + scatter * granted * rng.normal(size=2), quiet, granted)
-        for number in range(1, 13)
-    ]
-    judged = judge(base(), seen)
-    assert judged.first_changed == changed
-    assert all(judged.is_used)
-
-
-@pytest.mark.parametrize("clutch", [1, 2])
-def test_what_a_step_saves_is_what_knowledge_before_and_after_it_says(clutch: int) -> None:
-    rng = np.random.default_rng(clutch)
-    at = base().mean
-    evidences = [
-        Evidence.of(
-            [
-                Measurement(
-                    residual=rng.normal(size=30),
-                    slope=rng.normal(size=(30, PARAMETER_COUNT)) / base().std().clip(min=1e-12),
-                    noise=np.eye(30),
-                )
-            ],
-            at,
-        )
-        for _ in range(7)
-    ]
-    before, since = Evidence.sum(evidences[:4]), Evidence.sum(evidences[4:])
-    together, first = fuse(base(), before.plus(since)), fuse(base(), before)
-    changed = fuse(after_change(first.knowledge, clutch), since)
-    saved, *_ = step_since(together.knowledge, since, clutch)
-    assert saved == pytest.approx(together.chi_square - first.chi_square - changed.chi_square, rel=1e-6)
-
-
-def test_three_that_agree_with_nobody_are_no_change() -> None:
-    judged = judge(base(), events([*[1.0] * 8, 0.8, 1.2, 0.6]))
-    assert judged.first_changed is None
-    assert judged.is_used[8:] == (False, False, False)
-
-
 def test_a_change_of_one_clutch_leaves_the_other_alone() -> None:
     rng = np.random.default_rng(3)
     both = [
@@ -212,46 +161,3 @@ def test_by_how_much_events_differ_is_learned_from_them_and_scales_what_they_tel
     friction, gain = slice(0, 2), STATE_COUNT + Considered.TORQUE_GAIN
     assert told[friction] == pytest.approx(np.sqrt(learned) * known[friction], rel=0.01)
     assert told[gain] == pytest.approx(known[gain], rel=1e-6)  # of which they tell nothing
-
-
-def test_events_that_are_all_off_alike_show_no_smaller_errors_by_agreeing() -> None:
-    state = Posterior.fresh(nominal_calibration())
-    rng = cast("np.random.Generator", Scaled(0.3))
-    for number in range(60):
-        one = event(number, 1 + number % 2, MU, rng)
-        state = state.with_event(replace(one, is_off_like_others=True))
-    assert scatter_ratio(state) == pytest.approx(1.0, abs=0.01)
-    for number in range(60, 120):
-        state = state.with_event(event(number, 1 + number % 2, MU, rng))
-    assert 0.3 < scatter_ratio(state) < 0.6
-
-
-def test_one_event_far_off_is_no_scatter() -> None:
-    state = Posterior.fresh(nominal_calibration())
-    for one in events([*[1.0] * 12, 1.005]):  # five deviations, but believed
-        state = state.with_event(one)
-    assert scatter_ratio(state) < 1.5
-
-
-def test_the_first_event_of_a_clutch_tells_nothing_of_scatter() -> None:
-    state = Posterior.fresh(nominal_calibration())
-    for one in (*events([1.0]), *events([1.0], clutch=2)):
-        state = state.with_event(one)
-    assert (state.apart, state.apart_by_chance) == (0.0, 0.0)
-    assert state.with_event(events([1.0])[0]).apart_by_chance > 1.5
-
-
-def test_what_drifted_far_is_not_less_than_uncertain() -> None:
-    rng = cast("np.random.Generator", Scaled(1.6))
-    state = Posterior.fresh(nominal_calibration())
-    for number in range(1000):  # of oil and drag they tell nothing
-        state = state.with_event(event(number, 1, MU, rng))
-    assert scatter_ratio(state) > 1.5
-    assert np.linalg.eigvalsh(state.covariance / np.outer(state.prior.std, state.prior.std))[0] > -1e-9
-
-
-def test_a_damaged_scatter_is_refused() -> None:
-    state = Posterior.fresh(nominal_calibration())
-    for value in (-1.0, float("inf"), float("nan")):
-        with pytest.raises(ValueError, match="bad scatter of events"):
-            Posterior.from_json({**state.to_json(), "apart": value}, nominal_calibration())

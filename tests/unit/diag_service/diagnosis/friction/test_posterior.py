@@ -67,27 +67,6 @@ def test_nothing_is_lost_when_events_become_part_of_the_base() -> None:
     assert np.delete(grown, drifting) == pytest.approx(np.ones(PARAMETER_COUNT - 1), rel=0.05)
 
 
-def test_an_event_that_does_not_belong_leaves_no_trace() -> None:
-    state = driven(20, mu=lambda number: MU * (1.3 if number == 3 else 1.0))
-    assert state.shift_counts == (10, 9)
-    assert friction(state, 2).mu_c == pytest.approx(0.140, abs=5.0 * friction(state, 2).std_mu_c)
-    assert abs(state.known.mean[2] - 0.140) < 5.0 * STD
-
-
-def test_room_for_an_event_is_made_before_it_or_with_it() -> None:
-    """And an event that gives the oldest one away keeps it out of the base, whatever was believed before."""
-    rng, state = np.random.default_rng(1), Posterior.fresh(CALIBRATION)
-    for number in range(RECENT_COUNT):
-        state = state.with_event(event(number, 1 + number % 2, MU * (1.047 if number == 0 else 1.0), rng))
-    news, room = event(99, 1, MU, rng), state.with_room()
-    at_once, after = state.with_event(news), state.with_event(news, room)
-    assert (state.is_used[0], room.folded_counts, after.folded_counts) == (True, (1, 0), (0, 0))
-    assert at_once.to_json() == after.to_json()
-    assert not after.believes_as(room)
-    agreed = after.with_event(news, after.with_room())
-    assert agreed.to_json() == after.with_event(news).to_json()
-
-
 def test_a_change_begins_the_count_anew_and_keeps_the_rest() -> None:
     before = driven(20)
     state = driven(26, mu=lambda number: MU * (0.8 if number >= 20 and number % 2 else 1.0))
@@ -107,14 +86,6 @@ def test_a_change_shows_against_the_baseline() -> None:
     assert since is not None
     assert since.change_mu_c_ratio == pytest.approx(-0.1, abs=5.0 * since.std_change_mu_c_ratio)
     assert since.std_change_mu_c_ratio < 0.01
-
-
-def test_the_stated_deviation_of_a_trend_is_that_of_its_errors() -> None:
-    count = 2 * (BASELINE_SHIFT_COUNT + RECENT_COUNT)
-    found = [trend(driven(count, seed), 1) for seed in range(40)]
-    scores = [one.change_mu_c_ratio / one.std_change_mu_c_ratio for one in found if one is not None]
-    assert len(scores) == 40
-    assert 0.7 < float(np.std(scores)) < 1.4
 
 
 def test_what_the_type_does_not_tell_is_never_averaged_away() -> None:

@@ -53,16 +53,3 @@ def test_no_other_selection_costs_less(shifts: tuple[float, ...], seed: int) -> 
     assert found.cost == pytest.approx(
         min(cost(evidences, used) for used in product((True, False), repeat=len(shifts)))
     )
-
-
-def test_of_no_event_nothing_is_selected() -> None:
-    found = selected(known(), [])
-    assert (found.is_used, found.cost) == ((), 0.0)
-
-
-def test_what_is_certain_divides_by_nothing() -> None:
-    sure = known()
-    sure.covariance[0, 0] = 0.0
-    rng = np.random.default_rng(1)
-    found = selected(sure, [evidence(FAR, rng), evidence(0.0, rng, row=1)])
-    assert found.is_used == (False, True)

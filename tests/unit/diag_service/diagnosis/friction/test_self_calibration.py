@@ -11,18 +11,15 @@ from benchmarks.accuracy import to_batch
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
-from diag_service.diagnosis.alignment import Resampled
 from diag_service.diagnosis.events import EndReason, Event
-from diag_service.diagnosis.friction import judgement
 from diag_service.diagnosis.friction.balance import Balance, measured
 from diag_service.diagnosis.friction.drives import SlipWindow, measured_drives, slip_window
-from diag_service.diagnosis.friction.evidence import NAMES, STATE_COUNT, Considered, Measurement, State, displaced
+from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, Measurement, State, displaced
 from diag_service.diagnosis.friction.film import pack_laws
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.self_calibration import (
     SelfCalibration,
-    advice_on_oil,
     run_up_measurement,
     self_calibrate,
 )
@@ -35,8 +32,6 @@ from diag_service.mapping.profile import load_profile
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.scenario import Routine, Scenario, Truth
 from tests.support.builders import drive_scenario
-from tests.unit.diag_service.diagnosis.friction.test_cold_oil import in_oil
-from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts
 
 NOMINAL = nominal_calibration()
 TORQUE_LATENCY_S, PRESSURE_LATENCY_S, SPEED_LATENCY_S = 0.023, 0.011, 0.004
@@ -124,17 +119,6 @@ def test_the_found_calibration_holds_its_own_uncertainty_and_starts_a_state_with
     for name, state in (("torque_offset", State.TORQUE_OFFSET), ("touch1", State.TOUCH1)):
         assert fresh.std()[state] == pytest.approx(result.std(name), rel=1e-6)
     assert np.allclose(fresh.mean[State.TORQUE_OFFSET : STATE_COUNT], result.mean[State.TORQUE_OFFSET : STATE_COUNT])
-
-
-def test_shifts_that_differ_less_than_is_granted_are_believed_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the type tells stays as sure as it was: no number of shifts shows the gain of the torque."""
-    shifts, _ = unlike_its_type()
-    scaled = found(shifts, ())
-    monkeypatch.setattr(judgement, "STATED_COUNT", 1e9)
-    as_granted = found(shifts, ())
-    assert scaled.std("torque_latency") < 0.9 * as_granted.std("torque_latency")
-    assert scaled.std("torque_gain") == pytest.approx(as_granted.std("torque_gain"), rel=0.05)
-    assert np.array_equal(scaled.mean, as_granted.mean)
 
 
 def test_a_vehicle_is_calibrated_from_its_type_only() -> None:
@@ -242,65 +226,3 @@ def test_derivatives_of_a_run_up_are_those_of_its_residual(parameter: Considered
     slope = plain.slope[:, STATE_COUNT + parameter]
     difference = -(changed.residual - plain.residual) / step
     assert np.linalg.norm(difference - slope) < 0.05 * np.linalg.norm(slope)
-
-
-def test_a_balanced_rev_leaves_nothing() -> None:
-    """The residual of a noise-free run-up is small against what one percent of inertia would make of it."""
-    calibration = displaced(NOMINAL, AS_DRIVEN)
-    for run_up in without_noise()[1]:
-        signals = usable_signals(run_up, calibration)
-        assert not isinstance(signals, Reason)
-        first = int(np.searchsorted(signals.grid_s, 0.0))
-        window = SlipWindow.between(first, len(signals.grid_s))
-        seen_rev = run_up_measurement(
-            signals, window, AS_DRIVEN, calibration, are_clutches_closed=run_up.are_clutches_closed
-        )
-        one_percent = 0.01 * np.linalg.norm(seen_rev.slope[:, STATE_COUNT + Considered.ENGINE_INERTIA])
-        assert np.linalg.norm(seen_rev.residual) < one_percent
-
-
-def test_every_parameter_has_a_name() -> None:
-    assert len(NAMES) == len(set(NAMES)) == STATE_COUNT + len(Considered)
-
-
-def test_drives_in_cold_oil_are_told_what_mends_them() -> None:
-    warm, cold = first_shifts(), [in_oil(one, 20.0) for one in first_shifts()]
-    assert advice_on_oil(cold) == "; half of the shifts were in oil below 20 degC: a drive with warm oil mends it"
-    assert advice_on_oil(warm) == advice_on_oil(()) == advice_on_oil([replace(warm[0], columns={})]) == ""
-
-
-def test_a_type_may_be_sure_of_something() -> None:
-    sure = replace(NOMINAL, uncertainty=replace(NOMINAL.uncertainty, viscosity_ratio=0.0, motoring_gain_ratio=0.0))
-    result = self_calibrate(unlike_its_type()[0], (), sure, "test")
-    assert isinstance(result, SelfCalibration), result
-    assert result.std("viscosity") < 1e-5
-    assert result.calibration.bias.torque_latency_s == pytest.approx(TORQUE_LATENCY_S - SPEED_LATENCY_S, abs=0.004)
-
-
-def test_noise_of_one_signal_for_engine_and_hub_is_in_what_both_share_with_the_residual() -> None:
-    event, calibration = without_noise()[0][0], displaced(NOMINAL, AS_DRIVEN)
-    signals = usable_signals(event, calibration)
-    assert not isinstance(signals, Reason)
-    one = signals.engine_speed
-    overlaps = []
-    for hub in (one, Resampled(one.times_s, one.value.copy(), signals.grid_s)):
-        rows = replace(signals, hub_speed=hub, row_s=0.04)
-        drives = measured_drives(rows, AS_DRIVEN, None, event.start_ns, pack_laws(calibration))
-        found = slip_window(rows, drives, pack_laws(calibration))
-        assert found is not None
-        (seen,) = measured(Balance(rows, found[0], drives, calibration, pack_laws(calibration), AS_DRIVEN))
-        assert seen.overlap is not None
-        overlaps.append(seen.overlap[STATE_COUNT + np.array([Considered.TORQUE_GAIN, Considered.ENGINE_INERTIA])])
-    (gain, inertia), (apart_gain, apart_inertia) = overlaps
-    assert gain < 1.1 * apart_gain < 0.0
-    assert inertia < 1.1 * apart_inertia < 0.0
-
-
-def test_a_shift_tells_only_the_product_of_torque_gain_and_inertia() -> None:
-    seen, _ = shift_residual(without_noise()[0][0], AS_DRIVEN, None)
-    assert seen.overlap is not None
-    side, gain = NOMINAL.input_side, displaced(NOMINAL, AS_DRIVEN).bias.torque_gain
-    turned_ratio = 1.0 + side.hub_inertia_kg_m2 / displaced(NOMINAL, AS_DRIVEN).input_side.engine_inertia_kg_m2
-    by_gain, by_inertia = STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA
-    assert gain * seen.slope[:, by_gain] == pytest.approx(turned_ratio * seen.slope[:, by_inertia])
-    assert gain * seen.overlap[by_gain] == pytest.approx(turned_ratio * seen.overlap[by_inertia])

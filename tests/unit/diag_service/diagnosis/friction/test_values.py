@@ -12,7 +12,6 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
-    FRICTION_ROWS,
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
@@ -27,7 +26,6 @@ from diag_service.diagnosis.friction.posterior import (
     Baseline,
     Posterior,
     clutch_ratio,
-    common_scale_std_ratio,
     friction,
     scale_free,
     trend,
@@ -169,57 +167,6 @@ def test_what_is_free_of_scale_does_not_know_the_gain(gain: float) -> None:
         assert here.change_mu_c_ratio == there.change_mu_c_ratio
         assert here.std_change_mu_s_ratio == there.std_change_mu_s_ratio
     assert clutch_ratio(scaled) == clutch_ratio(state)
-
-
-def driven_by(slope: FloatArray, noise: float = 0.0) -> Posterior:
-    """Return a state whose friction is off by ``slope`` times what is wrong with the other parameters."""
-    known, covariance = FRESH.known, prior_covariance(CALIBRATION)
-    considered = covariance[STATE_COUNT:, STATE_COUNT:]
-    covariance[:FRICTION_COUNT, :] = covariance[:, :FRICTION_COUNT] = 0.0
-    covariance[:FRICTION_COUNT, :FRICTION_COUNT] = slope @ considered @ slope.T + noise**2 * np.eye(FRICTION_COUNT)
-    covariance[:FRICTION_COUNT, STATE_COUNT:] = slope @ considered
-    covariance[STATE_COUNT:, :FRICTION_COUNT] = considered @ slope.T
-    return of(Knowledge(mean=known.mean, covariance=covariance))
-
-
-def test_gain_alone_leaves_the_ratio_certain_and_the_areas_do_not() -> None:
-    mu = FRESH.known.mean[:FRICTION_COUNT]
-    slope = np.zeros((FRICTION_COUNT, len(Considered)))
-    slope[:, Considered.ENGINE_INERTIA] = 0.5 * mu  # alike in all four
-    ratio = clutch_ratio(driven_by(slope))
-    assert ratio is not None
-    assert ratio.std_mu_c_ratio == pytest.approx(np.sqrt(2.0) * MODEL_STD_RATIO)
-    slope[:2, Considered.PISTON_AREA1] = mu[:2]
-    slope[2:4, Considered.PISTON_AREA2] = mu[2:4]
-    ratio = clutch_ratio(driven_by(slope))
-    assert ratio is not None
-    one = np.hypot(CALIBRATION.uncertainty.piston_area_ratio, MODEL_STD_RATIO)
-    assert ratio.std_mu_c_ratio == pytest.approx(np.sqrt(2.0) * one)
-
-
-@pytest.mark.parametrize("clutch", [1, 2])
-def test_the_common_scale_is_that_of_gain_and_piston_area(clutch: int) -> None:
-    scatter = CALIBRATION.uncertainty
-    gain, area = scatter.torque_gain_ratio, scatter.piston_area_ratio
-    assert common_scale_std_ratio(FRESH, clutch) == pytest.approx(np.hypot(gain, area))
-    assert common_scale_std_ratio(replace(FRESH, torque_gain=1.5), clutch) == pytest.approx(np.hypot(gain / 1.5, area))
-    covariance, row = prior_covariance(CALIBRATION), AREAS[clutch - 1]
-    covariance[GAIN, row] = covariance[row, GAIN] = -0.5 * gain * area
-    opposed = of(Knowledge(mean=FRESH.known.mean, covariance=covariance))
-    assert common_scale_std_ratio(opposed, clutch) == pytest.approx(np.sqrt(gain**2 + area**2 - gain * area))
-
-
-@pytest.mark.parametrize("clutch", [1, 2])
-def test_a_piston_area_that_is_the_lever_of_friction_only_leaves_the_scale_free_value_certain(clutch: int) -> None:
-    """More area than believed looks like more friction: their product is what the torque shows."""
-    rows = FRICTION_ROWS[clutch - 1]
-    slope = np.zeros((FRICTION_COUNT, len(Considered)))
-    slope[rows, AREAS[clutch - 1] - STATE_COUNT] = -FRESH.known.mean[rows]
-    state = driven_by(slope, noise=1e-3)
-    free = scale_free(state, clutch)
-    assert free.std_mu_c == pytest.approx(np.hypot(1e-3, MODEL_STD_RATIO * free.mu_c))
-    assert free.std_mu_s == pytest.approx(np.hypot(1e-3, MODEL_STD_RATIO * free.mu_s))
-    assert friction(state, clutch).std_mu_c > 0.01 * free.mu_c
 
 
 def test_nothing_is_compared_before_there_is_something_to_compare_with() -> None:

@@ -11,13 +11,13 @@ import pytest
 from canlog.e2e.e2e_state import E2eState
 from clutch_model.calibration import shipped_calibration
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.condition.condition import REFUSED_COUNT, SLIP_MINUTES, ConditionMemory, Fit, judge_lockup
+from diag_service.diagnosis.condition.condition import REFUSED_COUNT, SLIP_MINUTES, ConditionMemory, judge_lockup
 from diag_service.diagnosis.condition.verdict import SHIFTS, Launches, Silence, decide
 from diag_service.diagnosis.events import Event, EventKind, Shudder
-from diag_service.diagnosis.lockup.blocks import BLOCK_NS, MICRO_SLIP_RAD_S, cut, samples_of
+from diag_service.diagnosis.lockup.blocks import MICRO_SLIP_RAD_S, samples_of
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
 from diag_service.diagnosis.lockup.shudder import shudder
-from diag_service.diagnosis.lockup.state import LAG_COUNT, LockupState
+from diag_service.diagnosis.lockup.state import LockupState
 from diag_service.diagnosis.records import (
     ClutchVerdict,
     Condition,
@@ -139,14 +139,6 @@ def test_stretches_do_not_depend_on_how_the_stream_was_cut() -> None:
     assert np.array_equal(first[0].slip_rad_s, first[1].slip_rad_s)
 
 
-def test_correlated_residuals_make_blocks_tell_less() -> None:
-    state = LockupState.fresh(CALIBRATION)
-    white = replace(state, lag_sums=np.eye(1, LAG_COUNT)[0] * 100.0, lag_counts=np.full(LAG_COUNT, 100.0))
-    assert white.blocks_as_one == 1.0
-    assert state.blocks_as_one > 4.0
-    assert diagnosed("new")[0].blocks_as_one > 3.0  # a torque model that errs for five seconds
-
-
 def test_a_state_survives_its_store() -> None:
     state = diagnosed("aged")[0]
     again = LockupState.from_json(state.to_json(), CALIBRATION)
@@ -194,24 +186,6 @@ def test_friction_that_is_found_to_be_another_forgets_how_the_fluid_before_shudd
     assert Condition.CHANGE_FLUID not in {one.verdict.condition for one in found[2:]}
 
 
-def test_silence_is_told_in_words_that_fit_a_clutch_that_slips() -> None:
-    few = judge_lockup(ConditionMemory.fresh(), LockupState.fresh(CALIBRATION), CALIBRATION, None)[1]
-    assert few.advice == f"Lock-up clutch: {Silence.FEW_EVENTS}."
-    known = NormalDist(0.014, 1e-4)
-    swung = Launches(juddered=(True, True, True))
-    curve = CALIBRATION.clutches[0].friction
-    friction = replace(
-        diagnosed("new")[0].friction(),
-        mu_c=curve.mu_c,
-        mu_s=curve.mu_s,
-        std_mu_c=1e-4,
-        std_slope_s_rad=1e-6,
-        probability_negative_slope=1e-9,
-    )
-    found = decide(friction, None, curve, 9, Condition.GOOD, None, swung, known / 0.014, counted=SLIP_MINUTES)
-    assert (found.ground, "launches" in found.reason) == (Silence.SLIP_SWINGS, False)
-
-
 def test_slip_that_is_judged_each_minute_takes_more_to_order_new_fluid() -> None:
     curve = CALIBRATION.clutches[0].friction
     friction = replace(
@@ -234,52 +208,6 @@ def test_signals_that_are_missing_tell_nothing() -> None:
     assert (estimate.status, estimate.reasons, swings) == (Status.UNOBSERVED, (Reason.SIGNAL_MISSING,), None)
     _, refused, _ = ESTIMATOR.estimate(event, state, (Reason.LOW_DATA_QUALITY,))
     assert refused.status is Status.REJECTED
-
-
-def test_an_oil_temperature_that_stops_amid_a_drive_is_taken_for_a_usual_one() -> None:
-    event = stretches("new")[0]
-    told = event.columns[Signal.SUMP_TEMPERATURE]
-    stopped = {**event.columns, Signal.SUMP_TEMPERATURE: told.between(0, 0)}
-    without = dict(event.columns)
-    del without[Signal.SUMP_TEMPERATURE]
-    states = [ESTIMATOR.estimate(replace(event, columns=one), diagnosed("new")[0])[0] for one in (stopped, without)]
-    assert states[0].to_json() == states[1].to_json()
-
-
-def test_a_description_may_be_sure_of_something() -> None:
-    sure = replace(CALIBRATION.uncertainty, friction_temperature_1_k=0.0, torque_offset_nm=0.0)
-    calibration = replace(CALIBRATION, uncertainty=sure)
-    assert CONVERTER is not None
-    state = LockupState.fresh(calibration)
-    for event in stretches("new"):
-        state, _, _ = LockupEstimator(calibration, CONVERTER).estimate(event, state)
-    assert state.shift_count == diagnosed("new")[0].shift_count
-    assert abs(state.mean[2]) < 1e-6  # friction over temperature
-    assert state.friction().mu_c == pytest.approx(diagnosed("new")[0].friction().mu_c, rel=0.02)
-
-
-def test_what_fits_no_converter_is_not_sent_to_a_calibration_that_knows_none() -> None:
-    memory = ConditionMemory(fits=(Fit.MISFITS,) * 4)
-    verdict = judge_lockup(memory, diagnosed("new")[0], CALIBRATION, None)[1]
-    assert verdict.reason == "calibration does not fit: 4 of the last 4 shifts contradict it"
-    assert verdict.advice == f"Lock-up clutch: {Silence.CONVERTER_MISFIT}."
-
-
-def test_frames_that_are_missing_cost_their_blocks() -> None:
-    event = stretches("new")[0]
-    whole = samples_of(event.columns)
-    torque = event.columns[Signal.ENGINE_TORQUE]
-    assert whole is not None
-    assert CONVERTER is not None
-    known = cut(whole, CALIBRATION, CONVERTER)
-    first_ns, stop_ns = known.place[10] * BLOCK_NS, known.place[40] * BLOCK_NS
-    is_kept = (torque.t_ns < first_ns) | (torque.t_ns >= stop_ns)
-    holed = replace(torque, t_ns=torque.t_ns[is_kept], sequence=torque.sequence[is_kept], value=torque.value[is_kept])
-    part = samples_of({**event.columns, Signal.ENGINE_TORQUE: holed})
-    assert part is not None
-    left = cut(part, CALIBRATION, CONVERTER).place
-    assert set(known.place) - set(left) >= set(known.place[10:40])
-    assert len(known.place) - len(left) <= 32
 
 
 def test_results_carry_the_name_of_the_element_in_the_contract_of_before() -> None:

@@ -45,12 +45,6 @@ def test_the_scatter_of_a_fleet_is_without_the_doubt_of_each() -> None:
     assert scatter == pytest.approx(0.3, abs=0.08)
 
 
-def test_values_that_scatter_less_than_they_are_doubted_are_all_alike() -> None:
-    centre, scatter = location_and_scatter(np.full(20, 1.5), np.full(20, 0.2))
-    assert centre == pytest.approx(1.5)
-    assert scatter == pytest.approx(0.0, abs=1e-6)
-
-
 def test_kinds_are_learned_apart_and_a_rare_fluid_has_its_type() -> None:
     other = PeerGroup(vehicle_type="dct", fluid="long life")
     rare = PeerGroup(vehicle_type="dct", fluid="rare")
@@ -77,12 +71,6 @@ def slow(one: Ageing) -> dict[ChannelName, Course]:
     return {ChannelName.MARGIN: replace(course, loss_per_m=loss, loss_std_per_m=0.1 * loss)}
 
 
-def test_lives_that_hardly_tell_their_loss_are_left_out() -> None:
-    vague = [life(number, 1.0e-8, doubt=0.9) for number in range(50)]
-    assert learn(vague).peers == ()
-    assert learn([*vague, *fleet(20, log_std=0.2)]).peers[0].channels[ChannelName.MARGIN].loss_per_m > 1.1e-8
-
-
 def test_each_fluid_of_a_past_is_a_life_with_its_loss() -> None:
     margin = np.concatenate((ageing(200, until=0.4), ageing(150, until=0.7)))
     history = past(margin, step_m=2.0e5, fills=(200,), noise_ratio=0.004)
@@ -95,16 +83,6 @@ def test_each_fluid_of_a_past_is_a_life_with_its_loss() -> None:
         assert abs(course.loss_per_m * one.distance_m - loss) < 3.0 * course.loss_std_per_m * one.distance_m
     unknown = ageings("car1", 2, replace(history, new_fluids=(1,)), REFERENCE, [KIND, KIND])
     assert [one.is_present for one in unknown] == [True]  # of the first fluid nobody knows how old it was
-
-
-def test_a_life_is_followed_until_its_limit_and_no_farther() -> None:
-    margin = np.concatenate((np.linspace(1.0, 0.0, 200), np.linspace(0.0, -1.5, 200)))  # then three times as fast
-    (one,) = ageings("car1", 1, past(margin, step_m=2.0e5, noise_ratio=0.004), REFERENCE, [KIND])
-    assert one.lasted_m is not None
-    assert one.lasted_m == pytest.approx(200 * 2.0e5, rel=0.06)
-    assert one.courses[ChannelName.MARGIN].loss_per_m == pytest.approx(1.0 / (200 * 2.0e5), rel=0.1)
-    (young,) = ageings("car1", 1, past(margin[:150], step_m=2.0e5, noise_ratio=0.004), REFERENCE, [KIND])
-    assert young.lasted_m is None
 
 
 @pytest.mark.parametrize("is_bent", [False, True])

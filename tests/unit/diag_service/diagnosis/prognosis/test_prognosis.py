@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from clutch_model.calibration import both_clutches
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
-from diag_service.diagnosis.prognosis import History, Outlook, Prognosis, history_of, prognose
+from diag_service.diagnosis.prognosis import History, Outlook, Prognosis, prognose
 from diag_service.diagnosis.prognosis.prognosis import Reach
-from tests.support.histories import history as stored
 from tests.support.pasts import REFERENCE, ageing, past
 
 STEP_M = 1.0e5
@@ -37,14 +35,6 @@ def test_an_even_fall_reaches_its_limit_inside_the_interval(seed: int) -> None:
     assert distance_m(change.p10_m) < distance_m(change.p50_m) < distance_m(change.p90_m)
     assert distance_m(watch.p90_m) < 5.0e6  # half of the margin was gone 6,000 km ago
     assert distance_m(change.p50_events) == pytest.approx(distance_m(change.p50_m) * 2.0 / STEP_M)
-
-
-def test_more_results_make_the_interval_narrower() -> None:
-    def width(until: float, count: int) -> float:
-        change = reach(prognose(1, past(ageing(count, until=until), step_m=STEP_M), REFERENCE))
-        return distance_m(change.p90_m) - distance_m(change.p10_m)
-
-    assert width(0.15, 566) < 0.6 * width(0.7, 200)
 
 
 def test_few_results_say_nothing() -> None:
@@ -75,12 +65,6 @@ def test_the_limits_are_those_of_the_verdict() -> None:
     assert reach(found).passage.within(0.0) < 0.1
 
 
-def test_a_farther_service_is_likelier_to_come_too_late() -> None:
-    aged = past(ageing(COUNT, until=0.3), step_m=STEP_M)
-    near, far = (reach(prognose(1, aged, REFERENCE, service_distance_m=one)) for one in (1.0e6, 3.0e7))
-    assert near.probability_before_service < 0.2 < far.probability_before_service
-
-
 @pytest.mark.parametrize("is_noted", [True, False])
 def test_after_new_fluid_the_future_is_long_again_and_the_lining_is_told(is_noted: bool) -> None:
     margin = np.concatenate((ageing(300, until=0.3), np.linspace(1.0, 0.9, 60)))
@@ -104,23 +88,6 @@ def test_a_fluid_of_unknown_age_is_not_taken_for_new() -> None:
     assert distance_m(reach(found).p10_m) < distance_m(reach(prognose(1, new, REFERENCE)).p10_m)
 
 
-def test_pasts_without_energy_go_by_distance() -> None:
-    found = prognose(1, replace(past(ageing(COUNT)), slip_energy_j=None), REFERENCE)
-    assert found.margin is not None
-    assert found.margin.rate_per_j is None
-    assert any(line.startswith("fluid ages by distance or heat of the oil") for line in found.assumptions)
-
-
-def test_rates_are_per_distance_and_per_energy() -> None:
-    found = prognose(1, past(ageing(COUNT, until=0.4), step_m=STEP_M), REFERENCE)
-    margin = found.margin
-    assert margin is not None
-    assert margin.rate_per_j is not None
-    assert margin.rate_per_m.mean == pytest.approx(-0.6 / (STEP_M * COUNT), rel=0.2)
-    joules_per_m = 8.0e3 * 2.0 / STEP_M
-    assert margin.rate_per_j.mean == pytest.approx(margin.rate_per_m.mean / joules_per_m)
-
-
 @pytest.mark.parametrize("name", ["odometer at rest", "one outlier", "a gap", "no noise at all"])
 def test_odd_pasts_have_a_future_too(name: str) -> None:
     whole = past(ageing(COUNT), step_m=STEP_M)
@@ -133,27 +100,6 @@ def test_odd_pasts_have_a_future_too(name: str) -> None:
     found = prognose(1, odd, REFERENCE)
     assert np.all(np.isfinite(reach(found).passage.probability))
     assert 0.0 <= reach(found).probability_before_service <= 1.0
-
-
-def test_stored_results_are_enough() -> None:
-    results = stored(200)
-    clutches = both_clutches(prognose(clutch, history_of(results, (), clutch), REFERENCE) for clutch in (1, 2))
-    assert [one.clutch for one in clutches] == [1, 2]
-    assert all(one.outlook is not Outlook.TOO_FEW for one in clutches)
-
-
-def test_a_scale_that_both_coefficients_share_does_not_move_the_end_of_the_margin() -> None:
-    own = past(ageing(COUNT, until=0.4), step_m=STEP_M, noise_ratio=0.002)
-    scale = 0.05
-    shared = replace(
-        own,
-        common_std_mu_c=scale * own.mu_c,
-        common_std_mu_s=scale * own.mu_s,
-        common_correlation=np.full(len(own), 0.999),
-    )
-    margin = prognose(1, shared, REFERENCE).margin
-    assert margin is not None
-    assert margin.now.std < 0.025  # what they do not share is 0.015 of new fluid's margin, all of it 0.05
 
 
 def with_late_knee(share: float, *, factor: float = 3.5, knee: float = 0.77, count: int = 800) -> tuple[History, float]:
@@ -171,19 +117,6 @@ def test_a_late_knee_to_come_is_inside_the_interval(share: float) -> None:
     assert early_m < left_m < late_m
 
 
-def test_a_late_knee_is_followed_within_a_tenth_of_the_life() -> None:
-    history, left_m = with_late_knee(0.85, knee=0.75)
-    assert distance_m(reach(prognose(1, history, REFERENCE)).p50_m) < 2.0 * left_m
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_even_wear_is_foretold_hardly_shorter_for_the_knees_that_may_come(seed: int) -> None:
-    change = reach(prognose(1, past(ageing(COUNT, until=0.4), step_m=STEP_M, seed=seed), REFERENCE))
-    truth_m = 0.4 / 0.6 * STEP_M * COUNT
-    assert distance_m(change.p50_m) == pytest.approx(truth_m, rel=0.15)
-    assert distance_m(change.p10_m) > 0.5 * truth_m
-
-
 @pytest.mark.parametrize("step_m", [5.0e4, 2.0e5])
 def test_more_wear_over_the_same_distance_makes_a_life_shorter(step_m: float) -> None:
     medians_m = [
@@ -191,19 +124,3 @@ def test_more_wear_over_the_same_distance_makes_a_life_shorter(step_m: float) ->
         for until in (0.7, 0.5, 0.3, 0.1)
     ]
     assert medians_m == sorted(medians_m, reverse=True)
-
-
-def test_where_the_odometer_began_does_not_matter() -> None:
-    own = past(ageing(COUNT), step_m=STEP_M)
-    moved = replace(own, odometer_m=own.odometer_m + 2.0e8)
-    one, other = (reach(prognose(1, history, REFERENCE)).passage.probability for history in (own, moved))
-    np.testing.assert_allclose(one, other, atol=1e-6)
-
-
-def test_a_fluid_that_wears_little_for_its_type_is_likelier_to_bend() -> None:
-    def chance(until: float) -> float:
-        """Return the probability that less than 0.7 of what an even fall leaves is left, half-way."""
-        history = past(np.linspace(1.0, 0.5, COUNT), step_m=until / COUNT, noise_ratio=0.005)
-        return reach(prognose(1, history, REFERENCE)).passage.within(0.7 * until)
-
-    assert chance(8.0e7) > 1.3 * chance(3.0e7)

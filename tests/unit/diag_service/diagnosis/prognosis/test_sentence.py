@@ -56,30 +56,6 @@ def test_few_results_are_named() -> None:
     assert said(*few) == said(*few, action=Action.NEW_FLUID) == expected
 
 
-def test_what_is_left_out_is_told() -> None:
-    few = prognosis(Outlook.TOO_FEW, left_out_count=12)
-    why = "they miss odometer or oil temperature, or their odometer went back or leapt"
-    assert said(few).endswith(f" Left out: 12 results of clutch 2: {why}.")
-
-
-def test_a_clutch_that_is_alone_has_its_name() -> None:
-    found = outlook_line([prognosis(Outlook.TOO_FEW, clutch=1, left_out_count=2)], Action.NOTHING, "lock-up clutch")
-    assert "; lock-up clutch has 3." in found
-    assert "2 results of lock-up clutch: " in found
-
-
-def test_a_distance_is_a_number_that_is_not_below_nothing() -> None:
-    nan = float("nan")
-    assert said(prognosis(Outlook.NO_TREND, reach(nan, None, 0.0))) == UNKNOWN
-    assert said(prognosis(Outlook.AGEING, reach(nan, 5.0e6, 0.5))) == UNKNOWN
-    assert "in 0 to 5,000 km" in said(prognosis(Outlook.AGEING, reach(-1.0, 5.0e6, 0.5)))
-
-
-def test_a_stale_prognosis_says_since_when() -> None:
-    stale = replace(prognosis(Outlook.NO_TREND, reach(6.34e7, None, 0.01)), stale_since_s=1.7e9)
-    assert said(stale).endswith(" Stale since 2023-11-14: no later result counts.")
-
-
 def test_without_a_trend_there_is_a_least_distance() -> None:
     expected = "No trend yet: left in, the fluid lasts at least 63,000 km (90 % sure)."
     assert said(prognosis(Outlook.NO_TREND, reach(6.34e7, None, 0.01))) == expected
@@ -126,14 +102,6 @@ def test_of_two_clutches_in_one_oil_the_sooner_end_counts() -> None:
     assert said(*both) == said(both[1])
     steady = prognosis(Outlook.NO_TREND, reach(0.0, None, 0.3), clutch=1)
     assert said(steady, both[1]) == said(both[1])
-
-
-def test_real_prognoses_have_a_sentence() -> None:
-    for count in (5, 20, 200):
-        found = prognose(1, past(ageing(200, until=0.3), step_m=2.0e5).first(count), REFERENCE)
-        line = said(replace(found, service_distance_m=2.0e7))
-        assert line.endswith(".")
-        assert "None" not in line
 
 
 def test_new_fluid_without_a_result_is_not_judged_by_the_results_of_the_old_one() -> None:

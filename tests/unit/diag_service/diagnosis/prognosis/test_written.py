@@ -66,9 +66,3 @@ def test_what_is_no_population_is_refused(spoil: Callable[[dict[str, Any]], Any]
     spoil(record)
     with pytest.raises(ValueError, match=r"."):
         population_from(record)
-
-
-@pytest.mark.parametrize("other", [None, [], "text"])
-def test_no_record_is_no_population(other: object) -> None:
-    with pytest.raises(ValueError, match="no population"):
-        population_from(other)

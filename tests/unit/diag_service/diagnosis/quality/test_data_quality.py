@@ -14,10 +14,10 @@ from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.events import EndReason, Event
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.quality.data_quality import LIMITS, QualityBasis, data_quality, reasons_against
-from diag_service.diagnosis.records import DataQuality, QualityPart, Reason, Status
+from diag_service.diagnosis.records import DataQuality, QualityPart, Reason
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
@@ -26,16 +26,6 @@ from tests.support.builders import drive_scenario
 from tests.support.wire import received
 
 CALIBRATION = nominal_calibration()
-BARE = Event(
-    number=1,
-    from_gear=1,
-    to_gear=2,
-    start_ns=0,
-    end_ns=10,
-    end_reason=EndReason.COMPLETE,
-    columns={},
-    bad_frame_count=0,
-)
 
 
 @cache
@@ -90,10 +80,6 @@ def test_a_sound_shift_is_believed_in_full() -> None:
     assert quality.parts == dict.fromkeys(set(QualityPart) - {QualityPart.CALIBRATION}, 1.0)
     assert quality.score == 1.0
     assert reasons_against(quality) == ()
-
-
-def test_nothing_to_judge_by_is_no_reason() -> None:
-    assert data_quality(BARE, QualityBasis()) == DataQuality(score=1.0, parts={})
 
 
 @pytest.mark.parametrize(("share", "expected"), [(0.05, 0.875), (0.2, 0.5), (0.5, 0.0)])
@@ -164,11 +150,6 @@ def test_sensors_that_contradict_each_other(signal: Signal, change: Callable[[Fl
     assert reasons_against(data_quality(event, basis())) == (Reason.IMPLAUSIBLE,)
 
 
-def test_sensors_that_a_bus_lacks_are_not_judged() -> None:
-    few = {signal: sound().columns[signal] for signal in (Signal.INPUT1_SPEED, Signal.OUTPUT_SPEED)}
-    assert QualityPart.PLAUSIBILITY not in data_quality(replace(sound(), columns=few), basis()).parts
-
-
 @pytest.mark.parametrize(("years", "expected"), [(0, 1.0), (5, 1.0), (10, 0.5), (20, 0.0)])
 def test_an_old_calibration(years: int, expected: float) -> None:
     start = date.fromtimestamp(sound().end_ns / 1e9)  # noqa: DTZ012 - only the year counts here
@@ -180,16 +161,3 @@ def test_flaws_that_pass_alone_may_not_pass_together() -> None:
     parts = {QualityPart.FRAMES: 0.7, QualityPart.TIME: 0.65}
     assert reasons_against(DataQuality(score=0.455, parts=parts)) == (Reason.LOW_DATA_QUALITY,)
     assert reasons_against(DataQuality(score=0.5, parts=parts)) == ()
-
-
-def test_a_shift_that_is_not_believed_is_rejected_and_leaves_no_trace() -> None:
-    plain, gated = stages(), stages()
-    before = gated.conclude(replace(sound(), columns={})).state
-    assert plain.conclude(sound()).estimate.status is Status.VALID
-    event = replace(sound(), e2e={**sound().e2e, "TCU_Pressures": E2eState.INVALID})
-    diagnosis = gated.conclude(event)
-    estimate = diagnosis.estimate
-    assert (estimate.status, estimate.reasons, estimate.friction) == (Status.REJECTED, (Reason.E2E_INVALID,), None)
-    assert estimate.data_quality is not None
-    assert estimate.data_quality.score == 0.0
-    assert diagnosis.state.to_json() == before.to_json()

@@ -1,24 +1,18 @@
 """Whether the signals of a shift can be put on one clock: a reason for each way in which they cannot."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.quality.data_quality import (
     LIMITS,
-    QualityLimits,
-    Samples,
-    aligned,
-    gaps_s,
     longest_silence_s,
-    usable_samples,
     usable_signals,
 )
 from diag_service.diagnosis.records import Reason
@@ -80,14 +74,6 @@ def test_what_cannot_be_used_says_why(spoil: Callable[[Event], Event], reason: R
     assert usable_signals(spoil(first_shifts()[0]), CALIBRATION) is reason
 
 
-def test_one_lost_frame_is_bridged_and_its_command_is_not_needed() -> None:
-    event = thinned(first_shifts()[0], Signal.CLUTCH2_PRESSURE, slice(80, 81))
-    signals = usable_signals(without(event, Signal.CLUTCH2_PRESSURE_COMMAND), CALIBRATION)
-    assert isinstance(signals, AlignedSignals)
-    assert signals.expected_pa[1] is None
-    assert signals.expected_pa[0] is not None
-
-
 @pytest.mark.parametrize(
     ("lost", "is_missing"),
     [((), False), (range(50, 57), False), (range(50, 58), True), (range(10), False), (range(19, 28), True),
@@ -99,49 +85,3 @@ def test_too_many_in_a_row_count_from_the_start_of_an_event_to_its_end(lost: Seq
     period_s = PERIOD_NS * 1e-9
     silence_s = longest_silence_s(times_s, -2.0 * period_s, 0.999)
     assert (silence_s > LIMITS.lost_periods * period_s) is is_missing
-
-
-def test_a_gap_in_any_signal_is_told_on_the_grid() -> None:
-    event = thinned(first_shifts()[0], Signal.CLUTCH2_PRESSURE, slice(80, 82))
-    signals = usable_signals(event, CALIBRATION)
-    assert isinstance(signals, AlignedSignals)
-    gaps = gaps_s({Signal.CLUTCH2_PRESSURE: signals.pressure[1].times_s}, event)
-    assert gaps is not None
-    (gap_s,) = gaps
-    assert gap_s[1] - gap_s[0] == pytest.approx(0.03)
-    inside = (signals.grid_s > gap_s[0]) & (signals.grid_s < gap_s[1])
-    assert np.array_equal(signals.is_seen, ~inside)
-
-
-@pytest.mark.parametrize("latency_s", [0.013, -0.04])  # by the second one, torque begins later: a shorter grid
-def test_what_no_calibration_moves_need_not_be_aligned_again(latency_s: float) -> None:
-    samples = usable_samples(first_shifts()[0])
-    assert isinstance(samples, Samples)
-    before = aligned(samples, CALIBRATION)
-    point = replace(CALIBRATION, bias=replace(CALIBRATION.bias, torque_latency_s=latency_s, pressure_latency_s=0.002))
-    alone = aligned(samples, point)
-    assert isinstance(before, AlignedSignals)
-    assert isinstance(alone, AlignedSignals)
-    assert (len(alone.grid_s) < len(before.grid_s)) is (latency_s < 0.0)
-    for one, other in zip(numbers_of(alone), numbers_of(aligned(samples, point, before)), strict=True):
-        assert np.array_equal(one, other)
-
-
-def numbers_of(part: object) -> list[FloatArray]:
-    """Return all numbers and arrays of aligned signals, however deep."""
-    if isinstance(part, tuple):
-        return [number for one in part for number in numbers_of(one)]
-    if is_dataclass(part):
-        return [number for one in fields(part) for number in numbers_of(getattr(part, one.name))]
-    return [] if part is None else [np.asarray(part, float)]
-
-
-def test_limits_are_an_argument() -> None:
-    event = thinned(first_shifts()[0], Signal.CLUTCH2_PRESSURE, slice(80, 82))
-    assert usable_signals(event, CALIBRATION, QualityLimits(lost_periods=2.5)) is Reason.FRAMES_MISSING
-    sound = first_shifts()[0]
-    assert usable_signals(sound, CALIBRATION, QualityLimits(oil_range_k=(0.0, 1.0))) is Reason.OUT_OF_RANGE
-    unstated = {one: replace(series, period_ns=0) for one, series in sound.columns.items()}
-    assert isinstance(usable_signals(replace(sound, columns=unstated), CALIBRATION), AlignedSignals)
-    limits = QualityLimits(nominal_period_s=0.001)
-    assert usable_signals(replace(sound, columns=unstated), CALIBRATION, limits) is Reason.FRAMES_MISSING

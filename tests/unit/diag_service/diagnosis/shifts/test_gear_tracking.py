@@ -12,7 +12,7 @@ from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, Event
-from diag_service.diagnosis.shifts.gear_tracking import MAX_SHIFT_NS, GearPairTracker, tracker_for
+from diag_service.diagnosis.shifts.gear_tracking import tracker_for
 from diag_service.diagnosis.shifts.shifts import DriveFinder, ShiftFinder
 
 if TYPE_CHECKING:
@@ -63,32 +63,6 @@ def test_a_target_and_the_slip_bound_a_shift() -> None:
     assert by_target(target, slip) == [(1, 2, 50, 112, EndReason.COMPLETE)]
 
 
-def test_a_clutch_that_never_slips_leaves_the_end_unknown() -> None:
-    target = np.repeat((1.0, 2.0), (50, 900))
-    assert by_target(target, np.zeros(950)) == [(1, 2, 50, 50 + MAX_SHIFT_NS // STEP_NS, EndReason.TOO_LONG)]
-
-
-def test_a_new_target_abandons_the_shift() -> None:
-    target = np.repeat((1.0, 2.0, 3.0), (50, 20, 130))
-    slip = np.repeat((0.0, 40.0, 0.0), (52, 60, 88))
-    assert by_target(target, slip) == [(1, 2, 50, 70, EndReason.ABANDONED), (2, 3, 70, 112, EndReason.COMPLETE)]
-
-
-def test_neutral_is_no_gear_to_shift_from() -> None:
-    assert by_target(np.repeat((0.0, 1.0), (50, 100)), np.repeat((0.0, 40.0, 0.0), (50, 20, 80))) == []
-
-
-def test_the_slip_of_two_shafts_is_that_of_the_gear_that_engages() -> None:
-    signals = (TARGET_SIGNALS - {Signal.INPUT_SPEED}) | {Signal.INPUT1_SPEED, Signal.INPUT2_SPEED}
-    batch = columns_of(
-        target_gear=np.repeat((1.0, 2.0), (50, 100)),
-        engine_speed_rad_s=np.full(150, ENGINE_RAD_S),
-        input1_speed_rad_s=np.full(150, ENGINE_RAD_S - 30.0),
-        input2_speed_rad_s=np.repeat((ENGINE_RAD_S - 60.0, ENGINE_RAD_S), (90, 60)),
-    )
-    assert shifts(ShiftFinder(tracker_for(signals)), batch) == [(1, 2, 50, 90, EndReason.COMPLETE)]
-
-
 def test_the_ratio_of_speeds_bounds_a_shift() -> None:
     ratio = np.concatenate((np.full(50, 4.0), np.linspace(4.0, 2.5, 40), np.full(60, 2.5)))
     finder = ShiftFinder(tracker_for(frozenset({Signal.ENGINE_SPEED, Signal.OUTPUT_SPEED}), RATIOS))
@@ -99,36 +73,12 @@ def test_the_ratio_of_speeds_bounds_a_shift() -> None:
     assert end == pytest.approx(86, abs=2)
 
 
-def test_standing_between_two_gears_is_no_shift() -> None:
-    ratio = np.concatenate((np.full(50, 4.0), np.full(700, 40.0), np.full(60, 2.5)))
-    finder = ShiftFinder(tracker_for(frozenset({Signal.ENGINE_SPEED, Signal.OUTPUT_SPEED}), RATIOS))
-    batch = columns_of(engine_speed_rad_s=np.full(810, ENGINE_RAD_S), output_speed_rad_s=ENGINE_RAD_S / ratio)
-    assert shifts(finder, batch) == []
-
-
 def test_the_current_gear_alone_tells_when_a_gear_was_left_and_reached() -> None:
     gears = np.repeat((3.0, 0.0, 4.0, 5.0), (50, 60, 80, 80))
     assert shifts(ShiftFinder(), columns_of(current_gear=gears)) == [
         (3, 4, 50, 110, EndReason.COMPLETE),
         (4, 5, 190, 190, EndReason.COMPLETE),
     ]
-
-
-def test_a_target_that_comes_late_takes_over() -> None:
-    current = np.repeat((3.0, 4.0, 4.0, 5.0), (50, 60, 90, 80))
-    batch = columns_of(current_gear=current)
-    target = Series(
-        t_ns=np.arange(120, 280, dtype=np.int64) * STEP_NS,
-        sequence=np.arange(160, dtype=np.int64),
-        value=np.repeat((4.0, 5.0), (40, 120)),
-    )
-    both = ColumnBatch(columns={**batch.columns, Signal.TARGET_GEAR: target}, watermark_ns=batch.watermark_ns)
-    assert shifts(ShiftFinder(), both) == [(3, 4, 50, 50, EndReason.COMPLETE), (4, 5, 160, 200, EndReason.COMPLETE)]
-
-
-def test_a_pair_of_gears_is_preferred() -> None:
-    signals = TARGET_SIGNALS | {Signal.CURRENT_GEAR, Signal.OUTPUT_SPEED}
-    assert isinstance(tracker_for(signals, RATIOS), GearPairTracker)
 
 
 SPEEDS = frozenset({Signal.ENGINE_SPEED, Signal.OUTPUT_SPEED})
@@ -157,25 +107,10 @@ def test_speeds_alone_tell_a_launch() -> None:
     assert end == pytest.approx(200, abs=5)
 
 
-def test_a_launch_in_second_gear_is_no_launch_in_first() -> None:
-    over, engine = set_in_motion(2, rows=800)  # slow enough to be within 4 % of the first ratio for a while
-    assert [found[:2] for kind, found in launched(over, engine, np.full(len(over), 2.0)) if kind == "launch"] == [
-        (2, 2)
-    ]
-
-
 def test_what_rolls_is_not_launched() -> None:
     over = np.full(400, 40.0)
     engine = np.repeat((160.0, 90.0, 160.0), (100, 200, 100))  # the clutch is opened and closed again
     assert launched(over, engine, np.full(400, 1.0)) == []
-
-
-def test_who_stands_or_creeps_for_long_launches_when_he_goes() -> None:
-    over, engine = set_in_motion(1, idle_rows=3000)
-    ((kind, found),) = launched(over, engine)
-    assert (kind, found[2]) == ("launch", 3000)
-    over[500:3001] = 0.05  # rolls for 25 s
-    assert launched(over, engine) == []
 
 
 def test_a_gear_chosen_at_standstill_is_no_shift() -> None:

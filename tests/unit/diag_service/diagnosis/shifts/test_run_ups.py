@@ -1,13 +1,12 @@
 """Rev detection on hand-made signals."""
 
-import numpy as np
 import pytest
 
 from canlog.arrays import Series
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import EndReason, Event
-from diag_service.diagnosis.shifts.run_ups import HIGH_RAD_S, LOW_RAD_S, MARGIN_NS, MAX_RUN_UP_NS, RunUpFinder
+from diag_service.diagnosis.shifts.run_ups import HIGH_RAD_S, LOW_RAD_S, MARGIN_NS, RunUpFinder
 from tests.support.run_ups import CLOSED_PA, IDLE_RAD_S, OPEN_PA, RUN_UP_ROWS, STEP_NS, Piece, idle, run_up, whole_batch
 
 
@@ -37,20 +36,6 @@ def test_a_run_up_goes_from_low_speed_to_low_speed_with_a_margin() -> None:
         assert event.end_ns + MARGIN_NS - STEP_NS <= series.t_ns[-1] < event.end_ns + MARGIN_NS
 
 
-def test_a_run_up_is_not_reported_before_its_signals_are_complete() -> None:
-    (event,) = found(idle(), run_up(), idle())
-    finder = RunUpFinder(nominal_calibration())
-    batch = whole_batch((idle(), run_up(), idle()))
-    for row in range(100 + RUN_UP_ROWS + 100):
-        stop_ns = (row + 1) * STEP_NS
-        columns = {signal: series.between(row * STEP_NS, stop_ns) for signal, series in batch.columns.items()}
-        watermark_ns = max(int(series.t_ns[-1]) for series in columns.values())
-        if finder.feed(ColumnBatch(columns=columns, watermark_ns=watermark_ns)):
-            assert event.end_ns + MARGIN_NS < watermark_ns < event.end_ns + MARGIN_NS + 2 * STEP_NS
-            return
-    pytest.fail("the run_up was not reported")
-
-
 def test_no_run_up_in_gear() -> None:
     assert found(idle(gear=1), run_up(gear=1), idle(gear=1)) == []
 
@@ -64,36 +49,10 @@ def test_clutches_neither_open_nor_closed_make_no_run_up(pressure_pa: tuple[floa
     assert found(idle(pressure_pa=pressure_pa), run_up(pressure_pa), idle(pressure_pa=pressure_pa)) == []
 
 
-def test_clutches_that_close_during_a_run_up_make_no_run_up() -> None:
-    half = run_up().speed_rad_s[: RUN_UP_ROWS // 2], run_up().speed_rad_s[RUN_UP_ROWS // 2 :]
-    pieces = (Piece(speed_rad_s=half[0]), Piece(speed_rad_s=half[1], pressure_pa=CLOSED_PA))
-    assert found(idle(), *pieces, idle(pressure_pa=CLOSED_PA)) == []
-
-
-def test_without_pressures_there_is_no_run_up() -> None:
-    batch = whole_batch((idle(), run_up(), idle()))
-    columns = dict(batch.columns)
-    del columns[Signal.CLUTCH2_PRESSURE]
-    finder = RunUpFinder(nominal_calibration())
-    assert finder.feed(ColumnBatch(columns=columns, watermark_ns=batch.watermark_ns)) == []
-
-
 def test_a_gear_chosen_during_a_run_up_abandons_it() -> None:
     speed_rad_s = run_up().speed_rad_s
     events = found(idle(), Piece(speed_rad_s=speed_rad_s[:120]), Piece(speed_rad_s=speed_rad_s[120:], gear=1))
     assert [event.end_reason for event in events] == [EndReason.ABANDONED]
-
-
-def test_an_engine_that_stays_fast_is_reported_once() -> None:
-    fast = Piece(speed_rad_s=np.full(4 * MAX_RUN_UP_NS // STEP_NS, 400.0))
-    events = found(idle(), fast)
-    assert [event.end_reason for event in events] == [EndReason.TOO_LONG]
-    assert events[0].end_ns - events[0].start_ns == MAX_RUN_UP_NS
-
-
-def test_the_end_of_the_stream_interrupts_an_open_run_up() -> None:
-    events = found(idle(), Piece(speed_rad_s=run_up().speed_rad_s[:150]))
-    assert [event.end_reason for event in events] == [EndReason.INTERRUPTED]
 
 
 def test_a_jump_of_bus_time_interrupts_an_open_run_up_and_starts_afresh() -> None:
@@ -104,22 +63,6 @@ def test_a_jump_of_bus_time_interrupts_an_open_run_up_and_starts_afresh() -> Non
         (1, EndReason.INTERRUPTED),
         (2, EndReason.COMPLETE),
     ]
-
-
-def test_noise_at_the_threshold_makes_no_run_ups() -> None:
-    noisy = Piece(speed_rad_s=LOW_RAD_S + np.where(np.arange(500) % 2, 1.0, -1.0))
-    events = found(idle(), noisy, run_up(), noisy, idle())
-    assert [event.end_reason for event in events] == [EndReason.COMPLETE]
-
-
-def test_bad_frames_inside_the_cut_are_counted() -> None:
-    (plain,) = found(idle(), run_up(), idle())
-    first_ns, stop_ns = plain.start_ns - MARGIN_NS, plain.end_ns + MARGIN_NS
-    bad_ns = np.array([first_ns - 1, first_ns, plain.start_ns, stop_ns - 1, stop_ns], dtype=np.int64)
-    batch = whole_batch((idle(), run_up(), idle()))
-    finder = RunUpFinder(nominal_calibration())
-    (event,) = finder.feed(ColumnBatch(columns=batch.columns, watermark_ns=batch.watermark_ns, bad_frame_ns=bad_ns))
-    assert event.bad_frame_count == 3
 
 
 @pytest.mark.parametrize("pressure_pa", [OPEN_PA, CLOSED_PA])

@@ -1,16 +1,13 @@
 """Shift detection on hand-made gear signals."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
-from canlog.arrays import Series
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import EndReason
 from diag_service.diagnosis.shifts.gear_tracking import MAX_SHIFT_NS
 from diag_service.diagnosis.shifts.shifts import POST_NS, PRE_NS, ShiftFinder
-from tests.support.gears import STEP_NS, batch_of, gear_batch
+from tests.support.gears import STEP_NS, gear_batch
 
 
 def test_a_shift_is_reported_with_its_history() -> None:
@@ -34,16 +31,6 @@ def test_a_shift_is_not_reported_before_its_signals_are_complete() -> None:
     assert sum(reported) == 1
 
 
-def test_ten_shifts_up_and_down_are_numbered() -> None:
-    ladder = [1, 2, 3, 4, 5, 6, 5, 4, 3, 2, 1]
-    gears = [(1, 1)] * 50
-    for old, new in pairwise(ladder):
-        gears += [(old, new)] * 80 + [(new, new)] * 60
-    events = ShiftFinder().feed(gear_batch(gears))
-    assert [event.number for event in events] == list(range(1, 11))
-    assert [event.to_gear for event in events] == ladder[1:]
-
-
 def test_a_change_of_mind_abandons_the_first_shift() -> None:
     gears = [(2, 2)] * 50 + [(2, 3)] * 30 + [(2, 1)] * 80 + [(1, 1)] * 50
     events = ShiftFinder().feed(gear_batch(gears))
@@ -51,19 +38,6 @@ def test_a_change_of_mind_abandons_the_first_shift() -> None:
         (3, EndReason.ABANDONED),
         (1, EndReason.COMPLETE),
     ]
-
-
-def test_a_withdrawn_target_abandons_the_shift() -> None:
-    events = ShiftFinder().feed(gear_batch([(2, 2)] * 50 + [(2, 3)] * 30 + [(2, 2)] * 50))
-    assert [event.end_reason for event in events] == [EndReason.ABANDONED]
-
-
-def test_an_endless_shift_is_reported_once_and_forgotten() -> None:
-    finder = ShiftFinder()
-    rows = MAX_SHIFT_NS // STEP_NS
-    events = finder.feed(gear_batch([(1, 1)] * 50 + [(1, 2)] * (4 * rows)))
-    assert [event.end_reason for event in events] == [EndReason.TOO_LONG]
-    assert finder.flush() == []
 
 
 def test_the_end_of_the_stream_interrupts_an_open_shift() -> None:
@@ -95,13 +69,6 @@ def test_a_shift_that_was_on_before_the_stream_is_no_complete_one(cut: int) -> N
     assert [event.end_reason for event in events] == [EndReason.INTERRUPTED, EndReason.COMPLETE]
 
 
-def test_after_a_jump_of_bus_time_a_shift_in_progress_is_not_complete_either() -> None:
-    finder = ShiftFinder()
-    finder.feed(gear_batch([(1, 1)] * 50 + [(1, 2)] * 30))
-    rest = gear_batch([(1, 2)] * 30 + [(2, 2)] * 50, breaks_before=True)
-    assert [event.end_reason for event in finder.feed(rest)] == [EndReason.INTERRUPTED, EndReason.INTERRUPTED]
-
-
 def test_neutral_is_no_gear_to_shift_from() -> None:
     assert ShiftFinder().feed(gear_batch([(0, 1)] * 50 + [(1, 1)] * 50)) == []
 
@@ -111,14 +78,6 @@ def test_bad_frames_inside_the_cut_are_counted() -> None:
     bad_ns = np.array([1, 120, 150, 280], dtype=np.int64) * STEP_NS
     with_bad = ColumnBatch(columns=batch.columns, watermark_ns=batch.watermark_ns, bad_frame_ns=bad_ns)
     assert ShiftFinder().feed(with_bad)[0].bad_frame_count == 2
-
-
-def test_gears_of_two_messages_are_joined_in_time() -> None:
-    rows = np.arange(300, dtype=np.int64)
-    current = Series(t_ns=rows * STEP_NS, sequence=rows, value=np.where(rows < 190, 1.0, 2.0))
-    target = Series(t_ns=rows * STEP_NS + 3, sequence=rows, value=np.where(rows < 100, 1.0, 2.0))
-    events = ShiftFinder().feed(batch_of({Signal.CURRENT_GEAR: current, Signal.TARGET_GEAR: target}))
-    assert [(event.start_ns, event.end_ns) for event in events] == [(100 * STEP_NS + 3, 190 * STEP_NS)]
 
 
 @pytest.mark.parametrize("shift_count", [200])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ecu_emulator.diagnostics.doip.messages import announcement, datagram_reply
+from ecu_emulator.diagnostics.doip.messages import datagram_reply
 from tests.support.doip.desk import ENTITY, framed
 
 VIN = b"WDCTEMUL3TED00047"
@@ -36,15 +36,3 @@ IDENTITY = VIN.hex() + "1011" + "020000001011" * 2 + "0000"
 def test_a_datagram_is_answered(data: bytes, told: str | None) -> None:
     reply = datagram_reply(ENTITY, VIN, 2, data)
     assert (reply.data.hex() if reply is not None else None) == told
-
-
-def test_a_vehicle_without_a_number_says_so() -> None:
-    assert announcement(ENTITY, b"", 3)[8:].hex() == "00" * 17 + "1011" + "020000001011" * 2 + "0010"
-
-
-def test_only_who_one_is_waits_for_its_turn() -> None:
-    identification, status = (datagram_reply(ENTITY, VIN, 0, framed(kind)) for kind in (1, 0x4001))
-    assert identification is not None
-    assert identification.is_identification
-    assert status is not None
-    assert not status.is_identification

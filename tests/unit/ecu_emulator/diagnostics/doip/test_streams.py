@@ -1,11 +1,9 @@
 """One connection and several, byte by byte as ISO 13400-2 has them; the time is the test's."""
 
-from dataclasses import replace
-
 import pytest
 
 from ecu_emulator.diagnostics.doip.streams import MOST_WAITING
-from tests.support.doip.desk import ENTITY, Desk, activation, framed, request
+from tests.support.doip.desk import Desk, activation, framed, request
 
 ACTIVATED, NO_SOCKET, OTHER_SOURCE, IN_USE = "10", "01", "02", "03"
 ALIVE_CHECK = "03fc000700000000"
@@ -16,17 +14,6 @@ def desk() -> Desk:
     desk = Desk()
     desk.activate(1)
     return desk
-
-
-def test_what_is_too_long_is_passed_over_and_the_rest_is_heard(desk: Desk) -> None:
-    long = bytes.fromhex("03fc80010fffffff")
-    assert desk.put(1, long) == "03fc00000000000102"
-    left = 0x0FFFFFFF
-    for _ in range(3):
-        assert desk.put(1, bytes(60_000)) == ""
-        left -= 60_000
-    assert desk.step.sockets[1].skip_bytes == left
-    assert desk.step.sockets[1].received == b""
 
 
 def test_so_many_requests_may_wait(desk: Desk) -> None:
@@ -63,13 +50,6 @@ def test_a_tester_that_does_not_say_that_it_is_alive_makes_room(desk: Desk, answ
     assert desk.closed == [1]
 
 
-def test_a_tester_that_goes_while_it_is_asked_makes_room_at_once(desk: Desk) -> None:
-    desk.open(2)
-    desk.put(2, activation())
-    desk.hang_up(1)
-    assert desk.told(2)[24:26] == ACTIVATED
-
-
 def test_all_are_asked_when_there_is_no_room(desk: Desk) -> None:
     for number in (2, 3, 4):
         assert desk.activate(number, 0x0E00 + number)[8:10] == ACTIVATED
@@ -95,29 +75,3 @@ def test_a_connection_without_activation_ends_after_two_seconds() -> None:
     desk.put(1, framed(7))  # something else does not help
     desk.wait(0.2)
     assert desk.closed == [1]
-
-
-def test_an_activated_connection_ends_after_five_minutes_of_silence(desk: Desk) -> None:
-    desk.wait(299.0)
-    desk.put(1, request("3e00"))
-    desk.wait(200.0)
-    desk.respond(1, b"\x7e\x00")  # what goes out counts as well
-    desk.wait(299.0)
-    assert not desk.closed
-    desk.wait(1.0)
-    assert desk.closed == [1]
-
-
-def test_limits_are_those_of_the_table() -> None:
-    entity = replace(ENTITY, most_sockets=1, first_tester=0x0100, last_tester=0x0100, most_request_bytes=8)
-    desk = Desk(entity)
-    desk.open(1)
-    assert desk.put(1, activation(0x0100))[24:26] == ACTIVATED
-    assert desk.put(1, request(bytes(9), tester=0x0100))[24:26] == "04"
-
-
-def test_a_response_for_a_connection_that_has_gone_is_forgotten(desk: Desk) -> None:
-    desk.put(1, request("3e00"))
-    desk.hang_up(1)
-    assert desk.respond(1, b"\x7e\x00") == ""
-    assert desk.put(1, request("3e00")) == ""

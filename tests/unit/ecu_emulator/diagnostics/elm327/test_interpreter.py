@@ -93,13 +93,6 @@ def test_an_automatic_adapter_searches_once_and_then_names_the_protocol() -> Non
     assert adapter.say("0100")[0] == "SEARCHING..."
 
 
-def test_a_search_finds_nobody() -> None:
-    adapter = Adapter()
-    adapter.bench.state = replace(adapter.bench.state, asleep_until_s=1e9)
-    assert adapter.say("0100") == ["SEARCHING...", "UNABLE TO CONNECT"]
-    assert adapter.say("ATDPN") == ["A0"]
-
-
 @pytest.mark.parametrize(
     ("protocol", "bitrate", "ids", "answer"),
     [
@@ -150,12 +143,6 @@ def test_a_long_answer_with_headers_is_its_frames() -> None:
     ]
 
 
-def test_an_empty_line_repeats_the_last() -> None:
-    adapter = Adapter("ATSP6")
-    assert adapter.say("010C") == adapter.say("") == ["41 0C 0C AF "]
-    assert Adapter().say("") == []
-
-
 def test_headers_say_who_is_asked_and_filters_who_is_heard() -> None:
     adapter = Adapter("ATSP6", "ATSH 7E1")
     assert adapter.say("0102") == ["7F 01 12 "]  # to this one: refused
@@ -170,56 +157,6 @@ def test_headers_say_who_is_asked_and_filters_who_is_heard() -> None:
     for commands in (("ATCF 7E0", "ATCM 7F0"), ("ATAR",)):
         assert [adapter.say(command) for command in commands] == [["OK"]] * len(commands)
         assert adapter.say("010C") == ["41 0C 0C AF "]
-
-
-def test_responses_that_are_none_of_obd_must_be_asked_for() -> None:
-    adapter = Adapter("ATSP6", ids=(0x6F1, 0x6F9, 0x7DF))
-    assert adapter.say("010C") == ["NO DATA"]
-    assert adapter.say("ATCRA 6F9") == ["OK"]
-    assert adapter.say("010C") == ["41 0C 0C AF "]
-
-
-def test_headers_of_29_bits_are_made_of_a_priority_and_six_digits() -> None:
-    adapter = Adapter("ATSP7", "ATH1", ids=(0x18DA10F1, 0x18DAF110, 0x18DB33F1))
-    assert adapter.say("010C") == ["18 DA F1 10 04 41 0C 0C AF "]
-    for commands, is_heard in (
-        (("ATSH DA10F1",), True),
-        (("ATCP 10", "ATSH DA10F1"), False),
-        (("ATSH18DB33F1",), True),
-        (("ATCP 10",), False),  # also after the header
-        (("ATCP 18",), True),
-    ):
-        assert [adapter.say(command) for command in commands] == [["OK"]] * len(commands)
-        assert (adapter.say("010C") != ["NO DATA"]) is is_heard
-
-
-@pytest.mark.parametrize(
-    ("header", "ids"),
-    [
-        ("00 07 E1", None),
-        ("07 E1 00", "nobody"),
-        ("000007E1", None),
-        ("DA 10 F1", (0x18DA10F1, 0x18DAF110, 0x18DB33F1)),
-    ],
-)
-def test_a_header_may_be_set_before_the_protocol_is_known(header: str, ids: tuple[int, int, int] | str | None) -> None:
-    adapter = Adapter("ATSP0", f"ATSH {header}", ids=ids if isinstance(ids, tuple) else None)
-    assert (adapter.say("22F18C")[1:] == ["NO DATA"]) is (ids == "nobody")
-    assert adapter.say("ATDPN") == ["A7" if isinstance(ids, tuple) else "A6"]
-
-
-def test_responses_can_be_switched_off_and_the_request_goes_out_all_the_same() -> None:
-    adapter = Adapter("ATSP6", "ATSH7E1", "ATR0")
-    assert adapter.say("10 03") == []
-    assert adapter.say("ATR1") == ["OK"]
-    assert adapter.say("22F186") == ["62 F1 86 03 "]
-
-
-def test_a_controller_without_extended_addresses_does_not_hear_one_who_uses_them() -> None:
-    adapter = Adapter("ATSP6", "ATSH7E1", "ATCEA 12")
-    assert adapter.say("010C") == ["NO DATA"]
-    assert adapter.say("ATCEA") == ["OK"]
-    assert adapter.say("010C") == ["41 0C 0C AF "]
 
 
 @pytest.mark.parametrize(
@@ -247,22 +184,3 @@ def test_an_unformatted_adapter_sends_what_it_is_given() -> None:
     assert adapter.say("02 01 0C 00 00 00 00 00 00") == ["?"]
     assert adapter.say("AT CAF1") == ["OK"]
     assert adapter.say("01 0C 0D 05 11 46 04 0B") == ["?"]  # eight bytes and no room for a length
-
-
-def test_an_unformatted_client_carries_long_messages_itself() -> None:
-    adapter = Adapter("ATSP6", "ATCAF0", "ATCFC0", "ATSH7E1")
-    assert adapter.say("10 09 22 F1 90 F1 87 F1") == ["30 00 00 CC CC CC CC CC "]
-    long = adapter.say("21 97 01 02")
-    assert len(long) == 1
-    assert long[0].startswith("10 ")
-    rest = adapter.say("30 00 00")
-    assert [line[:2] for line in rest] == [f"2{place:X}" for place in range(1, len(rest) + 1)]
-    assert adapter.say("30 00 00") == ["NO DATA"]
-
-
-def test_what_comes_later_is_awaited() -> None:
-    adapter = Interpreter(shipped_table().addressing, shipped_table().transport, lambda *_: b"\x7f\x31\x78")
-    adapter.take("ATSP6")
-    shown = adapter.take("31 01 03 01")
-    assert (shown.lines, shown.awaited) == (("7F 31 78 ",), 0x31)
-    assert adapter.lines(b"\x71\x01\x03\x01") == ("71 01 03 01 ",)

@@ -1,19 +1,14 @@
 """A PDX says what the table says: names, scaling, limits, sessions, how the controller is reached."""
 
-import io
-import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, TypeAlias
-from xml.etree import ElementTree as ET
 
 import pytest
 
 from ecu_emulator.diagnostics.descriptions import Access, Coding, Datum, Field
 from ecu_emulator.diagnostics.pdx.package import pdx_package
-from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.table_file import shipped_table
-from ecu_emulator.errors import ConfigError
 from tests.support.uds.full_table import full_table
 from tests.support.uds.pdx_client import read_back, templates_compiled_once
 
@@ -31,29 +26,11 @@ def layer() -> Layer:
     return read_back(pdx_package(full_table()))
 
 
-def files(table: DiagnosticTable) -> dict[str, bytes]:
-    with zipfile.ZipFile(io.BytesIO(pdx_package(table))) as archive:
-        assert archive.testzip() is None
-        return {name: archive.read(name) for name in archive.namelist()}
-
-
 def with_fields(*fields: Field, initial: str | None = None) -> Layer:
     """Return what odxtools reads of a table with one datum more."""
     table = shipped_table()
     datum = Datum(number=0x0999, name="new one", fields=fields, read=Access(sessions=(1,)), initial=initial)
     return read_back(pdx_package(replace(table, data={**table.data, datum.number: datum}))).services["Read_new_one"]
-
-
-def test_the_same_table_gives_the_same_bytes() -> None:
-    assert pdx_package(shipped_table()) == pdx_package(replace(shipped_table()))
-    assert pdx_package(shipped_table()) != pdx_package(full_table())
-
-
-def test_the_catalogue_names_every_file() -> None:
-    content = files(shipped_table())
-    catalogue = ET.fromstring(content["index.xml"])  # noqa: S314 - our own
-    assert {entry.text for entry in catalogue.iter("FILE")} == set(content) - {"index.xml"}
-    assert {name.rpartition(".")[2] for name in content} == {"xml", "odx-d", "odx-c", "odx-cs"}
 
 
 def test_sessions_and_security_are_states(layer: Layer) -> None:
@@ -95,22 +72,3 @@ def test_meanings_stand_for_numbers() -> None:
         for raw in ("00", "10", "07")
     ]
     assert texts == ["P", "D", "undefined"]
-
-
-@pytest.mark.parametrize("number", ["x", "256", "-1"])
-def test_a_meaning_of_no_number_of_the_field_is_refused(number: str) -> None:
-    with pytest.raises(ConfigError, match="meanings are of"):
-        Field(name="lever", kind=Coding.UNSIGNED, size_bytes=1, source="a", meanings={number: "P"})
-
-
-def test_a_number_too_long_for_odx_is_bytes_with_an_explanation() -> None:
-    service = with_fields(Field(name="energy", kind=Coding.SIGNED, size_bytes=6, source="a", unit="J", resolution=0.5))
-    assert service.decode_message(bytes.fromhex("62 09 99 01 02 03 04 05 06")).param_dict["new_one"] == {
-        "energy": bytes(range(1, 7))
-    }
-    dop = service.positive_responses[0].parameters.new_one.dop.parameters.energy.dop
-    assert "0.5 J a step" in dop.description.text
-
-
-def test_characters_that_xml_does_not_have_are_replaced() -> None:
-    with_fields(Field(name="a\x01b", kind=Coding.UNSIGNED, size_bytes=1, source="a", unit="\x02\ud800"))

@@ -1,18 +1,13 @@
 """Eq. (17): the coefficient that made a torque is found in it again."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
 from clutch_model.pack import (
-    applied_pressure_pa,
     contact_pressure_pa,
     film_law,
     shear_factor_difference,
-    viscosity_pa_s,
-    viscous_torque_nm,
 )
 from diag_service.diagnosis.friction.paper.friction_data import (
     NOISELESS_GATES,
@@ -22,19 +17,14 @@ from diag_service.diagnosis.friction.paper.friction_data import (
     coulomb_gate,
     fit,
     friction_data,
-    pooled,
     static_gate,
-    static_table,
-    viscous_torques_nm,
 )
 
 CALIBRATION = nominal_calibration()
 CLUTCH = CALIBRATION.clutches[1]
 LAW = film_law(CLUTCH)
-OIL = CALIBRATION.viscosity
 FILM_M = np.array([5e-6, 9e-6, 12e-6, 20e-6])
 SLIP_RAD_S = np.array([-40.0, 3.0, 80.0, 5.0])
-OIL_K = np.array([350.0, 360.0, 370.0, 380.0])
 MU = 0.131
 
 
@@ -47,61 +37,11 @@ def data() -> FrictionData:
     return friction_data(np.array(contact_nm), SLIP_RAD_S, FILM_M, rate, shifting, CLUTCH)
 
 
-def test_the_viscous_torque_is_that_of_the_law() -> None:
-    expected = [
-        viscous_torque_nm(slip, film, viscosity_pa_s(oil_k, OIL.a_pa_s, OIL.b_k, OIL.pole_k), LAW)
-        for slip, film, oil_k in zip(SLIP_RAD_S, FILM_M, OIL_K, strict=True)
-    ]
-    assert viscous_torques_nm(SLIP_RAD_S, FILM_M, OIL_K, CLUTCH, OIL) == pytest.approx(expected, rel=1e-12)
-
-
 def test_the_coefficient_is_found_for_either_sign_of_slip() -> None:
     found = data()
     assert found.mu[:3] == pytest.approx([MU, MU, MU], rel=1e-9)
     assert found.shear_difference[1] == pytest.approx(shear_factor_difference(9e-6 / LAW.roughness_m))
     assert found.static_share[1] == pytest.approx(np.exp(-(3.0 - 0.1) / 6.0))
-
-
-def test_without_contact_there_is_no_coefficient() -> None:
-    assert FILM_M[3] > 2.0 * LAW.roughness_m
-    found = data()
-    assert found.mu[3] == pytest.approx(MU, rel=1e-6)
-    bare = friction_data(
-        np.ones(1),
-        np.ones(1),
-        np.array([100e-6]),
-        np.zeros(1),
-        np.ones(1, np.bool_),
-        CLUTCH,
-    )
-    assert bare.mu.tolist() == [0.0]
-
-
-def test_pooling_keeps_every_sample() -> None:
-    one = data()
-    both = pooled([one, one])
-    assert len(both) == 2 * len(one)
-    assert np.array_equal(both.pressure_rate_pa_s, np.tile(one.pressure_rate_pa_s, 2))
-    assert np.array_equal(both.is_shifting, np.tile(one.is_shifting, 2))
-
-
-CLUTCHES = nominal_calibration().clutches
-
-
-@pytest.mark.parametrize("clutch", CLUTCHES)
-@pytest.mark.parametrize("over_touch_pa", [0.3e5, 1.0e5, 3.0e5, 8.0e5])
-def test_in_the_static_table_the_asperities_carry_the_load(clutch: object, over_touch_pa: float) -> None:
-    believed = CLUTCHES[0] if clutch is CLUTCHES[0] else CLUTCHES[1]
-    law = film_law(believed)
-    pressure_pa = believed.touch_pressure_pa + over_touch_pa
-    film_m = float(static_table(law).film_at(np.array([pressure_pa]))[0])
-    assert contact_pressure_pa(film_m, law) == pytest.approx(applied_pressure_pa(pressure_pa, law), rel=1e-3)
-
-
-def test_below_the_touch_point_the_pack_stands_open() -> None:
-    law = film_law(CLUTCHES[0])
-    below_pa = np.array([-1.0e5, 0.0, CLUTCHES[0].touch_pressure_pa - 2.0e3])
-    assert np.all(static_table(law).film_at(below_pa) == law.open_gap_m)
 
 
 CURVE = nominal_calibration().clutches[0].friction
@@ -137,13 +77,6 @@ def test_mu_s_comes_from_slow_slip_in_mechanical_contact(slip: float, shear: flo
     assert static_gate(samples(slip, shear), NOISELESS_GATES, BAND, CURVE.mu_s).rows.tolist() == [passes]
 
 
-@pytest.mark.parametrize(("mu", "passes"), [(0.12, True), (0.142, True), (0.096, True), (0.144, False), (0.095, False)])
-def test_with_noise_mu_s_stays_within_20_percent_of_its_prior(mu: float, passes: bool) -> None:
-    data = samples(0.3, 0.4, mu)
-    assert static_gate(data, NOISY_GATES, BAND, 0.119).rows.tolist() == [passes]
-    assert static_gate(data, NOISELESS_GATES, BAND, 0.119).rows.tolist() == [True]
-
-
 @pytest.mark.parametrize(
     ("slip", "shear", "passes"),
     [
@@ -158,23 +91,11 @@ def test_mu_c_comes_from_slip_in_partial_lubrication(slip: float, shear: float, 
     assert coulomb_gate(samples(slip, shear), NOISELESS_GATES).rows.tolist() == [passes]
 
 
-def test_the_slip_of_mu_c_may_be_read_with_bars() -> None:
-    gates = replace(NOISELESS_GATES, is_slip_signed=False)
-    assert coulomb_gate(samples(-20.0, 0.7), gates).rows.tolist() == [True]
-
-
 @pytest.mark.parametrize(("rate_pa_s", "passes"), [(2.1e5, True), (2.0e5, False), (-5e5, False)])
 def test_with_noise_mu_c_needs_a_stroking_clutch(rate_pa_s: float, passes: bool) -> None:
     data = samples(20.0, 0.7, rate_pa_s=rate_pa_s)
     assert coulomb_gate(data, NOISY_GATES).rows.tolist() == [passes]
     assert coulomb_gate(data, NOISELESS_GATES).rows.tolist() == [True]
-
-
-@pytest.mark.parametrize("required", [True, False])
-def test_only_shifts_count_unless_told_otherwise(required: bool) -> None:
-    gates = replace(NOISELESS_GATES, is_shift_required=required)
-    assert coulomb_gate(samples(20.0, 0.7, in_shift=False), gates).rows.tolist() == [not required]
-    assert static_gate(samples(0.3, 0.4, in_shift=False), gates, BAND, CURVE.mu_s).rows.tolist() == [not required]
 
 
 def drive(mu_c: float, mu_s: float, noise: float = 0.0) -> FrictionData:
@@ -202,26 +123,7 @@ def test_clean_samples_give_their_curve_back(gates: object, mu_c: float, mu_s: f
     assert (found.static_count, found.coulomb_count) == (40, 400)
 
 
-def test_mu_c_is_the_least_squares_solution() -> None:
-    data = drive(0.14, 0.119, noise=0.01)
-    found = fit(data, NOISELESS_GATES, CURVE)
-    assert found.mu_s is not None
-    rows = coulomb_gate(data, NOISELESS_GATES).rows
-    share = data.static_share[rows]
-    expected, *_ = np.linalg.lstsq((1.0 - share)[:, None], data.mu[rows] - found.mu_s * share, rcond=None)
-    assert found.mu_c == pytest.approx(float(expected[0]), rel=1e-9)
-
-
 def test_no_sample_no_number() -> None:
     found = fit(samples(0.0, 1.0), NOISY_GATES, CURVE)
     assert (found.mu_c, found.mu_s) == (None, None)
     assert found.static_counts == {Gate.SHIFTING: 1, Gate.STICK: 0, Gate.MECHANICAL: 0, Gate.NEAR_PRIOR: 0}
-
-
-def test_without_slow_slip_mu_c_rests_on_the_previous_mu_s() -> None:
-    data = samples(6.1, 0.7, mu=0.13)
-    low, high = (fit(data, NOISELESS_GATES, CURVE, prior).mu_c for prior in (0.10, 0.12))
-    assert low is not None
-    assert high is not None
-    share = float(data.static_share[0])
-    assert low - high == pytest.approx(0.02 * share / (1.0 - share))
