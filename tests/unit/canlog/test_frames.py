@@ -27,21 +27,6 @@ def fd(count: int) -> FrameBatch:
     )
 
 
-def test_rows_are_taken_from_every_column() -> None:
-    batch = fd(6)
-    for rows, expected in (
-        (slice(1, 4), [1, 2, 3]),
-        (np.array([5, 0]), [5, 0]),
-        (np.array([False, True, False, False, True, False]), [1, 4]),
-    ):
-        part = batch[rows]
-        assert part.can_id.tolist() == part.data[:, 63].tolist() == expected
-        assert (part.t_ns // 1_000_000).tolist() == expected
-        assert part.channel.tolist() == [number % 2 for number in expected]
-        assert part.length.tolist() == [48] * len(expected)
-        assert part.flags.tolist() == [FD_FLAG | BRS_FLAG] * len(expected)
-
-
 def test_a_join_is_as_wide_as_its_widest_part() -> None:
     both = join([classic(3), fd(2), classic(1)])
     assert both.width == 64

@@ -7,7 +7,7 @@ import pytest
 
 from canlog.arrays import Int64Array
 from canlog.frames import FrameBatch
-from canlog.traffic import IdTraffic, Jump, TrafficMeter, TrafficReport
+from canlog.traffic import IdTraffic, TrafficMeter, TrafficReport
 from tests.support.batches import frames_at
 
 MS = 1_000_000
@@ -44,23 +44,6 @@ def test_missing_frames_are_gaps_and_no_jitter() -> None:
     assert found.gap_count == 2
     assert found.longest_gap_s == pytest.approx(0.110)
     assert found.jitter_s == pytest.approx(0.0, abs=1e-8)
-
-
-def test_time_that_jumps_is_listed_and_is_no_gap() -> None:
-    t_ns = np.concatenate((np.arange(100), 500 + np.arange(100), 300 + np.arange(100))) * 10 * MS
-    report = measured(frames(t_ns))
-    assert report.jump_count == 2
-    assert report.jumps[0] == Jump(at_ns=START_NS + 990 * MS, by_ns=4010 * MS)
-    assert report.jumps[1].by_ns == -2990 * MS
-    assert report.ids[0].gap_count == 0
-    assert report.ids[0].rate_hz == pytest.approx(100.0)
-
-
-def test_load_at_a_bit_rate() -> None:
-    report = measured(frames(np.arange(2000) * MS), bitrate=250_000)
-    bits = (34 + 64) * 1.1 + 13
-    assert report.bus_load_ratio == pytest.approx(bits * 1000 / 250_000, rel=1e-3)
-    assert report.peak_load_ratio == pytest.approx(bits * 1000 / 250_000, rel=1e-3)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -194,34 +194,3 @@ async def test_a_loss_ends_whoever_waits() -> None:
         with pytest.raises(LinkDownError):
             await connection.publish_all(messages(1))
         await connection.close()
-
-
-@pytest.mark.parametrize("hop_count", range(5))
-async def test_whoever_gives_up_as_the_answer_comes_has_given_up(hop_count: int) -> None:
-    """A service that is stopped at that moment sent on and never ended: asyncio.wait_for forgets, up to Python 3.11."""
-    sending: asyncio.Task[None]
-
-    class CancelledSoonAfter(asyncio.Event):
-        def set(self) -> None:
-            super().set()
-            asyncio.get_running_loop().call_soon(cancel, hop_count)
-
-    def cancel(hops_left: int) -> None:
-        if hops_left:
-            asyncio.get_running_loop().call_soon(cancel, hops_left - 1)
-        else:
-            sending.cancel()
-
-    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        await packet(reader)
-        writer.write(ACCEPTED)
-        while (received := await packet(reader))[0] == 3:
-            writer.write(bytes([0x40, 2]) + received[1][3:5])
-
-    async with broker(answer) as address:
-        connection = await Connection.open(address, LONG)
-        connection._answered = CancelledSoonAfter()
-        sending = asyncio.create_task(connection.publish_all(messages(1000)))
-        with pytest.raises(asyncio.CancelledError):
-            await sending
-        await connection.close()

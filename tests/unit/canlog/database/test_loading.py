@@ -39,13 +39,6 @@ def refusal(path: Path) -> str:
     return text
 
 
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "cp1252"])
-def test_units_survive_any_usual_encoding(tmp_path: Path, encoding: str) -> None:
-    text = HEAD + 'BO_ 256 M: 8 A\n SG_ s : 0|8@1+ (1,0) [0|0] "°C" A\n'
-    database = load_database(write(tmp_path, text.encode(encoding)))
-    assert database.messages[0].signals[0].unit == "°C"
-
-
 def test_every_message_that_breaks_strict_rules_is_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     messages = "".join(
         f'BO_ {256 + k} M{k}: 8 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n SG_ t : {(4, 60)[k % 2]}|8@1+ (1,0) [0|0] "" A\n'
@@ -58,27 +51,6 @@ def test_every_message_that_breaks_strict_rules_is_named(tmp_path: Path, caplog:
     assert "overlapping in message M0." in said[0]
     assert "does not fit in message M1." in said[1]
     assert "and 10 more like these" in said[-1]
-
-
-BUSES: Final = (
-    '<Document/><Bus name="Body"><Message id="0x100" name="A" length="8"><Signal name="s" offset="0"/></Message></Bus>'
-    '<Bus name="Drive"><Message id="{}" name="B" length="8"><Signal name="t" offset="0"/></Message></Bus>'
-    "</NetworkDefinition>"
-)
-
-
-def test_messages_of_all_buses_unless_one_identifier_means_two_things(tmp_path: Path) -> None:
-    path = tmp_path / "net.kcd"
-    path.write_text(xml(BUSES.format("0x200")))
-    assert [message.name for message in load_database(path).messages] == ["A", "B"]
-    path.write_text(xml(BUSES.format("0x100")))
-    assert "the identifier 0x100 belongs to A of Body and to B of Drive; name one of them: " in refusal(path)
-    for bus, name in (("Body", "A"), ("Drive", "B")):
-        (message,) = load_database(tmp_path / f"net.kcd#{bus}").messages
-        assert message.name == name
-    assert "has no bus 'Bodi'; it has Body, Drive" in refusal(tmp_path / "net.kcd#Bodi")
-    (tmp_path / "net.kcd#Bodi").write_text(xml(BUSES.format("0x200")))
-    assert len(load_database(tmp_path / "net.kcd#Bodi").messages) == 2
 
 
 @pytest.mark.parametrize(
@@ -103,11 +75,6 @@ def test_what_would_be_misread_is_refused_by_name(tmp_path: Path, items: str, ca
     assert f"some.dbc would be misread: {cause}" in refusal(write(tmp_path, HEAD + SIGNAL + items))
 
 
-def test_missing_file_and_folder(tmp_path: Path) -> None:
-    assert "No such file" in refusal(tmp_path / "absent.dbc")
-    assert "directory" in refusal(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("text", "place"),
     [
@@ -126,24 +93,6 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
 )
 def test_damaged_database_is_refused_with_line_and_cause(tmp_path: Path, text: str, place: str) -> None:
     assert f"some.dbc is not a DBC file: {place}" in refusal(write(tmp_path, text))
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        'BO_ 1 m: 8 A\n SG_ s : 0|4000000000@1+ (1,0) [0|0] "" A\n',
-        'BO_ 1 m: 8 A\n SG_ s : 4000000000|8@1+ (1,0) [0|0] "" A\n',
-        "BO_ 1 m: 8 A\n SG_ s\n:\n0 | " + "9" * 5000 + ' @ 1+ (1,0) [0|0] "" A\n',
-        'BO_ 1 m: 4000000000 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n',
-        "BO_ 1 m:\n" + "9" * 5000 + ' A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n',
-        'BO_ 1 m: 8 A\n SG_ p M : 0|8@1+ (1,0) [0|0] "" A\nSG_MUL_VAL_ 1 s p 0-4000000000;\n',
-    ],
-)
-def test_sizes_that_would_fill_the_memory_are_refused(tmp_path: Path, text: str) -> None:
-    assert any(
-        words in refusal(write(tmp_path, HEAD + text))
-        for words in ("no CAN message is so long", "wider than those of any")
-    )
 
 
 def xml(body: str, head: str = "") -> str:
@@ -208,26 +157,6 @@ def test_a_refusal_says_in_plain_words_what_is_wrong_and_where(tmp_path: Path, t
     said = refusal(write(tmp_path, text))
     assert complaint in said
     assert not re.search("NoneType|could not convert|literal|Traceback|Error", said)
-
-
-BOAT: Final = f"""VERSION ""
-BU_: A
-BO_ {0x89F112FE} Sails: 8 A
- SG_ Area : 0|8@1+ (1,0) [0|0] "" A
-
-BO_ {0x8DF10DFE} Rudder: 8 A
- SG_ Angle : 0|8@1+ (1,0) [0|0] "" A
-"""
-
-
-@pytest.mark.parametrize(("protocol", "is_of_groups"), [("J1939", True), ("NMEA2000", True), ("", False)])
-def test_the_protocol_of_the_whole_database_counts_where_no_message_has_one(
-    tmp_path: Path, protocol: str, is_of_groups: bool
-) -> None:
-    attribute = f'BA_DEF_ "ProtocolType" STRING ;\nBA_DEF_DEF_ "ProtocolType" "";\nBA_ "ProtocolType" "{protocol}";\n'
-    text = BOAT.replace(f"{0x89F112FE}", f"{0x89F11255}") + attribute
-    messages = load_database(write(tmp_path, text)).messages
-    assert [message.protocol == "j1939" for message in messages] == [is_of_groups] * 2
 
 
 def as_kcd() -> str:

@@ -3,10 +3,8 @@
 from collections.abc import Sequence
 from typing import Final
 
-import cantools
 import numpy as np
 import pytest
-from cantools.database.can import Database, Message
 
 from canlog.e2e.profile1 import protect
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
@@ -19,7 +17,6 @@ DATA_ID: Final = CONTRACTS[NAME].data_id or 0
 CYCLE_MS: Final = 10
 
 OK = FrameReason.OK
-SHORT = FrameReason.SHORT
 REPEATED = FrameReason.REPEATED
 WRONG_SEQUENCE = FrameReason.WRONG_SEQUENCE
 
@@ -101,15 +98,6 @@ def test_late_frames_are_not_missing_however_slowly_they_catch_up(step_ms: float
     assert link.held_back.tolist() == [sum(np.diff(times) < 5.0)]
 
 
-def test_reset_accepts_any_counter_and_goes_on_numbering() -> None:
-    link = monitor()
-    link.check(frames([0, 1, 2]))
-    link.reset()
-    verdicts = link.check(frames([9, 10]))
-    assert reasons(verdicts) == [OK, OK]
-    assert verdicts.sequence.tolist() == [3, 4]
-
-
 def test_frames_of_nobody_remote_and_error_frames() -> None:
     batch = frames([0, 1, 2, 3, 4])
     batch.can_id[1:] = [0x7FF, batch.can_id[1] | REMOTE_FLAG, ERROR_FLAG | 0x20, batch.can_id[4] | EXTENDED_FLAG]
@@ -119,41 +107,3 @@ def test_frames_of_nobody_remote_and_error_frames() -> None:
     assert verdicts.slot.tolist()[:2] == [0, -1]
     assert link.counts.tolist()[0][OK] == 1
     assert link.counts.sum() == 5
-
-
-FOREIGN: Final = """VERSION ""
-BU_: A
-BO_ 2566844926 Truck: 8 A
- SG_ s : 0|16@1+ (1,0) [0|0] "" A
-BO_ 256 Short: 3 A
- SG_ s : 0|16@1+ (1,0) [0|0] "" A
-BA_DEF_ BO_ "E2EDataId" INT 0 65535;
-BA_DEF_DEF_ "E2EDataId" 0;
-"""
-
-
-def foreign(extra: str = "") -> list[Message]:
-    database = cantools.database.load_string(FOREIGN + extra, "dbc", strict=False)
-    assert isinstance(database, Database)
-    return database.messages
-
-
-def test_foreign_messages_are_checked_for_their_length_only() -> None:
-    link = LinkMonitor(foreign())
-    can_ids = [0x18FEF1FE | EXTENDED_FLAG, 0x100, 0x100, 0x18FEF1FE]
-    verdicts = link.check(frames_at([1, 2, 3, 3], can_ids, [8, 2, 3, 8], 0xA5))
-    assert reasons(verdicts) == [OK, SHORT, OK, FrameReason.UNKNOWN_ID]
-    assert verdicts.sequence.tolist() == [-1] * 4
-    assert verdicts.slot.tolist() == [0, 1, 1, -1]
-    assert link.missing.tolist() == [0, 0]
-
-
-def test_counter_without_a_known_cycle_time() -> None:
-    message = foreign('BA_ "E2EDataId" BO_ 2566844926 4660;\n')[0]
-    numbers = [0, 1, 3, 3, 4, 12, 13, 14]
-    data = protect(np.zeros((len(numbers), 8), np.uint8), 4660, np.array(numbers))
-    link = LinkMonitor([message])
-    verdicts = link.check(frames_at(np.arange(len(numbers)) * 7_000_000, 0x18FEF1FE | EXTENDED_FLAG, data=data))
-    assert reasons(verdicts) == [OK, OK, OK, REPEATED, OK, WRONG_SEQUENCE, OK, OK]
-    assert link.missing.tolist() == [1]
-    assert (np.diff(verdicts.sequence[verdicts.sequence >= 0]) > 0).all()

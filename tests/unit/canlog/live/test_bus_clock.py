@@ -84,14 +84,6 @@ def test_a_clock_that_steps_during_a_shift_changes_no_bit(step_ns: int) -> None:
     assert diagnosed(batches).fingerprint == undisturbed().fingerprint
 
 
-def test_a_clock_that_steps_again_and_again_changes_no_bit() -> None:
-    middle_ns = shift_middle_ns()
-    steps = {middle_ns + number * 37_000_000: HOURS_NS * (1 - 2 * (number % 2)) for number in range(-9, 9)}
-    batches, clock = heard(steps)
-    assert clock.step_count == len(steps)
-    assert diagnosed(batches).fingerprint == undisturbed().fingerprint
-
-
 def test_a_small_step_told_at_once_moves_neither_the_frames_before_nor_those_after() -> None:
     """The receiver is told between two frames that it reads together."""
     clocks = Clocks(NS_PER_S, {NS_PER_S + 330_000_000: -50_000_000})

@@ -2,14 +2,13 @@
 
 import asyncio
 import threading
-from collections.abc import AsyncIterator
 
 import numpy as np
 import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
-from canlog.live.sources import FrameQueue, Silence
+from canlog.live.sources import FrameQueue
 from tests.support.patience import HANG_S
 from tests.support.traffic import as_received, assert_same, random_frames
 
@@ -17,34 +16,6 @@ from tests.support.traffic import as_received, assert_same, random_frames
 def batches(count: int, sizes: int = 10) -> tuple[FrameBatch, list[FrameBatch]]:
     whole = as_received(random_frames(count))
     return whole, [whole[first : first + sizes] for first in range(0, count, sizes)]
-
-
-async def test_small_batches_are_joined() -> None:
-    whole, parts = batches(100)
-    queue = FrameQueue(linger_s=0.0)
-    for part in parts:
-        queue.offer(part)
-    taken = await queue.next_batch()
-    assert taken is not None
-    assert_same(taken, whole)
-
-
-async def test_silence_is_told_after_the_frames_before_it() -> None:
-    _, parts = batches(20)
-    queue = FrameQueue(linger_s=0.0)
-    queue.offer(parts[0])
-    queue.mark_silent()
-    heard = aiter(queue)
-    assert_same(await _frames(heard), parts[0])
-    assert isinstance(await anext(heard), Silence)
-    queue.offer(parts[1])
-    assert_same(await _frames(heard), parts[1])
-
-
-async def _frames(heard: AsyncIterator[FrameBatch | Silence]) -> FrameBatch:
-    part = await asyncio.wait_for(anext(heard), timeout=HANG_S)
-    assert isinstance(part, FrameBatch)
-    return part
 
 
 async def test_what_does_not_fit_is_dropped_newest_first_and_counted() -> None:

@@ -35,15 +35,6 @@ def test_without_can_in_the_kernel_it_is_multicast_and_says_why(
     assert not any(command.startswith("ip ") for command in commands)
 
 
-def test_a_vcan_that_is_up_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    use(monkeypatch, has_can=True)
-    answers = {"show": '[{}, {"ifname": "vcan3"}]'}
-    monkeypatch.setattr(medium, "_run", lambda *words: next((answers[w] for w in words if w in answers), None))
-    with open_medium() as chosen:
-        assert chosen.arguments == ("-i", "socketcan", "-c", "vcan3")
-        assert chosen.environment == {}
-
-
 def test_a_vcan_of_our_own_goes_with_us(monkeypatch: pytest.MonkeyPatch) -> None:
     use(monkeypatch, has_can=True)
     asked: list[tuple[str, ...]] = []

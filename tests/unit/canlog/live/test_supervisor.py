@@ -91,17 +91,6 @@ async def test_it_is_opened_again_until_that_works(caplog: pytest.LogCaptureFixt
 
 
 @in_virtual_time
-async def test_closing_ends_the_wait_for_a_bus() -> None:
-    source = SupervisedSource(Script(), ShortSource(failure="went down"), QUICK)
-    iteration = asyncio.create_task(parts_of(source, 9))
-    await asyncio.sleep(0.02)
-    assert source.status.state is BusState.DOWN
-    await source.aclose()
-    await source.aclose()
-    assert await asyncio.wait_for(iteration, HANG_S) == ["went down"]
-
-
-@in_virtual_time
 async def test_a_controller_that_is_bus_off_is_asked_to_restart_now_and_then(caplog: pytest.LogCaptureFixture) -> None:
     script = Script(refusal="Operation not permitted")
     source = SupervisedSource(script, ShortSource(numbered(1, flags=ERROR_FLAG)), QUICK)

@@ -63,61 +63,6 @@ def test_what_looks_like_a_frame_and_is_none_is_counted(event: bytes, reason: Lo
     assert counts.first_rejected == f"line 5: {reason}"
 
 
-def test_events_of_other_kinds_and_comments_are_skipped() -> None:
-    others = (
-        b"// version 8.1.0\n\nBegin Triggerblock Thu Jan 01 10:00:00.500 2026\n0.000000 Start of measurement\n"
-        b"1.0 1  Statistic: D 0 R 0 XD 0\n1.1 CAN 1 Status:chip status error active\n"
-        b"1.2 1  A0 TxRq d 1 11\n1.2 1  A0 R d 1 11\n1.3 1  A0 Rx d 1 11\nEnd TriggerBlock\n"
-    )
-    batch, counts = read(HEADER + others)
-    assert batch.t_ns.tolist() == [START_NS + 1_300_000_000]
-    assert counts == LogCounts(frames=1, skipped=12)
-
-
-def test_relative_times_add_up_over_every_event() -> None:
-    text = (
-        b"date Thu Jan 01 10:00:00.500 2026\nbase hex timestamps relative\n"
-        b"1.0 1 A0 Rx d 0\n0.25 CAN 1 Status:ok\n0.25 1 A0 Rx d 0\n"
-    )
-    batch, _ = read(text)
-    assert (batch.t_ns - START_NS).tolist() == [1_000_000_000, 1_500_000_000]
-
-
-@pytest.mark.parametrize("missing", range(2, 36))
-def test_a_frame_cut_off_by_the_end_is_counted(missing: int) -> None:
-    whole = b"1.0 1  A0  Rx   d 8 11 22 33 44 55 66 77 88\n"
-    batch, counts = read(HEADER + whole + whole[:-missing])
-    assert len(batch) == 1
-    assert counts.truncated
-    assert counts.rejected == {LogReject.CUT_OFF: 1}
-
-
-@pytest.mark.parametrize(
-    "event",
-    [
-        b"1  123  Rx   d 13 01 02 03 04 05 06 07 08 09 10 11 12 13",  # no frame is so long
-        b"1  123  Rx   d 1 01 02",
-        b"1  123  Rx   d 3 01 02",
-        b"1  123  Rx   d 0 01",
-        b"1  123  Rx   d 9 01 02 03 04 05 06 07",
-        b"1  123  Rx   d",
-        b"1  123  Rx   d 1 01 02 // comment",
-        b"1  123  Rx   d FF 01",
-        b"1  123  Rx   d g 01",
-        b"CANFD 1 Rx 123 0 0 8 7 01 02 03 04 05 06 07 0 0 1000 0 0 0 0 0",
-        b"CANFD 1 Rx 123 0 0 9 8 01 02 03 04 05 06 07 08 0 0 1000 0 0 0 0 0",
-        b"CANFD 1 Rx 123 0 0 2 300 01",
-    ],
-)
-@pytest.mark.parametrize("base", [b"base hex", b"base dec"])
-def test_a_length_and_bytes_that_disagree_are_no_frame(event: bytes, base: bytes) -> None:
-    good = b"1.0 1  16  Rx   d 1 11\n"
-    batch, counts = read(b"date Thu Jan 01 10:00:00.500 2026\n" + base + b"\n" + good + b"1.5 " + event + b"\n")
-    assert len(batch) == 1
-    assert counts.rejected == {LogReject.MALFORMED: 1}
-    assert counts.first_rejected == "line 4: malformed"
-
-
 @pytest.mark.parametrize(
     ("code", "base", "length"),
     [

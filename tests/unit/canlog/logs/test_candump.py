@@ -84,9 +84,3 @@ def test_can_fd_is_taken_and_widens_what_follows(payload: bytes, flags: int, len
     assert batch.data[0].tobytes() == b"\x11".ljust(64, b"\0")
     assert batch.data[1].tobytes() == bytes.fromhex(payload[1:].decode()).ljust(64, b"\0")
     assert counts == LogCounts(frames=3)
-
-
-def test_a_last_line_without_newline_counts_if_nothing_can_be_missing() -> None:
-    batch, counts = read(b"(1.0) can0 123#11\n(2.0) can0 123#1122334455667788")
-    assert len(batch) == 2
-    assert counts == LogCounts(frames=2)

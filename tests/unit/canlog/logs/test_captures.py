@@ -1,7 +1,6 @@
 """Captures in pcap and pcapng: which packets are frames, what is skipped, and where the reader goes on after damage."""
 
 import struct
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,13 +9,10 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
-from canlog.logs.captures import SWAPPED, read_capture
+from canlog.logs.captures import read_capture
 from canlog.logs.log_counts import LogCounts, LogReject
 from tests.support.batches import read_whole
 from tests.support.capture_grammars import (
-    COOKED,
-    COOKED_2,
-    PACKETS,
     SOCKETCAN,
     pcap,
     pcapng,
@@ -83,43 +79,3 @@ def test_the_end_may_be_missing(name: str, tmp_path: Path) -> None:
         assert counts.truncated
     with pytest.raises(SourceError, match="inside its header"):
         read(PCAP_HEADER[:20])
-
-
-def test_a_section_begins_anew_in_its_own_byte_order(tmp_path: Path) -> None:
-    pcapng(SOCKETCAN, "<")(tmp_path / "a", FRAMES)
-    pcapng(SOCKETCAN, ">", 9)(tmp_path / "b", FRAMES)
-    batch, counts = read((tmp_path / "a").read_bytes() + (tmp_path / "b").read_bytes())
-    assert batch.t_ns[:10].tolist() == batch.t_ns[10:].tolist()
-    assert counts == LogCounts(frames=20)
-
-
-@pytest.mark.parametrize("can_ids", [(0x12A, 0x0E1, 0x241), (0x181, 0x281, 0x381), (0x0CF00400, 0x18FEF121)])
-@pytest.mark.parametrize("link", [SOCKETCAN, COOKED, COOKED_2])
-@pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("writer", [pcap, pcapng])
-def test_identifiers_in_the_wrong_byte_order_are_swapped(
-    writer: Callable[..., Callable[[Path, Sequence[Frame]], None]],
-    order: str,
-    link: int,
-    can_ids: tuple[int, ...],
-    tmp_path: Path,
-) -> None:
-    """Some programs write them as their machine holds them."""
-
-    def swapped(frame: Frame, order: str) -> bytes:
-        sound = PACKETS[link](frame, order)
-        at = len(sound) - len(socketcan(frame))
-        return sound[:at] + sound[at : at + 4][::-1] + sound[at + 4 :]
-
-    frames = [
-        replace(FRAME, t_us=1_000 * number, can_id=can_id, is_extended=can_id > 0x7FF)
-        for number, can_id in enumerate(can_ids * 20)
-    ]
-    writer(link, order)(tmp_path / "sound", frames)
-    writer(link, order, packet=swapped)(tmp_path / "swapped", frames)
-    sound, counts = read((tmp_path / "sound").read_bytes())
-    assert counts == LogCounts(frames=len(frames))
-    found, counts = read((tmp_path / "swapped").read_bytes())
-    assert counts == LogCounts(frames=len(frames), notes=(SWAPPED,))
-    assert found.can_id.tolist() == sound.can_id.tolist()
-    assert found.data.tolist() == sound.data.tolist()

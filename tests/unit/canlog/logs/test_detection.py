@@ -71,11 +71,3 @@ def test_a_binary_format_names_itself(probe: bytes, log_format: LogFormat) -> No
     found = detect(probe)
     assert found.format is log_format
     assert found.evidence.startswith("it begins with")
-
-
-@pytest.mark.parametrize("line", LINES.values())
-@pytest.mark.parametrize("where", [0, 3, 30, 80])
-def test_one_line_that_fits_proves_nothing(line: bytes, where: int) -> None:
-    lines = [PROSE] * where + [line] + [PROSE] * 30
-    with pytest.raises(SourceError, match=r"not a log of a known format .*: only 1 of the first \d+ lines fit"):
-        detect(b"\n".join(lines))

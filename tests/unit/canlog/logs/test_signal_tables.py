@@ -104,24 +104,6 @@ def test_blank_cells_are_no_values_and_bad_ones_are_counted_with_their_place() -
     assert counts.first_rejected.startswith("line ")
 
 
-def test_switches_in_words_are_numbers_and_columns_of_words_are_left_out_and_named() -> None:
-    text = b"Time [s],Cut,Mode\n1,On,sport\n2,OFF,sport\n3,on,eco\n4,off,eco\n"
-    batch, counts = read(text)
-    assert values(batch, "Cut") == [1.0, 0.0, 1.0, 0.0]
-    assert "columns of words are left out: Mode" in counts.notes
-
-
-@pytest.mark.parametrize(("first", "second"), [(0.01, 0.1), (0.1, 0.01)])
-def test_columns_behind_a_second_clock_of_another_pace_are_left_out_and_named(first: float, second: float) -> None:
-    slow = [f"{row * second:.2f};{row};" if row < 20 else ";;" for row in range(200)]
-    rows = "".join(f"{row * first:.2f};{row};{slow[row]}{row * first + 0.2:.2f};3\n" for row in range(200))
-    batch, counts = read(f"time_a [s];A;time_b [s];B;time_c [s];C\n{rows}".encode())
-    assert values(batch, "A") == list(range(200))
-    assert values(batch, "C") == [3.0] * 200
-    assert values(batch, "B") == values(batch, "time_b") == []
-    assert "'time_b' is another clock than that of the rows; left out are time_b, B" in counts.notes
-
-
 @pytest.mark.parametrize("end", range(1, 30))
 def test_a_table_cut_anywhere_tells_no_value_that_was_not_written(end: int) -> None:
     text = WRITERS["plain"] + b"10.148,1004.25,123.456"
@@ -129,43 +111,6 @@ def test_a_table_cut_anywhere_tells_no_value_that_was_not_written(end: int) -> N
     assert set(values(batch, "Speed")) <= {*SPEEDS, 1004.25}
     assert values(batch, "Pressure") == PRESSURES
     assert counts.truncated is (end < 22)
-
-
-@pytest.mark.parametrize("units", ["", "s,rpm,kPa\n"])
-@pytest.mark.parametrize("count", [1, 4, 40])
-def test_a_header_that_stands_again_between_rows_loses_nothing(count: int, units: str) -> None:
-    """An app begins its file again with every drive."""
-    head = f"Time, Engine Speed,Pressure\n{units}"
-    drives = [f"{n},{n + 1000},{n / 8}\n{n + 0.5},{n + 1000.5},{n / 8}\n" for n in range(0, 100 * count, 100)]
-    text = "".join(head + drive for drive in drives) + "9999,1,1\n"
-    assert detect(text.encode()).columns == (
-        SignalColumn("Engine Speed", "rpm" * bool(units)),
-        SignalColumn("Pressure", "kPa" * bool(units)),
-    )
-    batch, counts = read(text.encode())
-    assert values(batch, "Engine Speed") == [
-        *(n + half for n in range(1000, 1000 + 100 * count, 100) for half in (0, 0.5)),
-        1,
-    ]
-    assert counts.rejected == {}
-
-
-@pytest.mark.parametrize("newline", ["\n", "\r\n"])
-@pytest.mark.parametrize("is_ended", [True, False])
-@pytest.mark.parametrize("count", [1, 2, 3, 4])
-def test_a_short_table_is_read_whole_or_refused(count: int, is_ended: bool, newline: str) -> None:
-    """Only the last cell may be missing where no newline ends it."""
-    rows = [f"{time_s},{speed},{speed}" for time_s, speed in zip(TIMES_S, SPEEDS, strict=True)][:count]
-    text = (newline.join(["Time [s],Speed,Torque", *rows]) + newline * is_ended).encode()
-    if count < 3:
-        with pytest.raises(SourceError, match="in 3 rows and more"):
-            detect(text)
-        return
-    assert detect(text).format is LogFormat.SIGNALS
-    batch, counts = read(text)
-    assert values(batch, "Speed") == SPEEDS[:count]
-    assert values(batch, "Torque") == SPEEDS[: count - (not is_ended)]
-    assert counts.rejected == ({} if is_ended else {LogReject.CUT_OFF: 1})
 
 
 @pytest.mark.parametrize(

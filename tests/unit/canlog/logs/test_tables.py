@@ -2,7 +2,6 @@
 
 from datetime import datetime
 
-import numpy as np
 import pytest
 
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
@@ -226,35 +225,3 @@ def test_what_is_no_frame_is_counted_with_its_line(log_format: LogFormat, header
     assert counts.rejected == {LogReject.MALFORMED: 1}
     assert counts.first_rejected == f"line {number}: malformed"
     assert counts.skipped == number - 1
-
-
-@pytest.mark.parametrize(
-    ("log_format", "text"),
-    [
-        (LogFormat.TRC, TRC_21 + b"  1   1.0 DT 1  0300 Rx -  3  0A 0B 0C"),
-        (LogFormat.CSV, CSV_HEADER + b"0.5,0x1,0,0,0,4,AQIDBA=="),
-        (LogFormat.GVRET, GVRET_HEADER + b"7,00000123,false,Rx,0,3,5A,5B,5C"),
-        (LogFormat.CRTD, b"12.5 CEV Event\n12.6 R11 402 01 02 03 04 05 06 07 08"),
-    ],
-)
-def test_a_last_line_counts_only_if_nothing_of_it_can_be_missing(log_format: LogFormat, text: bytes) -> None:
-    batch, counts = read(log_format, text)
-    assert (len(batch), counts.truncated) == (1, False)
-    line = text.splitlines()[-1]
-    for missing in range(1, len(line.strip())):
-        _, counts = read(log_format, text[:-missing])
-        assert counts.truncated, line[:-missing]
-        assert counts.rejected == {LogReject.CUT_OFF: 1}
-
-
-def test_blocks_cut_lines_anywhere_and_a_longer_payload_loses_nothing() -> None:
-    lines = [b"%d,00000%03X,false,Rx,0,8,01,02,03,04,05,06,07,08\n" % (k * 1_000, k % 0x800) for k in range(100_000)]
-    lines[60_000] = b"60000000,00000123,false,Rx,0,12," + b",".join([b"5A"] * 12) + b"\n"
-    lines[70_000] = b"garbage\n"
-    batch, counts = read(LogFormat.GVRET, GVRET_HEADER + b"".join(lines))
-    kept = np.delete(np.arange(100_000), 70_000)
-    assert np.array_equal(batch.t_ns, kept * 1_000_000)
-    assert np.flatnonzero(batch.length == 12).tolist() == [60_000]
-    assert counts == LogCounts(
-        frames=99_999, skipped=1, rejected={LogReject.MALFORMED: 1}, first_rejected="line 70002: malformed"
-    )

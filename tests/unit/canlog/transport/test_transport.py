@@ -18,8 +18,6 @@ def put_together(*lines: tuple[int, int, str]) -> tuple[list[Transfer], dict[tup
 
 TP_CM, TP_DT = 0x9CECFF00, 0x9CEBFF00
 TO_CM, TO_DT, BACK_CM = 0x9CECF900, 0x9CEBF900, 0x9CEC00F9
-WRONG_J1939 = Protocol.J1939_TP, Fault.WRONG_LENGTH
-WRONG_ISO_TP = Protocol.ISO_TP, Fault.WRONG_LENGTH
 
 
 @pytest.mark.parametrize(
@@ -90,31 +88,6 @@ def test_what_is_left_of_two_messages_is_counted_twice_and_of_one_once(
 ) -> None:
     found, incomplete = put_together(*lines)
     assert (found, sum(incomplete.values())) == ([], counted)
-
-
-@pytest.mark.parametrize(
-    ("lines", "fault"),
-    [
-        # A packet that is cut: it cannot be of this message, and nothing of it is counted again.
-        (
-            [(0, TP_CM, "20150003FFCAFE00"), (60, TP_DT, "01010203"), (120, TP_DT, "02" * 8), (180, TP_DT, "03" * 8)],
-            (Protocol.J1939_TP, Fault.FRAME_MISSING),
-        ),
-        ([(0, TP_CM, "200A0002FFCAFE00"), (60, TP_DT, "")], (Protocol.J1939_TP, Fault.CUT_OFF)),
-        ([(0, TO_CM, "100A0009FFCAFE00"), (5, BACK_CM, "110201FFFFCAFE00"), (9, TO_DT, "01" * 8)], WRONG_J1939),
-        ([(0, TP_CM, "200A0002"), (60, TP_DT, "01" * 8), (120, TP_DT, "02" * 8)], WRONG_J1939),
-        ([(0, TP_CM, "200A0009FFCAFE00"), (60, TP_DT, "01" * 8), (120, TP_DT, "02" * 8)], WRONG_J1939),
-        ([(0, BACK_CM, "1302"), (60, TO_DT, "0201020304050607")], WRONG_J1939),
-        ([(0, 0x7E8, "1014010203"), (5, 0x7E8, "21" * 8), (9, 0x7E8, "22" * 8)], WRONG_ISO_TP),
-        ([(0, 0x7E8, "1014010203"), (2, 0x7E0, "3000"), (5, 0x7E8, "21" * 8), (9, 0x7E8, "22" * 8)], WRONG_ISO_TP),
-        (
-            [(0, 0x7E8, "1018010203040506"), (5, 0x7E8, "210102"), (9, 0x7E8, "22" * 8), (12, 0x7E8, "23" * 8)],
-            (Protocol.ISO_TP, Fault.FRAME_MISSING),
-        ),
-    ],
-)
-def test_what_is_cut_is_counted_once(lines: list[tuple[int, int, str]], fault: tuple[Protocol, Fault]) -> None:
-    assert put_together(*lines) == ([], {fault: 1})
 
 
 def test_a_frame_of_another_sender_or_channel_does_not_interrupt() -> None:

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 from rich.console import Console
 
-from diag_service.delivery import ConsoleReporter, JsonLinesReporter, MemoryReporter, News, PipeReporter
+from diag_service.delivery import JsonLinesReporter, MemoryReporter, News, PipeReporter
 from diag_service.diagnosis.records import Reason, ShiftResult, ShiftStatistics, shift_record
-from diag_service.diagnosis.summary import FrameCounts, Summary, frames_line
+from diag_service.diagnosis.summary import FrameCounts, Summary
 from tests.support.builders import rejected, shift_result
 
 FRAMES = FrameCounts(
@@ -53,21 +53,6 @@ def test_json_lines_hold_records_only() -> None:
     }
     assert [clutch["clutch"] for clutch in summary["clutches"]] == [1, 2]
     assert people.getvalue() == "listening on vcan0\n"
-
-
-def test_people_see_at_the_end_what_to_do_and_then_the_clutches() -> None:
-    out = io.StringIO()
-    ConsoleReporter(Console(file=out, width=80)).report(numbers())
-    text = out.getvalue()
-    assert text.startswith(
-        "There is no verdict on the fluid yet.\nClutch 1: mu-v slope negative with probability 0.000.\n"
-        "Clutch 2: its friction is sound (over 99 % sure).\n"
-    )
-    assert "0.1361 ± 0.0024" in text
-    assert "99.0 %" in text
-    assert text.endswith(frames_line(FRAMES) + "\n")
-    for special in ("P(slope<0)", "mu_S", "scale-free"):
-        assert special not in text
 
 
 def test_a_broken_pipe_is_told_once_and_then_nothing_is_written() -> None:

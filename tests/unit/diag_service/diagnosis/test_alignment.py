@@ -3,10 +3,9 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pytest
 
 from canlog.arrays import Series
-from diag_service.diagnosis.alignment import Resampled, sample_times_s, segment_centres_s
+from diag_service.diagnosis.alignment import sample_times_s, segment_centres_s
 
 if TYPE_CHECKING:
     from canlog.arrays import FloatArray
@@ -60,10 +59,3 @@ def test_a_mean_over_a_crank_segment_belongs_to_its_centre() -> None:
     means: FloatArray = np.array([mean_speed(t, theta) for t, theta in zip(times_s, angle, strict=True)])
     centres_s = segment_centres_s(times_s, means, segment)
     assert np.allclose(means, 300.0 + acceleration * centres_s, atol=0.01)
-
-
-@pytest.mark.parametrize("degree", [0, 1])
-def test_interpolation_is_exact_for_straight_lines(degree: int) -> None:
-    times_s = np.array([0.0, 0.01, 0.03, 0.04])
-    grid_s = np.linspace(0.0, 0.04, 41)
-    assert np.allclose(Resampled(times_s, times_s**degree, grid_s).on_grid, grid_s**degree)

@@ -11,7 +11,6 @@ from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.prediction import (
     NoPhase,
-    RelativeSurvey,
     SlipPhase,
     fitted,
     predicted,
@@ -119,20 +118,6 @@ def test_what_cannot_be_predicted_says_why(event: Event, gears: GearRatios | Non
     found = slip_phase(event, gears)
     assert isinstance(found, NoPhase)
     assert reason in found.reason
-
-
-def test_friction_up_to_a_scale_takes_a_signal_that_goes_with_torque() -> None:
-    told, untold = RelativeSurvey(), RelativeSurvey()
-    for number, slip_s in enumerate((0.3, 0.36, 0.42, 0.5, 0.33), 1):
-        event = replace(upshift(slip_s), number=number)
-        fuel = event.columns[Signal.THROTTLE]
-        told.take(
-            replace(event, columns={**event.columns, Signal.INJECTION_TIME: replace(fuel, value=fuel.value * 4e-3)}),
-            GEARS,
-        )
-        untold.take(event, GEARS)
-    assert [one.clutch for one in told.found()] == [2]
-    assert untold.found() == ()
 
 
 def with_friction(ratios: FloatArray, rng: np.random.Generator) -> list[SlipPhase]:

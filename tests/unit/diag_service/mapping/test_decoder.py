@@ -1,17 +1,11 @@
 """Frames become canonical columns in SI units; what does not fit or may not be used is told and counted."""
 
-from dataclasses import replace
-from pathlib import Path
-from typing import Final
-
-import cantools
 import numpy as np
 import pytest
-from cantools.database.can import Database
 
 from canlog.e2e.protection_check import FrameReason
 from canlog.frames import ERROR_FLAG, FrameBatch, join
-from clutch_model.units import pa_from_bar, rad_s_from_rpm
+from clutch_model.units import pa_from_bar
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.decoder import Decoder
@@ -19,10 +13,7 @@ from diag_service.mapping.profile import Profile, SignalSource, load_profile
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder
 from ecu_emulator.sensing import Readings
 from tests.support import wire
-from tests.support.batches import frames_at
 from tests.support.wire import CONTRACTS, DATABASE, START_NS, drive
-
-CORNERS: Final = Path(__file__).parents[3] / "data" / "corners.dbc"
 
 
 def decoder() -> Decoder:
@@ -88,19 +79,6 @@ def test_not_available_values_are_left_out_and_counted() -> None:
     assert stage.counts.invalid_values == 4
     assert stage.counts.invalid_at_first == {"input2_speed_rad_s": 3}
     assert stage.counts.decoded == 3
-
-
-@pytest.mark.parametrize("cut", range(1, 6))
-def test_values_before_the_first_real_one_are_told_apart_wherever_the_stream_is_cut(cut: int) -> None:
-    values = {quantity: np.full(6, 100.0) for quantity in FrameEncoder(DATABASE).quantities("TCU_InputSpeeds")}
-    values["hub_speed_rad_s"] = np.array([np.nan, np.nan, 100.0, np.nan, 101.0, np.nan])
-    readings = Readings(message="TCU_InputSpeeds", t_s=np.linspace(0.0, 0.05, 6), values=values)
-    batch = received(FrameEncoder(DATABASE).encode(readings))
-    stage = decoder()
-    for part in (batch[:cut], batch[cut:]):
-        stage.feed(part)
-    assert stage.counts.invalid == {"hub_speed_rad_s": {"not_available": 4}}
-    assert stage.counts.invalid_at_first == {"hub_speed_rad_s": 2}
 
 
 def test_bad_and_missing_frames_are_timed() -> None:
@@ -169,50 +147,3 @@ def test_a_controller_that_left_the_bus_ends_the_segment() -> None:
     assert after.watermark_ns == batch.t_ns[-1]
     assert stage.counts.rejected == {"remote_or_error": 1}
     assert stage.counts.is_balanced
-
-
-def truck(**more: object) -> Decoder:
-    """Return a decoder of a truck's engine speed beside this project's own messages."""
-    corners = cantools.database.load_file(CORNERS)
-    assert isinstance(corners, Database)
-    messages = [*DATABASE.messages, corners.get_message_by_name("EEC1")]
-    sources = dict(load_profile().sources)
-    sources[Signal.ENGINE_SPEED] = SignalSource(message="EEC1", signal="EngSpeed", **more)  # type: ignore[arg-type]
-    return Decoder(Database(messages), Profile(name="truck", sources=sources))
-
-
-def eec1(senders: list[int], channels: list[int] | None = None) -> FrameBatch:
-    """Return engine speeds in steps of 32 rpm, a second apart in all."""
-    count = len(senders)
-    data = np.zeros((count, 8), np.uint8)
-    data[:, 4] = np.arange(1, count + 1)
-    can_ids = [0x8CF0_0400 | sender for sender in senders]
-    return frames_at(START_NS + np.arange(count) * 20_000_000, can_ids, data=data, channel=channels or 0)
-
-
-def test_one_sender_of_a_parameter_group_gives_the_values_and_the_others_do_no_harm() -> None:
-    stage = truck()
-    (columns,) = stage.feed(eec1([0x11, 0x05, 0x11, 0x05, 0x11]))
-    assert columns.columns[Signal.ENGINE_SPEED].value.tolist() == rad_s_from_rpm(np.array([32.0, 96.0, 160.0])).tolist()
-    assert not len(columns.bad_frame_ns)
-    counts = stage.counts
-    assert counts.is_balanced
-    assert counts.rejected == {"other_sender": 2}
-    assert stage.messages["EEC1"].senders == {0x05: 2, 0x11: 3}
-
-
-def test_one_identifier_on_two_channels_is_never_mixed() -> None:
-    batch = received(drive(1.0))
-    rows = np.repeat(np.arange(len(batch)), 2)
-    twice = replace(batch[rows], channel=np.tile(np.array([1, 2], np.uint8), len(batch)))
-    twice.data[1::2, 2:] ^= 0xFF  # the other bus says something else
-    alone, both, named = decoder(), decoder(), Decoder(DATABASE, replace(load_profile(), channel=1))
-    (wanted,) = alone.feed(batch)
-    for stage in (both, named):
-        (columns,) = stage.feed(twice)
-        for signal, series in wanted.columns.items():
-            assert np.array_equal(columns.columns[signal].value, series.value)
-        assert not len(columns.bad_frame_ns)
-        assert stage.counts.rejected == {"other_channel": len(batch)}
-        assert stage.messages["TCU_Shift"].channels == {1: 100, 2: 100}
-        assert stage.counts.is_balanced

@@ -64,38 +64,6 @@ def test_ratios_that_cannot_be_are_refused(tmp_path: Path, gears: str, text: str
         read_description(write(tmp_path, f'like = "nominal"\ngears = {gears}\n'))
 
 
-def test_sources_by_j1939_numbers_and_with_validity(tmp_path: Path) -> None:
-    text = """[signals]
-engine_speed_rad_s = { pgn = 61444, spn = 190 }
-current_gear = { message = "M", signal = "S", valid = [0, 8], invalid = [7], less = "L", times = "T" }
-"""
-    profile = load_profile(write(tmp_path, text))
-    assert profile.sources == {
-        Signal.ENGINE_SPEED: SignalSource(pgn=61444, spn=190),
-        Signal.CURRENT_GEAR: SignalSource(
-            message="M", signal="S", valid=(0.0, 8.0), invalid=(7.0,), less="L", times="T"
-        ),
-    }
-    assert profile.sources[Signal.ENGINE_SPEED].place == "PGN 61444 SPN 190"
-
-
-@pytest.mark.parametrize(
-    ("line", "complaint"),
-    [
-        ('protocol = "lin"', "protocol must be one of can, j1939"),
-        ("protocol = [1]", "protocol must be one of can, j1939"),
-        ("channel = 256", "channel must be a number up to 255"),
-        ("channel = -1", "channel must be a number up to 255"),
-        ("channel = true", "channel must be a number up to 255"),
-        ('channel = "can0"', "channel must be a number up to 255"),
-        ("colour = 1", "must have a table"),
-    ],
-)
-def test_unusable_protocol_or_channel_is_refused(tmp_path: Path, line: str, complaint: str) -> None:
-    with pytest.raises(ConfigError, match=complaint):
-        load_profile(write(tmp_path, line + "\n[signals]\n"))
-
-
 @pytest.mark.parametrize(
     ("signal", "unit", "value", "si"),
     [

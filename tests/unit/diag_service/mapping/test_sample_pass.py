@@ -9,7 +9,7 @@ from canlog.e2e.protection_check import FrameReason, FrameVerdicts
 from canlog.frames import FrameBatch
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import ColumnBatch, Signal
-from diag_service.mapping.decoder import PIECE_FRAMES, Decoder, SamplePass
+from diag_service.mapping.decoder import Decoder, SamplePass
 from diag_service.mapping.mapped_messages import MessageColumns, map_signals
 from diag_service.mapping.profile import PROFILE_FOLDER, Profile, load_profile, load_shipped
 from tests.support.batches import frames_at
@@ -55,19 +55,6 @@ def test_small_batches_give_the_bits_of_large_ones(size: int) -> None:
     assert whole.counts.rejected
     bad_ns = np.concatenate([part.bad_frame_ns for part in in_pieces])
     assert np.array_equal(bad_ns, np.concatenate([part.bad_frame_ns for part in at_once]))
-
-
-def test_a_long_batch_comes_in_pieces_of_the_same_samples() -> None:
-    once = received(drive(9.0, seed=2))
-    span_ns = int(once.t_ns[-1] - once.t_ns[0]) + 10_000_000
-    long = once[np.tile(np.arange(len(once)), 3)]
-    long.t_ns[:] += np.repeat(np.arange(3), len(once)) * span_ns
-    whole, pieces = decoder(), decoder()
-    at_once, in_pieces = whole.feed(long), list(pieces.stream(long))
-    assert len(in_pieces) == -(-len(long) // PIECE_FRAMES) > 1 == len(at_once)
-    assert joined(in_pieces) == joined(at_once)
-    assert (pieces.counts, pieces.messages) == (whole.counts, whole.messages)
-    assert list(pieces.stream(long[:0])) == []
 
 
 def any_frames(messages: tuple[MessageColumns, ...], count: int, width: int) -> tuple[FrameBatch, FrameVerdicts]:

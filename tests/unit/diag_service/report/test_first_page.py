@@ -25,10 +25,3 @@ def test_a_workshop_reads_all_it_needs_before_any_detail() -> None:
     assert html.index(found.order.text) < html.index("<section")
     assert first_section(html).count("<svg") == 1
     assert "watch: 90 %" in text
-
-
-def test_paper_gets_two_pages_unless_all_is_asked_for() -> None:
-    short, full = (html_of(page_of(findings(30), NOW, is_full=is_full)) for is_full in (False, True))
-    assert '<body class="short">' in short
-    assert "<body>" in full
-    assert short.count("<section") == full.count("<section")

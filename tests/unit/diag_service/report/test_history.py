@@ -3,16 +3,14 @@
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
 from rich.text import Text
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.prognosis import ChannelName, PeerGroup, Peers, Population, Usual
-from diag_service.diagnosis.records import Condition, FluidFill, shift_record, utc_from_bus_ns
-from diag_service.errors import StoreError
+from diag_service.diagnosis.records import FluidFill, utc_from_bus_ns
 from diag_service.report.findings import findings_of_store
-from diag_service.report.history import history_lines, history_records, periods_of, shift_lines
-from diag_service.store import Row, Versions
+from diag_service.report.history import history_lines, history_records, periods_of
+from diag_service.store import Versions
 from tests.support.histories import VERSIONS, fill_store, findings, history, of_version
 
 CALIBRATION = nominal_calibration()
@@ -29,16 +27,6 @@ def test_results_belong_to_the_fluid_of_their_moment() -> None:
     assert [row.position for row in old.rows] == list(range(1, 21, 2))
     assert [row.position for row in new.rows] == list(range(21, 41, 2))
     assert (old.name, new.name.startswith("DCTF-II since 2026-01-01")) == ("fluid of unknown age", True)
-
-
-def test_a_log_of_the_old_fluid_that_comes_late_is_not_what_was_last_said_of_it() -> None:
-    found = replace(findings(40), fills=(fill_at(21),))
-    late = found.rows[2].result
-    alone = replace(late, verdict=replace(late.verdict, friction=None, shift_count=1, condition=Condition.NO_VERDICT))
-    old, new = periods_of(replace(found, rows=(*found.rows, Row(position=41, result=alone))), 1)
-    assert [row.position for row in old.rows][-2:] == [19, 41]
-    assert old.last_verdict == found.rows[18].result.verdict
-    assert new.last_verdict == found.rows[38].result.verdict
 
 
 def test_every_event_is_a_record_and_the_last_one_has_the_fills() -> None:
@@ -71,16 +59,6 @@ def test_prognoses_begin_with_what_a_fleet_taught() -> None:
     assert among.split(" Before")[0] != alone == strangers
 
 
-def test_all_of_a_shift_is_told() -> None:
-    record = shift_record(history(3)[0])
-    lines = [line.plain for line in shift_lines(record)]
-    assert lines[0].startswith("Clutch ")
-    assert "number  1" in lines
-    assert any(line.startswith("  mu_c  0.1") for line in lines)
-    assert "odometer  1 km" in lines
-    assert len(lines) > len(record)
-
-
 def test_a_store_gives_the_results_of_its_newest_versions(tmp_path: Path) -> None:
     old = Versions(algorithm="impulse-0", calibration=VERSIONS.calibration)
     fill_store(tmp_path / "car1.sqlite", [of_version(one, old) for one in history(3)] + history(8), [fill_at(5)])
@@ -90,26 +68,3 @@ def test_a_store_gives_the_results_of_its_newest_versions(tmp_path: Path) -> Non
     assert found.fills == (fill_at(5),)
     other = replace(CALIBRATION, version="another")
     assert findings_of_store(tmp_path / "car1.sqlite", "car1", other).calibration is None
-
-
-def test_a_store_with_several_vehicles_wants_a_name(tmp_path: Path) -> None:
-    path = tmp_path / "two.sqlite"
-    fill_store(path, history(2) + history(2, vehicle="car2"))
-    with pytest.raises(StoreError, match="several vehicles: name one by --vehicle, of car1, car2"):
-        findings_of_store(path, None, CALIBRATION)
-    with pytest.raises(StoreError, match="no results of ghost; it has car1, car2"):
-        findings_of_store(path, "ghost", CALIBRATION)
-    assert findings_of_store(path, "car2", CALIBRATION).vehicle == "car2"
-
-
-def test_the_future_of_the_fluid_is_one_sentence() -> None:
-    lines = [str(line) for line in history_lines(findings(60), (1, 2), most_rows=5) if isinstance(line, Text)]
-    assert [line[:9] for line in lines[2:4]] == ["Clutch 1:", "Clutch 2:"]
-    assert len(lines) == 5
-    assert "km" in lines[4]
-    other = [str(line) for line in history_lines(replace(findings(60), calibration=None), (1, 2), most_rows=5)]
-    assert "No prognosis: these results are of another calibration; --calibration names it." in other
-    few = [str(line) for line in history_lines(findings(8), (2,), most_rows=5)]
-    assert (
-        "No prognosis yet: it takes 8 usable results of a clutch with this fluid; clutch 1 has 3, clutch 2 has 4."
-    ) in few

@@ -18,11 +18,9 @@ from diag_service.diagnosis.records import (
     clutch_record,
     dump,
     shift_record,
-    utc_from_bus_ns,
 )
 from diag_service.report.findings import Album, Findings
 from diag_service.report.page import html_of, page_of, record_of
-from diag_service.report.pictures import Trend, trend_picture
 from fleet_contract.orders import Action
 from tests.support.histories import findings, history
 
@@ -127,25 +125,6 @@ def test_nothing_from_outside_becomes_markup(evil: str) -> None:
     assert evil not in text or evil.startswith("{{")
     assert "49" not in re.findall(r"<h1>(.*?)</h1>", text)[0]
     assert json.loads(read(text).record)["vehicle"] == evil
-
-
-def test_moments_stand_where_they_happened() -> None:
-    results = [result for result in history(60) if result.estimate.clutch == 1]
-    trend = Trend.of(1, results, [utc_from_bus_ns(results[9].estimate.start_ns)])
-    kinds = {kind: place for place, kind, _ in trend.moments}
-    assert kinds["fill"] == 10
-    assert results[kinds["watch"] - 2].verdict.condition is not results[kinds["watch"] - 1].verdict.condition
-    assert trend.new_mu_c == pytest.approx(0.14)
-
-
-def test_the_trend_of_a_clutch_breaks_where_its_fluid_was_changed() -> None:
-    results = [result for result in history(60) if result.estimate.clutch == 1]
-    fill = utc_from_bus_ns(results[9].estimate.start_ns)
-    for fills, stretches in (([], 1), ([fill], 2)):
-        (line,) = re.findall(
-            r'<path d="([^"]*)" class="line strong clutch1"', trend_picture(Trend.of(1, results, fills))
-        )
-        assert line.count("M") == stretches
 
 
 def event_of(number: int) -> Event:

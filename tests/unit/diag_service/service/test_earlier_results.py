@@ -54,23 +54,6 @@ def test_a_restart_forgets_no_verdict(store: ResultStore) -> None:
     assert run.summary(FrameCounts(), None).latest == ()
 
 
-def test_results_of_another_program_are_left_out(store: ResultStore) -> None:
-    other = of_version(worn(shift_result(3, to_gear=3)), replace(VERSIONS, algorithm="another-1"))
-    store.add(other, STATE)
-    assert verdicts(session(store)) == [(1, "GOOD"), (2, "CHANGE_FLUID")]
-
-
-def test_a_log_of_earlier_hides_no_newer_result(store: ResultStore) -> None:
-    older = of_version(shift_result(1, stream="late"), VERSIONS)
-    estimate = replace(older.estimate, start_ns=older.estimate.start_ns - 9, end_ns=older.estimate.end_ns - 9)
-    store.add(replace(older, estimate=estimate), STATE)
-    run = session(store, stream="late")
-    assert verdicts(run) == [(1, "GOOD"), (2, "CHANGE_FLUID")]
-    run.process(replace(next(iter(run.stages.segment(gear_frames(3)))), number=1))  # it is stored: told again
-    assert run.summary(FrameCounts(), None).shifts.latest.keys() == {2}
-    assert run.summary(FrameCounts(), None).order.action is Action.CHANGE_NOW
-
-
 def test_new_fluid_before_the_start_takes_the_verdicts_away(store: ResultStore) -> None:
     store.add_fills([FILL])
     run = session(store)

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from contextlib import closing
 
-import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
@@ -94,16 +93,3 @@ def test_the_end_of_a_run_is_a_last_attempt(store: FillingStore) -> None:
     store.is_full = False
     session.finish(FrameCounts(), None)
     assert (told(reporter), len(reporter.summaries)) == ([1], 1)
-
-
-def test_what_waits_is_bounded_and_what_is_given_up_counted(store: FillingStore) -> None:
-    session, reporter = session_on(store, max_pending_count=3)
-    store.is_full = True
-    for number in range(1, 6):
-        session.process(event(number))
-    store.is_full = False
-    session.finish(FrameCounts(), None)
-    assert session.given_up_count == 2
-    assert len(told(reporter)) == 3
-    assert len(set(told(reporter))) == 3
-    assert np.all(np.diff(told(reporter)) > 0)

@@ -1,6 +1,5 @@
 """Who looks on: snapshots of a live run, metrics and health checks over HTTP, the screen of the monitor."""
 
-import io
 import urllib.error
 import urllib.request
 from collections.abc import AsyncIterator, Iterator
@@ -8,16 +7,14 @@ from dataclasses import replace
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-from rich.console import Console
 
 from canlog.e2e.e2e_state import E2eState
 from canlog.frames import BusTrouble, FrameBatch
 from canlog.live import BusState, BusStatus, SourceCounts
 from diag_service.delivery import MemoryReporter
-from diag_service.service.bus_run import Monitor
 from diag_service.service.metrics import serving
 from diag_service.service.session import Stage, Stuck
-from diag_service.service.snapshot import STALE_S, Board, RateMeter, Snapshot, SnapshotTaker
+from diag_service.service.snapshot import STALE_S, Board, Snapshot, SnapshotTaker
 from diag_service.settings.config import ListenAddress
 from diag_service.store import ResultStore
 from tests.support.patience import HANG_S
@@ -102,20 +99,6 @@ def test_a_snapshot_says_how_things_stand(snapshot: Snapshot) -> None:
     assert snapshot.summary.shifts.by_status["rejected"] == 2
 
 
-def test_rates_are_those_of_the_frames_heard_however_they_were_cut() -> None:
-    meter, begin_ns = RateMeter(10.0, 500_000), 10**18
-    shown = []
-    for half_s, heard_s in enumerate(
-        (0.4, 0.9, 1.9, 1.9, 2.4, 3.4, 3.4, 3.9)
-    ):  # frames come when they were kept enough
-        count = round(100 * heard_s)
-        meter.measure(10.0 + half_s / 2, begin_ns + count * 10_000_000, {"TCU_Shift": count}, 1_000 * count)
-        shown.append((meter.rates_hz.get("TCU_Shift"), meter.load_ratio))
-    assert shown[:2] == [(None, 0.0)] * 2
-    assert [rate for rate, _ in shown[4:]] == [pytest.approx(100.0)] * 4
-    assert shown[-1][1] == pytest.approx(0.2)
-
-
 def test_metrics_carry_the_snapshot(url: str) -> None:
     status, text = get(f"{url}/metrics")
     assert status == 200
@@ -164,18 +147,3 @@ def test_health_follows_the_snapshot(snapshot: Snapshot) -> None:
         now_s = snapshot.taken_s + STALE_S
         assert codes() == (503, 503)
         assert get(f"http://127.0.0.1:{port}/elsewhere")[0] == 404
-
-
-def test_the_screen_shows_everything(snapshot: Snapshot) -> None:
-    out = io.StringIO()
-    with Monitor(Console(file=out, width=160)) as monitor:
-        monitor.show(snapshot)
-    text = out.getvalue()
-    assert "car1  bus degraded  load 25.0 %  interrupted 2 times" in text
-    assert "3 arbitration lost" in text
-    assert "last problem: it went down" in text
-    rows = {line.split()[0]: line.split() for line in text.splitlines() if line.strip()}
-    assert rows["TCU_Shift"][1:] == ["600.0", "100.0", "valid", str(FRAMES), "0", "0", "0"]
-    assert rows["IC_Odometer"][1:5] == ["0.0", "1.0", "no", "data"]
-    assert rows["2"][:5] == ["2", "2-1", "shift", "1", "rejected"]
-    assert "signal missing" in text

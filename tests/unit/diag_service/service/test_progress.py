@@ -25,19 +25,6 @@ class Clock:
         return self.now_s
 
 
-def test_the_stage_that_works_longest_is_named() -> None:
-    clock = Clock()
-    progress = Progress(limit_s=STUCK_AFTER_S, now_s=clock)
-    with progress.working(Stage.STORE):
-        clock.now_s += 5.0
-        with progress.working(Stage.ESTIMATE):
-            clock.now_s += STUCK_AFTER_S
-            assert str(progress.stuck) == "stuck in store for 35 s"
-        with pytest.raises(ValueError, match="broken"), progress.working(Stage.ESTIMATE):
-            raise ValueError("broken")
-    assert progress.stuck is None
-
-
 def test_a_store_that_hangs_is_seen_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
     clock, may_go_on, is_inside = Clock(), threading.Event(), threading.Event()
     store = ResultStore.in_memory()

@@ -4,25 +4,18 @@ Its issues 1865 and 907 (a reader that died leaves its consumer waiting for ever
 end of all) are what the tests here are about, on this service's own path.
 """
 
-import asyncio
-import logging
 import threading
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from typing import Any
 
-import can
 import pytest
 
-from canlog.live import BusOpener, LinkBreak, Silence, SupervisedSource
-from canlog.live.supervisor import Backoff
 from diag_service.delivery import DeliveryLimits, DetachedReporter, MemoryLink, MemoryReporter, News, Outbox
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.errors import PublishError
 from diag_service.store import ResultStore
-from ecu_emulator.bus.sender import open_bus
 from fleet_contract import Outgoing
-from tests.support.patience import HANG_S
 from tests.unit.diag_service.service.test_live import ListSource, cut, gear_frames, run, session_for
 
 SHIFTS = 5
@@ -106,39 +99,3 @@ async def test_a_publisher_that_dies_is_started_again(store: ResultStore, error:
     assert [result.seq for result in reporter.results] == [1, 2, 3, 4, 5]
     assert {result.seq for result in link.results} == {1, 2, 3, 4, 5}
     assert reporter.summaries[0].unpublished_count == 0
-
-
-async def test_a_driver_that_fails_once_is_opened_again(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    caplog.set_level(logging.INFO)
-    opener = BusOpener("virtual", "starvation")
-    source = SupervisedSource(opener, await opener.open(), Backoff(retry_s=0.01))
-    heard: list[int | str] = []
-    has_broken = asyncio.Event()
-
-    async def listen() -> None:
-        async for part in source:
-            if isinstance(part, LinkBreak):
-                heard.append("break")
-                has_broken.set()
-            elif not isinstance(part, Silence):
-                heard.extend(part.can_id.tolist())
-
-    listening = asyncio.create_task(listen())
-    with open_bus("virtual", "starvation") as sender:
-        with monkeypatch.context() as patched:
-            patched.setattr(type(sender), "_recv_internal", _fail)
-            await asyncio.wait_for(has_broken.wait(), HANG_S)
-        async with asyncio.timeout(HANG_S):
-            while 0x123 not in heard:
-                sender.send(can.Message(arbitration_id=0x123, is_extended_id=False))
-                await asyncio.sleep(0.01)
-    await source.aclose()
-    await asyncio.wait_for(listening, HANG_S)
-    assert heard[0] == "break"
-    assert "is read again" in caplog.text
-
-
-def _fail(*_: object, **__: object) -> None:
-    raise can.CanOperationError("the driver is gone")

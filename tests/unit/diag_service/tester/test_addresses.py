@@ -3,7 +3,7 @@
 import pytest
 
 from diag_service.errors import ConfigError
-from diag_service.tester.addresses import CanAddress, is_request, parse_address, usual_response_id
+from diag_service.tester.addresses import CanAddress, parse_address, usual_response_id
 
 
 @pytest.mark.parametrize(
@@ -36,12 +36,3 @@ def test_words_become_an_address() -> None:
 def test_words_that_are_none_are_named(words: tuple[str | None, ...], complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         parse_address(*words)
-
-
-@pytest.mark.parametrize(
-    ("can_id", "expected"),
-    [(0x7DF, True), (0x7E0, True), (0x7E8, False), (0x0A0, False), (0x18DA10F1, True), (0x18DAF110, False),
-     (0x18DB33F1, True)],
-)  # fmt: skip
-def test_requests_of_testers_are_known_by_their_identifier(can_id: int, expected: bool) -> None:
-    assert is_request(can_id) is expected

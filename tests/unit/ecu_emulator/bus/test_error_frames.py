@@ -3,12 +3,10 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 from can.io import CanutilsLogReader
 
 from ecu_emulator.bus.bus_faults import error_frames
 from ecu_emulator.bus.frames import joined
-from ecu_emulator.errors import RecordError
 from ecu_emulator.log_formats.record import open_log
 from tests.support.wire import drive
 
@@ -24,13 +22,3 @@ def test_a_candump_log_keeps_them(tmp_path: Path) -> None:
         messages = list(reader)
     assert [message.is_error_frame for message in messages] == [False] * len(SOUND) + [True] * 2
     assert path.read_text(encoding="ascii").splitlines()[-1].endswith(" vcan0 20000088#0000040000000000")
-
-
-@pytest.mark.parametrize("suffix", ["blf", "asc"])
-def test_other_logs_refuse_them_and_leave_nothing_behind(tmp_path: Path, suffix: str) -> None:
-    with (
-        pytest.raises(RecordError, match="error frames are written to candump logs only"),
-        open_log(tmp_path / f"drive.{suffix}") as log,
-    ):
-        log.write(FRAMES)
-    assert list(tmp_path.iterdir()) == []

@@ -55,13 +55,6 @@ def test_values_are_back_in_si() -> None:
     assert values["time_s"] == 3.5
 
 
-def test_what_was_not_sent_or_is_not_available_is_missing() -> None:
-    values = noted(*frames("TCU_InputSpeeds", hub_speed_rad_s=150.0)).now({"shift_count": 2.0})
-    assert set(values) == {"hub_speed_rad_s", "shift_count"}
-    assert len(values) == 2
-    assert values.get("engine_speed_rad_s") is None
-
-
 def at(values: SentValues, due_s: float, *messages: can.Message) -> None:
     for message in messages:
         values.note(message.arbitration_id, bytes(message.data), due_s)
@@ -90,16 +83,6 @@ def test_a_wrong_checksum_is_not_believed_and_counted() -> None:
         values.note(standing.arbitration_id, wrong)
     assert values.now({})["vehicle_speed_m_s"] == pytest.approx(20.0)
     assert values.disbelieved_count == 2
-
-
-def test_a_bus_on_which_nothing_is_said_becomes_old_by_the_clock() -> None:
-    now_s = [100.0]
-    values = SentValues(DATABASE, lambda: now_s[0])
-    at(values, 5.0, *frames("BRK_Vehicle", vehicle_speed_m_s=0.0), *frames("TCU_Shift", current_gear=0.0))
-    now_s[0] = 102.4
-    assert "vehicle_speed_m_s" in values.now({})
-    now_s[0] = 102.6
-    assert set(values.now({})) == {"current_gear"}
 
 
 class Sent:

@@ -1,21 +1,14 @@
 """A controller that runs: what it keeps over a restart, and what it does when it cannot keep it."""
 
-import hashlib
-import json
-import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from ecu_emulator.diagnostics.clutches import Adaptation
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.state import ServerState
 from ecu_emulator.errors import RecordError
-from ecu_emulator.shift_control.touch_points import TouchPoint
 from tests.support.uds.full_table import full_table
 from tests.unit.ecu_emulator.diagnostics.bench import PARKED, SEED
 
@@ -93,47 +86,6 @@ def test_a_damaged_file_is_not_believed(tmp_path: Path, damage: Callable[[str], 
         pytest.raises(RecordError, match=r"memory.json is damaged .*; move it away to begin with an empty memory"),
     ):
         controller(store)
-
-
-def _adapted(path: Path, change: Callable[[dict[str, Any]], object]) -> ServerState | None:
-    """Return what a file holds in which something was changed, with a checksum that fits."""
-    with MemoryFile(path, full_table()) as store:
-        points = {1: TouchPoint(pressure_pa=1.4e5, std_pa=900.0), 2: TouchPoint(pressure_pa=1.7e5, std_pa=math.nan)}
-        controller(store).adapt(Adaptation(touch_points=points))
-    document = json.loads(path.read_text(encoding="utf-8"))
-    del document["sha256"]
-    change(document)
-    digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
-    path.write_text(json.dumps({**document, "sha256": digest}), encoding="utf-8")
-    with MemoryFile(path, full_table()) as store:
-        return store.load()
-
-
-def test_what_was_adapted_is_kept(tmp_path: Path) -> None:
-    kept = _adapted(tmp_path / "kept", lambda _: None)
-    assert kept is not None
-    assert kept.adaptation is not None
-    assert kept.adaptation.pressures_pa((0.0, 0.0)) == (1.4e5, 1.7e5)
-    assert kept.adaptation.stds_pa == {"clutch1_touch_std_pa": 900.0}
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda document: document["adaptation"]["touch_points"].update({"3": {}}),
-        lambda document: document["adaptation"]["touch_points"]["1"].update(pressure_pa=-1.0),
-        lambda document: document["adaptation"]["touch_points"]["1"].update(pressure_pa="much"),
-        lambda document: document["adaptation"]["touch_points"]["2"].update(std_pa=1e99),
-        lambda document: document["adaptation"].update(touch_points=[1, 2]),
-        lambda document: document.update(adaptation=[]),
-        lambda document: document.pop("adaptation"),
-    ],
-)
-def test_an_adaptation_that_cannot_be_is_not_believed(
-    tmp_path: Path, change: Callable[[dict[str, Any]], object]
-) -> None:
-    with pytest.raises(RecordError, match=r"memory.json is damaged"):
-        _adapted(tmp_path / "memory.json", change)
 
 
 def test_a_response_that_was_awaited_goes_to_the_client_who_asked() -> None:

@@ -32,23 +32,6 @@ def test_a_single_frame(frame: str, payload: str | None) -> None:
 @pytest.mark.parametrize(
     "frame",
     [
-        "10 08 22 01 00 01 01 01",
-        "1f ff 22 01 00 01 01 01",
-        "10 00 00 00 10 00 22 01",  # 4,096 bytes: refused by flow control, not ignored
-        "21 01 02 03 04 05 06 07",
-        "30 00 00",
-        "31 00 f1 cc cc cc cc cc",
-        "10 3f " + "11 " * 62,
-    ],
-)
-def test_frames_in_order_are_left_as_they_are(frame: str) -> None:
-    data = bytes.fromhex(frame)
-    assert usable(data, 0, 100) == data
-
-
-@pytest.mark.parametrize(
-    "frame",
-    [
         "40 01 02",  # no such type
         "f0",
         "10 07 22 01 00 01 01 01",  # a single frame would do

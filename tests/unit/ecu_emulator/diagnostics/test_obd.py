@@ -2,13 +2,11 @@
 
 from collections.abc import Iterable
 from importlib.resources import files
-from pathlib import Path
 
 import pytest
 
 from ecu_emulator.diagnostics.memory import TestResult
-from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.server import cycled, switched_on, warmed_up
+from ecu_emulator.diagnostics.server import cycled, warmed_up
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
 from ecu_emulator.errors import ConfigError
@@ -104,19 +102,6 @@ def test_what_is_not_there_is_silence_to_a_request_to_all(bench: Bench, request_
     assert bench.ask(request_hex) == to_this_one
 
 
-def test_six_parameters_come_in_one_answer_without_those_that_are_not_there(bench: Bench) -> None:
-    assert bench.ask("01 0C 02 0D FE 05 1C") == "41 0c 1f 40 0d 64 05 82 1c 06"
-
-
-def test_vehicle_information(bench: Bench) -> None:
-    assert bench.ask("09 02") == "49 02 01 " + b"WDCTEMUL3TED00047".hex(" ")
-    assert bench.ask("09 04") == "49 04 01 " + b"DCTCAL-0100".ljust(16, b"\0").hex(" ")
-    assert bench.ask("09 0A") == "49 0a 01 " + b"TCM\0-TransmisCtrl".ljust(20, b"\0").hex(" ")
-    bench.unlock(3)
-    assert bench.ask("2E F1 90 " + b"WDCTEMUL5TED00048".hex()) == "6e f1 90"
-    assert bench.ask("09 02").endswith("34 38")
-
-
 def fail(bench: Bench, code: str) -> None:
     bench.monitor(code, TestResult.FAILED)
 
@@ -166,33 +151,6 @@ def test_a_client_clears_codes_at_standstill_but_not_those_that_are_permanent(be
     assert bench.ask("0A") == "4a 01 02 18"  # nothing was tested
     good_cycle(bench, "P0218")
     assert bench.ask("0A") == "4a 00"
-
-
-def test_what_obd_keeps_outlives_the_current(bench: Bench, tmp_path: Path) -> None:
-    fail(bench, "P0218")
-    bench.state = warmed_up(bench.state)
-    asked = ("0A", "02 02 00 0D 00", "01 30 21", "01 31")
-    before = [bench.ask(request) for request in asked]
-    with MemoryFile(tmp_path / "memory.json", bench.table) as store:
-        store.save(bench.state)
-    with MemoryFile(tmp_path / "memory.json", bench.table) as store:
-        kept = store.load()
-    assert kept is not None
-    bench.state = switched_on(bench.table, kept, bench.t_s)
-    assert [bench.ask(request) for request in asked] == before
-
-
-def test_results_of_monitors_are_detection_counters_with_their_limits(bench: Bench) -> None:
-    bench.values["vehicle_speed_m_s"] = 0.0
-    assert bench.ask("06 E2") == "46 e2 80 81 00 00 00 00 00 00"  # not run since codes were cleared
-    fail(bench, "P0218")
-    assert bench.ask("06 E2", to_all=True) == "46 e2 80 81 00 7f ff 80 00 7e"  # 127, at most 126
-    bench.monitor("P0711", TestResult.PASSED)
-    assert bench.ask("06 E3") == "46 e3 80 81 ff 80 ff 80 00 7e"
-    bench.monitor("P0711", TestResult.PREFAILED)
-    assert bench.ask("06 E3") == "46 e3 80 81 00 08 ff 80 00 7e"
-    assert bench.ask("14 FF FF FF") == "54"
-    assert bench.ask("06 E3") == "46 e3 80 81 00 00 00 00 00 00"
 
 
 def test_obd_by_the_services_of_uds(bench: Bench) -> None:

@@ -25,12 +25,3 @@ def test_length_distance_and_speed(
     assert np.count_nonzero(trace.speed_m_s == 0.0) == pytest.approx(rest_s, abs=25)
     assert np.all(trace.speed_m_s >= 0.0)
     assert not np.any(trace.grade_ratio)
-
-
-@pytest.mark.parametrize(("begin_s", "end_s", "distance_m"), [
-    (0, 589, 3095.0), (589, 1022, 4756.0), (1022, 1477, 7162.0), (1477, 1800, 8254.0),
-])  # fmt: skip
-def test_wltc_phases_have_their_published_distances(begin_s: int, end_s: int, distance_m: float) -> None:
-    trace = public_trace("wltc")
-    phase = slice(begin_s, end_s + 1)
-    assert np.trapezoid(trace.speed_m_s[phase], trace.t_s[phase]) == pytest.approx(distance_m, abs=1.0)

@@ -1,5 +1,4 @@
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,6 @@ from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control.tcu_data import CLOSED_REVS, OPEN_REVS
 from ecu_emulator.truth import (
     DriveTruth,
-    EventTruth,
     FaultTruth,
     RevTruth,
     RevWatcher,
@@ -35,26 +33,6 @@ DRIVE = DriveTruth(
     mu_s=(0.12, 0.11),
     drawn={"torque_gain_ratio": 1.01},
 )
-EVENT = EventTruth(
-    number=1,
-    event="launch",
-    t_start_s=3.0,
-    t_end_s=5.5,
-    from_gear=1,
-    to_gear=1,
-    clutch=1,
-    peak_slip_rad_s=120.0,
-    slip_energy_j=9000.0,
-    reslip_rad_s=0.8,
-    other_slip_energy_j=0.0,
-    is_locked=True,
-    is_aborted=False,
-    mu_c=0.13,
-    mu_s=0.12,
-    clutch_temperature_k=350.0,
-    clutch_end_temperature_k=362.0,
-    oil_temperature_k=350.0,
-)
 FAULT = FaultTruth(what="hub_speed_rad_s", kind="offset", size=2.0, t_start_s=0.2, t_end_s=None, count=4)
 ROWS = with_shift(with_shift(made_up_rows(1200), 100, 500, 1, 2), 700, 1000, 2, 3)
 
@@ -73,13 +51,6 @@ def test_a_shift_that_goes_back_to_where_it_began_is_none() -> None:
     rows = made_up_rows(600)
     rows[100:300, Col.TARGET_GEAR] = 2.0
     assert ShiftWatcher().feed(rows) == []
-
-
-def test_a_shift_whose_target_changes_on_the_way_leads_where_it_ends() -> None:
-    rows = with_shift(made_up_rows(600), 100, 400, 6, 4)
-    rows[100:200, Col.TARGET_GEAR] = 5.0
-    (shift,) = ShiftWatcher().feed(rows)
-    assert (shift.from_gear, shift.to_gear, shift.clutch) == (6, 4, 2)
 
 
 def test_revs_are_told_apart_and_say_whether_the_clutches_are_closed() -> None:
@@ -119,22 +90,6 @@ def test_a_file_from_before_there_were_events_is_read(tmp_path: Path) -> None:
     del lines[0]["drive"], lines[1]["events"]
     path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
     assert read_truth(path) == TruthLog(drive=DRIVE, shifts=(), totals=Totals(shifts=0, duration_s=9.0, frames=5))
-
-
-def test_a_truth_without_end_stays_small_and_readable(tmp_path: Path) -> None:
-    path, most_bytes, count = tmp_path / "truth.jsonl", 20_000, 500
-    with TruthWriter(path, most_bytes=most_bytes) as writer:
-        writer.drive(DRIVE)
-        for number in range(1, count + 1):
-            writer.write([replace(EVENT, number=number)])
-    older = path.with_name("truth.jsonl.1")
-    assert set(tmp_path.iterdir()) == {path, older}
-    kept = [read_truth(older), read_truth(path)]
-    assert all(one.drive == DRIVE for one in kept)
-    numbers = [event.number for one in kept for event in one.events]
-    assert numbers == list(range(numbers[0], count + 1))
-    assert older.stat().st_size < most_bytes + 2000
-    assert path.stat().st_size < most_bytes + 2000
 
 
 @pytest.mark.parametrize(

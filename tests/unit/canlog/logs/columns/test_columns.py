@@ -1,14 +1,12 @@
 """Tables by the names of their columns: what is proposed, what one says oneself, and what is left open."""
 
-from collections.abc import Callable
 from datetime import datetime
-from itertools import permutations
 
 import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
-from canlog.logs.columns import ColumnsLog, columns_seen
+from canlog.logs.columns import ColumnsLog
 from canlog.logs.columns.headed import Clx000
 from canlog.logs.detection import LogFormat, detect
 from canlog.logs.log_counts import LogCounts
@@ -73,45 +71,6 @@ def test_one_may_say_what_the_columns_are(choice: str, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("choice", "complaint"),
-    [
-        ("time=Then,id=Who,data=What", r"no column 'Then'; its columns are 'When', 'Who', 'What'"),
-        ("clock=When", r"say what is what as time\|id\|data"),
-        ("id=", r"say what is what as time\|id\|data"),
-        ("time=When,id=Who", r"names no data; its columns are 'When', 'Who', 'What'"),
-        ("time=When:days,id=Who,data=What", r"behind the colon can stand s, ms, us, ns"),
-        ("id=When-Who,data=What", r"only data may be several columns"),
-        ("id=9,data=What", r"no column '9'; its columns are"),
-    ],
-)
-def test_what_cannot_be_followed_is_told_with_the_columns_seen(choice: str, complaint: str) -> None:
-    with pytest.raises(SourceError, match=complaint):
-        ColumnsLog(choice).look_ahead(b"When,Who,What\n0.5,123,FE\n")
-
-
-CELLS: dict[str, Callable[[int], str]] = {
-    "time": lambda k: f"{k * 0.01:.2f}",
-    "id": lambda k: f"{0x100 + k % 3:03X}",
-    "length": lambda k: f"{1 + k % 2}",
-    "data": lambda k: " ".join(["FE", f"{k:02X}"][: 1 + k % 2]),
-}
-EXPECTED = [(10_000 * k, 0x100 + k % 3, ("fe", f"fe{k:02x}")[k % 2]) for k in range(20)]
-
-
-@pytest.mark.parametrize("has_names", [True, False])
-@pytest.mark.parametrize("order", list(permutations(CELLS)))
-def test_what_is_proposed_for_columns_that_nothing_names_reads_them(order: tuple[str, ...], has_names: bool) -> None:
-    text = "".join(",".join(CELLS[word](k) for word in order) + "\n" for k in range(20))
-    text = "q1,q2,q3,q4\n" + text if has_names else text
-    with pytest.raises(SourceError, match="perhaps --columns ") as refusal:
-        detect(text.encode())
-    choice = str(refusal.value).partition("perhaps --columns ")[2]
-    batch, counts = read(ColumnsLog(choice), text)
-    assert rows(batch) == EXPECTED
-    assert (counts.rejected, counts.skipped) == ({}, int(has_names))
-
-
-@pytest.mark.parametrize(
     "line",
     ["1.0,123,2,01", "1.0,123,9,01", "x,123,1,01", "1.0,GHI,1,01", "1.0,123,1,1234x", "1.0,123", "1.0,FFFFFFFFF,0,"],
 )
@@ -120,18 +79,6 @@ def test_damaged_lines_are_counted(line: str) -> None:
     batch, counts = read(ColumnsLog(), text)
     is_short = line == "1.0,123"  # a frame without bytes, as far as one can tell
     assert (len(batch), sum(counts.rejected.values())) == ((2, 0) if is_short else (1, 1))
-
-
-def test_tables_of_other_things_are_none() -> None:
-    for text in (
-        "id,name,data\n1,car,fast\n2,bus,slow\n",
-        "Day;Tyre;Bar\n1;left;2.2\n",
-        "What, as was said, is a log?\n",
-    ):
-        with pytest.raises(SourceError, match="not a log of a known format") as refusal:
-            detect(text.encode() * 3)
-        assert "perhaps" not in str(refusal.value)
-    assert columns_seen(b"Day;Tyre;Bar\n1;left;2.2\n") == ("Day", "Tyre", "Bar")
 
 
 @pytest.mark.parametrize(

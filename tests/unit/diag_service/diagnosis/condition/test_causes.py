@@ -9,20 +9,16 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.causes import ELSE, SOUND, CauseJudge, described
 from diag_service.diagnosis.condition.condition import (
     BEGIN_COUNT,
-    LEAST_COUNT,
     LOWER,
     MEASURED,
-    WARM_K,
     ConditionMemory,
     Course,
     Stretch,
     judge,
 )
-from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.records import Causes, Condition, LikelyCause
-from tests.support.builders import shift_estimate
 
 CALIBRATION = nominal_calibration()
 JUDGE = CauseJudge(CALIBRATION)
@@ -137,14 +133,6 @@ def test_what_was_there_before_the_first_event_is_told_by_the_type(
     assert causes.likely[0].evidence.startswith("There from the beginning. For it: ") is (cause[0] != SOUND)
 
 
-@pytest.mark.parametrize(("pack_k", "count"), [(WARM_K - 1.0, 100), (WARM_K + 1.0, 101)])
-def test_what_cool_oil_moves_is_no_cause(pack_k: float, count: int) -> None:
-    course = Course(begun=stretch(), now=stretch(), event_count=100)
-    after = replace(FRESH, packs=PackTemperatures(clutch_k=(pack_k, 300.0), at_ns=0))
-    estimate = shift_estimate(1, to_gear=3)
-    assert (estimate.clutch, course.with_event(estimate, FRESH, after).event_count) == (1, count)
-
-
 def test_friction_that_changes_in_the_beginning_begins_it_again() -> None:
     early = ConditionMemory(course=Course(begun=replace(stretch(), count=BEGIN_COUNT - 1.0), event_count=39))
     assert early.with_changed_friction(2).course == Course()
@@ -153,11 +141,6 @@ def test_friction_that_changes_in_the_beginning_begins_it_again() -> None:
     drifted = replace(later, found=causes_of(DRIFTED))
     assert drifted.sensor_share(1) > 0.5
     assert drifted.with_changed_friction() == replace(drifted, now=Stretch())
-
-
-def test_two_causes_are_both_named() -> None:
-    causes = causes_of({**AGED, **{name.format(2): size for name, size in WORN.items()}})
-    assert {("aged-fluid", None), ("worn-lining", 2)} <= {(one.cause, one.clutch) for one in causes.likely[:3]}
 
 
 def test_what_fits_nothing_is_something_else() -> None:
@@ -192,17 +175,6 @@ def test_a_course_survives_its_store_and_damage_is_found() -> None:
         ConditionMemory.from_json(damaged)
 
 
-def test_new_fluid_begins_the_last_stretch_again() -> None:
-    memory = ConditionMemory(course=Course(begun=stretch(), now=stretch(), event_count=100, found=causes_of()))
-    course = memory.with_new_fluid("2026-01-01T00:00:00.000000Z", FRESH).course
-    assert course.begun == memory.course.begun
-    assert course.now == Stretch()
-    assert course.filled == Stretch()
-    assert course.found is None
-    early = ConditionMemory(course=Course(begun=replace(stretch(), count=LEAST_COUNT), event_count=20))
-    assert early.with_new_fluid("2026-01-01T00:00:00.000000Z", FRESH).course == Course()
-
-
 @pytest.mark.parametrize(("clutch", "is_held"), [(1, True), (2, False)])
 def test_a_drifted_sensor_holds_back_the_verdict_on_its_clutch(clutch: int, is_held: bool) -> None:
     drifted = LikelyCause(cause="pressure-sensor", clutch=1, probability=0.8, evidence="For it: x.")
@@ -212,9 +184,3 @@ def test_a_drifted_sensor_holds_back_the_verdict_on_its_clutch(clutch: int, is_h
     assert verdict.condition is Condition.NO_VERDICT
     assert ("has probably drifted" in verdict.reason) is is_held
     assert verdict.causes == found
-
-
-def test_a_drifted_torque_holds_back_both() -> None:
-    drifted = LikelyCause(cause="torque-sensor", clutch=None, probability=0.8, evidence="For it: x.")
-    course = Course(found=Causes(event_count=60, likely=(drifted,), advice="x"))
-    assert course.sensor_share(1) == course.sensor_share(2) == pytest.approx(0.8)

@@ -73,23 +73,11 @@ def test_torque_capacity_is_transmitted_over_asked(ratio: float, sign: float) ->
     assert 0.03 < found.std_torque_capacity_ratio < 0.1  # gain 3 %, offset 5 Nm, inertia 20 % of 16 Nm
 
 
-def test_while_the_other_clutch_carries_too_nothing_is_said_of_capacity() -> None:
-    found = measure(without(shift(), clutch1_torque_command_nm=series(50.0)), CALIBRATION)
-    assert (found.torque_capacity_ratio, found.std_torque_capacity_ratio) == (None, None)
-    assert found.peak_slip_rad_s is not None
-
-
 @pytest.mark.parametrize("signal", [Signal.ENGINE_TORQUE, Signal.CLUTCH2_TORQUE_COMMAND])
 def test_without_torques_only_time_and_slip(signal: Signal) -> None:
     found = measure(without(shift(), signal), CALIBRATION)
     assert found.torque_capacity_ratio is None
     assert found.slip_duration_s is not None
-
-
-@pytest.mark.parametrize("signal", [Signal.ENGINE_SPEED, Signal.INPUT_SPEED])
-def test_without_a_speed_only_time(signal: Signal) -> None:
-    found = measure(without(shift(), signal), CALIBRATION)
-    assert (found.shift_time_s, found.peak_slip_rad_s, found.torque_capacity_ratio) == (1.0, None, None)
 
 
 def test_a_shift_without_an_end_has_no_time() -> None:

@@ -140,14 +140,6 @@ def test_a_rejected_shift_leaves_the_state_as_it_was(spoil: Callable[[Event], Ev
     assert estimate == without_friction(event, Status.REJECTED, *estimate.reasons)
 
 
-def test_laws_that_lead_to_no_number_are_a_misfit() -> None:
-    thick = replace(CALIBRATION, viscosity=replace(CALIBRATION.viscosity, b_k=1e9))
-    event, fresh = first_shifts()[0], Posterior.fresh(thick)
-    state, estimate = Estimator(thick).estimate(event, usable_samples(event), fresh)
-    assert state is fresh
-    assert estimate == without_friction(event, Status.REJECTED, Reason.MISFIT)
-
-
 def test_a_zero_that_jumped_rejects_the_shift() -> None:
     zero_known = FRESH.known.covariance.copy()
     zero_known[State.ZERO2, State.ZERO2] = 100.0**2
@@ -172,10 +164,3 @@ def test_a_shift_that_does_not_fit_warms_its_clutch_and_changes_no_friction() ->
     assert (state.shift_counts, state.recent) == (before.shift_counts, ())
     assert state.packs is not None
     assert state.packs.at_ns == event.end_ns
-
-
-def test_a_clutch_that_never_carries_alone_says_nothing() -> None:
-    event = changed(first_shifts()[0], Signal.CLUTCH2_PRESSURE, lambda _, value: np.minimum(value, 0.5e5))
-    state, estimate = estimated(event, known(0.14, 0.12))
-    assert (estimate.status, estimate.reasons) == (Status.UNOBSERVED, (Reason.NO_SLIP_WINDOW,))
-    assert state.shift_counts == (0, 7)

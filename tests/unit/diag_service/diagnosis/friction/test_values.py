@@ -5,8 +5,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
@@ -135,38 +133,6 @@ def test_the_stated_deviation_is_that_of_the_errors(name: str) -> None:
     ratios = errors()[name]
     assert np.std(ratios) == pytest.approx(1.0, abs=0.1)
     assert COVERAGE[0] <= np.mean(np.abs(ratios) < 2.0) <= COVERAGE[1]
-
-
-def test_a_trend_is_sharper_than_its_two_ends() -> None:
-    state, *_ = drive(np.random.default_rng(13))
-    since, now = trend(state, 1), friction(state, 1)
-    assert since is not None
-    assert since.std_change_mu_c_ratio < 0.2 * now.std_mu_c / now.mu_c
-    assert since.later_shift_count == LATER_COUNT
-    assert since.baseline_end_bus_ns == BASELINE_SHIFT_COUNT
-
-
-@cache
-def some_state() -> Posterior:
-    return drive(np.random.default_rng(14))[0]
-
-
-@settings(deadline=None)  # the first call makes the state
-@given(gain=st.floats(0.5, 2.0))
-def test_what_is_free_of_scale_does_not_know_the_gain(gain: float) -> None:
-    state = some_state()
-    moved = float(state.known.mean[GAIN])
-    scaled = replace(state, torque_gain=gain)
-    for clutch in (1, 2):
-        assert scale_free(scaled, clutch) == scale_free(state, clutch)
-        expected = friction(state, clutch).mu_c * (1.0 + moved) / (gain + moved)
-        assert friction(scaled, clutch).mu_c == pytest.approx(expected)
-        here, there = trend(scaled, clutch), trend(state, clutch)
-        assert here is not None
-        assert there is not None
-        assert here.change_mu_c_ratio == there.change_mu_c_ratio
-        assert here.std_change_mu_s_ratio == there.std_change_mu_s_ratio
-    assert clutch_ratio(scaled) == clutch_ratio(state)
 
 
 def test_nothing_is_compared_before_there_is_something_to_compare_with() -> None:

@@ -3,16 +3,14 @@
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from statistics import NormalDist
 
 import numpy as np
 import pytest
 
 from canlog.e2e.e2e_state import E2eState
 from clutch_model.calibration import shipped_calibration
-from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.condition.condition import REFUSED_COUNT, SLIP_MINUTES, ConditionMemory, judge_lockup
-from diag_service.diagnosis.condition.verdict import SHIFTS, Launches, Silence, decide
+from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, judge_lockup
+from diag_service.diagnosis.condition.verdict import Launches, Silence
 from diag_service.diagnosis.events import Event, EventKind, Shudder
 from diag_service.diagnosis.lockup.blocks import MICRO_SLIP_RAD_S, samples_of
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
@@ -184,30 +182,6 @@ def test_friction_that_is_found_to_be_another_forgets_how_the_fluid_before_shudd
     assert [one.estimate.reasons for one in found[:3]] == [(Reason.NOT_UPDATED,), (Reason.NOT_UPDATED,), ()]
     assert [sum(one.memory.launches[0].juddered) for one in found[:4]] == [2, 2, 0, 0]
     assert Condition.CHANGE_FLUID not in {one.verdict.condition for one in found[2:]}
-
-
-def test_slip_that_is_judged_each_minute_takes_more_to_order_new_fluid() -> None:
-    curve = CALIBRATION.clutches[0].friction
-    friction = replace(
-        diagnosed("new")[0].friction(), mu_c=curve.mu_c, mu_s=curve.mu_c + 1e-4, std_mu_c=1e-4, std_slope_s_rad=1e-6
-    )
-    both, none = NormalDist(-0.1, 0.01), Launches()
-    for probability, by_slip in ((0.98, Condition.WATCH), (0.9995, Condition.CHANGE_FLUID)):
-        known = replace(friction, probability_negative_slope=probability)
-        for counted, condition in ((SLIP_MINUTES, by_slip), (SHIFTS, Condition.CHANGE_FLUID)):
-            found = decide(known, None, curve, 9, Condition.NO_VERDICT, None, none, both, counted=counted)
-            assert found.condition is condition
-
-
-def test_signals_that_are_missing_tell_nothing() -> None:
-    state, event = LockupState.fresh(CALIBRATION), stretches("new")[0]
-    columns = dict(event.columns)
-    del columns[Signal.TURBINE_SPEED]
-    after, estimate, swings = ESTIMATOR.estimate(replace(event, columns=columns), state)
-    assert after is state
-    assert (estimate.status, estimate.reasons, swings) == (Status.UNOBSERVED, (Reason.SIGNAL_MISSING,), None)
-    _, refused, _ = ESTIMATOR.estimate(event, state, (Reason.LOW_DATA_QUALITY,))
-    assert refused.status is Status.REJECTED
 
 
 def test_results_carry_the_name_of_the_element_in_the_contract_of_before() -> None:

@@ -147,18 +147,6 @@ def test_a_creep_that_ends_in_lock_was_a_launch() -> None:
     assert found(standing(), creeping, locked(pedal=0.0)) == [("launch", 1, 1, 100, 250 + LOCK, EndReason.COMPLETE)]
 
 
-@pytest.mark.parametrize(("pedal", "kind"), [(0.01, "creep"), (0.03, "launch")])
-def test_any_foot_on_the_pedal_makes_a_launch(pedal: float, kind: str) -> None:
-    slipping = piece(60, slip=70.0, load=1.5e5, pedal=pedal, engine=IDLE)
-    assert [one[0] for one in found(standing(), slipping, standing())] == [kind]
-
-
-def test_a_clutch_that_closes_onto_a_rolling_car_is_no_launch() -> None:
-    rolling = piece(100, gear=2, slip=20.0)
-    closing = piece(40, gear=2, slip=20.0, load=2e5)
-    assert [one[0] for one in found(rolling, closing, driving(gear=2, pedal=0.0))] == ["closing"]
-
-
 def test_a_locked_clutch_that_lets_go_in_gear_is_told() -> None:
     assert found(driving(), piece(60, slip=30.0, load=PULL_PA, pedal=0.8), locked()) == [
         ("slip", 1, 1, 100, 160 + LOCK, EndReason.COMPLETE)
@@ -174,20 +162,6 @@ def test_a_change_lasts_until_its_slip_has_ended() -> None:
     inertia = piece(50, gear=2, slip=50.0, load=PULL_PA, pedal=0.3, torque=90.0)  # the gears agree already
     assert found(driving(), handing_over, inertia, driving(gear=2)) == [
         ("power_on_upshift", 1, 2, 100, 170, EndReason.COMPLETE)
-    ]
-
-
-def test_a_change_begins_with_the_slip_of_the_clutch_that_gives_away() -> None:
-    slipping = piece(20, gear=2, slip=-30.0, load=PULL_PA, pedal=0.8)
-    shifting = piece(50, gear=2, target=1, slip=-30.0, load=PULL_PA, pedal=0.8)
-    assert found(driving(gear=2), slipping, shifting, driving()) == [("kickdown", 2, 1, 100, 170, EndReason.COMPLETE)]
-
-
-def test_an_aborted_change_lasts_until_the_old_clutch_is_closed_again() -> None:
-    shifting = piece(30, target=2, load=PULL_PA, pedal=0.3, torque=90.0)
-    returning = piece(20, slip=20.0, load=PULL_PA, pedal=0.3)
-    assert found(driving(), shifting, returning, driving()) == [
-        ("power_on_upshift", 1, 2, 100, 150, EndReason.ABANDONED)
     ]
 
 
@@ -253,14 +227,3 @@ def test_cutting_the_stream_anywhere_changes_no_event(
         return summary(events + finder.flush())
 
     assert walked(sorted({0, last, *(cut for cut in cuts if cut < last)})) == walked([0, last])
-
-
-def test_memory_is_bounded_by_the_longest_event() -> None:
-    finder = DriveFinder(PRESSED, CALIBRATION)
-    whole = columns_of((standing(), launching(20_000)))
-    most = 0
-    for start in range(0, 20_100, 100):
-        cut = {name: one.between(start * STEP_NS, (start + 100) * STEP_NS) for name, one in whole.columns.items()}
-        finder.feed(ColumnBatch(columns=cut, watermark_ns=(start + 99) * STEP_NS))
-        most = max(most, finder.buffered_sample_count)
-    assert most < 2 * len(PRESSED) * (MAX_SLIP_NS // STEP_NS)

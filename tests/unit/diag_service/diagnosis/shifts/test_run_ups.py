@@ -2,12 +2,11 @@
 
 import pytest
 
-from canlog.arrays import Series
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.columns import ColumnBatch, Signal
+from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.shifts.run_ups import HIGH_RAD_S, LOW_RAD_S, MARGIN_NS, RunUpFinder
-from tests.support.run_ups import CLOSED_PA, IDLE_RAD_S, OPEN_PA, RUN_UP_ROWS, STEP_NS, Piece, idle, run_up, whole_batch
+from tests.support.run_ups import CLOSED_PA, RUN_UP_ROWS, STEP_NS, Piece, idle, run_up, whole_batch
 
 
 def found(*pieces: Piece) -> list[Event]:
@@ -49,12 +48,6 @@ def test_clutches_neither_open_nor_closed_make_no_run_up(pressure_pa: tuple[floa
     assert found(idle(pressure_pa=pressure_pa), run_up(pressure_pa), idle(pressure_pa=pressure_pa)) == []
 
 
-def test_a_gear_chosen_during_a_run_up_abandons_it() -> None:
-    speed_rad_s = run_up().speed_rad_s
-    events = found(idle(), Piece(speed_rad_s=speed_rad_s[:120]), Piece(speed_rad_s=speed_rad_s[120:], gear=1))
-    assert [event.end_reason for event in events] == [EndReason.ABANDONED]
-
-
 def test_a_jump_of_bus_time_interrupts_an_open_run_up_and_starts_afresh() -> None:
     finder = RunUpFinder(nominal_calibration())
     assert finder.feed(whole_batch((idle(), Piece(speed_rad_s=run_up().speed_rad_s[:150])))) == []
@@ -63,21 +56,3 @@ def test_a_jump_of_bus_time_interrupts_an_open_run_up_and_starts_afresh() -> Non
         (1, EndReason.INTERRUPTED),
         (2, EndReason.COMPLETE),
     ]
-
-
-@pytest.mark.parametrize("pressure_pa", [OPEN_PA, CLOSED_PA])
-def test_memory_stays_bounded_however_long_the_engine_idles_and_runs_up(pressure_pa: tuple[float, float]) -> None:
-    finder = RunUpFinder(nominal_calibration())
-    batch = whole_batch((idle(pressure_pa=pressure_pa), run_up(pressure_pa)))
-    rows = 100 + RUN_UP_ROWS
-    count = 0
-    for number in range(100):
-        columns = {
-            signal: Series(t_ns=series.t_ns + number * rows * STEP_NS, sequence=series.sequence, value=series.value)
-            for signal, series in batch.columns.items()
-        }
-        watermark_ns = batch.watermark_ns + number * rows * STEP_NS
-        count += len(finder.feed(ColumnBatch(columns=columns, watermark_ns=watermark_ns)))
-        assert finder.buffered_sample_count < 5 * 3 * rows
-    assert count + len(finder.flush()) == 100
-    assert IDLE_RAD_S < LOW_RAD_S

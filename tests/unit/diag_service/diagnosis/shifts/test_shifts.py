@@ -1,11 +1,9 @@
 """Shift detection on hand-made gear signals."""
 
-import numpy as np
 import pytest
 
-from diag_service.diagnosis.columns import ColumnBatch, Signal
+from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason
-from diag_service.diagnosis.shifts.gear_tracking import MAX_SHIFT_NS
 from diag_service.diagnosis.shifts.shifts import POST_NS, PRE_NS, ShiftFinder
 from tests.support.gears import STEP_NS, gear_batch
 
@@ -67,25 +65,3 @@ def test_a_shift_that_was_on_before_the_stream_is_no_complete_one(cut: int) -> N
         for event in finder.feed(gear_batch(gears[row : row + cut], first_row=row))
     ]
     assert [event.end_reason for event in events] == [EndReason.INTERRUPTED, EndReason.COMPLETE]
-
-
-def test_neutral_is_no_gear_to_shift_from() -> None:
-    assert ShiftFinder().feed(gear_batch([(0, 1)] * 50 + [(1, 1)] * 50)) == []
-
-
-def test_bad_frames_inside_the_cut_are_counted() -> None:
-    batch = gear_batch([(1, 1)] * 100 + [(1, 2)] * 90 + [(2, 2)] * 100)
-    bad_ns = np.array([1, 120, 150, 280], dtype=np.int64) * STEP_NS
-    with_bad = ColumnBatch(columns=batch.columns, watermark_ns=batch.watermark_ns, bad_frame_ns=bad_ns)
-    assert ShiftFinder().feed(with_bad)[0].bad_frame_count == 2
-
-
-@pytest.mark.parametrize("shift_count", [200])
-def test_memory_stays_bounded_while_driving(shift_count: int) -> None:
-    finder = ShiftFinder()
-    cycle = [(1, 1)] * 60 + [(1, 2)] * 80 + [(2, 2)] * 60 + [(2, 1)] * 80
-    found = 0
-    for number in range(shift_count // 2):
-        found += len(finder.feed(gear_batch(cycle, first_row=number * len(cycle))))
-    assert found >= shift_count - 2
-    assert finder.buffered_sample_count < 4 * (MAX_SHIFT_NS + PRE_NS + POST_NS) // STEP_NS
