@@ -6,11 +6,9 @@ import pytest
 
 from ecu_emulator.arguments import COMMAND_LINE
 from ecu_emulator.commands import choose_scenario, drive_options
-from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.scenario import Scenario
-from ecu_emulator.truth import TruthWriter
 
 
 def chosen(*words: str) -> Scenario:
@@ -54,25 +52,3 @@ def test_a_drive_that_cannot_be_is_named_in_one_line(tmp_path: Path, line: str, 
     path.write_text(f'name = "own"\n{line}\n')
     with pytest.raises(ConfigError, match=named):
         chosen("--scenario", str(path))
-
-
-def test_the_odometer_begins_where_it_is_told_and_goes_on_from_the_drive_before(tmp_path: Path) -> None:
-    assert chosen().odometer_m == 12_345_000.0
-    assert chosen("--odometer", "61200.5").odometer_m == 61_200_500.0
-    path = tmp_path / "drive.log.truth.jsonl"
-    frames, truth = frames_of(chosen("--odometer", "61200.5"))
-    assert len(frames)
-    assert truth.totals is not None
-    with TruthWriter(path) as writer:
-        writer.drive(truth.drive)
-    with pytest.raises(ConfigError, match="that drive does not tell the odometer at its end"):
-        chosen("--odometer", str(path))
-    with TruthWriter(path) as writer:
-        writer.drive(truth.drive)
-        writer.totals(truth.totals)
-    assert truth.drive.odometer_m == 61_200_500.0
-    assert truth.totals.odometer_m is not None
-    assert 61_200_600.0 < truth.totals.odometer_m < 61_202_000.0
-    assert chosen("--odometer", str(path)).odometer_m == truth.totals.odometer_m
-    with pytest.raises(ConfigError, match="odometer_m must be"):
-        chosen("--odometer", "-1")

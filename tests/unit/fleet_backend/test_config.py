@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from fleet_backend.config import parse_broker, parse_listen, parse_pace
+from fleet_backend.config import parse_broker, parse_listen
 from fleet_backend.errors import ConfigError
 
 
@@ -18,15 +18,6 @@ def test_certificates_need_tls_and_must_exist() -> None:
         parse_broker("mqtts://x", certificate=missing)
     with pytest.raises(ConfigError, match="needs its key"):
         parse_broker("mqtts://x", key=missing)
-
-
-def test_a_pace_has_bounds() -> None:
-    assert parse_pace(10, 250.0).patience_s == 0.25
-    assert parse_pace(10, 250.0).takes_bundles
-    assert not parse_pace(10, 250.0, takes_bundles=False).takes_bundles
-    for batch, patience_ms in ((0, 1.0), (30_001, 1.0), (1, -1.0), (1, 1e9), (1, float("nan"))):
-        with pytest.raises(ConfigError):
-            parse_pace(batch, patience_ms)
 
 
 @pytest.mark.parametrize(

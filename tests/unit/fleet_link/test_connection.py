@@ -12,7 +12,6 @@ from tests.support.patience import HANG_S
 
 ACCEPTED = bytes([0x20, 3, 0, 0, 0])  # CONNACK of MQTT 5 without properties
 AT_MOST_TWO = bytes([0x20, 6, 0, 0, 3, 0x21, 0, 2])  # with a Receive Maximum of 2
-NOT_AUTHORISED = bytes([0x20, 3, 0, 0x87, 0])
 UNSUBSCRIBE = 10  # the kind of a packet
 SHORT = Terms(timeout_s=0.2, stall_s=0.2)  # where silence is waited for; what a busy machine delays is given LONG
 LONG = Terms(timeout_s=HANG_S)
@@ -51,22 +50,6 @@ async def broker(script: Script) -> AsyncIterator[BrokerAddress]:
             await asyncio.wait_for(ended.get(), HANG_S)
 
 
-def saying(answer: bytes) -> Script:
-    """Return the script of a broker that answers a CONNECT and then only listens."""
-
-    async def script(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        await packet(reader)
-        writer.write(answer)
-        while await reader.read(1024):
-            pass
-
-    return script
-
-
-async def hang_up(reader: asyncio.StreamReader, _writer: asyncio.StreamWriter) -> None:
-    await packet(reader)
-
-
 async def opened(address: BrokerAddress) -> Connection:
     """Return a connection that soon waits no longer; a busy machine may need more than one attempt at it."""
     async with asyncio.timeout(HANG_S):
@@ -77,22 +60,6 @@ async def opened(address: BrokerAddress) -> Connection:
 
 def messages(count: int, topic: str = "t") -> list[Outgoing]:
     return [Outgoing(topic=topic, payload=b"%d" % number, is_retained=False) for number in range(count)]
-
-
-@pytest.mark.parametrize(
-    ("script", "terms", "said"),
-    [
-        (saying(NOT_AUTHORISED), LONG, r"connection refused: \[code:135\] Not authorized"),
-        (saying(b""), SHORT, "Operation timed out"),
-        (hang_up, LONG, "connection lost"),
-        (saying(b"HTTP/1.1 400 Bad Request\r\n\r\n"), SHORT, "connection lost|timed out"),
-    ],
-    ids=["refused", "silent", "hung up", "no broker"],
-)
-async def test_a_broker_that_does_not_take_us_is_down(script: Script, terms: Terms, said: str) -> None:
-    async with broker(script) as address:
-        with pytest.raises(LinkDownError, match=said):
-            await asyncio.wait_for(Connection.open(address, terms), HANG_S)
 
 
 async def test_nothing_more_is_taken_from_a_broker_that_reads_nothing() -> None:

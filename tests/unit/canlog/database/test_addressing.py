@@ -66,19 +66,6 @@ def test_parameter_group(can_id: int, number: int) -> None:
     assert parameter_group(can_id) == number
 
 
-def test_priority_sender_and_destination_do_not_matter_to_a_group() -> None:
-    pdu1, pdu2 = group(0x18EA_00FE), group(0x0CF0_04FE)
-    found = slots([pdu1, pdu2], 0x18EA_FF0B, 0x00EA_0500, 0x0CF0_0400, 0x1CF0_04AA, 0x0CF0_05FE, 0x0DF0_04FE)
-    assert found == [0, 0, 1, 1, -1, -1]
-
-
-def test_standard_and_extended_identifiers_of_one_number_are_two_messages() -> None:
-    standard = MessageAddress(name="S", can_id=0x123, is_extended=False, is_group=False)
-    extended = MessageAddress(name="E", can_id=0x123, is_extended=True, is_group=False)
-    book = address_book([standard, extended])
-    assert [find_slot(book, can_id) for can_id in (0x123, 0x123 | EXTENDED_FLAG, 0x124, 0x800)] == [0, 1, -1, -1]
-
-
 def test_messages_of_one_group_are_told_apart_by_sender() -> None:
     engine, retarder, rest = group(EEC1), group(EEC1 | 0x0F), group(EEC1 | 0xFE)
     assert slots([engine, retarder, rest], EEC1, EEC1 | 0x0F, EEC1 | 0x21) == [0, 1, 2]

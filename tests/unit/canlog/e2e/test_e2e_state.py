@@ -97,18 +97,6 @@ def change(t_ns: int, state: E2eState) -> E2eChange:
     return E2eChange(t_ns=t_ns, message=NAME, state=state)
 
 
-def test_silence_is_found_at_the_same_moment_by_the_next_frame_and_by_frames_of_others() -> None:
-    timeout_ns = TIMEOUT_CYCLES * CYCLE_NS
-    expected = change((WINDOW - 1) * CYCLE_NS + timeout_ns, INVALID)
-    alone, watched = machine(), machine()
-    for stage in (alone, watched):
-        stage.judge(on_time(WINDOW), verdicts([OK] * WINDOW))
-    assert alone.judge(on_time(1, 40), verdicts([OK])) == (expected,)
-    assert watched.judge(on_time(20, WINDOW), verdicts([FrameReason.UNKNOWN_ID] * 20, slot=-1)) == (expected,)
-    assert watched.judge(on_time(1, 40), verdicts([OK])) == ()
-    assert alone.states == watched.states == (INVALID,)
-
-
 def test_a_silence_is_taken_back_if_the_frame_after_it_is_the_very_next_one() -> None:
     stage, lost = machine(), machine()
     before = verdicts([OK] * WINDOW)._replace(sequence=np.arange(WINDOW))
@@ -122,19 +110,3 @@ def test_a_silence_is_taken_back_if_the_frame_after_it_is_the_very_next_one() ->
     later = verdicts([OK], [2])._replace(sequence=np.array([WINDOW + 2]))
     assert lost.judge(on_time(1, 41), later) == (change(overdue_ns, INVALID),)
     assert (lost.states, lost.invalidations) == ((INVALID,), (1,))
-
-
-def slow_frames(cycles: float, count: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
-    return (np.arange(count) * cycles * CYCLE_NS).astype(np.int64)
-
-
-def test_the_timeout_follows_a_message_that_is_slower_than_its_database() -> None:
-    stage = machine()
-    t_ns = slow_frames(2.0, 100)
-    assert stage.judge(t_ns, verdicts([OK] * 100))[-1].state is VALID
-    assert stage.own_cycles_ns[0] == pytest.approx(2 * CYCLE_NS, rel=0.02)
-    timeout_ns = TIMEOUT_CYCLES * stage.own_cycles_ns[0]
-    later = np.array([t_ns[-1] + timeout_ns - CYCLE_NS, t_ns[-1] + timeout_ns + CYCLE_NS])
-    assert stage.judge(later, verdicts([FrameReason.UNKNOWN_ID] * 2, slot=-1)) == (
-        change(int(t_ns[-1]) + timeout_ns, INVALID),
-    )

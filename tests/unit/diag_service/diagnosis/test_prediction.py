@@ -10,7 +10,6 @@ from canlog.arrays import FloatArray, Series
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.prediction import (
-    NoPhase,
     SlipPhase,
     fitted,
     predicted,
@@ -66,12 +65,6 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     assert np.mean(inside) >= 0.7  # of 24; with eight shifts to learn from 83 of 100 are, where 90 are asked
 
 
-def test_three_shifts_are_too_few() -> None:
-    rng = np.random.default_rng(4)
-    with pytest.raises(ValueError, match="3 slip phases are too few, 4 are needed"):
-        fitted([phase(rng) for _ in range(3)])
-
-
 def series(t_s: FloatArray, value: FloatArray) -> Series:
     return Series(t_ns=np.rint(1e9 * t_s).astype(np.int64), sequence=np.full(len(t_s), -1), value=value)
 
@@ -101,23 +94,6 @@ def test_a_slip_phase_is_cut_from_the_old_gear_to_the_lock() -> None:
     assert found.speed_rad_s[0] == pytest.approx(600.0, rel=0.09)
     assert found.t_s[-1] == pytest.approx(0.3, abs=2 * ROW_S)
     assert found.mean_pa == 4e5
-
-
-@pytest.mark.parametrize(
-    ("event", "gears", "reason"),
-    [
-        (upshift(CLUTCH2_PRESSURE=True), GEARS, "no clutch2_pressure_pa"),
-        (upshift(OUTPUT_SPEED=True), GEARS, "neither speeds behind the clutches nor ratios"),
-        (upshift(), None, "neither speeds behind the clutches nor ratios"),
-        (upshift(0.01), GEARS, "not enough samples in the slip (1 of at least 2)"),
-        (replace(upshift(), to_gear=1), GEARS, "no change from gear to gear"),
-        (replace(upshift(), to_gear=3), GearRatios(over=Signal.OUTPUT_SPEED, ratios=(4.0, 2.5, 4.0)), "never leaves"),
-    ],
-)
-def test_what_cannot_be_predicted_says_why(event: Event, gears: GearRatios | None, reason: str) -> None:
-    found = slip_phase(event, gears)
-    assert isinstance(found, NoPhase)
-    assert reason in found.reason
 
 
 def with_friction(ratios: FloatArray, rng: np.random.Generator) -> list[SlipPhase]:

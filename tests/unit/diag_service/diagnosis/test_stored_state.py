@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.condition.condition import ConditionMemory, Fit, judge
+from diag_service.diagnosis.condition.condition import ConditionMemory, judge
 from diag_service.diagnosis.friction import Posterior
 
 CALIBRATION = nominal_calibration()
@@ -27,22 +27,6 @@ def kept(version: int) -> dict[str, Any]:
 @pytest.fixture
 def stored() -> dict[str, Any]:
     return kept(4)
-
-
-def test_a_stored_posterior_survives_to_the_last_digit(stored: dict[str, Any]) -> None:
-    state = Posterior.from_json(stored["posterior"], CALIBRATION)
-    unknown = {"apart": 0.0, "apart_by_chance": 0.0}  # by programs that did not count it
-    assert json.loads(json.dumps(state.to_json())) == stored["posterior"] | unknown
-    assert state.shift_counts == (30, 30)
-    assert state.is_used == (True,) * 10 + (False,) * 2
-    assert [one is not None and one.shift_count for one in state.baselines] == [15, 15]
-
-
-def test_a_stored_memory_survives_with_its_fits(stored: dict[str, Any]) -> None:
-    memory = ConditionMemory.from_json(stored["condition"])
-    assert memory.to_json() == stored["condition"]
-    assert memory.fits == (Fit.AGREES,) * 18 + (Fit.CONTRADICTS,) * 2
-    assert all(scatter is not None for scatter in memory.scatters)
 
 
 def test_the_verdict_on_a_stored_state_is_what_it_was(stored: dict[str, Any]) -> None:

@@ -7,7 +7,6 @@ import pytest
 
 from canlog.database.signal_columns import column_id
 from canlog.frames import EXTENDED_FLAG, FrameBatch, join
-from canlog.transport.isotp import segments
 from diag_service.errors import ConfigError
 from diag_service.mapping.asked_signals import AskedField, Overheard
 from diag_service.mapping.profile import load_profile
@@ -15,15 +14,7 @@ from tests.support.asked import Wire
 
 PRESSURE = AskedField(request_id=0x7E1, reply_id=0x7E9, service=0x22, number=0x38EB, is_signed=True)
 TORQUE = AskedField(request_id=0x7E1, reply_id=0x7E9, service=0x22, number=0x100C)
-SPEED = AskedField(request_id=0x7E0, reply_id=0x7E8, service=0x01, number=0x0C)
-LOCAL = AskedField(request_id=0x18DA18F1, reply_id=0x18DAF118, service=0x21, number=0x4B, byte=1, length=8)
 MS = 1_000_000
-
-
-def told(*says: tuple[float, int, str], fields: tuple[AskedField, ...] = (PRESSURE, TORQUE)) -> list[tuple[int, float]]:
-    """Return milliseconds and value of the samples that messages give; each is said from some millisecond on."""
-    overheard = Overheard(fields)
-    return samples(overheard, batch_of(*says), fields)
 
 
 def batch_of(*says: tuple[float, int, str]) -> FrameBatch:
@@ -43,24 +34,6 @@ def samples(overheard: Overheard, batch: FrameBatch, fields: tuple[AskedField, .
     assert (~own).sum() == len(batch)
     values = np.ascontiguousarray(out.data[own]).view("<f8")[:, 0]
     return list(zip((out.t_ns[own] // MS).tolist(), values.tolist(), strict=True))
-
-
-def test_a_sample_lies_between_its_request_and_its_answer() -> None:
-    assert told((10, 0x7E1, "2238EB"), (40, 0x7E9, "6238EBFF9C")) == [(25, -100.0)]
-
-
-def test_several_data_come_in_one_answer_and_some_may_be_left_out() -> None:
-    asked = (10, 0x7E1, "2238EB100C")
-    assert told(asked, (20, 0x7E9, "6238EB0001100C0002")) == [(15, 1.0), (15, 2.0)]
-    assert told(asked, (20, 0x7E9, "62100C0002")) == [(15, 2.0)]
-
-
-def test_pids_that_are_asked_of_all_and_local_identifiers_are_read() -> None:
-    assert told((10, 0x7DF, "010C"), (20, 0x7E8, "410C1AF8"), fields=(SPEED,)) == [(15, 6904.0)]
-    wire = Wire(t_ns=0)
-    wire.say(bytes.fromhex("214B"), LOCAL.request_id, LOCAL.reply_id)
-    wire.say(bytes.fromhex("614B0017"), LOCAL.reply_id, LOCAL.request_id)
-    assert [value for _, value in samples(Overheard([LOCAL]), wire.batch, (LOCAL,))] == [23.0]
 
 
 @pytest.mark.parametrize(
@@ -95,13 +68,6 @@ def test_samples_do_not_depend_on_how_the_stream_was_cut(cut: int) -> None:
     assert found.t_ns.tolist() == expected.t_ns.tolist()
     assert found.data.tolist() == expected.data.tolist()
     assert len(expected) == len(batch) + 160
-
-
-def test_bits_order_and_sign_are_as_the_profile_says() -> None:
-    field = AskedField(request_id=1, reply_id=2, service=0x22, number=1, byte=1, bit=4, length=12, is_little=True)
-    assert field.value(bytes.fromhex("FF3412")) == 0x123
-    assert field.end == 3
-    assert segments(bytes(10)) == [bytes([0x10, 10]) + bytes(6), bytes([0x21]) + bytes(4)]
 
 
 @pytest.mark.parametrize(

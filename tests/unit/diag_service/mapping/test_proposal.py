@@ -3,10 +3,8 @@
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from canlog.decode.signals import Decoded
 from diag_service.diagnosis.columns import Signal
 from diag_service.mapping.profile import load_profile
 from diag_service.mapping.proposal import SignalStatistics, candidates, profile_text
@@ -65,21 +63,6 @@ def test_public_names_are_recognised(signal: Signal, found: SignalStatistics) ->
 )
 def test_what_cannot_be_is_not_proposed(wrong: SignalStatistics) -> None:
     assert proposed(wrong) == {}
-
-
-def column(name: str, unit: str, *values: float) -> SignalStatistics:
-    found = SignalStatistics(message=name, signal=name, unit=unit, is_column=True)
-    for piece in np.array_split(np.array(values), 3):
-        found.add(Decoded(value=piece, is_good=None))
-    return found
-
-
-def test_a_damaged_value_changes_no_proposal_and_is_shown() -> None:
-    read = column("DCT Clutch 1 Pressure", "kPa", *range(900), 6553.5, *range(900), -6553.5)
-    wanted = column("DCT Target Clutch 1 Pressure", "kPa", *range(900))
-    assert proposed(read, wanted) == {Signal.CLUTCH1_PRESSURE: "DCT Clutch 1 Pressure"}
-    assert (read.lowest, read.highest, read.count) == (-6553.5, 6553.5, 1802)
-    assert proposed(column("Clutch 1 Pressure", "kPa", *range(900), *[6553.5] * 9)) == {}
 
 
 def test_the_proposal_is_a_profile(tmp_path: Path) -> None:

@@ -15,7 +15,6 @@ from diag_service.mapping.profile import PROFILE_PATH, load_profile
 from diag_service.service.session import Session
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore
-from fleet_contract.orders import Action
 from tests.support.builders import shift_result
 from tests.support.histories import CALIBRATION, STATE, VERSIONS, of_version
 from tests.unit.diag_service.service.test_live import gear_frames
@@ -77,13 +76,3 @@ def test_new_fluid_during_a_run_is_noted_with_the_next_shift_of_either_clutch() 
     assert (first.to_gear, second.to_gear) == (2, 1)
     assert reasons[2] == "new fluid, of which no shift is known yet"
     assert reasons[1] != reasons[2]
-
-
-def test_a_run_that_waits_for_its_next_shift_hears_of_new_fluid(store: ResultStore) -> None:
-    run = session(store)
-    assert run.summary(FrameCounts(), None).order.action is Action.CHANGE_NOW
-    assert not run.retry()
-    store.add_fills([replace(FILL, filled_at="2026-01-05T00:00:00.000000Z")])
-    assert run.retry()
-    assert run.summary(FrameCounts(), None).order.action is Action.NEW_FLUID
-    assert {one.verdict.condition.name for one in run.latest} == {"NO_VERDICT"}

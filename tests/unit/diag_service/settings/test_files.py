@@ -1,7 +1,5 @@
 """Settings: the command line over the environment over the file over the defaults; unknown keys and secrets."""
 
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +11,6 @@ from diag_service.commands.live import describe
 from diag_service.errors import ConfigError
 from diag_service.settings.options import SETTINGS, read_settings
 from fleet_contract.settings import PREFIX
-from tests.support.service import environment
 
 VALUES: dict[str, str | int | float | bool] = {
     "vehicle": "car1",
@@ -82,18 +79,6 @@ def test_every_option_may_be_in_the_file(tmp_path: Path) -> None:
     assert changed(settings(file)) == {name: str(value) for name, value in VALUES.items()}
 
 
-@pytest.mark.parametrize("name", ["store_budget", "dbc", "fd"])  # a number, a file, a switch
-@pytest.mark.parametrize("place", ["file", "environment", "command line"])
-def test_an_option_is_set_alone(name: str, place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file, words = tmp_path / "car.toml", list[str]()
-    file.write_text(toml({name: VALUES[name]} if place == "file" else {}), encoding="utf-8")
-    if place == "environment":
-        monkeypatch.setenv(PREFIX + name.upper(), str(VALUES[name]))
-    if place == "command line":
-        words = [f"--{name.replace('_', '-')}", *([] if VALUES[name] is True else [str(VALUES[name])])]
-    assert changed(settings(file, *words)) == {name: str(VALUES[name])}
-
-
 def test_who_stands_over_whom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "car.toml"
     file.write_text('vehicle = "file"\nchannel = "file"\ninterface = "file"\n', encoding="utf-8")
@@ -158,12 +143,3 @@ def test_the_settings_are_shown_as_a_file_with_the_password_masked() -> None:
         "broker": "mqtts://car1:***@host"
     }
     assert "# metrics is not set\n" in text
-
-
-def test_words_are_read_before_anything_heavy_is_loaded() -> None:
-    code = (
-        "import sys; from diag_service import cli; from diag_service.commands.arguments import COMMAND_LINE;"
-        "COMMAND_LINE.parse(['run']); sys.exit(bool({'numpy', 'numba', 'rich', 'can', 'asyncio'} & set(sys.modules)))"
-    )
-    started = subprocess.run([sys.executable, "-c", code], check=False, env=environment())
-    assert started.returncode == 0

@@ -4,7 +4,7 @@ import pytest
 
 from diag_service.tester.answers import belongs, fault
 from diag_service.tester.description import Coding, Datum, Description, Field, Trouble
-from diag_service.tester.trouble import read_codes, read_extended, read_snapshots
+from diag_service.tester.trouble import read_codes
 
 SPEED = Field(name="speed", kind=Coding.UNSIGNED, size_bytes=2, unit="km/h", resolution=0.01, invalid=0xFFFF)
 KNOWN = Description(
@@ -70,20 +70,6 @@ def test_codes_have_text_and_states() -> None:
 )
 def test_what_breaks_the_rules_is_named(request_hex: str, response_hex: str, text: str) -> None:
     assert fault(bytes.fromhex(request_hex), bytes.fromhex(response_hex)) == text
-
-
-def test_snapshots_are_data_with_their_units() -> None:
-    found = read_snapshots(bytes.fromhex("59 04 081107 2F 01 01 0102 1234 02 02 0102 FFFF 0102 0001"), KNOWN)
-    assert [(one.number, one.data, one.rest) for one in found] == [
-        (1, {"vehicle speed": {"speed [km/h]": 46.6}}, b""),
-        (2, {"vehicle speed": {"speed [km/h]": None}, "vehicle speed (0102)": {"speed [km/h]": 0.01}}, b""),
-    ]
-
-
-def test_extended_records_are_told_apart_while_their_length_is_known() -> None:
-    found = read_extended(bytes.fromhex("59 06 081107 2F 01 05 10 1234 77 010203"), KNOWN)
-    assert [one.data for one in found] == [{"counter": {"times": 5}}, {"at the failure": {"speed [km/h]": 46.6}}, {}]
-    assert (found[-1].number, found[-1].rest) == (0x77, b"\1\2\3")
 
 
 def test_an_answer_belongs_to_its_request_only() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
-from ecu_emulator.bus.bus_faults import FOREIGN_IDS, FRAME_S, BusFaults
+from ecu_emulator.bus.bus_faults import BusFaults
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind, Phase
@@ -69,28 +69,6 @@ def test_a_restarted_sender_counts_from_zero() -> None:
     same_sender = [name for name, contract in CONTRACTS.items() if contract.sender == CONTRACT.sender]
     assert count == sum(len(of_message(FRAMES, name)) - len(of_message(frames, name)) for name in same_sender)
     assert np.array_equal(of_message(frames, "ECM_TorqueSpeed").data, of_message(FRAMES, "ECM_TorqueSpeed").data)
-
-
-def test_delayed_frames_keep_their_order() -> None:
-    frames, counts = struck([fault("delay", delay_s=0.015, jitter_s=0.06)])
-    after = of_message(frames)
-    assert counts == (20,)
-    assert np.array_equal(after.data, BEFORE.data)
-    late_s = after.t_s - BEFORE.t_s
-    assert np.all(late_s[INSIDE] >= 0.015)
-    assert np.all(late_s >= 0.0)
-    assert late_s.max() < 0.015 + 0.06 + 1e-9
-    assert np.all(late_s[INSIDE[-1] + 9 :] == 0.0)
-
-
-def test_an_overload_fills_the_bus_and_loses_nothing() -> None:
-    frames, (count,) = struck([fault("overload", message="")])
-    is_foreign = (frames.can_id >= FOREIGN_IDS[0]) & (frames.can_id <= FOREIGN_IDS[1])
-    assert np.count_nonzero(is_foreign) == count == len(frames) - len(FRAMES)
-    inside = frames.t_s[(frames.t_s >= START_S) & (frames.t_s < START_S + DURATION_S)]
-    assert np.diff(inside) == pytest.approx(FRAME_S)  # 100 % of 500 kbit/s
-    own = frames.data[~is_foreign]
-    assert np.array_equal(np.unique(own, axis=0), np.unique(FRAMES.data, axis=0))
 
 
 KINDS = [

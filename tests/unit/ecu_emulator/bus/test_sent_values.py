@@ -11,7 +11,6 @@ from dbc.contract import load_contract
 from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.bus.frames import FrameEncoder
 from ecu_emulator.bus.sent_values import SentValues
-from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.sensing import Readings
 
 DATABASE = load_contract()
@@ -110,24 +109,3 @@ def test_a_controller_whose_vehicle_has_not_begun_is_busy_with_what_it_will_know
         answering.send(frames(name)[0])
     for request in live:
         assert not ask(request).startswith("7f")
-
-
-@pytest.mark.parametrize(("step_s", "has_failed"), [(0.01, False), (0.1, True)])
-def test_a_shift_or_failure_takes_no_longer_because_its_sender_has_to_wait(*, step_s: float, has_failed: bool) -> None:
-    now_s = 0.0
-    answering = Answering(Sent(), table="", memory=None, doip=None, is_fd=False, clock=lambda: now_s)
-    shift = {"current_gear": 2.0, "target_gear": 3.0}
-    sent = [message for name in MESSAGES for message in frames(name, **shift if name == "TCU_Shift" else {})]
-    numbers = {trouble.code: number for number, trouble in answering.controller.table.troubles.items()}
-
-    def status(code: str) -> int:
-        return int(answering.controller.state.memory.records[numbers[code]].status)
-
-    for look in range(25):
-        for message in sent:
-            message.timestamp = look * step_s
-            answering.send(message)
-        answering.watch()
-        now_s += 4.0  # between two looks more time passes than a shift may take
-    assert bool(status("P0711") & Status.TEST_FAILED) is has_failed  # the fluid's temperature is not available
-    assert not status("P0780") & Status.FAILED_THIS_CYCLE

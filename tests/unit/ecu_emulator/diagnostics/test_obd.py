@@ -1,18 +1,14 @@
 """OBD in both of its profiles, answer by answer as SAE J1979, J1979-2 and ISO 15765-4 have them."""
 
 from collections.abc import Iterable
-from importlib.resources import files
 
 import pytest
 
 from ecu_emulator.diagnostics.memory import TestResult
 from ecu_emulator.diagnostics.server import cycled, warmed_up
-from ecu_emulator.diagnostics.table import DiagnosticTable
-from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.diagnostics.table_file import shipped_table
 from tests.unit.ecu_emulator.diagnostics.bench import Bench
 
-TEXT = files("ecu_emulator").joinpath("diagnostics/tcu.toml").read_text(encoding="utf-8")
 PROBED_PIDS = sorted(set(range(0x100)) - set(range(0, 0x100, 0x20)))
 DRIVEN = {
     "engine_speed_rad_s": 209.44, "vehicle_speed_m_s": 27.78, "coolant_temperature_k": 363.15,
@@ -20,10 +16,6 @@ DRIVEN = {
     "odometer_m": 12_345_678.0, "throttle_ratio": 1.0, "pedal_ratio": 0.5, "ambient_temperature_k": 293.15,
     "manifold_pressure_pa": 60e3, "engine_torque_nm": -25.0,
 }  # fmt: skip
-
-
-def table_of(profile: str) -> DiagnosticTable:
-    return parse_table(TEXT.replace('obd = "classic"', f'obd = "{profile}"'), "table")
 
 
 @pytest.fixture
@@ -151,58 +143,3 @@ def test_a_client_clears_codes_at_standstill_but_not_those_that_are_permanent(be
     assert bench.ask("0A") == "4a 01 02 18"  # nothing was tested
     good_cycle(bench, "P0218")
     assert bench.ask("0A") == "4a 00"
-
-
-def test_obd_by_the_services_of_uds(bench: Bench) -> None:
-    bench = Bench(table=table_of("uds"))
-    bench.values = {**bench.values, **DRIVEN, "vehicle_speed_m_s": 0.0}
-    assert bench.ask("01 0C") == "7f 01 11"
-    assert bench.ask("22 F4 0C F4 0D F8 0A") == "62 f4 0c 1f 40 f4 0d 00 f8 0a " + b"TCM\0-TransmisCtrl".ljust(
-        20, b"\0"
-    ).hex(" ")
-    assert bench.ask("22 F8 02", to_all=True) == "62 f8 02 " + b"WDCTEMUL3TED00047".hex(" ")
-    assert bench.ask("22 F4 02", to_all=True) == ""
-    assert bench.ask("22 F4 02") == "7f 22 31"
-    bitmaps = [bytes.fromhex(bench.ask(f"22 F4 {first:02x}"))[3:] for first in range(0, 0xC0, 0x20)]
-    answered = {pid for pid in PROBED_PIDS if bench.ask(f"22 F4 {pid:02x}", to_all=True)}
-    assert there(bitmaps) - set(range(0, 0x100, 0x20)) == answered
-    fail(bench, "P0218")
-    fail(bench, "P0810")
-    assert bench.ask("19 42 33 08 FF") == "59 42 33 ff e0 04 80 02 18 4b af"
-    assert bench.ask("19 42 33 08 40") == "59 42 33 ff e0 04"  # another severity
-    assert bench.ask("19 42 33 08") == "7f 19 13"
-    assert bench.ask("19 42 FF 08 FF") == "7f 19 31"
-    assert bench.ask("14 FF FF 33") == "54"
-    assert bench.ask("19 42 33 08 FF") == "59 42 33 ff e0 04"
-    assert bench.ask("19 55 33") == "59 55 33 ff 04 02 18 4b 50"
-    assert bench.ask("19 02 08") == "59 02 ff 08 10 54 2f"  # not one of OBD: not cleared
-
-
-@pytest.fixture(name="uds")
-def _uds(bench: Bench) -> Bench:
-    made = Bench(table=table_of("uds"))
-    made.values = {**bench.values, **DRIVEN, "vehicle_speed_m_s": 0.0}
-    return made
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ('obd = "classic"', 'obd = "kwp"', "obd must be one of classic, uds, got 'kwp'"),
-        ('obd = "classic"', "", "monitor is there, but key obd is missing"),
-        ("number = 0x0C\n", "number = 0x20\n", r"pid 5: PID engine speed: its number must be 1..0xFF and no multiple"),
-        ("number = 0x0C\n", "number = 0x0D\n", "pid 0x0D is there twice"),
-        ('initial = "00FA"', 'initial = "FA"', "initial must have 2 bytes"),
-        ('initial = "00FA"', 'initial = "hi"', "not hexadecimal digits"),
-        ("data = 0xF190", "data = 0xF1FF", "vehicle information vehicle identification number: data 0xF1FF is not"),
-        ("size_bytes = 16\n", "size_bytes = 5\n", "it is longer than 5 bytes"),
-        ("data = 0xF190", 'data = 0xF190\ntext = "x"', "either data, a text or digits"),
-        ('number = 0xE1, code = "P0811"', 'number = 0xE1, code = "P0999"', "trouble code P0999 is not described"),
-        ("number = 0xE1,", "number = 0xE0,", "no multiple of 0x20"),
-        ('clear_conditions = ["standstill"]', 'clear_conditions = ["asleep"]', "condition asleep is not described"),
-    ],
-)  # fmt: skip
-def test_a_table_is_checked_for_obd(old: str, new: str, message: str) -> None:
-    assert old in TEXT
-    with pytest.raises(ConfigError, match=message):
-        parse_table(TEXT.replace(old, new, 1), "table")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.unit.ecu_emulator.diagnostics.bench import PARKED, Bench
+from tests.unit.ecu_emulator.diagnostics.bench import Bench
 
 
 @pytest.fixture
@@ -43,32 +43,6 @@ def test_a_reset_takes_a_moment_in_which_nothing_is_heard(bench: Bench) -> None:
     assert bench.ask("22 f1 86") == "62 f1 86 01"
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "nrc"),
-    [
-        ("engine_speed_rad_s", 0.0, "84"),
-        ("engine_speed_rad_s", 50.0, "82"),
-        ("engine_speed_rad_s", 200.0, "81"),
-        ("sump_temperature_k", 313.15, "87"),
-        ("sump_temperature_k", 390.0, "86"),
-        ("vehicle_speed_m_s", 5.0, "88"),
-        ("pedal_ratio", 0.1, "8a"),
-        ("current_gear", 1.0, "8c"),
-        ("engine_run_time_s", 1.0, "85"),
-        ("brake_pressure_pa", 0.0, "8f"),
-        ("adaptation_possible", 0.0, "22"),
-    ],
-)
-def test_the_adaptation_of_the_clutches_says_what_is_missing(bench: Bench, name: str, value: float, nrc: str) -> None:
-    bench.ask("10 03")
-    assert bench.ask("31 01 03 02") == "7f 31 33"
-    bench.unlock()
-    bench.values[name] = value
-    assert bench.ask("31 01 03 02") == f"7f 31 {nrc}"
-    bench.values |= PARKED
-    assert bench.ask("31 01 03 02") == "7f 31 78"
-
-
 def test_a_routine_that_is_awaited_is_answered_when_it_has_ended(bench: Bench) -> None:
     bench.unlock()
     assert bench.ask("31 81 03 01 04 04") == "7f 31 78"
@@ -104,15 +78,3 @@ def test_a_session_and_its_security_belong_to_the_client_who_entered_it(
     assert bench.ask(request_, client=1) == response
     assert bench.ask("22 f1 86") == "62 f1 86 03"
     assert bench.ask("2e f1 98 43 4c 55 54 43 48 53 48 4f 50") == "6e f1 98"
-
-
-def test_a_client_leaves_the_data_that_another_one_made_alone(bench: Bench) -> None:
-    assert bench.ask("2c 01 f3 00 f1 90 01 03", client=1) == "6c 01 f3 00"
-    assert bench.ask("2c 01 f3 01 f1 90 01 01", client=2) == "6c 01 f3 01"
-    assert bench.ask("2c 01 f3 00 f1 90 01 01", client=2) == "7f 2c 31"
-    assert bench.ask("2c 03 f3 00", client=2) == "7f 2c 31"
-    assert bench.ask("2c 03", client=2) == "6c 03"  # its own
-    assert bench.ask("22 f3 01", client=2) == "7f 22 31"
-    assert bench.ask("22 f3 00", client=1) == "62 f3 00 57 44 43"
-    bench.leave(1)
-    assert bench.ask("22 f3 00", client=2) == "7f 22 31"

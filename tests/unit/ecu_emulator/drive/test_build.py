@@ -5,7 +5,6 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from ecu_emulator.drive.build import build_vehicle
-from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.parameters import nominal_parameters
 from ecu_emulator.scenario.scenario import Truth, production_scatter
 from ecu_emulator.scenario.signals import NOMINAL_SENSORS
@@ -61,21 +60,3 @@ def test_truth_overrides_reach_calibration_and_plant() -> None:
     assert vehicle.calibration.viscosity.b_k == 700.0
     assert [shaft.stiffness_nm_rad for shaft in vehicle.parameters.shafts] == [9000.0, 7500.0]
     assert vehicle.parameters.vehicle.mass_kg == 1800.0
-
-
-@pytest.mark.parametrize(
-    ("truth", "named"),
-    [
-        (Truth(calibration={"clutch3.friction.mu_c": 0.1}), r"truth\.calibration\.clutch3\.friction\.mu_c is unknown"),
-        (Truth(calibration={"clutch1.friction.mu": 0.1}), r"truth\.calibration\.clutch1\.friction\.mu is unknown"),
-        (Truth(calibration={"clutch1.friction": 0.1}), r"truth\.calibration\.clutch1\.friction is unknown"),
-        (Truth(calibration={"name.first.second": 0.1}), r"truth\.calibration\.name\.first\.second is unknown"),
-        (Truth(calibration={"clutch1.friction.mu_c": 0.9}), r"mu_c must be"),
-        (Truth(calibration={"clutch1.friction.mu_c": "much"}), r"mu_c must be a number"),
-        (Truth(plant={"vehicle.weight_n": 1.0}), r"truth\.plant\.vehicle\.weight_n is unknown"),
-        (Truth(plant={"vehicle.mass_kg": -1.0}), r"vehicle\.mass_kg must be"),
-    ],
-)
-def test_an_impossible_truth_is_named(truth: Truth, named: str) -> None:
-    with pytest.raises(ConfigError, match=named):
-        build_vehicle(replace(drive_scenario("noise_only"), truth=truth))

@@ -2,15 +2,11 @@
 
 from dataclasses import replace
 
-import pytest
-
 from ecu_emulator.commands import DriveOptions, choose_scenario
 from ecu_emulator.drive.build import BuiltVehicle, build_vehicle, drive_truth
 from ecu_emulator.drive.causes import PER_STRENGTH
 from ecu_emulator.drive.recording import frames_of
-from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.faults import Cause, CauseKind
-from ecu_emulator.scenario.scenario import Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario
 
 IDEAL = load_scenario("ideal")
@@ -19,21 +15,6 @@ SOUND = build_vehicle(IDEAL)
 
 def built(said: str, seed: int = 1) -> BuiltVehicle:
     return build_vehicle(replace(choose_scenario(DriveOptions(scenario=IDEAL, cause=said)), vehicle_seed=seed))
-
-
-def ratio(vehicle: BuiltVehicle, clutch: int, group: str, name: str) -> float:
-    return float(
-        getattr(getattr(vehicle.calibration.clutches[clutch], group), name)
-        / getattr(getattr(SOUND.calibration.clutches[clutch], group), name)
-    )
-
-
-def test_aged_fluid_is_in_both_clutches_and_takes_the_slope() -> None:
-    aged = built("aged-fluid:2")
-    for clutch in (0, 1):
-        assert ratio(aged, clutch, "friction", "mu_c") < 0.96
-        assert ratio(aged, clutch, "friction", "mu_s") > 1.04
-    assert aged.calibration.viscosity.a_pa_s < SOUND.calibration.viscosity.a_pa_s
 
 
 def test_water_makes_friction_erratic_from_shift_to_shift() -> None:
@@ -65,9 +46,3 @@ def test_every_cause_changes_the_car() -> None:
             SOUND.parameters,
             SOUND.sensors,
         )
-
-
-@pytest.mark.parametrize("said", ["rust", "air:much", "air:9", "air:1:2", "worn-lining:1:3", "air:1:0:4", "air,"])
-def test_what_is_no_cause_is_refused(said: str) -> None:
-    with pytest.raises(ConfigError):
-        choose_scenario(DriveOptions(scenario=Scenario(name="x"), cause=said))

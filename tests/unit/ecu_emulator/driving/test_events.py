@@ -1,16 +1,14 @@
 """What the events of a drive look like: launches, creeps, every kind of change."""
 
 import numpy as np
-import pytest
 
 from canlog.arrays import FloatArray
 from ecu_emulator.driving.indices import DriveState, EventKind
 from ecu_emulator.driving.trip import Car, DriveConditions, Trip
 from ecu_emulator.plant.drive import FrictionFactors
 from ecu_emulator.plant.state import Col
-from tests.unit.ecu_emulator.driving.drives import Event, driven, events, of_kind, trace
+from tests.unit.ecu_emulator.driving.drives import Event, driven, of_kind, trace
 
-SEEDS_OF_WHIMS = (1, 3)
 HOLD, PREFILL, TORQUE, INERTIA, LOCK_UP = range(5)
 
 
@@ -45,12 +43,6 @@ def test_a_launch_slips_under_load_and_ends_locked(town: FloatArray) -> None:
     assert (after[:, Col.DRIVE_STATE] == DriveState.IN_GEAR).all()
 
 
-def test_a_launch_is_aborted_when_the_driver_lifts() -> None:
-    rows = driven(trace((0, 0), (1, 0), (2.2, 2.0), (2.4, 2.0), (3.2, 0), (6, 0)))
-    assert any(event.is_aborted for event in of_kind(rows, EventKind.LAUNCH))
-    assert rows[-1, Col.VEHICLE_SPEED] == 0.0
-
-
 def test_coast_downshifts_blip_the_throttle_and_slip_shortly(town: FloatArray) -> None:
     for event in of_kind(town, EventKind.COAST_DOWNSHIFT):
         clutch = 2 - event.gears[1] % 2
@@ -61,19 +53,6 @@ def test_coast_downshifts_blip_the_throttle_and_slip_shortly(town: FloatArray) -
         slipping = (np.abs(slip_rad_s(event.rows, clutch)) > 2.0) & (carried_nm > 6.0)
         assert slipping.sum() < 400
         assert abs(slip_rad_s(event.rows, clutch)[-1]) < 1.0
-
-
-def test_a_skip_under_power_goes_over_the_other_shaft(sport: FloatArray) -> None:
-    skip = only(sport, EventKind.POWER_ON_SKIP)
-    assert skip.gears == (5, 3)
-    rows = skip.rows
-    assert rows[:, Col.ENGINE_TORQUE].max() > 200.0
-    assert set(rows[:, Col.SHAFT1_GEAR]) == {5.0, 0.0, 3.0}  # the shaft changes its gear inside the event
-    assert set(rows[:, Col.SHAFT2_GEAR]) == {4.0}
-    bridged = rows[:, Col.SHAFT1_GEAR] == 0.0
-    assert rows[bridged, Col.CLUTCH2_TORQUE].min() > 50.0  # meanwhile the bridge carries
-    assert slip_rad_s(rows[bridged], 2).min() > 5.0
-    assert abs(slip_rad_s(rows, 1)[-1]) < 1.0
 
 
 def test_in_a_kickdown_the_off_going_clutch_slips_first() -> None:
@@ -89,24 +68,6 @@ def test_in_a_kickdown_the_off_going_clutch_slips_first() -> None:
         assert first[:, Col.CLUTCH1_TORQUE + going - 1].min() > 30.0
         assert np.abs(first[:, Col.CLUTCH1_TORQUE + coming - 1]).max() < 25.0
         assert abs(slip_rad_s(event.rows, coming)[-1]) < 1.0
-
-
-@pytest.fixture(scope="module", params=SEEDS_OF_WHIMS)
-def moody(request: pytest.FixtureRequest) -> FloatArray:
-    """Return the rows of a drive whose driver has whims all the time."""
-    road = trace((0, 0), (1, 0), (30, 25), (34, 25), (44, 8), (50, 12), (60, 22))
-    return driven(road, seed=request.param, whim_ratio=1.0)
-
-
-def test_a_driver_changes_the_mind_and_the_target_goes_back(moody: FloatArray) -> None:
-    aborted = [event for event in events(moody) if event.is_aborted and event.kind is not EventKind.LAUNCH]
-    assert aborted
-    for event in aborted:
-        back = event.rows[:, Col.IS_ABORTED] == 1.0
-        assert (event.rows[back, Col.TARGET_GEAR] == event.rows[back, Col.CURRENT_GEAR]).all()
-        assert (event.rows[~back, Col.TARGET_GEAR] != event.rows[~back, Col.CURRENT_GEAR]).all()
-        assert event.rows[-1, Col.CURRENT_GEAR] == event.gears[0]
-        assert np.count_nonzero(~back) >= 50  # milliseconds: no message on the bus misses the target
 
 
 def re_slip_rad_s(friction: FrictionFactors, launched_s: float) -> float:

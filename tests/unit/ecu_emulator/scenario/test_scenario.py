@@ -1,20 +1,17 @@
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import pytest
 
-from clutch_model.calibration import nominal_calibration
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.faults import Phase, SensorFault, SensorFaultKind
 from ecu_emulator.scenario.scenario import (
     Ambient,
     Driver,
     Routine,
-    Scatter,
     Scenario,
     production_scatter,
 )
 from ecu_emulator.scenario.scenario_file import load_scenario, parse_scenario, shipped_scenarios
-from ecu_emulator.scenario.signals import NOMINAL_SENSORS
 
 MINIMAL = 'name = "mine"\n'
 FAULT = "[[sensor_faults]]\nquantity = 'hub_speed_rad_s'\n"
@@ -26,29 +23,6 @@ def test_shipped_scenarios_load_and_are_named_like_their_files() -> None:
         scenario = load_scenario(name)
         assert scenario.name == name
         assert scenario.description
-
-
-def test_noise_only_has_noise_and_nothing_else() -> None:
-    scenario = load_scenario("noise_only")
-    assert scenario.scatter == Scatter()
-    assert dict(scenario.sensors) == dict(NOMINAL_SENSORS)
-    assert not scenario.truth.calibration
-    assert not scenario.truth.plant
-    assert set(scenario.startup.by_sender().values()) == {0.0}
-    assert all(
-        (s.gain_ratio, s.offset, s.latency_s, s.lag_s) == (1.0, 0.0, 0.0, 0.0) for s in scenario.sensors.values()
-    )
-    assert scenario.sensors["engine_torque_nm"].noise_std == 3.0
-
-
-def test_production_scatter_is_half_of_what_the_service_allows_for() -> None:
-    believed = nominal_calibration().uncertainty
-    for member in fields(Scatter):
-        if member.name.startswith("converter"):  # castings, of which this type has none
-            continue
-        share = 0.0 if member.name == "input_shaft_inertia_ratio" else 0.5  # machined alike
-        assert getattr(production_scatter(), member.name) == share * getattr(believed, member.name)
-    assert load_scenario("ideal").scatter == production_scatter()
 
 
 def test_a_scenario_needs_only_a_name() -> None:

@@ -65,15 +65,6 @@ def test_a_launch_to_lock() -> None:
     assert event.oil_temperature_k == LAUNCH[500, Col.SUMP_TEMPERATURE]
 
 
-def test_a_launch_that_is_broken_off_does_not_lock() -> None:
-    rows = LAUNCH.copy()
-    rows[1000:1600, Col.IS_ABORTED] = 1.0
-    rows[1600:, Col.STICK1] = 0.0
-    rows[1600:, Col.INPUT1_SPEED] = HUB_RAD_S - 40.0
-    event = only(rows)
-    assert (event.is_locked, event.is_aborted) == (False, True)
-
-
 def test_a_shift_shows_the_clutch_that_did_more_work() -> None:
     rows = with_slip(with_slip(quiet_rows(1000), 100, np.full(50, 20.0)), 150, np.full(300, 60.0), clutch=2)
     rows = with_event(rows, 100, 500, EventKind.POWER_ON_UPSHIFT)
@@ -85,13 +76,6 @@ def test_a_shift_shows_the_clutch_that_did_more_work() -> None:
     assert event.slip_energy_j == pytest.approx(TORQUE_NM * 60.0 * 0.3)
     assert event.other_slip_energy_j == pytest.approx(TORQUE_NM * 20.0 * 0.05)
     assert event.mu_c == rows[499, Col.MU_C2]
-
-
-def test_slip_that_comes_back_is_told_apart() -> None:
-    chatter = np.concatenate((np.linspace(80.0, 0.0, 400), 12.0 * np.abs(np.sin(np.linspace(0.0, 12.0, 400)))))
-    event = only(with_event(with_slip(quiet_rows(2000), 200, chatter), 200, 1100, EventKind.LAUNCH))
-    assert event.peak_slip_rad_s == 80.0
-    assert event.reslip_rad_s == pytest.approx(12.0, rel=1e-3)
 
 
 def test_an_event_cut_off_by_the_end_of_a_trip_is_told_once() -> None:

@@ -1,11 +1,11 @@
 """What is kept of the fleet: what arrives is seen, what fails is tried again, who listens hears of changes alone."""
 
 from collections.abc import Sequence
-from datetime import datetime, timedelta
+from datetime import datetime
 
 from fleet_backend.errors import DatabaseAwayError
 from fleet_backend.orders import PresentFluid
-from fleet_backend.page.keeper import WHOLE_AFTER, Keeper
+from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.records import ClutchNow
 from fleet_backend.page.running import DatabaseSource, FillsSeen
 from tests.support.fleet import NOW
@@ -61,25 +61,6 @@ def test_only_vehicles_with_news_are_read_again() -> None:
     assert (keeper.snapshot.number, keeper.snapshot.changed) == (2, frozenset({"b", "c"}))
     assert not keeper.refresh()  # the same news again, within the overlap
     assert keeper.snapshot.number == 2
-
-
-def test_new_fluid_makes_it_read_its_vehicle_and_time_all() -> None:
-    fleet = Fleet(clutch_now("a"), clutch_now("b"))
-    keeper = Keeper(fleet)
-    keeper.refresh()
-    fleet.fills, fleet.filled = FillsSeen(count=1, latest=NOW), {"a": (NOW, "new")}
-    fleet.clutches[0] = clutch_now("a", fluid="new")
-    assert keeper.refresh()
-    assert keeper.snapshot.vehicles["a"][0].fluid == "new"
-    fleet.fills, fleet.filled = FillsSeen(count=0, latest=None, withdrawn_count=1), {}
-    fleet.clutches[0] = clutch_now("a")
-    assert keeper.refresh()
-    assert keeper.snapshot.vehicles["a"][0].fluid == clutch_now("a").fluid
-    assert fleet.asked == ["fluids", "all", "fluids", "a", "fluids", "a"]
-    fleet.at += WHOLE_AFTER + timedelta(seconds=1)
-    del fleet.clutches[1]
-    assert keeper.refresh()
-    assert (fleet.asked[-1], set(keeper.snapshot.vehicles), len(keeper.snapshot.clutches)) == ("all", {"a"}, 1)
 
 
 async def test_who_listens_hears_of_changes_and_a_database_that_is_away_is_said() -> None:

@@ -1,13 +1,10 @@
 """Tables by the names of their columns: what is proposed, what one says oneself, and what is left open."""
 
-from datetime import datetime
-
 import pytest
 
 from canlog.errors import SourceError
-from canlog.frames import EXTENDED_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
+from canlog.frames import EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 from canlog.logs.columns import ColumnsLog
-from canlog.logs.columns.headed import Clx000
 from canlog.logs.detection import LogFormat, detect
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.text_log import TextLog, frames_of
@@ -94,35 +91,6 @@ def test_damaged_lines_are_counted(line: str) -> None:
 def test_a_list_of_identifiers_is_no_log(text: str) -> None:
     with pytest.raises(SourceError, match=r"^a list of identifiers, not a log: .*; if it is one, say --columns '?id="):
         detect(text.encode())
-
-
-@pytest.mark.parametrize(
-    ("start", "stamps", "elapsed_us"),
-    [
-        ("20240131T020000", ("31T235959.998", "01T000000.001"), (79_199_998_000, 79_200_001_000)),
-        ("20240131T020000", ("235959998", "000000001"), (79_199_998_000, 79_200_001_000)),
-        ("20240131T020000", ("59.59,998", "00.00,001"), (3_599_998_000, 3_600_001_000)),
-        ("20240131T020000", ("02/28 23:59:59.998", "03/01 00:00:00.001"), (2_498_399_998_000, 2_584_800_001_000)),
-        ("20240131T020000", ("20240131020001000", "20250131020000000"), (1_000_000, 366 * 86_400_000_000)),
-        ("20241331T020000", ("01T000000.500", "01T000000.501"), (500_000, 501_000)),  # a month that none is
-    ],
-)
-def test_the_times_of_clx000_have_any_of_their_parts(
-    start: str, stamps: tuple[str, ...], elapsed_us: tuple[int, ...]
-) -> None:
-    log = Clx000()
-    lines = "".join(f"{stamp};9;7df;0201\n" for stamp in stamps)
-    batch, counts = read(log, f"# Logger type: CL1000\n# Time: {start}\nTimestamp;Type;ID;Data\n{lines}")
-    is_date = "13" not in start[4:6]
-    begun = datetime.strptime(start if is_date else "19700101T000000", "%Y%m%dT%H%M%S").astimezone()
-    start_us = int(begun.timestamp()) * 1_000_000
-    assert [t_us - start_us for t_us, _, _ in rows(batch)] == list(elapsed_us)
-    assert (counts.skipped, counts.rejected, len(log.notes)) == (3, {}, 0 if is_date else 1)
-    assert batch.can_id.tolist() == [0x7DF | EXTENDED_FLAG] * 2
-    assert batch.flags.tolist() == [TX_FLAG] * 2
-    for wrong in ("0000", "1", "321T000000000", "01T250000000", "x", "99" * 9):
-        more, counts = read(Clx000(), f"# Logger type: CL1000\nTimestamp;Type;ID;Data\n{wrong};0;1;00\n")
-        assert (len(more), sum(counts.rejected.values())) == (0, 1), wrong
 
 
 def table(head: str, *cells: tuple[str, str]) -> str:

@@ -13,7 +13,7 @@ from diag_service.diagnosis.records import (
     Condition,
     LikelyCause,
 )
-from diag_service.diagnosis.summary import Gap, newest_causes, order_by, unjudged
+from diag_service.diagnosis.summary import Gap, order_by, unjudged
 from tests.support.builders import shift_result
 from tests.unit.diag_service.diagnosis.condition.test_condition import believed
 
@@ -110,14 +110,3 @@ def test_new_fluid_is_not_ordered_for_what_it_does_not_mend(
     verdict = replace(verdict_on(*mu), causes=causes)
     both = [replace(shift_result(), verdict=replace(verdict, clutch=clutch)) for clutch in (1, 2)]
     assert order_by(both, None).sentence == sentence
-
-
-def test_why_is_told_by_the_result_by_which_the_order_goes() -> None:
-    """What the older one says of causes was forgotten when friction changed."""
-    good = verdict_on(0.140, 0.119)
-    before = replace(shift_result(1), verdict=replace(good, clutch=1, causes=why("weak-pump", 0.99)))
-    changed = replace(shift_result(9), verdict=replace(good, clutch=2))
-    assert before.estimate.end_ns < changed.estimate.end_ns
-    assert newest_causes([before]) == before.verdict.causes
-    assert newest_causes([before, changed]) is None
-    assert order_by([before, changed], None).sentence == "Nothing to do now: the fluid is sound."

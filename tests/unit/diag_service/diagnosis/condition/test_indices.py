@@ -1,7 +1,5 @@
 """Indices of a made-up shift whose every number is known."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -51,11 +49,6 @@ def shift(ratio: float = 0.9, *, to_gear: int = 2, sign: float = 1.0) -> Event:
     )
 
 
-def without(event: Event, *signals: Signal, **more: Series) -> Event:
-    kept = {signal: one for signal, one in event.columns.items() if signal not in signals}
-    return replace(event, columns={**kept, **{Signal(name): one for name, one in more.items()}})
-
-
 def test_time_and_slip() -> None:
     found = measure(shift(), CALIBRATION)
     assert found.shift_time_s == 1.0
@@ -71,15 +64,3 @@ def test_torque_capacity_is_transmitted_over_asked(ratio: float, sign: float) ->
     assert found.torque_capacity_ratio == pytest.approx(ratio, abs=0.01)
     assert found.std_torque_capacity_ratio is not None
     assert 0.03 < found.std_torque_capacity_ratio < 0.1  # gain 3 %, offset 5 Nm, inertia 20 % of 16 Nm
-
-
-@pytest.mark.parametrize("signal", [Signal.ENGINE_TORQUE, Signal.CLUTCH2_TORQUE_COMMAND])
-def test_without_torques_only_time_and_slip(signal: Signal) -> None:
-    found = measure(without(shift(), signal), CALIBRATION)
-    assert found.torque_capacity_ratio is None
-    assert found.slip_duration_s is not None
-
-
-def test_a_shift_without_an_end_has_no_time() -> None:
-    found = measure(replace(shift(), end_reason=EndReason.TOO_LONG), CALIBRATION)
-    assert (found.shift_time_s, found.peak_slip_rad_s) == (None, None)

@@ -83,17 +83,6 @@ def test_a_faultless_change_has_all_parts_and_costs_nothing() -> None:
     assert found.touch_error_pa == pytest.approx(0.0, abs=100.0)
 
 
-def test_slip_becomes_heat_of_the_clutch_that_slipped() -> None:
-    found = quality(event())
-    slipping = (T_S > 0.0) & (T_S < END_S)
-    expected_j = float(np.sum((ASKED_NM * (ENGINE - NEW_RAD_S))[slipping]) * 0.01)
-    assert found.slip_energy2_j == pytest.approx(expected_j, rel=0.02)
-    assert found.slip_energy1_j == 0.0
-    assert found.temperature_rise_k == pytest.approx(
-        expected_j / CALIBRATION.clutches[1].thermal.heat_capacity_j_k, rel=0.02
-    )
-
-
 def test_a_pack_is_as_hot_as_its_slip_makes_it_while_the_oil_cools() -> None:
     thermal = CALIBRATION.clutches[1].thermal
     rate_1_s = thermal.convection_w_k / thermal.heat_capacity_j_k
@@ -136,33 +125,6 @@ def test_a_hole_in_the_acceleration_is_as_deep_as_it_is_and_jerks() -> None:
     assert found.torque_hole_m_s2 == pytest.approx(3.0, abs=0.1)
     assert found.jerk_m_s3 == pytest.approx(23.4, rel=0.03)  # 78 % of a step in 0.1 s, through a window of 0.17 s
     assert set(found.reasons) >= {"torque_hole_m_s2", "jerk_m_s3"}
-
-
-def test_a_touch_point_that_the_control_has_wrong_is_told_with_its_size() -> None:
-    off_pa = 0.3 * BAR_PA
-    command = np.where(T_S < 0.2, 0.0, TOUCH_PA - off_pa + ASKED_NM / NM_PER_PA)
-    found = quality(event(CLUTCH2_PRESSURE_COMMAND=command))
-    assert found.touch_error_pa == pytest.approx(off_pa, abs=0.01 * BAR_PA)
-    assert found.std_touch_error_pa is not None
-
-
-def test_a_cavity_that_is_not_full_in_time_was_filled_for_too_short_a_time() -> None:
-    piston, area_m2 = CALIBRATION.clutches[1].piston, CALIBRATION.clutches[1].geometry.piston_area_m2
-    half_pa = TOUCH_PA - 0.5 * piston.spring_rate_n_m * piston.fill_stroke_m / area_m2
-    found = quality(event(CLUTCH2_PRESSURE=np.where(T_S < 0.25, half_pa, TOUCH_PA + ASKED_NM / NM_PER_PA)))
-    assert found.fill_error_s == pytest.approx(0.15, abs=0.02)  # as long again as the pulse
-    early = np.where((T_S > 0.05) & (T_S < 0.15), 4.0 * BAR_PA, TOUCH_PA + ASKED_NM / NM_PER_PA)
-    assert quality(event(CLUTCH2_PRESSURE=early)).fill_error_s == pytest.approx(-0.1, abs=0.02)
-
-
-def test_what_signals_do_not_tell_is_left_out() -> None:
-    found = quality(event(CLUTCH1_PRESSURE=None, CLUTCH2_PRESSURE=None), has_scale=False)
-    assert (found.tie_up_nm, found.fill_error_s, found.touch_error_pa, found.slip_energy2_j) == (None,) * 4
-    assert found.score == pytest.approx(100.0)
-    assert found.flare_rad_s is not None
-    speeds = quality(event(OUTPUT_SPEED=None, VEHICLE_SPEED=None), has_scale=False)
-    assert (speeds.jerk_m_s3, speeds.torque_hole_m_s2) == (None, None)
-    assert speeds.lock_rate_rad_s2 == found.lock_rate_rad_s2
 
 
 def test_what_is_no_gear_change_has_no_score_and_what_was_broken_off_nothing() -> None:

@@ -10,7 +10,7 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge
 from diag_service.diagnosis.condition.shift_quality import measure
-from diag_service.diagnosis.condition.verdict import LAUNCH_WINDOW, Launches
+from diag_service.diagnosis.condition.verdict import LAUNCH_WINDOW
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.records import Condition, ShiftEstimate, StickSlip
 from tests.support.builders import shift_estimate
@@ -70,37 +70,6 @@ def test_noise_and_a_clutch_that_was_let_go_are_none() -> None:
     assert still < 4.0 * NOISE_RAD_S
     opened = launch(12.0, pressure_pa=np.where(T_S < 2.05, LOADED_PA, EMPTY_PA))
     assert measure(opened, CALIBRATION).reslip_rad_s == pytest.approx(still, abs=NOISE_RAD_S)
-
-
-def test_a_swing_as_the_clutch_bites_and_a_second_launch_are_none() -> None:
-    event = launch(0.0)
-    late = T_S > 2.2
-    again = np.where(late, 40.0, 0.0)  # let go, and closed once more onto another speed
-    hub = event.columns[Signal.HUB_SPEED]
-    pressure = series(np.where((T_S > 2.05) & (T_S < 2.2), EMPTY_PA, LOADED_PA))
-    second = {**event.columns, Signal.HUB_SPEED: series(hub.value + again), Signal.CLUTCH1_PRESSURE: pressure}
-    biting = np.select([T_S < 0.04, T_S < 0.08], [207.0, 200.2], hub.value)
-    bite = {**event.columns, Signal.HUB_SPEED: series(biting)}
-    for columns in (second, bite):
-        found = measure(replace(event, columns=columns), CALIBRATION).reslip_rad_s
-        assert found is not None
-        assert found < 4.0 * NOISE_RAD_S
-
-
-def test_launches_to_lock_are_counted_and_nothing_else() -> None:
-    memory = launched(0.4, 8.0, None)
-    for other in (
-        replace(told(9.0), kind=EventKind.POWER_ON_UPSHIFT),
-        replace(told(9.0), end_reason=EndReason.ABANDONED),
-        replace(told(9.0), indices=None),
-    ):
-        memory = memory.with_launch(other)
-    assert memory.launches[0].reported == StickSlip(launch_count=2, judder_count=1)
-    assert memory.launches[1].reported is None
-    assert ConditionMemory.from_json(memory.to_json()) == memory
-    table = memory.to_json()
-    del table["launches"]
-    assert ConditionMemory.from_json(table).launches == (Launches(), Launches())  # of an earlier version
 
 
 def test_judder_adds_to_what_friction_says_of_the_slope() -> None:

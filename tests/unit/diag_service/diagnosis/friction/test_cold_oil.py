@@ -10,8 +10,8 @@ from clutch_model.units import k_from_degc
 from diag_service.diagnosis.alignment import GRID_S
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction import Estimator, Posterior, balance
-from diag_service.diagnosis.friction.balance import COLD_DOUBT_RATIO, Torques
+from diag_service.diagnosis.friction import Estimator, Posterior
+from diag_service.diagnosis.friction.balance import Torques
 from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films, pack_laws
 from diag_service.diagnosis.quality.data_quality import usable_samples
 from diag_service.diagnosis.records import Reason, Status
@@ -37,15 +37,6 @@ def in_oil(event: Event, degc: float) -> Event:
     return replace(event, columns={**event.columns, Signal.SUMP_TEMPERATURE: cold})
 
 
-def test_a_film_that_closes_is_doubted_and_a_closed_one_hardly() -> None:
-    cold = track_of([0.0, 3e5, 3e5, 3e5, 3e5], 0.0)
-    doubt = cold.doubt_nm / np.maximum(cold.viscous_nm, 1.0)
-    closing = np.argmax(cold.viscous_nm > 30.0)
-    assert doubt[closing] > 0.8
-    assert cold.contact_pa[-1] > 0.0
-    assert doubt[-1] < 0.1
-
-
 def test_friction_is_known_less_by_every_kelvin_below_work_twice() -> None:
     pack_k = [np.full(len(GRID), k_from_degc(degc)) for degc in (100.0, 20.0)]
     drive = PressureDrive(piston_pa=GRID, slip_rad_s=np.full(len(GRID), SLIP_RAD_S), oil_k=350.0, clutch_k=350.0)
@@ -65,19 +56,3 @@ def test_where_the_film_carries_the_torque_nothing_is_said_of_friction() -> None
     assert (estimate.status, estimate.reasons) == (Status.UNOBSERVED, (Reason.NO_SLIP_WINDOW,))
     assert after.shift_counts == (0, 0)
     assert estimator.estimate(warm, usable_samples(warm), state)[1].status is Status.VALID
-
-
-@pytest.mark.parametrize(("oil_degc", "widened"), [(30.0, True), (90.0, False)])
-def test_the_course_of_a_closing_film_tells_less_of_friction_in_cold_oil(
-    oil_degc: float, widened: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """No law of the cold holds moment by moment: a launch whose early film is misjudged would mislead."""
-    event = in_oil(first_shifts()[0], oil_degc)
-    samples = usable_samples(event)
-    stds = []
-    for ratio in (0.0, COLD_DOUBT_RATIO):
-        monkeypatch.setattr(balance, "COLD_DOUBT_RATIO", ratio)
-        _, found = Estimator(CALIBRATION).estimate(event, samples, Posterior.fresh(CALIBRATION))
-        assert found.friction is not None
-        stds.append(found.friction.std_mu_s)
-    assert (stds[1] > 1.05 * stds[0]) is widened

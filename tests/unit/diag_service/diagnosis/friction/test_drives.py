@@ -10,7 +10,6 @@ from diag_service.diagnosis.alignment import AlignedSignals, Resampled
 from diag_service.diagnosis.friction.drives import (
     FADE_S,
     LOADED_PA,
-    MAX_PIECE_S,
     MIN_PIECE_S,
     RELEASED_PA,
     SLIP_MIN_RAD_S,
@@ -54,30 +53,10 @@ def test_it_ends_at_the_first_low_slip(direction: float) -> None:
         assert abs(slip[stop - 1]) > SLIP_MIN_RAD_S >= abs(slip[stop])
 
 
-def test_it_waits_until_a_locked_clutch_is_released() -> None:
-    released = np.where(GRID_S < 0.3, 2e5, -0.5e5)
-    assert pieces_of(found((FAST, LOADED), (STILL, released))) == [(300 + FADE, 1000)]
-
-
 def test_the_off_going_clutch_speaks_while_the_on_coming_one_fills() -> None:
     """A kickdown: the engine runs up against the clutch that lets go; what comes on is empty until then."""
     filling = np.where(GRID_S < 0.6, -0.5e5, 2e5)
     assert pieces_of(found((FAST, LOADED), (STILL, filling))) == [(FADE, 600)]
-
-
-def test_locked_samples_between_two_stretches_are_never_used() -> None:
-    slip = np.where((GRID_S < 0.4) | (GRID_S >= 0.6), 30.0, 0.0)
-    slip[450:470] = 2.0  # noise on a locked clutch
-    assert pieces_of(found((slip, LOADED), (FAST, EMPTY))) == [(FADE, 400), (600 + FADE, 1000)]
-
-
-def test_a_long_slip_is_cut_in_equal_pieces() -> None:
-    pieces = pieces_of(found((FAST, LOADED), (STILL, EMPTY)))
-    assert [first for first, _ in pieces[1:]] == [stop for _, stop in pieces[:-1]]
-    lengths = [stop - first for first, stop in pieces]
-    assert max(lengths) - min(lengths) <= 1
-    assert max(lengths) * 1e-3 <= MAX_PIECE_S
-    assert sum(lengths) == 1000 - FADE
 
 
 BETWEEN = np.full(len(GRID_S), 0.5 * (RELEASED_PA + LOADED_PA))

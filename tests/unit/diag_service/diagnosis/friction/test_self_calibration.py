@@ -8,23 +8,16 @@ import numpy as np
 import pytest
 
 from benchmarks.accuracy import to_batch
-from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.events import EndReason, Event
-from diag_service.diagnosis.friction.balance import Balance, measured
-from diag_service.diagnosis.friction.drives import SlipWindow, measured_drives, slip_window
-from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, Measurement, State, displaced
-from diag_service.diagnosis.friction.film import pack_laws
+from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, State
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.self_calibration import (
     SelfCalibration,
-    run_up_measurement,
     self_calibrate,
 )
-from diag_service.diagnosis.quality.data_quality import usable_signals
-from diag_service.diagnosis.records import Reason
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
@@ -74,13 +67,6 @@ def unlike_its_type() -> tuple[tuple[Event, ...], tuple[Event, ...]]:
     inertia_kg_m2 = INERTIA * NOMINAL.input_side.engine_inertia_kg_m2
     truth = Truth(calibration={"input_side.engine_inertia_kg_m2": inertia_kg_m2})
     return seen(replace(base, sensors=sensors, truth=truth, routine=Routine(open_revs=4, closed_revs=4)))
-
-
-@lru_cache
-def without_noise() -> tuple[tuple[Event, ...], tuple[Event, ...]]:
-    base = drive_scenario(seed=5)
-    sensors = {name: replace(sensor, noise_std=0.0) for name, sensor in base.sensors.items()}
-    return seen(replace(base, sensors=sensors, routine=Routine(open_revs=1, closed_revs=1)))
 
 
 def found(shifts: Sequence[Event], run_ups: Sequence[Event]) -> SelfCalibration:
@@ -149,80 +135,3 @@ def test_an_interrupted_rev_is_not_used() -> None:
     shifts, run_ups = unlike_its_type()
     broken = [replace(run_up, end_reason=EndReason.INTERRUPTED) for run_up in run_ups]
     assert found(shifts, broken).run_up_counts == (0, 0)
-
-
-STEPS = {
-    Considered.TORQUE_GAIN: 0.01,
-    Considered.ENGINE_INERTIA: 0.01,
-    Considered.PISTON_AREA2: 0.01,
-    Considered.VISCOSITY: 0.02,
-    Considered.TORQUE_LATENCY: 0.001,
-    Considered.PRESSURE_LATENCY: 0.001,
-    Considered.STRIBECK_SPEED: 0.02,
-    Considered.CONTACT_STIFFNESS: 0.02,
-    Considered.FILM_MOBILITY: 0.02,
-    Considered.STRIBECK_EXPONENT: 0.02,
-    Considered.FRICTION_TEMPERATURE: 1e-4,
-    Considered.OPEN_DRAG: 0.1,
-}
-
-
-def shift_residual(event: Event, at: FloatArray, window: SlipWindow | None) -> tuple[Measurement, SlipWindow]:
-    calibration = displaced(NOMINAL, at)
-    signals = usable_signals(event, calibration)
-    assert not isinstance(signals, Reason)
-    drives = measured_drives(signals, at, None, event.start_ns, pack_laws(calibration))
-    found = slip_window(signals, drives, pack_laws(calibration))
-    assert found is not None
-    chosen = window or found[0]
-    (seen,) = measured(Balance(signals, chosen, drives, calibration, pack_laws(calibration), at))
-    return seen, chosen
-
-
-def moved(parameter: Considered, step: float) -> FloatArray:
-    mean = AS_DRIVEN.copy()
-    mean[STATE_COUNT + parameter] += step
-    return mean
-
-
-@pytest.mark.parametrize("parameter", STEPS)
-def test_derivatives_of_a_shift_are_those_of_its_residual(parameter: Considered) -> None:
-    """Without noise the planned drives are nearly the measured ones, so finite differences are the reference."""
-    event = without_noise()[0][0]
-    plain, window = shift_residual(event, AS_DRIVEN, None)
-    step = STEPS[parameter]
-    changed, _ = shift_residual(event, moved(parameter, step), window)
-    slope = plain.slope[:, STATE_COUNT + parameter]
-    difference = -(changed.residual - plain.residual) / step
-    is_smoothed = parameter is Considered.TORQUE_LATENCY  # of a polynomial's rate, not of the torque's
-    assert np.linalg.norm(difference - slope) < (0.4 if is_smoothed else 0.25) * np.linalg.norm(slope)
-    assert difference @ slope > (0.9 if is_smoothed else 0.97) * np.linalg.norm(difference) * np.linalg.norm(slope)
-
-
-REV_STEPS = (
-    Considered.TORQUE_GAIN,
-    Considered.ENGINE_INERTIA,
-    Considered.SHAFT_INERTIA,
-    Considered.TORQUE_LATENCY,
-    Considered.MOTORING_GAIN,
-)
-
-
-@pytest.mark.parametrize("parameter", REV_STEPS)
-def test_derivatives_of_a_run_up_are_those_of_its_residual(parameter: Considered) -> None:
-    run_up = without_noise()[1][-1]
-    assert run_up.are_clutches_closed
-
-    def seen_rev(at: FloatArray) -> Measurement:
-        calibration = displaced(NOMINAL, at)
-        signals = usable_signals(run_up, calibration)
-        assert not isinstance(signals, Reason)
-        first = int(np.searchsorted(signals.grid_s, 0.0))
-        window = SlipWindow.between(first, len(signals.grid_s))
-        return run_up_measurement(signals, window, at, calibration, are_clutches_closed=True)
-
-    step = 1e-3
-    plain, changed = seen_rev(AS_DRIVEN), seen_rev(moved(parameter, step))
-    slope = plain.slope[:, STATE_COUNT + parameter]
-    difference = -(changed.residual - plain.residual) / step
-    assert np.linalg.norm(difference - slope) < 0.05 * np.linalg.norm(slope)

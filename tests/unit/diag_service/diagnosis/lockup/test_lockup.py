@@ -2,16 +2,14 @@
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from canlog.e2e.e2e_state import E2eState
 from clutch_model.calibration import shipped_calibration
 from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, judge_lockup
-from diag_service.diagnosis.condition.verdict import Launches, Silence
-from diag_service.diagnosis.events import Event, EventKind, Shudder
+from diag_service.diagnosis.condition.verdict import Silence
+from diag_service.diagnosis.events import Event, EventKind
 from diag_service.diagnosis.lockup.blocks import MICRO_SLIP_RAD_S, samples_of
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
 from diag_service.diagnosis.lockup.shudder import shudder
@@ -21,19 +19,8 @@ from diag_service.diagnosis.records import (
     Condition,
     Reason,
     ShiftEstimate,
-    ShiftResult,
     Status,
-    clutch_record,
-    dump,
-    parse_shift,
-    shift_record,
-    verdict_from,
 )
-from diag_service.diagnosis.summary import order_by
-from diag_service.mapping.interpretation import interpret
-from diag_service.mapping.profile import find_profile
-from diag_service.service.stages import Stages
-from fleet_contract import clutch_message, read_message, shift_message
 from tests.support.converter_drive import FLUIDS, ConverterCar, Driven, batches, drawn_car, drive
 
 CALIBRATION = shipped_calibration("lockup")
@@ -155,58 +142,3 @@ def test_new_fluid_forgets_friction_and_keeps_the_converter() -> None:
     assert fresh.covariance[0, 0] > 100.0 * state.covariance[0, 0]
     assert np.array_equal(fresh.mean[6:], state.mean[6:])
     assert np.array_equal(fresh.covariance[6:, 6:], state.covariance[6:, 6:])
-
-
-def test_other_friction_is_kept_apart_until_the_third_stretch_says_so() -> None:
-    state, reasons = diagnosed("new")[0], []
-    car = ConverterCar(mu_c=0.105, mu_s=0.089)
-    finder = SlipFinder(CALIBRATION)
-    found = [one for batch in batches(drive(car, np.random.default_rng(4), 10.0).columns) for one in finder.feed(batch)]
-    for event in found:
-        state, estimate, _ = ESTIMATOR.estimate(event, state)
-        reasons.append(estimate.reasons)
-    assert reasons[:3] == [(Reason.NOT_UPDATED,), (Reason.NOT_UPDATED,), ()]
-    assert reasons[-1] == ()
-    assert state.friction().mu_c == pytest.approx(0.105, rel=0.1)
-
-
-def test_friction_that_is_found_to_be_another_forgets_how_the_fluid_before_shuddered() -> None:
-    state = diagnosed("worn")[0]
-    memory = replace(ConditionMemory.fresh(), launches=(Launches(juddered=(True, True)), Launches()))
-    decoder = interpret(None, find_profile(Path("lockup"))).decoder()
-    stages, heard = (
-        Stages(decoder, CALIBRATION, state, memory),
-        dict.fromkeys(decoder.mandatory_messages, E2eState.VALID),
-    )
-    found = [stages.conclude(replace(event, e2e=heard)) for event in stretches("new")]
-    assert [one.estimate.reasons for one in found[:3]] == [(Reason.NOT_UPDATED,), (Reason.NOT_UPDATED,), ()]
-    assert [sum(one.memory.launches[0].juddered) for one in found[:4]] == [2, 2, 0, 0]
-    assert Condition.CHANGE_FLUID not in {one.verdict.condition for one in found[2:]}
-
-
-def test_results_carry_the_name_of_the_element_in_the_contract_of_before() -> None:
-    estimate, verdict = diagnosed("worn")[1][-2]
-    result = ShiftResult(
-        vehicle="car1",
-        stream="0" * 8,
-        seq=1,
-        estimate=estimate,
-        verdict=verdict,
-        algorithm_version="lockup-balance-1",
-        calibration_version="1+0",
-        produced_at="2026-01-01T00:00:00.000000Z",
-    )
-    record = shift_record(result)
-    assert record["element"] == "lock-up clutch"
-    assert parse_shift(dump(record)) == result
-    message = shift_message(record)
-    assert read_message(message.topic, message.payload).data["micro_slip"] == record["micro_slip"]
-    order = order_by([result], None)
-    assert order.reasons == (verdict.advice,)
-    assert verdict.advice is not None
-    assert verdict.advice.startswith("Lock-up clutch: it can shudder")
-    state = clutch_message(clutch_record(record, order))
-    told = read_message(state.topic, state.payload).data
-    assert (told["element"], told["clutch"]) == ("lock-up clutch", 1)
-    assert verdict_from(told).micro_slip == verdict.micro_slip
-    assert isinstance(verdict.micro_slip and verdict.micro_slip.shudder, Shudder)

@@ -30,13 +30,3 @@ def test_a_step_that_all_make_is_found_and_taken_out() -> None:
     assert common.mu_c == pytest.approx(np.zeros(12), abs=0.004)
     plain = driven(0, updated=False)
     np.testing.assert_allclose(without(driven(0), common).mu_s, plain.mu_s, rtol=0.006)
-
-
-def test_fleets_without_a_step_or_with_many_fills_share_nothing() -> None:
-    assert common_of([]) is None
-    sound = [driven(seed, updated=False) for seed in range(12)]
-    assert common_of(means for one in sound for means in monthly(one)) is None
-    filled = [
-        replace(one, fluid_number=(np.arange(240) >= 20 * UPDATE).astype(np.int64)) for one in map(driven, range(12))
-    ]
-    assert common_of(means for one in filled for means in monthly(one)) is None  # each fluid begins anew

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from diag_service.diagnosis.prognosis import history_of
 from diag_service.diagnosis.records import FluidFill, ShiftResult, utc_from_bus_ns
@@ -13,10 +12,6 @@ from tests.support.histories import history as stored
 
 def own_of(results: Sequence[ShiftResult], clutch: int) -> list[ShiftResult]:
     return [one for one in results if one.estimate.clutch == clutch]
-
-
-def own_valid(count: int) -> list[ShiftResult]:
-    return [one for one in own_of(stored(count), 1) if one.estimate.friction is not None]
 
 
 def with_odometer(result: ShiftResult, odometer_m: float | None) -> ShiftResult:
@@ -33,30 +28,12 @@ def test_used_events_are_rows_and_all_events_are_counted() -> None:
     assert found.left_out_count == 0
 
 
-def test_the_order_of_the_results_does_not_matter() -> None:
-    results = stored(40)
-    forward, backward = history_of(results, (), 1), history_of(results[::-1], (), 1)
-    np.testing.assert_array_equal(forward.odometer_m, backward.odometer_m)
-    np.testing.assert_array_equal(forward.event_count, backward.event_count)
-
-
 def test_results_without_odometer_or_with_one_that_went_back_are_counted() -> None:
     results = [one for one in stored(40) if one.estimate.friction is not None and one.estimate.clutch == 1]
     results[3], results[5] = with_odometer(results[3], None), with_odometer(results[5], 1.0)
     found = history_of(results, (), 1)
     assert (len(found), found.left_out_count) == (len(results) - 2, 2)
     assert np.all(np.diff(found.odometer_m) >= 0.0)
-
-
-@pytest.mark.parametrize("wrong_m", [1.0e9, 5.0e7])
-@pytest.mark.parametrize("at", [0, 5])
-def test_one_wrong_odometer_costs_one_result(wrong_m: float, at: int) -> None:
-    results = own_valid(60)
-    results[at] = with_odometer(results[at], wrong_m)
-    found = history_of(results, (), 1)
-    assert (len(found), found.left_out_count, found.is_stale) == (len(results) - 1, 1, False)
-    read_m = [one.estimate.odometer_m for number, one in enumerate(results) if number != at]
-    assert found.odometer_m.tolist() == read_m
 
 
 def test_a_fill_begins_another_fluid_that_was_new_when_seen_soon_after() -> None:

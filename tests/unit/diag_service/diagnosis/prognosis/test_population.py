@@ -1,14 +1,12 @@
 """What a fleet has in common, learned from lives of fluids, and what a new vehicle has of it."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from diag_service.diagnosis.prognosis import ChannelName, PeerGroup, ageings, learn, prognose
 from diag_service.diagnosis.prognosis.assumptions import KNEE_PROBABILITY
 from diag_service.diagnosis.prognosis.population import Ageing, Course, location_and_scatter
-from tests.support.pasts import REFERENCE, ageing, past
+from tests.support.pasts import REFERENCE, past
 
 KIND = PeerGroup(vehicle_type="dct", fluid="75W")
 
@@ -43,46 +41,6 @@ def test_the_scatter_of_a_fleet_is_without_the_doubt_of_each() -> None:
     centre, scatter = location_and_scatter(value, std)
     assert centre == pytest.approx(2.0, abs=0.08)
     assert scatter == pytest.approx(0.3, abs=0.08)
-
-
-def test_kinds_are_learned_apart_and_a_rare_fluid_has_its_type() -> None:
-    other = PeerGroup(vehicle_type="dct", fluid="long life")
-    rare = PeerGroup(vehicle_type="dct", fluid="rare")
-    lives = [*fleet(40, log_std=0.2), *fleet(3, log_std=0.2, kind=rare, seed=2)]
-    lives += [replace(one, courses=slow(one), kind=other) for one in fleet(40, log_std=0.2, seed=3)]
-    population = learn(lives)
-    usual, long_life, any_fluid = (population.of("dct", fluid) for fluid in ("75W", "long life", "rare"))
-    assert usual is not None
-    assert long_life is not None
-    assert any_fluid is not None
-    margin = usual.channels[ChannelName.MARGIN]
-    assert margin.loss_per_m == pytest.approx(1.25e-8, rel=0.1)
-    assert margin.loss_log_std == pytest.approx(0.2, abs=0.08)
-    assert margin.start == pytest.approx(1.02)
-    assert long_life.channels[ChannelName.MARGIN].loss_per_m == pytest.approx(0.6e-8, rel=0.1)
-    assert (any_fluid.kind.fluid, any_fluid.life_count) == (None, 83)
-    assert population.of("van", "75W") is None
-    assert learn(fleet(7, log_std=0.2)).peers == ()
-
-
-def slow(one: Ageing) -> dict[ChannelName, Course]:
-    course = one.courses[ChannelName.MARGIN]
-    loss = 0.48 * course.loss_per_m
-    return {ChannelName.MARGIN: replace(course, loss_per_m=loss, loss_std_per_m=0.1 * loss)}
-
-
-def test_each_fluid_of_a_past_is_a_life_with_its_loss() -> None:
-    margin = np.concatenate((ageing(200, until=0.4), ageing(150, until=0.7)))
-    history = past(margin, step_m=2.0e5, fills=(200,), noise_ratio=0.004)
-    first, second = ageings("car1", 2, history, REFERENCE, [KIND, replace(KIND, fluid="new")])
-    assert (first.kind.fluid, second.kind.fluid) == ("75W", "new")
-    assert (first.is_present, second.is_present) == (False, True)
-    for one, loss in ((first, 0.6), (second, 0.3)):
-        course = one.courses[ChannelName.MARGIN]
-        assert course.loss_per_m == pytest.approx(loss / one.distance_m, rel=0.1)
-        assert abs(course.loss_per_m * one.distance_m - loss) < 3.0 * course.loss_std_per_m * one.distance_m
-    unknown = ageings("car1", 2, replace(history, new_fluids=(1,)), REFERENCE, [KIND, KIND])
-    assert [one.is_present for one in unknown] == [True]  # of the first fluid nobody knows how old it was
 
 
 @pytest.mark.parametrize("is_bent", [False, True])

@@ -37,22 +37,6 @@ def test_an_even_fall_reaches_its_limit_inside_the_interval(seed: int) -> None:
     assert distance_m(change.p50_events) == pytest.approx(distance_m(change.p50_m) * 2.0 / STEP_M)
 
 
-def test_few_results_say_nothing() -> None:
-    for count in (0, 1, 7):
-        found = prognose(2, past(np.ones(50)).first(count), REFERENCE)
-        assert (found.outlook, found.row_count) == (Outlook.TOO_FEW, count)
-        assert (found.watch, found.change_fluid, found.margin) == (None, None, None)
-        assert found.assumptions
-
-
-def test_a_new_vehicle_has_no_trend_and_is_far_from_everything() -> None:
-    found = prognose(1, past(np.ones(60), step_m=1.0e4), REFERENCE)
-    assert found.outlook is Outlook.NO_TREND
-    change = reach(found)
-    assert distance_m(change.p10_m) > 2.0e7
-    assert change.probability_before_service < 0.1
-
-
 def test_the_limits_are_those_of_the_verdict() -> None:
     falling = np.linspace(1.0, CHANGE_LEVEL_RATIO - 0.02, COUNT)
     found = prognose(1, past(np.ones(COUNT), level=falling, step_m=STEP_M), REFERENCE)
@@ -86,20 +70,6 @@ def test_a_fluid_of_unknown_age_is_not_taken_for_new() -> None:
     assert found.margin is not None
     assert found.margin.now.mean == pytest.approx(0.4, abs=0.1)
     assert distance_m(reach(found).p10_m) < distance_m(reach(prognose(1, new, REFERENCE)).p10_m)
-
-
-@pytest.mark.parametrize("name", ["odometer at rest", "one outlier", "a gap", "no noise at all"])
-def test_odd_pasts_have_a_future_too(name: str) -> None:
-    whole = past(ageing(COUNT), step_m=STEP_M)
-    odd: History = {
-        "odometer at rest": replace(whole, odometer_m=np.zeros(COUNT)),
-        "one outlier": replace(whole, mu_s=np.where(np.arange(COUNT) == 200, 9.0, whole.mu_s)),
-        "a gap": replace(whole, odometer_m=whole.odometer_m + np.where(np.arange(COUNT) > 100, 5.0e7, 0.0)),
-        "no noise at all": past(ageing(COUNT), noise_ratio=1e-6),
-    }[name]
-    found = prognose(1, odd, REFERENCE)
-    assert np.all(np.isfinite(reach(found).passage.probability))
-    assert 0.0 <= reach(found).probability_before_service <= 1.0
 
 
 def with_late_knee(share: float, *, factor: float = 3.5, knee: float = 0.77, count: int = 800) -> tuple[History, float]:

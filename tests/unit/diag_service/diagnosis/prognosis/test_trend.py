@@ -1,7 +1,5 @@
 """Courses of wear: rates, temperature, bends behind and ahead, and clocks."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -36,12 +34,6 @@ def test_an_even_fall_is_found_with_its_deviation(until: float) -> None:
     assert abs(one.fallen.mean - (1.0 - until)) < 3.0 * one.fallen.std
 
 
-def test_no_fall_has_no_sign() -> None:
-    chances = [margin_of(past(np.ones(60), noise_ratio=0.03, seed=seed)).probability_falling for seed in range(20)]
-    assert 0.3 < np.mean(chances) < 0.7
-    assert np.mean(np.array(chances) >= 0.9) < 0.4
-
-
 def test_a_bend_in_the_past_counts_more_than_the_mean_over_the_life() -> None:
     bent = np.concatenate((np.linspace(1.0, 0.95, 200), np.linspace(0.95, 0.35, 200)))
     one = margin_of(past(bent, step_m=STEP_M, noise_ratio=0.005))
@@ -51,15 +43,6 @@ def test_a_bend_in_the_past_counts_more_than_the_mean_over_the_life() -> None:
     even = margin_of(past(ageing(COUNT, until=0.35), step_m=STEP_M, noise_ratio=0.005))
     assert one.bent_odds > 100.0
     assert even.bent_odds < 1.0
-
-
-def test_warm_oil_in_the_end_is_no_ageing() -> None:
-    warmth_k = np.linspace(-20.0, 20.0, COUNT) + 10.0 * np.sin(np.arange(COUNT))
-    calm = past(np.ones(COUNT), step_m=STEP_M, warmth_k=warmth_k, noise_ratio=0.005)
-    one = margin_of(replace(calm, mu_s=calm.mu_s * (1.0 + 2.0e-4 * warmth_k)))
-    truth = -2.0e-4 * REFERENCE.mu_s / (REFERENCE.mu_c - REFERENCE.mu_s)
-    assert abs(one.warmth_per_k.mean - truth) < 3.0 * one.warmth_per_k.std
-    assert abs(one.fallen.mean) < 3.0 * one.fallen.std
 
 
 def sure(now: float, rate_per_m: float, *, std: float = 0.001, start: float = 1.0) -> Future:

@@ -19,10 +19,8 @@ from diag_service.diagnosis.quality.data_quality import LIMITS, QualityLimits, u
 from diag_service.diagnosis.quality.plausibility import (
     PressureZeros,
     SlippingClutch,
-    geared_stretches,
     is_frozen,
     plausibility_faults,
-    shaft_gap_rad_s,
     zero_has_jumped,
 )
 from diag_service.diagnosis.records import Reason
@@ -58,19 +56,6 @@ def test_sound_signals_are_not_called_frozen(std: float, step: float) -> None:
 def test_a_value_that_stays_is_called_frozen(std: float, step: float, least: int) -> None:
     held = [frozen(noisy(std, step, seed), 60, least) for seed in range(100)]
     assert all(is_frozen(series(value), Signal.HUB_SPEED) for value in held)
-
-
-def test_a_signal_without_noise_may_rest() -> None:
-    """An idle torque, then a smooth rise: on a sound sensor without noise a rest says nothing."""
-    rising = np.rint(np.linspace(0.0, 70.0, COUNT - 60) ** 1.2)
-    assert not is_frozen(series(np.concatenate((np.full(60, 17.0), 17.0 + rising))), Signal.ENGINE_TORQUE)
-
-
-def test_a_pressure_sensor_that_cannot_show_less_than_nothing_repeats_zero() -> None:
-    value = np.maximum(noisy(0.05, 0.01), 0.0)
-    value[:50] = 0.0
-    assert not is_frozen(series(value), Signal.CLUTCH1_PRESSURE)
-    assert is_frozen(series(value), Signal.ENGINE_TORQUE)
 
 
 @pytest.mark.parametrize(("moved_std", "has_jumped"), [(4.9, False), (5.1, True), (-5.1, True)])
@@ -146,38 +131,3 @@ def test_the_command_has_a_clock_of_its_own(late_s: float) -> None:
         Signal.CLUTCH1_PRESSURE_COMMAND: replace(other, t_ns=other.t_ns + round(late_s * 1e9)),
     }
     assert faults_of(replace(event, columns={**event.columns, **moved})) == ()
-
-
-def with_shaft_gears(event: Event, *, second_from_ns: int) -> Event:
-    """Return an event in which shaft 2 has 2nd gear from a time on, 4th before; shaft 1 stays in 1st."""
-    t_ns = np.arange(event.start_ns - 500_000_000, event.end_ns, 20_000_000)
-    rows = np.arange(len(t_ns))
-    second = np.where(t_ns < second_from_ns, 4.0, 2.0)
-    gears = {
-        Signal.INPUT1_GEAR: Series(t_ns=t_ns, sequence=rows, value=np.ones(len(t_ns))),
-        Signal.INPUT2_GEAR: Series(t_ns=t_ns, sequence=rows, value=second),
-    }
-    return replace(event, columns={**event.columns, **gears})
-
-
-def with_second_shaft_slower(event: Event, until_ns: int, ratio: float) -> Event:
-    """Return an event whose second input shaft turns slower up to a time, as in a higher gear."""
-    speed = event.columns[Signal.INPUT2_SPEED]
-    value = np.where(speed.t_ns < until_ns, ratio * speed.value, speed.value)
-    return replace(event, columns={**event.columns, Signal.INPUT2_SPEED: replace(speed, value=value)})
-
-
-def test_a_shaft_may_change_its_gear_inside_an_event() -> None:
-    """Held against the other shaft up to the ratio of the gear that it has: a new gear is no fault, a jump is one."""
-    event = first_shifts()[0]
-    half_ns = (event.start_ns + event.end_ns) // 2
-    regeared = with_second_shaft_slower(event, half_ns, 0.6)
-    grid_s = np.arange(0.0, (event.end_ns - event.start_ns) * 1e-9, 1e-3)
-    clutch = SlippingClutch(number=2, rows=slice(0, len(grid_s)), pressure_zero_pa=0.0, touch_pressure_pa=0.0)
-    gaps = []
-    for told in (with_shaft_gears(regeared, second_from_ns=half_ns), with_shaft_gears(regeared, second_from_ns=0)):
-        signals = usable_signals(told, CALIBRATION)
-        assert isinstance(signals, AlignedSignals)
-        gaps.append([shaft_gap_rad_s(signals, rows) for rows in geared_stretches(told, signals.grid_s, clutch)])
-    assert [len(one) for one in gaps] == [2, 1]
-    assert max(gaps[0]) < LIMITS.speeds_rad_s < max(gaps[1])

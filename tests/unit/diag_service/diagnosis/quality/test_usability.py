@@ -1,6 +1,6 @@
 """Whether the signals of a shift can be put on one clock: a reason for each way in which they cannot."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,15 +11,12 @@ from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.quality.data_quality import (
-    LIMITS,
-    longest_silence_s,
     usable_signals,
 )
 from diag_service.diagnosis.records import Reason
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts, thinned, without
 
 CALIBRATION = nominal_calibration()
-PERIOD_NS = 10_000_000
 
 
 def without_samples(event: Event, signal: Signal) -> Event:
@@ -72,16 +69,3 @@ def test_a_signal_that_is_missing(signal: Signal) -> None:
 )
 def test_what_cannot_be_used_says_why(spoil: Callable[[Event], Event], reason: Reason) -> None:
     assert usable_signals(spoil(first_shifts()[0]), CALIBRATION) is reason
-
-
-@pytest.mark.parametrize(
-    ("lost", "is_missing"),
-    [((), False), (range(50, 57), False), (range(50, 58), True), (range(10), False), (range(19, 28), True),
-     (range(112, 120), True)],
-)  # fmt: skip
-def test_too_many_in_a_row_count_from_the_start_of_an_event_to_its_end(lost: Sequence[int], is_missing: bool) -> None:
-    """120 samples from 0.2 s before the event; eight in a row inside or at an edge may hide anything."""
-    times_s = np.delete(np.arange(-20, 100) * 0.01, lost)
-    period_s = PERIOD_NS * 1e-9
-    silence_s = longest_silence_s(times_s, -2.0 * period_s, 0.999)
-    assert (silence_s > LIMITS.lost_periods * period_s) is is_missing

@@ -107,18 +107,6 @@ def test_speeds_alone_tell_a_launch() -> None:
     assert end == pytest.approx(200, abs=5)
 
 
-def test_what_rolls_is_not_launched() -> None:
-    over = np.full(400, 40.0)
-    engine = np.repeat((160.0, 90.0, 160.0), (100, 200, 100))  # the clutch is opened and closed again
-    assert launched(over, engine, np.full(400, 1.0)) == []
-
-
-def test_a_gear_chosen_at_standstill_is_no_shift() -> None:
-    over, engine = set_in_motion(1)
-    ((kind, found), (then, _)) = launched(over, engine, np.repeat((2.0, 1.0), (50, 250)))
-    assert (kind, found, then) == ("regear", (2, 1, 50, 50, EndReason.COMPLETE), "launch")
-
-
 def test_a_target_and_ratios_bound_a_shift() -> None:
     over = np.full(200, 50.0)
     engine = np.concatenate((np.full(70, 200.0), np.linspace(200.0, 125.0, 40), np.full(90, 125.0)))

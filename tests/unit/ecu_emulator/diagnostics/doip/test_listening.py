@@ -2,33 +2,9 @@
 
 import pytest
 
-from ecu_emulator.diagnostics.doip.listening import parse_place
 from ecu_emulator.diagnostics.table_file import parse_table
 from ecu_emulator.errors import ConfigError
 from tests.support.uds.full_table import full_text
-
-
-@pytest.mark.parametrize(
-    ("text", "place"),
-    [
-        ("13400", "127.0.0.1:13400"),
-        ("0.0.0.0:13400", "0.0.0.0:13400"),
-        ("car.local:1", "car.local:1"),
-        ("localhost:65535", "localhost:65535"),
-        ("[::1]:13400", "[::1]:13400"),
-        ("[::]:1", "[::]:1"),
-    ],
-)
-def test_a_port_alone_means_this_machine(text: str, place: str) -> None:
-    assert str(parse_place(text)) == place
-
-
-@pytest.mark.parametrize(
-    "text", ["", "0", "65536", "-1", "x", ":13400", "host:", "1.5", "localhost", "127.0.0.1:0x1", "::1:13400"]
-)
-def test_what_is_no_place_is_refused(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"^--doip must be \[HOST:\]PORT with a port of 1\.\.65535, got "):
-        parse_place(text)
 
 
 @pytest.mark.parametrize(

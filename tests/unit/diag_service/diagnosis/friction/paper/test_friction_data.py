@@ -13,11 +13,8 @@ from diag_service.diagnosis.friction.paper.friction_data import (
     NOISELESS_GATES,
     NOISY_GATES,
     FrictionData,
-    Gate,
-    coulomb_gate,
     fit,
     friction_data,
-    static_gate,
 )
 
 CALIBRATION = nominal_calibration()
@@ -62,42 +59,6 @@ def samples(
     )
 
 
-@pytest.mark.parametrize(
-    ("slip", "shear", "passes"),
-    [
-        (0.3, 0.4, True),
-        (-0.3, 0.4, True),  # either sign
-        (BAND + 0.5, 0.4, True),
-        (BAND, 0.4, False),  # locked
-        (BAND + 0.51, 0.4, False),  # too fast
-        (0.3, 0.6, False),  # partial lubrication
-    ],
-)
-def test_mu_s_comes_from_slow_slip_in_mechanical_contact(slip: float, shear: float, passes: bool) -> None:
-    assert static_gate(samples(slip, shear), NOISELESS_GATES, BAND, CURVE.mu_s).rows.tolist() == [passes]
-
-
-@pytest.mark.parametrize(
-    ("slip", "shear", "passes"),
-    [
-        (20.0, 0.7, True),
-        (20.0, 0.6, False),
-        (20.0, 0.85, False),
-        (1.0, 0.7, False),
-        (-20.0, 0.7, False),  # printed without bars: a coasting downshift does not count
-    ],
-)
-def test_mu_c_comes_from_slip_in_partial_lubrication(slip: float, shear: float, passes: bool) -> None:
-    assert coulomb_gate(samples(slip, shear), NOISELESS_GATES).rows.tolist() == [passes]
-
-
-@pytest.mark.parametrize(("rate_pa_s", "passes"), [(2.1e5, True), (2.0e5, False), (-5e5, False)])
-def test_with_noise_mu_c_needs_a_stroking_clutch(rate_pa_s: float, passes: bool) -> None:
-    data = samples(20.0, 0.7, rate_pa_s=rate_pa_s)
-    assert coulomb_gate(data, NOISY_GATES).rows.tolist() == [passes]
-    assert coulomb_gate(data, NOISELESS_GATES).rows.tolist() == [True]
-
-
 def drive(mu_c: float, mu_s: float, noise: float = 0.0) -> FrictionData:
     """Return slow slip in contact, then fast slip in partial lubrication, then locked samples that mean nothing."""
     slip = np.concatenate((np.full(40, 0.1001), np.linspace(2.0, 60.0, 400), np.zeros(100)))
@@ -121,9 +82,3 @@ def test_clean_samples_give_their_curve_back(gates: object, mu_c: float, mu_s: f
     assert found.mu_c == pytest.approx(mu_c, rel=1e-6)
     assert found.mu_s == pytest.approx(mu_s, rel=1e-4)
     assert (found.static_count, found.coulomb_count) == (40, 400)
-
-
-def test_no_sample_no_number() -> None:
-    found = fit(samples(0.0, 1.0), NOISY_GATES, CURVE)
-    assert (found.mu_c, found.mu_s) == (None, None)
-    assert found.static_counts == {Gate.SHIFTING: 1, Gate.STICK: 0, Gate.MECHANICAL: 0, Gate.NEAR_PRIOR: 0}
