@@ -28,7 +28,7 @@ from tests.integration.test_tester import vehicle
 from tests.support.asked import batch_of
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
-from tests.unit.canlog.test_bus_load import sent_bits
+from tests.unit.canlog.test_traffic import sent_bits
 
 pytestmark = pytest.mark.asks
 

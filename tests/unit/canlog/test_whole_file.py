@@ -1,11 +1,14 @@
-"""A file is there whole, or as it was."""
+"""Files are read and written whole, or not at all."""
 
+import os
+import socket
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
 
 from canlog.errors import OutputError
-from canlog.files import replacing
+from canlog.files import check_plain_file, read_small_file, read_toml_file, replacing
 
 
 def write(path: Path, content: bytes, failure: Exception | None = None) -> None:
@@ -43,3 +46,37 @@ def test_two_who_write_the_same_do_not_mix(tmp_path: Path) -> None:
         second.replace(path)
         first.replace(path)
     assert path.read_bytes() == b"first"
+
+
+def a_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+
+
+OTHERS: Mapping[str, Callable[[Path], None]] = {
+    "pipe": os.mkfifo,
+    "directory": Path.mkdir,
+    "socket": a_socket,
+    "device": lambda path: path.symlink_to("/dev/zero"),
+}
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+def test_what_is_no_file_is_refused_at_once(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "it"
+    OTHERS[kind](path)
+    for use in (read_small_file, check_plain_file, read_toml_file):
+        with pytest.raises(OSError, match=kind):
+            use(path)
+
+
+def test_sizes_are_limited_whatever_the_file_system_says(tmp_path: Path) -> None:
+    path = tmp_path / "it"
+    path.write_bytes(b"12345")
+    assert read_small_file(path, 5) == b"12345"
+    for use in (read_small_file, check_plain_file):
+        with pytest.raises(OSError, match="too large"):
+            use(path, 4)
+    assert b"Name:" in read_small_file(Path("/proc/self/status"))  # which claims to have no bytes
+    with pytest.raises(OSError, match="too large"):
+        read_small_file(Path("/proc/self/status"), 4)

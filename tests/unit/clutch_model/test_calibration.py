@@ -4,13 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from clutch_model.calibration import (
-    Calibration,
-    calibration_toml,
-    nominal_calibration,
-    read_calibration,
-    shipped_table,
-)
+from clutch_model.calibration import Calibration, calibration_toml, nominal_calibration, read_calibration, shipped_table
 from clutch_model.errors import CalibrationError
 
 

@@ -35,7 +35,7 @@ OF_LAWS = {
     "convection_w_k": "(T1)",
 }
 ALLOWED = {
-    ("ecu_emulator/plant/clutch.py", "squeeze_factor_m2"),  # (X2): grooves are another number for the same law
+    ("ecu_emulator/plant/clutch.py", "squeeze_factor_m2")  # (X2): grooves are another number for the same law
 }
 CLUTCH = nominal_calibration().clutches[0]
 LAW, FRICTION, OIL = film_law(CLUTCH), friction_law(CLUTCH.friction), nominal_calibration().viscosity
@@ -76,9 +76,7 @@ def test_nobody_else_writes_a_law_again() -> None:
     ids=["(8)", "(6)", "(H6)", "(8a)"],
 )
 def test_a_law_is_the_same_for_one_number_and_for_an_array(
-    of_one: Callable[[float], float],
-    of_many: Callable[[FloatArray], FloatArray],
-    points: tuple[float, float],
+    of_one: Callable[[float], float], of_many: Callable[[FloatArray], FloatArray], points: tuple[float, float]
 ) -> None:
     values = np.linspace(*points, 101)
     assert of_many(values) == pytest.approx([of_one(float(value)) for value in values], rel=1e-13)

@@ -4,12 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from demo.outcome import (
-    FrameAccount,
-    Outcome,
-    complaints,
-    frame_account,
-)
+from demo.outcome import FrameAccount, Outcome, complaints, frame_account
 from diag_service.diagnosis.records import FrictionEstimate
 from tests.unit.demo.outcomes import FRICTION, good_frames, good_outcome
 

@@ -1,28 +1,30 @@
-"""The worker: commit, receipt, PUBACK, in this order, whatever goes wrong."""
+"""What comes is judged, committed and only then acknowledged."""
 
 import asyncio
 import json
+import zlib
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
+from dataclasses import replace
+from hashlib import blake2b
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from diag_service.diagnosis.records import shift_record
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, RowRefusedError
 from fleet_backend.ingest import Worker
+from fleet_backend.intake import MessageKind, Taken, take, take_all
+from fleet_backend.rows import CONTENT, Poison, content_digest, moment, quarantine_row, shift_row
+from fleet_backend.schema import FRICTION_COLUMNS
 from fleet_backend.writer import Batch, Identity
-from fleet_contract import (
-    JsonObject,
-    Outgoing,
-    bundle_messages,
-    read_message,
-    shift_message,
-    takes_bundles,
-)
+from fleet_contract import JsonObject, Outgoing, bundle_messages, read_message, shift_message, takes_bundles
 from fleet_link import Message
+from tests.golden import FOLDER as GOLDEN
 from tests.golden import messages_v1
-from tests.support.fleet import NOW, delivered, fleet_result, message_of
+from tests.support.fleet import NOW, delivered, fleet_result, message_of, row_of
 
 
 class Records:
@@ -155,3 +157,86 @@ async def test_a_vehicle_that_goes_hears_nothing_and_one_that_comes_that_there_i
     await worker_of(records).settle(records, [delivered(messages_v1()["status-online"])])
     (told,) = records.sent
     assert (told.is_retained, read_message(told.topic, told.payload).data["fills"]) == (False, [])
+
+
+GOOD = message_of(fleet_result(7))
+
+
+def changed(message: Message, **data: object) -> Message:
+    """Return a message whose data say something else."""
+    event = json.loads(message.payload)
+    event["data"] |= data
+    return replace(message, payload=json.dumps(event).encode())
+
+
+def poison(message: Message, reason: str) -> Taken:
+    taken = take(message, NOW)
+    assert (taken.kind, taken.row["reason"]) == (MessageKind.POISON, reason), taken.row["detail"]
+    return taken
+
+
+def bundle(*payloads: bytes) -> Message:
+    return Message(
+        topic="clutchdiag/v1/car1/bundle", payload=zlib.compress(b"[" + b",".join(payloads) + b"]"), packet_id=1
+    )
+
+
+def test_each_result_of_a_bundle_is_judged_as_if_it_had_come_alone() -> None:
+    stranger = changed(GOOD, vehicle="car2")
+    alone = [GOOD, changed(GOOD, quality=2.0), stranger, replace(GOOD, payload=b"7"), message_of(fleet_result(8))]
+    taken = take_all(bundle(*(message.payload for message in alone)), NOW)
+    assert taken == [take(replace(message, packet_id=1), NOW) for message in alone]
+    reasons = [item.row["reason"] if item.kind is MessageKind.POISON else None for item in taken]
+    assert reasons == [None, "schema", "identity", "malformed", None]
+    assert take_all(GOOD, NOW) == [take(GOOD, NOW)]
+
+
+def test_what_cannot_be_unpacked_is_one_message_kept_aside() -> None:
+    for message in (replace(bundle(), payload=b"x"), bundle(), bundle(*[b"1"] * 51)):
+        (taken,) = take_all(message, NOW)
+        assert (taken.kind, taken.row["reason"], taken.receipt) == (MessageKind.POISON, "malformed", None)
+        assert (taken.row["vehicle"], taken.message) == ("car1", message)
+    (taken,) = take_all(replace(bundle(GOOD.payload), topic="clutchdiag/v1/car 1/bundle"), NOW)
+    assert taken.row["reason"] == "topic"
+
+
+@pytest.mark.parametrize(
+    ("name", "said", "kept"),
+    [
+        ("status-online", "connected_at", "connected_at"),
+        ("metrics", "produced_at", "metrics_at"),
+        ("controller", "produced_at", "controller_at"),
+    ],
+)
+def test_a_state_of_a_clock_that_is_far_ahead_is_of_when_it_came(name: str, said: str, kept: str) -> None:
+    message, near = delivered(messages_v1()[name]), "2026-03-02T11:00:00.000000Z"
+    found = [take(changed(message, **{said: at}), NOW).row[kept] for at in (near, near.replace("2026", "2038"))]
+    assert found == [moment(near), NOW]
+
+
+ROW = row_of(fleet_result())
+
+
+@given(st.binary(max_size=200), st.text(max_size=50))
+def test_whatever_came_is_kept_in_printable_text(payload: bytes, detail: str) -> None:
+    poison = Poison(topic=f"x/{detail}", vehicle=None, payload=payload, reason="malformed", detail=detail)
+    row = quarantine_row(poison, NOW)
+    for name in ("topic", "detail", "head"):
+        text = str(row[name])
+        assert text.isprintable()
+        assert text.encode().decode() == text
+    assert row["size_bytes"] == len(payload)
+
+
+@pytest.mark.parametrize(("name", "known"), [("shift", -3664896956469182395), ("shift-rejected", -5958550621060343079)])
+def test_the_digest_of_a_content_is_for_ever(name: str, known: int) -> None:
+    data = json.loads((GOLDEN / "v1" / f"{name}.json").read_text(encoding="utf-8"))["data"]
+    assert shift_row(data)["content_digest"] == known
+
+
+@settings(max_examples=40)
+@given(st.lists(st.floats() | st.floats(1e-5, 1e-3) | st.sampled_from([0.0, -0.0, 1e-4, 1e16]), min_size=8, max_size=8))
+def test_a_digest_is_made_of_what_python_writes_for_numbers(numbers: list[float]) -> None:
+    row = ROW | dict(zip(FRICTION_COLUMNS, numbers, strict=False))
+    told = repr(tuple(row[name] for name in CONTENT)).encode()
+    assert content_digest(row) == int.from_bytes(blake2b(told, digest_size=8).digest(), signed=True)

@@ -1,17 +1,21 @@
-"""The documents beside the code say what the code does: AsyncAPI and the overlay for VSS."""
+"""The documents, the schemas and the golden messages of the contract agree."""
 
+import json
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
+from jsonschema import Draft202012Validator
 from ruamel.yaml import YAML
 from vss_tools.main import get_trees
 from vss_tools.model import VSSDataDatatype
 
-from fleet_contract import CLUTCHES, MAX_BUNDLED, Channel, schema, topic_of
+from fleet_contract import CLUTCHES, MAX_BUNDLED, Channel, SchemaError, parse_topic, read_message, schema, topic_of
 from fleet_contract.messages import MAX_BUNDLE_BYTES
-from fleet_contract.schema_check import ENVELOPE, SCHEMA_FOLDER
+from fleet_contract.schema_check import ENVELOPE, SCHEMA_FOLDER, compile_schema
+from tests.golden import FOLDER, messages_v1
 
 ASYNCAPI_PATH = SCHEMA_FOLDER.with_name("asyncapi.yaml")
 VSS_OVERLAY_PATH = SCHEMA_FOLDER.with_name("vss") / "clutches.vspec"
@@ -104,3 +108,77 @@ def test_the_overlay_says_which_key_fills_a_signal(clutches: dict[str, VSSDataDa
         head, _, tail = key.partition(".")
         assert head in state["properties"], key
         assert not tail or tail in friction, key
+
+
+MESSAGES = messages_v1()
+
+
+def golden(name: str) -> bytes:
+    return (FOLDER / "v1" / f"{name}.json").read_bytes().rstrip(b"\n")
+
+
+def test_every_kind_of_message_has_a_golden_one() -> None:
+    assert {path.stem for path in (FOLDER / "v1").glob("*.json")} == set(MESSAGES)
+    assert {parse_topic(message.topic).channel for message in MESSAGES.values()} == set(Channel) - {Channel.BUNDLE}
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_the_code_writes_the_golden_message_to_the_byte(name: str) -> None:
+    assert MESSAGES[name].payload == golden(name)
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_the_code_reads_the_golden_message(name: str) -> None:
+    event = json.loads(golden(name))
+    message = read_message(MESSAGES[name].topic, golden(name))
+    assert message.data == event["data"]
+    assert (message.event_id, message.source, message.time) == (event["id"], event["source"], event["time"])
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_the_schemas_describe_the_golden_message(name: str) -> None:
+    event = json.loads(golden(name))
+    Draft202012Validator(schema("event")).validate(event)
+    Draft202012Validator(schema(parse_topic(MESSAGES[name].topic).channel.label)).validate(event["data"])
+
+
+NAMES = sorted(path.name.removesuffix("-v1.json") for path in SCHEMA_FOLDER.glob("*.json"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_schema_of_ours_is_one(name: str) -> None:
+    Draft202012Validator.check_schema(schema(name))
+    compile_schema(schema(name))
+    assert schema(name)["$id"] == f"urn:clutchdiag:{name}:v1"
+
+
+def refusal(schema_part: Mapping[str, object], value: object) -> str:
+    """Return what is said of a value; empty if nothing."""
+    try:
+        compile_schema(schema_part)(value)
+    except SchemaError as exc:
+        return str(exc)
+    return ""
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "said"),
+    [
+        ({"type": "integer"}, 1.0, "an integer is written without a fraction, got 1.0"),
+        ({"enum": [1, 2]}, 2.0, "an integer is written without a fraction, got 2.0"),
+        ({"type": "integer"}, True, 'the value is not of type "integer", got True'),
+        ({"maximum": 1}, 1.5, "the value is greater than the maximum of 1, got 1.5"),
+        ({"pattern": "^a$"}, "a\n", "the value does not match \"^a$\", got 'a\\n'"),
+        ({"maxLength": 3}, "x" * 1000, f"the value is longer than 3 characters, got '{'x' * 59}..."),
+        ({"required": ["b", "a"]}, {}, '"b" is a required property; "a" is a required property'),
+        ({"items": {"type": "null"}}, [1] * 9, "and more"),
+        ({"format": "date-time"}, "2026-13-01T00:00:00Z", 'the value is not a "date-time"'),
+        ({"format": "date-time"}, "2016-12-31T23:59:60Z", 'the value is not a "date-time"'),  # Python knows none
+    ],
+    ids=str,
+)
+def test_a_refusal_says_what_is_wrong(part: Mapping[str, object], value: object, said: str) -> None:
+    text = refusal(part, value)
+    assert said in text
+    assert len(text) < 300
+    assert text.isprintable()

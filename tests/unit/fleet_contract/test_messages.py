@@ -1,4 +1,4 @@
-"""Messages are what they say they are, or they are refused with a reason."""
+"""Messages and topics: written, read back, and refused."""
 
 import json
 import random
@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from diag_service.diagnosis.records import clutch_record, shift_record
 from fleet_contract import (
     MAX_BUNDLED,
+    Address,
     Channel,
     ContractError,
     IdentityError,
@@ -28,11 +29,15 @@ from fleet_contract import (
     bundled_events,
     clutch_message,
     key_of,
+    parse_object,
+    parse_topic,
     read_message,
     receipts_of,
     shift_message,
+    topic_of,
 )
 from fleet_contract.messages import MAX_BUNDLE_BYTES, MAX_RECEIPTS
+from fleet_contract.strict_json import MAX_DEPTH
 from tests.support.builders import shift_result
 
 SHIFT = shift_message(shift_record(shift_result()))
@@ -189,3 +194,94 @@ def test_receipts_are_read_back_in_as_many_messages_as_they_need() -> None:
 def test_no_key_without_all_its_parts(change: dict[str, object]) -> None:
     with pytest.raises(SchemaError):
         key_of(shift_record(shift_result()) | change)
+
+
+ADDRESSES = [
+    Address(vehicle="car-1", channel=channel, clutch=2 if channel is Channel.CLUTCH else None) for channel in Channel
+]
+
+
+@pytest.mark.parametrize("address", ADDRESSES, ids=lambda address: address.channel.label)
+def test_a_topic_is_read_back(address: Address) -> None:
+    assert parse_topic(address.topic) == address
+    assert topic_of(address.vehicle, address.channel, address.clutch) == address.topic
+
+
+@pytest.mark.parametrize(
+    "topic",
+    [
+        "",
+        "clutchdiag/v1/car1",
+        "clutchdiag/v1/car1/shift/1",
+        "clutchdiag/v1/car1/clutch",
+        "clutchdiag/v1/car1/clutch/3",
+        "clutchdiag/v1/car1/horn",
+        "clutchdiag/v1/../shift",
+        "clutchdiag/v1/car1\n/shift",
+        "clutchdiag/v1/+/shift",
+        "clutchdiag/v2/car1/shift",
+        "x/clutchdiag/v1/car1/shift",
+        f"clutchdiag/v1/{'a' * 65}/shift",
+    ],
+)
+def test_no_other_topic_is_ours(topic: str) -> None:
+    with pytest.raises(TopicError):
+        parse_topic(topic)
+
+
+LIMIT = 1_000_000
+
+
+def nested(depth: int, opening: str = '{"a":', middle: str = "1", closing: str = "}") -> bytes:
+    return (opening * depth + middle + closing * depth).encode()
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b'{"a":1}{"a":2}',
+        b'{"a":NaN}',
+        b'{"a":1e999}',
+        b'{"a":9223372036854775808}',
+        b'{"a":' + b"9" * 100_000 + b"}",
+        b'{"a":1,"a":2}',
+        b'{"a":{"b":1,"b":1}}',
+        b'{"a" :1,"a":2}',
+        b'{"a":0.12345678901234567890123,"b":18446744073709551615}',
+        b'{"a":"\xff"}',
+        rb'{"a":"\ud800"}',
+        rb'{"a":"\u0000"}',
+        b'{"a":"\x00"}',
+        b"\xef\xbb\xbf{}",
+        nested(MAX_DEPTH + 1),
+        nested(100_000),
+        b'{"a":' + nested(50_000, "[", "", "]") + b"}",
+    ],
+    ids=lambda payload: repr(payload[:24]),
+)
+def test_what_is_no_sound_object_is_refused(payload: bytes) -> None:
+    with pytest.raises(MalformedError) as caught:
+        parse_object(payload, LIMIT)
+    assert len(str(caught.value)) < 200
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("payload", "value"),
+    [
+        (b"{}", {}),
+        (b'{"a":[1,2.5,true,null,"x"]}', {"a": [1, 2.5, True, None, "x"]}),
+        (b'{"a":-9223372036854775808}', {"a": -(2**63)}),
+        (b'{"a":0.0001234567890123456789,"b":9223372036854775807}', {"a": 0.0001234567890123456789, "b": 2**63 - 1}),
+        (rb'{"a":"\\u0000"}', {"a": "\\u0000"}),
+        (rb'{"a":"\u00e9\ud83d\ude97"}', {"a": "é\U0001f697"}),
+        (b'{"a":"' + b"{[" * 40 + b'"}', {"a": "{[" * 40}),
+        (rb'{"a":"\"{{{{{{{{{{{{{{{{{{{{"}', {"a": '"' + "{" * 20}),
+    ],
+    ids=lambda value: repr(value)[:24],
+)
+def test_what_is_sound_is_read(payload: bytes, value: object) -> None:
+    assert parse_object(payload, LIMIT) == value

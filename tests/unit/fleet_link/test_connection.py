@@ -1,13 +1,26 @@
-"""A connection against brokers that say little, the wrong thing or nothing; against a real one in tests/integration."""
+"""A connection to a broker: its address, its keys and its bounds."""
 
 import asyncio
+import os
+import threading
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager, suppress
+from pathlib import Path
 
 import pytest
 
 from fleet_contract import Outgoing
-from fleet_link import BrokerAddress, Connection, LinkDownError, Terms
+from fleet_link import (
+    AddressError,
+    BrokerAddress,
+    Connection,
+    LinkDownError,
+    Terms,
+    TlsFiles,
+    parse_broker,
+    read_secret,
+)
+from tests.support.certificates import certify, tls_files
 from tests.support.patience import HANG_S
 
 ACCEPTED = bytes([0x20, 3, 0, 0, 0])  # CONNACK of MQTT 5 without properties
@@ -161,3 +174,104 @@ async def test_a_loss_ends_whoever_waits() -> None:
         with pytest.raises(LinkDownError):
             await connection.publish_all(messages(1))
         await connection.close()
+
+
+SYSTEMS = TlsFiles()  # without files the authorities of the system count
+
+
+@pytest.mark.parametrize(
+    ("url", "address"),
+    [
+        ("mqtt://broker", BrokerAddress(host="broker")),
+        ("mqtt://broker:1884/", BrokerAddress(host="broker", port=1884)),
+        ("mqtt://u:p%40ss@10.0.0.1:1", BrokerAddress(host="10.0.0.1", port=1, username="u", password="p@ss")),  # noqa: S106 - made up
+        ("mqtt://u@[::1]", BrokerAddress(host="::1", username="u")),
+        ("nats://broker", BrokerAddress(host="broker", port=4222, is_nats=True)),
+        ("nats+tls://broker", BrokerAddress(host="broker", port=4222, tls=SYSTEMS, is_nats=True)),
+    ],
+)
+def test_what_an_address_says(url: str, address: BrokerAddress) -> None:
+    assert parse_broker(url, may_be_nats=True) == address
+    assert "p@ss" not in f"{address} {address!r}"
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "",
+        "broker",
+        "http://car:hunter2@broker",
+        "nats://broker",  # where it may not be
+        "mqtt://",
+        "mqtt://broker:0",
+        "mqtt://car:hunter2@broker:x",
+        "mqtt://car:hunter/2@broker",
+        "mqtt://[::1",
+        f"mqtt://car:hunter2@{'b' * 64}.example",
+    ],
+)
+def test_what_is_none_is_refused_without_repeating_it(url: str) -> None:
+    with pytest.raises(AddressError, match="the broker must be mqtt") as caught:
+        parse_broker(url)
+    assert "hunter" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "host", ["localhost", "LOCALHOST.", "car.localhost", "127.8.9.10", "::1", "0:0:0:0:0:0:0:1", "::ffff:127.0.0.1"]
+)
+def test_this_machine_is_known_by_name_and_address(host: str) -> None:
+    assert BrokerAddress(host=host).exposure is None
+
+
+@pytest.mark.parametrize(
+    "host", ["broker", "localhost.example.org", "10.0.0.1", "192.0.2.1", "fe80::1%eth0", "127.0.0.1.nip.io"]
+)
+def test_another_machine_is_warned_of_unless_it_is_encrypted(host: str) -> None:
+    assert BrokerAddress(host=host, tls=SYSTEMS).exposure is None
+    plain = BrokerAddress(host=host, username="car", password="x").exposure  # noqa: S106 - made up
+    assert plain is not None
+    assert "password" in plain
+    assert (BrokerAddress(host=host).exposure or "").startswith(f"results go to {host} unencrypted")
+
+
+@pytest.fixture(name="files")
+def _files(tmp_path: Path) -> TlsFiles:
+    return tls_files(certify(tmp_path, "car1"), "car1")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda folder: (folder / "car1.key").chmod(0o640), "chmod 600"),
+        (lambda folder: (folder / "car1.key").unlink(), "cannot read"),
+        (lambda folder: (folder / "ca.crt").unlink(), "cannot be read"),
+        (lambda folder: (folder / "ca.crt").write_bytes(b"x"), "cannot be used"),
+        (lambda folder: (folder / "car1.crt").write_bytes((folder / "ca.crt").read_bytes()), "cannot be used"),
+    ],
+)
+def test_files_that_may_be_put_right_are_a_matter_of_patience(
+    files: TlsFiles, tmp_path: Path, spoil: "object", message: str
+) -> None:
+    assert callable(spoil)
+    spoil(tmp_path)
+    files.fingerprint()
+    with pytest.raises(AddressError, match=message):
+        files.context()
+
+
+def test_a_secret_may_come_through_a_pipe(tmp_path: Path) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path, 0o600)
+    writer = threading.Thread(target=lambda: path.write_bytes(b"open sesame\n"))
+    writer.start()
+    assert read_secret(path) == "open sesame"
+    writer.join()
+    with pytest.raises(AddressError, match="nobody has written into this pipe"):
+        read_secret(path, pipe_wait_s=0.01)
+
+
+def test_a_key_that_others_may_read_is_taken_only_by_whoever_says_so(files: TlsFiles, tmp_path: Path) -> None:
+    (tmp_path / "car1.key").chmod(0o644)
+    assert files.context(is_key_private=False).check_hostname
+    with pytest.raises(AddressError, match="chmod 600"):
+        files.context()

@@ -1,4 +1,4 @@
-"""Every service of docker-compose.yml says when it is well, what it may use and how much of its log is kept."""
+"""The image and its compose file."""
 
 import os
 import re
@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from tests.support.image.compose import Service, read_compose
-from tests.support.image.dockerfile import read_stages
+from tests.support.image.context import context_files
+from tests.support.image.dockerfile import Copy, read_stages
 
 ROOT = Path(__file__).parents[3]
 COMPOSE = read_compose(ROOT / "docker-compose.yml")
@@ -75,3 +76,19 @@ def test_the_image_runs_as_a_number_that_is_not_root() -> None:
     assert re.fullmatch(r"[1-9]\d*:[1-9]\d*", user)
     (made,) = [entry.text for entry in LAST.instructions if entry.name == "RUN" and "useradd" in entry.text]
     assert f"--uid {user.partition(':')[0]} " in made
+
+
+STAGES = read_stages(ROOT / "Dockerfile")
+COPIES = [copy for stage in STAGES for copy in stage.copies if copy.stage is None]
+
+
+@pytest.mark.parametrize("copy", COPIES, ids=lambda copy: copy.target)
+def test_what_the_dockerfile_copies_is_in_the_context(copy: Copy) -> None:
+    files = list(context_files(ROOT))
+    missing = [name for name in copy.sources if not any(f"{file}/".startswith(f"{name}/") for file in files)]
+    assert missing == []
+
+
+def test_the_context_has_nothing_that_the_dockerfile_does_not_copy() -> None:
+    wanted = [name for copy in COPIES for name in copy.sources]
+    assert [file for file in context_files(ROOT) if not any(f"{file}/".startswith(f"{name}/") for name in wanted)] == []

@@ -79,10 +79,7 @@ def test_what_would_be_misread_is_refused_by_name(tmp_path: Path, items: str, ca
     [
         (HEAD + 'BO_ 256 M: 8 A\n SG_ s : 0|8@1+ (x,0) [0|0] "" A\n', "Invalid syntax at line 4, column"),
         (HEAD + SIGNAL + 'BA_ "Undefined" BO_ 256 1;\n', "line 5: 'Undefined' is not defined"),
-        (
-            HEAD + SIGNAL + 'BA_DEF_ BO_ "T" INT 0 10;\nBA_ "T" BO_ 256 abc;\n',
-            "Invalid syntax at line 6, column 17",
-        ),
+        (HEAD + SIGNAL + 'BA_DEF_ BO_ "T" INT 0 10;\nBA_ "T" BO_ 256 abc;\n', "Invalid syntax at line 6, column 17"),
         (HEAD + 'BO_ 99999999999 M: 8 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n', "line 3: Standard frame id"),
         (
             HEAD + 'BO_ 256 M: 8 A\n SG_ s : 0|0@1+ (1,0) [0|0] "" A\n',

@@ -12,12 +12,7 @@ from canlog.frames import FrameBatch
 from canlog.logs.captures import read_capture
 from canlog.logs.log_counts import LogCounts, LogReject
 from tests.support.batches import read_whole
-from tests.support.capture_grammars import (
-    SOCKETCAN,
-    pcap,
-    pcapng,
-    socketcan,
-)
+from tests.support.capture_grammars import SOCKETCAN, pcap, pcapng, socketcan
 from tests.support.log_grammars import Frame
 
 FRAME = Frame(t_us=1_000, can_id=0x123, is_extended=False, length=3, data=b"\1\2\3")

@@ -1,15 +1,19 @@
-"""Compressed contents: all of them, cut ones, damaged ones, and those that are a trap."""
+"""Compressed logs and archives."""
 
 import bz2
 import gzip
 import io
 import lzma
+import tarfile
+import zipfile
 import zlib
+from pathlib import Path
 
 import pytest
 import zstandard
 
 from canlog.errors import SourceError
+from canlog.logs import looked_at, read_log
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.streams import Compression, InflatedStream
 
@@ -60,3 +64,44 @@ def test_a_bomb_is_refused() -> None:
     wrapped = b"".join(bomb.compress(bytes(1 << 20)) for _ in range(256)) + bomb.flush()
     with pytest.raises(SourceError, match="256 times its size"):
         contents(wrapped, Compression.GZIP)
+
+
+LOG = b"(1700000000.000000) can0 0A0#0011223344556677\n" * 50
+
+
+def zipped() -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr("drive.log", LOG)
+    return stream.getvalue()
+
+
+def tarred(form: int) -> bytes:
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode="w", format=form) as archive:
+        info = tarfile.TarInfo("drive.log")
+        info.size = len(LOG)
+        archive.addfile(info, io.BytesIO(LOG))
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("contents", "kind"),
+    [
+        (zipped(), "zip"),
+        (b"PK\x05\x06" + bytes(18), "zip"),
+        (gzip.compress(zipped()), "zip"),
+        *((tarred(form), "tar") for form in (tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT, tarfile.PAX_FORMAT)),
+        (gzip.compress(tarred(tarfile.PAX_FORMAT)), "tar"),
+        (lzma.compress(tarred(tarfile.GNU_FORMAT)), "tar"),
+        (b"7z\xbc\xaf\x27\x1c" + bytes(90), "7z"),
+        (b"Rar!\x1a\x07\x01\x00" + bytes(90), "RAR"),
+    ],
+)
+def test_an_archive_is_refused_with_what_to_do(contents: bytes, kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "drives"
+    path.write_bytes(contents)
+    said = f"a {kind} archive: unpack it first"
+    with pytest.raises(SourceError, match=f"^{path}: {said}$"):
+        read_log(path)
+    assert looked_at(path).reason == said

@@ -63,14 +63,7 @@ def test_a_row_that_is_no_frame_is_counted_with_its_number(row: tuple[object, ..
     assert reader.counts.first_rejected == "row 2: malformed"
 
 
-@pytest.mark.parametrize(
-    "statement",
-    [
-        "CREATE TABLE frames (t)",
-        ENDLESS_VIEW,
-        "CREATE TABLE messages (t)",
-    ],
-)
+@pytest.mark.parametrize("statement", ["CREATE TABLE frames (t)", ENDLESS_VIEW, "CREATE TABLE messages (t)"])
 def test_a_database_without_the_table_is_one_clear_error(statement: str, tmp_path: Path) -> None:
     path = tmp_path / "drive.db"
     with closing(sqlite3.connect(path)) as connection:

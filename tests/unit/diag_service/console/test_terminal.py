@@ -68,11 +68,7 @@ def test_the_key_ends_it_and_no_other_does(keyboard: int) -> None:
 def person(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     """Yield the person's end of a terminal before which the program sits."""
     ours, theirs = pty.openpty()
-    with (
-        os.fdopen(theirs, "r") as keyboard,
-        os.fdopen(os.dup(theirs), "w") as screen,
-        monkeypatch.context() as patch,
-    ):
+    with os.fdopen(theirs, "r") as keyboard, os.fdopen(os.dup(theirs), "w") as screen, monkeypatch.context() as patch:
         patch.setattr("sys.stdin", keyboard)
         patch.setattr("sys.stderr", screen)
         yield ours

@@ -15,10 +15,7 @@ PERIOD_NS = 10_000_000
 
 def series_at(t_ns: np.ndarray, sequence: np.ndarray, period_ns: int = PERIOD_NS) -> Series:
     return Series(
-        t_ns=t_ns.astype(np.int64),
-        sequence=sequence.astype(np.int64),
-        value=np.zeros(len(t_ns)),
-        period_ns=period_ns,
+        t_ns=t_ns.astype(np.int64), sequence=sequence.astype(np.int64), value=np.zeros(len(t_ns)), period_ns=period_ns
     )
 
 

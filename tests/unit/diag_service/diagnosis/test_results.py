@@ -1,30 +1,41 @@
-"""The public JSON: what the schemas say is what is written, and nothing is lost on the way back."""
+"""Results, states and summaries as they are stored and told."""
 
 import json
 import math
 from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
 
 import pytest
 from jsonschema import Draft202012Validator
 
 from clutch_model.calibration import TorqueSource, nominal_calibration
+from diag_service.diagnosis.condition.condition import ConditionMemory, judge
 from diag_service.diagnosis.events import EventKind
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import (
     Condition,
+    FluidFill,
     FrictionSlope,
     Reason,
     ServiceStatus,
     ShiftQuality,
+    ShiftStatistics,
     Status,
+    Tier,
     clutch_record,
     dump,
     parse_shift,
     shift_record,
     status_record,
+    utc_from_bus_ns,
 )
+from diag_service.diagnosis.summary import Capability, FrameCounts, Summary, capability_line, of_own_fluid, order_by
 from diag_service.errors import ResultError
 from fleet_contract import schema
+from fleet_contract.orders import Action
 from tests.support.builders import friction_estimate, rejected, scale_free_friction, shift_result
+from tests.support.histories import history
 
 CURVE = nominal_calibration().clutches[0].friction
 STATUS = ServiceStatus(
@@ -45,8 +56,7 @@ MODELLED = replace(
 SCORED = replace(
     shift_result(),
     estimate=replace(
-        shift_result().estimate,
-        shift_quality=ShiftQuality(score=87.5, reasons=("flare_rad_s",), flare_rad_s=9.0),
+        shift_result().estimate, shift_quality=ShiftQuality(score=87.5, reasons=("flare_rad_s",), flare_rad_s=9.0)
     ),
 )
 RECORDS = [
@@ -144,3 +154,80 @@ def test_a_result_without_a_kind_is_of_a_shift_and_one_of_a_later_kind_is_no_poi
     assert Draft202012Validator(schema("shift")).is_valid(record)
     estimate = parse_shift(dump(record)).estimate
     assert (estimate.kind, estimate.end_reason) == (EventKind.SHIFT, None)
+
+
+MISSING = "friction needs clutch1_pressure_pa"
+
+
+def summary_of(
+    frames: FrameCounts = FrameCounts(on_bus=1, ignored=1),  # noqa: B008 - it cannot be changed
+    capability: Capability = Capability(),  # noqa: B008 - likewise
+    shifts: ShiftStatistics = ShiftStatistics(),  # noqa: B008 - likewise
+) -> Summary:
+    return Summary(vehicle="car1", frames=frames, shifts=shifts, unpublished_count=None, capability=capability)
+
+
+def line(capability: Capability, *, has_shift: bool) -> str:
+    shifts = ShiftStatistics().with_shift(shift_result(1), is_new=True) if has_shift else ShiftStatistics()
+    return capability_line(summary_of(capability=capability, shifts=shifts))
+
+
+@pytest.mark.parametrize(
+    ("capability", "has_shift", "said"),
+    [
+        (Capability(), True, ""),
+        (Capability(), False, "no shift was found"),
+        (Capability(tier=Tier.TORQUE, missing=MISSING), True, f"tier 2 of 3, torque capacity, no friction: {MISSING}"),
+        (
+            Capability(tier=None, missing="x", unseen=("pedal_ratio",)),
+            False,
+            "no shift was found; the signals do not show shifts: x; mapped by profile dct, but never seen: pedal_ratio",
+        ),
+        (Capability(tier=None, missing="x"), True, "the signals show that gears change, and no more: x"),
+    ],
+)
+def test_the_line_for_people(capability: Capability, has_shift: bool, said: str) -> None:
+    assert line(capability, has_shift=has_shift) == said
+
+
+def test_what_rests_on_events_before_a_fill_says_nothing_of_the_fluid_after_it() -> None:
+    one = history(60)[-1]
+    assert one.verdict.friction is not None
+    start_ns = one.estimate.start_ns
+    fill = FluidFill(vehicle="car1", filled_at=utc_from_bus_ns(start_ns - 10**12))
+    for since_ns, is_told in ((None, True), (start_ns - 10**13, False), (start_ns - 10**11, True)):
+        verdict = replace(one.verdict, trend=None, running_since_bus_ns=since_ns)
+        (found,) = of_own_fluid([replace(one, verdict=verdict)], [fill])
+        assert (found.verdict.friction is not None) is is_told
+        assert order_by([found], fill).action is not Action.NEW_FLUID or not is_told
+
+
+CALIBRATION = nominal_calibration()
+GOLDEN = Path(__file__).parents[3] / "golden"
+
+
+def kept(version: int) -> dict[str, Any]:
+    table: dict[str, Any] = json.loads((GOLDEN / f"vehicle-state-v{version}.json").read_text(encoding="utf-8"))
+    return table
+
+
+@pytest.fixture
+def stored() -> dict[str, Any]:
+    return kept(4)
+
+
+def test_the_verdict_on_a_stored_state_is_what_it_was(stored: dict[str, Any]) -> None:
+    state = Posterior.from_json(stored["posterior"], CALIBRATION)
+    _, verdict = judge(ConditionMemory.from_json(stored["condition"]), state, stored["clutch"], CALIBRATION)
+    assert verdict.friction is not None
+    before = stored["verdict"]
+    assert (verdict.condition.name, verdict.reason) == (before["condition"], before["reason"])
+    assert verdict.friction.mu_c == pytest.approx(before["mu_c"], rel=1e-9)
+    assert verdict.friction.mu_s == pytest.approx(before["mu_s"], rel=1e-9)
+
+
+def test_a_state_of_the_format_before_is_refused_and_its_memory_is_read() -> None:
+    before = kept(3)
+    with pytest.raises(ValueError, match="running state of format 3, expected 4"):
+        Posterior.from_json(before["belief"], CALIBRATION)
+    assert ConditionMemory.from_json(before["condition"]).to_json() == before["condition"]

@@ -72,10 +72,7 @@ def test_not_available_values_are_left_out_and_counted() -> None:
     assert columns.columns[Signal.HUB_SPEED].sequence.tolist() == [0, 2]
     assert columns.columns[Signal.INPUT1_SPEED].sequence.tolist() == [0, 1, 2]
     assert Signal.INPUT2_SPEED not in columns.columns
-    assert stage.counts.invalid == {
-        "hub_speed_rad_s": {"not_available": 1},
-        "input2_speed_rad_s": {"not_available": 3},
-    }
+    assert stage.counts.invalid == {"hub_speed_rad_s": {"not_available": 1}, "input2_speed_rad_s": {"not_available": 3}}
     assert stage.counts.invalid_values == 4
     assert stage.counts.invalid_at_first == {"input2_speed_rad_s": 3}
     assert stage.counts.decoded == 3

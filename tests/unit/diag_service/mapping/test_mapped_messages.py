@@ -1,4 +1,4 @@
-"""Sources of a profile, compiled: found by name or J1939 numbers, corrected by their neighbours, checked."""
+"""Values of mapped messages, and which tier of signals they make."""
 
 import cantools
 import numpy as np
@@ -8,9 +8,12 @@ from cantools.database.can import Database, Message
 from canlog.arrays import UInt8Array
 from canlog.database.loading import load_database
 from canlog.decode.signals import InvalidCounts, PayloadWords
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.records import Tier
 from diag_service.errors import ConfigError
 from diag_service.mapping.mapped_messages import compile_source, find_message, signal_name
-from diag_service.mapping.profile import PROFILE_FOLDER, SignalSource
+from diag_service.mapping.profile import PROFILE_FOLDER, SignalSource, load_shipped
+from diag_service.mapping.tiers import missing_for_next, tier_of
 
 TEXT = """VERSION ""
 BU_: A
@@ -70,3 +73,41 @@ def test_why_values_are_no_measurements_is_counted() -> None:
     assert found.is_good is not None
     assert found.is_good.tolist() == [False, False, False, False, True]
     assert found.invalid == InvalidCounts(not_available=1, out_of_range=2, incomplete=1)
+
+
+DCT = frozenset(load_shipped("dct").sources)
+PRESSURES = {Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE}
+TORQUES = {Signal.ENGINE_TORQUE, Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND}
+
+
+@pytest.mark.parametrize(
+    ("signals", "tier"),
+    [
+        (DCT, Tier.FRICTION),
+        (DCT - {Signal.CURRENT_GEAR}, Tier.FRICTION),
+        (DCT - PRESSURES, Tier.TORQUE),
+        (DCT - {Signal.SUMP_TEMPERATURE}, Tier.TORQUE),
+        (DCT - {Signal.CLUTCH1_PRESSURE} - TORQUES, Tier.KINEMATIC),
+        (DCT - PRESSURES - {Signal.CURRENT_GEAR}, Tier.TORQUE),
+        ({Signal.ENGINE_SPEED, Signal.CURRENT_GEAR}, Tier.KINEMATIC),
+        ({Signal.ENGINE_SPEED, Signal.TARGET_GEAR}, None),
+        ({Signal.CURRENT_GEAR, Signal.TARGET_GEAR}, None),
+        (set(), None),
+        *((frozenset(load_shipped(name).sources), Tier.TORQUE) for name in ("vw_mqb", "hyundai_dct")),
+        (frozenset(load_shipped("j1939").sources), Tier.KINEMATIC),
+    ],
+)
+def test_tiers(signals: frozenset[Signal], tier: Tier | None) -> None:
+    assert tier_of(signals) == tier
+
+
+def test_what_is_missing_is_named() -> None:
+    assert missing_for_next(DCT) == ""
+    assert missing_for_next(DCT - PRESSURES) == "friction needs clutch1_pressure_pa, clutch2_pressure_pa"
+    assert missing_for_next(DCT - PRESSURES - TORQUES) == (
+        "torque capacity needs engine_torque_nm, "
+        "clutch1_torque_command_nm and clutch2_torque_command_nm or clutch_torque_nm"
+    )
+    assert missing_for_next({Signal.ENGINE_SPEED}).startswith(
+        "shift time and slip need current_gear and target_gear or "
+    )

@@ -15,13 +15,7 @@ def stat(
 ) -> SignalStatistics:
     message, signal = place.split(".")
     return SignalStatistics(
-        message=message,
-        signal=signal,
-        unit=unit,
-        count=count,
-        lowest=lowest,
-        highest=highest,
-        is_integer=is_integer,
+        message=message, signal=signal, unit=unit, count=count, lowest=lowest, highest=highest, is_integer=is_integer
     )
 
 

@@ -1,8 +1,21 @@
-"""Signals are kept until somebody listens."""
+"""A service tells its life to its manager, is seen to hang, and stops when told."""
 
 import signal
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
 
+import pytest
+
+from diag_service.delivery import MemoryReporter
+from diag_service.diagnosis.records import ShiftResult
+from diag_service.service.bus_run import ServiceManager
+from diag_service.service.session import Progress, Stage
 from diag_service.service.stopping import PatientTrigger, Trigger
+from diag_service.store import ResultStore, VehicleState
+from tests.support.patience import HANG_S
+from tests.unit.diag_service.service.test_live import gear_frames, session_for
 
 
 def test_every_setting_is_told_until_the_listener_leaves() -> None:
@@ -42,3 +55,62 @@ def test_a_patient_trigger_waits_for_the_writer_of_a_pipe() -> None:
     assert not patient.is_set
     now_s[0] = 11.0
     assert patient.is_set
+
+
+@pytest.fixture(name="manager_socket")
+def _manager_socket(tmp_path: Path) -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as heard:
+        heard.bind(str(tmp_path / "notify"))
+        heard.settimeout(HANG_S)
+        yield heard
+
+
+def test_a_manager_is_told_the_life_of_the_service(manager_socket: socket.socket) -> None:
+    manager = ServiceManager(manager_socket.getsockname())
+    manager.ready()
+    manager.alive("bus up")
+    manager.struggling("stuck in store")
+    manager.stopping()
+    heard = [manager_socket.recv(200).decode() for _ in range(4)]
+    assert heard == ["READY=1", "WATCHDOG=1\nSTATUS=bus up", "STATUS=stuck in store", "STOPPING=1"]
+
+
+STUCK_AFTER_S = 30.0
+
+
+class Clock:
+    """A clock that is moved by hand."""
+
+    def __init__(self) -> None:
+        self.now_s = 1_000.0
+
+    def __call__(self) -> float:
+        """Return the time."""
+        return self.now_s
+
+
+def test_a_store_that_hangs_is_seen_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, may_go_on, is_inside = Clock(), threading.Event(), threading.Event()
+    store = ResultStore.in_memory()
+    add = store.add
+
+    def hang(result: ShiftResult, state: VehicleState) -> None:
+        is_inside.set()
+        may_go_on.wait(HANG_S)
+        add(result, state)
+
+    monkeypatch.setattr(store, "add", hang)
+    session = session_for(store, MemoryReporter())
+    session.progress = Progress(limit_s=STUCK_AFTER_S, now_s=clock)
+    (event, *_) = session.stages.segment(gear_frames(3))
+    worker = threading.Thread(target=session.process, args=(event,))
+    worker.start()
+    assert is_inside.wait(HANG_S)
+    clock.now_s += STUCK_AFTER_S
+    stuck = session.progress.stuck
+    assert stuck is not None
+    assert stuck.stage is Stage.STORE
+    may_go_on.set()
+    worker.join()
+    assert session.progress.stuck is None
+    store.close()

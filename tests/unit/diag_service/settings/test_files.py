@@ -1,14 +1,17 @@
-"""Settings: the command line over the environment over the file over the defaults; unknown keys and secrets."""
+"""Settings from files, environment and command line."""
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from clutch_model.calibration import nominal_calibration
 from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.commands.live import describe
 from diag_service.errors import ConfigError
+from diag_service.settings.config import check_vehicle, default_store, vehicle_of
 from diag_service.settings.options import SETTINGS, read_settings
 from fleet_contract.settings import PREFIX
 
@@ -40,10 +43,7 @@ VALUES: dict[str, str | int | float | bool] = {
     "reply": "7E8",
     "description": "gearbox.toml",
 }
-UNSET = dict.fromkeys(VALUES) | {
-    **dict.fromkeys(("fd", "only_mapped", "active"), False),
-    "acknowledge": "broker",
-}
+UNSET = dict.fromkeys(VALUES) | {**dict.fromkeys(("fd", "only_mapped", "active"), False), "acknowledge": "broker"}
 
 
 @pytest.fixture(autouse=True)
@@ -143,3 +143,34 @@ def test_the_settings_are_shown_as_a_file_with_the_password_masked() -> None:
         "broker": "mqtts://car1:***@host"
     }
     assert "# metrics is not set\n" in text
+
+
+@pytest.mark.parametrize("vehicle", ["car1", "A-1.b_2", "x" * 64, "_", "0"])
+def test_vehicle_ids(vehicle: str) -> None:
+    assert check_vehicle(vehicle) == vehicle
+
+
+@pytest.mark.parametrize(
+    "vehicle", ["", "a/b", "+", "#", "a+", "a#", "..", ".hidden", "-v", "a b", "é", "x" * 65, "a\n"]
+)
+def test_vehicle_ids_that_would_be_topics_or_paths(vehicle: str) -> None:
+    with pytest.raises(ConfigError, match="vehicle id"):
+        check_vehicle(vehicle)
+
+
+@pytest.mark.parametrize(
+    ("named", "calibrated", "expected"),
+    [(None, None, "vehicle"), (None, "car7", "car7"), ("car8", None, "car8"), ("car8", "car7", "car8")],
+)
+def test_a_vehicle_is_named_by_hand_or_else_by_its_calibration(
+    named: str | None, calibrated: str | None, expected: str
+) -> None:
+    assert vehicle_of(named, replace(nominal_calibration(), vehicle=calibrated)) == expected
+
+
+def test_the_default_store_is_in_the_state_directory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", "/state")
+    assert default_store("car1") == Path("/state/clutchdiag/car1.sqlite")
+    monkeypatch.setenv("XDG_STATE_HOME", "relative/is/ignored")
+    monkeypatch.setenv("HOME", "/home/driver")
+    assert default_store("car1") == Path("/home/driver/.local/state/clutchdiag/car1.sqlite")

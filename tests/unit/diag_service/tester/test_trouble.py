@@ -1,10 +1,13 @@
-"""Answers of service 19 taken apart, also those of controllers that are not described."""
+"""Trouble codes: addresses, states, and what is cleared."""
 
 import pytest
 
+from diag_service.errors import ConfigError
+from diag_service.tester.addresses import CanAddress, parse_address, usual_response_id
 from diag_service.tester.answers import belongs, fault
 from diag_service.tester.description import Coding, Datum, Description, Field, Trouble
-from diag_service.tester.trouble import read_codes
+from diag_service.tester.questions import parse_group
+from diag_service.tester.trouble import TroubleCode, read_codes
 
 SPEED = Field(name="speed", kind=Coding.UNSIGNED, size_bytes=2, unit="km/h", resolution=0.01, invalid=0xFFFF)
 KNOWN = Description(
@@ -86,3 +89,65 @@ def test_an_answer_belongs_to_its_request_only() -> None:
     assert fits("31 01 0301 05", "71 01 0301 00")
     assert not fits("31 01 0301", "71 01 0302 00")
     assert not fits("19 02 FF", "59 04 FF")
+
+
+CODES = tuple(TroubleCode(number=number, status=0x0F) for number in (0x081107, 0x081109, 0x02184B, 0xC07300))
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [
+        ("all", (0xFFFFFF,)),
+        ("ALL", (0xFFFFFF,)),
+        ("obd", (0xFFFF33,)),
+        ("P0811", (0x081107, 0x081109)),
+        ("p0811-09", (0x081109,)),
+        ("P2787-4B", (0x27874B,)),  # whether it is there or not
+        ("U0073", (0xC07300,)),
+        ("0x02184b", (0x02184B,)),
+    ],
+)
+def test_a_word_names_a_group(text: str, numbers: tuple[int, ...]) -> None:
+    assert parse_group(text).numbers(CODES) == numbers
+
+
+def test_a_code_that_is_not_there_is_not_cleared_by_guess() -> None:
+    with pytest.raises(ConfigError, match=r"^P0897 is not among .* reports: P0811, P0218, U0073$"):
+        parse_group("P0897").numbers(CODES)
+
+
+@pytest.mark.parametrize("text", ["", "P081", "P4811", "X0811", "P0811-7", "P0811-", "08110", "0811077", "some"])
+def test_what_names_no_group_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="--clear must be all, obd, a code"):
+        parse_group(text)
+
+
+@pytest.mark.parametrize(
+    ("request_id", "response_id"), [(0x7E1, 0x7E9), (0x700, 0x708), (0x18DA10F1, 0x18DAF110), (0x18DAFFF1, 0x18DAF1FF)]
+)
+def test_the_rules_of_the_standard_give_the_answer(request_id: int, response_id: int) -> None:
+    assert usual_response_id(request_id) == response_id
+
+
+def test_words_become_an_address() -> None:
+    assert parse_address(None, None) is None
+    assert parse_address("7e0", None) == CanAddress(request_id=0x7E0, response_id=0x7E8)
+    assert parse_address("0x6F1", "612", "12") == CanAddress(request_id=0x6F1, response_id=0x612, target_byte=0x12)
+    assert str(parse_address("7e0", None)) == "7E0 (answers 7E8)"
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ((None, "7E8"), "need --ecu"),
+        (("7G0", None), "--ecu must be hexadecimal, 0 to 1FFFFFFF, got '7G0'"),
+        (("20000000", "1"), "--ecu must be hexadecimal"),
+        (("7E0", "18DAF110"), "both have 11 bits or both 29"),
+        (("7DF", None), "--reply is needed: 7DF asks all controllers"),
+        (("7E0", "7E0"), "the same identifier 7E0"),
+        (("7E0", None, "100"), "--address must be hexadecimal, 0 to FF, got '100'"),
+    ],
+)
+def test_words_that_are_none_are_named(words: tuple[str | None, ...], complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        parse_address(*words)

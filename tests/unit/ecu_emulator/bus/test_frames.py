@@ -1,18 +1,22 @@
-"""Frames hold what cantools would encode; what does not fit is limited and counted."""
+"""Frames as they are sent."""
 
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
+from can.io import CanutilsLogReader
 from hypothesis import given
 from hypothesis import strategies as st
 
 from canlog.arrays import FloatArray
 from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
-from ecu_emulator.bus.frames import SIGNAL_OF, EncodedFrames, FrameEncoder
+from ecu_emulator.bus.bus_faults import error_frames
+from ecu_emulator.bus.frames import SIGNAL_OF, EncodedFrames, FrameEncoder, joined
+from ecu_emulator.log_formats.record import open_log
 from ecu_emulator.sensing import Readings
-from tests.support.wire import CONTRACTS, DATABASE, readings
+from tests.support.wire import CONTRACTS, DATABASE, drive, readings
 
 TO_DBC_UNIT: dict[str, Callable[[float], float]] = {
     "rad_s": lambda value: value / (math.pi / 30.0),
@@ -96,3 +100,17 @@ def test_values_out_of_range_saturate_and_are_counted(quantity: str, si: float, 
     frames = encoder.encode(inputs(**{quantity: np.array([si])}))
     assert decoded(frames, "ECM_TorqueSpeed")[signal] == limit
     assert encoder.saturated == {quantity: 1}
+
+
+SOUND = drive(0.02)
+FRAMES = joined(SOUND, error_frames(np.array([0.021, 0.022])))
+
+
+def test_a_candump_log_keeps_them(tmp_path: Path) -> None:
+    path = tmp_path / "drive.log"
+    with open_log(path) as log:
+        log.write(FRAMES)
+    with CanutilsLogReader(path) as reader:
+        messages = list(reader)
+    assert [message.is_error_frame for message in messages] == [False] * len(SOUND) + [True] * 2
+    assert path.read_text(encoding="ascii").splitlines()[-1].endswith(" vcan0 20000088#0000040000000000")

@@ -1,11 +1,14 @@
-"""The table of the diagnosis: what is shipped fits together, and what is wrong with another one is said in a line."""
+"""The table of data, its document, and data that come by themselves."""
 
 from pathlib import Path
 
 import pytest
 
-from ecu_emulator.diagnostics.table_file import parse_table
+from ecu_emulator.diagnostics.memory import TestResult
+from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
 from ecu_emulator.errors import ConfigError
+from tests.tools.uds_tables import DOCUMENT, written
+from tests.unit.ecu_emulator.diagnostics.bench import Bench
 
 TEXT = (Path(__file__).parents[4] / "ecu_emulator/diagnostics/tcu.toml").read_text(encoding="utf-8")
 
@@ -75,3 +78,45 @@ def test_what_is_wrong_is_named(old: str, new: str, message: str) -> None:
     assert str(told.value).startswith("my.toml")
     assert message in str(told.value)
     assert "\n" not in str(told.value)
+
+
+def test_the_tables_of_the_document_are_those_of_the_code() -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    assert text.count("<!-- table ") == 8
+    assert written(text, shipped_table()) == text
+
+
+def test_the_dialogue_of_the_document_is_what_the_controller_answers() -> None:
+    _, _, dialogue = DOCUMENT.read_text(encoding="utf-8").partition("<!-- dialogue -->")
+    bench, said = Bench(table=shipped_table()), ""
+    bench.monitor("P0811", TestResult.FAILED)
+    for line in [line for line in dialogue.splitlines() if line.startswith("7E")]:
+        told = line[5:69].strip().lower()
+        if line.startswith("7E1"):
+            said = bench.ask(told)
+            continue
+        begins, _, size = told.partition(" ... ")
+        assert said.startswith(begins)
+        assert len(bytes.fromhex(said)) == (int(size.removesuffix(" bytes")) if size else len(bytes.fromhex(begins)))
+        if said == "7f 31 78":
+            bench.finish(0x0301)
+            said = bench.wait(0.1)
+
+
+ENGINE_85_RAD_S = "0c af"  # 811.7 rpm in quarters
+
+
+@pytest.fixture
+def bench() -> Bench:
+    made = Bench()
+    assert made.ask("10 03").startswith("50")
+    return made
+
+
+@pytest.mark.parametrize(("mode", "count"), [("01", 1), ("02", 5), ("03", 20)])
+def test_data_come_at_the_rate_that_was_asked_for(bench: Bench, mode: str, count: int) -> None:
+    assert bench.ask(f"2a {mode} 00") == "6a"
+    sent = bench.sent(0.98)
+    assert sent == [f"00 {ENGINE_85_RAD_S} 00 00 00 ff"] * count
+    bench.values["engine_speed_rad_s"] = 0.0
+    assert set(bench.sent(1.0)) == {"00 00 00 00 00 00 ff"}

@@ -9,11 +9,7 @@ from ecu_emulator.errors import ConfigError
 
 
 def trace(**changes: FloatArray) -> SpeedTrace:
-    columns = {
-        "t_s": np.array([0.0, 10.0, 20.0]),
-        "speed_m_s": np.array([0.0, 10.0, 10.0]),
-        "grade_ratio": np.zeros(3),
-    }
+    columns = {"t_s": np.array([0.0, 10.0, 20.0]), "speed_m_s": np.array([0.0, 10.0, 10.0]), "grade_ratio": np.zeros(3)}
     return SpeedTrace(name="made up", **{**columns, **changes})
 
 

@@ -4,13 +4,7 @@ import pytest
 
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.faults import Phase, SensorFault, SensorFaultKind
-from ecu_emulator.scenario.scenario import (
-    Ambient,
-    Driver,
-    Routine,
-    Scenario,
-    production_scatter,
-)
+from ecu_emulator.scenario.scenario import Ambient, Driver, Routine, Scenario, production_scatter
 from ecu_emulator.scenario.scenario_file import load_scenario, parse_scenario, shipped_scenarios
 
 MINIMAL = 'name = "mine"\n'

@@ -1,4 +1,4 @@
-"""The quality of a made-up upshift whose every part is known."""
+"""What shifts say of their own quality, and how they scatter."""
 
 from dataclasses import replace
 
@@ -9,11 +9,14 @@ from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
 from clutch_model.pack import film_law
 from diag_service.diagnosis.columns import GearRatios, Signal
+from diag_service.diagnosis.condition.shift_course import Course, courses, load_line, loads
 from diag_service.diagnosis.condition.shift_quality import PARTS, ShiftScorer
+from diag_service.diagnosis.condition.verdict import Scatter
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.drives import PackTemperatures
-from diag_service.diagnosis.records import ShiftQuality
+from diag_service.diagnosis.records import FrictionEstimate, ShiftEstimate, ShiftQuality
+from tests.support.builders import friction_estimate, shift_result
 
 CALIBRATION = nominal_calibration()
 KNOWN = Posterior.fresh(CALIBRATION).fusion.knowledge
@@ -134,3 +137,70 @@ def test_what_is_no_gear_change_has_no_score_and_what_was_broken_off_nothing() -
     assert found.slip_energy2_j == quality(event()).slip_energy2_j
     broken = replace(event(), end_reason=EndReason.INTERRUPTED)
     assert ShiftScorer(CALIBRATION, None).score(broken, KNOWN) is None
+
+
+UPSHIFT = ShiftQuality(
+    score=80.0, reasons=("jerk_m_s3",), std_touch_error_pa=1_000.0, slip_energy1_j=0.0, slip_energy2_j=5_000.0
+)
+
+
+def result(
+    seq: int, quality: ShiftQuality | None, *, oil_k: float = 350.0, kind: str = "power_on_upshift"
+) -> ShiftEstimate:
+    given = shift_result(seq).estimate
+    return replace(given, shift_quality=quality, sump_temperature_k=oil_k, kind=EventKind(kind))
+
+
+def test_a_course_has_both_ends_and_the_oil() -> None:
+    some = [result(seq, replace(UPSHIFT, score=90.0), oil_k=300.0) for seq in range(20)]
+    some += [result(20 + seq, replace(UPSHIFT, score=60.0)) for seq in range(20)]
+    some.append(result(41, None))
+    (found,) = courses(some)
+    assert found == Course(
+        kind=EventKind.POWER_ON_UPSHIFT, from_gear=1, to_gear=2, count=40, first=90.0, last=60.0,
+        by_oil=(90.0, 60.0, None), reason="jerk_m_s3", untold=tuple(part.name for part in PARTS),
+    )  # fmt: skip
+    assert courses([result(1, None)]) == []
+    some += [result(50 + seq, replace(UPSHIFT, score=40.0, reasons=("flare_rad_s",))) for seq in range(20)]
+    assert courses(some)[0].reason == "flare_rad_s"  # why they go badly now, however many did for another reason
+
+
+def test_the_load_of_a_clutch_is_what_it_slipped() -> None:
+    hot = replace(UPSHIFT, peak2_k=390.0, life2_ratio=2e-6)
+    launch = replace(hot, score=None, slip_energy2_j=40_000.0, peak2_k=410.0, life2_ratio=16e-6)
+    unseen = ShiftQuality(score=None)  # without pressures
+    some = [result(1, hot), result(2, hot), result(3, launch, kind="launch"), result(4, unseen, kind="launch")]
+    (found,) = loads([*some, result(5, unseen), result(6, None)])
+    assert (found.clutch, found.counts, found.energy_j, found.launch_count) == (2, (0, 0, 0, 2, 0, 1), 50_000.0, 2)
+    assert found.peak_k == 410.0
+    assert found.life_ratio == pytest.approx(20e-6)
+    assert load_line(found) == (
+        "Clutch 2 turned 0.05 MJ into heat in 3 events, launches: 2, at most 137 °C; 0.0020 % of its lining's life, as "
+        "an index."
+    )
+
+
+RUNNING = replace(friction_estimate(), random_std_mu_c=0.0, random_std_mu_s=0.0)
+STD = np.array([0.002, 0.005])
+
+
+def shift(distances: np.ndarray) -> FrictionEstimate:
+    return replace(RUNNING, mu_c=RUNNING.mu_c + distances[0], mu_s=RUNNING.mu_s + distances[1], random_std_mu_c=0.001)
+
+
+def followed(distances: np.ndarray, running: FrictionEstimate = RUNNING) -> Scatter:
+    scatter = Scatter.begun(replace(shift(distances[0]), random_std_mu_s=0.003))
+    for one in distances:
+        scatter = scatter.with_shift(replace(shift(one), random_std_mu_s=0.003), running)
+    return scatter
+
+
+def test_it_is_the_deviation_of_the_shifts() -> None:
+    rng = np.random.default_rng(1)
+    found = []
+    for _ in range(60):
+        reported = followed(rng.normal(size=(60, 2)) * STD).reported
+        assert reported is not None
+        found.append((reported.std_mu_c, reported.std_mu_s))
+    assert np.mean(found, axis=0) == pytest.approx(STD, rel=0.1)
+    assert np.all(np.std(found, axis=0) < 0.2 * STD)

@@ -14,10 +14,7 @@ from diag_service.diagnosis.events import EndReason, Event
 from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, State
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.posterior import friction as friction_of
-from diag_service.diagnosis.friction.self_calibration import (
-    SelfCalibration,
-    self_calibrate,
-)
+from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder

@@ -1,13 +1,21 @@
-"""What is foretold of a clutch from its past: outlooks, distances with their doubt, fluids, assumptions."""
+"""The prognosis: its history, its trend and its limits."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
-from diag_service.diagnosis.prognosis import History, Outlook, Prognosis, prognose
+from diag_service.diagnosis.prognosis import History, Outlook, Prognosis, history_of, prognose
+from diag_service.diagnosis.prognosis.assumptions import KNEE_PROBABILITY, MARGIN_OF_NEW, USUAL_LIFE_M
+from diag_service.diagnosis.prognosis.channels import DISTANCE_M, ChannelName, channels_of, clocks_of
 from diag_service.diagnosis.prognosis.prognosis import Reach
+from diag_service.diagnosis.prognosis.trend import AgedChannel, Future, aged, passage
+from diag_service.diagnosis.records import FluidFill, ShiftResult, utc_from_bus_ns
+from tests.support.histories import history as stored
 from tests.support.pasts import REFERENCE, ageing, past
 
 STEP_M = 1.0e5
@@ -94,3 +102,118 @@ def test_more_wear_over_the_same_distance_makes_a_life_shorter(step_m: float) ->
         for until in (0.7, 0.5, 0.3, 0.1)
     ]
     assert medians_m == sorted(medians_m, reverse=True)
+
+
+def own_of(results: Sequence[ShiftResult], clutch: int) -> list[ShiftResult]:
+    return [one for one in results if one.estimate.clutch == clutch]
+
+
+def with_odometer(result: ShiftResult, odometer_m: float | None) -> ShiftResult:
+    return replace(result, estimate=replace(result.estimate, odometer_m=odometer_m))
+
+
+def test_used_events_are_rows_and_all_events_are_counted() -> None:
+    results = stored(60)
+    found = history_of(results, (), 1)
+    own = own_of(results, 1)
+    used = [one for one in own if one.estimate.friction is not None]
+    assert found.mu_c.tolist() == [one.estimate.friction.mu_c for one in used if one.estimate.friction]
+    assert found.event_count.sum() == 1 + own.index(used[-1])
+    assert found.left_out_count == 0
+
+
+def test_results_without_odometer_or_with_one_that_went_back_are_counted() -> None:
+    results = [one for one in stored(40) if one.estimate.friction is not None and one.estimate.clutch == 1]
+    results[3], results[5] = with_odometer(results[3], None), with_odometer(results[5], 1.0)
+    found = history_of(results, (), 1)
+    assert (len(found), found.left_out_count) == (len(results) - 2, 2)
+    assert np.all(np.diff(found.odometer_m) >= 0.0)
+
+
+def test_a_fill_begins_another_fluid_that_was_new_when_seen_soon_after() -> None:
+    results = stored(60)
+    at = utc_from_bus_ns(results[30].estimate.start_ns)
+    known_m = FluidFill(vehicle="car1", filled_at=at, odometer_m=results[29].estimate.odometer_m)
+    found = history_of(results, (known_m,), 1)
+    assert np.unique(found.fluid_number).tolist() == [0, 1]
+    assert found.new_fluids == (0, 1)
+    without = history_of(results, (replace(known_m, odometer_m=None),), 1)
+    assert without.new_fluids == (0, 1)
+    unseen = [*results[:30], *(with_odometer(one, 9.0e7 + (one.estimate.odometer_m or 0.0)) for one in results[30:])]
+    assert history_of(unseen, (replace(known_m, odometer_m=6.0e7),), 1).new_fluids == (0,)
+    assert history_of(unseen, (replace(known_m, odometer_m=8.9e7),), 1).new_fluids == (0, 1)
+
+
+def margin_of(history: History, *, bend_chance: float = KNEE_PROBABILITY, is_new: bool = False) -> AgedChannel:
+    clocks = clocks_of(history, 0, len(history), is_new=is_new)
+    margin = next(
+        one for one in channels_of(history, 0, len(history), REFERENCE, clocks) if one.name is ChannelName.MARGIN
+    )
+    return aged(margin, clocks, MARGIN_OF_NEW, bend_chance)
+
+
+@pytest.mark.parametrize("until", [0.8, 0.5, 0.1])
+def test_an_even_fall_is_found_with_its_deviation(until: float) -> None:
+    one = margin_of(past(ageing(COUNT, until=until), step_m=STEP_M))
+    truth = (until - 1.0) / (STEP_M * (COUNT - 1))
+    assert abs(one.rate_per_m.mean - truth) < 3.0 * one.rate_per_m.std
+    assert one.rate_per_m.std < 0.5e-8
+    assert one.probability_falling > 0.9
+    assert abs(one.now.mean - until) < 3.0 * one.now.std
+    assert abs(one.fallen.mean - (1.0 - until)) < 3.0 * one.fallen.std
+
+
+def test_a_bend_in_the_past_counts_more_than_the_mean_over_the_life() -> None:
+    bent = np.concatenate((np.linspace(1.0, 0.95, 200), np.linspace(0.95, 0.35, 200)))
+    one = margin_of(past(bent, step_m=STEP_M, noise_ratio=0.005))
+    truth = -0.6 / (200 * STEP_M)
+    assert one.rate_per_m.mean == pytest.approx(truth, rel=0.25)
+    assert abs(one.rate_per_m.mean - truth) < 3.0 * one.rate_per_m.std
+    even = margin_of(past(ageing(COUNT, until=0.35), step_m=STEP_M, noise_ratio=0.005))
+    assert one.bent_odds > 100.0
+    assert even.bent_odds < 1.0
+
+
+def sure(now: float, rate_per_m: float, *, std: float = 0.001, start: float = 1.0) -> Future:
+    """Return a channel that is known well."""
+    return Future(
+        ahead=DISTANCE_M[None] / USUAL_LIFE_M,
+        loss=np.array([-rate_per_m * USUAL_LIFE_M]),
+        now=np.array([now]),
+        now_variance=np.array([std**2]),
+        start=np.array([start]),
+        start_variance=np.array([std**2]),
+        now_start_covariance=np.zeros(1),
+        random=np.zeros(1),
+    )
+
+
+def test_a_well_known_fall_passes_where_the_line_does() -> None:
+    when = passage(sure(0.5, -1.0e-8), [(0.0, 0.0)])
+    median_m = when.quantile_m(0.5)
+    assert median_m is not None
+    assert median_m == pytest.approx(5.0e7, rel=0.01)
+    p10_m, p90_m = when.quantile_m(0.1), when.quantile_m(0.9)
+    assert p10_m is not None
+    assert p90_m is not None
+    assert p10_m < median_m < p90_m < 1.05 * 5.0e7
+
+
+@given(
+    now=st.floats(-0.5, 1.5),
+    rate=st.floats(-1e-7, -1e-11),
+    std=st.floats(1e-4, 0.5),
+    limit=st.floats(0.0, 0.9),
+    share=st.floats(0.0, 0.9),
+)
+def test_probabilities_never_fall_and_quantiles_are_in_order(
+    now: float, rate: float, std: float, limit: float, share: float
+) -> None:
+    when = passage(sure(now, rate, std=std), [(limit, share)])
+    assert np.all(np.diff(when.probability) >= -1e-12)
+    assert -1e-9 <= when.probability[0] <= when.probability[-1] <= 1.0 + 1e-9
+    quantiles = when.quantiles_m(np.linspace(0.01, 0.99, 21))
+    assert np.all(np.diff(quantiles) >= 0.0)
+    known = when.quantile_m(0.5)
+    if known is not None and known > 0.0:
+        assert when.within(known) == pytest.approx(0.5, abs=1e-6)

@@ -78,9 +78,7 @@ def columns_of(pieces: tuple[Piece, ...], signals: frozenset[Signal] = PRESSED) 
     rows = np.arange(sum(counts), dtype=np.int64)
     columns = {
         signal: Series(
-            t_ns=rows * STEP_NS,
-            sequence=rows,
-            value=np.repeat([float(one[signal.value]) for one in pieces], counts),
+            t_ns=rows * STEP_NS, sequence=rows, value=np.repeat([float(one[signal.value]) for one in pieces], counts)
         )
         for signal in signals
     }

@@ -50,9 +50,7 @@ def shifts(finder: ShiftFinder, batch: ColumnBatch) -> list[Bounds]:
 
 def by_target(target: FloatArray, slip: FloatArray) -> list[Bounds]:
     batch = columns_of(
-        target_gear=target,
-        engine_speed_rad_s=np.full(len(slip), ENGINE_RAD_S),
-        input_speed_rad_s=ENGINE_RAD_S - slip,
+        target_gear=target, engine_speed_rad_s=np.full(len(slip), ENGINE_RAD_S), input_speed_rad_s=ENGINE_RAD_S - slip
     )
     return shifts(ShiftFinder(tracker_for(TARGET_SIGNALS)), batch)
 
