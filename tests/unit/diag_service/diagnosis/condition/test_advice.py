@@ -77,28 +77,19 @@ def why(cause: str, probability: float, aged: float = 0.05) -> Causes:
     ("mu", "causes", "sentence"),
     [
         ((0.105, 0.085), None, "Change the fluid now."),
-        (
-            (0.105, 0.085),
-            why("glazed-lining", 0.54),
-            "See to another cause than the fluid first: glazed lining of clutch 2 (54 % likely).",
-        ),
+        ((0.105, 0.085), why("glazed-lining", 0.54),
+         "See to another cause than the fluid first: glazed lining of clutch 2 (54 % likely)."),
         ((0.105, 0.085), why("glazed-lining", 0.46), "Change the fluid now."),
         ((0.105, 0.085), why("water", 0.94), "See to this first: water in the fluid (94 % likely)."),
         ((0.140, 0.119), why("wrong-fluid", 0.93), "See to this first: another fluid than specified (93 % likely)."),
         ((0.140, 0.119), why("aged-fluid", 1.0), "Nothing to do now: the fluid is sound."),
-        (
-            (0.105, 0.085),
-            why("weak-pump", 0.97, aged=0.99),
-            "See to another cause than the fluid first: weak pump of clutch 2 (97 % likely).",
-        ),
+        ((0.105, 0.085), why("weak-pump", 0.97, aged=0.99),
+         "See to another cause than the fluid first: weak pump of clutch 2 (97 % likely)."),
         ((0.140, 0.119), why("weak-pump", 0.85), "Nothing to do now: the fluid is sound."),
-        (
-            (0.140, 0.119),
-            why("return-spring", 0.997),
-            "Have something else than the fluid looked at: return spring of clutch 2 (over 99 % likely).",
-        ),
+        ((0.140, 0.119), why("return-spring", 0.997),
+         "Have something else than the fluid looked at: return spring of clutch 2 (over 99 % likely)."),
     ],
-)
+)  # fmt: skip
 def test_new_fluid_is_not_ordered_for_what_it_does_not_mend(
     mu: tuple[float, float], causes: Causes | None, sentence: str
 ) -> None:

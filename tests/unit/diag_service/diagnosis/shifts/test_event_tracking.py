@@ -104,63 +104,49 @@ def test_a_launch_lasts_from_the_first_slip_under_load_until_the_clutch_is_locke
     ]
 
 
-def test_a_foot_that_lifts_aborts_a_launch() -> None:
-    assert found(standing(), launching(60), standing()) == [("launch", 1, 1, 100, 160, EndReason.ABANDONED)]
+def upshift(count: int, gear: int, slip: float) -> Piece:
+    """Return samples under power on the way to second gear."""
+    return piece(count, gear=gear, target=2, slip=slip, load=PULL_PA, pedal=0.3, torque=90.0)
 
 
-def test_a_clutch_may_carry_nothing_for_a_moment_while_the_foot_stays() -> None:
-    nothing = piece(40, slip=60.0, pedal=0.3, engine=150.0)
-    assert found(standing(), launching(60), nothing, launching(90), locked()) == [
-        ("launch", 1, 1, 100, 290 + LOCK, EndReason.COMPLETE)
-    ]
+CREEPING = piece(60, slip=70.0, load=1.5e5, engine=IDLE)
 
 
-def test_a_shift_interrupts_a_launch_and_takes_over_its_slip() -> None:
-    shifting = piece(50, target=2, slip=40.0, load=PULL_PA, pedal=0.3, torque=90.0)
-    assert found(standing(), launching(80), shifting, driving(gear=2)) == [
-        ("launch", 1, 1, 100, 180, EndReason.ABANDONED),
-        ("power_on_upshift", 1, 2, 180, 230, EndReason.COMPLETE),
-    ]
-
-
-def test_a_launch_that_never_ends_is_bounded() -> None:
-    ((kind, _, _, start, end, reason),) = found(standing(), launching(2000), driving())
-    assert (kind, start, end, reason) == ("launch", 100, 100 + MAX_SLIP_NS // STEP_NS, EndReason.TOO_LONG)
-
-
-def test_the_end_of_the_stream_interrupts_a_launch() -> None:
-    assert found(standing(), launching(80)) == [("launch", 1, 1, 100, 179, EndReason.INTERRUPTED)]
-
-
-def test_a_pedal_makes_a_launch_of_a_creep() -> None:
-    creeping = piece(60, slip=70.0, load=1.5e5, engine=IDLE)
-    assert found(standing(), creeping, launching(100), locked()) == [
-        ("creep", 1, 1, 100, 160, EndReason.ABANDONED),
-        ("launch", 1, 1, 160, 260 + LOCK, EndReason.COMPLETE),
-    ]
-
-
-def test_a_creep_that_ends_in_lock_was_a_launch() -> None:
-    creeping = piece(150, slip=70.0, load=1.5e5, engine=IDLE)
-    assert found(standing(), creeping, locked(pedal=0.0)) == [("launch", 1, 1, 100, 250 + LOCK, EndReason.COMPLETE)]
-
-
-def test_a_locked_clutch_that_lets_go_in_gear_is_told() -> None:
-    assert found(driving(), piece(60, slip=30.0, load=PULL_PA, pedal=0.8), locked()) == [
-        ("slip", 1, 1, 100, 160 + LOCK, EndReason.COMPLETE)
-    ]
-
-
-def test_neutral_and_open_clutches_are_no_events() -> None:
-    assert found(standing(), piece(200, gear=0, slip=40.0, load=PULL_PA), standing()) == []
-
-
-def test_a_change_lasts_until_its_slip_has_ended() -> None:
-    handing_over = piece(20, target=2, load=PULL_PA, pedal=0.3, torque=90.0)
-    inertia = piece(50, gear=2, slip=50.0, load=PULL_PA, pedal=0.3, torque=90.0)  # the gears agree already
-    assert found(driving(), handing_over, inertia, driving(gear=2)) == [
-        ("power_on_upshift", 1, 2, 100, 170, EndReason.COMPLETE)
-    ]
+@pytest.mark.parametrize(
+    ("pieces", "events"),
+    [
+        pytest.param((standing(), launching(60), standing()), [("launch", 1, 1, 100, 160, EndReason.ABANDONED)],
+                     id="a foot that lifts aborts a launch"),
+        pytest.param((standing(), launching(60), piece(40, slip=60.0, pedal=0.3), launching(90), locked()),
+                     [("launch", 1, 1, 100, 290 + LOCK, EndReason.COMPLETE)],
+                     id="a clutch may carry nothing for a moment while the foot stays"),
+        pytest.param((standing(), launching(80), upshift(50, 1, 40.0), driving(gear=2)),
+                     [("launch", 1, 1, 100, 180, EndReason.ABANDONED),
+                      ("power_on_upshift", 1, 2, 180, 230, EndReason.COMPLETE)],
+                     id="a shift interrupts a launch and takes over its slip"),
+        pytest.param((standing(), launching(2000), driving()),
+                     [("launch", 1, 1, 100, 100 + MAX_SLIP_NS // STEP_NS, EndReason.TOO_LONG)],
+                     id="a launch that never ends is bounded"),
+        pytest.param((standing(), launching(80)), [("launch", 1, 1, 100, 179, EndReason.INTERRUPTED)],
+                     id="the end of the stream interrupts a launch"),
+        pytest.param((standing(), CREEPING, launching(100), locked()),
+                     [("creep", 1, 1, 100, 160, EndReason.ABANDONED),
+                      ("launch", 1, 1, 160, 260 + LOCK, EndReason.COMPLETE)],
+                     id="a pedal makes a launch of a creep"),
+        pytest.param((standing(), CREEPING, locked(pedal=0.0)), [("launch", 1, 1, 100, 160 + LOCK, EndReason.COMPLETE)],
+                     id="a creep that ends in lock was a launch"),
+        pytest.param((driving(), piece(60, slip=30.0, load=PULL_PA, pedal=0.8), locked()),
+                     [("slip", 1, 1, 100, 160 + LOCK, EndReason.COMPLETE)],
+                     id="a locked clutch that lets go in gear is told"),
+        pytest.param((standing(), piece(200, gear=0, slip=40.0, load=PULL_PA), standing()), [],
+                     id="neutral and open clutches are no events"),
+        pytest.param((driving(), upshift(20, 1, 0.0), upshift(50, 2, 50.0), driving(gear=2)),
+                     [("power_on_upshift", 1, 2, 100, 170, EndReason.COMPLETE)],
+                     id="a change lasts until its slip has ended, where the gears agree already"),
+    ],
+)  # fmt: skip
+def test_events_begin_and_end_where_slip_load_and_gears_say(pieces: tuple[Piece, ...], events: list[Found]) -> None:
+    assert found(*pieces) == events
 
 
 @pytest.mark.parametrize(
