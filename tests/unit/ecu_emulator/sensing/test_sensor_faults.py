@@ -79,10 +79,3 @@ def test_a_fault_can_be_timed_by_a_shift(shift: int, phase: Phase, start_s: floa
     assert span_s == pytest.approx((begins_s, begins_s + 0.1))
     assert SEND_MS[np.flatnonzero(np.concatenate(wrong))[0]] / 1000.0 == pytest.approx(math.ceil(begins_s * 100) / 100)
     assert stage.changed_counts == (10,)
-
-
-def test_a_shift_that_does_not_come_triggers_nothing() -> None:
-    stage = SensorFaults([fault("offset", size=1.0, shift=3)])
-    stage.feed(rows_with_shifts(), 0)
-    assert stage.spans_s == ((math.inf, math.inf),)
-    assert stage.applied(QUANTITY, SEND_MS, READING) is READING

@@ -73,13 +73,6 @@ def test_noise_has_the_stated_standard_deviation_and_is_white() -> None:
     assert abs(np.mean(noise[1:] * noise[:-1])) / noise.var() < 4.0 / np.sqrt(noise.size)
 
 
-def test_nothing_is_available_until_the_sender_has_started() -> None:
-    (reading,) = read(made_up_rows(100), schedule("pedal_ratio", "throttle_ratio"), startup_s=0.05)
-    for values in reading.values.values():
-        assert np.isnan(values[:5]).all()
-        assert np.isfinite(values[5:]).all()
-
-
 def test_derived_quantities() -> None:
     rows = made_up_rows(20)
     rows[:10, Col.BRAKE] = 0.0

@@ -7,16 +7,10 @@ import pytest
 from ecu_emulator.shift_control.touch_points import (
     FINE_PA,
     Felt,
-    Finding,
     PressureSteps,
-    Result,
     Sample,
-    Search,
     finding_of,
 )
-
-LIMIT_PA = 0.25e5
-
 
 STEPS = PressureSteps(clutch=1, top_pa=1.44e5, down_pa=FINE_PA, count=9)
 
@@ -54,26 +48,3 @@ def test_the_touch_point_lies_between_what_is_felt_and_what_is_not(
     found = finding_of(told(loads_nm), STEPS)
     assert found.felt is felt
     assert pressure_pa is None or found.pressure_pa == pytest.approx(pressure_pa)
-
-
-def ended(*fine: Finding, coarse: Felt = Felt.BETWEEN) -> Result:
-    start = Search(clutch=1, nominal_pa=1.4e5, most_change_pa=LIMIT_PA)
-    search = start.after(Finding(felt=coarse, pressure_pa=1.4e5))
-    for one in fine:
-        assert search.next_steps() is not None
-        search = search.after(one)
-    assert search.next_steps() is None
-    return search.ended()[0]
-
-
-def test_a_search_that_scatters_or_sees_nothing_adapts_nothing() -> None:
-    good, far = (Finding(felt=Felt.BETWEEN, pressure_pa=pressure_pa) for pressure_pa in (1.4e5, 1.47e5))
-    unclear = Finding(felt=Felt.UNCLEAR)
-    assert ended(good, good, good) is Result.FOUND
-    assert ended(good, unclear, good, good) is Result.FOUND
-    assert ended(good, far, good) is Result.SCATTERS
-    assert ended(unclear, good, unclear, good, unclear) is Result.UNCLEAR
-    assert ended(coarse=Felt.UNCLEAR) is Result.UNCLEAR
-    assert ended(coarse=Felt.NEVER) is Result.AT_LIMIT
-    assert ended(*[Finding(felt=Felt.BETWEEN, pressure_pa=1.1e5)] * 3) is Result.AT_LIMIT
-    assert Search(clutch=1, nominal_pa=1.4e5, most_change_pa=LIMIT_PA).ended() == (Result.UNCLEAR, None)

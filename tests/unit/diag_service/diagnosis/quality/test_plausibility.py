@@ -118,16 +118,3 @@ def test_a_known_zero_is_no_fault_and_an_unknown_one_is() -> None:
     signals, clutch = of_shift(event)
     assert plausibility_faults(event, signals, clutch) == (Reason.PRESSURE_OFF_COMMAND,)
     assert plausibility_faults(event, signals, replace(clutch, pressure_zero_pa=0.15e5)) == ()
-
-
-@pytest.mark.parametrize("late_s", [-0.02, 0.02])
-def test_the_command_has_a_clock_of_its_own(late_s: float) -> None:
-    """Speeds that come later than commands are not held against the pressures."""
-    event = first_shifts()[0]
-    command = event.columns[Signal.CLUTCH2_PRESSURE_COMMAND]
-    other = event.columns[Signal.CLUTCH1_PRESSURE_COMMAND]
-    moved = {
-        Signal.CLUTCH2_PRESSURE_COMMAND: replace(command, t_ns=command.t_ns + round(late_s * 1e9)),
-        Signal.CLUTCH1_PRESSURE_COMMAND: replace(other, t_ns=other.t_ns + round(late_s * 1e9)),
-    }
-    assert faults_of(replace(event, columns={**event.columns, **moved})) == ()
