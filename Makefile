@@ -112,20 +112,20 @@ docs: setup-all
 
 bench: setup-all
 	@set -e; for name in $(BENCHMARKS); do \
-	  echo "== benchmark: $$name"; $(PY) -m "benchmarks.$$name"; \
+	  echo "== benchmark: $$name"; $(PY) -m "studies.$$name"; \
 	done
 
 accuracy: setup-all
-	@$(PY) -m benchmarks.accuracy $(if $(SEEDS),--seeds "$(SEEDS)")
+	@$(PY) -m studies.accuracy $(if $(SEEDS),--seeds "$(SEEDS)")
 
 reproduce: setup-all
-	@$(PY) -m benchmarks.reproduce $(if $(SEEDS),--seeds "$(SEEDS)")
+	@$(PY) -m studies.reproduce $(if $(SEEDS),--seeds "$(SEEDS)")
 
 operating-curve: setup-all
-	@$(PY) -m benchmarks.operating_curve $(if $(SEEDS),--seeds "$(SEEDS)")
+	@$(PY) -m studies.operating_curve $(if $(SEEDS),--seeds "$(SEEDS)")
 
 mismatch: setup-all
-	@$(PY) -m benchmarks.mismatch $(if $(SEEDS),--seeds "$(SEEDS)")
+	@$(PY) -m studies.mismatch $(if $(SEEDS),--seeds "$(SEEDS)")
 
 # --- checking ---------------------------------------------------------------------------------------------------------
 

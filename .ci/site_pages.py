@@ -1,4 +1,4 @@
-"""Pages of the site that are made, not written: from ``--help``, docstrings, schemas, benchmarks.
+"""Pages of the site that are made, not written: from ``--help``, docstrings, schemas, studies.
 
 Hooks of mkdocs, which calls them by their names. Links to files that are no pages become their names.
 """

@@ -10,7 +10,7 @@ from typing import Final
 from rich.table import Table
 from rich.text import Text
 
-from benchmarks.ageing_picture import Point, points_of
+from studies.ageing_picture import Point, points_of
 from clutchdiag_io.people import SHORT_PLUS_MINUS, plus_minus
 from demo.outcome import CONDITION_STYLE, plain_table
 from demo.programs import EMULATOR, HURRY_S, SERVICE, program

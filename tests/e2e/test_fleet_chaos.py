@@ -1,4 +1,4 @@
-"""A short storm over the whole fleet; ``python -m benchmarks.fleet_chaos`` is the long one."""
+"""A short storm over the whole fleet; ``python -m studies.fleet_chaos`` is the long one."""
 
 from pathlib import Path
 

@@ -109,7 +109,7 @@ def test_with_its_own_calibration_friction_is_within_what_is_stated(played: Play
 
 
 def test_its_own_calibration_is_surer_than_that_of_its_type(played: Played) -> None:
-    """Which of both errs less on one vehicle is chance; `benchmarks.self_calibration` tells it of many."""
+    """Which of both errs less on one vehicle is chance; `studies.self_calibration` tells it of many."""
     truth = played.truth("later.log")
     own, nominal = errors(played.own, truth), errors(played.nominal, truth)
     assert all(mine[1] < 0.7 * typical[1] for mine, typical in zip(own, nominal, strict=True))

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.accuracy import to_batch
-from benchmarks.causes import Life, Outcome, lived
+from studies.accuracy import to_batch
+from studies.causes import Life, Outcome, lived
 from clutch_model.calibration import TorqueSource, nominal_calibration
 from dbc.contract import load_contract
 from diag_service import analyze

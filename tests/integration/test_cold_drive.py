@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.drive_accuracy import Case, driven
+from studies.drive_accuracy import Case, driven
 
 WORST_STD = 4.5
 

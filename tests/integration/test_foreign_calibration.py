@@ -10,7 +10,7 @@ import pytest
 
 import diag_service.cli
 import ecu_emulator.cli
-from benchmarks.accuracy import to_batch
+from studies.accuracy import to_batch
 from clutch_model.calibration import nominal_calibration, read_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory

@@ -5,10 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.full_estimator import FullAnalysis, estimate_drive, nominal_vehicle
-from benchmarks.reproduce.bound import bounds_percent
-from benchmarks.reproduce.drives import Case, PaperDrive, drive
-from benchmarks.reproduce.full_route import Found, Job, full_signals, run
+from studies.full_estimator import FullAnalysis, estimate_drive, nominal_vehicle
+from studies.reproduce.bound import bounds_percent
+from studies.reproduce.drives import Case, PaperDrive, drive
+from studies.reproduce.full_route import Found, Job, full_signals, run
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.friction.paper import nominal_driveline
 from ecu_emulator.plant import Col

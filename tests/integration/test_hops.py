@@ -1,11 +1,11 @@
-"""The way of one event, and of one log, stays as short as it is: own calls and modules, as `benchmarks.hops` counts."""
+"""The way of one event, and of one log, stays as short as it is: own calls and modules, as `studies.hops` counts."""
 
 import asyncio
 from pathlib import Path
 
 import pytest
 
-from benchmarks.hops import listing, modules_of, record, trip_of_a_shift, trip_of_decoding
+from studies.hops import listing, modules_of, record, trip_of_a_shift, trip_of_decoding
 from tests.plugins.broker import Mosquitto
 
 EVENT_CALLS, EVENT_MODULES = 590, 21  # to the stored result; 500 and 20 while sums were kernels, which do not count

@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 ROOMS = [
-    "benchmarks",
+    "studies",
     "canlog",
     "clutch_model",
     "dbc",

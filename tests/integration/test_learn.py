@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import diag_service
-from benchmarks.learn import GEARS_OF, drawn_ratios, driven
-from benchmarks.scan_tool import written
+from studies.learn import GEARS_OF, drawn_ratios, driven
+from studies.scan_tool import written
 from clutch_model.calibration import nominal_calibration
 from diag_service.mapping.survey import proposed_profile
 from diag_service.mapping.vehicle_file import read_description

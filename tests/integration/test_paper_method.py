@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from benchmarks.reproduce.bound import bounds_percent, is_followed, piston_pressure_pa, stretches
-from benchmarks.reproduce.differences import central_difference
-from benchmarks.reproduce.drives import PERIOD_S, Case, PaperDrive, drive, noisy, static_tables
-from benchmarks.reproduce.film_check import known_film_errors
-from benchmarks.reproduce.study import Setup, matched_differentiators, noiseless_errors, noisy_errors
+from studies.reproduce.bound import bounds_percent, is_followed, piston_pressure_pa, stretches
+from studies.reproduce.differences import central_difference
+from studies.reproduce.drives import PERIOD_S, Case, PaperDrive, drive, noisy, static_tables
+from studies.reproduce.film_check import known_film_errors
+from studies.reproduce.study import Setup, matched_differentiators, noiseless_errors, noisy_errors
 from clutch_model.calibration import SensorBias, nominal_calibration
 from clutch_model.pack import film_law
 from diag_service.diagnosis.columns import Signal

@@ -6,8 +6,8 @@ from statistics import fmean
 import numpy as np
 import pytest
 
-from benchmarks.scan_tool import written
-from benchmarks.shift_quality import Case, driven, estimates_of, scenario_of, scored, true_fills_s
+from studies.scan_tool import written
+from studies.shift_quality import Case, driven, estimates_of, scenario_of, scored, true_fills_s
 from clutch_model.calibration import clutch_of_gear
 from diag_service.diagnosis.condition.shift_course import course_lines, courses
 from diag_service.diagnosis.records import ShiftEstimate

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from benchmarks.single_shift import NOISE_ONLY, SCATTERED, Case, outcomes, shifts_of
-from benchmarks.study import diagnose
+from studies.single_shift import NOISE_ONLY, SCATTERED, Case, outcomes, shifts_of
+from studies.study import diagnose
 from diag_service.diagnosis.records import Reason, Status
 from ecu_emulator.scenario.faults import Phase, SensorFault, SensorFaultKind
 from tests.support.builders import drive_scenario

@@ -26,6 +26,6 @@ def test_the_site_is_built_without_a_warning_and_can_be_searched(tmp_path: Path)
     text = {one["location"]: one["text"] for one in found}
     assert any("diag-service-decode" in place for place in text)
     assert any(place.startswith("reference/canlog.html#canlog.read") for place in text)
-    assert any(place.startswith("reference/tools.html#benchmarks") for place in text)
+    assert any(place.startswith("reference/tools.html#studies") for place in text)
     pages = [path.read_text(encoding="utf-8") for path in tmp_path.glob("*.html")]
     assert not any("https://fonts" in page or "cdn" in page for page in pages)  # it is read offline

@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 
 import diag_service
-from benchmarks.scan_tool import OF_FRICTION, OUTPUT, written
+from studies.scan_tool import OF_FRICTION, OUTPUT, written
 from ecu_emulator.cli import main as emulator
 from tests.support import measurements
 from tests.support.in_process import ended

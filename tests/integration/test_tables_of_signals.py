@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import diag_service
-from benchmarks.scan_tool import OF_FRICTION, OUTPUT, with_fuel, written
+from studies.scan_tool import OF_FRICTION, OUTPUT, with_fuel, written
 from canlog.logs import read_log
 from dbc.contract import load_contract
 from diag_service.mapping.profile import PROFILE_PATH

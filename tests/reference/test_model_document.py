@@ -7,7 +7,7 @@ from ecu_emulator.plant import DriveSettings
 
 ROOT = Path(__file__).parents[2]
 MODEL = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
-PACKAGES = ("benchmarks", "clutch_model", "diag_service", "ecu_emulator")
+PACKAGES = ("studies", "clutch_model", "diag_service", "ecu_emulator")
 LABEL = r"[A-Z]?\d+[a-z]?"
 
 

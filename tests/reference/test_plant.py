@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.converter_picture import PUBLIC, characteristic, public_capacity
+from studies.converter_picture import PUBLIC, characteristic, public_capacity
 from ecu_emulator.plant import Col, DriveSettings
 from tests.support.cycles import CYCLE_SHIFTS, drive_rows, powertrain, shifts
 

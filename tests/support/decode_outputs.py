@@ -21,7 +21,7 @@ from cantools.database.can.signal import Signal
 from cantools.database.conversion import BaseConversion
 from cantools.database.namedsignalvalue import NamedSignalValue
 
-from benchmarks.decoding.random_log import SentFrame, random_frames, write_candump
+from studies.decoding.random_log import SentFrame, random_frames, write_candump
 from canlog.column_files import SUFFIX_OF_FORMAT, TableFormat
 from canlog.tables.decoding import Plan, TableShape, decode_logs
 from canlog.tables.layouts import Values

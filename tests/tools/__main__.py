@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-FOLDERS = ("tests/tools", "tests/golden", "benchmarks")
+FOLDERS = ("tests/tools", "tests/golden", "studies")
 
 
 def commands() -> dict[str, str]:

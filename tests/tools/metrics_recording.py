@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from benchmarks.accuracy import to_batch
+from studies.accuracy import to_batch
 from canlog.frames import FrameBatch
 from canlog.live import BusState, BusStatus, SourceCounts
 from clutch_model.calibration import nominal_calibration

@@ -23,7 +23,7 @@ from clutch_model.pack import (
 )
 
 ROOT = Path(__file__).parents[3]
-USERS = ("ecu_emulator", "diag_service", "benchmarks", "demo")
+USERS = ("ecu_emulator", "diag_service", "studies", "demo")
 # Numbers that mean something in a law only: who calculates with them himself writes that law a second time.
 OF_LAWS = {
     "contact_factor_m3": "(6)",

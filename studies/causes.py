@@ -1,0 +1,439 @@
+"""Whether causes are told apart: lives of cars that are driven through all gears, sound at first, then with a fault.
+
+Vehicles, loads and temperatures are drawn, and so is how a cause shows in a car. After forty events a cause begins, at
+once or over some drives; a hundred events later the service is asked. A wrong fluid comes with a fill. Judged are each
+cause, sound cars, pairs, and faults that no signature knows; printed are the reliability of what is stated, and what
+repairs would cost by the service's advice, by new fluid for all, and by thresholds on friction alone.
+
+    python -m studies.causes --lives 8 --seed 700000 --workers 1
+    python -m studies.causes --lives 70 --seed 820000 --only unknown sound --workers 2
+    python -m studies.causes --fit --lives 12 --seed 600000      # writes the signatures, from lives drawn wider
+    python -m studies.causes --lives 8 --kept lives --minutes 5  # in pieces: what was lived is kept in a file
+"""
+
+import argparse
+import pickle
+import sys
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import diag_service
+from studies.accuracy import to_batch
+from studies.study import over_drives
+from canlog.arrays import FloatArray
+from clutch_model.calibration import nominal_calibration
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.causes import ELSE, FEATURES, MIRRORED, SOUND, CauseJudge, described
+from diag_service.diagnosis.condition.condition import LEAST_COUNT, ConditionMemory, Course
+from diag_service.diagnosis.friction import Posterior
+from diag_service.diagnosis.records import Condition
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Stages
+from ecu_emulator.drive.build import build_vehicle
+from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.scenario.faults import Cause, CauseKind
+from ecu_emulator.scenario.scenario import Ambient, Driver, Effects, Scenario
+
+FIRST_SEED: Final = 700_000  # below 700000 signatures were fitted and settings were chosen
+UNSEEN: Final = frozenset({CauseKind.SYNCHRONISER, CauseKind.DRAGGING_CLUTCH})  # no signal of a shift shows them well
+TOLD: Final = [kind for kind in CauseKind if kind not in UNSEEN]
+UNKNOWN: Final = (  # what no signature knows
+    Effects(stribeck_speed_ratio=1.7),
+    Effects(stribeck_speed_ratio=0.55),
+    Effects(contact_stiffness_ratio=2.5),
+    Effects(friction_fade_per_k=0.004),
+    Effects(piston_area_ratio=0.92),
+    Effects(motoring_torque_ratio=1.4),
+)
+PAIRED: Final = (  # of each a few lives, drawn by seed
+    (CauseKind.AGED_FLUID, CauseKind.WORN_LINING), (CauseKind.WATER, CauseKind.GLAZED_LINING),
+    (CauseKind.GLAZED_LINING, CauseKind.WEAK_PUMP), (CauseKind.AIR, CauseKind.RETURN_SPRING),
+    (CauseKind.PRESSURE_SENSOR, CauseKind.AGED_FLUID), (CauseKind.TORQUE_SENSOR, CauseKind.WORN_LINING),
+)  # fmt: skip
+SOUND_DRIVES, FAULTY_DRIVES = 4, 10  # of ten events each
+MOST_RAMP: Final = 3  # drives over which a cause grows
+RELEVANT: Final = 2.0  # strengths that are judged
+FIT_STRENGTHS: Final = (0.8, 3.2)
+BETWEEN_NS: Final = 3_600_000_000_000
+FILLED_AT: Final = "2026-01-01T12:00:00.000000Z"
+LEAST_FIRST, LEAST_SECOND, MOST_SURE_WRONG, MOST_ERROR, MOST_ACCUSED = 0.80, 0.92, 0.02, 0.05, 0.01
+LEAST_PAIRS, LEAST_UNKNOWN = 0.70, 0.80
+SURE: Final = 0.9
+UNSAID: Final = "nothing said"  # with too few events since friction changed
+GROUPS: Final = ("single", SOUND, "pairs", "unknown")
+LEAST_FLOORS: Final = {  # by which any sound car may move, by the beginning of a name: controls adapt, oils differ [C]
+    "level": 0.005, "slope": 0.0068, "torque_offset": 0.4, "touch": 1e3, "zero": 5e2, "torque_gain": 0.004,
+    "engine_inertia": 0.005, "piston_area": 0.001, "viscosity": 0.03, "torque_latency": 5e-4, "pressure_latency": 8e-4,
+    "motoring_gain": 0.01, "stribeck": 0.04, "contact_stiffness": 0.02, "film_mobility": 0.1, "friction_temp": 2e-4,
+    "open_drag": 0.15, "pressure_lag": 8e-4, "pressure_reach": 5e-3, "pressure_short": 1.5e3, "fill_time": 7e-3,
+    "believed_touch": 1e3, "scatter": 0.1,
+}  # fmt: skip
+WANDER_PERCENTILE: Final = 75.0
+FEW, USUAL_SPREAD = 4, 0.25  # lives that count for a spread of so much of the mean: of a few more is not known
+WIDER: Final = 1.5  # spreads against those of the fitted fleet: no plant is another's
+SIGNATURES: Final = Path(diag_service.__file__).with_name("diagnosis") / "condition/signatures.toml"
+CURED_BY_FLUID: Final = frozenset({"aged-fluid", "wrong-fluid"})
+TEST_EUR: Final = 150.0  # of the test that tells two causes apart [C]
+VISIT_EUR: Final = 120.0  # of a visit to a workshop [C]
+MISSED_EUR: Final = 2500.0  # of a fault that stays and spreads [C]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Life:
+    """One car and what becomes of it."""
+
+    seed: int
+    kinds: tuple[CauseKind, ...] = ()
+    unknown: int | None = None  # place in UNKNOWN
+    strength: float = RELEVANT
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lived:
+    """What the service has seen and said at its end."""
+
+    life: Life
+    truths: tuple[tuple[str, int | None, float], ...]  # cause, clutch, and which way
+    moments: tuple[Course, ...]  # sound and grown, of the last one all events
+    conditions: tuple[str, ...]  # verdicts on both clutches at the end
+
+
+def scenario_of(life: Life, drive: int, share: float, rng: np.random.Generator) -> Scenario:
+    """Return one drive of a life."""
+    oil_k = float(rng.uniform(343.0, 373.0))
+    causes = tuple(Cause(kind=kind, strength=life.strength * share) for kind in life.kinds if share > 0.0)
+    return Scenario(
+        name="life",
+        vehicle_seed=life.seed,
+        drive_seed=life.seed * 100 + drive,
+        driver=Driver(pedal_ratio=float(rng.uniform(0.35, 0.6))),
+        ambient=Ambient(oil_temperature_k=oil_k, coolant_temperature_k=min(oil_k, float(rng.uniform(340.0, 360.0)))),
+        causes=causes,
+        effects=UNKNOWN[life.unknown] if life.unknown is not None and share > 0.0 else Effects(),
+    )
+
+
+def lived(life: Life) -> list[Lived]:
+    """Drive a life and have it diagnosed."""
+    rng = np.random.default_rng(life.seed)
+    calibration = nominal_calibration()
+    memory = ConditionMemory.fresh()
+    stages = Stages(Decoder(load_contract(), load_profile()), calibration, Posterior.fresh(calibration), memory)
+    has_fill = CauseKind.WRONG_FLUID in life.kinds
+    ramp = 0 if has_fill else int(rng.integers(0, MOST_RAMP + 1))
+    moments, conditions, offset_ns = [], {1: Condition.NO_VERDICT, 2: Condition.NO_VERDICT}, 0
+    scenario = scenario_of(life, 0, 0.0, rng)
+    for drive in range(SOUND_DRIVES + ramp + FAULTY_DRIVES):
+        if has_fill and drive == SOUND_DRIVES:
+            stages.note_fluid(FILLED_AT)
+        share = min(max((drive - SOUND_DRIVES + 1) / (ramp + 1), 0.0), 1.0)
+        scenario = scenario_of(life, drive, share, rng)
+        batch = to_batch(frames_of(scenario)[0])
+        batch = replace(batch, t_ns=batch.t_ns + offset_ns)
+        offset_ns += int(batch.t_ns[-1] - batch.t_ns[0]) + BETWEEN_NS
+        for event in (*stages.segment(batch), *stages.flush()):
+            diagnosis = stages.conclude(event)
+            memory, conditions[diagnosis.verdict.clutch] = diagnosis.memory, diagnosis.verdict.condition
+        if drive - SOUND_DRIVES - ramp + 1 in {1, 4, 7, FAULTY_DRIVES}:
+            moments.append(memory.course)
+    truths = tuple(
+        (one.kind, one.clutch, 1.0 if next(iter(one.changes.values())) > 1.0 else -1.0)
+        for one in build_vehicle(scenario).causes
+    )
+    ended = tuple(conditions[clutch].name for clutch in (1, 2))
+    return [Lived(life=life, truths=truths, moments=tuple(moments), conditions=ended)]
+
+
+def fitted(lives: Sequence[Lived]) -> dict[str, Any]:
+    """Return floors and signatures by lives: moments, less what the stated deviations explain."""
+    words = {name: value for name, value in described().items() if name not in {"floor", "moves"}}
+    words["cause"] = {kind: told for kind, told in words["cause"].items() if "opposite_of" not in told}
+    blank = {**words, "floor": {}, "moves": {kind: {} for kind in words["cause"]}}
+    judge = CauseJudge(nominal_calibration(), blank)
+    sound = [judge.change(course.begun, course.now) for one in lives if not one.truths and one.life.unknown is None
+             for course in one.moments[1:]]  # fmt: skip
+    moved, stated = np.array([one.mean for one in sound]), np.array([one.covariance.diagonal() for one in sound])
+    usual = np.median(stated, axis=0)  # one car that tells next to nothing is not what any may do
+    extra = np.maximum((moved**2).mean(axis=0) - stated.mean(axis=0), 0.02 * usual)
+    least = [next((value for stem, value in LEAST_FLOORS.items() if name.startswith(stem)), 0.0) for name in FEATURES]
+    floors = dict(zip(FEATURES, map(_rounded, np.maximum(np.sqrt(extra), least)), strict=True))
+    judge = CauseJudge(nominal_calibration(), {**blank, "floor": floors})
+    rows: dict[str, list[tuple[FloatArray, FloatArray]]] = {kind: [] for kind in words["cause"]}
+    for one in lives:
+        for kind, clutch, sign in [truth for truth in one.truths if truth[0] in rows][:1]:
+            told = words["cause"][kind]
+            change = judge.change(one.moments[-1].begun, one.moments[-1].now)
+            scale = one.life.strength * np.maximum(change.told, 1e-3) * (sign if told["is_either_way"] else 1.0)
+            order = MIRRORED if clutch == 2 and told["is_of_one_clutch"] else slice(None)
+            rows[kind].append(((change.mean / scale)[order], (change.covariance.diagonal() / scale**2)[order]))
+    fits = {kind: _mean_of(some) for kind, some in rows.items()}
+    away = [(value - fits[kind][0]) ** 2 - noise for kind, some in rows.items() for value, noise in some]
+    wander = np.maximum(np.percentile(away, WANDER_PERCENTILE, axis=0), 0.0)  # of what a cause does not move by itself
+    moves: dict[str, dict[str, list[float]]] = {}
+    for kind, (mean, own, noise) in fits.items():
+        count, typical = len(rows[kind]), np.sqrt(noise)
+        error, signal = np.sqrt(np.maximum(own, noise) / count), np.abs(mean) / typical
+        usual = wander * min(signal.max(), 1.0) ** 2 + (USUAL_SPREAD * mean) ** 2
+        spread = np.sqrt((np.maximum(own - noise, 0.0) * count + FEW * usual) / (count + FEW))
+        is_moved = ((np.abs(mean) > 2.5 * error) & (signal > 0.25)) | (signal == signal.max())
+        moves[kind] = {
+            FEATURES[place]: [_rounded(mean[place] * is_moved[place]), _rounded(WIDER * spread[place])]
+            for place in np.flatnonzero(is_moved | (spread > 0.2 * typical))
+        }
+    return {"floor": floors, "moves": moves}
+
+
+def written(table: dict[str, Any]) -> str:
+    """Return floors and signatures as a file, a line each."""
+    lines = ["# What causes move by a strength of 1: mean and deviation. Written by python -m studies.causes --fit"]
+    for title, rows in (("floor", table["floor"]), *((f"moves.{kind}", rows) for kind, rows in table["moves"].items())):
+        lines += ["", f"[{title}]", *(f"{name} = {value}" for name, value in rows.items())]
+    return "\n".join((*lines, ""))
+
+
+def _mean_of(rows: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return mean, variance and noise of what some lives moved, the better known ones counting more."""
+    values, noise = (np.array(column) for column in zip(*rows, strict=True))
+    weights = 1.0 / (noise + np.median(noise, axis=0))
+    weights /= weights.sum(axis=0)
+    mean = (weights * values).sum(axis=0)
+    own = (weights * (values - mean) ** 2).sum(axis=0) * len(rows) / max(len(rows) - 1, 1)
+    return mean, own, (weights * noise).sum(axis=0)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.2e}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What was stated of one life."""
+
+    life: Life
+    truths: frozenset[tuple[str, int | None]]
+    stated: tuple[tuple[str, int | None, float], ...]  # the likeliest first
+    accused: bool  # at any moment something else than sound was likelier than not
+    conditions: tuple[str, ...]
+
+    @classmethod
+    def of(cls, one: Lived, judge: CauseJudge) -> "Outcome":
+        """Return what the service states of a life; where a clutch is not told, the truth does not tell it either."""
+        found = [judge.judge(course) if course.now.count >= LEAST_COUNT else None for course in one.moments]
+        with_clutch = {kind for kind, told in described()["cause"].items() if told["is_of_one_clutch"]}
+        sound = [
+            sum(cause.probability for cause in causes.likely if cause.cause == SOUND) for causes in found if causes
+        ]
+        last = found[-1].likely if found[-1] else ()
+        return cls(
+            life=one.life,
+            truths=frozenset((kind, clutch if kind in with_clutch else None) for kind, clutch, _ in one.truths),
+            stated=tuple((cause.cause, cause.clutch, cause.probability) for cause in last) or ((UNSAID, None, 0.0),),
+            accused=min(sound, default=1.0) < 0.5,
+            conditions=one.conditions,
+        )
+
+    def is_among(self, count: int) -> bool:
+        """Return whether all that is wrong is among the first so many."""
+        return self.truths <= {(cause, clutch) for cause, clutch, _ in self.stated[:count]}
+
+    @property
+    def is_unsure(self) -> bool:
+        cause, _, probability = self.stated[0]
+        return cause == ELSE or probability < SURE
+
+    @property
+    def is_sure_and_wrong(self) -> bool:
+        cause, clutch, probability = self.stated[0]
+        nothing = SOUND if self.life.unknown is None else ELSE
+        return probability >= SURE and (cause, clutch) not in (self.truths or {(nothing, None)})
+
+
+def reliability(outcomes: Sequence[Outcome]) -> tuple[Table, float]:
+    """Return stated probabilities against how often they come true, and the mean distance of both."""
+    table = Table("stated", "count", "mean", "true", title="Stated probabilities")
+    pairs = [
+        (probability, (cause, clutch) in (one.truths or {(SOUND, None)}))
+        for one in outcomes
+        for cause, clutch, probability in one.stated
+        if cause != UNSAID
+    ]
+    error = 0.0
+    for low, high in pairwise((0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 0.98, 1.01)):
+        some = np.array([pair for pair in pairs if low <= pair[0] < high], dtype=float)
+        if len(some):
+            mean, true = some.mean(axis=0).tolist()
+            error += len(some) / len(pairs) * abs(mean - true)
+            table.add_row(f"{low:.2f} to {min(high, 1.0):.2f}", str(len(some)), f"{mean:.3f}", f"{true:.3f}")
+    return table, error
+
+
+def confusion(outcomes: Sequence[Outcome]) -> Table:
+    """Return by cause how many lives were told right, and what the others were taken for."""
+    table = Table("cause", "lives", "first", "first two", "sure", "sure and wrong", "taken for", title="By cause")
+    kinds: dict[str, list[Outcome]] = defaultdict(list)
+    for one in outcomes:
+        kinds[
+            " + ".join(sorted(kind for kind, _ in one.truths)) or ("unknown" if one.life.unknown is not None else SOUND)
+        ].append(one)
+    for kind, some in kinds.items():
+        first, second = (sum(one.is_among(count) for one in some) for count in (1, 2))
+        if kind == SOUND:
+            first = second = sum(one.stated[0][0] == SOUND for one in some)
+        sure, wrong = sum(one.stated[0][2] >= SURE for one in some), sum(one.is_sure_and_wrong for one in some)
+        taken = Counter(
+            f"{one.stated[0][0]}{one.stated[0][1] or ''}" for one in some if not one.is_among(1) or not one.truths
+        )
+        table.add_row(
+            kind,
+            str(len(some)),
+            *map(str, (first, second, sure, wrong)),
+            ", ".join(f"{count} {name}" for name, count in taken.items()),
+        )
+    return table
+
+
+def costs(outcomes: Sequence[Outcome]) -> Table:
+    """Return what a fleet of 10,000 with 5 % faulty costs by our advice, by new fluid, and by friction alone."""
+    words = described()["cause"]
+    table = Table("by", "wrong repairs", "missed faults", "cost [kEUR]", title="10,000 vehicles, 5 % faulty")
+    single = [one for one in outcomes if len(one.truths) == 1]
+    sound = [one for one in outcomes if not one.truths and one.life.unknown is None]
+
+    def ours(one: Outcome) -> str | None:
+        cause, _, probability = one.stated[0]
+        return (cause if probability >= SURE else "test") if cause not in {SOUND, UNSAID} else None
+
+    def thresholds(one: Outcome) -> str | None:
+        return "aged-fluid" if {"CHANGE_FLUID", "WATCH"} & set(one.conditions) else None
+
+    for name, act in (
+        ("our advice", ours),
+        ("new fluid for all", lambda _: "aged-fluid"),
+        ("verdicts on friction", thresholds),
+    ):
+        wrong, missed, cost = 0.0, 0.0, 0.0
+        for some, vehicles in ((single, 500.0), (sound, 9500.0)):
+            for one in some:
+                true = next((kind for kind, _ in one.truths), None)
+                done, share = act(one), vehicles / len(some)
+                if done in {"test", ELSE}:
+                    cost += share * (VISIT_EUR + TEST_EUR + (words[true]["cost_eur"] if true else 0.0))
+                    continue
+                if done is not None:
+                    cost += share * (VISIT_EUR + words[done]["cost_eur"])
+                    wrong += share * (done != true)
+                if true is not None and done != true and not (done == "aged-fluid" and true in CURED_BY_FLUID):
+                    missed, cost = missed + share, cost + share * (MISSED_EUR + words[true]["cost_eur"])
+        table.add_row(name, f"{wrong:.0f}", f"{missed:.0f}", f"{cost / 1e3:.0f}")
+    return table
+
+
+def group_of(life: Life) -> str:
+    """Return what a life is judged with."""
+    return "unknown" if life.unknown is not None else (SOUND, "single", "pairs")[len(life.kinds)]
+
+
+def lives_to_judge(count: int, seed: int) -> Iterator[Life]:
+    """Yield as many lives of each cause, of sound cars, pairs and what is unknown twice as many, in turns."""
+    for turn in range(count):
+        for place, kinds in enumerate((*((kind,) for kind in TOLD), (), ())):
+            yield Life(seed=seed + turn * (len(TOLD) + 2) + place, kinds=kinds)
+        for number in (2 * turn, 2 * turn + 1):
+            yield Life(seed=seed + 5_000 + number, kinds=PAIRED[number % len(PAIRED)])
+            yield Life(seed=seed + 8_000 + number, unknown=number % len(UNKNOWN))
+
+
+def lives_to_fit(count: int, seed: int) -> Iterator[Life]:
+    """Yield lives with strengths drawn wider than those that are judged, and sound ones."""
+    rng = np.random.default_rng(seed)
+    for number in range(count * (len(TOLD) + 2)):
+        place = number % (len(TOLD) + 2)
+        kinds = (TOLD[place],) if place < len(TOLD) else ()
+        yield Life(seed=seed + number, kinds=kinds, strength=float(rng.uniform(*FIT_STRENGTHS)))
+
+
+def all_lived(lives: Sequence[Life], kept: Path | None, minutes: float, workers: int) -> list[Lived]:
+    """Live those that are not in a file yet, which then has them, until the minutes are over; return all that were."""
+    found: dict[Life, Lived] = {}
+    if kept is not None and kept.exists():
+        with kept.open("rb") as file:
+            found = pickle.load(file)  # noqa: S301 (a file of one's own)
+    ends_s = time.monotonic() + 60.0 * minutes
+    left = [life for life in lives if life not in found]
+    while left and time.monotonic() < ends_s:
+        some, left = left[: 5 * workers], left[5 * workers :]
+        found |= {one.life: one for one in over_drives(lived, some, workers)}
+        if kept is not None:
+            with kept.open("wb") as file:
+                pickle.dump(found, file)
+    return list(found.values())
+
+
+def judged(found: Sequence[Lived], console: Console) -> bool:
+    """Print all tables; return whether everything that is asked for was reached."""
+    judge = CauseJudge(nominal_calibration())
+    outcomes = [Outcome.of(one, judge) for one in found]
+    console.print(confusion(outcomes))
+    single, sound, pairs, unknown = ([one for one in outcomes if group_of(one.life) == group] for group in GROUPS)
+    reached = [
+        ("top cause right", [one.is_among(1) for one in single], LEAST_FIRST, True),
+        ("among the first two", [one.is_among(2) for one in single], LEAST_SECOND, True),
+        ("sure and wrong", [one.is_sure_and_wrong for one in single], MOST_SURE_WRONG, False),
+        ("sound accused at any moment", [one.accused for one in sound], MOST_ACCUSED, False),
+        ("both of a pair among the first three", [one.is_among(3) for one in pairs], LEAST_PAIRS, True),
+        ("unknown: something else, or unsure", [one.is_unsure for one in unknown], LEAST_UNKNOWN, True),
+    ]  # fmt: skip
+    shares = [(name, share(said), limit, is_least) for name, said, limit, is_least in reached if said]
+    if single and sound:
+        diagram, error = reliability([*single, *sound, *pairs])
+        console.print(diagram)
+        console.print(costs(outcomes))
+        shares.append(("distance of stated and true", error, MOST_ERROR, False))
+    is_all = True
+    for name, value, limit, is_least in shares:
+        is_met = value >= limit if is_least else value <= limit
+        is_all &= is_met
+        console.print(
+            f"{name}: {value:.1%}, {'at least' if is_least else 'at most'} {limit:.0%}: {'met' if is_met else 'FAILED'}"
+        )
+    return is_all
+
+
+def share(some: Iterable[bool]) -> float:
+    """Return which share of some is true."""
+    counted = list(some)
+    return sum(counted) / max(len(counted), 1)
+
+
+def main() -> int:
+    """Live all lives and print what was told of them, or fit signatures; return 1 if anything was not reached."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--lives", type=int, default=8, help="of each cause")
+    parser.add_argument("--seed", type=int, default=FIRST_SEED)
+    parser.add_argument("--only", nargs="+", choices=GROUPS, default=GROUPS, help="lives of these alone")
+    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--fit", action="store_true", help="write the signatures instead")
+    parser.add_argument("--kept", type=Path, metavar="FILE", help="of lives: they add up over several runs")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="after which no life begins")
+    options = parser.parse_args()
+    lives = list((lives_to_fit if options.fit else lives_to_judge)(options.lives, options.seed))
+    lives = [life for life in lives if group_of(life) in options.only]
+    found = all_lived(lives, options.kept, options.minutes, options.workers)
+    if options.fit:
+        SIGNATURES.write_text(written(fitted(found)), encoding="utf-8")
+        return 0
+    return 0 if judged(found, Console(markup=False, width=160)) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,351 @@
+"""Friction found on drives of vehicles that nobody has calibrated: error, stated deviation and coverage as events come.
+
+Each vehicle is drawn as ``studies.self_calibration`` draws it (torque gain, offset, inertia, piston areas, pressure
+zeros, touch points, latencies) and driven once along a trace, with one of three fluids. It goes the whole way in
+memory: plant, sensors, frames, decoding, events, estimate, verdict, beginning with what is known of the type. Moments
+are counted in events that were used. *Scale-free* is friction times gain and piston area, which driving can tell.
+
+    python -m studies.drive_accuracy --vehicles 30                   # warm UDDS, uncalibrated
+    python -m studies.drive_accuracy --trace wltc --oil-degc -10
+    python -m studies.drive_accuracy --plain                         # vehicles just like their type, noise only
+    python -m studies.drive_accuracy --plain --known                 # the same, and nothing but friction is unknown
+    python -m studies.drive_accuracy --mismatch --loss 0.05
+    python -m studies.drive_accuracy --other-laws --oil-degc -10     # open packs, oil and film obey other laws
+    python -m studies.drive_accuracy --loss 0.05 --burst 3           # three frames of a message are lost in a row
+    python -m studies.drive_accuracy --transmission gs7              # a seven-speed transmission
+"""
+
+import argparse
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from studies.accuracy import FLUIDS, to_batch
+from studies.drawn_vehicle import Vehicle, draw, with_other_laws
+from studies.drive_events import planned
+from studies.study import add_pool_options, over_drives, root_mean_square
+from canlog.arrays import FloatArray
+from canlog.frames import FrameBatch
+from clutch_model.calibration import SHIPPED, Calibration, Uncertainty, shipped_calibration
+from clutch_model.units import degc_from_k, k_from_degc
+from dbc.contract import load_contract
+from diag_service.diagnosis.condition.condition import ConditionMemory
+from diag_service.diagnosis.friction import Posterior
+from diag_service.diagnosis.friction.posterior import friction, scale_free
+from diag_service.diagnosis.records import Condition, FrictionEstimate, ScaleFreeFriction, Status
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
+from diag_service.service.stages import Diagnosis, Stages
+from ecu_emulator.bus.frames import merge
+from ecu_emulator.drive.recording import Drive
+from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario.scenario import Ambient, Routine, Scenario
+from ecu_emulator.scenario.scenario_file import load_scenario
+
+FIRST_SEED: Final = 95_000  # seeds below were looked at while priors and gates were chosen
+MOMENTS: Final = (2, 5, 10, 30)  # events used, of the table by moments
+END: Final = 0
+STRETCH_S: Final = 60.0
+BAND_K: Final = 20.0  # of oil temperature
+FAR_STD: Final = 4.0
+KNOWN_RATIO: Final = 0.03  # of the scatter of the type: what is left for a vehicle that is known
+PLANT_STEP_S: Final = 1e-3  # the plant holds the engine's torque for one
+WRONG: Final = {  # verdicts that would be wrong
+    "ideal": {Condition.WATCH, Condition.CHANGE_FLUID},
+    "case1": {Condition.GOOD},
+    "case2": {Condition.GOOD},
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """One drive of one vehicle."""
+
+    seed: int
+    trace: str
+    oil_degc: float
+    is_plain: bool
+    has_mismatch: bool
+    loss_ratio: float
+    burst: int = 1  # frames of one message that are lost in a row
+    is_known: bool = False  # the vehicle is believed to be what it is
+    has_other_laws: bool = False  # of open packs, oil and film
+    transmission: str = "nominal"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Look:
+    """What is known of the friction of one clutch at one moment; (mu_C, mu_S) each, in percent of the truth."""
+
+    moment: int  # events used, END: all
+    clutch: int
+    oil_degc: float
+    absolute: tuple[float, float]
+    absolute_std: tuple[float, float]
+    free: tuple[float, float]
+    free_std: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """One drive: looks at the running estimate, what became of the events, and the verdicts."""
+
+    looks: tuple[Look, ...]
+    statuses: Counter[tuple[str, str, str]]  # kind, status, reasons
+    alone: tuple[tuple[str, FloatArray, FloatArray], ...]  # kind, scale-free errors and deviations of single events
+    wrong_verdicts: tuple[str, ...]  # at any moment: of which clutch, after how many of its events, why
+    final_verdicts: tuple[str, ...]
+    fluid: str
+
+
+def scenario_of(case: Case) -> tuple[Scenario, Vehicle | None]:
+    """Return what is driven, and the vehicle if it is not just like its type."""
+    vehicle = None if case.is_plain else draw(case.seed, has_mismatch=case.has_mismatch)
+    if vehicle is not None:
+        vehicle = replace(vehicle, transmission=case.transmission)
+    if vehicle is not None and case.has_other_laws:
+        vehicle = with_other_laws(vehicle)
+    if vehicle is None:
+        base = load_scenario("noise_only")
+        base = replace(base, seed=case.seed, fluid=replace(base.fluid, condition=FLUIDS[case.seed % len(FLUIDS)]))
+    else:
+        base = vehicle.scenario(0, Routine())
+    oil_k = k_from_degc(case.oil_degc)
+    ambient = Ambient(temperature_k=min(oil_k, 293.15), oil_temperature_k=oil_k, coolant_temperature_k=oil_k)
+    effects = replace(base.effects, frame_loss_ratio=case.loss_ratio if case.burst == 1 else 0.0)
+    base = replace(base, transmission=case.transmission)
+    return replace(base, drive=DriveName.CITY, ambient=ambient, effects=effects), vehicle
+
+
+def driven(case: Case) -> list[Outcome]:
+    """Drive and diagnose."""
+    scenario, vehicle = scenario_of(case)
+    drive = Drive(scenario, planned=iter([planned(case.trace)]))
+    calibration = shipped_calibration(case.transmission)
+    calibration = known_vehicle(calibration) if case.is_known else calibration
+    decoder = Decoder(load_contract(), load_profile())
+    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+    diagnoses: list[Diagnosis] = []
+    rng = np.random.default_rng(case.seed)
+    for stretch in drive.stretches(STRETCH_S):
+        batch = to_batch(merge([stretch.frames]))
+        diagnoses += stages.feed(batch if case.burst == 1 else without_bursts(batch, case.loss_ratio, case.burst, rng))
+    diagnoses += [stages.conclude(event) for event in stages.flush()]
+    true = np.array([[drive.truth.mu_c[m], drive.truth.mu_s[m]] for m in range(2)])
+    return [outcome_of(diagnoses, true, vehicle, scenario.fluid.condition)]
+
+
+def without_bursts(batch: FrameBatch, ratio: float, burst: int, rng: np.random.Generator) -> FrameBatch:
+    """Return frames of which a share is lost, of each message some in a row."""
+    is_kept = np.ones(len(batch), dtype=bool)
+    for can_id in np.unique(batch.can_id):
+        rows = np.flatnonzero(batch.can_id == can_id)
+        begins = np.flatnonzero(rng.random(len(rows)) < ratio / burst)
+        lost = (begins[:, None] + np.arange(burst)).ravel()
+        is_kept[rows[lost[lost < len(rows)]]] = False
+    return batch[is_kept]
+
+
+def known_vehicle(calibration: Calibration) -> Calibration:
+    """Return the calibration of somebody who knows the vehicle: no latencies, and next to no scatter."""
+    scatter = {one.name: KNOWN_RATIO * getattr(calibration.uncertainty, one.name) for one in fields(Uncertainty)}
+    return replace(
+        calibration,
+        uncertainty=replace(calibration.uncertainty, **scatter),
+        bias=replace(calibration.bias, torque_latency_s=PLANT_STEP_S / 2.0, pressure_latency_s=0.0),
+    )
+
+
+def outcome_of(diagnoses: Sequence[Diagnosis], true: FloatArray, vehicle: Vehicle | None, fluid: str) -> Outcome:
+    """Return what the diagnoses of one drive say; ``true`` are ``(mu_c, mu_s)`` of each clutch."""
+    shown = true.copy()
+    if vehicle is not None:
+        shown *= vehicle.torque_gain * (1.0 + np.array(vehicle.area_ratios))[:, None]
+    looks: list[Look] = []
+    alone = []
+    used_count = 0
+    for diagnosis in diagnoses:
+        estimate = diagnosis.estimate
+        if estimate.status is not Status.VALID or estimate.reasons:
+            continue
+        used_count += 1
+        oil_degc = float(degc_from_k(estimate.sump_temperature_k or 0.0))
+        looks += _looks(used_count, diagnosis.state, oil_degc, true, shown)
+        if estimate.scale_free is not None:
+            alone.append((estimate.kind.value, *_error(estimate.scale_free, shown[estimate.clutch - 1])))
+    looks += _looks(END, diagnoses[-1].state, 0.0, true, shown)
+    return Outcome(
+        looks=tuple(looks),
+        statuses=Counter(
+            (one.estimate.kind.value, one.estimate.status.value, ", ".join(one.estimate.reasons)) for one in diagnoses
+        ),
+        alone=tuple(alone),
+        wrong_verdicts=tuple(_wrong_verdicts(diagnoses, fluid)),
+        final_verdicts=_final_verdicts(diagnoses),
+        fluid=fluid,
+    )
+
+
+def _wrong_verdicts(diagnoses: Sequence[Diagnosis], fluid: str) -> Iterator[str]:
+    for one in diagnoses:
+        verdict = one.verdict
+        if verdict.condition in WRONG[fluid]:
+            count = one.state.shift_counts[verdict.clutch - 1]
+            condition = verdict.condition.name.lower()
+            yield f"{condition} of clutch {verdict.clutch} after {count} of its events ({verdict.reason})"
+
+
+def _final_verdicts(diagnoses: Sequence[Diagnosis]) -> tuple[str, ...]:
+    last = {one.verdict.clutch: one.verdict.condition.name.lower() for one in diagnoses}
+    return tuple(last[clutch] for clutch in sorted(last))
+
+
+def _looks(moment: int, state: Posterior, oil_degc: float, true: FloatArray, shown: FloatArray) -> Iterator[Look]:
+    for clutch in (1, 2):
+        if not state.shift_counts[clutch - 1]:
+            continue
+        absolute, absolute_std = _error(friction(state, clutch), true[clutch - 1])
+        free, free_std = _error(scale_free(state, clutch), shown[clutch - 1])
+        yield Look(
+            moment=moment,
+            clutch=clutch,
+            oil_degc=oil_degc,
+            absolute=_pair(absolute),
+            absolute_std=_pair(absolute_std),
+            free=_pair(free),
+            free_std=_pair(free_std),
+        )
+
+
+def _error(found: FrictionEstimate | ScaleFreeFriction, true: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return error and stated deviation of (mu_C, mu_S) in percent."""
+    error = 100.0 * (np.array([found.mu_c, found.mu_s]) / true - 1.0)
+    return error, 100.0 * np.array([found.std_mu_c, found.std_mu_s]) / true
+
+
+def _pair(values: FloatArray) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
+
+
+def coverage(errors: FloatArray, stds: FloatArray) -> str:
+    """Return the share of errors within two stated deviations, and how many are beyond four."""
+    distance = np.abs(errors / stds)
+    far = int(np.count_nonzero(distance > FAR_STD))
+    return f"{np.mean(distance < 2.0):.1%}" + (f" ({far} beyond 4)" if far else "")
+
+
+def moments_table(outcomes: Sequence[Outcome]) -> Table:
+    """Return errors and coverage as events come."""
+    table = Table(
+        "events used", "estimates", "absolute mu_C", "mu_S", "stated", "within 2 std", "scale-free mu_C", "mu_S",
+        "stated", "within 2 std", title="Running estimate, RMS error in %",
+    )  # fmt: skip
+    looks = [look for outcome in outcomes for look in outcome.looks]
+    for moment in (*MOMENTS, END):
+        some = [look for look in looks if look.moment == moment]
+        if not some:
+            continue
+        arrays = {name: np.array([getattr(look, name) for look in some]) for name in
+                  ("absolute", "absolute_std", "free", "free_std")}  # fmt: skip
+        cells = [str(moment) if moment else "all", str(len(some))]
+        for error, std in (("absolute", "absolute_std"), ("free", "free_std")):
+            cells += [f"{root_mean_square(arrays[error][:, k]):.2f}" for k in range(2)]
+            cells += [f"{arrays[std].mean():.2f}", coverage(arrays[error], arrays[std])]
+        table.add_row(*cells)
+    return table
+
+
+def kinds_table(outcomes: Sequence[Outcome]) -> Table:
+    """Return what single events say, and what became of them."""
+    table = Table(
+        "kind", "events", "used", "left out", "mu_C", "mu_S", "stated", "within 2 std", "why not",
+        title="Single events, scale-free, RMS error in %",
+    )  # fmt: skip
+    statuses = sum((outcome.statuses for outcome in outcomes), Counter[tuple[str, str, str]]())
+    for kind in sorted({kind for kind, _, _ in statuses}):
+        mine = {key[1:]: count for key, count in statuses.items() if key[0] == kind}
+        used = sum(count for (status, why), count in mine.items() if status == Status.VALID and not why)
+        out = sum(count for (status, why), count in mine.items() if status != Status.UNOBSERVED and why)
+        why = ", ".join(f"{count} {reasons}" for (_, reasons), count in sorted(mine.items()) if reasons)
+        alone = [one[1:] for outcome in outcomes for one in outcome.alone if one[0] == kind]
+        cells = [kind.replace("_", " "), str(sum(mine.values())), str(used), str(out)]
+        if alone:
+            errors, stds = (np.array([one[k] for one in alone]) for k in range(2))
+            cells += [f"{root_mean_square(errors[:, k]):.2f}" for k in range(2)]
+            cells += [f"{np.median(stds[:, 0]):.2f}, {np.median(stds[:, 1]):.2f}", coverage(errors, stds)]
+        else:
+            cells += ["-"] * 4
+        table.add_row(*cells, why)
+    return table
+
+
+def bands_table(outcomes: Sequence[Outcome]) -> Table:
+    """Return the coverage by temperature of the oil."""
+    table = Table(
+        "oil, degC", "estimates", "absolute, within 2 std", "scale-free, within 2 std", title="By temperature"
+    )
+    looks = [look for outcome in outcomes for look in outcome.looks if look.moment != END]
+    by_band: dict[int, list[Look]] = {}
+    for look in looks:
+        by_band.setdefault(int(look.oil_degc // BAND_K), []).append(look)
+    for band, some in sorted(by_band.items()):
+        cells = []
+        for name in ("absolute", "free"):
+            errors, stds = (np.array([getattr(look, key) for look in some]) for key in (name, f"{name}_std"))
+            cells.append(coverage(errors, stds))
+        table.add_row(f"{band * BAND_K:.0f} to {(band + 1) * BAND_K:.0f}", str(len(some)), *cells)
+    return table
+
+
+def main() -> int:
+    """Drive all vehicles and print the tables; return 1 if a verdict was wrong."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--vehicles", type=int, default=30)
+    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first vehicle")
+    parser.add_argument("--trace", default="udds", choices=("wltc", "udds", "hwfet", "us06", "city"))
+    parser.add_argument("--oil-degc", type=float, default=80.0)
+    parser.add_argument("--plain", action="store_true", help="vehicles just like their type")
+    parser.add_argument(
+        "--known", action="store_true", help="with --plain: believed to be so, as calibrated beyond doubt"
+    )
+    parser.add_argument("--mismatch", action="store_true", help="film, oil and lining unlike the belief as well")
+    parser.add_argument("--other-laws", action="store_true", help="laws of cold oil that the estimator does not have")
+    parser.add_argument("--loss", type=float, default=0.0, help="share of the frames that are lost")
+    parser.add_argument("--burst", type=int, default=1, help="frames of one message that are lost in a row")
+    parser.add_argument("--transmission", choices=SHIPPED, default="nominal")
+    add_pool_options(parser)
+    options = parser.parse_args()
+    if options.known and not options.plain:
+        parser.error("--known goes with --plain: no other vehicle is known")
+    case = partial(
+        Case, trace=options.trace, oil_degc=options.oil_degc, is_plain=options.plain, has_mismatch=options.mismatch,
+        loss_ratio=options.loss, burst=options.burst, is_known=options.known,
+        has_other_laws=options.other_laws, transmission=options.transmission,
+    )  # fmt: skip
+    cases = [case(seed=seed) for seed in range(options.seed, options.seed + options.vehicles)]
+    outcomes = over_drives(driven, cases, options.workers, options.kept)
+    console = Console(markup=False, width=150)
+    for table in (moments_table(outcomes), kinds_table(outcomes), bands_table(outcomes)):
+        console.print(table)
+    verdicts = Counter((one.fluid, ", ".join(one.final_verdicts)) for one in outcomes)
+    for (fluid, final), count in sorted(verdicts.items()):
+        console.print(f"{fluid}: {count} drives end with {final}")
+    wrong = [(one, case.seed) for one, case in zip(outcomes, cases, strict=True) if one.wrong_verdicts]
+    for one, seed in wrong:
+        said = one.wrong_verdicts
+        console.print(
+            f"seed {seed}, {one.fluid}: {len(said)} wrong verdicts, the first: {said[0]}; the last: {said[-1]}"
+        )
+    console.print(f"drives with a wrong verdict at any moment: {len(wrong)} of {len(outcomes)}")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

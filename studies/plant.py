@@ -1,0 +1,84 @@
+"""The plant against its golden values: laws, power balance, error of the step, speed, the nominal cycle.
+
+python studies/plant.py
+"""
+
+import time
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from studies import bars
+from clutch_model.calibration import nominal_calibration
+from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
+from tests.reference.golden import golden_values
+
+CALIBRATION = nominal_calibration()
+PARAMETERS = nominal_parameters()
+COMPARED_S = 10.0
+CYCLE_LIMIT_S = 80.0
+SPEED_RUNS = 5
+STEPS_S = (2.5e-4, 2.0e-4, 1.0e-4)
+
+
+def train(dt_s: float, *, is_audited: bool = False) -> Powertrain:
+    return Powertrain(CALIBRATION, PARAMETERS, DriveSettings(dt_s=dt_s), is_audited=is_audited)
+
+
+def laws(console: Console) -> None:
+    table = Table("golden value", "expected", "here", "difference", title="Laws")
+    for golden in golden_values():
+        difference = f"{golden.here / golden.expected - 1.0:+.1e}"
+        table.add_row(golden.name, f"{golden.expected:.7g}", f"{golden.here:.7g}", difference)
+    console.print(table)
+
+
+def power_balance(console: Console) -> None:
+    audited = train(DriveSettings().dt_s, is_audited=True)
+    rows = audited.advance(CYCLE_LIMIT_S)
+    gears = rows[:, Col.CURRENT_GEAR]
+    console.print(f"nominal cycle: {np.count_nonzero(np.diff(gears))} shifts, {rows[-1, Col.T_S]:.2f} s")
+    balance = audited.power_balance
+    console.print(
+        f"power balance: {balance.engine_absolute_j / 1e3:.0f} kJ through the crankshaft, "
+        f"residual {balance.residual_ratio:.1e}; clutch heat {balance.clutch_j / 1e3:.1f} kJ, "
+        f"residual {balance.heat_residual_ratio:.1e}"
+    )
+
+
+def step_halving(console: Console) -> None:
+    table = Table("step [s]", "dw_H [rad/s]", "dT_F [N m]", title=f"Halving the step, {COMPARED_S:g} s")
+    for dt_s in STEPS_S:
+        change = np.abs(train(dt_s).advance(COMPARED_S) - train(dt_s / 2.0).advance(COMPARED_S))
+        torque_nm = change[:, [Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE]].max()
+        table.add_row(f"{dt_s:g} -> {dt_s / 2:g}", f"{change[:, Col.HUB_SPEED].max():.1e}", f"{torque_nm:.1e}")
+    console.print(table)
+
+
+def speed(console: Console) -> None:
+    for dt_s in STEPS_S:
+        times_s, simulated_s = [], 0.0
+        for _ in range(SPEED_RUNS):
+            plant = train(dt_s)
+            start_s = time.process_time()
+            simulated_s = len(plant.advance(CYCLE_LIMIT_S)) * 1e-3
+            times_s.append(time.process_time() - start_s)
+        mark = " (default)" if dt_s == DriveSettings().dt_s else ""
+        ratio = simulated_s / min(times_s)
+        console.print(
+            f"plant speed at {dt_s:g} s{mark}: {ratio:.0f} x real time on one core   {bars.PLANT.judged(ratio)}"
+        )
+
+
+def main() -> None:
+    console = Console(markup=False)  # units stand in brackets
+    train(DriveSettings().dt_s).advance(0.01)  # compiles, or loads the cache
+    laws(console)
+    power_balance(console)
+    step_halving(console)
+    speed(console)
+
+
+if __name__ == "__main__":
+    main()

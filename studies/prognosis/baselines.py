@@ -1,0 +1,76 @@
+"""What a prognosis must beat: a fixed interval, a line through all results, a logistic index, the lives of a fleet."""
+
+from typing import Final
+
+import numpy as np
+
+from studies.prognosis.scores import PROBABILITIES
+from studies.prognosis.truth import REFERENCE
+from canlog.arrays import FloatArray
+from diag_service.diagnosis.prognosis import History
+
+INTERVAL_KM: Final = 60_000.0  # what makers of wet dual-clutch transmissions commonly ask for
+FARTHEST_KM: Final = 300_000.0
+INDEX_KM: Final = 5_000.0
+INDEX_MIDDLE: Final = 0.5  # of the margin
+INDEX_WIDTH: Final = 0.25
+
+
+def fixed_interval(age_km: float) -> FloatArray:
+    """Return what remains of the maker's interval, a number without doubt, as quantiles [km]."""
+    return np.full(len(PROBABILITIES), max(INTERVAL_KM - age_km, 0.0))
+
+
+def fleet(age_km: float, lives_km: FloatArray) -> FloatArray:
+    """Return what remained to those of a fleet whose fluid lasted longer than this one already has [km]."""
+    left_km = lives_km[lives_km > age_km] - age_km
+    if not len(left_km):
+        return np.zeros(len(PROBABILITIES))
+    return np.asarray(np.quantile(left_km, PROBABILITIES), np.float64)
+
+
+def whole_line(history: History) -> FloatArray:
+    """Return where a straight line through all results of the noted fluid leads, weighted by what they state [km]."""
+    distance_km, margin = _margins(history)
+    if len(margin) < 3:
+        return _left(1.0, 0.0)
+    own = history.fluid_number == history.fluid_number[-1]
+    slope, now = np.polyfit(
+        distance_km, margin, 1, w=1.0 / np.hypot(history.random_std_mu_c, history.random_std_mu_s)[own]
+    )
+    return _left(float(now), float(slope))
+
+
+def logistic_index(history: History) -> FloatArray:
+    """Return where the mean slope of a logistic index leads, later slopes weighing more [km].
+
+    The index flattens a margin near new and near zero. Its means over some distance give slopes; the n-th weighs n.
+    """
+    distance_km, margin = _margins(history)
+    place = ((distance_km - distance_km[0]) / INDEX_KM).astype(np.int64)
+    index = np.asarray(_logistic(margin), np.float64)
+    bins = [place == one for one in np.unique(place)]
+    at_km = np.array([distance_km[own].mean() for own in bins])
+    means = np.array([index[own].mean() for own in bins])
+    if len(means) < 2:
+        return _left(1.0, 0.0)
+    slopes = np.diff(means) / np.maximum(np.diff(at_km), 1.0)
+    rate_per_km = float(np.average(slopes, weights=np.arange(1, len(slopes) + 1)))
+    return _left(float(means[-1]) - rate_per_km * float(at_km[-1]) - float(_logistic(np.zeros(1))[0]), rate_per_km)
+
+
+def _margins(history: History) -> tuple[FloatArray, FloatArray]:
+    """Return distances from today [km], negative, and margins with the noted fluid."""
+    own = history.fluid_number == history.fluid_number[-1]
+    distance_km = (history.odometer_m[own] - history.odometer_m[-1]) / 1000.0
+    return distance_km, (history.mu_c[own] - history.mu_s[own]) / (REFERENCE.mu_c - REFERENCE.mu_s)
+
+
+def _logistic(margin: FloatArray) -> FloatArray:
+    return np.asarray(1.0 / (1.0 + np.exp(-(margin - INDEX_MIDDLE) / INDEX_WIDTH)), np.float64)
+
+
+def _left(now: float, rate_per_km: float) -> FloatArray:
+    """Return how far a line is from zero, as quantiles that are all alike."""
+    left_km = -now / rate_per_km if rate_per_km < 0.0 else FARTHEST_KM
+    return np.full(len(PROBABILITIES), min(max(left_km, 0.0), FARTHEST_KM))

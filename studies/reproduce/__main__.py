@@ -1,0 +1,83 @@
+"""Reproduce the paper: ``python -m studies.reproduce [--seeds N] [--output FOLDER]``."""
+
+import argparse
+import csv
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table as ConsoleTable
+
+from studies.reproduce.findings import find
+from studies.reproduce.report import EVIDENCE_HEADINGS, evidence_rows, page
+from studies.reproduce.tables import Table
+from studies.reproduce.text import html_tables, reading_headings, reading_rows, study_tables, written
+
+DEFAULT_SEEDS = 40
+OUTPUT = Path("reproduce-output")
+CONSOLE_COLUMNS = 6  # of values side by side; more cannot be read in 80 characters
+
+
+def main() -> int:
+    """Run the studies, write report and tables, show the tables."""
+    parser = argparse.ArgumentParser(prog="python -m studies.reproduce", description="Reproduce SAE 2015-01-1146.")
+    parser.add_argument("--seeds", type=int, default=DEFAULT_SEEDS, help="draws of the noise (default: %(default)s)")
+    parser.add_argument("--output", type=Path, default=OUTPUT, help="folder (default: %(default)s)")
+    options = parser.parse_args()
+    if options.seeds < 2:
+        parser.error("--seeds must be 2 or more: a scatter needs two runs")
+    started_s = time.monotonic()
+    with _progress() as progress:
+
+        def open_stage(name: str, count: int) -> Callable[[], None]:
+            task = progress.add_task(name, total=count)
+            return lambda: progress.advance(task)
+
+        found = find(options.seeds, open_stage)
+    tables = study_tables(found)
+    options.output.mkdir(parents=True, exist_ok=True)
+    for table in tables:
+        table.write_csv(options.output)
+    _write_csv(options.output / "what-passes.csv", list(EVIDENCE_HEADINGS), evidence_rows(found.evidence))
+    _write_csv(options.output / "readings.csv", reading_headings(), reading_rows(found))
+    for picture in found.pictures:
+        (options.output / f"figure-{picture.number:02}.png").write_bytes(picture.png)
+    report = options.output / "report.html"
+    report.write_text(page(written(found), html_tables(found, tables), found.pictures), encoding="utf-8")
+    console = Console()
+    for table in tables:
+        for part in table.parts(CONSOLE_COLUMNS):
+            console.print(_shown(part))
+    console.print(f"{report}: tables, pictures and what they mean; {time.monotonic() - started_s:.0f} s", markup=False)
+    return 0
+
+
+def _progress() -> Progress:
+    return Progress(
+        TextColumn("{task.description:<46}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+    )
+
+
+def _write_csv(path: Path, headings: list[str], rows: list[list[str]]) -> None:
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(headings)
+        writer.writerows(rows)
+
+
+def _shown(table: Table) -> ConsoleTable:
+    shown = ConsoleTable(*table.headings, title=table.caption, title_justify="left")
+    for row in table.rows:
+        shown.add_row(*row)
+    return shown
+
+
+if __name__ == "__main__":
+    sys.exit(main())

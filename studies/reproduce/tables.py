@@ -1,0 +1,167 @@
+"""Tables with one row per parameter set, clutch and parameter; every column set comes from a study of its own."""
+
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from studies.reproduce.drives import Case, PaperDrive
+from studies.reproduce.full_route import Figures
+from studies.reproduce.study import CLUTCHES, PARAMETERS, Errors, Key, true_value
+
+SYMBOL = {"mu_c": "µC", "mu_s": "µS"}
+
+# The paper's text gives numbers for the ideal set only; of the others it says what is below 10 %.
+PAPER_NOISELESS = {
+    (Case.IDEAL, 1, "mu_c"): "+6.32",
+    (Case.IDEAL, 1, "mu_s"): "-4.92",
+    (Case.IDEAL, 2, "mu_c"): "+2.41",
+    (Case.IDEAL, 2, "mu_s"): "-7.87",
+}
+PAPER_NOISY = {
+    (Case.IDEAL, 1, "mu_c"): "+7.49",
+    (Case.IDEAL, 1, "mu_s"): "-0.75",
+    (Case.IDEAL, 2, "mu_c"): "+5.35",
+    (Case.IDEAL, 2, "mu_s"): "-2.56",
+}
+ABOVE, BELOW = "above 10", "below 10"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """One column: a heading and a text for each row."""
+
+    heading: str
+    cells: Mapping[Key, str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColumnSet:
+    """Columns that belong together under one title."""
+
+    title: str
+    columns: Sequence[Column]
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of the report, also written as CSV."""
+
+    name: str
+    caption: str
+    keys: Sequence[Key]
+    sets: Sequence[ColumnSet]
+
+    @property
+    def headings(self) -> list[str]:
+        """Headings of all columns, those of the rows first."""
+        return [
+            "parameter set",
+            "clutch",
+            "parameter",
+            *(column.heading for one in self.sets for column in one.columns),
+        ]
+
+    @property
+    def rows(self) -> list[list[str]]:
+        """Texts of all rows."""
+        return [
+            [
+                key[0].value,
+                str(key[1]),
+                SYMBOL[key[2]],
+                *(column.cells.get(key, "") for one in self.sets for column in one.columns),
+            ]
+            for key in self.keys
+        ]
+
+    def parts(self, width: int) -> list["Table"]:
+        """Return the table cut between column sets, so that no part has more than ``width`` columns of values."""
+        groups: list[list[ColumnSet]] = []
+        for one in self.sets:
+            if not groups or sum(len(other.columns) for other in groups[-1]) + len(one.columns) > width:
+                groups.append([])
+            groups[-1].append(one)
+        return [replace(self, sets=group) for group in groups]
+
+    def write_csv(self, folder: Path) -> Path:
+        """Write the table as CSV and return where."""
+        path = folder / f"{self.name}.csv"
+        with path.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.writer(stream)
+            writer.writerow(self.headings)
+            writer.writerows(self.rows)
+        return path
+
+
+def keys_of(cases: Sequence[Case]) -> list[Key]:
+    """Return the rows of a table over parameter sets."""
+    return [(case, clutch, parameter) for case in cases for clutch in CLUTCHES for parameter in PARAMETERS]
+
+
+def truth_columns(drives: Sequence[PaperDrive]) -> ColumnSet:
+    """Return the true values."""
+    cells = {
+        (drive.case, clutch, parameter): f"{true_value(drive, clutch, parameter):.4f}"
+        for drive in drives
+        for clutch in CLUTCHES
+        for parameter in PARAMETERS
+    }
+    return ColumnSet(title="truth", columns=[Column(heading="true value", cells=cells)])
+
+
+def paper_columns(printed: Mapping[Key, str]) -> ColumnSet:
+    """Return the paper's own figures, as far as its text gives them."""
+    cells = {
+        key: printed.get(key, ABOVE if key[0] is Case.CASE_2 and key[2] == "mu_c" else BELOW)
+        for key in keys_of(list(Case))
+    }
+    return ColumnSet(title="the paper", columns=[Column(heading="error % (paper)", cells=cells)])
+
+
+def error_columns(title: str, errors: Errors, *, is_random: bool) -> ColumnSet:
+    """Return mean error, with noise also scatter and extremes, and how often the slope has the right sign."""
+    mean = Column(heading=f"error % ({title})", cells={key: f"{errors.mean(key):+.2f}" for key in errors.percent})
+    slope = Column(
+        heading="slope sign right",
+        cells={
+            key: f"{100.0 * errors.slope_right[key[0], key[1]]:.0f} %"
+            for key in errors.percent
+            if key[2] == PARAMETERS[0]
+        },
+    )
+    if not is_random:
+        return ColumnSet(title=title, columns=[mean, slope])
+    scatter = Column(heading="std %", cells={key: f"{errors.std(key):.2f}" for key in errors.percent})
+    extremes = Column(
+        heading="from .. to %",
+        cells={key: f"{min(one):+.1f} .. {max(one):+.1f}" if len(one) else "" for key, one in errors.percent.items()},
+    )
+    return ColumnSet(title=title, columns=[mean, scatter, extremes, slope])
+
+
+def full_columns(found: Mapping[Key, Figures], *, is_random: bool) -> ColumnSet:
+    """Return the errors of the project's own estimator; with noise also what it states and how it meets the bound."""
+    slope = Column(
+        heading="slope sign right (ours)",
+        cells={key: f"{100.0 * one.slope_right:.0f} %" for key, one in found.items() if key[2] == PARAMETERS[0]},
+    )
+    title = "full information"
+    if not is_random:
+        error = Column(heading="error % (ours)", cells={key: f"{one.mean:+.3f}" for key, one in found.items()})
+        return ColumnSet(title=title, columns=[error, slope])
+    written: Sequence[tuple[str, Callable[[Figures], str]]] = (
+        ("error % (ours)", lambda one: f"{one.mean:+.2f}"),
+        ("RMS %", lambda one: f"{one.rms:.2f}"),
+        ("stated std %", lambda one: f"{one.std:.2f}"),
+        ("within 2 std", lambda one: f"{100.0 * one.coverage:.0f} %"),
+        ("RMS / bound", lambda one: f"{one.bound_ratio:.2f}"),
+    )
+    columns = [Column(heading=name, cells={key: text(one) for key, one in found.items()}) for name, text in written]
+    return ColumnSet(title=title, columns=[*columns, slope])
+
+
+def bound_columns(bounds: Mapping[Key, float]) -> ColumnSet:
+    """Return the Cramer-Rao bound."""
+    cells = {key: f"{bound:.2f}" for key, bound in bounds.items()}
+    return ColumnSet(title="Cramér-Rao bound, slip known", columns=[Column(heading="least std % (bound)", cells=cells)])
