@@ -1,17 +1,19 @@
 """A fluid that ages: emulator and service at the two ends of a pipe, which goes as fast as both reckon."""
 
+import asyncio
 import json
 import os
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final
 
 from rich.table import Table
 from rich.text import Text
 
-from studies.ageing_picture import Point, points_of
 from clutchdiag_io.people import SHORT_PLUS_MINUS, plus_minus
+from demo.ageing_picture import Point, draw, points_of
 from demo.outcome import CONDITION_STYLE, plain_table
 from demo.programs import EMULATOR, HURRY_S, SERVICE, program
 from diag_service.delivery.console import condition_words
@@ -89,3 +91,14 @@ def course_complaints(points: Sequence[Point]) -> list[str]:
         course = ", ".join(words for words, _ in groupby(heard))
         return [f"of the ageing fluid the service said {course or 'nothing'}, not {', '.join(COURSE)}"]
     return []
+
+
+def main() -> None:
+    """Draw the picture of the README."""
+    with TemporaryDirectory() as folder:
+        points = asyncio.run(let_age(Path(folder)))
+    (Path(__file__).parents[1] / "docs" / PICTURE).write_text(draw(points), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -20,10 +20,10 @@ from rich.console import Console
 from rich.text import Text
 
 import diag_service
-from studies.ageing_picture import Point, draw
 from canlog.live.medium import Medium, open_medium
 from clutchdiag_io.people import PLUS_MINUS
 from demo import ageing
+from demo.ageing_picture import Point, draw
 from demo.outcome import (
     Outcome,
     complaints,

@@ -4,39 +4,28 @@ Each drive goes the whole way in memory: plant, sensors, frames with CRC, decodi
 running estimate after the last cycle is compared with the truth. Two intervals are judged: the random one where the
 calibration is true (scenario ``noise_only``), the total one where the vehicle has production scatter.
 
-    python studies/accuracy.py --seeds 20 --cycles 3
-    python studies/accuracy.py --scenario ideal --seeds 20      # with production scatter
-    python studies/accuracy.py --nuisances-known --seeds 20     # sensor noise alone
+    python -m studies.accuracy --seeds 20 --cycles 3
+    python -m studies.accuracy --scenario ideal --seeds 20      # with production scatter
+    python -m studies.accuracy --nuisances-known --seeds 20     # sensor noise alone
 """
 
-import argparse
 import csv
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 
-from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration, SensorBias, Uncertainty, nominal_calibration
-from dbc.contract import load_contract
-from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.records import FrictionEstimate, Status
-from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.profile import load_profile
-from diag_service.service.stages import Stages
-from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.scenario import FluidCondition
 from ecu_emulator.scenario.scenario_file import load_scenario
+from studies.builders import FLUIDS, diagnose
+from studies.run import over_drives, parsed, study_parser
 
-EPOCH_US = 1_767_225_600_000_000  # any bus time: 2026-01-01 UTC
 FIRST_SEED = 16_000  # seeds below were looked at while priors and drifts were chosen
-FLUIDS = (FluidCondition.IDEAL, FluidCondition.CASE_1, FluidCondition.CASE_2)
 PARAMETERS = ("mu_c", "mu_s")
 
 
@@ -72,16 +61,6 @@ class Row:
     is_upshift: bool
 
 
-def to_batch(frames: EncodedFrames) -> FrameBatch:
-    """Return emulated frames as a receiver with microsecond time stamps sees them."""
-    return FrameBatch(
-        t_ns=(EPOCH_US + np.rint(frames.t_s * 1e6).astype(np.int64)) * 1000,
-        can_id=frames.can_id.astype(np.uint32),
-        length=frames.length.astype(np.uint8),
-        data=frames.data,
-    )
-
-
 def exactly_known() -> Calibration:
     """Return the calibration of an emulated vehicle of which everything but friction is known: nothing is late."""
     nominal = nominal_calibration()
@@ -95,11 +74,7 @@ def analyse(case: Case) -> list[Row]:
     scenario = replace(
         scenario, seed=case.seed, cycles=case.cycles, fluid=replace(scenario.fluid, condition=case.fluid)
     )
-    frames, truth = frames_of(scenario)
-    calibration = exactly_known() if case.are_nuisances_known else nominal_calibration()
-    decoder = Decoder(load_contract(), load_profile())
-    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
-    diagnoses = stages.feed(to_batch(frames))
+    diagnoses, truth = diagnose(scenario, exactly_known() if case.are_nuisances_known else None)
     true = {1: (truth.drive.mu_c[0], truth.drive.mu_s[0]), 2: (truth.drive.mu_c[1], truth.drive.mu_s[1])}
 
     def row(scope: str, clutch: int, friction: FrictionEstimate, ratio: float, *, is_upshift: bool) -> Row:
@@ -177,44 +152,37 @@ def table(rows: list[Row], scope: str) -> Iterator[str]:
 
 def main() -> int:
     """Run the study and print its tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = study_parser(__doc__, seed=FIRST_SEED)
     parser.add_argument("--scenario", default="noise_only")
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--cycles", type=int, default=3)
     parser.add_argument(
         "--nuisances-known",
         action="store_true",
         help="the service knows offsets, touch points and masses exactly (noise_only): what sensor noise alone leaves",
     )
-    parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--csv", type=Path)
-    arguments = parser.parse_args()
+    arguments = parsed(parser, seeds=3)
     cases = [
         Case(
             scenario=arguments.scenario,
             fluid=fluid,
-            seed=arguments.first_seed + k,
+            seed=arguments.seed + k,
             cycles=arguments.cycles,
             are_nuisances_known=arguments.nuisances_known,
         )
         for k in range(arguments.seeds)
         for fluid in FLUIDS
     ]
-    rows: list[Row] = []
-    with ProcessPoolExecutor(arguments.jobs) as pool:
-        for number, part in enumerate(pool.map(analyse, cases), start=1):
-            rows += part
-            if sys.stderr.isatty() or number % 10 == 0:
-                print(f"{number} of {len(cases)} drives", file=sys.stderr)
+    rows = over_drives(analyse, cases, arguments.workers, arguments.kept)
     if arguments.csv:
         with arguments.csv.open("w", newline="", encoding="utf-8") as stream:
             writer = csv.writer(stream)
             writer.writerow(Row.__dataclass_fields__)
             writer.writerows([[getattr(row, name) for name in Row.__dataclass_fields__] for row in rows])
     print(
-        f"scenario {arguments.scenario}, {arguments.cycles} cycles, seeds {arguments.first_seed}.."
-        f"{arguments.first_seed + arguments.seeds - 1}{', nuisances known' if arguments.nuisances_known else ''}"
+        f"scenario {arguments.scenario}, {arguments.cycles} cycles, seeds {arguments.seed}.."
+        f"{arguments.seed + arguments.seeds - 1}{', nuisances known' if arguments.nuisances_known else ''}"
     )
     print("\nAfter the drive (running estimate)")
     print("\n".join(table(rows, "running")))

@@ -8,13 +8,9 @@ repairs would cost by the service's advice, by new fluid for all, and by thresho
     python -m studies.causes --lives 8 --seed 700000 --workers 1
     python -m studies.causes --lives 70 --seed 820000 --only unknown sound --workers 2
     python -m studies.causes --fit --lives 12 --seed 600000      # writes the signatures, from lives drawn wider
-    python -m studies.causes --lives 8 --kept lives --minutes 5  # in pieces: what was lived is kept in a file
 """
 
-import argparse
-import pickle
 import sys
-import time
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -27,22 +23,17 @@ from rich.console import Console
 from rich.table import Table
 
 import diag_service
-from studies.accuracy import to_batch
-from studies.study import over_drives
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import load_contract
 from diag_service.diagnosis.condition.causes import ELSE, FEATURES, MIRRORED, SOUND, CauseJudge, described
-from diag_service.diagnosis.condition.condition import LEAST_COUNT, ConditionMemory, Course
-from diag_service.diagnosis.friction import Posterior
+from diag_service.diagnosis.condition.condition import LEAST_COUNT, Course
 from diag_service.diagnosis.records import Condition
-from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.profile import load_profile
-from diag_service.service.stages import Stages
 from ecu_emulator.drive.build import build_vehicle
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.faults import Cause, CauseKind
 from ecu_emulator.scenario.scenario import Ambient, Driver, Effects, Scenario
+from studies.builders import new_stages, to_batch
+from studies.run import over_drives, parsed, study_parser
 
 FIRST_SEED: Final = 700_000  # below 700000 signatures were fitted and settings were chosen
 UNSEEN: Final = frozenset({CauseKind.SYNCHRONISER, CauseKind.DRAGGING_CLUTCH})  # no signal of a shift shows them well
@@ -127,8 +118,7 @@ def lived(life: Life) -> list[Lived]:
     """Drive a life and have it diagnosed."""
     rng = np.random.default_rng(life.seed)
     calibration = nominal_calibration()
-    memory = ConditionMemory.fresh()
-    stages = Stages(Decoder(load_contract(), load_profile()), calibration, Posterior.fresh(calibration), memory)
+    stages = new_stages(calibration)
     has_fill = CauseKind.WRONG_FLUID in life.kinds
     ramp = 0 if has_fill else int(rng.integers(0, MOST_RAMP + 1))
     moments, conditions, offset_ns = [], {1: Condition.NO_VERDICT, 2: Condition.NO_VERDICT}, 0
@@ -362,23 +352,6 @@ def lives_to_fit(count: int, seed: int) -> Iterator[Life]:
         yield Life(seed=seed + number, kinds=kinds, strength=float(rng.uniform(*FIT_STRENGTHS)))
 
 
-def all_lived(lives: Sequence[Life], kept: Path | None, minutes: float, workers: int) -> list[Lived]:
-    """Live those that are not in a file yet, which then has them, until the minutes are over; return all that were."""
-    found: dict[Life, Lived] = {}
-    if kept is not None and kept.exists():
-        with kept.open("rb") as file:
-            found = pickle.load(file)  # noqa: S301 (a file of one's own)
-    ends_s = time.monotonic() + 60.0 * minutes
-    left = [life for life in lives if life not in found]
-    while left and time.monotonic() < ends_s:
-        some, left = left[: 5 * workers], left[5 * workers :]
-        found |= {one.life: one for one in over_drives(lived, some, workers)}
-        if kept is not None:
-            with kept.open("wb") as file:
-                pickle.dump(found, file)
-    return list(found.values())
-
-
 def judged(found: Sequence[Lived], console: Console) -> bool:
     """Print all tables; return whether everything that is asked for was reached."""
     judge = CauseJudge(nominal_calibration())
@@ -417,18 +390,14 @@ def share(some: Iterable[bool]) -> float:
 
 def main() -> int:
     """Live all lives and print what was told of them, or fit signatures; return 1 if anything was not reached."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = study_parser(__doc__, seed=FIRST_SEED)
     parser.add_argument("--lives", type=int, default=8, help="of each cause")
-    parser.add_argument("--seed", type=int, default=FIRST_SEED)
     parser.add_argument("--only", nargs="+", choices=GROUPS, default=GROUPS, help="lives of these alone")
-    parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--fit", action="store_true", help="write the signatures instead")
-    parser.add_argument("--kept", type=Path, metavar="FILE", help="of lives: they add up over several runs")
-    parser.add_argument("--minutes", type=float, default=np.inf, help="after which no life begins")
-    options = parser.parse_args()
+    options = parsed(parser, lives=1, only=(SOUND, "pairs"))
     lives = list((lives_to_fit if options.fit else lives_to_judge)(options.lives, options.seed))
     lives = [life for life in lives if group_of(life) in options.only]
-    found = all_lived(lives, options.kept, options.minutes, options.workers)
+    found = over_drives(lived, lives, options.workers, options.kept)
     if options.fit:
         SIGNATURES.write_text(written(fitted(found)), encoding="utf-8")
         return 0

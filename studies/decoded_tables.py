@@ -9,7 +9,6 @@ ratios: of whole programs, and with the starts taken off on both sides.
     python -m studies.decoded_tables [--frames 651360] [--rounds 3] [--format .log] [--format .blf] [--format .mf4]
 """
 
-import argparse
 import resource
 import statistics
 import subprocess
@@ -23,8 +22,8 @@ from typing import Final
 from rich.console import Console
 from rich.table import Table
 
-from studies.decoding.wide_bus import frames, write_database, write_log
-from studies.measuring import machine
+from studies.run import machine, parsed, study_parser
+from studies.wide_bus import frames, write_database, write_log
 
 FRAMES: Final = 651_360
 SHORT: Final = 100  # frames of the log that a start is measured with
@@ -116,11 +115,11 @@ def add_rows(table: Table, log: Path, rounds: list[Mapping[str, Took]]) -> None:
 
 def main() -> None:
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = study_parser(__doc__, is_parallel=False)
     parser.add_argument("--frames", type=int, default=FRAMES, help="of each log (%(default)s)")
     parser.add_argument("--rounds", type=int, default=3, help="of which the medians are printed (%(default)s)")
     parser.add_argument("--format", action="append", choices=[*FORMATS], help="of the log (all)")
-    options = parser.parse_args()
+    options = parsed(parser, frames=100_000, rounds=1)
     console = Console(width=130)
     table = Table("log", "contender", "whole s", "start s", "net s", "MB", "of the peer", "net of starts")
     recorded = frames(options.frames)

@@ -7,11 +7,11 @@ from functools import partial
 
 import numpy as np
 
-from studies.accuracy import FLUIDS
 from clutch_model.calibration import nominal_calibration, shipped_calibration
 from clutch_model.pack import viscosities_pa_s
 from ecu_emulator.scenario.scenario import Effects, FluidCondition, Routine, Scenario, Truth
 from ecu_emulator.scenario.scenario_file import load_scenario
+from studies.builders import FLUIDS
 
 CYCLES = 3
 SPEEDS = ("engine_speed_rad_s", "hub_speed_rad_s", "input1_speed_rad_s", "input2_speed_rad_s", "output_speed_rad_s")

@@ -15,7 +15,6 @@ are counted in events that were used. *Scale-free* is friction times gain and pi
     python -m studies.drive_accuracy --transmission gs7              # a seven-speed transmission
 """
 
-import argparse
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -27,32 +26,26 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from studies.accuracy import FLUIDS, to_batch
-from studies.drawn_vehicle import Vehicle, draw, with_other_laws
-from studies.drive_events import planned
-from studies.study import add_pool_options, over_drives, root_mean_square
 from canlog.arrays import FloatArray
 from canlog.frames import FrameBatch
 from clutch_model.calibration import SHIPPED, Calibration, Uncertainty, shipped_calibration
-from clutch_model.units import degc_from_k, k_from_degc
-from dbc.contract import load_contract
-from diag_service.diagnosis.condition.condition import ConditionMemory
+from clutch_model.units import degc_from_k
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.posterior import friction, scale_free
 from diag_service.diagnosis.records import Condition, FrictionEstimate, ScaleFreeFriction, Status
-from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.profile import load_profile
-from diag_service.service.stages import Diagnosis, Stages
+from diag_service.service.stages import Diagnosis
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.scenario.drive_names import DriveName
-from ecu_emulator.scenario.scenario import Ambient, Routine, Scenario
+from ecu_emulator.scenario.scenario import Routine, Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario
+from studies.builders import FLUIDS, STRETCH_S, TRACES, in_oil, new_stages, planned, to_batch
+from studies.drawn_vehicle import Vehicle, draw, with_other_laws
+from studies.run import over_drives, parsed, root_mean_square, study_parser
 
 FIRST_SEED: Final = 95_000  # seeds below were looked at while priors and gates were chosen
 MOMENTS: Final = (2, 5, 10, 30)  # events used, of the table by moments
 END: Final = 0
-STRETCH_S: Final = 60.0
 BAND_K: Final = 20.0  # of oil temperature
 FAR_STD: Final = 4.0
 KNOWN_RATIO: Final = 0.03  # of the scatter of the type: what is left for a vehicle that is known
@@ -117,11 +110,9 @@ def scenario_of(case: Case) -> tuple[Scenario, Vehicle | None]:
         base = replace(base, seed=case.seed, fluid=replace(base.fluid, condition=FLUIDS[case.seed % len(FLUIDS)]))
     else:
         base = vehicle.scenario(0, Routine())
-    oil_k = k_from_degc(case.oil_degc)
-    ambient = Ambient(temperature_k=min(oil_k, 293.15), oil_temperature_k=oil_k, coolant_temperature_k=oil_k)
     effects = replace(base.effects, frame_loss_ratio=case.loss_ratio if case.burst == 1 else 0.0)
-    base = replace(base, transmission=case.transmission)
-    return replace(base, drive=DriveName.CITY, ambient=ambient, effects=effects), vehicle
+    base = replace(base, transmission=case.transmission, drive=DriveName.CITY, effects=effects)
+    return in_oil(base, case.oil_degc), vehicle
 
 
 def driven(case: Case) -> list[Outcome]:
@@ -130,8 +121,7 @@ def driven(case: Case) -> list[Outcome]:
     drive = Drive(scenario, planned=iter([planned(case.trace)]))
     calibration = shipped_calibration(case.transmission)
     calibration = known_vehicle(calibration) if case.is_known else calibration
-    decoder = Decoder(load_contract(), load_profile())
-    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+    stages = new_stages(calibration)
     diagnoses: list[Diagnosis] = []
     rng = np.random.default_rng(case.seed)
     for stretch in drive.stretches(STRETCH_S):
@@ -306,10 +296,9 @@ def bands_table(outcomes: Sequence[Outcome]) -> Table:
 
 def main() -> int:
     """Drive all vehicles and print the tables; return 1 if a verdict was wrong."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = study_parser(__doc__, seed=FIRST_SEED)
     parser.add_argument("--vehicles", type=int, default=30)
-    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first vehicle")
-    parser.add_argument("--trace", default="udds", choices=("wltc", "udds", "hwfet", "us06", "city"))
+    parser.add_argument("--trace", default="udds", choices=TRACES)
     parser.add_argument("--oil-degc", type=float, default=80.0)
     parser.add_argument("--plain", action="store_true", help="vehicles just like their type")
     parser.add_argument(
@@ -320,8 +309,7 @@ def main() -> int:
     parser.add_argument("--loss", type=float, default=0.0, help="share of the frames that are lost")
     parser.add_argument("--burst", type=int, default=1, help="frames of one message that are lost in a row")
     parser.add_argument("--transmission", choices=SHIPPED, default="nominal")
-    add_pool_options(parser)
-    options = parser.parse_args()
+    options = parsed(parser, vehicles=6)
     if options.known and not options.plain:
         parser.error("--known goes with --plain: no other vehicle is known")
     case = partial(

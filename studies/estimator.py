@@ -10,30 +10,17 @@ CPU time of the whole process, the best of some rounds over all shifts of a driv
 each event of a public cycle, by its kind: mean and longest live update, each event the best of some rounds.
 
     python -m studies.estimator
-    python -m studies.estimator --before TREE
     python -m studies.estimator --drive wltc
-    python -m studies.estimator --drive wltc --before TREE
-
-``--before`` measures the same with an earlier checkout in turns with this one, each in a process of its own; the cycle
-round by round.
 """
 
-import argparse
-import json
-import os
-import subprocess
 import sys
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 
-from studies import bars, timed_events
-from studies.accuracy import to_batch
-from studies.timed_events import Times, new_stages
 from canlog.frames import FrameBatch
 from diag_service.diagnosis.columns import BALANCE_SIGNALS
 from diag_service.diagnosis.events import Event
@@ -41,20 +28,19 @@ from diag_service.service.stages import Stages
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.scenario_file import load_scenario
+from studies import bars
+from studies.builders import new_stages, to_batch
+from studies.run import parsed, study_parser
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # filterpy loads matplotlib, whose own dependencies are deprecated
     from filterpy.kalman import KalmanFilter
 
 ROUNDS = 5
-TURNS = 5  # of both checkouts
-PAIRS = 100  # of rounds, of the cycle
-ROWS = ("live update", "full solve")
 PEER_SHIFTS = 3  # the loop takes the same time for every shift
 PERIOD_S = 0.01
 PROCESS_VARIANCE, SAMPLE_VARIANCE = 1.8e7, 0.04  # q and r of the paper's filter; they do not change the time
 MS = 1e3
-HERE = Path(__file__).resolve().parents[1]
 
 
 def update_live(stages: Stages, events: Sequence[Event]) -> None:
@@ -118,97 +104,31 @@ def report(batch: FrameBatch) -> None:
     print(f"  filterpy over full solve {ratio:.1f}   {bars.FILTERPY.judged(ratio)}")
 
 
-def report_events(name: DriveName, before: Path | None) -> None:
-    """Measure each event of a drive, and print what each kind of them takes, also in an earlier checkout."""
-    trees = {"now": HERE} if before is None else {"before": before.resolve(), "now": HERE}
-    turns = {version: list[Times]() for version in trees}
-    for _ in range(1 if before is None else TURNS):
-        for version, tree in trees.items():
-            turns[version].append(events_times(tree, name))
-    found = {version: with_all(least(times)) for version, times in turns.items()}
+def report_events(name: DriveName) -> None:
+    """Measure each event of a drive, and print what each kind of them takes: each event the least of some rounds."""
+    batch = to_batch(frames_of(replace(load_scenario("ideal"), drive=name))[0])
+    events = [*(stages := new_stages()).segment(batch), *stages.flush()]
+    times_s = np.full(len(events), np.inf)
+    for _ in range(ROUNDS + 1):
+        stages = new_stages()
+        for place, event in enumerate(events):
+            began_s = time.process_time()
+            stages.conclude(event)
+            times_s[place] = min(times_s[place], time.process_time() - began_s)
+    kinds = np.array([event.kind.value for event in events])
     print(f"CPU time of the live update after each event of {name.value}")
-    for kind, times_s in sorted(found["now"].items(), key=lambda one: max(one[1])):
-        print(f"  {kind:20} {len(times_s):4} events, {mean_and_longest(times_s)}")
-        if before is not None:
-            ratio = sum(found["before"][kind]) / sum(times_s)
-            print(f"  {'':20} {'before':>11}, {mean_and_longest(found['before'][kind])}: {ratio:.2f} times as fast now")
-
-
-def events_times(tree: Path, name: DriveName) -> Times:
-    """Return the times of a checkout in a process of its own."""
-    command = [sys.executable, "-P", str(Path(timed_events.__file__)), name.value]
-    variables = os.environ | {"PYTHONPATH": str(tree)}
-    times: Times = json.loads(
-        subprocess.run(command, check=True, capture_output=True, text=True, env=variables, cwd=tree).stdout
-    )
-    return times
-
-
-def least(turns: Sequence[Times]) -> Times:
-    """Return the least time of each event."""
-    return {kind: [min(one) for one in zip(*(turn[kind] for turn in turns), strict=True)] for kind in turns[0]}
-
-
-def with_all(times: Times) -> Times:
-    """Return times by kind, and of all kinds together."""
-    return times | {"all": [one for times_s in times.values() for one in times_s]}
-
-
-def mean_and_longest(times_s: Sequence[float]) -> str:
-    """Return what some events take."""
-    return f"mean {float(np.mean(times_s)) * MS:6.2f} ms, longest {max(times_s) * MS:6.2f} ms"
-
-
-def compare(before: Path) -> None:
-    """Time an earlier checkout and this one in turns, round by round, and print the ratios.
-
-    Both run at once and wait for each other: what else the machine does slows both down alike.
-    """
-    trees = (before.resolve(), HERE)
-    command = [sys.executable, "-P", str(Path(timed_events.__file__))]
-    with ExitStack() as running:
-        processes = [
-            running.enter_context(
-                subprocess.Popen(
-                    command, cwd=tree, env=os.environ | {"PYTHONPATH": str(tree)}, text=True,
-                    stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                )
-            )
-            for tree in trees
-        ]  # fmt: skip
-        times_s = np.empty((PAIRS, len(trees), len(ROWS)))
-        for number in range(PAIRS):
-            for place in (0, 1) if number % 2 else (1, 0):
-                times_s[number, place] = one_round(processes[place])
-    print(f"CPU time of one shift, the median of {PAIRS} rounds in turns")
-    for row, (earlier_s, now_s) in zip(ROWS, times_s.transpose(2, 1, 0), strict=True):
-        ratio, least = np.median(now_s / earlier_s), now_s.min() / earlier_s.min()
-        print(
-            f"  {row:12} {np.median(earlier_s) * MS:6.2f} ms before, {np.median(now_s) * MS:6.2f} ms now: "
-            f"{ratio - 1.0:+.1%}, the least of all rounds {least - 1.0:+.1%}"
-        )
-
-
-def one_round(process: "subprocess.Popen[str]") -> list[float]:
-    """Have a checkout time one round; return its times [s]."""
-    if process.stdin is None or process.stdout is None:
-        raise RuntimeError("no way to the other process")
-    process.stdin.write("\n")
-    process.stdin.flush()
-    times_s: list[float] = json.loads(process.stdout.readline())
-    return times_s
+    for kind in (*np.unique(kinds), "all"):
+        own_ms = MS * times_s[(kinds == kind) | (kind == "all")]
+        print(f"  {kind:20} {len(own_ms):4} events, mean {own_ms.mean():6.2f} ms, longest {own_ms.max():6.2f} ms")
 
 
 def main() -> int:
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(description="CPU time of one shift, or of each event of a drive.")
+    parser = study_parser(__doc__, is_parallel=False)
     parser.add_argument("--drive", type=DriveName, choices=list(DriveName))
-    parser.add_argument("--before", type=Path, metavar="TREE", help="an earlier checkout, measured in turns")
-    options = parser.parse_args()
+    options = parsed(parser)
     if options.drive is not None:
-        report_events(options.drive, options.before)
-    elif options.before is not None:
-        compare(options.before)
+        report_events(options.drive)
     else:
         frames, _ = frames_of(load_scenario("ideal"))
         report(to_batch(frames))

@@ -6,29 +6,404 @@ over sessions, floods, retains, leaves wills and huge sessions, fills the broker
     python -m studies.fleet_hostile
 """
 
-import argparse
 import asyncio
+import re
+import ssl
+import subprocess
 import sys
+import threading
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AsyncExitStack, ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.support.hostile_vehicle import TRACES, attack
+import paho.mqtt.client as mqtt
+import psutil
+from nats.aio.client import Client as NatsClient
+from nats.aio.msg import Msg
+from nats.errors import Error as NatsError
+from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
 
+from demo.fleet.brokers import Mosquitto, NatsServer
+from diag_service.delivery import Acknowledge, DeliveryLimits, MqttConnector, Outbox
+from diag_service.store import ResultStore, VehicleState, Versions
+from fleet_backend import queries
+from fleet_backend.database import open_database
+from fleet_backend.migrate import migrate
+from fleet_link import BrokerAddress, TlsFiles
+from studies.builders import shift_result
+from studies.fleet_ingest import workers
+from studies.run import parsed, study_parser
+
+HANG_S = 120.0  # longer than anything takes
 LATER_S = 60.0  # than usual, at most
-TOPICS, PARTS = 1_200, 1_040  # of 100 kB: retained, and of quality 2 that are never released
+MANY_TOPICS, MANY_PARTS = 1_200, 1_040  # of 100 kB: retained, and of quality 2 that are never released
 KEPT_MB = 50.0  # by which a broker may grow, at most
+DEPLOY = Path(__file__).parents[1] / "docs" / "deploy"
+OURS = re.compile(r"(#|listener|allow_anonymous|persistence|max_(inflight|queued)_messages)")  # of its configuration
+PLUGIN = "mosquitto_dynamic_security.so"
+NOW = "2026-01-01T00:00:00.000000Z"
+STATE = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
+QUICK = DeliveryLimits(first_pause_s=0.05, longest_pause_s=0.2)
+BAD = "carX"
+SETTLE_S = 20.0  # for what a broker neither takes nor refuses
+GROUP = "unguessed-7f3a"
+OTHERS = (
+    f"$share/{GROUP}/clutchdiag/v1/+/shift",  # even where the name leaks
+    "$share/ingest/clutchdiag/v1/+/shift",
+    "$share/ingest/clutchdiag/v1/car1/bundle",
+    "clutchdiag/v1/+/shift",
+    "clutchdiag/v1/car1/ack",
+    "clutchdiag/v1/#",
+    "+/+/+/+",
+    "#",
+    "$SYS/#",
+    "$CONTROL/#",
+    "$MQTT/#",
+    "$JS/#",
+    "_INBOX/#",
+)
+INNER = "$MQTT/sub/#"  # where a nats-server hands messages of quality 1 to its sessions
+NATIVE = (">", "$MQTT.>", "$MQTT.sub.>", "$JS.>", "_INBOX.>", "clutchdiag.v1.>", f"clutchdiag.v1.{BAD}.ack")
+TOPICS, PARTS, PART_BYTES = 200, 100, 100_000  # retained, and of quality 2 without an end, of the attack in the tests
+
+
+class _Unreleased(mqtt.Client):
+    """A client that never releases what it sent with quality 2: the broker is to keep it."""
+
+    def _handle_pubrec(self) -> MQTTErrorCode:
+        return MQTTErrorCode.MQTT_ERR_SUCCESS
+
+
+class Hostile:
+    """What a vehicle with its own certificate tries, from connections of its own."""
+
+    def __init__(
+        self, folder: Path, port: int, victims: Sequence[str], *, is_version_5: bool, flood_count: int = 20
+    ) -> None:
+        self.codes: list[int] = []  # what the broker said to its subscriptions
+        self.heard: list[str] = []  # topics on which it was told something
+        self._native: NatsClient | None = None
+        self._folder = folder
+        self._port = port
+        self._victims = victims
+        self._flood_count = flood_count  # messages of each connection to each topic
+        self._version = MQTTProtocolVersion.MQTTv5 if is_version_5 else MQTTProtocolVersion.MQTTv311
+        self._is_over = threading.Event()
+
+    def client(self, identifier: str, *, is_huge: bool = False, kind: type[mqtt.Client] = mqtt.Client) -> mqtt.Client:
+        """Return a connection under a name, with a will that speaks for another."""
+        is_clean = not is_huge if self._version is MQTTProtocolVersion.MQTTv311 else None
+        client = kind(
+            CallbackAPIVersion.VERSION2, identifier, is_clean, protocol=self._version, reconnect_on_failure=False
+        )
+        folder = self._folder
+        client.tls_set(
+            f"{folder}/ca.crt", f"{folder}/{BAD}.crt", f"{folder}/{BAD}.key", tls_version=ssl.PROTOCOL_TLS_CLIENT
+        )
+        client.on_subscribe = lambda _c, _u, _m, codes, _p: self.codes.extend(code.value for code in codes)
+        client.on_message = lambda _c, _u, message: self.heard.append(message.topic)
+        client.max_inflight_messages_set(2_000)
+        client.will_set("clutchdiag/v1/car1/status", b"{}", qos=1, retain=True)
+        client.connect("127.0.0.1", self._port)
+        client.loop_start()
+        return client
+
+    def subscribe(self, topic: str) -> bool:
+        """Try one subscription, and return whether it was granted."""
+        client = self.client(f"{BAD}-{len(self.codes)}")
+        before = len(self.codes)
+        client.subscribe(topic, 1)
+        deadline_s = time.monotonic() + 1.0
+        while len(self.codes) == before and time.monotonic() < deadline_s:
+            time.sleep(0.01)
+        client.disconnect()
+        client.loop_stop()
+        return len(self.codes) > before and self.codes[-1] < 0x80
+
+    def tell(self, topic: str) -> None:
+        """Write what a topic of another is to say, once."""
+        client = self.client(f"{BAD}-{len(self.codes)}")
+        client.publish(topic, b"x", 1).wait_for_publish(HANG_S)
+        client.disconnect()
+        client.loop_stop()
+
+    def fill(self, topic_count: int, part_count: int) -> None:
+        """Make the broker keep all it can: retained messages under made-up names, quality 2 that is never released."""
+        self._send(mqtt.Client, [f"clutchdiag/v1/{BAD}/clutch/{number}" for number in range(3, topic_count + 3)], 1)
+        self._send(_Unreleased, [f"clutchdiag/v1/{BAD}/shift"] * part_count, 2)
+
+    def _send(self, kind: type[mqtt.Client], topics: Sequence[str], qos: int) -> None:
+        client = self.client(f"{BAD}-fill-{qos}", kind=kind)
+        deadline_s = time.monotonic() + SETTLE_S
+        while not client.is_connected() and time.monotonic() < deadline_s:
+            time.sleep(0.01)
+        sent = [client.publish(topic, b"x" * PART_BYTES, qos, retain=qos == 1) for topic in topics]
+        while client.is_connected() and not all(one.is_published() for one in sent) and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        client.disconnect()
+        client.loop_stop()
+
+    async def listen(self, url: str) -> None:
+        """Subscribe on the port of NATS itself, whatever is said there to sessions and workers."""
+        context = ssl.create_default_context(cafile=str(self._folder / "ca.crt"))
+        context.load_cert_chain(self._folder / f"{BAD}.crt", self._folder / f"{BAD}.key")
+
+        async def hear(message: Msg) -> None:
+            self.heard.append(message.subject)
+
+        client = NatsClient()
+        try:
+            await client.connect(url.replace("nats://", "tls://"), tls=context, allow_reconnect=False)
+            for subject in NATIVE:
+                await client.subscribe(subject, cb=hear)
+            await client.flush()
+            self._native = client
+        except (NatsError, OSError):  # refused
+            await client.close()
+
+    async def close(self) -> None:
+        if self._native is not None:
+            await self._native.close()
+
+    def vanish(self) -> None:
+        """Leave without a farewell: the broker is to speak the will, which is one for another."""
+        client = self.client(f"{BAD}-will")
+        deadline_s = time.monotonic() + HANG_S
+        while not client.is_connected() and time.monotonic() < deadline_s:
+            time.sleep(0.01)
+        client.loop_stop()
+        connection = client.socket()
+        if connection is not None:
+            connection.close()
+
+    def storm(self) -> None:
+        """Take over, flood and retain until it is over."""
+        number = 0
+        while not self._is_over.is_set():
+            victim = self._victims[number % len(self._victims)]
+            for identifier in (f"clutchdiag-{victim}", victim, "fleet-backend", f"huge-{number}"):
+                try:
+                    client = self.client(identifier, is_huge=True)
+                except OSError:
+                    continue
+                for topic in (
+                    f"clutchdiag/v1/{BAD}/shift",
+                    f"clutchdiag/v1/{BAD}/status",
+                    f"clutchdiag/v1/{victim}/ack",
+                ):
+                    for _ in range(self._flood_count):
+                        client.publish(topic, b"x" * 10_000, 1, retain=topic.endswith("status"))
+                self._is_over.wait(0.05)
+                client.disconnect()
+                client.loop_stop()
+            number += 1
+
+    @contextmanager
+    def storming(self) -> Iterator[None]:
+        """Storm from three threads for as long as the block lasts."""
+        threads = [threading.Thread(target=self.storm) for _ in range(3)]
+        for thread in threads:
+            thread.start()
+        try:
+            yield
+        finally:
+            self._is_over.set()
+            for thread in threads:
+                thread.join(HANG_S)
+
+
+def certify(folder: Path, *names: str) -> Path:
+    """Make an authority and certificates, by the commands of docs/mqtt.md; return the folder."""
+    folder.mkdir(parents=True)
+    signed = "-addext basicConstraints=critical,CA:FALSE -CA ca.crt -CAkey ca.key"
+    for name in ("ca", *names):
+        of = {"ca": "", "broker": f"-addext subjectAltName=IP:127.0.0.1 -addext extendedKeyUsage=serverAuth {signed}"}
+        more = of.get(name, f"-addext extendedKeyUsage=clientAuth {signed}")
+        command = (
+            f"openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 30 -subj /CN={name} {more}"
+        )
+        command += f" -keyout {name}.key -out {name}.crt"
+        subprocess.run(command.split(), cwd=folder, check=True, capture_output=True)
+    return folder
+
+
+def tls_files(folder: Path, name: str) -> TlsFiles:
+    return TlsFiles(authority=folder / "ca.crt", certificate=folder / f"{name}.crt", key=folder / f"{name}.key")
+
+
+def write_access(folder: Path, vehicles: Iterable[str]) -> None:
+    """Write the brokers' files into a folder, with an entry for each vehicle, as docs/mqtt.md has it."""
+    for name in ("dynamic-security.json", "nats.conf"):
+        lines = []
+        for line in (DEPLOY / name).read_text(encoding="utf-8").splitlines():
+            lines += [line, *(line.replace("VEHICLE", one) for one in vehicles if "VEHICLE" in line)]
+        (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        (folder / name).chmod(0o600)
+
+
+def fleet_broker(folder: Path, certificates: Path) -> Mosquitto:
+    """Return a Mosquitto as docs/deploy has it, off until started."""
+    plugin = min(path for place in ("/usr/lib", "/usr/local/lib") for path in Path(place).rglob(PLUGIN))
+    text = (DEPLOY / "mosquitto.conf").read_text(encoding="utf-8")
+    text = text.replace(f"/usr/lib/x86_64-linux-gnu/{PLUGIN}", str(plugin)).replace(
+        "/etc/clutchdiag", str(certificates)
+    )
+    lines = tuple(line for line in text.splitlines() if line and not OURS.match(line))
+    return Mosquitto(folder, lines, is_durable=False)
+
+
+async def deliver(certificates: Path, port: int, names: Sequence[str], seqs: Iterable[int]) -> float:
+    """Deliver what vehicles have, results of these positions each, and return how long it took [s]."""
+    begin_s = time.monotonic()
+    async with AsyncExitStack() as stack:
+        stores, outboxes = {}, {}
+        for name in names:
+            store = stores[name] = stack.enter_context(closing(ResultStore.in_memory()))
+            address = BrokerAddress(host="127.0.0.1", port=port, tls=tls_files(certificates, name))
+            identifier = f"clutchdiag-{name}-{store.connection_secret()}"
+            connect = partial(MqttConnector(address, identifier, is_persistent=True).connect, NOW)
+            outbox = outboxes[name] = Outbox(
+                store,
+                name,
+                connect,
+                str(address),
+                acknowledge=Acknowledge.BACKEND,
+                limits=QUICK,
+            )
+            sender = asyncio.create_task(outbox.run())
+            stack.push_async_callback(asyncio.wait, [sender])
+            stack.callback(sender.cancel)
+        for number in seqs:
+            for name in names:
+                stores[name].add(shift_result(number, vehicle=name), STATE)
+                outboxes[name].wake()
+            await asyncio.sleep(0.05)
+        async with asyncio.timeout(90.0):
+            while any(stores[name].unpublished_count(name) for name in names):  # noqa: ASYNC110 - nobody tells
+                await asyncio.sleep(0.01)
+    return time.monotonic() - begin_s
+
+
+def stored(url: str) -> int:
+    """Return how many results the fleet's database has."""
+    engine = open_database(url)
+    try:
+        return queries.result_count(engine)
+    finally:
+        engine.dispose()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What came of an attack."""
+
+    usual_s: float  # that the same results take without it
+    took_s: float
+    stored_count: int
+    granted: list[str]  # subscriptions of the bad one
+    heard: list[str]
+    log: str  # of the broker
+    kept_bytes: int  # by which the broker grew when it was filled
+    sent_bytes: int  # to fill it
+
+    def unseen(self, kind: str) -> list[str]:
+        """Return the attempts of which the broker's log says nothing."""
+        return [name for name, word in TRACES[kind].items() if word not in self.log]
+
+
+# What the log of a broker says of each attempt.
+TRACES = {
+    "mosquitto": {
+        "take over a session": f"Client {BAD} already connected, closing old connection",
+        "write to another": f"Denied PUBLISH from {BAD} ",
+        "a huge session": f"as {BAD} (p5, c",
+        **{f"subscribe {topic}": f"\t{topic} (QoS 1)" for topic in OTHERS},
+    },
+    "nats": {
+        "take over a session": '"clutchdiag-car1" - ',
+        "the port of NATS itself": "authentication error",
+        "write to another": f'Publish Violation - User "CN={BAD}"',
+        "a huge session": '"huge-',
+        "a will for another": f'Publish Violation - User "CN={BAD}", Subject "clutchdiag.v1.car1.status"',
+        **{
+            f"subscribe {topic}": 'Subscription Violation - User "CN=carX", Subject "{}"'.format(
+                topic.replace("/", ".").replace("+", "*").replace("#", ">")
+            )
+            for topic in OTHERS
+        },
+    },
+}
+
+
+async def attack(
+    folder: Path, kind: str, names: Sequence[str], shifts: int, topic_count: int = TOPICS, part_count: int = PARTS
+) -> Outcome:
+    """Let vehicles deliver, then once more under attack of one of their own kind."""
+    certificates = certify(folder / "certificates", "broker", *names, BAD, "fleet-backend")
+    url = f"sqlite:///{folder}/fleet.sqlite"
+    engine = open_database(url)
+    migrate(engine)
+    engine.dispose()
+    write_access(certificates, (*names, BAD))
+    files, place = tls_files(certificates, "fleet-backend"), folder / kind
+    words = ["--ca", str(files.authority), "--cert", str(files.certificate), "--key", str(files.key)]
+    place.mkdir()
+    with ExitStack() as stack:
+        flood_count = 20 if kind == "mosquitto" else 1
+        if kind == "mosquitto":
+            mosquitto = fleet_broker(place, certificates)
+            mosquitto.start()
+            stack.callback(mosquitto.stop)
+            port, pid, words = mosquitto.port, mosquitto.pid, [*words, "--group", GROUP]
+            address = f"mqtts://127.0.0.1:{port}"
+        else:
+            text = (certificates / "nats.conf").read_text(encoding="utf-8")
+            server = NatsServer(place, text.replace("/etc/clutchdiag", str(certificates)))
+            server.start()
+            stack.callback(server.stop)
+            port, pid, address = server.port, server.pid, server.url.replace("nats://", "nats+tls://")
+        stack.enter_context(workers(address, url, 1, words))
+        is_version_5 = kind == "mosquitto"
+        hostile = Hostile(certificates, port, names, is_version_5=is_version_5, flood_count=flood_count)
+        if kind == "nats":
+            await hostile.listen(server.url)
+        usual_s = await deliver(certificates, port, names, range(1, shifts + 1))
+        granted = [topic for topic in (*OTHERS, INNER) if hostile.subscribe(topic)]
+        hostile.tell(f"clutchdiag/v1/{names[0]}/ack")
+        hostile.vanish()
+        before_bytes = psutil.Process(pid).memory_info().rss
+        await asyncio.to_thread(hostile.fill, topic_count, part_count)
+        kept_bytes = psutil.Process(pid).memory_info().rss - before_bytes
+        with hostile.storming():
+            took_s = await deliver(certificates, port, names, range(shifts + 1, 2 * shifts + 1))
+        await hostile.close()
+    (log,) = place.glob("*.log")
+    return Outcome(
+        usual_s=usual_s,
+        took_s=took_s,
+        stored_count=stored(url),
+        granted=granted,
+        heard=hostile.heard,
+        log=log.read_text(encoding="utf-8", errors="replace"),
+        kept_bytes=kept_bytes,
+        sent_bytes=(topic_count + part_count) * PART_BYTES,
+    )
 
 
 def main() -> int:
     """Print the figures; return 0 if all keep their aims."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = study_parser(__doc__, is_parallel=False)
     parser.add_argument("--vehicles", type=int, default=20)
     parser.add_argument("--results", type=int, default=50, help="of each")
-    options = parser.parse_args()
+    options = parsed(parser, vehicles=5, results=20)
     names, is_kept = [f"car{number}" for number in range(1, options.vehicles + 1)], True
     for kind in TRACES:
         with TemporaryDirectory() as folder:
-            found = asyncio.run(attack(Path(folder), kind, names, options.results, TOPICS, PARTS))
+            found = asyncio.run(attack(Path(folder), kind, names, options.results, MANY_TOPICS, MANY_PARTS))
         lost_count = 2 * options.vehicles * options.results - found.stored_count
         later_s, unseen = found.took_s - found.usual_s, found.unseen(kind)
         print(

@@ -11,7 +11,6 @@ connected to it.
     python -m studies.hops --listing  # and which modules and functions the calls are, the most called first
 """
 
-import argparse
 import asyncio
 import inspect
 import subprocess
@@ -28,13 +27,11 @@ from types import CodeType, FrameType
 from typing import Any
 
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import load_contract
+from demo.fleet.brokers import Mosquitto
 from diag_service.cli import main as command_line
 from diag_service.delivery import MemoryReporter, MqttConnector, Outbox
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.records import ClutchVerdict, ShiftEstimate, ShiftResult, StoredResult
-from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.profile import load_profile
 from diag_service.service.drive import DriveFrames, open_drive
 from diag_service.service.recorded import events
 from diag_service.service.session import Session
@@ -44,7 +41,8 @@ from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore
 from fleet_contract import Outgoing
 from fleet_link import BrokerAddress
-from tests.plugins.broker import Mosquitto
+from studies.builders import new_decoder
+from studies.run import parsed, study_parser
 
 CARRIERS = (Event, ShiftEstimate, ClutchVerdict, Diagnosis, ShiftResult, StoredResult, Outgoing)
 RECORD_KEYS = {"schema", "friction", "clutch"}
@@ -119,7 +117,7 @@ def watched(trip: Trip) -> Iterator[None]:
 def new_session(store: ResultStore) -> Session:
     """Return a session in memory."""
     config = DiagnosisConfig(vehicle=VEHICLE, calibration=nominal_calibration())
-    return Session(config, Decoder(load_contract(), load_profile()), store, None, MemoryReporter())
+    return Session(config, new_decoder(), store, None, MemoryReporter())
 
 
 async def delivered(outbox: Outbox, count: int) -> None:
@@ -186,10 +184,10 @@ def listing(calls: Counter[Call]) -> str:
 
 def main() -> int:
     """Print the way; return 1 if it is longer than the goals."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = study_parser(__doc__, is_parallel=False)
     parser.add_argument("way", nargs="?", choices=("event", "decode"), default="event")
     parser.add_argument("--listing", action="store_true", help="print every module and function with its count")
-    asked = parser.parse_args()
+    asked = parsed(parser)
     if asked.way == "decode":
         with TemporaryDirectory() as folder:
             log = Path(folder) / "drive.log"

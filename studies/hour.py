@@ -1,88 +1,123 @@
-"""An hour of a WLTC's bus from its file to results, beside the time of decoding it, now and before a change.
+"""An hour of a WLTC's bus from its file to results, beside the time of decoding it.
 
 Two WLTCs of half an hour, as candump text and as BLF. What is timed is what the program does for a log in a folder:
 reading, decoding, finding shifts and launches, estimating, and the records that are written. Beside it stand reading
-and decoding alone, and both with what finds the shifts. ``--before`` names a folder with another version of this
-project, which is timed in turns with this one:
+and decoding alone, and both with what finds the shifts.
 
-    git worktree add ../before COMMIT
-    python -m studies.hour --before ../before
+    python -m studies.hour
 """
 
-import argparse
-import json
-import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-import studies.decoding.timed_hour as program
+import numpy as np
+
+from canlog.frames import FrameBatch, join
+from canlog.logs import read_log
+from clutch_model.calibration import nominal_calibration
+from diag_service.batch.drives import drive_of
+from diag_service.batch.journal import Entry
+from diag_service.batch.worker import Analyst
+from diag_service.settings.config import DiagnosisConfig
+from ecu_emulator.bus.frames import EncodedFrames
+from ecu_emulator.log_formats.writers import BlfWriter, CandumpWriter, FrameWriter, Header
 from studies import bars
-from studies.decoding.hour import NS_PER_S, PAUSE_NS, record_drive, write_hour
-from studies.measuring import machine
+from studies.builders import new_decoder, new_stages
+from studies.run import machine, parsed, study_parser, took_s
 
-ROUNDS: Final = 3
+NS_PER_US: Final = 1_000
+NS_PER_S: Final = 1_000_000_000
 HOUR_NS: Final = 3600 * NS_PER_S
-HERE: Final = Path(__file__).parents[1]
-DECODE, FIND, ANALYSE = "decode", "find_shifts", "analyse"
-
-Times = dict[str, float]
-
-
-def measured(tree: Path, log: Path) -> Times:
-    """Return the times of one version in a process of its own."""
-    command = [sys.executable, "-P", str(Path(program.__file__)), str(log.absolute())]
-    variables = {**os.environ, "PYTHONPATH": str(tree.absolute())}
-    said = subprocess.run(command, check=True, capture_output=True, text=True, env=variables, cwd=tree).stdout
-    times: Times = json.loads(said)
-    return times
+PAUSE_NS: Final = 2 * NS_PER_S  # bus time stands still between the drives: each is a segment of its own
+FORMATS: Final[dict[str, type[FrameWriter]]] = {"candump": CandumpWriter, "BLF": BlfWriter}
+SUFFIXES: Final = {"candump": ".log", "BLF": ".blf"}
 
 
-def least(rounds: Sequence[Times]) -> Times:
-    """Return the least time of each step."""
-    return {name: min(one[name] for one in rounds) for name in rounds[0]}
+def record_drive(folder: Path, *options: str) -> FrameBatch:
+    """Return the frames of a drive with production scatter, as the emulator's users record them."""
+    path = folder / "drive.log"
+    command = [sys.executable, "-m", "ecu_emulator", "record", str(path), *options]
+    subprocess.run(command, check=True, capture_output=True)
+    return join(list(read_log(path)))
 
 
-def told(name: str, found: dict[str, Times]) -> str:
-    """Return what a format takes, a line for each version."""
-    lines = [f"{name}: processor time [s], the least of {ROUNDS} rounds"]
-    event_ms = {version: 1e3 * (times[ANALYSE] - times[FIND]) / times["events"] for version, times in found.items()}
-    lines += [
-        f"  {version:7} decoded {times[DECODE]:6.2f}, to shifts {times[FIND]:6.2f}, to results {times[ANALYSE]:6.2f}"
-        f"   ({times['events']:.0f} events, {event_ms[version]:.2f} ms each)"
-        for version, times in found.items()
-    ]
-    result_s = found["now"][ANALYSE]
-    lines.append(f"  an hour to results {result_s:.2f} s   {bars.HOUR.judged(result_s)}")
-    if "before" in found:
-        result_ratio = found["before"][ANALYSE] / result_s
-        event_ratio = event_ms["before"] / event_ms["now"]
-        lines += [f"  before over now: to results {result_ratio:.2f}, each event once it is found {event_ratio:.2f}"]
-    return "\n".join(lines)
+def write_hour(drive: FrameBatch, count: int, path: Path, kind: type[FrameWriter]) -> float:
+    """Write ``count`` frames of the drive, over and over; return how much bus time that is [s]."""
+    first_us = last_us = int(drive.t_ns[0]) // NS_PER_US
+    round_us = (int(drive.t_ns[-1] - drive.t_ns[0]) + PAUSE_NS) // NS_PER_US
+    frames = EncodedFrames(t_s=np.zeros(len(drive)), can_id=drive.can_id, length=drive.length, data=drive.data)
+    with path.open("wb") as file:
+        writer = kind(file, Header(start_us=first_us, channel="vcan0"))
+        for first in range(0, count, len(drive)):
+            part = slice(0, min(len(drive), count - first))
+            times_us = drive.t_ns[part] // NS_PER_US + first // len(drive) * round_us
+            writer.write(times_us, frames[part])
+            last_us = int(times_us[-1])
+        writer.close()
+    return (last_us - first_us) / 1e6
+
+
+def decode(log: Path) -> None:
+    """Read a log and make columns of all its frames."""
+    decoder = new_decoder()
+    with closing(read_log(log)) as reader:
+        for batch in reader:
+            for _ in decoder.stream(batch):
+                pass
+
+
+def find_shifts(log: Path) -> None:
+    """Do the same and cut out what shifts, launches and creeps are made of."""
+    stages = new_stages()
+    with closing(read_log(log)) as reader:
+        for batch in reader:
+            stages.segment(batch)
+    stages.flush()
+
+
+def analyse(log: Path) -> Entry:
+    """Return what the program makes of a log in a folder, ready to be written."""
+    return Analyst(DiagnosisConfig(vehicle="vehicle", calibration=nominal_calibration())).analyse(drive_of([log]))
+
+
+STEPS: Final[tuple[Callable[[Path], object], ...]] = (decode, find_shifts, analyse)
+
+
+def report(name: str, log: Path, rounds: int, bus_s: float) -> None:
+    """Measure and print one format; the first pass compiles what is not compiled."""
+    count = len(analyse(log).shifts)
+    decode_s, find_s, result_s = (min(took_s(partial(step, log)) for _ in range(rounds)) for step in STEPS)
+    hour_s = result_s * HOUR_NS / NS_PER_S / bus_s
+    print(f"{name}: processor time [s], the least of {rounds} rounds")
+    print(
+        f"  decoded {decode_s:6.2f}, to shifts {find_s:6.2f}, to results {result_s:6.2f}"
+        f"   ({count} events, {1e3 * (result_s - find_s) / count:.2f} ms each)"
+    )
+    print(f"  an hour to results {hour_s:.2f} s   {bars.HOUR.judged(hour_s)}", flush=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Make the hour once, measure in turns, print."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    """Make the hour once, measure, print."""
+    parser = study_parser(__doc__, is_parallel=False)
     parser.add_argument("--frames", type=int, help="of the drive, over and over (an hour)")
     parser.add_argument("--drive", default="wltc")
-    parser.add_argument("--before", type=Path, metavar="FOLDER", help="of another version of this project")
-    options = parser.parse_args(arguments)
-    trees = {"now": HERE} if options.before is None else {"before": options.before, "now": HERE}
+    parser.add_argument("--rounds", type=int, default=3)
+    options = parsed(parser, arguments, frames=600_000, rounds=1)
     print(machine())
     with TemporaryDirectory() as name:
-        folder = Path(name)
-        candump, blf = folder / "hour.log", folder / "hour.blf"
-        drive = record_drive(folder, "--drive", options.drive)
+        drive = record_drive(Path(name), "--drive", options.drive)
         count = options.frames or int(len(drive) * HOUR_NS / (drive.t_ns[-1] - drive.t_ns[0] + PAUSE_NS))
-        duration_s = write_hour(drive, count, candump, blf)
-        print(f"{count:,} frames of {options.drive}, {duration_s:.0f} s of bus")
-        for log, shown in ((candump, "candump"), (blf, "BLF")):
-            rounds = [{version: measured(tree, log) for version, tree in trees.items()} for _ in range(ROUNDS)]
-            print(told(shown, {version: least([one[version] for one in rounds]) for version in trees}), flush=True)
+        for shown, kind in FORMATS.items():
+            log = Path(name) / f"hour{SUFFIXES[shown]}"
+            bus_s = write_hour(drive, count, log, kind)
+            print(f"{count:,} frames of {options.drive}, {bus_s:.0f} s of bus")
+            report(shown, log, options.rounds, bus_s)
 
 
 if __name__ == "__main__":

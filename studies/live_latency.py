@@ -7,7 +7,6 @@ before the signals that follow a shift are here.
     python -m studies.live_latency --shifts 100
 """
 
-import argparse
 import asyncio
 import math
 import os
@@ -25,23 +24,19 @@ from canlog.frames import FrameBatch
 from canlog.live import ReadSchedule, SourceCounts
 from canlog.live.sources import FrameQueue
 from clutch_model.calibration import nominal_calibration
-from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter, News
-from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.shifts.shifts import POST_NS
-from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.profile import load_profile
 from diag_service.service.live import run_live
 from diag_service.service.session import Session
-from diag_service.service.stages import Stages
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.scenario.scenario_file import load_scenario
+from studies.builders import new_decoder, new_stages
+from studies.run import parsed, study_parser
 
 FULL_HZ = 3_850  # frames of eight bytes with their stuff bits, about 130 bits each, at 500 kbit/s
 FOREIGN_ID = 0x7A0
@@ -148,11 +143,9 @@ class TimedReporter(MemoryReporter):
 
 async def run(frames: FrameBatch, store: ResultStore) -> tuple[list[float], list[tuple[float, float]], SourceCounts]:
     """Run the service over the drive; return latencies and parts of settling [s], and what became of the frames."""
-    calibration = nominal_calibration()
-    decoder = Decoder(load_contract(), load_profile())
     reporter = TimedReporter()
-    config = DiagnosisConfig(vehicle="benchmark", calibration=calibration)
-    session = TimedSession(config, decoder, store, None, reporter)
+    config = DiagnosisConfig(vehicle="study", calibration=nominal_calibration())
+    session = TimedSession(config, new_decoder(), store, None, reporter)
     session.processed_s = []
     schedule = ReadSchedule()
     source = PacedSource(frames, schedule)
@@ -166,16 +159,14 @@ async def run(frames: FrameBatch, store: ResultStore) -> tuple[list[float], list
 
 def warm_up() -> None:
     """Have everything compiled by a short drive, as it is in a service that ran before."""
-    calibration = nominal_calibration()
-    decoder = Decoder(load_contract(), load_profile())
-    Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh()).feed(full_bus(WARM_UP_S))
+    new_stages().feed(full_bus(WARM_UP_S))
 
 
 def main() -> int:
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = study_parser(__doc__, is_parallel=False)
     parser.add_argument("--shifts", type=int, default=CYCLE_SHIFTS, help=f"a multiple of {CYCLE_SHIFTS}, the default")
-    frames = full_bus(CYCLE_S * parser.parse_args().shifts / CYCLE_SHIFTS)
+    frames = full_bus(CYCLE_S * parsed(parser).shifts / CYCLE_SHIFTS)
     warm_up()
     with tempfile.TemporaryDirectory() as folder, closing(ResultStore.open(Path(folder) / "car.sqlite")) as store:
         latencies, processed, counts = asyncio.run(run(frames, store))

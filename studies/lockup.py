@@ -10,7 +10,6 @@ emulator's; or it is the emulator's, frames and all, on a UDDS. A verdict is wro
     python -m studies.lockup --vehicles 10 --minutes 60
 """
 
-import argparse
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -23,10 +22,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from studies.accuracy import FLUIDS as CONDITIONS
-from studies.accuracy import to_batch
-from studies.drive_accuracy import coverage
-from studies.study import add_pool_options, over_drives, root_mean_square
 from clutch_model.calibration import Calibration, shipped_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge_lockup
@@ -43,9 +38,12 @@ from ecu_emulator.bus.frames import merge
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.scenario.scenario_file import load_scenario
 from ecu_emulator.truth import ShudderTruth
-from tests.support.converter_drive import FLUIDS, ConverterCar, batches, drawn_car, drive
+from studies.builders import FLUIDS as CONDITIONS
+from studies.builders import STRETCH_S, to_batch
+from studies.converter_car import FLUIDS, ConverterCar, batches, drawn_car, drive
+from studies.drive_accuracy import coverage
+from studies.run import over_drives, parsed, root_mean_square, study_parser
 
-STRETCH_S: Final = 60.0
 FIRST_SEED: Final = 410_000  # seeds below 1,000 were looked at while the estimator was made
 MOMENTS_S: Final = (120.0, 300.0, 600.0)  # of slip
 END: Final = 0.0
@@ -221,13 +219,11 @@ def lines(outcomes: Sequence[Outcome]) -> Iterator[str]:
 
 def main() -> int:
     """Drive all vehicles and print the tables; return 1 if a verdict was wrong."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = study_parser(__doc__, seed=FIRST_SEED)
     parser.add_argument("--vehicles", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first vehicle")
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--emulator", action="store_true", help="the emulated car along a UDDS, frames and all")
-    add_pool_options(parser)
-    options = parser.parse_args()
+    options = parsed(parser, vehicles=5)
     case = partial(Case, minutes=options.minutes, is_emulated=options.emulator)
     seeds = range(options.seed, options.seed + options.vehicles)
     cases = [case(seed=seed, fluid=fluid) for seed in seeds for fluid in FLUIDS]

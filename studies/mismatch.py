@@ -8,7 +8,6 @@ does, and with production scatter on top, which shows whether the stated deviati
 writes ``docs/mismatch.md``.
 """
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -16,10 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.drive_accuracy import WRONG
-from studies.mismatch_road import road_section
-from studies.mismatch_rows import BY_NAME, ROWS, Mismatch
-from studies.study import diagnose, over_drives, percent, root_mean_square
 from diag_service.diagnosis.friction.evidence import REFERENCE_K
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.records import FrictionEstimate, Status
@@ -28,6 +23,11 @@ from ecu_emulator.plant.clutch import friction_ratio
 from ecu_emulator.plant.parameters import nominal_parameters
 from ecu_emulator.scenario.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario
+from studies.builders import diagnose
+from studies.drive_accuracy import WRONG
+from studies.mismatch_road import road_section
+from studies.mismatch_rows import BY_NAME, ROWS, Mismatch
+from studies.run import over_drives, parsed, percent, root_mean_square, study_parser
 
 PAGE = Path(__file__).parent.parent / "docs" / "mismatch.md"
 NOISE_ONLY, SCATTERED = "noise_only", "ideal"
@@ -228,22 +228,23 @@ def document(lines: Sequence[Line], seeds: int, first_seed: int, road: Sequence[
 
 def main() -> int:
     """Run the study and write its page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = study_parser(__doc__, seed=FIRST_SEED)
     parser.add_argument("--seeds", type=int, default=18)
-    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument("--road", type=int, default=12, help="vehicles for each kind of drive on the road; 0: none")
-    parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--output", type=Path, default=PAGE)
     parser.add_argument("--row", action="append", choices=sorted(BY_NAME), help="print this row only, write nothing")
-    arguments = parser.parse_args()
+    arguments = parsed(
+        parser, seeds=3, row=["w_S x 1.5", "viscosity x 1.25", "torque lag 10 ms", "5 % of the frames lost"]
+    )
     rows = [BY_NAME[name] for name in arguments.row or ()] or ROWS
-    results = over_drives(outcomes, cases_of(rows, arguments.seeds, arguments.first_seed), arguments.jobs)
+    cases = cases_of(rows, arguments.seeds, arguments.seed)
+    results = over_drives(outcomes, cases, arguments.workers, arguments.kept)
     lines = [line_of(row.name, results) for row in rows]
     if arguments.row:
         print("\n".join(table(lines)))
         return 0
-    road = list(road_section(arguments.road, arguments.jobs)) if arguments.road else []
-    page = document(lines, arguments.seeds, arguments.first_seed, road)
+    road = list(road_section(arguments.road, arguments.workers)) if arguments.road else []
+    page = document(lines, arguments.seeds, arguments.seed, road)
     arguments.output.write_text(page, encoding="utf-8")
     print(page)
     return 0

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from studies.drive_accuracy import END, MOMENTS, Case, Outcome, driven
-from studies.study import over_drives, percent, root_mean_square
+from studies.run import over_drives, percent, root_mean_square
 
 FIRST_SEED: Final = 94_000
 DRIVES: Final = (("udds", 80.0), ("us06", 80.0), ("wltc", 20.0), ("us06", 0.0), ("udds", -10.0))  # trace, oil [degC]

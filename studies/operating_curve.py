@@ -7,7 +7,6 @@ Each drive goes the whole way in memory, with production scatter: another vehicl
 writes ``verdict-operating-curve.md``, ``.csv`` and ``.svg`` into ``docs``.
 """
 
-import argparse
 import csv
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,13 +18,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from studies.drawing import CONDITION_COLOUR, GRID, as_svg, drawing_style
-from studies.study import diagnose, over_drives, percent
 from clutch_model.calibration import nominal_calibration
+from demo.drawing import CONDITION_COLOUR, GRID, as_svg, drawing_style
 from diag_service.diagnosis.records import Condition
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.scenario.scenario import Scenario, Truth
 from ecu_emulator.scenario.scenario_file import load_scenario
+from studies.builders import diagnose
+from studies.run import over_drives, parsed, percent, study_parser
 
 DOCS = Path(__file__).parent.parent / "docs"
 STEM = "verdict-operating-curve"
@@ -256,17 +256,17 @@ def picture(shares: Shares) -> str:
 
 def main() -> int:
     """Run the study and write its page, picture and table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = study_parser(__doc__, seed=FIRST_SEED)
     parser.add_argument("--seeds", type=int, default=14, help="vehicles for each point, up to three cycles")
     parser.add_argument("--long-seeds", type=int, default=2, help="vehicles for every other point, thirty cycles")
-    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
-    parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--output", type=Path, default=DOCS)
-    arguments = parser.parse_args()
-    cases = cases_of(arguments.seeds, arguments.long_seeds, arguments.first_seed)
-    shares = shares_of(over_drives(outcomes, cases, arguments.jobs))
-    page = document(shares, len(cases), arguments.first_seed)
-    for suffix, text in (("md", page), ("csv", comma_separated(shares)), ("svg", picture(shares))):
+    arguments = parsed(parser, seeds=1, long_seeds=0, output=None)
+    cases = cases_of(arguments.seeds, arguments.long_seeds, arguments.seed)
+    shares = shares_of(over_drives(outcomes, cases, arguments.workers, arguments.kept))
+    page = document(shares, len(cases), arguments.seed)
+    for suffix, text in (
+        () if arguments.output is None else (("md", page), ("csv", comma_separated(shares)), ("svg", picture(shares)))
+    ):
         (arguments.output / f"{STEM}.{suffix}").write_text(text, encoding="utf-8")
     print(page)
     return 0

@@ -4,7 +4,6 @@ A Mosquitto of its own, a backend in a process of its own that acknowledges by t
 aiomqtt publishing one message after the other, as a service without pipelining would.
 """
 
-import argparse
 import asyncio
 import multiprocessing
 import sqlite3
@@ -23,6 +22,7 @@ import aiomqtt
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
+from demo.fleet.brokers import Mosquitto
 from diag_service.delivery import Acknowledge, MqttConnector, Outbox
 from diag_service.diagnosis.records import dump, iso_utc, shift_record
 from diag_service.store import ResultStore, VehicleState, Versions
@@ -36,8 +36,8 @@ from fleet_contract import (
     read_message,
 )
 from fleet_link import BrokerAddress
-from tests.plugins.broker import Mosquitto
-from tests.support.builders import shift_result
+from studies.builders import shift_result
+from studies.run import parsed, study_parser
 
 VEHICLE: Final = "car1"
 STATE: Final = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
@@ -171,9 +171,9 @@ def measure(count: int) -> None:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m studies.outbox", description=__doc__)
+    parser = study_parser(__doc__, is_parallel=False)
     parser.add_argument("--results", type=int, default=10_000, help="backlog (default: %(default)s)")
-    measure(parser.parse_args().results)
+    measure(parsed(parser, results=2_000).results)
     return 0
 
 

@@ -1,6 +1,6 @@
-"""The plant against its golden values: laws, power balance, error of the step, speed, the nominal cycle.
+"""The plant on its nominal cycle: power balance, error of the step, speed.
 
-python studies/plant.py
+python -m studies.plant
 """
 
 import time
@@ -9,10 +9,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from studies import bars
 from clutch_model.calibration import nominal_calibration
 from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
-from tests.reference.golden import golden_values
+from studies import bars
+from studies.run import parsed, study_parser
 
 CALIBRATION = nominal_calibration()
 PARAMETERS = nominal_parameters()
@@ -24,14 +24,6 @@ STEPS_S = (2.5e-4, 2.0e-4, 1.0e-4)
 
 def train(dt_s: float, *, is_audited: bool = False) -> Powertrain:
     return Powertrain(CALIBRATION, PARAMETERS, DriveSettings(dt_s=dt_s), is_audited=is_audited)
-
-
-def laws(console: Console) -> None:
-    table = Table("golden value", "expected", "here", "difference", title="Laws")
-    for golden in golden_values():
-        difference = f"{golden.here / golden.expected - 1.0:+.1e}"
-        table.add_row(golden.name, f"{golden.expected:.7g}", f"{golden.here:.7g}", difference)
-    console.print(table)
 
 
 def power_balance(console: Console) -> None:
@@ -72,9 +64,9 @@ def speed(console: Console) -> None:
 
 
 def main() -> None:
+    parsed(study_parser(__doc__, is_parallel=False))
     console = Console(markup=False)  # units stand in brackets
     train(DriveSettings().dt_s).advance(0.01)  # compiles, or loads the cache
-    laws(console)
     power_balance(console)
     step_halving(console)
     speed(console)

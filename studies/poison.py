@@ -12,7 +12,6 @@ friction of a clutch falls or rises by 6 % between two drives of a vehicle.
     python -m studies.poison --oil-degc 0 --trace udds        # one UDDS instead of three cycles
 """
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,28 +22,22 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from studies.accuracy import EPOCH_US, to_batch
-from studies.drawn_vehicle import draw
-from studies.drive_accuracy import STRETCH_S, WRONG
-from studies.drive_events import planned
-from studies.study import over_drives, root_mean_square
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
-from clutch_model.units import k_from_degc
-from dbc.contract import load_contract
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.posterior import scale_free
 from diag_service.diagnosis.records import Condition, Reason, Status
-from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.profile import load_profile
-from diag_service.service.stages import Diagnosis, Stages
+from diag_service.service.stages import Diagnosis
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.drive.recording import Drive, frames_of
 from ecu_emulator.scenario.drive_names import DriveName
-from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Routine, Scenario, Truth
+from ecu_emulator.scenario.scenario import FluidCondition, Routine, Scenario, Truth
+from studies.builders import EPOCH_US, STRETCH_S, TRACES, in_oil, new_stages, planned, to_batch
+from studies.drawn_vehicle import draw
+from studies.drive_accuracy import WRONG
+from studies.run import over_drives, parsed, root_mean_square, study_parser
 
 FIRST_SEED: Final = 93_000
 TRIALS_PER_VEHICLE: Final = 5
@@ -53,7 +46,6 @@ STEP_RATIO: Final = 0.06
 FOLLOWED_EVENTS: Final = 4  # of the clutch
 COLD_FOLLOWED_EVENTS: Final = 8  # likewise where the oil is colder than this:
 COLD_DEGC: Final = 60.0
-TRACES: Final = ("wltc", "udds", "hwfet", "us06", "city")
 NS_TO_S: Final = 1e-9
 KINDS: Final = ("drift", "offset", "spike")
 TORQUES_NM: Final = {"drift": 20.0, "offset": 15.0, "spike": 60.0}  # drift: per second
@@ -80,9 +72,7 @@ class Setting:
         """Return the scenario in that oil; cycles keep its temperature, a trace warms it up."""
         if self.oil_degc is None:
             return scenario
-        oil_k = k_from_degc(self.oil_degc)
-        ambient = Ambient(temperature_k=min(oil_k, 293.15), oil_temperature_k=oil_k, coolant_temperature_k=oil_k)
-        return replace(scenario, ambient=ambient)
+        return in_oil(scenario, self.oil_degc)
 
     def drive(self, scenario: Scenario) -> Drive:
         """Return the drive of a scenario, before it begins."""
@@ -92,7 +82,7 @@ class Setting:
 
     def events(self, scenario: Scenario) -> list[Event]:
         """Drive, and return the events."""
-        stages, found = stages_of_type(), list[Event]()
+        stages, found = new_stages(), list[Event]()
         if self.trace is None:
             return stages.segment(to_batch(frames_of(scenario)[0])) + stages.flush()
         for stretch in self.drive(scenario).stretches(STRETCH_S):
@@ -143,16 +133,9 @@ def bad(event: Event, signal: Signal, kind: str, sign: float) -> Event:
     return replace(event, columns={**event.columns, signal: replace(series, value=series.value + error)})
 
 
-def stages_of_type() -> Stages:
-    """Return a service that has never met the vehicle."""
-    calibration = nominal_calibration()
-    decoder = Decoder(load_contract(), load_profile())
-    return Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
-
-
 def concluded(events: Sequence[Event]) -> list[Diagnosis]:
     """Return the diagnoses of events by a service that has never met the vehicle."""
-    stages = stages_of_type()
+    stages = new_stages()
     return [stages.conclude(event) for event in events]
 
 
@@ -260,14 +243,12 @@ def _later(event: Event, by_ns: int) -> Event:
 
 def main() -> int:
     """Run both studies and print their tables; return 1 if a bad event did harm unnoticed or a change was missed."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = study_parser(__doc__, seed=FIRST_SEED)
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--steps", type=int, default=24, help="vehicles whose friction changes")
-    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first vehicle")
     parser.add_argument("--oil-degc", type=float, help="oil at the start, 90 if nothing is said")
     parser.add_argument("--trace", choices=TRACES, help="instead of three cycles")
-    parser.add_argument("--workers", type=int, default=2)
-    options = parser.parse_args()
+    options = parsed(parser, trials=10, steps=4)
     setting = Setting(oil_degc=options.oil_degc, trace=options.trace)
     count = -(-options.trials // TRIALS_PER_VEHICLE)
     found = over_drives(partial(trials, setting), range(options.seed, options.seed + count), options.workers)

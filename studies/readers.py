@@ -7,12 +7,12 @@ little.
     python -m studies.readers [--frames 2000000] [--rounds 3]
 """
 
-import argparse
 import statistics
 import subprocess
 import sys
 import warnings
 import zlib
+from argparse import SUPPRESS
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,12 +23,12 @@ import can
 from rich.console import Console
 from rich.table import Table
 
-from studies import bars
-from studies.bus64 import Decoder, dbc_text, load_bus, write_log
-from studies.measuring import machine, peak_mib, took_s
 from canlog.frames import FrameBatch
 from canlog.logs import read_log
 from canlog.logs.blf import CONTAINER_HEADER, OBJECT_HEADER
+from studies import bars
+from studies.bus64 import Decoder, dbc_text, load_bus, write_log
+from studies.run import machine, parsed, peak_mib, study_parser, took_s
 
 FRAMES: Final = 2_000_000
 ROUNDS: Final = 3
@@ -177,11 +177,11 @@ def print_growth(path: Path) -> None:
 
 def main() -> None:
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = study_parser(__doc__, is_parallel=False)
     parser.add_argument("--frames", type=int, default=FRAMES, help=f"frames of each log ({FRAMES})")
     parser.add_argument("--rounds", type=int, default=ROUNDS, help=f"of which the medians are printed ({ROUNDS})")
-    parser.add_argument("--grow", type=Path, help=argparse.SUPPRESS)
-    options = parser.parse_args()
+    parser.add_argument("--grow", type=Path, help=SUPPRESS)
+    options = parsed(parser, frames=200_000, rounds=1)
     warnings.simplefilter("ignore")  # of the peers
     if options.grow:
         print_growth(options.grow)

@@ -7,7 +7,6 @@ prediction: each is left out, or only the first half is known. Emulated cars are
 Downshifts are predicted from the other downshifts, launches from all power upshifts: none of one clutch are many.
 """
 
-import argparse
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -15,12 +14,13 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.special import stdtrit
 
-from studies.scan_tool import written
 from canlog.arrays import FloatArray
 from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
+from demo.drawing import as_svg, drawing_style
 from diag_service.commands.predict import (
     OURS,
     Shown,
@@ -51,6 +51,8 @@ from diag_service.mapping.interpretation import Interpretation, interpret
 from diag_service.mapping.survey import proposed_profile
 from diag_service.service.stopping import Trigger
 from ecu_emulator.cli import main as emulator
+from studies.builders import written
+from studies.run import parsed, study_parser
 
 RPM = 30.0 / np.pi  # of rad/s
 
@@ -225,10 +227,6 @@ def table(title: str, shown: Sequence[Shown], what: str = "power upshifts") -> I
 
 def picture(shown: Shown) -> str:
     """Return the picture of a shift as SVG: samples of engine speed, what was predicted, and simpler models."""
-    from matplotlib.figure import Figure  # noqa: PLC0415 - of the extra for pictures
-
-    from studies.drawing import as_svg, drawing_style  # noqa: PLC0415 - likewise
-
     phase, ours = shown.phase, shown.predictions[OURS]
     t_ms, start = 1e3 * phase.t_s, float(phase.speed_rad_s[0])
     with drawing_style():
@@ -251,12 +249,12 @@ def picture(shown: Shown) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = study_parser(__doc__, is_parallel=False)
     parser.add_argument("tables", nargs="*", type=Path, metavar="FILE", help="tables of signals of one type of vehicle")
     parser.add_argument("--vehicles", type=int, default=12, help="emulated cars beside them")
     parser.add_argument("--picture", type=Path, help="SVG of the upshift with most samples but the first")
     parser.add_argument("--cycles", type=int, default=3, help="shift cycles of each, with five power upshifts")
-    options = parser.parse_args(arguments)
+    options = parsed(parser, arguments, vehicles=2, cycles=1)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if options.tables:

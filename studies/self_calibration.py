@@ -18,7 +18,6 @@ cannot tell. *mu times gain* leaves the area in, of which 1 % is drawn.
     python -m studies.self_calibration --trace wltc --oil-degc -10 --other-laws     # from one drive on the road
 """
 
-import argparse
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,29 +25,22 @@ from functools import partial
 
 import numpy as np
 
-from studies.accuracy import to_batch
-from studies.drawn_vehicle import CYCLES, Vehicle, draw
-from studies.drive_accuracy import STRETCH_S, Case, scenario_of
-from studies.drive_events import planned
-from studies.study import over_drives, root_mean_square
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
-from dbc.contract import load_contract
-from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.posterior import scale_free
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
-from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.profile import load_profile
-from diag_service.service.stages import Stages
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.drive.recording import Drive, frames_of
 from ecu_emulator.scenario.scenario import Routine, Scenario
+from studies.builders import STRETCH_S, TRACES, diagnose, new_decoder, planned, to_batch
+from studies.drawn_vehicle import CYCLES, Vehicle, draw
+from studies.drive_accuracy import Case, scenario_of
+from studies.run import over_drives, parsed, root_mean_square, study_parser
 
 FIRST_SEED = 27_000  # seeds below were looked at while priors and gates were chosen
 REV_COUNT = 20
@@ -119,7 +111,12 @@ def road_study(case: Case, start: Calibration) -> list[Row]:
     scenario, vehicle = scenario_of(case)
     if vehicle is None:
         raise ValueError("a vehicle just like its type has nothing to calibrate")
-    drive, decoder, finder, shifts = Drive(scenario, planned=iter([planned(case.trace)])), _decoder(), ShiftFinder(), []
+    drive, decoder, finder, shifts = (
+        Drive(scenario, planned=iter([planned(case.trace)])),
+        new_decoder(),
+        ShiftFinder(),
+        [],
+    )
     for stretch in drive.stretches(STRETCH_S):
         for columns in decoder.stream(to_batch(merge([stretch.frames]))):
             shifts += finder.feed(columns)
@@ -133,7 +130,7 @@ def road_study(case: Case, start: Calibration) -> list[Row]:
 
 def events_of(frames: EncodedFrames) -> tuple[list[Event], list[Event]]:
     """Return the shifts and revs that the service sees in a drive."""
-    decoder, shift_finder, run_up_finder = _decoder(), ShiftFinder(), RunUpFinder(nominal_calibration())
+    decoder, shift_finder, run_up_finder = new_decoder(), ShiftFinder(), RunUpFinder(nominal_calibration())
     shifts, run_ups = [], []
     for columns in decoder.feed(to_batch(frames)):
         shifts += shift_finder.feed(columns)
@@ -143,9 +140,7 @@ def events_of(frames: EncodedFrames) -> tuple[list[Event], list[Event]]:
 
 def driven_friction(scenario: Scenario, calibration: Calibration) -> FloatArray:
     """Return mu_C and mu_S of both clutches as a drive leaves them, estimated from nothing but the calibration."""
-    stages = Stages(_decoder(), calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
-    frames, _ = frames_of(scenario)
-    state = stages.feed(to_batch(frames))[-1].state
+    state = diagnose(scenario, calibration)[0][-1].state
     return np.array(
         [value for clutch in (1, 2) for one in [friction_of(state, clutch)] for value in (one.mu_c, one.mu_s)]
     )
@@ -195,10 +190,6 @@ def judged(kind: str, vehicle: Vehicle, found: SelfCalibration, true: FloatArray
 
 def _percent(values: FloatArray) -> tuple[float, ...]:
     return tuple((100.0 * values).tolist())
-
-
-def _decoder() -> Decoder:
-    return Decoder(load_contract(), load_profile())
 
 
 def report(rows: Sequence[Row]) -> Iterator[str]:
@@ -255,31 +246,30 @@ def _errors(name: str, errors: FloatArray) -> str:
 
 def main() -> int:
     """Run the study and print its tables."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = study_parser(__doc__, seed=FIRST_SEED)
     parser.add_argument("--vehicles", type=int, default=102)
-    parser.add_argument("--first-seed", type=int, default=FIRST_SEED)
     parser.add_argument(
         "--mismatch", action="store_true", help="vehicles whose films and linings are unlike the belief"
     )
     parser.add_argument("--belief", choices=list(BELIEFS), default="shipped", help="what the calibration allows for")
-    parser.add_argument("--trace", choices=("wltc", "udds", "hwfet", "us06", "city"), help="from one drive on the road")
+    parser.add_argument("--trace", choices=TRACES, help="from one drive on the road")
     parser.add_argument("--oil-degc", type=float, default=80.0, help="with --trace")
     parser.add_argument(
         "--other-laws", action="store_true", help="with --trace: of cold oil, as drive_accuracy has them"
     )
-    parser.add_argument("--jobs", type=int, default=2)
-    arguments = parser.parse_args()
-    seeds = range(arguments.first_seed, arguments.first_seed + arguments.vehicles)
+    arguments = parsed(parser, vehicles=4)
+    seeds = range(arguments.seed, arguments.seed + arguments.vehicles)
     start = BELIEFS[arguments.belief]()
     if arguments.trace is None:
         vehicles = [draw(seed, has_mismatch=arguments.mismatch) for seed in seeds]
-        rows = over_drives(partial(study, start=start), vehicles, arguments.jobs)
+        rows = over_drives(partial(study, start=start), vehicles, arguments.workers, arguments.kept)
     else:
         case = partial(
             Case, trace=arguments.trace, oil_degc=arguments.oil_degc, is_plain=False, has_mismatch=arguments.mismatch,
             loss_ratio=0.0, has_other_laws=arguments.other_laws,
         )  # fmt: skip
-        rows = over_drives(partial(road_study, start=start), [case(seed=seed) for seed in seeds], arguments.jobs)
+        cases = [case(seed=seed) for seed in seeds]
+        rows = over_drives(partial(road_study, start=start), cases, arguments.workers, arguments.kept)
     print(
         f"self-calibration, {arguments.trace or f'{CYCLES} cycles'}, seeds {seeds[0]}..{seeds[-1]}"
         + (", film, viscosity, w_S, K_c and touch point unlike the belief" if arguments.mismatch else "")

@@ -5,9 +5,9 @@ counters and bus time go on from one round of the loop to the next.
 
     python -m studies.service_memory
 """
+
 # ruff: noqa: E402 - what the live service leaves out must be left out before anything is imported
 
-import argparse
 import asyncio
 import gc
 import json
@@ -35,6 +35,7 @@ from canlog.logs import read_log
 from dbc.contract import load_contract
 from diag_service import cli
 from diag_service.commands import arguments
+from studies.run import parsed, study_parser
 
 TARGET_MB = 300.0
 SETTLED_S = 900.0  # caches and arenas have their size by then; from here on growth would be a leak
@@ -156,9 +157,9 @@ def slope_mb_h(samples: list[tuple[float, float]]) -> float:
 
 def main() -> int:
     """Run the benchmark."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = study_parser(__doc__, is_parallel=False)
     parser.add_argument("--hours", type=float, default=1.0, help="bus time (default: 1)")
-    arguments = parser.parse_args()
+    arguments = parsed(parser, hours=0.25)
     with TemporaryDirectory() as folder, chdir(folder):
         command = [sys.executable, "-m", "ecu_emulator", "record", "drive.log", "--cycles", str(CYCLES)]
         subprocess.run(command, check=True, capture_output=True)

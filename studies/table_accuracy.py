@@ -10,7 +10,6 @@ Without both nothing may be said of friction.
     python -m studies.table_accuracy --vehicles 12 --workers 1
 """
 
-import argparse
 import sys
 import tempfile
 from collections import Counter
@@ -24,10 +23,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from studies.drive_accuracy import END, MOMENTS, STRETCH_S, WRONG, Case, Outcome, coverage, outcome_of, scenario_of
-from studies.drive_events import planned
-from studies.scan_tool import OF_FRICTION, OUTPUT, with_fuel, written
-from studies.study import add_pool_options, over_drives, root_mean_square
 from canlog.arrays import FloatArray
 from canlog.logs import read_log
 from clutch_model.calibration import TorqueSource, nominal_calibration
@@ -40,6 +35,9 @@ from diag_service.mapping.survey import proposed_profile
 from diag_service.service.stages import Diagnosis, Stages
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.log_formats.record import open_log
+from studies.builders import OF_FRICTION, OUTPUT, STRETCH_S, planned, with_fuel, written
+from studies.drive_accuracy import END, MOMENTS, WRONG, Case, Outcome, coverage, outcome_of, scenario_of
+from studies.run import over_drives, parsed, root_mean_square, study_parser
 
 RATES_HZ: Final = (50.0, 27.0, 10.0)
 TRACES: Final = ("udds", "us06")
@@ -214,13 +212,11 @@ def events(drives: Sequence[Shown]) -> Table:
 
 def main() -> int:
     """Drive all vehicles and print the tables; return 1 if a verdict was wrong."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = study_parser(__doc__, seed=FIRST_SEED)
     parser.add_argument("--vehicles", type=int, default=12, help="on each of the two traces")
-    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first vehicle")
-    add_pool_options(parser)
     parser.add_argument("--traces", nargs="+", default=TRACES, choices=TRACES)
     parser.add_argument("--tables", nargs="+", default=NAMES, choices=NAMES)
-    options = parser.parse_args()
+    options = parsed(parser, vehicles=1, traces=["udds"])
     cases = [
         Case(seed=seed, trace=trace, oil_degc=80.0, is_plain=False, has_mismatch=False, loss_ratio=0.0)
         for seed in range(options.seed, options.seed + options.vehicles)

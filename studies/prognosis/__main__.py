@@ -3,41 +3,28 @@
     python -m studies.prognosis --lives 200 --jobs 2
     python -m studies.prognosis --simulators --lives 400     # lives by other laws, beside a line and a constant life
     python -m studies.prognosis --kinds --lives 400          # even, in bursts, after a fill, with a late knee
-    python -m studies.prognosis --decompose                  # what limits the median, trouble by trouble
-    python -m studies.prognosis --population                 # what a fleet teaches
-    python -m studies.prognosis --fills --lives 1000         # how soon forgotten fills are found, beside an oracle
-    python -m studies.prognosis --error-model --lives 8      # the errors of the lives beside whole simulated drives
 
 Numbers of the prognosis were chosen on seeds below 2000, two of them after a look at 100000 and 200000;
 docs/prognosis.md has what later ones say.
 """
 
-import argparse
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
 from functools import partial
-from typing import TypeVar
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from studies.measuring import processor_s
-from studies.prognosis.decomposition import decomposition_table
-from studies.prognosis.error_model import errors_table, rows_of
+from canlog.arrays import FloatArray
 from studies.prognosis.evaluation import LATE_MARKS, MARKS, METHODS, Account, Forecast, account_of
-from studies.prognosis.fills import fill_account_of, fills_table
-from studies.prognosis.fleets import TYPES, population_tables
 from studies.prognosis.kinds import kind_looks, kinds_table, oracles_table
 from studies.prognosis.lives import life_km_of, life_of
 from studies.prognosis.scores import crps, is_covered, is_near
 from studies.prognosis.simulators import simulators_tables
 from studies.prognosis.truth import Stratum
-from canlog.arrays import FloatArray
+from studies.run import over_drives, parsed, processor_s, study_parser
 
-CaseT = TypeVar("CaseT")
-ResultT = TypeVar("ResultT")
 LIVES = 300
 FIRST_SEED = 240_000  # no number was chosen by seeds from here on
 FLEET_SEEDS = range(500, 700)  # whose lives the fleet's baseline knows
@@ -101,34 +88,6 @@ def strata_table(forecasts: Sequence[Forecast]) -> Table:
     return table
 
 
-def limits_table(forecasts: Sequence[Forecast]) -> Table:
-    """Return how near the median could be: by the prognosis, by an oracle, and by who misses nothing but bends."""
-    table = Table(
-        "lives", "forecasts", "prognosis", "oracle", "all but bends to come", "half width, oracle's",
-        title="Median within 20 % of what remains; the oracle knows how lives are drawn, not what is to come",
-    )  # fmt: skip
-    for mark in MARKS:
-        _add_limits(table, f"all, at {100.0 * mark:.0f} %", of_marks(forecasts, mark))
-    for stratum in Stratum:
-        own = [one for one in of_marks(forecasts, 0.5) if one.stratum is stratum]
-        _add_limits(table, f"{stratum.value}, at 50 %", own)
-    return table
-
-
-def _add_limits(table: Table, name: str, chosen: Sequence[Forecast]) -> None:
-    if not chosen:
-        return
-    left = _left(chosen)
-    medians = (
-        [one.median_km for one in chosen],
-        [float(np.median(one.oracle)) for one in chosen],
-        [one.without_bends_km for one in chosen],
-    )
-    near = [f"{100.0 * float(np.mean(is_near(np.array(median), left))):.0f} %" for median in medians]
-    widths = [float(np.diff(np.quantile(one.oracle, (0.05, 0.95)))[0]) / one.life_km for one in chosen]
-    table.add_row(name, str(len(chosen)), *near, f"{0.5 * float(np.median(widths)):.2f} of life")
-
-
 def counts_table(accounts: Sequence[Account]) -> Table:
     """Return what was said too early or too late, and which fills were found."""
     late = of_marks([one for account in accounts for one in account.forecasts], MARKS[-1], *LATE_MARKS)
@@ -160,71 +119,39 @@ def _half_width(forecasts: Sequence[Forecast]) -> float:
     return 0.5 * float(np.median(widths)) if widths else float("nan")
 
 
-def account_of_seed(seed: int, lives_km: FloatArray) -> Account:
+def accounts_of(lives_km: tuple[float, ...], seed: int) -> list[Account]:
     """Return what a life adds to the counts."""
-    return account_of(life_of(seed), lives_km)
+    return [account_of(life_of(seed), np.array(lives_km))]
 
 
-def each(work: Callable[[CaseT], ResultT], cases: Iterable[CaseT], jobs: int) -> list[ResultT]:
-    """Return the results of all cases, worked on by some processes."""
-    if jobs <= 1:
-        return [work(case) for case in cases]
-    with ProcessPoolExecutor(jobs) as pool:
-        return list(pool.map(work, cases))
-
-
-def _study(console: Console, seeds: range, jobs: int) -> None:
-    lives_km = np.array([life_km_of(seed) for seed in FLEET_SEEDS])
-    accounts = each(partial(account_of_seed, lives_km=lives_km), seeds, jobs)
+def _study(console: Console, seeds: range, workers: int) -> None:
+    lives_km = tuple(life_km_of(seed) for seed in FLEET_SEEDS)
+    accounts = over_drives(partial(accounts_of, lives_km), seeds, workers)
     forecasts = [one for account in accounts for one in account.forecasts]
     console.print(f"{len(seeds)} lives, seeds from {seeds[0]}; {len(Stratum)} kinds")
-    for table in (
-        marks_table(forecasts), strata_table(forecasts), limits_table(forecasts), counts_table(accounts)
-    ):  # fmt: skip
+    for table in (marks_table(forecasts), strata_table(forecasts), counts_table(accounts)):
         console.print(table)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--lives", type=int, default=LIVES)
-    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of the first life")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    other = parser.add_mutually_exclusive_group()
-    other.add_argument("--simulators", action="store_true", help="lives by three sets of laws")
-    other.add_argument("--kinds", action="store_true", help="four kinds of lives by plain laws, beside two rivals")
-    other.add_argument("--decompose", action="store_true", help="what limits the median, trouble by trouble")
-    other.add_argument(
-        "--error-model", action="store_true", help="errors of the lives beside those of whole simulated drives"
-    )
-    other.add_argument("--population", action="store_true", help="what a fleet teaches")
-    other.add_argument("--fills", action="store_true", help="how soon forgotten fills are found, beside an oracle")
-    return parser
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Simulate lives, foretell, print."""
-    arguments = _parser().parse_args(argv)
+    parser = study_parser(__doc__, seed=FIRST_SEED)
+    parser.add_argument("--lives", type=int, default=LIVES)
+    other = parser.add_mutually_exclusive_group()
+    other.add_argument("--simulators", action="store_true", help="lives by three sets of laws")
+    other.add_argument("--kinds", action="store_true", help="four kinds of lives by plain laws, beside two rivals")
+    arguments = parsed(parser, argv, lives=20)
     began_s = processor_s()
     console = Console(markup=False, width=WIDTH)
     seeds = range(arguments.seed, arguments.seed + arguments.lives)
     if arguments.simulators:
-        for table in simulators_tables(seeds, partial(each, jobs=arguments.jobs)):
+        for table in simulators_tables(seeds, arguments.workers):
             console.print(table)
     elif arguments.kinds:
-        kinds = [look for looks in each(kind_looks, seeds, arguments.jobs) for look in looks]
+        kinds = over_drives(kind_looks, seeds, arguments.workers, arguments.kept)
         console.print(kinds_table(kinds), oracles_table(kinds))
-    elif arguments.decompose:
-        console.print(decomposition_table(seeds, partial(each, jobs=arguments.jobs)))
-    elif arguments.error_model:
-        vehicles = each(rows_of, seeds, arguments.jobs)
-        console.print(errors_table([row for rows in vehicles for row in rows]))
-    elif arguments.population:
-        for table in population_tables(seeds[0], len(seeds) // (2 * len(TYPES)), partial(each, jobs=arguments.jobs)):
-            console.print(table)
-    elif arguments.fills:
-        console.print(fills_table(each(fill_account_of, seeds, arguments.jobs)))
     else:
-        _study(console, seeds, arguments.jobs)
+        _study(console, seeds, arguments.workers)
     console.print(f"{processor_s() - began_s:.0f} s of processor time")
     return 0
 

@@ -4,10 +4,10 @@ from typing import Final
 
 import numpy as np
 
-from studies.prognosis.scores import PROBABILITIES
-from studies.prognosis.truth import REFERENCE
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.prognosis import History
+from studies.prognosis.scores import PROBABILITIES
+from studies.prognosis.truth import REFERENCE
 
 INTERVAL_KM: Final = 60_000.0  # what makers of wet dual-clutch transmissions commonly ask for
 FARTHEST_KM: Final = 300_000.0

@@ -6,15 +6,14 @@ from typing import Final
 
 import numpy as np
 
-from studies.prognosis.baselines import FARTHEST_KM, fixed_interval, fleet, logistic_index, whole_line
-from studies.prognosis.lives import DRIVEN_KM, Life
-from studies.prognosis.oracle import oracle, without_bends_km
-from studies.prognosis.scores import PROBABILITIES
-from studies.prognosis.truth import KM_PER_YEAR, REFERENCE
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.condition.verdict import CHANGE_PROBABILITY
 from diag_service.diagnosis.prognosis import Passage, prognose
 from diag_service.diagnosis.prognosis.changes import fluid_starts
+from studies.prognosis.baselines import FARTHEST_KM, fixed_interval, fleet, logistic_index, whole_line
+from studies.prognosis.lives import DRIVEN_KM, Life
+from studies.prognosis.scores import PROBABILITIES
+from studies.prognosis.truth import KM_PER_YEAR, REFERENCE
 
 MARKS: Final = (0.25, 0.5, 0.75)
 LATE_MARKS: Final = (0.8, 0.85, 0.9, 0.95)
@@ -34,8 +33,6 @@ class Forecast:
     left_km: float
     passed: float  # probability that was given to the truth's side
     methods: tuple[FloatArray, ...]  # quantiles: ours, then the baselines in the order of `METHODS`
-    oracle: FloatArray  # quantiles of who knows how lives are drawn, but not the bends to come
-    without_bends_km: float  # what would truly be left if nothing bent any more
 
     @property
     def median_km(self) -> float:
@@ -98,7 +95,6 @@ def _is_due(life: Life, odometer_km: float) -> bool:
 
 def _forecasts(life: Life, lives_km: FloatArray) -> list[Forecast]:
     forecasts = []
-    nobody = np.full_like(PROBABILITIES, np.nan)
     for mark in (*MARKS, *LATE_MARKS):
         odometer_km = life.begin_km + mark * life.life_km
         when = passage_at(life, odometer_km) if odometer_km < DRIVEN_KM else None
@@ -121,8 +117,6 @@ def _forecasts(life: Life, lives_km: FloatArray) -> list[Forecast]:
                     logistic_index(history),
                     fleet(age_km, lives_km),
                 ),
-                oracle=oracle(life, odometer_km).quantiles_m(PROBABILITIES) / M_PER_KM if mark in MARKS else nobody,
-                without_bends_km=without_bends_km(life, odometer_km),
             )
         )
     return forecasts

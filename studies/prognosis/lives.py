@@ -10,10 +10,10 @@ from typing import Final
 
 import numpy as np
 
-from studies.prognosis.truth import ALL_TYPES, KM_PER_YEAR, REFERENCE, Fleet, Lived, Plan, Stratum, Truth, lived_of
 from canlog.arrays import BoolArray, FloatArray
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from diag_service.diagnosis.prognosis import History
+from studies.prognosis.truth import ALL_TYPES, KM_PER_YEAR, REFERENCE, Fleet, Lived, Plan, Stratum, Truth, lived_of
 
 DRIVEN_KM: Final = 150_000.0  # as far as results go
 COLD_DEGC: Final = (25.0, 60.0)

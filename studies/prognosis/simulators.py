@@ -13,6 +13,7 @@ from studies.prognosis.lives import DRIVEN_KM, Life, life_of
 from studies.prognosis.scores import PROBABILITIES, crps, is_covered
 from studies.prognosis.truth import KM_PER_YEAR
 from studies.prognosis.wear import USUAL_KM, mixed_life_of, wear_life_of
+from studies.run import over_drives
 
 MARKS: Final = (0.25, 0.5, 0.75, 0.9)
 DRAWS: Final = 1000  # of a bootstrap: misses of chance are told from real ones
@@ -45,12 +46,12 @@ class Told:
     early_count: int  # times that "change now" was said before it was due
 
 
-def told_of(case: tuple[str, int]) -> Told:
+def told_of(case: tuple[str, int]) -> list[Told]:
     """Return what is said of the life of a simulator's seed."""
     simulator, seed = case
     life = SIMULATORS[simulator](seed)
     looks = tuple(look for mark in MARKS for look in _look(life, simulator, mark))
-    return Told(looks=looks, years=min(life.change_km, DRIVEN_KM) / KM_PER_YEAR, early_count=early_looks(life))
+    return [Told(looks=looks, years=min(life.change_km, DRIVEN_KM) / KM_PER_YEAR, early_count=early_looks(life))]
 
 
 def _look(life: Life, simulator: str, mark: float) -> Iterable[Look]:
@@ -72,11 +73,9 @@ def _look(life: Life, simulator: str, mark: float) -> Iterable[Look]:
     )
 
 
-def simulators_tables(
-    seeds: Sequence[int], each: Callable[[Callable[[tuple[str, int]], Told], Iterable[tuple[str, int]]], list[Told]]
-) -> list[Table]:
+def simulators_tables(seeds: Sequence[int], workers: int) -> list[Table]:
     """Return the tables of all simulators, the seeds' lives of each."""
-    told = {name: each(told_of, [(name, seed) for seed in seeds]) for name in SIMULATORS}
+    told = {name: over_drives(told_of, [(name, seed) for seed in seeds], workers) for name in SIMULATORS}
     return [_ages(told), _strata([look for own in told.values() for one in own for look in one.looks])]
 
 

@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
+from canlog.arrays import FloatArray
 from studies.prognosis.lives import ERRORS, Errors, Life, life_from, life_of
 from studies.prognosis.truth import CASE_2, GONE, KM_PER_YEAR, REFERENCE, STEP_KM, TRUTH_KM, Lived, Plan, Truth
-from canlog.arrays import FloatArray
 
 GAS_J_PER_MOL_K: Final = 8.314
 ACTIVATION_J_PER_MOL: Final = (45.0e3, 90.0e3)  # oxidation of oils

@@ -1,6 +1,5 @@
 """Reproduce the paper: ``python -m studies.reproduce [--seeds N] [--output FOLDER]``."""
 
-import argparse
 import csv
 import sys
 import time
@@ -15,6 +14,7 @@ from studies.reproduce.findings import find
 from studies.reproduce.report import EVIDENCE_HEADINGS, evidence_rows, page
 from studies.reproduce.tables import Table
 from studies.reproduce.text import html_tables, reading_headings, reading_rows, study_tables, written
+from studies.run import parsed, study_parser
 
 DEFAULT_SEEDS = 40
 OUTPUT = Path("reproduce-output")
@@ -23,10 +23,10 @@ CONSOLE_COLUMNS = 6  # of values side by side; more cannot be read in 80 charact
 
 def main() -> int:
     """Run the studies, write report and tables, show the tables."""
-    parser = argparse.ArgumentParser(prog="python -m studies.reproduce", description="Reproduce SAE 2015-01-1146.")
+    parser = study_parser("Reproduce SAE 2015-01-1146.", is_parallel=False)
     parser.add_argument("--seeds", type=int, default=DEFAULT_SEEDS, help="draws of the noise (default: %(default)s)")
     parser.add_argument("--output", type=Path, default=OUTPUT, help="folder (default: %(default)s)")
-    options = parser.parse_args()
+    options = parsed(parser, seeds=2)
     if options.seeds < 2:
         parser.error("--seeds must be 2 or more: a scatter needs two runs")
     started_s = time.monotonic()

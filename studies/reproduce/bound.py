@@ -17,10 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from studies.full_estimator.inversion import piston_track_pa
-from studies.reproduce.differences import central_difference
-from studies.reproduce.drives import PERIOD_S, PRESSURE_NOISE_RATIO, PaperDrive, rms
-from studies.reproduce.study import CLUTCHES, PARAMETERS, Key, true_value
 from canlog.arrays import FloatArray
 from clutch_model.calibration import ClutchCalibration, Viscosity
 from clutch_model.pack import (
@@ -29,13 +25,18 @@ from clutch_model.pack import (
     contact_pressure_pa,
     contact_torque_nm,
     film_law,
+    film_mobility_m,
     friction_law,
     kinetic_friction,
+    piston_pressures_pa,
     stribeck_weight,
     viscosities_pa_s,
     viscous_torque_nm,
 )
 from ecu_emulator.plant import Col
+from studies.reproduce.differences import central_difference
+from studies.reproduce.drives import PERIOD_S, PRESSURE_NOISE_RATIO, PaperDrive, rms
+from studies.reproduce.study import CLUTCHES, PARAMETERS, Key, true_value
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -97,9 +98,10 @@ def piston_pressure_pa(
     film_m: FloatArray, film_rate_m_s: FloatArray, viscosity: FloatArray, law: FilmLaw
 ) -> FloatArray:
     """Return the piston pressure that moves the film like this [Pa], shape (n,): eq. (7) solved for it."""
-    piston_pa = np.empty_like(film_m)
-    piston_track_pa(film_m, film_rate_m_s, viscosity, law, piston_pa)
-    return piston_pa
+    springs_pa = law.separation_pressure_pa * (1.0 - film_m / law.open_gap_m)
+    squeeze_pa = -film_rate_m_s * viscosity / np.array([film_mobility_m(one, law) for one in film_m])
+    contact_pa = np.array([contact_pressure_pa(one, law) for one in film_m])
+    return piston_pressures_pa(contact_pa + springs_pa + squeeze_pa, law)
 
 
 def is_followed(stretch: Stretch, law: FilmLaw) -> BoolArray:

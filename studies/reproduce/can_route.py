@@ -3,19 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from studies.reproduce.drives import CYCLE_COUNT, Case, PaperDrive
-from studies.reproduce.study import CALIBRATION, DRIVELINE, Errors, errors_of
-from canlog.frames import FrameBatch
-from dbc.contract import load_contract
 from diag_service.diagnosis.friction.paper import PaperCollection, PaperEstimate
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
-from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.profile import load_profile
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.scenario import FluidCondition
 from ecu_emulator.scenario.scenario_file import load_scenario
+from studies.builders import new_decoder, to_batch
+from studies.reproduce.drives import CYCLE_COUNT, Case, PaperDrive
+from studies.reproduce.study import CALIBRATION, DRIVELINE, Errors, errors_of
 
 SCENARIO = "noise_only"
 FLUID = {Case.IDEAL: FluidCondition.IDEAL, Case.CASE_1: FluidCondition.CASE_1, Case.CASE_2: FluidCondition.CASE_2}
@@ -35,15 +30,9 @@ def _estimates(case: Case, seed: int) -> tuple[PaperEstimate, PaperEstimate]:
     scenario = load_scenario(SCENARIO)
     fluid = replace(scenario.fluid, condition=FLUID[case])
     frames, _ = frames_of(replace(scenario, seed=seed, cycles=CYCLE_COUNT, fluid=fluid))
-    batch = FrameBatch(
-        t_ns=np.rint(frames.t_s * 1e6).astype(np.int64) * 1000,
-        can_id=frames.can_id,
-        length=frames.length,
-        data=frames.data,
-    )
-    decoder, finder = Decoder(load_contract(), load_profile()), ShiftFinder()
+    decoder, finder = new_decoder(), ShiftFinder()
     collection = PaperCollection(CALIBRATION, DRIVELINE)
-    for columns in decoder.feed(batch):
+    for columns in decoder.feed(to_batch(frames)):
         for event in finder.feed(columns):
             collection.add(event)
     first, second = (clutch.estimate for clutch in collection.pooled())

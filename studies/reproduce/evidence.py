@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from studies.reproduce.drives import BoolArray, PaperDrive, noisy
-from studies.reproduce.study import CALIBRATION, CLUTCHES, Setup, analysed, error_percent, true_value
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.friction.paper.friction_data import FrictionData, fit, static_gate
+from studies.reproduce.drives import BoolArray, PaperDrive, noisy
+from studies.reproduce.study import CALIBRATION, CLUTCHES, Setup, analysed, error_percent, true_value
 
 PRIOR_FACTORS = (0.8, 0.9, 1.0, 1.1, 1.2)
 PASS_COUNT = 5

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-from studies.reproduce.drives import PaperDrive
-from studies.reproduce.study import CALIBRATION, Errors, Setup, analysed, errors_of
 from diag_service.diagnosis.friction.paper import PaperEstimate
 from diag_service.diagnosis.friction.paper.friction_data import fit, friction_data, viscous_torques_nm
 from ecu_emulator.plant import Col
+from studies.reproduce.drives import PaperDrive
+from studies.reproduce.study import CALIBRATION, Errors, Setup, analysed, errors_of
 
 
 def known_film_errors(drives: Sequence[PaperDrive], setup: Setup) -> Errors:

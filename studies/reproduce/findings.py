@@ -3,12 +3,12 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from diag_service.diagnosis.friction.paper.friction_data import NOISY_GATES
 from studies.reproduce.bound import bounds_percent
 from studies.reproduce.can_route import can_errors
-from studies.reproduce.drives import DRIVE_SEED, Case, PaperDrive, drive, noisy, static_tables, trajectory_tables
+from studies.reproduce.drives import Case, PaperDrive, drive, noisy, static_tables, trajectory_tables
 from studies.reproduce.evidence import StaticEvidence, static_evidence
 from studies.reproduce.film_check import known_film_errors
-from studies.reproduce.full_route import Figures, Job, figures, run_all
 from studies.reproduce.pictures import Picture, pictures, run_of
 from studies.reproduce.readings import Reading, readings, variants
 from studies.reproduce.study import (
@@ -19,11 +19,9 @@ from studies.reproduce.study import (
     noiseless_errors,
     noisy_errors,
 )
-from diag_service.diagnosis.friction.paper.friction_data import NOISY_GATES
 
 VARIANT_SEEDS = 10  # draws of the noise behind each reading and the evidence, at most
 CAN_SEEDS = 5  # drives behind the vehicle route, at most
-FULL_SEEDS = 20  # draws of the noise behind the project's own estimator, at most
 PICTURE_SEED = 1
 
 Stage = Callable[[str, int], Callable[[], None]]
@@ -47,16 +45,13 @@ class Findings:
     reading_seeds: range
     can: Errors
     can_seeds: range
-    full_noiseless: Mapping[Key, Figures]
-    full: Mapping[Key, Figures]
-    full_seeds: range
     pictures: Sequence[Picture]
 
 
 def find(seed_count: int, open_stage: Stage) -> Findings:
     """Run every study."""
     seeds = range(1, seed_count + 1)
-    few, can_seeds, full_seeds = seeds[:VARIANT_SEEDS], seeds[:CAN_SEEDS], seeds[:FULL_SEEDS]
+    few, can_seeds = seeds[:VARIANT_SEEDS], seeds[:CAN_SEEDS]
     advance = open_stage("driving three cycles with each parameter set", len(Case))
     drives = []
     for case in Case:
@@ -79,9 +74,6 @@ def find(seed_count: int, open_stage: Stage) -> Findings:
     found_readings = readings(drives, setup, other_tables, few, advance)
     advance = open_stage("CAN frames by the vehicle route", len(drives) * len(can_seeds))
     can = can_errors(drives, can_seeds, advance)
-    advance = open_stage("our estimator on the same data", len(drives) * (1 + len(full_seeds)))
-    full_noiseless = figures(run_all([Job(case, DRIVE_SEED, None) for case in Case], advance))
-    full = figures(run_all([Job(case, DRIVE_SEED, seed) for case in Case for seed in full_seeds], advance))
     advance = open_stage("pictures", 12)
     drawn = []
     for picture in pictures(
@@ -103,8 +95,5 @@ def find(seed_count: int, open_stage: Stage) -> Findings:
         reading_seeds=few,
         can=can,
         can_seeds=can_seeds,
-        full_noiseless=full_noiseless,
-        full=full,
-        full_seeds=full_seeds,
         pictures=sorted(drawn, key=lambda one: one.number),
     )

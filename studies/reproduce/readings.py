@@ -3,10 +3,10 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from diag_service.diagnosis.friction.paper.friction_data import FilmTable
 from studies.reproduce.differences import central_difference, matched_filter
 from studies.reproduce.drives import PERIOD_S, PaperDrive, noisy
 from studies.reproduce.study import TUNING_SEED, Errors, Setup, noisy_errors, with_gates
-from diag_service.diagnosis.friction.paper.friction_data import FilmTable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,6 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from canlog.arrays import FloatArray
+from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.friction.paper import PaperEstimate, nominal_driveline
+from diag_service.diagnosis.friction.paper.differentiate import quiet_filter
+from diag_service.diagnosis.friction.paper.friction_data import NOISELESS_GATES, NOISY_GATES, FilmTable, Gates, fit
+from diag_service.diagnosis.friction.paper.method import Analysis, Differentiators, PaperSignals, analyse
 from studies.reproduce.differences import NOISELESS, central_difference, matched_filter
 from studies.reproduce.drives import (
     PERIOD_S,
@@ -14,12 +20,6 @@ from studies.reproduce.drives import (
     noisy,
     rms,
 )
-from canlog.arrays import FloatArray
-from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.friction.paper import PaperEstimate, nominal_driveline
-from diag_service.diagnosis.friction.paper.differentiate import quiet_filter
-from diag_service.diagnosis.friction.paper.friction_data import NOISELESS_GATES, NOISY_GATES, FilmTable, Gates, fit
-from diag_service.diagnosis.friction.paper.method import Analysis, Differentiators, PaperSignals, analyse
 
 CLUTCHES = (1, 2)
 PARAMETERS = ("mu_c", "mu_s")

@@ -1,12 +1,11 @@
 """Tables with one row per parameter set, clutch and parameter; every column set comes from a study of its own."""
 
 import csv
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from studies.reproduce.drives import Case, PaperDrive
-from studies.reproduce.full_route import Figures
 from studies.reproduce.study import CLUTCHES, PARAMETERS, Errors, Key, true_value
 
 SYMBOL = {"mu_c": "µC", "mu_s": "µS"}
@@ -138,27 +137,6 @@ def error_columns(title: str, errors: Errors, *, is_random: bool) -> ColumnSet:
         cells={key: f"{min(one):+.1f} .. {max(one):+.1f}" if len(one) else "" for key, one in errors.percent.items()},
     )
     return ColumnSet(title=title, columns=[mean, scatter, extremes, slope])
-
-
-def full_columns(found: Mapping[Key, Figures], *, is_random: bool) -> ColumnSet:
-    """Return the errors of the project's own estimator; with noise also what it states and how it meets the bound."""
-    slope = Column(
-        heading="slope sign right (ours)",
-        cells={key: f"{100.0 * one.slope_right:.0f} %" for key, one in found.items() if key[2] == PARAMETERS[0]},
-    )
-    title = "full information"
-    if not is_random:
-        error = Column(heading="error % (ours)", cells={key: f"{one.mean:+.3f}" for key, one in found.items()})
-        return ColumnSet(title=title, columns=[error, slope])
-    written: Sequence[tuple[str, Callable[[Figures], str]]] = (
-        ("error % (ours)", lambda one: f"{one.mean:+.2f}"),
-        ("RMS %", lambda one: f"{one.rms:.2f}"),
-        ("stated std %", lambda one: f"{one.std:.2f}"),
-        ("within 2 std", lambda one: f"{100.0 * one.coverage:.0f} %"),
-        ("RMS / bound", lambda one: f"{one.bound_ratio:.2f}"),
-    )
-    columns = [Column(heading=name, cells={key: text(one) for key, one in found.items()}) for name, text in written]
-    return ColumnSet(title=title, columns=[*columns, slope])
 
 
 def bound_columns(bounds: Mapping[Key, float]) -> ColumnSet:

@@ -8,7 +8,7 @@ import numpy as np
 from studies.reproduce.drives import CYCLE_COUNT, Case
 from studies.reproduce.findings import Findings
 from studies.reproduce.report import EVIDENCE_HEADINGS, evidence_rows, plain_table, study_table
-from studies.reproduce.study import CLUTCHES, PARAMETERS, Errors, Key
+from studies.reproduce.study import CLUTCHES, Errors, Key
 from studies.reproduce.tables import (
     PAPER_NOISELESS,
     PAPER_NOISY,
@@ -17,7 +17,6 @@ from studies.reproduce.tables import (
     Table,
     bound_columns,
     error_columns,
-    full_columns,
     keys_of,
     paper_columns,
     truth_columns,
@@ -36,14 +35,12 @@ def study_tables(found: Findings) -> list[Table]:
         error_columns("static film table", found.noiseless, is_random=False),
         error_columns("trajectory film table", found.noiseless_trajectory, is_random=False),
         error_columns("simulated film", found.noiseless_known_film, is_random=False),
-        full_columns(found.full_noiseless, is_random=False),
     ]
     noisy_sets: list[ColumnSet] = [
         truth,
         paper_columns(PAPER_NOISY),
         error_columns("here", found.noisy, is_random=True),
         bound_columns(found.bounds),
-        full_columns(found.full, is_random=True),
     ]
     runs = f"{len(found.seeds)} draws of the noise"
     can_caption = f"CAN frames, sensor noise only, {len(found.can_seeds)} drives of {CYCLE_COUNT} cycles per set"
@@ -73,7 +70,7 @@ def html_tables(found: Findings, tables: list[Table]) -> dict[str, str]:
 def written(found: Findings) -> str:
     """Return the text of the report with the findings' numbers in it."""
     template = files("studies.reproduce").joinpath("report.md").read_text(encoding="utf-8")
-    return template.format(**_general(found), **_noiseless(found), **_case_2(found), **_full(found))
+    return template.format(**_general(found), **_noiseless(found), **_case_2(found))
 
 
 def reading_headings() -> list[str]:
@@ -140,21 +137,6 @@ def _case_2(found: Findings) -> Mapping[str, object]:
             f"ungated{clutch}": one.ungated_mean_percent,
             f"scatter{clutch}": one.ungated_std_percent,
         }
-    return values
-
-
-def _full(found: Findings) -> Mapping[str, object]:
-    values: dict[str, object] = {
-        "full_seeds": len(found.full_seeds),
-        "full_noiseless_worst": max(one.worst for one in found.full_noiseless.values()),
-        "full_coverage": 100.0 * np.mean([one.coverage for one in found.full.values()]),
-        "full_random_coverage": 100.0 * np.mean([one.random_coverage for one in found.full.values()]),
-        "full_ratio_min": min(one.bound_ratio for one in found.full.values()),
-        "full_ratio_max": max(one.bound_ratio for one in found.full.values()),
-        "full_slope": 100.0 * min(one.slope_right for one in found.full.values()),
-    }
-    for parameter in PARAMETERS:
-        values[f"full_{parameter}_rms"] = max(one.rms for key, one in found.full.items() if key[2] == parameter)
     return values
 
 

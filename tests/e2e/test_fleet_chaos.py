@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.chaos.storm import BrokerDisk, Plan, Storm
+from studies.fleet_chaos import BrokerDisk, Plan, Storm
 
 pytestmark = [pytest.mark.broker, pytest.mark.slow]
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Engine, func, select
 
+from demo.fleet.brokers import NatsServer
 from diag_service.delivery import Acknowledge, MqttConnector, Outbox
 from diag_service.diagnosis.records import shift_record
 from diag_service.store import ResultStore
@@ -23,7 +24,6 @@ from fleet_contract import Outcome, bundle_messages, read_message, receipts_of, 
 from fleet_link import BrokerAddress, Connection, Terms, parse_broker
 from tests.plugins.broker import Mosquitto
 from tests.support.fleet import fleet_result
-from tests.support.nats import NatsServer
 from tests.support.outboxes import NOW, put, sending, until
 from tests.support.patience import HANG_S
 

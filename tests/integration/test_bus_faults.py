@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import pytest
 
-from studies.accuracy import to_batch
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
@@ -18,6 +17,7 @@ from diag_service.service.stages import Diagnosis, Stages
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind, Phase
 from ecu_emulator.truth import TruthLog
+from studies.builders import to_batch
 from tests.support.builders import drive_scenario
 
 MESSAGE = "TCU_Pressures"

@@ -4,8 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from studies.accuracy import to_batch
-from studies.causes import Life, Outcome, lived
 from clutch_model.calibration import TorqueSource, nominal_calibration
 from dbc.contract import load_contract
 from diag_service import analyze
@@ -21,6 +19,8 @@ from diag_service.service.stages import Stages
 from ecu_emulator.cli import main as emulator
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.faults import CauseKind
+from studies.builders import to_batch
+from studies.causes import Life, Outcome, lived
 from tests.support.builders import drive_scenario
 
 JUDGE = CauseJudge(nominal_calibration())

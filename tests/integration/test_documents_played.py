@@ -14,10 +14,10 @@ import pytest
 import diag_service.cli
 import ecu_emulator.cli
 import fleet_backend.cli
-from studies.scan_tool import written
 from diag_service.diagnosis.records import Condition
 from fleet_backend.database import open_database
 from fleet_backend.writer import Batch, Writer
+from studies.builders import written
 from tests.support.documents import PAGES, ROOT, Shown, block_lines, page_text
 from tests.support.fleet import fleet_result, row_of
 

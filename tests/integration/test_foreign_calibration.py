@@ -10,7 +10,6 @@ import pytest
 
 import diag_service.cli
 import ecu_emulator.cli
-from studies.accuracy import to_batch
 from clutch_model.calibration import nominal_calibration, read_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory
@@ -22,6 +21,7 @@ from diag_service.service.stages import Stages
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario
+from studies.builders import to_batch
 
 OWNER, OTHER = "7", "10"  # seeds of two cars
 

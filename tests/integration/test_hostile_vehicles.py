@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from fleet_contract import CLUTCHES, TOPIC_ROOT, Channel
+from studies.fleet_hostile import attack
 from tests.support.fleet_broker import DEPLOY
-from tests.support.hostile_vehicle import attack
 
 pytestmark = pytest.mark.broker
 

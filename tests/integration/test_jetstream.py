@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from demo.fleet.brokers import NatsServer
 from diag_service.diagnosis.records import shift_record
 from fleet_backend.broker import connected
 from fleet_backend.errors import BrokerError
@@ -15,7 +16,6 @@ from fleet_link import Connection, LinkDownError, Terms, parse_broker
 from tests.support.certificates import certify, tls_files
 from tests.support.fleet import fleet_result
 from tests.support.fleet_broker import DEPLOY, write_access
-from tests.support.nats import NatsServer
 from tests.support.patience import HANG_S
 
 pytestmark = pytest.mark.broker

@@ -2,18 +2,48 @@
 
 import json
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import diag_service
-from studies.learn import GEARS_OF, drawn_ratios, driven
-from studies.scan_tool import written
 from clutch_model.calibration import nominal_calibration
 from diag_service.mapping.survey import proposed_profile
 from diag_service.mapping.vehicle_file import read_description
+from ecu_emulator.cli import main as emulator
+from ecu_emulator.plant.parameters import plant_table
+from studies.builders import written
 from tests.support.in_process import ended
+
+GEARS_OF = frozenset({"Current Gear", "Target Gear"})
+STEP_STD_RATIO = 0.06
+
+
+def drawn_ratios(rng: np.random.Generator) -> tuple[list[float], list[float]]:
+    """Return the ratios of a gearbox, and the true ones of engine over the output shaft that is measured."""
+    gearbox = plant_table()["gearbox"]
+    assert isinstance(gearbox, dict)
+    gears, finals = (np.array(gearbox[name]) for name in ("gear_ratios", "final_drive_ratios"))
+    overall = gears * finals
+    steps = overall[:-1] / overall[1:]
+    steps = 1.0 + (steps - 1.0) * np.maximum(0.6, 1.0 + rng.normal(0.0, STEP_STD_RATIO / (steps - 1.0)))
+    overall = overall[0] / np.concatenate(([1.0], np.cumprod(steps)))
+    return (overall / finals).tolist(), (overall / finals[0]).tolist()
+
+
+def driven(folder: Path, seed: int, gears: Sequence[float]) -> list[Path]:
+    """Return the logs of an emulated car: its shift cycle and a drive in traffic."""
+    scenario = folder / f"{seed}.toml"
+    values = ", ".join(f"{one:.6f}" for one in gears)
+    scenario.write_text(f'name = "learned"\n[truth.plant.gearbox]\ngear_ratios = [{values}]\n', encoding="utf-8")
+    logs = []
+    for name, words in (("cycle", ["--cycles", "2"]), ("us06", ["--drive", "us06"])):
+        log = folder / f"{seed}-{name}.log"
+        emulator(["record", str(log), "--scenario", str(scenario), "--seed", str(seed), *words])
+        logs.append(log)
+    return logs
 
 
 @pytest.fixture(name="car", scope="module")

@@ -8,11 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from studies.reproduce.bound import bounds_percent, is_followed, piston_pressure_pa, stretches
-from studies.reproduce.differences import central_difference
-from studies.reproduce.drives import PERIOD_S, Case, PaperDrive, drive, noisy, static_tables
-from studies.reproduce.film_check import known_film_errors
-from studies.reproduce.study import Setup, matched_differentiators, noiseless_errors, noisy_errors
 from clutch_model.calibration import SensorBias, nominal_calibration
 from clutch_model.pack import film_law
 from diag_service.diagnosis.columns import Signal
@@ -23,6 +18,11 @@ from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.records import Reason
 from ecu_emulator.drive.build import drive_settings
 from ecu_emulator.plant import Col
+from studies.reproduce.bound import bounds_percent, is_followed, piston_pressure_pa, stretches
+from studies.reproduce.differences import central_difference
+from studies.reproduce.drives import PERIOD_S, Case, PaperDrive, drive, noisy, static_tables
+from studies.reproduce.film_check import known_film_errors
+from studies.reproduce.study import Setup, matched_differentiators, noiseless_errors, noisy_errors
 from tests.integration.test_estimation import shifts
 from tests.support.builders import drive_scenario
 from tests.support.cycles import drive_rows

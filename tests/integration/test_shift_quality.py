@@ -1,21 +1,113 @@
 """A control that has something wrong shifts worse, its error is measured, and mended it shifts as before."""
 
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
+from typing import Final
 
 import numpy as np
 import pytest
 
-from studies.scan_tool import written
-from studies.shift_quality import Case, driven, estimates_of, scenario_of, scored, true_fills_s
 from clutch_model.calibration import clutch_of_gear
+from diag_service import analyze
 from diag_service.diagnosis.condition.shift_course import course_lines, courses
-from diag_service.diagnosis.records import ShiftEstimate
+from diag_service.diagnosis.records import ShiftEstimate, ShiftQuality
+from diag_service.mapping.survey import proposed_profile
+from ecu_emulator.bus.frames import merge
 from ecu_emulator.cli import main as emulator
-from ecu_emulator.drive.build import build_vehicle
-from ecu_emulator.scenario.scenario import Scenario
+from ecu_emulator.drive.build import build_vehicle, drive_settings
+from ecu_emulator.drive.recording import Drive
+from ecu_emulator.plant.powertrain import Powertrain
+from ecu_emulator.plant.state import Col
+from ecu_emulator.scenario.scenario import Driver, Scenario, Truth
+from ecu_emulator.shift_control import tcu_data
+from studies.builders import STRETCH_S, new_stages, to_batch, written
 
 SEED = 7
+RIGHT_FILL: Final = 0.88  # of the prefill: as torque is asked for the cavity is just full
+NOMINAL_OVERLAP_NM: Final = 8.0
+NOMINAL_GAIN: Final = 1.08
+BAR_PA: Final = 1e5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Case:
+    """One vehicle with one thing wrong."""
+
+    kind: str
+    step: float
+    seed: int
+
+
+def scenario_of(case: Case) -> Scenario:
+    """Return the drive of a case."""
+    kind, plant = case.kind, dict[str, float]()
+    rng = np.random.default_rng(case.seed)
+    if kind.startswith("filled"):
+        plant = {"control.prefill_ratio": RIGHT_FILL + case.step}
+    elif kind.startswith("off-going"):
+        plant = {"control.overlap_gain_ratio": NOMINAL_GAIN + case.step}
+    elif kind.startswith("overlap"):
+        plant = {"control.overlap_margin_nm": NOMINAL_OVERLAP_NM + case.step}
+    driver = Driver(pedal_ratio=float(rng.uniform(0.35, 0.55)))
+    return Scenario(name="quality", seed=case.seed, driver=driver, truth=Truth(plant=plant))
+
+
+def driven(scenario: Scenario, believed_pa: tuple[float, float]) -> list[ShiftEstimate]:
+    """Drive with these touch points believed in, and return the estimates of all changes."""
+    drive = Drive(scenario)
+    drive.believe(believed_pa)
+    frames = merge([stretch.frames for stretch in drive.stretches(STRETCH_S)])
+    return [one.estimate for one in new_stages().feed(to_batch(frames))]
+
+
+def scored(estimates: Sequence[ShiftEstimate]) -> list[tuple[ShiftEstimate, ShiftQuality, float]]:
+    """Return the changes that have a score."""
+    return [
+        (one, one.shift_quality, one.shift_quality.score)
+        for one in estimates
+        if one.shift_quality is not None and one.shift_quality.score is not None
+    ]
+
+
+def true_fills_s(scenario: Scenario, believed_pa: tuple[float, float]) -> list[float]:
+    """Return of every change by how much longer its clutch ought to be filled, as the plant has it."""
+    vehicle = build_vehicle(scenario)
+    plant = Powertrain(
+        vehicle.calibration, vehicle.parameters, drive_settings(scenario), touch_pressures_pa=believed_pa
+    )
+    pieces = []
+    while not plant.finished:
+        pieces.append(plant.advance(STRETCH_S))
+    rows = np.vstack(pieces)
+    phase = rows[:, Col.SHIFT_PHASE]
+    starts = np.flatnonzero((phase[1:] == tcu_data.TORQUE) & (phase[:-1] == tcu_data.PREFILL)) + 1
+    found = []
+    for row in starts:
+        clutch = clutch_of_gear(int(rows[row, Col.TARGET_GEAR])) - 1
+        law = vehicle.calibration.clutches[clutch]
+        stroke_pa = law.piston.spring_rate_n_m * law.piston.fill_stroke_m / law.geometry.piston_area_m2
+        pressure_pa = rows[:, Col.PRESSURE1 + clutch]
+        command_pa = rows[row - 220 : row, Col.PRESSURE1_COMMAND + clutch]
+        end = row - 220 + int(np.flatnonzero(command_pa > law.touch_pressure_pa + BAR_PA)[-1])
+        rate_pa_s = (pressure_pa[end] - pressure_pa[end - 30]) / 0.03
+        short_pa = law.touch_pressure_pa - pressure_pa[row]
+        found.append(max(float(short_pa / rate_pa_s), 0.0) if rate_pa_s < 10 * stroke_pa else np.nan)
+    return found
+
+
+def estimates_of(path: Path) -> list[ShiftEstimate]:
+    """Return the estimates of a log, or of a table by the profile that is proposed from it."""
+    if path.suffix == ".log":
+        return [one.estimate for one in analyze(path).results]
+    with tempfile.TemporaryDirectory() as name:
+        profile = Path(name) / "proposed.toml"
+        profile.write_text(proposed_profile(path), encoding="utf-8")
+        return [one.estimate for one in analyze(path, profile=profile).results]
+
+
 SOUND = scenario_of(Case(kind="none", step=0.0, seed=SEED))
 
 

@@ -9,8 +9,8 @@ import polars as pl
 import pytest
 
 import diag_service
-from studies.scan_tool import OF_FRICTION, OUTPUT, written
 from ecu_emulator.cli import main as emulator
+from studies.builders import OF_FRICTION, OUTPUT, written
 from tests.support import measurements
 from tests.support.in_process import ended
 from tests.support.pipes import piped

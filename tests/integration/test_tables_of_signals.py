@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import diag_service
-from studies.scan_tool import OF_FRICTION, OUTPUT, with_fuel, written
 from canlog.logs import read_log
 from dbc.contract import load_contract
 from diag_service.mapping.profile import PROFILE_PATH
 from ecu_emulator.cli import main as emulator
 from ecu_emulator.log_formats.table import TableOptions, write_table
+from studies.builders import OF_FRICTION, OUTPUT, with_fuel, written
 from tests.support.documents import ROOT
 from tests.support.in_process import ended
 

@@ -1,14 +1,42 @@
 """The nominal cycle against an independent implementation, and the error of the integration (docs/model.md)."""
 
+from typing import Final
+
 import numpy as np
 import pytest
 
-from studies.converter_picture import PUBLIC, characteristic, public_capacity
+from canlog.arrays import FloatArray
+from clutch_model.calibration import shipped_calibration
 from ecu_emulator.plant import Col, DriveSettings
+from ecu_emulator.plant.converter import converter_law, impeller_torque_nm, torque_ratio
 from tests.support.cycles import CYCLE_SHIFTS, drive_rows, powertrain, shifts
 
 COMPARED_S = 10.0
 STEPS_S = [2.5e-4, 2.0e-4, 1.0e-4]
+
+
+# MathWorks, "Modeling an Automatic Transmission Controller": speed ratio, K factor [rpm per root lb ft], torque ratio.
+PUBLIC: Final = np.array([
+    (0.0, 137.47, 2.232), (0.1, 137.07, 2.075), (0.2, 135.86, 1.975), (0.3, 135.66, 1.846), (0.4, 137.57, 1.720),
+    (0.5, 140.37, 1.564), (0.6, 145.27, 1.409), (0.7, 152.87, 1.254), (0.8, 162.98, 1.096), (0.85, 172.78, 1.012),
+    (0.9, 197.69, 0.999), (0.92, 215.90, 1.001), (0.94, 244.52, 1.002),
+])  # fmt: skip
+
+
+def characteristic() -> FloatArray:
+    """Return rows of speed ratio, torque of the impeller over that at stall, torque ratio; beyond 1 the overrun."""
+    law = converter_law(shipped_calibration("lockup").converter)
+    places = np.linspace(0.0, 1.15, 116)
+    stall_nm = impeller_torque_nm(1.0, 0.0, law)
+    return np.array(
+        [(one, impeller_torque_nm(1.0, one, law) / stall_nm, torque_ratio(1.0, one, law)) for one in places]
+    )
+
+
+def public_capacity() -> FloatArray:
+    """Return the public converter's torque of the impeller over that at stall: it goes with the K factor's square."""
+    capacity: FloatArray = (PUBLIC[0, 1] / PUBLIC[:, 1]) ** 2
+    return capacity
 
 
 def test_the_nominal_cycle_takes_as_long_as_the_reference() -> None:

@@ -21,11 +21,11 @@ from cantools.database.can.signal import Signal
 from cantools.database.conversion import BaseConversion
 from cantools.database.namedsignalvalue import NamedSignalValue
 
-from studies.decoding.random_log import SentFrame, random_frames, write_candump
 from canlog.column_files import SUFFIX_OF_FORMAT, TableFormat
 from canlog.tables.decoding import Plan, TableShape, decode_logs
 from canlog.tables.layouts import Values
 from tests.support.cantools_oracle import readings
+from tests.support.random_log import SentFrame, random_frames, write_candump
 
 Row = dict[str, Any]
 Cell = tuple[float | None, str | None]

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from studies.accuracy import to_batch
 from canlog.frames import FrameBatch
 from canlog.live import BusState, BusStatus, SourceCounts
 from clutch_model.calibration import nominal_calibration
@@ -31,6 +30,7 @@ from diag_service.settings.config import DiagnosisConfig, ListenAddress
 from diag_service.store import ResultStore
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.scenario_file import load_scenario
+from studies.builders import to_batch
 from tests.support.patience import HANG_S
 from tests.support.prometheus import RECORDING
 

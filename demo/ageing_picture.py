@@ -1,31 +1,21 @@
-"""The picture of the README: what the service says of a fluid that ages, beside the truth.
+"""The picture of the README: what the service says of a fluid that ages, beside the truth."""
 
-python -m studies.ageing_picture    # drives the scenario "ageing", writes docs/ageing.svg; half a minute
-"""
-
-import argparse
-import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from studies.drawing import CONDITION_COLOUR, INK, as_svg, drawing_style
-from studies.study import diagnose
 from clutch_model.calibration import nominal_calibration
+from demo.drawing import CONDITION_COLOUR, INK, as_svg, drawing_style
 from diag_service.api.picture import MU_C_COLOUR, MU_S_COLOUR
 from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.records import Condition, FrictionEstimate, ShiftResult
 from diag_service.service.stages import Diagnosis
-from ecu_emulator.scenario.scenario_file import load_scenario
 from ecu_emulator.truth import ShiftTruth, TruthLog
 
-SCENARIO = "ageing"
 CLUTCH = 2
-PATH = Path(__file__).parents[1] / "docs" / "ageing.svg"
 BAND_STD = 2.0
 UNKNOWN_COLOUR = "#94a3b0"
 LEAST_NAMED = 12  # shifts: a verdict that lasts shorter has no room for its name
@@ -38,11 +28,6 @@ class Point:
     truth: ShiftTruth
     running: FrictionEstimate
     condition: Condition
-
-
-def points() -> list[Point]:
-    """Drive the scenario and return the shifts onto the clutch, in order."""
-    return points_of(*diagnose(load_scenario(SCENARIO)))
 
 
 def points_of(diagnoses: Iterable[Diagnosis | ShiftResult], truth: TruthLog) -> list[Point]:
@@ -115,16 +100,3 @@ def _draw_verdicts(axes: Axes, shown: Sequence[Point]) -> None:
     axes.set_yticks([])
     axes.grid(visible=False)
     axes.set_xlabel(f"shifts onto clutch {CLUTCH}; the bar is the verdict after each of them")
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Make the picture."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--output", type=Path, default=PATH)
-    arguments = parser.parse_args(argv)
-    arguments.output.write_text(draw(points()), encoding="utf-8")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

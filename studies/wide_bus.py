@@ -10,8 +10,9 @@ from typing import Final
 
 import numpy as np
 from cantools.database.can import Database, Message
+from cantools.database.can.signal import Signal
+from cantools.database.conversion import BaseConversion
 
-from studies.decoding.layout import MIXED, Place, signal
 from canlog.arrays import FloatArray, Int64Array, UInt8Array
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.log_formats.record import open_log
@@ -21,8 +22,37 @@ PERIODS_S: Final = (0.01,) * 20 + (0.02,) * 20 + (0.05,) * 20 + (0.1,) * 20 + (0
 PAGED_EVERY: Final = 10  # one message in so many is multiplexed
 PAGES: Final = 4
 FRAMES_PER_WRITE: Final = 100_000
+# First bit in the order of transmission, length, scale, offset, signed.
+Place = tuple[int, int, float, float, bool]
+
+MIXED: Final[tuple[Place, ...]] = (
+    (0, 8, 1, 0, False),
+    (8, 4, 1, 0, False),
+    (12, 16, 0.25, 0, False),
+    (28, 12, 0.1, -100, True),
+    (40, 13, 0.04, 0, False),
+    (53, 3, 1, 0, False),
+    (56, 8, 1, -40, False),
+)
+"""Seven signals that fill a frame."""
 PAGED: Final[tuple[Place, ...]] = ((0, 2, 1, 0, False), *MIXED[2:5], *MIXED[2:5])
 SLOW_HZ: Final = 0.05
+
+
+def signal(name: str, place: Place, *, is_big: bool, page: int | None = None, is_multiplexer: bool = False) -> Signal:
+    """Return one signal."""
+    first, length, scale, offset, is_signed = place
+    return Signal(
+        name,
+        start=8 * (first // 8) + 7 - first % 8 if is_big else first,
+        length=length,
+        byte_order="big_endian" if is_big else "little_endian",
+        is_signed=is_signed,
+        conversion=BaseConversion.factory(scale=scale, offset=offset),
+        is_multiplexer=is_multiplexer,
+        multiplexer_ids=None if page is None else [page],
+        multiplexer_signal=None if page is None else "S0",
+    )
 
 
 def places(number: int) -> tuple[Place, ...]:

@@ -7,12 +7,12 @@ follows a Stribeck curve, the controller holds a slip of some rad/s. Firing and 
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+import numba
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.signal import lfilter
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
-from canlog.jit import array_kernel
 from clutch_model.calibration import Calibration, shipped_calibration
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import ColumnBatch, Signal
@@ -52,7 +52,8 @@ def drawn_car(rng: np.random.Generator, fluid: str, calibration: Calibration) ->
     """Return a car of the type with a fluid; half of them are on a rough road, half have a weak cylinder."""
     own, spread, (by_c, by_s) = calibration.clutches[0], calibration.uncertainty, FLUIDS[fluid]
     converter = calibration.converter
-    assert converter is not None
+    if converter is None:
+        raise ValueError("the type has no converter")
     common = rng.normal(1.0, converter.capacity_ratio)
     shape = tuple(common * (1.0 + 0.02 * rng.standard_normal(len(converter.speed_ratios))))
     return ConverterCar(
@@ -107,7 +108,8 @@ def drive(
     """Return a mixed drive: town and country, cold at first."""
     calibration = calibration or shipped_calibration("lockup")
     converter, clutch, noise = calibration.converter, calibration.clutches[0], calibration.noise
-    assert converter is not None
+    if converter is None:
+        raise ValueError("the type has no converter")
     count = int(minutes * 60.0 / STEP_S)
     wanted = _wanted_speeds_m_s(rng, count)
     fine = np.linspace(0.0, 1.0, 401)
@@ -193,7 +195,7 @@ def _wanted_speeds_m_s(rng: np.random.Generator, count: int) -> FloatArray:
     return np.maximum(wanted, 0.0)
 
 
-@array_kernel
+@numba.njit(cache=True)
 def _simulate(  # noqa: PLR0915 - the equations of one step
     laws: _Laws,
     capacity: FloatArray,

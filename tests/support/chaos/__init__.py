@@ -1,1 +1,0 @@
-"""Power cuts in every part of the fleet at once, and the account of what is left."""
