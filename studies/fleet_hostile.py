@@ -68,7 +68,7 @@ OTHERS = (
 )
 INNER = "$MQTT/sub/#"  # where a nats-server hands messages of quality 1 to its sessions
 NATIVE = (">", "$MQTT.>", "$MQTT.sub.>", "$JS.>", "_INBOX.>", "clutchdiag.v1.>", f"clutchdiag.v1.{BAD}.ack")
-TOPICS, PARTS, PART_BYTES = 200, 100, 100_000  # retained, and of quality 2 without an end, of the attack in the tests
+TOPICS, PARTS, PART_BYTES = 200, 100, 100_000  # of a short attack
 
 
 class _Unreleased(mqtt.Client):

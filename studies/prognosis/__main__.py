@@ -1,7 +1,6 @@
 """How good prognoses are on simulated lives of clutches, beside four simpler ways to foretell.
 
     python -m studies.prognosis --lives 200 --jobs 2
-    python -m studies.prognosis --simulators --lives 400     # lives by other laws, beside a line and a constant life
     python -m studies.prognosis --kinds --lives 400          # even, in bursts, after a fill, with a late knee
 
 Numbers of the prognosis were chosen on seeds below 2000, two of them after a look at 100000 and 200000;
@@ -17,12 +16,10 @@ from rich.console import Console
 from rich.table import Table
 
 from canlog.arrays import FloatArray
+from studies.prognosis.baselines import crps, is_covered, is_near
 from studies.prognosis.evaluation import LATE_MARKS, MARKS, METHODS, Account, Forecast, account_of
 from studies.prognosis.kinds import kind_looks, kinds_table, oracles_table
-from studies.prognosis.lives import life_km_of, life_of
-from studies.prognosis.scores import crps, is_covered, is_near
-from studies.prognosis.simulators import simulators_tables
-from studies.prognosis.truth import Stratum
+from studies.prognosis.lives import Stratum, life_km_of, life_of
 from studies.run import over_drives, parsed, processor_s, study_parser
 
 LIVES = 300
@@ -137,17 +134,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Simulate lives, foretell, print."""
     parser = study_parser(__doc__, seed=FIRST_SEED)
     parser.add_argument("--lives", type=int, default=LIVES)
-    other = parser.add_mutually_exclusive_group()
-    other.add_argument("--simulators", action="store_true", help="lives by three sets of laws")
-    other.add_argument("--kinds", action="store_true", help="four kinds of lives by plain laws, beside two rivals")
+    parser.add_argument("--kinds", action="store_true", help="four kinds of lives by plain laws, beside two rivals")
     arguments = parsed(parser, argv, lives=20)
     began_s = processor_s()
     console = Console(markup=False, width=WIDTH)
     seeds = range(arguments.seed, arguments.seed + arguments.lives)
-    if arguments.simulators:
-        for table in simulators_tables(seeds, arguments.workers):
-            console.print(table)
-    elif arguments.kinds:
+    if arguments.kinds:
         kinds = over_drives(kind_looks, seeds, arguments.workers, arguments.kept)
         console.print(kinds_table(kinds), oracles_table(kinds))
     else:

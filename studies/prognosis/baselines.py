@@ -1,4 +1,8 @@
-"""What a prognosis must beat: a fixed interval, a line through all results, a logistic index, the lives of a fleet."""
+"""What a prognosis must beat, and by which scores; forecasts are distributions and stand as quantiles.
+
+Beaten must be a fixed interval, a line through all results, a logistic index and the lives of a fleet. CRPS as in
+Gneiting and Raftery (2007), alpha-lambda as in Saxena and others (2008).
+"""
 
 from typing import Final
 
@@ -6,14 +10,45 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.prognosis import History
-from studies.prognosis.scores import PROBABILITIES
-from studies.prognosis.truth import REFERENCE
+from studies.prognosis.lives import REFERENCE
 
+PROBABILITIES: Final[FloatArray] = np.asarray(
+    (np.arange(99) + 0.5) / 99.0, np.float64
+)  # of the quantiles that a forecast stands as
+COVERED: Final = 0.90
+ALPHA: Final = 0.20
 INTERVAL_KM: Final = 60_000.0  # what makers of wet dual-clutch transmissions commonly ask for
 FARTHEST_KM: Final = 300_000.0
 INDEX_KM: Final = 5_000.0
 INDEX_MIDDLE: Final = 0.5  # of the margin
 INDEX_WIDTH: Final = 0.25
+
+
+def crps(quantiles: FloatArray, truth: FloatArray) -> FloatArray:
+    """Return the continuous ranked probability score of each forecast, in the unit of the truth; of a number its error.
+
+    Parameters
+    ----------
+    quantiles : (n, k) array
+        Of each forecast, at evenly spaced probabilities.
+    truth : (n,) array
+    """
+    ordered = np.sort(quantiles, axis=1)
+    count = ordered.shape[1]
+    rank = 2.0 * np.arange(1, count + 1) - count - 1.0
+    error = np.mean(np.abs(ordered - truth[:, None]), axis=1)
+    return np.asarray(error - ordered @ rank / count**2)
+
+
+def is_covered(passed: FloatArray) -> FloatArray:
+    """Return 1 where the truth lies in the central interval, else 0; ``passed``: the probability given to its side."""
+    tail = 0.5 * (1.0 - COVERED)
+    return np.where((passed >= tail) & (passed <= 1.0 - tail), 1.0, 0.0)
+
+
+def is_near(median: FloatArray, truth: FloatArray) -> FloatArray:
+    """Return 1 where the median is within ``ALPHA`` of what truly remains, else 0."""
+    return np.where(np.abs(median - truth) <= ALPHA * truth, 1.0, 0.0)
 
 
 def fixed_interval(age_km: float) -> FloatArray:

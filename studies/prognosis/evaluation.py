@@ -10,10 +10,8 @@ from canlog.arrays import FloatArray
 from diag_service.diagnosis.condition.verdict import CHANGE_PROBABILITY
 from diag_service.diagnosis.prognosis import Passage, prognose
 from diag_service.diagnosis.prognosis.changes import fluid_starts
-from studies.prognosis.baselines import FARTHEST_KM, fixed_interval, fleet, logistic_index, whole_line
-from studies.prognosis.lives import DRIVEN_KM, Life
-from studies.prognosis.scores import PROBABILITIES
-from studies.prognosis.truth import KM_PER_YEAR, REFERENCE
+from studies.prognosis.baselines import FARTHEST_KM, PROBABILITIES, fixed_interval, fleet, logistic_index, whole_line
+from studies.prognosis.lives import DRIVEN_KM, KM_PER_YEAR, REFERENCE, Life
 
 MARKS: Final = (0.25, 0.5, 0.75)
 LATE_MARKS: Final = (0.8, 0.85, 0.9, 0.95)

@@ -16,8 +16,8 @@ from scipy.stats import norm
 
 from canlog.arrays import BoolArray, FloatArray
 from diag_service.diagnosis.prognosis import History, prognose
-from studies.prognosis.scores import PROBABILITIES, crps
-from studies.prognosis.truth import KM_PER_YEAR, REFERENCE
+from studies.prognosis.baselines import PROBABILITIES, crps
+from studies.prognosis.lives import KM_PER_YEAR, REFERENCE
 
 USUAL_KM: Final = 85_000.0
 LIFE_LOG_STD: Final = 0.4

@@ -3,11 +3,9 @@
 import csv
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table as ConsoleTable
 
 from studies.reproduce.findings import find
@@ -30,13 +28,7 @@ def main() -> int:
     if options.seeds < 2:
         parser.error("--seeds must be 2 or more: a scatter needs two runs")
     started_s = time.monotonic()
-    with _progress() as progress:
-
-        def open_stage(name: str, count: int) -> Callable[[], None]:
-            task = progress.add_task(name, total=count)
-            return lambda: progress.advance(task)
-
-        found = find(options.seeds, open_stage)
+    found = find(options.seeds)
     tables = study_tables(found)
     options.output.mkdir(parents=True, exist_ok=True)
     for table in tables:
@@ -53,16 +45,6 @@ def main() -> int:
             console.print(_shown(part))
     console.print(f"{report}: tables, pictures and what they mean; {time.monotonic() - started_s:.0f} s", markup=False)
     return 0
-
-
-def _progress() -> Progress:
-    return Progress(
-        TextColumn("{task.description:<46}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-    )
 
 
 def _write_csv(path: Path, headings: list[str], rows: list[list[str]]) -> None:

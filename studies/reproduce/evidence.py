@@ -1,6 +1,6 @@
 """Why the noisy tables of the paper cannot be reached: what passes the gates of mu_S, and what holds the result."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,16 +31,13 @@ class StaticEvidence:
     error_by_pass_percent: tuple[float, ...]  # error when each estimate becomes the next pass's prior
 
 
-def static_evidence(
-    drive: PaperDrive, setup: Setup, seeds: range, advance: Callable[[], None] = lambda: None
-) -> list[StaticEvidence]:
+def static_evidence(drive: PaperDrive, setup: Setup, seeds: range) -> list[StaticEvidence]:
     """Return the evidence on both clutches of a drive."""
     runs: dict[int, list[StaticEvidence]] = {clutch: [] for clutch in CLUTCHES}
     for seed in seeds:
         analysis = analysed(noisy(drive.signals, seed), setup)
         for clutch in CLUTCHES:
             runs[clutch].append(_one_run(drive, setup, clutch, analysis.clutches[clutch - 1].data))
-        advance()
     return [_averaged(parts) for parts in runs.values()]
 
 

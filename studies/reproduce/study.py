@@ -1,6 +1,6 @@
 """The paper's method on its own sensor sets: every parameter set, without noise and with it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -91,16 +91,13 @@ def noiseless_errors(drives: Sequence[PaperDrive], setup: Setup) -> Errors:
     return errors_of({drive.case: [fitted(analysed(drive.signals, setup), setup.gates)] for drive in drives}, drives)
 
 
-def noisy_errors(
-    drives: Sequence[PaperDrive], setup: Setup, seeds: range, advance: Callable[[], None] = lambda: None
-) -> Errors:
-    """Return the errors over many draws of the noise; ``advance`` hears of every run."""
+def noisy_errors(drives: Sequence[PaperDrive], setup: Setup, seeds: range) -> Errors:
+    """Return the errors over many draws of the noise."""
     found: dict[Case, list[tuple[PaperEstimate, PaperEstimate]]] = {}
     for drive in drives:
         for seed in seeds:
             analysis = analysed(noisy(drive.signals, seed), setup)
             found.setdefault(drive.case, []).append(fitted(analysis, setup.gates))
-            advance()
     return errors_of(found, drives)
 
 

@@ -21,8 +21,8 @@ from ecu_emulator.plant import Col
 from studies.reproduce.bound import bounds_percent, is_followed, piston_pressure_pa, stretches
 from studies.reproduce.differences import central_difference
 from studies.reproduce.drives import PERIOD_S, Case, PaperDrive, drive, noisy, static_tables
-from studies.reproduce.film_check import known_film_errors
 from studies.reproduce.study import Setup, matched_differentiators, noiseless_errors, noisy_errors
+from studies.reproduce.variants import known_film_errors
 from tests.integration.test_estimation import shifts
 from tests.support.builders import drive_scenario
 from tests.support.cycles import drive_rows
