@@ -1,4 +1,4 @@
-"""Speed, size and accuracy figures: ``make bench``, ``make accuracy``."""
+"""What makes the figures of speed, size and accuracy: ``python -m studies.NAME``, with ``--short`` in two minutes."""
 
 from clutchdiag_io.program import reckon_in_one_thread
 

@@ -9,11 +9,9 @@ calibration is true (scenario ``noise_only``), the total one where the vehicle h
     python -m studies.accuracy --nuisances-known --seeds 20     # sensor noise alone
 """
 
-import csv
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -161,7 +159,6 @@ def main() -> int:
         action="store_true",
         help="the service knows offsets, touch points and masses exactly (noise_only): what sensor noise alone leaves",
     )
-    parser.add_argument("--csv", type=Path)
     arguments = parsed(parser, seeds=3)
     cases = [
         Case(
@@ -175,11 +172,6 @@ def main() -> int:
         for fluid in FLUIDS
     ]
     rows = over_drives(analyse, cases, arguments.workers, arguments.kept)
-    if arguments.csv:
-        with arguments.csv.open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.writer(stream)
-            writer.writerow(Row.__dataclass_fields__)
-            writer.writerows([[getattr(row, name) for name in Row.__dataclass_fields__] for row in rows])
     print(
         f"scenario {arguments.scenario}, {arguments.cycles} cycles, seeds {arguments.seed}.."
         f"{arguments.seed + arguments.seeds - 1}{', nuisances known' if arguments.nuisances_known else ''}"

@@ -2,8 +2,7 @@
 
 Vehicles, loads and temperatures are drawn, and so is how a cause shows in a car. After forty events a cause begins, at
 once or over some drives; a hundred events later the service is asked. A wrong fluid comes with a fill. Judged are each
-cause, sound cars, pairs, and faults that no signature knows; printed are the reliability of what is stated, and what
-repairs would cost by the service's advice, by new fluid for all, and by thresholds on friction alone.
+cause, sound cars, pairs, and faults that no signature knows, and how reliable the stated probabilities are.
 
     python -m studies.causes --lives 8 --seed 700000 --workers 1
     python -m studies.causes --lives 70 --seed 820000 --only unknown sound --workers 2
@@ -27,7 +26,6 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.causes import ELSE, FEATURES, MIRRORED, SOUND, CauseJudge, described
 from diag_service.diagnosis.condition.condition import LEAST_COUNT, Course
-from diag_service.diagnosis.records import Condition
 from ecu_emulator.drive.build import build_vehicle
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.faults import Cause, CauseKind
@@ -73,10 +71,6 @@ WANDER_PERCENTILE: Final = 75.0
 FEW, USUAL_SPREAD = 4, 0.25  # lives that count for a spread of so much of the mean: of a few more is not known
 WIDER: Final = 1.5  # spreads against those of the fitted fleet: no plant is another's
 SIGNATURES: Final = Path(diag_service.__file__).with_name("diagnosis") / "condition/signatures.toml"
-CURED_BY_FLUID: Final = frozenset({"aged-fluid", "wrong-fluid"})
-TEST_EUR: Final = 150.0  # of the test that tells two causes apart [C]
-VISIT_EUR: Final = 120.0  # of a visit to a workshop [C]
-MISSED_EUR: Final = 2500.0  # of a fault that stays and spreads [C]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,7 +90,6 @@ class Lived:
     life: Life
     truths: tuple[tuple[str, int | None, float], ...]  # cause, clutch, and which way
     moments: tuple[Course, ...]  # sound and grown, of the last one all events
-    conditions: tuple[str, ...]  # verdicts on both clutches at the end
 
 
 def scenario_of(life: Life, drive: int, share: float, rng: np.random.Generator) -> Scenario:
@@ -117,11 +110,10 @@ def scenario_of(life: Life, drive: int, share: float, rng: np.random.Generator) 
 def lived(life: Life) -> list[Lived]:
     """Drive a life and have it diagnosed."""
     rng = np.random.default_rng(life.seed)
-    calibration = nominal_calibration()
-    stages = new_stages(calibration)
+    stages = new_stages()
     has_fill = CauseKind.WRONG_FLUID in life.kinds
     ramp = 0 if has_fill else int(rng.integers(0, MOST_RAMP + 1))
-    moments, conditions, offset_ns = [], {1: Condition.NO_VERDICT, 2: Condition.NO_VERDICT}, 0
+    moments, offset_ns = list[Course](), 0
     scenario = scenario_of(life, 0, 0.0, rng)
     for drive in range(SOUND_DRIVES + ramp + FAULTY_DRIVES):
         if has_fill and drive == SOUND_DRIVES:
@@ -132,16 +124,14 @@ def lived(life: Life) -> list[Lived]:
         batch = replace(batch, t_ns=batch.t_ns + offset_ns)
         offset_ns += int(batch.t_ns[-1] - batch.t_ns[0]) + BETWEEN_NS
         for event in (*stages.segment(batch), *stages.flush()):
-            diagnosis = stages.conclude(event)
-            memory, conditions[diagnosis.verdict.clutch] = diagnosis.memory, diagnosis.verdict.condition
+            memory = stages.conclude(event).memory
         if drive - SOUND_DRIVES - ramp + 1 in {1, 4, 7, FAULTY_DRIVES}:
             moments.append(memory.course)
     truths = tuple(
         (one.kind, one.clutch, 1.0 if next(iter(one.changes.values())) > 1.0 else -1.0)
         for one in build_vehicle(scenario).causes
     )
-    ended = tuple(conditions[clutch].name for clutch in (1, 2))
-    return [Lived(life=life, truths=truths, moments=tuple(moments), conditions=ended)]
+    return [Lived(life=life, truths=truths, moments=tuple(moments))]
 
 
 def fitted(lives: Sequence[Lived]) -> dict[str, Any]:
@@ -213,7 +203,6 @@ class Outcome:
     truths: frozenset[tuple[str, int | None]]
     stated: tuple[tuple[str, int | None, float], ...]  # the likeliest first
     accused: bool  # at any moment something else than sound was likelier than not
-    conditions: tuple[str, ...]
 
     @classmethod
     def of(cls, one: Lived, judge: CauseJudge) -> "Outcome":
@@ -229,7 +218,6 @@ class Outcome:
             truths=frozenset((kind, clutch if kind in with_clutch else None) for kind, clutch, _ in one.truths),
             stated=tuple((cause.cause, cause.clutch, cause.probability) for cause in last) or ((UNSAID, None, 0.0),),
             accused=min(sound, default=1.0) < 0.5,
-            conditions=one.conditions,
         )
 
     def is_among(self, count: int) -> bool:
@@ -292,42 +280,6 @@ def confusion(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def costs(outcomes: Sequence[Outcome]) -> Table:
-    """Return what a fleet of 10,000 with 5 % faulty costs by our advice, by new fluid, and by friction alone."""
-    words = described()["cause"]
-    table = Table("by", "wrong repairs", "missed faults", "cost [kEUR]", title="10,000 vehicles, 5 % faulty")
-    single = [one for one in outcomes if len(one.truths) == 1]
-    sound = [one for one in outcomes if not one.truths and one.life.unknown is None]
-
-    def ours(one: Outcome) -> str | None:
-        cause, _, probability = one.stated[0]
-        return (cause if probability >= SURE else "test") if cause not in {SOUND, UNSAID} else None
-
-    def thresholds(one: Outcome) -> str | None:
-        return "aged-fluid" if {"CHANGE_FLUID", "WATCH"} & set(one.conditions) else None
-
-    for name, act in (
-        ("our advice", ours),
-        ("new fluid for all", lambda _: "aged-fluid"),
-        ("verdicts on friction", thresholds),
-    ):
-        wrong, missed, cost = 0.0, 0.0, 0.0
-        for some, vehicles in ((single, 500.0), (sound, 9500.0)):
-            for one in some:
-                true = next((kind for kind, _ in one.truths), None)
-                done, share = act(one), vehicles / len(some)
-                if done in {"test", ELSE}:
-                    cost += share * (VISIT_EUR + TEST_EUR + (words[true]["cost_eur"] if true else 0.0))
-                    continue
-                if done is not None:
-                    cost += share * (VISIT_EUR + words[done]["cost_eur"])
-                    wrong += share * (done != true)
-                if true is not None and done != true and not (done == "aged-fluid" and true in CURED_BY_FLUID):
-                    missed, cost = missed + share, cost + share * (MISSED_EUR + words[true]["cost_eur"])
-        table.add_row(name, f"{wrong:.0f}", f"{missed:.0f}", f"{cost / 1e3:.0f}")
-    return table
-
-
 def group_of(life: Life) -> str:
     """Return what a life is judged with."""
     return "unknown" if life.unknown is not None else (SOUND, "single", "pairs")[len(life.kinds)]
@@ -370,7 +322,6 @@ def judged(found: Sequence[Lived], console: Console) -> bool:
     if single and sound:
         diagram, error = reliability([*single, *sound, *pairs])
         console.print(diagram)
-        console.print(costs(outcomes))
         shares.append(("distance of stated and true", error, MOST_ERROR, False))
     is_all = True
     for name, value, limit, is_least in shares:

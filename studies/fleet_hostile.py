@@ -223,10 +223,8 @@ def certify(folder: Path, *names: str) -> Path:
     for name in ("ca", *names):
         of = {"ca": "", "broker": f"-addext subjectAltName=IP:127.0.0.1 -addext extendedKeyUsage=serverAuth {signed}"}
         more = of.get(name, f"-addext extendedKeyUsage=clientAuth {signed}")
-        command = (
-            f"openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 30 -subj /CN={name} {more}"
-        )
-        command += f" -keyout {name}.key -out {name}.crt"
+        command = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 30"
+        command += f" -subj /CN={name} -keyout {name}.key -out {name}.crt {more}"
         subprocess.run(command.split(), cwd=folder, check=True, capture_output=True)
     return folder
 
@@ -266,14 +264,8 @@ async def deliver(certificates: Path, port: int, names: Sequence[str], seqs: Ite
             address = BrokerAddress(host="127.0.0.1", port=port, tls=tls_files(certificates, name))
             identifier = f"clutchdiag-{name}-{store.connection_secret()}"
             connect = partial(MqttConnector(address, identifier, is_persistent=True).connect, NOW)
-            outbox = outboxes[name] = Outbox(
-                store,
-                name,
-                connect,
-                str(address),
-                acknowledge=Acknowledge.BACKEND,
-                limits=QUICK,
-            )
+            word = Acknowledge.BACKEND
+            outbox = outboxes[name] = Outbox(store, name, connect, str(address), acknowledge=word, limits=QUICK)
             sender = asyncio.create_task(outbox.run())
             stack.push_async_callback(asyncio.wait, [sender])
             stack.callback(sender.cancel)
@@ -286,15 +278,6 @@ async def deliver(certificates: Path, port: int, names: Sequence[str], seqs: Ite
             while any(stores[name].unpublished_count(name) for name in names):  # noqa: ASYNC110 - nobody tells
                 await asyncio.sleep(0.01)
     return time.monotonic() - begin_s
-
-
-def stored(url: str) -> int:
-    """Return how many results the fleet's database has."""
-    engine = open_database(url)
-    try:
-        return queries.result_count(engine)
-    finally:
-        engine.dispose()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -347,12 +330,12 @@ async def attack(
     url = f"sqlite:///{folder}/fleet.sqlite"
     engine = open_database(url)
     migrate(engine)
-    engine.dispose()
     write_access(certificates, (*names, BAD))
     files, place = tls_files(certificates, "fleet-backend"), folder / kind
     words = ["--ca", str(files.authority), "--cert", str(files.certificate), "--key", str(files.key)]
     place.mkdir()
     with ExitStack() as stack:
+        stack.callback(engine.dispose)
         flood_count = 20 if kind == "mosquitto" else 1
         if kind == "mosquitto":
             mosquitto = fleet_broker(place, certificates)
@@ -381,11 +364,12 @@ async def attack(
         with hostile.storming():
             took_s = await deliver(certificates, port, names, range(shifts + 1, 2 * shifts + 1))
         await hostile.close()
+        stored_count = queries.result_count(engine)
     (log,) = place.glob("*.log")
     return Outcome(
         usual_s=usual_s,
         took_s=took_s,
-        stored_count=stored(url),
+        stored_count=stored_count,
         granted=granted,
         heard=hostile.heard,
         log=log.read_text(encoding="utf-8", errors="replace"),

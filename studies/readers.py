@@ -1,8 +1,8 @@
 """Speed of the log readers, each beside a named peer in the same run.
 
-2,000,000 frames of ten messages with 64 signals, for us and for every peer; all contenders in turn, several rounds,
-medians. Times are of the processor, one core: this process and its children, so that others on the machine count
-little.
+2,000,000 frames of a hundred messages with 700 signals, for us and for every peer; all contenders in turn, several
+rounds, medians. Times are of the processor, one core: this process and its children, so that others on the machine
+count little.
 
     python -m studies.readers [--frames 2000000] [--rounds 3]
 """
@@ -23,12 +23,13 @@ import can
 from rich.console import Console
 from rich.table import Table
 
+from canlog.decode.codec import Codec
 from canlog.frames import FrameBatch
 from canlog.logs import read_log
 from canlog.logs.blf import CONTAINER_HEADER, OBJECT_HEADER
 from studies import bars
-from studies.bus64 import Decoder, dbc_text, load_bus, write_log
 from studies.run import machine, parsed, peak_mib, study_parser, took_s
+from studies.wide_bus import database, frames, write_database, write_log
 
 FRAMES: Final = 2_000_000
 ROUNDS: Final = 3
@@ -58,9 +59,10 @@ def batches(path: Path) -> Iterator[FrameBatch]:
     yield from read_log(path)
 
 
-def decoded(path: Path, decoder: Decoder) -> int:
+def decoded(path: Path, codec: Codec) -> int:
     """Read a log and decode all its signals; return the number of values."""
-    return sum(len(values) for batch in batches(path) for values in decoder.decode(batch))
+    messages = (message for batch in batches(path) for message in codec.decode(batch))
+    return sum(len(signal.value) for message in messages for signal in message.signals.values())
 
 
 def read_only(path: Path) -> int:
@@ -106,13 +108,18 @@ def count_lines(path: Path) -> None:
     subprocess.run(["wc", "-l", str(path)], check=True, capture_output=True)
 
 
+def new_codec() -> Codec:
+    """Return all signals of the bus, by the service's compiled tables."""
+    return Codec(database().messages, check_range=False)
+
+
 def rows(folder: Path, count: int) -> list[Row]:
     """Return what is measured, on logs that are written into the folder; databases are loaded before."""
-    logs = {suffix: write_log(folder / f"drive{suffix}", count) for suffix in SUFFIXES}
+    recorded = frames(count)
+    logs = {suffix: write_log(folder / f"drive{suffix}", recorded) for suffix in SUFFIXES}
     text, blf_log, asc, mf4 = (logs[suffix] for suffix in SUFFIXES)
-    dbc = folder / "bus.dbc"
-    dbc.write_text(dbc_text(), encoding="ascii")
-    decoder, decode = Decoder(), load_bus().decode_message
+    dbc = write_database(folder / "bus.dbc")
+    decoder, decode = new_codec(), database().decode_message
     of_text = Contender("python-can + cantools", lambda: python_can_and_cantools(text, decode))
     of_blf = Contender("python-can + cantools", lambda: python_can_and_cantools(blf_log, decode))
     bare = Contender("bare inflate (zlib)", lambda: inflate_only(blf_log))
@@ -166,10 +173,10 @@ def growth_mib(path: Path) -> float:
 
 def print_growth(path: Path) -> None:
     """Stream a log to columns and print by how much this process grows past the first batches [MiB]."""
-    decoder, early_mib = Decoder(), 0.0
+    codec, early_mib = new_codec(), 0.0
     for number, batch in enumerate(batches(path)):
-        for _ in decoder.decode(batch):
-            pass
+        for message in codec.decode(batch):
+            _ = [signal.value for signal in message.signals.values()]
         if number < 2:
             early_mib = peak_mib()
     sys.stdout.write(str(peak_mib() - early_mib))

@@ -1,6 +1,5 @@
 """Reproduce the paper: ``python -m studies.reproduce [--seeds N] [--output FOLDER]``."""
 
-import csv
 import sys
 import time
 from pathlib import Path
@@ -10,7 +9,7 @@ from rich.table import Table as ConsoleTable
 
 from studies.reproduce.findings import find
 from studies.reproduce.report import EVIDENCE_HEADINGS, evidence_rows, page
-from studies.reproduce.tables import Table
+from studies.reproduce.tables import Table, write_csv
 from studies.reproduce.text import html_tables, reading_headings, reading_rows, study_tables, written
 from studies.run import parsed, study_parser
 
@@ -32,9 +31,9 @@ def main() -> int:
     tables = study_tables(found)
     options.output.mkdir(parents=True, exist_ok=True)
     for table in tables:
-        table.write_csv(options.output)
-    _write_csv(options.output / "what-passes.csv", list(EVIDENCE_HEADINGS), evidence_rows(found.evidence))
-    _write_csv(options.output / "readings.csv", reading_headings(), reading_rows(found))
+        write_csv(options.output / f"{table.name}.csv", table.headings, table.rows)
+    write_csv(options.output / "what-passes.csv", EVIDENCE_HEADINGS, evidence_rows(found.evidence))
+    write_csv(options.output / "readings.csv", reading_headings(), reading_rows(found))
     for picture in found.pictures:
         (options.output / f"figure-{picture.number:02}.png").write_bytes(picture.png)
     report = options.output / "report.html"
@@ -45,13 +44,6 @@ def main() -> int:
             console.print(_shown(part))
     console.print(f"{report}: tables, pictures and what they mean; {time.monotonic() - started_s:.0f} s", markup=False)
     return 0
-
-
-def _write_csv(path: Path, headings: list[str], rows: list[list[str]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(headings)
-        writer.writerows(rows)
 
 
 def _shown(table: Table) -> ConsoleTable:

@@ -23,7 +23,6 @@ class StaticEvidence:
     passed_count: float  # samples that pass every gate
     locked_share: float  # of them truly locked
     slow_share: float  # of them truly slipping as slowly as the gate wants
-    locked_mu_percent: float  # mean mu_i of the truly locked ones before the 20 % gate, percent of the true mu_S
     ungated_mean_percent: float  # mean mu_i before the 20 % gate
     ungated_std_percent: float  # scatter of mu_i before the 20 % gate
     error_by_prior_percent: tuple[float, ...]  # error of mu_S with the gate around PRIOR_FACTORS times the truth
@@ -64,7 +63,6 @@ def _one_run(drive: PaperDrive, setup: Setup, clutch: int, data: FrictionData) -
         passed_count=float(np.count_nonzero(passed)),
         locked_share=_share(locked, passed),
         slow_share=_share(slow, passed),
-        locked_mu_percent=100.0 * _mean(data.mu[ungated & locked]) / true,
         ungated_mean_percent=100.0 * _mean(data.mu[ungated]) / true,
         ungated_std_percent=100.0 * float(np.std(data.mu[ungated])) / true,
         error_by_prior_percent=tuple(error_percent(one, true) for one in by_prior),
@@ -86,7 +84,6 @@ def _averaged(parts: Sequence[StaticEvidence]) -> StaticEvidence:
         passed_count=mean("passed_count"),
         locked_share=mean("locked_share"),
         slow_share=mean("slow_share"),
-        locked_mu_percent=mean("locked_mu_percent"),
         ungated_mean_percent=mean("ungated_mean_percent"),
         ungated_std_percent=mean("ungated_std_percent"),
         error_by_prior_percent=means("error_by_prior_percent"),

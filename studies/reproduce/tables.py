@@ -83,14 +83,11 @@ class Table:
             groups[-1].append(one)
         return [replace(self, sets=group) for group in groups]
 
-    def write_csv(self, folder: Path) -> Path:
-        """Write the table as CSV and return where."""
-        path = folder / f"{self.name}.csv"
-        with path.open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.writer(stream)
-            writer.writerow(self.headings)
-            writer.writerows(self.rows)
-        return path
+
+def write_csv(path: Path, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Write a table as CSV."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        csv.writer(stream).writerows([headings, *rows])
 
 
 def keys_of(cases: Sequence[Case]) -> list[Key]:
