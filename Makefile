@@ -10,6 +10,7 @@ RUNTIME ?=
 SCENARIO ?=
 BROKER ?=
 ORDER ?=
+FULL ?=
 # Only a hang takes so long: the guest's tests take three minutes, seven beside other work.
 VCAN_LIMIT_S ?= 3600
 # Hundreds of programs start in the tests; where bytecode is not kept, each of them compiles two hundred modules first.
@@ -23,13 +24,13 @@ PY = "$(VENV)/bin/python"
 INSTALL = $(PY) -m pip --disable-pip-version-check install -qq
 SHUFFLED = $(if $(ORDER),--order-seed "$(ORDER)")
 # The ones that print figures of speed and size; studies of accuracy have targets or commands of their own.
-BENCHMARKS = estimator fleet_ingest hour live_latency outbox plant readers service_memory
+BENCH = estimator fleet_ingest hour live_latency outbox plant readers service_memory
 
 .PHONY: help setup setup-all setup-system demo fleet docs check static static-and-warm test warm test-both test-host test-vcan bench accuracy reproduce operating-curve mismatch lock sbom clean
 
 help:
 	@echo "make setup         virtual environment in $(VENV) with the project and what its programs and the demonstration need"
-	@echo "make setup-all     the same with all that tests, documents and benchmarks need, as their targets do it"
+	@echo "make setup-all     the same with all that tests, documents and studies need, as their targets do it"
 	@echo "make demo          emulator and service on one bus, a live line per shift, a table and a picture"
 	@echo "                   SCENARIO=case2 for another drive, BROKER=mqtt://host for a broker of your own"
 	@echo "make fleet         broker, database, two ingest workers, three vehicles with different fluids; the fleet, worst first, and its page"
@@ -37,7 +38,7 @@ help:
 	@echo "                   its search needs a server: python3 -m http.server --directory build/site"
 	@echo "make check         format, lint, types, import contracts, DBC, unit and property tests (under 2 minutes)"
 	@echo "make test          everything CI runs, the tests on a real vcan included; ORDER=n shuffles them"
-	@echo "make bench         speed and size figures"
+	@echo "make bench         speed and size figures, within ten minutes; FULL=1 for the long runs, an hour of a bus among them"
 	@echo "make accuracy      estimates against the truth over many seeds; SEEDS=n for fewer or more"
 	@echo "make reproduce     tables and pictures of SAE 2015-01-1146 as an HTML report; SEEDS=n draws of the noise"
 	@echo "make operating-curve  how often each verdict is given, against true slope and level; writes into docs"
@@ -79,7 +80,7 @@ $(VENV)/.project-installed: pyproject.toml $(VENV)/.requirements-installed
 
 # The lock of the programs has the versions of this one, so nothing is installed twice.
 $(VENV)/.all-installed: requirements.lock $(VENV)/.project-installed
-	@echo "setup: installing what tests, documents and benchmarks need besides"
+	@echo "setup: installing what tests, documents and studies need besides"
 	@$(INSTALL) --no-compile --require-hashes -r requirements.lock
 	@touch "$@"
 
@@ -111,8 +112,8 @@ docs: setup-all
 	@echo "docs: build/site/index.html; with a search: python3 -m http.server --directory build/site"
 
 bench: setup-all
-	@set -e; for name in $(BENCHMARKS); do \
-	  echo "== benchmark: $$name"; $(PY) -m "studies.$$name"; \
+	@set -e; for name in $(BENCH); do \
+	  echo "== $$name"; $(PY) -m "studies.$$name" $(if $(FULL),,--short); \
 	done
 
 accuracy: setup-all

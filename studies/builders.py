@@ -1,8 +1,10 @@
 """What studies build: a service that has met no vehicle, drives in memory, results, tables as a scan tool writes."""
 
 import tempfile
+from contextlib import redirect_stderr
 from dataclasses import replace
 from functools import cache
+from io import StringIO
 from pathlib import Path
 from typing import Final
 
@@ -85,7 +87,8 @@ def _results() -> tuple[ShiftResult, ...]:
     """Return the results of one recorded shift cycle."""
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "drive.log"
-        emulator(["record", str(log), "--cycles", "1"])
+        with redirect_stderr(StringIO()):
+            emulator(["record", str(log), "--cycles", "1"])
         return tuple(analyze(log).results)
 
 

@@ -124,13 +124,6 @@ class PostgresServer:
         self._run("createdb", *where, "--template", template, database)
         return self.url(database)
 
-    def create_on(self, folder: Path, database: str) -> str:
-        """Create an empty database whose tables are in a folder of the server's owner, and return its address."""
-        where = ("-h", HOST, "-p", str(self.port), "-U", ROLE)
-        self._run("psql", *where, "-d", "postgres", "-c", f"CREATE TABLESPACE {database} LOCATION '{folder}'")
-        self._run("createdb", *where, "--tablespace", database, database)
-        return self.url(database)
-
     def kill(self) -> None:
         """End the server as a power cut would."""
         self._end(signal.SIGKILL)

@@ -1,7 +1,6 @@
 """Real file systems that fill up under the vehicle's store and the backend's database: nobody dies, nothing is lost.
 
-They run with the tests on vcan, where mounting is allowed: in User-Mode Linux everyone is root. PostgreSQL, which
-refuses to be, is tried by ``python -m studies.fleet_full_disk``.
+They run with the tests on vcan, where mounting is allowed: in User-Mode Linux everyone is root.
 """
 
 import signal
