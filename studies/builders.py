@@ -93,9 +93,9 @@ def _results() -> tuple[ShiftResult, ...]:
 
 
 def shift_result(seq: int = 1, *, vehicle: str = "car1", stream: str | None = None) -> ShiftResult:
-    """Return the result at a position of a vehicle's stream: the shifts of one recorded cycle in turns."""
+    """Return the result at a position of a stream: the shifts of a recorded cycle in turns, their courses left out."""
     result = _results()[seq % len(_results())]
-    estimate = replace(result.estimate, number=seq)
+    estimate = replace(result.estimate, number=seq, shift_quality=None)
     return replace(result, vehicle=vehicle, stream=stream or result.stream, seq=seq, estimate=estimate)
 
 

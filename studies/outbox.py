@@ -48,8 +48,8 @@ LIVE_PERIOD_S: Final = 0.1
 class TimedStore(ResultStore):
     """A store that notes when a result was acknowledged."""
 
-    def __init__(self, *arguments: object) -> None:
-        super().__init__(*arguments)  # type: ignore[arg-type]  # those of the base class
+    def __init__(self, *arguments: object, **options: object) -> None:
+        super().__init__(*arguments, **options)  # type: ignore[arg-type]  # those of the base class
         self.settled_s: dict[int, float] = {}
 
     def note_receipts(self, receipts: Sequence[Receipt]) -> list[int]:

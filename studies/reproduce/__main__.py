@@ -15,7 +15,6 @@ from studies.run import parsed, study_parser
 
 DEFAULT_SEEDS = 40
 OUTPUT = Path("reproduce-output")
-CONSOLE_COLUMNS = 6  # of values side by side; more cannot be read in 80 characters
 
 
 def main() -> int:
@@ -38,10 +37,9 @@ def main() -> int:
         (options.output / f"figure-{picture.number:02}.png").write_bytes(picture.png)
     report = options.output / "report.html"
     report.write_text(page(written(found), html_tables(found, tables), found.pictures), encoding="utf-8")
-    console = Console()
+    console = Console(width=150)
     for table in tables:
-        for part in table.parts(CONSOLE_COLUMNS):
-            console.print(_shown(part))
+        console.print(_shown(table))
     console.print(f"{report}: tables, pictures and what they mean; {time.monotonic() - started_s:.0f} s", markup=False)
     return 0
 

@@ -2,7 +2,7 @@
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from studies.reproduce.drives import Case, PaperDrive
@@ -73,15 +73,6 @@ class Table:
             ]
             for key in self.keys
         ]
-
-    def parts(self, width: int) -> list["Table"]:
-        """Return the table cut between column sets, so that no part has more than ``width`` columns of values."""
-        groups: list[list[ColumnSet]] = []
-        for one in self.sets:
-            if not groups or sum(len(other.columns) for other in groups[-1]) + len(one.columns) > width:
-                groups.append([])
-            groups[-1].append(one)
-        return [replace(self, sets=group) for group in groups]
 
 
 def write_csv(path: Path, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
