@@ -81,18 +81,6 @@ async def test_acknowledgements_wait_for_a_vehicle_that_is_away(store: ResultSto
             assert outbox.counts.sent == 0
 
 
-async def test_a_message_that_is_no_acknowledgement_is_told_and_ignored(
-    store: ResultStore, broker: Mosquitto, caplog: pytest.LogCaptureFixture
-) -> None:
-    put(store, [1])
-    async with running(store, broker) as outbox, aiomqtt.Client("127.0.0.1", broker.port) as client:
-        await until(lambda: outbox.counts.sent >= 1)
-        for payload in (b"\xff", b"{" * 300_000, b"{}"):
-            await client.publish("clutchdiag/v1/car1/ack", payload, qos=1)
-        await until(lambda: caplog.text.count("a message to this service is ignored") == 3)
-    assert store.unpublished_count("car1") == 1
-
-
 def test_kill_9_around_every_step_loses_and_doubles_nothing(tmp_path: Path, broker: Mosquitto) -> None:
     """One store, one edge after the other, each dead at another step with more to send than the last."""
     steps = [step for step in Step if step is not Step.NONE]

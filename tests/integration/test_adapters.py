@@ -16,11 +16,9 @@ import pytest
 from canlog.database.signal_columns import column_id
 from canlog.frames import EXTENDED_FLAG, join
 from diag_service.diagnosis.columns import Signal
-from diag_service.errors import ConfigError, ControllerError
 from diag_service.mapping.asked_signals import Overheard
 from diag_service.mapping.profile import AskingRules, load_shipped
-from diag_service.tester.adapters import ANSWER_S, ELM_TOGETHER, line_through, messages_in, parse_adapter
-from diag_service.tester.addresses import CanAddress
+from diag_service.tester.adapters import ELM_TOGETHER, line_through, messages_in
 from diag_service.tester.signal_asking import SignalAsker
 from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
@@ -100,11 +98,6 @@ def test_an_adapter_that_is_not_ours_is_asked_though_it_echoes_and_stutters() ->
         stop()
 
 
-DSG = CanAddress(request_id=0x7E1, response_id=0x7E9)
-PRESSURE = b"\x22\x38\xeb"
-TOLD = bytes.fromhex("6238EB0190")
-
-
 @contextmanager
 def adapter(answer: Sequence[tuple[float, bytes]], greeting: bytes = b"") -> Iterator[str]:
     """Run an adapter that says to each request for data some bytes, each after a while [s]; yield its address."""
@@ -123,42 +116,6 @@ def adapter(answer: Sequence[tuple[float, bytes]], greeting: bytes = b"") -> Ite
         thread.start()
         yield f"elm327://127.0.0.1:{server.getsockname()[1]}"
         thread.join()
-
-
-def test_what_an_adapter_said_by_itself_answers_nothing() -> None:
-    """Some greet whoever connects with a prompt of their own."""
-    with (
-        adapter([(0.0, b"6238EB0190\r\r>")], b"ELM327 v1.5\r\r>") as place,
-        line_through(place, "greeted") as line,
-    ):
-        time.sleep(0.1)
-        assert line.ask(PRESSURE, DSG) == TOLD
-
-
-def test_an_answer_counts_when_it_is_shown_not_when_the_adapter_has_waited_for_others() -> None:
-    with (
-        can.Bus("shown", "virtual") as bus,
-        adapter([(0.0, b"6238EB"), (0.05, b"0190\r\r"), (0.4, b">")]) as place,
-        line_through(place, "shown") as line,
-    ):
-        assert [line.ask(PRESSURE, DSG) for _ in range(3)] == [TOLD] * 3
-        stamps_s = [message.timestamp for _ in range(6) if (message := bus.recv(1.0)) is not None]
-    waits_s = np.diff(stamps_s)
-    assert (waits_s[0::2] < 0.3).all()  # from request to answer
-    assert (waits_s[1::2] >= 0.3).all()  # to the next request, which is said when it is sent
-
-
-def test_an_adapter_whose_controller_asks_for_patience_is_waited_for() -> None:
-    with (
-        adapter([(0.0, b"7F2278\r"), (ANSWER_S + 0.5, b"6238EB0190\r\r>")]) as place,
-        line_through(place, "patient") as line,
-    ):
-        assert line.ask(PRESSURE, DSG) == TOLD
-
-
-def test_what_is_no_serial_port_is_told() -> None:
-    with pytest.raises(ControllerError, match="/dev/null: Inappropriate"), line_through("elm327:/dev/null", "none"):
-        pass
 
 
 def test_a_node_over_ip_that_dies_is_told_and_asked_again(caplog: pytest.LogCaptureFixture) -> None:
@@ -191,21 +148,3 @@ def test_what_an_adapter_shows_is_read() -> None:
     assert (
         messages_in("NO DATA") == messages_in("?") == messages_in("CAN ERROR") == messages_in("BUS INIT: ERROR") == []
     )
-
-
-@pytest.mark.parametrize(
-    ("text", "parsed"),
-    [
-        ("elm327://192.168.0.10", ("elm327", "192.168.0.10:35000", 0)),
-        ("elm327:/dev/rfcomm0", ("elm327", "/dev/rfcomm0", 0)),
-        ("doip://192.0.2.7/1011", ("doip", "192.0.2.7", 0x1011)),
-    ],
-)
-def test_adapters_are_named_by_addresses(text: str, parsed: tuple[str, str, int]) -> None:
-    assert parse_adapter(text) == parsed
-
-
-@pytest.mark.parametrize("text", ["", "elm327:", "usb://1", "doip://192.0.2.7", "elm327://host:99999", "doip://h/xyz"])
-def test_what_is_no_adapter_is_refused(text: str) -> None:
-    with pytest.raises(ConfigError, match="--adapter"):
-        parse_adapter(text)

@@ -11,10 +11,8 @@ import can
 import j1939
 import pytest
 
-import diag_service
 from canlog.errors import NOTICE
 from diag_service.diagnosis.columns import Signal
-from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import interpret
 from diag_service.mapping.profile import load_profile
 from diag_service.tester.addresses import GROUP_REQUEST
@@ -134,21 +132,3 @@ def test_a_truck_is_tried(channel: str, sent_by_us: SentByUs) -> None:
     said = " ".join(run.out.split())
     assert "clutch1_pressure_pa: PGN 65272 is told" in said
     assert "2 of 2 signals are told" in said
-
-
-async def test_a_run_asks_for_groups_where_it_may(channel: str, sent_by_us: SentByUs) -> None:
-    with transmission(channel):
-        async with diag_service.diagnose(
-            interface="virtual", channel=channel, profile=Path("j1939"), asks=True
-        ) as live:
-            wait_for(lambda: sent_by_us.services[GROUP_REQUEST] >= 1)
-            assert live is not None
-
-
-async def test_through_an_adapter_no_group_is_asked_for() -> None:
-    with pytest.raises(ConfigError, match="not through an adapter"):
-        async with diag_service.diagnose(adapter="elm327://127.0.0.1:9", profile=Path("j1939"), asks=True):
-            pass
-    run = ended("try", "--adapter", "elm327://127.0.0.1:9", "--profile", "j1939", "--active")
-    assert run.status == 2
-    assert "not through an adapter" in run.err

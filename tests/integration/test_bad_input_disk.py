@@ -33,13 +33,6 @@ def test_a_store_on_a_disk_that_fills_up(mount: Mount, drive_log: Path, tmp_path
     assert ended.records == stored(store)[: len(ended.records)]
 
 
-def test_a_store_on_a_sealed_disk(mount: Mount, drive_log: Path, tmp_path: Path) -> None:
-    store = mount("ro") / "car.sqlite"
-    ended = run_service(tmp_path, "analyze", drive_log, "--json", "--store", store)
-    ended.assert_one_line(4, "Read-only file system")
-    assert ended.out == ""
-
-
 def test_a_recording_on_a_disk_that_fills_up(mount: Mount, capsys: pytest.CaptureFixture[str]) -> None:
     disk = mount(f"size={LOG_BYTES}")
     assert main(["record", str(disk / "drive.log"), "--json"]) == 4
@@ -48,23 +41,3 @@ def test_a_recording_on_a_disk_that_fills_up(mount: Mount, capsys: pytest.Captur
     full = f"ecu-emulator: error: cannot write {disk / 'drive.log'}: No space left on device\n"
     assert captured.err == full
     assert [path.name for path in disk.iterdir()] == []  # neither half a log nor the truth about it
-
-
-@pytest.mark.parametrize(
-    ("arguments", "options", "text"),
-    [
-        (("run", "-i", "virtual", "-c", "disk", "--truth", "{}/truth"), "size=4096", "No space left on device"),
-        (("record", "{}/drive.log"), "size=4096", "No space left on device"),
-        (("record", "{}/drive.log"), "ro", "Read-only file system"),
-    ],
-)
-def test_a_disk_that_takes_nothing(
-    mount: Mount, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], options: str, text: str
-) -> None:
-    disk = mount(options)
-    if options != "ro":
-        (disk / "filler").write_bytes(bytes(4096))
-    assert main([argument.format(disk) for argument in arguments]) == 4
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("ecu-emulator: error: cannot write ")
-    assert line.endswith(text)

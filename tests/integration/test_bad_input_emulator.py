@@ -1,39 +1,15 @@
 """What users do wrong at the emulator as a process; the table in ``test_bad_input_service`` says where the rest is."""
 
-import os
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 from tests.support.in_process import ended as run
-from tests.support.patience import HANG_S
 from tests.support.service import service
 
 EMULATOR = (sys.executable, "-m", "ecu_emulator")
-
-
-def emulate(*arguments: str | Path, wrapper: tuple[str, ...] = ()) -> subprocess.CompletedProcess[str]:
-    command = [*wrapper, *EMULATOR, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=HANG_S)
-
-
-def assert_one_line(done: subprocess.CompletedProcess[str], status: int, *texts: str) -> None:
-    assert (done.returncode, done.stderr.count("\n"), done.stdout) == (status, 1, ""), done.stderr
-    assert done.stderr.startswith("ecu-emulator: error: ")
-    for text in texts:
-        assert text in done.stderr
-
-
-def test_a_folder_that_may_not_be_written(tmp_path: Path) -> None:
-    folder = tmp_path / "sealed"
-    folder.mkdir()
-    folder.chmod(0o555)
-    # Root passes every permission bit unless it gives that up.
-    wrapper = ("setpriv", "--bounding-set", "-dac_override,-dac_read_search") if os.getuid() == 0 else ()
-    assert_one_line(emulate("record", folder / "drive.log", wrapper=wrapper), 4, "cannot write", "Permission denied")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

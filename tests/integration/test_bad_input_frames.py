@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from canlog.arrays import Int64Array, UInt8Array
-from canlog.e2e.profile1 import COUNTER_PERIOD, DATA_START_BIT, counter_of, protect
+from canlog.e2e.profile1 import COUNTER_PERIOD, counter_of, protect
 from canlog.frames import FrameBatch
 from diag_service.diagnosis.records import Status
 from diag_service.mapping.profile import load_profile
 from ecu_emulator.drive.build import ROAD_MESSAGES
 from tests.support.chain import Outcome, diagnosed, frames_of_log
-from tests.support.wire import CONTRACTS, DATABASE
+from tests.support.wire import CONTRACTS
 
 DURATION_S = 10.0  # three shifts
 SHIFT = 1  # the one that suffers, counted from 0
@@ -171,10 +171,3 @@ def test_a_controller_that_hangs_through_a_whole_shift_costs_that_shift_only(dri
     assert estimates[SHIFT].friction is None
     assert estimates[SHIFT].reasons
     assert estimates[0] == truthful[0]
-
-
-def test_every_protected_bit_is_covered() -> None:
-    """The contract's signals begin where counter and CRC end, so that no fault above can hide beside them."""
-    for message in DATABASE.messages:
-        starts = [signal.start for signal in message.signals if signal.name in CONTRACTS[message.name].signals]
-        assert min(starts) >= DATA_START_BIT

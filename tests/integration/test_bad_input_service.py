@@ -20,7 +20,6 @@ the same at the emulator              ``test_bad_input_emulator``, ``test_emulat
 ====================================  ==================================================================================
 """
 
-import os
 import signal
 import time
 from pathlib import Path
@@ -31,7 +30,7 @@ from ecu_emulator.cli import main as emulator
 from tests.plugins.broker import Mosquitto
 from tests.plugins.drives import SHIFT_COUNT
 from tests.support.in_process import ended as run
-from tests.support.service import run_service, service
+from tests.support.service import service
 from tests.support.subscriber import Subscriber
 
 NOMINAL = Path(__file__).parents[2] / "clutch_model" / "calibrations" / "nominal.toml"
@@ -74,30 +73,6 @@ def test_a_description_of_another_vehicle(
     for text in texts:
         ended.assert_one_line(2, text)
     assert not store.exists()
-
-
-def test_a_log_that_may_not_be_read(drive_log: Path, tmp_path: Path) -> None:
-    log = tmp_path / "sealed.log"
-    log.write_bytes(drive_log.read_bytes())
-    log.chmod(0)
-    # Root passes every permission bit unless it gives that up.
-    wrapper = ("setpriv", "--bounding-set", "-dac_override,-dac_read_search") if os.getuid() == 0 else ()
-    run_service(tmp_path, "analyze", log, wrapper=wrapper).assert_one_line(3, "Permission denied")
-
-
-@pytest.mark.parametrize(
-    ("name", "contents", "complaint"),
-    [
-        ("table.csv", b"name,colour\nengine,red\n", "not a log of a known format (candump, candump-console, blf, "),
-        ("picture.log", b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR\x00\x00\x01\x00", "not a log of a known format ("),
-        ("archive.blf", b"PK\x03\x04\x14\x00\x00\x00\x08\x00", "a zip archive: unpack it first"),
-    ],
-)
-def test_a_file_of_another_format(tmp_path: Path, name: str, contents: bytes, complaint: str) -> None:
-    log = tmp_path / name
-    log.write_bytes(contents)
-    ended = run("analyze", log)
-    ended.assert_one_line(3, f"{log}: {complaint}")
 
 
 @pytest.mark.parametrize("suffix", [".blf", ".asc", ".mf4"])

@@ -18,7 +18,6 @@ from fleet_link import BrokerAddress
 from tests.plugins.broker import Mosquitto
 from tests.support.outboxes import NOW, STATUS, put, sending, until
 from tests.support.patience import HANG_S
-from tests.support.ports import free_port
 from tests.support.subscriber import Subscriber
 
 pytestmark = pytest.mark.broker
@@ -162,24 +161,6 @@ async def test_a_silent_broker_delays_the_end_for_a_limited_time(store: ResultSt
         async with asyncio.timeout(HANG_S):
             assert await outbox.close(sender, timeout_s=0.3) == 2
     broker.thaw()
-
-
-async def test_nobody_at_the_port(store: ResultStore) -> None:
-    put(store, [1])
-    outbox = outbox_for(store, local(free_port()))
-    async with sending(outbox) as sender:
-        async with asyncio.timeout(HANG_S):
-            assert await outbox.close(sender) == 1
-
-
-async def test_a_run_without_status_announces_nothing(store: ResultStore, broker: Mosquitto) -> None:
-    put(store, [1])
-    outbox = outbox_for(store, local(broker.port), None)
-    with Subscriber(broker.port) as subscriber:
-        async with sending(outbox) as sender:
-            assert await outbox.close(sender) == 0
-        subscriber.wait(lambda heard: seqs(heard) == [1])
-        assert subscriber.payloads("/status") == []
 
 
 async def test_a_successor_replaces_a_service_that_vanished(store: ResultStore, broker: Mosquitto) -> None:

@@ -14,7 +14,7 @@ from demo.fleet.brokers import NatsServer
 from diag_service.delivery import Acknowledge, MqttConnector, Outbox
 from diag_service.diagnosis.records import shift_record
 from diag_service.store import ResultStore
-from fleet_backend.broker import connected, is_of_bundles
+from fleet_backend.broker import connected
 from fleet_backend.choices import Pace
 from fleet_backend.database import open_database, transaction
 from fleet_backend.ingest import FILTERS, Worker
@@ -28,7 +28,6 @@ from tests.support.outboxes import NOW, put, sending, until
 from tests.support.patience import HANG_S
 
 pytestmark = pytest.mark.broker
-OLDER = [name for name in FILTERS if not is_of_bundles(name)]
 
 
 @pytest.fixture(name="server", params=[Mosquitto, NatsServer])
@@ -118,19 +117,3 @@ async def test_a_vehicle_learns_that_it_may_and_after_its_restart_sends_bundles(
     assert seen == ["bundle"] * 3
     with transaction(engine) as connection:
         assert connection.execute(select(func.count()).select_from(SHIFT_RESULT)).scalar_one() == 121
-
-
-async def test_vehicles_are_not_asked_for_bundles_that_a_stream_of_an_operator_lacks(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    server = NatsServer(tmp_path)
-    server.start()
-    address = parse_broker(server.url, may_be_nats=True)
-    try:
-        async with connected(address, OLDER, max_unsettled=20) as inbox:
-            assert not inbox.takes_bundles
-        async with connected(address, FILTERS, max_unsettled=20) as inbox:
-            assert not inbox.takes_bundles
-    finally:
-        server.stop()
-    assert "the stream CLUTCHDIAG lacks clutchdiag.v1.*.bundle" in caplog.text

@@ -117,16 +117,6 @@ async def test_a_bus_that_falls_silent_says_so_and_is_heard_again(transport: Tra
     assert second[0] - first[-1] > MAX_GAP_NS  # a new stretch by its times as well
 
 
-async def test_closing_ends_the_iteration_and_may_be_repeated(transport: Transport) -> None:
-    source = await BusOpener(transport.interface, transport.channel).open()
-    collector = asyncio.create_task(collect(source))
-    await asyncio.sleep(0.01)
-    await source.aclose()
-    await source.aclose()
-    assert await asyncio.wait_for(collector, timeout=HANG_S) == []
-    assert source.counts.received == 0
-
-
 async def test_remote_and_error_frames_carry_their_flags(transport: Transport) -> None:
     source = await BusOpener(transport.interface, transport.channel).open()
     with open_bus(transport.interface, transport.channel) as bus:
@@ -157,36 +147,6 @@ async def test_can_fd_frames_keep_their_payload_and_flags(transport: Transport) 
     payloads = [long, b"\x01", long[:12], b""]
     assert [row.tobytes() for row in batch.data] == [payload.ljust(64, b"\0") for payload in payloads]
     assert (source.counts.received, source.counts.unsupported) == (4, 0)
-
-
-@pytest.mark.parametrize("name", ["CAN_INTERFACE", "CAN_CHANNEL"])
-async def test_environment_fills_in_what_is_not_given(
-    transport: Transport, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(name, transport.interface if name == "CAN_INTERFACE" else transport.channel)
-    source = await BusOpener(
-        None if name == "CAN_INTERFACE" else transport.interface,
-        None if name == "CAN_CHANNEL" else transport.channel,
-    ).open()
-    await source.aclose()
-    assert source.description == f"{transport.interface} {transport.channel}"
-
-
-@pytest.mark.parametrize(("interface", "text"), [(None, "-i INTERFACE"), ("nonsense", "unknown CAN interface")])
-async def test_a_bus_that_is_not_named_is_one_clear_line(
-    interface: str | None, text: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("CAN_INTERFACE", raising=False)
-    monkeypatch.setenv("HOME", "/nonexistent")
-    with pytest.raises(SourceError, match=text) as caught:
-        await BusOpener(interface, "vcan0").open()
-    assert "\n" not in str(caught.value)
-
-
-async def test_a_channel_that_cannot_be_opened_is_one_clear_line() -> None:
-    with pytest.raises(SourceError, match="udp_multicast not-an-address cannot be opened") as caught:
-        await BusOpener("udp_multicast", "not-an-address").open()
-    assert "\n" not in str(caught.value)
 
 
 async def test_the_death_of_a_reader_thread_reaches_the_consumer(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,24 +46,9 @@ def test_a_calibration_is_found_written_and_used(routine_log: Path, cycle_log: P
     assert "start from its type" in again.err
 
 
-def test_the_table_for_people_says_what_driving_cannot_tell(cycle_log: Path, tmp_path: Path) -> None:
-    done = run("calibrate", str(cycle_log), "-o", str(tmp_path / "car.toml"))
-    assert done.status == 0, done.err
-    assert "torque latency against the speeds" in done.out
-    assert "not observable from driving" in done.out
-
-
 def test_too_short_a_drive_is_refused_and_writes_nothing(drive_log: Path, tmp_path: Path) -> None:
     own = tmp_path / "car.toml"
     done = run("calibrate", str(drive_log), "-o", str(own))
     assert done.status == 2
     assert "usable shifts onto clutch" in done.err
     assert not own.exists()
-
-
-def test_a_file_that_cannot_be_written_is_a_clear_error(cycle_log: Path, tmp_path: Path) -> None:
-    done = run("calibrate", str(cycle_log), "-o", str(tmp_path / "nowhere" / "car.toml"))
-    assert done.status == 2
-    told = [line for line in done.err.splitlines() if "compiling numerical kernels" not in line]  # of a first start
-    assert len(told) == 1
-    assert "cannot write" in told[0]

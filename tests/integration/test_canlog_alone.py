@@ -147,24 +147,3 @@ def test_importing_it_loads_no_library(alone: PlainInstall, tmp_path: Path) -> N
     )
     done = alone.run("-c", program, cwd=tmp_path)
     assert (done.out, done.err) == ("[]\n", "")
-
-
-def test_a_missing_library_is_named(alone: PlainInstall, tmp_path: Path) -> None:
-    write_drive(tmp_path)
-    program = """
-import sys
-for name in ("pyarrow", "pandas", "polars"):
-    sys.modules[name] = None
-import canlog
-log = canlog.read("drive.blf", "car.dbc")
-for table in (log.to_arrow, log.to_pandas, log.to_polars):
-    try:
-        table()
-    except canlog.ExtraMissingError as exc:
-        print(exc)
-"""
-    assert alone.run("-c", program, cwd=tmp_path).out.splitlines() == [
-        "Parquet needs pyarrow: pip install './canlog[parquet]' in the checkout",
-        "to_pandas() needs pandas: pip install pandas",
-        "to_polars() needs polars: pip install polars",
-    ]

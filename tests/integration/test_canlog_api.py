@@ -70,15 +70,6 @@ def test_every_frame_and_line_is_accounted_for(log: canlog.Log) -> None:
     ]
 
 
-def test_jumps_and_repetitions_are_counted_once(drive: Path) -> None:
-    drive.write_text("".join(f"({t_s:.6f}) can0 100#00\n" for t_s in (1.0, 1.0, 9.0, 2.0)), encoding="ascii")
-    other = drive.with_name("other.log")
-    other.write_text("".join(f"({t_s:.6f}) can0 100#00\n" for t_s in (3.0, 2.5)), encoding="ascii")
-    database = drive.with_name("car.dbc")
-    counts = [canlog.read(paths, database).counts for paths in (drive, [drive, other])]
-    assert [(one.jumps_back, one.jumps_ahead, one.repeated) for one in counts] == [(1, 1, 1), (2, 1, 1)]
-
-
 def test_signals_are_arrays_in_the_order_of_the_frames(log: canlog.Log) -> None:
     signals = log.signals()
     assert list(signals) == ["Engine.Speed", "Engine.State", "Gear.Page", "Gear.Current", "Gear.Target"]
@@ -104,16 +95,6 @@ def test_tables_in_memory_are_those_of_the_file(drive: Path, values: ValuesName)
     pd.testing.assert_frame_equal(frame, pd.read_parquet(output), check_categorical=False)
 
 
-def test_a_database_that_matches_nothing_gives_an_empty_table(log: canlog.Log, drive: Path) -> None:
-    drive.write_text("(1.000000) can0 7AB#00\n", encoding="ascii")
-    other = canlog.read(drive, drive.with_name("car.dbc"))
-    assert other.signals() == {}
-    assert other.to_pandas() == {}
-    assert other.to_pandas("wide").empty
-    assert other.to_polars("wide").is_empty()
-    assert "0 of 1 identifiers are in this database" in other.losses[0]
-
-
 def test_what_cannot_be_read_is_told(drive: Path) -> None:
     database = drive.with_name("car.dbc")
     with pytest.raises(canlog.SourceError, match=r"none\.log: no such file"):
@@ -126,9 +107,3 @@ def test_what_cannot_be_read_is_told(drive: Path) -> None:
         canlog.write_parquet(drive, database, drive.with_name("none") / "out.parquet")
     with pytest.raises(ValueError, match="long"):
         canlog.read(drive, database).to_arrow("long")  # type: ignore[arg-type]  # as a user may type it
-
-
-def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
-    assert set(canlog.__all__) <= set(dir(canlog))
-    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
-        _ = canlog.nothing

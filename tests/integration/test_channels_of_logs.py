@@ -15,7 +15,6 @@ from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
-from diag_service.service.calibrate_run import find_events
 from diag_service.service.drive import DriveFrames, open_drive
 from diag_service.service.recorded import events
 from diag_service.service.stages import Stages
@@ -25,7 +24,6 @@ from tests.support.service import Ended
 
 DATABASE = load_contract()
 GATEWAY = b"0B3"  # TCU_Shift
-OTHER_ID = b"7F0"  # of no message that is used
 ENGINE = (b"0A0", b"0A8")  # what the engine sends, by identifier
 
 
@@ -140,52 +138,6 @@ def test_a_log_that_ends_frees_its_own_messages_only(lines: list[bytes], tmp_pat
     )
 
 
-def test_a_damaged_log_is_warned_of_once(lines: list[bytes], tmp_path: Path) -> None:
-    """Damage that changes numbers of channels makes as many channels as there are numbers."""
-    strays = [on(100 + number, [line])[0] for number, line in enumerate(lines[1_000:1_100])]
-    path = written(tmp_path / "damaged.log", [*lines[:1_000], *strays, *lines[1_100:]])
-    (text,) = followed([path]).contributions.idle
-    assert text.startswith(f"channel 100 and 99 more of {path} contributed nothing: ")
-
-
-def test_logs_that_meet_within_one_tick_lose_no_frame(lines: list[bytes], tmp_path: Path) -> None:
-    stamp = lines[2_000].split()[0]
-    lines = [*lines[:1_990], *(stamp + line[line.index(b" ") :] for line in lines[1_990:2_010]), *lines[2_010:]]
-    found = followed([written(tmp_path / "a.log", lines[:2_000]), written(tmp_path / "b.log", on(1, lines[2_000:]))])
-    assert "other_channel" not in found.rejected
-
-
-def test_more_logs_than_there_are_channel_numbers(lines: list[bytes], tmp_path: Path) -> None:
-    pieces = [lines[start : start + 20] for start in range(0, 20 * 300, 20)]
-    paths = [written(tmp_path / f"{number:03d}.log", on(number % 3, piece)) for number, piece in enumerate(pieces)]
-    found = followed(paths)
-    assert not found.rejected
-    assert sum(log.frames for log in found.contributions.logs) == 20 * 300
-    assert all(log.frames == 20 for log in found.contributions.logs)
-
-
-def test_a_named_channel_that_a_log_lacks_is_said(halves: list[Path]) -> None:
-    found = followed(halves, channel=0)
-    count = len(halves[1].read_bytes().splitlines())
-    (text,) = found.contributions.idle
-    assert text == f"{halves[1]} contributed nothing: {count} frames on another channel (1; the profile names 0)"
-
-
-def test_a_log_of_nothing_that_is_used_is_said(lines: list[bytes], tmp_path: Path) -> None:
-    body = [line.split(b"#")[0][:-3] + OTHER_ID + b"#00\n" for line in lines[:50]]
-    drive, other = written(tmp_path / "drive.log", lines), written(tmp_path / "body.log", on(1, body))
-    assert followed([drive, other]).contributions.idle == (
-        f"{other} contributed nothing: 50 frames of messages that are not used",
-    )
-
-
-def test_a_channel_with_its_own_numbers_says_who_is_followed(lines: list[bytes], tmp_path: Path) -> None:
-    drive, copy = written(tmp_path / "drive.log", lines), written(tmp_path / "copy.log", on(1, lines[50:-50]))
-    assert followed([drive, copy]).contributions.idle == (
-        f"{copy} contributed nothing: {len(lines) - 100} frames on another channel (1; the drive follows 0)",
-    )
-
-
 @pytest.fixture(name="analyzed", scope="module", params=["", "folder", "paper"])
 def _analyzed(
     request: pytest.FixtureRequest, lines: list[bytes], tmp_path_factory: pytest.TempPathFactory
@@ -213,16 +165,6 @@ def test_strict_ends_with_a_status_of_its_own(
     assert (plain.status, strict.status) == (0, 5), strict.err
     assert "contributed nothing" in strict.err.splitlines()[-1]
     assert len(plain.records) == len(strict.records)
-
-
-def test_a_calibration_says_which_log_gave_nothing(
-    lines: list[bytes], tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    logs = [written(tmp_path / "drive.log", lines), written(tmp_path / "copy.log", on(1, lines[50:-50]))]
-    with open_drive(logs) as drive:
-        found = find_events(drive, Decoder(DATABASE, load_profile()), nominal_calibration(), Trigger())
-    assert len(found.shifts) == 3
-    assert f"{logs[1]} contributed nothing: " in caplog.text
 
 
 def test_the_summary_tells_the_share_of_each_log(halves: list[Path]) -> None:

@@ -81,16 +81,6 @@ def test_whole_files_lose_nothing(plain: Path, layout: Layout, is_sorted: bool, 
         assert counts == LogCounts(frames=COUNT, unfinished=not is_finished)
 
 
-@pytest.mark.parametrize("layout", [one for one in Layout if one is not Layout.PLAIN])
-@pytest.mark.parametrize("is_listed", [True, False], ids=["listed", "not listed"])
-def test_an_unfinished_file_in_several_blocks_gives_its_beginning_or_is_refused(
-    plain: Path, layout: Layout, is_listed: bool, tmp_path: Path
-) -> None:
-    recording = laid_out(plain, layout, is_sorted=True, is_finished=False, is_listed=is_listed)
-    counts = beginning_or_refusal(recording.contents, tmp_path)
-    assert counts is None or counts.unfinished
-
-
 @pytest.mark.parametrize("layout", Layout)
 @pytest.mark.parametrize("is_sorted", [True, False], ids=["sorted", "unsorted"])
 def test_a_finished_file_that_is_cut_is_refused_or_told(
@@ -112,10 +102,3 @@ def test_an_unfinished_file_that_ends_anywhere_gives_every_whole_record(
         assert_beginning(batch)
         assert len(batch) == whole
         assert counts.unfinished
-
-
-def test_a_file_that_ends_before_its_records_is_one_clear_error(plain: Path, tmp_path: Path) -> None:
-    recording = laid_out(plain, Layout.PLAIN, is_sorted=True, is_finished=True)
-    for cut in (63, 64, 100, 500, recording.data_at // 2, recording.data_at, recording.data_at + 24):
-        with pytest.raises(SourceError, match=r"damaged|no CAN frame"):
-            read(recording.contents[:cut], tmp_path)

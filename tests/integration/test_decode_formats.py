@@ -5,7 +5,6 @@ import json
 import math
 import re
 import shutil
-from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ from diag_service.cli import main
 from tests.support.documents import page_text
 from tests.support.in_process import ended
 from tests.support.pipes import piped
-from tests.support.terminal import before_head
 
 DATABASE = """VERSION ""
 BU_: A
@@ -125,29 +123,6 @@ def test_a_pipe_becomes_a_stream(
     assert pa.ipc.open_stream(out).read_all().num_rows == 5
 
 
-def test_head_of_a_stream_is_no_error(folder: Path) -> None:
-    (folder / "long.log").write_text(f"{LINES[0]}\n" * 20_000, encoding="ascii")
-    told = before_head("diag_service", "decode", "long.log", "--dbc", "car.dbc", "-o", "-")
-    assert (told.status, told.out.count(b"\n")) == (0, 1)
-    assert b"rror" not in told.err
-
-
-@pytest.mark.parametrize(
-    ("words", "status", "text"),
-    [
-        (("-o", "out.mf4"), 2, "written as .parquet, .csv, .jsonl, .arrows, or as --format says"),
-        (("-o", "-", "--format", "parquet"), 2, "parquet does not go to standard output"),
-        (("-o", "-", "--json"), 2, "--json cannot be used"),
-        (("-o", "car.dbc", "--format", "csv"), 2, "car.dbc is there already; --force writes over it"),
-        (("-o", "none/out.csv"), 4, "cannot write none/out.csv: No such file"),
-    ],
-)
-def test_what_cannot_be_written_is_told(folder: Path, words: tuple[str, ...], status: int, text: str) -> None:
-    told = ended("decode", "drive.log", "--dbc", "car.dbc", *words)
-    assert (told.status, text in told.err, told.err.count("\n")) == (status, True, 1), told.err
-    assert {path.name for path in folder.iterdir()} == {"car.dbc", "drive.log"}
-
-
 @pytest.mark.parametrize("suffix", ["parquet", "csv"])
 def test_a_part_is_what_the_whole_has_there(folder: Path, suffix: str) -> None:
     whole = decoded("drive.log")
@@ -175,31 +150,6 @@ def test_a_part_is_what_the_whole_has_there(folder: Path, suffix: str) -> None:
         ]
         assert rows == kept
     assert count == 3
-
-
-def test_a_part_that_cannot_be_is_told(folder: Path) -> None:
-    assert folder.is_dir()
-    for words, text in (
-        (("--signals", "Brake.Sped"), "no signal is called Brake.Sped; there is Brake.Speed"),
-        (("--from", "noon"), "'noon' is not a time"),
-        (("--from", "5", "--to", "2"), "nothing lies between 5 and 2: the first time must be before the second"),
-        (
-            ("--from", "2026-01-01T00:00:05", "--to", "2026-01-01T00:00:05Z"),
-            "nothing lies between 2026-01-01T00:00:05 and",
-        ),
-    ):
-        told = ended("decode", "drive.log", *words, "-o", "part.csv")
-        assert (told.status, text in told.err) == (2, True), told.err
-
-
-def test_a_log_is_read_no_further_than_its_part(folder: Path) -> None:
-    lines = "".join(f"({1_767_225_600 + second}.000000) can0 100#00C80000\n" for second in range(200_000))
-    (folder / "long.log").write_text(lines, encoding="ascii")
-    told = ended("decode", "long.log", "--to", "5", "-o", "part.parquet", "--json")
-    record = json.loads(told.out)
-    assert record["rows"] == 5
-    assert 5 < record["frames"]["read"] < 200_000
-    assert record["frames"]["left_out"] == record["frames"]["read"] - 5
 
 
 def test_each_log_of_a_folder_is_a_table_of_its_own(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -232,29 +182,3 @@ def test_each_log_of_a_folder_is_a_table_of_its_own(folder: Path, monkeypatch: p
     assert "drive.log.parquet is there already" in ended(*wide).err
     assert "--jobs is for folders" in ended("decode", "drive.log", "-o", "b.csv", "--jobs", "2").err
     assert "standard input does not go with them" in ended("decode", "logs", "-", "-o", "tables").err
-
-
-@pytest.mark.parametrize(
-    ("missing", "log", "output", "told"),
-    [
-        ("pyarrow", "drive.log", "out.csv", "csv needs pyarrow: pip install '.[parquet]'"),
-        ("pyarrow", "drive.log", "out.parquet", "parquet needs pyarrow: pip install '.[parquet]'"),
-        (
-            "pyarrow asammdf zstandard",
-            "drive.mf4.zst",
-            "out.jsonl",
-            "jsonl needs pyarrow, MF4 logs need asammdf, logs inside zstd need zstandard: pip install '.[mf4,",
-        ),
-    ],
-)
-def test_all_that_is_to_be_installed_is_told_at_once(
-    folder: Path, missing: str, log: str, output: str, told: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (folder / log).write_text(LINES[0], encoding="ascii")
-    find = PathFinder.find_spec
-    monkeypatch.setattr(
-        PathFinder, "find_spec", lambda name, *more: None if name in missing.split() else find(name, *more)
-    )
-    result = ended("decode", log, "--dbc", "car.dbc", "-o", output)
-    assert result.status != 0
-    assert told in result.err

@@ -117,16 +117,6 @@ def test_groups_are_matched_where_that_is_asked_for_and_proposed_where_it_would_
     assert (proposal in told(tmp_path, capsys, database, SAILS_LOG, *words)["losses"]) == (not words)
 
 
-def test_nothing_is_proposed_where_an_identifier_fits_or_testers_speak(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for can_id, log in (
-        (0x89F11255, log_of("09F11255#0700000000000000", "05F11224#0800000000000000")),
-        (0x98DA10F1, log_of("18DAF110#0700000000000000", "100#01")),
-    ):
-        assert "--match" not in str(told(tmp_path, capsys, SAILS.format(can_id), log)["losses"])
-
-
 STATE_LOG = log_of("100#00000000", "100#09640000", "100#0AFFFF00", "100#07FEFF00", "100#0B010000")
 
 
@@ -144,14 +134,6 @@ def test_named_states_stand_beside_the_numbers(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
-def test_texts_take_the_place_of_the_numbers_that_have_one(tmp_path: Path) -> None:
-    rows = decoded(tmp_path, STATES, STATE_LOG, "--values", "texts")
-    assert [(row["Brake.State"], row["Brake.State.text"]) for row in rows] == [
-        (None, "kein_Fehler"), (None, "Fault"), (None, "initializing"), (None, "SNA"), (3, None)
-    ]  # fmt: skip
-    assert [row["Brake.Speed"] for row in rows] == [-10.0, 40.0, None, 32757.0, -9.5]
-
-
 TWIN_LOG = log_of("100#0100000000000000", "200#0200000000000000", "00000200#0300000000000000", "300#0400000000000000")
 
 
@@ -166,20 +148,6 @@ def test_signals_of_messages_that_share_a_name_are_told_apart(tmp_path: Path) ->
     assert [(row["id"], row["is_extended"]) for row in rows] == [
         (0x100, False), (0x200, False), (0x200, True), (0x300, False)
     ]  # fmt: skip
-
-
-def test_the_names_do_not_depend_on_the_log(tmp_path: Path) -> None:
-    rows = decoded(tmp_path, TWINS, log_of("200#0200000000000000"))
-    assert rows[0]["Status@0x200.Value"] == 102.0
-
-
-def test_senders_of_one_parameter_group_are_told_apart_by_their_identifier(tmp_path: Path) -> None:
-    log = tmp_path / "truck.log"
-    log.write_text(log_of("0CF00400#0000000001000000", "0CF00427#0000000002000000"), encoding="ascii")
-    dbc = Path(import_module("diag_service").__file__ or "").parent / "profiles" / "j1939.dbc"
-    execute(log, "--dbc", dbc, "-o", tmp_path / "out.parquet")
-    rows = pq.read_table(tmp_path / "out.parquet").to_pylist()
-    assert [(row["id"] & 0xFF, row["EEC1.EngineSpeed"]) for row in rows] == [(0, 32.0), (0x27, 64.0)]
 
 
 def test_every_frame_and_every_loss_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -207,70 +175,6 @@ def test_every_frame_and_every_loss_is_told(tmp_path: Path, capsys: pytest.Captu
     assert [row["Bad.Inside"] for row in rows] == [None, None, None, 1, None]
 
 
-def test_people_are_told_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    decoded(tmp_path, LOSSES, LOST_LOG)
-    out = capsys.readouterr().out
-    for text in (
-        "10 frames: 3 decoded, 2 decoded in part, 1 pieces of longer messages, 1 of messages without signals, ",
-        "1 not in the database, 1 remote frames, 1 error frames",
-        "taken for candump: ",
-        "5 rows in",
-        "1 pieces of the log are not frames (1 malformed), the first: line 10",
-        "2 frames are shorter than the database says: 3 values are not in them",
-        "1 frames are pieces of messages longer than a frame, that could not be put together: Long (20 bytes) 1",
-        "1 signals cannot be decoded: Bad.Outside lies outside its message",
-        "1 values outside [min|max], written as sent: Whole.Low 1",
-        "1 of 5 identifiers are not in the database: 0x7AB 1",
-    ):
-        assert text in out
-
-
-def test_of_messages_with_one_identifier_the_last_is_written_and_the_other_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    database = TWINS.replace("BO_ 512 Status", "BO_ 256 Later").replace("BO_ 768 Other", "BO_ 512 Other")
-    record = told(tmp_path, capsys, database, log_of("100#0100000000000000"))
-    assert record["losses"] == ["message Status has the identifier of Later, by which its frames are decoded"]
-    assert pq.read_table(tmp_path / "out.parquet").to_pylist()[0]["Later.Value"] == 101.0
-    options = COMMAND_LINE.parse(["inspect", str(tmp_path / "drive.log"), "--dbc", str(tmp_path / "car.dbc"), "--json"])
-    import_module("diag_service.commands.inspect").execute(options, Controls())
-    assert [one["message"] for one in json.loads(capsys.readouterr().out)["ids"]] == ["Later"]
-
-
-def test_messages_that_are_not_whole_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    database = (
-        STATES.replace("BO_ 256 Brake: 4", "BO_ 2566845438 VIN: 17").replace(" 256 ", " 2566845438 ")
-        + 'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";\n'
-        + 'BA_DEF_DEF_ "VFrameFormat" "J1939PG";\nBA_ "VFrameFormat" BO_ 2566845438 3;\n'
-    )
-    log = log_of("18ECFF00#20110003FFECFE00", "18EBFF00#0131323334353637", "18EBFF00#0231323334353637")
-    record = told(tmp_path, capsys, database, log)
-    assert record["losses"][1:] == [
-        "1 messages longer than a frame are incomplete: j1939 tp: 0 whole messages, 1 incomplete (1 cut off)"
-    ]
-    assert record["long_messages"] == {"whole": {}, "incomplete": {"j1939_tp.cut_off": 1}}
-
-
-def test_identifiers_without_end_take_no_memory_without_end(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("canlog.tables.account.MAX_IDS", 3)
-    record = told(tmp_path, capsys, STATES, log_of("100#00000000", *(f"{number:08X}#00" for number in range(9))))
-    assert (record["identifiers"]["seen"], record["identifiers"]["unlisted_frames"]) == (3, 7)
-    assert record["frames"]["unknown"] == 9
-
-
-def test_jumps_of_time_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    decoded(tmp_path, STATES, STATE_LOG + STATE_LOG, "--strict")  # nothing is lost by them
-    assert "1 jumps of time, 1 of them back, the first: " in capsys.readouterr().out
-
-
-def test_a_cut_log_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    record = told(tmp_path, capsys, STATES, STATE_LOG[:-5])
-    assert (record["truncated"], record["losses"][0]) == (True, "the log is cut off")
-    assert record["frames"]["read"] == record["rows"] == 4
-
-
 def test_strict_writes_the_file_and_complains_with_a_status_of_its_own(tmp_path: Path) -> None:
     decoded(tmp_path, LOSSES, LOST_LOG)
     words = ("decode", tmp_path / "drive.log", "--dbc", tmp_path / "car.dbc", "-o", tmp_path / "o.parquet")
@@ -295,11 +199,6 @@ def test_a_database_that_matches_nothing_is_told(tmp_path: Path, capsys: pytest.
     assert record["rows"] == 0
     with pytest.raises(IncompleteError, match="0 of 2 identifiers are in this database"):
         decoded(tmp_path, database, log, "--strict")
-
-
-def test_the_number_is_the_same_but_not_the_kind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    record = told(tmp_path, capsys, STATES, log_of("00000100#00000000"))
-    assert record["losses"][0].endswith("Brake (the same number, but the log's has 29 bits)")
 
 
 class _Stopping(Trigger):

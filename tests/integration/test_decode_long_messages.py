@@ -16,7 +16,6 @@ from canlog.column_files import TableFormat
 from canlog.database.addressing import NOBODY
 from canlog.decode.codec import Codec
 from canlog.frames import FrameBatch
-from canlog.tables.account import remarks, values_text
 from canlog.tables.decoding import Plan, decode_logs
 from canlog.transport import Reassembler
 from tests.support.transport_traffic import Sent, batch_of, generator, iso_tp, j1939
@@ -111,24 +110,3 @@ def test_tables_have_what_cantools_decodes(tmp_path: Path, max_frames: int) -> N
     assert wide_values(log.to_arrow("wide", is_raw=True).to_pylist()) == values
     numbers = [one["Number"] for (_, name), each in values.items() if name == "Long3" for one in each]
     assert sorted(log.signals()["Long3.Number"].value.tolist()) == sorted(numbers)
-
-
-def pieces_alone(folder: Path) -> canlog.Log:
-    """Return a log of two messages for all (BAM) of 20 bytes, of the 60 that the database says."""
-    pieces = ("1CECFF03#20140003FFCAFE00", *(f"1CEBFF03#0{k}00000000000000" for k in (1, 2, 3)))
-    lines = (f"({k}.{place:02d}) can0 {one}\n" for k in (1, 2) for place, one in enumerate(pieces))
-    (folder / "bam.log").write_text("".join(lines), "ascii")
-    return canlog.read(folder / "bam.log", database())
-
-
-def test_a_log_of_pieces_alone_is_of_its_database(tmp_path: Path) -> None:
-    log = pieces_alone(tmp_path)
-    assert "2 of 2 identifiers are not in the database: 0x1CEBFF03 6, 0x1CECFF03 2" in remarks(log.account)
-    assert not any("identifiers" in loss for loss in log.losses)
-
-
-def test_what_never_came_of_a_longer_message_is_no_signal_and_its_end_is_counted(tmp_path: Path) -> None:
-    log = pieces_alone(tmp_path)
-    assert log.signals().keys() == {"Long0.Number", "Long0.Page", "Long0.Some0"}
-    assert values_text(log.account) == "6 values of 3 signals in 1 messages"
-    assert log.losses == ["2 messages of several frames are shorter than the database says: 2 values are not in them"]

@@ -2,26 +2,18 @@
 
 import socket
 import struct
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import suppress
-from pathlib import Path
 
 import pytest
 
 from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
-from ecu_emulator.diagnostics.doip.streams import MORE_CONNECTIONS
-from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.state import ServerState
-from ecu_emulator.errors import BusError
 from tests.support.doip.desk import activation, framed, request
 from tests.support.doip.streams import run_on_sockets
 from tests.support.doip.tester import Tester, entity
 from tests.support.patience import HANG_S
 from tests.support.ports import free_port
-from tests.support.uds.full_table import full_table
 from tests.support.uds.wire import Wire
 
 EVERYBODY = "127.255.255.255"
@@ -31,14 +23,6 @@ EVERYBODY = "127.255.255.255"
 def port() -> Iterator[int]:
     with entity() as (_, server):
         yield server.place.port
-
-
-def test_one_who_starts_says_so_three_times_to_everybody() -> None:
-    port = free_port()
-    with entity(port=port, announce_count=3, announce_interval_s=0.01) as (_, server):
-        while server.counts["datagrams"] < 3:  # it hears itself, as everybody on its port does
-            time.sleep(0.005)
-        assert server.counts["answered_datagrams"] == 0
 
 
 def test_everybody_is_asked_who_is_there(port: int) -> None:
@@ -64,15 +48,6 @@ def test_two_testers_are_answered_each_by_its_own(port: int) -> None:
         assert other.ask("2e f1 98 43 4c 55 54 43 48 53 48 4f 50") == "7f 2e 33"
 
 
-def test_periodic_data_go_to_the_tester_who_holds_the_session() -> None:
-    with entity() as (_, server), Tester(server.place.port, 0x0E01) as other, Tester(server.place.port) as one:
-        assert one.ask("10 03").startswith("50 03")
-        assert other.ask("2a 03 00") == "7f 2a 7f"
-        assert one.ask("2a 03 00") == "6a"
-        assert [one.response()[:2] for _ in range(3)] == ["00"] * 3
-        assert other.ask("22 f1 86") == "62 f1 86 01"
-
-
 def test_testers_on_can_and_over_ip_share_a_controller_and_not_their_answers() -> None:
     place = Place(host="127.0.0.1", port=free_port())
     with Wire() as wire, DoipServer(wire.controller, place), Tester(place.port) as one:
@@ -95,42 +70,6 @@ def test_hostile_streams_do_not_disturb_a_tester() -> None:
     assert run_on_sockets(count=30, seed=5) == 30
 
 
-class SlowDisk(MemoryFile):
-    """A file whose disk takes as long as the test says."""
-
-    may_go = threading.Event()
-
-    def save(self, state: ServerState) -> None:
-        assert self.may_go.wait(HANG_S)
-        super().save(state)
-
-
-def test_a_tester_is_told_to_wait_while_the_disk_takes_its_time(tmp_path: Path) -> None:
-    with SlowDisk(tmp_path / "memory", full_table()) as store:
-        store.may_go.set()
-        with (
-            entity(store=store) as (_, server),
-            Tester(server.place.port) as one,
-            Tester(server.place.port, 0x0E01) as other,
-        ):
-            store.may_go.clear()
-            try:
-                assert one.first("14 ff ff ff") == "7f 14 78"
-                other.send(request("22 12 34", other.address, 0xE400))
-                assert other.message()[0] == 0x8002
-                assert other.response() == "7f 22 78"
-            finally:
-                store.may_go.set()
-            assert one.final() == "54"
-            assert other.final() == "7f 22 31"  # to all, and yet: 78 has promised it
-            store.may_go.clear()
-            try:
-                assert one.first("11 81") == "7f 11 78"  # no response is wanted, but it is not ready either
-            finally:
-                store.may_go.set()
-            assert one.final() == "51 01"
-
-
 @pytest.mark.parametrize(
     ("sent", "kind", "code"),
     [
@@ -145,24 +84,6 @@ def test_a_tester_hears_why_before_its_connection_ends(port: int, sent: bytes, k
         told = one.message()
         assert (told[0], told[1][: len(code)]) == (kind, code)
         assert one.is_closed()
-
-
-def is_heard(port: int) -> bool:
-    """Return whether a new connection is kept."""
-    with socket.create_connection(("127.0.0.1", port), timeout=HANG_S) as one:
-        try:
-            return one.recv(1) != b""
-        except ConnectionError:
-            return False
-
-
-def test_more_connections_than_there_may_be_are_closed() -> None:
-    with entity(initial_inactivity_s=600.0) as (_, server):
-        idle = [Tester(server.place.port, is_activated=False) for _ in range(4 + MORE_CONNECTIONS)]
-        assert not is_heard(server.place.port)
-        for tester in idle:
-            tester.socket.close()
-        assert server.counts["refused_connections"] == 1
 
 
 def test_one_who_never_reads_and_one_who_breaks_off_do_not_disturb_others(
@@ -186,31 +107,6 @@ def test_one_who_never_reads_and_one_who_breaks_off_do_not_disturb_others(
     assert caplog.text == ""
 
 
-def test_a_place_that_is_taken_is_named(port: int) -> None:
-    with entity() as (controller, _), pytest.raises(BusError) as caught:
-        DoipServer(controller, Place(host="127.0.0.1", port=port))
-    assert str(caught.value) == f"DoIP cannot listen on 127.0.0.1:{port}: Address already in use"
-    with pytest.raises(BusError, match=r"DoIP cannot listen on 192\.0\.2\.1:13400: Cannot assign"):
-        DoipServer(controller, Place(host="192.0.2.1", port=13400))
-
-
-def test_an_error_of_the_controller_reaches_who_started_it() -> None:
-    def broken(*_: object, **__: object) -> bytes:
-        raise ValueError("broken")
-
-    def ask_it() -> None:
-        with entity() as (controller, server):
-            setattr(controller, "consider", broken)  # noqa: B010 - a method
-            with Tester(server.place.port) as one:
-                one.send(request("3e00"))
-                one.message()
-                assert one.is_closed()
-
-    with pytest.raises(ExceptionGroup) as caught:
-        ask_it()
-    assert caught.group_contains(ValueError, match="broken")
-
-
 def heard(server: DoipServer, count: int) -> None:
     """Wait until so many datagrams have come; it hears itself, as everybody on its port does."""
     deadline_s = time.monotonic() + HANG_S
@@ -229,19 +125,3 @@ def test_a_reset_ends_every_connection_once_it_is_answered() -> None:
         heard(server, 2)  # it is back, and says so
         with Tester(server.place.port) as again:
             assert again.ask("22 f1 86") == "62 f1 86 01"
-
-
-def test_nobody_is_heard_while_the_controller_starts() -> None:
-    with (
-        entity(reset_s=3600.0) as (controller, server),
-        socket.socket(type=socket.SOCK_DGRAM) as datagrams,
-        Tester(server.place.port) as before,
-    ):
-        assert controller.ask(b"\x11\x01") == b"\x51\x01"  # by whom ever
-        assert before.is_closed()
-        with suppress(ConnectionError), socket.create_connection(("127.0.0.1", server.place.port), HANG_S) as later:
-            assert later.recv(1) == b""
-        assert server.counts["refused_connections"] == 1
-        datagrams.sendto(framed(1), ("127.0.0.1", server.place.port))
-        heard(server, 1)
-        assert server.counts["answered_datagrams"] == 0

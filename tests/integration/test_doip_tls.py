@@ -1,18 +1,15 @@
 """DoIP by TLS and by IPv6: our tester against our entity, with certificates made for it, and those who get it wrong."""
 
 import socket
-import ssl
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from ecu_emulator.answering.answers import Answers
-from ecu_emulator.diagnostics.doip.listening import TlsNode, tls_node
+from ecu_emulator.diagnostics.doip.listening import TlsNode
 from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.memory import TestResult as Result
-from ecu_emulator.errors import ConfigError
 from tests.support.certificates import certify
 from tests.support.doip.desk import activation, framed
 from tests.support.doip.tester import entity
@@ -65,21 +62,6 @@ def test_a_node_that_another_authority_knows_is_not_asked(node: DoipServer, fold
     ended(*words, folder / "missing").assert_one_line(2, "cannot read authority")
 
 
-def test_a_tester_that_is_refused_hears_it_by_tls_and_the_entity_ends_the_connection(node: DoipServer) -> None:
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-    with (
-        socket.create_connection(("127.0.0.1", tls_port(node)), timeout=HANG_S) as plain,
-        context.wrap_socket(plain) as tester,
-    ):
-        tester.sendall(activation(0x0D00))  # no tester's address
-        heard = b""
-        while piece := tester.recv(100):
-            heard += piece
-    assert heard[2:4] == b"\x00\x06"
-    assert heard[12] == 0x00  # unknown address
-
-
 def test_who_speaks_no_tls_there_is_hung_up_on_and_others_are_served(node: DoipServer, folder: Path) -> None:
     with socket.create_connection(("127.0.0.1", tls_port(node)), timeout=HANG_S) as plain:
         plain.sendall(activation(0x0E00))
@@ -101,25 +83,3 @@ def test_ipv6_on_this_machine() -> None:
         one.settimeout(HANG_S)
         one.sendto(framed(1), ("::1", server.place.port))
         assert one.recv(100)[8:27] == b"WDCTEMUL3TED00047\x10\x11"
-
-
-def test_what_cannot_be_a_certificate_is_told_in_one_line(folder: Path) -> None:
-    for certificate, key, message in (
-        ("missing.crt", None, "cannot be read: No such file"),
-        ("node1.crt", None, "certificate or key cannot be used"),
-        ("node1.crt", "ca.key", "certificate or key cannot be used"),
-    ):
-        node = TlsNode(certificate=folder / certificate, key=None if key is None else folder / key, port=1)
-        with pytest.raises(ConfigError, match=message) as refused:
-            node.context()
-        assert "\n" not in str(refused.value)
-
-
-def test_tls_needs_what_it_needs() -> None:
-    with pytest.raises(ConfigError, match="--doip-key needs --doip-certificate"):
-        tls_node(None, Path("key"), 3496)
-    with pytest.raises(ConfigError, match=r"--doip-tls-port must be 1\.\.65535, got 0"):
-        tls_node(Path("certificate"), None, 0)
-    with pytest.raises(ConfigError, match="--doip-tls-port needs --doip-certificate"):
-        Answers(doip="0", doip_tls_port=13401)
-    ended("dtc", "--doip-authority", "ca.crt", "--active").assert_one_line(2, "--doip-authority needs --doip")

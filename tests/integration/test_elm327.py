@@ -2,20 +2,15 @@
 
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace
+from contextlib import ExitStack, contextmanager
 
 import can
 import pytest
 
-from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.diagnostics.controller import Controller
-from ecu_emulator.diagnostics.doip.listening import Place
-from ecu_emulator.diagnostics.elm327.server import MOST_CLIENTS, MOST_LINE_BYTES, ElmServer, parse_place
+from ecu_emulator.diagnostics.elm327.server import MOST_CLIENTS, ElmServer
 from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
-from ecu_emulator.errors import BusError, ConfigError
 from tests.support.patience import HANG_S
 from tests.support.uds.full_table import full_text
 from tests.unit.ecu_emulator.diagnostics.bench import PARKED
@@ -67,17 +62,6 @@ def test_a_line_may_come_in_pieces_and_several_at_once(server: ElmServer) -> Non
         assert until(one, b"AF \r\r>").split(b"\r\r>") == [SUPPORTED, b"ELM327 v1.5", b"41 0C 0C AF ", b""]
 
 
-def test_a_line_without_end_is_cut_and_answered_once(server: ElmServer) -> None:
-    before = server.counts.overlong_lines
-    with client(server) as one:
-        say(one, b"ATE0")
-        one.sendall(b"01" * 100_000)
-        assert say(one, b"") == b"?\r\r>"
-        assert say(one, b"A" * MOST_LINE_BYTES) == b"?\r\r>"  # as long as it may be
-        assert say(one, b"ATI") == b"ELM327 v1.5\r\r>"
-    assert server.counts.overlong_lines == before + 1
-
-
 def test_each_client_has_settings_of_its_own_and_too_many_are_turned_away() -> None:
     with ElmServer(controller(), ("127.0.0.1", 0)) as server, ExitStack() as stack:
         clients = [stack.enter_context(client(server)) for _ in range(MOST_CLIENTS)]
@@ -116,20 +100,6 @@ def test_frames_are_shown_until_the_client_says_anything(server: ElmServer) -> N
         assert say(one, b"ATI") == b"ELM327 v1.5\r\r>"
 
 
-def test_a_client_that_does_not_keep_up_is_told_so(server: ElmServer) -> None:
-    is_over = threading.Event()
-    with client(server) as one:
-        say(one, b"ATE0")
-        one.sendall(b"ATMA\r")
-        sender = threading.Thread(target=lambda: frames(server, is_over.is_set))
-        sender.start()
-        try:
-            assert until(one).endswith(b"BUFFER FULL\r\r>")
-        finally:
-            is_over.set()
-            sender.join()
-
-
 def pending(server: ElmServer, connection: socket.socket) -> None:
     """Start a routine whose response comes later."""
     for command in (b"ATE0", b"ATSP6", b"ATSH7E1", b"1003", b"2701", KEY):
@@ -166,71 +136,8 @@ def test_a_session_and_its_lock_are_of_the_client_who_entered_it(later: tuple[El
         assert say(other, b"22F186") == b"62 F1 86 03 \r\r>"
 
 
-def test_whoever_speaks_while_it_waits_has_stopped_it(later: tuple[ElmServer, Controller]) -> None:
-    with client(later[0]) as one:
-        pending(later[0], one)
-        one.sendall(b"\r")
-        assert until(one) == b"STOPPED\r\r>"
-
-
 @pytest.fixture
 def later() -> Iterator[tuple[ElmServer, Controller]]:
     asked = controller(full_text())
     with ElmServer(asked, ("127.0.0.1", 0)) as serving:
         yield serving, asked
-
-
-def test_silent_clients_make_room_for_others() -> None:
-    with ElmServer(controller(), ("127.0.0.1", 0), idle_s=0.2) as server, ExitStack() as stack:
-        silent = [stack.enter_context(client(server)) for _ in range(MOST_CLIENTS)]
-        assert [until(one) for one in silent] == [b""] * MOST_CLIENTS  # hung up on
-        deadline_s = time.monotonic() + HANG_S
-        answer = b""
-        while not answer and time.monotonic() < deadline_s:  # their places are free a moment later
-            with client(server) as later, suppress(ConnectionError):
-                answer = say(later, b"ATI")
-        assert answer == b"ATI\rELM327 v1.5\r\r>"
-
-
-@pytest.mark.parametrize(
-    ("text", "place"),
-    [("35000", ("127.0.0.1", 35000)), ("0.0.0.0:1", ("0.0.0.0", 1)), ("[::1]:35000", ("::1", 35000))],  # noqa: S104
-)
-def test_places(text: str, place: tuple[str, int]) -> None:
-    assert parse_place(text) == place
-
-
-@pytest.mark.parametrize("text", ["", "x", ":1", "host:", "65536", "-1", "1.5", "host:\u0661"])
-def test_what_is_no_place(text: str) -> None:
-    with pytest.raises(ConfigError, match="--elm327 must be"):
-        parse_place(text)
-
-
-def test_an_adapter_needs_a_port_and_a_controller_without_extended_addresses() -> None:
-    table = shipped_table()
-    odd = Controller(
-        replace(table, transport=replace(table.transport, own_address=0x18)),
-        values=lambda: PARKED, clock=lambda: 0.0, chance=bytes,
-    )  # fmt: skip
-    with pytest.raises(ConfigError, match="extended addresses"):
-        ElmServer(odd, ("127.0.0.1", 0))
-    with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(BusError, match="ELM327 cannot listen at"):
-        ElmServer(controller(), taken.getsockname())
-
-
-class Bus:
-    """An end of a bus on which nobody listens."""
-
-    def send(self, message: can.Message) -> None:
-        """Take a frame."""
-
-
-def test_where_one_server_cannot_listen_no_other_goes_on_listening() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        free = Place(host="127.0.0.1", port=probe.getsockname()[1])
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = str(taken.getsockname()[1])
-        with pytest.raises(BusError, match="ELM327 cannot listen") as failure:
-            Answering(Bus(), table="", memory=None, doip=free, is_fd=False, elm327=port)
-        socket.create_server((free.host, free.port)).close()
-    assert failure.traceback  # kept until here, and with it all that was made

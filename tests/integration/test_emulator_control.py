@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from ecu_emulator.drive.recording import Drive
-from ecu_emulator.errors import ConfigError, RecordError
-from ecu_emulator.live.control import LINE_BYTES, ControlSocket
+from ecu_emulator.errors import ConfigError
+from ecu_emulator.live.control import ControlSocket
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind, SensorFault, SensorFaultKind
 from tests.support.builders import drive_scenario
 from tests.support.patience import HANG_S
@@ -73,36 +73,8 @@ def test_a_line_that_cannot_be_used_says_why_and_the_next_one_counts(
     assert len(taken) == 1
 
 
-def test_a_line_without_an_end_is_cut_off(path: Path) -> None:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as caller:
-        caller.settimeout(HANG_S)
-        caller.connect(str(path))
-        caller.sendall(b"x" * (2 * LINE_BYTES + 1))
-        assert caller.recv(200).startswith(b"error: a line has at most")
-    assert answers(path, '{"kind": "silence"}') == ["ok"]
-
-
 def test_only_the_owner_may_connect(path: Path) -> None:
     assert path.stat().st_mode & 0o077 == 0
-
-
-def test_a_socket_in_use_is_not_taken_over(path: Path) -> None:
-    with pytest.raises(RecordError, match="another process listens there already"):
-        ControlSocket(path, print)
-    assert answers(path, '{"kind": "silence"}') == ["ok"]
-
-
-def test_a_dead_socket_is_replaced_and_a_file_is_not(tmp_path: Path) -> None:
-    dead = tmp_path / "dead"
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
-        listener.bind(str(dead))
-    with ControlSocket(dead, print):
-        assert answers(dead, '{"kind": "silence"}') == ["ok"]
-    file = tmp_path / "notes.txt"
-    file.write_text("mine", encoding="utf-8")
-    with pytest.raises(RecordError, match="there is a file"):
-        ControlSocket(file, print)
-    assert file.read_text(encoding="utf-8") == "mine"
 
 
 def test_a_drive_takes_faults_while_it_runs() -> None:

@@ -1,6 +1,5 @@
 """Whole drives through plant, sensors and frame builder."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,12 +10,10 @@ from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import COUNTER_PERIOD, counter_of, crc_is_valid, data_id_remainder
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, merge
-from ecu_emulator.cli import main
 from ecu_emulator.drive.build import ROAD_MESSAGES
 from ecu_emulator.drive.recording import Drive, frames_of
-from ecu_emulator.errors import ConfigError
 from ecu_emulator.live.live_drive import SentTruth
-from ecu_emulator.scenario.scenario import Routine, Truth
+from ecu_emulator.scenario.scenario import Routine
 from ecu_emulator.truth import ShiftTruth, TruthLog, TruthWriter, read_truth
 from tests.support.builders import drive_scenario
 
@@ -83,32 +80,6 @@ def test_revs_in_neutral_are_told_once_their_frames_are_sent(tmp_path: Path) -> 
     assert [rev.are_clutches_closed for rev in truth.revs] == [False, True]
     assert truth.shifts == ()
     assert sent.shift_count == 0
-
-
-def test_a_shift_that_does_not_end_ends_the_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    log = tmp_path / "weak.log"
-    assert main(["record", str(log), "--seed", "2", "--cause", "weak-pump:4", "--json"]) == 0
-    said = capsys.readouterr()
-    assert "stopped early: the shift does not end: gear 5 to 6 slips for 20 s" in said.err
-    told = json.loads(said.out)
-    assert told["finished"] is False
-    assert told["shifts"] == 4
-    assert 20.0 < told["duration_s"] < 60.0
-    assert read_truth(tmp_path / "weak.log.truth.jsonl").totals is not None
-
-
-def test_no_truth_is_left_of_a_log_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "own.toml"
-    path.write_text('name = "own"\ndrive = "city"\n[ambient]\noil_temperature_k = 253.15\n')
-    assert main(["record", str(tmp_path / "x.log"), "--scenario", str(path)]) == 2
-    assert "oil_k must be" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_drive_that_the_plant_cannot_make_is_refused() -> None:
-    scenario = replace(drive_scenario("noise_only"), truth=Truth(plant={"control.dwell_s": -1.0}))
-    with pytest.raises(ConfigError, match=r"control\.dwell_s"):
-        Drive(scenario)
 
 
 def test_the_same_scenario_gives_the_same_frames_in_any_stretches(recorded: tuple[EncodedFrames, TruthLog]) -> None:

@@ -77,13 +77,6 @@ def test_friction_is_found_within_its_interval(fluid: str) -> None:
         assert (friction.slope_s_rad > 0.0) == (fluid != "case2")
 
 
-def test_the_common_scale_is_stated_apart() -> None:
-    *_, (state, _) = followed(shifts())
-    friction = friction_of(state, 1)
-    assert friction.std_mu_c > 0.02 * friction.mu_c  # torque gain and inertia, 3 % each, partly cancelling
-    assert friction.random_std_mu_c < 0.7 * friction.std_mu_c
-
-
 def test_a_jittering_bus_changes_little() -> None:
     """Receive times up to 8 ms late, as behind a loaded gateway, move an estimate by a fraction of its deviation."""
     rng = np.random.default_rng(3)
@@ -204,13 +197,6 @@ def test_an_unusable_shift_says_why(event: Callable[[Event], Event], reason: Rea
     ((state, estimate),) = followed((event(shifts()[0]),))
     assert (estimate.status, estimate.reasons, estimate.friction) == (Status.REJECTED, (reason,), None)
     assert np.array_equal(state.known.mean, Posterior.fresh(CALIBRATION).known.mean)
-
-
-def test_a_clutch_that_never_slips_is_unobserved() -> None:
-    event = shifts()[0]
-    locked = {**event.columns, Signal.INPUT2_SPEED: event.columns[Signal.HUB_SPEED]}
-    ((_, estimate),) = followed((replace(event, columns=locked),))
-    assert (estimate.status, estimate.reasons) == (Status.UNOBSERVED, (Reason.NO_SLIP_WINDOW,))
 
 
 def test_new_fluid_is_believed_after_three_shifts_that_agree() -> None:

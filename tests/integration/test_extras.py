@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Mapping
-from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
@@ -10,9 +9,8 @@ import pytest
 from diag_service.commands.arguments import COMMAND_LINE as DIAG_SERVICE
 from ecu_emulator.arguments import COMMAND_LINE as ECU_EMULATOR
 from fleet_backend.arguments import COMMAND_LINE as FLEET_BACKEND
-from tests.support.documents import MODULES, ROOT
-from tests.support.plain_install import Outcome, PlainInstall, core_distributions, extra_modules, plain_install
-from tests.support.ports import free_port
+from tests.support.documents import MODULES
+from tests.support.plain_install import Outcome, PlainInstall, extra_modules, plain_install
 
 COMMANDS = {str(one.name): list(one.commands) for one in (ECU_EMULATOR, DIAG_SERVICE, FLEET_BACKEND)}
 CANDUMP = "(1767225600.000000) vcan0 123#0011223344556677\n" * 4
@@ -54,20 +52,6 @@ def one_line(program: str, extra: str, text: str) -> None:
     assert re.fullmatch(rf"{program}: error: .*pip install '\.\[{extra}\]' in the checkout\n", text), text
 
 
-def test_what_is_to_be_installed_is_where_pip_finds_it() -> None:
-    """The project is in no package index: only its folder can be installed."""
-    folders = [
-        ROOT / name for name in ("docs", "examples", "demo", "canlog", "diag_service", "ecu_emulator", "fleet_backend")
-    ]
-    files = [
-        ROOT / "README.md",
-        *(path for folder in folders for end in ("md", "py") for path in folder.rglob(f"*.{end}")),
-    ]
-    advice = [line for path in files for line in path.read_text(encoding="utf-8").splitlines() if "pip install" in line]
-    assert len(advice) > 10
-    assert [line for line in advice if re.search(r"pip install[^`]* '?(clutchdiag|canlog)\b", line)] == []
-
-
 @pytest.mark.parametrize("program", MODULES)
 def test_a_program_without_extras_helps_works_and_says_what_it_lacks(
     plain: PlainInstall, tmp_path: Path, program: str
@@ -96,30 +80,6 @@ def test_a_program_without_extras_helps_works_and_says_what_it_lacks(
         assert "drive.mf4: not read: " in told[LEFT_OUT].out
         assert "pip install '.[mf4]'" in told[LEFT_OUT].err
     assert {path.name for path in tmp_path.iterdir()} == {"drive.log", "logs", "drive.mf4"}
-
-
-def test_a_broker_is_followed_without_an_extra(plain: PlainInstall) -> None:
-    told = plain.run("-m", "fleet_backend", "follow", f"mqtt://127.0.0.1:{free_port()}")
-    assert (told.status, "error: broker 127.0.0.1:" in told.err) == (3, True)
-
-
-@pytest.mark.parametrize(("module", "program"), [("demo", "demo"), ("demo.fleet", "fleet")])
-def test_the_demonstrations_say_what_to_install(plain: PlainInstall, tmp_path: Path, module: str, program: str) -> None:
-    told = plain.run("-m", module, "--output", str(tmp_path / "output"))
-    assert told.status == 2
-    one_line(program, "[a-z,]+", told.err)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_plain_install_is_no_larger_than_it_was_said_to_be() -> None:
-    """Count what pip has put on the disk for the requirements without extras."""
-    sizes = {
-        name: sum(
-            one.stat().st_size for path in distribution(name).files or () if (one := Path(str(path.locate()))).is_file()
-        )
-        for name in core_distributions()
-    }
-    assert sum(sizes.values()) < 480e6, sizes
 
 
 def test_python_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:

@@ -8,9 +8,7 @@ import httpx
 import pytest
 from sqlalchemy import select
 
-from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
-from fleet_backend.errors import ConfigError
 from fleet_backend.office_tables import ALARM, AUDIT
 from fleet_backend.page.access import Role, read_access
 from fleet_backend.page.routes import EVENTS_PATH
@@ -171,34 +169,3 @@ def test_the_highest_role_of_somebody_counts(tmp_path: Path) -> None:
     assert access.viewer_of({**headers, "X-Forwarded-User": "ann@EXAMPLE.org"}).role is Role.WORKSHOP
     assert access.viewer_of({**headers, "X-Forwarded-User": "who@ever.org"}).role is Role.VIEWER
     assert SECRET not in repr(access)
-
-
-@pytest.mark.parametrize(
-    ("before", "after", "complaint"),
-    [
-        ("host_names", "hosts", "needs host_names"),
-        ('["fleet.example.org"]', "[]", "needs host_names, which is not empty"),
-        ("[roles]", "[rules]", "needs roles"),
-        ("workshop", "chief", "'chief' is unknown; known are viewer, workshop"),
-        ('["Ann@example.org"]', '"Ann"', "roles.workshop must be a list of texts"),
-        ("user_header", "header", "'header' is unknown"),
-        ('"X-Fleet-Proxy"', '"X-Forwarded-User"', "must be names of two headers"),
-        ('"X-Fleet-Proxy"', '"X Fleet"', "must be names of two headers"),
-        ("proxy.secret", "nowhere", "nowhere"),
-        ("[proxy]", "[proxy", "cannot be read"),
-    ],
-)
-def test_a_file_of_access_that_is_wrong_is_one_clear_line(
-    tmp_path: Path, before: str, after: str, complaint: str
-) -> None:
-    path = write(tmp_path, GOOD.replace(before, after, 1))
-    with pytest.raises(ConfigError, match=re.escape(complaint)):
-        read_access(path)
-
-
-def test_a_server_with_a_short_secret_does_not_start(
-    tmp_path: Path, sqlite_url: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = write(tmp_path, GOOD, "short")
-    assert main(["serve", "--database", sqlite_url, "--listen", "0.0.0.0:0", "--access", str(path)]) == 2
-    assert "a secret must have 24 bytes or more" in capsys.readouterr().err

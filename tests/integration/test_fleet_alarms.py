@@ -1,6 +1,5 @@
 """Alarms on their way to people: raised once, delivered by key though processes die, and never lost."""
 
-import asyncio
 import json
 import subprocess
 import sys
@@ -24,15 +23,10 @@ from fleet_backend.alarms.rules import Event, Rule, Subject, Transition
 from fleet_backend.cli import main
 from fleet_backend.database import transaction
 from fleet_backend.errors import CarrierError
-from fleet_backend.office.watching import Orders, Watch, run_watch, watch_for_ever
-from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, AUDIT, FLUID_DUE
-from fleet_backend.page import alarms_view
-from fleet_backend.page.asking import read_words
-from fleet_backend.page.keeper import Keeper
-from fleet_backend.page.running import DatabaseSource
+from fleet_backend.office.watching import Orders, Watch
+from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, AUDIT
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import NOW, fleet_result, row_of
-from tests.support.fleet_page import sources_of
 from tests.support.patience import HANG_S
 
 BAD = Condition.CHANGE_FLUID
@@ -126,29 +120,6 @@ def test_a_carrier_that_hangs_keeps_no_other_waiting_and_one_that_is_gone_owes_n
         assert [sample.value for sample in waiting.samples] == [count]
 
 
-def test_a_watch_that_is_told_to_end_begins_no_other_delivery(engine: Engine) -> None:
-    begun, may_end = threading.Event(), threading.Event()
-
-    def hang() -> None:
-        begun.set()
-        may_end.wait(HANG_S)
-        raise CarrierError("timed out")
-
-    async def stopped() -> None:
-        work = asyncio.ensure_future(watch_for_ever(engine, Orders(carriers=[memory])))
-        await asyncio.to_thread(begun.wait, HANG_S)
-        work.cancel()
-        await asyncio.wait([work])
-        may_end.set()
-
-    memory = Memory(hang)
-    for vehicle in ("car1", "car2"):
-        store(engine, 1, BAD, vehicle)
-    Watch(engine, Orders(carriers=[memory]), Clock()).round()
-    asyncio.run(stopped())
-    assert len(memory.letters) == 1
-
-
 def test_a_process_that_dies_after_a_delivery_delivers_again_under_the_same_key(engine: Engine) -> None:
     def die() -> None:
         raise KeyboardInterrupt
@@ -194,37 +165,6 @@ def test_many_alarms_are_written_in_few_transactions_and_none_twice(engine: Engi
     assert book.write(engine, [*over, *over[:3]], ["memory"]) == over
     with transaction(engine) as connection:
         assert len(connection.execute(select(ALARM_MESSAGE)).all()) == 1200
-
-
-def test_the_worst_keeps_no_other_waiting(engine: Engine) -> None:
-    for vehicle, condition in (("worst", BAD), ("b", Condition.WATCH), ("c", Condition.GOOD)):
-        store(engine, 1, condition, vehicle)
-    watch, waiting = Watch(engine, Orders(), Clock()), list[int]()
-    for seq in range(2, 6):
-        watch.round(judging_s=0.0)  # one vehicle is judged, however little time there is
-        waiting.append(watch.waiting_count)
-        store(engine, seq, BAD, "worst")
-    assert waiting == [2, 2, 1, 0]
-
-
-def test_a_watch_that_looks_once_judges_every_vehicle(engine: Engine) -> None:
-    names = [f"v{number}" for number in range(7)]
-    for name in names:
-        store(engine, 1, BAD, name)
-    memory = Memory()
-    run_watch(engine, Orders(carriers=[memory]), is_once=True, judging_s=0.0)  # of each round: one vehicle, then rest
-    with transaction(engine) as connection:
-        assert sorted(connection.execute(select(FLUID_DUE.c.vehicle)).scalars()) == names
-    assert sorted(str(letter.payload["vehicle"]) for letter in memory.letters) == names
-
-
-async def test_a_watch_beside_the_pages_reads_no_fleet_of_its_own(engine: Engine) -> None:
-    store(engine, 1, BAD)
-    keeper = Keeper(DatabaseSource(engine))
-    watch = Watch(engine, Orders(), Clock(), shared=keeper)
-    assert not [step for step in watch.round() if step.subject.rule is Rule.VERDICT]
-    await keeper.look()
-    assert [step for step in watch.round() if step.subject.rule is Rule.VERDICT]
 
 
 def test_one_program_watches_and_shows_what_it_found(engine: Engine) -> None:
@@ -326,79 +266,3 @@ def test_what_a_server_does_not_take_comes_again_until_it_does(
     assert (over["title"], over["type"]) == ("Alarm over: car1, clutch 2: verdict", "success")
     assert str(raised["message"]).endswith("\n\n2026-03-01T12:00:00Z\ncar1/2/verdict/1/raised")
     assert "hunter2" not in caplog.text
-
-
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        (["--notify", "none.url"], "cannot read none.url"),
-        (["--notify", "open.url"], "chmod 600 open.url"),
-        (["--notify", "other.url"], "other.url must hold one address that apprise knows"),
-        (["--notify", "two.url"], "two.url must hold one address that apprise knows"),
-        (["--notify", "one.url", "--notify", "one.url"], "two files are called one"),
-        (["--silence-days", "1"], "--silence-days must be 2 to 3650"),
-        (["--service-km", "nan"], "--service-km must be 1 to 300000"),
-    ],
-)
-def test_a_watch_that_cannot_be_is_one_clear_line(
-    capsys: pytest.CaptureFixture[str],
-    sqlite_url: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    words: list[str],
-    complaint: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    addresses = {"open": "json://x", "other": "nosuch://u:hunter2@x", "two": "json://x, json://y", "one": "json://x"}
-    for name, text in addresses.items():
-        Path(f"{name}.url").write_text(text, encoding="utf-8")
-        Path(f"{name}.url").chmod(0o644 if name == "open" else 0o600)
-    assert main(["watch", "--database", sqlite_url, "--once", *words]) == 2
-    told = capsys.readouterr().err
-    assert complaint in told.splitlines()[-1]
-    assert "hunter2" not in told
-
-
-def test_one_round_by_the_command(engine: Engine, hooks: Hooks) -> None:
-    store(engine, 1, BAD)
-    address = engine.url.render_as_string(hide_password=False)
-    command = ["watch", "--database", address, "--once", "--notify", str(hooks.address_file)]
-    assert [main(command), main(command)] == [0, 0]
-    assert [one["title"] for one in hooks.received] == ["Alarm: car1, clutch 2: verdict"]  # stored now is no silence
-
-
-def test_an_alarm_of_a_rule_that_is_no_more_is_over(engine: Engine) -> None:
-    store(engine, 1, Condition.GOOD)
-    subject = Subject(vehicle="car1", clutch=2, rule=Rule.CORRECTION)
-    raised = Transition(subject=subject, event=Event.RAISED, reason="adapt clutch 2", at=NOW)
-    assert book.write(engine, [raised], []) == [raised]
-    over = [step for step in Watch(engine, Orders(), Clock()).round() if step.event is Event.CLEARED]
-    assert [step.subject for step in over] == [subject]
-
-
-def test_the_alarms_come_in_parts(engine: Engine) -> None:
-    for vehicle in ("a", "b", "c"):
-        store(engine, 1, BAD, vehicle)
-    clock = Clock()
-    watch = Watch(engine, Orders(), clock)
-    watch.round()
-    store(engine, 2, Condition.GOOD, "b")
-    clock.at += timedelta(minutes=1)
-    watch.round()
-    sources = sources_of(engine)
-
-    def parts(**query: str) -> list[tuple[str, str]]:
-        found, after = list[tuple[str, str]](), dict[str, str]()
-        for _ in range(9):
-            question = read_words(alarms_view.VIEW.parameters, {}, {**query, **after, "limit": "2"}.items(), NOW)
-            part = alarms_view.find(sources, question)
-            found += [(one.vehicle, one.rule) for one in part.alarms]
-            if part.next is None:
-                break
-            after = {"after": part.next}
-        return found
-
-    silent = [(name, "silence") for name in ("a", "b", "c")]
-    assert parts(state="all") == sorted([*silent, ("a", "verdict"), ("b", "verdict"), ("c", "verdict")])
-    assert parts() == sorted([*silent, ("a", "verdict"), ("c", "verdict")])
-    assert parts(rule="silence", state="waiting") == silent

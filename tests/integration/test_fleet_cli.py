@@ -61,13 +61,6 @@ def test_the_table_begins_with_the_worst(capsys: pytest.CaptureFixture[str], fil
     assert [record["vehicle"] for record in told_json(capsys, filled, "table", "--limit", "1")] == ["worn"]
 
 
-@pytest.mark.parametrize("axis", ["shift", "odometer", "date"])
-def test_a_trend_is_shown_against_each_axis(capsys: pytest.CaptureFixture[str], filled: Engine, axis: str) -> None:
-    assert f"3 valid shifts against {axis}" in told(capsys, filled, "trend", "worn", "2", "--against", axis)
-    records = told_json(capsys, filled, "trend", "worn", "2", "--against", axis)
-    assert [record["shift_number"] for record in records] == [1, 2, 3]
-
-
 def test_alarms_are_shown_and_acknowledged(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
     raise_alarms(filled)
     own = [(alarm["rule"], alarm.get("clutch")) for alarm in told_json(capsys, filled, "alarms")]
@@ -113,11 +106,6 @@ def test_what_commands_change_is_in_the_audit(
     assert entries[2].subject == "worn: DCTF-II since 2025-12-01T00:00:00+00:00: "
 
 
-def test_vehicles_are_listed_with_their_last_result(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
-    assert "2026-01-01 00:00:09" in told(capsys, filled, "seen")
-    assert {record["vehicle"] for record in told_json(capsys, filled, "seen")} == {"good", "worn"}
-
-
 def test_trouble_codes_are_listed(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
     row = controller_row(CONTROLLER.record)
     Writer(filled).store(Batch(controllers=[{**row, "vehicle": "worn"}]))
@@ -130,48 +118,9 @@ def test_trouble_codes_are_listed(capsys: pytest.CaptureFixture[str], filled: En
     assert isinstance(code["snapshots"], list)
 
 
-@pytest.mark.parametrize(
-    ("words", "status", "text"),
-    [
-        (["table", "--database", "mysql://x"], 2, "the database must be"),
-        (["ingest", "--broker", "http://x"], 2, "the broker must be"),
-        (["ingest"], 2, "no broker"),
-        (["ingest", "--broker", "mqtt://x", "--batch", "0"], 2, "a batch must be"),
-        (["alarms", "--acknowledge", "good", "--clutch", "1"], 2, "no alarm"),
-        (["fill", "good", "oil", "--at", "never"], 2, "not a date"),
-    ],
-)
-def test_what_cannot_be_done_is_said_in_one_line(
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    filled: Engine,
-    words: list[str],
-    status: int,
-    text: str,
-) -> None:
-    monkeypatch.delenv("CLUTCHDIAG_BROKER", raising=False)
-    monkeypatch.setenv("CLUTCHDIAG_DATABASE", filled.url.render_as_string(hide_password=False))
-    assert main(words) == status
-    captured = capsys.readouterr()
-    assert captured.err.startswith("fleet-backend: error: ")
-    assert text in captured.err
-    assert captured.err.count("\n") == 1
-    assert captured.out == ""
-
-
 def test_a_database_that_is_away_has_its_own_status(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["table", "--database", f"postgresql://fleet:secret@127.0.0.1:{free_port()}/fleet"]) == 4
     assert "secret" not in capsys.readouterr().err
-
-
-def test_a_variable_that_nothing_reads_is_told(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("CLUTCHDIAG_DATABSE", "postgresql://fleet:secret@db/fleet")
-    assert main(["table"]) == 2
-    err = capsys.readouterr().err
-    assert "CLUTCHDIAG_DATABASE" in err
-    assert "secret" not in err
 
 
 def test_the_page_says_where_it_is_and_ends_in_order(filled: Engine) -> None:
@@ -203,28 +152,3 @@ def test_a_fill_closes_the_order_in_the_table_and_is_taken_back(
     told(capsys, filled, "fill", "worn", "DCTF-II", "--at", "2026-03-01", "--odometer-km", "1")  # a microsecond later
     told(capsys, filled, "fill", "worn", "--undo", "--at", "2026-03-01")
     assert told_json(capsys, filled, "table") == before
-
-
-@pytest.mark.parametrize(
-    ("words", "why"),
-    [
-        (["DCTF", "--at", "2026-03-01", "--odometer-km", "61200"], "the odometer cannot read 61,200 km: it read 1 km"),
-        (["DCTF", "--odometer-km", "99999999", "--insist"], ""),
-        (["DCTF", "--at", "2962-03-01", "--insist"], "a fill at 2962-03-01T00:00:00+00:00 is yet to come"),
-        (["--undo"], "no fill of worn is noted"),
-        ([], "which fluid? give its name"),
-    ],
-)
-def test_a_fill_that_cannot_be_is_refused(
-    capsys: pytest.CaptureFixture[str], filled: Engine, words: list[str], why: str
-) -> None:
-    database = filled.url.render_as_string(hide_password=False)
-    assert main(["fill", "--database", database, "worn", *words]) == (2 if why else 0)
-    assert why in capsys.readouterr().err
-
-
-def test_a_fill_noted_twice_within_a_day_is_one(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
-    told(capsys, filled, "fill", "worn", "DCTF", "--at", "2026-03-01T12:00")
-    database = filled.url.render_as_string(hide_password=False)
-    assert main(["fill", "--database", database, "worn", "DCTF", "--at", "2026-03-02T11:00"]) == 2
-    assert "is noted already" in capsys.readouterr().err

@@ -1,6 +1,5 @@
 """The fleet database on SQLite and PostgreSQL: one table whatever the order, and what the views make of it."""
 
-from dataclasses import replace
 from datetime import timedelta
 
 import pytest
@@ -12,37 +11,16 @@ from diag_service.tester.trouble import TroubleCode
 from fleet_backend import queries
 from fleet_backend.choices import Axis, Pace
 from fleet_backend.database import transaction
-from fleet_backend.errors import ConfigError, RowRefusedError, UnknownVehicleError
+from fleet_backend.errors import RowRefusedError
 from fleet_backend.ingest import Worker
 from fleet_backend.intake import MessageKind
 from fleet_backend.rows import Poison, Row, controller_row, quarantine_row, status_row
-from fleet_backend.schema import CLUTCH, REVISION, SHIFT_RESULT, VEHICLE
+from fleet_backend.schema import SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer, identity_of
 from tests.support.fleet import NOW, START, fleet_result, message_of, row_of
 from tests.unit.fleet_backend.test_ingest import Records, outcomes
 
 WORN = Condition.CHANGE_FLUID
-
-
-def results(engine: Engine) -> list[Row]:
-    """Store sixty results of three vehicles, a third of them by two algorithms, and return their rows."""
-    rows = [
-        row_of(fleet_result(seq, vehicle=f"car{car}", clutch=1 + seq % 2, algorithm=algorithm))
-        for car in range(3)
-        for seq in range(1, 21)
-        for algorithm in (("algorithm-1", "algorithm-2") if car == 0 else ("algorithm-1",))
-    ]
-    Writer(engine).store(Batch(shifts=rows))
-    return rows
-
-
-def test_the_hash_tells_a_changed_number(engine: Engine) -> None:
-    results(engine)
-    before = queries.table_hash(engine)
-    Writer(engine).store(Batch(shifts=[row_of(fleet_result(99))]))
-    after = queries.table_hash(engine)
-    assert after.row_count == before.row_count + 1
-    assert after.sha256 != before.sha256
 
 
 @pytest.mark.parametrize("is_reversed", [False, True])
@@ -55,14 +33,6 @@ def test_of_two_contents_under_one_key_the_first_stays(engine: Engine, is_revers
     assert record["condition"] == rows[0]["condition"]
     other = {identity_of(rows[1])}
     assert aside == ([other, other] if is_together else [set(), other, set(), other])
-
-
-def test_what_is_put_aside_revises_nothing(engine: Engine) -> None:
-    revision = {"vehicle": "car1", "stream": "stream-1", "seq": 1, "clutch": 2, "end_bus_ns": 5, "content": "{}"}
-    Writer(engine).store(Batch(shifts=[row_of(fleet_result(1))]))
-    Writer(engine).store(Batch(shifts=[row_of(fleet_result(1, condition=WORN))], revisions=[revision]))
-    with transaction(engine) as connection:
-        assert connection.execute(select(REVISION)).all() == []
 
 
 @pytest.mark.parametrize("is_reversed", [False, True])
@@ -108,23 +78,6 @@ def test_the_worst_comes_first_with_its_interval(engine: Engine) -> None:
     assert len(queries.worst_first(engine, limit=1)) == 1
 
 
-def test_a_clutch_with_a_name_is_all_there_is_of_its_vehicle(engine: Engine) -> None:
-    result = fleet_result(1, clutch=1, condition=Condition.GOOD)
-    named = replace(
-        result,
-        estimate=replace(result.estimate, element="lock-up clutch"),
-        verdict=replace(result.verdict, element="lock-up clutch"),
-    )
-    pair = row_of(fleet_result(1, vehicle="pair", clutch=1, condition=Condition.GOOD))
-    Writer(engine).store(Batch(shifts=[row_of(named), pair]))
-    orders = {row["vehicle"]: row for row in queries.worst_first(engine)}
-    assert "no event engaged it yet" in str(orders["pair"]["order"])
-    assert "no event engaged it yet" not in str(orders[named.vehicle]["order"])
-    queries.note_fill(engine, named.vehicle, "new oil", at=NOW, odometer_m=None, note=None)
-    told = {row["vehicle"]: row["advice"] for row in queries.worst_first(engine)}
-    assert str(told[named.vehicle]).startswith("Lock-up clutch: ")
-
-
 def test_a_trend_has_three_axes_and_knows_the_fluid(engine: Engine) -> None:
     Writer(engine).store(Batch(shifts=[row_of(fleet_result(seq)) for seq in range(1, 6)]))
     queries.note_fill(engine, "car1", "old oil", at=START - timedelta(days=1), odometer_m=None, note=None)
@@ -135,15 +88,6 @@ def test_a_trend_has_three_axes_and_knows_the_fluid(engine: Engine) -> None:
     assert [record["fluid"] for record in records] == ["old oil"] * 3 + ["new oil"] * 2
     assert records[0]["covariance_mu_c_mu_s"] == pytest.approx(0.4 * 0.0012 * 0.0016)
     assert queries.trend(engine, "car1", 1, Axis.SHIFT) == []
-
-
-def test_a_fill_needs_a_known_vehicle_and_is_noted_once(engine: Engine) -> None:
-    with pytest.raises(UnknownVehicleError, match="of vehicle ghost there are no results"):
-        queries.note_fill(engine, "ghost", "oil", at=NOW, odometer_m=None, note=None)
-    results(engine)
-    queries.note_fill(engine, "car1", "oil", at=NOW, odometer_m=None, note=None)
-    with pytest.raises(ConfigError, match="noted already"):
-        queries.note_fill(engine, "car1", "oil", at=NOW, odometer_m=None, note=None)
 
 
 def test_who_pretends_to_be_another_is_an_alarm_until_acknowledged(engine: Engine) -> None:
@@ -205,17 +149,6 @@ def test_a_row_that_does_not_fit_takes_the_whole_batch_back(engine: Engine) -> N
     with pytest.raises(RowRefusedError):
         Writer(engine).store(Batch(shifts=[row_of(fleet_result(1)), wrong]))
     assert queries.result_count(engine) == 0
-
-
-def test_a_writer_survives_that_its_database_is_replaced(engine: Engine) -> None:
-    writer = Writer(engine)
-    writer.store(Batch(shifts=[row_of(fleet_result(1))]))
-    with transaction(engine) as connection:
-        for table in (SHIFT_RESULT, CLUTCH, VEHICLE):
-            connection.execute(table.delete())
-    writer.store(Batch(shifts=[row_of(fleet_result(2))]))
-    with transaction(engine) as connection:
-        assert len(connection.execute(CLUTCH.select()).all()) == 1
 
 
 async def test_another_result_of_a_key_is_put_aside_with_a_reason(engine: Engine) -> None:

@@ -1,6 +1,5 @@
 """A vehicle is forgotten: nothing about it is left in any table, all about others stays."""
 
-import json
 from collections.abc import Iterator
 
 import pytest
@@ -8,7 +7,6 @@ from sqlalchemy import Engine, inspect, text
 
 from fleet_backend import queries
 from fleet_backend.alarms import book
-from fleet_backend.cli import main
 from fleet_backend.database import transaction
 from fleet_backend.errors import UnknownVehicleError
 from fleet_backend.office.retention import forget_vehicle
@@ -55,13 +53,3 @@ def test_nothing_is_left_of_a_vehicle_and_all_of_the_others(filled: Engine) -> N
     assert f"vehicle with sha256 {done.digest}" in subjects
     with pytest.raises(UnknownVehicleError):
         forget_vehicle(filled, VEHICLE, now=NOW, by="ann")
-
-
-def test_the_command_tells_its_proof(filled: Engine, capsys: pytest.CaptureFixture[str]) -> None:
-    place = ["--database", filled.url.render_as_string(hide_password=False)]
-    filled.dispose()
-    assert main(["forget", VEHICLE, "--json", *place]) == 0
-    record = json.loads(capsys.readouterr().out)
-    assert set(record["left"].values()) == {0}
-    assert VEHICLE not in json.dumps(record)
-    assert main(["forget", VEHICLE, *place]) == 5

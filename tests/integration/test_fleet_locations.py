@@ -5,18 +5,17 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from sqlalchemy import Connection, Engine, delete
+from sqlalchemy import Connection, Engine
 
 from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
-from fleet_backend.months import FILL, has_partitions, keep_months
-from fleet_backend.office.retention import retain
+from fleet_backend.months import FILL, has_partitions
 from fleet_backend.page import past
 from fleet_backend.page.running import DatabaseSource
 from fleet_backend.page.vehicle_state import Stored, state_of
 from fleet_backend.rows import Row
-from fleet_backend.schema import KEY_COLUMNS, SHIFT_RESULT
+from fleet_backend.schema import KEY_COLUMNS
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
 
@@ -108,15 +107,3 @@ def test_what_is_found_by_months_is_what_one_table_says(by_month: Engine, sqlite
     for ask in asked:
         assert ask(by_month) == ask(one_table)
     one_table.dispose()
-
-
-def test_months_that_go_or_are_made_and_deletions_leave_the_streams_right(by_month: Engine) -> None:
-    Writer(by_month).store(Batch(shifts=history(4, 80)))
-    keep_months(by_month, datetime(2026, 1, 1, tzinfo=UTC), 0)
-    keep_months(by_month, datetime(2026, 4, 1, tzinfo=UTC), 0, 3)
-    check(by_month)
-    retain(by_month, 2, now=NOW, by="ann")
-    check(by_month)
-    with transaction(by_month) as connection:
-        connection.execute(delete(SHIFT_RESULT).where(SHIFT_RESULT.c.vehicle == "car1", SHIFT_RESULT.c.seq < FAR))
-    check(by_month)

@@ -2,7 +2,6 @@
 
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -16,7 +15,6 @@ import pytest
 from paho.mqtt import publish
 
 from diag_service.diagnosis.records import Condition
-from fleet_backend.cli import main
 from fleet_backend.database import open_database
 from fleet_backend.intake import MessageKind
 from fleet_backend.rows import Poison, quarantine_row
@@ -108,22 +106,6 @@ def test_a_worker_tells_what_it_stored_and_what_it_could_not_use(
         scraped(port, lambda sums: sums["clutchdiag_ingest_listening"] == 0.0)
 
 
-@pytest.mark.broker
-def test_a_worker_whose_database_hangs_tells_how_long_messages_wait(
-    tmp_path: Path, broker: Mosquitto, postgres_url: str
-) -> None:
-    port, engine = free_port(), open_database(postgres_url)
-    with worker(tmp_path, broker.url, postgres_url, "--metrics", f"127.0.0.1:{port}"):
-        with engine.begin() as connection:
-            connection.exec_driver_sql("LOCK TABLE clutch")
-            one = message_of(fleet_result(1))
-            publish.single(one.topic, one.payload, 1, port=broker.port)
-            scraped(port, lambda sums: sums.get("clutchdiag_ingest_lag_seconds", 0.0) > 0.5)
-            scraped(port, lambda sums: sums["clutchdiag_ingest_backlog_messages"] == 1.0)
-        scraped(port, lambda sums: sums["clutchdiag_ingest_messages_total shift"] == 1.0)
-    engine.dispose()
-
-
 @pytest.mark.parametrize(
     "words", [("serve", "--listen", "127.0.0.1:0"), ("watch",), ("watch", "--listen", "127.0.0.1:0")]
 )
@@ -144,14 +126,6 @@ def test_pages_and_watch_tell_how_large_the_fleet_is(postgres_url: str, words: t
         assert found["clutchdiag_fleet_months_ahead", frozenset()] == 3.0
         assert found["clutchdiag_fleet_open_alarms", frozenset({("rule", "verdict")})] == 1.0
     assert {name for name, _ in found} == TOLD[words[0]]
-
-
-def test_a_port_that_is_taken_is_told(postgres_url: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        place = f"127.0.0.1:{taken.getsockname()[1]}"
-        for words in (("watch",), ("serve", "--listen", "127.0.0.1:0"), ("ingest", "--broker", "mqtt://127.0.0.1:1")):
-            assert main([*words, "--metrics", place, "--database", postgres_url]) == 2
-            assert f"{place}: Address already in use" in capsys.readouterr().err
 
 
 def test_the_page_lists_what_is_told_and_rules_ask_for_nothing_else() -> None:

@@ -108,13 +108,6 @@ def test_a_database_of_the_schema_before_becomes_what_a_new_one_is(empty: Engine
     assert queries.table_hash(empty) == before
 
 
-def test_migrating_again_changes_nothing(new: Engine) -> None:
-    before = schema_of(new)
-    migrate(new)
-    check_schema(new)
-    assert schema_of(new) == before
-
-
 @pytest.mark.parametrize(
     ("revision", "told"),
     [

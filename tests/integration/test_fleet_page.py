@@ -5,7 +5,6 @@ import re
 import socket
 from collections.abc import Iterator
 from contextlib import suppress
-from datetime import UTC, datetime
 from html import unescape
 from pathlib import Path
 from typing import Any
@@ -153,13 +152,6 @@ def test_an_empty_fleet_says_so_on_every_page(sqlite_template: Path, tmp_path: P
             assert page.get_by_text(words).count() == 1, where
 
 
-def test_what_is_due_is_every_clutch(reader: httpx.Client) -> None:
-    due = told(reader, "/api/v1/maintenance")["clutches"]
-    known = {(one["vehicle"], one["clutch"]): one for one in due}
-    assert set(known) == {(one["vehicle"], one["clutch"]) for one in told(reader, "/api/v1/clutches")["clutches"]}
-    assert known["worn", 2]["due_from"] == datetime.now(UTC).date().isoformat()  # its verdict says so
-
-
 def test_a_real_browser_shows_every_page_to_everybody(address: str, database: str, workshop: str) -> None:
     """One start: pages light and wide, one dark and on a telephone; one by keyboard, printed and renewed.
 
@@ -231,19 +223,6 @@ def test_the_same_numbers_are_in_message_database_interface_file_page_and_report
     assert now["mu_c"] in report
     shown = {stds_of(name) * now[name] for name in ("mu_c", "std_mu_c", "level_ratio")}
     assert shown <= values_in(reader.get("/clutches?q=car1").text)
-
-
-def test_the_fleet_is_in_the_order_of_the_view(reader: httpx.Client, address: str) -> None:
-    first = told(reader, "/api/v1/clutches?limit=2")
-    second = told(reader, f"/api/v1/clutches?limit=2&after={first['next']}")
-    found = [(one["vehicle"], one["clutch"], one["mu_c"]) for one in first["clutches"] + second["clutches"]]
-    assert (first["clutch_count"], second["next"]) == (4, None)
-    assert found[0][:2] == ("worn", 2)
-    more = re.search(r'<a href="([^"]*)" rel="next">', reader.get("/clutches?limit=2&condition=").text)
-    assert more is not None
-    following = reader.get(unescape(more[1]))
-    assert "good.1" in following.text
-    assert "/vehicles/worn" not in following.text
 
 
 def test_no_markup_comes_from_outside(reader: httpx.Client) -> None:

@@ -2,12 +2,11 @@
 
 import json
 import re
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-import httpx
 import pytest
 from sqlalchemy import Connection, Engine, event, text
 
@@ -26,19 +25,15 @@ from diag_service.diagnosis.records import (
     Status,
     status_record,
 )
-from fleet_backend import queries, report
-from fleet_backend.alarms import book
+from fleet_backend import queries
 from fleet_backend.alarms.rules import Rule
 from fleet_backend.choices import Axis
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseError
 from fleet_backend.intake import batch_of, take_all
-from fleet_backend.office.retention import forget_vehicle
 from fleet_backend.office.watching import Orders
 from fleet_backend.office.watching import Watch as WatchOfOffice
-from fleet_backend.office_tables import ALARM, FLUID_DUE
 from fleet_backend.page import (
-    alarms_view,
     changes_view,
     clutches_view,
     maintenance_view,
@@ -46,17 +41,13 @@ from fleet_backend.page import (
     shift_view,
     vehicle_view,
 )
-from fleet_backend.page.access import Access
 from fleet_backend.page.asking import Ask, read_words
-from fleet_backend.page.cache import Cache
-from fleet_backend.page.keeper import LEAST_CLUTCHES, Keeper
+from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.news import News
-from fleet_backend.page.outlook import NO_PROGNOSIS, Past
 from fleet_backend.page.past import results_of, shift_of
 from fleet_backend.page.peers import fleet_ageing
 from fleet_backend.page.records import Due
 from fleet_backend.page.running import DatabaseSource
-from fleet_backend.page.site import site
 from fleet_backend.page.view import Sources, View
 from fleet_backend.rows import moment
 from fleet_backend.writer import Batch, Writer
@@ -116,19 +107,6 @@ def test_what_became_different_is_told_with_its_reasons(engine: Engine) -> None:
         parts.append(changes_view.find(sources_of(engine), question))
         after = {"after": parts[-1].next} if parts[-1].next else {}
     assert [one for part in parts for one in part.changes] == list(found.changes)
-
-
-class CountingPasts(Cache[Past]):
-    """Pasts of clutches, and how many of them were worked out: each takes a prognosis."""
-
-    made_count = 0
-
-    def of(self, key: Hashable, state: Hashable, make: Callable[[], Past]) -> Past:
-        def counted() -> Past:
-            self.made_count += 1
-            return make()
-
-        return super().of(key, state, counted)
 
 
 def scored(seq: int, score: float, touch_error_pa: float = 0.0) -> ShiftResult:
@@ -211,30 +189,6 @@ def test_a_cause_that_new_fluid_does_not_mend_is_on_the_page_in_the_list_and_an_
     assert not [one for one in watch.round() if one.subject.rule is Rule.CAUSE]  # it stays until more is known
     answer = vehicle_view.find(sources_of(engine), ask(vehicle_view.VIEW, "worn"))
     assert (answer.action, answer.causes) == ("new_fluid", None)
-
-
-def store_lockup_clutch(engine: Engine, condition: Condition) -> ShiftResult:
-    """Store a result of a vehicle whose only clutch has a name."""
-    given, name = fleet_result(1, vehicle="taxi", clutch=1, condition=condition), "lock-up clutch"
-    named = replace(given, estimate=replace(given.estimate, element=name), verdict=replace(given.verdict, element=name))
-    Writer(engine).store(Batch(shifts=[row_of(named)]))
-    return given
-
-
-def test_alarms_and_days_call_a_clutch_by_its_name(engine: Engine) -> None:
-    store_lockup_clutch(engine, Condition.CHANGE_FLUID)
-    steps = WatchOfOffice(engine, Orders(), lambda: NOW).round()
-    assert {str(one.subject) for one in steps if one.subject.clutch} == {"taxi, lock-up clutch"}
-    sources, asked = sources_of(engine), ask(alarms_view.VIEW)
-    answer = alarms_view.find(sources, asked)
-    assert [one.element for one in answer.alarms if one.clutch] == ["lock-up clutch"]
-    (own,) = (one for one in answer.alarms if one.clutch)
-    title = alarms_view.show_one(own, asked, sources).title
-    assert title == "Alarm 1: taxi, lock-up clutch: verdict"
-    assert report.alarm_table(book.alarms(engine, ALARM.c.clutch == 1), []).rows[0][2] == "lock-up clutch"
-    assert queries.clutch_name(engine, "taxi", 1) == "lock-up clutch"
-    due = maintenance_view.find(sources, ask(maintenance_view.VIEW)).clutches
-    assert [one.element for one in due] == ["lock-up clutch"]
 
 
 def test_news_are_seen_and_a_reader_writes_nothing(database: str) -> None:
@@ -383,49 +337,6 @@ def test_what_is_remembered_of_a_clutch_is_never_old(engine: Engine) -> None:
     assert [one.outlook for one in again.clutches] != [one.outlook for one in first.clutches]
 
 
-async def test_pages_name_a_clock_that_was_not_set(engine: Engine) -> None:
-    undated = [
-        replace(
-            one,
-            produced_at=f"1970-01-02T00:00:0{seq}.000000Z",
-            estimate=replace(one.estimate, start_ns=seq * 10**9, end_ns=(seq + 1) * 10**9),
-        )
-        for seq, one in enumerate(history(4), 1)
-    ]
-    Writer(engine).store(Batch(shifts=[row_of(one) for one in undated]))
-    transport = httpx.ASGITransport(site(sources_of(engine), Access(), now=lambda: NOW))
-    async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
-        for path in ("/", "/clutches", "/vehicles/car1", "/vehicles/car1/shift?stream=stream-1&seq=2"):
-            answer = await client.get(path)
-            told = re.sub("<[^>]*>", " ", answer.text)
-            assert (answer.status_code, "clock not set" in told, "1970" in told) == (200, True, False), path
-
-
-def test_a_vehicle_is_shown_before_what_is_usual_in_the_fleet(engine: Engine) -> None:
-    rows = [row_of(one) for number in range(LEAST_CLUTCHES) for one in history(2, vehicle=f"v{number}")]
-    worn = [
-        {**row, "running_mu_c": 0.9 * float(str(row["running_mu_c"]))}
-        for row in map(row_of, history(2, vehicle="worn"))
-    ]
-    Writer(engine).store(Batch(shifts=[*rows, *worn]))
-    sources = sources_of(engine)
-    shown = {}
-    for name in ("v1", "worn"):
-        question = ask(vehicle_view.VIEW, name)
-        answer = vehicle_view.find(sources, question)
-        assert answer.clutches[0].usual is not None
-        assert answer.clutches[0].usual.clutch_count == LEAST_CLUTCHES + 1
-        shown[name] = vehicle_view.show(answer, question, sources).sections[1]
-    assert "Of 21 clutches of this type and fluid eight in ten" in shown["v1"].texts[0]
-    assert "than is usual" not in shown["v1"].texts[0]
-    assert shown["worn"].texts[0].endswith("This one has less than is usual.")
-    assert 'class="shade"' in shown["worn"].figures[1].picture
-    assert "watch: 50 %" in shown["worn"].figures[0].picture  # the margin, which decides most verdicts
-    queries.note_fill(engine, "v1", "DCTF", at=datetime(2020, 1, 1, tzinfo=UTC), odometer_m=None, note=None)
-    sources.keeper.refresh()
-    assert vehicle_view.find(sources, ask(vehicle_view.VIEW, "v1")).clutches[0].usual is None  # of that fluid one
-
-
 def test_maintenance_is_by_day_over_all_parts_and_the_watch_keeps_it(engine: Engine) -> None:
     """What comes first by verdict and name is due last: it is driven least."""
     results = history(200)[:100]
@@ -454,96 +365,6 @@ def test_maintenance_is_by_day_over_all_parts_and_the_watch_keeps_it(engine: Eng
     again = parts(sources)
     assert {one.due_from for one in again if one.vehicle == "car2"} == {None}
     assert [one for one in again if one.vehicle != "car2"] == [one for one in foretold if one.vehicle != "car2"]
-
-
-@pytest.mark.parametrize(
-    "absurd", [{"std_mu_c": 1e155}, {"scale_free_std_mu_c": 1e200, "sump_temperature_k": 1e154}], ids=["large", "hot"]
-)
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_numbers_of_no_clutch_leave_it_without_a_prognosis_and_the_others_with_theirs(
-    engine: Engine, absurd: dict[str, float]
-) -> None:
-    for vehicle in ("car1", "car2"):
-        rows = [row_of(one) for one in history(60, vehicle=vehicle)]
-        if vehicle == "car1":
-            rows = [row | absurd if number % 6 == 3 else row for number, row in enumerate(rows)]
-        Writer(engine).store(Batch(shifts=rows))
-    WatchOfOffice(engine, Orders(), lambda: NOW).round(judging_s=float("inf"))
-    due = maintenance_view.find(sources_of(engine), ask(maintenance_view.VIEW)).clutches
-    assert {one.vehicle for one in due if NO_PROGNOSIS in one.text} <= {"car1"}
-    assert len(due) == 4
-    found = fleet_ageing(engine)
-    assert (found.clutch_count, found.left_out_count) == (4, 1)
-
-
-def test_before_the_watch_has_judged_a_large_fleet_the_page_foretells_its_worst_alone(engine: Engine) -> None:
-    """Each prognosis takes a tenth of a second: whoever opens the page first waits for no hundreds of them."""
-    names = [f"car{number:02}" for number in range(40)]
-    worst = {"car33", "car34"}
-    rows = [
-        row_of(fleet_result(1, vehicle=name, condition=Condition.WATCH if name in worst else Condition.GOOD))
-        for name in names
-    ]
-    Writer(engine).store(Batch(shifts=rows))
-    sources = replace(sources_of(engine), pasts=(pasts := CountingPasts(100_000, lambda _past: 1)))
-    due = maintenance_view.find(sources, ask(maintenance_view.VIEW)).clutches
-    assert pasts.made_count <= 20
-    assert len(due) == len(names)
-    untold = {one.vehicle for one in due if maintenance_view.NOT_YET in one.text}
-    assert len(untold) >= len(names) - 20
-    assert not untold & worst
-    WatchOfOffice(engine, Orders(), lambda: NOW).round(judging_s=float("inf"))
-    told = maintenance_view.find(sources, ask(maintenance_view.VIEW)).clutches
-    assert not [one for one in told if maintenance_view.NOT_YET in one.text]
-
-
-def test_long_pasts_are_left_to_the_watch(engine: Engine) -> None:
-    """Whoever opens the page first waits for some thousand results, however many the worst of a fleet have."""
-    names = ("car1", "car2", "car3", "car4")
-    Writer(engine).store(Batch(shifts=[row_of(one) for name in names for one in history(1200, vehicle=name)]))
-    sources = replace(sources_of(engine), pasts=(pasts := CountingPasts(100_000, lambda _past: 1)))
-    due = maintenance_view.find(sources, ask(maintenance_view.VIEW)).clutches
-    assert pasts.made_count == 4
-    assert sorted(one.vehicle for one in due if maintenance_view.NOT_YET in one.text) == ["car3"] * 2 + ["car4"] * 2
-
-
-def test_a_forgotten_vehicle_is_due_no_more(engine: Engine) -> None:
-    vehicles = [f"car{number:02}" for number in range(51)]
-    rows = [row_of(fleet_result(1, vehicle=name, condition=Condition.CHANGE_FLUID)) for name in vehicles]
-    Writer(engine).store(Batch(shifts=rows))
-    watch = WatchOfOffice(engine, Orders(), lambda: NOW)
-    watch.round(judging_s=0.0)
-    for vehicle in vehicles:
-        forget_vehicle(engine, vehicle, now=NOW, by="ann")
-    watch.round(judging_s=float("inf"))
-    with transaction(engine) as connection:
-        assert connection.execute(FLUID_DUE.select()).all() == []
-
-
-def test_what_is_due_is_told_in_days_of_driving(engine: Engine) -> None:
-    results = history(200)
-    for name, days in (("car1", 5.0), ("car2", 0.5)):
-        ends = [NOW - timedelta(days=days * (1.0 - one.seq / len(results))) for one in results]
-        rows = [row_of(one) | {"vehicle": name, "end_at": end} for one, end in zip(results, ends, strict=True)]
-        Writer(engine).store(Batch(shifts=rows))
-    found = maintenance_view.find(sources_of(engine), ask(maintenance_view.VIEW))
-    due = {(one.vehicle, one.clutch): one for one in found.clutches}
-    vehicle = vehicle_view.find(sources_of(engine), ask(vehicle_view.VIEW, "car1"))
-    outlooks = [one.outlook for one in vehicle.clutches if one.outlook is not None]
-    assert [one.outlook for one in outlooks] == ["ageing", "ageing"]
-    reaches = [one.change_fluid for one in outlooks if one.change_fluid is not None]
-    reach = min(reaches, key=lambda one: one.p10_m or 0.0)  # one oil: it is due with the first of them
-    for clutch in vehicle.clutches:
-        one = due["car1", clutch.now.clutch]
-        assert one.distance_a_day_m == pytest.approx(40_000.0)
-        wanted = [
-            None if far is None else (clutch.now.end_at + timedelta(days=far / (one.distance_a_day_m or 0.0))).date()
-            for far in (reach.p10_m, reach.p50_m, reach.p90_m)
-        ]
-        assert [one.due_from, one.half_by, one.most_by] == wanted
-        assert None not in wanted
-        assert one.text == f"{vehicle.order} {vehicle.outlook}"
-    assert due["car2", 1].due_from is None  # half a day says nothing of days
 
 
 class Watch:

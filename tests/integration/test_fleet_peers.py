@@ -2,24 +2,21 @@
 
 import json
 import shutil
-import sqlite3
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from sqlalchemy import Engine, select
+from sqlalchemy import select
 
-from diag_service.diagnosis.prognosis import Population, population_from
+from diag_service.diagnosis.prognosis import population_from
 from diag_service.diagnosis.records import ShiftResult
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
-from fleet_backend.errors import DatabaseError
 from fleet_backend.migrate import migrate
 from fleet_backend.office_tables import AUDIT
 from fleet_backend.page.outlook import outlook_of
 from fleet_backend.page.past import results_of
-from fleet_backend.page.populations import keep, latest
+from fleet_backend.page.populations import latest
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
 from tests.support.histories import history
@@ -86,17 +83,6 @@ def test_what_is_usual_is_learned_kept_and_used(
     assert among.change_fluid != alone.change_fluid
 
 
-def test_a_population_of_a_newer_program_is_an_error(tmp_path: Path) -> None:
-    engine = open_database(f"sqlite:///{tmp_path / 'newer.sqlite'}")
-    migrate(engine)
-    with sqlite3.connect(tmp_path / "newer.sqlite") as connection:
-        connection.execute("INSERT INTO population VALUES (1, '2026-01-01 00:00:00', 0, '{\"schema\": \"v9\"}')")
-    connection.close()
-    with pytest.raises(DatabaseError, match="cannot be used"):
-        latest(engine)
-    engine.dispose()
-
-
 def test_a_fleet_of_one_teaches_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     address = f"sqlite:///{tmp_path / 'small.sqlite'}"
     engine = open_database(address)
@@ -107,13 +93,3 @@ def test_a_fleet_of_one_teaches_nothing(tmp_path: Path, capsys: pytest.CaptureFi
     text = capsys.readouterr().out
     assert "learned from 3 clutches; 1 of another calibration are left out" in text
     assert text.endswith("kept as population 1\n")
-
-
-def test_either_database_keeps_populations(engine: Engine) -> None:
-    now = datetime.now(UTC)
-    nothing = Population(life_count=0, peers=())
-    assert latest(engine) is None
-    assert [keep(engine, nothing, 3, at=now, by="anna") for _ in range(2)] == [1, 2]
-    kept = latest(engine)
-    assert kept is not None
-    assert (kept.version, kept.population.version, kept.learned_at) == (2, 2, now)

@@ -15,11 +15,9 @@ from fleet_backend.database import open_database
 from fleet_backend.rows import Poison, quarantine_row
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
-from tests.support.terminal import before_head, in_broken_pipe, in_terminal
 
 VIN, LONGEST = "WVWZZZ1JZ3W386752", "bus-" + "0123456789" * 6
 QUESTIONS = (["table"], ["trend", VIN, "2"], ["alarms"], ["quarantine"], ["seen"])
-MODULE = "fleet_backend"
 
 
 @pytest.fixture(name="database")
@@ -34,22 +32,6 @@ def _database(sqlite_url: str) -> str:
     Writer(engine).store(Batch(shifts=rows, quarantined=[quarantine_row(poison, now)]))
     engine.dispose()
     return sqlite_url
-
-
-@pytest.mark.parametrize(("question", "width"), [*zip(QUESTIONS, (60, 80, 60, 80, 60), strict=True)], ids=str)
-def test_a_terminal_breaks_no_word_and_loses_no_vehicle(
-    capsys: pytest.CaptureFixture[str], database: str, question: list[str], width: int
-) -> None:
-    assert main([*question, "--database", database]) == 0
-    known = set(capsys.readouterr().out.split())
-    shown = in_terminal(width, MODULE, *question, "--database", database)
-    assert (shown.status, shown.err) == (0, b"")
-    told = [line for line in shown.lines if line.strip("─")]
-    cut = next((index for index, line in enumerate(told) if line.startswith("Hidden at this")), len(told))
-    reasons = re.sub(r"(\S+), clutch (\d): ", r"\1 \2 ", "\n".join(told[cut:])).split()  # "vehicle, clutch 2: ..."
-    assert {word for line in told[:cut] for word in line.split()} <= known
-    assert {VIN, LONGEST, "taxi-1"} & known <= {word for line in told for word in line.split()} | set(reasons)
-    assert [line for line in shown.lines if len(line) > width and len(line.split()) > 2] == []
 
 
 @pytest.mark.parametrize("question", QUESTIONS, ids=" ".join)
@@ -68,23 +50,6 @@ def test_a_pipe_gets_a_line_per_record_in_columns(
     if "vehicle" in head:
         place = re.split(r" {2,}", head).index("vehicle")
         assert [row[place] for row in fields] == [record["vehicle"] for record in records]
-
-
-def test_a_width_can_be_asked_for(capsys: pytest.CaptureFixture[str], database: str) -> None:
-    assert main(["seen", "--width", "50", "--database", database]) == 0
-    assert max(len(line) for line in capsys.readouterr().out.splitlines() if LONGEST not in line) <= 50
-
-
-def test_a_reader_who_hangs_up_is_no_error(sqlite_url: str) -> None:
-    engine = open_database(sqlite_url)
-    rows = [row_of(fleet_result(1, vehicle=f"vehicle-{number:040}")) for number in range(1500)]  # above a pipe's 64 KiB
-    Writer(engine).store(Batch(shifts=rows, quarantined=[]))
-    engine.dispose()
-    told = before_head(MODULE, "seen", "--database", sqlite_url)
-    assert (told.status, told.err) == (0, b"")
-    assert told.out.count(b"\n") == 1
-    broken = in_broken_pipe(MODULE, "seen", "--json", "--database", sqlite_url)
-    assert (broken.status, broken.err) == (0, b"")
 
 
 @pytest.mark.parametrize(
@@ -126,24 +91,6 @@ def test_a_mistyped_database_is_an_error_and_is_not_made(
 
 
 @pytest.mark.parametrize("words", ALL, ids=" ".join)
-def test_a_file_that_is_no_fleet_database_is_an_error(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str]
-) -> None:
-    empty, text, folder = tmp_path / "empty", tmp_path / "text", tmp_path / "folder"
-    empty.touch()
-    text.write_text("not a database at all, but long enough to be looked at\n" * 40, encoding="utf-8")
-    folder.mkdir()
-    for path, hint in ((empty, "run: fleet-backend migrate"), (text, "not a database"), (folder, "is not a file")):
-        before = path.read_bytes() if path.is_file() else b""
-        assert main([*words, "--database", f"sqlite:///{path}"]) == 4
-        captured = capsys.readouterr()
-        assert re.fullmatch(r"fleet-backend: error: [^\n]*\n", captured.err)
-        assert hint in captured.err
-        assert captured.out == ""
-        assert not path.is_file() or path == empty or path.read_bytes() == before
-
-
-@pytest.mark.parametrize("words", ALL, ids=" ".join)
 @pytest.mark.parametrize("damage", [b"TABLE \xe8\xe8", b"TABLE ( ("])
 def test_a_damaged_database_is_told_with_what_to_do(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str], damage: bytes
@@ -176,31 +123,8 @@ def test_another_programs_database_is_left_alone(capsys: pytest.CaptureFixture[s
     assert len(before) == path.stat().st_size
 
 
-def test_a_postgresql_without_our_schema_names_the_command(
-    capsys: pytest.CaptureFixture[str], empty_database: str
-) -> None:
-    if empty_database.startswith("sqlite"):
-        Path(empty_database.removeprefix("sqlite:///")).touch()
-    assert main(["table", "--database", empty_database]) == 4
-    captured = capsys.readouterr()
-    assert re.fullmatch(r"fleet-backend: error: database .*; run: fleet-backend migrate\n", captured.err)
-
-
 def test_migrate_makes_a_database_that_others_cannot_read(tmp_path: Path) -> None:
     path = tmp_path / "new" / "fleet.sqlite"
     assert main(["migrate", "--database", f"sqlite:///{path}"]) == 0
     assert main(["table", "--database", f"sqlite:///{path}"]) == 0
     assert {file.name: oct(file.stat().st_mode & 0o777) for file in path.parent.iterdir()} == {path.name: "0o600"}
-
-
-def test_a_database_that_others_can_read_is_closed_to_them(capsys: pytest.CaptureFixture[str], database: str) -> None:
-    path = Path(database.removeprefix("sqlite:///"))
-    path.chmod(0o644)
-    with closing(sqlite3.connect(path)) as reader:  # keeps what SQLite puts beside a database
-        reader.execute("SELECT * FROM vehicle").fetchall()
-        assert len([*path.parent.glob("fleet.sqlite-*")]) == 2
-        assert main(["hash", "--database", database]) == 0
-        assert {file.stat().st_mode & 0o777 for file in path.parent.glob("fleet.sqlite*")} == {0o600}
-    assert "fleet.sqlite could be read by other users (mode 644) and is closed to them now" in capsys.readouterr().err
-    assert main(["hash", "--database", database]) == 0
-    assert capsys.readouterr().err == ""

@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from diag_service.diagnosis.records import FluidFill
-from diag_service.store import ResultStore, fills, note_fill
-from fleet_contract.orders import odometer_complaint
+from diag_service.store import ResultStore
 from tests.golden.compare import RECORDINGS
 from tests.support.histories import fill_store, history
 from tests.support.in_process import ended
@@ -96,13 +95,6 @@ def test_a_fill_before_all_that_is_known_costs_no_baseline(tmp_path: Path) -> No
     assert counts[1] > counts[0]
 
 
-def test_a_fill_of_results_without_a_date_is_refused(tmp_path: Path) -> None:
-    path, log = tmp_path / "car1.sqlite", recording("ideal", tmp_path / "undated.log", later_s=-1_767_225_600.0)
-    ended("analyze", log, "--store", path, "--vehicle", "car1")
-    ended("fluid-changed", path).assert_one_line(2, "the results of car1 have no date")
-    assert ended("history", path, "--json").records[-1]["fills"] == []
-
-
 def test_a_fill_is_noted_once(store: Path) -> None:
     (fills,) = (one for one in ended("history", store, "--json").records if one["record"] == "fills")
     fill = fills["fills"][0]
@@ -119,16 +111,6 @@ def test_a_fill_is_noted_while_a_service_owns_the_store(store: Path) -> None:
     assert after is not None
     assert after.filled_at > before.filled_at
     assert after.note == "while it runs"
-
-
-def test_a_store_of_before_knows_no_fill_and_learns_one(tmp_path: Path) -> None:
-    path = tmp_path / "car1.sqlite"
-    fill_store(path, history(3))
-    with closing(sqlite3.connect(path)) as connection:
-        connection.executescript("DROP TABLE fill; PRAGMA user_version = 3;")
-    assert ended("history", path, "--json").records[-1]["fills"] == []
-    assert ended("fluid-changed", path, "--at", "2020-01-01").status == 0
-    assert len(ended("history", path, "--json").records[-1]["fills"]) == 1
 
 
 def test_a_fill_noted_twice_within_a_day_is_one(tmp_path: Path) -> None:
@@ -165,30 +147,6 @@ def test_an_odometer_that_does_not_fit_is_refused_unless_somebody_insists(
     assert len(ended("history", path, "--json").records[-1]["fills"]) == 1
 
 
-def test_an_odometer_is_held_against_what_came_later_too(tmp_path: Path) -> None:
-    path, result = tmp_path / "car1.sqlite", history(1)[0]
-    fill_store(path, [replace(result, estimate=replace(result.estimate, odometer_m=12_346_000.0))])
-    words: list[str | Path] = ["fluid-changed", path, "--at", "2025-02-01", "--odometer"]
-    ended(*words, "13000").assert_one_line(2, "the odometer cannot read 13,000 km: after that it read 12,346 km")
-    assert ended(*words, "900").status == 0
-
-
-def test_a_service_stores_while_all_results_are_looked_at_for_the_odometer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, results = tmp_path / "car1.sqlite", history(2)
-    fill_store(path, results[:1])
-    with closing(ResultStore.open(path)) as service, monkeypatch.context() as patched:
-
-        def complaint(*readings: float | None) -> str:
-            assert service.add(results[1], None)
-            return odometer_complaint(*readings)
-
-        patched.setattr(fills, "odometer_complaint", complaint)
-        fill = note_fill(path, FluidFill(vehicle="car1", filled_at="2026-02-01T12:00:00.000000Z", odometer_m=9e3))
-        assert service.fills("car1") == [fill]
-
-
 def test_a_fill_is_taken_back_and_noted_again_at_its_moment(tmp_path: Path) -> None:
     path = tmp_path / "car1.sqlite"
     fill_store(path, history(40))
@@ -210,13 +168,3 @@ def test_a_fill_is_taken_back_and_noted_again_at_its_moment(tmp_path: Path) -> N
     assert ended("fluid-changed", path, "--at", "2026-02-02T12:00").status == 0
     assert "2026-02-01T00:00:00.000001Z is taken back" in ended(*undo, "2026-02-01").out  # the moment that was said
     assert "2026-02-02T12:00:00.000000Z is taken back" in ended(*undo, "2026-02-02").out
-
-
-def test_a_store_of_before_loses_no_fill(tmp_path: Path) -> None:
-    path = tmp_path / "car1.sqlite"
-    fill_store(path, history(3), [FluidFill(vehicle="car1", filled_at="2026-02-01T00:00:00.000000Z")])
-    with closing(sqlite3.connect(path)) as connection:
-        connection.executescript("ALTER TABLE fill DROP COLUMN is_withdrawn; PRAGMA user_version = 4;")
-    assert len(ended("history", path, "--json").records[-1]["fills"]) == 1
-    assert ended("fluid-changed", path, "--undo").status == 0
-    assert ended("history", path, "--json").records[-1]["fills"] == []

@@ -2,19 +2,12 @@
 
 import csv
 import json
-import re
 from pathlib import Path
 
 import pyarrow.parquet as pq
-import pytest
 
-from canlog.errors import SourceError
 from diag_service.batch.journal import Entry
 from diag_service.batch.tables import write_results
-from diag_service.commands import analyze
-from diag_service.commands.arguments import COMMAND_LINE
-from diag_service.errors import ConfigError, StoreError
-from diag_service.service.stopping import Controls
 from tests.plugins.drives import SHIFT_COUNT
 from tests.support.folders import fill_folder, kill_and_resume
 from tests.support.in_process import ended as run
@@ -73,32 +66,6 @@ def test_what_cannot_be_read_and_what_is_left_out_is_told_and_stops_nothing(driv
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("arguments", "error", "text"),
-    [
-        (("{tmp}/empty",), ConfigError, "holds no log"),
-        (("{log}", "-o", "{tmp}/out.xlsx"), ConfigError, "results are written as .jsonl, .csv, .parquet"),
-        (("{log}", "-o", "{tmp}/none/out.csv"), StoreError, "No such file"),
-        (("{log}", "-o", "{tmp}/out.csv", "--jobs", "0"), ConfigError, "at least 1"),
-        (("{log}", "--vehicle-from", "path"), ConfigError, "--vehicle-from is for folders"),
-        (("{tmp}", "--vehicle-from", "path", "--vehicle", "car"), ConfigError, "use only one of them"),
-        (("{tmp}", "-"), ConfigError, "standard input does not go with them"),
-        (("{log}", "--jobs", "2"), ConfigError, "--jobs is for folders"),
-        (("{tmp}", "--store", "{tmp}/s.sqlite"), ConfigError, "neither --store"),
-        (("{tmp}", "--estimator", "paper"), ConfigError, "nor --estimator paper"),
-        (("{tmp}/empty.log", "-o", "{tmp}/out.csv"), SourceError, "empty.log: the file is empty"),
-    ],
-)
-def test_what_cannot_be_done_is_told(
-    drive_log: Path, tmp_path: Path, arguments: tuple[str, ...], error: type[Exception], text: str
-) -> None:
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "empty.log").touch()
-    words = ["analyze", *(argument.format(log=drive_log, tmp=tmp_path) for argument in arguments)]
-    with pytest.raises(error, match=re.escape(text)):
-        analyze.execute(COMMAND_LINE.parse(words), Controls())
-
-
 def test_a_folder_below_names_the_vehicle(drive_log: Path, tmp_path: Path) -> None:
     for name in ("car1/monday", "car2"):
         fill_folder(tmp_path / "fleet" / name, drive_log, 1)
@@ -115,9 +82,3 @@ def test_a_folder_below_names_the_vehicle(drive_log: Path, tmp_path: Path) -> No
     }
     for row in rows:
         assert int(row["start_utc"].timestamp() * 1e6) == row["start_bus_ns"] // 1000
-
-
-def test_folders_that_are_no_vehicles_are_told(drive_log: Path, tmp_path: Path) -> None:
-    fill_folder(tmp_path / "fleet" / "my car", drive_log, 1)
-    with pytest.raises(ConfigError, match=r"drive.*: 'my car' is not a vehicle id"):
-        analyze.execute(COMMAND_LINE.parse(["analyze", str(tmp_path / "fleet"), "--vehicle-from", "path"]), Controls())

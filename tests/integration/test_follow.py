@@ -11,16 +11,13 @@ from contextlib import contextmanager
 from queue import Queue
 from threading import Thread
 
-import pytest
 from paho.mqtt import publish
 
 from diag_service.diagnosis.records import shift_record
-from fleet_backend.cli import main
 from fleet_contract import Outgoing, bundle_messages, shift_message, status_message
 from tests.plugins.broker import Mosquitto
 from tests.support.fleet import fleet_result
 from tests.support.patience import HANG_S
-from tests.support.ports import free_port
 
 Next = Callable[[], str]
 TIME = "2026-01-01T00:00:00.000000Z"
@@ -95,23 +92,3 @@ def test_some_vehicles_as_json_and_a_broker_that_comes_back(broker: Mosquitto) -
         assert json.loads(line)["status"] == "online"
         process.terminate()
         assert process.wait(HANG_S) == 0
-
-
-@pytest.mark.parametrize(
-    ("words", "status", "complaint"),
-    [
-        (["mqtt://127.0.0.1:{port}"], 3, "error: broker 127.0.0.1:"),
-        (["-"], 2, "no broker: name one, or set CLUTCHDIAG_BROKER"),
-        (["mqtt://127.0.0.1:{port}", "a/b"], 2, "'a/b' is not a vehicle id"),
-    ],
-)
-def test_what_cannot_be_followed_is_said(
-    words: list[str],
-    status: int,
-    complaint: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.delenv("CLUTCHDIAG_BROKER", raising=False)
-    assert main(["follow", *(word.format(port=free_port()) for word in words)]) == status
-    assert complaint in capsys.readouterr().err

@@ -105,34 +105,6 @@ def test_a_calibration_is_refused_for_a_vehicle_that_it_does_not_name(
     assert said.count("\n") == 1
 
 
-def test_a_setting_names_the_vehicle_as_an_option_does(
-    garage: Garage, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("CLUTCHDIAG_VEHICLE", "car8")
-    assert diag_service.cli.main(["config", "check", "--calibration", str(garage.own)]) == 2
-    monkeypatch.setenv("CLUTCHDIAG_VEHICLE", f"car{OWNER}")
-    assert diag_service.cli.main(["config", "check", "--calibration", str(garage.own)]) == 0
-    assert f'vehicle = "car{OWNER}"' in capsys.readouterr().out
-
-
-def test_a_calibration_that_names_no_vehicle_is_for_all(
-    garage: Garage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    calibration = ["--calibration", str(anonymous(garage.own, tmp_path))]
-    for named, expected in (([], "vehicle"), (["--vehicle", "car8"], "car8")):
-        assert diag_service.cli.main(["config", "check", *calibration, *named]) == 0
-        assert f'vehicle = "{expected}"' in capsys.readouterr().out
-
-
-def test_who_names_no_vehicle_gets_a_calibration_that_names_none(
-    garage: Garage, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    unnamed = tmp_path / "unnamed.toml"
-    assert diag_service.cli.main(["calibrate", str(garage.later), "-o", str(unnamed)]) == 0
-    assert "names no vehicle" in capsys.readouterr().out
-    assert read_calibration(unnamed).vehicle is None
-
-
 def fluid(condition: FluidCondition, drive_seed: int) -> Scenario:
     """Return a drive of one cycle of the car."""
     base = load_scenario("ideal")

@@ -104,19 +104,6 @@ def test_a_fault_in_the_gateway_fails_its_tests(told: dict[str, Any], fault: str
     assert words in out
 
 
-def test_the_page_shows_the_test_of_the_example() -> None:
-    shown, _ = BLOCK.findall(page_text("docs/testing.md"))
-    text = (EXAMPLE / "test_gateway.py").read_text(encoding="utf-8")
-    body = shown.partition("def test_")[2].strip().replace("timeout_s=300", "timeout_s=PATIENCE_S")
-    assert body in text
-
-
-def test_the_readme_names_the_faults_that_there_are() -> None:
-    text = (EXAMPLE / "README.md").read_text(encoding="utf-8")
-    for fault in ("drop", "alter", "swap"):
-        assert f"GATEWAY_FAULT={fault} pytest" in text
-
-
 @pytest.mark.parametrize("kind", ["auto", "udp_multicast", "virtual"])
 def test_the_kinds_of_bus(told: dict[str, Any], kind: str) -> None:
     status, out = told[kind]

@@ -5,8 +5,6 @@ import json
 import os
 import re
 import shutil
-import subprocess
-import sys
 import tracemalloc
 from collections.abc import Iterator
 from contextlib import closing
@@ -17,7 +15,6 @@ import duckdb
 import pyarrow.parquet as pq
 import pytest
 
-from canlog.errors import SourceError
 from clutch_model.calibration import nominal_calibration
 from diag_service.commands import analyze, lake
 from diag_service.commands.arguments import COMMAND_LINE
@@ -25,7 +22,7 @@ from diag_service.errors import ConfigError, IncompleteError, StoreError
 from diag_service.lake.parts import DONE, FAILED, Disagreement, LogRow, Manifest, disagreement, forget
 from diag_service.lake.places import Place
 from diag_service.lake.run import find_logs, to_do
-from diag_service.lake.work import Job, LakeLog, Maker
+from diag_service.lake.work import EXIT_OVERDUE, Job, LakeLog, Maker
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import DiagnosisConfig
 from tests.plugins.drives import SHIFT_COUNT
@@ -142,25 +139,6 @@ def test_a_manifest_holds_little_of_each_log_and_full_files_stay(tmp_path: Path)
     assert len(left) == count + 1 - 200 + 1
 
 
-def test_a_lake_of_an_earlier_program_goes_on(tmp_path: Path) -> None:
-    """Its manifest lay in partitions, with a column more."""
-    place = Place(str(tmp_path / "lake"))
-    Manifest(place).add([manifest_row(number, "x") for number in range(4)])
-    (new,) = (tmp_path / "lake" / "manifest").glob("*.parquet")
-    table = pq.read_table(new)
-    for number in (3, 17):
-        folder = new.parent / f"{number:02}"
-        folder.mkdir()
-        pq.write_table(table.append_column("attempts", [[number] * 4]), folder / f"{number:010}-0.parquet")
-    new.unlink()
-    manifest = Manifest(place)
-    manifest.put_together()
-    assert len(manifest.rows) == 4
-    (now,) = files_in(tmp_path / "lake")
-    assert Path(now).parent.name == "manifest"
-    assert pq.read_table(tmp_path / "lake" / now).num_rows == 4
-
-
 def test_a_part_depends_on_the_content_of_its_log_alone(logs: Path, tmp_path: Path) -> None:
     """Of two logs of one content either may come last."""
     found = {}
@@ -238,16 +216,6 @@ def test_a_log_that_was_moved_is_in_the_lake_once_whatever_the_version(logs: Pat
     lake.execute(COMMAND_LINE.parse(["lake", "check", str(address), "--repair"]), Controls())
 
 
-def test_a_log_whose_signals_cannot_be_had_leaves_no_part(logs: Path, tmp_path: Path) -> None:
-    job = Job.of(CONFIG, str(tmp_path / "lake"), "EngineSpeed", 60.0)
-    log = next(one for one in found_in(logs, Place(job.lake)) if one.held.name.endswith("1.log"))
-    maker = Maker(job)
-    maker.__dict__["_plan"] = None
-    row = maker.make(log)
-    assert (row.outcome, row.parts) == (FAILED, ())
-    assert not (tmp_path / "lake").exists()
-
-
 def test_the_questions_of_page_and_example_have_answers(filled: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(filled.parent)
     (shown,) = re.findall(r"```sql\n(.*?)```", page_text("docs/lake.md"), re.DOTALL)
@@ -293,17 +261,6 @@ def test_one_vehicle_is_forgotten_in_a_store(port: int, logs: Path, capsys: pyte
     assert f"3 logs, 2 of them not analysed, {SHIFT_COUNT} shifts of 1 vehicles in 1 parts" in capsys.readouterr().out
 
 
-def test_nothing_names_a_forgotten_vehicle(filled: Path, tmp_path: Path) -> None:
-    address = Path(shutil.copytree(filled, tmp_path / "lake"))
-    (part,) = address.glob("shifts/*/vehicle=car2/*.parquet")
-    unfinished = part.with_name(f".{part.name}.1-1.part")
-    unfinished.write_bytes(part.read_bytes())
-    gone = forget(Place(str(address)), "car2")
-    assert unfinished.relative_to(address).as_posix() in gone.parts
-    assert list(address.rglob("*car2*")) == []
-    assert shifts_of(address) == [("car1", 2 * SHIFT_COUNT)]
-
-
 def test_what_a_killed_run_left_is_told_and_can_be_removed(logs: Path, filled: Path, tmp_path: Path) -> None:
     address = Path(shutil.copytree(filled, tmp_path / "lake"))
     (part,) = address.glob("shifts/*/vehicle=car2/*.parquet")
@@ -325,12 +282,14 @@ def test_what_a_killed_run_left_is_told_and_can_be_removed(logs: Path, filled: P
 
 
 def test_a_log_that_takes_too_long_or_breaks_the_program_is_a_row(tmp_path: Path, logs: Path) -> None:
+    ends: list[int] = []
     place = Place(str(tmp_path / "lake"))
     log = next(
         one for one in find_logs([str(logs)], place, "car", has_vehicles=True) if one.held.name.endswith("1.log")
     )
-    row = Maker(Job.of(CONFIG, place.address, None, 1e-6)).make(log)
+    row = Maker(Job.of(CONFIG, place.address, None, 1e-6), end=ends.append).make(log)
     assert (row.outcome, row.reason, row.parts) == (FAILED, "took longer than 1e-06 s", ())
+    assert ends == [EXIT_OVERDUE]
     maker = Maker(Job.of(CONFIG, place.address, None, 60.0))
 
     class Broken:
@@ -347,70 +306,6 @@ def test_a_log_that_takes_too_long_or_breaks_the_program_is_a_row(tmp_path: Path
         Maker(replace(Job.of(CONFIG, place.address, None, 60.0), settings="other")).make(log)
 
 
-def test_a_log_that_does_not_heed_its_limit_ends_its_worker() -> None:
-    program = (
-        "import time; from diag_service.lake import work; work.GRACE_S = 0.0\nwith work._limited(0.01): time.sleep(600)"
-    )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert done.returncode == 1
-    assert "Timeout" in done.stderr
-
-
-@pytest.mark.parametrize(
-    ("words", "error", "text"),
-    [
-        (("s3://b/logs",), ConfigError, "--lake PLACE"),
-        (("{logs}", "--scheduler", "tls://h"), ConfigError, "is for a lake"),
-        (("{logs}", "--retry"), ConfigError, "--retry is for a lake"),
-        (("{logs}", "--lake", "{logs}/lake"), ConfigError, "must not contain each other"),
-        (("{logs}", "--lake", "{tmp}/lake", "--json"), ConfigError, "--json does not go with --lake"),
-        (("{logs}", "--lake", "{tmp}/lake", "--scheduler", "tcp://127.0.0.1:1"), ConfigError, "tls://HOST:PORT only"),
-        (("{logs}", "--lake", "{tmp}/lake", "--scheduler", "tls://127.0.0.1:1"), ConfigError, "--ca, --cert and --key"),
-        (("{logs}", "--lake", "{tmp}/lake", "--ca", "ca.crt"), ConfigError, "are for a scheduler"),
-        (("{logs}", "--lake", "{tmp}/lake", "--signals", "NoSuch"), ConfigError, "NoSuch"),
-        (("{logs}", "--lake", "{tmp}/lake", "--time-limit", "0"), ConfigError, "--time-limit must be > 0"),
-        (("{logs}", "--lake", "zip::file://x"), ConfigError, "one store at a time"),
-        (("{logs}", "--lake", "nosuch://x"), ConfigError, "nosuch"),
-        (("{tmp}", "--lake", "{tmp}-lake"), ConfigError, "holds no log"),
-        (
-            ("{logs}/car1/drive001.log", "--lake", "{tmp}/lake"),
-            ConfigError,
-            "drive001.log is a file: a lake",
-        ),
-    ],
-)
-def test_what_cannot_be_done_with_a_lake_is_told(
-    logs: Path, tmp_path: Path, words: tuple[str, ...], error: type[Exception], text: str
-) -> None:
-    filled = [word.format(logs=logs, tmp=tmp_path) for word in words]
-    with pytest.raises(error, match=text):
-        analyze.execute(COMMAND_LINE.parse(["analyze", *filled]), Controls())
-
-
-def test_a_lake_of_which_no_log_could_be_analysed_is_an_error_each_time(tmp_path: Path) -> None:
-    (tmp_path / "logs").mkdir()
-    (tmp_path / "logs" / "notes.txt").write_text("no log", "ascii")
-    words = ["analyze", str(tmp_path / "logs"), "--lake", str(tmp_path / "lake"), "--jobs", "1"]
-    for _ in range(2):
-        with pytest.raises(SourceError, match="none of 1 logs could be analysed; --retry tries them again"):
-            analyze.execute(COMMAND_LINE.parse(words), Controls())
-
-
-def test_a_link_is_what_it_leads_to(logs: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    (folder / "linked.log").symlink_to(logs / "car1" / "drive001.log")
-    (folder / "nowhere.log").symlink_to(tmp_path / "none.log")
-    (folder / "folder").symlink_to(logs)
-    place = Place(str(tmp_path / "lake"))
-    found = find_logs([str(folder)], place, "car", has_vehicles=False)
-    size_bytes = (logs / "car1" / "drive001.log").stat().st_size
-    assert [(log.held.name, log.held.size_bytes) for log in found] == [("linked.log", size_bytes), ("nowhere.log", 0)]
-    row = Maker(Job.of(CONFIG, place.address, None, 60.0)).make(found[1])
-    assert row.outcome == FAILED
-    assert "No such file" in row.reason
-
-
 def test_an_object_that_has_gone_or_is_archived_is_a_row_and_a_folder_nobody_may_read_is_told(
     port: int, logs: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -423,6 +318,9 @@ def test_an_object_that_has_gone_or_is_archived_is_a_row_and_a_folder_nobody_may
     rows = [Maker(job).make(log) for log in found]
     assert [row.outcome for row in rows] == [FAILED, FAILED]
     assert all(row.reason.startswith(f"cannot read {row.source}: ") for row in rows)
+    lost = StoreError("the credentials have expired")
+    lost.__cause__ = ConnectionError()
+    assert not Place(f"s3://{BUCKET}").has_refused("old/archived.log", lost)
     (tmp_path / "secret" / "car9").mkdir(parents=True)
     scanned = os.scandir
 
@@ -435,10 +333,3 @@ def test_an_object_that_has_gone_or_is_archived_is_a_row_and_a_folder_nobody_may
         patch.setattr(os, "scandir", refused)
         assert not Place(str(tmp_path / "secret")).held()
     assert f"left out: {tmp_path}/secret/car9: Permission denied" in caplog.text
-
-
-def test_a_store_that_refuses_for_good_is_told(port: int, tmp_path: Path) -> None:
-    del port
-    (tmp_path / "file").write_bytes(b"content")
-    with pytest.raises(StoreError, match="cannot write s3://no-such-bucket/name"):
-        Place("s3://no-such-bucket").put("name", tmp_path / "file")

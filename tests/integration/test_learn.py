@@ -112,23 +112,3 @@ def changes(*words: str | Path) -> list[tuple[int, int]]:
     records = [json.loads(line) for line in run.out.splitlines()]
     gears = [(one["from_gear"], one["to_gear"]) for one in records if "from_gear" in one]
     return [one for one in gears if one[0] != one[1]]
-
-
-def test_what_cannot_be_described_is_told(car: tuple[Path, list[float]], tmp_path: Path) -> None:
-    log, _ = car
-    poor = tmp_path / "poor.toml"
-    poor.write_text(
-        'name = "poor"\n[signals]\ntarget_gear = { message = "TCU_Shift", signal = "TargetGear" }\n'
-        'current_gear = { message = "TCU_Shift", signal = "CurrentGear" }\n',
-        encoding="utf-8",
-    )
-    run = ended("learn", log, "--profile", poor, "-o", tmp_path / "poor-car.toml")
-    assert (run.status, "nothing can be learned without" in run.err) == (2, True)
-    file = tmp_path / "car.toml"
-    file.write_text("[gears]\nover = 3\nratios = [1.0]\n", encoding="utf-8")
-    run = ended("analyze", log, "--vehicle-file", file)
-    assert run.status == 2
-    assert f"{file}: gears.over" in run.err
-    both = ended("analyze", log, "--vehicle-file", file, "--calibration", file)
-    assert "either --vehicle-file or --calibration" in both.err
-    assert "is there already" in ended("learn", log, "-o", file).err

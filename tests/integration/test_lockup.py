@@ -43,11 +43,6 @@ def test_old_fluid_is_told_by_slip_and_by_shudder(log: Path) -> None:
     assert [axes.get_title(loc="left") for axes in found.plot().axes] == ["lock-up clutch"]
 
 
-def test_a_calibration_says_that_it_needs_none(log: Path, tmp_path: Path) -> None:
-    done = ended("calibrate", str(log), "--profile", "lockup", "-o", str(tmp_path / "own.toml"))
-    assert (done.status, "a lock-up clutch needs none" in done.err) == (2, True)
-
-
 def test_store_history_and_report_call_it_by_its_name(log: Path, tmp_path: Path) -> None:
     store, page = tmp_path / "car.sqlite", tmp_path / "page.html"
     words = ("--profile", "lockup", "--calibration", "lockup", "--vehicle", "at8")

@@ -10,7 +10,7 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import join
-from canlog.logs import LogReader, LogReject, merged_by_time, read_log
+from canlog.logs import LogReject, merged_by_time, read_log
 from canlog.logs.log_counts import FREE_BYTES, LogCounts
 from diag_service.errors import ConfigError
 from diag_service.service.drive import open_drive
@@ -52,17 +52,6 @@ def test_jumps_of_time_and_repeated_frames_are_counted_and_the_first_is_named(tm
     )
 
 
-@pytest.mark.parametrize("count", [1, 7, 60_000])
-def test_what_is_found_does_not_depend_on_where_blocks_end(count: int, tmp_path: Path) -> None:
-    lines = [line(k * 0.001) for k in range(count)] * 2
-    reader = read_log(write(tmp_path / "drive.log", *lines))
-    batch = join(list(reader))
-    steps_ns = np.diff(batch.t_ns)
-    assert reader.counts.jumps_back == np.count_nonzero(steps_ns < 0)
-    assert reader.counts.jumps_ahead == 0
-    assert reader.counts.repeated == (count == 1)
-
-
 @pytest.mark.parametrize(
     ("lines", "fault"),
     [
@@ -95,31 +84,12 @@ def test_logs_that_overlap_are_merged_by_time(tmp_path: Path) -> None:
     )
 
 
-def test_a_merge_ends_where_time_jumps_back_in_every_log(tmp_path: Path) -> None:
-    paths = [
-        write(tmp_path / f"{name}.log", *(line(t_s, can_id=k + 1) for t_s in (5.0, 6.0, 1.0 + k, 2.0)))
-        for k, name in enumerate("ab")
-    ]
-    merged = join(list(merged_by_time([iter(read_log(path)) for path in paths])))
-    for number in (1, 2):
-        own = merged.t_ns[merged.can_id == number] / 1e9
-        assert own.tolist() == [5.0, 6.0, float(number), 2.0]
-
-
 def test_the_same_recording_twice_is_an_error(tmp_path: Path) -> None:
     first, second = (write(tmp_path / name, line(1.0), line(1.1)) for name in ("a.log", "b.log"))
     with pytest.raises(ConfigError, match="same recording"), open_drive([first, second]):
         pass
     with pytest.raises(ConfigError, match="twice"), open_drive([first, first]):
         pass
-
-
-def test_logs_are_closed_where_the_next_one_cannot_be_opened(tmp_path: Path) -> None:
-    first, seen = write(tmp_path / "a.log", line(1.0), line(1.1)), list[LogReader]()
-    paths = [first, tmp_path / "none.log"]
-    with pytest.raises(SourceError, match="no such file"), open_drive(paths, watch=seen.append):
-        pass
-    assert {(reader.path, reader.has_ended) for reader in seen} == {(first, True)}
 
 
 @pytest.mark.parametrize("name", HOSTILE)

@@ -11,7 +11,6 @@ import pyarrow as pa
 import pytest
 
 import canlog
-from canlog.errors import DefinitionError
 
 DBC = """VERSION ""
 BU_: A
@@ -70,32 +69,6 @@ def test_a_table_per_message_is_what_comes_by_itself(drive: Path) -> None:
     assert all(isinstance(table, pd.DataFrame) for table in tables.values())
     assert all(isinstance(table, pl.DataFrame) for table in log.to_polars().values())
     assert all(isinstance(table, pa.Table) for table in log.to_arrow().values())
-
-
-def test_a_wide_table_that_takes_much_memory_is_warned_of(drive: Path) -> None:
-    log = canlog.Log([drive / "drive.log"], canlog.load_database(drive / "car.dbc"), warned_cells=10)
-    with pytest.warns(UserWarning, match="a table of 4 rows and 8 columns takes .* messages"):
-        log.to_pandas("wide")
-    log.to_pandas()
-
-
-def test_its_name_reads_nothing(drive: Path) -> None:
-    log = opened(drive)
-    (drive / "drive.log").unlink()
-    assert repr(log) == f"<canlog.Log {drive / 'drive.log'}: candump>"
-
-
-def test_a_path_may_be_a_text(drive: Path) -> None:
-    assert len(canlog.load_database(str(drive / "car.dbc")).messages) == 2
-
-
-def test_a_lone_pattern_is_one_pattern(drive: Path) -> None:
-    output = drive / "part.parquet"
-    paths = drive / "drive.log", drive / "car.dbc", output
-    canlog.write_table(*paths, canlog.TableChoice(signals="Engine*"))
-    assert [name for name in pl.read_parquet(output).columns if "." in name] == ["Engine.Speed", "Engine.Gear"]
-    with pytest.raises(DefinitionError):
-        canlog.write_table(*paths, canlog.TableChoice(signals="A*"))
 
 
 def test_frames_are_a_table_without_a_database(drive: Path) -> None:

@@ -1,19 +1,14 @@
 """Measured channels of MDF 4 files: names, units, conversions, rates, invalid values; cut off or beside frames."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from asammdf import MDF, Signal
-from asammdf.blocks.v4_constants import FLAG_CG_BUS_EVENT
 
-from canlog.database.signal_columns import SignalColumn, column_id
-from canlog.errors import SourceError
+from canlog.database.signal_columns import column_id
 from canlog.frames import EXTENDED_FLAG
 from canlog.logs import LogFormat, LogReader, read_log
-from canlog.logs.signal_tables import signal_columns
 from ecu_emulator.log_formats.writers import Header, Mf4Writer
 from tests.support.measurements import START, Measured, written
 from tests.support.mf4_layouts import Layout, laid_out
@@ -103,25 +98,6 @@ def test_codes_beside_a_scale_are_no_values_and_the_others_are_scaled(tmp_path: 
     assert found["Raw"][0] == raw.tolist()
 
 
-def test_infinite_values_are_counted_and_cost_no_other_value(tmp_path: Path) -> None:
-    path, times_s = tmp_path / "odd.mf4", np.arange(0.0, 5.0, 0.1)
-    odd = np.where(np.arange(50) == 7, np.inf, 1.0)
-    written(path, [(times_s, [Measured("A", "bar", odd), Measured("B", "bar", times_s)])])
-    reader, found = values(path)
-    assert (len(found["A"][0]), len(found["B"][0])) == (49, 50)
-    assert sum(reader.counts.rejected.values()) == 1
-    assert "a value beyond all measurements" in reader.counts.first_rejected
-
-
-def test_times_that_go_back_are_counted(tmp_path: Path) -> None:
-    path, times_s = tmp_path / "back.mf4", np.arange(0.0, 5.0, 0.1)
-    times_s[30:] -= 1.0
-    written(path, [(times_s, [Measured("A", "bar", times_s)])])
-    with read_log(path) as reader:
-        assert sum(map(len, reader)) == 50
-    assert reader.counts.jumps_back == 1
-
-
 def test_frames_beside_channels_are_the_log_and_the_channels_are_told(tmp_path: Path) -> None:
     frames, path = tmp_path / "frames.mf4", tmp_path / "both.mf4"
     with frames.open("wb") as stream:
@@ -138,20 +114,6 @@ def test_frames_beside_channels_are_the_log_and_the_channels_are_told(tmp_path: 
     assert any("1 measured channels beside the frames of buses are left out" in note for note in reader.counts.notes)
 
 
-def test_signals_that_were_decoded_of_a_bus_are_channels(tmp_path: Path) -> None:
-    """As asammdf writes them: groups of bus events, without the flag of plain ones."""
-    path = tmp_path / "extracted.mf4"
-    with MDF(version="4.10") as file:
-        file.append([Signal(np.arange(50.0), np.arange(50.0) / 100.0 - 880e-9, name="EngineSpeed", unit="rpm")])
-        file.header.abs_time = round(START.timestamp()) * 10**9 + 880
-        group: Any = file.groups[0].channel_group
-        group.flags |= FLAG_CG_BUS_EVENT
-        file.save(path)
-    reader, found = values(path)
-    assert [(one.name, one.unit) for one in reader.columns] == [("EngineSpeed", "rpm")]
-    assert found["EngineSpeed"] == (np.arange(50.0).tolist(), (10_000 * np.arange(50)).tolist())
-
-
 @pytest.mark.parametrize("is_sorted", [True, False])
 def test_a_file_that_was_not_closed_tells_every_row_that_is_there(tmp_path: Path, is_sorted: bool) -> None:
     whole, path = tmp_path / "whole.mf4", tmp_path / "cut.mf4"
@@ -163,22 +125,3 @@ def test_a_file_that_was_not_closed_tells_every_row_that_is_there(tmp_path: Path
     assert reader.counts.unfinished
     assert found["nEng\\ETKC:1"][0] == pytest.approx(np.rint(SPEED / 0.25)[:1001] * 0.25, abs=1e-9)
     assert path.read_bytes() == before  # asammdf completes a copy
-
-
-def test_an_arrow_table_without_fields_is_no_table(tmp_path: Path) -> None:
-    path = tmp_path / "none.arrows"
-    with pa.OSFile(str(path), "wb") as sink, pa.ipc.new_stream(sink, pa.schema([])) as writer:
-        writer.write_batch(pa.record_batch([], schema=pa.schema([])))
-    with pytest.raises(SourceError, match=r"damaged|without a column of times"):
-        read_log(path)
-
-
-def test_the_columns_of_an_index_are_not_taken_for_units() -> None:
-    columns, notes = signal_columns(["Temp[0]", "Temp[1]", "Speed [1/min]", "p (kPa)"])
-    assert columns == [
-        SignalColumn("Temp[0]", ""),
-        SignalColumn("Temp[1]", ""),
-        SignalColumn("Speed", "1/min"),
-        SignalColumn("p", "kPa"),
-    ]
-    assert notes == []

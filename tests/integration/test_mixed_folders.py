@@ -1,11 +1,7 @@
 """A folder of anything: each file is listed with what it was taken for or why not, archives too."""
 
 import gzip
-import json
-import os
 import sqlite3
-import subprocess
-import sys
 import zipfile
 from contextlib import closing
 from pathlib import Path
@@ -15,7 +11,6 @@ import pytest
 from diag_service.batch.drives import find_drives
 from diag_service.cli import main
 from ecu_emulator.log_formats.record import open_log
-from tests.support.patience import HANG_S
 from tests.support.traffic import START_NS, random_frames
 
 LINES = b"".join(b" (1767225600.%06d)  can0  0A0   [2]  %02X 01\n" % (k * 1_000, k) for k in range(50))
@@ -87,16 +82,6 @@ def test_every_file_is_listed_with_what_it_was_taken_for(folder: Path, capsys: p
         assert any(line.startswith(f"{folder}/{name}: ") and f", {frames} frames" in line for line in said[14:])
 
 
-def test_programs_are_told_the_same(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["inspect", str(folder), "--json"]) == 0
-    records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    found = {Path(one["path"]).relative_to(folder).as_posix(): one.get("format") for one in records}
-    found["odd\\nname.txt"] = found.pop("odd\nname.txt")
-    assert found == {**TAKEN, "table.csv": None, "torn.blf": None}
-    (table,) = (one for one in records if one["path"].endswith("table.csv"))
-    assert "a table with the columns When, Who, Mood, What; perhaps --columns time=When,id=Who" in table["reason"]
-
-
 def test_each_log_is_a_drive(folder: Path) -> None:
     found = find_drives([folder])
     assert [drive.paths[0].relative_to(folder).as_posix() for drive in found.drives] == [
@@ -104,31 +89,3 @@ def test_each_log_is_a_drive(folder: Path) -> None:
     ]  # fmt: skip
     assert len({drive.key for drive in found.drives}) == 3
     assert len(found.left_out) == 10
-
-
-def test_what_may_not_be_read_is_listed_too(tmp_path: Path) -> None:
-    (tmp_path / "sealed.log").write_bytes(LINES)
-    (tmp_path / "sealed").mkdir()
-    (tmp_path / "sealed.log").chmod(0)
-    (tmp_path / "sealed").chmod(0)
-    # Root passes every permission bit unless it gives that up.
-    without = ("setpriv", "--bounding-set", "-dac_override,-dac_read_search") if os.getuid() == 0 else ()
-    told = subprocess.run(
-        [*without, sys.executable, "-c", TELL, tmp_path], capture_output=True, text=True, check=True, timeout=HANG_S
-    )
-    assert told.stdout.splitlines() == [
-        "sealed: a folder without permission to read it",
-        "sealed.log: Permission denied",
-    ]
-
-
-TELL = """
-import sys
-from pathlib import Path
-from diag_service.batch.drives import sorted_out
-from tests.support.patience import HANG_S
-found, others = sorted_out(Path(sys.argv[1]))
-for one in others:
-    print(f"{one.path.name}: {one.reason}")
-sys.exit(len(found))
-"""

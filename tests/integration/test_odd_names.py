@@ -5,8 +5,6 @@ import io
 import json
 import os
 import signal
-import subprocess
-import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -14,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from dbc.contract import DBC_PATH
-from tests.support.patience import HANG_S
 
 ODD = b"log\xe9-\xff[b]"  # Latin-1, no text at all, and what looks like rich's markup
 SHOWN = "log\\xe9-\\xff[b]"
@@ -43,19 +40,6 @@ def run(module: str, *words: str | Path, cwd: Path) -> Told:
     for stream in (out, err):
         stream.flush()
     return checked(status, out.buffer.getvalue(), err.buffer.getvalue())
-
-
-def run_in_locale(locale: str, module: str, *words: str | Path, cwd: Path) -> Told:
-    """Run a program in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, "-m", module, *words],
-        cwd=cwd,
-        env={**os.environ, "LC_ALL": locale},
-        capture_output=True,
-        timeout=HANG_S,
-        check=False,
-    )
-    return checked(done.returncode, done.stdout, done.stderr)
 
 
 def checked(status: int, out: bytes, err: bytes) -> Told:
@@ -97,77 +81,8 @@ def test_a_log_and_a_database_are_read_and_named(odd: Path) -> None:
     assert str(record["path"]).endswith(f"/{SHOWN}/{SHOWN}.log")
 
 
-def test_a_log_is_named_in_the_plainest_locale(odd: Path) -> None:
-    told = run_in_locale("C", "diag_service", "inspect", odd / odd_name(".log"), cwd=odd)
-    assert (told.status, SHOWN in told.out) == (0, True)
-
-
-def test_tables_are_written_under_such_names(odd: Path) -> None:
-    log = odd / odd_name(".log")
-    told = run("diag_service", "decode", log, "--json", "-o", odd_name(".parquet"), cwd=odd)
-    assert strict(told.out)
-    assert (odd / odd_name(".parquet")).read_bytes()[:4] == b"PAR1"
-    output = odd / odd_name(".jsonl")
-    told = run("diag_service", "analyze", odd, "--json", "--jobs", "1", "-o", output, cwd=odd)
-    assert told.status == 0
-    again = run("diag_service", "analyze", odd, "--jobs", "1", cwd=odd)
-    assert again.out.startswith(f"{odd_text(odd)}.log: ")
-    written = output.read_text(encoding="utf-8")  # strict: what is written is UTF-8
-    for text in (told.out, written):
-        records = [strict(line) for line in text.splitlines()]
-        assert [record["paths"] for record in records if "paths" in record] == [[f"{odd_text(odd)}.log"]]
-
-
-@pytest.mark.parametrize("command", ["analyze", "decode"])
-def test_the_longest_names_will_do(command: str, odd: Path) -> None:
-    output = odd / ("n" * 251 + ".csv")
-    told = run("diag_service", command, odd / odd_name(".log"), "--dbc", DBC_PATH, "-o", output, cwd=odd)
-    assert (told.status, output.is_file()) == (0, True)
-
-
 def odd_text(folder: Path) -> str:
     return f"{folder.parent}/{SHOWN}/{SHOWN}"
-
-
-def test_a_store_and_a_calibration_have_such_names(odd: Path) -> None:
-    log, store, calibration = odd / odd_name(".log"), odd / odd_name(".sqlite"), odd / odd_name(".toml")
-    told = run("diag_service", "analyze", log, "--store", store, cwd=odd)
-    assert (told.status, store.exists()) == (0, True)
-    told = run("diag_service", "history", store, cwd=odd)
-    assert (told.status, SHOWN in told.err) == (4, True)  # it is read, and holds no results
-    told = run("diag_service", "calibrate", log, "-o", calibration, cwd=odd)
-    assert told.status in {2, 3}  # four frames tell nothing of a vehicle
-    assert told.err.splitlines()[-1].startswith("diag-service: error: ")
-    told = run("diag_service", "config", "check", "--store", store, "--calibration", calibration, cwd=odd)
-    assert (told.status, SHOWN in told.err) == (2, True)
-    told = run("diag_service", "config", "check", "--store", store, cwd=odd)
-    assert told.status == 0
-
-
-MISSING = (
-    "inspect {}",
-    "analyze {}",
-    "signals {}",
-    "calibrate {} -o x.toml",
-    "decode {} -o x.parquet",
-    "inspect a.log --dbc {}",
-    "analyze a.log --config {}",
-    "analyze a.log --profile {}",
-    "analyze a.log --calibration {}",
-    "decode a.log -o {}/none/x.parquet",
-    "analyze a.log -o {}.txt",
-    "analyze a.log --vehicle {}",
-    "analyze a.log --broker mqtts://b --password-file {}",
-)
-
-
-@pytest.mark.parametrize("command", MISSING)
-def test_what_is_missing_is_said_in_one_line(tmp_path: Path, command: str) -> None:
-    (tmp_path / "a.log").write_text(CANDUMP, encoding="utf-8")
-    told = run("diag_service", *(word.format(os.fsdecode(ODD)) for word in command.split()), cwd=tmp_path)
-    assert told.status in {2, 3, 4}, told
-    assert told.err.count("\n") == 1
-    assert told.err.startswith("diag-service: error: ")
 
 
 def test_the_emulator_writes_under_such_names(odd: Path) -> None:
@@ -179,19 +94,3 @@ def test_the_emulator_writes_under_such_names(odd: Path) -> None:
     for words in (["record", log, "--scenario", odd_name(".toml")], ["record", odd_name(".txt")]):
         told = run("ecu_emulator", *words, cwd=odd)
         assert (told.status in {2, 4}, told.err.count("\n")) == (True, 1)
-
-
-def test_the_backend_keeps_its_database_under_such_a_name(odd: Path) -> None:
-    database = f"sqlite:///{odd / odd_name('.sqlite')}"
-    for words in (["migrate"], ["table"], ["seen", "--json"], ["hash"]):
-        assert run("fleet_backend", *words, "--database", database, cwd=odd).status == 0
-    assert (odd / odd_name(".sqlite")).stat().st_size > 0
-    for words in (
-        ["fill", "car", odd_name("")],
-        ["trend", odd_name(""), "1"],
-        ["alarms", "--acknowledge", odd_name("")],
-    ):
-        told = run("fleet_backend", *words, "--database", database, cwd=odd)
-        assert (told.status in {2, 5}, told.err.count("\n")) == (True, 1), told
-    told = run("fleet_backend", "table", "--database", f"{database}.none", cwd=odd)
-    assert (told.status, told.err.count("\n")) == (4, 1)

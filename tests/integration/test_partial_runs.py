@@ -83,13 +83,6 @@ def test_an_analysis_that_was_stopped_carries_no_verdict(cycle_log: Path) -> Non
         assert clutch["friction"] is not None
 
 
-def test_the_papers_method_marks_what_it_pooled_from_a_part(cycle_log: Path) -> None:
-    ended = stopped(signal.SIGINT, "analyze", cycle_log, "--estimator", "paper", "--json")
-    pooled = [record for record in ended.records if record["scope"] == "pooled"]
-    assert ended.status == 130
-    assert [(one["complete"], one["incomplete"]) for one in pooled] == [(False, ["stopped_early"])] * 2
-
-
 @pytest.mark.parametrize("how", ["cut", "gzip"])
 def test_a_log_that_broke_off_carries_no_verdict(cycle_log: Path, cut_log: Path, tmp_path: Path, how: str) -> None:
     log = cut_log
@@ -111,10 +104,6 @@ def test_a_log_that_broke_off_carries_no_verdict(cycle_log: Path, cut_log: Path,
     assert "a log is cut off" in said
     assert "only a part of the drive was seen" in said
     assert "good" not in table
-
-
-def test_a_cut_log_ends_a_strict_analysis(cut_log: Path, tmp_path: Path) -> None:
-    assert run("analyze", cut_log, "--strict").status == 3
 
 
 def test_a_cut_log_among_many_has_no_verdict_in_the_tables(cut_log: Path, cycle_log: Path, tmp_path: Path) -> None:
@@ -151,12 +140,6 @@ def test_a_folder_run_that_was_stopped_goes_on_later(cycle_log: Path, drive_log:
     assert "drives were done before" in again.err
     records = [json.loads(line) for line in (tmp_path / "out.jsonl").read_text(encoding="utf-8").splitlines()]
     assert sum(record["schema"] == "clutchdiag/drive/v1" for record in records) == 4
-
-
-def test_signals_of_a_cut_log_say_so(cut_log: Path, tmp_path: Path) -> None:
-    ended = run("signals", cut_log)
-    assert ended.status == 0
-    assert "# The log is cut off." in ended.out
 
 
 @pytest.mark.broker

@@ -2,24 +2,16 @@
 
 import gzip
 import json
-import os
-import pty
 import signal
 import subprocess
-import sys
 import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from canlog.errors import InputLeftError, SourceError
-from canlog.files import WIDE_BYTES
 from canlog.frames import FrameBatch, join
-from canlog.logs import STANDARD_INPUT, read_log
-from diag_service.errors import ConfigError
-from diag_service.service.drive import open_drive
-from diag_service.service.stopping import Trigger
+from canlog.logs import read_log
 from ecu_emulator import cli as emulator
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.log_formats.record import LogFormat, open_log
@@ -48,36 +40,6 @@ def test_a_pipe_gives_the_results_of_the_file_to_the_bit(drive_log: Path, monkey
     streams = [json.loads(text)["clutches"] for text in summaries]
     assert without(streams[0], "stream") == without(streams[1], "stream")
     assert without([json.loads(summaries[0])], "clutches") == without([json.loads(summaries[1])], "clutches")
-
-
-WATCH = """
-import fcntl, sys
-
-class Watch:
-    def find_spec(self, name, path=None, target=None):
-        if name == "numpy":
-            sys.exit(str(fcntl.fcntl(0, fcntl.F_GETPIPE_SZ)))
-
-sys.meta_path.insert(0, Watch())
-from diag_service.cli import main
-
-main(["analyze", "-"])
-"""
-
-
-def test_a_pipe_is_wide_before_libraries_are_loaded() -> None:
-    """Loading them takes seconds on a small machine, in which candump must find room or lose frames."""
-    done = subprocess.run([sys.executable, "-c", WATCH], input=b"", capture_output=True, check=False, timeout=HANG_S)
-    assert done.stderr.decode() == f"{WIDE_BYTES}\n"
-
-
-def test_every_run_over_a_pipe_is_a_stream_of_its_own(drive_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    content = drive_log.read_bytes()
-    names = set()
-    for _ in range(2):
-        with piped(monkeypatch, [content]):
-            names |= {shift["stream"] for shift in ended("analyze", "-", "--json").shifts}
-    assert len(names) == 2
 
 
 def written(path: Path, log_format: str, frames: FrameBatch) -> None:
@@ -125,18 +87,6 @@ def test_frames_are_handed_over_while_the_writer_waits(drive_log: Path, monkeypa
     assert (len(first), len(rest)) == (150, 200)
 
 
-def test_a_pipe_that_nobody_ends_is_left_when_one_is_told_to(drive_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lines = drive_log.read_bytes().splitlines(keepends=True)[:200]
-    stop, left = Trigger(), threading.Event()
-    with piped(monkeypatch, [b"".join(lines), lambda: left.wait(HANG_S)]):
-        reader = read_log("-", is_stopped=lambda: stop.is_set)
-        assert len(next(reader)) == 200
-        stop.set()
-        with pytest.raises(InputLeftError, match="stopped early: standard input was left before its end"):
-            next(reader)
-        left.set()
-
-
 def test_ctrl_c_without_an_end_of_the_stream_ends_early(drive_log: Path) -> None:
     with subprocess.Popen(
         [*PROGRAM, "analyze", "-"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -155,47 +105,6 @@ def test_ctrl_c_without_an_end_of_the_stream_ends_early(drive_log: Path) -> None
         running.stdin.close()
     assert (status, b"stopped early" in said) == (130, True)
     assert b"only a part of the drive was read, which gets no verdict" in told
-
-
-@pytest.mark.parametrize(
-    ("content", "text"),
-    [
-        (b"", "standard input: the file is empty"),
-        (b"nothing of a log\n" * 20, "standard input: not a log of a known format"),
-        (b"Day,Tyre,Bar\n1,left,2.2\n" * 20, "standard input: .* the columns Day, Tyre, Bar; --columns"),
-    ],
-)
-def test_what_is_no_log_is_told(content: bytes, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    with piped(monkeypatch, [content]), pytest.raises(SourceError, match=text):
-        read_log("-")
-
-
-def test_a_terminal_or_nothing_is_no_log(monkeypatch: pytest.MonkeyPatch) -> None:
-    ours, theirs = pty.openpty()
-    with os.fdopen(theirs) as terminal, os.fdopen(ours, "wb"):
-        monkeypatch.setattr("sys.stdin", terminal)
-        with pytest.raises(SourceError, match="standard input: it is a terminal; pipe a log into it"):
-            read_log("-")
-    monkeypatch.setattr("sys.stdin", None)
-    with pytest.raises(SourceError, match="standard input: it is closed"):
-        read_log("-")
-    with (
-        pytest.raises(ConfigError, match="standard input is given twice"),
-        open_drive([STANDARD_INPUT, STANDARD_INPUT]),
-    ):
-        pass
-
-
-def test_a_file_may_be_called_so(drive_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "-").write_bytes(b"".join(drive_log.read_bytes().splitlines(keepends=True)[:300]))
-    monkeypatch.chdir(tmp_path)
-    assert "300 frames" in ended("inspect", "./-").out
-
-
-@pytest.mark.parametrize("words", [["--format", "blf"], ["--format", "mf4"], ["--json"]])
-def test_what_cannot_go_to_standard_output_is_told(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert emulator.main(["record", "-", *words]) in {2, 4}
-    assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_the_emulator_records_into_a_pipe(tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]) -> None:

@@ -10,8 +10,6 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-import pytest
-
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from tests.integration.test_tester import SLIPS, vehicle
 from tests.plugins.broker import Mosquitto
@@ -59,19 +57,3 @@ def test_codes_are_read_stored_told_and_published(tmp_path: Path, broker: Mosqui
     assert said["codes"] == told["codes"]
     with closing(sqlite3.connect(store)) as connection:
         assert [json.loads(text) for (text,) in connection.execute("SELECT json FROM controller")] == [told]
-
-
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["--poll", "60"], "--poll needs --active"),
-        (["--poll", "0.5", "--active"], "--poll must be at least 1 s, got 0.5"),
-        (["--poll", "nan", "--active"], "--poll must be at least 1 s, got nan"),
-        (["--ecu", "7E0"], "--ecu, --reply and --description need --poll"),
-        (["--poll", "--active", "--ecu", "xyz"], "--ecu must be hexadecimal"),
-        (["--poll", "--active", "--description", "nothing"], "no controller nothing"),
-    ],
-)
-def test_what_cannot_be_is_told_before_anything_is_sent(tmp_path: Path, words: list[str], text: str) -> None:
-    run = ended("run", "-i", "virtual", "-c", "poll 3", "--store", tmp_path / "car.sqlite", *words)
-    run.assert_one_line(2, text)

@@ -1,17 +1,13 @@
 """Results are for their owner's eyes: modes of the files that hold them, and warnings where they travel in the open."""
 
 import os
-import signal
 import sqlite3
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
 import pytest
 
-from diag_service.batch.journal import Journal
 from diag_service.cli import main
 from diag_service.store import ResultStore
 from tests.support.builders import shift_result
@@ -56,21 +52,6 @@ def test_a_store_that_others_could_read_is_closed_to_them(tmp_path: Path, caplog
     assert caplog.records == []
 
 
-def test_a_store_that_is_not_ours_to_close_is_warned_of(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "car.sqlite"
-    ResultStore.open(path).close()
-    path.chmod(0o664)
-
-    def refuse(self: Path, mode: int) -> None:
-        raise PermissionError(1, "Operation not permitted")
-
-    monkeypatch.setattr(Path, "chmod", refuse)
-    ResultStore.open(path).close()
-    assert "car.sqlite can be read by other users (mode 664): Operation not permitted" in caplog.text
-
-
 def test_the_journal_of_a_folder_run_is_private_and_its_output_is_not(tmp_path: Path) -> None:
     folder, output = tmp_path / "logs", tmp_path / "all.jsonl"
     folder.mkdir()
@@ -79,33 +60,9 @@ def test_the_journal_of_a_folder_run_is_private_and_its_output_is_not(tmp_path: 
     assert (output.stat().st_mode & 0o777, (tmp_path / "all.jsonl.journal").stat().st_mode & 0o777) == (0o644, 0o600)
 
 
-def test_an_older_journal_is_closed_to_others(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path = tmp_path / "journal"
-    path.touch(mode=0o644)
-    with Journal(path, "settings"):
-        assert path.stat().st_mode & 0o777 == 0o600
-    assert "could be read by other users (mode 644)" in caplog.text
-
-
 @pytest.mark.parametrize(("url", "count"), [("mqtt://broker.invalid", 1), ("mqtt://127.0.0.1:9", 0), ("mqtts://b", 0)])
 def test_a_broker_on_another_machine_without_encryption_is_warned_of_once(
     capsys: pytest.CaptureFixture[str], url: str, count: int
 ) -> None:
     assert main(["config", "check", "--broker", url]) == 0
     assert capsys.readouterr().err.count("unencrypted") == count
-
-
-def test_a_backend_warns_once(sqlite_url: str) -> None:
-    words = ["ingest", "--database", sqlite_url, "--broker", "mqtt://broker.invalid"]
-    with subprocess.Popen(
-        [sys.executable, "-m", "fleet_backend", *words], stderr=subprocess.PIPE, text=True
-    ) as backend:
-        assert backend.stderr is not None
-        lines = []
-        for line in backend.stderr:
-            lines.append(line)
-            if "WARNING: broker" in line or len(lines) > 50:  # it has tried to connect
-                break
-        backend.send_signal(signal.SIGTERM)
-        lines += list(backend.stderr)
-    assert "".join(lines).count("unencrypted") == 1

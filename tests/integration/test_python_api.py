@@ -22,8 +22,6 @@ from diag_service.api.live import LiveDiagnosis
 from diag_service.batch.drives import drive_of
 from diag_service.batch.tables import write_results
 from diag_service.batch.worker import Analyst
-from diag_service.errors import StoreFullError
-from diag_service.store import ResultStore, VehicleState
 from tests.plugins.drives import SHIFT_COUNT, send_time_s
 from tests.support.in_process import ended, never_a_program
 from tests.support.patience import HANG_S
@@ -116,13 +114,6 @@ def test_a_part_of_a_drive_is_told_as_such(drive_log: Path, tmp_path: Path) -> N
         diag_service.analyze(cut, is_strict=True)
 
 
-def test_it_works_where_a_loop_runs(drive_log: Path) -> None:
-    async def cell() -> diag_service.Analysis:
-        return diag_service.analyze([drive_log])
-
-    assert len(asyncio.run(cell()).results) == SHIFT_COUNT
-
-
 def test_a_store_goes_on_where_it_ended(drive_log: Path, tmp_path: Path) -> None:
     store = tmp_path / "car.sqlite"
     first = diag_service.analyze(drive_log, store=store)
@@ -169,16 +160,6 @@ def test_importing_it_loads_no_library() -> None:
     assert done.stdout.splitlines()[-1] == "True"
     loaded = set(done.stdout.splitlines()[0].strip("[]").replace("'", "").split(", ")) - {"", "asyncio"}
     assert loaded == set()
-
-
-def test_reading_with_a_database_loads_no_heavy_library(drive_log: Path) -> None:
-    program = (
-        "import sys, canlog, dbc.contract; log = canlog.read(sys.argv[1], dbc.contract.DBC_PATH); log.signals()\n"
-        "print([name for name in ('asammdf', 'can', 'pandas', 'polars') if name in sys.modules])\n"
-        "import cantools; print(cantools.tester.Tester.__name__)"  # and whoever wants a live bus of cantools has it
-    )
-    done = subprocess.run([sys.executable, "-c", program, drive_log], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines() == ["[]", "Tester"]
 
 
 def test_several_logs_are_read_in_the_order_of_time(drive_log: Path, tmp_path: Path) -> None:
@@ -265,46 +246,6 @@ async def test_leaving_the_loop_or_being_cancelled_ends_it(drive_log: Path) -> N
     assert [task for task in asyncio.all_tasks() if task.get_name() == "live diagnosis"] == []
 
 
-async def test_what_ends_a_live_diagnosis_is_raised(tmp_path: Path) -> None:
-    with pytest.raises(diag_service.SourceError, match="carrier_pigeon"):
-        await until(diag_service.diagnose(interface="carrier_pigeon", channel="0"), 1)
-    with virtual_bus() as (_, far):
-        with pytest.raises(diag_service.ConfigError, match="either an open bus or an interface"):
-            diag_service.diagnose(far, interface="virtual")
-        with pytest.raises(diag_service.ConfigError, match="does not listen yet"):
-            _ = diag_service.diagnose(far).analysis
-        with pytest.raises(diag_service.StoreError):
-            await until(diag_service.diagnose(far, store=tmp_path), 1)
-        async with diag_service.diagnose(far) as live:
-            far.shutdown()
-            with pytest.raises(diag_service.SourceError, match="cannot be read"):
-                await until(live, 1)
-
-
-async def test_what_is_stored_in_the_end_is_handed_over_too(
-    drive_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    add = ResultStore.add
-
-    def add_in_the_end(store: ResultStore, result: diag_service.ShiftResult, state: VehicleState) -> bool:
-        if threading.current_thread() is not threading.main_thread():  # where a run ends
-            raise StoreFullError("the disk is full")
-        return add(store, result, state)
-
-    monkeypatch.setattr(ResultStore, "add", add_in_the_end)
-    sent = messages(drive_log)
-    with virtual_bus() as (near, far):
-        async with asyncio.timeout(HANG_S), diag_service.diagnose(far, store=tmp_path / "car.sqlite") as live:
-            for message in sent:
-                near.send(message)
-            while live.frames.on_bus < len(sent):  # noqa: ASYNC110 - it offers no event
-                await asyncio.sleep(0.01)
-            live.stop()
-            results = [result async for result in live]
-    assert results == live.results
-    assert len(results) == SHIFT_COUNT
-
-
 def test_a_program_without_a_loop_listens_in_the_background(drive_log: Path, tmp_path: Path) -> None:
     with virtual_bus() as (near, far):
         live = diag_service.diagnose(far, store=tmp_path / "car.sqlite", duration_s=HANG_S)
@@ -363,27 +304,6 @@ def test_an_emulator_drives_on_a_bus_of_its_own(tmp_path: Path, capsys: pytest.C
     assert capsys.readouterr() == ("", "")
     with pytest.raises(ecu_emulator.ConfigError, match="drives only once"), car:
         pass
-
-
-def test_an_emulator_says_what_it_cannot_do(tmp_path: Path) -> None:
-    wrong: list[dict[str, object]] = [
-        {"scenario": "none such"}, {"oil_degc": 200.0}, {"mass_kg": float("nan")}, {"fluid": "old"}, {"drive": "moon"},
-        {"cycles": 0}, {"seed": -1}, {"parked_s": -1.0}, {"faults": [{"kind": "magic"}]}, {"faults": ["loss"]},
-    ]  # fmt: skip
-    for options in wrong:
-        with pytest.raises(ecu_emulator.ConfigError):
-            ecu_emulator.Emulator(**options)  # type: ignore[arg-type]  # as a user may type it
-    with pytest.raises(ecu_emulator.BusError), ecu_emulator.Emulator(interface="carrier_pigeon", channel="0"):
-        pass
-    with pytest.raises(ecu_emulator.ConfigError, match="log_format"):
-        ecu_emulator.Emulator().record(tmp_path / "a.log", log_format="paper")
-    with pytest.raises(ecu_emulator.RecordError, match="no log format"):
-        ecu_emulator.Emulator().record(tmp_path / "a.xyz")
-    unwritable = ecu_emulator.Emulator(truth=tmp_path / "none" / "t.jsonl")
-    with pytest.raises(ecu_emulator.RecordError, match="cannot write truth"), unwritable:
-        pass
-    with pytest.raises(ecu_emulator.ConfigError, match="not driving"):
-        ecu_emulator.Emulator().wait()
 
 
 def test_a_store_tells_what_the_programs_tell(drive_log: Path, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from fleet_backend import queries
 from fleet_backend.alarms.rules import Rule
 from fleet_backend.choices import Pace, Quotas
 from fleet_backend.config import parse_quotas
-from fleet_backend.errors import BrokerError, ConfigError, DatabaseAwayError
+from fleet_backend.errors import BrokerError, ConfigError
 from fleet_backend.ingest import Worker
 from fleet_backend.intake import MessageKind
 from fleet_backend.office.watching import Orders, Watch
@@ -103,23 +103,6 @@ async def test_unusable_messages_and_bytes_have_quotas_too_and_zero_is_none(engi
     for wrong in ("", "1,2", "1,2,-3", "a,b,c"):
         with pytest.raises(ConfigError, match="RESULTS,MESSAGES,MB"):
             parse_quotas(wrong)
-
-
-async def test_a_restarted_worker_knows_the_day_and_a_database_that_is_away_is_told_later(
-    engine: Engine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    before = Office(engine)
-    with monkeypatch.context() as away:
-        away.setattr(before.gate, "_added", _refuse)
-        await before.take(*results("car1", 1, 2, 3, 4))
-    await before.take(*results("car1", 5))
-    restarted = Office(engine)
-    await restarted.take(*results("car1", 6))  # hears of the day with it
-    assert await restarted.take(*results("car1", 7)) == set()
-
-
-def _refuse(*_: object) -> dict[str, list[int]]:
-    raise DatabaseAwayError("gone")
 
 
 async def test_the_watch_raises_an_alarm_as_long_as_messages_are_withheld(engine: Engine) -> None:

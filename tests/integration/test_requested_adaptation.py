@@ -1,17 +1,13 @@
 """Routine 0302 adapts the clutches of a drawn vehicle; what it finds is kept, tested, used and cleared again."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import pytest
 
 from ecu_emulator.diagnostics.iso14229 import Status
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.errors import RecordError
 from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
 from ecu_emulator.scenario.scenario import Scenario
-from tests.integration.test_requested_routine import Bench, hasty_table, wait_for
-from tests.integration.test_requested_routine import in_workshop as waiting
 from tests.support.uds.adapting_car import ADAPT, CLEAR, AdaptingCar, in_workshop, memory_in
 
 NOMINAL_PA = (134_545.0, 150_000.0)
@@ -134,62 +130,3 @@ def test_what_must_hold_until_the_end_is_watched(quantity: str, size: float, nrc
         car.go_on()
     assert car.drive.is_waiting  # it has let go
     assert car.controller.state.adaptation is None
-
-
-def test_a_sensor_that_dies_meanwhile_adapts_nothing() -> None:
-    car = AdaptingCar(in_workshop())
-    car.drive.add_fault(SensorFault(quantity="engine_torque_nm", kind=SensorFaultKind.NOT_AVAILABLE, start_s=2.0))
-    assert car.perform(ADAPT) == "71 01 03 02 00 03 34 8f ff ff 03 3a 98 ff ff"
-    assert car.controller.state.adaptation is None
-    assert car.status("P0810") & Status.TEST_FAILED
-
-
-def test_what_the_disk_does_not_take_is_not_worked_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with memory_in(tmp_path) as memory:
-        car = AdaptingCar(in_workshop(clutch1=STRONG_SPRING_N, clutch2=STRONG_SPRING_N), memory)
-
-        def full(*_: object) -> None:
-            raise RecordError("no space")
-
-        monkeypatch.setattr(car.controller, "adapt", full)
-        assert car.perform(ADAPT) == "7f 31 72"
-        assert car.adaptation.problem == "no space"
-        assert car.drive.touch_pressures_pa == pytest.approx(NOMINAL_PA, abs=1.0)
-
-
-def test_a_tester_that_goes_leaves_a_car_that_waits() -> None:
-    car = AdaptingCar(in_workshop())
-    car.unlock()
-    car.ask(ADAPT)
-    while car.t_s < 9.0:
-        car.go_on()
-    assert not car.drive.is_waiting
-    car.controller.leave(0)
-    for _ in range(8):
-        car.go_on()
-    assert car.drive.is_waiting
-
-
-def test_the_program_does_it_too(tmp_path: Path) -> None:
-    bench = Bench(waiting("ideal"), hasty_table(tmp_path))
-    with bench.answering:
-        while bench.t_s < 1.0:
-            bench.go_on()
-        bench.unlock()
-        wait_for(lambda: bench.ask("31 01 03 02") == b"\x7f\x31\x78")
-        wait_for(lambda: not bench.drive._asked.empty())
-        while bench.drive.is_waiting:
-            bench.go_on()
-        while not bench.drive.is_waiting:
-            bench.go_on()
-        bench.go_on()
-        wait_for(lambda: not bench.drive._asked.empty())  # the next steps
-        bench.drive.add_fault(SensorFault(quantity="brake_pressure_pa", kind=SensorFaultKind.OFFSET, size=-1e6))
-        found = [b""]
-
-        def is_refused() -> bool:
-            bench.go_on()
-            found[0] = bench.answering.controller.tick(7) or found[0]
-            return found[0] == b"\x7f\x31\x8f"
-
-        wait_for(is_refused)

@@ -11,10 +11,7 @@ import pytest
 
 from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.bus.sender import to_messages
-from ecu_emulator.commands import LogOptions, write_log
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
-from ecu_emulator.errors import ConfigError
-from ecu_emulator.live.live_drive import BusChoice, answering_of
 from ecu_emulator.scenario.scenario import Routine, Scenario
 from ecu_emulator.truth import Happened, RevTruth, ShiftTruth
 from tests.support.builders import drive_scenario
@@ -127,12 +124,3 @@ def test_a_car_that_drives_does_not_take_up_the_routine(table: Path) -> None:
         while not bench.count(ShiftTruth):
             bench.go_on()
     assert not bench.count(RevTruth)
-
-
-def test_a_car_that_nobody_can_ask_does_not_wait(tmp_path: Path) -> None:
-    scenario, drive = in_workshop(), Drive(in_workshop())
-    choice = BusChoice(interface="virtual", channel="nobody", bitrate=None, is_fd=False)
-    with can.Bus("nobody", interface="virtual") as bus, pytest.raises(ConfigError, match="--diagnostics is needed"):
-        answering_of(None, bus, choice, scenario, drive)
-    with pytest.raises(ConfigError, match="a log has no tester"):
-        write_log(scenario, LogOptions(path=tmp_path / "x.log"), None)  # type: ignore[arg-type]  # likewise

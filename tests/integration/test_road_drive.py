@@ -3,7 +3,6 @@
 import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,13 +13,8 @@ from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.drive.recording import Drive, Stretch
 from ecu_emulator.driving.journey import PlannedTrip
-from ecu_emulator.errors import ConfigError
-from ecu_emulator.live.live_drive import SentTruth
-from ecu_emulator.scenario.drive_names import DriveName
-from ecu_emulator.scenario.faults import BusFault, BusFaultKind
 from ecu_emulator.scenario.scenario import Ambient
-from ecu_emulator.truth import EventTruth, ShiftTruth, TripTruth, TruthWriter, read_truth
-from tests.support.builders import drive_scenario
+from ecu_emulator.truth import EventTruth, ShiftTruth, TripTruth
 from tests.support.road import road_scenario, short_trip
 
 PARKED_S = 600.0
@@ -42,16 +36,6 @@ def _stretches() -> list[Stretch]:
 @pytest.fixture(name="frames", scope="module")
 def _frames(stretches: list[Stretch]) -> EncodedFrames:
     return merge([stretch.frames for stretch in stretches])
-
-
-def test_frames_held_back_at_the_end_of_a_trip_are_in_order_with_those_of_the_next() -> None:
-    late = BusFault(kind=BusFaultKind.REORDER)
-    drive = Drive(
-        replace(road_scenario("ideal"), bus_faults=(late,)), planned=iter([short_trip("there"), short_trip("on")])
-    )
-    times_s = np.concatenate([stretch.frames.t_s for stretch in drive.stretches(10.0)])
-    assert np.diff(times_s).min() >= 0.0
-    assert times_s[-1] > 2.0 * TRIP_S
 
 
 def test_every_event_is_told_with_its_trip(stretches: list[Stretch]) -> None:
@@ -100,18 +84,6 @@ def test_each_trip_begins_as_controllers_do(frames: EncodedFrames) -> None:
     assert first[1] >> 4 == 15
 
 
-def test_a_long_stay_can_be_cut_short_on_a_bench() -> None:
-    drive = Drive(road_scenario(), longest_stay_s=5.0, planned=two_trips())
-    (trip,) = (
-        truth
-        for stretch in drive.stretches(10.0)
-        for truth in stretch.truths
-        if isinstance(truth, TripTruth) and truth.number == 2
-    )
-    assert trip.t_start_s == pytest.approx(TRIP_S + 5.0, abs=0.01)
-    assert trip.parked_s == PARKED_S
-
-
 def test_memory_does_not_grow_with_a_drive_without_end() -> None:
     drive = Drive(road_scenario(), planned=(short_trip(parked_s=60.0) for _ in range(12)))
     held_bytes: list[int] = []
@@ -123,32 +95,6 @@ def test_memory_does_not_grow_with_a_drive_without_end() -> None:
     tracemalloc.stop()
     assert len(held_bytes) == 12
     assert max(held_bytes[6:]) < max(held_bytes[2:6]) + 200_000
-
-
-def test_what_was_sent_is_told_in_the_order_in_which_it_became_known(tmp_path: Path) -> None:
-    path = tmp_path / "truth.jsonl"
-    with TruthWriter(path) as writer:
-        sent = SentTruth(Drive(road_scenario(), longest_stay_s=1.0, planned=two_trips()), writer)
-        for frames in sent.frames():
-            if len(frames):
-                sent.sent_until(float(frames.t_s[-1]))
-    truth = read_truth(path)
-    assert len(truth.trips) == 2
-    assert sent.event_count == len(truth.events)
-    assert len(truth.events) > 8
-
-
-@pytest.mark.parametrize(
-    ("drive", "oil_k", "named"),
-    [
-        (DriveName.CYCLE, 273.15, "drive cycle is not possible: initial_oil_k must be 313.15"),
-        (DriveName.CITY, 253.15, "oil_k must be 258.15"),
-    ],
-)
-def test_oil_too_cold_is_one_clear_complaint(drive: DriveName, oil_k: float, named: str) -> None:
-    scenario = replace(drive_scenario(), drive=drive, ambient=Ambient(oil_temperature_k=oil_k))
-    with pytest.raises(ConfigError, match=named):
-        next(Drive(scenario).stretches(1.0))
 
 
 def test_the_cutting_changes_nothing(frames: EncodedFrames, stretches: list[Stretch]) -> None:

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 from tests.plugins.broker import Mosquitto
-from tests.support.in_process import ended as run
 from tests.support.replay import INTERFACE, Replay, UdpBus, free_bus
 from tests.support.service import Record, Service, run_service, service
 from tests.support.subscriber import Subscriber
@@ -160,29 +159,3 @@ def test_a_duration_ends_the_run(tmp_path: Path, bus: UdpBus) -> None:
     assert (ended.status, ended.err) == (0, "")
     assert ended.out.startswith("listening on ")
     assert "0 shifts" in ended.out
-
-
-def test_the_bus_may_come_from_the_environment(tmp_path: Path, bus: UdpBus) -> None:
-    variables = {"CAN_INTERFACE": INTERFACE, "CAN_CHANNEL": bus.group, "XDG_STATE_HOME": str(tmp_path)}
-    ended = run_service(tmp_path, "run", "--vehicle", "car7", "--duration", "0.1", variables=bus.variables | variables)
-    assert (ended.status, ended.err) == (0, "")
-    assert f"listening on {INTERFACE} {bus.group} for car7" in ended.out
-    assert (tmp_path / "clutchdiag" / "car7.sqlite").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "status", "text"),
-    [
-        (("-i", "carrier_pigeon", "-c", "0"), 3, "carrier_pigeon"),
-        (("-i", "socketcan"), 3, "no CAN channel"),
-        (("-i", "socketcan", "-c", "none0"), 3, "interface"),  # or the kernel has no CAN at all: use another
-        (("-i", INTERFACE, "-c", "not a group"), 3, "not a group"),
-        (("-i", INTERFACE, "-b", "-5"), 2, "bit rate"),
-        (("-i", INTERFACE, "--duration", "-1"), 2, "duration"),
-        (("-i", INTERFACE, "--duration", "soon"), 2, "not a valid float"),
-    ],
-)
-def test_a_bus_that_cannot_be_used_is_told_in_one_line(
-    tmp_path: Path, arguments: tuple[str, ...], status: int, text: str
-) -> None:
-    run("run", *arguments, "--store", tmp_path / "car.sqlite").assert_one_line(status, text)

@@ -2,12 +2,10 @@
 
 import os
 import resource
-import shutil
 import signal
 import sqlite3
 import subprocess
 from contextlib import closing
-from importlib.metadata import version
 from operator import itemgetter
 from pathlib import Path
 
@@ -19,7 +17,6 @@ from fleet_contract import schema
 from tests.plugins.broker import Mosquitto
 from tests.plugins.drives import SHIFT_COUNT
 from tests.support.in_process import ended as run
-from tests.support.patience import HANG_S
 from tests.support.ports import free_port
 from tests.support.replay import INTERFACE, free_bus
 from tests.support.service import PROGRAM, environment, run_service, service
@@ -62,21 +59,6 @@ def test_the_same_log_twice_is_stored_once(drive_log: Path, tmp_path: Path) -> N
     assert (first.summary["shifts"]["stored"], second.summary["shifts"]["stored"]) == (SHIFT_COUNT, 0)
     assert second.summary["shifts"]["already_stored"] == SHIFT_COUNT
     assert len(stored_keys(tmp_path / "car.sqlite")) == SHIFT_COUNT
-
-
-def test_an_analysis_that_was_stopped_is_taken_up_where_it_ended(drive_log: Path, tmp_path: Path) -> None:
-    whole = run("analyze", drive_log, "--json")
-    store = tmp_path / "car.sqlite"
-    arguments = ("analyze", drive_log, "--json", "--store", store)
-    with service(tmp_path / "stopped", *arguments) as running:
-        running.wait_for(lambda: store.exists() and running.out.count("\n") > 0)
-        running.send(signal.SIGTERM)
-        stopped = running.wait()
-    resumed = run(*arguments)
-    assert stopped.status in {0, 143}  # it may have been done before it heard
-    assert resumed.status == 0
-    assert stopped.shifts == whole.shifts[: len(stopped.shifts)]
-    assert resumed.shifts == whole.shifts
 
 
 def test_logs_of_one_drive_are_put_in_order(drive_log: Path, tmp_path: Path) -> None:
@@ -163,35 +145,6 @@ def test_what_cannot_be_used_is_told_in_one_line(
     run(*filled).assert_one_line(status, text)
 
 
-def test_more_words_tell_where_it_happened(tmp_path: Path) -> None:
-    ended = run("analyze", tmp_path / "none.log", "-v")
-    assert ended.status == 3
-    assert ended.err.startswith("Traceback")
-    assert ended.err.splitlines()[-1].startswith("diag-service: error: ")
-
-
-def test_a_store_that_is_read_only(drive_log: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "sealed"
-    folder.mkdir()
-    folder.chmod(0o555)
-    # Root passes every permission bit unless it gives that up.
-    wrapper = ("setpriv", "--bounding-set", "-dac_override,-dac_read_search") if os.getuid() == 0 else ()
-    ended = run_service(tmp_path, "analyze", drive_log, "--store", folder / "car.sqlite", wrapper=wrapper)
-    ended.assert_one_line(4, "Permission denied")
-
-
-def test_a_database_that_is_read_only(drive_log: Path, tmp_path: Path) -> None:
-    store = tmp_path / "car.sqlite"
-    run("analyze", drive_log, "--store", store)
-    store.chmod(0o444)
-    wrapper = ("setpriv", "--bounding-set", "-dac_override,-dac_read_search") if os.getuid() == 0 else ()
-    ended = run_service(
-        tmp_path / "second", "analyze", drive_log, "--store", store, "--vehicle", "car2", wrapper=wrapper
-    )
-    ended.assert_one_line(4, "readonly database")
-    assert len(stored_keys(store)) == SHIFT_COUNT
-
-
 def test_a_disk_that_fills_up_loses_nothing_that_was_reported(drive_log: Path, tmp_path: Path) -> None:
     store = tmp_path / "car.sqlite"
     run("analyze", drive_log, "--store", store, "--vehicle", "car1")
@@ -229,37 +182,6 @@ def test_a_second_service_leaves_the_store_alone(drive_log: Path, tmp_path: Path
     assert run("analyze", drive_log, "--store", store).status == 0
 
 
-def test_a_reader_that_hangs_up_ends_the_run(drive_log: Path) -> None:
-    analysis = subprocess.Popen(
-        [*PROGRAM, "analyze", drive_log, "--json"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment()
-    )
-    head = subprocess.run(
-        [shutil.which("head") or "head", "-1"], stdin=analysis.stdout, capture_output=True, check=True
-    )
-    assert analysis.stdout is not None
-    analysis.stdout.close()
-    assert analysis.stderr is not None
-    err = analysis.stderr.read()
-    analysis.stderr.close()
-    assert (analysis.wait(HANG_S), err) == (0, b"")
-    assert head.stdout.count(b"\n") == 1
-
-
-def test_an_output_that_takes_nothing_is_an_error(drive_log: Path) -> None:
-    with Path("/dev/full").open("wb") as full:
-        done = subprocess.run(
-            [*PROGRAM, "analyze", drive_log, "--json"],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-            env=environment(),
-        )
-    assert done.returncode == 1
-    assert done.stderr.splitlines()[0].startswith("diag-service: error: unexpected OSError: ")
-    assert "Traceback" not in done.stderr
-
-
 @pytest.mark.broker
 def test_results_reach_a_broker(drive_log: Path, tmp_path: Path, broker: Mosquitto) -> None:
     with Subscriber(broker.port) as subscriber:
@@ -287,19 +209,3 @@ def test_results_that_nobody_keeps_are_told(drive_log: Path, tmp_path: Path) -> 
     ended = run("analyze", drive_log, "--broker", f"mqtt://127.0.0.1:{free_port()}")
     assert ended.status == 0
     assert f"{SHIFT_COUNT} results were not delivered and are not kept" in ended.err
-
-
-def test_version(tmp_path: Path) -> None:
-    ended = run("--version")
-    assert (ended.status, ended.out) == (0, f"diag-service {version('clutchdiag')}\n")
-
-
-@pytest.mark.parametrize("command", ["analyze", "inspect", "signals"])
-def test_who_takes_a_store_for_a_log_is_told_what_shows_it(drive_log: Path, tmp_path: Path, command: str) -> None:
-    store = tmp_path / "car.sqlite"
-    assert run("analyze", drive_log, "--store", store).status == 0
-    told = run(command, store)
-    assert told.status == 2
-    assert told.err == (
-        f"diag-service: error: {store} is a store of results, no log: diag-service report {store} shows what is in it\n"
-    )

@@ -26,7 +26,6 @@ from ecu_emulator.diagnostics.table_file import personalities, table_like
 from ecu_emulator.errors import ConfigError
 from tests.integration.test_tester import vehicle
 from tests.support.asked import batch_of
-from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 from tests.unit.canlog.test_traffic import sent_bits
 
@@ -311,19 +310,6 @@ def test_a_controller_that_asks_for_patience_is_asked_once(
     assert reader.faults
 
 
-def test_patience_has_an_end(channel: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(signal_asking, "MOST_PENDING_S", 0.2)
-    pending = ("03 7F 22 78", 0.15)
-    with (
-        heard(channel),
-        canned(channel, *pending, *pending, *pending) as car,
-        asked(pressure_profile(tmp_path), channel) as asker,
-    ):
-        wait_for(lambda: car.begun_count >= 2)
-        car.answers["2238EB"] = [GOOD]
-        wait_for(lambda: asker.set_count >= 2)
-
-
 def samples_in(profile: Path, frames: Sequence[can.Message]) -> set[float]:
     """Return the clutch pressures [Pa] that a dialogue tells by the file of a profile."""
     decoder = interpret(None, profile).decoder()
@@ -354,52 +340,6 @@ def test_a_controller_that_dies_in_an_answer_and_starts_anew_gives_no_wrong_samp
     assert "asking goes on" in caplog.text
     assert ear.services() == {0x22}
     assert samples_in(tmp_path / "one.toml", ear.frames) == {0x190 * 1e5}
-
-
-def test_what_is_refused_for_now_is_asked_for_again_and_the_rest_is_told_meanwhile(
-    channel: str, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    caplog.set_level(NOTICE)
-    monkeypatch.setattr(signal_asking, "AGAIN_S", 0.3)
-    path = tmp_path / "two.toml"
-    path.write_text(
-        '[signals]\nclutch1_pressure_pa = { did = 0x38EB, at = "7E1", unit = "bar" }\n'
-        'clutch2_pressure_pa = { did = 0x38EA, at = "7E1", unit = "bar" }\n',
-        encoding="utf-8",
-    )
-    with can.Bus(channel, "virtual") as near:
-        car = Canned(near, {"2238EB": [GOOD], "2238EA": ["03 7F 22 22"], "2238EB38EA": ["03 7F 22 22"]})
-        with can.Notifier(near, [car], timeout=0.05), asked(load_profile(path), channel, 2) as asker:
-            wait_for(lambda: asker.set_count >= 3)
-            assert {str(one) for one in asker.plan.refused} <= {"38EA at 7E1"}
-            car.answers["2238EA"] = ["05 62 38 EA 00 00"]
-            car.answers["2238EB38EA"] = ["03 7F 22 31"]  # both at once it never takes
-            wait_for(lambda: not asker.plan.refused)
-            sets = asker.set_count
-            wait_for(lambda: asker.set_count >= sets + 3)
-            assert not asker.plan.refused
-    assert "38EA at 7E1 is not told (conditions not correct (22)), and asked for again later" in caplog.text
-
-
-@pytest.mark.parametrize("together", [1, 2])
-def test_one_late_answer_takes_nothing_away(channel: str, tmp_path: Path, together: int) -> None:
-    path = tmp_path / "two.toml"
-    path.write_text(
-        '[signals]\nclutch1_pressure_pa = { did = 0x38EB, at = "7E1", unit = "bar" }\n'
-        'clutch2_pressure_pa = { did = 0x38EA, at = "7E1", unit = "bar" }\n'
-        'sump_temperature_k = { did = 0x2104, at = "7E1", unit = "degC" }\n',
-        encoding="utf-8",
-    )
-    both = ["10 09 62 38 EB 01 90 38", "21 EA 00 00"]
-    with can.Bus(channel, "virtual") as near:
-        car = Canned(near, {"2238EB": [GOOD], "2238EA": ["05 62 38 EA 00 00"], "2238EB38EA": both})
-        car.answers["222104"] = [0.4, "05 62 21 04 03 20"]
-        with can.Notifier(near, [car], timeout=0.05), asked(load_profile(path), channel, together) as asker:
-            wait_for(lambda: car.begun_count >= 2 * (3 - together) + 1)
-            car.answers["222104"] = ["05 62 21 04 03 20"]
-            wait_for(lambda: asker.set_count >= 10)
-            assert not asker.plan.refused
-            assert [len(one.data) for one in asker.plan.fast] == [together] * (3 - together)
 
 
 def test_an_interface_that_goes_down_is_read_again(
@@ -469,21 +409,3 @@ def test_a_personality_answers_with_its_own_data() -> None:
     assert controller().ask(bytes.fromhex("2238EB100C")) == bytes.fromhex("6238EB0190100C0960")
     with pytest.raises(ConfigError, match="nobody answers like audi: there are bmw_dkg, vw_dsg"):
         table_like("audi")
-
-
-def test_asking_for_signals_and_for_codes_at_once_is_refused(tmp_path: Path, channel: str) -> None:
-    words = (
-        "run",
-        "-i",
-        "virtual",
-        "-c",
-        channel,
-        "--profile",
-        "dct_asked",
-        "--active",
-        "--store",
-        tmp_path / "s.sqlite",
-    )
-    run = ended(*words, "--poll", "5")
-    assert run.status == 2
-    assert "error: --poll: this profile asks all the time already" in run.err

@@ -16,14 +16,10 @@ import pytest
 from diag_service.diagnosis.records import StoredResult
 from diag_service.errors import StoreError
 from diag_service.store import (
-    APPLICATION_ID,
     SCHEMA_VERSION,
     ResultStore,
-    StoreReader,
     VehicleState,
     Versions,
-    is_store,
-    withdraw_fill,
 )
 from fleet_contract import Receipt, raw_shift_message, read_message
 from tests.golden import FOLDER as GOLDEN
@@ -73,13 +69,6 @@ def test_a_store_is_made_with_its_folder_and_read_again(path: Path) -> None:
         assert store.next_seq() == 4
 
 
-def test_sequence_numbers_outlive_their_results(path: Path) -> None:
-    fill(path, 3)
-    edit(path, "DELETE FROM result")
-    with closing(ResultStore.open(path)) as store:
-        assert store.next_seq() == 4
-
-
 @pytest.mark.parametrize("lock", ["of the lost store", "of the backup", "none"])
 def test_a_store_that_was_put_back_uses_no_number_again(
     path: Path, lock: str, caplog: pytest.LogCaptureFixture
@@ -117,16 +106,6 @@ def test_two_services_do_not_share_a_store(path: Path) -> None:
             ResultStore.open(path)
         with pytest.raises(StoreError, match="in use"):  # by another name too
             ResultStore.open(path.parent / "." / path.name)
-    ResultStore.open(path).close()
-
-
-def test_a_store_that_cannot_be_opened_is_not_left_locked(path: Path) -> None:
-    path.parent.mkdir()
-    path.write_bytes(b"not a database, but longer than the header of one " * 100)
-    for _ in range(2):
-        with pytest.raises(StoreError, match="file is not a database"):
-            ResultStore.open(path)
-    path.unlink()
     ResultStore.open(path).close()
 
 
@@ -184,50 +163,9 @@ def test_damaged_pages_are_told(path: Path) -> None:
         ResultStore.open(path)
 
 
-def test_a_damaged_store_is_told_to_its_readers(path: Path) -> None:
-    fill(path, 50)
-    content = bytearray(path.read_bytes())
-    content[100:4096] = b"\xa5" * 3996  # the tables, behind the header
-    path.write_bytes(content)
-    with (
-        pytest.raises(StoreError, match=r"store .* is damaged: .*malformed; put a copy in its place"),
-        StoreReader.open(path),
-    ):
-        pass
-
-
 def changed(path: Path, sql: str, *values: object) -> None:
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute(sql, values)
-
-
-def test_damage_that_sqlite_cannot_put_into_words_is_told(path: Path) -> None:
-    fill(path, 3)
-    path.write_bytes(path.read_bytes().replace(b"TABLE controller (", b"TABLE controlle\xe8 \xe8", 1))
-    with pytest.raises(StoreError, match=r"store .* is damaged: .*; put a copy in its place"), StoreReader.open(path):
-        pass
-    with pytest.raises(StoreError, match=r"store .* is damaged: .*; put a copy in its place"):
-        ResultStore.open(path)
-
-
-@pytest.mark.parametrize(
-    ("filled_at", "odometer_m"), [("2020-01-01T00:00:00.%00000Z", None), ("2020-01-01T00:00:00Z", b"\xff")]
-)
-def test_a_fill_that_is_none_is_told(path: Path, filled_at: str, odometer_m: object) -> None:
-    fill(path, 3)
-    words = "INSERT INTO fill (vehicle, filled_at, odometer_m) VALUES ('car1', ?, ?)"
-    changed(path, words, filled_at, odometer_m)
-    with pytest.raises(StoreError, match=r"store .* is damaged: "), StoreReader.open(path) as store:
-        store.fills("car1")
-    with pytest.raises(StoreError, match=r"store .* is damaged: "):
-        withdraw_fill(path, "car1", None)
-
-
-def test_a_number_of_a_stream_that_is_none_is_told(path: Path) -> None:
-    fill(path, 3)
-    changed(path, "UPDATE meta SET value = 'x' WHERE key = 'last_seq'")
-    with pytest.raises(StoreError, match=r"store .* is damaged: "):
-        ResultStore.open(path)
 
 
 def test_a_stream_that_has_used_up_its_numbers_ends_and_another_one_begins(path: Path) -> None:
@@ -237,19 +175,6 @@ def test_a_stream_that_has_used_up_its_numbers_ends_and_another_one_begins(path:
         assert (store.stream != stream, store.next_seq()) == (True, 1)
         assert store.add(shift_result(store.next_seq(), stream=store.stream), STATE)
         assert store.unpublished_count("car1") == 2
-
-
-@pytest.mark.parametrize("position", [0, -1, 4, 2**63, -(2**70)])
-def test_a_shift_that_is_not_there_is_told(path: Path, position: int) -> None:
-    fill(path, 3)
-    with StoreReader.open(path) as store, pytest.raises(StoreError, match=f"no shift {position}; the newest is 3"):
-        store.record(position)
-
-
-def test_who_asks_whether_a_pipe_is_a_store_does_not_wait(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")
-    assert not is_store(tmp_path / "pipe")
-    assert not is_store(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -287,16 +212,3 @@ def test_a_full_database_refuses_whole_results_and_keeps_the_others(
         state = store.state("car1")
         assert state is not None
         assert state.filter_state == {"seq": stored}
-
-
-def test_a_new_store_says_whose_it_is(path: Path) -> None:
-    fill(path, 0)
-    with closing(sqlite3.connect(path)) as connection:
-        assert connection.execute("PRAGMA application_id").fetchone() == (APPLICATION_ID,)
-        assert connection.execute("PRAGMA user_version").fetchone() == (SCHEMA_VERSION,)
-
-
-def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(StoreError, match="File exists"):
-        ResultStore.open(tmp_path / "file" / "car1.sqlite")

@@ -8,9 +8,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-import diag_service
+from benchmarks.scan_tool import OF_FRICTION, OUTPUT, written
 from ecu_emulator.cli import main as emulator
-from studies.builders import OF_FRICTION, OUTPUT, written
 from tests.support import measurements
 from tests.support.in_process import ended
 from tests.support.pipes import piped
@@ -84,32 +83,6 @@ def test_a_table_through_a_pipe_says_its_columns(
     assert ended("decode", table, "-o", tmp_path / "named.parquet").status == 0
     assert pl.read_parquet(tmp_path / "piped.parquet").equals(pl.read_parquet(tmp_path / "named.parquet"))
     assert "10 shifts (10 valid)" in run("analyze", "-", "--profile", profile)
-
-
-@pytest.mark.parametrize("kind", NAMES)
-def test_python_takes_a_table(folder: Path, kind: str) -> None:
-    table, profile = folder / kind / f"car.{kind}", folder / f"{kind}.toml"
-    assert len(diag_service.analyze(table, profile=profile).shifts) == 10
-    name = NAMES[kind].format("Engine Speed")
-    assert f"{name}.{name}" in diag_service.read(table).signals()
-    assert diag_service.inspect(table).values is not None
-    assert "engine_speed_rad_s" in diag_service.propose_profile(table)
-
-
-def test_tables_of_a_folder_become_tables_by_their_own_columns(folder: Path, tmp_path: Path) -> None:
-    output, logs = tmp_path / "tables", tmp_path / "logs"
-    logs.mkdir()
-    for source in (folder / "csv" / "car.csv", folder / "mf4" / "car.mf4", folder / "car.log"):
-        (logs / source.name).symlink_to(source)
-    run = ended("decode", logs, "-o", output, "--jobs", "1")
-    assert run.status == 0, run.err
-    assert "3 tables" in run.out
-    assert pl.read_parquet(output / "car.csv" / "Engine_Speed.parquet").height > 1000
-    assert pl.read_parquet(output / "car.mf4" / "Engine_Speed_ETKC_1.parquet").height > 1000
-    assert pl.read_parquet(output / "car.log" / "ECM_TorqueSpeed.parquet").height > 1000
-    again = ended("decode", logs, "-o", output, "--jobs", "1")
-    assert again.status != 0
-    assert "is there already" in again.err
 
 
 def test_results_of_a_measurement_are_those_of_its_table(folder: Path, tmp_path: Path) -> None:

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 import diag_service
-from canlog.logs import read_log
+from benchmarks.scan_tool import OF_FRICTION, OUTPUT, with_fuel, written
 from dbc.contract import load_contract
 from diag_service.mapping.profile import PROFILE_PATH
 from ecu_emulator.cli import main as emulator
-from ecu_emulator.log_formats.table import TableOptions, write_table
-from studies.builders import OF_FRICTION, OUTPUT, with_fuel, written
 from tests.support.documents import ROOT
 from tests.support.in_process import ended
 
@@ -120,41 +118,6 @@ def test_a_unit_that_the_values_cannot_have_is_told(tmp_path: Path, right: str, 
     assert f"{said} can hardly be in '{wrong}', but in '{right}'" in run.err
 
 
-def test_inspect_tells_rates_steps_and_ranges(tmp_path: Path) -> None:
-    table = tmp_path / "drive.csv"
-    road(table)
-    record = json.loads(ended("inspect", table, "--json").out)
-    column = next(one for one in record["ids"] if one["message"] == "Output Shaft Speed")
-    assert record["format"] == "signals"
-    assert column["rate_hz"] == pytest.approx(25.0, rel=0.01)
-    assert (column["count"], column["lowest"], column["highest"]) == (1500, 300.0, 3000.0)
-    gear = next(one for one in record["ids"] if one["message"] == "Commanded Gear")
-    assert (gear["changes"], gear["step"]) == (3, 1.0)
-    shown = ended("inspect", table).out
-    assert "6000 values of 4 columns" in shown
-    assert "Clutch 1 Pressure" in shown
-
-
-def slow_table(path: Path, *, gap_s: float = 0.0) -> None:
-    """Write 60 rows some 2.2 s apart, every sixth one sooner, as apps that ask one value after the other do."""
-    steps_s = np.where(np.arange(60) % 6, 2.2, 0.7)
-    times_s = np.cumsum(steps_s) + gap_s * (np.arange(60) >= 30)
-    rows = [f"{time_s:.1f},{800 + row},{row}" for row, time_s in enumerate(times_s)]
-    path.write_text("\n".join(["Time [s],Engine RPM [rpm],Vehicle Speed [km/h]", *rows, ""]), encoding="utf-8")
-
-
-@pytest.mark.parametrize("gap_s", [0.0, 60.0])
-def test_rows_slower_than_one_a_second_are_no_jumps_of_time(tmp_path: Path, gap_s: float) -> None:
-    table = tmp_path / "app.csv"
-    slow_table(table, gap_s=gap_s)
-    record = json.loads(ended("inspect", table, "--json").out)
-    assert record["jump_count"] == (gap_s > 0.0)
-    assert [one["rate_hz"] for one in record["ids"]] == pytest.approx([60.0 / 117.0] * 2, rel=0.03)
-    with read_log(table, is_strict=not gap_s) as reader:
-        assert sum(map(len, reader)) == 120
-        assert reader.counts.jumps_ahead == (gap_s > 0.0)
-
-
 def test_shifts_of_a_table_are_predicted_from_each_other(tmp_path: Path) -> None:
     log, table, profile = tmp_path / "car.log", tmp_path / "car.csv", tmp_path / "car.toml"
     assert emulator(["record", str(log), "--seed", "5", "--cycles", "2"]) == 0
@@ -253,35 +216,6 @@ def test_record_writes_a_table_beside_its_log(tmp_path: Path) -> None:
     assert np.diff(changed).min() == 3
 
 
-def test_no_row_is_older_than_what_it_tells(log: Path, tmp_path: Path) -> None:
-    table = tmp_path / "uneven.csv"
-    write_table(log, TableOptions(path=table, jitter_s=0.5), 1)
-    _, *rows = table.read_text(encoding="utf-8").splitlines()
-    times_ms = np.array([row.split(",")[0] for row in rows], np.float64)
-    assert times_ms.min() >= 1e3 * float(log.read_text()[1:18]) - 1.0
-    assert np.diff(times_ms).min() >= 0.0
-
-
-def test_values_that_are_held_make_no_launch(tmp_path: Path) -> None:
-    log, table, profile = tmp_path / "car.log", tmp_path / "car.csv", tmp_path / "car.toml"
-    words = ["--seed", "5", "--cycles", "2", "--table-held", "3", "--table-rate", "50"]
-    assert emulator(["record", str(log), "--table", str(table), *words]) == 0
-    profile.write_text(ended("signals", table).out, encoding="utf-8")
-    found = analysed(table, "--profile", profile)
-    assert len(found) == 20
-    far = [abs(one["friction"]["mu_c"] - 0.14) / one["friction"]["std_mu_c"] for one in found if one["friction"]]
-    assert len(far) > 15
-    assert max(far) < 3.0
-
-
-def test_a_table_of_columns_that_nobody_has_is_refused(tmp_path: Path) -> None:
-    log, table = tmp_path / "car.log", tmp_path / "car.csv"
-    assert emulator(["record", str(log), "--table", str(table), "--table-without", "Torque"]) != 0
-    assert emulator(["record", "-", "--table", str(table)]) != 0
-    assert not log.exists()
-    assert not table.exists()
-
-
 def test_without_torque_the_level_is_withheld_with_that_reason(tmp_path: Path) -> None:
     log, table, profile = tmp_path / "car.log", tmp_path / "car.csv", tmp_path / "car.toml"
     words = ["--seed", "5", "--cycles", "1", "--table-without", "Engine Torque"]
@@ -315,36 +249,3 @@ def test_without_torque_the_shifts_of_a_clutch_are_held_against_each_other(tmp_p
     assert "clutch 2, friction of each power upshift over its others: event " in shown
     assert ended("report", table, "--profile", profile, "-o", page).status == 0
     assert "Clutch 2: friction in power upshifts, up to a scale that is not known" in page.read_text(encoding="utf-8")
-
-
-def test_what_a_prediction_needs_is_said(tmp_path: Path) -> None:
-    table, profile = tmp_path / "drive.csv", tmp_path / "drive.toml"
-    road(table)
-    profile.write_text(ended("signals", table).out, encoding="utf-8")
-    run = ended("predict", table, "--profile", profile)
-    assert run.status != 0
-    assert "has no clutch2_pressure_pa" in run.err
-
-
-def test_columns_and_messages_do_not_mix_in_a_profile(tmp_path: Path) -> None:
-    profile = tmp_path / "mixed.toml"
-    profile.write_text(
-        'name = "mixed"\n[signals]\nengine_speed_rad_s = { column = "Engine", unit = "rpm" }\n'
-        'current_gear = { message = "TCU", signal = "Gear" }\n'
-    )
-    table = tmp_path / "drive.csv"
-    road(table)
-    run = ended("analyze", table, "--profile", profile)
-    assert run.status != 0
-    assert "some sources are columns of a table, others signals of a bus" in run.err
-
-
-def test_a_column_without_its_unit_is_an_error_that_says_so(tmp_path: Path) -> None:
-    table, profile = tmp_path / "drive.csv", tmp_path / "drive.toml"
-    road(table)
-    profile.write_text(
-        '[signals]\nengine_speed_rad_s = { column = "Engine Speed" }\ntarget_gear = { column = "Commanded Gear" }\n'
-    )
-    run = ended("analyze", table, "--profile", profile)
-    assert run.status != 0
-    assert "the unit '' of Engine Speed is not one of engine_speed_rad_s" in run.err

@@ -1,6 +1,5 @@
 """The tester against our controller on a virtual bus: listens first, asks only if told to, decodes what it hears."""
 
-import io
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -10,17 +9,12 @@ from typing import Any
 import can
 import pytest
 
-from diag_service.console import ReadingLine
-from diag_service.service.stopping import Trigger
-from diag_service.tester.commands import waiting
 from diag_service.tester.scanning import find_addresses
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.link import DiagnosticLink
 from ecu_emulator.diagnostics.memory import TestResult as Result
-from ecu_emulator.diagnostics.table import Addressing, Transport
 from tests.support.doip.tester import entity
 from tests.support.in_process import ended
-from tests.support.uds.full_table import full_table
 from tests.support.uds.wire import parked_controller
 
 CHANNEL = "tester"
@@ -100,19 +94,6 @@ def told(*words: str | Path) -> dict[str, Any]:
     return record
 
 
-def test_whoever_waits_sees_that_something_is_done() -> None:
-    terminal, now_s, stop = io.StringIO(), [0.0], Trigger()
-    terminal.isatty = lambda: True  # type: ignore[method-assign]  # one is watched
-    goes_on = waiting(ReadingLine(terminal, now_s=lambda: now_s[0]), "asking 256 identifiers", stop)
-    assert goes_on()
-    assert terminal.getvalue() == ""
-    now_s[0] = 3.0
-    assert goes_on()
-    assert "asking 256 identifiers, 0 s" in terminal.getvalue()
-    stop.set()
-    assert not goes_on()
-
-
 def test_without_leave_a_bus_is_listened_to_only(car: Vehicle) -> None:
     car.heard.clear()
     words = (["dtc"], ["did", "F190"], ["routine", "0302", "start"], ["scan", "--first", "7E0"])
@@ -176,14 +157,6 @@ def test_codes_come_with_what_was_kept(car: Vehicle) -> None:
     assert "fluid temperature: 80 degC" in shown
 
 
-def test_a_mask_all_and_brief(car: Vehicle) -> None:
-    assert told("dtc", *BUS, "--active", "--mask", "80")["codes"] == []
-    codes = told("dtc", *BUS, "--active", "--all", "--brief")["codes"]
-    assert len(codes) == len(full_table().troubles)
-    assert all(code["snapshots"] == [] for code in codes)
-    assert ended("dtc", *BUS, "--active", "--mask", "80").out == "no trouble codes\n"
-
-
 def test_data_by_number_by_name_and_all(car: Vehicle) -> None:
     refused = ended("did", "F190", "fluid temperature", "0999", *BUS, "--active", "--json")
     assert refused.status == 3
@@ -199,13 +172,6 @@ def test_data_by_number_by_name_and_all(car: Vehicle) -> None:
     (in_session,) = told("did", "F200", *BUS, "--active", "--session", "03")["data"]
     assert in_session["values"]["current gear"] == 0
     assert told("did", "F186", *BUS, "--active")["data"][0]["values"] == {"session": 1}  # and it was left
-
-
-def test_a_foreign_controller_shows_its_bytes(car: Vehicle, tmp_path: Path) -> None:
-    own = tmp_path / "own.toml"
-    own.write_text('name = "own"\n', encoding="utf-8")
-    (datum,) = told("did", "0206", *BUS, "--active", "--description", own)["data"]
-    assert (datum["name"], datum["bytes"], datum["values"]) == ("", "78", {"": "x"})
 
 
 def test_a_routine_is_started_and_asked(car: Vehicle) -> None:
@@ -232,13 +198,6 @@ def test_a_scan_finds_the_controller_and_nothing_else(car: Vehicle) -> None:
     assert "  F190  vehicle identification number" in shown
 
 
-def test_the_scan_leaves_the_controller_as_it_was(car: Vehicle, controller: Controller) -> None:
-    before = controller.state
-    told("scan", *BUS, "--active", "--first", "7E1", "--last", "7E1", *WAIT)
-    after = controller.state
-    assert (after.memory, after.written, after.session) == (before.memory, before.written, 1)
-
-
 def test_an_answer_that_comes_while_the_next_is_asked_is_of_the_one_before() -> None:
     heard: list[int] = []
 
@@ -261,38 +220,6 @@ def test_an_answer_that_comes_while_the_next_is_asked_is_of_the_one_before() -> 
             timer.join()
     assert (found.request_id, found.response_id) == (0x7E1, 0x7E9)
     assert heard == [0x7E0, 0x7E1, 0x7E2, 0x7E2, 0x7E1, 0x7E3]  # the last one first, when it was asked again
-
-
-def test_29_bits_are_scanned_on_request() -> None:
-    ids = Addressing(request_id=0x18DA18F1, response_id=0x18DAF118, functional_id=0x18DB33F1)
-    with vehicle("29", parked_controller(addressing=ids)):
-        bus = ("-i", "virtual", "-c", "29", *PATIENT, "--active")
-        record = told("scan", *bus, "--extended", "--first", "16", "--last", "19", *WAIT)
-        assert [one["request_id"] for one in record["controllers"]] == ["18DA18F1"]
-        assert told("did", "F190", *bus, "--ecu", "18DA18F1")["data"][0]["values"] == {"VIN": "WDCTEMUL3TED00047"}
-
-
-def test_two_controllers_are_told_apart() -> None:
-    other = Addressing(request_id=0x7E0, response_id=0x7E8, functional_id=0x7DF)
-    with vehicle("two", parked_controller(), parked_controller(addressing=other)):
-        bus = ("-i", "virtual", "-c", "two", *PATIENT, *LONG, "--active")
-        record = told("scan", *bus, "--first", "7E0", "--last", "7E3", *WAIT)
-        assert [(one["request_id"], one["response_id"]) for one in record["controllers"]] == [
-            ("7E0", "7E8"), ("7E1", "7E9"),
-        ]  # fmt: skip
-
-
-def test_extended_addressing() -> None:
-    with vehicle("extended", parked_controller(Transport(own_address=0x18))):
-        bus = ("-i", "virtual", "-c", "extended", *PATIENT, "--active")
-        (datum,) = told("did", "F190", *bus, "--ecu", "7E1", "--address", "18")["data"]
-        assert datum["values"] == {"VIN": "WDCTEMUL3TED00047"}
-
-
-def test_frames_of_can_fd() -> None:
-    with vehicle("fd", parked_controller(), is_fd=True):
-        found = told("did", "F190", "F186", "-i", "virtual", "-c", "fd", "--fd", *PATIENT, "--active")["data"]
-        assert [one["values"] for one in found] == [{"VIN": "WDCTEMUL3TED00047"}, {"session": 1}]
 
 
 @contextmanager
@@ -321,11 +248,6 @@ def test_where_another_tester_is_at_work_nothing_is_asked(car: Vehicle, can_id: 
             3, f"another tester is asking on this bus (requests on {can_id:X})"
         )
         assert set(car.heard) == {can_id}
-
-
-def test_silence_is_told_in_one_line(car: Vehicle) -> None:
-    silent = ended("dtc", *BUS, "--active", "--ecu", "7E5", "--timeout", "0.05")
-    silent.assert_one_line(3, "7E5 (answers 7ED) does not answer 19 02 AF")
 
 
 @pytest.mark.parametrize(

@@ -83,9 +83,3 @@ def test_a_log_without_shifts_is_accounted_for(drive_log: Path, tmp_path: Path) 
     assert f"{lines} frames, 0 decoded, {lines} ignored" in ended.out
     assert "no shift was found; the signals do not show shifts: shift time and slip need engine_speed" in ended.out
     assert "mapped by profile j1939, but never seen: engine_speed_rad_s, pedal_ratio" in ended.out
-
-
-def test_people_are_told_the_tier(drive_log: Path, tmp_path: Path) -> None:
-    ended = run("analyze", drive_log, "--profile", profile_without(tmp_path, "1_pressure"))
-    assert "tier 2 of 3, torque capacity, no friction: friction needs clutch1_pressure_pa" in ended.out
-    assert "Clutch 2: the signals of this vehicle do not tell its friction." in ended.out

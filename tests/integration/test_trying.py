@@ -1,18 +1,14 @@
 """``diag-service try`` before the emulated controller: nothing unless allowed, then values, rate, and how to go on."""
 
-import errno
 import shlex
 import signal
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-import can
 import pytest
 
 from dbc import DBC_PATH
-from diag_service.mapping.profile import PROFILE_FOLDER
-from diag_service.tester import trying
 from ecu_emulator.diagnostics.elm327.server import ElmServer
 from tests.integration.test_signal_asking import controller, heard
 from tests.integration.test_tester import vehicle
@@ -66,24 +62,6 @@ def test_a_car_is_not_taken_for_the_bench(tmp_path: Path) -> None:
     log.write_text("(1.000000) can0 0A0#0000000000000000\n", encoding="utf-8")
     run = ended("analyze", log, "--profile", "vw_dsg", "--dbc", path)
     assert "the database has no message Getriebe_11" in run.err
-
-
-def test_what_makes_a_datum_is_shown_before_it_is_sent(tmp_path: Path) -> None:
-    path = tmp_path / "defined.toml"
-    text = (PROFILE_FOLDER / "dct_asked.toml").read_text(encoding="utf-8")
-    path.write_text(text.replace("together = 8", "together = 8\ndefine = true"), encoding="utf-8")
-    run = ended("try", "-i", "virtual", "-c", "try-8", "--listen", "0.05", "--profile", path)
-    assert "7E1: 2C 03 F3 00" in run.out
-    assert "2C, which makes a datum of others" in " ".join(run.out.split())
-
-
-def test_an_adapter_is_tried_with_every_profile_that_asks() -> None:
-    with ElmServer(controller(), ("127.0.0.1", 0)) as server:
-        place = f"elm327://127.0.0.1:{server.address[1]}"
-        run = ended("try", "--adapter", place, "--active", "--listen", "0.05")
-    assert run.status == 0, run.err
-    assert "profile bmw_dkg:" in run.out
-    assert "is refused, request out of range (31)" in " ".join(run.out.split())
 
 
 def shown(start: str, replaced: Mapping[str, str]) -> Iterator[list[str]]:
@@ -147,35 +125,3 @@ def test_a_first_drive_is_recorded_learned_from_and_diagnosed(tmp_path: Path, se
         assert not ear.frames
     assert refused.status == 2
     assert "drive.log" in refused.err
-
-
-def test_a_disk_that_is_full_ends_the_drive_with_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class FullDisk(can.Listener):
-        def __init__(self, _path: Path) -> None:
-            pass
-
-        def on_message_received(self, _msg: can.Message) -> None:
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(can, "Logger", FullDisk)
-    monkeypatch.setattr(trying, "HELD_S", 0.0)
-    with vehicle("try-4", controller()):
-        words = ("-i", "virtual", "-c", "try-4", "--listen", "0.05", "--profile", "dct_asked", "--active")
-        run = ended("try", *words, "--record", tmp_path / "drive.log", "--duration", "60")
-    assert run.status == 4
-    assert "drive.log: No space left on device" in run.err
-
-
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["--profile", "dct"], "asks for nothing"),
-        (["--adapter", "x"], "--adapter"),
-        (["--duration", "3"], "--duration is for --record"),
-        (["-i", "virtual", "-c", "none", "--record", "drive.nolog"], "a log ends with"),
-    ],
-)
-def test_what_cannot_be_tried_is_told(tmp_path: Path, words: list[str], text: str) -> None:
-    run = ended("try", *words, "--active", "--listen", "0.05")
-    assert run.status == 2
-    assert text in run.err

@@ -1,6 +1,5 @@
 """Requests and responses frame by frame, as ISO 15765-2 writes them, and by another library on a bus."""
 
-import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,8 +13,8 @@ import pytest
 from ecu_emulator.diagnostics.link import MOST_FRAMES, MOST_REQUESTS, DiagnosticLink
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.state import Reply, ServerState
-from ecu_emulator.diagnostics.table import Addressing, Transport
+from ecu_emulator.diagnostics.state import ServerState
+from ecu_emulator.diagnostics.table import Transport
 from tests.support.patience import HANG_S
 from tests.support.uds.full_table import full_table
 from tests.support.uds.streams import run
@@ -30,15 +29,6 @@ def wire() -> Iterator[Wire]:
         yield wire
 
 
-def test_padding_may_be_other_or_none() -> None:
-    with Wire(Transport(padding=0x00)) as wire:
-        wire.put("02 3e 00 ff ff ff ff ff")
-        assert wire.get() == "02 7e 00 00 00 00 00 00"
-    with Wire(Transport(padding=None)) as wire:
-        wire.put("02 3e 00")
-        assert wire.get() == "02 7e 00"
-
-
 def test_a_long_response_waits_for_flow_control(wire: Wire) -> None:
     wire.put("03 22 f1 90")
     assert wire.get() == "10 14 62 f1 90 57 44 43"
@@ -47,16 +37,6 @@ def test_a_long_response_waits_for_flow_control(wire: Wire) -> None:
     wire.put("31 00 00")  # wait
     wire.put("30 00 00")
     assert wire.get() == "22 45 44 30 30 30 34 37"
-
-
-def test_the_pause_between_frames_is_kept(wire: Wire) -> None:
-    wire.put("03 22 f1 90")
-    wire.get()
-    wire.put("30 00 14")  # 20 ms
-    wire.get()
-    began_s = time.monotonic()
-    wire.get()
-    assert time.monotonic() - began_s > 0.015  # never shorter; longer as the machine likes
 
 
 @pytest.mark.parametrize(("own_address", "before"), [(None, ""), (0x18, "f1 ")])
@@ -71,61 +51,11 @@ def test_periodic_data_come_in_frames_of_their_own_as_long_as_they_are(own_addre
     assert wire.link.counts.periodic >= 2
 
 
-def test_periodic_data_begin_after_the_response_that_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The controller sends as soon as it is asked; the response comes first, however long its thread waits."""
-    with Wire(Transport(padding=None)) as wire:
-        wire.put("02 10 03")
-        wire.get()
-        consider = wire.controller.consider
-
-        def consider_late(request: bytes, *, is_functional: bool) -> Reply:
-            reply = consider(request, is_functional=is_functional)
-            time.sleep(0.1)  # a held-up thread: ten ticks
-            return reply
-
-        monkeypatch.setattr(wire.controller, "consider", consider_late)
-        wire.put("03 2a 02 00")
-        assert wire.get() == "01 6a"
-        assert wire.get_periodic() == "00 0c af 00 00 00 ff"
-
-
-def test_more_than_4095_bytes_are_refused(wire: Wire) -> None:
-    wire.put("10 00 00 01 00 00 22 f1")
-    assert wire.get().startswith("32")
-    assert wire.is_quiet()
-
-
 def test_a_request_to_all_is_a_single_frame(wire: Wire) -> None:
     wire.put("02 3e 00", ALL_ID)
     assert wire.get().startswith("02 7e 00")
     wire.put("10 08 22 f1 90 f1 90 f1", ALL_ID)
     wire.put("02 84 00", ALL_ID)  # not supported, and not only this controller was asked
-    assert wire.is_quiet()
-
-
-@pytest.mark.parametrize(
-    "message",
-    [
-        can.Message(arbitration_id=0x7E0, is_extended_id=False, data=b"\x02\x3e\0"),
-        can.Message(arbitration_id=0x7E1, is_extended_id=True, data=b"\x02\x3e\0"),
-        can.Message(arbitration_id=0x7E1, is_extended_id=False, is_remote_frame=True, dlc=8),
-        can.Message(arbitration_id=0x7E1, is_error_frame=True),
-        can.Message(arbitration_id=0x7E1, is_extended_id=False, data=b""),
-    ],
-    ids=["other", "extended", "remote", "error", "empty"],
-)
-def test_what_is_not_for_this_controller_is_passed_over(wire: Wire, message: can.Message) -> None:
-    wire.link.feed(message)
-    assert wire.is_quiet()
-
-
-def test_a_new_request_ends_the_one_that_was_not_complete(wire: Wire) -> None:
-    wire.put("10 14 2e f1 90 00 00 00")
-    assert wire.get().startswith("30")
-    wire.put("40 00")  # no frame of ISO-TP: as if it were not there
-    wire.put("02 3e 00")
-    assert wire.get().startswith("02 7e")
-    wire.put("21 00 00 00 00 00 00 00")
     assert wire.is_quiet()
 
 
@@ -140,36 +70,6 @@ def test_requests_that_come_while_a_response_goes_out_wait_up_to_a_number(wire: 
     assert answers[2:] == ["04 62 f1 86 01 cc cc cc"] * MOST_REQUESTS
     assert wire.is_quiet()
     assert wire.link.counts.dropped_requests == 3
-
-
-class Clock:
-    """A clock that goes when it is told to."""
-
-    def __init__(self) -> None:
-        self.t_s = 100.0
-
-    def __call__(self) -> float:
-        return self.t_s
-
-
-def test_a_session_does_not_end_while_a_response_goes_out() -> None:
-    clock = Clock()
-    with Wire(clock=clock) as wire:
-        wire.put("02 10 03")
-        wire.get()
-        wire.put("03 22 f1 90")
-        wire.get()
-        for _ in range(3):  # more than S3 in all
-            clock.t_s += 3.0
-            deadline_s = time.monotonic() + HANG_S
-            while wire.controller.state.heard_s < clock.t_s and time.monotonic() < deadline_s:
-                wire.put("31 00 00")  # wait: the transport's own time is the real one
-                time.sleep(0.1)
-        wire.put("30 00 00")
-        for _ in range(2):
-            wire.get()
-        wire.put("03 22 f1 86")
-        assert wire.get().startswith("04 62 f1 86 03")
 
 
 class SlowFile(MemoryFile):
@@ -218,58 +118,6 @@ def test_whom_78_has_promised_a_response_gets_one_that_others_would_not(tmp_path
             store.may_go_on.set()
         assert wire.get().startswith("03 7f 22 31")
         monitor.join()
-
-
-@pytest.mark.parametrize(
-    ("request_", "refusal"),
-    [
-        ("02 84 00", "03 7f 84 11"),
-        ("02 11 04", "03 7f 11 12"),
-        ("02 27 01", "03 7f 27 7f"),
-        ("02 10 40", "03 7f 10 7e"),
-    ],
-)
-def test_what_is_not_supported_is_refused_at_once_however_slow_the_disk(
-    tmp_path: Path, request_: str, refusal: str
-) -> None:
-    with SlowFile(tmp_path / "memory.json") as store, Wire(store=store) as wire:
-        store.may_go_on.clear()
-        store.is_waited_for.clear()
-        monitor = threading.Thread(target=wire.controller.report, args=(0x081107, Result.FAILED))
-        monitor.start()
-        try:
-            assert store.is_waited_for.wait(HANG_S)
-            wire.put(request_)
-            assert wire.get_any().startswith(refusal)
-            wire.put(request_, ALL_ID)  # that is nobody's business
-            wire.put("03 22 f1 86")
-            assert wire.get_any().startswith("03 7f 22 78")
-        finally:
-            store.may_go_on.set()
-        assert wire.get().startswith("04 62 f1 86 01")
-        monitor.join()
-
-
-def test_a_sender_waits_as_often_as_it_is_asked_to(wire: Wire) -> None:
-    """ISO 15765-2: only who receives may give up because of too many FC.WAIT."""
-    wire.put("03 22 f1 90")
-    wire.get()
-    for _ in range(25):
-        wire.put("31 00 00")
-    wire.put("30 00 00")
-    assert [wire.get(), wire.get()] == ["21 54 45 4d 55 4c 33 54", "22 45 44 30 30 30 34 37"]
-    assert wire.link.counts.broken_messages == 0
-
-
-def test_identifiers_of_29_bits() -> None:
-    ids = Addressing(request_id=0x18DA18F1, response_id=0x18DAF118, functional_id=0x18DB33F1)
-    heard: queue.Queue[can.Message] = queue.Queue()
-    with DiagnosticLink(parked_controller(addressing=ids), heard.put) as link:
-        for can_id in (ids.request_id, ids.functional_id):
-            link.feed(can.Message(arbitration_id=can_id, is_extended_id=True, data=b"\x02\x3e\0"))
-            answer = heard.get(timeout=HANG_S)
-            assert (answer.arbitration_id, answer.is_extended_id) == (ids.response_id, True)
-            assert bytes(answer.data[:3]) == b"\x02\x7e\0"
 
 
 def test_a_flood_is_bounded_and_counted() -> None:

@@ -6,15 +6,13 @@ from typing import Any
 import can
 import pytest
 
-from diag_service.errors import ControllerError, SilentError, StoppedError
-from diag_service.tester.addresses import CanAddress
-from diag_service.tester.can_link import CanConnection
+from diag_service.errors import ControllerError
 from diag_service.tester.scanning import find_addresses
 from tests.integration.test_polling import stopping_when
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 from tests.support.uds.wrong_answers import QUESTIONS, told
-from tests.support.uds.wrong_ecu import REQUEST_ID, RESPONSE_ID, WAYS, Fault, wrong_ecu
+from tests.support.uds.wrong_ecu import WAYS, Fault, wrong_ecu
 
 # Three ways of being wrong for each question, one after the other: every question and every way is met.
 CASES = [(name, list(WAYS)[(3 * at + one) % len(WAYS)]) for at, name in enumerate(QUESTIONS) for one in range(3)]
@@ -24,41 +22,6 @@ CASES = [(name, list(WAYS)[(3 * at + one) % len(WAYS)]) for at, name in enumerat
 def test_nothing_untrue_is_told(name: str, way: str, tmp_path: Path) -> None:
     found = told(name, way, tmp_path)
     assert found.is_true, found
-
-
-class SaysWait(can.Listener):
-    """Answers the first frame of a long request with "wait" (ISO 15765-2)."""
-
-    def __init__(self, bus: can.BusABC) -> None:
-        self._bus = bus
-
-    def on_message_received(self, msg: can.Message) -> None:
-        if msg.data[0] >> 4 == 1:
-            self._bus.send(can.Message(arbitration_id=RESPONSE_ID, is_extended_id=False, data=b"\x31\x00\x00"))
-
-
-def test_who_shall_stop_does_not_wait_while_a_controller_says_wait() -> None:
-    looks = iter([True, True, True, False])
-    address = CanAddress(request_id=REQUEST_ID, response_id=RESPONSE_ID)
-    with (
-        can.Bus("says wait", "virtual") as near,
-        can.Bus("says wait", "virtual") as far,
-        can.Notifier(near, [SaysWait(near)], timeout=0.05),
-    ):
-        connection = CanConnection(far, address, goes_on=lambda: next(looks))
-        with pytest.raises(StoppedError, match="not everything was asked"):
-            connection.specific_send(bytes(20))
-
-
-def test_a_request_that_is_not_taken_in_full_is_told_as_such() -> None:
-    address = CanAddress(request_id=REQUEST_ID, response_id=RESPONSE_ID)
-    with (
-        can.Bus("half", "virtual") as near,
-        can.Bus("half", "virtual") as far,
-        can.Notifier(near, [SaysWait(near)], timeout=0.05),
-        pytest.raises(SilentError, match=r"^7E1 \(answers 7E9\) does not take the whole of the request 31 01 03 01 00"),
-    ):
-        CanConnection(far, address).specific_send(bytes.fromhex("31 01 03 01") + bytes(16))
 
 
 def test_ctrl_c_ends_a_wait_for_a_controller_that_asks_for_time() -> None:
@@ -103,18 +66,6 @@ def test_codes_of_a_readiness_group_and_their_performance_are_told() -> None:
             "rest": "",
         }
     ]
-
-
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["--readiness", "01", "--record", "91"], "ask for a readiness group or for a record, not for both"),
-        (["--readiness", "FF"], "--readiness must be hexadecimal, 0 to FE, got 'FF'"),
-        (["--record", "91", "--clear"], "--readiness and --record read trouble codes: they do not go with --clear"),
-    ],
-)
-def test_what_does_not_go_together_is_told(words: list[str], text: str) -> None:
-    ended("dtc", "-i", "virtual", "-c", "nobody", "--active", *words).assert_one_line(2, text)
 
 
 def test_polling_tells_nobody_of_a_wrong_answer(tmp_path: Path) -> None:
