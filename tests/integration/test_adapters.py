@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 
 import can
-import elmulator
 import numpy as np
 import pytest
 
@@ -18,7 +17,7 @@ from canlog.frames import EXTENDED_FLAG, join
 from diag_service.diagnosis.columns import Signal
 from diag_service.mapping.asked_signals import Overheard
 from diag_service.mapping.profile import AskingRules, load_shipped
-from diag_service.tester.adapters import ELM_TOGETHER, line_through, messages_in
+from diag_service.tester.adapters import ELM_TOGETHER, line_through
 from diag_service.tester.signal_asking import SignalAsker
 from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
@@ -82,22 +81,6 @@ def test_an_adapter_at_a_serial_port_is_asked_and_overheard() -> None:
             os.close(ours)
 
 
-def test_an_adapter_that_is_not_ours_is_asked_though_it_echoes_and_stutters() -> None:
-    said = {
-        "22100C380C380D": "00D\r0:62100C096038\r1:0C07D0380D05DC\r",
-        "2238EB38EA": "009\r0:6238EB019038\r1:EA0000\r",
-        "222104": "6221040320\r",
-    }
-    commands = [{"request": asked, "response_chunks": [f"{answer}\r>"]} for asked, answer in said.items()]
-    scenario = elmulator.Scenario(elmulator.build_scenario("dsg", commands))
-    stop, port = elmulator.serve_in_background(scenario, echo="on", split=[7])
-    adapter, channel = f"elm327://127.0.0.1:{port}", "foreign"
-    try:
-        check(overheard(channel, lambda: asking(adapter, channel, ELM_TOGETHER)))
-    finally:
-        stop()
-
-
 @contextmanager
 def adapter(answer: Sequence[tuple[float, bytes]], greeting: bytes = b"") -> Iterator[str]:
     """Run an adapter that says to each request for data some bytes, each after a while [s]; yield its address."""
@@ -135,16 +118,3 @@ def test_a_node_over_ip_is_asked_and_overheard() -> None:
     with DoipServer(controller(), Place(host="127.0.0.1", port=free_port())) as server:
         adapter = f"doip://127.0.0.1:{server.place.port}/1011"
         check(overheard("doip", lambda: asking(adapter, "doip", 8)))
-
-
-def test_what_an_adapter_shows_is_read() -> None:
-    assert messages_in("SEARCHING...\r6238EB0190\r") == [bytes.fromhex("6238EB0190")]
-    assert messages_in("00D\r0:6238EB019038\r1:EA0000100C0960\r") == [bytes.fromhex("6238EB019038EA0000100C0960")]
-    assert messages_in("7F2278\r6238EB0190") == [bytes.fromhex("7F2278"), bytes.fromhex("6238EB0190")]
-    block = bytes.fromhex("61") + bytes(range(150))  # a KWP block: the numbers of its lines begin again behind F
-    numbered = [block[:6], *(block[at : at + 7] for at in range(6, len(block), 7))]
-    lines = [f"{number % 16:X}:{one.hex()}" for number, one in enumerate(numbered)]
-    assert messages_in("\r".join([f"{len(block):03X}", *lines])) == [block]
-    assert (
-        messages_in("NO DATA") == messages_in("?") == messages_in("CAN ERROR") == messages_in("BUS INIT: ERROR") == []
-    )

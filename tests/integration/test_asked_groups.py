@@ -20,7 +20,6 @@ from diag_service.tester.signal_asking import GROUP_S, SignalAsker, line_on
 from tests.integration.test_signal_asking import Ear, heard, wait_for
 from tests.plugins.asked_services import SentByUs
 from tests.support.asked import batch_of
-from tests.support.in_process import ended
 
 pytestmark = pytest.mark.asks
 
@@ -119,16 +118,3 @@ def test_tools_of_others_come_first_while_controllers_may_ask_each_other(
         finally:
             over.set()
             thread.join()
-
-
-def test_a_truck_is_tried(channel: str, sent_by_us: SentByUs) -> None:
-    with transmission(channel):
-        words = ("try", "-i", "virtual", "-c", channel, "--profile", "j1939", "--listen", "0.05")
-        dry = ended(*words, "--active", "--dry-run")
-        assert not sent_by_us.services
-        run = ended(*words, "--active")
-    assert dry.status == run.status == 0, run.err
-    assert "18EAFFF9: F8 FE 00" in dry.out
-    said = " ".join(run.out.split())
-    assert "clutch1_pressure_pa: PGN 65272 is told" in said
-    assert "2 of 2 signals are told" in said

@@ -92,23 +92,6 @@ async def test_state_is_retained_and_events_are_not(store: ResultStore, broker: 
     }
 
 
-async def test_a_broker_that_comes_late_gets_everything(
-    store: ResultStore, idle_broker: Mosquitto, caplog: pytest.LogCaptureFixture
-) -> None:
-    put(store, range(1, 6))
-    outbox = outbox_for(store, local(idle_broker.port))
-    async with sending(outbox) as sender:
-        await until(lambda: "5 results wait in the store" in caplog.text)
-        idle_broker.start()
-        with Subscriber(idle_broker.port) as subscriber:
-            put(store, range(6, 9))
-            outbox.wake()
-            await until(lambda: store.unpublished_count("car1") == 0)
-            assert await outbox.close(sender) == 0
-            subscriber.wait(lambda heard: seqs(heard)[-1:] == [8])
-    assert caplog.text.count("results wait") == 1
-
-
 @pytest.mark.parametrize("end", [Mosquitto.kill, Mosquitto.stop])
 async def test_a_broker_that_dies_in_between_loses_and_doubles_nothing(
     store: ResultStore, broker: Mosquitto, end: Callable[[Mosquitto], None]
@@ -136,17 +119,6 @@ async def test_refused_credentials_cost_nothing_but_a_warning(
         assert await outbox.close(sender) == 2
     assert "connection refused: [code:135] Not authorized" in caplog.text
     assert "guessed" not in caplog.text
-
-
-async def test_a_publication_that_the_broker_refuses_stays_in_the_outbox(
-    store: ResultStore, strict_broker: Mosquitto, caplog: pytest.LogCaptureFixture
-) -> None:
-    put(store, range(1, 3))
-    outbox = outbox_for(store, local(strict_broker.port, "car1", "driven"))
-    async with sending(outbox) as sender:
-        await until(lambda: "results wait" in caplog.text)
-        assert await outbox.close(sender) == 2
-    assert "was refused: Not authorized" in caplog.text
 
 
 async def test_a_silent_broker_delays_the_end_for_a_limited_time(store: ResultStore, broker: Mosquitto) -> None:

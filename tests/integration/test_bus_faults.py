@@ -67,33 +67,6 @@ def far(diagnoses: list[Diagnosis], truth: TruthLog) -> Iterator[int]:
             yield shift.number
 
 
-@pytest.mark.parametrize(
-    ("broken", "reason"),
-    [
-        (fault("bad_crc"), "bad_crc"),
-        (fault("short"), "short"),
-        (fault("stuck_counter", duration_s=0.22), "repeated"),
-        (fault("duplicate"), "repeated"),
-        (fault("reorder", share=0.2), "wrong_sequence"),
-        (fault("spoof"), "wrong_sequence"),
-        (fault("error_frame"), "remote_or_error"),
-    ],
-    ids=lambda value: value.kind if isinstance(value, BusFault) else "",
-)
-def test_every_frame_that_was_made_wrong_is_rejected_for_its_reason(broken: BusFault, reason: str) -> None:
-    _, counts, truth = analysed(broken)
-    assert injected(truth) > 0
-    assert counts.rejected == {reason: injected(truth)}
-    assert counts.ignored == 0
-
-
-@pytest.mark.parametrize("broken", [fault("loss"), fault("silence"), fault("loss", share=0.3)], ids=str)
-def test_every_lost_frame_is_missing(broken: BusFault) -> None:
-    _, counts, truth = analysed(broken)
-    assert counts.missing == injected(truth) > 0
-    assert counts.rejected == {}
-
-
 UNUSABLE = (
     fault("loss"),
     fault("silence", message=""),

@@ -118,26 +118,6 @@ def test_a_message_on_two_buses_is_not_mixed(lines: list[bytes], tmp_path: Path)
     assert [(one.start_ns, one.end_ns) for one in both.shifts] == [(one.start_ns, one.end_ns) for one in alone.shifts]
 
 
-def test_a_log_that_ends_frees_its_own_messages_only(lines: list[bytes], tmp_path: Path) -> None:
-    """A short log of the gearbox must not make the messages of the long one change their channel."""
-    engine = [line for line in lines if can_id(line) in ENGINE]
-    rest = [line for line in lines if can_id(line) not in ENGINE]
-    doubled = [copy for line in engine for copy in (line, *on(5, [line]))]
-    found = followed([
-        written(tmp_path / "engine.log", doubled),
-        written(tmp_path / "first.log", rest[: len(rest) // 2]),
-        written(tmp_path / "last.log", rest[len(rest) // 2 :]),
-    ])  # fmt: skip
-    assert found.rejected == {"other_channel": len(engine)}
-    assert [log.used_channels for log in found.contributions.logs] == [(0,)] * 3
-    assert found.contributions.idle == (
-        (
-            f"channel 5 of {tmp_path / 'engine.log'} contributed nothing: {len(engine)} frames of messages that are "
-            "followed elsewhere"
-        ),
-    )
-
-
 @pytest.fixture(name="analyzed", scope="module", params=["", "folder", "paper"])
 def _analyzed(
     request: pytest.FixtureRequest, lines: list[bytes], tmp_path_factory: pytest.TempPathFactory

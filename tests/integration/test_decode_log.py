@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from diag_service.commands.arguments import COMMAND_LINE
-from diag_service.errors import IncompleteError, StoppedError
+from diag_service.errors import IncompleteError
 from diag_service.service.stopping import Controls, Trigger
 from tests.support.in_process import ended as run
 from tests.support.service import service
@@ -26,17 +26,6 @@ BO_ 256 Brake: 4 A
 VAL_ 256 State 0 "kein_Fehler" 1 "Fault" 2 "initializing" 7 "SNA" ;
 VAL_ 256 Lamp 0 "No Fault" 1 "Error present" ;
 VAL_ 256 Speed 65535 "not available" ;
-"""
-TWINS = """VERSION ""
-BU_: A
-BO_ 256 Status: 8 A
- SG_ Value : 0|8@1+ (1,0) [0|0] "rpm" A
-BO_ 512 Status: 8 A
- SG_ Value : 0|8@1+ (1,100) [0|0] "bar" A
-BO_ 2147484160 Status: 8 A
- SG_ Value : 0|8@1+ (1,200) [0|0] "" A
-BO_ 768 Other: 8 A
- SG_ Value : 0|8@1+ (1,0) [0|0] "" A
 """
 LOSSES = """VERSION ""
 BU_: A
@@ -134,22 +123,6 @@ def test_named_states_stand_beside_the_numbers(tmp_path: Path) -> None:
     ]  # fmt: skip
 
 
-TWIN_LOG = log_of("100#0100000000000000", "200#0200000000000000", "00000200#0300000000000000", "300#0400000000000000")
-
-
-def test_signals_of_messages_that_share_a_name_are_told_apart(tmp_path: Path) -> None:
-    rows = decoded(tmp_path, TWINS, TWIN_LOG)
-    values = [{name: value for name, value in row.items() if "." in name and value is not None} for row in rows]
-    assert values == [
-        {"Status@0x100.Value": 1.0}, {"Status@0x200.Value": 102.0}, {"Status@0x00000200.Value": 203.0},
-        {"Other.Value": 4.0},
-    ]  # fmt: skip
-    assert [row["message"] for row in rows] == ["Status@0x100", "Status@0x200", "Status@0x00000200", "Other"]
-    assert [(row["id"], row["is_extended"]) for row in rows] == [
-        (0x100, False), (0x200, False), (0x200, True), (0x300, False)
-    ]  # fmt: skip
-
-
 def test_every_frame_and_every_loss_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record = told(tmp_path, capsys, LOSSES, LOST_LOG)
     frames = record["frames"]
@@ -199,32 +172,6 @@ def test_a_database_that_matches_nothing_is_told(tmp_path: Path, capsys: pytest.
     assert record["rows"] == 0
     with pytest.raises(IncompleteError, match="0 of 2 identifiers are in this database"):
         decoded(tmp_path, database, log, "--strict")
-
-
-class _Stopping(Trigger):
-    """A trigger that is set when it has been looked at once."""
-
-    looks = 0
-
-    @property
-    def is_set(self) -> bool:
-        """Whether it has been looked at often enough."""
-        self.looks += 1
-        return self.looks > 1
-
-    @is_set.setter
-    def is_set(self, value: bool) -> None:
-        pass
-
-
-def test_what_was_stopped_leaves_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "car.dbc").write_text(STATES, encoding="utf-8")
-    (tmp_path / "drive.log").write_text(STATE_LOG, encoding="ascii")
-    words = (tmp_path / "drive.log", "--dbc", tmp_path / "car.dbc", "-o", tmp_path / "out.parquet")
-    with pytest.raises(StoppedError, match="stopped early: no file was written"):
-        execute(*words, stop=_Stopping())
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["car.dbc", "drive.log"]
-    assert capsys.readouterr().out == ""
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

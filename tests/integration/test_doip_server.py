@@ -9,7 +9,7 @@ import pytest
 
 from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
-from tests.support.doip.desk import activation, framed, request
+from tests.support.doip.desk import framed, request
 from tests.support.doip.streams import run_on_sockets
 from tests.support.doip.tester import Tester, entity
 from tests.support.patience import HANG_S
@@ -70,22 +70,6 @@ def test_hostile_streams_do_not_disturb_a_tester() -> None:
     assert run_on_sockets(count=30, seed=5) == 30
 
 
-@pytest.mark.parametrize(
-    ("sent", "kind", "code"),
-    [
-        (b"GET / HTTP/1.1\r\nHost: car\r\n\r\n", 0, b"\x00"),
-        (activation(0x0001), 6, b"\x00\x01\x10\x11\x00"),
-        (request("3e00"), 0x8003, b"\x10\x11\x0e\x00\x02"),
-    ],
-)
-def test_a_tester_hears_why_before_its_connection_ends(port: int, sent: bytes, kind: int, code: bytes) -> None:
-    with Tester(port, is_activated=False) as one:
-        one.send(sent + bytes(200_000))  # what follows is not read as messages, and does not cost the answer
-        told = one.message()
-        assert (told[0], told[1][: len(code)]) == (kind, code)
-        assert one.is_closed()
-
-
 def test_one_who_never_reads_and_one_who_breaks_off_do_not_disturb_others(
     port: int, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -105,23 +89,3 @@ def test_one_who_never_reads_and_one_who_breaks_off_do_not_disturb_others(
                 broken.send(request("22 f1 90", address) * 200)
         assert other.ask("22 f1 86") == "62 f1 86 01"
     assert caplog.text == ""
-
-
-def heard(server: DoipServer, count: int) -> None:
-    """Wait until so many datagrams have come; it hears itself, as everybody on its port does."""
-    deadline_s = time.monotonic() + HANG_S
-    while server.counts["datagrams"] < count:
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)
-
-
-def test_a_reset_ends_every_connection_once_it_is_answered() -> None:
-    with entity(port=free_port(), announce_count=1) as (_, server):
-        heard(server, 1)
-        with Tester(server.place.port) as one, Tester(server.place.port, 0x0E01) as other:
-            assert one.ask("10 03").startswith("50 03")
-            assert one.ask("11 01") == "51 01"
-            assert (one.is_closed(), other.is_closed()) == (True, True)
-        heard(server, 2)  # it is back, and says so
-        with Tester(server.place.port) as again:
-            assert again.ask("22 f1 86") == "62 f1 86 01"

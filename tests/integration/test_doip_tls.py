@@ -1,8 +1,6 @@
 """DoIP by TLS and by IPv6: our tester against our entity, with certificates made for it, and those who get it wrong."""
 
-import socket
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -11,10 +9,8 @@ from ecu_emulator.diagnostics.doip.listening import TlsNode
 from ecu_emulator.diagnostics.doip.server import DoipServer
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from tests.support.certificates import certify
-from tests.support.doip.desk import activation, framed
 from tests.support.doip.tester import entity
 from tests.support.in_process import ended
-from tests.support.patience import HANG_S
 from tests.support.ports import free_port
 
 SLIPS = 0x081107
@@ -60,26 +56,3 @@ def test_a_node_that_another_authority_knows_is_not_asked(node: DoipServer, fold
     ended(*words, folder / "other.crt").assert_one_line(3, "certificate verify failed")
     ended(*words, folder / "ca.key").assert_one_line(2, "is no certificate")
     ended(*words, folder / "missing").assert_one_line(2, "cannot read authority")
-
-
-def test_who_speaks_no_tls_there_is_hung_up_on_and_others_are_served(node: DoipServer, folder: Path) -> None:
-    with socket.create_connection(("127.0.0.1", tls_port(node)), timeout=HANG_S) as plain:
-        plain.sendall(activation(0x0E00))
-        with suppress(ConnectionResetError):
-            while plain.recv(100):  # perhaps an alert
-                pass
-    assert codes_at(f"127.0.0.1:{tls_port(node)}", "--doip-authority", str(folder / "ca.crt")) == ["P0811"]
-
-
-def test_ipv6_on_this_machine() -> None:
-    with (
-        entity(host="::1", announce_count=1) as (controller, server),
-        socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as one,
-    ):
-        assert (str(server.place), server.is_exposed) == (f"[::1]:{server.place.port}", False)
-        for _ in range(20):
-            controller.report(SLIPS, Result.FAILED)
-        assert codes_at(str(server.place)) == ["P0811"]
-        one.settimeout(HANG_S)
-        one.sendto(framed(1), ("::1", server.place.port))
-        assert one.recv(100)[8:27] == b"WDCTEMUL3TED00047\x10\x11"

@@ -1,6 +1,5 @@
 """The messages that driving added: logs and databases from before them mean what they meant."""
 
-import lzma
 from pathlib import Path
 
 import numpy as np
@@ -11,21 +10,12 @@ from dbc.contract import DBC_PATH
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.driving.indices import DriveState, EngineState
 from ecu_emulator.log_formats.record import open_log
-from tests.golden.compare import RECORDINGS
 from tests.support.in_process import ended as run
 from tests.support.road import START_AND_STOP, road_scenario
 from tests.support.service import Record
 
 BEFORE = Path(__file__).parents[1] / "data" / "dct-before-driving.dbc"
-RECORDED_BEFORE = "ideal"
 NOT_AVAILABLE = 15
-
-
-@pytest.fixture(name="earlier_log")
-def _earlier_log(tmp_path: Path) -> Path:
-    path = tmp_path / "earlier.log"
-    path.write_bytes(lzma.decompress((RECORDINGS / f"{RECORDED_BEFORE}.log.xz").read_bytes()))
-    return path
 
 
 @pytest.fixture(name="road_log", scope="module")
@@ -41,22 +31,8 @@ def signals(log: Path, database: Path) -> dict[str, canlog.Samples]:
     return canlog.read(log, database).signals()
 
 
-def assert_same(before: dict[str, canlog.Samples], now: dict[str, canlog.Samples]) -> None:
-    assert len(before) > 40
-    for name, samples in before.items():
-        np.testing.assert_array_equal(samples.t_ns, now[name].t_ns)
-        np.testing.assert_array_equal(samples.value, now[name].value)
-        assert samples.unit == now[name].unit
-
-
 def without_stream(shift: Record) -> Record:
     return {key: value for key, value in shift.items() if key != "stream"}  # it stands for the database, too
-
-
-def test_a_log_from_before_decodes_as_it_did(earlier_log: Path) -> None:
-    before, now = signals(earlier_log, BEFORE), signals(earlier_log, DBC_PATH)
-    assert now.keys() == before.keys()
-    assert_same(before, now)
 
 
 def test_the_service_estimates_the_same_with_either_database(road_log: Path, tmp_path: Path) -> None:

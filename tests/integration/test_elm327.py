@@ -3,13 +3,13 @@
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 
 import can
 import pytest
 
 from ecu_emulator.diagnostics.controller import Controller
-from ecu_emulator.diagnostics.elm327.server import MOST_CLIENTS, ElmServer
+from ecu_emulator.diagnostics.elm327.server import ElmServer
 from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
 from tests.support.patience import HANG_S
 from tests.support.uds.full_table import full_text
@@ -62,21 +62,6 @@ def test_a_line_may_come_in_pieces_and_several_at_once(server: ElmServer) -> Non
         assert until(one, b"AF \r\r>").split(b"\r\r>") == [SUPPORTED, b"ELM327 v1.5", b"41 0C 0C AF ", b""]
 
 
-def test_each_client_has_settings_of_its_own_and_too_many_are_turned_away() -> None:
-    with ElmServer(controller(), ("127.0.0.1", 0)) as server, ExitStack() as stack:
-        clients = [stack.enter_context(client(server)) for _ in range(MOST_CLIENTS)]
-        for place, one in enumerate(clients):
-            say(one, b"ATE0")
-            say(one, b"ATSP6" if place % 2 else b"ATSP3")
-        answers = [say(one, b"0100") for one in clients]
-        assert answers == [b"BUS INIT: ...ERROR\r\r>", SUPPORTED + b"\r\r>"] * (MOST_CLIENTS // 2)
-        with client(server) as one_more:
-            assert until(one_more) == b""
-        assert (server.counts.clients, server.counts.refused_clients) == (MOST_CLIENTS, 1)
-        clients[0].close()
-        say(clients[1], b"ATI")
-
-
 def frames(server: ElmServer, is_over: Callable[[], bool]) -> None:
     while not is_over():
         server.hear_frame(can.Message(arbitration_id=0x123, data=b"\1\2\3", is_extended_id=False))
@@ -106,16 +91,6 @@ def pending(server: ElmServer, connection: socket.socket) -> None:
         say(connection, command)
     connection.sendall(b"31 01 03 01 04 04\r")
     assert until(connection, b"\r") == b"7F 31 78 \r"
-
-
-def test_a_response_that_comes_later_is_shown_when_it_comes(later: tuple[ElmServer, Controller]) -> None:
-    server, controller = later
-    with client(server) as one:
-        pending(server, one)
-        assert controller.tick() is None  # it is not for the bus
-        controller.finish(0x0301)
-        assert controller.tick() is None
-        assert b"71 01 03 01 00 " in until(one)
 
 
 def test_a_session_and_its_lock_are_of_the_client_who_entered_it(later: tuple[ElmServer, Controller]) -> None:

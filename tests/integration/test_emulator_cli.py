@@ -122,23 +122,6 @@ def receive_then_kill(
             return
 
 
-def test_a_drive_without_end_is_driven_until_it_is_stopped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    truth_file = tmp_path / "truth.jsonl"
-    received: list[can.Message] = []
-    with can.Bus("endless", "virtual") as listener:
-        reader = threading.Thread(target=receive_then_kill, args=(listener, received, signal.SIGINT))
-        reader.start()
-        words = ["-i", "virtual", "-c", "endless", "--drive", "city", "--endless", "--json", "--truth", str(truth_file)]
-        assert main(["run", *words]) == 0
-        reader.join()
-    captured = capsys.readouterr()
-    assert not json.loads(captured.out)["is_complete"]
-    assert "ideal, city, seed 1: sending on virtual endless" in captured.err
-    truth = read_truth(truth_file)
-    assert (truth.drive.drive, [trip.trace for trip in truth.trips]) == ("city", ["city"])
-    assert {message.arbitration_id for message in received} >= {0x0A9, 0x0B4}
-
-
 def test_the_database_of_the_car_is_printed_or_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "car.dbc"
     assert main(["dbc"]) == 0

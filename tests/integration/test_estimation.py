@@ -77,22 +77,6 @@ def test_friction_is_found_within_its_interval(fluid: str) -> None:
         assert (friction.slope_s_rad > 0.0) == (fluid != "case2")
 
 
-def test_a_jittering_bus_changes_little() -> None:
-    """Receive times up to 8 ms late, as behind a loaded gateway, move an estimate by a fraction of its deviation."""
-    rng = np.random.default_rng(3)
-    event = shifts()[0]
-    late = {
-        signal: replace(series, t_ns=np.maximum.accumulate(series.t_ns + rng.integers(0, 8_000_000, len(series.t_ns))))
-        for signal, series in event.columns.items()
-    }
-    ((_, clean),) = followed((event,))
-    ((_, jittered),) = followed((replace(event, columns=late),))
-    assert clean.friction is not None
-    assert jittered.friction is not None
-    assert abs(jittered.friction.mu_c - clean.friction.mu_c) < 0.5 * clean.friction.random_std_mu_c
-    assert abs(jittered.friction.mu_s - clean.friction.mu_s) < 0.5 * clean.friction.random_std_mu_s
-
-
 def test_a_foreign_bus_without_commands_is_still_estimated() -> None:
     event = shifts()[1]
     commands = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMMAND)
@@ -210,15 +194,6 @@ def test_new_fluid_is_believed_after_three_shifts_that_agree() -> None:
         free = scale_free(state, clutch)
         assert free.mu_c == pytest.approx(0.140, abs=4 * free.std_mu_c)
         assert state.shift_counts[clutch - 1] == 5  # the two that were left out at first are of the new fluid too
-
-
-def test_what_new_fluid_left_out_at_first_is_believed_after_all() -> None:
-    old, new = shifts("case2", cycles=3), shifts("ideal", seed=78)
-    estimates = [estimate for _, estimate in followed((*old, *new))]
-    left_out = {(one.clutch, one.end_ns) for one in estimates if Reason.NOT_UPDATED in one.reasons}
-    told = [one for estimate in estimates for one in estimate.revisions]
-    assert {(one.clutch, one.end_bus_ns) for one in told if not one.reasons} == left_out
-    assert all(one.status is Status.VALID and one.friction is not None for one in told)
 
 
 def test_a_bad_first_shift_is_named_by_those_that_find_it_out() -> None:

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import httpx
 import pytest
-from sqlalchemy import Engine, event, select
+from sqlalchemy import Engine, select
 
 from diag_service.diagnosis.records import Condition
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter, Note
 from fleet_backend.alarms.carriers import read_carrier
-from fleet_backend.alarms.rules import Event, Rule, Subject, Transition
+from fleet_backend.alarms.rules import Rule, Subject
 from fleet_backend.cli import main
 from fleet_backend.database import transaction
 from fleet_backend.errors import CarrierError
@@ -137,34 +137,6 @@ def test_a_process_that_dies_after_a_delivery_delivers_again_under_the_same_key(
     assert again.deliver() == 1
     assert {letter.key for letter in other.letters} >= {letter.key for letter in dying.letters}
     assert len({letter.key for letter in other.letters}) == 2
-
-
-def test_a_process_that_dies_while_it_writes_leaves_no_half(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
-    store(engine, 1, BAD)
-    watch = Watch(engine, Orders(carriers=[Memory()]), Clock())
-    monkeypatch.setattr(book, "_payload", lambda *_: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        watch.round()
-    monkeypatch.undo()
-    assert book.open_alarms(engine) == {}
-    assert len(watch.round()) == 2
-    assert watch.deliver() == 2
-
-
-def test_many_alarms_are_written_in_few_transactions_and_none_twice(engine: Engine) -> None:
-    vehicles, commits = [f"v{number}" for number in range(600)], list[object]()
-    shifts = [row_of(fleet_result(1, vehicle=vehicle, condition=BAD)) for vehicle in vehicles]
-    Writer(engine).store(Batch(shifts=shifts))
-    event.listen(engine, "commit", commits.append)
-    subjects = [Subject(vehicle=vehicle, clutch=2, rule=Rule.VERDICT) for vehicle in vehicles]
-    steps = [Transition(subject=one, event=Event.RAISED, reason="x", at=NOW) for one in subjects]
-    assert book.write(engine, steps[:500], ["memory"]) == steps[:500]
-    assert len(commits) == 1
-    assert book.write(engine, [*steps, steps[-1]], ["memory"]) == steps[500:]  # as if another had raised it meanwhile
-    over = [replace(step, event=Event.CLEARED) for step in steps]
-    assert book.write(engine, [*over, *over[:3]], ["memory"]) == over
-    with transaction(engine) as connection:
-        assert len(connection.execute(select(ALARM_MESSAGE)).all()) == 1200
 
 
 def test_one_program_watches_and_shows_what_it_found(engine: Engine) -> None:

@@ -21,7 +21,6 @@ from tests.golden import CONTROLLER
 from tests.support.fleet import fleet_result, row_of
 from tests.support.fleet_page import raise_alarms
 from tests.support.patience import HANG_S
-from tests.support.ports import free_port
 
 
 @pytest.fixture(autouse=True)
@@ -59,20 +58,6 @@ def test_the_table_begins_with_the_worst(capsys: pytest.CaptureFixture[str], fil
     assert "0.136 ±0.002" in text
     assert "There is no verdict on the fluid yet. Clutch 1: no event engaged it yet. Clutch 2:" in text
     assert [record["vehicle"] for record in told_json(capsys, filled, "table", "--limit", "1")] == ["worn"]
-
-
-def test_alarms_are_shown_and_acknowledged(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
-    raise_alarms(filled)
-    own = [(alarm["rule"], alarm.get("clutch")) for alarm in told_json(capsys, filled, "alarms")]
-    assert own == [("silence", None), ("silence", None), ("verdict", 2), ("identity", None)]
-    assert "[bold]" in told(capsys, filled, "alarms")
-    noting = ("--by", "ann", "--note", "on order")
-    said = told(capsys, filled, "alarms", "--acknowledge", "worn", "--clutch", "2", *noting)
-    assert said == "1 alarms of clutch 2 of worn acknowledged\n"
-    assert told(capsys, filled, "alarms", "--acknowledge", "worn", "--clutch", "0") == "1 alarms of worn acknowledged\n"
-    assert "1 messages" in told(capsys, filled, "alarms", "--acknowledge", "good")
-    (alarm,) = [one for one in told_json(capsys, filled, "alarms", "--all") if one["rule"] == "verdict"]
-    assert (alarm["acknowledged_by"], alarm["note"], alarm["cleared_at"]) == ("ann", "on order", None)
 
 
 def test_the_quarantine_is_shown_and_purged(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
@@ -116,11 +101,6 @@ def test_trouble_codes_are_listed(capsys: pytest.CaptureFixture[str], filled: En
     (code,) = told_json(capsys, filled, "codes")
     assert (code["code"], code["read_at"]) == ("P0897", "2026-01-01T00:00:06+00:00")
     assert isinstance(code["snapshots"], list)
-
-
-def test_a_database_that_is_away_has_its_own_status(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["table", "--database", f"postgresql://fleet:secret@127.0.0.1:{free_port()}/fleet"]) == 4
-    assert "secret" not in capsys.readouterr().err
 
 
 def test_the_page_says_where_it_is_and_ends_in_order(filled: Engine) -> None:

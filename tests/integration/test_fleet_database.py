@@ -14,7 +14,7 @@ from fleet_backend.database import transaction
 from fleet_backend.errors import RowRefusedError
 from fleet_backend.ingest import Worker
 from fleet_backend.intake import MessageKind
-from fleet_backend.rows import Poison, Row, controller_row, quarantine_row, status_row
+from fleet_backend.rows import Row, controller_row, status_row
 from fleet_backend.schema import SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer, identity_of
 from tests.support.fleet import NOW, START, fleet_result, message_of, row_of
@@ -90,32 +90,9 @@ def test_a_trend_has_three_axes_and_knows_the_fluid(engine: Engine) -> None:
     assert queries.trend(engine, "car1", 1, Axis.SHIFT) == []
 
 
-def test_who_pretends_to_be_another_is_an_alarm_until_acknowledged(engine: Engine) -> None:
-    poison = Poison(topic="clutchdiag/v1/a/shift", vehicle="a", payload=b"{}", reason="identity", detail="it is b")
-    rows = [quarantine_row(poison, NOW), quarantine_row(poison, NOW + timedelta(1))]
-    Writer(engine).store(Batch(quarantined=rows))
-    (alarm,) = queries.identity_alarms(engine)
-    assert (alarm["vehicle"], alarm["raised_at"], alarm["message_count"]) == ("a", NOW, 1)
-    assert queries.acknowledge_quarantine(engine, "a", by="ann", at=NOW) == 1
-    assert queries.identity_alarms(engine) == []
-    assert [record["acknowledged_by"] for record in queries.quarantined(engine, 5)] == ["ann"]
-    assert queries.purge_quarantine(engine, NOW, by="ann", at=NOW) == 0
-    assert queries.purge_quarantine(engine, NOW + timedelta(seconds=1), by="ann", at=NOW) == 1
-
-
 def status(moment: str, word: str) -> Row:
     data = {"vehicle": "car1", "status": word, "connected_at": moment, "service_version": "1"}
     return status_row({**data, "algorithm_version": "a", "calibration_version": "c"})
-
-
-def test_the_end_of_the_latest_connection_counts_in_any_order(engine: Engine) -> None:
-    first, second = "2026-01-01T00:00:00.000000Z", "2026-01-02T00:00:00.000000Z"
-    words = [(second, "offline"), (first, "online"), (second, "online"), (first, "offline")]
-    for moment, word in words:
-        Writer(engine).store(Batch(statuses=[status(moment, word)]))
-    (seen,) = queries.last_seen(engine)
-    assert not seen["is_online"]
-    assert seen["connected_at"] == START + timedelta(days=1)
 
 
 def controller(read_at: str, *codes: TroubleCode, vehicle: str = "car1") -> Row:

@@ -1,17 +1,14 @@
 """The schema of a fleet database: made from nothing, or from the one before with its data; on both databases."""
 
-import asyncio
 import re
 import subprocess
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from uuid import uuid4
 
 import pytest
 from sqlalchemy import Engine, bindparam, column, inspect, table, text
 
-from demo.fleet.servers import PostgresServer
 from diag_service.diagnosis.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
@@ -22,8 +19,6 @@ from fleet_backend.schema import UtcDateTime
 from fleet_backend.writer import Batch, Writer
 from tests.golden import earlier
 from tests.support.fleet import NOW, fleet_result, row_of
-from tests.support.outboxes import until
-from tests.support.patience import HANG_S
 
 
 @pytest.fixture(name="empty")
@@ -137,21 +132,3 @@ def test_an_interrupted_migration_leaves_the_schema_before_it(empty: Engine) -> 
     assert schema_of(empty) == broken != before
     with pytest.raises(DatabaseError, match="older schema r0021"):
         check_schema(empty)
-
-
-async def test_a_long_reader_makes_the_migration_wait_but_no_other_reader(postgres_server: PostgresServer) -> None:
-    engine = open_database(postgres_server.create(f"read_{uuid4().hex}"))
-    make_old(engine)
-    reading = text("SELECT count(*) FROM fleet_worst_first")
-    with engine.connect() as long_one:
-        long_one.execute(reading)
-        migrating = asyncio.create_task(asyncio.to_thread(migrate, engine))
-        waits = text("SELECT count(*) FROM pg_locks WHERE NOT granted")
-        with engine.connect() as onlooker:
-            await until(lambda: onlooker.execute(waits).scalar_one() > 0)
-        with engine.begin() as another:
-            another.exec_driver_sql("SET LOCAL statement_timeout = '30s'")
-            await asyncio.to_thread(another.execute, reading)
-    await asyncio.wait_for(migrating, HANG_S)
-    check_schema(engine)
-    engine.dispose()

@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -19,11 +19,9 @@ from diag_service.diagnosis.records import (
     LikelyCause,
     Reason,
     Revision,
-    ServiceStatus,
     ShiftQuality,
     ShiftResult,
     Status,
-    status_record,
 )
 from fleet_backend import queries
 from fleet_backend.alarms.rules import Rule
@@ -45,15 +43,12 @@ from fleet_backend.page.asking import Ask, read_words
 from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.news import News
 from fleet_backend.page.past import results_of, shift_of
-from fleet_backend.page.peers import fleet_ageing
 from fleet_backend.page.records import Due
 from fleet_backend.page.running import DatabaseSource
 from fleet_backend.page.view import Sources, View
 from fleet_backend.rows import moment
 from fleet_backend.writer import Batch, Writer
-from fleet_contract import status_message
 from fleet_contract.orders import Action
-from fleet_link import Message
 from tests.support.fleet import NOW, fleet_result, message_of, row_of
 from tests.support.fleet_page import sources_of
 from tests.support.histories import CALIBRATION, history
@@ -259,65 +254,6 @@ def test_a_clock_that_was_ahead_hides_no_newer_results(engine: Engine) -> None:
     assert [row["stream"] for row in queries.trend(engine, "car1", 2, Axis.SHIFT)][-1] == "b"
     (seen,) = queries.last_seen(engine)
     assert str(seen["last_result_at"]) < "2038"
-
-
-@pytest.mark.parametrize("is_first", [False, True])
-def test_an_old_log_that_is_analysed_now_hides_no_newer_results(engine: Engine, is_first: bool) -> None:
-    live = [row_of(fleet_result(seq, stream="b", produced_at="2026-01-05T00:00:00.000000Z")) for seq in range(1, 40)]
-    at = datetime(2024, 1, 1, tzinfo=UTC)
-    times = {"start_at": at, "end_at": at, "start_bus_ns": 1_704_067_200 * 10**9, "end_bus_ns": 1_704_067_201 * 10**9}
-    old = fleet_result(7, stream="a", condition=Condition.CHANGE_FLUID, produced_at="2026-01-07T00:00:00.000000Z")
-    batches = [[row_of(old) | times], live]
-    for rows in batches if is_first else batches[::-1]:
-        Writer(engine).store(Batch(shifts=rows))
-    assert [(one["stream"], one["seq"], one["condition"]) for one in queries.worst_first(engine)] == [("b", 39, "good")]
-    assert [(one.stream, one.condition) for one in DatabaseSource(engine).all_clutches()] == [("b", "good")]
-    assert [(one.stream, one.condition) for one in DatabaseSource(engine).clutches_of(["car1"])] == [("b", "good")]
-    assert [row["stream"] for row in results_of(engine, "car1", 2)] == ["a", *["b"] * 39]
-    assert [row["stream"] for row in queries.trend(engine, "car1", 2, Axis.SHIFT)] == ["a", *["b"] * 39]
-    (seen,) = queries.last_seen(engine)
-    assert str(seen["last_result_at"]).startswith("2026-01-01")  # as the bus had it
-
-
-def told_by(vehicle: str, calibration_version: str) -> Batch:
-    """Return what is stored of the status of a service whose vehicle was calibrated."""
-    status = ServiceStatus(
-        vehicle=vehicle,
-        is_online=True,
-        connected_at="2026-01-01T00:00:00.000000Z",
-        service_version="1",
-        algorithm_version="a",
-        calibration_version=calibration_version,
-        calibration={
-            "vehicle_type": CALIBRATION.name,
-            "new_friction": [{**asdict(one.friction), "of_a_later_program": "x"} for one in CALIBRATION.clutches],
-        },
-    )
-    sent = status_message(status_record(status))
-    message = Message(topic=sent.topic, payload=sent.payload, packet_id=1)
-    return batch_of(take_all(message, datetime(2026, 1, 1, tzinfo=UTC)))
-
-
-def test_a_calibrated_vehicle_has_the_prognosis_of_its_type_once_its_service_has_told_it(engine: Engine) -> None:
-    version = f"1-calibrated-2026-01-01+{engine.dialect.name}"
-    for name, told in (("shipped", {}), ("calibrated", {"calibration_version": version})):
-        Writer(engine).store(Batch(shifts=[row_of(one) | told for one in history(200, vehicle=name)]))
-    sources = sources_of(engine)
-    shipped, calibrated = (
-        vehicle_view.find(sources, ask(vehicle_view.VIEW, name)) for name in ("shipped", "calibrated")
-    )
-    assert {one.outlook for one in calibrated.clutches} == {None}
-    Writer(engine).store(told_by("calibrated", version))
-    Writer(engine).store(told_by("hostile", version))  # speaks for itself alone
-    sources = sources_of(engine)
-    calibrated = vehicle_view.find(sources, ask(vehicle_view.VIEW, "calibrated"))
-    assert [one.outlook for one in calibrated.clutches] == [one.outlook for one in shipped.clutches]
-    assert sources.keeper.snapshot.types == (CALIBRATION.name,)
-    due = maintenance_view.find(sources, ask(maintenance_view.VIEW))
-    assert len({one.text for one in due.clutches}) == 1
-    ageing = fleet_ageing(engine)
-    assert (ageing.clutch_count, ageing.left_out_count) == (4, 0)
-    assert {one.kind.vehicle_type for one in ageing.population.peers} <= {CALIBRATION.name}
 
 
 def test_what_is_remembered_of_a_clutch_is_never_old(engine: Engine) -> None:

@@ -78,19 +78,6 @@ ALL = [
 
 
 @pytest.mark.parametrize("words", ALL, ids=" ".join)
-def test_a_mistyped_database_is_an_error_and_is_not_made(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str]
-) -> None:
-    (tmp_path / "fleet.sqlite").touch()
-    for place in ("flet.sqlite", "folder/fleet.sqlite"):
-        assert main([*words, "--database", f"sqlite:///{tmp_path}/{place}"]) == 4
-        captured = capsys.readouterr()
-        assert re.fullmatch(r"fleet-backend: error: there is no database .*fleet-backend migrate.*\n", captured.err)
-        assert ("is it fleet.sqlite?" in captured.err) == (place == "flet.sqlite")
-    assert [entry.name for entry in tmp_path.iterdir()] == ["fleet.sqlite"]
-
-
-@pytest.mark.parametrize("words", ALL, ids=" ".join)
 @pytest.mark.parametrize("damage", [b"TABLE \xe8\xe8", b"TABLE ( ("])
 def test_a_damaged_database_is_told_with_what_to_do(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, words: list[str], damage: bytes
@@ -106,21 +93,6 @@ def test_a_damaged_database_is_told_with_what_to_do(
         rf"fleet-backend: error: database sqlite:///{path}: .*damaged.* put a backup in its place\n",
         capsys.readouterr().err,
     )
-
-
-def test_another_programs_database_is_left_alone(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path = tmp_path / "places.sqlite"
-    with sqlite3.connect(path) as other:
-        other.execute("CREATE TABLE places (name TEXT)")
-    other.close()
-    before = path.read_bytes()
-    for command in ("table", "migrate"):
-        assert main([command, "--database", f"sqlite:///{path}"]) == 4
-        assert "another program's" in capsys.readouterr().err
-    with sqlite3.connect(path) as other:
-        assert other.execute("SELECT name FROM sqlite_master").fetchall() == [("places",)]
-    other.close()
-    assert len(before) == path.stat().st_size
 
 
 def test_migrate_makes_a_database_that_others_cannot_read(tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ import lzma
 import re
 import sqlite3
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -84,24 +83,6 @@ def test_a_log_of_the_old_fluid_that_comes_late_says_nothing_of_the_new(tmp_path
     assert "sound" in orders[0]
 
 
-def test_a_fill_before_all_that_is_known_costs_no_baseline(tmp_path: Path) -> None:
-    path = tmp_path / "car1.sqlite"
-    words = ("--store", path, "--vehicle", "car1", "--json")
-    first = ended("analyze", recording("ideal", tmp_path / "first.log"), *words)
-    assert ended("fluid-changed", path, "--at", "2025-12-01").status == 0
-    second = ended("analyze", recording("ideal", tmp_path / "second.log", later_s=LATER_S), *words)
-    assert "a new baseline" not in second.err
-    counts = [one.shifts[-1]["verdict"]["shift_count"] for one in (first, second)]
-    assert counts[1] > counts[0]
-
-
-def test_a_fill_is_noted_once(store: Path) -> None:
-    (fills,) = (one for one in ended("history", store, "--json").records if one["record"] == "fills")
-    fill = fills["fills"][0]
-    assert (fill["odometer_m"], fill["product"]) == (12_346_000.0, "DCTF-II")
-    ended("fluid-changed", store, "--at", fill["filled_at"]).assert_one_line(4, "is noted already")
-
-
 def test_a_fill_is_noted_while_a_service_owns_the_store(store: Path) -> None:
     with closing(ResultStore.open(store)) as owned:
         before = owned.fluid_at("car1", "2999-01-01T00:00:00.000000Z")
@@ -126,25 +107,6 @@ def test_a_fill_noted_twice_within_a_day_is_one(tmp_path: Path) -> None:
         assert len(store.all_fills("car1")) == 2
     assert ended("fluid-changed", path, "--undo").status == 0
     assert ended("history", path, "--json").records[-1]["fills"] == []
-
-
-@pytest.mark.parametrize(
-    ("odometer", "why"),
-    [
-        ("61200", "the odometer cannot read 61,200 km: it read 12,346 km before; --insist notes it all the same"),
-        ("99999999", "the odometer cannot read 99,999,999 km: no car has driven that far"),
-        ("12000", "the odometer cannot read 12,000 km: it read 12,346 km before; --insist"),
-    ],
-)
-def test_an_odometer_that_does_not_fit_is_refused_unless_somebody_insists(
-    tmp_path: Path, odometer: str, why: str
-) -> None:
-    path, result = tmp_path / "car1.sqlite", history(1)[0]
-    fill_store(path, [replace(result, estimate=replace(result.estimate, odometer_m=12_346_000.0))])
-    words: list[str | Path] = ["fluid-changed", path, "--at", "2026-02-01", "--odometer", odometer]
-    ended(*words).assert_one_line(2, why)
-    assert ended(*words, "--insist").status == 0
-    assert len(ended("history", path, "--json").records[-1]["fills"]) == 1
 
 
 def test_a_fill_is_taken_back_and_noted_again_at_its_moment(tmp_path: Path) -> None:

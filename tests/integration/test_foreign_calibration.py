@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +10,7 @@ import pytest
 
 import diag_service.cli
 import ecu_emulator.cli
-from clutch_model.calibration import nominal_calibration, read_calibration
-from dbc.contract import load_contract
-from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Posterior
-from diag_service.diagnosis.records import Condition
-from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.profile import load_profile
-from diag_service.service.stages import Stages
-from ecu_emulator.drive.recording import frames_of
-from ecu_emulator.scenario.scenario import FluidCondition, Scenario
-from ecu_emulator.scenario.scenario_file import load_scenario
-from studies.builders import to_batch
+from clutch_model.calibration import read_calibration
 
 OWNER, OTHER = "7", "10"  # seeds of two cars
 
@@ -103,24 +92,3 @@ def test_a_calibration_is_refused_for_a_vehicle_that_it_does_not_name(
     said = capsys.readouterr().err
     assert f"the calibration is of vehicle car{OWNER}, not of car8" in said
     assert said.count("\n") == 1
-
-
-def fluid(condition: FluidCondition, drive_seed: int) -> Scenario:
-    """Return a drive of one cycle of the car."""
-    base = load_scenario("ideal")
-    return replace(base, vehicle_seed=int(OWNER), drive_seed=drive_seed, fluid=replace(base.fluid, condition=condition))
-
-
-def test_new_fluid_after_the_first_cycle_costs_no_verdict() -> None:
-    calibration = nominal_calibration()
-    decoder = Decoder(load_contract(), load_profile())
-    state, memory = Posterior.fresh(calibration), ConditionMemory.fresh()
-    reasons = []
-    for scenario in (fluid(FluidCondition.CASE_2, 1), fluid(FluidCondition.IDEAL, 2)):
-        frames, _ = frames_of(scenario)
-        stages = Stages(decoder, calibration, state, memory)
-        found = [stages.conclude(shift) for shift in stages.segment(to_batch(frames))]
-        state, memory = found[-1].state, found[-1].memory
-        reasons += [one.verdict.reason for one in found]
-    assert found[-1].verdict.condition is Condition.GOOD
-    assert not [reason for reason in reasons if "does not fit" in reason]

@@ -21,7 +21,6 @@ from clutch_model.pack import FrictionLaw, kinetic_friction
 mu = kinetic_friction(10.0, FrictionLaw(0.1, 0.12, 5.0, 1.0, 0.1))
 print(*(name.rpartition(".")[2] for name in compiled))
 """
-REPOSITORY = Path(__file__).parents[2]
 COLD = {"kinetic_friction", "stribeck_weights"}
 
 
@@ -90,33 +89,11 @@ def test_a_comment_and_another_folder_compile_nothing_and_a_law_what_it_is_part_
     assert first.compiled() == set()  # whose machine code is still there
 
 
-def test_the_forms_of_a_kernel_do_not_pile_up(tmp_path: Path, cache: Path) -> None:
-    checkout = Checkout(tmp_path / "only", cache)
-    checkout.edit("canlog/jit.py", "KEPT_VERSIONS = 8", "KEPT_VERSIONS = 1")
-    before = sorted(path.suffix for path in cache.rglob("*.nb?"))
-    checkout.edit("clutch_model/pack.py", "np.exp(-excess)", "np.exp(-2.0 * excess)")
-    checkout.compiled()
-    assert sorted(path.suffix for path in cache.rglob("*.nb?")) == before
-
-
 def test_where_nothing_can_be_kept_the_laws_are_compiled_each_time(tmp_path: Path) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("in the way")
     checkout = Checkout(tmp_path / "only", blocked)
     assert checkout.compiled() == checkout.compiled() == COLD
-
-
-def test_a_law_that_moved_to_another_module_is_compiled_there(tmp_path: Path, cache: Path) -> None:
-    checkout = Checkout(tmp_path / "only", cache)
-    checkout.move("pack", "clutch_pack")
-    assert checkout.compiled("clutch_pack") == COLD
-    assert checkout.compiled("clutch_pack") == set()
-
-
-def test_the_time_of_a_first_compilation_is_told_in_one_way() -> None:
-    told = "takes up to a minute"
-    for page in ("docs/usage.md", "docs/python.md", "canlog/README.md", "canlog/jit.py"):
-        assert told in (REPOSITORY / page).read_text(encoding="utf-8"), page
 
 
 def test_machine_code_that_cannot_be_loaded_is_made_anew(tmp_path: Path, cache: Path) -> None:

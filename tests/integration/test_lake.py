@@ -2,7 +2,6 @@
 
 import io
 import json
-import os
 import re
 import shutil
 import tracemalloc
@@ -18,11 +17,11 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from diag_service.commands import analyze, lake
 from diag_service.commands.arguments import COMMAND_LINE
-from diag_service.errors import ConfigError, IncompleteError, StoreError
+from diag_service.errors import IncompleteError, StoreError
 from diag_service.lake.parts import DONE, FAILED, Disagreement, LogRow, Manifest, disagreement, forget
 from diag_service.lake.places import Place
 from diag_service.lake.run import find_logs, to_do
-from diag_service.lake.work import EXIT_OVERDUE, Job, LakeLog, Maker
+from diag_service.lake.work import Job, LakeLog, Maker
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import DiagnosisConfig
 from tests.plugins.drives import SHIFT_COUNT
@@ -279,57 +278,3 @@ def test_what_a_killed_run_left_is_told_and_can_be_removed(logs: Path, filled: P
     rows = fill(Job.of(CONFIG, str(address), SIGNALS, 60.0), str(logs))
     assert [row.parts for row in rows] == [tuple(one for one in rows[0].parts if "vehicle=car2" in one)]
     lake.execute(COMMAND_LINE.parse(["lake", "check", str(address)]), Controls())
-
-
-def test_a_log_that_takes_too_long_or_breaks_the_program_is_a_row(tmp_path: Path, logs: Path) -> None:
-    ends: list[int] = []
-    place = Place(str(tmp_path / "lake"))
-    log = next(
-        one for one in find_logs([str(logs)], place, "car", has_vehicles=True) if one.held.name.endswith("1.log")
-    )
-    row = Maker(Job.of(CONFIG, place.address, None, 1e-6), end=ends.append).make(log)
-    assert (row.outcome, row.reason, row.parts) == (FAILED, "took longer than 1e-06 s", ())
-    assert ends == [EXIT_OVERDUE]
-    maker = Maker(Job.of(CONFIG, place.address, None, 60.0))
-
-    class Broken:
-        config = CONFIG
-
-        def analyse(self, *_: object) -> None:
-            raise ValueError("of no kind that anybody thought of")
-
-    maker.__dict__["_analyst"] = Broken()
-    assert maker.make(log).reason == "ValueError: of no kind that anybody thought of"
-    gone = LakeLog(place=log.place, held=replace(log.held, name="car1/none.log"), vehicle="car1")
-    assert "none.log" in Maker(Job.of(CONFIG, place.address, None, 60.0)).make(gone).reason
-    with pytest.raises(ConfigError, match="another database, profile, calibration or version"):
-        Maker(replace(Job.of(CONFIG, place.address, None, 60.0), settings="other")).make(log)
-
-
-def test_an_object_that_has_gone_or_is_archived_is_a_row_and_a_folder_nobody_may_read_is_told(
-    port: int, logs: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    files, content = store(port), (logs / "car1" / "drive001.log").read_bytes()
-    job = Job.of(CONFIG, str(tmp_path / "lake"), None, 60.0)
-    files.pipe(f"{BUCKET}/old/gone.log", content)
-    files.pipe(f"{BUCKET}/old/archived.log", content, StorageClass="GLACIER")
-    found = find_logs([f"s3://{BUCKET}/old"], Place(job.lake), "car", has_vehicles=False)
-    files.rm(f"{BUCKET}/old/gone.log")
-    rows = [Maker(job).make(log) for log in found]
-    assert [row.outcome for row in rows] == [FAILED, FAILED]
-    assert all(row.reason.startswith(f"cannot read {row.source}: ") for row in rows)
-    lost = StoreError("the credentials have expired")
-    lost.__cause__ = ConnectionError()
-    assert not Place(f"s3://{BUCKET}").has_refused("old/archived.log", lost)
-    (tmp_path / "secret" / "car9").mkdir(parents=True)
-    scanned = os.scandir
-
-    def refused(path: str) -> Iterator[os.DirEntry[str]]:
-        if path.endswith("car9"):
-            raise PermissionError(13, "Permission denied", path)
-        return scanned(path)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(os, "scandir", refused)
-        assert not Place(str(tmp_path / "secret")).held()
-    assert f"left out: {tmp_path}/secret/car9: Permission denied" in caplog.text

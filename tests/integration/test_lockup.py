@@ -7,9 +7,7 @@ import pytest
 
 import diag_service
 from ecu_emulator import Emulator
-from tests.plugins.broker import Mosquitto
 from tests.support.in_process import ended
-from tests.support.subscriber import Subscriber
 
 
 @pytest.fixture(name="log", scope="module")
@@ -65,17 +63,3 @@ def test_store_history_and_report_call_it_by_its_name(log: Path, tmp_path: Path)
     assert "Lock-up clutch: running estimate" in html
     assert "slope at 40 rpm" in html
     assert "lutch 2" not in html
-
-
-@pytest.mark.broker
-def test_it_is_published_by_its_name(log: Path, broker: Mosquitto) -> None:
-    with Subscriber(broker.port) as subscriber:
-        ended(
-            *("analyze", str(log), "--calibration", "lockup", "--vehicle", "at8"),
-            *("--broker", broker.url),
-        )
-        subscriber.wait(lambda heard: bool(heard.payloads("/clutch/1")))
-        shifts, states = subscriber.payloads("/shift"), subscriber.payloads("/clutch/1")
-    assert shifts
-    assert {one["element"] for one in (*shifts, *states)} == {"lock-up clutch"}
-    assert not subscriber.payloads("/clutch/2")

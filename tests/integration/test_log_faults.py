@@ -2,7 +2,6 @@
 
 import gzip
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,19 +14,8 @@ from canlog.logs.log_counts import FREE_BYTES, LogCounts
 from diag_service.errors import ConfigError
 from diag_service.service.drive import open_drive
 from ecu_emulator.log_formats.record import open_log
-from tests.support.damage import (
-    DAMAGES,
-    LOGS,
-    TABLES,
-    analyse,
-    decoder_of,
-    drive,
-    faults,
-    frame_decoder,
-    is_noticed,
-    short_table,
-    write_csv,
-)
+from tests.support.damage import DAMAGES, analyse, decoder_of, untrue
+from tests.support.damage import record as record_drive
 from tests.support.hostile import HOSTILE, refusal_of, sqlite_file
 from tests.support.traffic import START_NS, as_received, assert_same, random_frames
 
@@ -100,40 +88,33 @@ def test_what_is_made_to_do_harm_is_refused_within_limits(name: str, tmp_path: P
     assert refusal.is_good, refusal
 
 
-@pytest.mark.parametrize("suffix", [*LOGS, *TABLES])
-def test_generated_damage_is_survived(suffix: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", [".log", ".blf", ".mf4", ".csv"])
+def test_damage_is_survived_and_makes_no_estimate_untrue(suffix: str, tmp_path: Path) -> None:
     path, broken = tmp_path / f"sound{suffix}", tmp_path / f"damaged{suffix}"
-    write = LOGS.get(suffix) or TABLES[suffix]
-    write(path, drive()[0] if suffix in LOGS else short_table())  # type: ignore[arg-type]  # what it is a writer of
-    decoder = frame_decoder if suffix in LOGS else decoder_of(path)
-    sound, contents = analyse(path, decoder), path.read_bytes()
-    assert sound.estimates, sound.error
-    accepted = noticed = 0
-    for number, damage in enumerate(DAMAGES):
-        damaged = damage(suffix, contents, np.random.default_rng([7, number]))
-        if isinstance(damaged.contents, bytes):
-            broken.write_bytes(damaged.contents)
-        else:
-            write(broken, damaged.contents)  # type: ignore[arg-type]  # likewise
-        outcome = analyse(broken, decoder)
-        assert [*faults(damaged, outcome, sound)] == [], damage.__name__
-        noticed += is_noticed(outcome, sound)
-        accepted += sum(estimate.friction is not None for estimate in outcome.estimates)
-    # Bits may flip where nothing is told by them, and rows may be lost, blank or held.
-    assert noticed >= len(DAMAGES) - 5
+    record_drive(path)
+    decoder, contents, accepted = decoder_of(path), path.read_bytes(), 0
+    for seed in range(3):
+        for number, damage in enumerate(DAMAGES):
+            broken.write_bytes(damage(contents, np.random.default_rng([seed, number])))
+            estimates, error = analyse(broken, decoder)
+            assert ([*untrue(estimates)], "\n" in error) == ([], False), damage.__name__
+            accepted += sum(estimate.friction is not None for estimate in estimates)
     assert accepted > 0
 
 
 def test_a_pressure_that_is_held_through_a_shift_makes_no_friction(tmp_path: Path) -> None:
-    table, sound = tmp_path / "held.csv", short_table()
-    write_csv(table, sound)
-    decoder, cells = decoder_of(table), sound.cells.copy()
-    held = next(place for place, (name, _) in enumerate(sound.heads) if name == "Clutch 2 Pressure")
-    whole = analyse(table, decoder)
-    cells[sound.times_s > sound.times_s[0] + 3.28, held] = 914.16  # from just before it lets go of second gear
-    write_csv(table, replace(sound, cells=cells))
-    for outcome, least in ((whole, 2), (analyse(table, decoder), 1)):
-        found = [one.friction for one in outcome.estimates if one.friction is not None]
+    table = tmp_path / "held.csv"
+    record_drive(table)
+    decoder = decoder_of(table)
+    whole, _ = analyse(table, decoder)
+    head, *rows = (line.split(",") for line in table.read_text("utf-8").splitlines())
+    held = next(place for place, name in enumerate(head) if name.startswith("Clutch 2 Pressure"))
+    for row in rows:
+        if float(row[0]) > float(rows[0][0]) + 3_280.0:  # from just before it lets go of second gear
+            row[held] = "914.16"
+    table.write_text("\n".join(",".join(row) for row in [head, *rows]) + "\n", "utf-8")
+    for estimates, least in ((whole, 2), (analyse(table, decoder)[0], 1)):
+        found = [one.friction for one in estimates if one.friction is not None]
         assert len(found) >= least
         assert all(one.mu_c > 0.05 for one in found)
 

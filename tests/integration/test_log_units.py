@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from canlog.e2e.profile1 import protect
 from canlog.frames import EXTENDED_FLAG, join
 from canlog.logs import read_log
 from tests.support.in_process import ended as run
@@ -64,22 +63,3 @@ def test_a_drive_in_milliseconds_is_read_and_said(drive_log: Path, tmp_path: Pat
     assert record["evidence"] == "line 1 is its header"
     assert "milliseconds" in record["notes"][0]
     assert record["bus_load_ratio"] < 1.0
-
-
-def test_times_that_no_bus_can_have_are_said(tmp_path: Path) -> None:
-    log = tmp_path / "fast.log"
-    log.write_text("".join(f"(1700000000.{k:06d}) can0 123#0011223344556677 T\n" for k in range(100)), "ascii")
-    ended = run("inspect", log)
-    assert "taken for candump: 100 of the first 100 lines are frames in its grammar" in ended.out
-    assert "the times cannot be right: the first 100 frames would load a bus of 1 Mbit/s by 11100 %" in ended.out
-    assert "100 sent by the recorder" in ended.out
-    log.write_text("(1700000000.000000) can0 123#0011223344556677\n" * 20, "ascii")
-    assert "all have the same time" in run("inspect", log).out
-
-
-def test_a_parked_car_loses_no_frames(tmp_path: Path) -> None:
-    log, data = tmp_path / "parked.log", protect(np.zeros((40, 8), np.uint8), 41185, np.arange(40))
-    lines = (f"({k * 0.01 + 600 * (k > 19):.6f}) can0 0A0#{row.tobytes().hex()}\n" for k, row in enumerate(data))
-    log.write_text("".join(lines), "ascii")
-    record = json.loads(run("inspect", log, "--json").out)
-    assert record["protection"] == {"ECM_TorqueSpeed": {"good": 40, "errors": {}, "missing": 0}}

@@ -64,23 +64,6 @@ def test_groups_of_different_rates_are_columns_with_times_of_their_own(tmp_path:
     assert not counts.rejected
 
 
-def test_words_are_left_out_and_named_and_states_stay_numbers(tmp_path: Path) -> None:
-    path, times_s = tmp_path / "words.mf4", np.arange(0.0, 5.0, 0.1)
-    states = {"val_0": 0, "text_0": b"open", "val_1": 1, "text_1": b"closed", "default": b"?"}
-    with MDF(version="4.10") as file:
-        file.append([
-            Signal((np.arange(50) % 2).astype("u1"), times_s, name="State", conversion=states),
-            Signal(np.arange(50).astype("u1"), times_s, name="Doubled", conversion={"formula": "X*2+1"}),
-            Signal(np.arange(50).astype("u1"), times_s, name="Odd", conversion={"formula": "__import__('os')"}),
-            Signal(np.array([b"note"] * 50), times_s, name="Note", encoding="utf-8"),
-        ])  # fmt: skip
-        file.save(path)
-    reader, found = values(path)
-    assert found["State"][0] == (np.arange(50) % 2).tolist()
-    assert found["Doubled"][0] == (np.arange(50) * 2.0 + 1.0).tolist()
-    assert any("left out: Odd, Note" in note for note in reader.counts.notes)
-
-
 @pytest.mark.parametrize("codes", [{"val_0": 255}, {"lower_0": 254, "upper_0": 255}])
 def test_codes_beside_a_scale_are_no_values_and_the_others_are_scaled(tmp_path: Path, codes: dict[str, int]) -> None:
     path, raw = tmp_path / "codes.mf4", np.where(np.arange(200) % 7, np.arange(200), 255).astype("u1")

@@ -79,18 +79,3 @@ def test_a_log_and_a_database_are_read_and_named(odd: Path) -> None:
         assert command == "analyze" or SHOWN in told.out
     record = strict(run("diag_service", "inspect", "--json", log, cwd=odd).out)
     assert str(record["path"]).endswith(f"/{SHOWN}/{SHOWN}.log")
-
-
-def odd_text(folder: Path) -> str:
-    return f"{folder.parent}/{SHOWN}/{SHOWN}"
-
-
-def test_the_emulator_writes_under_such_names(odd: Path) -> None:
-    log, truth = odd / odd_name("-1.log"), odd / odd_name(".jsonl")
-    told = run("ecu_emulator", "record", log, "--truth", truth, "--cycles", "1", "--json", cwd=odd)
-    assert told.status == 0
-    assert strict(told.out)["file"] == f"{odd_text(odd)}-1.log"
-    assert (log.stat().st_size > 0, truth.stat().st_size > 0) == (True, True)
-    for words in (["record", log, "--scenario", odd_name(".toml")], ["record", odd_name(".txt")]):
-        told = run("ecu_emulator", *words, cwd=odd)
-        assert (told.status in {2, 4}, told.err.count("\n")) == (True, 1)

@@ -1,7 +1,5 @@
 """Days of trips with the car parked in between: what becomes of trouble codes, and what counts from the start."""
 
-from dataclasses import replace
-
 import can
 import numpy as np
 import pytest
@@ -9,12 +7,8 @@ import pytest
 from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
 from dbc.contract import load_contract
-from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.diagnostics.iso14229 import Status
-from ecu_emulator.drive.recording import Drive
-from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
-from tests.support.road import road_scenario, short_trip
-from tests.support.uds.days import EPOCH_S, HOLDING, STEP_S, TripCar
+from tests.support.uds.days import HOLDING, TripCar
 
 COLD = (293.0, 350.0)  # coolant in the morning, and after the trip [K]
 WARM = (335.0, 350.0)  # after lunch: no warm-up cycle, it becomes warmer by 15 K only
@@ -25,7 +19,6 @@ OWN_IDS = {one.can_id for one in CONTRACTS.values() if one.sender == "TCU"}
 OTHER_IDS = {one.can_id for one in CONTRACTS.values()} - OWN_IDS
 SHIFT_DATA_ID = CONTRACTS["TCU_Shift"].data_id or 0
 LIFE = 43
-LOOK_S = 0.1
 
 
 def day(car: TripCar) -> None:
@@ -59,39 +52,6 @@ def test_days_of_trips_confirm_heal_and_forget_a_code_as_the_table_says() -> Non
     assert car.status("P0811") == 0x20
     assert car.ask("03") == "43 00"
     assert car.ask("01 30") == "41 30 29"  # of the day it failed, and of these
-
-
-def test_a_driven_car_begins_a_cycle_with_each_trip() -> None:
-    """The real car: two trips with a dead sensor confirm its code, the trips after them heal it."""
-    dead = SensorFault(quantity="clutch2_pressure_pa", kind=SensorFaultKind.NOT_AVAILABLE, duration_s=60.0)
-    trips = [short_trip(), *[short_trip(parked_s=1800.0)] * 5]
-    drive = Drive(replace(road_scenario(), sensor_faults=(dead,)), 5.0, planned=iter(trips))
-    car, seen, next_s = TripCar(ignition=drive.ignition), [0x50], LOOK_S
-    for stretch in drive.stretches(STEP_S):
-        for message in to_messages(stretch.frames, EPOCH_S):
-            car.t_s = message.timestamp - EPOCH_S
-            car.answering.send(message)
-            if car.t_s >= next_s:
-                next_s = car.t_s + LOOK_S
-                car.answering.watch()
-        if seen[-1] != (status := car.status("P0846")):
-            seen.append(status)
-    # failed, confirmed in the second trip, passed in the third; three good trips later the lamp is out
-    told = " ".join(f"{status:02x}" for status in seen)
-    assert told == "50 27 65 af ae ec ac e8 a8 e8 a8 68 28"
-
-
-@pytest.mark.parametrize(
-    ("silent", "code"), [("ECM", "U0100"), ("ABS", "U0121"), ("BRK_Vehicle", "U0121"), ("IC", "U0155")]
-)
-def test_a_controller_that_falls_silent_has_its_code(silent: str, code: str) -> None:
-    car = TripCar()
-    car.drive(WARM)
-    car.drive(WARM, steps=25, silent=[silent])
-    failed = {one for one in ("U0100", "U0121", "U0155") if car.status(one) & Status.TEST_FAILED}
-    assert failed == {code}
-    car.drive(WARM)
-    assert not car.status(code) & Status.TEST_FAILED
 
 
 def own_frames(car: TripCar) -> list[can.Message]:

@@ -73,13 +73,3 @@ def test_the_command_line_prints_shifts_and_both_clutches(drive_log: Path) -> No
     pooled = {one["clutch"]: one for one in records if one["scope"] == "pooled"}
     assert pooled[2]["mu_c"] == pytest.approx(0.14, rel=0.35)
     assert pooled[2]["mu_c_samples"] > 5
-
-
-@pytest.mark.parametrize("option", [("--store", "results.sqlite"), ("--broker", "mqtt://127.0.0.1")])
-def test_results_without_uncertainty_are_not_kept(drive_log: Path, tmp_path: Path, option: tuple[str, str]) -> None:
-    value = str(tmp_path / option[1]) if option[0] == "--store" else option[1]
-    answer = analyze(drive_log, option[0], value)
-    assert answer.status == 2
-    assert answer.err.startswith("diag-service: error: the paper's method states no uncertainty")
-    assert answer.err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []

@@ -114,42 +114,6 @@ def test_a_part_of_a_drive_is_told_as_such(drive_log: Path, tmp_path: Path) -> N
         diag_service.analyze(cut, is_strict=True)
 
 
-def test_a_store_goes_on_where_it_ended(drive_log: Path, tmp_path: Path) -> None:
-    store = tmp_path / "car.sqlite"
-    first = diag_service.analyze(drive_log, store=store)
-    again = diag_service.analyze(drive_log, store=store)
-    assert first.summary["shifts"]["stored"] == again.summary["shifts"]["already_stored"] == SHIFT_COUNT
-    assert first.results == again.results
-
-
-def test_what_cannot_be_done_is_an_exception_with_the_words_of_the_program(drive_log: Path, tmp_path: Path) -> None:
-    missing = tmp_path / "missing.log"
-    with pytest.raises(diag_service.SourceError) as failure:
-        diag_service.analyze(missing)
-    with pytest.raises(diag_service.ConfigError, match="is a folder"):
-        diag_service.analyze(tmp_path)
-    with pytest.raises(diag_service.ConfigError, match="no log is named"):
-        diag_service.analyze([])
-    with pytest.raises(diag_service.ConfigError, match="not a vehicle id"):
-        diag_service.analyze(drive_log, vehicle="../car")
-    with pytest.raises(diag_service.DefinitionError):
-        diag_service.analyze(drive_log, dbc=missing)
-    with pytest.raises(diag_service.CalibrationError):
-        diag_service.analyze(drive_log, calibration=missing)
-    with pytest.raises(diag_service.ConfigError, match="at least"):
-        diag_service.analyze(drive_log, store=tmp_path / "s.sqlite", store_budget_mib=0)
-    with pytest.raises(diag_service.ConfigError, match="acknowledge must be broker or backend"):
-        diag_service.analyze(
-            drive_log,
-            delivery=diag_service.Delivery(broker="mqtt://localhost", acknowledge="nobody"),  # type: ignore[arg-type]  # as a user may type it
-        )
-    with pytest.raises(TypeError, match="calibraton"):
-        diag_service.analyze(drive_log, calibraton="car7.toml")  # type: ignore[call-arg]  # as a user may type it
-    with pytest.raises(diag_service.OutputError, match=r"cannot write .*picture\.xyz"):
-        diag_service.analyze(drive_log).plot(tmp_path / "picture.xyz")
-    ended("analyze", missing).assert_one_line(3, str(failure.value))
-
-
 def test_importing_it_loads_no_library() -> None:
     program = (
         "import sys, diag_service, ecu_emulator, ecu_emulator.pytest_plugin, diag_service.pytest_plugin\n"
@@ -160,20 +124,6 @@ def test_importing_it_loads_no_library() -> None:
     assert done.stdout.splitlines()[-1] == "True"
     loaded = set(done.stdout.splitlines()[0].strip("[]").replace("'", "").split(", ")) - {"", "asyncio"}
     assert loaded == set()
-
-
-def test_several_logs_are_read_in_the_order_of_time(drive_log: Path, tmp_path: Path) -> None:
-    lines = drive_log.read_bytes().splitlines(keepends=True)
-    halves = [tmp_path / "later.log", tmp_path / "earlier.log"]
-    halves[0].write_bytes(b"".join(lines[len(lines) // 2 :]) + b"no frame\n")
-    halves[1].write_bytes(b"".join(lines[: len(lines) // 2]))
-    whole, together = diag_service.read(drive_log), diag_service.read(halves)
-    assert together.frames.t_ns.tolist() == whole.frames.t_ns.tolist()
-    assert together.to_arrow() == whole.to_arrow()
-    assert together.counts.frames == len(lines)
-    assert len(together.losses) == 1
-    with pytest.raises(diag_service.ConfigError, match="no log is named"):
-        diag_service.read([])
 
 
 def test_the_other_commands(drive_log: Path, tmp_path: Path) -> None:

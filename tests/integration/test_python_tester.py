@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import can
 import pytest
@@ -18,9 +18,6 @@ from tests.integration.test_tester import MASK, SLIPS, Vehicle, told, vehicle
 from tests.support.in_process import ended, never_a_program
 from tests.support.patience import HANG_S
 from tests.support.uds.wire import parked_controller
-
-if TYPE_CHECKING:
-    from can.typechecking import CanFilter
 
 CHANNEL = "python tester"
 BUS = ("-i", "virtual", "-c", CHANNEL, "--listen", "0.05", "--timeout", "20", "--active")
@@ -97,24 +94,6 @@ def test_nothing_is_sent_unless_it_may_be(car: Vehicle, bus: can.BusABC) -> None
     with pytest.raises(diag_service.ConfigError, match="use it in a with block"):
         diag_service.UdsTester(bus, is_active=True).trouble_codes()
     assert car.heard == []
-
-
-def test_a_bus_is_lent(bus: can.BusABC, car: Vehicle) -> None:
-    with can.Bus(CHANNEL, "virtual") as other:  # long ago, when nobody listened
-        other.send(can.Message(arbitration_id=0x7E0, is_extended_id=False, data=b"\x02\x3e\x00"))
-    with asker(bus) as tester:
-        assert len(tester.data("F190")) == 1
-    with pytest.raises(diag_service.ConfigError, match="use it in a with block"):
-        tester.data("F190")
-    assert bus.filters is None
-    filters: list[CanFilter] = [{"can_id": 0x0A0, "can_mask": 0x7FF, "extended": False}]
-    bus.set_filters(filters)
-    with tester:
-        assert len(tester.data("F190")) == 1
-    assert bus.filters == filters
-    message = bus.recv(HANG_S)
-    assert message is not None
-    assert message.arbitration_id == 0x0A0
 
 
 async def test_codes_are_asked_for_while_the_bus_is_diagnosed(car: Vehicle, tmp_path: Path) -> None:

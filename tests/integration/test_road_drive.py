@@ -7,9 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from canlog.e2e.message_contract import message_contracts
-from canlog.e2e.profile1 import counter_of
-from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.drive.recording import Drive, Stretch
 from ecu_emulator.driving.journey import PlannedTrip
@@ -19,7 +16,6 @@ from tests.support.road import road_scenario, short_trip
 
 PARKED_S = 600.0
 TRIP_S = short_trip().trace.duration_s
-CONTRACTS = message_contracts(load_contract())
 COLD = Ambient(temperature_k=273.15, oil_temperature_k=293.15, coolant_temperature_k=303.15)
 
 
@@ -64,24 +60,6 @@ def test_a_parked_car_is_silent_and_cools_down(stretches: list[Stretch], frames:
     gap = np.flatnonzero(np.diff(frames.t_s) > 1.0)
     assert len(gap) == 1
     assert frames.t_s[gap[0] + 1] >= back.t_start_s > frames.t_s[gap[0]] + PARKED_S - 0.1
-
-
-def test_each_trip_begins_as_controllers_do(frames: EncodedFrames) -> None:
-    """Counters from 0, values not available at first, the odometer where it was."""
-    back_s = round(TRIP_S + PARKED_S, 3)
-    for contract in CONTRACTS.values():
-        is_back = (frames.can_id == contract.can_id) & (frames.t_s >= back_s)
-        assert counter_of(frames.data[is_back])[:20].tolist() == [count % 15 for count in range(20)][: is_back.sum()]
-    odometer = CONTRACTS["IC_Odometer"].can_id
-    way_m = [
-        int.from_bytes(data.tobytes(), "little") >> 12 & 0xFFFF_FFFF for data in frames.data[frames.can_id == odometer]
-    ]
-    known_m = [value for value in way_m if value != 0xFFFF_FFFF]
-    assert known_m == sorted(known_m)
-    assert known_m[-1] - known_m[0] > 300
-    shift = CONTRACTS["TCU_Shift"]
-    first = frames.data[(frames.can_id == shift.can_id) & (frames.t_s >= back_s)][0]
-    assert first[1] >> 4 == 15
 
 
 def test_memory_does_not_grow_with_a_drive_without_end() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from tests.plugins.broker import Mosquitto
 from tests.support.replay import INTERFACE, Replay, UdpBus, free_bus
-from tests.support.service import Record, Service, run_service, service
+from tests.support.service import Record, Service, service
 from tests.support.subscriber import Subscriber
 
 FIRST_SHIFT_DONE_S = 3.2
@@ -83,20 +83,6 @@ def test_stopping_reports_the_open_shift_and_every_frame(tmp_path: Path, bus: Ud
     assert stored_keys(store) == [key(finished), key(cut)]
 
 
-def test_a_shift_that_ended_just_before_the_bus_fell_silent_is_told_at_once(
-    tmp_path: Path, bus: UdpBus, replay: Replay
-) -> None:
-    with service(
-        tmp_path, "run", "-i", INTERFACE, "-c", bus.group, "--vehicle", "car1", "--json", variables=bus.variables
-    ) as running:
-        running.wait_for(lambda: "listening" in running.err)
-        replay.send_until(FIRST_SHIFT_DONE_S - 0.5)
-        running.wait_for(lambda: running.out.count("\n") >= 1)
-        running.send(signal.SIGTERM)
-        shifts = running.wait().shifts
-    assert (shifts[-1]["from_gear"], shifts[-1]["to_gear"]) == (1, 2)
-
-
 @pytest.mark.broker
 def test_kill_9_in_the_middle_loses_no_report_and_repeats_none(
     tmp_path: Path, bus: UdpBus, replay: Replay, broker: Mosquitto
@@ -151,11 +137,3 @@ def test_a_broker_that_dies_and_returns_gets_every_shift(
     assert ended.status == 0
     assert ended.err.count("warning") == 1
     assert ended.summary["shifts"]["unpublished"] == 0
-
-
-def test_a_duration_ends_the_run(tmp_path: Path, bus: UdpBus) -> None:
-    arguments = ("run", "-i", INTERFACE, "-c", bus.group, "--store", tmp_path / "car.sqlite", "--duration", "0.2")
-    ended = run_service(tmp_path, *arguments, variables=bus.variables)
-    assert (ended.status, ended.err) == (0, "")
-    assert ended.out.startswith("listening on ")
-    assert "0 shifts" in ended.out

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 from jsonschema import Draft202012Validator
 
-from clutch_model.calibration import nominal_calibration
 from fleet_contract import schema
 from tests.plugins.broker import Mosquitto
 from tests.plugins.drives import SHIFT_COUNT
@@ -45,13 +44,6 @@ def test_json_lines_are_the_public_records(drive_log: Path, tmp_path: Path) -> N
     assert frames["on_bus"] == frames["decoded"] + frames["ignored"] + sum(frames["rejected"].values())
 
 
-def test_people_get_a_line_per_shift_and_a_table(drive_log: Path, tmp_path: Path) -> None:
-    ended = run("analyze", drive_log)
-    assert (ended.status, ended.err) == (0, "")
-    assert ended.out.count(" valid ") == SHIFT_COUNT
-    assert f"{SHIFT_COUNT} shifts ({SHIFT_COUNT} valid)" in ended.out
-
-
 def test_the_same_log_twice_is_stored_once(drive_log: Path, tmp_path: Path) -> None:
     arguments = ("analyze", drive_log, "--json", "--store", tmp_path / "car.sqlite")
     first, second = (run(*arguments) for name in ("first", "second"))
@@ -81,25 +73,6 @@ def test_damage_in_a_log_is_counted_and_told(drive_log: Path, tmp_path: Path) ->
     assert ended.summary["frames"]["unreadable"] == {"malformed": 1}
     assert "damaged.log: 1 pieces of the log are not frames" in ended.err
     assert ended.err.count("\n") == 1
-
-
-def test_a_calibration_of_another_version_starts_a_state_of_its_own(drive_log: Path, tmp_path: Path) -> None:
-    store = tmp_path / "car.sqlite"
-    run("analyze", drive_log, "--json", "--store", store)
-    edited = tmp_path / "edited.toml"
-    inertia = nominal_calibration().input_side.engine_inertia_kg_m2
-    edited.write_text(
-        NOMINAL.read_text(encoding="utf-8").replace(
-            f"engine_inertia_kg_m2 = {inertia:g}", f"engine_inertia_kg_m2 = {inertia * 1.01:g}"
-        ),
-        encoding="utf-8",
-    )
-    second = run("analyze", drive_log, "--json", "--store", store, "--calibration", edited)
-    assert second.status == 0
-    assert "starting afresh with a new baseline, results stay" in second.err
-    assert second.summary["shifts"]["stored"] == SHIFT_COUNT
-    assert [clutch["shift_count"] for clutch in second.summary["clutches"]] == [1, 2]
-    assert len(stored_keys(store)) == 2 * SHIFT_COUNT
 
 
 @pytest.mark.parametrize(
@@ -203,9 +176,3 @@ def test_results_without_a_broker_wait_in_the_store(drive_log: Path, tmp_path: P
         assert (present.status, present.err, present.summary["shifts"]["unpublished"]) == (0, "", 0)
         subscriber.wait(lambda heard: len(heard.payloads("car1/shift")) == SHIFT_COUNT)
         assert subscriber.payloads("car1/shift") == absent.shifts
-
-
-def test_results_that_nobody_keeps_are_told(drive_log: Path, tmp_path: Path) -> None:
-    ended = run("analyze", drive_log, "--broker", f"mqtt://127.0.0.1:{free_port()}")
-    assert ended.status == 0
-    assert f"{SHIFT_COUNT} results were not delivered and are not kept" in ended.err

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import can
 import pytest
-from can.interfaces.virtual import VirtualBus
 
 from canlog.errors import NOTICE
 from diag_service.diagnosis.columns import Signal
@@ -20,10 +19,9 @@ from diag_service.mapping.interpretation import interpret
 from diag_service.mapping.profile import AskingRules, Profile, load_profile, load_shipped
 from diag_service.tester import signal_asking
 from diag_service.tester.addresses import CanAddress
-from diag_service.tester.signal_asking import Plan, SignalAsker, line_on
+from diag_service.tester.signal_asking import SignalAsker, line_on
 from ecu_emulator.diagnostics.controller import Controller
-from ecu_emulator.diagnostics.table_file import personalities, table_like
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.diagnostics.table_file import table_like
 from tests.integration.test_tester import vehicle
 from tests.support.asked import batch_of
 from tests.support.patience import HANG_S
@@ -134,18 +132,6 @@ def test_where_the_profile_allows_it_a_round_is_one_datum_that_the_controller_wa
     assert reader.answered.keys() == {one.data_id for one in profile.asked.values()}
     by_load = {"no answer in time", "an answer to no request"}  # of a machine that was busy meanwhile
     assert reader.faults.keys() <= {"refused with 31", *by_load}  # to forget what was never defined
-
-
-@pytest.mark.asks(may_define=True)
-def test_a_controller_that_makes_no_data_is_asked_for_each(channel: str, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(NOTICE)
-    with (
-        vehicle(channel, controller(without=0x2C)),
-        asked(load_shipped("dct_asked"), channel, define=True) as asker,
-    ):
-        wait_for(lambda: asker.set_count >= 3)
-        assert len(asker.plan.fast[0].data) == 5
-    assert "7E1 makes no datum of others: service not supported (11)" in caplog.text
 
 
 @pytest.mark.parametrize("together", [1, 8])
@@ -286,30 +272,6 @@ def test_odd_answers_are_told_in_words_give_no_sample_and_end(
     assert not reader.answered
 
 
-def test_a_controller_that_asks_for_patience_is_asked_once(
-    channel: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    caplog.set_level(NOTICE)
-    profile, pending = pressure_profile(tmp_path), "03 7F 22 78"
-    with (
-        heard(channel) as ear,
-        canned(channel, pending, 0.4, pending, 0.4, pending, 0.2, GOOD) as car,
-        asked(profile, channel) as asker,
-    ):
-        wait_for(lambda: car.begun_count)  # not until the ear heard the request: the car hears it in its own thread
-        car.answers["2238EB"] = [GOOD]  # from the second request on
-        wait_for(lambda: asker.set_count >= 3)
-    first_s, second_s = (one.timestamp for one in ear.requests()[:2])
-    assert second_s - first_s > 1.0
-    first = [one for one in ear.frames if one.timestamp < second_s]
-    assert "7E1 (answers 7E9) asks for patience (78): its answer comes too late to be a sample" in caplog.text
-    reader = Overheard(list(profile.asked.values()))
-    for _ in [*reader.feed(batch_of(first)), *reader.drain()]:
-        pass
-    assert not reader.answered
-    assert reader.faults
-
-
 def samples_in(profile: Path, frames: Sequence[can.Message]) -> set[float]:
     """Return the clutch pressures [Pa] that a dialogue tells by the file of a profile."""
     decoder = interpret(None, profile).decoder()
@@ -342,28 +304,6 @@ def test_a_controller_that_dies_in_an_answer_and_starts_anew_gives_no_wrong_samp
     assert samples_in(tmp_path / "one.toml", ear.frames) == {0x190 * 1e5}
 
 
-def test_an_interface_that_goes_down_is_read_again(
-    channel: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    down, read = threading.Event(), VirtualBus._recv_internal
-
-    def failing(bus: VirtualBus, timeout: float | None) -> tuple[can.Message | None, bool]:
-        if down.is_set() and threading.current_thread().name == "signal asker":
-            raise can.CanOperationError("Error receiving: Network is down", 100)
-        return read(bus, timeout)
-
-    monkeypatch.setattr(VirtualBus, "_recv_internal", failing)
-    monkeypatch.setattr(signal_asking, "FIRST_PAUSE_S", 0.05)
-    with vehicle(channel, controller()), asked(load_shipped("dct_asked"), channel) as asker:
-        wait_for(lambda: asker.set_count >= 2)
-        down.set()
-        wait_for(lambda: caplog.text.count("the bus cannot be read") and "trying again" in caplog.text)
-        time.sleep(0.3)  # it is opened anew, and cannot be listened to
-        down.clear()
-        count = asker.set_count
-        wait_for(lambda: asker.set_count > count)
-
-
 @pytest.mark.asks(may_define=True)
 def test_a_log_that_begins_in_a_drive_hears_what_a_datum_is_made_of(
     channel: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -393,19 +333,3 @@ def test_a_controller_that_is_silent_keeps_no_other_from_being_asked(
     with vehicle(channel, controller()), asked(load_profile(path), channel) as asker:
         wait_for(lambda: asker.set_count >= 3)
     assert "7E0 (answers 7E8) does not answer: it is asked now and then" in caplog.text
-
-
-def test_temperatures_are_asked_for_rarely() -> None:
-    profile = load_shipped("dct_asked")
-    plan = Plan(profile.asked, AskingRules(together=3))
-    assert [len(one.data) for one in plan.fast] == [3, 2]
-    rounds = [len(plan.due(0.02 * number)) for number in range(100)]
-    assert sum(number == 3 for number in rounds) == 4 + 2
-    assert profile.sources[Signal.CLUTCH1_PRESSURE].place == "38EB at 7E1"
-
-
-def test_a_personality_answers_with_its_own_data() -> None:
-    assert personalities() == ("bmw_dkg", "vw_dsg")
-    assert controller().ask(bytes.fromhex("2238EB100C")) == bytes.fromhex("6238EB0190100C0960")
-    with pytest.raises(ConfigError, match="nobody answers like audi: there are bmw_dkg, vw_dsg"):
-        table_like("audi")

@@ -154,29 +154,6 @@ def sent(row: StoredResult) -> tuple[str, bytes]:
     return message.topic, message.payload
 
 
-def test_damaged_pages_are_told(path: Path) -> None:
-    fill(path, 50)
-    content = bytearray(path.read_bytes())
-    content[4096:] = b"\xa5" * (len(content) - 4096)
-    path.write_bytes(content)
-    with pytest.raises(StoreError, match="malformed"):
-        ResultStore.open(path)
-
-
-def changed(path: Path, sql: str, *values: object) -> None:
-    with closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute(sql, values)
-
-
-def test_a_stream_that_has_used_up_its_numbers_ends_and_another_one_begins(path: Path) -> None:
-    stream = fill(path, 1)
-    changed(path, "UPDATE meta SET value = ? WHERE key = 'last_seq'", str(2**63 - 1))
-    with closing(ResultStore.open(path)) as store:
-        assert (store.stream != stream, store.next_seq()) == (True, 1)
-        assert store.add(shift_result(store.next_seq(), stream=store.stream), STATE)
-        assert store.unpublished_count("car1") == 2
-
-
 @pytest.mark.parametrize(
     ("sql", "read"),
     [

@@ -82,19 +82,6 @@ def test_running_states_of_then_are_left_alone(
     assert f"the running state of {vehicle} was made by algorithm torque-impulse-4" in caplog.text
 
 
-def test_a_calibration_of_then_is_the_same_calibration(store_path: Path) -> None:
-    with closing(ResultStore.open(store_path)) as store:
-        kept = store.state("car2")
-    assert kept is not None
-    assert kept.versions.calibration == versions_for(read_calibration(earlier.CALIBRATION)).calibration
-
-
-def test_the_stream_of_the_live_service_goes_on(store_path: Path) -> None:
-    with closing(ResultStore.open(store_path)) as store:
-        assert store.stream == "932dcb9e-1137-4094-bfa5-b368d171807a"
-        assert store.next_seq() == 4
-
-
 def test_a_fleet_database_keeps_its_results_and_knows_them_again(tmp_path: Path, store_path: Path) -> None:
     engine = open_database(f"sqlite:///{earlier.database('fleet.sql', tmp_path / 'fleet.sqlite')}")
     make_ready(engine)

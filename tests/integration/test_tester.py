@@ -1,7 +1,7 @@
 """The tester against our controller on a virtual bus: listens first, asks only if told to, decodes what it hears."""
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,6 @@ from typing import Any
 import can
 import pytest
 
-from diag_service.tester.scanning import find_addresses
 from ecu_emulator.diagnostics.controller import Controller
 from ecu_emulator.diagnostics.link import DiagnosticLink
 from ecu_emulator.diagnostics.memory import TestResult as Result
@@ -198,30 +197,6 @@ def test_a_scan_finds_the_controller_and_nothing_else(car: Vehicle) -> None:
     assert "  F190  vehicle identification number" in shown
 
 
-def test_an_answer_that_comes_while_the_next_is_asked_is_of_the_one_before() -> None:
-    heard: list[int] = []
-
-    def hear(message: can.Message) -> None:
-        heard.append(message.arbitration_id)
-        if message.arbitration_id == 0x7E1:
-            answer = can.Message(arbitration_id=0x7E9, is_extended_id=False, data=b"\x03\x7f\x3e\x12")
-            late = threading.Timer(0.45, near.send, [answer])
-            late.start()
-            timers.append(late)
-
-    timers: list[threading.Timer] = []
-    with (
-        can.Bus("late", "virtual") as near,
-        can.Bus("late", "virtual") as far,
-        can.Notifier(near, [hear], timeout=0.05),
-    ):
-        (found,) = find_addresses(far, range(0x7E0, 0x7E4), frozenset(), wait_s=0.3)
-        for timer in timers:
-            timer.join()
-    assert (found.request_id, found.response_id) == (0x7E1, 0x7E9)
-    assert heard == [0x7E0, 0x7E1, 0x7E2, 0x7E2, 0x7E1, 0x7E3]  # the last one first, when it was asked again
-
-
 @contextmanager
 def another_tester(channel: str, can_id: int) -> Iterator[None]:
     is_over = threading.Event()
@@ -248,29 +223,6 @@ def test_where_another_tester_is_at_work_nothing_is_asked(car: Vehicle, can_id: 
             3, f"another tester is asking on this bus (requests on {can_id:X})"
         )
         assert set(car.heard) == {can_id}
-
-
-@pytest.mark.parametrize(
-    ("words", "status", "text"),
-    [
-        (["dtc", "--mask", "1FF"], 2, "--mask must be hexadecimal, 0 to FF"),
-        (["dtc", "--timeout", "0"], 2, "--timeout must be 0.001 to 3600 s, got 0"),
-        (["dtc", "--listen", "nan"], 2, "--listen must be 0 to 3600 s, got nan"),
-        (["did", "no such", "-d", "dct"], 2, "'no such' is not a datum"),
-        (["routine", "1", "start", "--unlock", "2=00"], 2, "--unlock must be LEVEL=MASK"),
-        (["routine", "1", "start", "--options", "0"], 2, "--options must be hexadecimal bytes"),
-        (["dtc", "--clear", "oil"], 2, "--clear must be all, obd, a code such as P0811 or P0811-07, or three bytes"),
-        (["routine", "1", "stop", "--options", "00"], 2, "options are for the start of a routine"),
-        (["scan", "--first", "7E1", "--last", "7E0"], 2, "there is no identifier from 7E1 to 7E0"),
-        (["scan", "--wait", "0"], 2, "--wait must be 0.001"),
-        (["dtc", "--doip", "127.0.0.1"], 2, "--doip needs --ecu"),
-        (["dtc", "--doip", "nowhere", "--ecu", "1011"], 2, "--doip must be an IP address"),
-        (["dtc", "--doip", "127.0.0.1:0", "--ecu", "1011"], 2, "the port must be 1..65535"),
-        (["dtc", "--ecu", "7E1", "--description", "nothing"], 2, "no controller nothing"),
-    ],
-)
-def test_what_cannot_be_is_told_in_one_line(words: Sequence[str], status: int, text: str) -> None:
-    ended(*words, "-i", "virtual", "-c", "nobody", "--active").assert_one_line(status, text)
 
 
 def test_over_ip() -> None:

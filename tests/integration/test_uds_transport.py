@@ -1,7 +1,6 @@
 """Requests and responses frame by frame, as ISO 15765-2 writes them, and by another library on a bus."""
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +9,7 @@ import can
 import isotp
 import pytest
 
-from ecu_emulator.diagnostics.link import MOST_FRAMES, MOST_REQUESTS, DiagnosticLink
+from ecu_emulator.diagnostics.link import MOST_REQUESTS, DiagnosticLink
 from ecu_emulator.diagnostics.memory import TestResult as Result
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.state import ServerState
@@ -37,26 +36,6 @@ def test_a_long_response_waits_for_flow_control(wire: Wire) -> None:
     wire.put("31 00 00")  # wait
     wire.put("30 00 00")
     assert wire.get() == "22 45 44 30 30 30 34 37"
-
-
-@pytest.mark.parametrize(("own_address", "before"), [(None, ""), (0x18, "f1 ")])
-def test_periodic_data_come_in_frames_of_their_own_as_long_as_they_are(own_address: int | None, before: str) -> None:
-    with Wire(Transport(padding=None, own_address=own_address)) as wire:
-        to = "" if own_address is None else f"{own_address:02x} "
-        wire.put(f"{to}02 10 03")
-        assert wire.get().startswith(f"{before}06 50 03")
-        wire.put(f"{to}03 2a 02 00")
-        assert wire.get() == f"{before}01 6a"
-        assert [wire.get_periodic() for _ in range(2)] == [f"{before}00 0c af 00 00 00 ff"] * 2
-    assert wire.link.counts.periodic >= 2
-
-
-def test_a_request_to_all_is_a_single_frame(wire: Wire) -> None:
-    wire.put("02 3e 00", ALL_ID)
-    assert wire.get().startswith("02 7e 00")
-    wire.put("10 08 22 f1 90 f1 90 f1", ALL_ID)
-    wire.put("02 84 00", ALL_ID)  # not supported, and not only this controller was asked
-    assert wire.is_quiet()
 
 
 def test_requests_that_come_while_a_response_goes_out_wait_up_to_a_number(wire: Wire) -> None:
@@ -118,40 +97,6 @@ def test_whom_78_has_promised_a_response_gets_one_that_others_would_not(tmp_path
             store.may_go_on.set()
         assert wire.get().startswith("03 7f 22 31")
         monitor.join()
-
-
-def test_a_flood_is_bounded_and_counted() -> None:
-    link = DiagnosticLink(parked_controller(), lambda _: None)  # nobody looks at the frames yet
-    for _ in range(MOST_FRAMES + 7):
-        link.feed(can.Message(arbitration_id=0x7E1, is_extended_id=False, data=b"\x02\x3e\0"))
-    assert link.counts.dropped_frames == 7
-
-
-def test_a_bus_that_takes_nothing_does_not_end_the_link() -> None:
-    heard = threading.Event()
-    is_down = True
-
-    def send(message: can.Message) -> None:
-        if is_down:
-            raise can.CanOperationError("full")
-        heard.set()
-
-    with DiagnosticLink(parked_controller(), send) as link:
-        request = can.Message(arbitration_id=0x7E1, is_extended_id=False, data=b"\x02\x3e\0")
-        link.feed(request)
-        deadline_s = time.monotonic() + HANG_S
-        while not link.counts.unsent_frames and time.monotonic() < deadline_s:
-            time.sleep(0.005)
-        is_down = False
-        link.feed(request)
-        assert heard.wait(HANG_S)
-
-
-def test_what_goes_wrong_in_the_thread_is_raised_where_it_was_started(monkeypatch: pytest.MonkeyPatch) -> None:
-    controller = parked_controller()
-    monkeypatch.setattr(controller, "tick", lambda: 1 / 0)
-    with pytest.raises(ZeroDivisionError), DiagnosticLink(controller, lambda _: None) as link:
-        link._thread.join(HANG_S)
 
 
 @contextmanager

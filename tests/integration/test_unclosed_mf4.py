@@ -1,6 +1,5 @@
 """An MF4 file that its writer did not close is no evidence that anything is missing: loggers leave every file so."""
 
-import json
 from pathlib import Path
 
 import pytest
@@ -37,18 +36,3 @@ def test_a_log_that_was_not_closed_gets_its_verdict(unclosed: Path) -> None:
     assert f"{unclosed}: the recorder did not close the log" in told.err
     assert (told.summary["complete"], told.summary["incomplete"]) == (True, [])
     assert "good" in {clutch["condition"] for clutch in told.summary["clutches"]}
-
-
-def test_decode_loses_nothing_of_a_log_that_was_not_closed(unclosed: Path, tmp_path: Path) -> None:
-    told = ended("decode", unclosed, "-o", tmp_path / "out.parquet", "--strict", "--json")
-    assert told.status == 0, told.err
-    record = json.loads(told.out)
-    assert (record["unfinished"], record["losses"]) == (True, [])
-    assert "the recorder did not close the log" in ended("decode", unclosed, "-o", tmp_path / "again.parquet").out
-
-
-def test_inspect_and_signals_take_it_for_whole(unclosed: Path) -> None:
-    inspected = ended("inspect", unclosed, "--json")
-    assert json.loads(inspected.out)["complete"]
-    assert "the recorder did not close the log" in ended("inspect", unclosed).out
-    assert "ends before its own end" not in ended("signals", unclosed).out

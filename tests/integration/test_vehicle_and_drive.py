@@ -23,12 +23,3 @@ def test_two_drives_of_one_vehicle_share_the_car_and_nothing_else(tmp_path: Path
     assert truths[0].mu_c == truths[1].mu_c
     assert [(truth.vehicle_seed, truth.drive_seed) for truth in truths] == [(7, 1), (7, 2), (8, 1)]
     assert len({path.read_bytes() for path in (first, later, other)}) == 3
-
-
-def test_a_seed_alone_is_that_of_the_car_and_of_the_drive(tmp_path: Path) -> None:
-    alone = recorded(tmp_path, "alone", "--seed", "7")
-    both = recorded(tmp_path, "both", "--vehicle-seed", "7", "--drive-seed", "7")
-    car = recorded(tmp_path, "car", "--seed", "3", "--vehicle-seed", "7", "--drive-seed", "7")
-    assert alone.read_bytes() == both.read_bytes() == car.read_bytes()
-    truth = read_truth(truth_path(alone)).drive
-    assert (truth.seed, truth.vehicle_seed, truth.drive_seed) == (7, 7, 7)

@@ -58,19 +58,6 @@ def in_terminal(width: int, module: str, *words: str | Path, cwd: Path | None = 
     return Run(status, b"".join(pieces), err)
 
 
-def in_pipe(module: str, *words: str | Path, cwd: Path | None = None, **environment: str) -> Run:
-    """Run a program whose standard output is a pipe that is read to its end."""
-    done = subprocess.run(
-        [sys.executable, "-m", module, *words],
-        capture_output=True,
-        env={**_environment(), **environment},
-        cwd=cwd,
-        timeout=RUN_S,
-        check=False,
-    )
-    return Run(done.returncode, done.stdout, done.stderr)
-
-
 def in_broken_pipe(module: str, *words: str | Path, cwd: Path | None = None) -> Run:
     """Run a program whose standard output nobody reads any more."""
     reading, writing = os.pipe()

@@ -28,8 +28,18 @@ from ecu_emulator.diagnostics.services.sessions import key_of
 from ecu_emulator.diagnostics.state import Instant, Request, ServerState
 from ecu_emulator.diagnostics.table import DiagnosticTable
 from ecu_emulator.diagnostics.values import Values
-from tests.support.uds.pair import MORE, PARKED
 
+PARKED = {
+    "vehicle_speed_m_s": 0.0, "engine_speed_rad_s": 85.0, "sump_temperature_k": 353.0, "pedal_ratio": 0.0,
+    "current_gear": 0.0, "brake_pressure_pa": 1e6, "engine_run_time_s": 60.0, "revs_possible": 1.0,
+    "clearing_possible": 1.0, "adaptation_possible": 1.0,
+}  # fmt: skip
+MORE = {
+    "time_s": 12.34, "odometer_m": 45_678_901.0, "target_gear": 3.0, "engine_torque_nm": -12.3, "shift_count": 77.0,
+    "clutch1_slip_rad_s": -3.2, "clutch2_slip_rad_s": 1e9, "clutch1_pressure_pa": 3.1e5, "clutch2_pressure_pa": -9e9,
+    "clutch1_temperature_k": 390.2,
+    "clutch1_touch_pressure_pa": 1.2e5,
+}  # fmt: skip
 SEED = bytes(range(1, 17))
 PENDING = 0x78
 T_S = 1000.0
