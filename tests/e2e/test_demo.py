@@ -118,13 +118,3 @@ def test_a_scenario_that_does_not_exist_is_one_clear_line(tmp_path: Path) -> Non
     assert process.returncode == 1
     assert "demo: error: ecu-emulator ended with status 2" in said
     assert "nowhere" in said.splitlines()[-1]
-
-
-def test_two_demos_do_not_share_a_folder(tmp_path: Path) -> None:
-    with demo(tmp_path) as first:
-        assert first.stdout is not None
-        assert first.stdout.readline().startswith("bus:")
-        with demo(tmp_path) as second:
-            said, _ = second.communicate(timeout=HANG_S)
-    assert second.returncode == 1
-    assert "another demo writes to" in said

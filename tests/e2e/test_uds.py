@@ -78,27 +78,3 @@ def test_a_workshop_tester_asks_a_car_that_drives(kind: str, request: pytest.Fix
     assert program.returncode == 0, err
     assert json.loads(out)["foreign_frames"] == 0
     assert json.loads(memory.read_text(encoding="utf-8"))["written"]["F198"] == b"CLUTCHSHOP".hex()
-
-
-FAULTY = """
-name = "faulty"
-[[sensor_faults]]
-quantity = "sump_temperature_k"
-kind = "not_available"
-"""
-
-
-def test_a_sensor_that_fails_in_two_drives_is_a_confirmed_code(tmp_path: Path) -> None:
-    bus = udp_bus()
-    memory, scenario = tmp_path / "tcu.json", tmp_path / "faulty.toml"
-    scenario.write_text(FAULTY, encoding="utf-8")
-    told = []
-    for _ in range(2):
-        with emulator(*bus, "--diagnostic-memory", str(memory), "--scenario", str(scenario)) as program:
-            told.append(asked(*bus, "--failed"))
-            program.send_signal(signal.SIGINT)
-            out, err = program.communicate(timeout=HANG_S)
-    assert [drive["status"] for drive in told] == [{"071164": 0x27}, {"071164": 0xAF}]  # pending, then confirmed
-    assert told[1]["snapshots"] == {"071164": [1, 2]}
-    assert json.loads(out)["diagnostics"]["confirmed"] == ["P0711"]
-    assert "confirmed trouble codes: P0711\n" in err

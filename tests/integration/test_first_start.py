@@ -67,13 +67,12 @@ def ended_by(number: signal.Signals, program: "subprocess.Popen[str]", folder: P
     return program.returncode, said, len(list((folder / "cache").rglob("*.nbi")))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize(
-    "command",
+    ("number", "command"),
     [
-        ("ecu_emulator", "record", "made.log", "--cycles", "1"),
-        ("diag_service", "analyze", "drive.log"),
-        ("diag_service", "analyze", "drive.log", "--store", "made.sqlite"),
+        (signal.SIGINT, ("ecu_emulator", "record", "made.log", "--cycles", "1")),
+        (signal.SIGINT, ("diag_service", "analyze", "drive.log")),
+        (signal.SIGTERM, ("diag_service", "analyze", "drive.log", "--store", "made.sqlite")),
     ],
 )
 def test_a_signal_ends_a_program_that_compiles_and_nothing_is_left(
@@ -88,8 +87,7 @@ def test_a_signal_ends_a_program_that_compiles_and_nothing_is_left(
     assert {path.name for path in tmp_path.iterdir()} == {"cache", "drive.log"}
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_a_demonstration_that_compiles(number: signal.Signals, tmp_path: Path) -> None:
+def test_a_signal_ends_a_demonstration_that_compiles(tmp_path: Path) -> None:
     """It does not wait for a program that is amid a kernel, which may take as long as it likes: here for ever."""
     log = tmp_path / "demo-output" / "ecu-emulator.log"
     with first_started(ROOT, "demo", "--output", str(log.parent), XDG_CACHE_HOME=str(tmp_path / "cache")) as demo:
@@ -98,23 +96,21 @@ def test_a_signal_ends_a_demonstration_that_compiles(number: signal.Signals, tmp
             time.sleep(POLL_S)
         (emulator,) = psutil.Process(demo.pid).children()
         emulator.suspend()
-        demo.send_signal(number)
+        demo.send_signal(signal.SIGINT)
         _, said = demo.communicate(timeout=HANG_S)
         assert not emulator.is_running()
     assert (demo.returncode, said) == (130, "\ndemo: interrupted\n")
     assert len(list((tmp_path / "cache").rglob("*.nbi"))) < FEW_KERNELS
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_an_emulator_that_compiles(number: signal.Signals, tmp_path: Path) -> None:
+def test_a_signal_ends_an_emulator_that_compiles(tmp_path: Path) -> None:
     with first_started(tmp_path, "ecu_emulator", "run", "-i", "virtual", "-c", "any") as program:
-        status, said, kernels = ended_by(number, program, tmp_path)
+        status, said, kernels = ended_by(signal.SIGTERM, program, tmp_path)
     assert (status, kernels < FEW_KERNELS) == (0, True), said
     assert "stopped early" in said
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_a_live_service_that_compiles(number: signal.Signals, tmp_path: Path) -> None:
+def test_a_signal_ends_a_live_service_that_compiles(tmp_path: Path) -> None:
     lines = lzma.decompress(RECORDING.read_bytes()).decode("ascii").splitlines()
     frames = [line.split()[2].split("#") for line in lines]
     is_over = threading.Event()
@@ -134,7 +130,7 @@ def test_a_signal_ends_a_live_service_that_compiles(number: signal.Signals, tmp_
         try:
             words = ("diag_service", "run", *medium.arguments, "--store", "made.sqlite")
             with first_started(tmp_path, *words, **medium.environment) as program:
-                status, said, kernels = ended_by(number, program, tmp_path)
+                status, said, kernels = ended_by(signal.SIGTERM, program, tmp_path)
         finally:
             is_over.set()
             sender.join()

@@ -16,8 +16,17 @@ BEFORE, LOADED = "fleet_backend.arguments", "fleet_backend.programs"  # modules;
 AGAIN_S = 1.0e-3
 
 
-@pytest.mark.parametrize("word", ["ingest", "serve", "watch", "watch and serve", "follow"])
-@pytest.mark.parametrize(("module", "pause_s"), [(BEFORE, 0.0), (BEFORE, 0.1), (LOADED, 0.0), (LOADED, 0.5)])
+@pytest.mark.parametrize(
+    ("word", "module", "pause_s"),
+    [
+        ("ingest", BEFORE, 0.0),
+        ("serve", BEFORE, 0.1),
+        ("watch", LOADED, 0.0),
+        ("watch and serve", LOADED, 0.5),
+        ("ingest", LOADED, 0.5),
+        ("follow", LOADED, 0.0),
+    ],
+)
 def test_signals_at_any_moment_end_the_backend_well(
     tmp_path: Path, broker: Mosquitto, sqlite_url: str, word: str, module: str, pause_s: float
 ) -> None:

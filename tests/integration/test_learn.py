@@ -87,25 +87,6 @@ def test_a_description_tells_the_gears_of_a_table_without_them(car: tuple[Path, 
     assert len(shifts) >= 10
 
 
-def test_a_table_that_nobody_explains_is_read_as_is_proposed_for_it(
-    car: tuple[Path, list[float]], tmp_path: Path
-) -> None:
-    table, profile = tmp_path / "drives" / "car.csv", tmp_path / "car.toml"
-    table.parent.mkdir()
-    written(car[0], table, np.random.default_rng(5), left_out=frozenset())
-    profile.write_text(proposed_profile(table), encoding="utf-8")
-    run = ended("analyze", table)
-    assert (run.status, "car.csv is a table of signals, read with the profile proposed for it" in run.err) == (0, True)
-    own, named = diag_service.analyze(table), diag_service.analyze(table, profile=profile)
-    assert own.verdicts == named.verdicts
-    assert len(own.results) == len(named.results) >= 10
-    assert "tier 1, columns read as proposed" in ended("analyze", table.parent).out
-    (drive,) = diag_service.analyze_folders(table.parent).drives
-    assert len(drive.results) == len(own.results)
-    assert diag_service.learn(table) == diag_service.learn(table, profile)
-    assert ended("report", table, "-o", tmp_path / "car.html").status == 0
-
-
 def changes(*words: str | Path) -> list[tuple[int, int]]:
     run = ended(*words)
     assert run.status == 0, run.err

@@ -99,23 +99,6 @@ def test_a_profile_is_proposed_with_the_ratios_that_the_table_shows(tmp_path: Pa
     assert {one["status"] for one in found} == {"unobserved"}
 
 
-def test_shifts_of_a_table_are_predicted_from_each_other(tmp_path: Path) -> None:
-    log, table, profile = tmp_path / "car.log", tmp_path / "car.csv", tmp_path / "car.toml"
-    assert emulator(["record", str(log), "--seed", "5", "--cycles", "2"]) == 0
-    written(log, table, np.random.default_rng(5))
-    profile.write_text(ended("signals", table).out, encoding="utf-8")
-    run = ended("predict", table, "--profile", profile, "--json")
-    assert run.status == 0, run.err
-    group = next(one for one in map(json.loads, run.out.splitlines()) if one["group"] == "power upshifts")
-    assert len(group["shifts"]) == 10
-    (score,) = group["scores"].values()
-    assert score["median_error_ratio"] < 0.15
-    assert json.loads(json.dumps(diag_service.predict(table, profile)))[0] == group
-    shown = ended("predict", table, "--profile", profile, "--halves").out
-    assert "power upshifts: change of engine speed in the slip [rpm]" in shown
-    assert "median error" in shown
-
-
 def asked(folder: Path, rate_hz: float) -> tuple[list[dict[str, Any]], str]:
     """Return what is found in a table of a car with 20 gear changes, and what is shown of it."""
     log, table, profile = folder / "car.log", folder / "car.csv", folder / "car.toml"
