@@ -23,6 +23,8 @@ export OPENBLAS_NUM_THREADS
 PY = "$(VENV)/bin/python"
 INSTALL = $(PY) -m pip --disable-pip-version-check install -qq
 SHUFFLED = $(if $(ORDER),--order-seed "$(ORDER)")
+# Run a part, and say when it has ended how long it took: $(call timed,what,command).
+timed = began=$$(date +%s); { $(2); }; status=$$?; echo "test: $(1): $$(($$(date +%s) - began)) s"; ( exit $$status )
 # The ones that print figures of speed and size; studies of accuracy have targets or commands of their own.
 BENCH = estimator fleet_ingest hour live_latency outbox plant readers service_memory
 
@@ -146,8 +148,9 @@ static: setup-all
 	@$(PY) -m check_jsonschema --quiet --builtin-schema vendor.compose-spec docker-compose.yml
 	@$(PY) -m check_jsonschema --quiet --builtin-schema vendor.github-workflows .github/workflows/ci.yml
 
-test: setup-system static-and-warm test-both
-	@echo "test: all passed, none skipped"
+test: setup-system
+	@$(call timed,checks and compiling,$(MAKE) --no-print-directory static-and-warm) && \
+	  $(call timed,tests,$(MAKE) --no-print-directory test-both) && echo "test: all passed, none skipped"
 
 # Each keeps one core busy.
 static-and-warm: setup-all
@@ -168,12 +171,15 @@ warm: setup-all
 	  $(PY) -c 'from canlog.live.socketcan import FrameReceiver; FrameReceiver(-1)'; } >"$$folder/said" 2>&1 || { \
 	  cat "$$folder/said" >&2; exit 1; }
 
-# The guest has one processor and mostly waits for real time, so it runs beside; what it said follows.
+# The guest has one processor and mostly waits for real time, so it runs beside; what it said follows, and how long it
+# took until it said the last of it.
 test-both: setup-all
 	@said=$$(mktemp) && trap 'rm -f "$$said"' EXIT && trap 'kill $$beside 2>/dev/null; exit 130' INT TERM && { \
-	  $(MAKE) --no-print-directory test-vcan >"$$said" 2>&1 & beside=$$!; \
-	  $(MAKE) --no-print-directory test-host; on_host=$$?; \
-	  wait $$beside; on_vcan=$$?; cat "$$said"; [ $$on_host -eq 0 ] && [ $$on_vcan -eq 0 ]; \
+	  both_began=$$(date +%s); $(MAKE) --no-print-directory test-vcan >"$$said" 2>&1 & beside=$$!; \
+	  $(call timed,on this machine,$(MAKE) --no-print-directory test-host); on_host=$$?; \
+	  wait $$beside; on_vcan=$$?; cat "$$said"; \
+	  echo "test: on a real vcan, beside it: $$(($$(date -r "$$said" +%s) - both_began)) s"; \
+	  [ $$on_host -eq 0 ] && [ $$on_vcan -eq 0 ]; \
 	}
 
 # Four workers keep two cores busy: half of them wait, for a drive in real time, a broker or a process that was killed.

@@ -8,6 +8,7 @@ import os
 import platform
 import shutil
 import subprocess
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,7 @@ class RunReport:
 
     def __init__(self) -> None:
         self.skipped: list[str] = []
+        self.counts, self.durations_s = Counter[str](), Counter[str]()
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         """Note a module that was skipped as a whole."""
@@ -46,7 +48,10 @@ class RunReport:
             self.skipped.append(report.nodeid)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Note a skipped test; an expected failure ran, so it is none."""
+        """Note what a test took, and that it was skipped; an expected failure ran, so it is none."""
+        folder = "/".join(report.nodeid.split("/")[:2])
+        self.counts[folder] += report.when == "call"
+        self.durations_s[folder] += report.duration
         if report.skipped and not hasattr(report, "wasxfail"):
             self.skipped.append(report.nodeid)
 
@@ -56,7 +61,9 @@ class RunReport:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """Name kernel and broker, and whatever was skipped."""
+        """Tell what each folder of tests took, name kernel and broker, and whatever was skipped."""
+        for folder, duration_s in self.durations_s.most_common():
+            terminalreporter.write_line(f"{folder}: {self.counts[folder]} tests, {duration_s:.0f} s of all workers")
         terminalreporter.write_line(f"kernel: {kernel_line()}; broker: {broker_line()}; skipped: {len(self.skipped)}")
         for name in self.skipped:
             terminalreporter.write_line(f"skipped, which fails this run: {name}", red=True)
