@@ -1,8 +1,5 @@
 """Asking controllers that are not ours, and our personalities asked by testers that are not ours."""
 
-import json
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
@@ -26,11 +23,9 @@ from diag_service.mapping.profile import AskingRules, load_shipped
 from diag_service.tester.signal_asking import SignalAsker, address_of, line_on
 from ecu_emulator.diagnostics.doip.listening import Place
 from ecu_emulator.diagnostics.doip.server import DoipServer
-from ecu_emulator.diagnostics.elm327.server import ElmServer
 from tests.integration.test_other_senders import two_ends
 from tests.integration.test_signal_asking import controller, wait_for
 from tests.integration.test_tester import vehicle
-from tests.support.patience import HANG_S
 from tests.support.ports import free_port
 from tests.support.uds.udsoncan_client import CONFIG, ISO_TP, Number
 
@@ -121,13 +116,3 @@ def test_our_personality_tells_udsoncan(way: str) -> None:
         client = stack.enter_context(Client(connection, config=config))
         told: Any = client.read_data_by_identifier(list(numbers))
         assert told.service_data.values == {0x100C: 2400, 0x38EB: 400, 0x38EA: 0, 0x2104: 800}
-
-
-def test_our_personality_tells_python_obd() -> None:
-    with ElmServer(controller(), ("127.0.0.1", 0)) as server:
-        words = ["tests.support.uds.python_obd_client", str(server.address[1]), "2238EB", "222104"]
-        run = subprocess.run(
-            [sys.executable, "-m", *words], check=False, capture_output=True, text=True, timeout=HANG_S
-        )
-    assert run.returncode == 0, run.stderr
-    assert json.loads(run.stdout) == ["6238EB0190", "6221040320"]

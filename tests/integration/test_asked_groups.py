@@ -1,7 +1,5 @@
 """Parameter groups of J1939 that are asked for: before a transmission that is not ours, that of can-j1939."""
 
-import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import count, pairwise
@@ -11,7 +9,6 @@ import can
 import j1939
 import pytest
 
-from canlog.errors import NOTICE
 from diag_service.diagnosis.columns import Signal
 from diag_service.mapping.interpretation import interpret
 from diag_service.mapping.profile import load_profile
@@ -91,30 +88,3 @@ def test_a_group_is_asked_for_twice_a_second_and_its_answers_are_signals(channel
     assert decoder.groups == (TRF1,)
     assert {float(one[Signal.CLUTCH1_PRESSURE].value[0]) for one in told} == {4e5}
     assert {float(one[Signal.SUMP_TEMPERATURE].value[0]) for one in told} == {353.15}
-
-
-@pytest.mark.parametrize(("can_id", "is_tester"), [(0x18EA03FA, True), (0x18DA10F1, True), (0x18EAFF00, False)])
-def test_tools_of_others_come_first_while_controllers_may_ask_each_other(
-    channel: str, caplog: pytest.LogCaptureFixture, can_id: int, *, is_tester: bool
-) -> None:
-    caplog.set_level(NOTICE)
-    over = threading.Event()
-    with transmission(channel), heard(channel) as ear, can.Bus(channel, "virtual") as other, asked(channel) as asker:
-        wait_for(lambda: asker.set_count >= 1)
-
-        def ask() -> None:
-            while not over.wait(0.02):
-                other.send(can.Message(arbitration_id=can_id, is_extended_id=True, data=b"\x02\x3e\x00"))
-
-        thread = threading.Thread(target=ask)
-        thread.start()
-        try:
-            count = asker.sent.total()
-            wait_for(lambda: "another tester asks" in caplog.text if is_tester else asker.sent.total() > count + 2)
-            time.sleep(2.0 * GROUP_S)
-            if is_tester:
-                first_s = next(one.timestamp for one in list(ear.frames) if one.arbitration_id == can_id)
-                assert sum(one > first_s for one in requests(ear)) <= 1
-        finally:
-            over.set()
-            thread.join()

@@ -4,7 +4,6 @@ import asyncio
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from jsonschema import Draft202012Validator
@@ -23,27 +22,12 @@ from tests.support.subscriber import Subscriber
 pytestmark = pytest.mark.broker
 
 QUICK = DeliveryLimits(first_pause_s=0.05, longest_pause_s=0.2)
-USERS = {"backend": "heard", "car1": "driven"}
 
 
 @pytest.fixture(name="store")
 def _store() -> Iterator[ResultStore]:
     with closing(ResultStore.in_memory()) as store:
         yield store
-
-
-@pytest.fixture(name="strict_broker")
-def _strict_broker(tmp_path: Path) -> Iterator[Mosquitto]:
-    """Return a broker with passwords, where the vehicle may write its status and nothing else."""
-    folder = tmp_path / "strict"
-    folder.mkdir()
-    access = folder / "access"
-    access.write_text("user backend\ntopic #\nuser car1\ntopic write clutchdiag/v1/car1/status\n", encoding="utf-8")
-    access.chmod(0o600)
-    broker = Mosquitto(folder, (f"acl_file {access}",), USERS)
-    broker.start()
-    yield broker
-    broker.stop()
 
 
 def seqs(subscriber: Subscriber) -> list[int]:
@@ -107,18 +91,6 @@ async def test_a_broker_that_dies_in_between_loses_and_doubles_nothing(
                 await asyncio.to_thread(broker.start)
             assert await outbox.close(sender, timeout_s=HANG_S) == 0
         await asyncio.to_thread(subscriber.wait, lambda heard: set(seqs(heard)) == set(range(1, 61)))
-
-
-async def test_refused_credentials_cost_nothing_but_a_warning(
-    store: ResultStore, strict_broker: Mosquitto, caplog: pytest.LogCaptureFixture
-) -> None:
-    put(store, range(1, 3))
-    outbox = outbox_for(store, local(strict_broker.port, "car1", "guessed"))
-    async with sending(outbox) as sender:
-        await until(lambda: "results wait" in caplog.text)
-        assert await outbox.close(sender) == 2
-    assert "connection refused: [code:135] Not authorized" in caplog.text
-    assert "guessed" not in caplog.text
 
 
 async def test_a_silent_broker_delays_the_end_for_a_limited_time(store: ResultStore, broker: Mosquitto) -> None:

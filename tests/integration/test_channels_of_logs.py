@@ -1,6 +1,6 @@
 """Logs of one drive number their channels each in its own way; what contributes nothing is said."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +20,6 @@ from diag_service.service.recorded import events
 from diag_service.service.stages import Stages
 from diag_service.service.stopping import Trigger
 from tests.support.in_process import ended
-from tests.support.service import Ended
 
 DATABASE = load_contract()
 GATEWAY = b"0B3"  # TCU_Shift
@@ -116,35 +115,6 @@ def test_a_message_on_two_buses_is_not_mixed(lines: list[bytes], tmp_path: Path)
     assert both.rejected == {"other_channel": len(mine)} | alone.rejected
     assert both.counts.decoded == alone.counts.decoded
     assert [(one.start_ns, one.end_ns) for one in both.shifts] == [(one.start_ns, one.end_ns) for one in alone.shifts]
-
-
-@pytest.fixture(name="analyzed", scope="module", params=["", "folder", "paper"])
-def _analyzed(
-    request: pytest.FixtureRequest, lines: list[bytes], tmp_path_factory: pytest.TempPathFactory
-) -> Callable[..., Ended]:
-    """Return how to analyze a log beside one that gives nothing, with options."""
-    folder = tmp_path_factory.mktemp("analyzed")
-    written(folder / "monday.log", lines)
-    written(folder / "tuesday.log", on(1, lines[100:-100]))
-    more = {"": (), "folder": ("-o", folder / "out.jsonl", "--force"), "paper": ("--estimator", "paper")}
-
-    def analyze(*options: str) -> Ended:
-        logs = (folder / "monday.log", folder / "tuesday.log")
-        return ended("analyze", *logs, *more[request.param], "--json", *options)
-
-    return analyze
-
-
-def test_strict_ends_with_a_status_of_its_own(
-    analyzed: Callable[..., Ended], capfd: pytest.CaptureFixture[str]
-) -> None:
-    plain, strict = analyzed(), analyzed("--strict")
-    said = capfd.readouterr().err + plain.err
-    assert "warning: " in said
-    assert "tuesday.log contributed nothing: " in said
-    assert (plain.status, strict.status) == (0, 5), strict.err
-    assert "contributed nothing" in strict.err.splitlines()[-1]
-    assert len(plain.records) == len(strict.records)
 
 
 def test_the_summary_tells_the_share_of_each_log(halves: list[Path]) -> None:

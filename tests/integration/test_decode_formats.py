@@ -90,23 +90,6 @@ def test_a_folder_of_tables_has_one_for_each_message(folder: Path) -> None:
     assert "do not go to standard output" in ended("decode", "drive.log", "--layout", "messages", "-o", "-").err
 
 
-def test_several_logs_are_one_table_in_order_of_time(folder: Path) -> None:
-    (folder / "front.log").write_text("".join(f"{line}\n" for line in LINES[::2]), encoding="ascii")
-    (folder / "rear.log").write_text("".join(f"{line}\n" for line in LINES[1::2]), encoding="ascii")
-    whole, both = decoded("drive.log"), decoded("rear.log", "front.log")
-    assert [row.pop("log") for row in both] == ["front.log", "rear.log", "front.log", "rear.log", "front.log"]
-    for one, other in zip(both, whole, strict=True):
-        assert all(same(one[name], other[name]) for name in other)
-    told = json.loads(
-        ended("decode", "front.log", "rear.log", "--dbc", "car.dbc", "-o", "b.csv", "--json").out
-    )  # fmt: skip
-    assert [(log["path"], log["frames"]) for log in told["logs"]] == [("front.log", 3), ("rear.log", 2)]
-    assert told["frames"]["read"] == 5
-    assert told["rows"] == 5
-    for again in ("./front.log", str(folder / "front.log")):
-        assert f"{Path(again)} is given twice" in ended("decode", "front.log", again, "-o", "c.csv").err
-
-
 def test_a_pipe_becomes_a_stream(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capfdbinary: pytest.CaptureFixture[bytes]
 ) -> None:

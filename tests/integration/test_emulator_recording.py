@@ -1,8 +1,5 @@
 """Whole drives through plant, sensors and frame builder."""
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -12,9 +9,7 @@ from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.drive.build import ROAD_MESSAGES
 from ecu_emulator.drive.recording import Drive, frames_of
-from ecu_emulator.live.live_drive import SentTruth
-from ecu_emulator.scenario.scenario import Routine
-from ecu_emulator.truth import ShiftTruth, TruthLog, TruthWriter, read_truth
+from ecu_emulator.truth import ShiftTruth, TruthLog
 from tests.support.builders import drive_scenario
 
 
@@ -63,23 +58,6 @@ def test_the_truth_reaches_the_bus_only_through_what_sensors_see() -> None:
     assert len(fresh) > 700
     assert np.array_equal(fresh.t_s, aged.t_s)
     assert np.array_equal(fresh.data, aged.data)
-
-
-def test_revs_in_neutral_are_told_once_their_frames_are_sent(tmp_path: Path) -> None:
-    scenario = replace(drive_scenario("noise_only"), routine=Routine(open_revs=1, closed_revs=1))
-    path = tmp_path / "truth.jsonl"
-    with TruthWriter(path) as writer:
-        sent = SentTruth(Drive(scenario), writer)
-        for frames in sent.frames():
-            if frames.t_s[-1] > 20.0:
-                break
-        sent.sent_until(4.0)
-        assert [rev.are_clutches_closed for rev in read_truth(path).revs] == [False]
-        sent.sent_until(8.0)
-        truth = read_truth(path)
-    assert [rev.are_clutches_closed for rev in truth.revs] == [False, True]
-    assert truth.shifts == ()
-    assert sent.shift_count == 0
 
 
 def test_the_same_scenario_gives_the_same_frames_in_any_stretches(recorded: tuple[EncodedFrames, TruthLog]) -> None:

@@ -110,23 +110,6 @@ def test_a_lying_sensor_is_found_out(
     assert estimate.friction is None
 
 
-@pytest.mark.parametrize(("missing_frames", "status"), [(1, Status.VALID), (4, Status.VALID), (8, Status.REJECTED)])
-def test_missing_frames_cost_what_they_would_have_told(missing_frames: int, status: Status) -> None:
-    """One is bridged, a few are left out; so many in a row may hide anything."""
-    event = shifts()[0]
-    first_ns = event.start_ns + 700_000_000
-    gap = {
-        signal: without(series, first_ns, first_ns + missing_frames * 10_000_000)
-        for signal, series in event.columns.items()
-    }
-    ((_, estimate),) = followed((replace(event, columns=gap),))
-    assert estimate.status is status
-    assert estimate.reasons == (() if status is Status.VALID else (Reason.FRAMES_MISSING,))
-    if missing_frames == 4:
-        ((_, whole),) = followed((event,))
-        assert 0.05 < whole.window_s - estimate.window_s < 0.08  # the gap, and the fade after it
-
-
 @pytest.mark.parametrize("signal", BALANCE_SIGNALS)
 @pytest.mark.parametrize(
     ("from_s", "until_s"), [(-0.25, 0.1), (-0.25, 1.0), (-1.0, 0.1), (0.3, 0.5), (1.0, 9.0)], ids=str

@@ -102,24 +102,6 @@ def test_what_cannot_be_delivered_waits_longer_and_longer(engine: Engine) -> Non
     assert waiting == []
 
 
-def test_a_carrier_that_hangs_keeps_no_other_waiting_and_one_that_is_gone_owes_nothing(engine: Engine) -> None:
-    def hang() -> None:
-        raise CarrierError("timed out")
-
-    hanging, memory = Memory(hang), Memory()
-    hanging.name = "hanging"
-    store(engine, 1, BAD)
-    watch = Watch(engine, Orders(carriers=[hanging, memory]), Clock())
-    watch.round()
-    turns = [(watch.deliver(turn_s=0.0), len(hanging.letters), len(memory.letters)) for _ in range(3)]
-    assert turns == [(1, 1, 1), (1, 2, 2), (0, 2, 2)]
-    for carriers, count in (([hanging], 2.0), ([memory], 0.0)):
-        later = Watch(engine, Orders(carriers=carriers), Clock())
-        later.round()
-        (waiting,) = [one for one in later.families() if one.name.endswith("watch_undelivered_messages")]
-        assert [sample.value for sample in waiting.samples] == [count]
-
-
 def test_a_process_that_dies_after_a_delivery_delivers_again_under_the_same_key(engine: Engine) -> None:
     def die() -> None:
         raise KeyboardInterrupt

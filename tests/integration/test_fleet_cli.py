@@ -60,13 +60,6 @@ def test_the_table_begins_with_the_worst(capsys: pytest.CaptureFixture[str], fil
     assert [record["vehicle"] for record in told_json(capsys, filled, "table", "--limit", "1")] == ["worn"]
 
 
-def test_the_quarantine_is_shown_and_purged(capsys: pytest.CaptureFixture[str], filled: Engine) -> None:
-    assert "identity" in told(capsys, filled, "quarantine")
-    assert told(capsys, filled, "quarantine", "--purge-days", "31") == "0 messages forgotten\n"
-    assert told(capsys, filled, "quarantine", "--purge-days", "29") == "1 messages forgotten\n"
-    assert told_json(capsys, filled, "quarantine") == []
-
-
 def test_what_commands_change_is_in_the_audit(
     capsys: pytest.CaptureFixture[str], filled: Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -256,23 +256,6 @@ def test_a_clock_that_was_ahead_hides_no_newer_results(engine: Engine) -> None:
     assert str(seen["last_result_at"]) < "2038"
 
 
-def test_what_is_remembered_of_a_clutch_is_never_old(engine: Engine) -> None:
-    results = history(40)
-    Writer(engine).store(Batch(shifts=[row_of(one) for one in results[:-2]]))
-    sources, question = sources_of(engine), ask(vehicle_view.VIEW, "car1")
-    first = vehicle_view.find(sources, question)
-    asked = Watch(engine)
-    assert vehicle_view.find(sources, question) is first
-    assert not [one for one, _ in asked.asked if "version_rank" in one]  # results were not read again
-    Writer(engine).store(Batch(shifts=[row_of(one) for one in results[-2:]]))
-    queries.note_fill(engine, "car1", "DCTF", at=datetime(2026, 1, 1, 0, 1, tzinfo=UTC), odometer_m=2.0e4, note=None)
-    sources.keeper.refresh()
-    again, fresh = (vehicle_view.find(one, question) for one in (sources, sources_of(engine)))
-    assert again == fresh
-    assert [len(one.trend) for one in again.clutches] == [20, 20]
-    assert [one.outlook for one in again.clutches] != [one.outlook for one in first.clutches]
-
-
 def test_maintenance_is_by_day_over_all_parts_and_the_watch_keeps_it(engine: Engine) -> None:
     """What comes first by verdict and name is due last: it is driven least."""
     results = history(200)[:100]

@@ -81,15 +81,3 @@ def test_what_is_usual_is_learned_kept_and_used(
     assert any("(population 1)" in line for line in among.assumptions)
     assert not any("population" in line for line in alone.assumptions)
     assert among.change_fluid != alone.change_fluid
-
-
-def test_a_fleet_of_one_teaches_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    address = f"sqlite:///{tmp_path / 'small.sqlite'}"
-    engine = open_database(address)
-    migrate(engine)
-    Writer(engine).store(Batch(shifts=[row_of(one) for one in (*history(40), fleet_result(1, vehicle="other"))]))
-    engine.dispose()
-    assert main(["peers", "--database", address, "--keep"]) == 0
-    text = capsys.readouterr().out
-    assert "learned from 3 clutches; 1 of another calibration are left out" in text
-    assert text.endswith("kept as population 1\n")

@@ -1,7 +1,6 @@
 """The health checks of docker-compose.yml, asked of programs that run."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -54,20 +53,6 @@ def test_the_service_is_well_while_it_hears_its_bus(tmp_path: Path) -> None:
     assert not is_well("service", port=port)
 
 
-def test_the_emulator_is_well_while_frames_go_out(tmp_path: Path) -> None:
-    alive, bus = tmp_path / "alive", free_bus()
-    assert not is_well("emulator", alive=str(alive))
-    program = subprocess.Popen(
-        [sys.executable, "-m", "ecu_emulator", "run", "-i", INTERFACE, "-c", bus.group, "--alive", str(alive)],
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, **bus.variables},
-    )
-    assert wait_until_well("emulator", program, alive=str(alive))
-    program.send_signal(signal.SIGTERM)
-    program.communicate(timeout=HANG_S)
-
-
 @pytest.mark.broker
 def test_a_worker_is_well_while_it_has_broker_and_database(tmp_path: Path, broker: Mosquitto, sqlite_url: str) -> None:
     alive = tmp_path / "alive"
@@ -76,15 +61,5 @@ def test_a_worker_is_well_while_it_has_broker_and_database(tmp_path: Path, broke
         [sys.executable, "-m", "fleet_backend", *words, "--alive", str(alive)], stderr=subprocess.PIPE, text=True
     )
     assert wait_until_well("ingest", program, alive=str(alive))
-    program.send_signal(signal.SIGTERM)
-    program.communicate(timeout=HANG_S)
-
-
-def test_the_page_is_well_while_it_answers(sqlite_url: str) -> None:
-    port = str(free_port())
-    assert not is_well("page", page=port)
-    words = ["serve", "--listen", f"127.0.0.1:{port}", "--database", sqlite_url]
-    program = subprocess.Popen([sys.executable, "-m", "fleet_backend", *words], stdout=subprocess.PIPE, text=True)
-    assert wait_until_well("page", program, page=port)
     program.send_signal(signal.SIGTERM)
     program.communicate(timeout=HANG_S)

@@ -89,13 +89,6 @@ def test_a_comment_and_another_folder_compile_nothing_and_a_law_what_it_is_part_
     assert first.compiled() == set()  # whose machine code is still there
 
 
-def test_where_nothing_can_be_kept_the_laws_are_compiled_each_time(tmp_path: Path) -> None:
-    blocked = tmp_path / "file"
-    blocked.write_text("in the way")
-    checkout = Checkout(tmp_path / "only", blocked)
-    assert checkout.compiled() == checkout.compiled() == COLD
-
-
 def test_machine_code_that_cannot_be_loaded_is_made_anew(tmp_path: Path, cache: Path) -> None:
     checkout = Checkout(tmp_path / "only", cache)
     for index in cache.rglob("*.nbi"):

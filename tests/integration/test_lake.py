@@ -4,7 +4,6 @@ import io
 import json
 import re
 import shutil
-import tracemalloc
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -18,7 +17,7 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.commands import analyze, lake
 from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import IncompleteError, StoreError
-from diag_service.lake.parts import DONE, FAILED, Disagreement, LogRow, Manifest, disagreement, forget
+from diag_service.lake.parts import DONE, FAILED, Disagreement, LogRow, Manifest, disagreement
 from diag_service.lake.places import Place
 from diag_service.lake.run import find_logs, to_do
 from diag_service.lake.work import Job, LakeLog, Maker
@@ -83,59 +82,6 @@ def _filled(logs: Path) -> Path:
 
 def files_in(place: Path) -> dict[str, int]:
     return {str(path.relative_to(place)): path.stat().st_mtime_ns for path in place.rglob("*") if path.is_file()}
-
-
-def manifest_row(number: int, account: str, **other: str) -> LogRow:
-    """Return the row of a log of which shifts are known."""
-    texts = {
-        "key": f"{'k' * 100}{number}",
-        "content": f"{number:064x}",
-        "settings": "s" * 64,
-        "signals": "",
-        "reason": "",
-    }
-    part = f"shifts/date=2026-01-01/vehicle=car{number % 10}/{number:032x}-{'s' * 16}.parquet"
-    texts |= {"vehicle": f"car{number % 10}"} | other
-    return LogRow(
-        source=f"/logs/car{number % 10}/{number:06}.log",
-        size_bytes=1,
-        algorithm_version="a",
-        outcome=DONE,
-        shifts=3,
-        parts=(texts.pop("part", part),),
-        account=account,
-        made_at="2026-01-01T00:00:00.000000Z",
-        **texts,
-    )
-
-
-def test_a_manifest_holds_little_of_each_log_and_full_files_stay(tmp_path: Path) -> None:
-    place, count = Place(str(tmp_path / "lake")), 2000
-    for first in range(0, count, 500):
-        Manifest(place).add([manifest_row(number, "x" * 13_000) for number in range(first, first + 500)])
-    tracemalloc.start()
-    manifest = Manifest(place, full_rows=count)
-    held_bytes = tracemalloc.get_traced_memory()[0]
-    tracemalloc.stop()
-    assert held_bytes / count < 2000.0
-    manifest.put_together()
-    (full,) = files_in(tmp_path / "lake").items()
-    manifest = Manifest(place, full_rows=count)
-    row = manifest_row(7, "y", vehicle="other", part="shifts/date=2026-01-01/vehicle=other/0.parquet")
-    assert manifest.superseded([row]) == list(manifest_row(7, "x").parts)
-    manifest.add([row])
-    manifest.add([manifest_row(count, "z")])
-    manifest.put_together()
-    assert full in files_in(tmp_path / "lake").items()
-    assert len(files_in(tmp_path / "lake")) == 2
-    assert {one.vehicle for one in Manifest(place).rows if one.source == row.source} == {"other"}
-    assert len(Manifest(place).rows) == count + 1
-    accounts = pq.read_table(tmp_path / "lake" / "manifest", columns=["source", "account"]).to_pylist()
-    assert sorted(one["account"] for one in accounts if one["source"] == row.source) == ["x" * 13_000, "y"]
-    forget(place, "car7")
-    left = pq.read_table(tmp_path / "lake" / "manifest").to_pylist()
-    assert "car7" not in {one["vehicle"] for one in left}
-    assert len(left) == count + 1 - 200 + 1
 
 
 def test_a_part_depends_on_the_content_of_its_log_alone(logs: Path, tmp_path: Path) -> None:

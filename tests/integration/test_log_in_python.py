@@ -2,10 +2,8 @@
 
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pandas as pd
 import polars as pl
 import pyarrow as pa
 import pytest
@@ -49,26 +47,6 @@ def test_codes_that_say_not_available_are_no_values(drive: Path) -> None:
     assert speed.value[1] == 1000.0
     assert log.signals()["Engine.Gear"].value.tolist() == [1.0, 9.0]  # outside its range, but sent
     assert log.signals(is_raw=True)["Engine.Speed"].value.tolist() == [16383.75, 1000.0]
-
-
-@pytest.mark.parametrize("values", ["numbers", "both"])
-def test_tables_have_nothing_where_there_is_no_value(drive: Path, values: Any) -> None:  # noqa: ANN401 - a word
-    log = opened(drive)
-    assert log.to_arrow("wide", values)["Engine.Speed"].to_pylist() == [None, 1000.0, None, None]
-    assert log.to_arrow("wide", values, is_raw=True)["Engine.Speed"].to_pylist() == [16383.75, 1000.0, None, None]
-    assert log.to_pandas("messages", values)["Engine"]["Speed"].isna().tolist() == [True, False]
-    if values == "both":
-        assert log.to_arrow("wide", values)["Engine.Speed.text"].to_pylist()[0] == "NotAvailable"
-
-
-def test_a_table_per_message_is_what_comes_by_itself(drive: Path) -> None:
-    log = opened(drive)
-    tables = log.to_pandas()
-    assert list(tables) == ["Engine", "Brake"]
-    assert [list(table.columns[-2:]) for table in tables.values()] == [["Speed", "Gear"], ["message", "Pedal"]]
-    assert all(isinstance(table, pd.DataFrame) for table in tables.values())
-    assert all(isinstance(table, pl.DataFrame) for table in log.to_polars().values())
-    assert all(isinstance(table, pa.Table) for table in log.to_arrow().values())
 
 
 def test_frames_are_a_table_without_a_database(drive: Path) -> None:

@@ -1,6 +1,5 @@
 """A part of a drive is no drive: what was stopped, and what broke off, says so and carries no verdict."""
 
-import csv
 import fcntl
 import gzip
 import json
@@ -104,24 +103,6 @@ def test_a_log_that_broke_off_carries_no_verdict(cycle_log: Path, cut_log: Path,
     assert "a log is cut off" in said
     assert "only a part of the drive was seen" in said
     assert "good" not in table
-
-
-def test_a_cut_log_among_many_has_no_verdict_in_the_tables(cut_log: Path, cycle_log: Path, tmp_path: Path) -> None:
-    (tmp_path / "logs").mkdir()
-    for name, log in (("cut.log", cut_log), ("drive.log", cycle_log)):
-        (tmp_path / "logs" / name).write_bytes(log.read_bytes())
-    ended = run("analyze", tmp_path / "logs", "-o", tmp_path / "out.csv", "--jobs", "1")
-    assert ended.status == 0, ended.err
-    assert "cut.log: " in ended.out
-    assert "a log is cut off" in ended.out
-    assert "10 shifts" in ended.out
-    with (tmp_path / "out.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    by_name = {name: [row for row in rows if row["path"].endswith(name)] for name in ("cut.log", "drive.log")}
-    assert {row["complete"] for row in by_name["cut.log"]} == {"false"}
-    assert {row["verdict.condition"] for row in by_name["cut.log"]} == {"no_verdict"}
-    assert {row["complete"] for row in by_name["drive.log"]} == {"true"}
-    assert "good" in {row["verdict.condition"] for row in by_name["drive.log"]}
 
 
 def test_a_folder_run_that_was_stopped_goes_on_later(cycle_log: Path, drive_log: Path, tmp_path: Path) -> None:

@@ -126,23 +126,6 @@ def test_importing_it_loads_no_library() -> None:
     assert loaded == set()
 
 
-def test_the_other_commands(drive_log: Path, tmp_path: Path) -> None:
-    short = tmp_path / "short.log"
-    short.write_bytes(b"".join(drive_log.read_bytes().splitlines(keepends=True)[:600]))
-    assert diag_service.inspect(short).to_json() + "\n" == ended("inspect", short, "--json").out
-    dbc = Path(diag_service.__file__).parents[1] / "dbc" / "dct.dbc"
-    proposed = diag_service.propose_profile(short, dbc)
-    assert proposed == ended("signals", short, "--dbc", dbc).out
-    by_paper = diag_service.analyze_by_paper(drive_log)
-    assert len(by_paper.shifts) == SHIFT_COUNT
-    assert [clutch.clutch for clutch in by_paper.clutches] == [1, 2]
-    assert by_paper.is_complete
-    with pytest.raises(diag_service.ConfigError, match="bit rate must be > 0"):
-        diag_service.inspect(drive_log, bitrate=0)
-    with pytest.raises(diag_service.ConfigError, match="no self-calibration: "):
-        diag_service.calibrate(drive_log)
-
-
 async def until(live: LiveDiagnosis, count: int) -> list[diag_service.ShiftResult]:
     """Return the first results."""
     found: list[diag_service.ShiftResult] = []

@@ -3,7 +3,6 @@
 import json
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
-from dataclasses import replace
 from datetime import timedelta
 
 import pytest
@@ -12,8 +11,7 @@ from sqlalchemy import Engine
 from fleet_backend import queries
 from fleet_backend.alarms.rules import Rule
 from fleet_backend.choices import Pace, Quotas
-from fleet_backend.config import parse_quotas
-from fleet_backend.errors import BrokerError, ConfigError
+from fleet_backend.errors import BrokerError
 from fleet_backend.ingest import Worker
 from fleet_backend.intake import MessageKind
 from fleet_backend.office.watching import Orders, Watch
@@ -85,24 +83,6 @@ async def test_what_is_beyond_a_quota_waits_in_its_vehicle_and_comes_the_next_da
     first.at = NOW + timedelta(days=1)
     assert await first.take(*flood[6:]) == {("flood", 7), ("flood", 8)}
     assert queries.result_count(engine) == 13
-
-
-async def test_unusable_messages_and_bytes_have_quotas_too_and_zero_is_none(engine: Engine) -> None:
-    office = Office(engine)
-    broken = [replace(one, payload=one.payload[:-number]) for number, one in enumerate(results("car1", 1, 2, 3), 1)]
-    await office.take(*broken, *results("car1", 4))
-    assert len(queries.quarantined(engine, 9)) == 2
-    assert queries.result_count(engine) == 1
-    size = len(results("car2", 1)[0].payload)
-    assert await Office(engine, Quotas(size_bytes=2 * size)).take(*results("car2", 1, 2, 3)) == {
-        ("car2", 1),
-        ("car2", 2),
-    }
-    none = Office(engine, parse_quotas("0,0,0"))
-    assert len(await none.take(*results("car3", *range(1, 9)))) == 8
-    for wrong in ("", "1,2", "1,2,-3", "a,b,c"):
-        with pytest.raises(ConfigError, match="RESULTS,MESSAGES,MB"):
-            parse_quotas(wrong)
 
 
 async def test_the_watch_raises_an_alarm_as_long_as_messages_are_withheld(engine: Engine) -> None:

@@ -14,7 +14,6 @@ from tests.support.replay import INTERFACE, Replay, UdpBus, free_bus
 from tests.support.service import Record, Service, service
 from tests.support.subscriber import Subscriber
 
-FIRST_SHIFT_DONE_S = 3.2
 SECOND_SHIFT_OPEN_S = 4.2
 ALL_DONE_S = 12.0
 
@@ -113,27 +112,3 @@ def test_kill_9_in_the_middle_loses_no_report_and_repeats_none(
     assert [seq for _, seq in reported] == list(range(1, len(reported) + 1))
     assert statuses == ["online", "offline", "online", "offline"]
     assert stopped.summary["shifts"]["unpublished"] == 0
-
-
-@pytest.mark.broker
-def test_a_broker_that_dies_and_returns_gets_every_shift(
-    tmp_path: Path, bus: UdpBus, replay: Replay, broker: Mosquitto
-) -> None:
-    arguments = ("run", "-i", INTERFACE, "-c", bus.group, "--store", tmp_path / "car.sqlite", "--json")
-    with Subscriber(broker.port) as subscriber:
-        with service(tmp_path / "run", *arguments, "--broker", broker.url, variables=bus.variables) as running:
-            running.wait_for(lambda: "listening" in running.err)
-            replay.send_until(FIRST_SHIFT_DONE_S)
-            subscriber.wait(lambda heard: len(heard.payloads("/shift")) >= 1)
-            broker.kill()
-            replay.send_until(ALL_DONE_S)
-            running.wait_for(lambda: running.out.count("\n") >= 3)  # the bus does not wait for the broker
-            broker.start()
-            running.wait_for(lambda: "takes results again" in running.err)
-            running.send(signal.SIGTERM)
-            ended = running.wait()
-        reported = {key(record) for record in ended.shifts}
-        subscriber.wait(lambda heard: {key(record) for record in heard.payloads("/shift")} == reported)
-    assert ended.status == 0
-    assert ended.err.count("warning") == 1
-    assert ended.summary["shifts"]["unpublished"] == 0

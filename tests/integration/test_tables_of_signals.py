@@ -154,35 +154,6 @@ def test_injected_fuel_tells_friction_up_to_a_scale(tmp_path: Path, origin: str)
     assert "mu_S over mu_C" in report.read_text(encoding="utf-8")
 
 
-def test_record_writes_a_table_beside_its_log(tmp_path: Path) -> None:
-    log, table, again = tmp_path / "car.log", tmp_path / "car.csv", tmp_path / "again.csv"
-    words = ["--seed", "5", "--cycles", "1", "--table-without", "Engine Torque", "--table-held", "3"]
-    assert emulator(["record", str(log), "--table", str(table), *words]) == 0
-    assert emulator(["record", str(log), "--force", "--table", str(again), *words]) == 0
-    assert table.read_bytes() == again.read_bytes()
-    assert log.with_name("car.log.truth.jsonl").exists()
-    head, *rows = table.read_text(encoding="utf-8").splitlines()
-    assert "Clutch 1 Pressure [kPa]" in head
-    assert "Engine Torque" not in head
-    cells = np.array([row.split(",") for row in rows], np.float64)
-    place = head.split(",").index("Clutch 1 Pressure [kPa]")
-    assert np.median(np.diff(cells[:, 0])) == pytest.approx(37.0, abs=1.5)
-    steps = cells[:, place] / 5.86
-    assert np.abs(steps - np.round(steps)).max() < 1e-3
-    changed = np.flatnonzero(np.diff(cells[:, place]))
-    assert np.diff(changed).min() == 3
-
-
-def test_without_torque_the_level_is_withheld_with_that_reason(tmp_path: Path) -> None:
-    log, table, profile = tmp_path / "car.log", tmp_path / "car.csv", tmp_path / "car.toml"
-    words = ["--seed", "5", "--cycles", "1", "--table-without", "Engine Torque"]
-    assert emulator(["record", str(log), "--table", str(table), *words]) == 0
-    profile.write_text(ended("signals", table).out, encoding="utf-8")
-    found = analysed(table, "--profile", profile)
-    assert {one["verdict"]["condition"] for one in found} == {"no_verdict"}
-    assert all("engine torque is not measured" in one["verdict"]["reason"] for one in found)
-
-
 def test_without_torque_the_shifts_of_a_clutch_are_held_against_each_other(tmp_path: Path) -> None:
     log, table, profile, page = (tmp_path / f"car.{suffix}" for suffix in ("log", "csv", "toml", "html"))
     assert emulator(["record", str(log), "--seed", "5", "--cycles", "2"]) == 0

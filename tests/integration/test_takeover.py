@@ -11,11 +11,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from clutch_model.calibration import nominal_calibration, read_calibration
-from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import ShiftResult, shift_record
-from diag_service.service.session import resume, versions_for
 from diag_service.store import ResultStore
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
@@ -64,22 +60,6 @@ def test_a_vehicle_starts_afresh_with_a_word_and_keeps_its_results(store_path: P
     assert "afresh" not in notices  # it was said once
     assert counts(store_path) == (53, 47)  # the keys are the same: what is stored is not counted twice
     assert results(store_path)[:43] == earlier_results
-
-
-@pytest.mark.parametrize("vehicle", ["car1", "car2"])
-def test_running_states_of_then_are_left_alone(
-    store_path: Path, vehicle: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    calibration = nominal_calibration() if vehicle == "car1" else read_calibration(earlier.CALIBRATION)
-    with closing(ResultStore.open(store_path)) as store:
-        kept = store.state(vehicle)
-        state, memory = resume(store, vehicle, versions_for(calibration), calibration)
-        assert store.state(vehicle) == kept
-    assert kept is not None
-    assert kept.versions.algorithm == "torque-impulse-4"
-    assert isinstance(state, Posterior)
-    assert (state.shift_counts, memory) == ((0, 0), ConditionMemory.fresh())
-    assert f"the running state of {vehicle} was made by algorithm torque-impulse-4" in caplog.text
 
 
 def test_a_fleet_database_keeps_its_results_and_knows_them_again(tmp_path: Path, store_path: Path) -> None:

@@ -9,15 +9,14 @@ import can
 import isotp
 import pytest
 
-from ecu_emulator.diagnostics.link import MOST_REQUESTS, DiagnosticLink
-from ecu_emulator.diagnostics.memory import TestResult as Result
+from ecu_emulator.diagnostics.link import DiagnosticLink
 from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.diagnostics.state import ServerState
 from ecu_emulator.diagnostics.table import Transport
 from tests.support.patience import HANG_S
 from tests.support.uds.full_table import full_table
 from tests.support.uds.streams import run
-from tests.support.uds.wire import ALL_ID, RESPONSE_ID, Wire, parked_controller
+from tests.support.uds.wire import RESPONSE_ID, Wire, parked_controller
 
 VIN = b"\x62\xf1\x90WDCTEMUL3TED00047"
 
@@ -36,19 +35,6 @@ def test_a_long_response_waits_for_flow_control(wire: Wire) -> None:
     wire.put("31 00 00")  # wait
     wire.put("30 00 00")
     assert wire.get() == "22 45 44 30 30 30 34 37"
-
-
-def test_requests_that_come_while_a_response_goes_out_wait_up_to_a_number(wire: Wire) -> None:
-    wire.put("03 22 f1 90")
-    wire.get()
-    for _ in range(MOST_REQUESTS + 3):
-        wire.put("03 22 f1 86")
-    wire.put("02 3e 80")
-    wire.put("30 00 00")
-    answers = [wire.get() for _ in range(2 + MOST_REQUESTS)]
-    assert answers[2:] == ["04 62 f1 86 01 cc cc cc"] * MOST_REQUESTS
-    assert wire.is_quiet()
-    assert wire.link.counts.dropped_requests == 3
 
 
 class SlowFile(MemoryFile):
@@ -80,23 +66,6 @@ def test_a_client_is_told_to_wait_for_a_slow_disk(tmp_path: Path) -> None:
         assert wire.get_any().startswith("03 7f 11 78")
         store.may_go_on.set()
         assert wire.get().startswith("02 51 01")  # once 78 was sent, ISO 14229-1 wants the last word too
-
-
-def test_whom_78_has_promised_a_response_gets_one_that_others_would_not(tmp_path: Path) -> None:
-    """ISO 14229-1: after 78 the final response comes in any case, also one that stays unsaid on a request to all."""
-    with SlowFile(tmp_path / "memory.json") as store, Wire(store=store) as wire:
-        store.may_go_on.clear()
-        store.is_waited_for.clear()
-        monitor = threading.Thread(target=wire.controller.report, args=(0x081107, Result.FAILED))
-        monitor.start()
-        try:
-            assert store.is_waited_for.wait(HANG_S)
-            wire.put("03 22 12 34", ALL_ID)
-            assert wire.get_any().startswith("03 7f 22 78")
-        finally:
-            store.may_go_on.set()
-        assert wire.get().startswith("03 7f 22 31")
-        monitor.join()
 
 
 @contextmanager
