@@ -2,8 +2,6 @@
 
 from pathlib import Path
 
-from benchmarks.accuracy import to_batch
-from benchmarks.causes import Life, Outcome, lived
 from clutch_model.calibration import TorqueSource, nominal_calibration
 from dbc.contract import load_contract
 from diag_service import analyze
@@ -19,6 +17,8 @@ from diag_service.service.stages import Stages
 from ecu_emulator.cli import main as emulator
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.faults import CauseKind
+from studies.builders import to_batch
+from studies.causes import Life, Outcome, lived
 from tests.support.builders import drive_scenario
 
 JUDGE = CauseJudge(nominal_calibration())

@@ -4,6 +4,8 @@ import io
 import json
 import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
@@ -224,3 +226,12 @@ def test_what_a_killed_run_left_is_told_and_can_be_removed(logs: Path, filled: P
     rows = fill(Job.of(CONFIG, str(address), SIGNALS, 60.0), str(logs))
     assert [row.parts for row in rows] == [tuple(one for one in rows[0].parts if "vehicle=car2" in one)]
     lake.execute(COMMAND_LINE.parse(["lake", "check", str(address)]), Controls())
+
+
+def test_a_log_that_does_not_heed_its_limit_ends_its_worker() -> None:
+    program = (
+        "import time; from diag_service.lake import work; work.GRACE_S = 0.0\nwith work._limited(0.01): time.sleep(600)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "Timeout" in done.stderr

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from benchmarks.reproduce.drives import Case, PaperDrive, drive, static_tables
-from benchmarks.reproduce.film_check import known_film_errors
-from benchmarks.reproduce.study import Setup, noiseless_errors
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.friction.paper import PaperCollection, nominal_driveline
 from diag_service.diagnosis.records import Reason
+from studies.reproduce.drives import Case, PaperDrive, drive, static_tables
+from studies.reproduce.study import Setup, noiseless_errors
+from studies.reproduce.variants import known_film_errors
 from tests.integration.test_estimation import shifts
 from tests.support.in_process import ended
 from tests.support.service import Ended

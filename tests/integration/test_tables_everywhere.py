@@ -8,8 +8,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from benchmarks.scan_tool import OF_FRICTION, OUTPUT, written
 from ecu_emulator.cli import main as emulator
+from studies.builders import OF_FRICTION, OUTPUT, written
 from tests.support import measurements
 from tests.support.in_process import ended
 from tests.support.pipes import piped

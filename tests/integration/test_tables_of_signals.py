@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import diag_service
-from benchmarks.scan_tool import OF_FRICTION, OUTPUT, with_fuel, written
 from dbc.contract import load_contract
 from diag_service.mapping.profile import PROFILE_PATH
 from ecu_emulator.cli import main as emulator
+from studies.builders import OF_FRICTION, OUTPUT, with_fuel, written
 from tests.support.documents import ROOT
 from tests.support.in_process import ended
 

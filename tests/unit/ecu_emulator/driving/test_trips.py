@@ -5,7 +5,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.tolerance import share_within_tolerance
 from canlog.arrays import FloatArray
 from ecu_emulator.driving.journey import (
     COOLANT_PARKED_TIME_CONSTANT_S,
@@ -22,6 +21,7 @@ from ecu_emulator.driving.trip import DriveConditions, Trip
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.drive_names import DriveName
+from tests.support.tolerance import share_within_tolerance
 from tests.unit.ecu_emulator.driving.drives import trace, trip
 
 CYCLES = [DriveName.WLTC, DriveName.UDDS, DriveName.HWFET, DriveName.US06]

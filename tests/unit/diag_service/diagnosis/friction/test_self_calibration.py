@@ -7,7 +7,6 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from benchmarks.accuracy import to_batch
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.events import EndReason, Event
@@ -21,6 +20,7 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.scenario import Routine, Scenario, Truth
+from studies.builders import to_batch
 from tests.support.builders import drive_scenario
 
 NOMINAL = nominal_calibration()

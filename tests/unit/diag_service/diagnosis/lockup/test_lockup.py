@@ -15,7 +15,7 @@ from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
 from diag_service.diagnosis.lockup.shudder import shudder
 from diag_service.diagnosis.lockup.state import LockupState
 from diag_service.diagnosis.records import ClutchVerdict, Condition, Reason, ShiftEstimate, Status
-from tests.support.converter_drive import FLUIDS, ConverterCar, Driven, batches, drawn_car, drive
+from studies.converter_car import FLUIDS, ConverterCar, Driven, batches, drawn_car, drive
 
 CALIBRATION = shipped_calibration("lockup")
 CONVERTER = CALIBRATION.converter
