@@ -8,7 +8,7 @@ import os
 import platform
 import shutil
 import subprocess
-from collections import Counter
+from collections import Counter, defaultdict
 from pathlib import Path
 
 import pytest
@@ -40,7 +40,7 @@ class RunReport:
 
     def __init__(self) -> None:
         self.skipped: list[str] = []
-        self.counts, self.durations_s = Counter[str](), Counter[str]()
+        self.counts, self.durations_s = Counter[str](), defaultdict[str, float](float)
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         """Note a module that was skipped as a whole."""
@@ -62,7 +62,7 @@ class RunReport:
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Tell what each folder of tests took, name kernel and broker, and whatever was skipped."""
-        for folder, duration_s in self.durations_s.most_common():
+        for folder, duration_s in sorted(self.durations_s.items(), key=lambda item: -item[1]):
             terminalreporter.write_line(f"{folder}: {self.counts[folder]} tests, {duration_s:.0f} s of all workers")
         terminalreporter.write_line(f"kernel: {kernel_line()}; broker: {broker_line()}; skipped: {len(self.skipped)}")
         for name in self.skipped:
