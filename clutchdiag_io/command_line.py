@@ -112,6 +112,8 @@ class Command(_Page):
         Whole command lines, shown in the help.
     variables :
         Prefix, without ``_``, of the environment variables that stand for options that ``can_be_set``.
+    execute :
+        What it does, given by another distribution, which attaches the command to a program.
     """
 
     def __init__(
@@ -122,6 +124,7 @@ class Command(_Page):
         examples: Sequence[str] = (),
         description: str = "",
         variables: str | None = None,
+        execute: Callable[..., None] | None = None,
     ) -> None:
         super().__init__(
             name,
@@ -131,6 +134,7 @@ class Command(_Page):
             context_settings={**_CONTEXT, "auto_envvar_prefix": variables},
         )
         self.examples = tuple(examples)
+        self.execute = execute
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Parse the words; complain of an option where a value belongs, which click would take for the value."""

@@ -5,8 +5,7 @@ import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Final
 
@@ -127,22 +126,6 @@ def legible_record(value: object) -> object:
     return value
 
 
-@cache
-def _found(group: str) -> dict[str, EntryPoint]:
-    return {one.name: one for one in sorted(entry_points(group=group), key=lambda one: one.name)}
-
-
-def attached(group: str) -> list[Any]:
-    """Return all that attaches to a group, in order of name."""
-    return [one.load() for one in _found(group).values()]
-
-
-def is_attached(group: str, name: str) -> bool:
-    return name in _found(group)
-
-
-def part(group: str, name: str) -> Any:  # noqa: ANN401 - whatever is attached there
-    """Return what attaches to a group by this name; raises LookupError if nothing does."""
-    if not is_attached(group, name):
-        raise LookupError(f"no installed package provides {name} for {group}: install clutchdiag anew")
-    return _found(group)[name].load()
+def attached(group: str) -> dict[str, Any]:
+    """Return what other distributions attach to a group by their entry points, by name."""
+    return {entry.name: entry.load() for entry in sorted(entry_points(group=group), key=lambda entry: entry.name)}

@@ -1,4 +1,4 @@
-"""The first and last moments of a program: a signal ends it without a word, a lost library with one."""
+"""The first and last moments of a program: a signal ends it without a word."""
 
 import os
 import signal
@@ -9,8 +9,6 @@ from typing import Final
 
 STATUS_STOPPED: Final = 0
 STATUS_INTERRUPTED: Final = 130
-STATUS_ERROR: Final = 1
-PUT_BACK: Final = "pip install --force-reinstall --no-deps clutchdiag"
 
 
 def run_program(module: str, services: Collection[str] = ()) -> int:
@@ -26,14 +24,7 @@ def run_program(module: str, services: Collection[str] = ()) -> int:
     status = STATUS_STOPPED if is_service else STATUS_INTERRUPTED
     numbers = (signal.SIGINT, signal.SIGTERM) if is_service else (signal.SIGINT,)
     before, *_ = [signal.signal(number, lambda *_: os._exit(status)) for number in numbers]
-    try:
-        program = import_module(module)
-    except ModuleNotFoundError as exc:
-        if (exc.name or "").partition(".")[0] != "canlog":
-            raise
-        # A wheel of canlog alone, once installed beside this program, took the files of both when it was removed.
-        sys.stderr.write(f"error: the library canlog is gone; put it back: {PUT_BACK}\n")
-        return STATUS_ERROR
+    program = import_module(module)
     if not is_service:
         signal.signal(signal.SIGINT, before)
     from click import Abort  # noqa: PLC0415 - loading it takes a while, in which Ctrl-C must already be heeded

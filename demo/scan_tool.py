@@ -5,10 +5,10 @@ from typing import Final, Self
 
 from demo.programs import HOST, free_port
 from diag_service.errors import ControllerError
-from diag_service.tester.answers import Timing
-from diag_service.tester.asking import DoipPlace, dialogue_over_ip
-from diag_service.tester.questions import read_troubles, recognised
-from diag_service.tester.trouble import code_words
+from workshop.tester.answers import Timing
+from workshop.tester.asking import DoipPlace, dialogue_over_ip
+from workshop.tester.questions import read_troubles, recognised
+from workshop.tester.trouble import code_words
 
 LOGICAL_ADDRESS: Final = 0x1011  # of the emulated controller
 PERIOD_S: Final = 1.0

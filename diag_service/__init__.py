@@ -49,7 +49,6 @@ if typing.TYPE_CHECKING:
         SilentError,
         StoreError,
     )
-    from diag_service.tester.uds_tester import UdsTester, scan_controllers
 
 __all__ = [
     "Analysis",
@@ -82,7 +81,6 @@ __all__ = [
     "StoreError",
     "TableChoice",
     "Transmission",
-    "UdsTester",
     "analyze",
     "analyze_by_paper",
     "analyze_folders",
@@ -101,7 +99,6 @@ __all__ = [
     "propose_profile",
     "read",
     "read_transmission",
-    "scan_controllers",
     "stored_shift",
     "write_report",
 ]
@@ -117,7 +114,6 @@ _HOMES = {
     "diag_service.api.folders": ("FolderAnalysis", "analyze_folders"),
     "diag_service.api.live": ("BackgroundDiagnosis", "LiveDiagnosis", "diagnose"),
     "diag_service.api.stores": ("history", "note_fluid", "stored_shift", "write_report"),
-    "diag_service.tester.uds_tester": ("UdsTester", "scan_controllers"),
     "diag_service.api.workshop": (
         "PaperAnalysis",
         "analyze_by_paper",

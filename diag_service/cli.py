@@ -2,10 +2,9 @@
 
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Final
@@ -13,7 +12,7 @@ from typing import Final
 from canlog.errors import DefinitionError, ExtraMissingError, InputLeftError, OutputError, SourceError
 from canlog.files import widen
 from clutchdiag_io.command_line import STANDARD_STREAM
-from clutchdiag_io.program import Kinds, complain, is_attached, part, reckon_in_one_thread, standard_output
+from clutchdiag_io.program import Kinds, attached, complain, reckon_in_one_thread, standard_output
 from diag_service.commands.arguments import (
     COMMAND_LINE,
     EXIT_CONFIG,
@@ -27,12 +26,6 @@ from diag_service.errors import ConfigError, ControllerError, IncompleteError, S
 from diag_service.service.stopping import Controls, PatientTrigger, Trigger, ignore
 from diag_service.settings.options import PROGRAM
 
-_FUNCTIONS: Final = {  # of commands that share a module; the others are ``execute`` in a module of their own
-    **{word: f"live.{word}" for word in ("config", "monitor", "run")},
-    **{word: f"store.{word}" for word in ("fluid_changed", "history", "report", "show")},
-    "calibrate": "learn.calibrate",
-    "signals": "inspect.propose",
-}
 ENDED_BY_SIGNALS: Final = ("run", "monitor")  # as a rule
 COUNTS_WANTED: Final = tuple(number for number in signal.Signals if number.name == "SIGUSR1")  # POSIX alone has it
 
@@ -62,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _statuses() -> Sequence[tuple[Kinds, int]]:
     """Return the exit status of each kind of error."""
-    from clutch_model.errors import CalibrationError  # noqa: PLC0415 - of a package that most commands do not need
+    from clutch_model.errors import CalibrationError
 
     return (
         ((ConfigError, CalibrationError, DefinitionError, ExtraMissingError), EXIT_CONFIG),
@@ -81,16 +74,11 @@ def _run(options: SimpleNamespace, controls: Controls) -> None:
         with suppress(AttributeError, OSError, ValueError):  # none, or none of the system: reading it says so
             widen(sys.stdin.fileno())  # whoever writes goes on meanwhile: candump loses frames once the pipe is full
     # Imported here: compiled libraries take a second, in which a signal must already find its handler.
-    from canlog.jit import on_compiling  # noqa: PLC0415 - see above
-    from diag_service.console import set_up_notices  # noqa: PLC0415 - see above
+    from canlog.jit import on_compiling
+    from diag_service.console import set_up_notices
 
     set_up_notices(options.verbose)
-    word = options.command.replace("-", "_")
-    if is_attached("diag_service.commands", options.command):
-        execute = part("diag_service.commands", options.command)
-    else:
-        module, _, name = _FUNCTIONS.get(word, f"{word}.execute").partition(".")
-        execute = getattr(import_module(f"diag_service.commands.{module}"), name)
+    execute = execute_of(options.command)
     if is_piped:  # whoever writes into the pipe may get the same signal, and end it
         controls = replace(controls, stop=PatientTrigger(controls.stop))
     unheed = on_compiling(lambda _kernel: None if is_piped else _check(controls.stop))  # what came by a pipe is judged
@@ -104,9 +92,49 @@ def _run(options: SimpleNamespace, controls: Controls) -> None:
         unheed()
 
 
+def execute_of(command: str) -> Callable[[SimpleNamespace, Controls], None]:  # noqa: C901, PLR0912 - a case per command
+    """Return what carries out a command, and load that only."""
+    match command:
+        case "analyze":
+            from diag_service.commands.analyze import execute
+        case "calibrate":
+            from diag_service.commands.learn import calibrate as execute
+        case "config":
+            from diag_service.commands.live import config as execute
+        case "decode":
+            from diag_service.commands.decode import execute
+        case "fluid-changed":
+            from diag_service.commands.store import fluid_changed as execute
+        case "history":
+            from diag_service.commands.store import history as execute
+        case "inspect":
+            from diag_service.commands.inspect import execute
+        case "lake":
+            from diag_service.commands.lake import execute
+        case "learn":
+            from diag_service.commands.learn import execute
+        case "monitor":
+            from diag_service.commands.live import monitor as execute
+        case "predict":
+            from diag_service.commands.predict import execute
+        case "report":
+            from diag_service.commands.store import report as execute
+        case "run":
+            from diag_service.commands.live import run as execute
+        case "show":
+            from diag_service.commands.store import show as execute
+        case "signals":
+            from diag_service.commands.inspect import propose as execute
+        case "transmission":
+            from diag_service.commands.transmission import execute
+        case _:
+            execute = attached("diag_service.commands")[command].execute
+    return execute
+
+
 def _about_store(options: SimpleNamespace) -> str | None:
     """Return what there is to say to who takes a store of results for a log."""
-    from diag_service.store.reading import is_store  # noqa: PLC0415 - only where something is wrong
+    from diag_service.store.reading import is_store
 
     for path in _logs(options):
         if isinstance(path, Path) and is_store(path):

@@ -11,8 +11,6 @@ import typing
 from canlog.extras import on_demand as _on_demand
 
 if typing.TYPE_CHECKING:
-    from ecu_emulator.answering.answers import Answers
-    from ecu_emulator.answering.pdx_command import write_pdx
     from ecu_emulator.api import Emulator, write_dbc
     from ecu_emulator.commands import Recording
     from ecu_emulator.errors import BusError, ConfigError, EmulatorError, ExtraMissingError, RecordError
@@ -22,7 +20,6 @@ if typing.TYPE_CHECKING:
     from ecu_emulator.truth import TruthLog, read_truth
 
 __all__ = [
-    "Answers",
     "BusError",
     "BusFault",
     "ConfigError",
@@ -39,16 +36,13 @@ __all__ = [
     "read_truth",
     "shipped_scenarios",
     "write_dbc",
-    "write_pdx",
 ]
 
 __version__ = "0.9.0"
 
 _HOMES = {
-    "ecu_emulator.answering.answers": ("Answers",),
     "ecu_emulator.api": ("Emulator", "write_dbc"),
     "ecu_emulator.commands": ("Recording",),
-    "ecu_emulator.answering.pdx_command": ("write_pdx",),
     "ecu_emulator.errors": ("BusError", "ConfigError", "EmulatorError", "ExtraMissingError", "RecordError"),
     "ecu_emulator.scenario.faults": ("BusFault", "SensorFault"),
     "ecu_emulator.scenario.scenario": ("Scenario",),

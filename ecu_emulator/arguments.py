@@ -132,7 +132,7 @@ _RUN: Final = Command(
     Option("--summary FILE", "write the transmit report to this file as JSON", FILE),
     FORCE,
     Option("--control SOCKET", "take faults at run time on this Unix socket", FILE),
-    *(option for options in attached("ecu_emulator.run_options") for option in options),
+    *attached("ecu_emulator.answers").get("options", ()),
     Option("--alive FILE", "touch this file while frames go out", FILE),
     Option("--start-delay S", "wait before the first frame", _between(*DELAY_RANGE_S, "s"), default="0"),
     Option(
@@ -144,10 +144,6 @@ _RUN: Final = Command(
     ),
     examples=(
         f"{PROGRAM} run -i socketcan -c vcan0",
-        f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --diagnostic-memory tcu.json",
-        f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --doip 13400",
-        f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --elm327",
-        f"{PROGRAM} run -i socketcan -c vcan0 --diagnostics --workshop",
         f"{PROGRAM} run -i socketcan -c vcan0 --fluid case2 --cycles 3 --truth truth.jsonl --json",
         f"{PROGRAM} run -i socketcan -c vcan0 --drive day --endless --oil-degc -10",
     ),
@@ -215,7 +211,7 @@ COMMAND_LINE: Final = Program(
     EXIT_TEXT,
     _RUN,
     _RECORD,
-    *(command for words in attached("ecu_emulator.command_words") for command in words),
+    *attached("ecu_emulator.commands").values(),
     _DBC,
     Command(
         "scenarios",

@@ -10,7 +10,7 @@ from threading import Event
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Final
 
-from clutchdiag_io.program import complain, is_attached, part, refusal, standard_output
+from clutchdiag_io.program import attached, complain, refusal, standard_output
 from ecu_emulator.arguments import COMMAND_LINE, PROGRAM
 from ecu_emulator.errors import BusError, ConfigError, ExtraMissingError, RecordError, StoppedError
 
@@ -66,8 +66,8 @@ def _execute(options: SimpleNamespace, stop: _Stop) -> bool:
         if options.command == "scenarios":
             commands.list_scenarios()
             return True
-        if is_attached("ecu_emulator.commands", options.command):
-            part("ecu_emulator.commands", options.command)(options)
+        if options.command in (others := attached("ecu_emulator.commands")):
+            others[options.command].execute(options)
             return True
         if options.command == "dbc":
             commands.save_dbc(options.output, is_forced=options.force, transmission=options.transmission)
@@ -84,6 +84,7 @@ def _execute(options: SimpleNamespace, stop: _Stop) -> bool:
                 table=commands.table_options(options),
             )
             return commands.record(scenario, log, stop, is_json=options.json, is_forced=options.force)
+        answers = attached("ecu_emulator.answers").get("chosen", lambda _options: None)
         written = (options.truth, options.summary)
         kept = (options.control, options.alive, vars(options).get("diagnostic_memory"))
         if text := refusal(*written, is_forced=options.force) or refusal(*written, *kept, is_forced=True):
@@ -97,7 +98,7 @@ def _execute(options: SimpleNamespace, stop: _Stop) -> bool:
             summary=options.summary,
             control=options.control,
             alive=options.alive,
-            answers=part("ecu_emulator.parts", "answers")(options),
+            answers=answers(options),
             start_delay_s=options.start_delay,
             longest_stay_s=options.parked,
             is_json=options.json,

@@ -376,6 +376,6 @@ COMMAND_LINE: Final = Program(
     Group("config", "look at the settings", _CHECK, metavar="ACTION"),
     *(_ANALYZE, _REPORT, _HISTORY, _SHOW, _FLUID_CHANGED),
     *(_CALIBRATE, _INSPECT, _SIGNALS, _DECODE, _PREDICT, _LEARN, _TRANSMISSION),
-    *(command for words in attached("diag_service.command_words") for command in words),
+    *attached("diag_service.commands").values(),
     LAKE,
 )

@@ -42,8 +42,8 @@ class Place:
     def __init__(self, address: str) -> None:
         if "::" in address:
             raise ConfigError(f"{address}: one store at a time, not one inside another")
-        core = load_extra("fsspec.core", "a store needs fsspec", "cluster")
-        below = load_extra("fsspec.implementations.dirfs", "a store needs fsspec", "cluster")
+        core = load_extra("fsspec.core", "a store needs fsspec", "cluster", ".")
+        below = load_extra("fsspec.implementations.dirfs", "a store needs fsspec", "cluster", ".")
         if "://" not in address:
             address = str(Path(address).absolute())
         try:

@@ -159,7 +159,7 @@ def trusted_scheduler(text: str, tls: TlsFiles) -> str:
 
 def _made_by_cluster(job: Job, logs: Sequence[LakeLog], address: str, tls: TlsFiles, stop: Trigger) -> Rows:
     """Yield the rows of logs as workers of Dask make them, in no order; a log that ended several of them is told."""
-    distributed = load_extra("distributed", "a cluster needs Dask", "cluster")
+    distributed = load_extra("distributed", "a cluster needs Dask", "cluster", ".")
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what a run needs to know is told by us
     files = {"tls_ca_file": str(tls.authority), "tls_client_cert": str(tls.certificate), "tls_client_key": str(tls.key)}
     security = distributed.Security(require_encryption=True, **files)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, ExitStack, closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -18,9 +18,9 @@ from rich.table import Table
 from rich.text import Text
 
 from canlog.e2e.e2e_state import E2eState
-from canlog.errors import NOTICE
+from canlog.errors import NOTICE, ExtraMissingError
 from canlog.live import BusOpener, BusState, ReadSchedule, SupervisedSource, supervise
-from clutchdiag_io.program import part
+from clutchdiag_io.program import attached
 from diag_service.console import PeopleConsole, ending_key
 from diag_service.delivery import DetachedReporter, News, Outbox
 from diag_service.delivery.console import order_lines, shift_head, shift_line, short_shift_head, short_shift_line
@@ -244,9 +244,7 @@ def polling(
     if (decoder.asked or decoder.groups) and bus.asks:
         if bus.poll is not None:
             raise ConfigError("--poll: this profile asks all the time already, and two testers disturb each other")
-        asks: AbstractAsyncContextManager[None] = part("diag_service.parts", "signals")(
-            bus, decoder.asked, decoder.asking, decoder.groups
-        )
+        asks: AbstractAsyncContextManager[None] = _asking("signals")(bus, decoder.asked, decoder.asking, decoder.groups)
         return asks
     if decoder.asked:
         _LOG.log(
@@ -255,10 +253,16 @@ def polling(
         )  # fmt: skip
     if bus.poll is None:
         return nullcontext()
-    poll: AbstractAsyncContextManager[None] = part("diag_service.parts", "polling")(
-        vehicle, bus, bus.poll, store, session.reporter, outbox
-    )
+    poll: AbstractAsyncContextManager[None] = _asking("codes")(vehicle, bus, bus.poll, store, session.reporter, outbox)
     return poll
+
+
+def _asking(what: str) -> Any:  # noqa: ANN401 - of another distribution
+    """Return what asks controllers for signals or codes; raises ExtraMissingError where no distribution has it."""
+    try:
+        return attached("diag_service.asking")[what]
+    except KeyError as exc:
+        raise ExtraMissingError("asking controllers: pip install './workshop[uds]' in the checkout") from exc
 
 
 ADDRESS_VARIABLE = "NOTIFY_SOCKET"

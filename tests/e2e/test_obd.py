@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from ecu_emulator.diagnostics.memory import TestResult
-from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.table_file import shipped_table
 from tests.support.patience import HANG_S
 from tests.unit.ecu_emulator.diagnostics.bench import Bench
+from workshop.controller.memory import TestResult
+from workshop.controller.memory_file import MemoryFile
+from workshop.controller.table_file import shipped_table
 
 
 def confirmed(path: Path, code: str) -> None:

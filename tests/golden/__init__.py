@@ -3,8 +3,6 @@
 from pathlib import Path
 
 from diag_service.diagnosis.records import ServiceStatus, clutch_record, shift_record, status_record
-from diag_service.tester.polling import ControllerReport
-from diag_service.tester.trouble import Snapshot, TroubleCode
 from fleet_contract import (
     JsonObject,
     Outcome,
@@ -21,6 +19,8 @@ from fleet_contract import (
     status_message,
 )
 from tests.support.builders import rejected, shift_result
+from workshop.tester.polling import ControllerReport
+from workshop.tester.trouble import Snapshot, TroubleCode
 
 FOLDER = Path(__file__).parent
 NOW = "2026-01-01T00:00:06.000000Z"

@@ -20,14 +20,14 @@ from udsoncan.services.ReadDataByIdentifier import ReadDataByIdentifier
 from diag_service.diagnosis.columns import Signal
 from diag_service.mapping.asked_signals import AskedField
 from diag_service.mapping.profile import AskingRules, load_shipped
-from diag_service.tester.signal_asking import SignalAsker, address_of, line_on
-from ecu_emulator.diagnostics.doip.listening import Place
-from ecu_emulator.diagnostics.doip.server import DoipServer
 from tests.integration.test_other_senders import two_ends
 from tests.integration.test_signal_asking import controller, wait_for
 from tests.integration.test_tester import vehicle
 from tests.support.ports import free_port
 from tests.support.uds.udsoncan_client import CONFIG, ISO_TP, Number
+from workshop.controller.doip.listening import Place
+from workshop.controller.doip.server import DoipServer
+from workshop.tester.signal_asking import SignalAsker, address_of, line_on
 
 pytestmark = pytest.mark.asks
 

@@ -12,11 +12,11 @@ import pytest
 from diag_service.diagnosis.columns import Signal
 from diag_service.mapping.interpretation import interpret
 from diag_service.mapping.profile import load_profile
-from diag_service.tester.addresses import GROUP_REQUEST
-from diag_service.tester.signal_asking import GROUP_S, SignalAsker, line_on
 from tests.integration.test_signal_asking import Ear, heard, wait_for
 from tests.plugins.asked_services import SentByUs
 from tests.support.asked import batch_of
+from workshop.tester.addresses import GROUP_REQUEST
+from workshop.tester.signal_asking import GROUP_S, SignalAsker, line_on
 
 pytestmark = pytest.mark.asks
 

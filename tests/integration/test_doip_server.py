@@ -7,14 +7,14 @@ from collections.abc import Iterator
 
 import pytest
 
-from ecu_emulator.diagnostics.doip.listening import Place
-from ecu_emulator.diagnostics.doip.server import DoipServer
 from tests.support.doip.desk import framed, request
 from tests.support.doip.streams import run_on_sockets
 from tests.support.doip.tester import Tester, entity
 from tests.support.patience import HANG_S
 from tests.support.ports import free_port
 from tests.support.uds.wire import Wire
+from workshop.controller.doip.listening import Place
+from workshop.controller.doip.server import DoipServer
 
 EVERYBODY = "127.255.255.255"
 

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from ecu_emulator.diagnostics.doip.listening import TlsNode
-from ecu_emulator.diagnostics.doip.server import DoipServer
-from ecu_emulator.diagnostics.memory import TestResult as Result
 from tests.support.certificates import certify
 from tests.support.doip.tester import entity
 from tests.support.in_process import ended
 from tests.support.ports import free_port
+from workshop.controller.doip.listening import TlsNode
+from workshop.controller.doip.server import DoipServer
+from workshop.controller.memory import TestResult as Result
 
 SLIPS = 0x081107
 PATIENT = ("--ecu", "1011", "--active", "--listen", "0", "--timeout", "20")

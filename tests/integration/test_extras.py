@@ -89,7 +89,7 @@ def test_python_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> Non
     program = f"""
 import importlib.util
 print([name for name in {modules} if importlib.util.find_spec(name)])
-import diag_service, ecu_emulator
+import diag_service, ecu_emulator, workshop
 for package in (diag_service, ecu_emulator):
     for name in package.__all__:
         getattr(package, name)
@@ -97,8 +97,8 @@ analysis, log = diag_service.analyze("drive.log"), diag_service.read("drive.log"
 for wanted in (
     analysis.shifts.to_arrow, analysis.shifts.to_pandas, analysis.clutches.to_polars, log.to_arrow,
     lambda: ecu_emulator.Emulator().record("drive.mf4"),
-    diag_service.UdsTester(interface="virtual", channel="1", is_active=True).__enter__,
-    lambda: diag_service.scan_controllers(interface="virtual", channel="1", is_active=True),
+    workshop.UdsTester(interface="virtual", channel="1", is_active=True).__enter__,
+    lambda: workshop.scan_controllers(interface="virtual", channel="1", is_active=True),
 ):
     try:
         wanted()

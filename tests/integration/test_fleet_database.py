@@ -6,8 +6,6 @@ import pytest
 from sqlalchemy import Engine, select
 
 from diag_service.diagnosis.records import Condition
-from diag_service.tester.polling import ControllerReport
-from diag_service.tester.trouble import TroubleCode
 from fleet_backend import queries
 from fleet_backend.choices import Axis, Pace
 from fleet_backend.database import transaction
@@ -19,6 +17,8 @@ from fleet_backend.schema import SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer, identity_of
 from tests.support.fleet import NOW, START, fleet_result, message_of, row_of
 from tests.unit.fleet_backend.test_ingest import Records, outcomes
+from workshop.tester.polling import ControllerReport
+from workshop.tester.trouble import TroubleCode
 
 WORN = Condition.CHANGE_FLUID
 

@@ -7,8 +7,8 @@ import pytest
 from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
 from dbc.contract import load_contract
-from ecu_emulator.diagnostics.iso14229 import Status
 from tests.support.uds.days import HOLDING, TripCar
+from workshop.controller.iso14229 import Status
 
 COLD = (293.0, 350.0)  # coolant in the morning, and after the trip [K]
 WARM = (335.0, 350.0)  # after lunch: no warm-up cycle, it becomes warmer by 15 K only

@@ -11,11 +11,11 @@ from clutch_model.units import for_people
 from clutchdiag_io.people import PER_1000_RPM, SLOPE_UNIT, digits
 from diag_service.diagnosis.records import shift_record
 from diag_service.report.history import shift_lines
-from diag_service.tester.trouble import values_text
 from tests.golden.compare import RECORDINGS
 from tests.integration.test_plus_minus import FACES
 from tests.support.builders import shift_result
 from tests.support.in_process import ended
+from workshop.tester.trouble import values_text
 
 TOO_MANY = re.compile(r"\d\.\d{7}|e[+-]\d")
 SI = re.compile(r"\w*_(?:pa|k|m_s\d?|rad_s\d?|s_rad|rad|nm|j)\b|\S*\brad\b\S*|\[(?:K|Pa|J|m|m/s)\]")

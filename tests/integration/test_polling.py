@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from ecu_emulator.diagnostics.memory import TestResult as Result
 from tests.integration.test_tester import SLIPS, vehicle
 from tests.plugins.broker import Mosquitto
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 from tests.support.subscriber import Subscriber
 from tests.support.uds.wire import parked_controller
+from workshop.controller.memory import TestResult as Result
 
 POLL = ("--poll", "1", "--active", "--json")
 

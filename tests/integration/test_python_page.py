@@ -31,8 +31,6 @@ from diag_service.delivery import Outbox
 from diag_service.diagnosis.prognosis import Prognosis
 from diag_service.mapping.profile import load_profile
 from diag_service.store import ResultStore
-from diag_service.tester.description_files import load_file
-from ecu_emulator.diagnostics.memory import TestResult as Result
 from fleet_contract import Channel, read_message
 from tests.integration.test_tester import vehicle
 from tests.support.builders import shift_result
@@ -43,6 +41,8 @@ from tests.support.in_process import never_a_program
 from tests.support.outboxes import STATE
 from tests.support.patience import HANG_S
 from tests.support.uds.wire import parked_controller
+from workshop.controller.memory import TestResult as Result
+from workshop.tester.description_files import load_file
 
 PAGE, DIAGNOSTICS = "docs/python.md", "docs/diagnostics.md"
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)

@@ -9,15 +9,15 @@ import can
 import pytest
 
 import diag_service
-from diag_service.tester.commands import data_record, routine_record
-from diag_service.tester.polling import ControllerReport
-from diag_service.tester.trouble import trouble_record
-from ecu_emulator.diagnostics.controller import Controller
-from ecu_emulator.diagnostics.memory import TestResult as Result
 from tests.integration.test_tester import MASK, SLIPS, Vehicle, told, vehicle
 from tests.support.in_process import ended, never_a_program
 from tests.support.patience import HANG_S
 from tests.support.uds.wire import parked_controller
+from workshop.controller.controller import Controller
+from workshop.controller.memory import TestResult as Result
+from workshop.tester.commands import data_record, routine_record
+from workshop.tester.polling import ControllerReport
+from workshop.tester.trouble import trouble_record
 
 CHANNEL = "python tester"
 BUS = ("-i", "virtual", "-c", CHANNEL, "--listen", "0.05", "--timeout", "20", "--active")

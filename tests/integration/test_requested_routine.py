@@ -9,7 +9,6 @@ from pathlib import Path
 import can
 import pytest
 
-from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.scenario.scenario import Routine, Scenario
@@ -17,6 +16,7 @@ from ecu_emulator.truth import Happened, RevTruth, ShiftTruth
 from tests.support.builders import drive_scenario
 from tests.support.patience import HANG_S
 from tests.support.traffic import START_NS
+from workshop.controller.answering_tester import Answering
 
 MASK = bytes.fromhex("5aa5c33c")
 TESTER = 7

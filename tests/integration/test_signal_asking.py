@@ -17,15 +17,15 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.mapping.asked_signals import Overheard, flagged
 from diag_service.mapping.interpretation import interpret
 from diag_service.mapping.profile import AskingRules, Profile, load_profile, load_shipped
-from diag_service.tester import signal_asking
-from diag_service.tester.addresses import CanAddress
-from diag_service.tester.signal_asking import SignalAsker, line_on
-from ecu_emulator.diagnostics.controller import Controller
-from ecu_emulator.diagnostics.table_file import table_like
 from tests.integration.test_tester import vehicle
 from tests.support.asked import batch_of
 from tests.support.patience import HANG_S
 from tests.unit.canlog.test_traffic import sent_bits
+from workshop.controller.controller import Controller
+from workshop.controller.table_file import table_like
+from workshop.tester import signal_asking
+from workshop.tester.addresses import CanAddress
+from workshop.tester.signal_asking import SignalAsker, line_on
 
 pytestmark = pytest.mark.asks
 

@@ -9,12 +9,12 @@ from typing import Any
 import can
 import pytest
 
-from ecu_emulator.diagnostics.controller import Controller
-from ecu_emulator.diagnostics.link import DiagnosticLink
-from ecu_emulator.diagnostics.memory import TestResult as Result
 from tests.support.doip.tester import entity
 from tests.support.in_process import ended
 from tests.support.uds.wire import parked_controller
+from workshop.controller.controller import Controller
+from workshop.controller.link import DiagnosticLink
+from workshop.controller.memory import TestResult as Result
 
 CHANNEL = "tester"
 PATIENT = ("--listen", "0.05", "--timeout", "20")  # only a hang takes so long
@@ -123,7 +123,7 @@ def test_codes_are_cleared_one_by_one_and_all_together(monkeypatch: pytest.Monke
     with failing_car("clearing") as (controller, bus):
         would = told("dtc", "--clear", *bus)["would_ask"]
         assert would == ["19 02 AF: the codes", "14 FF FF FF: clear", "19 02 AF: what is left"]
-        monkeypatch.setattr("diag_service.tester.commands.is_confirmed", lambda question, _: "P0811" not in question)
+        monkeypatch.setattr("workshop.tester.commands.is_confirmed", lambda question, _: "P0811" not in question)
         refused = told("dtc", "--clear", *bus, "--active")
         assert (refused["cleared"]["groups"], len(refused["codes"])) == ([], 2)
         monkeypatch.undo()  # nobody sits there: the command line has the word

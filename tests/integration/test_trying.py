@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from dbc import DBC_PATH
-from ecu_emulator.diagnostics.elm327.server import ElmServer
 from tests.integration.test_signal_asking import controller, heard
 from tests.integration.test_tester import vehicle
 from tests.plugins.asked_services import SentByUs
@@ -17,6 +16,7 @@ from tests.support.documents import block_lines
 from tests.support.in_process import ended
 from tests.support.replay import free_bus
 from tests.support.service import service
+from workshop.controller.elm327.server import ElmServer
 
 pytestmark = pytest.mark.asks
 

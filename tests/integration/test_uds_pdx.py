@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 
 from ecu_emulator.cli import main
-from ecu_emulator.diagnostics.pdx.package import pdx_package
-from ecu_emulator.diagnostics.table_file import shipped_table
 from tests.support.documents import page_text
 from tests.support.uds.full_table import full_table
 from tests.support.uds.pdx_client import PdxClient, read_back, templates_compiled_once
+from workshop.controller.pdx.package import pdx_package
+from workshop.controller.table_file import shipped_table
 
 
 @pytest.fixture(scope="module", autouse=True)

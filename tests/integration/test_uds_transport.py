@@ -9,14 +9,14 @@ import can
 import isotp
 import pytest
 
-from ecu_emulator.diagnostics.link import DiagnosticLink
-from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.state import ServerState
-from ecu_emulator.diagnostics.table import Transport
 from tests.support.patience import HANG_S
 from tests.support.uds.full_table import full_table
 from tests.support.uds.streams import run
 from tests.support.uds.wire import RESPONSE_ID, Wire, parked_controller
+from workshop.controller.link import DiagnosticLink
+from workshop.controller.memory_file import MemoryFile
+from workshop.controller.state import ServerState
+from workshop.controller.table import Transport
 
 VIN = b"\x62\xf1\x90WDCTEMUL3TED00047"
 

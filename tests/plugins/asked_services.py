@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 READING: Final = frozenset({0x22, 0x01, 0x21, 0x3E})
 DEFINE: Final = 0x2C  # only where the marker says that the profile allows it
 GROUP_REQUEST: Final = 0xEA  # SAE J1939: PDU format of a request, no service of UDS
-PRODUCT, EMULATOR = "diag_service.", "ecu_emulator."
-ADAPTERS: Final = "diag_service.tester.adapters"  # says dialogues on a bus of the process, too
+PRODUCT, EMULATOR = ("diag_service.", "workshop.tester."), ("ecu_emulator.", "workshop.controller.")
+ADAPTERS: Final = "workshop.tester.adapters"  # says dialogues on a bus of the process, too
 SETUP: Final = b"AT"  # of the adapter itself: nothing of that reaches the car
 DIAGNOSTIC_MESSAGE: Final = 0x8001
 TESTERS: Final = range(0x0E00, 0x1000)  # ISO 13400-2: logical addresses of testers

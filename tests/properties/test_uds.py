@@ -7,14 +7,14 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from ecu_emulator.diagnostics import server
-from ecu_emulator.diagnostics.iso14229 import CLEARED, DEFAULT_SESSION, Nrc, Status
-from ecu_emulator.diagnostics.memory import FAILED_COUNTER, PASSED_COUNTER, TestResult
-from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.services.sessions import key_of
-from ecu_emulator.diagnostics.state import Instant, Request
 from tests.support.uds.full_table import full_table
 from tests.support.uds.pdx_client import MORE, PARKED
+from workshop.controller import server
+from workshop.controller.iso14229 import CLEARED, DEFAULT_SESSION, Nrc, Status
+from workshop.controller.memory import FAILED_COUNTER, PASSED_COUNTER, TestResult
+from workshop.controller.memory_file import MemoryFile
+from workshop.controller.services.sessions import key_of
+from workshop.controller.state import Instant, Request
 
 CODES = st.sampled_from([0x081107, 0x278800, 0x27874B])
 SEED = bytes(range(1, 17))

@@ -21,7 +21,7 @@ CORE: Mapping[str, tuple[str, ...]] = {
     "ingest": ("fleet_backend.ingest",),
 }
 ANNEXES = (
-    "diag_service.tester", "ecu_emulator.answering", "ecu_emulator.diagnostics", "fleet_backend.office",
+    "workshop.tester", "workshop.controller", "workshop.controller", "fleet_backend.office",
     "fleet_backend.page", "fleet_backend.alarms",
 )  # fmt: skip
 

@@ -8,13 +8,13 @@ from typing import Any, Final
 
 import tomli_w
 
-from ecu_emulator.diagnostics.descriptions import Coding, Datum, ExtendedRecord, Field
-from ecu_emulator.diagnostics.services.routines import COMPLETED, RUNNING, STOPPED
-from ecu_emulator.diagnostics.table import DiagnosticTable
-from ecu_emulator.diagnostics.table_file import shipped_table
-from ecu_emulator.diagnostics.values import not_available
+from workshop.controller.descriptions import Coding, Datum, ExtendedRecord, Field
+from workshop.controller.services.routines import COMPLETED, RUNNING, STOPPED
+from workshop.controller.table import DiagnosticTable
+from workshop.controller.table_file import shipped_table
+from workshop.controller.values import not_available
 
-FILE: Final = Path(__file__).parents[2] / "diag_service/tester/controllers/dct.toml"
+FILE: Final = Path(__file__).parents[2] / "workshop/src/workshop/tester/controllers/dct.toml"
 _SYSTEM_NAME: Final = 0xF197
 # Before the results ours tells how far it is: what ISO 14229-1 leaves to the maker (routineInfo).
 _STATUS: Final = {

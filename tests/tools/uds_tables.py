@@ -5,9 +5,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
-from ecu_emulator.diagnostics.descriptions import Access, Coding, Datum, Field
-from ecu_emulator.diagnostics.table import DiagnosticTable
-from ecu_emulator.diagnostics.table_file import shipped_table
+from workshop.controller.descriptions import Access, Coding, Datum, Field
+from workshop.controller.table import DiagnosticTable
+from workshop.controller.table_file import shipped_table
 
 DOCUMENT: Final = Path(__file__).parents[2] / "docs/controller-tables.md"
 _MARK: Final = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)

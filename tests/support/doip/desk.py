@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable
 
-from ecu_emulator.diagnostics.doip.streams import Ask, Close, Send, Step, advanced, closed, opened, received, responded
-from ecu_emulator.diagnostics.table import DoipEntity
+from workshop.controller.doip.streams import Ask, Close, Send, Step, advanced, closed, opened, received, responded
+from workshop.controller.table import DoipEntity
 
 ENTITY = DoipEntity()
 

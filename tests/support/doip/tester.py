@@ -9,15 +9,15 @@ from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
 
-from ecu_emulator.diagnostics.controller import Controller
-from ecu_emulator.diagnostics.doip.listening import Place, TlsNode
-from ecu_emulator.diagnostics.doip.server import DoipServer
-from ecu_emulator.diagnostics.memory_file import MemoryFile
 from tests.support.doip.desk import activation, framed, request
 from tests.support.patience import HANG_S
 from tests.support.ports import free_port
 from tests.support.uds.full_table import full_table
 from tests.support.uds.wire import PARKED
+from workshop.controller.controller import Controller
+from workshop.controller.doip.listening import Place, TlsNode
+from workshop.controller.doip.server import DoipServer
+from workshop.controller.memory_file import MemoryFile
 
 MASK = 0x5AA5C33C
 

@@ -6,18 +6,18 @@ from pathlib import Path
 
 from clutch_model.calibration import clutch_of_gear
 from dbc.contract import load_contract
-from ecu_emulator.answering.monitoring import Monitoring
-from ecu_emulator.answering.requested_tasks import RequestedAdaptation, RequestedClearing
 from ecu_emulator.bus.sent_values import LatestValues, SentValues
-from ecu_emulator.diagnostics.controller import Controller
-from ecu_emulator.diagnostics.iso14229 import Status
-from ecu_emulator.diagnostics.memory_file import MemoryFile
-from ecu_emulator.diagnostics.table_file import shipped_table
 from ecu_emulator.drive.build import build_vehicle
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.scenario.scenario import Routine, Scenario, Truth
 from ecu_emulator.scenario.scenario_file import load_scenario
 from ecu_emulator.shift_control import tcu_data
+from workshop.controller.controller import Controller
+from workshop.controller.iso14229 import Status
+from workshop.controller.memory_file import MemoryFile
+from workshop.controller.monitoring import Monitoring
+from workshop.controller.requested_tasks import RequestedAdaptation, RequestedClearing
+from workshop.controller.table_file import shipped_table
 
 ADAPT = "31 01 03 02"
 CLEAR = "31 01 03 03"

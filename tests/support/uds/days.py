@@ -9,10 +9,10 @@ import can
 import numpy as np
 
 from dbc.contract import load_contract
-from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.sensing import Readings
+from workshop.controller.answering_tester import Answering
 
 STEP_S = 0.5
 TRIP_STEPS = 12

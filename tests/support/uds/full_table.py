@@ -7,8 +7,8 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
-from ecu_emulator.diagnostics.table import DiagnosticTable
-from ecu_emulator.diagnostics.table_file import parse_table
+from workshop.controller.table import DiagnosticTable
+from workshop.controller.table_file import parse_table
 
 
 @cache

@@ -19,15 +19,15 @@ from odxtools.endofpdufield import EndOfPduField
 from odxtools.message import Message
 from odxtools.structure import Structure
 
-from ecu_emulator.diagnostics.memory import TestResult
-from ecu_emulator.diagnostics.pdx.elements import UNDEFINED
-from ecu_emulator.diagnostics.pdx.package import pdx_package
-from ecu_emulator.diagnostics.server import advance, answer, switched_on, tested
-from ecu_emulator.diagnostics.services.routines import finished
-from ecu_emulator.diagnostics.services.sessions import key_of
-from ecu_emulator.diagnostics.state import Instant, Request, ServerState
-from ecu_emulator.diagnostics.table import DiagnosticTable
-from ecu_emulator.diagnostics.values import Values
+from workshop.controller.memory import TestResult
+from workshop.controller.pdx.elements import UNDEFINED
+from workshop.controller.pdx.package import pdx_package
+from workshop.controller.server import advance, answer, switched_on, tested
+from workshop.controller.services.routines import finished
+from workshop.controller.services.sessions import key_of
+from workshop.controller.state import Instant, Request, ServerState
+from workshop.controller.table import DiagnosticTable
+from workshop.controller.values import Values
 
 PARKED = {
     "vehicle_speed_m_s": 0.0, "engine_speed_rad_s": 85.0, "sump_temperature_k": 353.0, "pedal_ratio": 0.0,

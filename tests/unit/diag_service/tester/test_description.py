@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from diag_service.errors import ConfigError
-from diag_service.tester.description_files import find_description, shipped
-from ecu_emulator.diagnostics.pdx.package import pdx_package
-from ecu_emulator.diagnostics.table_file import shipped_table
 from tests.tools.tester_description import FILE, written
+from workshop.controller.pdx.package import pdx_package
+from workshop.controller.table_file import shipped_table
+from workshop.tester.description_files import find_description, shipped
 
 OWN = """
 name = "gearbox"

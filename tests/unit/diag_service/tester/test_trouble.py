@@ -3,11 +3,11 @@
 import pytest
 
 from diag_service.errors import ConfigError
-from diag_service.tester.addresses import CanAddress, parse_address, usual_response_id
-from diag_service.tester.answers import belongs, fault
-from diag_service.tester.description import Coding, Datum, Description, Field, Trouble
-from diag_service.tester.questions import parse_group
-from diag_service.tester.trouble import TroubleCode, read_codes
+from workshop.tester.addresses import CanAddress, parse_address, usual_response_id
+from workshop.tester.answers import belongs, fault
+from workshop.tester.description import Coding, Datum, Description, Field, Trouble
+from workshop.tester.questions import parse_group
+from workshop.tester.trouble import TroubleCode, read_codes
 
 SPEED = Field(name="speed", kind=Coding.UNSIGNED, size_bytes=2, unit="km/h", resolution=0.01, invalid=0xFFFF)
 KNOWN = Description(

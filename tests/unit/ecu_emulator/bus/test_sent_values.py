@@ -8,10 +8,10 @@ import pytest
 
 from canlog.frames import EXTENDED_FLAG
 from dbc.contract import load_contract
-from ecu_emulator.answering.answering_tester import Answering
 from ecu_emulator.bus.frames import FrameEncoder
 from ecu_emulator.bus.sent_values import SentValues
 from ecu_emulator.sensing import Readings
+from workshop.controller.answering_tester import Answering
 
 DATABASE = load_contract()
 

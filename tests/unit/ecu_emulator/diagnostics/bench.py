@@ -1,13 +1,13 @@
 """A controller on a bench: requests and responses as hexadecimal text, the time and the vehicle in the test's hands."""
 
-from ecu_emulator.diagnostics.memory import TestResult
-from ecu_emulator.diagnostics.server import advance, answer, broadcast, left, switched_on, tested
-from ecu_emulator.diagnostics.services.call import under_control
-from ecu_emulator.diagnostics.services.routines import failed, finished
-from ecu_emulator.diagnostics.state import Instant, Request, ServerState
-from ecu_emulator.diagnostics.table import DiagnosticTable
-from ecu_emulator.diagnostics.values import Value
 from tests.support.uds.full_table import full_table
+from workshop.controller.memory import TestResult
+from workshop.controller.server import advance, answer, broadcast, left, switched_on, tested
+from workshop.controller.services.call import under_control
+from workshop.controller.services.routines import failed, finished
+from workshop.controller.state import Instant, Request, ServerState
+from workshop.controller.table import DiagnosticTable
+from workshop.controller.values import Value
 
 SEED = bytes(range(1, 17))
 PARKED: dict[str, Value] = {

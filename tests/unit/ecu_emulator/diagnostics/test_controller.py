@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from ecu_emulator.diagnostics.controller import Controller
-from ecu_emulator.diagnostics.memory import TestResult
-from ecu_emulator.diagnostics.memory_file import MemoryFile
 from ecu_emulator.errors import RecordError
 from tests.support.uds.full_table import full_table
 from tests.unit.ecu_emulator.diagnostics.bench import PARKED, SEED
+from workshop.controller.controller import Controller
+from workshop.controller.memory import TestResult
+from workshop.controller.memory_file import MemoryFile
 
 HOT = 0x27874B
 KEY = (int.from_bytes(SEED[:4], "big") ^ 0x5AA5C33C).to_bytes(4, "big")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ecu_emulator.diagnostics.isotp_frames import single_payload, usable
+from workshop.controller.isotp_frames import single_payload, usable
 
 
 @pytest.mark.parametrize(

@@ -9,13 +9,13 @@ import pytest
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.bus.sent_values import SentValues
-from ecu_emulator.diagnostics.memory import TestResult
-from ecu_emulator.diagnostics.monitors import NOMINAL_LIMITS, MonitorLimits, Watch, judge
 from ecu_emulator.drive.recording import Drive, frames_of
 from ecu_emulator.plant.parameters import nominal_parameters
 from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
 from ecu_emulator.scenario.scenario import Fluid, FluidCondition, Truth
 from ecu_emulator.scenario.scenario_file import load_scenario
+from workshop.controller.memory import TestResult
+from workshop.controller.monitors import NOMINAL_LIMITS, MonitorLimits, Watch, judge
 
 STEP_S = 0.1
 HOLDING = {

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from ecu_emulator.diagnostics.memory import TestResult
-from ecu_emulator.diagnostics.table_file import parse_table, shipped_table
 from ecu_emulator.errors import ConfigError
 from tests.tools.uds_tables import DOCUMENT, written
 from tests.unit.ecu_emulator.diagnostics.bench import Bench
+from workshop.controller.memory import TestResult
+from workshop.controller.table_file import parse_table, shipped_table
 
-TEXT = (Path(__file__).parents[4] / "ecu_emulator/diagnostics/tcu.toml").read_text(encoding="utf-8")
+TEXT = (Path(__file__).parents[4] / "workshop/src/workshop/controller/tcu.toml").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from ecu_emulator.diagnostics.elm327.interpreter import Interpreter
-from ecu_emulator.diagnostics.table_file import shipped_table
 from tests.unit.ecu_emulator.diagnostics.bench import Bench
+from workshop.controller.elm327.interpreter import Interpreter
+from workshop.controller.table_file import shipped_table
 
 
 class Adapter:

@@ -1,1 +1,0 @@
-"""The emulated transmission answers testers while it drives."""

@@ -1,0 +1,208 @@
+"""One controller that runs: it keeps the state between requests and has it on the disk before anything is answered."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+from ecu_emulator.errors import RecordError
+from workshop.controller import server
+from workshop.controller.clutches import Adaptation
+from workshop.controller.iso14229 import NEGATIVE, Nrc
+from workshop.controller.memory import TestResult
+from workshop.controller.memory_file import MemoryFile
+from workshop.controller.services.call import under_control
+from workshop.controller.services.data import data_of
+from workshop.controller.services.routines import failed, finished
+from workshop.controller.state import Instant, Reply, Request, ServerState
+from workshop.controller.table import DiagnosticTable
+from workshop.controller.values import Values
+
+LONGEST_SEED_BYTES: Final = 16
+TICK_S: Final = 0.01  # about so often a transport calls `tick`
+
+
+class Controller:
+    """A diagnostic server that several threads may use: one that answers, one that drives and monitors.
+
+    Parameters
+    ----------
+    table
+        What it can be asked.
+    values
+        Returns the values of the vehicle now, by source.
+    clock
+        Returns a time [s] that never goes back.
+    chance
+        Returns so many random bytes.
+    store
+        The file that keeps what outlives a restart; without one, nothing does.
+    work
+        Takes a part of the time that an answer takes: called before the values for it are read, and after.
+
+    Raises
+    ------
+    RecordError
+        If the file cannot be read or written.
+    """
+
+    def __init__(
+        self,
+        table: DiagnosticTable,
+        *,
+        values: Callable[[], Values],
+        clock: Callable[[], float],
+        chance: Callable[[int], bytes],
+        store: MemoryFile | None = None,
+        work: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.table = table
+        self._values = values
+        self._clock = clock
+        self._chance = chance
+        self._store = store
+        self._work = work
+        self._lock = threading.Lock()
+        self._state = server.switched_on(table, store.load() if store is not None else None, clock())
+        if store is not None:
+            store.save(self._state)
+
+    @property
+    def state(self) -> ServerState:
+        return self._state
+
+    @property
+    def is_asleep(self) -> bool:
+        """Whether it starts again after a reset, and neither hears nor says anything."""
+        return self._clock() < self._state.asleep_until_s
+
+    def ask(self, payload: bytes, *, is_functional: bool = False, client: int = 0) -> bytes | None:
+        """Return the response to a client's request, None if there is none; what it changed is on the disk by then."""
+        return self.consider(payload, is_functional=is_functional, client=client).payload
+
+    def consider(self, payload: bytes, *, is_functional: bool = False, client: int = 0) -> Reply:
+        """Return the same as ``ask`` with what was kept back, for a transport that has told the client to wait."""
+        request = Request(payload=payload, is_functional=is_functional, client=client)
+        if not self._lock.acquire(blocking=False):  # a disk that takes its time is no reason to wait for a refusal
+            refused = None if self.is_asleep else server.refusal(self.table, self._state, request)
+            if refused is not None:
+                return refused
+            self._lock.acquire()
+        try:
+            self._work()
+            reply = self._kept(server.answer(self.table, self._state, request, self._moment()), payload)
+            self._work()
+            return reply
+        finally:
+            self._lock.release()
+
+    def refuses(self, payload: bytes, client: int = 0) -> bool:
+        """Return whether a request is not supported at all, so that nobody is told to wait for its answer."""
+        return server.refusal(self.table, self._state, Request(payload=payload, client=client)) is not None
+
+    def tick(self, client: int = 0) -> bytes | None:
+        """Return a client's response that has become due; to be called about every 10 ms, never waits."""
+        if not self._lock.acquire(blocking=False):
+            return None
+        try:
+            waiting = self._state.waiting
+            if waiting is not None and waiting.request.client != client:
+                return None
+            payload = waiting.request.payload if waiting is not None else b""
+            return self._kept(server.advance(self.table, self._state, self._moment()), payload).payload
+        finally:
+            self._lock.release()
+
+    def datum(self, number: int) -> bytes:
+        """Return what a datum holds now, nothing if there is none."""
+        described = self.table.data.get(number)
+        return b"" if described is None else data_of(described, self._state, self._moment())
+
+    def awaits(self, client: int) -> bool:
+        """Return whether a response for a client comes later."""
+        waiting = self._state.waiting
+        return waiting is not None and waiting.request.client == client
+
+    def leave(self, client: int) -> None:
+        """Note that a client has gone, and with it the session that it held; raises RecordError as ``report``."""
+        self._change(lambda state: server.left(self.table, state, client))
+
+    def broadcast(self, client: int = 0) -> tuple[bytes, ...]:
+        """Return what is to be sent now to the client who holds the session, without being asked again; as ``tick``."""
+        if not self._state.periodic or self._state.holder != client or not self._lock.acquire(blocking=False):
+            return ()
+        try:
+            messages, self._state = server.broadcast(self.table, self._state, self._moment())
+            return messages
+        finally:
+            self._lock.release()
+
+    def hold_session(self) -> None:
+        """Begin S3 anew: a message comes in or goes out, and that is not silence; to be called often, never waits."""
+        if not self._lock.acquire(blocking=False):
+            return
+        try:
+            if self._state.holder == 0:  # CAN's own: other transports have no messages of many frames
+                self._state = server.held(self.table, self._state, self._moment())
+        finally:
+            self._lock.release()
+
+    def report(self, number: int, result: TestResult) -> None:
+        """Take the result of a monitor; raises RecordError if it cannot be kept."""
+        self._change(lambda state: server.tested(self.table, state, number, result, self._moment()))
+
+    def warm_up(self) -> None:
+        """Note that the vehicle has become warm in this operation cycle; raises RecordError as ``report``."""
+        self._change(server.warmed_up)
+
+    def drive(self) -> None:
+        """Note that this operation cycle was driven for long enough to count; raises RecordError as ``report``."""
+        self._change(server.driven)
+
+    def cycle(self) -> None:
+        """Begin a new operation cycle; raises RecordError as ``report``."""
+        self._change(lambda state: server.cycled(self.table, state))
+
+    def finish(self, routine: int) -> None:
+        """Note that the vehicle has done what a routine asked for."""
+        self._change(
+            lambda state: finished(state, self.table, routine, under_control(self.table, state, self._moment()))
+        )
+
+    def fail(self, routine: int, nrc: int = Nrc.PROGRAMMING_FAILURE) -> None:
+        """Note that the vehicle could not do what a routine asked for, and why, for who awaits it."""
+        self._change(lambda state: failed(state, routine, nrc))
+
+    def adapt(self, adaptation: Adaptation) -> None:
+        """Keep what was adapted, or cleared; raises RecordError as ``report``."""
+        self._change(lambda state: replace(state, adaptation=adaptation))
+
+    def _change(self, change: Callable[[ServerState], ServerState]) -> None:
+        with self._lock:
+            state = change(self._state)
+            self._save(state)
+            self._state = state
+
+    def _kept(self, reply: Reply, payload: bytes) -> Reply:
+        """Return a reply once its state is on the disk; what cannot be kept is refused and forgotten."""
+        try:
+            self._save(reply.state)
+        except RecordError:
+            self._state = replace(self._state, waiting=None)
+            refused = bytes([NEGATIVE, payload[0], Nrc.PROGRAMMING_FAILURE]) if payload else None
+            return Reply(payload=refused, state=self._state)
+        self._state = reply.state
+        return reply
+
+    def _save(self, state: ServerState) -> None:
+        if self._store is not None and not _are_same(state, self._state):
+            self._store.save(state)
+
+    def _moment(self) -> Instant:
+        return Instant(t_s=self._clock(), values=self._values(), chance=self._chance(LONGEST_SEED_BYTES))
+
+
+def _are_same(one: ServerState, other: ServerState) -> bool:
+    """Return whether two states keep the same, at a glance."""
+    kept = ("memory", "emissions", "written", "wrong_keys", "adaptation")
+    return all(getattr(one, name) is getattr(other, name) for name in kept)

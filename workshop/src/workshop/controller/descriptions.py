@@ -1,0 +1,423 @@
+"""What a table describes, one record of each kind: data, routines, trouble codes, locks, and who may use them."""
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Final
+
+from clutch_model import units
+from ecu_emulator.errors import ConfigError
+from workshop.controller.iso14229 import Nrc
+
+OF_MEMORY: Final = "memory."  # begins the source of a counter of a trouble code
+FLOAT_BYTES: Final = frozenset({4, 8})
+_SYSTEMS: Final = "PCBU"  # powertrain, chassis, body, network: the two upper bits of a code
+_CODE: Final = re.compile(r"[PCBU][0-3][0-9A-F]{3}")
+
+Conversion = tuple[Callable[[float], float], Callable[[float], float]]
+_CONVERSIONS: Final[Mapping[tuple[str, str], Conversion]] = {
+    ("rad_s", "rpm"): (units.rpm_from_rad_s, units.rad_s_from_rpm),
+    ("pa", "bar"): (units.bar_from_pa, units.pa_from_bar),
+    ("pa", "kPa"): (lambda pressure_pa: pressure_pa / 1e3, lambda pressure_kpa: pressure_kpa * 1e3),
+    ("k", "degC"): (units.degc_from_k, units.k_from_degc),
+    ("m_s", "km/h"): (units.km_h_from_m_s, units.m_s_from_km_h),
+    ("m", "km"): (lambda length_m: length_m / 1e3, lambda length_km: length_km * 1e3),
+    ("ratio", "%"): (lambda ratio: ratio * 1e2, lambda percent: percent / 1e2),
+}  # from SI, to SI
+_SI_UNITS: Final = {"rad_s": "rad/s", "m_s": "m/s", "s": "s", "pa": "Pa", "k": "K", "nm": "Nm", "m": "m", "ratio": ""}
+
+
+class Coding(StrEnum):
+    """How a value is written into bytes, big-endian."""
+
+    UNSIGNED = "unsigned"
+    SIGNED = "signed"
+    FLOAT = "float"  # IEEE 754, of 4 or 8 bytes; not a number: not available
+    TEXT = "text"
+    BYTES = "bytes"
+
+
+class Task(StrEnum):
+    """What the vehicle does while a routine runs."""
+
+    NOTHING = "nothing"  # but let time pass
+    REVS = "revs"  # the workshop routine: as many revs with open, then closed clutches as the two options say; a drive
+    NEW_FLUID = "new_fluid"  # touch points are those of the type again
+    TOUCH_POINTS = "touch_points"  # both clutches are adapted
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Field:
+    """One value within the bytes of a datum, a routine's options or results, or an extended record."""
+
+    name: str
+    kind: Coding
+    size_bytes: int
+    source: str = ""  # which value of the controller it shows, in SI
+    unit: str = ""  # as it is on the wire
+    resolution: float = 1.0  # of one bit, in that unit
+    offset: float = 0.0
+    minimum: float | None = None  # what may be written, in that unit
+    maximum: float | None = None
+    pattern: str = ""  # what a text, or the digits of bytes, may be, as a regular expression
+    meanings: Mapping[str, str] = field(default_factory=dict)  # of numbers
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.size_bytes <= 255:
+            raise ConfigError(f"{self.name}: size_bytes must be 1..255, got {self.size_bytes}")
+        if self.kind in {Coding.UNSIGNED, Coding.SIGNED} and self.size_bytes > 8:
+            raise ConfigError(f"{self.name}: a number has at most 8 bytes, got {self.size_bytes}")
+        is_scaled = self.resolution != 1.0 or self.offset != 0.0
+        if self.kind is Coding.FLOAT and (self.size_bytes not in FLOAT_BYTES or is_scaled):
+            raise ConfigError(f"{self.name}: a float has 4 or 8 bytes and is not scaled")
+        if not (math.isfinite(self.resolution) and math.isfinite(self.offset) and self.resolution > 0.0):
+            raise ConfigError(f"{self.name}: resolution must be > 0, and it and the offset finite")
+        _check_limits(self)
+        known = [_SI_UNITS.get(self.dimension, ""), *(unit for one, unit in _CONVERSIONS if one == self.dimension)]
+        if self.dimension and self.unit not in {"", *known}:
+            raise ConfigError(f"{self.name}: the unit of {self.source} is one of {', '.join(known)}, not {self.unit}")
+        try:
+            re.compile(self.pattern)
+        except re.error as exc:
+            raise ConfigError(f"{self.name}: pattern is not a regular expression: {exc}") from exc
+        bits = 8 * self.size_bytes
+        if any(not 0 <= number < 1 << bits for number in self.numbered_meanings):
+            raise ConfigError(f"{self.name}: meanings are of numbers from 0 to {(1 << bits) - 1}")
+
+    @property
+    def dimension(self) -> str:
+        """The end of the source's name that tells its unit, empty if it tells none."""
+        return next((one for one in _SI_UNITS if self.source.endswith(f"_{one}")), "")
+
+    @property
+    def conversion(self) -> Conversion:
+        """How its source's value becomes one in the unit on the wire, and the other way round."""
+        return _CONVERSIONS.get((self.dimension, self.unit), (float, float))
+
+    @property
+    def numbered_meanings(self) -> dict[int, str]:
+        """The texts that numbers on the wire stand for."""
+        try:
+            return {int(number, 0): text for number, text in self.meanings.items()}
+        except ValueError as exc:
+            raise ConfigError(f"{self.name}: meanings are of whole numbers, got {sorted(self.meanings)}") from exc
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Access:
+    """Who may do something, and in which condition of the vehicle."""
+
+    sessions: tuple[int, ...]
+    levels: tuple[int, ...] = ()  # one of these must be unlocked; none is needed if there is none
+    conditions: tuple[str, ...] = ()  # checked in this order
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Condition:
+    """What must hold of a value of the controller, and the response if it does not."""
+
+    name: str
+    source: str
+    nrc: int
+    minimum: float | None = None  # in SI
+    maximum: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.nrc not in set(Nrc):
+            raise ConfigError(f"condition {self.name}: nrc 0x{self.nrc:02X} is unknown")
+        _check_limits(self)
+
+
+def _check_limits(entry: Field | Condition) -> None:
+    """Raise ConfigError unless the limits that are given can be kept."""
+    given = [limit for limit in (entry.minimum, entry.maximum) if limit is not None]
+    if not all(map(math.isfinite, given)) or given != sorted(given):
+        raise ConfigError(f"{entry.name}: minimum and maximum {given} are not a range: leave a missing limit out")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Session:
+    """A diagnostic session, and from which others it can be entered."""
+
+    number: int
+    name: str
+    from_sessions: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SecurityLevel:
+    """A lock: the number that asks for its seed; key = seed XOR mask."""
+
+    number: int
+    name: str
+    sessions: tuple[int, ...]
+    seed_bytes: int
+    key_mask: int
+    most_attempts: int
+    delay_s: float  # after so many wrong keys
+
+    def __post_init__(self) -> None:
+        if self.number % 2 == 0 or not 0x01 <= self.number <= 0x41:
+            raise ConfigError(f"security level {self.name}: its number must be odd, 1..0x41, got {self.number}")
+        if not 0 < self.key_mask < 1 << (8 * self.seed_bytes):
+            raise ConfigError(f"security level {self.name}: key_mask must fit {self.seed_bytes} bytes and not be 0")
+        if self.most_attempts < 1 or self.delay_s < 0.0:
+            raise ConfigError(f"security level {self.name}: most_attempts must be >= 1 and delay_s >= 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServiceAccess:
+    """In which sessions a service is there, and in which condition of the vehicle it changes something."""
+
+    number: int
+    name: str
+    sessions: tuple[int, ...]
+    levels: tuple[int, ...] = ()
+    conditions: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Datum:
+    """A data identifier: live (its fields have sources) or stored (it has an initial value)."""
+
+    number: int
+    name: str
+    fields: tuple[Field, ...]
+    read: Access
+    initial: str | None = None  # text, or hexadecimal digits of all its bytes
+    write: Access | None = None
+    control: Access | None = None  # by service 2F
+
+    def __post_init__(self) -> None:
+        are_live = [bool(entry.source) for entry in self.fields]
+        if not self.fields or any(are_live) != all(are_live) or all(are_live) != (self.initial is None):
+            raise ConfigError(f"data {self.name}: either every field has a source, or there is an initial value")
+        if self.write is not None and self.initial is None:
+            raise ConfigError(f"data {self.name}: what is live cannot be written")
+        if self.control is not None and self.initial is not None:
+            raise ConfigError(f"data {self.name}: what is stored cannot be controlled")
+
+        if self.initial is not None and len(self.initial_bytes) != self.size_bytes:
+            raise ConfigError(f"data {self.name}: initial must have {self.size_bytes} bytes, got {self.initial!r}")
+
+    @property
+    def size_bytes(self) -> int:
+        """Length of its data [byte]."""
+        return size_of(self.fields)
+
+    @property
+    def initial_bytes(self) -> bytes:
+        """What it holds before it was ever written, if it is stored."""
+        text = self.initial or ""
+        try:
+            return text.encode("ascii") if self.fields[0].kind is Coding.TEXT else bytes.fromhex(text)
+        except ValueError as exc:
+            raise ConfigError(f"data {self.name}: initial is neither ASCII text nor hexadecimal: {text!r}") from exc
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Routine:
+    """A routine: ends by itself after a time, or is ended by the vehicle, within the time at most."""
+
+    number: int
+    name: str
+    access: Access
+    duration_s: float
+    ends_by_itself: bool = True
+    is_awaited: bool = False  # the positive response to its start comes when it has ended
+    can_be_stopped: bool = True
+    task: Task = Task.NOTHING
+    held_conditions: tuple[str, ...] = ()  # that must hold until it ends; the vehicle is watched while it adapts
+    options: tuple[Field, ...] = ()
+    results: tuple[Field, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.task is Task.REVS and (self.ends_by_itself or [entry.size_bytes for entry in self.options] != [1, 1]):
+            raise ConfigError(
+                f"routine {self.name}: task revs has two options of one byte, and the vehicle ends it, not the time"
+            )
+        if self.task in {Task.NEW_FLUID, Task.TOUCH_POINTS} and self.ends_by_itself:
+            raise ConfigError(f"routine {self.name}: the vehicle ends task {self.task}, not the time")
+        if self.held_conditions and self.task is not Task.TOUCH_POINTS:
+            raise ConfigError(f"routine {self.name}: held_conditions belong to task touch_points")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trouble:
+    """A diagnostic trouble code: a code as scan tools show it and a failure type (ISO 15031-6, SAE J2012-DA)."""
+
+    code: str  # P0811
+    failure_type: int
+    text: str
+    severity: int
+    lights_lamp: bool
+    confirm_cycles: int = 1  # operation cycles with a failure, without a passed one between them
+    heal_cycles: int = 3  # passed cycles until the lamp goes out
+    age_cycles: int = 40  # passed warm-up cycles until the code is forgotten
+    failed_step: int = 127  # of the fault detection counter
+    passed_step: int = 128
+    snapshot: tuple[int, ...] | None = None  # data identifiers; those of the table if there are none
+    extended: tuple[int, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if not _CODE.fullmatch(self.code):
+            raise ConfigError(f"trouble code {self.code} is none: in capitals, as P0741, its failure_type apart")
+        bytes_each = dict.fromkeys(("failure_type", "severity", "confirm_cycles", "heal_cycles", "age_cycles"), 255)
+        for name, most in {**bytes_each, "failed_step": 127, "passed_step": 128}.items():
+            value, least = getattr(self, name), 0 if name in {"failure_type", "severity"} else 1
+            if not least <= value <= most:
+                raise ConfigError(f"trouble code {self.code}: {name} must be {least}..{most}, got {value}")
+
+    @property
+    def number(self) -> int:
+        """The three bytes that stand for it on the wire."""
+        upper = _SYSTEMS.index(self.code[0]) << 14 | int(self.code[1:], 16)
+        return upper << 8 | self.failure_type
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExtendedRecord:
+    """A record of extended data: counters of the trouble code, or values kept at the moment of failure."""
+
+    number: int
+    name: str
+    fields: tuple[Field, ...]
+
+    def __post_init__(self) -> None:
+        if not 0x01 <= self.number <= 0xEF:
+            raise ConfigError(f"extended record {self.name}: its number must be 1..0xEF, got {self.number}")
+        if len({entry.source.startswith(OF_MEMORY) for entry in self.fields}) != 1:
+            raise ConfigError(f"extended record {self.name}: either all its fields are counters (memory.) or none is")
+
+    @property
+    def has_counters(self) -> bool:
+        """Whether it shows counters of the trouble code, not values of the moment of failure."""
+        return self.fields[0].source.startswith(OF_MEMORY)
+
+
+def size_of(fields: Iterable[Field]) -> int:
+    """Return the length of fields [byte]."""
+    return sum(entry.size_bytes for entry in fields)
+
+
+BLOCK: Final = 0x20  # so many numbers does one bitmap of supported ones cover
+_LONGEST_PID: Final = 64  # bytes; those of J1979-DA have 41 at most
+_LONGEST_INFO: Final = 0xFF
+IN_USE: Final = ExtendedRecord(
+    number=0x91,
+    name="in-use performance",
+    fields=(
+        Field(name="completions", kind=Coding.UNSIGNED, size_bytes=2, source=f"{OF_MEMORY}ran_cycles"),
+        Field(name="conditions encountered", kind=Coding.UNSIGNED, size_bytes=2, source=f"{OF_MEMORY}driven_cycles"),
+    ),
+)
+"""Extended data of SAE J1979-2: in how many operation cycles a test has run, and in how many it should have."""
+
+
+class Profile(StrEnum):
+    """How OBD is spoken: by services 01 to 0A (SAE J1979), or by those of UDS (SAE J1979-2)."""
+
+    CLASSIC = "classic"
+    UDS = "uds"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pid:
+    """A parameter: its fields have sources, or it has an initial value and never another one."""
+
+    number: int
+    name: str
+    fields: tuple[Field, ...]
+    initial: str = ""  # hexadecimal digits of all its bytes
+    is_frozen: bool = False  # kept in the freeze frame
+
+    def __post_init__(self) -> None:
+        _check_number("PID", self.name, self.number)
+        if not 1 <= size_of(self.fields) <= _LONGEST_PID:
+            raise ConfigError(f"PID {self.name}: it must have 1..{_LONGEST_PID} bytes, got {size_of(self.fields)}")
+        if self.initial and len(_from_hex(self.name, self.initial)) != size_of(self.fields):
+            raise ConfigError(f"PID {self.name}: initial must have {size_of(self.fields)} bytes, got {self.initial!r}")
+
+    @property
+    def initial_bytes(self) -> bytes:
+        """What it always is, empty if it has sources."""
+        return _from_hex(self.name, self.initial)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleInfo:
+    """A piece of service 09: what a data identifier holds, a text, or hexadecimal digits."""
+
+    number: int
+    name: str
+    size_bytes: int  # filled up with zeros
+    data: int | None = None
+    text: str = ""
+    digits: str = ""
+
+    def __post_init__(self) -> None:
+        _check_number("vehicle information", self.name, self.number)
+        if sum((self.data is not None, bool(self.text), bool(self.digits))) != 1:
+            raise ConfigError(f"vehicle information {self.name}: it has either data, a text or digits")
+        if not 1 <= self.size_bytes <= _LONGEST_INFO:
+            raise ConfigError(f"vehicle information {self.name}: size_bytes must be 1..{_LONGEST_INFO}")
+        if len(self.fixed_bytes) > self.size_bytes:
+            raise ConfigError(f"vehicle information {self.name}: it is longer than {self.size_bytes} bytes")
+
+    @property
+    def fixed_bytes(self) -> bytes:
+        """What it always is, empty if it is a data identifier's."""
+        try:
+            return self.text.encode("ascii") or _from_hex(self.name, self.digits)
+        except UnicodeEncodeError as exc:
+            raise ConfigError(f"vehicle information {self.name}: text is not ASCII: {self.text!r}") from exc
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MonitorTest:
+    """A monitor of service 06: its test is the fault detection counter of a trouble code."""
+
+    number: int
+    code: str  # P0811
+
+    def __post_init__(self) -> None:
+        _check_number("monitor", self.code, self.number)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Obd:
+    """OBD as one controller speaks it."""
+
+    profile: Profile
+    clear_conditions: tuple[str, ...]  # of the vehicle, before codes are cleared by service 04
+    pids: Mapping[int, Pid]
+    infos: Mapping[int, VehicleInfo]
+    monitors: Mapping[int, MonitorTest]
+    readiness_group: int = 0x03  # SAE J1979-2: comprehensive components
+
+
+def supported(numbers: Mapping[int, object], first: int) -> bytes | None:
+    """Return the bitmap of what is there of the 32 numbers after ``first``; None if it has nothing to say.
+
+    Its last bit says that the next bitmap is there.
+    """
+    if first % BLOCK or (first and not any(number > first for number in numbers)):
+        return None
+    there = [number - first for number in numbers if first < number <= first + BLOCK and number % BLOCK]
+    if any(number > first + BLOCK for number in numbers):
+        there.append(BLOCK)
+    return sum(1 << (BLOCK - place) for place in there).to_bytes(4, "big")
+
+
+def _check_number(kind: str, name: str, number: int) -> None:
+    if not 0x01 <= number <= 0xFF or number % BLOCK == 0:
+        raise ConfigError(f"{kind} {name}: its number must be 1..0xFF and no multiple of 0x20, got 0x{number:02X}")
+
+
+def _from_hex(name: str, digits: str) -> bytes:
+    try:
+        return bytes.fromhex(digits)
+    except ValueError as exc:
+        raise ConfigError(f"{name}: not hexadecimal digits: {digits!r}") from exc

@@ -1,0 +1,359 @@
+"""A controller on an IP network: connections and datagrams around the pure part, in a thread with an event loop."""
+
+import asyncio
+import random
+import threading
+import time
+from collections.abc import Callable, Coroutine
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Final, Self
+
+from workshop.controller.controller import TICK_S, Controller
+from workshop.controller.doip import streams
+from workshop.controller.doip.listening import Listening, Place, listen
+from workshop.controller.doip.messages import announcement, datagram_reply
+from workshop.controller.iso14229 import NEGATIVE, Nrc, Service
+from workshop.controller.server import AGAIN_RATIO, KEEP_ALIVE, PENDING_RATIO
+from workshop.controller.table import DoipEntity
+
+VIN = 0xF190
+MOST_DELAYED = 64  # identifications that wait for their random pause
+
+
+@dataclass(slots=True)
+class DatagramCounts:
+    """What came and went by datagrams."""
+
+    datagrams: int = 0
+    answered_datagrams: int = 0
+    dropped_datagrams: int = 0  # came faster than they may be answered
+    unsent_datagrams: int = 0  # the network did not take them
+
+
+class DatagramServer(asyncio.DatagramProtocol):
+    """Answers in the running event loop from ``start`` until ``close``.
+
+    Parameters
+    ----------
+    entity
+        Who is asked.
+    controller
+        Who knows the vehicle's identification number, and whether it hears anybody now.
+    open_sockets
+        Returns how many connections there are, now.
+    """
+
+    def __init__(self, entity: DoipEntity, controller: Controller, *, open_sockets: Callable[[], int]) -> None:
+        self._entity = entity
+        self._controller = controller
+        self._open_sockets = open_sockets
+        self._ends: list[asyncio.DatagramTransport] = []
+        self._delayed: set[asyncio.TimerHandle] = set()
+        self.counts = DatagramCounts()
+
+    async def start(self, sockets: Listening) -> None:
+        loop = asyncio.get_running_loop()
+        for one in sockets.udp:
+            end, _ = await loop.create_datagram_endpoint(lambda: self, sock=one)
+            self._ends.append(end)
+
+    def close(self) -> None:
+        """Say nothing any more."""
+        for timer in self._delayed:
+            timer.cancel()
+        for end in self._ends:
+            end.close()
+
+    async def announce(self, everybody: tuple[str, int], delay_s: float = 0.0) -> None:
+        """Say who one is, as often as a controller that starts does, which takes so long [s]."""
+        await asyncio.sleep(delay_s + self._pause_s())
+        for _ in range(self._entity.announce_count):
+            self._say(announcement(self._entity, self._controller.datum(VIN), self._entity.version), everybody)
+            await asyncio.sleep(self._entity.announce_interval_s)
+
+    def datagram_received(self, data: bytes, sender: tuple[str, int]) -> None:
+        """Answer one datagram, an identification after a random pause."""
+        self.counts.datagrams += 1
+        reply = datagram_reply(self._entity, self._controller.datum(VIN), self._open_sockets(), data)
+        if reply is None or self._controller.is_asleep:
+            return
+        if not reply.is_identification:
+            self._answer(reply.data, sender)
+        elif len(self._delayed) >= MOST_DELAYED:
+            self.counts.dropped_datagrams += 1
+        else:
+            timer: asyncio.TimerHandle
+
+            def say() -> None:
+                self._delayed.discard(timer)
+                self._answer(reply.data, sender)
+
+            timer = asyncio.get_running_loop().call_later(self._pause_s(), say)
+            self._delayed.add(timer)
+
+    def error_received(self, _error: Exception) -> None:
+        """Count a datagram that the network did not take."""
+        self.counts.unsent_datagrams += 1
+
+    def _answer(self, data: bytes, receiver: tuple[str, int]) -> None:
+        self.counts.answered_datagrams += 1
+        self._say(data, receiver)
+
+    def _say(self, data: bytes, receiver: tuple[str, int]) -> None:
+        with suppress(OSError):  # a receiver that cannot be; others are told through error_received
+            self._ends[0].sendto(data, receiver)
+
+    def _pause_s(self) -> float:
+        return random.uniform(0.0, self._entity.announce_wait_s)  # noqa: S311 - so that not all speak at once
+
+
+READ_BYTES: Final = 4096
+LINGER_S: Final = 1.0  # in which a tester may take what was said before its connection was closed
+_PERIODIC: Final = bytes([Service.READ_PERIODICALLY])
+
+
+@dataclass(slots=True)
+class DoipCounts:
+    """What came and went by connections."""
+
+    connections: int = 0
+    refused_connections: int = 0  # more than are accepted at all
+    requests: int = 0
+    responses: int = 0
+
+
+class DoipServer:
+    """Answers over TCP and UDP while the ``with`` block runs.
+
+    Parameters
+    ----------
+    controller
+        Who answers.
+    place
+        Where it listens.
+
+    Raises
+    ------
+    BusError, ConfigError
+        If it cannot listen there, or its certificate cannot be used.
+    """
+
+    def __init__(self, controller: Controller, place: Place) -> None:
+        self._controller = controller
+        self._entity = controller.table.doip
+        self._step = streams.Step(sockets={})
+        self._writers: dict[int, asyncio.StreamWriter] = {}
+        self._asks: dict[int, asyncio.Queue[streams.Ask]] = {}
+        self._reset_s = controller.state.asleep_until_s  # until when the last reset takes
+        self._asking_count = 0
+        self._silent: set[int] = set()  # connections whose periodic data wait for the response that announces them
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._pool = ThreadPoolExecutor(1, "DoIP asks")
+        self._datagrams = DatagramServer(self._entity, controller, open_sockets=lambda: len(self._step.sockets))
+        self._counts = DoipCounts()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._is_over = asyncio.Event()
+        self._is_ready = threading.Event()
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="DoIP", daemon=True)
+        self._tls = None if place.tls is None else place.tls.context()
+        self._sockets = listen(place)
+        self.place = place
+
+    @property
+    def is_exposed(self) -> bool:
+        """Whether others than this machine can reach it."""
+        return self._sockets.is_exposed
+
+    @property
+    def counts(self) -> dict[str, int]:
+        return asdict(self._counts) | asdict(self._datagrams.counts)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        self._is_ready.wait()
+        return self
+
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
+        if self._loop is not None:
+            with suppress(RuntimeError):  # the loop has ended by itself
+                self._loop.call_soon_threadsafe(self._is_over.set)
+        self._thread.join()
+        if self._error is not None and error is None:
+            raise self._error
+
+    def close(self) -> None:
+        """Listen no more, as it does after its block; one that is never entered needs it."""
+        self._sockets.close()
+
+    def _run(self) -> None:
+        try:
+            asyncio.run(self._serve())
+        except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
+            self._error = exc
+        finally:
+            self._is_ready.set()
+            self._pool.shutdown()
+            self.close()
+
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        async with asyncio.TaskGroup() as group:
+            servers = await self._listen(partial(self._accept, group))
+            await self._datagrams.start(self._sockets)
+            self._start(group, self._datagrams.announce(self._sockets.everybody))
+            self._start(group, self._advance(group))
+            self._is_ready.set()
+            try:
+                await self._is_over.wait()
+            finally:
+                for server in servers:
+                    server.close()
+                self._datagrams.close()
+                for writer in self._writers.values():
+                    writer.transport.abort()
+                for task in self._tasks:
+                    task.cancel()
+
+    async def _listen(
+        self, accept: Callable[[asyncio.StreamReader, asyncio.StreamWriter], None]
+    ) -> list[asyncio.Server]:
+        servers = [await asyncio.start_server(accept, sock=self._sockets.tcp, limit=READ_BYTES)]
+        if self._sockets.tls is not None:
+            patience_s = self._entity.initial_inactivity_s
+            servers.append(
+                await asyncio.start_server(
+                    accept,
+                    sock=self._sockets.tls,
+                    limit=READ_BYTES,
+                    ssl=self._tls,
+                    ssl_handshake_timeout=patience_s,
+                    ssl_shutdown_timeout=LINGER_S,
+                )
+            )
+        return servers
+
+    def _start(self, group: asyncio.TaskGroup, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
+        task = group.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    def _accept(self, group: asyncio.TaskGroup, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        most = self._entity.most_sockets + streams.MORE_CONNECTIONS
+        if self._controller.is_asleep or len(self._writers) >= most:
+            self._counts.refused_connections += 1
+            writer.transport.abort()
+            return
+        self._counts.connections += 1
+        number = self._counts.connections
+        self._writers[number], self._asks[number] = writer, asyncio.Queue()
+        self._step = streams.opened(self._step, number, time.monotonic())
+        self._start(group, self._converse(group, number, reader))
+
+    async def _converse(self, group: asyncio.TaskGroup, number: int, reader: asyncio.StreamReader) -> None:
+        """Read from one connection until its tester closes it; what comes after it was closed here is passed over."""
+        answering = self._start(group, self._answer(number))
+        writer = self._writers[number]
+        try:
+            while data := await reader.read(READ_BYTES):
+                self._do(streams.received(self._entity, self._step, number, data, time.monotonic()))
+                if number in self._step.sockets:
+                    await writer.drain()
+        except OSError:  # the tester has gone without saying so
+            pass
+        finally:
+            answering.cancel()
+            writer.transport.abort() if reader.exception() else writer.close()
+            del self._writers[number], self._asks[number]
+            self._silent.discard(number)
+            self._do(streams.closed(self._entity, self._step, number, time.monotonic()))
+            self._pool.submit(self._controller.leave, number)
+
+    def _do(self, step: streams.Step) -> None:
+        self._step = step.done()
+        for action in step.actions:
+            match action:
+                case streams.Send(number=number, data=data):
+                    if not self._writers[number].is_closing():  # it may have gone a moment ago
+                        self._writers[number].write(data)
+                case streams.Ask(number=number):
+                    self._asks[number].put_nowait(action)
+                case streams.Close(number=number):
+                    self._close(self._writers[number])
+
+    def _close(self, writer: asyncio.StreamWriter) -> None:
+        """End what is said to a tester, and the connection once it has closed its side or takes too long."""
+        if not writer.can_write_eof():  # TLS ends both ways at once
+            writer.close()
+            return
+        with suppress(OSError):
+            writer.write_eof()
+        asyncio.get_running_loop().call_later(LINGER_S, writer.transport.abort)
+
+    async def _advance(self, group: asyncio.TaskGroup) -> None:
+        while True:
+            await asyncio.sleep(TICK_S)
+            self._note_reset(group)
+            self._do(streams.advanced(self._entity, self._step, time.monotonic()))
+            for number in self._writers.keys() - self._silent:
+                for message in self._controller.broadcast(number):
+                    self._respond(number, message, is_final=False)
+
+    def _note_reset(self, group: asyncio.TaskGroup) -> None:
+        """End all connections once a reset of the controller has been answered; it says who it is as at its start."""
+        reset_s = self._controller.state.asleep_until_s
+        if reset_s == self._reset_s or self._asking_count:
+            return
+        self._reset_s, step = reset_s, self._step
+        for number in step.sockets:
+            step = step.closing(number)
+        self._do(step)
+        self._start(group, self._datagrams.announce(self._sockets.everybody, self._controller.table.timing.reset_s))
+
+    # --- the controller -----------------------------------------------------------------------------------------------
+
+    async def _answer(self, number: int) -> None:
+        """Hand one tester's requests to the controller, one after the other, and its responses to the tester."""
+        asks, writer = self._asks[number], self._writers[number]
+        loop = asyncio.get_running_loop()
+        try:
+            while True:
+                if not self._controller.awaits(number) or not asks.empty():
+                    ask = await asks.get()
+                    self._asking_count += 1
+                    try:
+                        await self._ask(number, ask)
+                    finally:
+                        self._asking_count -= 1
+                else:
+                    await asyncio.sleep(TICK_S)
+                    response = await loop.run_in_executor(self._pool, self._controller.tick, number)
+                    self._respond(number, response, is_final=False)
+                await writer.drain()
+        except OSError:  # the tester has gone; who reads from it finds out as well
+            return
+
+    async def _ask(self, number: int, ask: streams.Ask) -> None:
+        """Answer one request, with 78 first if the disk takes its time."""
+        self._counts.requests += 1
+        timing = self._controller.table.timing
+        work = partial(self._controller.consider, ask.payload, is_functional=ask.is_functional, client=number)
+        if ask.payload[:1] == _PERIODIC:
+            self._silent.add(number)
+        asking = asyncio.get_running_loop().run_in_executor(self._pool, work)
+        patience_s, was_promised = PENDING_RATIO * timing.p2_s, False
+        while not (await asyncio.wait([asking], timeout=patience_s))[0]:
+            patience_s = AGAIN_RATIO * timing.p2_star_s
+            if ask.payload != KEEP_ALIVE and not self._controller.refuses(ask.payload, number):
+                was_promised = True
+                self._respond(number, bytes([NEGATIVE, ask.payload[0], Nrc.RESPONSE_PENDING]), is_final=False)
+        self._respond(number, asking.result().response(was_promised=was_promised), is_final=True)
+        self._silent.discard(number)
+
+    def _respond(self, number: int, response: bytes | None, *, is_final: bool) -> None:
+        self._counts.responses += response is not None
+        self._do(streams.responded(self._entity, self._step, number, response, time.monotonic(), is_final=is_final))

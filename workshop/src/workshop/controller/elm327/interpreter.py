@@ -1,0 +1,393 @@
+"""One ELM327: what it has been told, and a line that somebody typed in, lines that are shown out."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Final
+
+from canlog.transport.isotp import segments
+from workshop.controller.iso14229 import NEGATIVE, Nrc
+from workshop.controller.table import Addressing, Transport
+
+VERSION: Final = "ELM327 v1.5"
+DESCRIPTION: Final = "OBDII to RS232 Interpreter"
+VOLTAGE: Final = "12.6V"  # nothing in the vehicle says how high it is
+OK: Final = "OK"
+UNKNOWN: Final = "?"
+MONITOR: Final = "MA"
+AUTOMATIC: Final = 0x0
+CAN_11_500: Final = 0x6
+CAN_29_500: Final = 0x7
+CAN_11_250: Final = 0x8
+CAN_29_250: Final = 0x9
+PROTOCOLS: Final[Mapping[int, str]] = MappingProxyType({
+    AUTOMATIC: "AUTO",
+    0x1: "SAE J1850 PWM",
+    0x2: "SAE J1850 VPW",
+    0x3: "ISO 9141-2",
+    0x4: "ISO 14230-4 (KWP 5BAUD)",
+    0x5: "ISO 14230-4 (KWP FAST)",
+    CAN_11_500: "ISO 15765-4 (CAN 11/500)",
+    CAN_29_500: "ISO 15765-4 (CAN 29/500)",
+    CAN_11_250: "ISO 15765-4 (CAN 11/250)",
+    CAN_29_250: "ISO 15765-4 (CAN 29/250)",
+    0xA: "SAE J1939 (CAN 29/250)",
+    0xB: "USER1 (CAN 11/125)",
+    0xC: "USER2 (CAN 11/50)",
+})  # fmt: skip
+ALL_ID_BITS: Final = 0x1FFFFFFF
+LARGEST_STANDARD_ID: Final = 0x7FF
+_DEFAULT_PRIORITY: Final = 0x18
+_PRIORITY_BITS: Final = 0x1F
+_HEADER_BITS: Final = 0xFFFFFF  # of three bytes, behind the priority
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """What an adapter has been told since it was switched on."""
+
+    echoes: bool = True
+    has_line_feeds: bool = False
+    has_spaces: bool = True
+    shows_headers: bool = False
+    shows_length: bool = False
+    is_formatted: bool = True  # it makes and reads the first bytes of ISO-TP itself
+    shows_responses: bool = True
+    controls_flow: bool = True
+    flow_mode: int = 0  # 0 as usual; 1 header and data below; 2 data below
+    flow_header: int | None = None
+    flow_data: bytes = b""
+    header: int | None = None  # of requests, three bytes; none: to all controllers
+    priority: int = _DEFAULT_PRIORITY  # the first byte of a header of 29 bits
+    extended_address: int | None = None  # the byte before those of ISO-TP
+    receive_id: int | None = None  # none: responses of OBD
+    receive_mask: int = ALL_ID_BITS
+    protocol: int = AUTOMATIC
+    is_automatic: bool = True
+
+    def takes(self, can_id: int) -> bool:
+        """Return whether frames with this identifier are shown as responses."""
+        if self.receive_id is not None:
+            return can_id & self.receive_mask == self.receive_id & self.receive_mask
+        return 0x7E8 <= can_id <= 0x7EF or can_id & 0x1FFFFF00 == 0x18DAF100
+
+    def wire_id(self, header: int | None, *, is_standard: bool) -> int | None:
+        """Return what becomes of a header, if there is one, on a bus of 11 or of 29 bits.
+
+        Which protocol it is for is known when it is used, not when it is set.
+        """
+        if header is None or is_standard:
+            return None if header is None else header & LARGEST_STANDARD_ID
+        return header if header > _HEADER_BITS else self.priority << 24 | header
+
+    @property
+    def protocol_name(self) -> str:
+        """The protocol as ``AT DP`` shows it."""
+        name = PROTOCOLS[self.protocol]
+        return f"AUTO, {name}" if self.is_automatic and self.protocol != AUTOMATIC else name
+
+    @property
+    def protocol_number(self) -> str:
+        """The protocol as ``AT DPN`` shows it."""
+        return f"{'A' if self.is_automatic else ''}{self.protocol:X}"
+
+
+_SWITCHES: Final[Mapping[str, str]] = {
+    "E": "echoes", "L": "has_line_feeds", "S": "has_spaces", "H": "shows_headers", "D": "shows_length",
+    "R": "shows_responses", "CAF": "is_formatted", "CFC": "controls_flow",
+}  # fmt: skip
+_NO_MATTER: Final = re.compile(
+    r"AL|NL|AT[012]|ST[0-9A-F]{2}|CTM[15]|M[01]|V[01]|CSM[01]|LP|SS|BI|FE|STPX|JE|JS|JHF[01]|JTM[15]|PP[0-9A-F]{2}OFF"
+    r"|IB(10|12|15|48|96)|IIA[0-9A-F]{2}|KW[01]|SW[0-9A-F]{2}|WM([0-9A-F]{2}){1,6}|(TA|RA|SR)[0-9A-F]{2}"
+)
+"""Commands that are taken and change nothing: answers are there at once, other buses not; no parameter is ever on."""
+
+
+_Changed = dict[str, Any] | None  # settings with their new values; None: there is no such command
+_LINES: Final[Mapping[str, str]] = {
+    "I": VERSION, "@1": DESCRIPTION, "RV": VOLTAGE, "IGN": "ON", "CS": "T:00 R:00", MONITOR: MONITOR,
+}  # fmt: skip
+
+
+def told(settings: Settings, command: str) -> tuple[Settings, str]:
+    """Return the settings after a command, and the line that is shown.
+
+    It comes in capitals, without blanks and without its ``AT``.
+    """
+    lines = {**_LINES, "DP": settings.protocol_name, "DPN": settings.protocol_number}
+    if command in lines:
+        return settings, lines[command]
+    if command in {"Z", "WS"}:
+        return Settings(), VERSION
+    if command == "D":  # forget everything but which protocol was found
+        return Settings(protocol=settings.protocol, is_automatic=settings.is_automatic), OK
+    if _NO_MATTER.fullmatch(command):
+        return settings, OK
+    for pattern, change in _CHANGES:
+        if found := re.fullmatch(pattern, command):
+            changed = change(settings, found)
+            return (settings, UNKNOWN) if changed is None else (replace(settings, **changed), OK)
+    return settings, UNKNOWN
+
+
+def _protocol(_settings: Settings, found: re.Match[str]) -> _Changed:
+    """Choose a protocol; with an A before it, another one is looked for if it is the wrong one."""
+    if found[1] == "A" and not found[2]:  # protocol A, not automatic
+        return {"protocol": 0xA, "is_automatic": False}
+    if not found[2]:
+        return None
+    number = int(found[2], 16)
+    is_automatic = bool(found[1]) or number == AUTOMATIC
+    return {"protocol": AUTOMATIC if is_automatic else number, "is_automatic": is_automatic}
+
+
+def _header(settings: Settings, found: re.Match[str]) -> _Changed:
+    """Set the header of requests: three digits, or six; of eight the first two are the priority."""
+    number = int(found[1], 16)
+    priority = number >> 24 & _PRIORITY_BITS if len(found[1]) == 8 else settings.priority
+    return {"header": number & _HEADER_BITS, "priority": priority}
+
+
+def _receive_address(_settings: Settings, found: re.Match[str]) -> _Changed:
+    """Show responses with this identifier only; X stands for any digit, no digits for the usual ones."""
+    digits = found[1]
+    if not digits:
+        return {"receive_id": None, "receive_mask": ALL_ID_BITS}
+    mask = int("".join("0" if digit == "X" else "F" for digit in digits), 16)
+    number = int(digits.replace("X", "0"), 16)
+    return {"receive_id": number, "receive_mask": mask | ~((1 << 4 * len(digits)) - 1)}
+
+
+def _flow_mode(settings: Settings, found: re.Match[str]) -> _Changed:
+    mode = int(found[1])
+    lacks_header = mode == 1 and settings.flow_header is None
+    return None if lacks_header or (mode in {1, 2} and not settings.flow_data) else {"flow_mode": mode}
+
+
+_CHANGES: Final[tuple[tuple[str, Callable[[Settings, re.Match[str]], _Changed]], ...]] = (
+    (r"(E|L|S|H|D|R|CAF|CFC)([01])", lambda _, found: {_SWITCHES[found[1]]: found[2] == "1"}),
+    (r"[ST]P(A?)(00|[0-9A-C]|)", _protocol),
+    (r"PC", lambda settings, _: {"protocol": AUTOMATIC} if settings.is_automatic else {}),
+    (r"SH([0-9A-F]{3}|[0-9A-F]{6}|[0-9A-F]{8})", _header),
+    (r"CP([0-9A-F]{2})", lambda _, found: {"priority": int(found[1], 16) & _PRIORITY_BITS}),
+    (r"CEA([0-9A-F]{2}|)", lambda _, found: {"extended_address": int(found[1], 16) if found[1] else None}),
+    (r"(?:CRA|AR)([0-9A-FX]{3}|[0-9A-FX]{8}|)", _receive_address),
+    (r"CF([0-9A-F]{3}|[0-9A-F]{8})", lambda _, found: {"receive_id": int(found[1], 16)}),
+    (
+        r"CM([0-9A-F]{3}|[0-9A-F]{8})",
+        lambda settings, found: {"receive_mask": int(found[1], 16), "receive_id": settings.receive_id or 0},
+    ),
+    (r"FCSM([012])", _flow_mode),
+    (
+        r"FCSH([0-9A-F]{3}|[0-9A-F]{6}|[0-9A-F]{8})",
+        lambda _, found: {"flow_header": int(found[1], 16) & ALL_ID_BITS},
+    ),
+    (r"FCSD((?:[0-9A-F]{2}){1,5})", lambda _, found: {"flow_data": bytes.fromhex(found[1])}),
+)
+
+
+SEARCHING: Final = "SEARCHING..."
+NO_DATA: Final = "NO DATA"
+UNABLE: Final = "UNABLE TO CONNECT"
+MOST_RAW_BYTES: Final = 8
+HALF_BITRATE: Final = 250_000
+_IS_ANYBODY_THERE: Final = b"\x01\x00"
+_ON_CAN: Final = range(0x6, 0x10)
+_ON_K_LINE: Final = range(0x3, 0x6)
+
+Ask = Callable[[bytes, bool], bytes | None]  # a request, whether to all; the response
+MOST_SINGLE_BYTES: Final = 7
+
+
+def _filled(frame: bytes, padding: int | None) -> bytes:
+    """Return a frame filled up, if anything is to fill it."""
+    return frame if padding is None else frame.ljust(MOST_RAW_BYTES, bytes([padding]))
+
+
+def shown(frames: Sequence[bytes], can_id: int, settings: Settings) -> list[str]:
+    """Return frames as lines of an adapter, as its settings want them."""
+    if settings.shows_headers or not settings.is_formatted:
+        return [
+            line(can_id, _meant(frame) if settings.is_formatted else frame, settings, len(frame)) for frame in frames
+        ]
+    head = frames[0]
+    if head[0] >> 4 == 0:
+        return [_spaced(_meant(head)[1:], settings)]
+    colon = ": " if settings.has_spaces else ":"
+    pieces = [head[2:], *(frame[1:] for frame in frames[1:])]
+    length = int.from_bytes(head[:2], "big") & 0xFFF
+    return [f"{length:03X}"] + [
+        f"{place & 0xF:X}{colon}{_spaced(piece, settings)}" for place, piece in enumerate(pieces)
+    ]
+
+
+def line(can_id: int, data: bytes, settings: Settings, length: int) -> str:
+    """Return one frame as a line; ``length`` is that of the whole frame, if not all of it is shown."""
+    if not settings.shows_headers:
+        return _spaced(data, settings)
+    is_standard = can_id <= LARGEST_STANDARD_ID
+    header = f"{can_id:03X}" if is_standard else _spaced(can_id.to_bytes(4, "big"), settings).rstrip()
+    parts = [header, *([f"{length:X}"] if settings.shows_length else [])]
+    blank = " " if settings.has_spaces else ""
+    return blank.join([*parts, _spaced(data, settings)])
+
+
+def _meant(frame: bytes) -> bytes:
+    """Return a frame without what only fills it up, as far as it says how long it is itself."""
+    return frame[: 1 + frame[0]] if frame[0] >> 4 == 0 else frame
+
+
+def _spaced(data: bytes, settings: Settings) -> str:
+    """Return bytes as digits; each is followed by a blank, the last one too."""
+    return "".join(f"{byte:02X} " for byte in data) if settings.has_spaces else data.hex().upper()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """What an adapter does with a line."""
+
+    lines: tuple[str, ...] = ()
+    monitors: bool = False  # frames of the bus are shown from now on
+    awaited: int | None = None  # a service whose response comes later
+
+
+@dataclass(slots=True)
+class _Parts:
+    """A message of several frames that a client sends frame by frame."""
+
+    length: int
+    data: bytes
+
+
+class Interpreter:
+    """What one client sees of an adapter.
+
+    Parameters
+    ----------
+    addressing, transport
+        How the controller is reached on CAN.
+    ask
+        Asks it.
+    bitrate
+        Of the bus [bit/s]; None: the usual one.
+    """
+
+    def __init__(self, addressing: Addressing, transport: Transport, ask: Ask, bitrate: int | None = None) -> None:
+        self.settings = Settings()
+        self._ids = addressing
+        self._transport = transport
+        self._ask = ask
+        self._is_standard = addressing.response_id <= LARGEST_STANDARD_ID
+        slow, fast = (CAN_11_250, CAN_11_500) if self._is_standard else (CAN_29_250, CAN_29_500)
+        self._protocol = slow if bitrate == HALF_BITRATE else fast
+        self._last = ""
+        self._parts: _Parts | None = None
+        self._held: list[bytes] = []  # frames that wait for the client to let them go on
+
+    def take(self, text: str) -> Shown:
+        """Return what is shown of a line; an empty one repeats the last."""
+        words = re.sub(r"\s", "", text).upper() or self._last
+        self._last = words
+        if not words:
+            return Shown()
+        if words.startswith("AT"):
+            self.settings, line = told(self.settings, words[2:])
+            return Shown(monitors=True) if line == MONITOR else Shown(lines=(line,))
+        if re.fullmatch(r"[0-9A-F]{2,}", words):
+            return self._requested(bytes.fromhex(words[: len(words) & ~1]))  # an odd digit: how many may answer
+        return Shown(lines=(UNKNOWN,))
+
+    def _requested(self, data: bytes) -> Shown:
+        if len(data) > (MOST_SINGLE_BYTES if self.settings.is_formatted else MOST_RAW_BYTES):
+            return Shown(lines=(UNKNOWN,))
+        if self.settings.protocol == AUTOMATIC:
+            return self._searched(data)
+        if self.settings.protocol != self._protocol:
+            return Shown(lines=(self._wrong_bus(),))
+        return self._sent(data)
+
+    def _searched(self, data: bytes) -> Shown:
+        """Look for the vehicle's protocol, then send."""
+        answer = self._sent(data)
+        if answer.lines == (NO_DATA,) and self._ask(_IS_ANYBODY_THERE, True) is None:
+            return Shown(lines=(SEARCHING, UNABLE))
+        self.settings = replace(self.settings, protocol=self._protocol)
+        return replace(answer, lines=(SEARCHING, *answer.lines))
+
+    def _wrong_bus(self) -> str:
+        """Return what is seen of a vehicle on a protocol that it does not speak."""
+        if self.settings.protocol in _ON_CAN:
+            return "CAN ERROR"
+        return "BUS INIT: ...ERROR" if self.settings.protocol in _ON_K_LINE else NO_DATA
+
+    def _sent(self, data: bytes) -> Shown:
+        if self.settings.is_formatted:
+            return self._asked(data)
+        kind = data[0] >> 4
+        if kind == 0:
+            return self._asked(data[1 : 1 + data[0]]) if 0 < data[0] < len(data) else Shown(lines=(NO_DATA,))
+        if kind == 1 and len(data) == MOST_RAW_BYTES:
+            return self._begun(data)
+        if kind == 2 and self._parts is not None:
+            return self._continued(self._parts, data[1:])
+        if kind == 3 and self._held and data[0] == 0x30:
+            held, self._held = self._held, []
+            return Shown(lines=tuple(shown(held, self._ids.response_id, self.settings)))
+        return Shown(lines=(NO_DATA,))
+
+    def _begun(self, data: bytes) -> Shown:
+        """Take the first of several frames; the controller says how it wants the others."""
+        if self._header() != self._ids.request_id:
+            return Shown(lines=(NO_DATA,))
+        length = int.from_bytes(data[:2], "big") & 0xFFF
+        self._parts = _Parts(length=length, data=data[2:])
+        flow = bytes([0x30, 0, self._transport.separation_time])
+        return Shown(lines=self._taken([_filled(flow, self._transport.padding)]))
+
+    def _continued(self, parts: _Parts, data: bytes) -> Shown:
+        parts.data += data
+        if len(parts.data) < parts.length:
+            return Shown(lines=(NO_DATA,))
+        self._parts = None
+        return self._asked(parts.data[: parts.length])
+
+    def _header(self) -> int:
+        own = self.settings.wire_id(self.settings.header, is_standard=self._is_standard)
+        return self._ids.functional_id if own is None else own
+
+    def _asked(self, payload: bytes) -> Shown:
+        self._held = []
+        header = self._header()
+        is_heard = self.settings.extended_address is None and header in {self._ids.functional_id, self._ids.request_id}
+        if not payload or not is_heard:
+            return Shown(lines=(NO_DATA,))
+        response = self._ask(payload, header == self._ids.functional_id)
+        if not self.settings.shows_responses:
+            return Shown()
+        if response is None:
+            return Shown(lines=(NO_DATA,))
+        is_pending = len(response) == 3 and response[0] == NEGATIVE and response[2] == Nrc.RESPONSE_PENDING
+        return Shown(lines=self.lines(response), awaited=payload[0] if is_pending else None)
+
+    def lines(self, response: bytes) -> tuple[str, ...]:
+        frames = [_filled(frame, self._transport.padding) for frame in segments(response)]
+        if len(frames) > 1 and not self._lets_go_on():
+            self._held = frames[1:]
+            frames = frames[:1]
+        return self._taken(frames)
+
+    def _taken(self, frames: list[bytes]) -> tuple[str, ...]:
+        if not self.settings.takes(self._ids.response_id):
+            return (NO_DATA,)
+        return tuple(shown(frames, self._ids.response_id, self.settings))
+
+    def _lets_go_on(self) -> bool:
+        """Return whether the adapter itself asks for the rest of a message, and the controller understands it."""
+        settings = self.settings
+        if not settings.controls_flow:
+            return False
+        own = settings.wire_id(settings.flow_header, is_standard=self._is_standard)
+        if settings.flow_mode == 1 and own != self._ids.request_id:
+            return False
+        return settings.flow_mode == 0 or (settings.flow_data[0] == 0x30 and len(settings.flow_data) >= 3)

@@ -1,0 +1,369 @@
+"""The adapter's TCP port: a thread for each client with its lines and its prompt, all in front of the one controller.
+
+It asks the controller's core, not the bus. What it monitors (``AT MA``) are the frames that the emulator sends.
+"""
+
+import queue
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from functools import partial
+from ipaddress import ip_address
+from typing import Final, Self
+
+import can
+
+from ecu_emulator.errors import BusError, ConfigError, RecordError
+from workshop.controller.controller import TICK_S, Controller
+from workshop.controller.elm327.interpreter import LARGEST_STANDARD_ID, Interpreter, Shown
+from workshop.controller.elm327.interpreter import line as frame_line
+from workshop.controller.iso14229 import NEGATIVE, Nrc
+
+MOST_LINE_BYTES: Final = 512
+MOST_MONITORED: Final = 512  # frames that a client has not taken yet
+STOPPED: Final = "STOPPED"
+BUFFER_FULL: Final = "BUFFER FULL"
+SEND_TIMEOUT_S: Final = 10.0  # a client that takes nothing for so long has gone
+POLL_S: Final = 0.2
+_READ_BYTES: Final = 4096
+_IGNORED: Final = b"\0\n"
+
+
+@dataclass(slots=True)
+class ElmCounts:
+    """What came and went."""
+
+    clients: int = 0
+    refused_clients: int = 0
+    lines: int = 0
+    overlong_lines: int = 0
+
+
+class Client:
+    """One connection and the adapter as it sees it."""
+
+    def __init__(
+        self,
+        number: int,
+        connection: socket.socket,
+        interpreter: Interpreter,
+        counts: ElmCounts,
+        patience_s: float,
+        idle_s: float,
+        leave: Callable[["Client"], None],
+    ) -> None:
+        self.number = number  # by which the controller knows it
+        self._connection = connection
+        self._interpreter = interpreter
+        self._counts = counts
+        self._patience_s = patience_s
+        self._idle_s = idle_s
+        self._leave = leave
+        self._heard = b""
+        self._frames: queue.Queue[can.Message] = queue.Queue(MOST_MONITORED)
+        self._responses: queue.Queue[bytes] = queue.Queue(MOST_MONITORED)
+        self._monitors = threading.Event()
+        self._waits = threading.Event()
+        self._is_full = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="ELM327 client", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def end(self) -> None:
+        """Hang up, and wait until that is done."""
+        with suppress(OSError):
+            self._connection.shutdown(socket.SHUT_RDWR)
+        self._thread.join()
+
+    def hear_frame(self, message: can.Message) -> None:
+        """Keep a frame for the client if it wants any."""
+        if not self._monitors.is_set() or message.is_error_frame:
+            return
+        try:
+            self._frames.put_nowait(message)
+        except queue.Full:
+            self._is_full.set()
+
+    def hear_response(self, payload: bytes) -> None:
+        """Keep a response for the client if it waits for one."""
+        if self._waits.is_set():
+            with suppress(queue.Full):
+                self._responses.put_nowait(payload)
+
+    def _run(self) -> None:
+        try:
+            with self._connection, suppress(OSError):  # whoever goes away is no concern of the drive
+                self._connection.settimeout(SEND_TIMEOUT_S)
+                self._connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._converse()
+        finally:
+            self._leave(self)
+
+    def _converse(self) -> None:
+        while (text := self._line()) is not None:
+            self._counts.lines += 1
+            if len(text) > MOST_LINE_BYTES:
+                self._counts.overlong_lines += 1
+                self._say([text[:MOST_LINE_BYTES]] if self._interpreter.settings.echoes else [])
+                self._prompt(["?"])
+                continue
+            self._say([text] if self._interpreter.settings.echoes else [])
+            self._waits.set()  # before the question: its answer may be there at once
+            shown = self._interpreter.take(text)
+            self._say(shown.lines)
+            self._prompt(self._more(shown))
+
+    def _more(self, shown: Shown) -> list[str]:
+        """Return what there is to say before the prompt, after what takes its time."""
+        try:
+            if shown.monitors:
+                return self._monitored()
+            return [] if shown.awaited is None else self._awaited(shown.awaited)
+        finally:
+            self._waits.clear()
+            _emptied(self._responses)
+
+    def _line(self) -> str | None:
+        """Return the next line, None at the end; of one that is too long no more than tells that it is."""
+        while b"\r" not in self._heard:
+            if not self._read():
+                return None
+            if b"\r" not in self._heard:
+                self._heard = self._heard[: MOST_LINE_BYTES + 1]
+        text, _, self._heard = self._heard.partition(b"\r")
+        return text.decode("ascii", "replace").replace("\ufffd", "?")
+
+    def _read(self) -> bool:
+        """Return whether more has come; waits for it, but not for ever: a silent client makes room for others."""
+        self._connection.settimeout(self._idle_s)
+        received = self._connection.recv(_READ_BYTES)
+        self._connection.settimeout(SEND_TIMEOUT_S)
+        self._heard += received.translate(None, _IGNORED)
+        return bool(received)
+
+    def _is_interrupted(self, patience_s: float) -> bool:
+        """Return whether the client says anything, which ends what the adapter does and means nothing else."""
+        if not self._heard:
+            if not select.select([self._connection], [], [], patience_s)[0]:
+                return False
+            if not self._read():
+                raise ConnectionResetError
+        self._heard = self._heard[1:]
+        return True
+
+    def _monitored(self) -> list[str]:
+        _emptied(self._frames)
+        self._is_full.clear()
+        self._monitors.set()
+        try:
+            while not self._is_full.is_set():
+                if self._is_interrupted(0.0):
+                    return [STOPPED]
+                with suppress(queue.Empty):
+                    message = self._frames.get(timeout=POLL_S)
+                    settings, data = self._interpreter.settings, bytes(message.data)
+                    self._say([frame_line(message.arbitration_id, data, settings, len(data))])
+            return [BUFFER_FULL]
+        finally:
+            self._monitors.clear()
+
+    def _awaited(self, service: int) -> list[str]:
+        """Say the response that was announced (78), when it comes."""
+        until_s = time.monotonic() + self._patience_s
+        while time.monotonic() < until_s:
+            if self._is_interrupted(0.01):
+                return [STOPPED]
+            with suppress(queue.Empty):
+                response = self._responses.get_nowait()
+                if service not in {response[0] - 0x40, response[1] if response[0] == NEGATIVE else None}:
+                    continue
+                self._say(self._interpreter.lines(response))
+                if response[0] != NEGATIVE or response[2] != Nrc.RESPONSE_PENDING:
+                    return []
+                until_s = time.monotonic() + self._patience_s
+        return []
+
+    def _say(self, lines: "list[str] | tuple[str, ...]") -> None:
+        end = "\r\n" if self._interpreter.settings.has_line_feeds else "\r"
+        self._connection.sendall("".join(f"{text}{end}" for text in lines).encode("ascii"))
+
+    def _prompt(self, lines: list[str]) -> None:
+        self._say([*lines, ""])
+        self._connection.sendall(b">")
+
+
+def _emptied(waiting: "queue.Queue[can.Message] | queue.Queue[bytes]") -> None:
+    with suppress(queue.Empty):
+        while True:
+            waiting.get_nowait()
+
+
+PORT: Final = 35000  # where adapters on a wireless network listen
+LOOPBACK: Final = "127.0.0.1"
+MOST_CLIENTS: Final = 8
+IDLE_S: Final = 300.0  # a client that says nothing for so long has gone, as DoIP has it
+_LARGEST_PORT: Final = 65535
+
+
+def parse_place(text: str) -> tuple[str, int]:
+    """Return host and port of ``[HOST:]PORT``; without a host it is this machine alone.
+
+    Raises ConfigError if it is no such thing.
+    """
+    host, colon, port = text.rpartition(":")
+    if not (port.isascii() and port.isdecimal() and 0 <= int(port) <= _LARGEST_PORT) or (colon and not host):
+        raise ConfigError(f"--elm327 must be [HOST:]PORT with a port of 0..{_LARGEST_PORT}, got {text}")
+    return host.strip("[]") or LOOPBACK, int(port)
+
+
+class ElmServer:
+    """Serves clients while the ``with`` block runs.
+
+    Parameters
+    ----------
+    controller
+        Who is asked.
+    place
+        Host and port; port 0: any that is free.
+    bitrate
+        Of the bus [bit/s], which decides what the protocol is called; None: the usual one.
+    idle_s
+        A client that says nothing for so long is hung up on.
+
+    Raises
+    ------
+    ConfigError
+        If the controller has extended addresses, which such an adapter does not know.
+    BusError
+        If it cannot listen there.
+    """
+
+    def __init__(
+        self, controller: Controller, place: tuple[str, int], bitrate: int | None = None, *, idle_s: float = IDLE_S
+    ) -> None:
+        if controller.table.transport.own_address is not None:
+            raise ConfigError("an ELM327 does not reach a controller with extended addresses")
+        self._controller = controller
+        self._bitrate = bitrate
+        self._idle_s = idle_s
+        self._is_over = threading.Event()
+        self._clients: list[Client] = []
+        self._lock = threading.Lock()
+        self._listener = _listening(*place)
+        self._thread = threading.Thread(target=self._accept, name="ELM327", daemon=True)
+        self._ticker = threading.Thread(target=self._tick, name="ELM327 ticks", daemon=True)
+        self.counts = ElmCounts()
+
+    @property
+    def address(self) -> tuple[str, int]:
+        host, port, *_ = self._listener.getsockname()
+        return str(host), int(port)
+
+    @property
+    def place(self) -> str:
+        """Where it listens, as people write it."""
+        host, port = self.address
+        return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+    @property
+    def is_exposed(self) -> bool:
+        """Whether others than this machine can reach it."""
+        return not ip_address(self.address[0]).is_loopback
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        self._ticker.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_over.set()
+        self._thread.join()
+        self._listener.close()
+        for client in self._present():
+            client.end()
+        self._ticker.join()
+
+    def close(self) -> None:
+        """Listen no more, as it does after its block; one that is never entered needs it."""
+        self._listener.close()
+
+    def hear_frame(self, message: can.Message) -> None:
+        """Show a frame of the bus to clients that monitor it; never waits."""
+        for client in self._clients:
+            client.hear_frame(message)
+
+    def _tick(self) -> None:
+        """Hand clients what the controller has for them without being asked again, until the end."""
+        while not self._is_over.wait(TICK_S):
+            for client in self._present():
+                if self._controller.awaits(client.number):
+                    response = self._controller.tick(client.number)
+                    if response is not None:
+                        client.hear_response(response)
+                for payload in self._controller.broadcast(client.number):
+                    client.hear_frame(self._periodic(payload))
+
+    def _periodic(self, payload: bytes) -> can.Message:
+        """Return data of service 2A as the frame that it would be on the bus."""
+        periodic = self._controller.table.periodic
+        can_id = 0 if periodic is None else periodic.response_id
+        return can.Message(arbitration_id=can_id, is_extended_id=can_id > LARGEST_STANDARD_ID, data=payload)
+
+    def _present(self) -> list[Client]:
+        with self._lock:
+            return list(self._clients)
+
+    def _accept(self) -> None:
+        while not self._is_over.is_set():
+            try:
+                connection, _ = self._listener.accept()
+            except TimeoutError:
+                continue
+            except OSError:  # no descriptor is left, or the caller has gone already
+                self._is_over.wait(POLL_S)
+                continue
+            self._take(connection)
+
+    def _take(self, connection: socket.socket) -> None:
+        with self._lock:
+            if len(self._clients) >= MOST_CLIENTS:
+                self.counts.refused_clients += 1
+                connection.close()
+                return
+            self.counts.clients += 1
+            table, number = self._controller.table, -self.counts.clients  # testers over IP have positive numbers
+            ask = partial(self._ask, number)
+            interpreter = Interpreter(table.addressing, table.transport, ask, self._bitrate)
+            patience_s = table.timing.p2_star_s
+            client = Client(number, connection, interpreter, self.counts, patience_s, self._idle_s, self._leave)
+            self._clients = [*self._clients, client]
+        client.start()
+
+    def _ask(self, number: int, payload: bytes, is_functional: bool) -> bytes | None:  # noqa: FBT001 - a callable's
+        return self._controller.ask(payload, is_functional=is_functional, client=number)
+
+    def _leave(self, client: Client) -> None:
+        with self._lock:
+            self._clients = [other for other in self._clients if other is not client]
+        with suppress(RecordError):  # what is kept is not about sessions
+            self._controller.leave(client.number)
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    with ExitStack() as stack:
+        try:
+            family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+            listener = stack.enter_context(socket.socket(family, socket.SOCK_STREAM))
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.bind(address)
+            listener.listen(MOST_CLIENTS)
+            listener.settimeout(POLL_S)
+        except OSError as exc:
+            raise BusError(f"ELM327 cannot listen at {host}:{port}: {exc.strerror or exc}") from exc
+        stack.pop_all()
+    return listener

@@ -1,0 +1,289 @@
+"""A controller on a bus: ISO-TP (ISO 15765-2) by can-isotp, beside whatever else is sent there."""
+
+import logging
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Self
+
+import can
+import isotp
+
+from ecu_emulator.errors import ConfigError
+from workshop.controller.controller import TICK_S, Controller
+from workshop.controller.iso14229 import NEGATIVE, Nrc, Service
+from workshop.controller.isotp_frames import single_payload, usable
+from workshop.controller.server import AGAIN_RATIO, KEEP_ALIVE, PENDING_RATIO
+from workshop.controller.table import Addressing, Transport
+
+if TYPE_CHECKING:
+    from workshop.controller.state import Reply
+
+MOST_FRAMES: Final = 4096  # that wait; what comes on top is dropped and counted
+MOST_REQUESTS: Final = 32  # that wait for the response before them to go out
+LONGEST_MESSAGE: Final = 4095
+TIMEOUT_MS: Final = 1000  # N_Bs and N_Cr
+MOST_WAIT_FRAMES: Final = 1 << 31  # a sender waits for as long as it is asked to: only a receiver gives up (N_WFT_OVRN)
+LARGEST_STANDARD_ID: Final = 0x7FF
+FULL_FD_BYTES: Final = 64
+_PERIODIC: Final = bytes([Service.READ_PERIODICALLY])
+_LOGGER: Final = "ecu_emulator.isotp"  # the library warns of every odd frame; they are counted instead
+logging.getLogger(_LOGGER).setLevel(logging.CRITICAL + 1)
+
+
+@dataclass(slots=True)
+class LinkCounts:
+    requests: int = 0
+    responses: int = 0
+    periodic: int = 0  # messages of service 2A
+    ignored_frames: int = 0  # not frames of ISO-TP, or not in place
+    broken_messages: int = 0  # reassembled or sent in part only
+    dropped_frames: int = 0  # came faster than they could be looked at
+    dropped_requests: int = 0
+    unsent_frames: int = 0  # the bus did not take them
+
+
+class DiagnosticLink:
+    """Answers while the ``with`` block runs, in a thread of its own, which alone uses the transport layer.
+
+    Parameters
+    ----------
+    controller
+        Who answers.
+    send
+        Puts a frame on the bus; may raise ``can.CanError``.
+    is_fd
+        Whether responses go out in CAN FD frames.
+
+    Raises
+    ------
+    ConfigError
+        If the transport cannot be as the controller's table has it.
+    """
+
+    def __init__(self, controller: Controller, send: Callable[[can.Message], None], *, is_fd: bool = False) -> None:
+        self._controller = controller
+        self._send = send
+        self._is_fd = is_fd
+        self._ids = controller.table.addressing
+        self._transport = controller.table.transport
+        self._prefix_bytes = 0 if self._transport.own_address is None else 1
+        self._frames: queue.Queue[can.Message | None] = queue.Queue(MOST_FRAMES)
+        self._requests: deque[tuple[bytes, bool]] = deque()
+        self._next: isotp.CanMessage | None = None
+        self._pool = ThreadPoolExecutor(1, "diagnostics asks")
+        self._asking: Future[Reply] | None = None
+        self._asked, self._pending_s, self._has_promised = b"", 0.0, False
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="diagnostics", daemon=True)
+        self._layer = self._made_layer()
+        self.counts = LinkCounts()
+        self._error: BaseException | None = None
+
+    def _made_layer(self) -> isotp.TransportLayerLogic:
+        transport = self._transport
+        try:
+            return isotp.TransportLayerLogic(
+                rxfn=self._taken,
+                txfn=self._sent,
+                address=_address(self._ids, transport),
+                error_handler=self._broken,
+                params={
+                    "stmin": transport.separation_time,
+                    "blocksize": transport.block_size,
+                    "tx_padding": transport.padding,
+                    "tx_data_min_length": None if transport.padding is None else 8,
+                    "tx_data_length": FULL_FD_BYTES if self._is_fd else 8,
+                    "can_fd": self._is_fd,
+                    "bitrate_switch": self._is_fd,
+                    "max_frame_size": LONGEST_MESSAGE,
+                    "rx_flowcontrol_timeout": TIMEOUT_MS,
+                    "rx_consecutive_frame_timeout": TIMEOUT_MS,
+                    "wftmax": MOST_WAIT_FRAMES,
+                    "logger_name": _LOGGER,
+                },
+            )
+        except ValueError as exc:
+            raise ConfigError(f"diagnostics: {exc}") from exc
+
+    @property
+    def can_ids(self) -> tuple[int, int]:
+        """Identifiers of the frames that ``feed`` wants."""
+        return self._ids.request_id, self._ids.functional_id
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
+        self._is_over.set()
+        self._thread.join()
+        if self._error is not None and error is None:
+            raise self._error
+
+    def feed(self, message: can.Message) -> None:
+        """Take a frame from the bus, of any thread; what is not for this controller is passed over."""
+        if message.is_error_frame or message.is_remote_frame or message.arbitration_id not in self.can_ids:
+            return
+        if message.is_extended_id != (message.arbitration_id > LARGEST_STANDARD_ID):
+            return
+        try:
+            self._frames.put_nowait(message)
+        except queue.Full:
+            self.counts.dropped_frames += 1
+
+    def _run(self) -> None:
+        try:
+            self._serve()
+        except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
+            self._error = exc
+        finally:
+            self._pool.shutdown()
+
+    def _serve(self) -> None:
+        next_tick_s = time.monotonic()
+        while not self._is_over.is_set():
+            self._take_one(self._patience_s())
+            self._layer.process()
+            while (received := self._layer.recv()) is not None:
+                self._hold(bytes(received), is_functional=False)
+            now_s = time.monotonic()
+            self._go_on_asking(now_s)
+            self._layer.process()  # a response is out before the periodic data that it announces
+            if now_s >= next_tick_s:
+                next_tick_s = now_s + TICK_S
+                if self._layer.transmitting() or self._layer.is_rx_active():
+                    self._controller.hold_session()
+                self._respond(self._controller.tick())
+                if self._asked[:1] != _PERIODIC or self._asking is None:
+                    self._broadcast()
+            self._layer.process()
+
+    def _patience_s(self) -> float:
+        """Return how long a frame may be waited for [s]: until the next frame of a response is due, if one goes out."""
+        due_s = self._layer.next_cf_delay()
+        return TICK_S if due_s is None else min(TICK_S, due_s)
+
+    def _take_one(self, patience_s: float) -> None:
+        """Let the transport layer see the next frame, or answer it if it is a request to all."""
+        try:
+            message = self._frames.get(timeout=patience_s) if patience_s > 0.0 else self._frames.get_nowait()
+        except queue.Empty:
+            return
+        if message is None:
+            return
+        data = bytes(message.data)
+        if message.arbitration_id == self._ids.functional_id:
+            self._take_functional(data)
+            return
+        usable_data = usable(data, self._prefix_bytes, self._layer.rx_frame_length - len(self._layer.rx_buffer))
+        if usable_data is None:
+            self.counts.ignored_frames += 1
+            return
+        self._next = isotp.CanMessage(
+            arbitration_id=message.arbitration_id,
+            data=usable_data,
+            extended_id=message.is_extended_id,
+            is_fd=message.is_fd,
+        )
+
+    def _take_functional(self, data: bytes) -> None:
+        """Answer a request to all, which is a single frame: nobody can control the flow to many."""
+        payload = single_payload(data, self._prefix_bytes)
+        if payload is None or (self._prefix_bytes and data[0] != self._transport.all_address):
+            self.counts.ignored_frames += 1
+            return
+        self._hold(payload, is_functional=True)
+
+    def _hold(self, payload: bytes, *, is_functional: bool) -> None:
+        """Keep a request until the response before it is out; while one goes out, the session is kept alive anyway."""
+        if payload == KEEP_ALIVE and self._layer.transmitting():
+            self.counts.requests += 1
+        elif len(self._requests) >= MOST_REQUESTS:
+            self.counts.dropped_requests += 1
+        else:
+            self._requests.append((payload, is_functional))
+
+    def _go_on_asking(self, now_s: float) -> None:
+        """Hand the next request to the controller, its response to the client, and 78 if the disk takes its time."""
+        if self._asking is None and self._requests and not self._layer.transmitting():
+            self._asked, is_functional = self._requests.popleft()
+            self.counts.requests += 1
+            self._pending_s, self._has_promised = now_s + PENDING_RATIO * self._controller.table.timing.p2_s, False
+            self._asking = self._pool.submit(self._controller.consider, self._asked, is_functional=is_functional)
+            self._asking.add_done_callback(lambda _: self._wake())
+        if self._asking is None:
+            return
+        if self._asking.done():
+            reply, self._asking = self._asking.result(), None
+            self._respond(reply.response(was_promised=self._has_promised))
+        elif now_s >= self._pending_s and self._asked != KEEP_ALIVE and not self._controller.refuses(self._asked):
+            self._pending_s, self._has_promised = now_s + AGAIN_RATIO * self._controller.table.timing.p2_star_s, True
+            self._respond(bytes([NEGATIVE, self._asked[0], Nrc.RESPONSE_PENDING]))
+
+    def _wake(self) -> None:
+        with suppress(queue.Full):
+            self._frames.put_nowait(None)
+
+    def _respond(self, payload: bytes | None) -> None:
+        if payload is not None:
+            self.counts.responses += 1
+            self._layer.send(payload)
+
+    def _broadcast(self) -> None:
+        """Send what a client wants again and again: frames of their own, beside the transport layer."""
+        periodic, transport = self._controller.table.periodic, self._transport
+        if periodic is None:
+            return
+        prefix = b"" if transport.own_address is None else bytes([transport.tester_address])
+        for payload in self._controller.broadcast():
+            self.counts.periodic += 1
+            self._sent(
+                isotp.CanMessage(
+                    arbitration_id=periodic.response_id,
+                    extended_id=periodic.response_id > LARGEST_STANDARD_ID,
+                    is_fd=self._is_fd,
+                    bitrate_switch=self._is_fd,
+                    data=prefix + payload,
+                )
+            )
+
+    def _taken(self, _timeout_s: float) -> isotp.CanMessage | None:
+        message, self._next = self._next, None
+        return message
+
+    def _sent(self, frame: isotp.CanMessage) -> None:
+        message = can.Message(
+            arbitration_id=frame.arbitration_id,
+            is_extended_id=frame.is_extended_id,
+            is_fd=frame.is_fd,
+            bitrate_switch=frame.bitrate_switch,
+            data=frame.data,
+        )
+        try:
+            self._send(message)
+        except can.CanError:
+            self.counts.unsent_frames += 1
+
+    def _broken(self, _error: Exception) -> None:
+        self.counts.broken_messages += 1
+
+
+def _address(ids: Addressing, transport: Transport) -> isotp.Address:
+    is_extended_id = ids.request_id > LARGEST_STANDARD_ID
+    if transport.own_address is None:
+        mode = isotp.AddressingMode.Normal_29bits if is_extended_id else isotp.AddressingMode.Normal_11bits
+        return isotp.Address(mode, txid=ids.response_id, rxid=ids.request_id)
+    mode = isotp.AddressingMode.Extended_29bits if is_extended_id else isotp.AddressingMode.Extended_11bits
+    return isotp.Address(
+        mode,
+        txid=ids.response_id,
+        rxid=ids.request_id,
+        source_address=transport.own_address,
+        target_address=transport.tester_address,
+    )

@@ -1,0 +1,435 @@
+"""Services as a tool offers them, made of a controller's table: for people a task, on the wire one kind of request."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from workshop.controller import descriptions, iso14229, memory
+from workshop.controller.descriptions import Access, Coding, Datum, Field, Pid, Profile, Routine, VehicleInfo
+from workshop.controller.iso14229 import ObdService
+from workshop.controller.iso14229 import Service as Number
+from workshop.controller.pdx.elements import (
+    Dictionary,
+    Part,
+    Parts,
+    constant,
+    described,
+    echo,
+    raw,
+    rest,
+    scaled,
+    unsigned,
+    value,
+    worded,
+)
+from workshop.controller.services import data, obd, routines, sessions, trouble
+from workshop.controller.table import PERIODIC_PAGE, DiagnosticTable
+
+_RESETS: Final = {1: "hard reset", 2: "ignition off and on", 3: "soft reset"}
+_TRAFFIC: Final = ("enable receiving and sending", "enable receiving, disable sending",
+                   "disable receiving, enable sending", "disable receiving and sending")  # fmt: skip
+_MESSAGES: Final = {1: "normal messages", 2: "network management", 3: "normal messages and network management"}
+_SETTINGS: Final = {sessions.CODES_ON: "trouble codes on", sessions.CODES_OFF: "trouble codes off"}
+_RATES: Final = {data.SLOW: "Slow", data.MEDIUM: "Medium", data.FAST: "Fast", data.STOP: "Stop"}
+_CONTROLS: Final = {data.RETURN_CONTROL: "Return", data.FREEZE: "Freeze", data.ADJUST: "Adjust"}
+_ACTIONS: Final = {routines.START: "Start", routines.STOP: "Stop", routines.RESULTS: "Results of"}
+_STATUS_BITS: Final = (
+    "test failed", "test failed this operation cycle", "pending", "confirmed", "test not completed since last clear",
+    "test failed since last clear", "test not completed this operation cycle", "warning indicator requested",
+)  # fmt: skip
+_SNAPSHOTS: Final = {
+    memory.FIRST_RECORD: "first failure", memory.LATEST_RECORD: "latest failure", trouble.ALL_RECORDS: "all",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Service:
+    """One service: its request, its responses, and when it may be asked."""
+
+    name: str
+    number: int  # of ISO 14229-1 or SAE J1979
+    semantic: str
+    request: Parts  # after the service's number
+    responses: tuple[Parts, ...]  # likewise; one of them comes
+    access: Access
+    has_sub_function: bool = False
+    enters: int | None = None  # a session
+    unlocks: int | None = None  # a security level
+    resets: bool = False
+
+
+class _Services:
+    """What services of UDS and OBD have in common."""
+
+    def __init__(self, table: DiagnosticTable, dictionary: Dictionary) -> None:
+        self.table, self.dictionary = table, dictionary
+
+    def service(
+        self, name: str, number: int, semantic: str, request: Parts = (), *responses: Parts, sub: int | None = None,
+        access: Access | None = None, **effects: Any,  # noqa: ANN401 - as a service has them
+    ) -> Service:  # fmt: skip
+        """Return a service; without responses it has an empty one, and each repeats a sub-function."""
+        head: Parts = () if sub is None else (constant("sub_function", sub, semantic="SUBFUNCTION"),)
+        answers = tuple((*head, *response) for response in responses or ((),))
+        return Service(name=name, number=number, semantic=semantic, request=(*head, *request), responses=answers,
+                       access=self._access(number, access), has_sub_function=sub is not None, **effects)  # fmt: skip
+
+    def _access(self, number: int, own: Access | None) -> Access:
+        """Return who may use a service, or do with it what needs an access of its own."""
+        service = self.table.services.get(number)
+        if service is None:  # of OBD
+            return Access(sessions=tuple(self.table.sessions))
+        own = own or Access(sessions=service.sessions)
+        both = tuple(level for level in service.levels if level in own.levels or not own.levels)
+        allowed = tuple(session for session in service.sessions if session in own.sessions)
+        conditions = (*service.conditions, *own.conditions)
+        return Access(sessions=allowed, levels=both if service.levels else own.levels, conditions=conditions)
+
+    def hexadecimal(self, name: str, what: str, size_bytes: int = 1) -> Part:
+        """Return a plain number that tools show in base 16."""
+        return value(name, self.dictionary.simple(what, unsigned(size_bytes, is_hexadecimal=True)), size_bytes)
+
+    def number(self, name: str, what: str, size_bytes: int = 1, meanings: Mapping[int, str] | None = None) -> Part:
+        """Return a number, or what it stands for."""
+        coding = unsigned(size_bytes) if meanings is None else worded(meanings, 8 * size_bytes)
+        return value(name, self.dictionary.simple(what, coding), size_bytes)
+
+
+class UdsServices(_Services):
+    """The services of ISO 14229-1 that a table has."""
+
+    def __init__(self, table: DiagnosticTable, dictionary: Dictionary) -> None:
+        super().__init__(table, dictionary)
+        self._structures = {datum.number: dictionary.fields(datum.name, datum.fields) for datum in table.data.values()}
+        self._number = self.hexadecimal("number", "number of a datum", 2)
+        self._low = self.hexadecimal("number", "lower byte of a number")
+        labels = {datum.number: f"{datum.number:04X} {datum.name}" for datum in table.data.values()}
+        self._choice = self.number("identifier", "data", 2, labels) if labels else self._number
+        self._code = dictionary.code_part("trouble_code", "trouble code", tuple(table.troubles.values()), 3)
+        flags = dictionary.flags("status of a trouble code", _STATUS_BITS)
+        self._status, self._availability = value("status", flags, 1), value("status_availability", flags, 1)
+        self._record = self.number("record", "number of a record")
+        self._pages = {data.DEFINABLE_PAGE: "data"}  # upper bytes of data that clients may define
+        self._pages |= {} if table.periodic is None else {PERIODIC_PAGE: "periodic data"}
+
+    def __iter__(self) -> Iterator[Service]:
+        makers = {
+            Number.SESSION_CONTROL: self._sessions, Number.ECU_RESET: self._resets, Number.CLEAR_CODES: self._clearing,
+            Number.READ_CODES: self._trouble_codes, Number.READ_DATA: self._reading,
+            Number.SECURITY_ACCESS: self._security, Number.COMMUNICATION_CONTROL: self._communication,
+            Number.READ_PERIODICALLY: self._periodic, Number.DEFINE_DATA: self._defining,
+            Number.WRITE_DATA: self._writing, Number.CONTROL_DATA: self._controlling,
+            Number.ROUTINE_CONTROL: self._routines, Number.TESTER_PRESENT: self._presence,
+            Number.CONTROL_CODE_SETTING: self._settings,
+        }  # fmt: skip
+        for number, make in makers.items():
+            yield from make(number) if number in self.table.services else ()
+        if self.table.obd is not None and self.table.has_obd(Profile.UDS) and Number.READ_DATA in self.table.services:
+            yield from ObdServices(self.table, self.table.obd, self.dictionary).by_identifier()
+
+    def _sessions(self, number: int) -> Iterator[Service]:
+        times = tuple(
+            value(name, self.dictionary.simple(name, scaled(2, step), unit="ms"), 2)
+            for name, step in (("P2", 1.0), ("P2_star", 10.0))
+        )
+        for session in self.table.sessions.values():
+            name, sub, access = f"Start session {session.name}", session.number, Access(sessions=session.from_sessions)
+            yield self.service(name, number, "SESSION", (), times, sub=sub, access=access, enters=sub)
+
+    def _resets(self, number: int) -> Iterator[Service]:
+        for sub, name in _RESETS.items():
+            yield self.service(f"Reset {name}", number, "RESET", sub=sub, resets=True)
+
+    def _security(self, number: int) -> Iterator[Service]:
+        for level in self.table.levels.values():
+            access, own = Access(sessions=level.sessions), level.number
+            content = self.dictionary.simple(f"seed and key {level.name}", raw(level.seed_bytes))
+            seed, key = ((value(name, content, level.seed_bytes),) for name in ("seed", "key"))
+            yield self.service(f"Request seed {level.name}", number, "SECURITY", (), seed, sub=own, access=access)
+            name = f"Send key {level.name}"
+            yield self.service(name, number, "SECURITY", key, sub=own + 1, access=access, unlocks=own)
+
+    def _communication(self, number: int) -> Iterator[Service]:
+        kind = (self.number("messages", "communication type", meanings=_MESSAGES),)
+        for sub, name in enumerate(_TRAFFIC):
+            yield self.service(f"Communication {name}", number, "COMMUNICATION", kind, sub=sub)
+
+    def _presence(self, number: int) -> Iterator[Service]:
+        yield self.service("Tester present", number, "TESTERPRESENT", sub=0)
+
+    def _settings(self, number: int) -> Iterator[Service]:
+        for sub, name in _SETTINGS.items():
+            yield self.service(f"Updating of {name}", number, "CONTROL", sub=sub)
+
+    def _content(self, datum: Datum) -> Parts:
+        return (value(datum.name, self._structures[datum.number], datum.size_bytes),)
+
+    def _reading(self, number: int) -> Iterator[Service]:
+        dictionary, most, kind = self.dictionary, self.table.limits.most_data, "CURRENTDATA"
+        for datum in self.table.data.values():
+            begin = (constant("identifier", datum.number, 2, "ID"),)
+            semantic, answer = kind if datum.initial is None else "IDENTIFICATION", (*begin, *self._content(datum))
+            yield self.service(f"Read {datum.name}", number, semantic, begin, answer, access=datum.read)
+        left = value("bytes", dictionary.simple("bytes of a defined datum", rest(1)))
+        asked = dictionary.structure("asked datum", (renamed(self._choice, "identifier"),))
+        other = dictionary.structure("other data", (left,))
+        switch = dictionary.switched("read data by identifier", self._number, self._structures, other)
+        found = dictionary.structure("read datum", (value("datum", switch),))
+        several, answered = (
+            (value("data", dictionary.repeated(name, part, most, 1)),)
+            for name, part in (("asked data", asked), ("read data", found))
+        )
+        yield self.service("Read several data", number, kind, several, answered)
+        for page, name in self._pages.items():
+            defined = constant("page", page, semantic="ID")
+            answer = (defined, echo("number", 2, 1), left)
+            yield self.service(f"Read defined {name}", number, kind, (defined, self._low), answer)
+
+    def _periodic(self, number: int) -> Iterator[Service]:
+        datum = self.dictionary.structure("periodic datum", (self._low,))
+        asked = value("data", self.dictionary.repeated("periodic data", datum, least=1))
+        for mode, verb in _RATES.items():
+            yield self.service(f"{verb} periodic data", number, "PERIODIC", (constant("mode", mode), asked))
+        yield self.service("Stop all periodic data", number, "PERIODIC", (constant("mode", data.STOP),))
+
+    def _defining(self, number: int) -> Iterator[Service]:
+        kind, dictionary = "DYN-DEF-MESSAGE", self.dictionary
+        size = self.number("bytes", "number of bytes")
+        parts = renamed(self._choice, "source"), renamed(size, "first_byte"), size
+        piece = dictionary.structure("piece of a datum", parts)
+        pieces = value("pieces", dictionary.repeated("pieces of data", piece, self.table.limits.most_pieces, 1))
+        for page, name in self._pages.items():
+            upper = constant("page", page, semantic="ID")
+            asked, response = (upper, self._low), (upper, echo("number", 3, 1))
+            define, clear = data.DEFINE_BY_IDENTIFIER, data.CLEAR_DEFINITION
+            yield self.service(f"Define {name}", number, kind, (*asked, pieces), response, sub=define)
+            yield self.service(f"Forget defined {name}", number, kind, asked, response, sub=clear)
+        yield self.service("Forget all defined data", number, kind, sub=data.CLEAR_DEFINITION)
+
+    def _writing(self, number: int) -> Iterator[Service]:
+        for datum in self.table.data.values():
+            if datum.write is not None:
+                begin = (constant("identifier", datum.number, 2, "ID"),)
+                whole = (*begin, *self._content(datum))
+                yield self.service(f"Write {datum.name}", number, "STOREDDATA", whole, begin, access=datum.write)
+
+    def _controlling(self, number: int) -> Iterator[Service]:
+        for datum in self.table.data.values():
+            for action, verb in _CONTROLS.items() if datum.control is not None else ():
+                begin = constant("identifier", datum.number, 2, "ID"), constant("action", action)
+                whole = (*begin, *self._content(datum))
+                asked = whole if action == data.ADJUST else begin
+                yield self.service(f"{verb} {datum.name}", number, "CONTROL", asked, whole, access=datum.control)
+
+    def _routines(self, number: int) -> Iterator[Service]:
+        for routine in self.table.routines.values():
+            options = self.dictionary.field_parts(f"option of {routine.name}", routine.options)
+            results = self.dictionary.field_parts(f"result of {routine.name}", routine.results)
+            begin = constant("identifier", routine.number, 2, "ID")
+            for sub, verb in _ACTIONS.items():
+                responses = (
+                    (begin, constant("status", status), *(results if status == routines.COMPLETED else ()))
+                    for status in _routine_states(routine, sub)
+                )
+                asked, name = (begin, *(options if sub == routines.START else ())), f"{verb} {routine.name}"
+                if sub != routines.STOP or routine.can_be_stopped:
+                    yield self.service(name, number, "ROUTINE", asked, *responses, sub=sub, access=routine.access)
+
+    def _clearing(self, number: int) -> Iterator[Service]:
+        groups = {"Clear all trouble codes": constant("group", iso14229.ALL_CODES, 3)}
+        if self.table.has_obd(Profile.UDS):
+            groups["Clear trouble codes of OBD"] = constant("group", memory.ALL_EMISSION_CODES, 3)
+        if self.table.troubles:
+            groups["Clear trouble code"] = self._code
+        for name, group in groups.items():
+            yield self.service(name, number, "FAULTCLEAR", (group,))
+
+    def _report(self, name: str, sub: int, request: Parts, *response: Part) -> Service:
+        return self.service(name, Number.READ_CODES, "FAULTREAD", request, response, sub=sub)
+
+    def _list(self, name: str, many: str, item: str, *parts: Part) -> Part:
+        """Return a parameter of several entries of these parts."""
+        return value(name, self.dictionary.repeated(many, self.dictionary.structure(item, parts)))
+
+    def _trouble_codes(self, _: int) -> Iterator[Service]:
+        codes = self._list("trouble_codes", "trouble codes", "trouble code with status", self._code, self._status)
+        mask, available = (self.hexadecimal("status_mask", "mask of status"),), self._availability
+        form = self.number("format", "format of trouble codes", meanings={trouble.CODE_FORMAT: "SAE J2012-DA"})
+        count = self.number("count", "count of trouble codes", 2)
+        yield self._report("Count trouble codes by status", 0x01, mask, available, form, count)
+        yield self._report("Read trouble codes by status", 0x02, mask, available, codes)
+        names = self._list("snapshots", "names of snapshots", "trouble code with record", self._code, self._record)
+        yield self._report("Read names of snapshots", 0x03, (), names)
+        if self.table.troubles:
+            yield self._snapshots()
+            yield self._extended()
+            choices = {record.number: record.name for record in self.table.extended.values()}
+            record = self.number("record", "record of extended data", meanings=choices)
+            yield self._report("Read trouble codes with extended data", 0x1A, (record,), available, record, codes)
+        yield self._report("Read supported trouble codes", 0x0A, (), available, codes)
+        coding = described(Field(name="counter", kind=Coding.SIGNED, size_bytes=1))
+        counter = value("counter", self.dictionary.simple("fault detection counter", coding), 1)
+        counters = self._list("counters", "fault detection counters", "trouble code with counter", self._code, counter)
+        yield self._report("Read fault detection counters", 0x14, (), counters)
+        if self.table.has_obd(Profile.UDS):
+            yield from self._emission_reports(codes)
+
+    def _emission_reports(self, codes: Part) -> Iterator[Service]:
+        """Yield the reports of SAE J1979-2: codes by masks, and those that no client can clear."""
+        available, group = self._availability, constant("group", trouble.EMISSION_GROUP)
+        byte = self.hexadecimal("status_mask", "mask of status and severity")
+        form = self.number(
+            "format", "format of trouble codes of OBD", meanings={trouble.CODE_FORMAT_J2012: "SAE J2012-DA"}
+        )
+        severity = self.hexadecimal("severity", "severity")
+        what = "trouble codes with severity", "trouble code with severity"
+        found = self._list("trouble_codes", *what, severity, self._code, self._status)
+        every, masks = constant("severity_availability", trouble.ALL_SEVERITIES), (byte, renamed(byte, "severity_mask"))
+        yield self._report("Read trouble codes of OBD", 0x42, (group, *masks), group, available, every, form, found)
+        readiness = constant("readiness_group", 0 if self.table.obd is None else self.table.obd.readiness_group)
+        name = "Read trouble codes of a readiness group"
+        yield self._report(name, 0x56, (group, readiness), group, available, form, readiness, codes)
+        yield self._report("Read permanent trouble codes", 0x55, (group,), group, available, form, codes)
+
+    def _snapshots(self) -> Service:
+        table, dictionary = self.table, self.dictionary
+        wanted = {number for entry in table.troubles.values() for number in table.snapshot_of(entry)}
+        cases = {number: structure for number, structure in self._structures.items() if number in wanted}
+        switch = dictionary.switched("snapshot by identifier", self._number, cases)
+        datum = dictionary.structure("snapshot datum", (value("datum", switch),))
+        count = dictionary.simple("number of snapshot data", unsigned(1))
+        content = value("data", dictionary.counted("snapshot data", datum, count))
+        record = dictionary.structure("snapshot", (self._record, content))
+        asked = self.number("record", "snapshot to read", meanings=_SNAPSHOTS)
+        found = value("snapshots", dictionary.repeated("snapshots", record))
+        return self._report("Read snapshots", 0x04, (self._code, asked), self._code, self._status, found)
+
+    def _extended(self) -> Service:
+        dictionary, extended = self.dictionary, self.table.extended
+        choices = {record.number: record.name for record in extended.values()} | {trouble.ALL_RECORDS: "all"}
+        if max(extended, default=0) >= trouble.FIRST_REGULATED:
+            choices[trouble.ALL_REGULATED_RECORDS] = "all regulated"
+        cases = {entry.number: dictionary.fields(f"record {entry.name}", entry.fields) for entry in extended.values()}
+        switch = dictionary.switched("extended data by number", self.number("", "number of extended data"), cases)
+        record = dictionary.structure("extended record", (value("record", switch),))
+        asked = self.number("record", "extended data to read", meanings=choices)
+        found = value("records", dictionary.repeated("extended data", record))
+        return self._report("Read extended data", 0x06, (self._code, asked), self._code, self._status, found)
+
+
+def renamed(part: Part, name: str) -> Part:
+    """Return the same kind of parameter with another name."""
+    return replace(part[0], short_name=name), part[1]
+
+
+def _routine_states(routine: Routine, sub: int) -> tuple[int, ...]:
+    """Return what may be answered: the status says whether results follow."""
+    if sub == routines.STOP:
+        return (routines.STOPPED,)
+    if sub == routines.RESULTS:
+        return routines.COMPLETED, routines.RUNNING, routines.STOPPED
+    return (routines.COMPLETED, routines.STOPPED) if routine.is_awaited else (routines.RUNNING,)
+
+
+class ObdServices(_Services):
+    """Services 01 to 0A of SAE J1979, or the data of SAE J1979-2, which UDS reads."""
+
+    def __init__(self, table: DiagnosticTable, known: descriptions.Obd, dictionary: Dictionary) -> None:
+        super().__init__(table, dictionary)
+        self._obd = known
+        self._bitmap = value("supported", dictionary.simple("bitmap of what is there", raw(4)), 4)
+        self._pids = {pid.number: self._pid(pid) for pid in known.pids.values()}
+        self._infos = {info.number: self._info(info) for info in known.infos.values()}
+
+    def _pid(self, pid: Pid) -> Part:
+        fields = tuple(replace(entry, source="") for entry in pid.fields)  # in OBD all bits set are a value like others
+        size = sum(entry.size_bytes for entry in fields)
+        return value(pid.name, self.dictionary.fields(f"OBD {pid.name}", fields), size)
+
+    def _info(self, info: VehicleInfo) -> Part:
+        kind = self.table.data[info.data].fields[0].kind if info.data is not None else Coding.BYTES
+        is_text = bool(info.text) or kind is Coding.TEXT
+        content = Field(name=info.name, kind=Coding.TEXT if is_text else Coding.BYTES, size_bytes=info.size_bytes)
+        return value(info.name, self.dictionary.simple(f"OBD {info.name}", described(content)), info.size_bytes)
+
+    def by_identifier(self) -> Iterator[Service]:
+        """Yield a service for each datum of SAE J1979-2: parameters F4xx, vehicle information F8xx."""
+        known = self._obd
+        found = {data.PID_DATA | pid.number: (pid.name, self._pids[pid.number]) for pid in known.pids.values()}
+        found |= {data.INFO_DATA | info.number: (info.name, self._infos[info.number]) for info in known.infos.values()}
+        for page, numbers in ((data.PID_DATA, known.pids), (data.INFO_DATA, known.infos)):
+            found |= {page | first: (f"supported {page | first:04X}", self._bitmap) for first in _bitmaps(numbers)}
+        for number, (name, content) in found.items():
+            begin = constant("identifier", number, 2, "ID")
+            yield self.service(f"Read OBD {name}", Number.READ_DATA, "CURRENTDATA", (begin,), (begin, content))
+
+    def __iter__(self) -> Iterator[Service]:
+        yield from self._parameters()
+        yield from self._freeze_frame()
+        yield from self._codes()
+        yield self.service("Clear trouble codes of OBD", ObdService.CLEAR, "FAULTCLEAR")
+        yield from self._monitors()
+        for info in self._obd.infos.values():
+            content = constant("items", obd.ONE_ITEM), self._infos[info.number]
+            yield self._one(info.name, ObdService.VEHICLE_INFORMATION, "IDENTIFICATION", info.number, (), *content)
+        yield from self._supported("vehicle information", ObdService.VEHICLE_INFORMATION, self._obd.infos)
+
+    def _one(self, name: str, number: int, kind: str, what: int, more: Parts, *content: Part) -> Service:
+        """Return the service that reads one number; ``more`` comes behind it, back and forth."""
+        begin = (constant("number", what, semantic="ID"), *more)
+        return self.service(f"Read {name}", number, kind, begin, (*begin, *content))
+
+    def _supported(self, what: str, number: int, known: Mapping[int, object], *more: Part) -> Iterator[Service]:
+        """Yield the services that read which numbers are there."""
+        for first in _bitmaps(known):
+            yield self._one(f"supported {what} {first:02X}", number, "IDENTIFICATION", first, more, self._bitmap)
+
+    def _several(self, name: str, number: int, semantic: str, what: str, asked: Parts, most: int) -> Service:
+        structure = self.dictionary.structure(f"asked {what}", asked)
+        request = (value("parameters", self.dictionary.repeated(f"asked {what}s", structure, most, 1)),)
+        response = (value("parameters", self.dictionary.simple(f"{what}s with their numbers", rest(1))),)
+        return self.service(name, number, semantic, request, response)
+
+    def _parameters(self) -> Iterator[Service]:
+        number, kind = ObdService.CURRENT_DATA, "CURRENTDATA"
+        for pid in self._obd.pids.values():
+            yield self._one(pid.name, number, kind, pid.number, (), self._pids[pid.number])
+        yield from self._supported("parameters", number, self._obd.pids)
+        asked = (self.hexadecimal("number", "number of a parameter"),)
+        yield self._several("Read several data", number, kind, "parameter", asked, obd.MOST_PIDS)
+
+    def _freeze_frame(self) -> Iterator[Service]:
+        number, kind, frame = ObdService.FREEZE_FRAME, "FAULTREAD", constant("frame", obd.FRAME)
+        frozen = {pid.number: pid for pid in self._obd.pids.values() if pid.is_frozen}
+        for pid in frozen.values():
+            yield self._one(f"frozen {pid.name}", number, kind, pid.number, (frame,), self._pids[pid.number])
+        code = self.hexadecimal("code", "code of the freeze frame", 2)
+        yield self._one("code of the freeze frame", number, kind, obd.CODE_OF_FRAME, (frame,), code)
+        yield from self._supported("frozen parameters", number, {obd.CODE_OF_FRAME: code, **frozen}, frame)
+        which = self.hexadecimal("number", "number of a frozen parameter")
+        asked, name = (which, self.hexadecimal("frame", "number of a frame")), "Read several frozen parameters"
+        yield self._several(name, number, kind, "frozen parameter", asked, obd.MOST_FROZEN_PIDS)
+
+    def _codes(self) -> Iterator[Service]:
+        troubles = tuple({entry.code: entry for entry in self.table.troubles.values()}.values())
+        item = self.dictionary.code_part("trouble_code", "trouble code", troubles, 2)
+        stored = self.dictionary.structure("stored trouble code", (item,))
+        count = self.dictionary.simple("number of trouble codes", unsigned(1))
+        found = (value("trouble_codes", self.dictionary.counted("trouble codes", stored, count)),)
+        for kind in ("confirmed", "pending", "permanent"):
+            number = ObdService[f"{kind.upper()}_CODES"]
+            yield self.service(f"Read {kind} trouble codes", number, "FAULTREAD", (), found)
+
+    def _monitors(self) -> Iterator[Service]:
+        coding = described(Field(name="result", kind=Coding.SIGNED, size_bytes=2))
+        result = self.dictionary.simple("result of a test", coding)
+        begin = constant("test", obd.COUNTER_TEST), constant("unit_and_scaling", obd.SIGNED_COUNT)
+        content = (*begin, *(value(name, result, 2) for name in ("result", "least", "most")))
+        for monitor in self._obd.monitors.values():
+            name = f"test of {monitor.code}"
+            yield self._one(name, ObdService.TEST_RESULTS, "FAULTREAD", monitor.number, (), *content)
+        yield from self._supported("tests", ObdService.TEST_RESULTS, self._obd.monitors)
+
+
+def _bitmaps(known: Mapping[int, object]) -> Iterator[int]:
+    return (first for first in range(0, 0x100, descriptions.BLOCK) if descriptions.supported(known, first) is not None)

@@ -1,0 +1,272 @@
+"""A diagnostic server as a function: a request and the state before it in, a response or none and the new state out.
+
+The order of checks is that of ISO 14229-1, general server response behaviour: the service, the session it is in, its
+security; then length, sub-function, the session that one is in; then what each service checks itself.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Final
+
+from workshop.controller.descriptions import Profile
+from workshop.controller.iso14229 import (
+    DEFAULT_SESSION,
+    NEGATIVE,
+    SILENT_WHEN_FUNCTIONAL,
+    SUPPRESS,
+    Nrc,
+    Service,
+)
+from workshop.controller.memory import (
+    NOTHING_CAPTURED,
+    TestResult,
+    after_cycle,
+    after_test,
+    after_warm_up,
+    begin_cycle,
+    empty_memory,
+    located,
+    needs_capture,
+    note_warm_up,
+    report,
+)
+from workshop.controller.services import data, routines, sessions
+from workshop.controller.services.call import Call, Outcome, Result, is_unlocked, under_control
+from workshop.controller.services.obd import OBD_HANDLERS
+from workshop.controller.services.trouble import EMISSION_REPORTS, REPORTS, capture, clear_codes, read_codes
+from workshop.controller.state import Instant, Reply, Request, ServerState, Waiting
+from workshop.controller.table import DiagnosticTable
+
+AGAIN_RATIO: Final = 0.7  # of P2*, after which 78 is sent again
+PENDING_RATIO: Final = 0.6  # of P2, after which a client is told to wait
+KEEP_ALIVE: Final = bytes([Service.TESTER_PRESENT, SUPPRESS])  # wants no answer, not even 78: nothing is done
+
+_HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {
+    Service.SESSION_CONTROL: sessions.session_control,
+    Service.ECU_RESET: sessions.ecu_reset,
+    Service.CLEAR_CODES: clear_codes,
+    Service.READ_CODES: read_codes,
+    Service.READ_DATA: data.read_data,
+    Service.SECURITY_ACCESS: sessions.security_access,
+    Service.COMMUNICATION_CONTROL: sessions.communication_control,
+    Service.READ_PERIODICALLY: data.read_periodically,
+    Service.DEFINE_DATA: data.define_data,
+    Service.WRITE_DATA: data.write_data,
+    Service.CONTROL_DATA: data.control_data,
+    Service.ROUTINE_CONTROL: routines.routine_control,
+    Service.TESTER_PRESENT: sessions.tester_present,
+    Service.CONTROL_CODE_SETTING: sessions.control_code_setting,
+}
+_SUB_FUNCTIONS: Final[Mapping[int, frozenset[int]]] = {
+    Service.ECU_RESET: frozenset({sessions.HARD_RESET, sessions.KEY_OFF_ON_RESET, sessions.SOFT_RESET}),
+    Service.READ_CODES: REPORTS,
+    Service.COMMUNICATION_CONTROL: frozenset({0x00, 0x01, 0x02, 0x03}),
+    Service.DEFINE_DATA: frozenset({data.DEFINE_BY_IDENTIFIER, data.CLEAR_DEFINITION}),
+    Service.ROUTINE_CONTROL: frozenset({routines.START, routines.STOP, routines.RESULTS}),
+    Service.TESTER_PRESENT: frozenset({0x00}),
+    Service.CONTROL_CODE_SETTING: frozenset({sessions.CODES_ON, sessions.CODES_OFF}),
+}  # those of 10 and 27 are in the table
+
+
+def switched_on(table: DiagnosticTable, kept: ServerState | None, t_s: float) -> ServerState:
+    """Return the state of a controller that gets its current at this moment; ``kept`` is what its file holds."""
+    return sessions.started(kept or ServerState(memory=empty_memory(table.troubles)), table, t_s)
+
+
+def answer(table: DiagnosticTable, state: ServerState, request: Request, moment: Instant) -> Reply:
+    """Return what a controller does with a request.
+
+    Parameters
+    ----------
+    table, state
+        What it can be asked, and what it remembers.
+    request
+        A whole request, reassembled.
+    moment
+        The time, the vehicle, and fresh random bytes for a seed.
+
+    Returns
+    -------
+    Reply
+        The response or none, and the state after it. A response 78 is followed by the final one of ``advance``.
+    """
+    if moment.t_s < state.asleep_until_s or not request.payload:
+        return Reply(payload=None, state=state)
+    sensed, moment = moment, under_control(table, state, moment)
+    state = _settled(table, state, moment)
+    if state.waiting is not None:  # all is refused but what only keeps the session alive
+        busy = None if request.payload == KEEP_ALIVE else _negative(request, Nrc.BUSY_REPEAT_REQUEST)
+        return Reply(payload=busy, state=state)
+    result = _outcome(Call(table=table, state=state, moment=moment, sensed=sensed, request=request))
+    if not result.is_final:
+        waiting = Waiting(
+            request=request,
+            routine=int.from_bytes(request.payload[2:4], "big"),
+            again_s=moment.t_s + AGAIN_RATIO * table.timing.p2_star_s,
+        )
+        return Reply(payload=_negative(request, Nrc.RESPONSE_PENDING), state=replace(result.state, waiting=waiting))
+    return _replied(request, result.response, result.state)
+
+
+def _outcome(call: Call) -> Outcome:
+    """Return what a service does for the client who holds the session, or for a guest of it."""
+    before, number = call.state, call.payload[0]
+    is_guest = before.session != DEFAULT_SESSION and call.request.client != before.holder
+    seen = sessions.as_guest(before) if is_guest else replace(before, heard_s=call.moment.t_s)
+    call = replace(call, state=seen, is_guest=is_guest)
+    result = OBD_HANDLERS[number](call) if _is_obd(call) else _refusal(call) or _HANDLERS[number](call)
+    if isinstance(result, Nrc):
+        result = Outcome(response=result, state=call.state)
+    return replace(result, state=sessions.after_guest(before, result.state)) if is_guest else result
+
+
+def advance(table: DiagnosticTable, state: ServerState, moment: Instant) -> Reply:
+    """Return what a controller does because time has passed: a response that was awaited, or 78 once more."""
+    sensed, moment = moment, under_control(table, state, moment)
+    state = _settled(table, state, moment)
+    waiting = state.waiting
+    if waiting is None:
+        return Reply(payload=None, state=state)
+    run = state.routines[waiting.routine]
+    if run.is_running and moment.t_s < waiting.again_s:
+        return Reply(payload=None, state=state)
+    if run.is_running:
+        again = replace(waiting, again_s=moment.t_s + AGAIN_RATIO * table.timing.p2_star_s)
+        return Reply(payload=_negative(waiting.request, Nrc.RESPONSE_PENDING), state=replace(state, waiting=again))
+    state = replace(state, waiting=None, heard_s=moment.t_s)
+    if run.failed_nrc:
+        return Reply(payload=_negative(waiting.request, Nrc(run.failed_nrc)), state=state)
+    call = Call(table=table, state=state, moment=moment, sensed=sensed, request=waiting.request)
+    response = routines.answered(call, table.routines[waiting.routine], run).response
+    return Reply(payload=response if isinstance(response, bytes) else None, state=state)
+
+
+def broadcast(table: DiagnosticTable, state: ServerState, moment: Instant) -> tuple[tuple[bytes, ...], ServerState]:
+    """Return what is sent now because a client asked to have it again and again (2A), and the state after it."""
+    moment = under_control(table, state, moment)
+    return data.due(table, _settled(table, state, moment), moment)
+
+
+def held(table: DiagnosticTable, state: ServerState, moment: Instant) -> ServerState:
+    """Return the state while a message is on its way: a session that has not ended by now goes on for another S3."""
+    return replace(_settled(table, state, under_control(table, state, moment)), heard_s=moment.t_s)
+
+
+def left(table: DiagnosticTable, state: ServerState, client: int) -> ServerState:
+    """Return the state once a client has gone: nobody awaits its response, its session and its own data are no more."""
+    if state.waiting is not None and state.waiting.request.client == client:
+        state = replace(state, waiting=None)
+    kept = {number: pieces for number, pieces in state.defined.items() if pieces[0].client != client}
+    state = replace(state, defined=kept)
+    is_held = state.session != DEFAULT_SESSION and state.holder == client
+    return sessions.in_session(state, table, DEFAULT_SESSION) if is_held else state
+
+
+def tested(table: DiagnosticTable, state: ServerState, number: int, result: TestResult, moment: Instant) -> ServerState:
+    """Return the state after a monitor has spoken; nothing changes while a client has switched that off (85)."""
+    if not state.are_codes_updated:
+        return state
+    trouble, moment = table.troubles[number], under_control(table, state, moment)
+    is_new = needs_capture(state.memory, trouble, result)
+    captured = capture(table, trouble, state, moment) if is_new else NOTHING_CAPTURED
+    memory = report(state.memory, trouble, result, captured)
+    odometer_m = data.odometer_m(moment)
+    frozen = partial(data.frozen_pids, table, state, moment)
+    emissions = after_test(state.emissions, trouble, state.memory, memory, odometer_m, frozen)
+    return replace(state, memory=memory, emissions=located(emissions, memory, odometer_m))
+
+
+def warmed_up(state: ServerState) -> ServerState:
+    """Return the state in an operation cycle that counts for ageing."""
+    memory = note_warm_up(state.memory)
+    return replace(state, memory=memory, emissions=after_warm_up(state.emissions, state.memory, memory))
+
+
+def driven(state: ServerState) -> ServerState:
+    """Return the state in an operation cycle that counts for the use of monitors."""
+    return state if state.emissions.is_driven else replace(state, emissions=replace(state.emissions, is_driven=True))
+
+
+def cycled(table: DiagnosticTable, state: ServerState) -> ServerState:
+    """Return the state after the ignition went off and on without the controller losing its current."""
+    memory = begin_cycle(state.memory, table.troubles)
+    return replace(state, memory=memory, emissions=after_cycle(state.emissions, state.memory, memory))
+
+
+def _settled(table: DiagnosticTable, state: ServerState, moment: Instant) -> ServerState:
+    """Return the state with everything done that time alone does."""
+    state = routines.timed_out(state, table, moment)
+    for level in table.levels.values():
+        state = sessions.delay_over(state, level, moment.t_s)
+    is_over = moment.t_s - state.heard_s >= table.timing.s3_s
+    if state.session != DEFAULT_SESSION and state.waiting is None and is_over:
+        return sessions.in_session(state, table, DEFAULT_SESSION)
+    return data.only_allowed(state, table)
+
+
+def refusal(table: DiagnosticTable, state: ServerState, request: Request) -> Reply | None:
+    """Return the refusal of what is not supported at all, for which nobody is to wait; None if it is."""
+    is_guest = state.session != DEFAULT_SESSION and request.client != state.holder
+    nowhere = Instant(t_s=0.0, values={})
+    seen = sessions.as_guest(state) if is_guest else state
+    call = Call(table=table, state=seen, moment=nowhere, sensed=nowhere, request=request, is_guest=is_guest)
+    nrc = None if not request.payload or _is_obd(call) else _refusal(call)
+    return None if nrc is None else _replied(request, nrc, state)
+
+
+def _is_obd(call: Call) -> bool:
+    return call.payload[0] in OBD_HANDLERS and call.table.has_obd(Profile.CLASSIC)
+
+
+def _refusal(call: Call) -> Nrc | None:
+    service = call.table.services.get(call.payload[0])
+    if service is None or service.number not in _HANDLERS:
+        return Nrc.SERVICE_NOT_SUPPORTED
+    if call.state.session not in service.sessions:
+        return Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION
+    if not is_unlocked(call.state, service.levels):
+        return Nrc.SECURITY_ACCESS_DENIED
+    return _sub_function_refusal(call) if _has_sub_function(service.number) else None
+
+
+def _sub_function_refusal(call: Call) -> Nrc | None:
+    if len(call.payload) < 2:
+        return Nrc.INCORRECT_LENGTH
+    there = _sessions_of_sub_function(call)
+    if not there:
+        return Nrc.SUB_FUNCTION_NOT_SUPPORTED
+    return None if call.state.session in there else Nrc.SUB_FUNCTION_NOT_SUPPORTED_IN_SESSION
+
+
+def _has_sub_function(service: int) -> bool:
+    return service in _SUB_FUNCTIONS or service in {Service.SESSION_CONTROL, Service.SECURITY_ACCESS}
+
+
+def _sessions_of_sub_function(call: Call) -> tuple[int, ...]:
+    """Return in which sessions a sub-function is there; in none if it is not known."""
+    number, table = call.payload[0], call.table
+    if number == Service.SESSION_CONTROL:
+        session = table.sessions.get(call.sub_function)
+        return session.from_sessions if session is not None else ()
+    if number == Service.SECURITY_ACCESS:
+        level = table.levels.get(call.sub_function - (call.sub_function % 2 == 0))
+        return level.sessions if level is not None else ()
+    known = _SUB_FUNCTIONS[number]
+    if number == Service.READ_CODES and table.has_obd(Profile.UDS):
+        known |= EMISSION_REPORTS
+    return table.services[number].sessions if call.sub_function in known else ()
+
+
+def _replied(request: Request, response: bytes | Nrc, state: ServerState) -> Reply:
+    """Return a response as it goes out; it stays off the bus if its client did not want it, or others were meant."""
+    if isinstance(response, Nrc):
+        said, is_kept_back = _negative(request, response), request.is_functional and response in SILENT_WHEN_FUNCTIONAL
+    else:
+        said, payload = response, request.payload
+        is_kept_back = len(payload) > 1 and _has_sub_function(payload[0]) and bool(payload[1] & SUPPRESS)
+    return Reply(payload=None, state=state, withheld=said) if is_kept_back else Reply(payload=said, state=state)
+
+
+def _negative(request: Request, nrc: Nrc) -> bytes:
+    return bytes([NEGATIVE, request.payload[0], nrc])

@@ -1,0 +1,362 @@
+"""Data by identifier: services 22 (read), 2C (define), 2E (write) and 2F (control)."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Final
+
+from workshop.controller.descriptions import Access, Datum, Field, Pid, Profile, VehicleInfo, supported
+from workshop.controller.iso14229 import Nrc, Service, Status
+from workshop.controller.memory import FrozenPids, emission_codes, is_lamp_on, located
+from workshop.controller.services.call import (
+    Call,
+    Result,
+    is_in_session,
+    is_unlocked,
+    under_control,
+    unmet,
+    unmet_by_service,
+)
+from workshop.controller.state import Instant, PeriodicRun, Piece, ServerState
+from workshop.controller.table import PERIODIC_PAGE, DiagnosticTable
+from workshop.controller.values import Value, Values, are_valid, encode
+
+STARTING: Final = "is_starting"  # a value: the vehicle has said nothing yet, as while its kernels are compiled
+DEFINE_BY_IDENTIFIER: Final = 0x01
+CLEAR_DEFINITION: Final = 0x03
+DEFINABLE_PAGE: Final = 0xF3  # annex C: upper byte of what clients may define, beside what is sent periodically
+RETURN_CONTROL: Final = 0x00
+FREEZE: Final = 0x02
+ADJUST: Final = 0x03
+_NAME_BYTES: Final = 2
+_PIECE_BYTES: Final = 4
+
+
+def data_of(datum: Datum, state: ServerState, moment: Instant) -> bytes:
+    """Return what a datum holds now: what was written, or what the vehicle says, as far as a client let it."""
+    if datum.number in state.controlled:
+        return state.controlled[datum.number]
+    if datum.initial is not None:
+        return state.written.get(datum.number, datum.initial_bytes)
+    return encode(datum.fields, {**moment.values, "active_session": state.session})
+
+
+def read_data(call: Call) -> Result:
+    """Read data; those that are not there are left out, unless none is."""
+    names = call.payload[1:]
+    if not names or len(names) % _NAME_BYTES or len(names) > _NAME_BYTES * call.table.limits.most_data:
+        return Nrc.INCORRECT_LENGTH
+    response, is_any = b"", False
+    for place in range(0, len(names), _NAME_BYTES):
+        name = names[place : place + _NAME_BYTES]
+        sources = readable(call.table, call.state, int.from_bytes(name, "big"))
+        if not sources:
+            if name[0] == PID_DATA >> 8 and is_pid_awaited(call, name[1]):
+                return Nrc.BUSY_REPEAT_REQUEST
+            emission = emission_data(call.table, call.state, call.moment, int.from_bytes(name, "big"))
+            is_any |= emission is not None
+            response += b"" if emission is None else name + emission
+            continue
+        is_any = True
+        if refusal := read_refusal(call, sources):
+            return refusal
+        response += name + data_in(call.table, call.state, call.moment, sources)
+    if not is_any:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    if 1 + len(response) > call.table.limits.most_response_bytes:
+        return Nrc.RESPONSE_TOO_LONG
+    return call.positive(response)
+
+
+def readable(table: DiagnosticTable, state: ServerState, number: int) -> tuple[Piece, ...]:
+    """Return what a data identifier consists of; nothing if it is not there in this session."""
+    datum = table.data.get(number)
+    if datum is None:
+        pieces = state.defined.get(number, ())
+    else:
+        pieces = (Piece(source=number, start=0, size_bytes=datum.size_bytes),)
+    return pieces if all(state.session in table.data[piece.source].read.sessions for piece in pieces) else ()
+
+
+def read_refusal(call: Call, pieces: Iterable[Piece]) -> Nrc | None:
+    """Return why pieces of data cannot be read now: security, or the vehicle."""
+    for datum in (call.table.data[piece.source] for piece in pieces):
+        if not is_unlocked(call.state, datum.read.levels):
+            return Nrc.SECURITY_ACCESS_DENIED
+        if datum.initial is None and datum.number not in call.state.controlled and _are_awaited(datum.fields, call):
+            return Nrc.BUSY_REPEAT_REQUEST
+        if refusal := unmet(call, datum.read.conditions):
+            return refusal
+    return None
+
+
+def _are_awaited(fields: Iterable[Field], call: Call) -> bool:
+    """Return whether some value is not known only since the vehicle has said nothing yet."""
+    known = {*_with_obd(call.table, call.state, call.moment), "active_session"}
+    return bool(call.moment.values.get(STARTING)) and any(entry.source not in known for entry in fields)
+
+
+def is_pid_awaited(call: Call, number: int) -> bool:
+    """Return whether a parameter of OBD is not known only since the vehicle has said nothing yet."""
+    pid = None if call.table.obd is None else call.table.obd.pids.get(number)
+    return pid is not None and not pid.initial and _are_awaited(pid.fields, call)
+
+
+def data_in(table: DiagnosticTable, state: ServerState, moment: Instant, pieces: Iterable[Piece]) -> bytes:
+    return b"".join(
+        data_of(table.data[piece.source], state, moment)[piece.start : piece.start + piece.size_bytes]
+        for piece in pieces
+    )
+
+
+def is_definable(table: DiagnosticTable, number: int) -> bool:
+    """Return whether clients may define this datum."""
+    if number >> 8 == PERIODIC_PAGE:
+        return table.periodic is not None and number not in table.data
+    return number >> 8 == DEFINABLE_PAGE
+
+
+def write_data(call: Call) -> Result:
+    """Write a stored datum; it is kept over a restart."""
+    target = _target(call, lambda datum: datum.write)
+    if isinstance(target, Nrc):
+        return target
+    datum, access = target
+    data = call.payload[3:]
+    if len(data) != datum.size_bytes:
+        return Nrc.INCORRECT_LENGTH
+    if not is_unlocked(call.state, access.levels):
+        return Nrc.SECURITY_ACCESS_DENIED
+    if not are_valid(datum.fields, data):
+        return Nrc.REQUEST_OUT_OF_RANGE
+    if refusal := unmet_by_service(call) or unmet(call, access.conditions):
+        return refusal
+    state = replace(call.state, written={**call.state.written, datum.number: data})
+    return call.positive(call.payload[1:3], state)
+
+
+def _target(call: Call, access_of: Callable[[Datum], Access | None]) -> tuple[Datum, Access] | Nrc:
+    """Return the datum that a request with more than its name is about, and who may do this with it."""
+    if len(call.payload) < 1 + _NAME_BYTES + 1:
+        return Nrc.INCORRECT_LENGTH
+    datum = call.table.data.get(int.from_bytes(call.payload[1:3], "big"))
+    access = None if datum is None else access_of(datum)
+    if datum is None or access is None or not is_in_session(call, access):
+        return Nrc.REQUEST_OUT_OF_RANGE
+    return datum, access
+
+
+def control_data(call: Call) -> Result:
+    """Take a live value out of the controller's hands, or give it back."""
+    target = _target(call, lambda datum: datum.control)
+    if isinstance(target, Nrc):
+        return target
+    datum, access = target
+    if not is_unlocked(call.state, access.levels):
+        return Nrc.SECURITY_ACCESS_DENIED
+    if refusal := _control_refusal(call, datum) or unmet_by_service(call) or unmet(call, access.conditions):
+        return refusal
+    action = call.payload[3]
+    controlled = {number: data for number, data in call.state.controlled.items() if number != datum.number}
+    if action == ADJUST:
+        controlled[datum.number] = call.payload[4:]
+    elif action == FREEZE:
+        controlled[datum.number] = data_of(datum, call.state, call.moment)
+    state = replace(call.state, controlled=controlled)
+    after = under_control(call.table, state, call.sensed)
+    return call.positive(call.payload[1:4] + data_of(datum, state, after), state)
+
+
+def _control_refusal(call: Call, datum: Datum) -> Nrc | None:
+    action, wanted = call.payload[3], call.payload[4:]
+    if action not in {RETURN_CONTROL, FREEZE, ADJUST}:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    if len(wanted) != (datum.size_bytes if action == ADJUST else 0):
+        return Nrc.INCORRECT_LENGTH
+    return None if not wanted or are_valid(datum.fields, wanted) else Nrc.REQUEST_OUT_OF_RANGE
+
+
+def define_data(call: Call) -> Result:
+    """Make a datum of pieces of others, or forget it."""
+    if call.sub_function == CLEAR_DEFINITION:
+        return _forgotten(call)
+    described = call.payload[2 + _NAME_BYTES :]
+    if not described or len(described) % _PIECE_BYTES:
+        return Nrc.INCORRECT_LENGTH
+    number = int.from_bytes(call.payload[2:4], "big")
+    if not is_definable(call.table, number) or _is_anothers(call, number):
+        return Nrc.REQUEST_OUT_OF_RANGE
+    pieces = [
+        Piece(
+            source=int.from_bytes(described[place : place + 2], "big"),
+            start=described[place + 2] - 1,
+            size_bytes=described[place + 3],
+            client=call.request.client,
+        )
+        for place in range(0, len(described), _PIECE_BYTES)
+    ]
+    count = len(pieces) + sum(map(len, call.state.defined.values()))
+    if not all(_is_within(call, piece) for piece in pieces) or count > call.table.limits.most_pieces:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    if refusal := read_refusal(call, pieces):
+        return refusal
+    before = call.state.defined.get(number, ())
+    state = replace(call.state, defined={**call.state.defined, number: (*before, *pieces)})
+    return call.echoed(call.payload[2:4], state)
+
+
+def _is_within(call: Call, piece: Piece) -> bool:
+    datum = call.table.data.get(piece.source)
+    if datum is None or not is_in_session(call, datum.read):
+        return False
+    return piece.start >= 0 and piece.size_bytes > 0 and piece.start + piece.size_bytes <= datum.size_bytes
+
+
+def _forgotten(call: Call) -> Result:
+    name = call.payload[2:]
+    if len(name) not in {0, _NAME_BYTES}:
+        return Nrc.INCORRECT_LENGTH
+    number = int.from_bytes(name, "big")
+    if name and (not is_definable(call.table, number) or _is_anothers(call, number)):
+        return Nrc.REQUEST_OUT_OF_RANGE
+    left = {
+        known: pieces
+        for known, pieces in call.state.defined.items()
+        if (name and known != number) or _is_anothers(call, known)
+    }
+    return call.echoed(name, replace(call.state, defined=left))
+
+
+def _is_anothers(call: Call, number: int) -> bool:
+    return any(piece.client != call.request.client for piece in call.state.defined.get(number, ()))
+
+
+SLOW: Final = 0x01
+MEDIUM: Final = 0x02
+FAST: Final = 0x03
+STOP: Final = 0x04
+
+
+def read_periodically(call: Call) -> Result:
+    """Begin to send data at a rate, or stop some or all; those that are not there are left out, unless none is."""
+    if len(call.payload) < 2 or (len(call.payload) == 2 and call.payload[1] != STOP):
+        return Nrc.INCORRECT_LENGTH
+    mode, names = call.payload[1], call.payload[2:]
+    if mode not in {SLOW, MEDIUM, FAST, STOP}:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    numbers = [number for name in names if _can_be_sent(call.table, call.state, number := PERIODIC_PAGE << 8 | name)]
+    if names and not numbers:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    if mode == STOP:
+        left = {number: run for number, run in call.state.periodic.items() if names and number not in numbers}
+        return call.positive(state=replace(call.state, periodic=left))
+    return _begun(call, numbers, mode)
+
+
+def _begun(call: Call, numbers: list[int], mode: int) -> Result:
+    periodic = call.table.periodic
+    if periodic is None:
+        return Nrc.SERVICE_NOT_SUPPORTED
+    pieces = [piece for number in numbers for piece in readable(call.table, call.state, number)]
+    if refusal := read_refusal(call, pieces):
+        return refusal
+    period_s = {SLOW: periodic.slow_s, MEDIUM: periodic.medium_s, FAST: periodic.fast_s}[mode]
+    runs = {**call.state.periodic, **dict.fromkeys(numbers, PeriodicRun(period_s=period_s, due_s=call.moment.t_s))}
+    if len(runs) > periodic.most:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    return unmet_by_service(call) or call.positive(state=replace(call.state, periodic=runs))
+
+
+def only_allowed(state: ServerState, table: DiagnosticTable) -> ServerState:
+    """Return the state without the sending of what may not be read any more, or was redefined too long."""
+    if not state.periodic:
+        return state
+    is_there = state.session in table.services[Service.READ_PERIODICALLY].sessions
+    left = {
+        number: run
+        for number, run in state.periodic.items()
+        if is_there and _can_be_sent(table, state, number)
+        if all(is_unlocked(state, table.data[one.source].read.levels) for one in readable(table, state, number))
+    }
+    return state if len(left) == len(state.periodic) else replace(state, periodic=left)
+
+
+def due(table: DiagnosticTable, state: ServerState, moment: Instant) -> tuple[tuple[bytes, ...], ServerState]:
+    """Return the messages that are due, and the state after them; what was missed is not made up for."""
+    messages, runs = list[bytes](), dict[int, PeriodicRun]()
+    for number, run in state.periodic.items():
+        runs[number] = run
+        if moment.t_s < run.due_s:
+            continue
+        data = data_in(table, state, moment, readable(table, state, number))
+        messages.append(bytes([number & 0xFF]) + data)
+        next_s = run.due_s + run.period_s
+        runs[number] = replace(run, due_s=next_s if next_s > moment.t_s else moment.t_s + run.period_s)
+    return tuple(messages), replace(state, periodic=runs) if messages else state
+
+
+def _can_be_sent(table: DiagnosticTable, state: ServerState, number: int) -> bool:
+    size_bytes = sum(piece.size_bytes for piece in readable(table, state, number))
+    return 0 < size_bytes <= table.most_periodic_bytes
+
+
+_LAMP: Final = 0x80
+_MOST_CODES: Final = 0x7F
+_COMPONENTS: Final = 0x04  # monitored all the time, and therefore always ready
+PID_DATA: Final = 0xF400  # data identifiers of SAE J1979-2
+INFO_DATA: Final = 0xF800
+
+
+def odometer_m(moment: Instant) -> float | None:
+    """Return the distance that the vehicle has driven [m], None if it does not say."""
+    distance_m = moment.values.get("odometer_m")
+    return distance_m if isinstance(distance_m, int | float) else None
+
+
+def pid_data(pid: Pid, table: DiagnosticTable, state: ServerState, moment: Instant) -> bytes:
+    """Return what a parameter holds now."""
+    return pid.initial_bytes or encode(pid.fields, _with_obd(table, state, moment), keeps_code=False)
+
+
+def frozen_pids(table: DiagnosticTable, state: ServerState, moment: Instant) -> FrozenPids:
+    """Return the parameters that a freeze frame keeps."""
+    if table.obd is None:
+        return ()
+    frozen = (pid for pid in table.obd.pids.values() if pid.is_frozen)
+    return tuple((pid.number, pid_data(pid, table, state, moment)) for pid in frozen)
+
+
+def info_data(info: VehicleInfo, table: DiagnosticTable, state: ServerState) -> bytes:
+    """Return a piece of vehicle information, filled up with zeros."""
+    data = info.fixed_bytes
+    if info.data is not None:
+        datum = table.data[info.data]
+        data = state.written.get(info.data, datum.initial_bytes)
+    return data[: info.size_bytes].ljust(info.size_bytes, b"\0")
+
+
+def emission_data(table: DiagnosticTable, state: ServerState, moment: Instant, number: int) -> bytes | None:
+    """Return what a data identifier of SAE J1979-2 holds; None if it is none, or OBD is not spoken in that way."""
+    obd, page, place = table.obd, number & 0xFF00, number & 0xFF
+    if obd is None or obd.profile is not Profile.UDS or page not in {PID_DATA, INFO_DATA}:
+        return None
+    if page == PID_DATA and place in obd.pids:
+        return pid_data(obd.pids[place], table, state, moment)
+    if page == INFO_DATA and place in obd.infos:
+        return info_data(obd.infos[place], table, state)
+    return supported(obd.pids if page == PID_DATA else obd.infos, place)
+
+
+def _with_obd(table: DiagnosticTable, state: ServerState, moment: Instant) -> Values:
+    confirmed = emission_codes(table.troubles, state.memory, Status.CONFIRMED)
+    lamp = _LAMP if is_lamp_on(state.memory) else 0
+    more: dict[str, Value] = {
+        "obd.monitor_status": bytes([lamp | min(_MOST_CODES, len(confirmed)), _COMPONENTS, 0, 0]),
+        "obd.monitor_status_this_cycle": bytes([0, _COMPONENTS, 0, 0]),
+        "obd.warm_ups": state.emissions.warm_ups,
+    }
+    distance_m = odometer_m(moment)
+    if distance_m is not None:
+        known = located(state.emissions, state.memory, distance_m)
+        more["obd.distance_since_clear_m"] = max(0.0, distance_m - (known.cleared_at_m or 0.0))
+        more["obd.distance_with_lamp_m"] = 0.0 if known.lamp_at_m is None else max(0.0, distance_m - known.lamp_at_m)
+    return {**moment.values, **more}

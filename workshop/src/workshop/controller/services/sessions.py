@@ -1,0 +1,193 @@
+"""Sessions and what belongs to them: services 10, 11, 28, 3E and 85."""
+
+from dataclasses import replace
+from typing import Final
+
+from workshop.controller.descriptions import SecurityLevel
+from workshop.controller.iso14229 import DEFAULT_SESSION, Nrc
+from workshop.controller.memory import after_cycle, begin_cycle
+from workshop.controller.services.call import Call, Outcome, Result, locked, unmet_by_service
+from workshop.controller.state import Communication, ServerState
+from workshop.controller.table import DiagnosticTable
+
+HARD_RESET: Final = 0x01
+KEY_OFF_ON_RESET: Final = 0x02
+SOFT_RESET: Final = 0x03
+CODES_ON: Final = 0x01
+CODES_OFF: Final = 0x02
+ALL_ON: Final = 0x00
+_MS_PER_S: Final = 1e3
+_P2_STAR_STEP_S: Final = 0.01
+_ALL_GROUPS: Final = b"\xff\xff\xff"
+_NORMAL: Final = 0x01  # bits of the communication type
+_MANAGEMENT: Final = 0x02
+_RESERVED: Final = 0x0C
+_OF_SESSION: Final = ("session", "holder", "heard_s", "unlocked", "seed_level", "seed")
+
+
+def session_control(call: Call) -> Result:
+    """Enter a session: response with P2 in milliseconds and P2* in steps of ten."""
+    if len(call.payload) != 2:
+        return Nrc.INCORRECT_LENGTH
+    if refusal := unmet_by_service(call):
+        return refusal
+    if call.is_guest and call.sub_function != DEFAULT_SESSION:
+        return Nrc.BUSY_REPEAT_REQUEST  # there is one session, and another client holds it
+    timing = call.table.timing
+    p2 = round(timing.p2_s * _MS_PER_S).to_bytes(2, "big")
+    p2_star = round(timing.p2_star_s / _P2_STAR_STEP_S).to_bytes(2, "big")
+    if call.is_guest:
+        return call.echoed(p2 + p2_star)
+    state = replace(in_session(call.state, call.table, call.sub_function), holder=call.request.client)
+    return call.echoed(p2 + p2_star, state)
+
+
+def in_session(state: ServerState, table: DiagnosticTable, session: int) -> ServerState:
+    """Return the state after a session was entered: security is locked, and the default session ends the rest."""
+    state = replace(locked(state, table), session=session)
+    if session != DEFAULT_SESSION:
+        return state
+    routines = {
+        number: replace(run, is_running=False, was_stopped=True) if run.is_running else run
+        for number, run in state.routines.items()
+    }
+    return replace(
+        state,
+        controlled={},
+        communication=Communication(),
+        are_codes_updated=True,
+        periodic={},
+        routines=routines,
+        waiting=None,
+    )
+
+
+def as_guest(state: ServerState) -> ServerState:
+    """Return the state as a client sees it while another one holds a session: the default session, all locked."""
+    return replace(state, session=DEFAULT_SESSION, unlocked=0, seed_level=0, seed=b"")
+
+
+def after_guest(before: ServerState, after: ServerState) -> ServerState:
+    """Return the state after a guest's request: the session and its security stay as they were, but for a reset."""
+    if after.asleep_until_s != before.asleep_until_s:
+        return after
+    return replace(after, **{name: getattr(before, name) for name in _OF_SESSION})
+
+
+def ecu_reset(call: Call) -> Result:
+    """Answer, then start anew."""
+    if len(call.payload) != 2:
+        return Nrc.INCORRECT_LENGTH
+    if refusal := unmet_by_service(call):
+        return refusal
+    state = started(call.state, call.table, call.moment.t_s, is_new_cycle=call.sub_function != SOFT_RESET)
+    return call.echoed(state=replace(state, asleep_until_s=call.moment.t_s + call.table.timing.reset_s))
+
+
+def started(state: ServerState, table: DiagnosticTable, t_s: float, *, is_new_cycle: bool = True) -> ServerState:
+    """Return the state of a controller that has just started, with what it keeps: codes, written data, wrong keys."""
+    until_s = {
+        number: t_s + level.delay_s
+        for number, level in table.levels.items()
+        if state.wrong_keys.get(number, 0) >= level.most_attempts
+    }
+    memory = begin_cycle(state.memory, table.troubles) if is_new_cycle else state.memory
+    return ServerState(
+        memory=memory,
+        emissions=after_cycle(state.emissions, state.memory, memory) if is_new_cycle else state.emissions,
+        written=state.written,
+        wrong_keys=state.wrong_keys,
+        adaptation=state.adaptation,
+        locked_until_s=until_s,
+        heard_s=t_s,
+    )
+
+
+def tester_present(call: Call) -> Result:
+    """Do nothing: that a request came keeps the session alive."""
+    return Nrc.INCORRECT_LENGTH if len(call.payload) != 2 else call.echoed()
+
+
+def control_code_setting(call: Call) -> Result:
+    """Switch the updating of trouble codes on or off; the option, if there is one, must name all groups."""
+    option = call.payload[2:]
+    if len(option) not in {0, len(_ALL_GROUPS)}:
+        return Nrc.INCORRECT_LENGTH
+    if option not in {b"", _ALL_GROUPS}:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    if call.sub_function != CODES_ON and (refusal := unmet_by_service(call)):  # back to normal is always possible
+        return refusal
+    return call.echoed(state=replace(call.state, are_codes_updated=call.sub_function == CODES_ON))
+
+
+def communication_control(call: Call) -> Result:
+    """Switch sending and receiving of messages on or off: bit 1 of the sub-function for sending, bit 0 for receiving.
+
+    0 both on, 1 receiving only, 2 sending only, 3 both off. The type says which messages; its upper half which
+    network, and this controller is on one: all (0) or the one that the request came by (F).
+    """
+    if len(call.payload) != 3:
+        return Nrc.INCORRECT_LENGTH
+    kind, network = call.payload[2], call.payload[2] >> 4
+    if kind & _RESERVED or not kind & (_NORMAL | _MANAGEMENT) or network not in {0x0, 0xF}:
+        return Nrc.REQUEST_OUT_OF_RANGE
+    if call.sub_function != ALL_ON and (refusal := unmet_by_service(call)):  # back to normal is always possible
+        return refusal
+    receives, sends = call.sub_function in {0x00, 0x01}, call.sub_function in {0x00, 0x02}
+    communication = call.state.communication
+    if kind & _NORMAL:
+        communication = replace(communication, sends_normal=sends, receives_normal=receives)
+    return call.echoed(state=replace(call.state, communication=communication))
+
+
+def security_access(call: Call) -> Result:
+    """Give a seed (odd sub-function) or take a key (the even one after it)."""
+    is_seed_wanted = call.sub_function % 2 == 1
+    level = call.table.levels[call.sub_function if is_seed_wanted else call.sub_function - 1]
+    return _give_seed(call, level) if is_seed_wanted else _take_key(call, level)
+
+
+def key_of(level: SecurityLevel, seed: bytes) -> bytes:
+    return (int.from_bytes(seed, "big") ^ level.key_mask).to_bytes(level.seed_bytes, "big")
+
+
+def delay_over(state: ServerState, level: SecurityLevel, t_s: float) -> ServerState:
+    """Return the state after a delay has run out: one more key may be tried."""
+    until_s = state.locked_until_s.get(level.number)
+    if until_s is None or t_s < until_s:
+        return state
+    return replace(
+        state,
+        locked_until_s={number: time for number, time in state.locked_until_s.items() if number != level.number},
+        wrong_keys={**state.wrong_keys, level.number: level.most_attempts - 1},
+    )
+
+
+def _give_seed(call: Call, level: SecurityLevel) -> Result:
+    if len(call.payload) != 2:
+        return Nrc.INCORRECT_LENGTH
+    if call.state.unlocked == level.number:
+        return call.echoed(bytes(level.seed_bytes))
+    if level.number in call.state.locked_until_s:
+        return Nrc.TIME_DELAY_NOT_EXPIRED
+    seed = call.moment.chance[: level.seed_bytes].ljust(level.seed_bytes, b"\x5a")
+    if not any(seed):
+        seed = bytes(level.seed_bytes - 1) + b"\1"  # zeros say that it is unlocked
+    return call.echoed(seed, replace(call.state, seed_level=level.number, seed=seed))
+
+
+def _take_key(call: Call, level: SecurityLevel) -> Result:
+    if len(call.payload) != 2 + level.seed_bytes:
+        return Nrc.INCORRECT_LENGTH
+    if call.state.seed_level != level.number:
+        return Nrc.REQUEST_SEQUENCE_ERROR
+    state = replace(call.state, seed_level=0, seed=b"")
+    if call.payload[2:] == key_of(level, call.state.seed):
+        others = {number: count for number, count in state.wrong_keys.items() if number != level.number}
+        return call.echoed(state=replace(state, unlocked=level.number, wrong_keys=others))
+    count = state.wrong_keys.get(level.number, 0) + 1
+    state = replace(state, wrong_keys={**state.wrong_keys, level.number: count})
+    if count < level.most_attempts:
+        return Outcome(response=Nrc.INVALID_KEY, state=state)
+    until_s = {**state.locked_until_s, level.number: call.moment.t_s + level.delay_s}
+    return Outcome(response=Nrc.EXCEEDED_NUMBER_OF_ATTEMPTS, state=replace(state, locked_until_s=until_s))

@@ -1,0 +1,269 @@
+"""Controllers behind what is no bus: an ELM327 adapter (TCP, or a serial port), or a node over IP.
+
+What is asked there is said on a bus of this process as well, where the diagnosis overhears it as on any other.
+"""
+
+import os
+import select
+import socket
+import termios
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Final, Protocol
+from urllib.parse import urlsplit
+
+import can
+
+from canlog.transport.isotp import segments
+from diag_service.errors import ConfigError, ControllerError, RefusedError, SilentError, StoppedError
+from diag_service.mapping.profile import AskingRules
+from workshop.tester.addresses import CanAddress, hexadecimal, is_extended
+from workshop.tester.answers import MOST_PENDING_S, NEGATIVE, PENDING_S, POSITIVE, Timing, is_pending, tells
+from workshop.tester.asking import LARGEST_LOGICAL, dialogue_over_ip, parse_doip
+
+if TYPE_CHECKING:
+    from workshop.tester.dialogue import Dialogue
+
+ELM327, DOIP = "elm327", "doip"
+ELM_PORT: Final = 35000
+ELM_TOGETHER: Final = 3  # identifiers that fit into a single frame: the adapter sends no longer request
+CONNECT_S: Final = 5.0
+RESET_S: Final = 3.0  # after ATZ
+ANSWER_S: Final = 1.0  # the adapter itself says NO DATA before
+LOOK_S: Final = 0.1
+_PROTOCOL_11: Final = "ATSP6"
+_SETTINGS: Final = ("ATE0", "ATL0", "ATS0", "ATH0", "ATAL", "ATCAF1", _PROTOCOL_11)  # no echo, no blanks, 500 kbit/s
+_PROTOCOL_29: Final = "ATSP7"
+_PROMPT: Final = b">"
+_NO_ANSWER: Final = ("NODATA", "?", "STOPPED", "SEARCHING", "BUS", "CANERROR", "UNABLE", "BUFFER", "DATAERROR", "ERR")
+
+
+class Line(Protocol):
+    """A way to controllers."""
+
+    def ask(self, request: bytes, address: CanAddress) -> bytes | None:
+        """Return the answer to a request, None if none comes; raises ControllerError."""
+
+
+class ElmLine:
+    """Controllers behind an ELM327, or one that understands its commands (STN).
+
+    Raises ControllerError if the adapter is not there or says nothing.
+    """
+
+    def __init__(self, place: str, stack: ExitStack, goes_on: Callable[[], bool]) -> None:
+        self._goes_on = goes_on
+        self._place = place
+        try:
+            self._descriptor = _opened(place, stack)
+        except (OSError, termios.error) as exc:
+            raise ControllerError(f"adapter {place}: {getattr(exc, 'strerror', None) or exc.args[-1]}") from exc
+        self._address: CanAddress | None = None
+        self._is_prompted = True  # it waits for a command
+        self._until_s = 0.0  # when it has not answered
+        self._command("ATZ", RESET_S)
+        for setting in _SETTINGS:
+            self._command(setting)
+
+    def turn_to(self, address: CanAddress) -> None:
+        """Wait for the end of the last answer and say who is asked next; raises ControllerError, StoppedError."""
+        self._finish()
+        if address == self._address:
+            return
+        self._command(_PROTOCOL_29 if is_extended(address.request_id) else _PROTOCOL_11)
+        if is_extended(address.request_id):
+            self._command(f"ATCP{address.request_id >> 24:02X}")
+        self._command(f"ATSH{address.request_id & 0xFFFFFF:0{6 if is_extended(address.request_id) else 3}X}")
+        self._command(f"ATCRA{address.response_id:X}")
+        self._address = address
+
+    def ask(self, request: bytes, address: CanAddress) -> bytes | None:
+        """Return the answer to a request as soon as it is there: the adapter waits for others before its prompt.
+
+        None: there is none. Raises ControllerError, StoppedError.
+        """
+        self.turn_to(address)
+        text = request.hex().upper()
+        self._begin(text, ANSWER_S)
+        most_s, count = time.monotonic() + MOST_PENDING_S, 0
+        other: bytes | None = None
+        for shown in self._shown():
+            found = messages_in(shown.removeprefix(text))  # some go on echoing what they were told not to
+            for answer in found[count:]:
+                if is_pending(request, answer):
+                    self._until_s = min(time.monotonic() + PENDING_S, most_s)
+                elif tells(request, answer):
+                    return answer
+                elif answer[0] == request[0] + POSITIVE:
+                    other = answer
+            count = len(found)
+        return other
+
+    def _command(self, text: str, wait_s: float = ANSWER_S) -> None:
+        self._begin(text, wait_s)
+        self._finish()
+
+    def _begin(self, text: str, wait_s: float) -> None:
+        try:
+            while select.select([self._descriptor], [], [], 0.0)[0] and os.read(self._descriptor, 4096):
+                pass  # what was said before answers nothing
+            os.write(self._descriptor, text.encode() + b"\r")
+        except OSError as exc:
+            raise ControllerError(f"adapter {self._place}: {exc.strerror or exc}") from exc
+        self._is_prompted, self._until_s = False, time.monotonic() + wait_s
+
+    def _finish(self) -> None:
+        for _ in self._shown():
+            pass
+
+    def _shown(self) -> Iterator[str]:
+        """Yield all lines that were shown since the command, whenever one is complete, up to the prompt."""
+        found = b""
+        while not self._is_prompted:
+            if not self._goes_on():
+                raise StoppedError("stopped early")
+            try:
+                if not select.select([self._descriptor], [], [], LOOK_S)[0]:
+                    if time.monotonic() > self._until_s:
+                        raise ControllerError(f"adapter {self._place} does not answer")
+                    continue
+                piece = os.read(self._descriptor, 4096)
+            except OSError as exc:
+                raise ControllerError(f"adapter {self._place}: {exc.strerror or exc}") from exc
+            if not piece:
+                raise ControllerError(f"adapter {self._place} has hung up")
+            found += piece
+            self._is_prompted = _PROMPT in found
+            lines, end, _ = found.rpartition(_PROMPT if self._is_prompted else b"\r")
+            if end:
+                yield lines.decode("ascii", "replace").strip("\r\n ")
+
+
+def messages_in(text: str) -> list[bytes]:
+    """Return the messages in what an ELM327 shows: a line each, or a length and numbered lines; words are none."""
+    found, long, length = list[bytes](), b"", 0
+    for line in text.replace("\n", "\r").split("\r"):
+        words = line.strip().replace(" ", "").upper()
+        if not words or words.startswith(_NO_ANSWER):
+            continue
+        _, colon, rest = words.rpartition(":")
+        try:
+            if colon:
+                long += bytes.fromhex(rest)
+                if len(long) >= length > 0:
+                    found.append(long[:length])
+                    long, length = b"", 0
+            elif len(words) == 3:
+                long, length = b"", int(words, 16)
+            else:
+                found.append(bytes.fromhex(words))
+        except ValueError:
+            continue
+    return found
+
+
+def _opened(place: str, stack: ExitStack) -> int:
+    """Return the descriptor of a TCP connection or of a serial port."""
+    if place.startswith("/"):
+        descriptor = os.open(place, os.O_RDWR | os.O_NOCTTY)
+        stack.callback(os.close, descriptor)
+        tty.setraw(descriptor)
+        settings = termios.tcgetattr(descriptor)
+        settings[4] = settings[5] = termios.B38400
+        termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+        return descriptor
+    host, _, port = place.rpartition(":")
+    connection = socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_S)
+    stack.callback(connection.close)
+    connection.setblocking(True)
+    return connection.fileno()
+
+
+class DoipLine:
+    """A controller over IP."""
+
+    def __init__(self, tester: "Dialogue") -> None:
+        self._tester = tester
+
+    def turn_to(self, address: CanAddress) -> None:
+        """Do nothing: the node is the controller."""
+
+    def ask(self, request: bytes, address: CanAddress) -> bytes | None:
+        """Return the answer to a request, None if there is none; raises ControllerError, StoppedError."""
+        del address  # the node is the controller
+        try:
+            return self._tester.ask(request)
+        except RefusedError as exc:
+            return bytes([NEGATIVE, request[0], exc.code])
+        except SilentError:
+            return None
+
+
+class Said:
+    """Says what is asked and answered on a bus, too."""
+
+    def __init__(self, line: ElmLine | DoipLine, bus: can.BusABC) -> None:
+        self._line = line
+        self._bus = bus
+
+    def ask(self, request: bytes, address: CanAddress) -> bytes | None:
+        """Ask, and say both messages as they come; raises ControllerError, StoppedError."""
+        self._line.turn_to(address)
+        self._say(request, address.request_id)
+        answer = self._line.ask(request, address)
+        if answer is not None:
+            self._say(answer, address.response_id)
+        return answer
+
+    def _say(self, payload: bytes, can_id: int) -> None:
+        for frame in segments(payload):
+            self._bus.send(can.Message(arbitration_id=can_id, is_extended_id=is_extended(can_id), data=frame))
+
+
+def parse_adapter(text: str) -> tuple[str, str, int]:
+    """Return what kind an adapter is, its place, and the logical address of a node.
+
+    ``elm327://HOST[:PORT]``, ``elm327:/dev/rfcomm0`` or ``doip://HOST[:PORT]/1011``; raises ConfigError.
+    """
+    parts = urlsplit(text)
+    if parts.scheme == ELM327 and not parts.netloc and parts.path.startswith("/dev/"):
+        return ELM327, parts.path, 0
+    try:
+        port = parts.port
+    except ValueError:
+        port = -1
+    if port != -1 and parts.hostname:
+        host = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
+        if parts.scheme == ELM327 and not parts.path.strip("/"):
+            return ELM327, f"{host}:{port or ELM_PORT}", 0
+        if parts.scheme == DOIP and parts.path.strip("/"):
+            logical = hexadecimal(parts.path.strip("/"), "--adapter: the logical address", LARGEST_LOGICAL)
+            return DOIP, host if port is None else f"{host}:{port}", logical
+    raise ConfigError(
+        f"--adapter must be elm327://HOST[:PORT], elm327:/dev/NAME or doip://HOST[:PORT]/1011, got {text!r}"
+    )
+
+
+def rules_through(adapter: str, rules: AskingRules) -> AskingRules:
+    """Return what can be asked through an adapter: an ELM327 sends single frames only."""
+    if parse_adapter(adapter)[0] != ELM327:
+        return rules
+    return AskingRules(together=min(rules.together, ELM_TOGETHER))
+
+
+@contextmanager
+def line_through(adapter: str, channel: str, goes_on: Callable[[], bool] = lambda: True) -> Iterator[Said]:
+    """Open the way through an adapter; what is said there is said on a virtual bus of this process as well.
+
+    Raises ConfigError, ControllerError.
+    """
+    kind, place, logical = parse_adapter(adapter)
+    with ExitStack() as stack:
+        bus = stack.enter_context(can.Bus(channel, "virtual"))
+        if kind == ELM327:
+            yield Said(ElmLine(place, stack, goes_on), bus)
+        else:
+            tester = stack.enter_context(dialogue_over_ip(parse_doip(place, logical), Timing(), goes_on=goes_on))
+            yield Said(DoipLine(tester), bus)

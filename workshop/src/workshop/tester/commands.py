@@ -1,0 +1,366 @@
+"""``diag-service dtc``, ``did``, ``routine`` and ``scan``: controllers are asked, what they say is shown."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from types import SimpleNamespace
+from typing import Final, TypeVar
+
+from diag_service.commands.shown import show
+from diag_service.console import ReadingLine, is_confirmed
+from diag_service.errors import ConfigError, ControllerError, StoppedError
+from diag_service.service.stopping import Controls, Trigger
+from workshop.tester import questions, scanning
+from workshop.tester.addresses import hexadecimal, id_text, parse_address
+from workshop.tester.answers import Timing
+from workshop.tester.asking import (
+    LARGEST_LOGICAL,
+    SHORTEST_ANSWER_S,
+    BusName,
+    BusTarget,
+    DoipPlace,
+    address_for,
+    asking,
+    check_time,
+    heard,
+    parse_doip,
+)
+from workshop.tester.description_files import find_description
+from workshop.tester.listening import Traffic
+from workshop.tester.trouble import (
+    Record,
+    TroubleCode,
+    code_words,
+    columns,
+    trouble_lines,
+    trouble_record,
+    values_text,
+)
+
+LARGEST_GROUP: Final = 0xFE  # of readiness, and of the records of extended data: FF is all
+MOST_NAMED: Final = 3  # in the line that says what was not told
+_AnswerT = TypeVar("_AnswerT")
+
+
+def dtc(options: SimpleNamespace, controls: Controls) -> None:
+    """Read trouble codes and show them, or clear them and show what is left. ControllerError: not all was told."""
+    mask = 0 if options.all else hexadecimal(options.mask, "--mask", 0xFF)
+    if options.clear is None:
+        group, record = (
+            None if text is None else hexadecimal(text, name, LARGEST_GROUP)
+            for text, name in ((options.readiness, "--readiness"), (options.record, "--record"))
+        )
+        question = questions.TroubleQuestion(mask=mask, has_details=not options.brief, group=group, record=record)
+
+        def told(codes: Sequence[TroubleCode]) -> tuple[Record, Iterable[str]]:
+            return {"codes": [trouble_record(code) for code in codes]}, trouble_lines(codes)
+
+        codes = ask_one(options, question, told, controls.stop) or ()
+        if faults := [code.fault for code in codes if code.fault]:
+            raise ControllerError(f"what was kept of {len(faults)} of {len(codes)} codes was not told: {faults[0]}")
+    elif (options.readiness, options.record) != (None, None):
+        raise ConfigError("--readiness and --record read trouble codes: they do not go with --clear")
+    else:
+        ask_one(options, _clear_question(options, controls, mask), _shown_clearing, controls.stop)
+
+
+def _clear_question(options: SimpleNamespace, controls: Controls, mask: int) -> questions.ClearQuestion:
+    session = hexadecimal(options.session, "--session", questions.LARGEST_SESSION)
+    group = questions.parse_group(options.clear)
+
+    def is_agreed(where: str, codes: Sequence[TroubleCode]) -> bool:
+        told = ", ".join(map(code_words, codes)) or "no trouble codes"
+        return is_confirmed(f"{where} tells {told}; clear {group.word}?", lambda: not controls.stop.is_set)
+
+    return questions.ClearQuestion(group=group, mask=mask, session=session, is_agreed=is_agreed)
+
+
+def _shown_clearing(cleared: questions.Clearing) -> tuple[Record, Iterable[str]]:
+    """Return what was cleared and what is left; nothing was if no group is there."""
+    numbers = {"before": cleared.before, "gone": cleared.gone, "left": cleared.after}
+    told: Record = {name: [f"{code.number:06X}" for code in codes] for name, codes in numbers.items()}
+    groups = [f"{number:06X}" for number in cleared.groups]
+    left = [trouble_record(code) for code in cleared.after]
+    return {"codes": left, "cleared": {"groups": groups, **told}}, cleared_lines(cleared)
+
+
+def did(options: SimpleNamespace, controls: Controls) -> None:
+    """Read data and show them; without names, all that the description has. ControllerError: not all was told."""
+    session = hexadecimal(options.session, "--session", questions.LARGEST_SESSION)
+    question = questions.DataQuestion(words=tuple(options.data), session=session)
+
+    def told(found: Sequence[questions.DataAnswer]) -> tuple[Record, Iterable[str]]:
+        return {"data": [data_record(one) for one in found]}, data_lines(found)
+
+    answers = ask_one(options, question, told, controls.stop) or ()
+    missing = [one for one in answers if one.values is None]
+    if any(one.fault for one in missing) or (missing and (options.data or len(missing) == len(answers))):
+        named = [f"{one.number:04X}: {one.trouble}" for one in missing[:MOST_NAMED]]
+        more = [f"and {len(missing) - MOST_NAMED} more"] if len(missing) > MOST_NAMED else []
+        raise ControllerError(f"{len(missing)} of {len(answers)} data were not told: {'; '.join(named + more)}")
+
+
+def routine(options: SimpleNamespace, controls: Controls) -> None:
+    """Do what was asked, in a session of its own and unlocked if need be."""
+    check_time("--patience", options.patience, least_s=SHORTEST_ANSWER_S)
+    question = questions.RoutineQuestion(
+        routine=options.routine,
+        action=options.action,
+        options=hex_bytes(options.options, "--options"),
+        session=hexadecimal(options.session, "--session", questions.LARGEST_SESSION),
+        lock=None if options.unlock is None else _lock(options.unlock),
+        patience_s=options.patience,
+    )
+    ask_one(options, question, lambda one: ({"routine": routine_record(one)}, routine_lines(one)), controls.stop)
+
+
+def _lock(text: str) -> questions.Lock:
+    """Return the level and the mask that ``LEVEL=MASK`` names."""
+    level, equals, mask = text.partition("=")
+    number = hexadecimal(level, "--unlock LEVEL", questions.LARGEST_LEVEL)
+    if not equals or not mask or number % 2 == 0:
+        raise ConfigError(f"--unlock must be LEVEL=MASK, an odd level and a mask in hexadecimal, got {text!r}")
+    return questions.Lock(level=number, mask=hex_bytes(mask, "--unlock MASK"))
+
+
+def scan(options: SimpleNamespace, controls: Controls) -> None:
+    """Look for controllers and ask each what it can be asked; raises StoppedError if that was stopped."""
+    plan = _scan_plan(options)
+    stop = controls.stop
+    if not options.active:
+        show_wish(
+            "scan", plan.requests, heard(plan.place, plan.listen_s, lambda: not stop.is_set), is_json=options.json
+        )
+    else:
+        count = len(plan.request_ids)
+        text = f"asking {count} identifiers, which takes {count * plan.wait_s:.0f} s or more" if count else "asking"
+        with ReadingLine() as line:
+            found = scanning.scan(plan, goes_on=waiting(line, text, stop))
+        traffic = {} if found.traffic is None else {"bus": traffic_record(found.traffic)}
+        record = outcome("scan", is_asked=True, **traffic, controllers=[found_record(one) for one in found.controllers])
+        show(record, found_lines(found.controllers), as_json=options.json)
+    if stop.is_set:
+        raise StoppedError("stopped early: what was shown is a part of what is there")
+
+
+def _scan_plan(options: SimpleNamespace) -> scanning.ScanPlan:
+    timing = timing_of(options)
+    check_time("--wait", options.wait, least_s=scanning.SHORTEST_WAIT_S)
+    place = doip_place(options)
+    most = scanning.largest_id(is_extended=options.extended)
+    first, last = (
+        None if text is None else hexadecimal(text, name, most)
+        for text, name in ((options.first, "--first"), (options.last, "--last"))
+    )
+    return scanning.ScanPlan(
+        place=place or bus_name(options),
+        request_ids=() if place else scanning.request_ids(first, last, is_extended=options.extended),
+        data=scanning.ALL_NUMBERS if options.all_data else scanning.STANDARD_NUMBERS,
+        is_fd=options.fd,
+        timing=timing,
+        listen_s=options.listen,
+        wait_s=options.wait,
+    )
+
+
+def ask_one(
+    options: SimpleNamespace,
+    question: questions.Question[_AnswerT],
+    told: Callable[[_AnswerT], tuple[Record, Iterable[str]]],
+    stop: Trigger,
+) -> _AnswerT | None:
+    """Listen, ask one controller, show and return the answer; without ``--active`` say what it would be asked.
+
+    Raises ConfigError, ExtraMissingError, SourceError, ControllerError if something cannot be used, or the controller
+    does not answer or will not, StoppedError if it was stopped.
+
+    Parameters
+    ----------
+    told
+        Returns an answer as JSON, and as lines for people.
+    stop
+        Ends it early.
+    """
+    timing = timing_of(options)
+    description = find_description(options.description)
+    wanted = question.requests(description)
+    target: BusTarget | DoipPlace
+    if isinstance(place := doip_place(options) or bus_name(options), DoipPlace):
+        target = place
+    else:
+        where = address_for(parse_address(options.ecu, options.reply, options.address), description)
+        target = BusTarget(bus=place, address=where, is_fd=options.fd, listen_s=options.listen)
+    if not options.active:
+        show_wish(options.command, wanted, heard(place, options.listen, lambda: not stop.is_set), is_json=options.json)
+        return None
+    with (
+        ReadingLine() as line,
+        asking(target, timing, goes_on=waiting(line, "waiting for the controller", stop)) as (tester, _),
+    ):
+        known = questions.recognised(tester, description)
+        answer = question.ask(tester, known)
+        record, lines = told(answer)
+        line.clear()
+        head: Record = {"controller": tester.where, "description": known.name}
+        more: Record = {"dialogue": asdict(tester.counts)}
+        show(outcome(options.command, is_asked=True, **head, **record, **more), lines, as_json=options.json)
+        return answer
+
+
+def waiting(line: ReadingLine, what: str, stop: Trigger) -> Callable[[], bool]:
+    """Return what is called while answers are waited for: it tells whoever watches, and returns whether to go on."""
+    began_s = time.monotonic()
+
+    def goes_on() -> bool:
+        line.tell(f"{what}, {time.monotonic() - began_s:.0f} s")
+        return not stop.is_set
+
+    return goes_on
+
+
+def show_wish(schema: str, wanted: Sequence[str], traffic: Traffic | None, *, is_json: bool) -> None:
+    """Say what was heard and what would be asked."""
+    before: Record = {} if traffic is None else {"bus": traffic_record(traffic)}
+    record = outcome(schema, is_asked=False, **before, would_ask=list(wanted))
+    show(record, would_lines(traffic, wanted), as_json=is_json)
+
+
+def timing_of(options: SimpleNamespace) -> Timing:
+    """Return how patient the tester is to be; raises ConfigError if a time cannot be."""
+    check_time("--listen", options.listen, least_s=0.0)
+    check_time("--timeout", options.timeout, least_s=SHORTEST_ANSWER_S)
+    return Timing(p2_s=options.timeout)
+
+
+def bus_name(options: SimpleNamespace) -> BusName:
+    return BusName(
+        interface=options.interface, channel=options.channel, bitrate=options.bitrate, is_fd=bool(options.fd)
+    )
+
+
+def doip_place(options: SimpleNamespace) -> DoipPlace | None:
+    """Return where to ask over IP, None for a bus; raises ConfigError."""
+    if options.doip is None:
+        if options.doip_authority is not None:
+            raise ConfigError("--doip-authority needs --doip")
+        return None
+    if options.ecu is None:
+        raise ConfigError("--doip needs --ecu: the logical address of the controller, such as 1011")
+    if getattr(options, "reply", None) is not None or getattr(options, "address", None) is not None:
+        raise ConfigError("--reply and --address are of a bus, not of --doip")
+    logical_address = hexadecimal(options.ecu, "--ecu", LARGEST_LOGICAL)
+    return parse_doip(options.doip, logical_address, options.doip_authority)
+
+
+def hex_bytes(text: str, what: str) -> bytes:
+    """Return bytes that were written in hexadecimal, with or without blanks; raises ConfigError."""
+    try:
+        return bytes.fromhex(text)
+    except ValueError as exc:
+        raise ConfigError(f"{what} must be hexadecimal bytes such as '01 0A', got {text!r}") from exc
+
+
+def traffic_record(traffic: Traffic) -> Record:
+    """Return what was heard before anything was asked."""
+    return {
+        "duration_s": traffic.duration_s,
+        "frames": traffic.frame_count,
+        "identifiers": len(traffic.can_ids),
+        "error_frames": traffic.error_count,
+        "other_testers": [id_text(can_id) for can_id in traffic.other_testers()],
+    }
+
+
+def data_record(answer: questions.DataAnswer) -> Record:
+    """Return what a controller said of one datum."""
+    return {
+        "number": f"{answer.number:04X}",
+        "name": answer.name,
+        "bytes": answer.data.hex(" ").upper(),
+        "values": None if answer.values is None else dict(answer.values),
+        "refusal": answer.refusal,
+        "refusal_text": answer.refusal_text,
+        "fault": answer.fault,
+    }
+
+
+def routine_record(answer: questions.RoutineAnswer) -> Record:
+    return {
+        "number": f"{answer.number:04X}",
+        "name": answer.name,
+        "action": answer.action,
+        "bytes": answer.data.hex(" ").upper(),
+        "values": dict(answer.values),
+    }
+
+
+def cleared_lines(cleared: questions.Clearing) -> Iterator[str]:
+    if not cleared.groups:
+        yield "nothing was cleared"
+        return
+    gone = ", ".join(map(code_words, cleared.gone)) or "no code that was told before"
+    yield f"cleared {', '.join(f'{number:06X}' for number in cleared.groups)}: {gone}"
+    yield "what is left:"
+    yield from trouble_lines(cleared.after)
+
+
+def found_record(found: scanning.Found) -> Record:
+    """Return a controller and what it can be asked."""
+    return {
+        "where": found.where,
+        "request_id": None if found.address is None else id_text(found.address.request_id),
+        "response_id": None if found.address is None else id_text(found.address.response_id),
+        "services": [
+            {"number": f"{one.number:02X}", "name": one.name, "there": one.is_there, "remark": one.remark}
+            for one in found.services
+        ],
+        "data": [data_record(one) for one in found.data],
+        "trouble_codes": found.code_count,
+    }
+
+
+def data_lines(answers: Sequence[questions.DataAnswer]) -> Iterator[str]:
+    rows = [
+        (f"{one.number:04X}", one.name, one.trouble if one.values is None else values_text(one.values))
+        for one in answers
+    ]
+    yield from columns(("data", "name", "value"), rows)
+
+
+def routine_lines(answer: questions.RoutineAnswer) -> Iterator[str]:
+    name = f" {answer.name}" if answer.name else ""
+    bytes_text = answer.data.hex(" ").upper() or "nothing more"
+    yield f"routine {answer.number:04X}{name}, {answer.action}: {bytes_text}"
+    if answer.values:
+        yield f"  {values_text(answer.values)}"
+
+
+def found_lines(controllers: Sequence[scanning.Found]) -> Iterator[str]:
+    yield f"{len(controllers)} controllers answer" if len(controllers) != 1 else "1 controller answers"
+    for found in controllers:
+        codes = "" if found.code_count is None else f", trouble codes: {found.code_count}"
+        yield f"{found.where}{codes}"
+        rows = [
+            (
+                f"{one.number:02X}",
+                one.name,
+                ("yes" if one.is_there else "no") + (f": {one.remark}" if one.remark else ""),
+            )
+            for one in found.services
+        ]
+        yield from (f"  {line}" for line in columns(("service", "name", "is there"), rows))
+        yield from (f"  {line}" for line in data_lines(found.data) if found.data)
+
+
+def would_lines(traffic: Traffic | None, wishes: Sequence[str]) -> Iterator[str]:
+    """Yield what was heard, and what would be asked."""
+    if traffic is not None:
+        yield f"listened: {traffic}"
+        if others := traffic.other_testers():
+            yield f"another tester is at work: requests on {', '.join(map(id_text, others))}"
+    yield "nothing was sent; with --active this would be asked:"
+    yield from (f"  {wish}" for wish in wishes)
+
+
+def outcome(schema: str, *, is_asked: bool, **more: object) -> Mapping[str, object]:
+    return {"schema": f"clutchdiag/{schema}/v1", "asked": is_asked, **more}

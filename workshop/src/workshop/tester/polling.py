@@ -1,0 +1,199 @@
+"""Now and then the controller's own word: its trouble codes, asked for while its bus is diagnosed."""
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from typing import Final
+
+from canlog.errors import NOTICE, CanlogError
+from diag_service.delivery import ControllerNews, Outbox, Reporter
+from diag_service.diagnosis.records import dump
+from diag_service.errors import DiagServiceError
+from diag_service.service.session import utc_now
+from diag_service.settings.config import BusConfig, PollConfig
+from diag_service.store import ResultStore
+from fleet_contract import Channel, Outgoing, controller_message
+from workshop.tester.addresses import parse_address
+from workshop.tester.answers import Timing
+from workshop.tester.asking import AskingThread, BusName, BusTarget, address_for, asking, check_libraries
+from workshop.tester.description import Description
+from workshop.tester.description_files import find_description
+from workshop.tester.listening import LISTEN_S
+from workshop.tester.questions import read_troubles, recognised
+from workshop.tester.trouble import Record, TroubleCode, code_words, trouble_record
+
+MOST_CODES: Final = 1024  # as the contract has it
+_KEPT: Final = ("snapshots", "extended_data")
+
+
+LONGEST_BACKOFF: Final = 16.0  # times the period, between attempts that fail
+_LOG: Final = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControllerReport(ControllerNews):
+    """What a controller said of its trouble codes."""
+
+    vehicle: str
+    read_at: str  # ISO 8601 UTC
+    controller: str  # where it was asked
+    description: str  # what it is taken for
+    codes: tuple[TroubleCode, ...]
+
+    def __str__(self) -> str:
+        """Return it on a line: the codes that matter, the confirmed ones first."""
+        ranked = sorted(self.codes, key=lambda code: not code.is_confirmed)
+        return f"controller {self.controller}: {', '.join(map(code_words, ranked)) or 'no trouble codes'}"
+
+    @property
+    def record(self) -> Record:
+        """The public record that stores and messages hold."""
+        return {
+            "schema": "clutchdiag/controller/v1",
+            "vehicle": self.vehicle,
+            "produced_at": self.read_at,
+            "controller": self.controller,
+            "description": self.description,
+            "codes": [trouble_record(code) for code in self.codes],
+        }
+
+
+def publish_controller(
+    report: ControllerReport, store: ResultStore, reporter: Reporter, publish: Callable[[Outgoing], object]
+) -> None:
+    """Store what a controller said and tell it, if it is something new; raises StoreFullError, StoreError.
+
+    What is new to this run is published in any case: a broker may have forgotten it.
+    """
+    record = report.record
+    said = dump({key: value for key, value in record.items() if key != "produced_at"})
+    is_new = store.note_controller(report.vehicle, report.controller, said, dump(record))
+    publish(message_of(record))
+    if is_new:
+        reporter.report(report)
+
+
+def message_of(record: Mapping[str, object]) -> Outgoing:
+    """Return the message of a record; one that would be too long for the contract goes without what was kept."""
+    told = record["codes"]
+    codes = told[:MOST_CODES] if isinstance(told, list) else []
+    message = controller_message({**record, "codes": codes})
+    if len(message.payload) <= Channel.CONTROLLER.max_bytes:
+        return message
+    short = [{**code, **{name: [] for name in _KEPT}} for code in codes]
+    longest = max((len(dump(code)) for code in short), default=1) + 1
+    return controller_message({**record, "codes": short[: (Channel.CONTROLLER.max_bytes - 2048) // longest]})
+
+
+class Poller(AskingThread):
+    """Asks in a thread of its own while entered; a controller that fails to answer is asked less and less often.
+
+    Parameters
+    ----------
+    read
+        Asks once; raises SourceError or ControllerError.
+    tell
+        Takes what was said, in that thread; may raise StoreError.
+    period_s
+        From the end of one round to the beginning of the next.
+    """
+
+    def __init__(
+        self, read: Callable[[], ControllerReport], tell: Callable[[ControllerReport], None], period_s: float
+    ) -> None:
+        super().__init__("poller")
+        self._read = read
+        self._tell = tell
+        self._period_s = period_s
+
+    def _run(self) -> None:
+        failed_in_a_row = 0
+        while not self._is_over.is_set():
+            problem = self._round()
+            if self._is_over.is_set():
+                return
+            if problem is None:
+                if failed_in_a_row:
+                    _LOG.log(NOTICE, "the controller answers again")
+                failed_in_a_row = 0
+            else:
+                if not failed_in_a_row:
+                    _LOG.warning("the trouble codes were not read: %s; trying again, less and less often", problem)
+                failed_in_a_row += 1
+            self._is_over.wait(pause_s(self._period_s, failed_in_a_row))
+
+    def _round(self) -> str | None:
+        """Ask once and tell; return what went wrong."""
+        try:
+            report = self._read()
+            if not self._is_over.is_set():
+                self._tell(report)
+        except (CanlogError, DiagServiceError) as exc:  # nothing of what is expected may end the thread
+            return str(exc)
+        return None
+
+
+def pause_s(period_s: float, failed_in_a_row: int) -> float:
+    """Return how long to leave a controller alone: the period, doubled with each failure in a row, up to a bound."""
+    return float(period_s * min(2.0 ** min(failed_in_a_row, 10), LONGEST_BACKOFF))
+
+
+def read_once(
+    vehicle: str,
+    target: BusTarget,
+    description: Description,
+    now: Callable[[], str],
+    goes_on: Callable[[], bool] = lambda: True,
+) -> ControllerReport:
+    """Listen, ask one controller for its trouble codes, and return what it said.
+
+    Raises SourceError, ControllerError if the bus cannot be used, another tester is at work, or the controller does not
+    answer or will not, StoppedError if it shall not go on.
+    """
+    with asking(target, Timing(), goes_on=goes_on) as (tester, _):
+        known = recognised(tester, description)
+        codes = read_troubles(tester, known)
+    return ControllerReport(
+        vehicle=vehicle, read_at=now(), controller=tester.where, description=known.name, codes=codes
+    )
+
+
+def poller_for(
+    vehicle: str, bus: BusConfig, poll: PollConfig, now: Callable[[], str], tell: Callable[[ControllerReport], None]
+) -> Poller:
+    """Return a poller as the settings have it; raises ConfigError, ExtraMissingError if they cannot be used."""
+    check_libraries()
+    description = find_description(poll.description)
+    named = BusName(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, is_fd=bus.is_fd)
+    target = BusTarget(
+        bus=poll.bus or named,
+        address=address_for(parse_address(poll.ecu, poll.reply), description),
+        is_fd=bus.is_fd,
+        listen_s=LISTEN_S,
+    )
+    poller = Poller(lambda: read_once(vehicle, target, description, now, lambda: poller.goes_on), tell, poll.period_s)
+    return poller
+
+
+@asynccontextmanager
+async def polling(
+    vehicle: str, bus: BusConfig, poll: PollConfig, store: ResultStore, reporter: Reporter, outbox: Outbox | None
+) -> AsyncIterator[None]:
+    """Ask a controller now and then until the block ends; in the loop that runs the outbox."""
+    loop = asyncio.get_running_loop()
+
+    def publish(message: Outgoing) -> None:
+        if outbox is not None:
+            with suppress(RuntimeError):  # the run has ended meanwhile
+                loop.call_soon_threadsafe(outbox.publish_state, message)
+
+    poller = poller_for(
+        vehicle, bus, poll, utc_now, lambda report: publish_controller(report, store, reporter, publish)
+    )
+    with poller:
+        try:
+            yield
+        finally:
+            await asyncio.to_thread(poller.end)  # a question that is under way keeps nobody else waiting

@@ -1,0 +1,297 @@
+"""Which controllers answer on a bus, and what each of them can be asked: by questions alone that change nothing."""
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import can
+
+from canlog.errors import NOTICE
+from diag_service import errors
+from workshop.tester import asking, listening
+from workshop.tester.addresses import (
+    FIXED_PHYSICAL,
+    FUNCTIONAL_ID,
+    LARGEST_STANDARD_ID,
+    TESTER_ADDRESS,
+    CanAddress,
+    id_text,
+    is_extended,
+    is_request,
+)
+from workshop.tester.answers import (
+    COUNT_BY_MASK,
+    NEGATIVE,
+    NOT_SUPPORTED,
+    ONLY_ELSEWHERE,
+    POSITIVE,
+    READ_DATA,
+    READ_TROUBLE,
+    SERVICE_NAMES,
+    TESTER_PRESENT,
+    Timing,
+    refusal_text,
+    request_text,
+)
+from workshop.tester.description import STANDARD_DATA, UNKNOWN, Description
+from workshop.tester.questions import FAILED_MASK, DataAnswer, read_datum, recognised
+
+if TYPE_CHECKING:
+    from workshop.tester.dialogue import Dialogue
+
+SHORTEST_WAIT_S: Final = 0.001
+FIRST_STANDARD_ID: Final = 0x700
+LARGEST_TARGET: Final = 0xFF  # of normal fixed addressing
+STANDARD_NUMBERS: Final = tuple(STANDARD_DATA)
+ALL_NUMBERS: Final = range(0xF100, 0xF200)  # ISO 14229-1, annex C: data that identify a controller, makers' own too
+_LOG: Final = logging.getLogger(__name__)
+
+
+WAIT_S: Final = 0.06  # P2 of a controller, and a little for the bus
+SUSPECTS: Final = 4  # addresses whose answer may come so late that it seems to be the next one's
+MOST_SILENT: Final = 3  # questions without an answer after which a controller is left alone
+_PRESENT: Final = bytes([0x02, TESTER_PRESENT, 0x00])  # a single frame: TesterPresent
+_FRAME: Final = _PRESENT.ljust(listening.CLASSIC_BYTES, bytes([listening.PADDING]))
+_ANSWERS: Final = (bytes([0x02, TESTER_PRESENT + POSITIVE, 0x00]), bytes([0x03, NEGATIVE, TESTER_PRESENT]))
+PROBES: Final = (
+    (TESTER_PRESENT, bytes([TESTER_PRESENT, 0x00])),
+    (READ_DATA, bytes([READ_DATA, 0xF1, 0x90])),
+    (READ_TROUBLE, bytes([READ_TROUBLE, COUNT_BY_MASK, FAILED_MASK])),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServiceAnswer:
+    """What a controller made of a service."""
+
+    number: int
+    is_there: bool
+    remark: str  # how it refused, or that it said nothing
+
+    @property
+    def name(self) -> str:
+        return SERVICE_NAMES.get(self.number, "")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """A controller and what it can be asked."""
+
+    where: str
+    address: CanAddress | None  # None: over IP
+    services: tuple[ServiceAnswer, ...]
+    data: tuple[DataAnswer, ...]  # that it has
+    code_count: int | None  # trouble codes that have failed; None: it does not tell
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanPlan:
+    """Where controllers are looked for, and what each is asked."""
+
+    place: asking.BusName | can.BusABC | asking.DoipPlace
+    request_ids: Sequence[int] = ()  # to try on a bus
+    data: Sequence[int] = STANDARD_NUMBERS  # to try on each controller
+    is_fd: bool = False
+    timing: Timing = field(default_factory=Timing)
+    listen_s: float = listening.LISTEN_S
+    wait_s: float = WAIT_S  # how long each identifier may take to answer
+
+    @property
+    def requests(self) -> list[str]:
+        """What would be sent, for people."""
+        asked = [*(request_text(request) for _, request in PROBES), f"22 {min(self.data):04X}-{max(self.data):04X}"]
+        if isinstance(self.place, asking.DoipPlace):
+            return asked
+        span = f"{id_text(self.request_ids[0])}-{id_text(self.request_ids[-1])}"
+        return [
+            f"{request_text(bytes([TESTER_PRESENT, 0]))} to {span}",
+            *(f"each that answers: {question}" for question in asked),
+        ]
+
+
+def find_addresses(
+    bus: can.BusABC,
+    request_ids: Iterable[int],
+    busy_ids: frozenset[int],
+    *,
+    wait_s: float = WAIT_S,
+    goes_on: Callable[[], bool] = lambda: True,
+) -> list[CanAddress]:
+    """Return who answers "tester present", by the identifier of the request.
+
+    Raises ControllerError if the bus cannot be used, or another tester begins to ask.
+
+    Parameters
+    ----------
+    busy_ids
+        What was heard on the bus before: nothing is sent there, and what comes from there is no answer.
+    wait_s
+        How long one may take to answer.
+    goes_on
+        Asked before each request; False ends the search.
+    """
+    found: dict[int, CanAddress] = {}  # by the identifier of the answers
+    recent: deque[int] = deque(maxlen=SUSPECTS)
+    for request_id in request_ids:
+        if not goes_on():
+            break
+        if request_id in busy_ids or request_id in found:
+            continue
+        recent.appendleft(request_id)
+        for response_id in _answering(bus, request_id, wait_s) - busy_ids - found.keys():
+            asked = _confirmed(bus, recent, response_id, wait_s)
+            if asked is not None:
+                found[response_id] = CanAddress(request_id=asked, response_id=response_id)
+    return sorted(found.values(), key=lambda address: address.request_id)
+
+
+def _confirmed(bus: can.BusABC, suspects: Iterable[int], response_id: int, wait_s: float) -> int | None:
+    """Return which of the last requests is answered from there: asked again, each with more time."""
+    for request_id in suspects:
+        if request_id != response_id and is_extended(request_id) == is_extended(response_id):
+            _answering(bus, None, wait_s)  # whatever is still on its way
+            if response_id in _answering(bus, request_id, SUSPECTS * wait_s, response_id):
+                return request_id
+    return None
+
+
+def _answering(bus: can.BusABC, request_id: int | None, wait_s: float, wanted: int | None = None) -> frozenset[int]:
+    """Ask once and return the identifiers of the answers that come in time; the wanted one ends the wait."""
+    if request_id is not None:
+        listening.send(bus, can.Message(arbitration_id=request_id, is_extended_id=is_extended(request_id), data=_FRAME))
+    until_s = time.monotonic() + wait_s
+    found = set[int]()
+    while (left_s := until_s - time.monotonic()) > 0.0 and (wanted is None or wanted not in found):
+        message = listening.receive(bus, left_s)
+        if message is None or message.is_error_frame:
+            continue
+        if is_request(message.arbitration_id) and bytes(message.data) != _FRAME:  # ours may come back
+            asked = id_text(message.arbitration_id)
+            raise errors.ControllerError(
+                f"another tester began to ask on this bus (requests on {asked}): the scan gave way to it"
+            )
+        if bytes(message.data[:3]) in _ANSWERS:
+            found.add(message.arbitration_id)
+    return frozenset(found)
+
+
+def _explored(tester: "Dialogue", plan: ScanPlan, address: CanAddress | None) -> Found:
+    """Return what one controller can be asked; its data are tried by number."""
+    try:
+        known = recognised(tester)
+    except errors.PendingError:
+        known = UNKNOWN
+    services = tuple(_tried(tester, number, request) for number, request in PROBES)
+    answered = {one.number for one in services if one.is_there and not one.remark}
+    data = tuple(_data_of(tester, known, plan.data)) if READ_DATA in answered else ()
+    code_count = None
+    if READ_TROUBLE in answered:
+        with suppress(errors.ControllerError):
+            response = tester.ask(bytes([READ_TROUBLE, COUNT_BY_MASK, FAILED_MASK]))
+            code_count = int.from_bytes(response[4:6], "big")
+    return Found(
+        where=tester.where,
+        address=address,
+        services=services,
+        data=data,
+        code_count=code_count,
+    )
+
+
+def _tried(tester: "Dialogue", number: int, request: bytes) -> ServiceAnswer:
+    try:
+        tester.ask(request)
+    except errors.RefusedError as exc:
+        is_there = exc.code not in NOT_SUPPORTED
+        remark = refusal_text(exc.code) if exc.code in NOT_SUPPORTED | ONLY_ELSEWHERE else ""
+        return ServiceAnswer(number=number, is_there=is_there, remark=remark)
+    except errors.SilentError as exc:
+        return ServiceAnswer(number=number, is_there=isinstance(exc, errors.PendingError), remark=str(exc))
+    except errors.MalformedError as exc:
+        return ServiceAnswer(number=number, is_there=True, remark=str(exc))
+    return ServiceAnswer(number=number, is_there=True, remark="")
+
+
+def _data_of(tester: "Dialogue", description: Description, numbers: Iterable[int]) -> Iterable[DataAnswer]:
+    silent = 0
+    for number in numbers:
+        try:
+            answer = read_datum(tester, description, number)
+        except errors.SilentError as exc:
+            silent += 1
+            if silent >= MOST_SILENT or isinstance(exc, errors.PendingError):
+                return
+            continue
+        if answer.refusal is None:
+            yield answer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scan:
+    """What a scan heard and found."""
+
+    traffic: listening.Traffic | None  # before anything was sent; None: over IP there is nothing to hear
+    controllers: tuple[Found, ...]
+
+
+def request_ids(first: int | None, last: int | None, *, is_extended: bool) -> list[int]:
+    """Return the identifiers to try, without the one that all controllers hear; None: from the first one, to the last.
+
+    Of 29 bits they are those of normal fixed addressing, and ``first`` and ``last`` addresses of controllers.
+
+    Raises ConfigError if there is none.
+    """
+    low = (0 if is_extended else FIRST_STANDARD_ID) if first is None else first
+    high = largest_id(is_extended=is_extended) if last is None else last
+    numbers = range(low, high + 1)
+    if is_extended:
+        found = [FIXED_PHYSICAL | target << 8 | TESTER_ADDRESS for target in numbers]
+    else:
+        found = [can_id for can_id in numbers if can_id != FUNCTIONAL_ID]
+    if not found:
+        raise errors.ConfigError(f"there is no identifier from {low:X} to {high:X}")
+    return found
+
+
+def largest_id(*, is_extended: bool) -> int:
+    """Return the largest identifier of 11 bits, or the largest address of a controller."""
+    return LARGEST_TARGET if is_extended else LARGEST_STANDARD_ID
+
+
+def scan(plan: ScanPlan, *, goes_on: Callable[[], bool] = lambda: True) -> Scan:
+    """Listen, look for controllers and ask each what it can be asked; what was found until it was stopped is returned.
+
+    Raises SourceError, ControllerError if the bus cannot be used, another tester is at work, or a node is not there,
+    ExtraMissingError if a library is missing.
+    """
+    if isinstance(plan.place, asking.DoipPlace):
+        with asking.dialogue_over_ip(plan.place, plan.timing, goes_on=goes_on) as tester:
+            return Scan(traffic=None, controllers=(_explored(tester, plan, None),))
+    with asking.opened_bus(plan.place) as bus:
+        traffic = listening.listen(bus, plan.listen_s, goes_on)
+        listening.check_alone(traffic)
+        _LOG.log(NOTICE, "listened: %s; asking %d identifiers", traffic, len(plan.request_ids))
+        addresses = find_addresses(bus, plan.request_ids, traffic.can_ids, wait_s=plan.wait_s, goes_on=goes_on)
+        return Scan(traffic=traffic, controllers=tuple(_controllers(bus, addresses, plan, goes_on)))
+
+
+def _controllers(
+    bus: can.BusABC, addresses: Sequence[CanAddress], plan: ScanPlan, goes_on: Callable[[], bool]
+) -> Iterator[Found]:
+    for address in addresses:
+        if not goes_on():
+            return
+        with asking.dialogue_on(bus, address, plan.timing, is_fd=plan.is_fd, goes_on=goes_on) as tester:
+            try:
+                found = _explored(tester, plan, address)
+            except errors.StoppedError:  # what was found before is shown
+                return
+        yield found
+
+
+# What services are tried with. None changes a session, or what a controller keeps or does: neither 10, 11, 14, 2E, 31
+# nor 34-37.

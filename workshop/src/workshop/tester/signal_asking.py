@@ -1,0 +1,588 @@
+"""What a profile has to be asked for, asked while the bus is diagnosed: who asks only asks, the dialogue is overheard.
+
+Sent are the services 22, 01 and 21 alone, 2C where the profile allows it, and requests for parameter groups of J1939:
+nothing that changes what a controller does, no session. Another tester comes first.
+"""
+
+import asyncio
+import logging
+import math
+import time
+from collections import Counter, deque
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, asynccontextmanager, contextmanager, suppress
+from dataclasses import dataclass, field
+from itertools import groupby
+from typing import Final, cast
+
+import can
+
+from canlog.database.addressing import parameter_group
+from canlog.errors import NOTICE, CanlogError
+from diag_service.diagnosis.columns import Signal
+from diag_service.errors import ConfigError, ControllerError, DiagServiceError, SilentError, StoppedError
+from diag_service.mapping.asked_signals import (
+    BY_IDENTIFIER,
+    DEFINE_DATA,
+    FORGET,
+    LATEST_NS,
+    NEGATIVE,
+    POSITIVE,
+    READ_DATA,
+    AskedField,
+    DatumId,
+    data_in,
+    sizes_of,
+)
+from diag_service.mapping.profile import AskingRules
+from diag_service.settings.config import BusConfig
+from workshop.tester.adapters import Line, line_through, rules_through
+from workshop.tester.addresses import (
+    FIXED_FUNCTIONAL,
+    FIXED_PHYSICAL,
+    FUNCTIONAL_ID,
+    GROUP_REQUEST,
+    LARGEST_ID,
+    STANDARD_REQUESTS,
+    TESTER_ADDRESS,
+    TO_ALL,
+    TOOLS,
+    CanAddress,
+    id_text,
+    is_extended,
+    is_request,
+)
+from workshop.tester.answers import BUSY, MOST_PENDING_S, PENDING_S, is_pending, refusal_text, tells
+from workshop.tester.asking import AskingThread, BusName, opened_bus
+from workshop.tester.can_link import CanConnection
+from workshop.tester.libraries import TimeoutException
+from workshop.tester.listening import LISTEN_S, receive, send
+
+MOST_LOAD: Final = 0.05  # of the bus, by requests and answers together
+USUAL_BITRATE: Final = 500_000
+FIRST_DEFINED: Final = 0xF300  # of the numbers that testers may define (ISO 14229-1, annex C)
+MOST_DEFINITIONS: Final = 3  # attempts between two sets: a controller that was reset has forgotten them
+DEFINE_AGAIN_S: Final = 60.0  # a log that begins later tells nothing until it hears what is made of what
+FRAME_BITS, LONG_FRAME_BITS = 125, 150  # of eight bytes, with stuff bits, whoever sends it; of 29 bits
+FIRST_SLOW: Final = 4  # times that they are asked for without delay: so often a message must come to be believed
+SLOW_S: Final = 1.0  # from question to question for what changes slowly
+GROUP_S: Final = 0.5  # SAE J1939-21 wants a group to be asked for no more than two or three times a second
+GROUP_ANSWER_S: Final = 0.25  # SAE J1939-21: 0.2 s
+REQUEST_PRIORITY: Final = 6
+REST_S: Final = 0.05  # where there is nothing to ask for just now
+ANSWER_S: Final = LATEST_NS / 1e9  # what comes later is no sample
+BUSY_PAUSE_S: Final = 0.1
+NOT_NOW: Final = frozenset({0x22, 0x24, 0x26, *range(0x81, 0x94)})  # refused by how the car is just now (ISO 14229-1)
+AGAIN_S: Final = 10.0  # until that is asked for again
+MOST_SILENT: Final = 3  # questions in a row, without an answer or with an odd one
+FIRST_PAUSE_S: Final = 1.0
+LONGEST_PAUSE_S: Final = 16.0  # between attempts at a controller that does not answer
+LEAST_ROWS: Final = 5  # of a slip: fewer tell no friction
+RATE_S: Final = 10.0  # over which the rate is told
+TOLD_RATIO: Final = 0.3  # by which it must change to be told again
+NO_GROUPS: Final = "parameter groups of J1939 are asked for on a bus, not through an adapter"
+_SLOW: Final = frozenset({Signal.SUMP_TEMPERATURE, Signal.AMBIENT_TEMPERATURE, Signal.ODOMETER})
+_LOG: Final = logging.getLogger(__name__)
+
+
+class OtherTesterError(ControllerError):
+    """Somebody else asks: nothing more is sent."""
+
+
+OpenLine = Callable[[], AbstractContextManager[Line]]
+
+
+def address_of(asked: AskedField) -> CanAddress:
+    return CanAddress(request_id=asked.request_id, response_id=asked.reply_id)
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """Data that are asked for in one request."""
+
+    address: CanAddress
+    data: tuple[DatumId, ...]
+
+    @property
+    def can_id(self) -> int:
+        return self.address.request_id
+
+    @property
+    def request(self) -> bytes:
+        width = 2 if self.data[0].service == READ_DATA else 1
+        return bytes([self.data[0].service]) + b"".join(one.number.to_bytes(width) for one in self.data)
+
+    def __str__(self) -> str:
+        return ", ".join(map(str, self.data))
+
+
+@dataclass(frozen=True, slots=True)
+class Definition:
+    """A datum that is made of others."""
+
+    address: CanAddress
+    parts: tuple[DatumId, ...]
+
+    @staticmethod
+    def forgetting(number: int) -> bytes:
+        """Return the request that undoes an earlier one, which would stay in front of it."""
+        return bytes([DEFINE_DATA, FORGET]) + number.to_bytes(2)
+
+    def request(self, number: int, sizes: Mapping[DatumId, int]) -> bytes:
+        """Return the request that makes it: all bytes of each part."""
+        parts = (part.number.to_bytes(2) + bytes([1, sizes[part]]) for part in self.parts)
+        return bytes([DEFINE_DATA, BY_IDENTIFIER]) + number.to_bytes(2) + b"".join(parts)
+
+
+@dataclass(frozen=True, slots=True)
+class GroupQuestion:
+    """A parameter group of J1939 that is asked of all: whoever has it sends it."""
+
+    pgn: int
+
+    @property
+    def address(self) -> "GroupQuestion":
+        """Who is asked: whoever has it."""
+        return self
+
+    @property
+    def can_id(self) -> int:
+        return REQUEST_PRIORITY << 26 | GROUP_REQUEST << 16 | TO_ALL << 8 | TOOLS[0]
+
+    @property
+    def request(self) -> bytes:
+        return self.pgn.to_bytes(3, "little")
+
+    def __str__(self) -> str:
+        return f"PGN {self.pgn}"
+
+
+@dataclass(slots=True)
+class Plan:
+    """What is asked when: fast quantities in every round, slow ones once in a while, so many at once as are taken."""
+
+    fields: Mapping[Signal, AskedField]
+    rules: AskingRules = field(default_factory=AskingRules)
+    groups: Sequence[int] = ()
+    defined: dict[DatumId, Definition] = field(default_factory=dict)
+    refused: set[DatumId] = field(default_factory=set)
+    _fewer: int | None = None  # than the rules say, as a controller wants it
+    _for_now: set[DatumId] = field(default_factory=set)  # of those refused
+    _again_s: float = math.inf  # when these are asked for again
+    _slow_s: float = 0.0
+    _slow_count: int = 0
+    _group_s: float = 0.0
+
+    @property
+    def addresses(self) -> set[CanAddress | GroupQuestion]:
+        return {GroupQuestion(one) for one in self.groups} | {
+            address_of(one) for one in self.fields.values() if one.data_id not in self.refused
+        }
+
+    @property
+    def fast(self) -> list[Question]:
+        parts = {part for one in self.defined.values() for part in one.parts}
+        return [
+            *(Question(one.address, (datum,)) for datum, one in self.defined.items()),
+            *self._questions([one for one in self._fast_fields() if one.data_id not in parts]),
+        ]
+
+    def definitions(self) -> dict[DatumId, Definition]:
+        """Return the data that are to be made of those of a round, one for each controller that tells several."""
+        by_address: dict[CanAddress, dict[DatumId, None]] = {}
+        for one in self._fast_fields():
+            if one.service == READ_DATA and one.data_id not in self.refused:
+                by_address.setdefault(address_of(one), {})[one.data_id] = None
+        return {
+            DatumId(address.request_id, READ_DATA, FIRST_DEFINED): Definition(address, tuple(parts))
+            for address, parts in by_address.items()
+            if len(parts) > 1
+        }
+
+    def _fast_fields(self) -> list[AskedField]:
+        return [one for signal, one in self.fields.items() if signal not in _SLOW]
+
+    def due(self, now_s: float) -> list[Question | GroupQuestion]:
+        if now_s >= self._again_s:
+            self.refused -= self._for_now
+            self._for_now.clear()
+            self._fewer, self._again_s = None, math.inf
+        questions: list[Question | GroupQuestion] = [*self.fast]
+        if self.groups and now_s >= self._group_s:
+            self._group_s = now_s + GROUP_S
+            questions += map(GroupQuestion, self.groups)
+        if now_s >= self._slow_s:
+            self._slow_count += 1
+            self._slow_s = now_s + (SLOW_S if self._slow_count > FIRST_SLOW else 0.0)
+            questions += self._questions([one for signal, one in self.fields.items() if signal in _SLOW])
+        return questions
+
+    def begin(self) -> None:
+        """Ask for everything again, as many at once as the rules say."""
+        self.refused.clear()
+        self._for_now.clear()
+        self._fewer, self._again_s = None, math.inf
+
+    def refuse(self, question: Question, why: str, *, for_now: bool = False) -> str:
+        """Ask for less at once, or for a single datum no more, or not for now; return what is to be told of that."""
+        if for_now:
+            self._again_s = min(self._again_s, time.monotonic() + AGAIN_S)
+        if len(question.data) > 1:
+            self._fewer = max(1, len(question.data) // 2)
+            return (
+                f"{id_text(question.address.request_id)} does not take {len(question.data)} identifiers at once: {why}"
+            )
+        self.refused.add(question.data[0])
+        if for_now:
+            self._for_now.add(question.data[0])
+        return f"{question} is not told ({why}), and {'asked for again later' if for_now else 'left out'}"
+
+    def _questions(self, fields: Sequence[AskedField]) -> list[Question]:
+        addresses = {one.data_id: address_of(one) for one in fields}
+        data = [one for one in addresses if one not in self.refused]
+        found: list[Question] = []
+        for _, group in groupby(data, key=lambda one: (one.request_id, one.service)):
+            own = list(group)
+            width = (self._fewer or self.rules.together) if own[0].service == READ_DATA else 1
+            found += [Question(addresses[own[at]], tuple(own[at : at + width])) for at in range(0, len(own), width)]
+        return found
+
+
+def frame_count(payload_bytes: int) -> int:
+    """Return how many frames a message and its flow control take."""
+    return 1 if payload_bytes <= 7 else 2 + -(-(payload_bytes - 6) // 7)
+
+
+class SignalAsker(AskingThread):
+    """Asks in a thread of its own while entered.
+
+    Parameters
+    ----------
+    fields, rules, groups
+        What is asked for, what the controllers allow, and which parameter groups of J1939 are asked for.
+    open_line
+        Opens the way to the controllers once nobody else asks there; raises SourceError, ControllerError.
+    bitrate
+        Of the bus; at most ``MOST_LOAD`` of it is used. None: as a usual one.
+    """
+
+    def __init__(
+        self,
+        fields: Mapping[Signal, AskedField],
+        rules: AskingRules,
+        open_line: OpenLine,
+        bitrate: int | None = None,
+        groups: Sequence[int] = (),
+    ) -> None:
+        super().__init__("signal asker")
+        self.plan = Plan(fields, rules, groups)
+        self._definitions_left = 0
+        self._define_at_s = 0.0
+        self._odd: Counter[tuple[DatumId, ...]] = Counter()  # answers in a row
+        self.sent: Counter[int] = Counter()  # requests, by service; those for groups by `GROUP_REQUEST`
+        self.set_count = 0
+        self._sizes = sizes_of(fields.values())
+        self._open_line = open_line
+        self._bits_per_s = MOST_LOAD * (bitrate or USUAL_BITRATE)
+        self._free_s = 0.0  # until when the bus is left alone
+        self._silent: Counter[CanAddress | GroupQuestion] = Counter()  # questions in a row without answer
+        self._silent_until_s: dict[CanAddress | GroupQuestion, float] = {}
+        self._trouble, self._pause_s = "", FIRST_PAUSE_S
+        self._said: set[str] = set()  # of what is refused: it is tried again whenever the way is opened anew
+        self._sets: deque[float] = deque(maxlen=10_000)
+        self._told_hz: float | None = None
+
+    def _run(self) -> None:
+        while self.goes_on:
+            try:
+                with self._open_line() as line:
+                    self._rounds(line)
+            except StoppedError:
+                return
+            except OtherTesterError as exc:
+                _LOG.log(NOTICE, "%s: nothing is asked until it is silent; its answers are read", exc)
+                self._trouble = str(exc)
+            except (CanlogError, DiagServiceError) as exc:
+                if str(exc) != self._trouble:
+                    _LOG.warning("asking is interrupted: %s; trying again", exc)
+                self._trouble = str(exc)
+                self._is_over.wait(self._pause_s)
+                self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
+            self._sets.clear()
+
+    def _rounds(self, line: Line) -> None:
+        self._silent.clear()
+        self._odd.clear()
+        self.plan.begin()
+        self._forget_definitions()
+        self._definitions_left = MOST_DEFINITIONS if self.plan.rules.define else 0
+        while self.goes_on:
+            if self.plan.defined and time.monotonic() >= self._define_at_s:
+                self._forget_definitions()
+            if self._definitions_left and not self.plan.defined:
+                self._define(line)
+                self._define_at_s = time.monotonic() + DEFINE_AGAIN_S
+            questions = self.plan.due(time.monotonic())
+            if not self.plan.addresses:
+                raise ControllerError("everything that the profile asks for is refused")
+            heard = [one for one in questions if self._silent_until_s.get(one.address, 0.0) <= time.monotonic()]
+            if not heard:
+                self._is_over.wait(REST_S)
+            answered = [self._ask(line, one) for one in heard]
+            if answered and all(answered):
+                if self._trouble:
+                    _LOG.log(NOTICE, "asking goes on")
+                    self._trouble, self._pause_s = "", FIRST_PAUSE_S
+                self.set_count += 1
+                if self.plan.defined:
+                    self._definitions_left = MOST_DEFINITIONS
+                self._sets.append(time.monotonic())
+                self._log_rate()
+
+    def _forget_definitions(self) -> None:
+        for datum in self.plan.defined:
+            del self._sizes[datum]
+        self.plan.defined.clear()
+
+    def _define(self, line: Line) -> None:
+        """Let controllers make one datum of those of a round; where one does not, they are asked for by themselves."""
+        self._definitions_left -= 1
+        for datum, one in self.plan.definitions().items():
+            self._send(line, one.forgetting(datum.number), one.address, 1)  # refused by a controller that has none
+            answer = self._send(line, one.request(datum.number, self._sizes), one.address, 4)
+            if answer is not None and answer[0] == DEFINE_DATA + POSITIVE:
+                self.plan.defined[datum] = one
+                self._sizes[datum] = sum(self._sizes[part] for part in one.parts)
+            elif answer is not None and not self._definitions_left:
+                why = refusal_text(answer[2] if len(answer) > 2 else 0)
+                _LOG.log(NOTICE, "%s makes no datum of others: %s", id_text(one.address.request_id), why)
+
+    def _send(
+        self, line: Line, request: bytes, address: CanAddress | GroupQuestion, expected_bytes: int
+    ) -> bytes | None:
+        """Return the answer to a request, sent when the bus is free for it; None: none came, or asking is over."""
+        self._is_over.wait(max(0.0, self._free_s - time.monotonic()))
+        if not self.goes_on:
+            return None
+        begun_s = time.monotonic()
+        if isinstance(address, GroupQuestion):
+            self.sent[GROUP_REQUEST] += 1
+            answer = line.ask_group(address) if isinstance(line, CanLine) else None
+            bits = 2 * LONG_FRAME_BITS
+        else:
+            self.sent[request[0]] += 1
+            answer = line.ask(request, address)
+            frames = frame_count(len(request)) + frame_count(expected_bytes if answer is None else len(answer))
+            bits = frames * (LONG_FRAME_BITS if is_extended(address.request_id) else FRAME_BITS)
+        self._free_s = begun_s + bits / self._bits_per_s
+        return answer
+
+    def _ask(self, line: Line, question: Question | GroupQuestion) -> bool:
+        """Ask once; return whether it was answered."""
+        request, expected = question.request, 0
+        if isinstance(question, Question):
+            expected = 1 + sum(self._sizes[one] + (len(request) - 1) // len(question.data) for one in question.data)
+        answer = self._send(line, request, question.address, expected)
+        if answer is None and not self.goes_on:
+            return False
+        if answer is None:
+            self._leave_alone(question.address)
+            return False
+        self._silent[question.address] = 0
+        if self._silent_until_s.pop(question.address, None) is not None:
+            _LOG.log(NOTICE, "%s answers", question.address)
+        if isinstance(question, GroupQuestion):
+            return True
+        if answer[0] == request[0] + POSITIVE:
+            return self._is_told(question, answer)
+        code = answer[2] if answer[0] == NEGATIVE and len(answer) > 2 else 0
+        if code == BUSY:
+            self._free_s = time.monotonic() + BUSY_PAUSE_S
+        elif question.data[0] in self.plan.defined:
+            _LOG.log(NOTICE, "%s is not there any more (%s): it is defined anew", question, refusal_text(code))
+            self._forget_definitions()
+        else:
+            self._say_once(self.plan.refuse(question, refusal_text(code), for_now=code in NOT_NOW))
+        return False
+
+    def _say_once(self, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            _LOG.log(NOTICE, "%s", text)
+
+    def _leave_alone(self, address: CanAddress | GroupQuestion) -> None:
+        """Ask a controller that does not answer now and then only; raises ControllerError if none does."""
+        self._silent[address] += 1
+        if self._silent[address] < MOST_SILENT:
+            return
+        self._silent[address] = 0
+        is_new = address not in self._silent_until_s
+        self._silent_until_s[address] = time.monotonic() + LONGEST_PAUSE_S
+        if self._silent_until_s.keys() >= self.plan.addresses:
+            self._silent_until_s.clear()
+            raise ControllerError(f"{address} does not answer")
+        if is_new:
+            _LOG.warning("%s does not answer: it is asked now and then", address)
+
+    def _is_told(self, question: Question, answer: bytes) -> bool:
+        """Return whether an answer has what was asked for, in the lengths of the profile."""
+        found = data_in(question.request, answer, question.address.request_id, self._sizes)
+        if isinstance(found, str):
+            self._odd[question.data] += 1
+            if self._odd[question.data] >= MOST_SILENT:  # one may have been late, for what was asked before
+                self._say_once(self.plan.refuse(question, found))
+            return False
+        self._odd.pop(question.data, None)
+        for datum in set(question.data) - dict(found).keys():
+            self._say_once(self.plan.refuse(Question(question.address, (datum,)), "left out"))
+        return bool(found)
+
+    def _log_rate(self) -> None:
+        first_s, last_s = self._sets[0], self._sets[-1]
+        if last_s - first_s < RATE_S:
+            return
+        rate_hz = (len(self._sets) - 1) / (last_s - first_s)
+        self._sets.clear()
+        if self._told_hz is None or abs(rate_hz / self._told_hz - 1.0) > TOLD_RATIO:
+            self._told_hz = rate_hz
+            _LOG.log(
+                NOTICE, "%.0f sets a second: enough for shifts that slip for %.2g s", rate_hz, LEAST_ROWS / rate_hz
+            )
+
+
+class WatchedBus:
+    """A bus as one who asks sees it: answers come through, and who else asks is noticed.
+
+    It gives no frame but answers; raises OtherTesterError where another tester's request comes.
+    """
+
+    def __init__(self, bus: can.BusABC, addresses: Sequence[CanAddress], groups: Sequence[int] = ()) -> None:
+        self._bus = bus
+        self._groups = frozenset(groups)
+        self._answers = {one.response_id for one in addresses}
+        self._requests = {one.request_id for one in addresses}
+        wanted = {*self._answers, *self._requests, FUNCTIONAL_ID, *STANDARD_REQUESTS}
+        masks = [(one, LARGEST_ID if is_extended(one) else 0x7FF, is_extended(one)) for one in sorted(wanted)]
+        masks += [(fixed | TESTER_ADDRESS, 0x1FFF_00FF, True) for fixed in (FIXED_PHYSICAL, FIXED_FUNCTIONAL & ~0xFFFF)]
+        masks += [(GROUP_REQUEST << 16 | tool, 0x00FF_00FF, True) for tool in TOOLS]
+        masks += [(pgn << 8, 0x03FF_FF00, True) for pgn in groups]
+        filters = [{"can_id": one, "can_mask": mask, "extended": is_long} for one, mask, is_long in masks]
+        bus.set_filters(filters)  # type: ignore[arg-type]  # as the library documents it
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Return the next answer, None if none comes in time; raises ControllerError if the bus cannot be read."""
+        until_s = time.monotonic() + (timeout or 0.0)
+        while True:
+            message = receive(self._bus, max(0.0, until_s - time.monotonic()))
+            if message is None or message.is_error_frame:
+                return None
+            can_id = message.arbitration_id
+            if can_id in self._answers or (self._groups and parameter_group(can_id) in self._groups):
+                return message
+            if can_id in self._requests or is_request(can_id):
+                raise OtherTesterError(f"another tester asks (requests on {id_text(can_id)})")
+
+    def send(self, message: can.Message, timeout: float | None = None) -> None:
+        self._bus.send(message, timeout)
+
+    def listen(self, duration_s: float, goes_on: Callable[[], bool]) -> None:
+        """Wait until nobody has asked for so long."""
+        until_s = time.monotonic() + duration_s
+        while (left_s := until_s - time.monotonic()) > 0.0:
+            if not goes_on():
+                raise StoppedError("stopped early")
+            with suppress(OtherTesterError):
+                self.recv(min(0.1, left_s))
+                continue
+            until_s = time.monotonic() + duration_s
+
+
+class CanLine:
+    """Controllers on a bus, one request at a time."""
+
+    def __init__(self, bus: WatchedBus, *, is_fd: bool, goes_on: Callable[[], bool]) -> None:
+        self._bus = cast("can.BusABC", bus)  # of which a connection uses these two
+        self._is_fd = is_fd
+        self._goes_on = goes_on
+        self._connections: dict[CanAddress, CanConnection] = {}
+
+    def ask(self, request: bytes, address: CanAddress) -> bytes | None:
+        """Return the answer to a request, None if none comes in time; raises ControllerError, OtherTesterError."""
+        if address not in self._connections:
+            self._connections[address] = CanConnection(self._bus, address, is_fd=self._is_fd, goes_on=self._goes_on)
+        connection = self._connections[address]
+        connection.empty_rxqueue()
+        try:
+            connection.specific_send(request)
+        except SilentError:
+            return None
+        wait_s, until_s, is_said = ANSWER_S, time.monotonic() + MOST_PENDING_S, False
+        other: bytes | None = None
+        while time.monotonic() < until_s:
+            try:
+                answer = connection.specific_wait_frame(wait_s)
+            except TimeoutException:
+                return other
+            if is_pending(request, answer):
+                wait_s = PENDING_S
+                if not is_said:
+                    is_said = True
+                    _LOG.log(NOTICE, "%s asks for patience (78): its answer comes too late to be a sample", address)
+            elif tells(request, answer):
+                return answer
+            elif answer[0] == request[0] + POSITIVE:
+                other = answer  # to what was asked before, unless nothing else comes
+        return other
+
+    def ask_group(self, group: GroupQuestion) -> bytes | None:
+        """Ask all for a parameter group; return it once it comes; raises ControllerError, OtherTesterError."""
+        while self._bus.recv(0.0) is not None:
+            pass  # what came by itself before answers nothing
+        send(self._bus, can.Message(arbitration_id=group.can_id, is_extended_id=True, data=group.request))
+        until_s = time.monotonic() + GROUP_ANSWER_S
+        while (left_s := until_s - time.monotonic()) > 0.0:
+            message = self._bus.recv(left_s)
+            if message is not None and message.is_extended_id and parameter_group(message.arbitration_id) == group.pgn:
+                return bytes(message.data)
+        return None
+
+
+@contextmanager
+def line_on(
+    name: BusName | can.BusABC,
+    addresses: Sequence[CanAddress],
+    groups: Sequence[int] = (),
+    *,
+    is_fd: bool,
+    listen_s: float = LISTEN_S,
+    goes_on: Callable[[], bool] = lambda: True,
+) -> Iterator[CanLine]:
+    """Open a bus and wait until nobody else asks on it; raises SourceError, ControllerError, StoppedError."""
+    with opened_bus(name) as bus:
+        watched = WatchedBus(bus, addresses, groups)
+        watched.listen(listen_s, goes_on)
+        yield CanLine(watched, is_fd=is_fd, goes_on=goes_on)
+
+
+@asynccontextmanager
+async def asking(
+    bus: BusConfig, fields: Mapping[Signal, AskedField], rules: AskingRules, groups: Sequence[int] = ()
+) -> AsyncIterator[None]:
+    """Ask for signals until the block ends; raises ConfigError."""
+    own = BusName(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, is_fd=bus.is_fd)
+    addresses = [address_of(one) for one in fields.values()]
+    open_line: OpenLine
+    if bus.adapter is not None:
+        adapter, channel = bus.adapter, bus.channel or ""
+        if groups:
+            raise ConfigError(NO_GROUPS)
+        rules = rules_through(adapter, rules)
+        open_line = lambda: line_through(adapter, channel, lambda: asker.goes_on)  # noqa: E731 - one of two
+    else:
+        open_line = lambda: line_on(own, addresses, groups, is_fd=bus.is_fd, goes_on=lambda: asker.goes_on)  # noqa: E731
+    asker = SignalAsker(fields, rules, open_line, bus.bitrate, groups)
+    with asker:
+        try:
+            yield
+        finally:
+            await asyncio.to_thread(asker.end)

@@ -1,0 +1,206 @@
+"""Trouble codes out of the answers of service 19 (ISO 14229-1, annex D), as JSON and as lines for people."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+from clutchdiag_io.people import digits
+from diag_service.errors import MalformedError
+from workshop.tester.answers import EXTENDED, HEAD_BYTES, ROW_BYTES, SNAPSHOTS, shown
+from workshop.tester.description import STANDARD_EXTENDED, Description, Values, code_text, read_fields
+
+CODE_BYTES: Final = ROW_BYTES - 1
+STATUS_BITS: Final = (
+    "failed",
+    "failed this cycle",
+    "pending",
+    "confirmed",
+    "not tested since clear",
+    "failed since clear",
+    "not tested this cycle",
+    "lamp on",
+)
+PENDING_BIT: Final = 0x04
+CONFIRMED_BIT: Final = 0x08
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """What a controller kept of the moment of a failure: a snapshot, or a record of extended data."""
+
+    number: int
+    data: Mapping[str, Values]  # by the name of the datum
+    rest: bytes = b""  # what could not be taken apart: the description does not say how long it is
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TroubleCode:
+    """A trouble code, with what was kept of it."""
+
+    number: int  # three bytes: the code and its failure type
+    status: int
+    text: str = ""
+    snapshots: tuple[Snapshot, ...] = field(default=())
+    extended: tuple[Snapshot, ...] = field(default=())
+    fault: str = ""  # why what was kept of it is not told, or not all
+
+    @property
+    def code(self) -> str:
+        """The code as scan tools show it."""
+        return code_text(self.number)
+
+    @property
+    def failure_type(self) -> int:
+        """The third byte."""
+        return self.number & 0xFF
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """The bits of the status that are set, in words."""
+        return tuple(word for bit, word in enumerate(STATUS_BITS) if self.status >> bit & 1)
+
+    @property
+    def is_confirmed(self) -> bool:
+        return bool(self.status & CONFIRMED_BIT)
+
+    @property
+    def is_pending(self) -> bool:
+        """Whether a test failed in this operation cycle or the last, and the controller is not sure yet."""
+        return bool(self.status & PENDING_BIT) and not self.is_confirmed
+
+
+def read_codes(response: bytes, description: Description) -> tuple[TroubleCode, ...]:
+    """Return the codes in a valid response that lists them; zeros at the end, with which some fill up, are none."""
+    content = response[HEAD_BYTES[response[1]] :]
+    found = []
+    for place in range(0, len(content), ROW_BYTES):
+        number = int.from_bytes(content[place : place + CODE_BYTES], "big")
+        if number:
+            status = content[place + CODE_BYTES]
+            found.append(TroubleCode(number=number, status=status, text=description.trouble_text(number)))
+    return tuple(found)
+
+
+def read_snapshots(response: bytes, description: Description) -> tuple[Snapshot, ...]:
+    """Return the snapshots in a response to 19 04: each with its number and data; MalformedError: cut off."""
+    content = response[HEAD_BYTES[SNAPSHOTS] :]
+    found = []
+    while any(content):
+        _check_whole(response, content, 2)
+        number, count = content[0], content[1]
+        data, content = _data_of(content[2:], count, description)
+        is_complete = count > 0 and len(data) == count  # 0: they were too many to be counted
+        found.append(Snapshot(number=number, data=data, rest=b"" if is_complete else content))
+        if not is_complete:
+            break
+    return tuple(found)
+
+
+def _data_of(content: bytes, count: int, description: Description) -> tuple[dict[str, Values], bytes]:
+    """Return so many data by name, fewer if one is of unknown length, and the bytes behind them."""
+    data: dict[str, Values] = {}
+    for _ in range(count):
+        _check_whole(content, content, 2)
+        number = int.from_bytes(content[:2], "big")
+        size = description.size_bytes(number)
+        if size is None:
+            break
+        _check_whole(content, content, 2 + size)
+        name = description.data_name(number)
+        data[f"{name} ({number:04X})" if name in data else name] = description.values(number, content[2 : 2 + size])
+        content = content[2 + size :]
+    return data, content
+
+
+def read_extended(response: bytes, description: Description) -> tuple[Snapshot, ...]:
+    """Return the records of extended data in a response to 19 06, each with its number; MalformedError: cut off."""
+    content = response[HEAD_BYTES[EXTENDED] :]
+    found = []
+    while any(content):
+        record = description.extended.get(content[0]) or STANDARD_EXTENDED.get(content[0])
+        size = None if record is None else record.size_bytes
+        _check_whole(response, content, 1 + (size or 1))
+        number, content = content[0], content[1:]
+        if record is None or size is None:
+            found.append(Snapshot(number=number, data={}, rest=content))
+            break
+        values = read_fields(record.fields, content[:size])
+        found.append(Snapshot(number=number, data={record.name: values}))
+        content = content[size:]
+    return tuple(found)
+
+
+def _check_whole(response: bytes, content: bytes, size_bytes: int) -> None:
+    if len(content) < size_bytes:
+        raise MalformedError(f"what was kept of a trouble code is cut off: {shown(response)}")
+
+
+Record = dict[str, object]
+NOTHING: Final = "not available"
+
+
+def code_words(code: TroubleCode) -> str:
+    """Return a code with what it says and how sure the controller is."""
+    state = "confirmed" if code.is_confirmed else "pending" if code.is_pending else "not confirmed"
+    return f"{code.code} {code.text} ({state})" if code.text else f"{code.code} ({state})"
+
+
+def trouble_record(code: TroubleCode) -> Record:
+    return {
+        "code": code.code,
+        "failure_type": code.failure_type,
+        "number": f"{code.number:06X}",
+        "text": code.text,
+        "status": code.status,
+        "states": list(code.states),
+        "snapshots": [_snapshot_record(one) for one in code.snapshots],
+        "extended_data": [_snapshot_record(one) for one in code.extended],
+    }
+
+
+def _snapshot_record(snapshot: Snapshot) -> Record:
+    data = {name: dict(values) for name, values in snapshot.data.items()}
+    return {"number": snapshot.number, "data": data, "rest": snapshot.rest.hex(" ").upper()}
+
+
+def trouble_lines(codes: Sequence[TroubleCode]) -> Iterator[str]:
+    """Yield a line for each code, and under it what was kept."""
+    if not codes:
+        yield "no trouble codes"
+        return
+    rows = [
+        (code.code, f"{code.failure_type:02X}", f"{code.status:02X}", ", ".join(code.states), code.text)
+        for code in codes
+    ]
+    head, *lines = columns(("code", "type", "status", "state", "text"), rows)
+    yield head
+    for line, code in zip(lines, codes, strict=True):
+        yield line
+        yield from _kept_lines("snapshot", code.snapshots)
+        yield from _kept_lines("extended data", code.extended)
+
+
+def _kept_lines(what: str, kept: Iterable[Snapshot]) -> Iterator[str]:
+    for one in kept:
+        parts = [f"{name}: {values_text(values)}" for name, values in one.data.items()]
+        if one.rest:
+            parts.append(f"not understood: {one.rest.hex(' ').upper()}")
+        yield f"  {what} {one.number:02X}: {'; '.join(parts)}"
+
+
+def values_text(values: Values) -> str:
+    """Return values for people: name, number, unit; the name of one that is alone says nothing new."""
+    texts = []
+    for label, value in values.items():
+        shown = NOTHING if value is None else digits(value) if isinstance(value, float) else str(value)
+        name, bracket, unit = label.partition(" [")
+        unit = f" {unit.removesuffix(']')}" if bracket and value is not None else ""
+        texts.append(f"{name if len(values) > 1 else ''} {shown}{unit}".strip())
+    return ", ".join(texts)
+
+
+def columns(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return rows as lines, each column as wide as its longest entry."""
+    widths = [max(len(row[place]) for row in (head, *rows)) for place in range(len(head))]
+    return ["  ".join(entry.ljust(width) for entry, width in zip(row, widths, strict=True)).rstrip()
+            for row in (head, *rows)]  # fmt: skip

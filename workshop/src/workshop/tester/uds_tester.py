@@ -1,0 +1,356 @@
+"""One controller from Python: ``UdsTester`` listens first, then asks it."""
+
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Final, Self, TypeVar
+
+from diag_service.api.choices import AnyPath, check_one_bus, optional_path
+from diag_service.errors import ConfigError
+from workshop.tester import questions, scanning
+from workshop.tester.addresses import CanAddress, usual_response_id
+from workshop.tester.answers import DEFAULT_SESSION, DialogueCounts, Timing
+from workshop.tester.asking import (
+    LARGEST_LOGICAL,
+    SHORTEST_ANSWER_S,
+    BusName,
+    BusTarget,
+    DoipPlace,
+    address_for,
+    asking,
+    check_time,
+    heard,
+    parse_doip,
+)
+from workshop.tester.description_files import find_description
+from workshop.tester.listening import LISTEN_S, Traffic
+from workshop.tester.trouble import TroubleCode
+
+if TYPE_CHECKING:
+    import can
+
+    from workshop.tester.dialogue import Dialogue
+
+ANSWER_S: Final = 1.0  # until an answer begins
+
+
+_AnswerT = TypeVar("_AnswerT")
+
+
+def timing_of(listen_s: float, timeout_s: float) -> Timing:
+    """Return how patient the tester is; raises ConfigError if a time cannot be."""
+    check_time("listen_s", listen_s, least_s=0.0)
+    check_time("timeout_s", timeout_s, least_s=SHORTEST_ANSWER_S)
+    return Timing(p2_s=timeout_s)
+
+
+def place_of(
+    bus: "can.BusABC | None",
+    interface: str | None,
+    channel: str | None,
+    bitrate: int | None,
+    doip: str | None,
+    ecu: int | None,
+    *,
+    is_fd: bool,
+    doip_authority: AnyPath | None = None,
+) -> "BusName | can.BusABC | DoipPlace":
+    """Return where to ask; raises ConfigError."""
+    check_one_bus(bus, interface, channel, bitrate, doip)
+    if doip is not None:
+        if ecu is None:
+            raise ConfigError("doip needs ecu: the logical address of the controller, such as 0x1011")
+        questions.check_number("ecu", ecu, LARGEST_LOGICAL)
+        return parse_doip(doip, ecu, optional_path(doip_authority))
+    if doip_authority is not None:
+        raise ConfigError("doip_authority needs doip")
+    return bus if bus is not None else BusName(interface=interface, channel=channel, bitrate=bitrate, is_fd=is_fd)
+
+
+def address_of(ecu: int | None, reply: int | None, address: int | None) -> CanAddress | None:
+    """Return who is asked on a bus, None if that was not said; raises ConfigError."""
+    if ecu is None:
+        if reply is not None or address is not None:
+            raise ConfigError("reply and address need ecu")
+        return None
+    if address is not None:
+        questions.check_number("address", address, 0xFF)
+    response_id = usual_response_id(ecu) if reply is None else reply
+    return CanAddress(request_id=ecu, response_id=response_id, target_byte=address)
+
+
+def scan_controllers(
+    bus: "can.BusABC | None" = None,
+    *,
+    interface: str | None = None,
+    channel: str | None = None,
+    bitrate: int | None = None,
+    is_fd: bool = False,
+    doip: str | None = None,
+    doip_authority: AnyPath | None = None,
+    ecu: int | None = None,
+    first: int | None = None,
+    last: int | None = None,
+    is_extended: bool = False,
+    has_all_data: bool = False,
+    is_active: bool = False,
+    listen_s: float = LISTEN_S,
+    timeout_s: float = ANSWER_S,
+    wait_s: float = scanning.WAIT_S,
+) -> scanning.Scan:
+    """Find controllers and what each can be asked, by questions that change nothing: ``diag-service scan``.
+
+    Parameters
+    ----------
+    bus, interface, channel, bitrate, is_fd, doip, doip_authority, ecu, listen_s, timeout_s
+        As of ``UdsTester``.
+    first, last
+        Identifiers from which and up to which to try, by default 700 to 7FF; with ``is_extended`` addresses, 00 to FF.
+    is_extended
+        Whether to try identifiers of 29 bits, 18DAxxF1.
+    has_all_data
+        Whether to try all data F100 to F1FF, not only those that the standard names.
+    is_active
+        Whether requests are sent; without, ConfigError says what would be.
+    wait_s
+        How long each identifier may take to answer [s].
+
+    Returns
+    -------
+    Scan
+        ``.controllers``, each with its services and data; ``.traffic`` is what was heard before.
+
+    Raises
+    ------
+    ConfigError, SourceError, ControllerError
+        If an argument or the bus cannot be used, another tester is at work, or a node is not there.
+    """
+    check_time("wait_s", wait_s, least_s=scanning.SHORTEST_WAIT_S)
+    most = scanning.largest_id(is_extended=is_extended)
+    for name, value in (("first", first), ("last", last)):
+        if value is not None:
+            questions.check_number(name, value, most)
+    place = place_of(bus, interface, channel, bitrate, doip, ecu, is_fd=is_fd, doip_authority=doip_authority)
+    plan = scanning.ScanPlan(
+        place=place,
+        request_ids=() if isinstance(place, DoipPlace) else scanning.request_ids(first, last, is_extended=is_extended),
+        data=scanning.ALL_NUMBERS if has_all_data else scanning.STANDARD_NUMBERS,
+        is_fd=is_fd,
+        timing=timing_of(listen_s, timeout_s),
+        listen_s=listen_s,
+        wait_s=wait_s,
+    )
+    if not is_active:
+        raise ConfigError(f"nothing was sent; with is_active=True this would be asked: {'; '.join(plan.requests)}")
+    return scanning.scan(plan)
+
+
+class UdsTester:
+    """A diagnostic tester for one controller (ISO 14229), as ``diag-service dtc``, ``did`` and ``routine`` are.
+
+    ``with UdsTester(bus, is_active=True) as tester:`` listens first, and asks nothing where another tester is heard.
+    Without ``is_active`` it sends nothing: its questions raise ConfigError, which says what they would send.
+
+    Parameters
+    ----------
+    bus
+        An open bus of python-can, which is nobody else's to read meanwhile and is not closed. Or name one by the next.
+    interface, channel, bitrate
+        As python-can names them; what is not given comes from its environment variables and ``can.conf``.
+    is_fd
+        Whether requests go out in CAN FD frames.
+    doip
+        ``HOST[:PORT]`` of a node that is asked over IP in place of a bus; ``ecu`` is its logical address then.
+    doip_authority
+        A certificate (PEM): the node is asked by TLS, and must have one that this authority signed.
+    ecu, reply
+        Identifier of requests, and of answers; by default as described, or 7E1 and what the standard has for it.
+    address
+        The controller's address, for extended addressing.
+    description
+        What the controller has: TOML, PDX, or the name of a shipped one; by default the shipped one that it says it is.
+    is_active
+        Whether requests are sent.
+    listen_s, timeout_s
+        How long it listens before, and how long an answer may take to begin [s].
+
+    Raises
+    ------
+    ConfigError
+        If an argument cannot be used.
+    SourceError, ControllerError
+        At the beginning of the block: if the bus cannot be used, another tester is at work, or a node is not there.
+    RefusedError, SilentError
+        Of a question: if the controller will not, or does not answer. Both are a ControllerError.
+    """
+
+    def __init__(
+        self,
+        bus: "can.BusABC | None" = None,
+        *,
+        interface: str | None = None,
+        channel: str | None = None,
+        bitrate: int | None = None,
+        is_fd: bool = False,
+        doip: str | None = None,
+        doip_authority: AnyPath | None = None,
+        ecu: int | None = None,
+        reply: int | None = None,
+        address: int | None = None,
+        description: AnyPath | None = None,
+        is_active: bool = False,
+        listen_s: float = LISTEN_S,
+        timeout_s: float = ANSWER_S,
+    ) -> None:
+        self._timing = timing_of(listen_s, timeout_s)
+        self._described = find_description(optional_path(description))
+        self._listen_s = listen_s
+        self._place = place_of(bus, interface, channel, bitrate, doip, ecu, is_fd=is_fd, doip_authority=doip_authority)
+        self._target: BusTarget | DoipPlace
+        if isinstance(self._place, DoipPlace):
+            if reply is not None or address is not None:
+                raise ConfigError("reply and address are of a bus, not of doip")
+            self._target = self._place
+        else:
+            where = address_for(address_of(ecu, reply, address), self._described)
+            self._target = BusTarget(bus=self._place, address=where, is_fd=is_fd, listen_s=listen_s)
+        self._is_active = is_active
+        self._stack = ExitStack()
+        self._dialogue: Dialogue | None = None
+        self._known = self._described
+        self._is_recognised = False
+        self._is_at_work = False
+        self.traffic: Traffic | None = None
+
+    @property
+    def controller(self) -> str:
+        """Who is asked, for people."""
+        return str(self._target if isinstance(self._target, DoipPlace) else self._target.address)
+
+    @property
+    def description(self) -> str:
+        """What the controller is taken for; known after the first question."""
+        return self._known.name
+
+    @property
+    def counts(self) -> DialogueCounts:
+        """What the questions went through until now: requests, refusals, answers that were late or others'."""
+        return DialogueCounts() if self._dialogue is None else self._dialogue.counts
+
+    def __enter__(self) -> Self:
+        if self._is_active:
+            self._dialogue, self.traffic = self._stack.enter_context(asking(self._target, self._timing))
+            self._is_at_work = True
+        else:
+            self.traffic = heard(self._place, self._listen_s)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_at_work = False
+        self._stack.close()
+
+    def trouble_codes(
+        self,
+        mask: int = questions.FAILED_MASK,
+        *,
+        is_all: bool = False,
+        has_details: bool = True,
+        readiness: int | None = None,
+        record: int | None = None,
+    ) -> tuple[TroubleCode, ...]:
+        """Return the trouble codes: ``diag-service dtc``.
+
+        Parameters
+        ----------
+        mask
+            Status bits of which a code must have one; by default all but those of a test that has not run.
+        is_all
+            Whether to return all that the controller knows instead, also those that never failed.
+        has_details
+            Whether to ask for snapshots and extended data of each.
+        readiness, record
+            A readiness group, or a record of extended data, whose codes are wanted instead (SAE J1979-2).
+        """
+        mask = 0 if is_all else mask
+        return self._ask(questions.TroubleQuestion(mask=mask, has_details=has_details, group=readiness, record=record))
+
+    def clear_trouble_codes(
+        self,
+        group: int | str = questions.ALL,
+        *,
+        mask: int = questions.FAILED_MASK,
+        is_all: bool = False,
+        session: int = DEFAULT_SESSION,
+    ) -> questions.Clearing:
+        """Clear trouble codes and return what was told before and after: ``diag-service dtc --clear``. Asks nobody.
+
+        Parameters
+        ----------
+        group
+            ``all``, ``obd``, a code such as ``P0811`` or ``P0811-07``, or a group's three bytes, also in hexadecimal.
+        mask, is_all
+            Which codes are read before and after, as of ``trouble_codes``.
+        session
+            In which to clear; it is left in the end.
+        """
+        word = group if isinstance(group, str) else f"{group:06X}"
+        wanted = questions.parse_group(word, "group")
+        return self._ask(questions.ClearQuestion(group=wanted, mask=0 if is_all else mask, session=session))
+
+    def data(self, *data: int | str, session: int = DEFAULT_SESSION) -> tuple[questions.DataAnswer, ...]:
+        """Return data by number, as an int or in hexadecimal, or by name: ``diag-service did``.
+
+        Parameters
+        ----------
+        data
+            Which; without any, all that the controller is known to have.
+        session
+            In which to ask; it is left in the end.
+        """
+        words = tuple(one if isinstance(one, str) else f"{one:04X}" for one in data)
+        return self._ask(questions.DataQuestion(words=words, session=session))
+
+    def routine(
+        self,
+        routine: int | str,
+        action: str,
+        *,
+        options: bytes = b"",
+        session: int = questions.EXTENDED_SESSION,
+        unlock: tuple[int, bytes] | None = None,
+        patience_s: float = questions.PATIENCE_S,
+    ) -> questions.RoutineAnswer:
+        """Start or stop a routine, or ask for its results: ``diag-service routine``.
+
+        Parameters
+        ----------
+        routine
+            Its number, as an int or in hexadecimal, or its name.
+        action : {"start", "stop", "results"}
+            What is wanted.
+        options
+            What it is started with.
+        session
+            In which to ask; it is left in the end.
+        unlock
+            A security level to unlock before, and the mask: the key is the seed XOR the mask.
+        patience_s
+            How long it is given if it says that it takes longer [s].
+        """
+        word = routine if isinstance(routine, str) else f"{routine:04X}"
+        lock = None if unlock is None else questions.Lock(level=unlock[0], mask=unlock[1])
+        check_time("patience_s", patience_s, least_s=SHORTEST_ANSWER_S)
+        return self._ask(
+            questions.RoutineQuestion(
+                routine=word, action=action, options=options, session=session, lock=lock, patience_s=patience_s
+            )
+        )
+
+    def _ask(self, question: questions.Question[_AnswerT]) -> _AnswerT:
+        if not self._is_active:
+            wanted = "; ".join(question.requests(self._described))
+            raise ConfigError(f"nothing was sent; with is_active=True this would be asked: {wanted}")
+        if self._dialogue is None or not self._is_at_work:
+            raise ConfigError("the tester is not at work: use it in a with block")
+        if not self._is_recognised:
+            self._known = questions.recognised(self._dialogue, self._described)
+            self._is_recognised = True
+        return question.ask(self._dialogue, self._known)
