@@ -2,23 +2,25 @@
 # tests/integration/test_image.py carries these steps out in a plain folder, without an engine and a package index.
 FROM python:3.11.14-slim-bookworm AS build
 WORKDIR /src
-COPY pyproject.toml requirements.lock README.md LICENSE ./
+COPY pyproject.toml setup.py requirements.lock README.md LICENSE ./
 COPY canlog canlog
 COPY clutch_model clutch_model
 COPY dbc dbc
 COPY diag_service diag_service
 COPY ecu_emulator ecu_emulator
-COPY fleet_backend fleet_backend
+COPY fleet fleet
 COPY fleet_contract fleet_contract
 COPY fleet_link fleet_link
 COPY clutchdiag_io clutchdiag_io
-# The lock's own uv installs the project: the lock then constrains, so only what the project needs comes in,
+COPY workshop workshop
+# The lock's own uv installs the distributions: the lock then constrains, so only what the project needs comes in,
 # and every file is held against the lock's hashes.
 RUN awk '/^[^ #]/ { keep = /^uv==/ } keep' requirements.lock > /tmp/uv.lock \
  && python -m venv /opt/uv && /opt/uv/bin/pip install --no-cache-dir --require-hashes -r /tmp/uv.lock \
  && python -m venv --without-pip /opt/clutchdiag \
  && /opt/uv/bin/uv pip install --no-cache --python /opt/clutchdiag/bin/python \
-      --constraints requirements.lock --build-constraints requirements.lock ".[diagnostics,fleet,mf4,nats,odx,page,parquet,uds,zstd]"
+      --constraints requirements.lock --build-constraints requirements.lock \
+      "./canlog[mf4,parquet,zstd]" . "./workshop[diagnostics,odx,uds]" "./fleet[nats,page]"
 
 FROM python:3.11.14-slim-bookworm
 COPY --from=build /opt/clutchdiag /opt/clutchdiag

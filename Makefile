@@ -22,13 +22,15 @@ export OPENBLAS_NUM_THREADS
 
 PY = "$(VENV)/bin/python"
 INSTALL = $(PY) -m pip --disable-pip-version-check install -qq
+# Each with a pyproject.toml of its own.
+DISTRIBUTIONS = ./canlog . ./workshop ./fleet
 SHUFFLED = $(if $(ORDER),--order-seed "$(ORDER)")
 # Run a part, and say when it has ended how long it took: $(call timed,what,command).
 timed = began=$$(date +%s); { $(2); }; status=$$?; echo "test: $(1): $$(($$(date +%s) - began)) s"; ( exit $$status )
 # The ones that print figures of speed and size; studies of accuracy have targets or commands of their own.
 BENCH = estimator fleet_ingest hour live_latency outbox plant readers service_memory
 
-.PHONY: help setup setup-all setup-system demo fleet docs check static static-and-warm test warm test-both test-host test-vcan bench accuracy reproduce operating-curve mismatch lock sbom clean
+.PHONY: help setup setup-all setup-system demo fleet docs check static static-and-warm test warm test-both test-host test-vcan bench accuracy reproduce operating-curve mismatch lock sbom wheels clean
 
 help:
 	@echo "make setup         virtual environment in $(VENV) with the project and what its programs and the demonstration need"
@@ -46,6 +48,7 @@ help:
 	@echo "make operating-curve  how often each verdict is given, against true slope and level; writes into docs"
 	@echo "make mismatch      bias, RMS and coverage where the vehicle differs from the belief; writes into docs"
 	@echo "make setup-system  the Debian packages that 'make test' needs (mosquitto, can-utils, ...)"
+	@echo "make wheels        a wheel of each distribution in build/wheels: the CAN library, the core, workshop, fleet"
 	@echo "make sbom          the bill of materials of requirements.lock, as CycloneDX JSON; RUNTIME=1 of what runs, with licences"
 	@echo "make lock          resolve requirements.lock and requirements-demo.lock again; UPGRADE=1 for newer versions"
 	@echo "Variables: PYTHON=$(PYTHON) (3.11 or newer), VENV=$(VENV)"
@@ -75,9 +78,9 @@ $(VENV)/.requirements-installed: requirements-demo.lock | $(VENV)/bin/python
 	@$(INSTALL) --no-compile --require-hashes -r requirements-demo.lock
 	@touch "$@"
 
-$(VENV)/.project-installed: pyproject.toml $(VENV)/.requirements-installed
-	@echo "setup: installing clutchdiag itself, editable"
-	@$(INSTALL) --no-deps --no-build-isolation -e .
+$(VENV)/.project-installed: $(DISTRIBUTIONS:%=%/pyproject.toml) $(VENV)/.requirements-installed
+	@echo "setup: installing clutchdiag itself, editable: the CAN library, the core, workshop and fleet"
+	@$(INSTALL) --no-deps --no-build-isolation $(DISTRIBUTIONS:%=-e %)
 	@touch "$@"
 
 # The lock of the programs has the versions of this one, so nothing is installed twice.
@@ -93,7 +96,14 @@ setup-system:
 sbom:
 	@$(if $(RUNTIME),$(MAKE) --no-print-directory setup >&2 && $(PY) .ci/sbom.py --run-time,"$(PYTHON)" .ci/sbom.py)
 
-COMPILE = $(PY) -m uv pip compile pyproject.toml --generate-hashes --no-emit-index-url --universal \
+# In wheels for others the distributions require each other by version; otherwise they come from this checkout.
+wheels: setup
+	@rm -rf build/wheels
+	@CLUTCHDIAG_RELEASE=1 $(PY) -m pip --disable-pip-version-check wheel -qq --no-deps --no-build-isolation -w build/wheels $(DISTRIBUTIONS)
+	@ls build/wheels
+
+COMPILE = $(PY) -m uv pip compile $(DISTRIBUTIONS:%=%/pyproject.toml) --no-build-isolation --no-emit-package canlog \
+	  --no-emit-package clutchdiag --generate-hashes --no-emit-index-url --universal \
 	  --python-version 3.11 $(if $(UPGRADE),--upgrade) -q
 
 lock: setup-all
@@ -192,5 +202,5 @@ test-vcan: setup-all
 	@$(PY) -m tests.uml.run --time-limit "$(VCAN_LIMIT_S)" -- $(PY) -m pytest -m vcan $(SHUFFLED) tests/e2e tests/integration
 
 clean:
-	rm -rf "$${XDG_CACHE_HOME:-$$HOME/.cache}/clutchdiag" "$(VENV)" build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf "$${XDG_CACHE_HOME:-$$HOME/.cache}/clutchdiag" "$(VENV)" build */build *.egg-info */src/*.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -72,7 +72,7 @@ def normal(name: str) -> str:
 
 def run_time_bill() -> dict[str, object]:
     project = _project()
-    own = project["dependencies"]
+    own = distribution(project["name"]).requires or ()
     parts = needed(own)
     components = [
         {**_component(name, package.version), **licence_of(package)} for name, (package, _) in sorted(parts.items())

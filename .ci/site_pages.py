@@ -18,7 +18,7 @@ from mkdocs.structure.pages import Page
 
 ROOT: Final = Path(__file__).parents[1]
 PROGRAMS: Final = ("ecu_emulator.arguments", "diag_service.commands.arguments", "fleet_backend.arguments")
-PACKAGES: Final = ("diag_service", "canlog", "ecu_emulator")
+PACKAGES: Final = ("diag_service", "canlog", "ecu_emulator", "workshop")
 LINK: Final = re.compile(r"\[([^\]]*)\]\((?!\w+:|#)([^)#]+)(#[^)]*)?\)")
 
 

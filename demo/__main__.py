@@ -19,7 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the demonstration; return 0 as it must be, 1 not so, 2 usage or a missing extra, 130 interrupted."""
     options = _parser().parse_args(arguments)
     try:
-        check_extra("demo")
+        check_extra(".[demo]")
     except ExtraMissingError as exc:
         sys.stderr.write(f"{PROGRAM}: error: {exc}\n")
         return USAGE

@@ -19,9 +19,8 @@ STOP_S: Final = 15.0  # the service gives its broker five seconds at the end
 HURRY_S: Final = 1.0  # for a program that leaves nothing behind: it may be amid a kernel that takes ten to compile
 STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 EXTRA_OF: Final = {
-    **dict.fromkeys(("amqtt", "matplotlib", "doipclient", "isotp", "udsoncan"), "demo"),
-    **dict.fromkeys(("alembic", "psycopg", "sqlalchemy"), "fleet"),
-    **dict.fromkeys(("starlette", "uvicorn"), "page"),
+    **dict.fromkeys(("amqtt", "matplotlib", "doipclient", "isotp", "udsoncan"), ".[demo]"),
+    **dict.fromkeys(("starlette", "uvicorn"), "./fleet[page]"),
 }
 _OWN_VARIABLES: Final = ("CAN_", "CLUTCHDIAG_")  # the user's bus and broker are not the demonstration's
 
@@ -38,7 +37,7 @@ def check_extra(extra: str) -> None:
     """Raise ExtraMissingError unless the libraries of an extra can be found."""
     for module, name in EXTRA_OF.items():
         if name == extra and find_spec(module) is None:
-            raise ExtraMissingError(f"the module {module} is not installed: pip install '.[{extra}]' in the checkout")
+            raise ExtraMissingError(f"the module {module} is not installed: pip install '{extra}' in the checkout")
 
 
 def to_its_end(name: str, work: Coroutine[None, None, int]) -> int:

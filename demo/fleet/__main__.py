@@ -46,8 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the demonstration; return 0 done, 1 failed, 2 usage or a missing extra, 130 interrupted."""
     options = _parser().parse_args(arguments)
     try:
-        check_extra("fleet")
-        check_extra("page")
+        check_extra("./fleet[page]")
     except ExtraMissingError as exc:
         sys.stderr.write(f"{PROGRAM}: error: {exc}\n")
         return USAGE

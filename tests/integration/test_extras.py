@@ -16,13 +16,7 @@ COMMANDS = {str(one.name): list(one.commands) for one in (ECU_EMULATOR, DIAG_SER
 CANDUMP = "(1767225600.000000) vcan0 123#0011223344556677\n" * 4
 MDF = b"MDF     4.10    asammdf ".ljust(512, b"\0")
 FLEET = "--database sqlite:///fleet.sqlite"
-WORDS = {"trend": "car1 2", "fill": "car1 oil", "ingest": "--broker mqtt://127.0.0.1", "retain": "--months 12"}
-WORDS |= {"forget": "car1"}
-OF_THE_FLEET = {
-    f"{one} {FLEET} {WORDS.get(one, '')}": "page" if one in {"serve", "watch"} else "fleet"
-    for one in COMMANDS["fleet-backend"]
-    if one != "follow"
-}
+OF_THE_FLEET = {f"{one} {FLEET}": "page" for one in ("serve", "watch")}
 ASKED: Mapping[str, Mapping[str, str]] = {  # words, and the extra that they lack; empty: none
     "ecu-emulator": {"pdx -o tcu.pdx": "odx", "record made.mf4": "mf4", "scenarios": ""},
     "diag-service": {
@@ -37,7 +31,7 @@ ASKED: Mapping[str, Mapping[str, str]] = {  # words, and the extra that they lac
         **dict.fromkeys((f"{one} drive.log" for one in ("inspect", "signals", "analyze")), ""),
         "config check": "",
     },
-    "fleet-backend": {**OF_THE_FLEET, f"ingest {FLEET} --broker nats://127.0.0.1": "nats"},
+    "fleet-backend": {f"migrate {FLEET}": "", **OF_THE_FLEET, f"ingest {FLEET} --broker nats://127.0.0.1": "nats"},
 }
 LEFT_OUT = "analyze logs --jobs 1"  # a folder with a log that needs an extra
 
@@ -49,7 +43,7 @@ def _plain(tmp_path_factory: pytest.TempPathFactory) -> PlainInstall:
 
 def one_line(program: str, extra: str, text: str) -> None:
     """Hold a complaint against what every complaint of this kind is."""
-    assert re.fullmatch(rf"{program}: error: .*pip install '\.\[{extra}\]' in the checkout\n", text), text
+    assert re.fullmatch(rf"{program}: error: .*pip install '\.(?:/\w+)?\[{extra}\]' in the checkout\n", text), text
 
 
 @pytest.mark.parametrize("program", MODULES)
@@ -78,14 +72,15 @@ def test_a_program_without_extras_helps_works_and_says_what_it_lacks(
     if LEFT_OUT in told:
         assert told[LEFT_OUT].status == 3
         assert "drive.mf4: not read: " in told[LEFT_OUT].out
-        assert "pip install '.[mf4]'" in told[LEFT_OUT].err
-    assert {path.name for path in tmp_path.iterdir()} == {"drive.log", "logs", "drive.mf4"}
+        assert "pip install './canlog[mf4]'" in told[LEFT_OUT].err
+    made = {"fleet.sqlite"} if program == "fleet-backend" else set()
+    assert {path.name for path in tmp_path.iterdir()} == {"drive.log", "logs", "drive.mf4", *made}
 
 
 def test_python_says_what_to_install(plain: PlainInstall, tmp_path: Path) -> None:
     (tmp_path / "drive.log").write_text(CANDUMP, encoding="utf-8")
     modules = sorted(extra_modules())
-    assert {"sqlalchemy", "alembic", "psycopg", "pyarrow", "asammdf", "amqtt"} <= set(modules)
+    assert {"starlette", "nats", "isotp", "pyarrow", "asammdf", "amqtt"} <= set(modules)
     program = f"""
 import importlib.util
 print([name for name in {modules} if importlib.util.find_spec(name)])
@@ -106,7 +101,7 @@ for wanted in (
         print(str(error).rpartition("pip install ")[2])
 """
     told = plain.run("-c", program, cwd=tmp_path)
-    extras = ["parquet", None, None, "parquet", "mf4", "uds", "uds"]
+    extras = ["./canlog[parquet]", None, None, "./canlog[parquet]", ".[mf4]", "./workshop[uds]", "./workshop[uds]"]
     names = ["", "pandas", "polars", "", "", "", ""]
-    wanted = [f"'.[{extra}]' in the checkout" if extra else name for extra, name in zip(extras, names, strict=True)]
+    wanted = [f"'{extra}' in the checkout" if extra else name for extra, name in zip(extras, names, strict=True)]
     assert told.out.splitlines() == ["[]", *wanted], told.err

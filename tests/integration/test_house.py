@@ -2,30 +2,18 @@
 
 import ast
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
-ROOMS = [
-    "studies",
-    "canlog",
-    "clutch_model",
-    "dbc",
-    "demo",
-    "diag_service",
-    "ecu_emulator",
-    "fleet_backend",
-    "fleet_contract",
-    "fleet_link",
-    "clutchdiag_io",
-]
+from tests.support.distributions import PACKAGES, ROOT, modules_of
+
+ROOMS = ["studies", "demo", *PACKAGES]
 MOST_LINES = 600
 MOST_PARAMETERS = 9  # of a kernel: beyond it a record says what belongs together
 
 
 def modules(room: str) -> Iterator[tuple[str, str]]:
-    for path in sorted((ROOT / room).rglob("*.py")):
+    for path in modules_of(room):
         yield str(path.relative_to(ROOT)), path.read_text(encoding="utf-8")
 
 

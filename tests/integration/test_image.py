@@ -4,19 +4,15 @@ import ast
 import json
 import os
 import sys
-import tomllib
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
+from tests.support.distributions import FOLDERS, PACKAGES, ROOT, modules_of, pyproject
 from tests.support.image.plain import PlainImage
 
-ROOT = Path(__file__).parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-PROGRAMS = sorted(PROJECT["project"]["scripts"])
+PROGRAMS = sorted(program for name in FOLDERS for program in pyproject(name)["project"].get("scripts", ()))
 NOT_OF_PROGRAMS = {"matplotlib", "pytest"}  # pictures and fixtures, for notebooks and test benches
-PACKAGES = sorted(name.removesuffix("*") for name in PROJECT["tool"]["setuptools"]["packages"]["find"]["include"])
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
@@ -24,7 +20,7 @@ def test_every_program_runs(image: PlainImage, program: str) -> None:
     for option in ("--help", "--version"):
         done = image.run(program, option)
         assert (done.returncode, done.stderr) == (0, "")
-    assert PROJECT["project"]["version"] in done.stdout
+    assert pyproject()["project"]["version"] in done.stdout
 
 
 def test_a_drive_is_recorded_and_analysed(image: PlainImage) -> None:
@@ -46,7 +42,7 @@ def test_the_fleet_works(image: PlainImage) -> None:
 def imported_names() -> Iterator[str]:
     """Yield every module that the sources import from outside, wherever in a file."""
     for package in PACKAGES:
-        for path in (ROOT / package).rglob("*.py"):
+        for path in modules_of(package):
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Import):
                     yield from (alias.name for alias in node.names)

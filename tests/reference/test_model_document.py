@@ -1,11 +1,10 @@
 """docs/model.md against the code: cited equations exist, and what it says of the integration is so."""
 
 import re
-from pathlib import Path
 
 from ecu_emulator.plant import DriveSettings
+from tests.support.distributions import ROOT, modules_of
 
-ROOT = Path(__file__).parents[2]
 MODEL = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
 PACKAGES = ("studies", "clutch_model", "diag_service", "ecu_emulator")
 LABEL = r"[A-Z]?\d+[a-z]?"
@@ -20,7 +19,7 @@ def test_every_equation_that_the_code_cites_is_in_the_document() -> None:
     cited = {
         (label, path.name)
         for package in PACKAGES
-        for path in sorted((ROOT / package).rglob("*.py"))
+        for path in modules_of(package)
         for citation in re.findall(r"\beqs?\. ((?:\([^)]+\)(?:, | and | to )?)+)", path.read_text(encoding="utf-8"))
         for label in re.findall(rf"\(({LABEL})\)", citation)
     }

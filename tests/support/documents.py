@@ -10,6 +10,8 @@ PAGES = (
     "CONTRIBUTING.md",
     "SECURITY.md",
     "canlog/README.md",
+    "fleet/README.md",
+    "workshop/README.md",
     *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md")),
 )
 MODULES = {

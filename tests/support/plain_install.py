@@ -1,4 +1,4 @@
-"""An interpreter that has what ``pip install clutchdiag`` brings and no extra, and runs of our programs in it."""
+"""An interpreter that has what all distributions bring without an extra, and runs of our programs in it."""
 
 import json
 import os
@@ -12,7 +12,8 @@ from typing import Final
 
 from packaging.requirements import Requirement
 
-from tests.unit.test_packaging import ROOT, normal, project
+from tests.support.distributions import FOLDERS, ROOT, SOURCES, extras_of, requirements
+from tests.unit.test_packaging import normal
 
 RUN_S: Final = 300.0  # reached by what hangs only
 _ELSEWHERE: Final = frozenset({"PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV"})
@@ -69,12 +70,13 @@ class PlainInstall:
 
 
 def plain_install(folder: Path) -> PlainInstall:
-    """Make the interpreter in a folder: links to the core requirements, found from their metadata, and our sources."""
+    """Make the interpreter in a folder: links to what is required, found from our metadata, and our sources."""
     site = linked_environment(folder, core_distributions())
-    ours = Path(str(distribution("clutchdiag").locate_file("")))
-    (information,) = ours.glob("clutchdiag-*.dist-info")
-    (site / information.name).symlink_to(information)
-    (site / "sources.pth").write_text(f"{ROOT}\n", encoding="utf-8")
+    for name in FOLDERS:
+        ours = Path(str(distribution(name).locate_file("")))
+        (information,) = ours.glob(f"{name.replace('-', '_')}-*.dist-info")
+        (site / information.name).symlink_to(information)
+    (site / "sources.pth").write_text("\n".join(map(str, SOURCES.values())) + "\n", encoding="utf-8")
     return PlainInstall(python=folder / "bin" / "python")
 
 
@@ -94,8 +96,8 @@ def linked(site: Path, names: Iterable[str]) -> Path:
 
 
 def core_distributions() -> set[str]:
-    """Return the names of what the project requires without any extra, and of what that requires."""
-    return distributions_of(project()["project"]["dependencies"])
+    """Return the names of what all distributions require without any extra, and of what that requires."""
+    return distributions_of(text for name in FOLDERS for text in requirements(name))
 
 
 def distributions_of(requirements: Iterable[str]) -> set[str]:
@@ -119,8 +121,8 @@ def distributions_of(requirements: Iterable[str]) -> set[str]:
 def extra_modules() -> set[str]:
     """Return the top-level modules that only extras bring."""
     core = core_distributions()
-    extras = project()["project"]["optional-dependencies"]
-    names = {normal(Requirement(text).name) for name, texts in extras.items() if name != "dev" for text in texts}
+    texts = [text for name in FOLDERS for text in requirements(name, *(set(extras_of(name)) - {"dev"}))]
+    names = {normal(Requirement(text).name) for text in texts}
     return {module for name in names - core for module in _modules(_top_entries(distribution(name)))}
 
 

@@ -10,20 +10,15 @@ from pathlib import Path
 
 import grimp
 
-PACKAGES = (
-    "canlog", "clutch_model", "clutchdiag_io", "dbc", "diag_service", "ecu_emulator", "fleet_backend",
-    "fleet_contract", "fleet_link",
-)  # fmt: skip
+from tests.support.distributions import PACKAGES
+
 CORE: Mapping[str, tuple[str, ...]] = {
     "service": ("diag_service.service.application", "diag_service.service.bus_run", "diag_service.service.recorded"),
     "logs": ("canlog.whole_log",),
     "emulator": ("ecu_emulator.live.live_drive",),
     "ingest": ("fleet_backend.ingest",),
 }
-ANNEXES = (
-    "workshop.tester", "workshop.controller", "workshop.controller", "fleet_backend.office",
-    "fleet_backend.page", "fleet_backend.alarms",
-)  # fmt: skip
+ANNEXES = ("workshop", "fleet_backend.office", "fleet_backend.page", "fleet_backend.alarms")
 
 
 def import_graph() -> grimp.ImportGraph:

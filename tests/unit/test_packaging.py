@@ -2,42 +2,26 @@
 
 import importlib
 import re
-import tomllib
 from importlib.metadata import distribution, entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import pytest
 
 import ecu_emulator
+from tests.support.distributions import FOLDERS, PACKAGES, ROOT, SOURCES, extras_of, pyproject, requirements
 
-ROOT = Path(__file__).parents[2]
-PACKAGES = (
-    "canlog",
-    "clutch_model",
-    "dbc",
-    "diag_service",
-    "ecu_emulator",
-    "fleet_backend",
-    "fleet_contract",
-    "fleet_link",
-    "clutchdiag_io",
-)
 SUBPACKAGES = sorted(
-    ".".join(path.parent.relative_to(ROOT).parts)
-    for package in PACKAGES
-    for path in (ROOT / package).rglob("__init__.py")
+    ".".join((package, *path.parent.relative_to(folder).parts))
+    for package, folder in PACKAGES.items()
+    for path in folder.rglob("__init__.py")
 )
-DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+DOCUMENTS = sorted(
+    [*(path for folder in FOLDERS.values() for path in folder.glob("*.md")), *(ROOT / "docs").rglob("*.md")]
+)
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 PIN = re.compile(r"([a-z0-9][a-z0-9._-]*)==([^ ]+)( ; [^\\]+)? \\")
-
-
-def project() -> dict[str, Any]:
-    table: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    return table
 
 
 LOCKS = ("requirements.lock", "requirements-demo.lock")
@@ -75,11 +59,12 @@ def test_a_package_exports_exactly_its_public_names(name: str) -> None:
     assert {entry for entry in exported if not entry.startswith("__")} == set(public)
 
 
-def test_both_programs_are_installed() -> None:
+@pytest.mark.parametrize("name", FOLDERS)
+def test_its_programs_are_installed(name: str) -> None:
     installed = {entry.name: entry.value for entry in entry_points(group="console_scripts") if entry.dist is not None}
-    wanted = project()["project"]["scripts"]
-    assert {name: installed.get(name) for name in wanted} == wanted
-    scripts = [entry for entry in distribution("clutchdiag").entry_points if entry.group == "console_scripts"]
+    wanted = pyproject(name)["project"].get("scripts", {})
+    assert {program: installed.get(program) for program in wanted} == wanted
+    scripts = [entry for entry in distribution(name).entry_points if entry.group == "console_scripts"]
     assert all(callable(entry.load()) for entry in scripts)
 
 
@@ -101,8 +86,7 @@ def test_everything_in_the_lock_has_a_version_and_a_hash(lock: str) -> None:
 
 
 def test_the_lock_holds_every_direct_requirement() -> None:
-    table = project()["project"]
-    wanted = [*table["dependencies"], *(entry for extra in table["optional-dependencies"].values() for entry in extra)]
+    wanted = [text for name in FOLDERS for text in requirements(name, *extras_of(name))]
     names = {normal(re.split(r"[<>=!~;\[ ]", entry, maxsplit=1)[0]) for entry in wanted}
     locked = {normal(match[1]) for line in lock_lines() if (match := PIN.fullmatch(line))}
     assert names - locked == set()
@@ -111,18 +95,16 @@ def test_the_lock_holds_every_direct_requirement() -> None:
 def test_the_locks_agree_and_the_small_one_has_what_runs_and_shows() -> None:
     everything, small = (locked(name) for name in LOCKS)
     assert [pinned for pinned, hashes in small.items() if everything.get(pinned) != hashes] == []
-    table = project()["project"]
-    wanted = {*table["dependencies"], *table["optional-dependencies"]["demo"]}
+    wanted = {*requirements("clutchdiag", "demo"), *requirements("canlog")}
     assert {normal(re.split(r"[<>=!~;\[ ]", one, maxsplit=1)[0]) for one in wanted} <= {name for name, _ in small}
     assert not {"mypy", "pytest", "polars", "pyarrow", "playwright"} & {name for name, _ in small}
 
 
-def test_every_package_has_the_version_of_the_project() -> None:
-    wanted = project()["project"]["version"]
-    own = tomllib.loads((ROOT / "canlog" / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+def test_every_distribution_has_the_version_of_the_core() -> None:
+    versions = {pyproject(name)["project"]["version"] for name in FOLDERS}
     image = re.search(r"image: clutchdiag:(\S+)", (ROOT / "docker-compose.yml").read_text(encoding="utf-8"))
     assert image is not None
-    assert {own, image[1], ecu_emulator.__version__} == {wanted}
+    assert {image[1], ecu_emulator.__version__} == versions
 
 
 def anchors(document: Path) -> set[str]:
@@ -146,7 +128,8 @@ def test_links_lead_somewhere(document: Path) -> None:
 def test_files_named_in_the_text_exist(document: Path) -> None:
     folders = "|".join((*PACKAGES, "docs", "tests"))
     named = re.findall(rf"`((?:{folders})/[\w./-]*)`", document.read_text(encoding="utf-8"))
-    assert [name for name in named if not (ROOT / name).exists()] == []
+    places = (ROOT, *SOURCES.values())
+    assert [name for name in named if not any((place / name).exists() for place in places)] == []
 
 
 def test_the_model_numbers_every_equation_of_the_source() -> None:
@@ -154,12 +137,18 @@ def test_the_model_numbers_every_equation_of_the_source() -> None:
     assert [number for number in range(1, 19) if f"| ({number}) |" not in text] == []
 
 
-def test_every_package_data_pattern_matches_a_file() -> None:
-    patterns = project()["tool"]["setuptools"]["package-data"]
+@pytest.mark.parametrize("name", FOLDERS)
+def test_every_package_data_pattern_matches_a_file(name: str) -> None:
+    patterns = pyproject(name)["tool"]["setuptools"]["package-data"]
     unmatched = [
         f"{package}/{pattern}"
         for package, entries in patterns.items()
         for pattern in entries
-        if not any((ROOT / package).glob(pattern))
+        if not any(PACKAGES[package].glob(pattern))
     ]
     assert unmatched == []
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_every_distribution_has_the_licence(name: str) -> None:
+    assert (FOLDERS[name] / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()

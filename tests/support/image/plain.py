@@ -20,10 +20,11 @@ from tests.support.image.context import context_files
 from tests.support.image.dockerfile import Copy, Instruction, Stage, read_stages
 
 PROJECT = "clutchdiag"
+NAMES = {"": PROJECT, "canlog": "canlog", "workshop": f"{PROJECT}-workshop", "fleet": f"{PROJECT}-fleet"}
 ABSOLUTE = re.compile(
     r"(?<![\w./}])/(?=(?:opt|src|tmp|var)\b)"
 )  # folders of the image, /dev and /bin are the machine's
-EXTRAS = re.compile(r"\.\[([\w, -]+)\]")
+INSTALLED = re.compile(r"(?<=[ \"])\.(?:/(\w+))?(?:\[([\w, -]+)\])?(?=[ \"]|$)")  # a folder of the checkout, its extras
 LIMIT_S = 300.0
 
 _STAND_INS = {
@@ -136,15 +137,16 @@ class PlainImage:
     def _show_packages(self) -> None:
         """Make visible what the installed project asks for, with the extras of the install step."""
         (site,) = self.path("/opt").glob(f"{PROJECT}/lib/python*/site-packages")
-        (own,) = distributions(name=PROJECT, path=[str(site)])
-        for found in _needed(own, self.extras):
-            _link(found, site)
+        for name, extras in self.installed.items():
+            (own,) = distributions(name=name, path=[str(site)])
+            for found in _needed(own, extras):
+                _link(found, site)
 
     @property
-    def extras(self) -> frozenset[str]:
-        """Extras that the install step names."""
+    def installed(self) -> dict[str, tuple[str, ...]]:
+        """Distributions that the install step names, with their extras."""
         steps = " ".join(entry.text for stage in self.stages for entry in stage.instructions if entry.name == "RUN")
-        return frozenset(name.strip() for found in EXTRAS.findall(steps) for name in found.split(","))
+        return {NAMES[folder]: tuple(extras.split(",")) for folder, extras in INSTALLED.findall(steps)}
 
 
 def _needed(own: Distribution, extras: Iterable[str]) -> list[Distribution]:
@@ -156,6 +158,8 @@ def _needed(own: Distribution, extras: Iterable[str]) -> list[Distribution]:
         for text in who.requires or ():
             requirement = Requirement(text)
             if requirement.marker is not None and not requirement.marker.evaluate({"extra": extra}):
+                continue
+            if requirement.name in NAMES.values():
                 continue
             for wanted in ("", *requirement.extras):
                 if (requirement.name, wanted) not in found:

@@ -2,7 +2,6 @@
 
 import ast
 from collections.abc import Callable, Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,8 +20,8 @@ from clutch_model.pack import (
     viscosities_pa_s,
     viscosity_pa_s,
 )
+from tests.support.distributions import ROOT, modules_of
 
-ROOT = Path(__file__).parents[3]
 USERS = ("ecu_emulator", "diag_service", "studies", "demo")
 # Numbers that mean something in a law only: who calculates with them himself writes that law a second time.
 OF_LAWS = {
@@ -54,7 +53,7 @@ def test_nobody_else_writes_a_law_again() -> None:
     again = [
         f"{path.relative_to(ROOT)}:{line}: eq. {OF_LAWS[name]} by {name}"
         for package in USERS
-        for path in sorted((ROOT / package).rglob("*.py"))
+        for path in modules_of(package)
         for name, line in calculated_with(path.read_text(encoding="utf-8"))
         if (path.relative_to(ROOT).as_posix(), name) not in ALLOWED
     ]

@@ -83,7 +83,7 @@ def table_of(transmission: str) -> DiagnosticTable:
 
 def personalities() -> tuple[str, ...]:
     """Return the names of controllers of real cars that the emulated one can answer like."""
-    found = (one.name for one in files("ecu_emulator").joinpath("diagnostics").iterdir())
+    found = (one.name for one in files("workshop.controller").iterdir())
     return tuple(sorted(name[len(_LIKE) : -len(".toml")] for name in found if name.startswith(_LIKE)))
 
 
@@ -104,7 +104,7 @@ def table_like(name: str, transmission: str = "nominal") -> DiagnosticTable:
 
 
 def _shipped_text(name: str) -> str:
-    return files("ecu_emulator").joinpath(f"diagnostics/{name}.toml").read_text(encoding="utf-8")
+    return files("workshop.controller").joinpath(f"{name}.toml").read_text(encoding="utf-8")
 
 
 def _with_data(table: DiagnosticTable, document: Mapping[str, Any]) -> DiagnosticTable:
