@@ -9,6 +9,7 @@ import can
 import pytest
 
 import diag_service
+import workshop
 from tests.integration.test_tester import MASK, SLIPS, Vehicle, told, vehicle
 from tests.support.in_process import ended, never_a_program
 from tests.support.patience import HANG_S
@@ -50,8 +51,8 @@ def _as_a_library() -> Iterator[None]:
         yield
 
 
-def asker(bus: can.BusABC, **more: Any) -> diag_service.UdsTester:  # noqa: ANN401 - arguments of the tester
-    return diag_service.UdsTester(bus, is_active=True, listen_s=0.05, timeout_s=HANG_S, **more)
+def asker(bus: can.BusABC, **more: Any) -> workshop.UdsTester:  # noqa: ANN401 - arguments of the tester
+    return workshop.UdsTester(bus, is_active=True, listen_s=0.05, timeout_s=HANG_S, **more)
 
 
 def test_answers_are_those_of_the_commands(bus: can.BusABC, capfd: pytest.CaptureFixture[str]) -> None:
@@ -76,7 +77,7 @@ def test_answers_are_those_of_the_commands(bus: can.BusABC, capfd: pytest.Captur
 
 def test_nothing_is_sent_unless_it_may_be(car: Vehicle, bus: can.BusABC) -> None:
     car.heard.clear()
-    with diag_service.UdsTester(bus, listen_s=0.6) as tester:
+    with workshop.UdsTester(bus, listen_s=0.6) as tester:
         assert tester.traffic is not None
         assert tester.traffic.frame_count > 0
         with pytest.raises(
@@ -90,9 +91,9 @@ def test_nothing_is_sent_unless_it_may_be(car: Vehicle, bus: can.BusABC) -> None
         ):
             tester.clear_trouble_codes("p0811", mask=0x08, session=0x03)
     with pytest.raises(diag_service.ConfigError, match="be asked: 3E 00 to 7E0-7E7; each that answers: 3E 00"):
-        diag_service.scan_controllers(bus, first=0x7E0, last=0x7E7)
+        workshop.scan_controllers(bus, first=0x7E0, last=0x7E7)
     with pytest.raises(diag_service.ConfigError, match="use it in a with block"):
-        diag_service.UdsTester(bus, is_active=True).trouble_codes()
+        workshop.UdsTester(bus, is_active=True).trouble_codes()
     assert car.heard == []
 
 
