@@ -44,13 +44,6 @@ def test_a_frozen_sensor_repeats_what_it_read_before() -> None:
     assert counts == (10,)
 
 
-def test_a_spike_is_one_reading() -> None:
-    wrong, counts = applied(fault("spike", size=50.0, start_s=0.333))
-    assert np.flatnonzero(wrong != READING).tolist() == [34]
-    assert wrong[34] - READING[34] == pytest.approx(50.0)
-    assert counts == (1,)
-
-
 def rows_with_shifts() -> FloatArray:
     """Return 900 ms with a shift at 100 ms and another at 500 ms, each phase 50 ms long."""
     rows = made_up_rows(900)

@@ -7,6 +7,7 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge, no_verdict
+from diag_service.diagnosis.condition.verdict import likely
 from diag_service.diagnosis.records import Causes, ClutchVerdict, Condition, LikelyCause
 from diag_service.diagnosis.summary import Gap, order_by, unjudged
 from tests.support.builders import shift_result
@@ -35,10 +36,21 @@ def test_a_verdict_says_why_and_how_sure_it_is_and_gives_no_order(mu_c: float, m
     assert verdict_on(mu_c, mu_s).advice == sentence
 
 
+def test_a_verdict_that_merely_stands_says_what_calls_it_off() -> None:
+    told = "(26 % sure now, at least 95 % before; the verdict stands until that falls below 20 %)."
+    assert str(verdict_on(0.1295, 0.1285, previous=Condition.CHANGE_FLUID).advice).endswith(told)
+
+
+@pytest.mark.parametrize(
+    ("probability", "said"),
+    [(0.0, "under 0.1 %"), (0.0004, "under 0.1 %"), (0.0006, "0.1 %"), (0.206, "20.6 %"), (1.0, "over 99.9 %")],
+)
+def test_nothing_is_said_to_be_certain_or_impossible(probability: float, said: str) -> None:
+    assert likely(probability) == f"{said} likely"
+
+
 def test_a_fluid_of_which_nobody_is_sure_is_not_called_sound_without_saying_so() -> None:
-    verdict = verdict_on(
-        0.1315, 0.1205, std=0.0004
-    )  # half of the margin left, more or less, and known as well as it ever is
+    verdict = verdict_on(0.1315, 0.1205, std=0.0004)  # half of the margin left, and known as well as it ever is
     assert verdict.condition is Condition.GOOD
     assert verdict.advice is not None
     assert order_by((shift_result(), replace(shift_result(), verdict=replace(verdict, clutch=1))), None).sentence == (
