@@ -1,17 +1,14 @@
 """Settings of the backend and of its broker."""
 
 import asyncio
-import re
 from pathlib import Path
 
 import pytest
 
-from demo.fleet.__main__ import BROKER_LINES
 from fleet_backend.broker import connected, is_of_bundles
 from fleet_backend.config import parse_broker, parse_listen
 from fleet_backend.errors import BrokerError, ConfigError
 from fleet_backend.ingest import FILTERS
-from tests.support.grafana import ROOT
 from tests.unit.fleet_link.test_connection import ACCEPTED, Script, broker, packet
 
 
@@ -83,11 +80,3 @@ async def test_a_broker_that_refuses_results_is_an_error() -> None:
         with pytest.raises(BrokerError, match="shift was refused"):
             async with connected(address, FILTERS, max_unsettled=20):
                 pass
-
-
-def test_every_place_tells_a_broker_not_to_drop_by_count() -> None:
-    places = ("docs/fleet.md", "docs/deploy/mosquitto.conf", "docker-compose.yml")
-    texts = [*((ROOT / name).read_text(encoding="utf-8") for name in places), *BROKER_LINES]
-    told = [re.findall(r"(max_(?:inflight|queued)_messages) (\d+)", text) for text in texts]
-    both = [("max_inflight_messages", "0"), ("max_queued_messages", "0")]
-    assert [sorted(one) for one in told] == [*([both] * len(places)), both[:1], both[1:]]

@@ -1,21 +1,17 @@
 """A car with a torque converter on the bus: its frames say what was driven, the same ones again, and its truth."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from canlog.e2e import profile1
 from canlog.e2e.message_contract import message_contracts
-from clutch_model.units import rad_s_from_rpm
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, merge
-from ecu_emulator.drive.build import build_vehicle
 from ecu_emulator.drive.recording import Drive, Stretch
-from ecu_emulator.scenario.scenario import Fluid, FluidCondition, Scenario
+from ecu_emulator.scenario.scenario import Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario
-from ecu_emulator.truth import ShudderTruth
 
 DATABASE = load_contract("lockup")
 SCENARIO = load_scenario("lockup")
@@ -59,15 +55,3 @@ def test_frames_say_what_was_driven() -> None:
     gear, output = np.array(column(frames, "TCU_Gear", "CurrentGear")), column(frames, "TCU_Turbine", "OutputSpeed")
     is_fifth = (gear[: len(output)] == 5.0) & (np.array(column(frames, "TCU_Gear", "TargetGear"))[: len(output)] == 5.0)
     assert np.median(np.array(turbine)[is_fifth] / np.array(output)[is_fifth]) == pytest.approx(1.285, rel=0.01)
-
-
-def test_the_truth_has_shudder_and_the_friction_at_each_slip() -> None:
-    aged = replace(SCENARIO, fluid=Fluid(condition=FluidCondition.CASE_2))
-    found, drive = stretches(aged, 10.0, 250.0)
-    assert sum(isinstance(one, ShudderTruth) for part in found for one in part.truths) >= 1
-    assert drive.totals.slipping_s > 60.0
-    at_slip, law = drive.truth.mu_at_slip_rpm, build_vehicle(aged).calibration.clutches[0].friction
-    assert list(at_slip.values()) == sorted(at_slip.values(), reverse=True)
-    slip = float(rad_s_from_rpm(40.0)) - law.lock_band_rad_s
-    expected = law.mu_c + (law.mu_s - law.mu_c) * np.exp(-slip / law.stribeck_speed_rad_s)
-    assert at_slip[40] == pytest.approx(expected)

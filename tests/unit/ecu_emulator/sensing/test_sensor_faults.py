@@ -32,11 +32,6 @@ def test_an_offset_lasts_from_its_start_to_its_end() -> None:
     assert counts == (30,)
 
 
-def test_a_drift_grows_with_time() -> None:
-    wrong, _ = applied(fault("drift", size=-4.0, start_s=0.2))
-    assert wrong - READING == pytest.approx(-4.0 * np.maximum(SEND_MS - 200, 0) / 1000.0)
-
-
 def test_a_frozen_sensor_repeats_what_it_read_before() -> None:
     wrong, counts = applied(fault("frozen", start_s=0.205, duration_s=0.1))
     assert np.all(wrong[21:31] == READING[20])

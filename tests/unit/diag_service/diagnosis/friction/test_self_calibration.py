@@ -9,11 +9,17 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
+from diag_service.diagnosis.alignment import Resampled
 from diag_service.diagnosis.events import EndReason, Event
-from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, State
+from diag_service.diagnosis.friction.balance import Balance, measured
+from diag_service.diagnosis.friction.drives import measured_drives, slip_window
+from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, State, displaced
+from diag_service.diagnosis.friction.film import pack_laws
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
+from diag_service.diagnosis.quality.data_quality import usable_signals
+from diag_service.diagnosis.records import Reason
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
@@ -132,3 +138,29 @@ def test_an_interrupted_rev_is_not_used() -> None:
     shifts, run_ups = unlike_its_type()
     broken = [replace(run_up, end_reason=EndReason.INTERRUPTED) for run_up in run_ups]
     assert found(shifts, broken).run_up_counts == (0, 0)
+
+
+@lru_cache
+def without_noise() -> tuple[tuple[Event, ...], tuple[Event, ...]]:
+    base = drive_scenario(seed=5)
+    sensors = {name: replace(sensor, noise_std=0.0) for name, sensor in base.sensors.items()}
+    return seen(replace(base, sensors=sensors, routine=Routine(open_revs=1, closed_revs=1)))
+
+
+def test_noise_of_one_signal_for_engine_and_hub_is_in_what_both_share_with_the_residual() -> None:
+    event, calibration = without_noise()[0][0], displaced(NOMINAL, AS_DRIVEN)
+    signals = usable_signals(event, calibration)
+    assert not isinstance(signals, Reason)
+    one = signals.engine_speed
+    overlaps = []
+    for hub in (one, Resampled(one.times_s, one.value.copy(), signals.grid_s)):
+        rows = replace(signals, hub_speed=hub, row_s=0.04)
+        drives = measured_drives(rows, AS_DRIVEN, None, event.start_ns, pack_laws(calibration))
+        found = slip_window(rows, drives, pack_laws(calibration))
+        assert found is not None
+        (seen,) = measured(Balance(rows, found[0], drives, calibration, pack_laws(calibration), AS_DRIVEN))
+        assert seen.overlap is not None
+        overlaps.append(seen.overlap[STATE_COUNT + np.array([Considered.TORQUE_GAIN, Considered.ENGINE_INERTIA])])
+    (gain, inertia), (apart_gain, apart_inertia) = overlaps
+    assert gain < 1.1 * apart_gain < 0.0
+    assert inertia < 1.1 * apart_inertia < 0.0
