@@ -7,6 +7,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table as ConsoleTable
 
+from studies.reproduce.drives import CYCLE_COUNT
 from studies.reproduce.findings import find
 from studies.reproduce.report import EVIDENCE_HEADINGS, evidence_rows, page
 from studies.reproduce.tables import Table, write_csv
@@ -22,11 +23,12 @@ def main() -> int:
     parser = study_parser("Reproduce SAE 2015-01-1146.", is_parallel=False)
     parser.add_argument("--seeds", type=int, default=DEFAULT_SEEDS, help="draws of the noise (default: %(default)s)")
     parser.add_argument("--output", type=Path, default=OUTPUT, help="folder (default: %(default)s)")
-    options = parsed(parser, seeds=2)
+    parser.add_argument("--cycles", type=int, default=CYCLE_COUNT, help="of each drive (default: %(default)s)")
+    options = parsed(parser, seeds=2, cycles=1)
     if options.seeds < 2:
         parser.error("--seeds must be 2 or more: a scatter needs two runs")
     started_s = time.monotonic()
-    found = find(options.seeds)
+    found = find(options.seeds, options.cycles)
     tables = study_tables(found)
     options.output.mkdir(parents=True, exist_ok=True)
     for table in tables:

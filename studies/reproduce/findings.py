@@ -28,6 +28,7 @@ PICTURE_SEED = 1
 class Findings:
     """Everything the report speaks of."""
 
+    cycles: int
     drives: Sequence[PaperDrive]
     seeds: range
     noiseless: Errors
@@ -44,7 +45,7 @@ class Findings:
     pictures: Sequence[Picture]
 
 
-def find(seed_count: int) -> Findings:
+def find(seed_count: int, cycles: int) -> Findings:
     """Run every study; which of them is at work goes to stderr."""
 
     def tell(what: str) -> None:
@@ -53,7 +54,7 @@ def find(seed_count: int) -> Findings:
     seeds = range(1, seed_count + 1)
     few, can_seeds = seeds[:VARIANT_SEEDS], seeds[:CAN_SEEDS]
     tell("driving three cycles with each parameter set")
-    drives = [drive(case) for case in Case]
+    drives = [drive(case, cycles=cycles) for case in Case]
     tables, other_tables = static_tables(), trajectory_tables()
     clean = Setup(tables=tables)
     setup = Setup(tables=tables, differentiators=matched_differentiators(drives[0]), gates=NOISY_GATES)
@@ -66,10 +67,11 @@ def find(seed_count: int) -> Findings:
     tell("other readings of the text")
     found_readings = readings(drives, setup, other_tables, few)
     tell("CAN frames by the vehicle route")
-    can = can_errors(drives, can_seeds)
+    can = can_errors(drives, can_seeds, cycles)
     tell("pictures")
     runs = run_of(drives[0].signals, clean), run_of(noisy(drives[0].signals, PICTURE_SEED), setup)
     return Findings(
+        cycles=cycles,
         drives=drives,
         seeds=seeds,
         noiseless=noiseless_errors(drives, clean),

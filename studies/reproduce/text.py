@@ -5,7 +5,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from studies.reproduce.drives import CYCLE_COUNT, Case
+from studies.reproduce.drives import Case
 from studies.reproduce.findings import Findings
 from studies.reproduce.report import EVIDENCE_HEADINGS, evidence_rows, plain_table, study_table
 from studies.reproduce.study import CLUTCHES, Errors, Key
@@ -42,19 +42,15 @@ def study_tables(found: Findings) -> list[Table]:
         error_columns("here", found.noisy, is_random=True),
         bound_columns(found.bounds),
     ]
+    vehicle_sets = [truth, error_columns("vehicle route", found.can, is_random=True)]
     runs = f"{len(found.seeds)} draws of the noise"
-    can_caption = f"CAN frames, sensor noise only, {len(found.can_seeds)} drives of {CYCLE_COUNT} cycles per set"
+    can_caption = f"CAN frames, sensor noise only, {len(found.can_seeds)} drives of {found.cycles} cycles per set"
     return [
         Table("table-2", "Table 2: ideal set, noiseless", keys_of(IDEAL_ONLY), noiseless_sets),
         Table("table-3", f"Table 3: ideal set, noisy, {runs}", keys_of(IDEAL_ONLY), noisy_sets),
         Table("table-a1", "Table A.1: all sets, noiseless", keys_of(every), noiseless_sets),
         Table("table-a2", f"Table A.2: all sets, noisy, {runs}", keys_of(every), noisy_sets),
-        Table(
-            "vehicle-route",
-            can_caption,
-            keys_of(every),
-            [truth, error_columns("vehicle route", found.can, is_random=True)],
-        ),
+        Table("vehicle-route", can_caption, keys_of(every), vehicle_sets),
     ]
 
 
@@ -92,7 +88,7 @@ def _general(found: Findings) -> Mapping[str, object]:
     factors = [rms(found.noisy, key) / found.bounds[key] for key in keys_of(list(Case))]
     ideal = keys_of(IDEAL_ONLY)
     return {
-        "cycles": CYCLE_COUNT,
+        "cycles": found.cycles,
         "rows": len(found.drives[0].rows),
         "few": len(found.reading_seeds),
         "factor_min": min(factors),

@@ -12,7 +12,7 @@ from ecu_emulator.scenario.scenario import FluidCondition
 from ecu_emulator.scenario.scenario_file import load_scenario
 from studies.builders import new_decoder, to_batch
 from studies.reproduce.differences import central_difference, matched_filter
-from studies.reproduce.drives import CYCLE_COUNT, PERIOD_S, Case, PaperDrive, noisy
+from studies.reproduce.drives import PERIOD_S, Case, PaperDrive, noisy
 from studies.reproduce.study import (
     CALIBRATION,
     DRIVELINE,
@@ -93,19 +93,19 @@ SCENARIO = "noise_only"
 FLUID = {Case.IDEAL: FluidCondition.IDEAL, Case.CASE_1: FluidCondition.CASE_1, Case.CASE_2: FluidCondition.CASE_2}
 
 
-def can_errors(drives: Sequence[PaperDrive], seeds: range) -> Errors:
+def can_errors(drives: Sequence[PaperDrive], seeds: range, cycles: int) -> Errors:
     """Return the errors on CAN frames of drives with sensor noise only, a new drive for every seed."""
     found: dict[Case, list[tuple[PaperEstimate, PaperEstimate]]] = {case: [] for case in FLUID}
     for case in FLUID:
         for seed in seeds:
-            found[case].append(_can_estimates(case, seed))
+            found[case].append(_can_estimates(case, seed, cycles))
     return errors_of(found, drives)
 
 
-def _can_estimates(case: Case, seed: int) -> tuple[PaperEstimate, PaperEstimate]:
+def _can_estimates(case: Case, seed: int, cycles: int) -> tuple[PaperEstimate, PaperEstimate]:
     scenario = load_scenario(SCENARIO)
     fluid = replace(scenario.fluid, condition=FLUID[case])
-    frames, _ = frames_of(replace(scenario, seed=seed, cycles=CYCLE_COUNT, fluid=fluid))
+    frames, _ = frames_of(replace(scenario, seed=seed, cycles=cycles, fluid=fluid))
     decoder, finder = new_decoder(), ShiftFinder()
     collection = PaperCollection(CALIBRATION, DRIVELINE)
     for columns in decoder.feed(to_batch(frames)):
