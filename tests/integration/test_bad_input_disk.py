@@ -10,14 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from ecu_emulator.cli import main
 from tests.plugins.disk import Mount
 from tests.support.service import run_service
 
 pytestmark = pytest.mark.vcan
 
 STORE_BYTES = 172_000  # a store with the results of two shifts or so, its write-ahead log included
-LOG_BYTES = 300_000  # the first seconds of a drive
 
 
 def stored(store: Path) -> list[object]:
@@ -31,13 +29,3 @@ def test_a_store_on_a_disk_that_fills_up(mount: Mount, drive_log: Path, tmp_path
     ended.assert_one_line(4, f"cannot use store {store}: database or disk is full")
     assert 0 < len(ended.records) < 3
     assert ended.records == stored(store)[: len(ended.records)]
-
-
-def test_a_recording_on_a_disk_that_fills_up(mount: Mount, capsys: pytest.CaptureFixture[str]) -> None:
-    disk = mount(f"size={LOG_BYTES}")
-    assert main(["record", str(disk / "drive.log"), "--json"]) == 4
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    full = f"ecu-emulator: error: cannot write {disk / 'drive.log'}: No space left on device\n"
-    assert captured.err == full
-    assert [path.name for path in disk.iterdir()] == []  # neither half a log nor the truth about it

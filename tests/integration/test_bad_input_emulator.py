@@ -1,4 +1,4 @@
-"""What users do wrong at the emulator as a process; the table in ``test_bad_input_service`` says where the rest is."""
+"""A recording that is killed or stopped, as a process."""
 
 import signal
 import sys

@@ -1,24 +1,4 @@
-"""What users and their machines do wrong, at the service as a process: one clear line and the right exit status.
-
-Where each kind of bad input is tested:
-
-====================================  ==================================================================================
-unknown interface                     ``test_service_live``, ``test_bus_contract``, ``test_vcan_source``
-missing or foreign DBC                here, ``test_service_logs``
-log empty, garbage, a folder          ``test_service_logs``, ``test_log_files``
-log truncated, unreadable, foreign    here, ``test_log_files``
-calibration not TOML, out of range    ``test_service_logs``
-calibration with unknown keys         here
-broker absent, dying                  ``test_service_logs``, ``test_service_live``, ``test_broker``
-broker refusing                       here, ``test_broker``
-disk read-only or full                ``test_service_logs``, ``test_store_file``, ``test_bad_input_disk``
-second service on a store             ``test_service_logs``, ``test_store_file``
-SIGINT and SIGTERM                    here, ``test_service_live``, ``test_service_logs``, ``e2e/test_vcan_drive``
-kill -9                               ``e2e/test_kill``, ``test_service_live``
-frames that cannot be believed        ``test_bad_input_frames``
-the same at the emulator              ``test_bad_input_emulator``, ``test_emulator_cli``, ``test_bad_input_disk``
-====================================  ==================================================================================
-"""
+"""What users and their machines do wrong, at the service as a process: one clear line and the right exit status."""
 
 import signal
 import time

@@ -44,11 +44,3 @@ def test_a_calibration_is_found_written_and_used(routine_log: Path, cycle_log: P
     again = run("calibrate", str(routine_log), "-o", str(tmp_path / "again.toml"), "--calibration", str(own))
     assert again.status == 2
     assert "start from its type" in again.err
-
-
-def test_too_short_a_drive_is_refused_and_writes_nothing(drive_log: Path, tmp_path: Path) -> None:
-    own = tmp_path / "car.toml"
-    done = run("calibrate", str(drive_log), "-o", str(own))
-    assert done.status == 2
-    assert "usable shifts onto clutch" in done.err
-    assert not own.exists()

@@ -109,20 +109,6 @@ def test_groups_are_matched_where_that_is_asked_for_and_proposed_where_it_would_
 STATE_LOG = log_of("100#00000000", "100#09640000", "100#0AFFFF00", "100#07FEFF00", "100#0B010000")
 
 
-def test_named_states_stand_beside_the_numbers(tmp_path: Path) -> None:
-    rows = decoded(tmp_path, STATES, STATE_LOG, "--values", "both")
-    assert [row["Brake.State"] for row in rows] == [0, 1, 2, 7, 3]
-    assert [row["Brake.State.text"] for row in rows] == ["kein_Fehler", "Fault", "initializing", "SNA", None]
-    assert [row["Brake.Lamp.text"] for row in rows] == ["No Fault"] + ["Error present"] * 2 + [
-        "No Fault",
-        "Error present",
-    ]
-    assert [row["Brake.Speed.text"] for row in rows] == [None, None, "not available", None, None]
-    assert list(rows[0])[-6:] == [
-        "Brake.State", "Brake.State.text", "Brake.Lamp", "Brake.Lamp.text", "Brake.Speed", "Brake.Speed.text"
-    ]  # fmt: skip
-
-
 def test_every_frame_and_every_loss_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record = told(tmp_path, capsys, LOSSES, LOST_LOG)
     frames = record["frames"]

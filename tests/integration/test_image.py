@@ -66,14 +66,6 @@ def test_nothing_of_the_clone_is_seen_from_the_image(image: PlainImage) -> None:
     assert str(image.root) in done.stdout.split()[0]
 
 
-def test_the_lock_of_the_installer_holds_it_alone_with_its_hashes(image: PlainImage) -> None:
-    lines = image.path("/tmp/uv.lock").read_text(encoding="utf-8").splitlines()  # noqa: S108 - of the image
-    assert lines[0].startswith("uv==")
-    hashes = [line for line in lines[1:] if not line.lstrip().startswith("#")]
-    assert hashes
-    assert all(line.startswith("    --hash=sha256:") for line in hashes)
-
-
 def test_the_image_runs_as_a_user_of_its_own_that_owns_its_folders(image: PlainImage) -> None:
     last = image.stages[-1]
     users = [entry.text for entry in last.instructions if entry.name == "USER"]

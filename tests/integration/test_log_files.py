@@ -1,8 +1,5 @@
 """Log files: what the emulator or python-can writes, and what the service and python-can read."""
 
-import resource
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import can
@@ -12,7 +9,6 @@ import pytest
 from canlog.errors import SourceError
 from canlog.logs import LogFormat, read_log
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.errors import RecordError
 from ecu_emulator.log_formats.record import open_log
 from tests.support.traffic import START_NS, as_received, assert_same, random_frames
 
@@ -92,27 +88,6 @@ def test_a_file_without_frames_is_one_clear_line(contents: bytes, text: str, tmp
         list(read_log(path))
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
-
-
-@contextmanager
-def largest_file(size_bytes: int) -> Iterator[None]:
-    """Let no file of this process grow further, as if the disk were full."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-
-
-def test_a_full_disk_is_one_clear_error_and_leaves_nothing(log_format: LogFormat, tmp_path: Path) -> None:
-    path = tmp_path / f"drive{SUFFIXES[log_format]}"
-    path.write_bytes(b"what was there before")
-    with largest_file(40_000), pytest.raises(RecordError, match=f"cannot write {path}") as caught:
-        record(path)
-    assert "\n" not in str(caught.value)
-    assert path.read_bytes() == b"what was there before"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_an_interrupted_recording_leaves_nothing(log_format: LogFormat, tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """Drives on the road, from trips to frames and truth."""
 
-import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -60,19 +59,6 @@ def test_a_parked_car_is_silent_and_cools_down(stretches: list[Stretch], frames:
     gap = np.flatnonzero(np.diff(frames.t_s) > 1.0)
     assert len(gap) == 1
     assert frames.t_s[gap[0] + 1] >= back.t_start_s > frames.t_s[gap[0]] + PARKED_S - 0.1
-
-
-def test_memory_does_not_grow_with_a_drive_without_end() -> None:
-    drive = Drive(road_scenario(), planned=(short_trip(parked_s=60.0) for _ in range(12)))
-    held_bytes: list[int] = []
-    tracemalloc.start()
-    for stretch in drive.stretches(5.0):
-        if any(isinstance(truth, TripTruth) for truth in stretch.truths):
-            del stretch
-            held_bytes.append(tracemalloc.get_traced_memory()[0])
-    tracemalloc.stop()
-    assert len(held_bytes) == 12
-    assert max(held_bytes[6:]) < max(held_bytes[2:6]) + 200_000
 
 
 def test_the_cutting_changes_nothing(frames: EncodedFrames, stretches: list[Stretch]) -> None:

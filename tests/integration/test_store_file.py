@@ -1,6 +1,5 @@
 """What disks, other programs and other versions do to a store: one clear line each, and nothing stored is lost."""
 
-import json
 import os
 import shutil
 import sqlite3
@@ -13,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from diag_service.diagnosis.records import StoredResult
 from diag_service.errors import StoreError
 from diag_service.store import (
     SCHEMA_VERSION,
@@ -21,8 +19,6 @@ from diag_service.store import (
     VehicleState,
     Versions,
 )
-from fleet_contract import Receipt, raw_shift_message, read_message
-from tests.golden import FOLDER as GOLDEN
 from tests.support.builders import shift_result
 
 STATE = VehicleState(filter_state={"mark": 1}, condition={}, versions=Versions(algorithm="a", calibration="c"))
@@ -132,26 +128,6 @@ def test_a_store_of_a_newer_version_is_left_alone(path: Path) -> None:
     with pytest.raises(StoreError, match="written by a newer diag-service"):
         ResultStore.open(path)
     assert path.read_bytes() == before
-
-
-def test_a_store_of_the_first_version_is_brought_up_and_drains(path: Path) -> None:
-    path.parent.mkdir()
-    edit(path, (GOLDEN / "store-v1.sql").read_text(encoding="utf-8"))
-    with closing(ResultStore.open(path)) as store:
-        assert [result.seq for result in store.results("car1")] == [1, 2, 3]
-        assert store.state("car1") == STATE
-        waiting = store.waiting("car1", after=0, before=99, limit=9)
-        assert [row.key.seq for row in waiting] == [2, 3]
-        assert read_message(*sent(waiting[0])).data == json.loads(waiting[0].text)
-        assert store.note_receipts([Receipt(key=row.key) for row in waiting]) == [2, 3]
-        assert store.unpublished_count("car1") == 0
-    with closing(sqlite3.connect(path)) as connection:
-        assert connection.execute("PRAGMA user_version").fetchone() == (SCHEMA_VERSION,)
-
-
-def sent(row: StoredResult) -> tuple[str, bytes]:
-    message = raw_shift_message(row.key, row.produced_at, row.text)
-    return message.topic, message.payload
 
 
 @pytest.mark.parametrize(

@@ -52,17 +52,6 @@ def test_speeds_and_gears_only_with_ratios_for_gears(drive_log: Path, tmp_path: 
     assert not says_friction(ended)
 
 
-def test_the_target_alone_finds_the_shifts_that_both_gears_find(drive_log: Path, tmp_path: Path) -> None:
-    profile = profile_without(tmp_path, "current_gear", "pressure")
-    target_only = run("analyze", drive_log, "--profile", profile, "--json")
-    both = run("analyze", drive_log, "--json")
-    assert [shift["start_bus_ns"] for shift in target_only.shifts] == [shift["start_bus_ns"] for shift in both.shifts]
-    assert [shift["to_gear"] for shift in target_only.shifts] == [shift["to_gear"] for shift in both.shifts]
-    for one, other in zip(target_only.shifts, both.shifts, strict=True):
-        assert one["duration_s"] == pytest.approx(other["duration_s"], abs=0.4)
-        assert other["indices"]["slip_angle_rad"] > 0.0  # the first tier has the indices, too
-
-
 def test_a_worn_clutch_carries_less_than_it_is_asked_for(tmp_path: Path) -> None:
     log = tmp_path / "aged.log"
     assert emulator(["record", str(log), "--scenario", "case2"]) == 0

@@ -19,9 +19,6 @@ def short_trip(name: str = "start and stop", parked_s: float = 0.0) -> PlannedTr
     return PlannedTrip(trace=trace, parked_s=parked_s)
 
 
-START_AND_STOP = short_trip()
-
-
 def road_scenario(name: str = "noise_only") -> Scenario:
     """Return a shipped scenario that is driven on the road."""
     return replace(drive_scenario(name), drive=DriveName.CITY)
