@@ -8,10 +8,10 @@ from typing import Final, Protocol
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array, Series
-from canlog.e2e.alive_counter import came_in_bursts, sent_on_schedule
+from canlog.e2e.alive_counter import came_in_bursts
 from canlog.frames import BEFORE_ALL_NS
 from canlog.jit import array_kernel
-from diag_service.diagnosis.columns import ColumnBatch, Columns, Signal
+from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.shifts.history import History
 
@@ -113,32 +113,20 @@ class EventFinder:
             first_ns = min(first_ns, max(bounds.start_ns - self._rest_ns, self._end_ns))
         self._end_ns = bounds.end_ns
         self._event_count += 1
-        received = self._history.cut(first_ns, stop_ns)
-        columns = {signal: sent_on_schedule(series) for signal, series in received.items()}
-        start_ns, end_ns = (sent_ns(at_ns, received, columns) for at_ns in (bounds.start_ns, bounds.end_ns))
+        columns = self._history.cut(first_ns, stop_ns)
         return Event(
             kind=bounds.kind,
             number=self._event_count,
             from_gear=bounds.from_gear,
             to_gear=bounds.to_gear,
-            start_ns=start_ns,
-            end_ns=max(end_ns, start_ns + 1),
+            start_ns=bounds.start_ns,
+            end_ns=max(bounds.end_ns, bounds.start_ns + 1),
             end_reason=bounds.end_reason,
             columns=columns,
             bad_frame_count=self._history.bad_frame_count(first_ns, stop_ns),
             e2e=self._history.e2e_states(first_ns, stop_ns),
-            came_late=came_in_bursts(received.values()),
+            came_late=came_in_bursts(columns.values()),
         )
-
-
-def sent_ns(at_ns: int, received: Columns, sent: Columns) -> int:
-    """Return when what was received at some time was sent: before it, by as much as signals were late then."""
-    late_ns = [
-        int(one.t_ns[row] - sent[signal].t_ns[row])
-        for signal, one in received.items()
-        if one is not sent[signal] and (row := int(one.t_ns.searchsorted(at_ns, "right")) - 1) >= 0
-    ]
-    return at_ns - int(np.median(late_ns)) if late_ns else at_ns
 
 
 class HeldSignals:

@@ -12,12 +12,11 @@ data widens the permitted jump by one. Where profile 1 leaves room, this receive
 - Losses longer than the counter's period are counted by time, those longer than ``SILENT_CYCLES`` not at all: the
   sender was off, or the car parked, and any counter is accepted. If the frames turn out to have been late instead (the
   next ones come sooner than the schedule has them, which no sender's do), the count of missing frames is taken back;
-  sequence numbers only ever grow, and `sent_on_schedule` puts them right. A late sender may catch up. Only a loss of a
-  whole period while its sender was late cannot be counted: it leaves no trace.
+  sequence numbers only ever grow. A late sender may catch up. Only a loss of a whole period while its sender was late
+  cannot be counted: it leaves no trace.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -30,8 +29,6 @@ MAX_DELTA_COUNTER: Final = 3  # permitted jump between frames one cycle apart: t
 LATE_CYCLES: Final = 1.0  # jitter within which a gap still counts as whole counter periods
 BURST_CYCLES: Final = 0.5  # frames closer than this were held back, not sent one cycle apart
 AHEAD_CYCLES: Final = 2.0  # frames that come so much sooner than frames counted by time permit: those were late
-LATE_PERIODS: Final = 3  # a sample this much later than its sender's schedule says little about time
-ENDS: Final = 30  # samples, of which one is nearly on time
 SILENT_CYCLES: Final = 8.0 * COUNTER_PERIOD  # of which nothing came: by chance one counter in five would fit any pause
 
 IN_SEQUENCE, REPEATED, WRONG_SEQUENCE = range(3)  # what is said of one frame
@@ -239,58 +236,12 @@ def own_period_ns(series: Series) -> int:
     return own_ns if series.period_ns < own_ns <= SLOWEST * series.period_ns else series.period_ns
 
 
-def sent_on_schedule(series: Series) -> Series:
-    """Return samples at the times at which their sender sent them, if some were received late; else as they are.
-
-    A bus only ever delays. A sender that is behind its schedule at the end may have changed it: its times stand.
-    """
-    if series.period_ns <= 0 or len(series.t_ns) < 2 or series.sequence[0] < 0:
-        return series
-    (t_ns, after_ns), sequence = np.empty((2, len(series.t_ns)), np.int64), series.sequence.copy()
-    if not reschedule(series.t_ns, series.period_ns, sequence, t_ns, after_ns):
-        return series
-    return replace(series, t_ns=t_ns, sequence=sequence)
-
-
 def came_in_bursts(columns: Iterable[Series]) -> bool:
     """Return whether samples came closer than their sender sends them: it, or whoever received them, was late."""
     for one in columns:  # noqa: SIM110 - a generator is many calls
         if (np.diff(one.t_ns) < BURST_CYCLES * one.period_ns).any():
             return True
     return False
-
-
-@array_kernel
-def reschedule(
-    received_ns: Int64Array, period_ns: int, sequence: Int64Array, sent_ns: Int64Array, after_ns: Int64Array
-) -> bool:
-    """Fill in when samples were sent and renumber those behind frames that were late, not lost; False if none was."""
-    count, first = len(received_ns), sequence[0]
-    for row in range(count):  # at first the delay of each against the schedule of the first
-        sent_ns[row] = after_ns[row] = received_ns[row] - (sequence[row] - first) * period_ns
-    for row in range(count - 2, -1, -1):  # the least delay from each on
-        after_ns[row] = min(after_ns[row], after_ns[row + 1])
-    before_ns, latest_ns, excess, spread_ns, stands = sent_ns[0], sent_ns[0], 0, 0, False
-    for row in range(count):
-        step = sequence[row] - excess - sequence[row - 1] if row else 1
-        ahead_ns = before_ns - after_ns[row] - excess * period_ns
-        if step > COUNTER_PERIOD and 2 * ahead_ns > COUNTER_PERIOD * period_ns:
-            periods = min((step - 1) // COUNTER_PERIOD, int(np.rint(ahead_ns / (COUNTER_PERIOD * period_ns))))
-            excess += periods * COUNTER_PERIOD
-        stands |= row > 0 and received_ns[row] <= received_ns[row - 1]
-        sequence[row] -= excess
-        sent_ns[row] += excess * period_ns
-        before_ns, latest_ns = min(before_ns, sent_ns[row]), max(latest_ns, sent_ns[row])
-    at_end_ns = after_ns[max(count - ENDS, 0)] + excess * period_ns
-    for row in range(max(count - ENDS, 0), count):
-        spread_ns = max(spread_ns, sent_ns[row] - at_end_ns)
-    if at_end_ns - before_ns > max(period_ns, spread_ns // 2):
-        return False
-    if not stands and latest_ns - before_ns <= LATE_PERIODS * period_ns:
-        return False
-    for row in range(count):
-        sent_ns[row] = before_ns + (sequence[row] - first) * period_ns
-    return True
 
 
 def row_period_ns(columns: Sequence[Series]) -> int:
@@ -321,5 +272,3 @@ def most_are_shorter(t_ns: Int64Array, sequence: Int64Array, limit_ns: float) ->
 def compile_now() -> None:
     """Have it compiled before the first frames come: they must not wait for it."""
     most_are_shorter(_NO_SAMPLES, _NO_SAMPLES, 0.0)
-    two = np.zeros(2, np.int64)
-    reschedule(two, 1, two, two, two)

@@ -1,8 +1,9 @@
-"""Frames that a busy machine received late, all in one burst: alive counters and cycle times tell when they were sent.
+"""Frames that were received late, by a busy machine or one that looks now and then: counters tell when they were sent.
 
 After a silence of the whole bus some frames are held until they say what it was. It was lateness if every counter goes
-on where it stood and the frames come faster than they were sent. Until one is on time again, each frame then gets the
-time at which the schedule of its sender has it; a frame without a counter gets that of the frame before it.
+on where it stood, and the frames come faster than they were sent or are on time soon. Until all are on time again, each
+frame then gets the time at which the schedule of its sender has it; one without a counter that of the frame before it.
+A schedule is as early as its frames allow, since a bus only ever delays.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,19 +12,18 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canlog.arrays import Int64Array, UInt8Array, UInt32Array
+from canlog.arrays import BoolArray, Int64Array, UInt8Array, UInt32Array
 from canlog.database.addressing import NOBODY, AddressBook, find_slot
 from canlog.e2e.alive_counter import LinkState
 from canlog.e2e.profile1 import COUNTER_BYTE, COUNTER_MASK, COUNTER_PERIOD
 from canlog.frames import ERROR_FLAG, MAX_GAP_NS, REMOTE_FLAG, FrameBatch, empty_batch, join
 from canlog.jit import array_kernel
 
-SILENCE_NS: Final = 150_000_000  # the whole bus is never as quiet while its messages come in time,
-SILENT_CYCLES: Final = 10  # nor for so many cycles of the quickest one
+SILENT_CYCLES: Final = 1.5  # of the quickest message: the whole bus is never as quiet while its messages come in time
 HELD_FRAMES, HELD_NS = 96, 150_000_000  # held until either is full
 FASTER_RATIO: Final = 0.9  # of the time in which frames came to the time in which they were sent
 LEAST_COUNTED: Final = 6  # frames with a counter, to tell anything
-LOSING_FRAMES: Final = 300  # without having caught up by a cycle: it is the sender that is late
+SETTLED_FRAMES: Final = 300  # without having caught up by a cycle: the least late of them is on time
 
 _NO_DATA: Final = REMOTE_FLAG | ERROR_FLAG
 
@@ -42,20 +42,31 @@ class CatchingUp(NamedTuple):
 
     latest_ns: int  # newest time given
     received_ns: int
-    least_late_ns: int
-    since: int  # frames with a counter since then
+    begun_late_ns: int  # when it last had caught up by a cycle,
+    since: int  # frames with a counter since then,
+    least_late_ns: int  # of them
+    most_late_ns: int
     counted: int
     skipped: int  # of these, those that do not follow the one before them
     is_over: bool
 
 
 @array_kernel
-def seamless_rows(t_ns: Int64Array, before_ns: int, silence_ns: int) -> int:
-    """Return how many frames come before a silence."""
+def rows_on_time(
+    book: AddressBook, cycle_ns: Int64Array, is_known: BoolArray, t_ns: Int64Array, can_id: UInt32Array, before_ns: int
+) -> int:
+    """Return how many frames come before a silence; from its first frame on, a message is known."""
+    quickest_ns = 2**60
+    for slot in range(cycle_ns.size):
+        if is_known[slot] and cycle_ns[slot] > 0:
+            quickest_ns = min(quickest_ns, cycle_ns[slot])
     for row in range(t_ns.size):
-        if t_ns[row] - before_ns > silence_ns:
+        if t_ns[row] - before_ns > SILENT_CYCLES * quickest_ns:
             return row
         before_ns = t_ns[row]
+        slot = find_slot(book, can_id[row]) if can_id[row] & _NO_DATA == 0 else NOBODY
+        if slot != NOBODY and cycle_ns[slot] > 0:
+            quickest_ns = min(quickest_ns, cycle_ns[slot])
     return int(t_ns.size)
 
 
@@ -78,8 +89,8 @@ def catch_up(
     data: UInt8Array,
     sent_ns: Int64Array,
 ) -> tuple[int, CatchingUp]:
-    """Fill in when frames were sent until one is on time, or comes before its forerunner; return how many were late."""
-    latest_ns, received_ns, least_late_ns, since, counted, skipped, _ = begun
+    """Fill in when frames were sent until all are on time, or one comes before its forerunner; return how many."""
+    latest_ns, received_ns, begun_late_ns, since, least_late_ns, most_late_ns, counted, skipped, _ = begun
     for row in range(t_ns.size):
         due_ns, slot = latest_ns, NOBODY
         if can_id[row] & _NO_DATA == 0:
@@ -89,20 +100,27 @@ def catch_up(
             step = (counter - schedules.counter[slot]) % COUNTER_PERIOD
             if schedules.counter[slot] >= 0 and step > 0:
                 due_ns = schedules.sent_ns[slot] + step * schedules.cycle_ns[slot]
-                late_ns = t_ns[row] - due_ns
+                late_ns = max(t_ns[row] - due_ns, 0)
+                if late_ns < begun_late_ns - schedules.cycle_ns[slot]:
+                    begun_late_ns = least_late_ns = most_late_ns = late_ns
+                    since = 0
+                least_late_ns, most_late_ns = min(least_late_ns, late_ns), max(most_late_ns, late_ns)
                 since += 1
-                if late_ns < least_late_ns - schedules.cycle_ns[slot]:
-                    least_late_ns, since = late_ns, 0
                 counted += 1
                 skipped += step > 1
-                if late_ns <= schedules.on_time_ns or since > LOSING_FRAMES:
-                    return row, CatchingUp(latest_ns, received_ns, least_late_ns, since, counted, skipped, True)
-            schedules.counter[slot], schedules.sent_ns[slot] = counter, due_ns
-        if t_ns[row] < received_ns:
-            return row, CatchingUp(latest_ns, received_ns, least_late_ns, since, counted, skipped, True)
+            schedules.counter[slot], schedules.sent_ns[slot] = counter, min(due_ns, t_ns[row])
+        is_over = t_ns[row] < received_ns
+        if since > SETTLED_FRAMES:
+            is_over |= most_late_ns <= schedules.on_time_ns
+            for place in range(schedules.sent_ns.size):
+                schedules.sent_ns[place] += least_late_ns
+            begun_late_ns = 2**62
+        if is_over:
+            return row, CatchingUp(latest_ns, received_ns, 0, 0, 0, 0, counted, skipped, True)
         received_ns = t_ns[row]
         latest_ns = sent_ns[row] = min(max(latest_ns, due_ns), received_ns)
-    return t_ns.size, CatchingUp(latest_ns, received_ns, least_late_ns, since, counted, skipped, False)
+    state = latest_ns, received_ns, begun_late_ns, since, least_late_ns, most_late_ns, counted, skipped
+    return t_ns.size, CatchingUp(*state, False)
 
 
 class LateFrames:
@@ -121,13 +139,17 @@ class LateFrames:
     def __init__(self, book: AddressBook, cycle_ns: Int64Array, links: LinkState) -> None:
         self._book, self._cycle_ns, self._links = book, cycle_ns, links
         self._quickest_ns = int(min(cycle_ns[cycle_ns > 0], default=0))
-        self.silence_ns = max(SILENCE_NS, SILENT_CYCLES * self._quickest_ns) if self._quickest_ns else MAX_GAP_NS
+        self.silence_ns = int(SILENT_CYCLES * self._quickest_ns) if self._quickest_ns else MAX_GAP_NS
+        self._on_time_ns = self._quickest_ns // 4
         self.count = 0  # frames that got an earlier time
         self._held = empty_batch()
         self._schedules = self._schedules_of(cycle_ns)
         self._burst: CatchingUp | None = None
-        self._resent(self._held, CatchingUp(0, 0, 0, 0, 0, 0, False))  # compiles now: the first burst must not wait
-        held_rows(self._held.t_ns) + seamless_rows(self._held.t_ns, 0, 0)
+        self._resent(
+            self._held, CatchingUp(0, 0, 0, 0, 0, 0, 0, 0, False)
+        )  # compiles now: the first burst must not wait
+        held_rows(self._held.t_ns)
+        self._rows_on_time(self._held, 0, cycle_ns.tolist())
 
     @property
     def is_idle(self) -> bool:
@@ -144,43 +166,43 @@ class LateFrames:
         batch, self._held, is_judged = join([self._held, batch]), empty_batch(), False
         while len(batch):
             if self._burst is not None:
-                part, burst = self._resent(batch, self._burst)
-                self._burst = None if burst.is_over else burst
-                self.count, is_judged = self.count + len(part), True
-            elif row := seamless_rows(batch.t_ns, int(batch.t_ns[0]) if is_judged else before_ns, self.silence_ns):
+                gaps = np.diff(batch.t_ns, prepend=self._burst.received_ns) > HELD_NS
+                rows = int(gaps.argmax()) if gaps.any() else len(batch)
+                part, burst = self._resent(batch[:rows], self._burst)
+                self._burst, is_judged = None if burst.is_over or rows < len(batch) else burst, burst.is_over
+            elif row := self._rows_on_time(batch, int(batch.t_ns[0]) if is_judged else before_ns, own_cycles_ns):
                 part, is_judged = batch[:row], False
             else:
                 held = batch[: held_rows(batch.t_ns)]
-                known_ns = self._cycle_ns[(self._links.valid_counter >= 0) & (self._cycle_ns > 0)]
-                silence_ns = int(batch.t_ns[0]) - before_ns
-                can_tell = len(known_ns) > 0 and silence_ns > SILENT_CYCLES * int(known_ns.min())
-                if can_tell and not is_last and len(held) == len(batch) < HELD_FRAMES:
+                if not is_last and len(held) == len(batch) < HELD_FRAMES:
                     self._held = batch
                     return
-                part = self._begin(held, before_ns, own_cycles_ns) if can_tell else batch[:0]
-                is_judged = True
+                part, is_judged = self._begin(held, before_ns, own_cycles_ns), True
             if len(part):
+                self.count += int(np.count_nonzero(batch.t_ns[: len(part)] - part.t_ns > self._on_time_ns))
                 yield part
                 before_ns, batch = int(part.t_ns[-1]), batch[len(part) :]
         if is_last:
             self._burst = None
 
+    def _rows_on_time(self, batch: FrameBatch, before_ns: int, own_cycles_ns: Sequence[int]) -> int:
+        cycle_ns, is_known = np.where(self._cycle_ns > 0, own_cycles_ns, 0), self._links.valid_counter >= 0
+        return rows_on_time(self._book, cycle_ns, is_known, batch.t_ns, batch.can_id, before_ns)
+
     def _begin(self, held: FrameBatch, before_ns: int, own_cycles_ns: Sequence[int]) -> FrameBatch:
         """Return what is late of the frames behind a silence."""
         self._schedules = self._schedules_of(np.where(self._cycle_ns > 0, own_cycles_ns, 0))
-        begun = CatchingUp(before_ns, int(held.t_ns[0]), 2**62, 0, 0, 0, False)
+        begun = CatchingUp(before_ns, int(held.t_ns[0]), 2**62, 0, 0, 0, 0, 0, False)
         part, burst = self._resent(held, begun)
         took_ns, sent_ns = burst.received_ns - begun.received_ns, burst.latest_ns - before_ns
-        is_faster = burst.is_over or took_ns < FASTER_RATIO * sent_ns
+        is_faster = burst.least_late_ns < self._quickest_ns or took_ns < FASTER_RATIO * sent_ns
         if burst.skipped or burst.counted < LEAST_COUNTED or not is_faster:
             return held[:0]
         self._burst = None if burst.is_over else burst
-        self.count += len(part)
         return part
 
     def _schedules_of(self, cycle_ns: Int64Array) -> Schedules:
-        on_time_ns = self._quickest_ns // 4
-        return Schedules(cycle_ns, on_time_ns, self._links.valid_counter.copy(), self._links.valid_ns.copy())
+        return Schedules(cycle_ns, self._on_time_ns, self._links.valid_counter.copy(), self._links.valid_ns.copy())
 
     def _resent(self, batch: FrameBatch, burst: CatchingUp) -> tuple[FrameBatch, CatchingUp]:
         """Return the frames that are late at the times at which they were sent, and how the burst goes on."""
