@@ -107,7 +107,7 @@ def number(value: float | None, form: str = "{:.4f}", *, scale: float = 1.0) -> 
     """
     if value is None or not np.isfinite(value):
         return NONE
-    text = form.format(value * scale).replace("%", " %") if form else digits(value * scale)
+    text = form.format(value * scale).replace("%", " %").replace("100.0 %", "100 %") if form else digits(value * scale)
     return Number(value=float(value), text=text if any(digit in text for digit in "123456789") else text.lstrip("-"))
 
 

@@ -216,7 +216,7 @@ _PREDICT: Final = Command(
     "predict shifts of logs from the others, and show how well it went",
     _logs("logs of one type of vehicle, frames or tables of signals; - is standard input"),
     *(option for option in MEANING if option.name in {"dbc", "profile"}),
-    Option("--touch KPA", "touch point of the clutches (default: the pressure in gear at standstill)", FLOAT),
+    Option("--touch BAR", "touch point of the clutches in bar (default: the pressure in gear at standstill)", FLOAT),
     Option("--halves", "predict the second half from the first (default: each shift from all others)"),
     *(JSON, VERBOSE),
     description="Friction, up to a scale, is found in some shifts; given the pressures and the first speed of another, "

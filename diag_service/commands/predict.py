@@ -11,8 +11,8 @@ import numpy as np
 
 from canlog.logs import read_log
 from canlog.logs.reading import Watch
-from clutch_model.units import bar_from_pa, rpm_from_rad_s
-from clutchdiag_io.people import PLUS_MINUS, plus_minus
+from clutch_model.units import bar_from_pa, pa_from_bar, rpm_from_rad_s
+from clutchdiag_io.people import PLUS_MINUS, digits, plus_minus
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.prediction import (
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 SCHEMA: Final = "clutchdiag/predict/v1"
 OURS: Final = "friction"
 AFTER_NS: Final = NS_PER_S // 2  # behind a gear change: its slip is nearly closed there
-PA_PER_KPA: Final = 1e3
 QUANTILES: Final = (np.arange(400) + 0.5) / 400.0
 
 
@@ -68,8 +67,10 @@ def slip_phases(
                 raise StoppedError("stopped early: nothing is predicted from a part of a log")
             for one in decoder.stream(batch):
                 standing.add(one)
-                events += finder.feed(one)
-    found = [slip_phase(event, decoder.gears) for event in [*events, *finder.flush()]]
+                events += decoder.marked(finder.feed(one))
+    for one in decoder.drain():
+        events += decoder.marked(finder.feed(one))
+    found = [slip_phase(event, decoder.gears) for event in [*events, *decoder.marked(finder.flush())]]
     return [one for one in found if isinstance(one, SlipPhase)], [one for one in found if isinstance(one, NoPhase)]
 
 
@@ -184,7 +185,7 @@ def predict_shifts(
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     """Predict the shifts of logs from each other and show how well it went."""
     meaning = asked_meaning(options, lambda: controls.stop.is_set)
-    touch_pa = None if options.touch is None else PA_PER_KPA * options.touch
+    touch_pa = None if options.touch is None else pa_from_bar(options.touch)
     with ReadingLine() as line:
         found = predict_shifts(
             options.logs, meaning, touch_pa=touch_pa, is_by_halves=options.halves, stop=controls.stop, watch=line.watch
@@ -200,7 +201,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         console.print(f"{log}: {one.event.from_gear}-{one.event.to_gear} not used: {one.reason}")
     if found.touch_pa is not None:
         origin = ", as found at standstill" if touch_pa is None else ""
-        console.print(f"touch point: {bar_from_pa(found.touch_pa):.3f} bar{origin}")
+        console.print(f"touch point: {digits(bar_from_pa(found.touch_pa))} bar{origin}")
 
 
 def _record(title: str, shown: Sequence[Shown], touch_pa: float | None) -> dict[str, object]:

@@ -24,6 +24,7 @@ from clutch_model.units import NS_PER_S
 from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT, plus_minus
 from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.records import Reason
 
 STEP_S: Final = 0.002  # of the integration
 STEP_RATIO: Final = 0.02  # of a difference quotient
@@ -107,8 +108,8 @@ def slip_phase(event: Event, gears: GearRatios | None = None) -> SlipPhase | NoP
     ]
     if event.from_gear == event.to_gear or min(event.from_gear, event.to_gear) < 1:
         return NoPhase(event, "no change from gear to gear")
-    if missing:
-        return NoPhase(event, f"no {', '.join(missing)}")
+    if missing or event.has_whole_seconds:
+        return NoPhase(event, f"no {', '.join(missing)}" if missing else Reason.WHOLE_SECONDS.replace("_", " "))
     engine = columns[Signal.ENGINE_SPEED]
     inputs = _input_speeds(event, engine.t_ns, gears)
     if inputs is None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from clutch_model.units import for_people
+from clutchdiag_io.pages.content import Number, number
 from clutchdiag_io.people import PER_1000_RPM, SLOPE_UNIT, digits
 from diag_service.diagnosis.records import shift_record
 from diag_service.report.history import shift_lines
@@ -26,7 +27,11 @@ VERSION = re.compile(r"clutchdiag \d\S+|torque-impulse-\d+|\d+\+[0-9a-f]+|[0-9a-
 def complaints(text: str) -> set[str]:
     """Return what of a text that people read is in SI or has more than four digits."""
     text = VERSION.sub("", text)
-    return set(SI.findall(text)) | {one for one in DECIMAL.findall(text) if len(one.replace(".", "").lstrip("0")) > 4}
+    return (
+        set(SI.findall(text))
+        | {one for one in DECIMAL.findall(text) if len(one.replace(".", "").lstrip("0")) > 4}
+        | set(re.findall(r"100\.0 %", text))
+    )
 
 
 def read_by_people(page: str) -> str:
@@ -69,6 +74,18 @@ def test_the_report_of_a_log(tmp_path: Path) -> None:
     text = read_by_people((tmp_path / "page.html").read_text("utf-8"))
     assert f"slope {SLOPE_UNIT}" in text
     assert complaints(text) == set()
+
+
+def test_a_touch_point_is_given_in_bar() -> None:
+    with contextlib.chdir(RECORDINGS):
+        found = ended("predict", "case2.log.xz", "--touch", "1.25")
+    assert found.status == 0, found.err
+    assert found.out.splitlines()[-1] == "touch point: 1.25 bar"
+    assert "touch point of the clutches in bar" in " ".join(ended("predict", "--help").out.split())
+
+
+def test_all_is_100_percent() -> None:
+    assert number(1.0, "{:.1%}") == Number(value=1.0, text="100 %")
 
 
 def test_a_slope_has_one_unit() -> None:
