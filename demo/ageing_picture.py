@@ -81,8 +81,8 @@ def _draw_thresholds(axes: Axes) -> None:
         colour, text = CONDITION_COLOUR[condition], f"mu_C below {100.0 * ratio:.0f} % of new: {condition}"
         axes.axhline(ratio * new_mu_c, color=colour, lw=1.0, ls=(0, (6.0, 3.0)))
         axes.annotate(
-            text, (1.0, ratio * new_mu_c), (-4.0, -3.0), axes.get_yaxis_transform(), "offset points",
-            color=colour, fontsize=8, ha="right", va="top",
+            text, (0.0, ratio * new_mu_c), (4.0, -3.0), axes.get_yaxis_transform(), "offset points",
+            color=colour, fontsize=8, ha="left", va="top",
         )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from amqtt.broker import Broker
 from amqtt.contexts import BrokerConfig
@@ -19,7 +19,6 @@ from amqtt.errors import AMQTTError
 from rich.console import Console
 from rich.text import Text
 
-import diag_service
 from canlog.live.medium import Medium, open_medium
 from clutchdiag_io.people import PLUS_MINUS
 from demo import ageing
@@ -36,12 +35,16 @@ from demo.outcome import (
 )
 from demo.programs import BACKEND, EMULATOR, HOST, LOOK_S, SERVICE, DemoError, Program, free_port, program, run
 from demo.scan_tool import ScanTool
+from diag_service.api import picture
 from diag_service.diagnosis.records import SHIFT_SCHEMA, ShiftResult, shift_from, verdict_from
 from diag_service.errors import ResultError
 from diag_service.service.application import first_error
 from ecu_emulator.truth import read_truth
 from fleet_contract import Channel
 from fleet_link import BrokerAddress
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SHIFT_S: Final = 3.9  # what one takes on the road, with the drive from one to the next
 CAR_KG: Final = 1300  # light: it is quickly in the next gear
@@ -105,8 +108,7 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
             console.print(table)
         console.print("drawing the pictures: about 3 s")
         (folder / ageing.PICTURE).write_text(draw(points), encoding="utf-8")
-        analysis = await asyncio.to_thread(diag_service.analyze, folder / RECORDING)
-        await asyncio.to_thread(analysis.plot, folder / PICTURE)
+        picture.save(bus_picture(outcome), folder / PICTURE)
         parts.end("pictures")
     found = [*ageing.course_complaints(points), *complaints(outcome)]
     lines: list[str | Text] = [*frame_lines(outcome.frames), f"pictures: {folder / PICTURE}, {folder / ageing.PICTURE}"]
@@ -116,6 +118,11 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
     for line in lines:
         console.print(line, soft_wrap=True)
     return 1 if found else 0
+
+
+def bus_picture(outcome: Outcome) -> "Figure":
+    """Return the picture of the shifts that the table of single shifts tells."""
+    return picture.draw(outcome.shifts, f"{len(outcome.shifts)} shifts on the bus")
 
 
 class Parts:
@@ -132,7 +139,7 @@ class Parts:
 
 
 async def _warm_up(options: DemoOptions, console: Console) -> None:
-    """Record and analyse the same drive once: compiles the kernels of both programs, and the picture needs it."""
+    """Record and analyse the same drive once: compiles the kernels of both programs."""
     takes = "about 10 s, a minute more where kernels are still to be compiled"
     console.print(f"both programs once without a bus: {takes} ... ", end="", soft_wrap=True)
     began_s, recording = time.monotonic(), options.folder / RECORDING
