@@ -77,12 +77,16 @@ def _draw_friction(axes: Axes, shown: Sequence[Point]) -> None:
 def _draw_thresholds(axes: Axes) -> None:
     """Draw below which mu_C the verdict is another one, whatever else it goes by."""
     new_mu_c = nominal_calibration().clutches[CLUTCH - 1].friction.mu_c
-    for ratio, condition in ((WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change fluid")):
+    # Each where neither curves nor the legend are: mu_C falls through the first from the left, the legend is below it.
+    for ratio, condition, side, place, at_points in (
+        (WATCH_LEVEL_RATIO, "watch", "left", "bottom", (4.0, 2.0)),
+        (CHANGE_LEVEL_RATIO, "change fluid", "right", "top", (-4.0, -3.0)),
+    ):
         colour, text = CONDITION_COLOUR[condition], f"mu_C below {100.0 * ratio:.0f} % of new: {condition}"
         axes.axhline(ratio * new_mu_c, color=colour, lw=1.0, ls=(0, (6.0, 3.0)))
         axes.annotate(
-            text, (0.0, ratio * new_mu_c), (4.0, -3.0), axes.get_yaxis_transform(), "offset points",
-            color=colour, fontsize=8, ha="left", va="top",
+            text, (float(side == "right"), ratio * new_mu_c), at_points, axes.get_yaxis_transform(), "offset points",
+            color=colour, fontsize=8, ha=side, va=place,
         )  # fmt: skip
 
 
