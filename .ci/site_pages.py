@@ -1,4 +1,4 @@
-"""Pages of the site that are made, not written: from ``--help``, docstrings, schemas, studies.
+"""Pages of the site that are made, not written: from ``--help``, docstrings, schemas, tables, metrics.
 
 Hooks of mkdocs, which calls them by their names. Links to files that are no pages become their names.
 """
@@ -25,6 +25,7 @@ LINK: Final = re.compile(r"\[([^\]]*)\]\((?!\w+:|#)([^)#]+)(#[^)]*)?\)")
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages of the reference."""
     pages = {"commands": _commands(), "parameters": _parameters(), "schemas": _schemas(), "tools": _tools()}
+    pages |= {"controller": _controller(), "metrics": import_module("tests.tools.metrics_page").page()}
     pages |= {name: f"# {name}\n\n::: {name}\n" for name in PACKAGES}
     for name, text in pages.items():
         files.append(File.generated(config, f"reference/{name}.md", content=text))
@@ -88,6 +89,11 @@ def _schemas() -> str:
         ]
         parts += ["", f"## {path.stem}", "", about, "", "| key | type | |", "|---|---|---|", *rows]
     return "\n".join(parts) + "\n"
+
+
+def _controller() -> str:
+    table = import_module("ecu_emulator.diagnostics.table_file").shipped_table()
+    return str(import_module("tests.tools.uds_tables").page(table))
 
 
 def _tools() -> str:

@@ -1,4 +1,4 @@
-"""Fixtures of a test bench: a diagnosis that listens to its bus (docs/testing.md). Nothing is loaded until it is used.
+"""Fixtures of a test bench: a diagnosis that listens to its bus (docs/python.md). Nothing is loaded until it is used.
 
 The bus comes from the fixtures of ``ecu_emulator.pytest_plugin``; the two meet on it.
 """

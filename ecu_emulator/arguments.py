@@ -84,7 +84,7 @@ _DRIVE: Final = (
     Option(
         "--cause NAME[:STRENGTH[:CLUTCH]]",
         "give the car a fault, such as glazed-lining:2, or several with commas between them; 1 is the smallest that "
-        "matters; docs/causes.md",
+        "matters; docs/verdict.md",
     ),
     Option(
         "--drive NAME",

@@ -1,4 +1,4 @@
-"""Fixtures of a test bench: buses, an emulated vehicle on them, the frames that pass (docs/testing.md).
+"""Fixtures of a test bench: buses, an emulated vehicle on them, the frames that pass (docs/python.md).
 
 Nothing is loaded until a fixture is used.
 """

@@ -1,4 +1,4 @@
-"""A publisher of one's own: results go to a file, for another program to fetch (docs/howto.md)."""
+"""A publisher of one's own: results go to a file, for another program to fetch (CONTRIBUTING.md)."""
 
 import asyncio
 from collections.abc import AsyncIterator, Sequence

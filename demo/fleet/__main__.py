@@ -36,7 +36,7 @@ CYCLES: Final = 2
 WORKERS: Final = 2
 OLD_DRIVES_DAYS: Final = 3650  # the emulated drives have dates of their own
 ARRIVAL_S: Final = 60.0  # from the last shift to the last row
-BROKER_LINES: Final = ("max_inflight_messages 0", "max_queued_messages 0")  # docs/fleet.md, limits
+BROKER_LINES: Final = ("max_inflight_messages 0", "max_queued_messages 0")  # docs/operations.md, MQTT
 USUAL_PORT: Final = 8090  # of the page
 FLUIDS: Final = {"taxi-1": ("ideal", "fresh"), "taxi-2": ("case1", "worn"), "taxi-3": ("case2", "aged")}
 """Scenario and fluid of each vehicle, the worst last."""

@@ -137,7 +137,7 @@ def predict(
     touch_pa: float | None = None,
     is_by_halves: bool = False,
 ) -> list[dict[str, Any]]:
-    """Predict shifts of logs from the others, as ``diag-service predict`` does (docs/prediction.md).
+    """Predict shifts of logs from the others, as ``diag-service predict`` does (docs/logs.md).
 
     Parameters
     ----------

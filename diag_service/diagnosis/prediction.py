@@ -1,6 +1,6 @@
 """Blind prediction: what friction found in some shifts says of the course of engine speed in others.
 
-While the on-coming clutch slips, the engine obeys (docs/prediction.md)
+While the on-coming clutch slips, the engine obeys (docs/model.md, (P3))
 
     d(omega)/dt = a x - d - s_on b_on (p_on - p_touch) - s_off b_off (p_off - p_touch)
 

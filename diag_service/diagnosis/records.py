@@ -253,7 +253,7 @@ class Revision:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShiftQuality:
-    """How well an event went, docs/shift-quality.md; None: its signals do not tell."""
+    """How well an event went, docs/verdict.md; None: its signals do not tell."""
 
     score: float | None  # 0 to 100, of a gear change
     reasons: tuple[str, ...] = ()  # the parts that cost a point or more, the dearest first
@@ -319,7 +319,7 @@ class ShiftEstimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LikelyCause:
-    """Something that may be wrong, how likely it is, and what speaks for and against it; docs/causes.md."""
+    """Something that may be wrong, how likely it is, and what speaks for and against it; docs/verdict.md."""
 
     cause: str  # a word such as glazed-lining, "sound" or "something-else"
     clutch: int | None  # 1 or 2; None: it is of no single clutch

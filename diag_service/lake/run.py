@@ -141,7 +141,7 @@ def trusted_scheduler(text: str, tls: TlsFiles) -> str:
     if parts.scheme != SCHEME or not host or parts.username or parts.path.strip("/") or parts.query:
         raise ConfigError(f"{text}: a scheduler is reached by tls://HOST:PORT only: its workers run what they are sent")
     if tls.authority is None or tls.certificate is None or tls.key is None:
-        raise ConfigError("a cluster needs --ca, --cert and --key (docs/lake.md shows how to make them)")
+        raise ConfigError("a cluster needs --ca, --cert and --key (docs/operations.md shows how to make them)")
     try:
         with (
             socket.create_connection((host, port), CONNECT_TIMEOUT_S) as plain,

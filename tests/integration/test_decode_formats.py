@@ -79,7 +79,7 @@ def test_a_folder_of_tables_has_one_for_each_message(folder: Path) -> None:
         assert record["rows"] == len(wide)
         assert {path.name for path in (folder / suffix).iterdir()} == set(record["tables"].values())
     (folder / "parquet").rename(folder / "drive")
-    _, query = re.findall(r"```sql\n(.+?)```", page_text("docs/decode.md"), re.DOTALL)
+    _, query = re.findall(r"```sql\n(.+?)```", page_text("docs/logs.md"), re.DOTALL)
     joined = duckdb.connect().sql(query).project("Speed, State")  # times need a library of zones
     assert joined.fetchall() == [(90.0, None)]
     (folder / "drive").rename(folder / "parquet")
@@ -145,7 +145,7 @@ def test_each_log_of_a_folder_is_a_table_of_its_own(folder: Path, monkeypatch: p
     (folder / "logs" / "torn.asc").write_text("date Thu Jan 1 00:00:00 2026\nbase hex timestamps absolute\n", "ascii")
     words = ("decode", "logs", "--dbc", "car.dbc", "-o", "tables", "--jobs", "2")
     ended(*words)
-    query, _ = re.findall(r"```sql\n(.+?)```", page_text("docs/decode.md"), re.DOTALL)
+    query, _ = re.findall(r"```sql\n(.+?)```", page_text("docs/logs.md"), re.DOTALL)
     assert sorted(duckdb.connect().execute(query).fetchall()) == [
         (f"tables/{name}drive.log/Brake.parquet", 90.0) for name in ("day/", "")
     ]

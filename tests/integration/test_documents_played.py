@@ -75,7 +75,6 @@ ELSEWHERE = {
     "pg_dump": "tests/integration/test_fleet_backup.py",
     "pg_restore": "tests/integration/test_fleet_backup.py",
     "python -c": "tests/integration/test_fleet_backup.py",
-    "python -m": "tests/integration/test_documents.py",
 }
 """What needs a bus, a broker, root or minutes, by the beginning of its line, and where it is run or checked instead."""
 
@@ -146,18 +145,16 @@ def test_what_is_not_run_here_is_run_where_it_is_said() -> None:
 
 BLOCKS = {
     ("README.md", "python"): "tests/integration/test_python_page.py",
+    ("CONTRIBUTING.md", "python"): "tests/integration/test_python_page.py",
     ("canlog/README.md", "python"): "tests/integration/test_canlog_alone.py",
-    ("docs/canlog.md", "python"): "tests/integration/test_python_page.py",
-    ("docs/diagnostics.md", "python"): "tests/integration/test_python_page.py",
-    ("docs/tester.md", "toml"): "tests/integration/test_python_page.py",
-    ("docs/own-car.md", "toml"): "tests/integration/test_python_page.py",
+    ("docs/controller.md", "python"): "tests/integration/test_python_page.py",
     ("docs/fleet.md", "sql"): "tests/integration/test_fleet_backup.py",
-    ("docs/howto.md", "python"): "tests/integration/test_python_page.py",
-    ("docs/lake.md", "sql"): "tests/integration/test_lake.py",
-    ("docs/prognosis.md", "python"): "tests/integration/test_python_page.py",
-    ("docs/decode.md", "sql"): "tests/integration/test_decode_formats.py",
+    ("docs/logs.md", "python"): "tests/integration/test_python_page.py",
+    ("docs/logs.md", "sql"): "tests/integration/test_decode_formats.py",
+    ("docs/operations.md", "sql"): "tests/integration/test_lake.py",
+    ("docs/own-car.md", "toml"): "tests/integration/test_python_page.py",
     ("docs/python.md", "python"): "tests/integration/test_python_page.py",
-    ("docs/testing.md", "python"): "tests/integration/test_image_example.py",
+    ("docs/verdict.md", "python"): "tests/integration/test_python_page.py",
     ("examples/gateway/README.md", "console"): "tests/integration/test_image_example.py",
 }
 """Where the blocks of a page that are no shell's are run; one of no language is a drawing, or what was printed."""

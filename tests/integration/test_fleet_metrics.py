@@ -22,10 +22,11 @@ from fleet_backend.writer import Batch, Writer
 from tests.plugins.broker import Mosquitto
 from tests.support.fleet import NOW, fleet_result, message_of, row_of
 from tests.support.fleet_worker import worker
-from tests.support.grafana import PROMETHEUS, ROOT, yaml
+from tests.support.grafana import PROMETHEUS, yaml
 from tests.support.patience import HANG_S
 from tests.support.ports import free_port
 from tests.support.prometheus import Samples, check_rules, parsed
+from tests.tools import metrics_page
 
 WORN = Condition.CHANGE_FLUID
 RULES = PROMETHEUS / "fleet.rules.yml"
@@ -130,8 +131,7 @@ def test_pages_and_watch_tell_how_large_the_fleet_is(postgres_url: str, words: t
 
 def test_the_page_lists_what_is_told_and_rules_ask_for_nothing_else() -> None:
     told = set().union(*TOLD.values())
-    page = (ROOT / "docs" / "monitoring.md").read_text(encoding="utf-8")
-    listed = set(re.findall(r"^\| `(clutchdiag_(?:ingest|fleet|watch)_\w+)`", page, re.MULTILINE))
+    listed = set(re.findall(r"^\| `(clutchdiag_(?:ingest|fleet|watch)_\w+)`", metrics_page.page(), re.MULTILINE))
     assert listed == told
     asked = set(METRIC.findall(RULES.read_text(encoding="utf-8")))
     assert len(asked) > 10

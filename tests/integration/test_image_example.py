@@ -58,11 +58,16 @@ def test_bus(vcan_bus, make_vcan_bus, recorded_frames):
 """
 
 
+def shown_tests() -> list[str]:
+    """Return the tests that docs/python.md shows."""
+    return [text for text in BLOCK.findall(page_text("docs/python.md")) if "def test_" in text]
+
+
 @pytest.fixture(name="told", scope="module")
 def _told(image: PlainImage, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("gateway") / "gateway"
     shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("__pycache__", ".*"))
-    _, lossy = BLOCK.findall(page_text("docs/testing.md"))
+    _, lossy = shown_tests()
     (folder / "test_page.py").write_text(lossy, encoding="utf-8")
     (folder / "test_bus.py").write_text(ANY_BUS, encoding="utf-8")
     tools = linked(folder.with_name("tools"), distributions_of(["pytest"]))
@@ -102,6 +107,19 @@ def test_a_fault_in_the_gateway_fails_its_tests(told: dict[str, Any], fault: str
     assert "1 failed" in out
     assert " passed" not in out
     assert words in out
+
+
+def test_the_page_shows_the_test_of_the_example() -> None:
+    shown, _ = shown_tests()
+    text = (EXAMPLE / "test_gateway.py").read_text(encoding="utf-8")
+    body = shown.partition("def test_")[2].strip().replace("timeout_s=300", "timeout_s=PATIENCE_S")
+    assert body in text
+
+
+def test_the_readme_names_the_faults_that_there_are() -> None:
+    text = (EXAMPLE / "README.md").read_text(encoding="utf-8")
+    for fault in ("drop", "alter", "swap"):
+        assert f"GATEWAY_FAULT={fault} pytest" in text
 
 
 @pytest.mark.parametrize("kind", ["auto", "udp_multicast", "virtual"])

@@ -165,7 +165,7 @@ def test_a_log_that_was_moved_is_in_the_lake_once_whatever_the_version(logs: Pat
 
 def test_the_questions_of_page_and_example_have_answers(filled: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(filled.parent)
-    (shown,) = re.findall(r"```sql\n(.*?)```", page_text("docs/lake.md"), re.DOTALL)
+    (shown,) = re.findall(r"```sql\n(.*?)```", page_text("docs/operations.md"), re.DOTALL)
     views, *questions = re.split(r"^-- .*\?\n", page_text("examples/lake.sql"), flags=re.MULTILINE)
     assert len(questions) == 10
     with duckdb.connect() as lake_engine:

@@ -1,6 +1,6 @@
 """The Python that README.md and pages of docs/ show runs as it stands, and files that they show are read.
 
-Blocks of docs/diagnostics.md for odxtools and python-OBD are run where those libraries are:
+Blocks of docs/controller.md for odxtools and python-OBD are run where those libraries are:
 tests/integration/test_uds_pdx.py, tests/e2e/test_obd.py.
 """
 
@@ -44,7 +44,7 @@ from tests.support.uds.wire import parked_controller
 from workshop.controller.memory import TestResult as Result
 from workshop.tester.description_files import load_file
 
-PAGE, DIAGNOSTICS = "docs/python.md", "docs/diagnostics.md"
+PAGE, DIAGNOSTICS = "docs/python.md", "docs/controller.md"
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 DATABASE = 'VERSION ""\nBU_: A\nBO_ 256 Engine: 2 A\n SG_ Speed : 0|16@1+ (0.25,0) [0|0] "rpm" A\n'
 FRAMES = 100_000
@@ -110,8 +110,7 @@ def test_the_page_of_the_library_runs_on_any_log(tmp_path: Path, monkeypatch: py
     Path("car.dbc").write_text(DATABASE, encoding="ascii")
     lines = (f"({1 + n / 1000:.6f}) can0 100#{n & 0xFF:02X}{n >> 8 & 0xFF:02X}\n" for n in range(FRAMES))
     Path("drive.log").write_text("".join(lines), encoding="ascii")
-    assert page_text("docs/canlog.md").split("```python\n")[0].strip().count("\n") == 0  # it begins with lines of use
-    names = played("docs/canlog.md", 3, {})
+    names = played("docs/logs.md", 3, {})
     assert names["highest"] == 0.25 * 0xFFFF
     table, wide, log = names["table"], names["wide"], names["log"]
     assert isinstance(table, pa.Table)
@@ -121,7 +120,7 @@ def test_the_page_of_the_library_runs_on_any_log(tmp_path: Path, monkeypatch: py
 
 
 def test_the_block_of_the_prognosis_runs() -> None:
-    found = played("docs/prognosis.md", 1, {"results": history(60), "fills": ()})["found"]
+    found = played("docs/verdict.md", 1, {"results": history(60), "fills": ()})["found"]
     assert isinstance(found, Prognosis)
     assert found.change_fluid is not None
 
@@ -144,7 +143,7 @@ def test_every_public_name_is_documented(package: object) -> None:
         name for name in names if name != "__version__" and len((getattr(package, name).__doc__ or "").split()) < 4
     ]
     assert undocumented == []
-    pages = page_text(PAGE) + page_text("docs/testing.md") + page_text("docs/usage.md")
+    pages = page_text(PAGE) + page_text("docs/usage.md")
     records = {"ShiftEstimate", "Status", "Condition", "Scenario", "TruthLog", "read_truth", "CanlogError",
                "DiagServiceError", "EmulatorError", "PublishError", "ResultError", "ResultTable", "FolderAnalysis",
                "PaperAnalysis", "LiveDiagnosis", "Recording"}  # fmt: skip
@@ -153,7 +152,7 @@ def test_every_public_name_is_documented(package: object) -> None:
 
 def test_the_layout_reads_a_log() -> None:
     layout: dict[str, Any] = {"__name__": "howto"}
-    run(block("docs/howto.md", "class Plain"), layout)
+    run(block("CONTRIBUTING.md", "class Plain"), layout)
     counts = LogCounts()
     text = b"# plain-can 1\n1767225600.001000 1 0B0 rx 2 51 D0\n1767225600.5 2 18FEF100 tx 1 07\n1.5 1 0B0 rx 2 51"
     batch = frames_of(layout["Plain"](), text, counts)
@@ -213,7 +212,7 @@ def test_a_tester_over_ip() -> None:
 
 def test_a_description_of_ones_own(tmp_path: Path) -> None:
     path = tmp_path / "gearbox.toml"
-    path.write_text(block("docs/tester.md", 'name = "gearbox"', "toml"), encoding="utf-8")
+    path.write_text(block("docs/own-car.md", 'name = "gearbox"', "toml"), encoding="utf-8")
     described = load_file(path).description
     assert (described.name, described.request_id, described.response_id) == ("gearbox", 0x7E1, 0x7E9)
     values = described.values(described.find_data("oil"), bytes.fromhex("04 B0 01") + b"A7")

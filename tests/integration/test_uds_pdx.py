@@ -56,7 +56,7 @@ def test_the_command_writes_the_package(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_the_page_reads_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (block,) = re.findall(
-        r"^```python\n(import odxtools .*?)^```", page_text("docs/diagnostics.md"), re.MULTILINE | re.DOTALL
+        r"^```python\n(import odxtools .*?)^```", page_text("docs/controller.md"), re.MULTILINE | re.DOTALL
     )
     *body, last = block.splitlines()
     monkeypatch.chdir(tmp_path)

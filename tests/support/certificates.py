@@ -1,4 +1,4 @@
-"""Certificates and entries at a broker, made by the commands that docs/mqtt.md shows."""
+"""Certificates and entries at a broker, made by the commands that docs/operations.md shows."""
 
 import shlex
 import subprocess
@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, load_pem_priv
 from fleet_link import TlsFiles
 from tests.support.documents import block_lines
 
-PAGE = "docs/mqtt.md"
+PAGE = "docs/operations.md"
 _LINES = [shown.line for shown in block_lines(PAGE)]
 
 

@@ -1,31 +1,26 @@
-"""Writes docs/controller-tables.md from the controller's own table: ``python -m tests.tools.uds_tables``."""
+"""Prints the tables of the emulated controller as a page of the site: ``python -m tests.tools.uds_tables``."""
 
-import re
 from collections.abc import Iterable, Sequence
-from pathlib import Path
-from typing import Final
 
 from workshop.controller.descriptions import Access, Coding, Datum, Field
 from workshop.controller.table import DiagnosticTable
 from workshop.controller.table_file import shipped_table
 
-DOCUMENT: Final = Path(__file__).parents[2] / "docs/controller-tables.md"
-_MARK: Final = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
-
-def written(text: str, table: DiagnosticTable) -> str:
-    """Return a document with its tables as they should be."""
+def page(table: DiagnosticTable) -> str:
+    """Return the page that lists what a controller has."""
     tables = {
-        "services": _services(table),
-        "data": _data(table),
-        "routines": _routines(table),
-        "conditions": _conditions(table),
-        "codes": _codes(table),
-        "parameters": _parameters(table),
-        "information": _information(table),
-        "monitors": _monitors(table),
+        "Services": _services(table),
+        "Data": _data(table),
+        "Conditions": _conditions(table),
+        "Trouble codes": _codes(table),
+        "Routines": _routines(table),
+        "OBD parameters": _parameters(table),
+        "OBD monitors": _monitors(table),
+        "OBD vehicle information": _information(table),
     }
-    return _MARK.sub(lambda found: f"{found[1]}{tables[found[2]]}{found[3]}", text)
+    parts = [f"## {name}\n\n{text}" for name, text in tables.items()]
+    return "\n".join(["# Tables of the emulated controller\n", *parts])
 
 
 def _rows(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -151,9 +146,5 @@ def _monitors(table: DiagnosticTable) -> str:
     return _rows(("monitor", "code"), ((f"{entry.number:02X}", entry.code) for entry in monitors))
 
 
-def main() -> None:
-    DOCUMENT.write_text(written(DOCUMENT.read_text(encoding="utf-8"), shipped_table()), encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    print(page(shipped_table()), end="")

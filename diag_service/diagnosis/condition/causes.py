@@ -6,7 +6,7 @@ in each event. The difference of both stretches is one vector with its covarianc
 type, for what was there before the first event. A cause is a small Gaussian in that
 space: what a strength of 1 changes, with how much that differs from car to car (`causes.toml`, fitted to simulated
 fleets by ``python -m studies.causes --fit``). Bayes' rule does the rest, for each cause, for pairs of them, for none
-and for something else. docs/causes.md.
+and for something else. docs/verdict.md.
 """
 
 import math

@@ -1,6 +1,6 @@
 """What a gear change was like: indices by speeds and torques alone; parts of its quality, one score.
 
-Definitions and limits of the indices: docs/model.md. Parts, weights and their sources: docs/shift-quality.md. Signals
+Definitions and limits of the indices: docs/model.md. Parts, weights and their sources: docs/verdict.md. Signals
 that are missing leave parts out; the score is that of the others.
 """
 
@@ -292,7 +292,7 @@ class Load:
     energy_j: float = 0.0
     peak_k: float | None = None  # of the pack
     launch_count: int = 0
-    life_ratio: float = 0.0  # of a lining's life that this energy consumes: an index, docs/shift-quality.md
+    life_ratio: float = 0.0  # of a lining's life that this energy consumes: an index, docs/verdict.md
 
 
 _UNLOADED: Final = Load(clutch=0)

@@ -2,7 +2,7 @@
 
 A course is a clock, an amount of random wear and at most one bend, behind or ahead. Start, rates, errors and random
 wear of each are linear and normal, so each has an exact answer. Rates and bends to come are summed over a grid. Ages
-are counted in usual lives. Equations: docs/prognosis.md.
+are counted in usual lives. Equations: docs/model.md, section "Prognosis".
 """
 
 from collections.abc import Sequence

@@ -15,9 +15,9 @@ from tests.support.documents import page_text
 
 
 def page_rpm(port: str) -> float | None:
-    """Return what the block of docs/diagnostics.md is told."""
+    """Return what the block of docs/controller.md is told."""
     (block,) = re.findall(
-        r"^```python\n(import obd .*?)^```", page_text("docs/diagnostics.md"), re.MULTILINE | re.DOTALL
+        r"^```python\n(import obd .*?)^```", page_text("docs/controller.md"), re.MULTILINE | re.DOTALL
     )
     *body, last = block.replace("35000", port).splitlines()
     names: dict[str, Any] = {}
