@@ -22,8 +22,23 @@ PACKAGES: Final = ("diag_service", "canlog", "ecu_emulator", "workshop")
 LINK: Final = re.compile(r"\[([^\]]*)\]\((?!\w+:|#)([^)#]+)(#[^)]*)?\)")
 
 
+# For who reads with a keyboard, a screen reader or weak eyes: what the theme lacks.
+STYLE: Final = """.md-typeset p a, .md-typeset li a, .md-typeset td a { text-decoration: underline }
+.md-tabs__link { opacity: 1 }
+.md-typeset td code { word-break: normal }
+"""
+SCRIPT: Final = """document$.subscribe(() => setTimeout(() => {
+  for (const one of document.querySelectorAll(".md-typeset__scrollwrap, .md-typeset pre")) one.tabIndex = 0;
+  document.querySelector(".md-search").ariaLabel = "search";
+  document.querySelectorAll("nav.md-code__nav").forEach((one, row) => one.ariaLabel = `block ${row + 1}`);
+}));
+"""
+
+
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages of the reference."""
+    """Add the pages of the reference, and what the theme lacks."""
+    for name, text in {"site.css": STYLE, "site.js": SCRIPT}.items():
+        files.append(File.generated(config, f"assets/{name}", content=text))
     pages = {"commands": _commands(), "parameters": _parameters(), "schemas": _schemas(), "tools": _tools()}
     pages |= {"controller": _controller(), "metrics": import_module("tests.tools.metrics_page").page()}
     pages |= {name: f"# {name}\n\n::: {name}\n" for name in PACKAGES}
@@ -87,7 +102,7 @@ def _schemas() -> str:
             f"| `{name}` | {_kind(one)} | {str(one.get('description', '')).replace('|', '/')} |"
             for name, one in schema.get("properties", {}).items()
         ]
-        parts += ["", f"## {path.stem}", "", about, "", "| key | type | |", "|---|---|---|", *rows]
+        parts += ["", f"## {path.stem}", "", about, "", "| key | type | meaning |", "|---|---|---|", *rows]
     return "\n".join(parts) + "\n"
 
 
