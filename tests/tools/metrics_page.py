@@ -20,7 +20,7 @@ def _table(rows: Iterator[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in (("metric", "meaning", "labels"), ("---",) * 3, *rows))
 
 
-def _row(name: str, meaning: str, labels: Sequence[str], *, is_counter: bool) -> Sequence[str]:
+def _row(name: str, meaning: str, labels: Sequence[str], *, is_counter: bool) -> tuple[str, ...]:
     return f"`{name}{'_total' if is_counter else ''}`", meaning, ", ".join(f"`{label}`" for label in labels)
 
 
@@ -38,8 +38,8 @@ def _of_the_fleet() -> Iterator[Sequence[str]]:
     for call in calls:
         kind = ast.unparse(call.func)
         if kind in {"gauge", "counter"}:
-            name, meaning, *labels = [one.value for one in call.args if isinstance(one, ast.Constant)]
-            rows.append(_row(f"clutchdiag_{name}", str(meaning), list(map(str, labels)), is_counter=kind == "counter"))
+            name, meaning, *labels = [str(one.value) for one in call.args if isinstance(one, ast.Constant)]
+            rows.append(_row(f"clutchdiag_{name}", meaning, labels, is_counter=kind == "counter"))
     yield from sorted(rows)
 
 
