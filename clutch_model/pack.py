@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canlog.jit import array_kernel, kernel
+from canlog.jit import kernel
 from clutch_model.calibration import ClutchCalibration, FrictionCurve, clutch_of_gear, faces
 from clutch_model.units import Quantity
 
@@ -317,20 +317,20 @@ def slower_film(law: FilmLaw, ratio: float) -> FilmLaw:
     return law._replace(squeeze_factor_m2=law.squeeze_factor_m2 * ratio)
 
 
-@array_kernel
+@kernel
 def film_point(film_m: float, law: FilmLaw) -> FilmPoint:
     """Return contact, mobility and shear of a film of this thickness."""
     contact_pa, mobility_m = contact_pressure_pa(film_m, law), film_mobility_m(film_m, law)
     return FilmPoint(film_m, contact_pa, mobility_m, shear_factor_difference(film_m / law.roughness_m))
 
 
-@array_kernel
+@kernel
 def thicker_m(point: FilmPoint) -> float:
     """Return the thickness [m] that a slope over the film is taken to."""
     return point.film_m * (1.0 + _SLOPE_STEP)
 
 
-@array_kernel
+@kernel
 def point_rate_m_s(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLaw) -> float:
     """Return `film_rate_m_s` by the piston pressure: a pack is closed above its touch point."""
     applied_pa = applied_pressure_pa(piston_pa, law)
@@ -339,7 +339,7 @@ def point_rate_m_s(point: FilmPoint, piston_pa: float, viscosity: float, law: Fi
     return _closed_rate_m_s(point.film_m, point.contact_pa, point.mobility_m, applied_pa, viscosity, law)
 
 
-@array_kernel
+@kernel
 def point_motion(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLaw) -> tuple[float, float]:
     """Return `point_rate_m_s`, and how much faster a thicker film moves, per thickness [1/s]."""
     applied_pa, thicker = applied_pressure_pa(piston_pa, law), thicker_m(point)

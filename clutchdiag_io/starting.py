@@ -7,6 +7,8 @@ from collections.abc import Collection
 from importlib import import_module
 from typing import Final
 
+from clutchdiag_io.kernel_cache import choose_kernel_cache
+
 STATUS_STOPPED: Final = 0
 STATUS_INTERRUPTED: Final = 130
 
@@ -24,6 +26,7 @@ def run_program(module: str, services: Collection[str] = ()) -> int:
     status = STATUS_STOPPED if is_service else STATUS_INTERRUPTED
     numbers = (signal.SIGINT, signal.SIGTERM) if is_service else (signal.SIGINT,)
     before, *_ = [signal.signal(number, lambda *_: os._exit(status)) for number in numbers]
+    choose_kernel_cache()
     program = import_module(module)
     if not is_service:
         signal.signal(signal.SIGINT, before)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
-from canlog.jit import array_kernel
+from canlog.jit import kernel
 from clutch_model.calibration import Calibration, SensorNoise
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
 from diag_service.diagnosis.events import Event
@@ -391,7 +391,7 @@ def readings(columns: Columns, signals: Iterable[Signal], origin_ns: int, at_s: 
     }
 
 
-@array_kernel
+@kernel
 def _lag(values: FloatArray, share: float) -> None:
     """Have values follow themselves by a first-order lag, which takes up a share of what is missing at each."""
     for row in range(1, len(values)):

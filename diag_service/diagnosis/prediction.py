@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array, Series
-from canlog.jit import array_kernel
+from canlog.jit import kernel
 from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import NS_PER_S
 from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT, plus_minus
@@ -318,7 +318,7 @@ def simulated(
     return np.interp(phase.t_s[1:], t_s, phase.sign * change)
 
 
-@array_kernel
+@kernel
 def _integrate(rate: FloatArray, hold: FloatArray, step_s: float, change: FloatArray) -> None:
     """Integrate the rate at which the engine goes from the old gear to the new one, below zero, beside what holds it.
 

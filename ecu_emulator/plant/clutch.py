@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 from canlog.arrays import FloatArray
-from canlog.jit import array_kernel, kernel
+from canlog.jit import kernel
 from clutch_model.pack import (
     FilmLaw,
     FrictionLaw,
@@ -86,7 +86,7 @@ def film_derivative_m_s(film_m: float, volume_m3: float, viscosity: float, law: 
     return film_rate_m_s(film_m, applied_pa, viscosity, excess_m3 >= 0.0, law.film)
 
 
-@array_kernel
+@kernel
 def refresh_contact(y: FloatArray, clutch: int, law: ClutchLaw) -> None:
     """Recompute what depends on the film alone."""
     film_m = y[at.FILM + clutch]
@@ -127,7 +127,7 @@ def fluid_step(
     return end_pa, volume_m3, film_m
 
 
-@array_kernel
+@kernel
 def advance_clutch(y: FloatArray, u: FloatArray, clutch: int, dt_s: float, law: ClutchLaw) -> None:
     """Advance solenoid, cavity and film of one clutch in place, in two steps where the cavity fills or empties."""
     supply_pa = law.valve.supply_ratio * law.valve.line_pressure_pa
@@ -149,13 +149,13 @@ def advance_clutch(y: FloatArray, u: FloatArray, clutch: int, dt_s: float, law: 
     refresh_contact(y, clutch, law)
 
 
-@array_kernel
+@kernel
 def capacity_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> float:
     """Return the largest torque the locked clutch holds [N m]; docs/model.md eq. (K3)."""
     return float(contact_torque_nm(1.0, u[at.MU_S + clutch], y[at.P_C + clutch], law.film.contact_factor_m3))
 
 
-@array_kernel
+@kernel
 def viscous_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> float:
     """Return the torque of the sheared film [N m]; docs/model.md eqs. (5), (D2)."""
     slip_rad_s = y[at.W_H] - y[at.W_L + clutch]
@@ -174,7 +174,7 @@ def viscous_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> flo
     return float(film_nm * (open_nm / film_nm) ** y[at.OPENNESS + clutch])
 
 
-@array_kernel
+@kernel
 def contact_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> float:
     """Return the torque of the slipping contact [N m]; docs/model.md eqs. (6), (8)."""
     contact_pa = y[at.P_C + clutch]

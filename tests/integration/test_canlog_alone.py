@@ -121,7 +121,7 @@ def test_the_wheel_holds_the_library_and_nothing_else(wheel: Path) -> None:
 
 def test_three_lines_read_a_log_into_pandas_and_polars(alone: PlainInstall, tmp_path: Path) -> None:
     expected = write_drive(tmp_path)
-    done = alone.run("-W", "error", "-c", WATCHED, cwd=tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache"))
+    done = alone.run("-W", "error", "-c", WATCHED, cwd=tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
     assert done.status == 0, done.err
     told = json.loads(done.out.splitlines()[-1])
     assert (tmp_path / "drive.parquet").is_file()

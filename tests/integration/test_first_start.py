@@ -18,7 +18,7 @@ from canlog.live.medium import open_medium
 from tests.support.patience import HANG_S
 from tests.support.service import environment
 
-COMPILING = "compiling numerical kernels, as at every first start; this takes up to a minute\n"
+COMPILING = "first start: compiling, takes about 20 s\n"
 POLL_S = 0.02
 FEW_KERNELS = 15  # of some hundred that a drive needs, and of some fifty that a diagnosis needs
 ROOT = Path(__file__).parents[2]
@@ -31,7 +31,7 @@ def first_started(folder: Path, *command: str, **variables: str) -> Iterator["su
     with subprocess.Popen(
         [sys.executable, "-m", *command],
         cwd=folder,
-        env={**environment(), "XDG_CACHE_HOME": str(folder / "cache"), **variables},
+        env={**environment(), "NUMBA_CACHE_DIR": str(folder / "cache"), **variables},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -90,7 +90,7 @@ def test_a_signal_ends_a_program_that_compiles_and_nothing_is_left(
 def test_a_signal_ends_a_demonstration_that_compiles(tmp_path: Path) -> None:
     """It does not wait for a program that is amid a kernel, which may take as long as it likes: here for ever."""
     log = tmp_path / "demo-output" / "ecu-emulator.log"
-    with first_started(ROOT, "demo", "--output", str(log.parent), XDG_CACHE_HOME=str(tmp_path / "cache")) as demo:
+    with first_started(ROOT, "demo", "--output", str(log.parent), NUMBA_CACHE_DIR=str(tmp_path / "cache")) as demo:
         while not (log.exists() and log.read_text(encoding="utf-8").endswith(COMPILING)):
             assert demo.poll() is None
             time.sleep(POLL_S)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
-from canlog.jit import array_kernel
+from canlog.jit import kernel
 from clutch_model.pack import clutch_heating_rate_k_s
 from diag_service.diagnosis.shifts.slip_tracking import LOADED_PA, SLIP_RAD_S
 
@@ -31,7 +31,7 @@ LEAST_APART = 1e-6  # a determinant: three samples a few milliseconds apart have
 ENGINE, ON, OFF, CAR, PRESSURE_ON, PRESSURE_OFF, COMMAND, ASKED, TORQUE, ROW_COUNT = range(10)  # of rows
 
 
-@array_kernel
+@kernel
 def stuck_rows(
     pressed_rad_s: FloatArray, slip_rad_s: FloatArray, is_pressed: BoolArray, begun_rad_s: float
 ) -> tuple[int, int]:
@@ -52,7 +52,7 @@ def stuck_rows(
     return first, row - LET_GO_ROWS if let_go == LET_GO_ROWS else row
 
 
-@array_kernel
+@kernel
 def largest_swing(slip_rad_s: FloatArray, pressed_rad_s: FloatArray) -> float:
     """Return the largest slip under load [rad/s] of stretches of slip that end as soon as a driveline swings back.
 
@@ -86,7 +86,7 @@ def asked_alone(slip_rad_s: FloatArray, on_nm: FloatArray, off_nm: FloatArray) -
     return (np.abs(slip_rad_s) > SLIP_RAD_S) & (np.abs(on_nm) > MIN_TORQUE_NM) & is_released
 
 
-@array_kernel
+@kernel
 def fit_slopes(t_s: FloatArray, value: FloatArray, at_s: FloatArray, slopes: FloatArray) -> None:
     """Fit a parabola by least squares around each of some rising times; the slope of fewer than 3 samples stays.
 
@@ -109,7 +109,7 @@ def fit_slopes(t_s: FloatArray, value: FloatArray, at_s: FloatArray, slopes: Flo
             slopes[row] = slope / whole / SMOOTH_S if whole > LEAST_APART else slopes[row]
 
 
-@array_kernel
+@kernel
 def _mean(row: FloatArray, first: int, stop: int) -> float:
     total = 0.0
     for place in range(first, stop):
@@ -125,7 +125,7 @@ def _slopes(car_m_s: FloatArray) -> FloatArray:
     return slopes
 
 
-@array_kernel
+@kernel
 def _speeds_told(
     rows: FloatArray,
     first: int,
@@ -178,7 +178,7 @@ def _car_told(slopes: FloatArray, first: int, stop: int) -> tuple[float, float, 
     return max(hole, 0.0), jerk, max(abs(before), abs(after))
 
 
-@array_kernel
+@kernel
 def _loads_told(
     rows: FloatArray,
     first: int,
@@ -239,7 +239,7 @@ def _map_told(command_pa: FloatArray, asked_nm: FloatArray) -> tuple[float, floa
     return float(y.mean()) - slope * float(x.mean()), std + 500.0  # half a step of the command
 
 
-@array_kernel
+@kernel
 def _fill_told(
     rows: FloatArray, first: int, stop: int, touch_pa: float, stroke_pa: float
 ) -> tuple[float, float, float, float]:

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import array_kernel
+from canlog.jit import kernel
 from clutch_model.calibration import Calibration
 from clutch_model.pack import (
     CONTACT_END,
@@ -205,7 +205,7 @@ def compile_film(calibration: Calibration) -> None:
     integrate_films((still, still), pack_laws(calibration))
 
 
-@array_kernel
+@kernel
 def _integrate(one: _Pack, other: _Pack, step_s: float) -> tuple[float, float]:
     """Fill the rows of both packs and return their temperatures after the last.
 
@@ -217,13 +217,13 @@ def _integrate(one: _Pack, other: _Pack, step_s: float) -> tuple[float, float]:
     return _warmed_k(one, last, at_one, step_s)[0], _warmed_k(other, last, at_other, step_s)[0]
 
 
-@array_kernel
+@kernel
 def _start(pack: _Pack) -> _State:
     film_m = equilibrium_film_m(applied_pressure_pa(pack.piston_pa[0], pack.law), pack.law)
     return _State(film_point(film_m, pack.law), pack.heat.start_k, 0.0)
 
 
-@array_kernel
+@kernel
 def _next(pack: _Pack, k: int, at: _State, step_s: float) -> _State:
     """Fill row k and return what the pack is at the next point."""
     clutch_k, viscosity = _warmed_k(pack, k, at, step_s)
@@ -235,7 +235,7 @@ def _next(pack: _Pack, k: int, at: _State, step_s: float) -> _State:
     return _State(film_point(film_m, law), clutch_k, film_rate_1_s)
 
 
-@array_kernel
+@kernel
 def _warmed_k(pack: _Pack, k: int, at: _State, step_s: float) -> tuple[float, float]:
     """Fill row k; return the temperature of the pack a step later [K] and the viscosity of its oil at this point."""
     point, law, heat, rows, slip = at.point, pack.law, pack.heat, pack.rows, pack.slip_rad_s[k]
@@ -258,7 +258,7 @@ def _warmed_k(pack: _Pack, k: int, at: _State, step_s: float) -> tuple[float, fl
     return at.clutch_k + step_s * rate_k_s, viscosity
 
 
-@array_kernel
+@kernel
 def film_torques_nm(
     slip_rad_s: float, film_m: float, viscosity: float, shear: float, open_drag_ratio: float, law: FilmLaw
 ) -> tuple[float, float]:
@@ -274,7 +274,7 @@ def film_torques_nm(
     return open_nm, (1.0 - openness) * full_nm * open_drag_ratio ** min(_DOUBT_RISE * openness, 1.0)
 
 
-@array_kernel
+@kernel
 def _whole_nm(
     slip_rad_s: float, film_m: float, viscosity: float, shear: float, open_drag_ratio: float, law: FilmLaw
 ) -> float:
@@ -282,7 +282,7 @@ def _whole_nm(
     return open_nm + closing_nm
 
 
-@array_kernel
+@kernel
 def _doubt(openness: float, film_rate_1_s: float, piston_pa: float, law: FilmLaw) -> float:
     """Return the standard deviation of what a film shears, as a ratio to that torque; docs/model.md "Cold oil"."""
     if openness > 0.0 and abs(piston_pa - piston_pressure_pa(0.0, law)) < _HOVER_PA:
@@ -290,14 +290,14 @@ def _doubt(openness: float, film_rate_1_s: float, piston_pa: float, law: FilmLaw
     return min(_DOUBT_RISE * openness + _TIMING_S * film_rate_1_s, 1.0)
 
 
-@array_kernel
+@kernel
 def _openness(film_m: float, law: FilmLaw) -> float:
     """Return how far a pack is open: 0 as long as asperities touch, 1 at its open gap."""
     touching_m = CONTACT_END * law.roughness_m
     return max(0.0, film_m - touching_m) / (law.open_gap_m - touching_m)
 
 
-@array_kernel
+@kernel
 def _film_step(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLaw, step_s: float) -> float:
     """Return the film one step later by the exponential Rosenbrock-Euler rule, exact for a linear rate."""
     rate_m_s, slope_1_s = point_motion(point, piston_pa, viscosity, law)
@@ -390,7 +390,7 @@ def compile_tangents(calibration: Calibration) -> None:
     film_tangents(pack_laws(calibration)[0], drive, warm, slice(0, 2), still)
 
 
-@array_kernel
+@kernel
 def _follow(moved: _Moved, law: FilmLaw, oil: _Oil, by: FloatArray, answers: _Answers) -> None:
     """Fill the answers; ``by`` are the derivatives of the film itself [m], zero at first."""
     film_m = equilibrium_film_m(applied_pressure_pa(moved.piston_pa[0], law), law)
@@ -415,7 +415,7 @@ def _follow(moved: _Moved, law: FilmLaw, oil: _Oil, by: FloatArray, answers: _An
         k = following
 
 
-@array_kernel
+@kernel
 def _is_quiet(moved: _Moved, k: int, points: int, point: FilmPoint, viscosity: float, law: FilmLaw) -> bool:
     """Return whether a film hardly changes over some points: then one step follows it."""
     driving_pa = 0.5 * (moved.piston_pa[k] + moved.piston_pa[k + points])
@@ -423,7 +423,7 @@ def _is_quiet(moved: _Moved, k: int, points: int, point: FilmPoint, viscosity: f
     return abs(rate) * points * GRID_S < _QUIET * point.film_m
 
 
-@array_kernel
+@kernel
 def _answer(
     moved: _Moved, k: int, point: FilmPoint, viscosity: float, law: FilmLaw, by: FloatArray, contact: FloatArray,
     viscous: FloatArray,
@@ -442,7 +442,7 @@ def _answer(
     viscous[_VISCOSITY] += (stiffer_nm - whole_nm) / _VISCOSITY_STEP
 
 
-@array_kernel
+@kernel
 def _step(
     moved: _Moved, k: int, points: int, point: FilmPoint, viscosity: float, law: FilmLaw, by: FloatArray
 ) -> float:

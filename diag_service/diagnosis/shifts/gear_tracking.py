@@ -13,7 +13,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
 from canlog.frames import BEFORE_ALL_NS
-from canlog.jit import array_kernel, inlined_kernel
+from canlog.jit import kernel
 from clutch_model.calibration import clutch_of_gear
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, EventKind
@@ -267,7 +267,7 @@ class GearPairTracker:
         return self._end(self._open.start_ns + MAX_SHIFT_NS, EndReason.TOO_LONG)
 
 
-@array_kernel
+@kernel
 def find_pairs(
     current_ns: Int64Array,
     current: FloatArray,
@@ -299,7 +299,7 @@ def find_pairs(
     return count
 
 
-@inlined_kernel
+@kernel
 def _gear(value: float) -> int:
     """Return a gear as a number, 0 while unknown."""
     return 0 if np.isnan(value) else int(value)

@@ -14,7 +14,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.alive_counter import share_rows
-from canlog.jit import array_kernel, inlined_kernel
+from canlog.jit import kernel
 from clutch_model.calibration import Calibration, clutch_of_gear
 from clutch_model.pack import gear_clutch
 from diag_service.diagnosis.columns import DriveState, Signal
@@ -162,7 +162,7 @@ class SlipTracker:
         ]
 
 
-@array_kernel
+@kernel
 def find_changes(
     engine_rad_s: FloatArray,
     held: FloatArray,
@@ -198,7 +198,7 @@ def find_changes(
     return count
 
 
-@inlined_kernel
+@kernel
 def _asked(pedal_ratio: float, drive_state: float) -> int:
     """Return whether the driver asks for force, 1 or 0; -1 while unknown. The transmission's own word counts first."""
     if drive_state == _CREEPING:

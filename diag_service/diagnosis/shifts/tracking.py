@@ -10,7 +10,7 @@ import numpy as np
 from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.alive_counter import came_in_bursts
 from canlog.frames import BEFORE_ALL_NS
-from canlog.jit import array_kernel
+from canlog.jit import kernel
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.shifts.history import History
@@ -161,7 +161,7 @@ def held_values(series: Series, t_ns: Int64Array, before: float) -> FloatArray:
     return held
 
 
-@array_kernel
+@kernel
 def hold(t_ns: Int64Array, value: FloatArray, at_ns: Int64Array, before: float, held: FloatArray) -> None:
     """Fill in the value in force at each of some rising times."""
     sample = 0
@@ -172,7 +172,7 @@ def hold(t_ns: Int64Array, value: FloatArray, at_ns: Int64Array, before: float, 
         held[row] = before
 
 
-@array_kernel
+@kernel
 def unite(first_ns: Int64Array, second_ns: Int64Array, both_ns: Int64Array) -> int:
     """Fill in the times that are in one of two rising rows at least, each once; return how many there are."""
     count, first, second = 0, 0, 0

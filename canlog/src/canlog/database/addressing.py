@@ -16,7 +16,7 @@ from cantools.database.can import Message
 from canlog.arrays import Int64Array
 from canlog.errors import DefinitionError
 from canlog.frames import EXTENDED_FLAG, REMOTE_FLAG
-from canlog.jit import array_kernel, inlined_kernel
+from canlog.jit import kernel
 
 J1939: Final = "j1939"
 PDU2_FORMATS: Final = 240
@@ -191,7 +191,7 @@ def _sorted_table(slots: dict[int, int]) -> tuple[Int64Array, Int64Array]:
     return np.array([key for key, _ in items], np.int64), np.array([slot for _, slot in items], np.int64)
 
 
-@inlined_kernel
+@kernel
 def find_slot(book: AddressBook, can_id: int) -> int:
     """Return the slot of a data frame's identifier, with its flags; NOBODY if it is of no known message."""
     if can_id & _EXTENDED == 0:
@@ -212,7 +212,7 @@ def find_slot(book: AddressBook, can_id: int) -> int:
     return NOBODY
 
 
-@inlined_kernel
+@kernel
 def find(keys: Int64Array, key: int) -> int:
     """Return the place of a key among sorted ones; -1 if it is not among them."""
     low = 0
@@ -226,7 +226,7 @@ def find(keys: Int64Array, key: int) -> int:
     return low if low < keys.size and keys[low] == key else -1
 
 
-@array_kernel
+@kernel
 def sort_by_slot(slot: Int64Array, order: Int64Array, stop: Int64Array) -> None:
     """Fill in the rows in the order of their slots, and where the rows of slot k end, in ``stop[k + 1]``."""
     for row in range(slot.size):

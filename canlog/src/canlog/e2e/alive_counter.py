@@ -23,7 +23,7 @@ import numpy as np
 
 from canlog.arrays import Int64Array, Series
 from canlog.e2e.profile1 import COUNTER_PERIOD
-from canlog.jit import array_kernel
+from canlog.jit import kernel
 
 MAX_DELTA_COUNTER: Final = 3  # permitted jump between frames one cycle apart: two frames may be lost in silence
 LATE_CYCLES: Final = 1.0  # jitter within which a gap still counts as whole counter periods
@@ -79,13 +79,13 @@ def forget(links: LinkState) -> None:
             column[:] = _NONE if name.endswith("counter") else 0
 
 
-@array_kernel
+@kernel
 def elapsed_cycles(elapsed_ns: int, cycle_ns: int) -> float:
     """Return elapsed time in cycles; -1 if the cycle time is unknown."""
     return elapsed_ns / cycle_ns if cycle_ns > 0 else -1.0
 
 
-@array_kernel
+@kernel
 def whole_periods(delta: int, cycles: float) -> int:
     """Return how many counter periods passed unseen, if the frame is on time for that; else 0."""
     periods = int(np.rint((cycles - delta) / COUNTER_PERIOD))
@@ -94,7 +94,7 @@ def whole_periods(delta: int, cycles: float) -> int:
     return 0
 
 
-@array_kernel
+@kernel
 def permitted_advance(counter: int, since: int, cycles: float, late: int) -> int:
     """Return by how many transmissions ``counter`` follows the counter ``since``; 0 if time does not permit it.
 
@@ -108,7 +108,7 @@ def permitted_advance(counter: int, since: int, cycles: float, late: int) -> int
     return delta if delta <= limit else 0
 
 
-@array_kernel
+@kernel
 def retracted(state: LinkState, slot: int, t_ns: int, cycles: float) -> int:
     """Return how many frames were not missing after all: those that follow come too soon for that."""
     assumed, since = int(state.assumed[slot]), state.sequence[slot] - state.assumed_sequence[slot]
@@ -124,7 +124,7 @@ def retracted(state: LinkState, slot: int, t_ns: int, cycles: float) -> int:
     return 0
 
 
-@array_kernel
+@kernel
 def accept(state: LinkState, slot: int, counter: int, t_ns: int, advance: int, proven: int, cycles: float) -> int:
     """Move the state on to an accepted frame; return how many frames are missing before it.
 
@@ -151,7 +151,7 @@ def accept(state: LinkState, slot: int, counter: int, t_ns: int, advance: int, p
     return missing
 
 
-@array_kernel
+@kernel
 def is_repeated(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: int) -> bool:
     """Return whether the counter has not moved since the last frame; remember the frame."""
     same = counter == state.seen_counter[slot]
@@ -166,7 +166,7 @@ def is_repeated(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: 
     return repeated
 
 
-@array_kernel
+@kernel
 def judge(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: int) -> tuple[int, int]:
     """Return reason and missing frames of one frame with a good CRC, and move the state on."""
     if counter >= COUNTER_PERIOD:
@@ -201,7 +201,7 @@ def judge(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: int) -
     return WRONG_SEQUENCE, 0
 
 
-@array_kernel
+@kernel
 def note_unusable(state: LinkState, slot: int) -> None:
     """Remember a frame that stood in for a transmission but could not be read."""
     state.rejected[slot] += 1
@@ -257,7 +257,7 @@ def share_rows(columns: Sequence[Series]) -> bool:
     return all(np.isin(one.t_ns, columns[0].t_ns).mean() >= LEAST_SHARED for one in columns[1:])
 
 
-@array_kernel
+@kernel
 def most_are_shorter(t_ns: Int64Array, sequence: Int64Array, limit_ns: float) -> bool:
     """Return whether more than half of the steps, and so the typical one, are shorter than a limit [ns]."""
     count = 0

@@ -23,7 +23,7 @@ from canlog.e2e.alive_counter import SLOWER_RATIO, SLOWEST
 from canlog.e2e.profile1 import COUNTER_PERIOD
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts
 from canlog.frames import BEFORE_ALL_NS
-from canlog.jit import array_kernel
+from canlog.jit import kernel
 
 
 class E2eState(IntEnum):
@@ -77,7 +77,7 @@ class E2eMemory(NamedTuple):
     lapse_ns: Int64Array
 
 
-@array_kernel
+@kernel
 def count_ones(bits: int) -> int:
     count = 0
     while bits:
@@ -86,7 +86,7 @@ def count_ones(bits: int) -> int:
     return count
 
 
-@array_kernel
+@kernel
 def next_state(state: int, ok_bits: int, error_bits: int) -> int:
     """Return the state after the last check."""
     if state == _NO_DATA:
@@ -99,7 +99,7 @@ def next_state(state: int, ok_bits: int, error_bits: int) -> int:
     return _INVALID
 
 
-@array_kernel
+@kernel
 def add_check(memory: E2eMemory, slot: int, t_ns: int, is_ok: int, is_error: int, changes: Int64Array) -> int:
     """Take the result of one check into the window; write the change of state that it brings, return how many."""
     before = memory.state[slot]
@@ -113,7 +113,7 @@ def add_check(memory: E2eMemory, slot: int, t_ns: int, is_ok: int, is_error: int
     return enter_state(memory, slot, t_ns, after, changes)
 
 
-@array_kernel
+@kernel
 def enter_state(memory: E2eMemory, slot: int, t_ns: int, state: int, changes: Int64Array) -> int:
     """Change the state of a message; write that into the first row of ``changes``, return whether it was one."""
     if state == memory.state[slot]:
@@ -123,7 +123,7 @@ def enter_state(memory: E2eMemory, slot: int, t_ns: int, state: int, changes: In
     return 1
 
 
-@array_kernel
+@kernel
 def add_silence(memory: E2eMemory, slot: int, now_ns: int, changes: Int64Array) -> int:
     """If a message is overdue, take that for a window without new data; write and return as ``add_check``."""
     if memory.own_ns[slot] <= 0 or memory.heard_ns[slot] == BEFORE_ALL_NS:
@@ -141,7 +141,7 @@ def add_silence(memory: E2eMemory, slot: int, now_ns: int, changes: Int64Array) 
     return enter_state(memory, slot, overdue_ns, _INVALID, changes)
 
 
-@array_kernel
+@kernel
 def take_back_silence(memory: E2eMemory, slot: int, sequence: int, changes: Int64Array) -> int:
     """If the frame after a silence is the very next one, it was late: write that there was no lapse, at its time."""
     before, state = memory.sequence[slot], memory.lapse_state[slot]
@@ -154,7 +154,7 @@ def take_back_silence(memory: E2eMemory, slot: int, sequence: int, changes: Int6
     return enter_state(memory, slot, memory.lapse_ns[slot], state, changes)
 
 
-@array_kernel
+@kernel
 def learn_cycle(memory: E2eMemory, slot: int, now_ns: int, missing: int) -> None:
     """Take the time since the last frame into account, frames that are missing in between left out."""
     own_ns, cycle_ns = memory.own_ns[slot], memory.cycle_ns[slot]
@@ -165,7 +165,7 @@ def learn_cycle(memory: E2eMemory, slot: int, now_ns: int, missing: int) -> None
         memory.own_ns[slot] = min(max(own_ns, cycle_ns), SLOWEST * cycle_ns)
 
 
-@array_kernel
+@kernel
 def judge_messages(memory: E2eMemory, verdicts: FrameVerdicts, t_ns: Int64Array, changes: Int64Array) -> int:
     """Judge frames in their order, then silence at the last of them.
 

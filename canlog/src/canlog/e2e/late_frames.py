@@ -17,7 +17,7 @@ from canlog.database.addressing import NOBODY, AddressBook, find_slot
 from canlog.e2e.alive_counter import LinkState
 from canlog.e2e.profile1 import COUNTER_BYTE, COUNTER_MASK, COUNTER_PERIOD
 from canlog.frames import ERROR_FLAG, MAX_GAP_NS, REMOTE_FLAG, FrameBatch, empty_batch, join
-from canlog.jit import array_kernel
+from canlog.jit import kernel
 
 SILENT_CYCLES: Final = 1.5  # of the quickest message: the whole bus is never as quiet while its messages come in time
 HELD_FRAMES, HELD_NS = 96, 150_000_000  # held until either is full
@@ -51,7 +51,7 @@ class CatchingUp(NamedTuple):
     is_over: bool
 
 
-@array_kernel
+@kernel
 def rows_on_time(
     book: AddressBook, cycle_ns: Int64Array, is_known: BoolArray, t_ns: Int64Array, can_id: UInt32Array, before_ns: int
 ) -> int:
@@ -70,7 +70,7 @@ def rows_on_time(
     return int(t_ns.size)
 
 
-@array_kernel
+@kernel
 def held_rows(t_ns: Int64Array) -> int:
     """Return how many frames tell what the silence before them was."""
     for row in range(min(t_ns.size, HELD_FRAMES)):
@@ -79,7 +79,7 @@ def held_rows(t_ns: Int64Array) -> int:
     return int(min(t_ns.size, HELD_FRAMES))
 
 
-@array_kernel
+@kernel
 def catch_up(
     book: AddressBook,
     schedules: Schedules,

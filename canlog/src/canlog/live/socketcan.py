@@ -21,7 +21,7 @@ from canlog.frames import (
     PAYLOAD_BYTES,
     FrameBatch,
 )
-from canlog.jit import array_kernel
+from canlog.jit import kernel
 from canlog.live.bus_clock import BusClock, clock_alarm
 from canlog.live.raw_socket import (
     RECEIVE_BUFFER_BYTES,
@@ -155,7 +155,7 @@ class FrameReceiver:
         return Reception(batch=batch if known == count else batch[:known], read=count, unsupported=count - known)
 
 
-@array_kernel
+@kernel
 def has_fd(size: UInt32Array, count: int) -> bool:
     """Return whether one of the frames is a CAN FD frame."""
     fd_count = 0
@@ -164,7 +164,7 @@ def has_fd(size: UInt32Array, count: int) -> bool:
     return fd_count > 0
 
 
-@array_kernel
+@kernel
 def read_slots(slots: Slots, count: int, columns: SlotColumns) -> int:
     """Fill in the columns of the frames that are CAN or CAN FD; return how many are, -1 if one has no time.
 

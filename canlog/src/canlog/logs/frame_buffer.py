@@ -7,7 +7,7 @@ import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array, UInt32Array
 from canlog.frames import FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
-from canlog.jit import array_kernel
+from canlog.jit import kernel
 from canlog.logs.text_kernels import skip_word
 
 MOST_CHANNELS = 256
@@ -57,7 +57,7 @@ class ChannelNames:
         return max(channel_number(text, 0, self.words, len(self)), 0)
 
 
-@array_kernel
+@kernel
 def name_hash(text: UInt8Array, begin: int, stop: int) -> int:
     """Return the FNV-1a hash of the name that stands between two positions."""
     value = FNV_SEED
@@ -142,7 +142,7 @@ class FrameBuffer:
         )
 
 
-@array_kernel
+@kernel
 def channel_number(text: UInt8Array, at: int, names: NameWords, known: int) -> int:
     """Return the number of the channel whose name stands here, -1 if it is new."""
     name = name_hash(text, at, skip_word(text, at))

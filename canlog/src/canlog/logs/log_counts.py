@@ -10,7 +10,7 @@ import numpy as np
 
 from canlog.arrays import Int64Array
 from canlog.frames import EXTENDED_FLAG, FD_FLAG, MAX_GAP_NS, FrameBatch, join
-from canlog.jit import array_kernel
+from canlog.jit import kernel
 from canlog.logs.frame_buffer import FrameRows, rows_of
 
 MOST_NOTES = 8
@@ -274,7 +274,7 @@ class TimeWatch:
         counts.repeated += int(steps[REPEATED])
 
 
-@array_kernel
+@kernel
 def look_at_steps(rows: FrameRows, steps: Int64Array, longest_ns: int) -> None:
     """Count the frames before the one before them, far behind it, and equal to it; note the row of the first jump."""
     for row in range(1, rows.t_ns.size):
@@ -287,7 +287,7 @@ def look_at_steps(rows: FrameRows, steps: Int64Array, longest_ns: int) -> None:
             steps[BACK if step_ns < 0 else AHEAD] += 1
 
 
-@array_kernel
+@kernel
 def _is_repeated(rows: FrameRows, row: int) -> bool:
     for place in range(rows.data.shape[1]):
         if rows.data[row, place] != rows.data[row - 1, place]:
