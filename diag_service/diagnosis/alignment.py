@@ -396,8 +396,3 @@ def _lag(values: FloatArray, share: float) -> None:
     """Have values follow themselves by a first-order lag, which takes up a share of what is missing at each."""
     for row in range(1, len(values)):
         values[row] = values[row - 1] + (values[row] - values[row - 1]) * share
-
-
-def compile_alignment() -> None:
-    """Have everything compiled before the first shift comes: it must not wait for it."""
-    _lag(np.zeros(2), 0.0)

@@ -13,7 +13,6 @@ from diag_service.diagnosis.condition.condition import (
     judge_lockup,
     no_verdict,
 )
-from diag_service.diagnosis.condition.shift_kernels import compile_indices
 from diag_service.diagnosis.condition.shift_quality import ShiftScorer, measure
 from diag_service.diagnosis.condition.verdict import Silence
 from diag_service.diagnosis.events import DATED_NS, Event
@@ -73,9 +72,6 @@ class Stages:
         tells_ratios = lacks_torque and decoder.signals >= PRESSURES | {Signal.ENGINE_SPEED}
         self.is_relative = self.tier is not Tier.FRICTION and tells_ratios  # friction is known up to a scale at best
         self._estimator = Estimator(calibration)
-        compile_indices()
-        if self.tier is Tier.FRICTION and self._lockup is None:
-            self._estimator.prepare()
         self._scorer = ShiftScorer(calibration, decoder.gears)
         self._causes = CauseJudge(calibration)
         self._calibration = calibration

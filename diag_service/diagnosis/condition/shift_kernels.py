@@ -1,11 +1,10 @@
-"""Compiled loops over the signals of a gear change: what `shift_quality` tells of it."""
+"""Arithmetic on the signals of a gear change: what `shift_quality` tells of it."""
 
 import math
 
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
-from canlog.jit import kernel
 from clutch_model.pack import clutch_heating_rate_k_s
 from diag_service.diagnosis.shifts.slip_tracking import LOADED_PA, SLIP_RAD_S
 
@@ -31,39 +30,37 @@ LEAST_APART = 1e-6  # a determinant: three samples a few milliseconds apart have
 ENGINE, ON, OFF, CAR, PRESSURE_ON, PRESSURE_OFF, COMMAND, ASKED, TORQUE, ROW_COUNT = range(10)  # of rows
 
 
-@kernel
 def stuck_rows(
     pressed_rad_s: FloatArray, slip_rad_s: FloatArray, is_pressed: BoolArray, begun_rad_s: float
 ) -> tuple[int, int]:
     """Return the rows from where a clutch that had begun to slip sticks until it is let go; none if it never does."""
-    row, count = 0, len(slip_rad_s)
-    while row < count and pressed_rad_s[row] <= begun_rad_s:
-        row += 1
-    stuck = 0
+    count = len(slip_rad_s)
+    has_begun = ~(pressed_rad_s <= begun_rad_s)
+    is_stuck, pressed = (is_pressed & (slip_rad_s < STUCK_RAD_S)).tolist(), is_pressed.tolist()
+    row, stuck = int(has_begun.argmax()) if has_begun.any() else count, 0
     while row < count and stuck < STUCK_ROWS:
-        stuck = stuck + 1 if is_pressed[row] and slip_rad_s[row] < STUCK_RAD_S else 0
+        stuck = stuck + 1 if is_stuck[row] else 0
         row += 1
     if stuck < STUCK_ROWS:
         return count, count
     first, let_go = row - STUCK_ROWS, 0
     while row < count and let_go < LET_GO_ROWS:
-        let_go = 0 if is_pressed[row] else let_go + 1
+        let_go = 0 if pressed[row] else let_go + 1
         row += 1
     return first, row - LET_GO_ROWS if let_go == LET_GO_ROWS else row
 
 
-@kernel
 def largest_swing(slip_rad_s: FloatArray, pressed_rad_s: FloatArray) -> float:
     """Return the largest slip under load [rad/s] of stretches of slip that end as soon as a driveline swings back.
 
     Where there is no such stretch it is the least slip of all.
     """
     largest, least, peak, begin = -1.0, STUCK_RAD_S, 0.0, -1
-    for row in range(len(slip_rad_s)):
-        least = min(least, slip_rad_s[row])
-        if slip_rad_s[row] >= STUCK_RAD_S:
+    for row, (slip, pressed) in enumerate(zip(slip_rad_s.tolist(), pressed_rad_s.tolist(), strict=True)):
+        least = min(least, slip)
+        if slip >= STUCK_RAD_S:
             begin, peak = (row, 0.0) if begin < 0 else (begin, peak)
-            peak = max(peak, pressed_rad_s[row])
+            peak = max(peak, pressed)
         elif begin >= 0:
             largest = max(largest, peak) if row - begin <= SWING_ROWS else largest
             begin = -1
@@ -86,35 +83,30 @@ def asked_alone(slip_rad_s: FloatArray, on_nm: FloatArray, off_nm: FloatArray) -
     return (np.abs(slip_rad_s) > SLIP_RAD_S) & (np.abs(on_nm) > MIN_TORQUE_NM) & is_released
 
 
-@kernel
 def fit_slopes(t_s: FloatArray, value: FloatArray, at_s: FloatArray, slopes: FloatArray) -> None:
     """Fit a parabola by least squares around each of some rising times; the slope of fewer than 3 samples stays.
 
     So does that of samples of fewer than 3 times: a log may tell them by the tenth of a second.
     """
-    first, last = 0, 0
-    for row in range(len(at_s)):
-        while first < len(t_s) and t_s[first] < at_s[row] - SMOOTH_S:
-            first += 1
-        while last < len(t_s) and t_s[last] < at_s[row] + SMOOTH_S:
-            last += 1
-        count, x1, x2, x3, x4, y, xy, xxy = last - first, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for k in range(first, last):
-            x = (t_s[k] - at_s[row]) / SMOOTH_S
-            x1, x2, x3, x4 = x1 + x, x2 + x * x, x3 + x * x * x, x4 + x * x * x * x
-            y, xy, xxy = y + value[k], xy + x * value[k], xxy + x * x * value[k]
-        if count >= 3:  # Cramer's rule
-            whole = count * (x2 * x4 - x3 * x3) - x1 * (x1 * x4 - x2 * x3) + x2 * (x1 * x3 - x2 * x2)
-            slope = count * (xy * x4 - x3 * xxy) - y * (x1 * x4 - x3 * x2) + x2 * (x1 * xxy - xy * x2)
-            slopes[row] = slope / whole / SMOOTH_S if whole > LEAST_APART else slopes[row]
+    first, stop = t_s.searchsorted(at_s - SMOOTH_S), t_s.searchsorted(at_s + SMOOTH_S)
+    count = stop - first
+    places = first[:, np.newaxis] + np.arange(count.max(initial=1))
+    is_near = places < stop[:, np.newaxis]
+    places = np.minimum(places, len(t_s) - 1)
+    x = (t_s[places] - at_s[:, np.newaxis]) / SMOOTH_S * is_near
+    y = value[places] * is_near
+    x1, x2, x3, x4 = (np.sum(x**power, axis=1) for power in range(1, 5))
+    y0, xy, xxy = (np.sum(x**power * y, axis=1) for power in range(3))
+    whole = count * (x2 * x4 - x3 * x3) - x1 * (x1 * x4 - x2 * x3) + x2 * (x1 * x3 - x2 * x2)  # Cramer's rule
+    slope = count * (xy * x4 - x3 * xxy) - y0 * (x1 * x4 - x3 * x2) + x2 * (x1 * xxy - xy * x2)
+    rows = np.flatnonzero((count >= 3) & (whole > LEAST_APART))
+    slopes[rows] = slope[rows] / whole[rows] / SMOOTH_S
 
 
-@kernel
-def _mean(row: FloatArray, first: int, stop: int) -> float:
-    total = 0.0
-    for place in range(first, stop):
-        total += row[place]
-    return total / max(stop - first, 1)
+def _mean_around(values: FloatArray, first: int, stop: int, reach: int) -> FloatArray:
+    """Return the mean of each row and those within ``reach`` of it."""
+    shifts = range(-reach, reach + 1)
+    return np.asarray(sum(values[first + shift : stop + shift] for shift in shifts) / len(shifts))
 
 
 def _slopes(car_m_s: FloatArray) -> FloatArray:
@@ -125,44 +117,32 @@ def _slopes(car_m_s: FloatArray) -> FloatArray:
     return slopes
 
 
-@kernel
 def _speeds_told(
-    rows: FloatArray,
-    first: int,
-    stop: int,
-    is_handover: bool,  # noqa: FBT001
-    skew_s: float,
+    rows: FloatArray, first: int, stop: int, skew_s: float, *, is_handover: bool
 ) -> tuple[float, float, float]:
     """Return flare [rad/s], when slip ended [s], and how fast it did [rad/s2]."""
     engine, on, off = rows[ENGINE], rows[ON], rows[OFF]
-    flare, peak, at, skew = np.nan, 0.0, -1, round(skew_s / GRID_S)
-    for row in range(first, stop):
-        slip = abs(engine[row] - on[row])
-        if slip > peak:
-            peak, at = slip, row
-        if is_handover:
-            least = np.inf
-            for apart in range(-skew, skew + 1):
-                beyond = 0.0
-                for place in range(row - 1, row + 2):
-                    low, high = min(on[place], off[place]), max(on[place], off[place])
-                    one = engine[min(max(place + apart, 0), len(engine) - 1)]
-                    beyond += max(one - high, low - one, 0.0) / 3.0
-                least = min(least, beyond)
-            flare = least if least < np.inf and not flare > least else flare
-    if at < 0 or peak < SLIP_RAD_S:
+    flare, skew = np.nan, round(skew_s / GRID_S)
+    if is_handover:
+        around = np.arange(first - 1, stop + 1)
+        low, high = np.minimum(on[around], off[around]), np.maximum(on[around], off[around])
+        engines = engine[np.clip(around + np.arange(-skew, skew + 1)[:, np.newaxis], 0, len(engine) - 1)]
+        beyond = np.maximum(np.maximum(engines - high, low - engines), 0.0) / 3.0
+        least = np.fmin.reduce(beyond[:, :-2] + beyond[:, 1:-1] + beyond[:, 2:])
+        flare = float(np.fmax.reduce(least, initial=np.nan))
+    turning = engine - on
+    slip = np.nan_to_num(np.abs(turning[first:stop]))
+    at = first + int(slip.argmax())
+    if slip[at - first] < SLIP_RAD_S:
         return flare, np.nan, np.nan
-    row, sign = at, 1.0 if engine[at] > on[at] else -1.0
-    while row < stop and sign * (engine[row] - on[row]) >= LOCKED_RAD_S:  # or beyond: rows may be far apart
-        row += 1
-    if row == stop:
+    sign = 1.0 if turning[at] > 0.0 else -1.0
+    ended = np.flatnonzero(~(sign * turning[at:stop] >= LOCKED_RAD_S))  # or beyond: rows may be far apart
+    if not len(ended):
         return flare, np.nan, np.nan
-    moment, square, middle = 0.0, 0.0, 0.5 * (LANDING_ROWS - 1)
-    for k in range(LANDING_ROWS):
-        place = row - LANDING_ROWS + k
-        moment += (k - middle) * abs(engine[place] - on[place])
-        square += (k - middle) ** 2
-    return flare, (row - first) * GRID_S, max(-moment / square / GRID_S, 0.0)
+    row = at + int(ended[0])
+    along = np.arange(LANDING_ROWS) - 0.5 * (LANDING_ROWS - 1)
+    slope = float(along @ np.abs(turning[row - LANDING_ROWS : row])) / float(along @ along) / GRID_S
+    return flare, (row - first) * GRID_S, max(-slope, 0.0)
 
 
 def _car_told(slopes: FloatArray, first: int, stop: int) -> tuple[float, float, float]:
@@ -178,48 +158,51 @@ def _car_told(slopes: FloatArray, first: int, stop: int) -> tuple[float, float, 
     return max(hole, 0.0), jerk, max(abs(before), abs(after))
 
 
-@kernel
 def _loads_told(
     rows: FloatArray,
     first: int,
     stop: int,
-    is_handover: bool,  # noqa: FBT001
     touch_pa: tuple[float, float],
     packs: tuple[tuple[float, float, float], tuple[float, float, float]],
     heat: tuple[float, float, float, float],
+    *,
+    is_handover: bool,
 ) -> tuple[float, float, float, float, float]:
     """Return what both clutches carried against each other [N m], the slip energy and the peak of each [J, K].
 
     ``heat`` is the oil, both packs and how long ago they were so warm [K, s]; a pack is warm throughout. ``packs``
     are of each the torque that it carries by pressure, what warms it and what cools it [N m/Pa, J/K, W/K].
     """
-    tie_up, energy_on, energy_off = np.nan, 0.0, 0.0
     if math.isnan(rows[PRESSURE_ON, first]):
-        return tie_up, np.nan, np.nan, np.nan, np.nan
-    oil_k, age_s = heat[0], heat[3]
-    (on_nm_pa, on_j_k, on_w_k), (off_nm_pa, off_j_k, off_w_k) = packs
-    on_k = oil_k + (heat[1] - oil_k) * math.exp(-age_s * on_w_k / on_j_k)
-    off_k = oil_k + (heat[2] - oil_k) * math.exp(-age_s * off_w_k / off_j_k)
-    peak_on_k, peak_off_k = on_k, off_k
-    for row in range(first, stop):
-        on_pa = _mean(rows[PRESSURE_ON], row - 1, row + 2) - touch_pa[0]
-        off_pa = _mean(rows[PRESSURE_OFF], row - 1, row + 2) - touch_pa[1]
-        on_nm, off_nm = max(on_pa, 0.0) * on_nm_pa, max(off_pa, 0.0) * off_nm_pa
-        on_slip = abs(rows[ENGINE, row] - rows[ON, row])
-        power_w = on_nm * on_slip if on_slip > LOCKED_RAD_S else 0.0
-        energy_on += power_w * GRID_S
-        on_k += GRID_S * clutch_heating_rate_k_s(power_w, on_k, oil_k, on_j_k, on_w_k)
-        peak_on_k = max(peak_on_k, on_k)
-        if is_handover:
-            off_slip = abs(rows[ENGINE, row] - rows[OFF, row])
-            power_w = off_nm * off_slip if off_slip > LOCKED_RAD_S and off_pa > LOADED_PA else 0.0
-            energy_off += power_w * GRID_S
-            off_k += GRID_S * clutch_heating_rate_k_s(power_w, off_k, oil_k, off_j_k, off_w_k)
-            peak_off_k = max(peak_off_k, off_k)
-            both_nm = min(on_nm - abs(_mean(rows[TORQUE], row - 2, row + 3)), off_nm if off_pa > LOADED_PA else 0.0)
-            if not math.isnan(both_nm) and not tie_up > both_nm:
-                tie_up = max(both_nm, 0.0)
-    return tie_up, energy_on, energy_off, peak_on_k, peak_off_k if is_handover else np.nan
+        return np.nan, np.nan, np.nan, np.nan, np.nan
+    on_pa, off_pa = (
+        _mean_around(rows[row], first, stop, 1) - touch
+        for row, touch in zip((PRESSURE_ON, PRESSURE_OFF), touch_pa, strict=True)
+    )
+    on_nm, off_nm = (np.maximum(pa, 0.0) * pack[0] for pa, pack in zip((on_pa, off_pa), packs, strict=True))
+    on_slip, off_slip = (np.abs(rows[ENGINE, first:stop] - rows[shaft, first:stop]) for shaft in (ON, OFF))
+    on_w = np.where(on_slip > LOCKED_RAD_S, on_nm * on_slip, 0.0)
+    energy_on, peak_on_k = _heated(on_w, heat[1], heat, packs[0])
+    if not is_handover:
+        return np.nan, energy_on, 0.0, peak_on_k, np.nan
+    off_w = np.where((off_slip > LOCKED_RAD_S) & (off_pa > LOADED_PA), off_nm * off_slip, 0.0)
+    energy_off, peak_off_k = _heated(off_w, heat[2], heat, packs[1])
+    spare_nm = on_nm - np.abs(_mean_around(rows[TORQUE], first, stop, 2))
+    both_nm = np.minimum(spare_nm, np.where(off_pa > LOADED_PA, off_nm, 0.0))
+    tie_up = max(float(np.fmax.reduce(both_nm)), 0.0)
+    return tie_up, energy_on, energy_off, peak_on_k, peak_off_k
+
+
+def _heated(
+    power_w: FloatArray, pack_k: float, heat: tuple[float, float, float, float], pack: tuple[float, float, float]
+) -> tuple[float, float]:
+    """Return the slip energy of a pack [J] and its highest temperature [K]."""
+    (oil_k, _, _, age_s), (_, heat_j_k, cooling_w_k) = heat, pack
+    k = peak_k = oil_k + (pack_k - oil_k) * math.exp(-age_s * cooling_w_k / heat_j_k)
+    for power in power_w.tolist():
+        k += GRID_S * clutch_heating_rate_k_s(power, k, oil_k, heat_j_k, cooling_w_k)
+        peak_k = max(peak_k, k)
+    return float(power_w.sum()) * GRID_S, peak_k
 
 
 def _map_told(command_pa: FloatArray, asked_nm: FloatArray) -> tuple[float, float]:
@@ -239,12 +222,11 @@ def _map_told(command_pa: FloatArray, asked_nm: FloatArray) -> tuple[float, floa
     return float(y.mean()) - slope * float(x.mean()), std + 500.0  # half a step of the command
 
 
-@kernel
 def _fill_told(
     rows: FloatArray, first: int, stop: int, touch_pa: float, stroke_pa: float
 ) -> tuple[float, float, float, float]:
     """Return how full the cavity is as torque is asked for, how long all takes, the pulse, what was too long [s]."""
-    command, asked, pressure = rows[COMMAND], rows[ASKED], rows[PRESSURE_ON]
+    command, asked, pressure = (rows[row].tolist() for row in (COMMAND, ASKED, PRESSURE_ON))
     row, pulse, ended, full = first, 0, first, -1
     while row < stop and not (asked[row] >= ASKED_NM and pulse > 0):
         if asked[row] < ASKED_NM and command[row] > touch_pa + PULSE_PA:
@@ -257,8 +239,8 @@ def _fill_told(
     if full >= 0:
         return 1.0, pulse * GRID_S, pulse * GRID_S, max((ended - full) * GRID_S, 0.0)
     last = min(ended + 1 + FILLED_ROWS, row)  # a valve goes on for a moment
-    at_end = 1.0 - max(touch_pa - _mean(pressure, last - FILLED_ROWS, last), 0.0) / stroke_pa
-    short_pa = touch_pa - _mean(pressure, row - FILLED_ROWS, row)
+    at_end = 1.0 - max(touch_pa - sum(pressure[last - FILLED_ROWS : last]) / FILLED_ROWS, 0.0) / stroke_pa
+    short_pa = touch_pa - sum(pressure[row - FILLED_ROWS : row]) / FILLED_ROWS
     return 1.0 - max(short_pa, 0.0) / stroke_pa, pulse * GRID_S / max(at_end, LEAST_FILLED), pulse * GRID_S, 0.0
 
 
@@ -290,26 +272,20 @@ def quality_told(
     rows: FloatArray,
     first: int,
     stop: int,
-    is_handover: bool,  # noqa: FBT001 - handed on to compiled functions
     skew_s: float,
     touch_pa: tuple[float, float],
     packs: tuple[tuple[float, float, float], tuple[float, float, float]],
     stroke_pa: float,
     heat: tuple[float, float, float, float],
+    *,
+    is_handover: bool,
 ) -> tuple[float, ...]:
     """Return the fields of `_Found`; the event lasts from row ``first`` to before ``stop``."""
     return (
-        *_speeds_told(rows, first, stop, is_handover, skew_s),
+        *_speeds_told(rows, first, stop, skew_s, is_handover=is_handover),
         *_car_told(_slopes(rows[CAR]), first, stop),
-        *_loads_told(rows, first, stop, is_handover, touch_pa, packs, heat),
+        *_loads_told(rows, first, stop, touch_pa, packs, heat, is_handover=is_handover),
         *_map_told(rows[COMMAND, :stop], rows[ASKED, :stop]),
         *_fill_told(rows, first, stop, touch_pa[0], stroke_pa),
         *response_told(rows, first, stop, touch_pa[0]),
     )
-
-
-def compile_indices() -> None:
-    """Have everything compiled before the first shift comes: it must not wait for it."""
-    fit_slopes(np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(1))
-    stuck_rows(np.zeros(1), np.zeros(1), np.zeros(1, np.bool_), 0.0)
-    largest_swing(np.zeros(1), np.zeros(1))

@@ -142,9 +142,6 @@ class ShiftScorer:
     def __init__(self, calibration: Calibration, gears: GearRatios | None) -> None:
         self._packs = tuple(_Pack.of(clutch) for clutch in calibration.clutches)
         self._gears = gears
-        nothing = np.full((loops.ROW_COUNT, 30), np.nan)
-        none, pack = (0.0, 0.0), (0.0, 1.0, 0.0)
-        loops.quality_told(nothing, 15, 20, True, 0.0, none, (pack, pack), 1.0, _NO_HEAT)  # compiled before events
 
     @np.errstate(over="ignore", invalid="ignore")  # a damaged value of a log may be any number
     def score(self, event: Event, known: Knowledge | None, warm: PackTemperatures | None = None) -> ShiftQuality | None:
@@ -188,7 +185,9 @@ class ShiftScorer:
                 heat = oil_k, warm.clutch_k[on], warm.clutch_k[off], age_s
         stroke_pa = packs[0].stroke_pa
         found = _Found._make(
-            loops.quality_told(rows, first, stop, on != off, skew_s, touch_pa, (on_pack, off_pack), stroke_pa, heat)
+            loops.quality_told(
+                rows, first, stop, skew_s, touch_pa, (on_pack, off_pack), stroke_pa, heat, is_handover=on != off
+            )
         )
         errors = {} if known is None else self._control_errors(on, found, touch_pa[0], known)
         return _judged(event, found, errors, packs, is_second=on == 1)

@@ -9,7 +9,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, TorqueSource, clutch_of_gear
 from clutch_model.errors import CalibrationError
-from diag_service.diagnosis.alignment import NS_TO_S, compile_alignment
+from diag_service.diagnosis.alignment import NS_TO_S
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import (
@@ -44,7 +44,7 @@ from diag_service.diagnosis.friction.evidence import (
     fuse,
     skew_variance,
 )
-from diag_service.diagnosis.friction.film import compile_film, compile_tangents, pack_laws
+from diag_service.diagnosis.friction.film import pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, omission_cost
 from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
 from diag_service.diagnosis.quality import plausibility
@@ -166,13 +166,6 @@ class Estimator:
         std = self._type.std()
         self._per_std = 1.0 / np.where(std > 0.0, std, np.inf)
         self._per_std[:FRICTION_COUNT] = 0.0
-
-    def prepare(self) -> None:
-        """Have everything compiled before the first shift comes: it must not wait for it."""
-        compile_alignment()
-
-        compile_film(self._calibration)
-        compile_tangents(self._calibration)
 
     def estimate(  # noqa: PLR0911 - each stage may find that it ends there
         self, event: Event, samples: Samples | Reason, state: Posterior, against: tuple[Reason, ...] = ()

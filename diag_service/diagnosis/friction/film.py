@@ -38,7 +38,6 @@ from clutch_model.pack import (
 from diag_service.diagnosis.alignment import GRID_S
 
 COARSE = 2  # points of the grid: steps in which a film may be followed whose derivatives alone are wanted
-_ANY_K = 350.0
 DRAG_LIMIT_NM = 8.0  # of an open pack: its oil is full of air, so the law of a full film ends there
 _TIMING_S = 0.015  # by how much earlier or later than its pressure says a film may close or open
 _HOVER_PA = 0.12e5  # so near its touch point a piston may press or not: nobody knows the film of an open pack
@@ -197,12 +196,6 @@ def integrate_films(
         found = whole
     first, second = (FilmTrack(rows[0], rows[1], rows[2], rows[3], rows[4], final_k[m]) for m, rows in enumerate(found))
     return first, second
-
-
-def compile_film(calibration: Calibration) -> None:
-    """Have everything compiled before the first shift comes: it must not wait for it."""
-    still = PressureDrive(piston_pa=np.zeros(2), slip_rad_s=np.zeros(2), oil_k=_ANY_K, clutch_k=_ANY_K)
-    integrate_films((still, still), pack_laws(calibration))
 
 
 @kernel
@@ -381,13 +374,6 @@ def film_tangents(
     )
     _follow(moved, law.film, law.oil, np.zeros(len(FilmCause)), answers)
     return answers.torque_nm
-
-
-def compile_tangents(calibration: Calibration) -> None:
-    """Have everything compiled before the first shift comes: it must not wait for it."""
-    still, warm = np.zeros(2), np.full(2, 350.0)
-    drive = PressureDrive(piston_pa=still, slip_rad_s=still, oil_k=350.0, clutch_k=350.0)
-    film_tangents(pack_laws(calibration)[0], drive, warm, slice(0, 2), still)
 
 
 @kernel

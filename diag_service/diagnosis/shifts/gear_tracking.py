@@ -13,12 +13,11 @@ import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
 from canlog.frames import BEFORE_ALL_NS
-from canlog.jit import kernel
 from clutch_model.calibration import clutch_of_gear
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.diagnosis.shifts.history import History
-from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, HeldSignals, Tracker
+from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, HeldSignals, Tracker, held_values
 
 MAX_SHIFT_NS = 5 * NS_PER_S  # a production shift takes about one second
 MAX_LAUNCH_NS = 15 * NS_PER_S  # three seconds, on a hill with a trailer ten
@@ -28,8 +27,7 @@ CLOSED_SLIP_RAD_S = 5.0  # 50 rpm: beyond it the clutch slips, whatever two cont
 CLOSED_RATIO = 0.02  # of the engine's speed, where a ratio stands for the input shaft: wheels slip, columns are skewed
 RATIO_TOLERANCE = 0.04  # neighbouring gears are at least 15 % apart
 MIN_SPEED_RAD_S = 50.0  # of the engine: below it drives nothing
-_NEVER = np.empty(0, np.int64)
-_PAIR_SIZE = 4  # when, current gear, target gear, whether both were known before
+
 _GEAR_PAIR = (Signal.CURRENT_GEAR, Signal.TARGET_GEAR)
 GearsOf = Callable[[Mapping[Signal, FloatArray]], Int64Array]
 
@@ -200,11 +198,10 @@ class GearPairTracker:
     def __init__(self) -> None:
         self._lone = EngagedTracker((Signal.CURRENT_GEAR,), lambda values: _gears(values[Signal.CURRENT_GEAR]))
         self._forget()
-        find_pairs(_NEVER, self._pair, _NEVER, self._pair, self._pair, np.empty((0, _PAIR_SIZE), np.int64))
 
     def _forget(self) -> None:
         self._has_target = False
-        self._pair = np.full(2, np.nan)  # current and target gear as last seen
+        self._pair = np.full((2, 1), np.nan)  # current and target gear as last seen
         self._open: Bounds | None = None
         self._is_begun = False  # the beginning of the open shift was seen
         self._overdue = False  # the open shift was reported as too long; wait until the gears agree
@@ -233,11 +230,16 @@ class GearPairTracker:
     def _walk(self, history: History, until_ns: int) -> list[Bounds]:
         """Step through the pairs that differ from the ones before."""
         current, target = (history.ahead(signal, until_ns) for signal in _GEAR_PAIR)
-        pairs = np.empty((len(current.t_ns) + len(target.t_ns), _PAIR_SIZE), np.int64)
-        count = find_pairs(current.t_ns, current.value, target.t_ns, target.value, self._pair, pairs)
+        t_ns = np.union1d(current.t_ns, target.t_ns)
+        held = [held_values(series, t_ns, last) for series, (last,) in zip((current, target), self._pair, strict=True)]
+        values = np.hstack([self._pair, held])
+        self._pair, gears = values[:, -1:], _gears(values)
+        is_known = ~np.isnan(values).any(axis=0)
+        rows = np.flatnonzero((gears[:, 1:] != gears[:, :-1]).any(axis=0))
+        pairs = zip(t_ns[rows].tolist(), gears[:, rows + 1].T.tolist(), is_known[rows].tolist(), strict=True)
         found: list[Bounds] = []
-        for t_ns, *gears, was_known in pairs[:count].tolist():
-            found += self._step(t_ns, *gears, was_known=bool(was_known))
+        for now_ns, (current_gear, target_gear), was_known in pairs:
+            found += self._step(now_ns, current_gear, target_gear, was_known=was_known)
         return found
 
     def _step(self, t_ns: int, current: int, target: int, *, was_known: bool) -> list[Bounds]:
@@ -265,44 +267,6 @@ class GearPairTracker:
             return []
         self._overdue = True
         return self._end(self._open.start_ns + MAX_SHIFT_NS, EndReason.TOO_LONG)
-
-
-@kernel
-def find_pairs(
-    current_ns: Int64Array,
-    current: FloatArray,
-    target_ns: Int64Array,
-    target: FloatArray,
-    last: FloatArray,
-    pairs: Int64Array,
-) -> int:
-    """Fill in when one of two gears became another, both gears, and whether both were known before.
-
-    Return how often that was. ``last`` are both before the first sample, NaN while unknown, and become those after the
-    last one.
-    """
-    count, first, second = 0, 0, 0
-    while first < len(current_ns) or second < len(target_ns):
-        is_first = second == len(target_ns) or (first < len(current_ns) and current_ns[first] <= target_ns[second])
-        now_ns = current_ns[first] if is_first else target_ns[second]
-        was_known, current_before, target_before = not np.isnan(last[0] + last[1]), _gear(last[0]), _gear(last[1])
-        while first < len(current_ns) and current_ns[first] == now_ns:
-            last[0] = current[first]
-            first += 1
-        while second < len(target_ns) and target_ns[second] == now_ns:
-            last[1] = target[second]
-            second += 1
-        if _gear(last[0]) != current_before or _gear(last[1]) != target_before:
-            pairs[count, 0], pairs[count, 1], pairs[count, 2] = now_ns, _gear(last[0]), _gear(last[1])
-            pairs[count, 3] = was_known
-            count += 1
-    return count
-
-
-@kernel
-def _gear(value: float) -> int:
-    """Return a gear as a number, 0 while unknown."""
-    return 0 if np.isnan(value) else int(value)
 
 
 class TargetTracker:

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import Int64Array, Series
-from canlog.e2e.alive_counter import compile_now, own_period_ns
+from canlog.e2e.alive_counter import own_period_ns
 from canlog.e2e.e2e_state import E2eChange, E2eState
 from canlog.frames import BEFORE_ALL_NS
 from diag_service.diagnosis.columns import ColumnBatch, Columns, Signal
@@ -114,7 +114,6 @@ class History:
 
     def __init__(self) -> None:
         self._rings = SampleRings()
-        compile_now()
         self._bad_ns: list[Int64Array] = []
         self._e2e: dict[str, list[E2eChange]] = {}
         self.watermark_ns = BEFORE_ALL_NS  # all that happened before it has been seen

@@ -14,12 +14,10 @@ import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.alive_counter import share_rows
-from canlog.jit import kernel
 from clutch_model.calibration import Calibration, clutch_of_gear
-from clutch_model.pack import gear_clutch
 from diag_service.diagnosis.columns import DriveState, Signal
 from diag_service.diagnosis.shifts.history import History
-from diag_service.diagnosis.shifts.tracking import compile_now, hold
+from diag_service.diagnosis.shifts.tracking import held_values
 
 SLIP_RAD_S: Final = 5.0  # 50 rpm: beyond it a clutch slips, whatever two controllers' speeds differ by
 ROWS_APART: Final = 2.0  # times what a speed changed from row to row lately: it may change faster until the next one
@@ -108,12 +106,10 @@ class SlipTracker:
         self._signals = signals
         self._held = signals.held
         self.forget()
-        compile_now()
-        self._changes(np.empty(0, np.int64), np.empty(0), np.empty((len(self._held), 0)))
 
     def forget(self) -> None:
         self._last = [math.nan] * len(self._held)
-        self._doing = np.full(_STATE_SIZE, _NOTHING_YET)
+        self._doing = np.full((_STATE_SIZE, 1), _NOTHING_YET)
         self._rows = np.empty((1 + _LOADS_ROW, 0))  # engine and shafts, in the last rows of a table
 
     def track(self, history: History, until_ns: int) -> list[GripChange]:
@@ -121,7 +117,7 @@ class SlipTracker:
         held = np.empty((len(self._held), len(engine.t_ns)))
         for row, signal in enumerate(self._held):
             series = history.ahead(signal, until_ns)
-            hold(series.t_ns, series.value, engine.t_ns, self._last[row], held[row])
+            held[row] = held_values(series, engine.t_ns, self._last[row])
             if len(series.value):
                 self._last[row] = float(series.value[-1])
         if len(engine.t_ns) and engine.sequence[0] < 0:
@@ -145,9 +141,10 @@ class SlipTracker:
             shaft[is_locked] = engine.value[is_locked]
 
     def _changes(self, t_ns: Int64Array, engine_rad_s: FloatArray, held: FloatArray) -> list[GripChange]:
-        rows, states = np.empty(len(t_ns), np.int64), np.empty((len(t_ns), _STATE_SIZE), np.int64)
-        above, are_shared = self._signals.loaded_above, self._signals.are_shared
-        count = find_changes(engine_rad_s, held, above, are_shared, self._doing, rows, states)
+        states = _states(engine_rad_s, held, self._signals.loaded_above, are_shared=self._signals.are_shared)
+        since = np.hstack([self._doing, states])
+        self._doing = since[:, -1:]
+        rows = np.flatnonzero((since[:, 1:] != since[:, :-1]).any(axis=0))
         return [
             GripChange(
                 t_ns=int(t_ns[row]),
@@ -158,49 +155,25 @@ class SlipTracker:
                 engine_rad_s=float(engine_rad_s[row]),
                 shaft_rad_s=float(held[_SHAFTS_ROW + clutch_of_gear(gear) - 1, row]),
             )
-            for row, (grip, gear_grip, gear, asked) in zip(rows[:count].tolist(), states[:count].tolist(), strict=True)
+            for row, (grip, gear_grip, gear, asked) in zip(rows.tolist(), states[:, rows].T.tolist(), strict=True)
         ]
 
 
-@kernel
-def find_changes(
-    engine_rad_s: FloatArray,
-    held: FloatArray,
-    above: tuple[float, float],
-    are_shared: bool,  # noqa: FBT001 - a compiled function
-    doing: Int64Array,
-    rows: Int64Array,
-    states: Int64Array,
-) -> int:
-    """Fill in in which rows what the clutches do, or what the driver asks for, becomes something else, and what.
+def _states(engine_rad_s: FloatArray, held: FloatArray, above: tuple[float, float], *, are_shared: bool) -> Int64Array:
+    """Return what the clutches do and what the driver asks for, shape (_STATE_SIZE, n).
 
-    Return how often it does. ``doing`` is what it was before, and becomes what it is at the end. An unknown value tells
-    neither of slip nor of load.
+    An unknown value tells neither of slip nor of load. Whether force is asked for is -1 while unknown; the
+    transmission's own word counts first.
     """
-    count = 0
-    for row in range(len(engine_rad_s)):
-        gear = 0 if np.isnan(held[_GEAR_ROW, row]) else int(held[_GEAR_ROW, row])
-        own = gear_clutch(gear) - 1
-        any_grip, gear_grip = _OPEN, _OPEN
-        for clutch in range(2):
-            if held[_LOADS_ROW + clutch, row] > above[clutch] and (clutch == own or not are_shared):
-                slips = abs(engine_rad_s[row] - held[_SHAFTS_ROW + clutch, row]) > SLIP_RAD_S
-                grip = _SLIPPING if slips else _LOCKED
-                any_grip = max(any_grip, grip)
-                gear_grip = grip if clutch == own and gear >= 1 else gear_grip
-        asked = _asked(held[_PEDAL_ROW, row], held[_STATE_ROW, row])
-        if any_grip != doing[0] or gear_grip != doing[1] or gear != doing[2] or asked != doing[3]:
-            doing[0], doing[1], doing[2], doing[3] = any_grip, gear_grip, gear, asked
-            rows[count] = row
-            for part in range(len(doing)):
-                states[count, part] = doing[part]
-            count += 1
-    return count
-
-
-@kernel
-def _asked(pedal_ratio: float, drive_state: float) -> int:
-    """Return whether the driver asks for force, 1 or 0; -1 while unknown. The transmission's own word counts first."""
-    if drive_state == _CREEPING:
-        return 0
-    return -1 if np.isnan(pedal_ratio) else int(pedal_ratio > PEDAL_RATIO)
+    gear = np.nan_to_num(held[_GEAR_ROW]).astype(np.int64)
+    is_of_gear = clutch_of_gear(gear) == np.array([[1], [2]])
+    is_loaded = held[_LOADS_ROW:_GEAR_ROW] > np.array(above)[:, np.newaxis]
+    if are_shared:
+        is_loaded &= is_of_gear
+    slips = np.abs(engine_rad_s - held[_SHAFTS_ROW:_LOADS_ROW]) > SLIP_RAD_S
+    grips = np.where(is_loaded, np.where(slips, _SLIPPING, _LOCKED), _OPEN)
+    gear_grip = np.where(is_of_gear & (gear >= 1), grips, _OPEN).max(axis=0)
+    pedal_ratio = held[_PEDAL_ROW]
+    asked = np.where(np.isnan(pedal_ratio), -1, pedal_ratio > PEDAL_RATIO)
+    asked[held[_STATE_ROW] == _CREEPING] = 0
+    return np.stack([grips.max(axis=0), gear_grip, gear, asked])

@@ -10,7 +10,6 @@ import numpy as np
 from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.alive_counter import came_in_bursts
 from canlog.frames import BEFORE_ALL_NS
-from canlog.jit import kernel
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
 from diag_service.diagnosis.shifts.history import History
@@ -134,12 +133,11 @@ class HeldSignals:
 
     def __init__(self, signals: tuple[Signal, ...]) -> None:
         self._last = dict.fromkeys(signals, np.nan)
-        compile_now()
 
     def ahead(self, history: History, until_ns: int) -> tuple[Int64Array, Mapping[Signal, FloatArray]]:
         """Return times and values of what has not been walked yet, shape (n,) each."""
         series = {signal: history.ahead(signal, until_ns) for signal in self._last}
-        t_ns = reduce(_united, (one.t_ns for one in series.values()), _NEVER)
+        t_ns = reduce(np.union1d, (one.t_ns for one in series.values()), _NEVER)
         values = {signal: held_values(one, t_ns, self._last[signal]) for signal, one in series.items()}
         if len(t_ns):
             self._last = {signal: float(value[-1]) for signal, value in values.items()}
@@ -149,44 +147,7 @@ class HeldSignals:
         self._last = dict.fromkeys(self._last, np.nan)
 
 
-def _united(first_ns: Int64Array, second_ns: Int64Array) -> Int64Array:
-    both_ns = np.empty(len(first_ns) + len(second_ns), np.int64)
-    return both_ns[: unite(first_ns, second_ns, both_ns)]
-
-
 def held_values(series: Series, t_ns: Int64Array, before: float) -> FloatArray:
     """Return the value in force at each time: the latest sample, or the one known ``before`` the first."""
-    held = np.empty(len(t_ns))
-    hold(series.t_ns, series.value, t_ns, before, held)
-    return held
-
-
-@kernel
-def hold(t_ns: Int64Array, value: FloatArray, at_ns: Int64Array, before: float, held: FloatArray) -> None:
-    """Fill in the value in force at each of some rising times."""
-    sample = 0
-    for row in range(len(at_ns)):
-        while sample < len(t_ns) and t_ns[sample] <= at_ns[row]:
-            before = value[sample]
-            sample += 1
-        held[row] = before
-
-
-@kernel
-def unite(first_ns: Int64Array, second_ns: Int64Array, both_ns: Int64Array) -> int:
-    """Fill in the times that are in one of two rising rows at least, each once; return how many there are."""
-    count, first, second = 0, 0, 0
-    while first < len(first_ns) or second < len(second_ns):
-        is_first = second == len(second_ns) or (first < len(first_ns) and first_ns[first] <= second_ns[second])
-        next_ns = first_ns[first] if is_first else second_ns[second]
-        first, second = first + is_first, second + (not is_first)
-        if count == 0 or both_ns[count - 1] != next_ns:
-            both_ns[count] = next_ns
-            count += 1
-    return count
-
-
-def compile_now() -> None:
-    """Have everything compiled before the first frames come: they must not wait for it."""
-    unite(_NEVER, _NEVER, np.empty(0, np.int64))
-    hold(_NEVER, np.empty(0), _NEVER, 0.0, np.empty(0))
+    samples = series.t_ns.searchsorted(t_ns, "right")
+    return np.concatenate([[before], series.value])[samples]

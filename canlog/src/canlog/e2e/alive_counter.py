@@ -41,7 +41,6 @@ LEAST_REGULAR: Final = 0.5  # share of the steps that must be near the typical o
 NEAR: Final = 0.25  # of the typical step
 LEAST_SHARED: Final = 0.8  # of the times of columns: cells may be blank
 NS_PER_MS: Final = 1_000_000
-_NO_SAMPLES: Final = np.empty(0, np.int64)
 
 
 class LinkState(NamedTuple):
@@ -257,18 +256,10 @@ def share_rows(columns: Sequence[Series]) -> bool:
     return all(np.isin(one.t_ns, columns[0].t_ns).mean() >= LEAST_SHARED for one in columns[1:])
 
 
-@kernel
 def most_are_shorter(t_ns: Int64Array, sequence: Int64Array, limit_ns: float) -> bool:
     """Return whether more than half of the steps, and so the typical one, are shorter than a limit [ns]."""
-    count = 0
-    for number in range(1, len(t_ns)):
-        step_ns = float(t_ns[number] - t_ns[number - 1])
-        if sequence[0] >= 0:
-            step_ns /= max(sequence[number] - sequence[number - 1], 1)
-        count += step_ns < limit_ns
-    return 2 * count > len(t_ns) - 1
-
-
-def compile_now() -> None:
-    """Have it compiled before the first frames come: they must not wait for it."""
-    most_are_shorter(_NO_SAMPLES, _NO_SAMPLES, 0.0)
+    steps_ns = np.diff(t_ns)
+    if sequence[0] >= 0:
+        limits_ns = limit_ns * np.maximum(np.diff(sequence), 1)
+        return 2 * np.count_nonzero(steps_ns < limits_ns) > len(steps_ns)
+    return 2 * np.count_nonzero(steps_ns < limit_ns) > len(steps_ns)
