@@ -31,6 +31,7 @@ from diag_service.service.live import run_live
 from diag_service.service.session import Session
 from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.service.stopping import Controls
+from diag_service.service.warm_up import warm_up
 from diag_service.settings.config import BusConfig, DiagnosisConfig
 from diag_service.store import ResultStore
 
@@ -180,6 +181,7 @@ async def open_live(config: BusConfig, session: Session) -> tuple[SupervisedSour
 
     Raises SourceError if it cannot be opened now.
     """
+    warm_up()
     filters = session.stages.decoder.kernel_filters if config.is_filtered else ()
     schedule = ReadSchedule()
     opener = BusOpener(

@@ -21,6 +21,7 @@ from diag_service.mapping.profile import load_profile
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.service.stages import Stages
+from diag_service.service.warm_up import warm_up
 from canlog.logs import read_log
 
 PIECE = 500  # frames, as a live bus hands them over
@@ -39,6 +40,7 @@ batches = list(read_log(Path(sys.argv[1])))
 calibration = nominal_calibration()
 decoder = Decoder(load_contract(), load_profile())
 stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+warm_up()
 before = compiled()
 statuses = [
     found.estimate.status.value

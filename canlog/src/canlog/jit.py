@@ -4,13 +4,14 @@ from collections.abc import Callable
 from typing import Any, Final, ParamSpec, TypeVar, cast
 
 import numba
-from numba.core import event
+from numba.core import event as numba_event
 
 P = ParamSpec("P")
 R = TypeVar("R")
 FIRST_START: Final = "first start: compiling, takes about 20 s"
 _OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 _EVENT: Final = "numba:compile"
+_events: Any = numba_event  # numba has no types
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
@@ -31,8 +32,8 @@ def on_compiling(listener: Callable[[str], object]) -> Callable[[], None]:
     back.
     """
     registered = _Listener(listener)
-    event.register(_EVENT, registered)
-    return lambda: event.unregister(_EVENT, registered)
+    _events.register(_EVENT, registered)
+    return lambda: _events.unregister(_EVENT, registered)
 
 
 def announce_compiling(say: Callable[[str], object]) -> Callable[[], None]:
@@ -41,11 +42,11 @@ def announce_compiling(say: Callable[[str], object]) -> Callable[[], None]:
     return on_compiling(lambda _name: [say(line) for line in lines])
 
 
-class _Listener(event.Listener):  # type: ignore[misc]  # numba has no types
+class _Listener(numba_event.Listener):
     def __init__(self, listener: Callable[[str], object]) -> None:
         self._listener = listener
 
-    def on_start(self, event: Any) -> None:  # noqa: ANN401 - numba has no types
+    def on_start(self, event: Any) -> None:  # noqa: ANN401 - likewise
         function = event.data["dispatcher"].py_func
         self._listener(f"{function.__module__}.{function.__qualname__}")
 

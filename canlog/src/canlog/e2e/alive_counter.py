@@ -17,11 +17,11 @@ data widens the permitted jump by one. Where profile 1 leaves room, this receive
 """
 
 from collections.abc import Iterable, Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-from canlog.arrays import Int64Array, Series
+from canlog.arrays import Int64Array, Records, Series
 from canlog.e2e.profile1 import COUNTER_PERIOD
 from canlog.jit import kernel
 
@@ -43,39 +43,41 @@ LEAST_SHARED: Final = 0.8  # of the times of columns: cells may be blank
 NS_PER_MS: Final = 1_000_000
 
 
-class LinkState(NamedTuple):
-    """What is remembered of each message, arrays of shape (m,); counters are -1 where there is none."""
+class LinkState:
+    """What is remembered of a message: a record of an array; counters are -1 where there is none."""
 
-    valid_counter: Int64Array  # last accepted frame
-    valid_ns: Int64Array
-    sequence: Int64Array  # its transmission number
-    stray_counter: Int64Array  # last frame rejected for its jump
-    stray_ns: Int64Array
-    seen_counter: Int64Array  # last frame with a good CRC
-    seen_ns: Int64Array
-    is_stuck: Int64Array
-    rejected: Int64Array  # frames rejected since the last accepted one that stood in for a transmission
-    rejected_after_stray: Int64Array
-    late: Int64Array  # cycles by which the sender may still catch up; fades while it does not
-    assumed: Int64Array  # frames counted as missing lately on the evidence of time alone
-    assumed_ns: Int64Array  # when that began
-    assumed_sequence: Int64Array
-    held_back: Int64Array  # frames that came right behind the one before: that one was late
+    valid_counter: int  # last accepted frame
+    valid_ns: int
+    sequence: int  # its transmission number
+    stray_counter: int  # last frame rejected for its jump
+    stray_ns: int
+    seen_counter: int  # last frame with a good CRC
+    seen_ns: int
+    is_stuck: int
+    rejected: int  # frames rejected since the last accepted one that stood in for a transmission
+    rejected_after_stray: int
+    late: int  # cycles by which the sender may still catch up; fades while it does not
+    assumed: int  # frames counted as missing lately on the evidence of time alone
+    assumed_ns: int  # when that began
+    assumed_sequence: int
+    held_back: int  # frames that came right behind the one before: that one was late
 
 
-def fresh_links(count: int) -> LinkState:
-    """Return the state of some messages of which nothing was seen."""
-    links = LinkState(*(np.full(count, _NONE, np.int64) for _ in LinkState._fields))
-    links.held_back[:] = 0
+LINK_TYPE: Final = np.dtype([(name, np.int64) for name in LinkState.__annotations__])
+
+
+def fresh_links(count: int) -> Records:
+    """Return the state of some messages of which nothing was seen, of `LINK_TYPE`."""
+    links = np.zeros(count, LINK_TYPE)
+    links["sequence"] = _NONE
     forget(links)
     return links
 
 
-def forget(links: LinkState) -> None:
+def forget(links: Records) -> None:
     """Forget counters and times, after a jump of bus time; sequence numbers go on."""
-    for name, column in zip(LinkState._fields, links, strict=True):
-        if name not in {"sequence", "held_back"}:
-            column[:] = _NONE if name.endswith("counter") else 0
+    for name in set(LinkState.__annotations__) - {"sequence", "held_back"}:
+        links[name] = _NONE if name.endswith("counter") else 0
 
 
 @kernel
@@ -108,103 +110,103 @@ def permitted_advance(counter: int, since: int, cycles: float, late: int) -> int
 
 
 @kernel
-def retracted(state: LinkState, slot: int, t_ns: int, cycles: float) -> int:
+def retracted(link: LinkState, t_ns: int, cycles: float) -> int:
     """Return how many frames were not missing after all: those that follow come too soon for that."""
-    assumed, since = int(state.assumed[slot]), state.sequence[slot] - state.assumed_sequence[slot]
+    assumed, since = link.assumed, link.sequence - link.assumed_sequence
     if assumed == 0 or cycles < 0.0:
         return 0
-    cycle_ns = (t_ns - state.valid_ns[slot]) / cycles if cycles > 0.0 else 0.0
-    ahead_ns = since * cycle_ns - (t_ns - state.assumed_ns[slot])
+    cycle_ns = (t_ns - link.valid_ns) / cycles if cycles > 0.0 else 0.0
+    ahead_ns = since * cycle_ns - (t_ns - link.assumed_ns)
     if cycles < BURST_CYCLES or ahead_ns > AHEAD_CYCLES * cycle_ns:
-        state.assumed[slot] = 0
+        link.assumed = 0
         return assumed
     if since > SILENT_CYCLES:
-        state.assumed[slot] = 0
+        link.assumed = 0
     return 0
 
 
 @kernel
-def accept(state: LinkState, slot: int, counter: int, t_ns: int, advance: int, proven: int, cycles: float) -> int:
+def accept(link: LinkState, counter: int, t_ns: int, advance: int, proven: int, cycles: float) -> int:
     """Move the state on to an accepted frame; return how many frames are missing before it.
 
     ``advance`` counts transmissions since the last accepted frame, ``proven`` those that the counter itself shows.
     """
-    missing = max(0, advance - 1 - int(state.rejected[slot]))
-    assumed = missing - max(0, proven - 1 - int(state.rejected[slot]))
+    missing = max(0, advance - 1 - link.rejected)
+    assumed = missing - max(0, proven - 1 - link.rejected)
     if cycles >= BURST_CYCLES:
-        late = max(int(state.late[slot]) - 1, int(np.rint(cycles)) - advance)
+        late = max(link.late - 1, int(np.rint(cycles)) - advance)
     else:
-        late = int(state.late[slot]) - advance
-        state.held_back[slot] += cycles >= 0.0
-    state.late[slot] = max(0, late)
-    state.sequence[slot] += advance
-    missing -= retracted(state, slot, t_ns, cycles)
-    if assumed > 0 and state.assumed[slot] == 0:
-        state.assumed_ns[slot] = t_ns
-        state.assumed_sequence[slot] = state.sequence[slot]
-    state.assumed[slot] += assumed
-    state.valid_counter[slot] = counter
-    state.valid_ns[slot] = t_ns
-    state.stray_counter[slot] = _NONE
-    state.rejected[slot] = 0
+        late = link.late - advance
+        link.held_back += cycles >= 0.0
+    link.late = max(0, late)
+    link.sequence += advance
+    missing -= retracted(link, t_ns, cycles)
+    if assumed > 0 and link.assumed == 0:
+        link.assumed_ns = t_ns
+        link.assumed_sequence = link.sequence
+    link.assumed += assumed
+    link.valid_counter = counter
+    link.valid_ns = t_ns
+    link.stray_counter = _NONE
+    link.rejected = 0
     return missing
 
 
 @kernel
-def is_repeated(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: int) -> bool:
+def is_repeated(link: LinkState, counter: int, t_ns: int, cycle_ns: int) -> bool:
     """Return whether the counter has not moved since the last frame; remember the frame."""
-    same = counter == state.seen_counter[slot]
-    cycles = elapsed_cycles(t_ns - state.seen_ns[slot], cycle_ns)
-    repeated = same and (state.is_stuck[slot] == 1 or (whole_periods(0, cycles) == 0 and cycles <= SILENT_CYCLES))
+    same = counter == link.seen_counter
+    cycles = elapsed_cycles(t_ns - link.seen_ns, cycle_ns)
+    repeated = same and (link.is_stuck == 1 or (whole_periods(0, cycles) == 0 and cycles <= SILENT_CYCLES))
     if repeated and cycles >= BURST_CYCLES:
-        state.rejected[slot] += 1
-        state.rejected_after_stray[slot] += 1
-    state.is_stuck[slot] = 1 if repeated else 0
-    state.seen_counter[slot] = counter
-    state.seen_ns[slot] = t_ns
+        link.rejected += 1
+        link.rejected_after_stray += 1
+    link.is_stuck = 1 if repeated else 0
+    link.seen_counter = counter
+    link.seen_ns = t_ns
     return repeated
 
 
 @kernel
-def judge(state: LinkState, slot: int, counter: int, t_ns: int, cycle_ns: int) -> tuple[int, int]:
+def judge(link: LinkState, counter: int, t_ns: int, cycle_ns: int) -> tuple[int, int]:
     """Return reason and missing frames of one frame with a good CRC, and move the state on."""
     if counter >= COUNTER_PERIOD:
-        state.rejected[slot] += 1
+        link.rejected += 1
         return WRONG_SEQUENCE, 0
-    if is_repeated(state, slot, counter, t_ns, cycle_ns):
+    if is_repeated(link, counter, t_ns, cycle_ns):
         return REPEATED, 0
-    is_first = state.valid_counter[slot] == _NONE
-    cycles = elapsed_cycles(t_ns - state.valid_ns[slot], cycle_ns)
-    if is_first or cycles - state.rejected[slot] > SILENT_CYCLES:
+    is_first = link.valid_counter == _NONE
+    cycles = elapsed_cycles(t_ns - link.valid_ns, cycle_ns)
+    if is_first or cycles - link.rejected > SILENT_CYCLES:
         by_time = 1 if is_first else int(np.rint(cycles))
-        accept(state, slot, counter, t_ns, by_time, by_time, -1.0)
+        accept(link, counter, t_ns, by_time, by_time, -1.0)
         return IN_SEQUENCE, 0
-    advance = permitted_advance(counter, state.valid_counter[slot], cycles, state.late[slot])
+    advance = permitted_advance(counter, link.valid_counter, cycles, link.late)
     if advance > 0:
-        proven = (counter - state.valid_counter[slot]) % COUNTER_PERIOD
-        return IN_SEQUENCE, accept(state, slot, counter, t_ns, advance, proven, cycles)
-    if state.stray_counter[slot] != _NONE:
-        stray_cycles = elapsed_cycles(t_ns - state.stray_ns[slot], cycle_ns)
-        restarted = permitted_advance(counter, state.stray_counter[slot], stray_cycles, 0)
+        proven = (counter - link.valid_counter) % COUNTER_PERIOD
+        return IN_SEQUENCE, accept(link, counter, t_ns, advance, proven, cycles)
+    if link.stray_counter != _NONE:
+        stray_cycles = elapsed_cycles(t_ns - link.stray_ns, cycle_ns)
+        restarted = permitted_advance(counter, link.stray_counter, stray_cycles, 0)
         if restarted > 0:
             # How many were sent around the restart nobody knows: time numbers them, only the counter proves a loss.
-            missing = max(0, restarted - 1 - state.rejected_after_stray[slot])
-            by_time = max(1, int(np.rint(cycles))) if cycle_ns > 0 else restarted + state.rejected[slot]
-            accept(state, slot, counter, t_ns, by_time, by_time, -1.0)
+            missing = max(0, restarted - 1 - link.rejected_after_stray)
+            by_time = max(1, int(np.rint(cycles))) if cycle_ns > 0 else restarted + link.rejected
+            accept(link, counter, t_ns, by_time, by_time, -1.0)
             return IN_SEQUENCE, missing
-    state.stray_counter[slot] = counter
-    state.stray_ns[slot] = t_ns
-    state.rejected_after_stray[slot] = 0
+    link.stray_counter = counter
+    link.stray_ns = t_ns
+    link.rejected_after_stray = 0
     if not 0.0 <= cycles < BURST_CYCLES:
-        state.rejected[slot] += 1
+        link.rejected += 1
     return WRONG_SEQUENCE, 0
 
 
 @kernel
-def note_unusable(state: LinkState, slot: int) -> None:
+def note_unusable(link: LinkState) -> None:
     """Remember a frame that stood in for a transmission but could not be read."""
-    state.rejected[slot] += 1
-    state.rejected_after_stray[slot] += 1
+    link.rejected += 1
+    link.rejected_after_stray += 1
 
 
 def own_period_ns(series: Series) -> int:
@@ -261,5 +263,5 @@ def most_are_shorter(t_ns: Int64Array, sequence: Int64Array, limit_ns: float) ->
     steps_ns = np.diff(t_ns)
     if sequence[0] >= 0:
         limits_ns = limit_ns * np.maximum(np.diff(sequence), 1)
-        return 2 * np.count_nonzero(steps_ns < limits_ns) > len(steps_ns)
-    return 2 * np.count_nonzero(steps_ns < limit_ns) > len(steps_ns)
+        return bool(2 * np.count_nonzero(steps_ns < limits_ns) > len(steps_ns))
+    return bool(2 * np.count_nonzero(steps_ns < limit_ns) > len(steps_ns))

@@ -14,11 +14,11 @@ All its parameters are the same in every state, as AUTOSAR's constraints permit;
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-from canlog.arrays import Int64Array
+from canlog.arrays import Int64Array, Records
 from canlog.e2e.alive_counter import SLOWER_RATIO, SLOWEST
 from canlog.e2e.profile1 import COUNTER_PERIOD
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts
@@ -61,20 +61,23 @@ _NO_DATA, _INIT, _VALID, _INVALID = (
 )
 
 
-class E2eMemory(NamedTuple):
-    """What is remembered of each message, arrays of shape (m,)."""
+class E2eMemory:
+    """What is remembered of a message: a record of an array."""
 
-    state: Int64Array  # of E2eState
-    ok_bits: Int64Array  # the last WINDOW checks, the latest lowest: 1 where all was well
-    error_bits: Int64Array  # 1 where the frame was broken
-    heard_ns: Int64Array  # last frame of whatever kind, BEFORE_ALL_NS before the first
-    invalidations: Int64Array  # times that the message became invalid
-    cycle_ns: Int64Array  # cycle that the database names; 0 where that is unknown
-    own_ns: Int64Array  # cycle that the message keeps, no less than the database's
-    sequence: Int64Array  # transmission number of the last frame
-    lapse_state: Int64Array  # of E2eState before the silence that lasts, NO_DATA if there is none
-    lapse_ok_bits: Int64Array
-    lapse_ns: Int64Array
+    state: int  # of E2eState
+    ok_bits: int  # the last WINDOW checks, the latest lowest: 1 where all was well
+    error_bits: int  # 1 where the frame was broken
+    heard_ns: int  # last frame of whatever kind, BEFORE_ALL_NS before the first
+    invalidations: int  # times that the message became invalid
+    cycle_ns: int  # cycle that the database names; 0 where that is unknown
+    own_ns: int  # cycle that the message keeps, no less than the database's
+    sequence: int  # transmission number of the last frame
+    lapse_state: int  # of E2eState before the silence that lasts, NO_DATA if there is none
+    lapse_ok_bits: int
+    lapse_ns: int
+
+
+_MEMORY_TYPE: Final = np.dtype([(name, np.int64) for name in E2eMemory.__annotations__])
 
 
 @kernel
@@ -102,23 +105,23 @@ def next_state(state: int, ok_bits: int, error_bits: int) -> int:
 @kernel
 def add_check(memory: E2eMemory, slot: int, t_ns: int, is_ok: int, is_error: int, changes: Int64Array) -> int:
     """Take the result of one check into the window; write the change of state that it brings, return how many."""
-    before = memory.state[slot]
-    ok_bits = ((memory.ok_bits[slot] << 1) | is_ok) & _MASK
-    error_bits = ((memory.error_bits[slot] << 1) | is_error) & _MASK
+    before = memory.state
+    ok_bits = ((memory.ok_bits << 1) | is_ok) & _MASK
+    error_bits = ((memory.error_bits << 1) | is_error) & _MASK
     after = next_state(before, ok_bits, error_bits)
     is_lost = after == _INVALID and before != _INVALID
-    memory.ok_bits[slot] = 0 if is_lost else ok_bits
-    memory.error_bits[slot] = 0 if is_lost else error_bits
-    memory.invalidations[slot] += 1 if is_lost else 0
+    memory.ok_bits = 0 if is_lost else ok_bits
+    memory.error_bits = 0 if is_lost else error_bits
+    memory.invalidations += 1 if is_lost else 0
     return enter_state(memory, slot, t_ns, after, changes)
 
 
 @kernel
 def enter_state(memory: E2eMemory, slot: int, t_ns: int, state: int, changes: Int64Array) -> int:
     """Change the state of a message; write that into the first row of ``changes``, return whether it was one."""
-    if state == memory.state[slot]:
+    if state == memory.state:
         return 0
-    memory.state[slot] = state
+    memory.state = state
     changes[0, 0], changes[0, 1], changes[0, 2] = t_ns, slot, state
     return 1
 
@@ -126,47 +129,47 @@ def enter_state(memory: E2eMemory, slot: int, t_ns: int, state: int, changes: In
 @kernel
 def add_silence(memory: E2eMemory, slot: int, now_ns: int, changes: Int64Array) -> int:
     """If a message is overdue, take that for a window without new data; write and return as ``add_check``."""
-    if memory.own_ns[slot] <= 0 or memory.heard_ns[slot] == BEFORE_ALL_NS:
+    if memory.own_ns <= 0 or memory.heard_ns == BEFORE_ALL_NS:
         return 0
-    overdue_ns = memory.heard_ns[slot] + max(TIMEOUT_CYCLES * memory.own_ns[slot], MIN_TIMEOUT_NS)
+    overdue_ns = memory.heard_ns + max(TIMEOUT_CYCLES * memory.own_ns, MIN_TIMEOUT_NS)
     if overdue_ns >= now_ns:
         return 0
-    ok_bits, memory.ok_bits[slot] = memory.ok_bits[slot], 0
-    memory.error_bits[slot] = 0
-    if memory.state[slot] != _VALID and memory.state[slot] != _INIT:
+    ok_bits, memory.ok_bits = memory.ok_bits, 0
+    memory.error_bits = 0
+    if not _INIT <= memory.state <= _VALID:
         return 0
-    memory.lapse_state[slot], memory.lapse_ok_bits[slot] = memory.state[slot], ok_bits
-    memory.lapse_ns[slot] = overdue_ns
-    memory.invalidations[slot] += 1
+    memory.lapse_state, memory.lapse_ok_bits = memory.state, ok_bits
+    memory.lapse_ns = overdue_ns
+    memory.invalidations += 1
     return enter_state(memory, slot, overdue_ns, _INVALID, changes)
 
 
 @kernel
 def take_back_silence(memory: E2eMemory, slot: int, sequence: int, changes: Int64Array) -> int:
     """If the frame after a silence is the very next one, it was late: write that there was no lapse, at its time."""
-    before, state = memory.sequence[slot], memory.lapse_state[slot]
-    memory.lapse_state[slot], memory.sequence[slot] = _NO_DATA, sequence
+    before, state = memory.sequence, memory.lapse_state
+    memory.lapse_state, memory.sequence = _NO_DATA, sequence
     # Whole periods of the counter are told missing by time alone, and time is what is late.
     if state == _NO_DATA or sequence < 0 or before < 0 or (sequence - before) % COUNTER_PERIOD != 1:
         return 0
-    memory.ok_bits[slot] = memory.lapse_ok_bits[slot]
-    memory.invalidations[slot] -= 1
-    return enter_state(memory, slot, memory.lapse_ns[slot], state, changes)
+    memory.ok_bits = memory.lapse_ok_bits
+    memory.invalidations -= 1
+    return enter_state(memory, slot, memory.lapse_ns, state, changes)
 
 
 @kernel
-def learn_cycle(memory: E2eMemory, slot: int, now_ns: int, missing: int) -> None:
+def learn_cycle(memory: E2eMemory, now_ns: int, missing: int) -> None:
     """Take the time since the last frame into account, frames that are missing in between left out."""
-    own_ns, cycle_ns = memory.own_ns[slot], memory.cycle_ns[slot]
-    if own_ns > 0 and memory.heard_ns[slot] > BEFORE_ALL_NS:
-        step_ns = (now_ns - memory.heard_ns[slot]) // (1 + max(missing, 0))
+    own_ns, cycle_ns = memory.own_ns, memory.cycle_ns
+    if own_ns > 0 and memory.heard_ns > BEFORE_ALL_NS:
+        step_ns = (now_ns - memory.heard_ns) // (1 + max(missing, 0))
         step_ns = min(max(step_ns, own_ns // 2), 2 * own_ns)
         own_ns += (step_ns - own_ns) // LEARNING_STEPS
-        memory.own_ns[slot] = min(max(own_ns, cycle_ns), SLOWEST * cycle_ns)
+        memory.own_ns = min(max(own_ns, cycle_ns), SLOWEST * cycle_ns)
 
 
 @kernel
-def judge_messages(memory: E2eMemory, verdicts: FrameVerdicts, t_ns: Int64Array, changes: Int64Array) -> int:
+def judge_messages(memory: Records, verdicts: FrameVerdicts, t_ns: Int64Array, changes: Int64Array) -> int:
     """Judge frames in their order, then silence at the last of them.
 
     Fills rows (time, message, state) of ``changes``, (k, 3), and returns how many.
@@ -176,16 +179,16 @@ def judge_messages(memory: E2eMemory, verdicts: FrameVerdicts, t_ns: Int64Array,
         slot, reason, missing = verdicts.slot[row], verdicts.reason[row], verdicts.missing[row]
         if slot < 0 or reason >= _OTHER_CHANNEL:
             continue
-        count += add_silence(memory, slot, t_ns[row], changes[count:])
-        count += take_back_silence(memory, slot, verdicts.sequence[row], changes[count:])
+        count += add_silence(memory[slot], slot, t_ns[row], changes[count:])
+        count += take_back_silence(memory[slot], slot, verdicts.sequence[row], changes[count:])
         for _ in range(min(missing % COUNTER_PERIOD, WINDOW) if missing > 0 else 0):
-            count += add_check(memory, slot, t_ns[row], 0, 0, changes[count:])
+            count += add_check(memory[slot], slot, t_ns[row], 0, 0, changes[count:])
         is_error = 1 if _SHORT <= reason <= _BAD_CRC else 0
-        count += add_check(memory, slot, t_ns[row], 1 if reason == _OK else 0, is_error, changes[count:])
-        learn_cycle(memory, slot, t_ns[row], missing)
-        memory.heard_ns[slot] = t_ns[row]
-    for slot in range(memory.state.size if t_ns.size else 0):
-        count += add_silence(memory, slot, t_ns[-1], changes[count:])
+        count += add_check(memory[slot], slot, t_ns[row], 1 if reason == _OK else 0, is_error, changes[count:])
+        learn_cycle(memory[slot], t_ns[row], missing)
+        memory[slot].heard_ns = t_ns[row]
+    for slot in range(len(memory) if t_ns.size else 0):
+        count += add_silence(memory[slot], slot, t_ns[-1], changes[count:])
     return count
 
 
@@ -202,34 +205,34 @@ class E2eStates:
 
     def __init__(self, names: Sequence[str], cycle_ns: Sequence[int]) -> None:
         self._names = tuple(names)
-        self._memory = E2eMemory(*(np.zeros(len(names), np.int64) for _ in E2eMemory._fields))
-        self._memory.cycle_ns[:] = cycle_ns
-        self._memory.own_ns[:] = cycle_ns
+        self._memory = np.zeros(len(names), _MEMORY_TYPE)
+        self._memory["cycle_ns"] = cycle_ns
+        self._memory["own_ns"] = cycle_ns
         self.reset()
         self.judge(np.empty(0, np.int64), FrameVerdicts.room(0))  # compiles now: the first real batch must not wait
 
     @property
     def states(self) -> tuple[E2eState, ...]:
-        return tuple(E2eState(state) for state in self._memory.state.tolist())
+        return tuple(E2eState(state) for state in self._memory["state"].tolist())
 
     @property
     def invalidations(self) -> tuple[int, ...]:
-        return tuple(self._memory.invalidations.tolist())
+        return tuple(self._memory["invalidations"].tolist())
 
     @property
     def own_cycles_ns(self) -> tuple[int, ...]:
         """How often each message comes by itself; the database's cycle until it is plainly slower, 0 if unknown."""
-        own_ns, cycle_ns = self._memory.own_ns, self._memory.cycle_ns
+        own_ns, cycle_ns = self._memory["own_ns"], self._memory["cycle_ns"]
         return tuple(np.where(own_ns >= SLOWER_RATIO * cycle_ns, own_ns, cycle_ns).tolist())
 
     def reset(self) -> None:
         """Start again with every message, after a jump of bus time; counts and learnt cycles go on."""
-        self._memory.state[:] = _NO_DATA
-        self._memory.ok_bits[:] = 0
-        self._memory.error_bits[:] = 0
-        self._memory.lapse_state[:] = _NO_DATA
-        self._memory.sequence[:] = -1
-        self._memory.heard_ns[:] = BEFORE_ALL_NS
+        self._memory["state"] = _NO_DATA
+        self._memory["ok_bits"] = 0
+        self._memory["error_bits"] = 0
+        self._memory["lapse_state"] = _NO_DATA
+        self._memory["sequence"] = -1
+        self._memory["heard_ns"] = BEFORE_ALL_NS
 
     def judge(self, t_ns: Int64Array, verdicts: FrameVerdicts) -> tuple[E2eChange, ...]:
         """Return the changes of state that frames bring about, those by silence until the last of them included."""

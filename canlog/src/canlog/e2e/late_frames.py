@@ -12,9 +12,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canlog.arrays import BoolArray, Int64Array, UInt8Array, UInt32Array
+from canlog.arrays import BoolArray, Int64Array, Records, UInt8Array, UInt32Array
 from canlog.database.addressing import NOBODY, AddressBook, find_slot
-from canlog.e2e.alive_counter import LinkState
 from canlog.e2e.profile1 import COUNTER_BYTE, COUNTER_MASK, COUNTER_PERIOD
 from canlog.frames import ERROR_FLAG, MAX_GAP_NS, REMOTE_FLAG, FrameBatch, empty_batch, join
 from canlog.jit import kernel
@@ -136,7 +135,7 @@ class LateFrames:
         What is known of their counters, as it stands whenever a part is asked for.
     """
 
-    def __init__(self, book: AddressBook, cycle_ns: Int64Array, links: LinkState) -> None:
+    def __init__(self, book: AddressBook, cycle_ns: Int64Array, links: Records) -> None:
         self._book, self._cycle_ns, self._links = book, cycle_ns, links
         self._quickest_ns = int(min(cycle_ns[cycle_ns > 0], default=0))
         self.silence_ns = int(SILENT_CYCLES * self._quickest_ns) if self._quickest_ns else MAX_GAP_NS
@@ -186,7 +185,7 @@ class LateFrames:
             self._burst = None
 
     def _rows_on_time(self, batch: FrameBatch, before_ns: int, own_cycles_ns: Sequence[int]) -> int:
-        cycle_ns, is_known = np.where(self._cycle_ns > 0, own_cycles_ns, 0), self._links.valid_counter >= 0
+        cycle_ns, is_known = np.where(self._cycle_ns > 0, own_cycles_ns, 0), self._links["valid_counter"] >= 0
         return rows_on_time(self._book, cycle_ns, is_known, batch.t_ns, batch.can_id, before_ns)
 
     def _begin(self, held: FrameBatch, before_ns: int, own_cycles_ns: Sequence[int]) -> FrameBatch:
@@ -202,7 +201,8 @@ class LateFrames:
         return part
 
     def _schedules_of(self, cycle_ns: Int64Array) -> Schedules:
-        return Schedules(cycle_ns, self._on_time_ns, self._links.valid_counter.copy(), self._links.valid_ns.copy())
+        known = self._links
+        return Schedules(cycle_ns, self._on_time_ns, known["valid_counter"].copy(), known["valid_ns"].copy())
 
     def _resent(self, batch: FrameBatch, burst: CatchingUp) -> tuple[FrameBatch, CatchingUp]:
         """Return the frames that are late at the times at which they were sent, and how the burst goes on."""

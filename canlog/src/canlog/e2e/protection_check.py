@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from cantools.database.can import Message
 
-from canlog.arrays import Int64Array, UInt8Array, UInt32Array
+from canlog.arrays import Int64Array, Records, UInt8Array, UInt32Array
 from canlog.database.addressing import (
     ANY,
     NOBODY,
@@ -22,7 +22,7 @@ from canlog.database.addressing import (
     find_slot,
     message_address,
 )
-from canlog.e2e.alive_counter import IN_SEQUENCE, REPEATED, LinkState, forget, fresh_links, judge, note_unusable
+from canlog.e2e.alive_counter import IN_SEQUENCE, REPEATED, forget, fresh_links, judge, note_unusable
 from canlog.e2e.late_frames import LateFrames
 from canlog.e2e.message_contract import message_contract
 from canlog.e2e.profile1 import COUNTER_BYTE, COUNTER_MASK, CRC_BYTE, CRC_TABLES, data_id_remainder
@@ -110,7 +110,7 @@ class FrameTotals(NamedTuple):
 def judge_frames(
     book: AddressBook,
     rules: Rules,
-    links: LinkState,
+    links: Records,
     origins: Origins,
     frames: FrameColumns,
     verdicts: FrameVerdicts,
@@ -124,7 +124,7 @@ def judge_frames(
         if reason == _OK:
             reason = soundness(rules, frames, row, slot)
             if reason != _OK and rules.is_protected[slot]:
-                note_unusable(links, slot)
+                note_unusable(links[slot])
         if reason == _OK:
             keep_origin(book, origins, frames, row, slot)
             if rules.is_protected[slot]:
@@ -184,14 +184,14 @@ def keep_origin(book: AddressBook, origins: Origins, frames: FrameColumns, row: 
 
 @kernel
 def sequence_reason(
-    rules: Rules, links: LinkState, frames: FrameColumns, row: int, slot: int, verdicts: FrameVerdicts
+    rules: Rules, links: Records, frames: FrameColumns, row: int, slot: int, verdicts: FrameVerdicts
 ) -> int:
     """Return whether the counter of a sound frame is as it should be; number the frame, and tell what is missing."""
     counter = int(frames.data[row, COUNTER_BYTE] & COUNTER_MASK)
-    outcome, missing = judge(links, slot, counter, frames.t_ns[row], rules.cycle_ns[slot])
+    outcome, missing = judge(links[slot], counter, frames.t_ns[row], rules.cycle_ns[slot])
     verdicts.missing[row] = missing
     if outcome == IN_SEQUENCE:
-        verdicts.sequence[row] = links.sequence[slot]
+        verdicts.sequence[row] = links[slot].sequence
         return _OK
     return _REPEATED if outcome == REPEATED else _WRONG_SEQUENCE
 
@@ -240,7 +240,7 @@ class LinkMonitor:
     @property
     def held_back(self) -> Int64Array:
         """Accepted frames that came in short bursts, right behind a frame that was late, by message, shape (m,)."""
-        return self._links.held_back.copy()
+        return self._links["held_back"].copy()
 
     def senders(self, slot: int) -> Mapping[int, int]:
         """Return how many frames of a J1939 message each source address sent, on the channel that counts."""
