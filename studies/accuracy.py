@@ -106,7 +106,7 @@ def analyse(case: Case) -> list[Row]:
                 f"{estimate.status} {', '.join(estimate.reasons)} chi2 {estimate.chi_square_ratio:.2f}",
                 file=sys.stderr,
             )
-    state = diagnoses[-1].state
+    state = diagnoses[-1].belief.posterior
     rows += [row("running", clutch, friction_of(state, clutch), 0.0, is_upshift=False) for clutch in (1, 2)]
     return rows
 

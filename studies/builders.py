@@ -15,8 +15,6 @@ from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.units import k_from_degc
 from dbc.contract import load_contract
 from diag_service import analyze
-from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -59,7 +57,7 @@ def new_decoder() -> Decoder:
 def new_stages(calibration: Calibration | None = None) -> Stages:
     """Return a service that has never met the vehicle."""
     calibration = calibration or nominal_calibration()
-    return Stages(new_decoder(), calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+    return Stages(new_decoder(), calibration)
 
 
 def diagnose(scenario: Scenario, calibration: Calibration | None = None) -> tuple[list[Diagnosis], TruthLog]:

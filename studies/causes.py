@@ -124,9 +124,9 @@ def lived(life: Life) -> list[Lived]:
         batch = replace(batch, t_ns=batch.t_ns + offset_ns)
         offset_ns += int(batch.t_ns[-1] - batch.t_ns[0]) + BETWEEN_NS
         for event in (*stages.segment(batch), *stages.flush()):
-            memory = stages.conclude(event).memory
+            stages.conclude(event)
         if drive - SOUND_DRIVES - ramp + 1 in {1, 4, 7, FAULTY_DRIVES}:
-            moments.append(memory.course)
+            moments.append(stages.belief.memory.course)
     truths = tuple(
         (one.kind, one.clutch, 1.0 if next(iter(one.changes.values())) > 1.0 else -1.0)
         for one in build_vehicle(scenario).causes

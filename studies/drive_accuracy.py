@@ -167,10 +167,10 @@ def outcome_of(diagnoses: Sequence[Diagnosis], true: FloatArray, vehicle: Vehicl
             continue
         used_count += 1
         oil_degc = float(degc_from_k(estimate.sump_temperature_k or 0.0))
-        looks += _looks(used_count, diagnosis.state, oil_degc, true, shown)
+        looks += _looks(used_count, diagnosis.belief.posterior, oil_degc, true, shown)
         if estimate.scale_free is not None:
             alone.append((estimate.kind.value, *_error(estimate.scale_free, shown[estimate.clutch - 1])))
-    looks += _looks(END, diagnoses[-1].state, 0.0, true, shown)
+    looks += _looks(END, diagnoses[-1].belief.posterior, 0.0, true, shown)
     return Outcome(
         looks=tuple(looks),
         statuses=Counter(
@@ -187,7 +187,7 @@ def _wrong_verdicts(diagnoses: Sequence[Diagnosis], fluid: str) -> Iterator[str]
     for one in diagnoses:
         verdict = one.verdict
         if verdict.condition in WRONG[fluid]:
-            count = one.state.shift_counts[verdict.clutch - 1]
+            count = one.belief.posterior.shift_counts[verdict.clutch - 1]
             condition = verdict.condition.name.lower()
             yield f"{condition} of clutch {verdict.clutch} after {count} of its events ({verdict.reason})"
 

@@ -90,7 +90,7 @@ def emulated(case: Case) -> list[Outcome]:
     fluid = replace(base.fluid, condition=dict(zip(FLUIDS, CONDITIONS, strict=True))[case.fluid])
     emulator = Drive(replace(base, seed=case.seed, fluid=fluid, scatter=scatter))
     decoder = Decoder(load_contract("lockup"), find_profile(Path("lockup")))
-    stages = Stages(decoder, calibration, LockupState.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, calibration)
     diagnoses: list[Diagnosis] = []
     shudder_s = 0.0
     for stretch in emulator.stretches(STRETCH_S):
@@ -104,8 +104,8 @@ def emulated(case: Case) -> list[Outcome]:
         torque_gain=1.0 + true.drawn["torque_gain_ratio"],
         area_ratio=1.0 + true.drawn["clutch1_piston_area_ratio"],
     )
-    told = [(one.slip, one.verdict) for one in diagnoses if one.slip is not None]
-    is_seen = bool(diagnoses) and any(diagnoses[-1].memory.launches[0].juddered)
+    told = [(one.belief.lockup, one.verdict) for one in diagnoses]
+    is_seen = bool(diagnoses) and any(diagnoses[-1].belief.memory.launches[0].juddered)
     return [outcome_of(case, car, calibration, told, shudder_s, is_seen=is_seen)]
 
 
@@ -119,7 +119,7 @@ def driven(case: Case) -> list[Outcome]:
     rng = np.random.default_rng(case.seed)
     car = drawn_car(rng, case.fluid, calibration)
     found = drive(car, rng, case.minutes, calibration)
-    finder, estimator = SlipFinder(calibration), LockupEstimator(calibration, calibration.converter)
+    finder, estimator = SlipFinder(calibration), LockupEstimator(calibration)
     state, memory = LockupState.fresh(calibration), ConditionMemory.fresh()
     told = []
     for event in [one for batch in batches(found.columns) for one in finder.feed(batch)] + finder.flush():

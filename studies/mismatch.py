@@ -105,7 +105,7 @@ def outcomes(case: Case) -> list[Outcome]:
             is_wrong=final[clutch] in WRONG[case.fluid],
         )
 
-    state = diagnoses[-1].state
+    state = diagnoses[-1].belief.posterior
     return [outcome(name, clutch, friction_of(state, clutch)) for name in PARAMETERS for clutch in (1, 2)]
 
 

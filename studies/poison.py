@@ -165,7 +165,7 @@ def trials(setting: Setting, seed: int) -> list[Trial]:
 def trials_of(events: Sequence[Event], seed: int, fluid: FluidCondition) -> list[Trial]:
     """Spoil events of a drive in several trials."""
     diagnosed = concluded(events)
-    sound, out_if_sound = free(diagnosed[-1].state), left_out(diagnosed)
+    sound, out_if_sound = free(diagnosed[-1].belief.posterior), left_out(diagnosed)
     telling = [place for place, one in enumerate(diagnosed) if one.estimate.friction is not None]
     rng = np.random.default_rng([seed, 93])
     found = []
@@ -180,8 +180,8 @@ def trials_of(events: Sequence[Event], seed: int, fluid: FluidCondition) -> list
         spoilt = [bad(one, signal, kind, sign) if place in places else one for place, one in enumerate(events)]
         diagnoses = concluded(spoilt)
         without = concluded([one for place, one in enumerate(events) if place not in places])
-        at_end = free(without[-1].state)
-        moved = np.abs(free(diagnoses[-1].state) / at_end - 1.0)
+        at_end = free(without[-1].belief.posterior)
+        moved = np.abs(free(diagnoses[-1].belief.posterior) / at_end - 1.0)
         named, guilty = left_out(diagnoses) - out_if_sound, {events[place].end_ns for place in places}
         quantity = "torque" if signal is Signal.ENGINE_TORQUE else "pressure"
         found.append(
@@ -227,7 +227,7 @@ def steps(setting: Setting, seed: int) -> list[Step]:
     errors, stds = [], []
     for one in concluded([*first, *later])[len(first) :]:
         if one.estimate.clutch == clutch and one.estimate.status is Status.VALID:
-            now = scale_free(one.state, clutch)
+            now = scale_free(one.belief.posterior, clutch)
             errors.append(now.mu_c / true - 1.0)
             stds.append(now.std_mu_c / true)
     return [Step(clutch=clutch, step_ratio=ratio, errors_ratio=tuple(errors), stds_ratio=tuple(stds))]

@@ -140,7 +140,7 @@ def events_of(frames: EncodedFrames) -> tuple[list[Event], list[Event]]:
 
 def driven_friction(scenario: Scenario, calibration: Calibration) -> FloatArray:
     """Return mu_C and mu_S of both clutches as a drive leaves them, estimated from nothing but the calibration."""
-    state = diagnose(scenario, calibration)[0][-1].state
+    state = diagnose(scenario, calibration)[0][-1].belief.posterior
     return np.array(
         [value for clutch in (1, 2) for one in [friction_of(state, clutch)] for value in (one.mu_c, one.mu_s)]
     )

@@ -26,8 +26,6 @@ from rich.table import Table
 from canlog.arrays import FloatArray
 from canlog.logs import read_log
 from clutch_model.calibration import TorqueSource, nominal_calibration
-from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.posterior import clutch_ratio, scale_free, trend
 from diag_service.diagnosis.records import FrictionSlope, Status
 from diag_service.mapping.interpretation import interpret
@@ -110,7 +108,7 @@ def slope_looks(
         moments[END] = used[-1]
     carries = true[:, 0] * (1.0 + np.array(area_ratios))
     for moment, diagnosis in moments.items():
-        state = diagnosis.state
+        state = diagnosis.belief.posterior
         for clutch in (1, 2):
             if not state.shift_counts[clutch - 1]:
                 continue
@@ -139,7 +137,7 @@ def diagnosed(table: Path) -> list[Diagnosis]:
     profile.write_text(proposed.replace(TorqueSource.WITHOUT_CUT, TorqueSource.MODELLED), encoding="utf-8")
     meaning = interpret(None, profile)
     decoder, calibration = meaning.decoder(), nominal_calibration().with_torque(meaning.profile.torque)
-    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, calibration)
     with read_log(table) as reader:
         diagnoses = [one for batch in reader for one in stages.feed(batch)]
     return [*diagnoses, *(stages.conclude(event) for event in stages.flush())]

@@ -15,7 +15,7 @@ class DriveSurvey:
 
     def __init__(self, stages: Stages) -> None:
         self._ranges = Ranges(stages.decoder.profile_sources)
-        self._relative = RelativeSurvey() if stages.is_relative else None
+        self._relative = RelativeSurvey() if stages.reach.is_relative else None
         self._gears = stages.decoder.gears
 
     def take(self, event: Event) -> None:

@@ -9,8 +9,6 @@ from rich.table import Table
 
 from canlog.logs.reading import Watch
 from diag_service.console import PeopleConsole, ReadingLine, plain_table
-from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.paper import (
     PaperCollection,
     PaperEstimate,
@@ -51,7 +49,7 @@ def run_paper(
     """Call ``use`` with each shift of a drive; return what they say together and what became of the frames."""
     config = as_proposed(config, paths, lambda: stop.is_set)
     decoder = config.interpretation().decoder()
-    stages = Stages(decoder, config.calibration, Posterior.fresh(config.calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, config.calibration)
     collection = PaperCollection(config.calibration, nominal_driveline())
     with open_drive(
         paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch, columns=config.columns

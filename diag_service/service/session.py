@@ -18,17 +18,14 @@ from canlog.errors import NOTICE
 from clutch_model.calibration import Calibration
 from clutch_model.fingerprint import fingerprint
 from diag_service.delivery import Reporter
-from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.condition.shift_quality import Load, borne
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions
 from diag_service.diagnosis.events import DATED_NS, Event
-from diag_service.diagnosis.friction import ALGORITHM_VERSION, Posterior
-from diag_service.diagnosis.lockup import state as lockup
 from diag_service.diagnosis.records import ShiftResult, ShiftStatistics, iso_utc, parse_shift, utc_from_bus_ns
 from diag_service.diagnosis.summary import FrameCounts, Gap, Summary, frames_line, latest_of, of_present_fluid
 from diag_service.errors import ResultError, StoreFullError
 from diag_service.mapping.decoder import Decoder
-from diag_service.service.stages import Stages
+from diag_service.service.stages import Belief, Stages, kind_of
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import SessionStore, VehicleState, Versions
 
@@ -122,8 +119,8 @@ class Session:
         survey: "type[DriveSurvey] | None" = None,
     ) -> None:
         self.vehicle, self._versions = config.vehicle, versions_for(config.calibration)
-        state, memory = resume(store, self.vehicle, self._versions, config.calibration)
-        self.stages = Stages(decoder, config.calibration, state, memory)
+        belief = resume(store, self.vehicle, self._versions, config.calibration)
+        self.stages = Stages(decoder, config.calibration, belief)
         self.survey = None if survey is None else survey(self.stages)
         self.progress = Progress()
         self._store = store
@@ -133,7 +130,7 @@ class Session:
         self.statistics = ShiftStatistics()
         self._loads: Mapping[int, Load] = {}
         self.fluid = store.fluid_at(self.vehicle, utc_now())  # that is in now, as far as its fill is known
-        self._fluid_since = memory.fluid_since  # of the fluid that the stages judge
+        self._fluid_since = belief.memory.fluid_since  # of the fluid that the stages judge
         self._earlier = last_results(store, self.vehicle, self._versions)  # until this run has later ones
         self._pending: deque[tuple[ShiftResult, VehicleState | None]] = deque()  # what a full disk did not take yet
         self._max_pending_count = max_pending_count
@@ -263,9 +260,9 @@ class Session:
         conclude = self.stages.conclude_past if self._note_fluid(event) else self.stages.conclude
         with self.progress.working(Stage.ESTIMATE):
             diagnosis = conclude(event)
-        if self.stages.doubt and not self._is_doubted:
+        if (doubt := self.stages.belief.meaning.doubt) and not self._is_doubted:
             self._is_doubted = True
-            _LOG.warning("nothing is estimated: %s", self.stages.doubt)
+            _LOG.warning("nothing is estimated: %s", doubt)
         is_live, seq = self._stream is None, event.number
         if is_live:
             seq = self._pending[-1][0].seq + 1 if self._pending else self._store.next_seq()
@@ -281,33 +278,29 @@ class Session:
         )
         if not self._store.keeps_state:
             return result, None
-        running, memory = diagnosis.running.to_json(), diagnosis.memory.to_json()
-        return result, VehicleState(filter_state=running, condition=memory, versions=self._versions)
+        state, memory = diagnosis.belief.to_json()
+        return result, VehicleState(filter_state=state, condition=memory, versions=self._versions)
 
 
 def versions_for(calibration: Calibration) -> Versions:
     """Return the versions that results of this program and calibration carry; its fingerprint tells copies apart."""
-    algorithm = ALGORITHM_VERSION if calibration.converter is None else lockup.ALGORITHM_VERSION
-    return Versions(algorithm=algorithm, calibration=f"{calibration.version}+{fingerprint(calibration)}")
+    version = f"{calibration.version}+{fingerprint(calibration)}"
+    return Versions(algorithm=kind_of(calibration).algorithm_version, calibration=version)
 
 
-def resume(
-    store: SessionStore, vehicle: str, versions: Versions, calibration: Calibration
-) -> tuple[Posterior | lockup.LockupState, ConditionMemory]:
-    """Return the running state of a vehicle, or a fresh one if what is stored was made in another way."""
-    kind: type[Posterior | lockup.LockupState] = Posterior if calibration.converter is None else lockup.LockupState
-    fresh = kind.fresh(calibration), ConditionMemory.fresh()
+def resume(store: SessionStore, vehicle: str, versions: Versions, calibration: Calibration) -> Belief:
+    """Return what is believed of a vehicle, afresh if what is stored was made in another way."""
     state = store.state(vehicle)
     if state is None:
-        return fresh
+        return Belief.fresh(calibration)
     try:
         if state.versions == versions:
-            return kind.from_json(state.filter_state, calibration), ConditionMemory.from_json(state.condition)
+            return Belief.from_json(state.filter_state, state.condition, calibration)
         made_by = f"was made by algorithm {state.versions.algorithm} with calibration {state.versions.calibration}"
     except ValueError as exc:
         made_by = f"cannot be used ({exc})"
     _LOG.warning("the running state of %s %s; starting afresh with a new baseline, results stay", vehicle, made_by)
-    return fresh
+    return Belief.fresh(calibration)
 
 
 def last_results(store: SessionStore, vehicle: str, versions: Versions) -> dict[int, ShiftResult]:

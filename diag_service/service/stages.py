@@ -1,90 +1,280 @@
-"""Frames in, diagnoses out: the order of the stages, and the only file that knows it."""
+"""Frames in, diagnoses out: the order of the stages, and the only file that knows it.
 
-from dataclasses import dataclass, replace
-from typing import Final
+``batch -> Decoder -> Columns -> EventFinder -> Event -> gate -> Element.conclude(belief, event) -> Diagnosis``
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Final, Protocol
 
 from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration, TorqueSource
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.causes import CauseJudge
-from diag_service.diagnosis.condition.condition import (
-    ConditionMemory,
-    judge,
-    judge_lockup,
-    no_verdict,
-)
+from diag_service.diagnosis.condition.condition import ConditionMemory, judge, judge_lockup, no_verdict
 from diag_service.diagnosis.condition.shift_quality import ShiftScorer, measure
 from diag_service.diagnosis.condition.verdict import Silence
 from diag_service.diagnosis.events import DATED_NS, Event
-from diag_service.diagnosis.friction import Estimator, Posterior
+from diag_service.diagnosis.friction import ALGORITHM_VERSION, Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import without_friction
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
+from diag_service.diagnosis.lockup.state import ALGORITHM_VERSION as LOCKUP_ALGORITHM_VERSION
 from diag_service.diagnosis.lockup.state import LockupState
-from diag_service.diagnosis.quality.data_quality import QualityBasis, gate, named_late
-from diag_service.diagnosis.quality.plausibility import MeaningCheck
+from diag_service.diagnosis.quality.data_quality import Gate, QualityBasis, gate, named_late
+from diag_service.diagnosis.quality.plausibility import Meaning
 from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, Status, Tier
 from diag_service.diagnosis.shifts.shifts import DriveFinder
+from diag_service.diagnosis.shifts.tracking import EventFinder
 from diag_service.diagnosis.summary import Capability
 from diag_service.errors import ConfigError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.tiers import PRESSURES, missing_for_next, tier_of, why_no_friction
+from fleet_contract import JsonObject
 
 DRIVE_NS: Final = 3_600_000_000_000  # within an hour of another event nobody has changed the fluid
+_SINCE: Final = "running_since_ns"  # in the stored memory of the condition, as earlier programs wrote it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Belief:
+    """All that is believed of a vehicle after its events so far; one record, which a store keeps."""
+
+    state: Posterior | LockupState
+    memory: ConditionMemory = field(default_factory=ConditionMemory.fresh)
+    since_ns: int | None = None  # start of the first event that the state rests on; None: not known
+    meaning: Meaning = field(default_factory=Meaning)  # of this run: no store keeps it
+
+    @classmethod
+    def fresh(cls, calibration: Calibration) -> "Belief":
+        """Return what is believed before the first event."""
+        return cls(state=kind_of(calibration).state_kind.fresh(calibration))
+
+    @classmethod
+    def from_json(cls, state: JsonObject, memory: JsonObject, calibration: Calibration) -> "Belief":
+        """Rebuild what `to_json` wrote under the same calibration; raises ValueError if it is none."""
+        since_ns = memory.get(_SINCE)
+        if not isinstance(since_ns, int | None):
+            raise ValueError(f"not the start of an event: {since_ns!r}")  # noqa: TRY004 - what is stored is a value
+        return cls(
+            state=kind_of(calibration).state_kind.from_json(state, calibration),
+            memory=ConditionMemory.from_json(memory),
+            since_ns=since_ns,
+        )
+
+    def to_json(self) -> tuple[JsonObject, JsonObject]:
+        """Return the state and the memory of the condition as JSON-ready values."""
+        since = {} if self.since_ns is None else {_SINCE: self.since_ns}
+        return self.state.to_json(), self.memory.to_json() | since
+
+    @property
+    def posterior(self) -> Posterior:
+        """The state of a pair of clutches."""
+        if not isinstance(self.state, Posterior):
+            raise ConfigError("a lock-up clutch has no joint state of two clutches")
+        return self.state
+
+    @property
+    def lockup(self) -> LockupState:
+        """The state of a lock-up clutch."""
+        if not isinstance(self.state, LockupState):
+            raise ConfigError("a pair of clutches has no lock-up clutch")
+        return self.state
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Diagnosis:
-    """What the stages make of one shift, and the state after it."""
+    """What an event says, what is said of its clutch, and what is believed after it."""
 
     estimate: ShiftEstimate
     verdict: ClutchVerdict
-    state: Posterior
-    memory: ConditionMemory
-    slip: LockupState | None = None  # of a lock-up clutch, which has no other state
+    belief: Belief
 
-    @property
-    def running(self) -> Posterior | LockupState:
-        """What goes on from here, and is to be stored."""
-        return self.state if self.slip is None else self.slip
+    @classmethod
+    def of(
+        cls, before: Belief, event: Event, estimate: ShiftEstimate, verdict: ClutchVerdict, after: Belief
+    ) -> "Diagnosis":
+        """Return it with since when what the verdict rests on is known, if that is longer than a drive."""
+        if after.state.shift_count:
+            since_ns = before.since_ns if before.state.shift_count else event.start_ns
+            after = replace(after, since_ns=since_ns)
+            if since_ns is not None and DATED_NS <= since_ns < event.start_ns - DRIVE_NS:
+                verdict = replace(verdict, running_since_bus_ns=since_ns)
+        return cls(estimate=estimate, verdict=verdict, belief=after)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reach:
+    """What the signals of a profile suffice for, under a calibration."""
+
+    tier: Tier | None  # None: not even shifts can be found
+    missing: str  # what friction lacks
+    is_relative: bool  # friction is known up to a scale at best
+    knows_gears: bool
+    has_converter: bool
+
+    @classmethod
+    def of(cls, decoder: Decoder, calibration: Calibration) -> "Reach":
+        """Return it."""
+        signals, torque = decoder.signals, calibration.torque
+        known = signals - {Signal.ENGINE_TORQUE} if torque is TorqueSource.UNKNOWN else signals
+        # The gear can be told from the ratio of two speeds, where the bus has both.
+        knows_gears = decoder.gears is not None and signals >= {Signal.ENGINE_SPEED, decoder.gears.over}
+        has_converter = calibration.converter is not None
+        tier = tier_of(known, knows_gears=knows_gears, has_converter=has_converter)
+        lacks_torque = torque is not TorqueSource.MEASURED or Signal.ENGINE_TORQUE not in signals
+        tells_ratios = lacks_torque and signals >= PRESSURES | {Signal.ENGINE_SPEED}
+        return cls(
+            tier=tier,
+            missing=why_no_friction(known, torque, knows_gears=knows_gears, has_converter=has_converter),
+            is_relative=tier is not Tier.FRICTION and tells_ratios,
+            knows_gears=knows_gears,
+            has_converter=has_converter,
+        )
+
+
+class Element(Protocol):
+    """What is diagnosed: a pair of clutches, or one lock-up clutch. It holds nothing that an event changes."""
+
+    algorithm_version: ClassVar[str]
+    state_kind: ClassVar[type[Posterior] | type[LockupState]]
+
+    def finder(self) -> EventFinder:
+        """Return what finds its events in columns."""
+
+    def conclude(self, belief: Belief, event: Event) -> Diagnosis:
+        """Judge the data of an event, estimate, judge its clutch; pure. Events must come in order."""
+
+    def with_new_fluid(self, belief: Belief, filled_at: str) -> Belief:
+        """Return what is believed after a fill: friction is unknown again, with a new baseline."""
+
+
+class DualClutch:
+    """A pair of clutches. Below the first tier nothing is said of its friction, and its state stays as it is."""
+
+    algorithm_version: ClassVar[str] = ALGORITHM_VERSION
+    state_kind: ClassVar[type[Posterior] | type[LockupState]] = Posterior
+
+    def __init__(self, decoder: Decoder, calibration: Calibration, basis: QualityBasis, reach: Reach) -> None:
+        self._signals, self._gears, self._asked = decoder.signals, decoder.gears, bool(decoder.asked)
+        self._calibration, self._basis, self._reach = calibration, basis, reach
+        self._tells_friction = reach.tier is Tier.FRICTION
+        self._has_scale = self._tells_friction and calibration.torque is TorqueSource.MEASURED
+        self._estimator, self._causes = Estimator(calibration), CauseJudge(calibration)
+        self._scorer = ShiftScorer(calibration, decoder.gears)
+
+    def finder(self) -> EventFinder:
+        return DriveFinder(self._signals, self._calibration, self._gears)
+
+    def conclude(self, belief: Belief, event: Event) -> Diagnosis:
+        before, data = belief.posterior, gate(event, self._basis, tells_friction=self._tells_friction)
+        state, estimate = self._estimated(event, data, before)
+        meaning = belief.meaning
+        if self._asked and data.samples is not None:
+            meaning = meaning.with_estimate(estimate, self._calibration)
+            if not meaning.believes(estimate):
+                state, estimate = before, without_friction(event, Status.REJECTED, Reason.IMPLAUSIBLE)
+        is_believed = not data.against or estimate.reasons != data.against
+        if estimate.status is Status.REJECTED and named_late(event, estimate.reasons) != estimate.reasons:
+            # Of what lateness spoilt nothing else is said.
+            state, estimate = before, without_friction(event, Status.REJECTED, Reason.TIME_UNSURE)
+        known = state.fusion.knowledge if self._has_scale else None
+        estimate = replace(
+            estimate,
+            data_quality=data.quality,
+            tier=self._reach.tier or Tier.KINEMATIC,
+            indices=measure(event, self._calibration) if is_believed else None,
+            shift_quality=self._scorer.score(event, known, before.packs) if is_believed else None,
+        )
+        judged = self._judged if self._tells_friction else self._silent
+        memory, verdict = judged(belief.memory, estimate, before, state)
+        after = Belief(state=state, memory=memory, since_ns=belief.since_ns, meaning=meaning)
+        return Diagnosis.of(belief, event, estimate, verdict, after)
+
+    def _estimated(self, event: Event, data: Gate, before: Posterior) -> tuple[Posterior, ShiftEstimate]:
+        if data.samples is not None:
+            return self._estimator.estimate(event, data.samples, before, data.against)
+        if data.against:
+            return before, without_friction(event, Status.REJECTED, *data.against)
+        return before, without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
+
+    def _judged(
+        self, memory: ConditionMemory, estimate: ShiftEstimate, before: Posterior, state: Posterior
+    ) -> tuple[ConditionMemory, ClutchVerdict]:
+        for clutch in (1, 2):
+            if state.folded_counts[clutch - 1] < before.folded_counts[clutch - 1]:  # they grow until it has changed
+                memory = memory.with_changed_friction(clutch)
+        course = memory.course.with_event(estimate, before, state)
+        if self._has_scale and course.is_due:
+            course = replace(course, found=self._causes.judge(course))
+        memory = memory.with_fit(estimate).with_shift(estimate, before).with_launch(estimate, course)
+        return judge(memory, state, estimate.clutch, self._calibration)
+
+    def _silent(
+        self, memory: ConditionMemory, estimate: ShiftEstimate, _before: Posterior, _state: Posterior
+    ) -> tuple[ConditionMemory, ClutchVerdict]:
+        """Return the verdict where nothing tells friction; a launch is a witness that needs no torque."""
+        memory = memory.with_launch(estimate)
+        silence = Silence.LEVEL_UNKNOWN if self._reach.is_relative else Silence.SIGNALS_MISSING
+        verdict = no_verdict(estimate.clutch, self._reach.missing, silence)
+        return memory, replace(verdict, stick_slip=memory.launches[estimate.clutch - 1].reported)
+
+    def with_new_fluid(self, belief: Belief, filled_at: str) -> Belief:
+        state = belief.posterior
+        memory = belief.memory.with_new_fluid(filled_at, state)
+        return replace(belief, state=state.with_new_fluid(), memory=memory)
+
+
+class LockupClutch:
+    """The lock-up clutch of a torque converter."""
+
+    algorithm_version: ClassVar[str] = LOCKUP_ALGORITHM_VERSION
+    state_kind: ClassVar[type[Posterior] | type[LockupState]] = LockupState
+
+    def __init__(self, _decoder: Decoder, calibration: Calibration, basis: QualityBasis, reach: Reach) -> None:
+        self._calibration, self._basis, self._reach = calibration, basis, reach
+        self._estimator = LockupEstimator(calibration)
+
+    def finder(self) -> EventFinder:
+        return SlipFinder(self._calibration)
+
+    def conclude(self, belief: Belief, event: Event) -> Diagnosis:
+        before, data = belief.lockup, gate(event, self._basis, tells_friction=False)
+        if self._reach.tier is not Tier.FRICTION:
+            raise ConfigError(f"a lock-up clutch cannot be estimated: {self._reach.missing}")
+        state, estimate, swings = self._estimator.estimate(event, before, data.against)
+        estimate = replace(estimate, data_quality=data.quality, tier=self._reach.tier)
+        memory, is_used = belief.memory, state.contradiction_count < before.contradiction_count
+        if is_used and state.shift_count <= before.shift_count:  # not by what was known: that begins afresh
+            memory = memory.with_changed_friction(1)
+        memory = memory.with_fit(estimate).with_shudder(swings)
+        memory, verdict = judge_lockup(memory, state, self._calibration, swings)
+        return Diagnosis.of(belief, event, estimate, verdict, replace(belief, state=state, memory=memory))
+
+    def with_new_fluid(self, belief: Belief, filled_at: str) -> Belief:
+        memory = belief.memory.with_new_fluid(filled_at)
+        return replace(belief, state=belief.lockup.with_new_fluid(), memory=memory)
+
+
+def kind_of(calibration: Calibration) -> type[DualClutch] | type[LockupClutch]:
+    """Return which element a calibration describes: the one place that asks."""
+    return DualClutch if calibration.converter is None else LockupClutch
 
 
 class Stages:
     """Frames in, diagnoses out: no clock, no socket, no file; the same results for any cutting of the stream."""
 
-    def __init__(
-        self, decoder: Decoder, calibration: Calibration, state: Posterior | LockupState, memory: ConditionMemory
-    ) -> None:
+    def __init__(self, decoder: Decoder, calibration: Calibration, belief: Belief | None = None) -> None:
         self.decoder = decoder
-        self._slip = state if isinstance(state, LockupState) else None
-        self._lockup = None if calibration.converter is None else LockupEstimator(calibration, calibration.converter)
-        self._finder = (
-            DriveFinder(decoder.signals, calibration, decoder.gears)
-            if self._lockup is None
-            else SlipFinder(calibration)
-        )
-        unknown = {Signal.ENGINE_TORQUE} if calibration.torque is TorqueSource.UNKNOWN else frozenset[Signal]()
-        # The gear can be told from the ratio of two speeds, where the bus has both.
-        knows_gears = decoder.gears is not None and decoder.signals >= {Signal.ENGINE_SPEED, decoder.gears.over}
-        self._tells = {"knows_gears": knows_gears, "has_converter": self._lockup is not None}
-        self.tier = tier_of(decoder.signals - unknown, **self._tells)
-        self._missing = why_no_friction(decoder.signals - unknown, calibration.torque, **self._tells)
-        lacks_torque = calibration.torque is not TorqueSource.MEASURED or Signal.ENGINE_TORQUE not in decoder.signals
-        tells_ratios = lacks_torque and decoder.signals >= PRESSURES | {Signal.ENGINE_SPEED}
-        self.is_relative = self.tier is not Tier.FRICTION and tells_ratios  # friction is known up to a scale at best
-        self._estimator = Estimator(calibration)
-        self._scorer = ShiftScorer(calibration, decoder.gears)
-        self._causes = CauseJudge(calibration)
         self._calibration = calibration
-        self._basis = QualityBasis(
+        self.reach = Reach.of(decoder, calibration)
+        basis = QualityBasis(
             mandatory_messages=decoder.mandatory_messages,
             scale_ends=decoder.limits,
             calibration_date=calibration.made_on,
             torque=calibration.torque,
         )
-        self._state = state if isinstance(state, Posterior) else Posterior.fresh(calibration)
-        self._memory = memory
-        self.doubt = ""  # why signals that were asked for cannot be what the profile says
-        self._meaning = MeaningCheck([one.friction.mu_c for one in calibration.clutches]) if decoder.asked else None
+        self.element: Element = kind_of(calibration)(decoder, calibration, basis, self.reach)
+        self._finder = self.element.finder()
+        self.belief = belief or Belief.fresh(calibration)
 
     def feed(self, batch: FrameBatch) -> list[Diagnosis]:
         """Return the diagnoses of the shifts that these frames complete."""
@@ -112,117 +302,36 @@ class Stages:
         return self.decoder.marked(events + self._finder.flush())
 
     def conclude(self, event: Event) -> Diagnosis:
-        """Judge the data of the next shift, estimate, judge its clutch; shifts must come in order. May take a moment.
-
-        Below the first tier nothing is said of friction, and the running state stays as it is.
-        """
-        if self._slip is not None:
-            return self._conclude_slip(event, self._slip)
-        data = gate(event, self._basis, tells_friction=self.tier is Tier.FRICTION)
-        state = self._state
-        if data.samples is not None:
-            state, estimate = self._estimator.estimate(event, data.samples, state, data.against)
-            if self._meaning is not None:
-                if not self._meaning.is_believed(estimate):
-                    state, estimate = self._state, without_friction(event, Status.REJECTED, Reason.IMPLAUSIBLE)
-                self.doubt = self._meaning.doubt
-        elif data.against:
-            estimate = without_friction(event, Status.REJECTED, *data.against)
-        else:
-            estimate = without_friction(event, Status.UNOBSERVED, Reason.SIGNAL_MISSING)
-        is_believed = not data.against or estimate.reasons != data.against
-        state, estimate = self._without_late(event, state, estimate)
-        has_scale = self.tier is Tier.FRICTION and self._calibration.torque is TorqueSource.MEASURED
-        known = state.fusion.knowledge if has_scale else None
-        estimate = replace(
-            estimate,
-            data_quality=data.quality,
-            tier=self.tier or Tier.KINEMATIC,
-            indices=measure(event, self._calibration) if is_believed else None,
-            shift_quality=self._scorer.score(event, known, self._state.packs) if is_believed else None,
-        )
-        if self.tier is Tier.FRICTION:
-            for clutch in (1, 2):
-                place = clutch - 1  # counts grow until the clutch has changed
-                if state.folded_counts[place] < self._state.folded_counts[place]:
-                    self._memory = self._memory.with_changed_friction(clutch)
-            course = self._memory.course.with_event(estimate, self._state, state)
-            if has_scale and course.is_due:
-                course = replace(course, found=self._causes.judge(course))
-            memory = self._memory.with_fit(estimate).with_shift(estimate, self._state).with_launch(estimate, course)
-            self._memory, verdict = judge(memory, state, estimate.clutch, self._calibration)
-        else:
-            self._memory = self._memory.with_launch(estimate)  # a witness that needs no torque
-            launches = self._memory.launches[estimate.clutch - 1]
-            silence = Silence.LEVEL_UNKNOWN if self.is_relative else Silence.SIGNALS_MISSING
-            verdict = replace(no_verdict(estimate.clutch, self._missing, silence), stick_slip=launches.reported)
-        since_ns = self._memory.running_since_ns
-        is_dated = (since_ns is None or since_ns < event.start_ns - DRIVE_NS) and any(state.shift_counts)
-        verdict = self._dated(verdict, event, any(self._state.shift_counts)) if is_dated else verdict
-        self._state = state
-        return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory)
-
-    def _without_late(self, event: Event, state: Posterior, estimate: ShiftEstimate) -> tuple[Posterior, ShiftEstimate]:
-        """Return what is known after a shift, and its estimate; of one that lateness spoilt nothing else is said."""
-        if estimate.status is not Status.REJECTED or named_late(event, estimate.reasons) == estimate.reasons:
-            return state, estimate
-        return self._state, without_friction(event, Status.REJECTED, Reason.TIME_UNSURE)
-
-    def _dated(self, verdict: ClutchVerdict, event: Event, had_any: bool) -> ClutchVerdict:  # noqa: FBT001
-        """Return a verdict with since when what it rests on is known, if that is longer than a drive."""
-        if not had_any:
-            self._memory = replace(self._memory, running_since_ns=event.start_ns)
-        began_ns = self._memory.running_since_ns
-        if began_ns is None or not DATED_NS <= began_ns < event.start_ns - DRIVE_NS:
-            return verdict
-        return replace(verdict, running_since_bus_ns=began_ns)
-
-    def _conclude_slip(self, event: Event, state: LockupState) -> Diagnosis:
-        """Judge the data of a stretch of slip, estimate, judge the lock-up clutch."""
-        data = gate(event, self._basis, tells_friction=False)
-        if self._lockup is None or self.tier is not Tier.FRICTION:
-            raise ConfigError(f"a lock-up clutch cannot be estimated: {self._missing}")
-        had_any = bool(state.shift_count)
-        self._slip, estimate, swings = self._lockup.estimate(event, state, data.against)
-        estimate = replace(estimate, data_quality=data.quality, tier=self.tier)
-        is_believed = self._slip.contradiction_count < state.contradiction_count
-        if is_believed and self._slip.shift_count <= state.shift_count:  # not by what was known: that begins afresh
-            self._memory = self._memory.with_changed_friction(1)
-        memory = self._memory.with_fit(estimate).with_shudder(swings)
-        self._memory, verdict = judge_lockup(memory, self._slip, self._calibration, swings)
-        if self._slip.shift_count:
-            verdict = self._dated(verdict, event, had_any)
-        return Diagnosis(estimate=estimate, verdict=verdict, state=self._state, memory=self._memory, slip=self._slip)
+        """Diagnose the next shift, and go on from what is believed after it; may take a moment."""
+        diagnosis = self.element.conclude(self.belief, event)
+        self.belief = diagnosis.belief
+        return diagnosis
 
     def conclude_past(self, event: Event) -> Diagnosis:
-        """Judge an event of a fluid before the present one by itself; what is known of the present one stays."""
-        kept = self._state, self._slip, self._memory
-        self.note_fluid("")  # of its friction nothing is known
-        self._memory = ConditionMemory.fresh()
-        found = self.conclude(event)
-        self._state, self._slip, self._memory = kept
-        return replace(found, state=self._state, slip=self._slip, memory=self._memory)
+        """Diagnose an event of a fluid before the present one by itself; what is believed of the present one stays."""
+        unknown = replace(self.element.with_new_fluid(self.belief, ""), memory=ConditionMemory.fresh())
+        diagnosis = self.element.conclude(unknown, event)
+        self.belief = replace(self.belief, meaning=diagnosis.belief.meaning)
+        return replace(diagnosis, belief=self.belief)
 
     def note_fluid(self, filled_at: str, *, is_new: bool = True) -> None:
         """Take note of the fluid that the vehicle has, by the moment of its fill.
 
         New fluid begins a new running friction with a new baseline. If it is not, all that is known is of it.
         """
-        if is_new:
-            self._memory = self._memory.with_new_fluid(filled_at, self._state)
-            self._state = self._state.with_new_fluid()
-            self._slip = self._slip and self._slip.with_new_fluid()
-        self._memory = replace(self._memory, fluid_since=filled_at)
+        belief = self.element.with_new_fluid(self.belief, filled_at) if is_new else self.belief
+        self.belief = replace(belief, memory=replace(belief.memory, fluid_since=filled_at))
 
     def capability(self) -> Capability:
         """Return what the signals that came suffice for."""
         seen = self.decoder.seen
         expected = self.decoder.signals - self.decoder.optional_signals
+        known = {"knows_gears": self.reach.knows_gears, "has_converter": self.reach.has_converter}
         return Capability(
             profile=self.decoder.profile_name,
-            tier=tier_of(seen, **self._tells),
-            missing=missing_for_next(seen, **self._tells),
-            elements=() if self._lockup is None else self._calibration.elements,
-            torque=self._basis.torque if Signal.ENGINE_TORQUE in seen else TorqueSource.UNKNOWN,
+            tier=tier_of(seen, **known),
+            missing=missing_for_next(seen, **known),
+            elements=self._calibration.elements if self.reach.has_converter else (),
+            torque=self._calibration.torque if Signal.ENGINE_TORQUE in seen else TorqueSource.UNKNOWN,
             unseen=tuple(signal.value for signal in Signal if signal in expected - seen),
         )

@@ -6,8 +6,6 @@ from typing import Final
 from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
-from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Posterior
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
@@ -19,6 +17,6 @@ def warm_up() -> None:
     """Diagnose a recording of two seconds."""
     calibration = nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
-    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, calibration)
     for batch in read_log(RECORDING):
         stages.feed(batch)

@@ -13,8 +13,6 @@ import diag_service
 from canlog.frames import EXTENDED_FLAG, join
 from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import ShiftResult
 from diag_service.mapping.interpretation import interpret
 from diag_service.service.stages import Stages
@@ -45,7 +43,7 @@ def piecewise(log: Path, profile: Path) -> list[float]:
     """Return the friction that the events of a log give if its frames come few by few, as a live bus gives them."""
     calibration = nominal_calibration()
     decoder = interpret(None, profile).decoder()
-    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, calibration)
     frames = join(list(read_log(log)))
     found = [one for at in range(0, len(frames), 97) for one in stages.feed(frames[at : at + 97])]
     found += [stages.conclude(event) for event in stages.flush()]

@@ -7,8 +7,6 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
-from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import Status
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.decoder import Decoder
@@ -43,7 +41,7 @@ def analysed(*faults: BusFault, seed: int = 41) -> tuple[list[Diagnosis], FrameC
     frames, truth = frames_of(replace(drive_scenario(seed=seed), bus_faults=faults))
     calibration = nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
-    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, calibration)
     diagnoses = stages.feed(to_batch(frames))
     counts = stages.decoder.counts
     assert counts.on_bus == len(frames)

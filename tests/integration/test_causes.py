@@ -7,8 +7,6 @@ from dbc.contract import load_contract
 from diag_service import analyze
 from diag_service.cli import main as service
 from diag_service.diagnosis.condition.causes import SOUND, CauseJudge
-from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import shift_from, shift_record
 from diag_service.diagnosis.summary import cause_lines
 from diag_service.mapping.decoder import Decoder
@@ -40,9 +38,7 @@ def test_a_sound_life_stays_sound() -> None:
 
 def test_no_cause_is_named_where_friction_has_no_scale() -> None:
     calibration = nominal_calibration().with_torque(TorqueSource.MODELLED)
-    stages = Stages(
-        Decoder(load_contract(), load_profile()), calibration, Posterior.fresh(calibration), ConditionMemory.fresh()
-    )
+    stages = Stages(Decoder(load_contract(), load_profile()), calibration)
     found = stages.feed(to_batch(frames_of(drive_scenario(cycles=7))[0]))
     assert len(found) == 70
     assert {one.verdict.causes for one in found} == {None}

@@ -8,10 +8,8 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
-from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.contributions import Contributions
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -39,7 +37,7 @@ class Followed:
 def followed(paths: Sequence[Path], channel: int | None = None) -> Followed:
     decoder = Decoder(DATABASE, replace(load_profile(), channel=channel))
     calibration = nominal_calibration()
-    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, calibration)
     with open_drive(paths) as logs:
         frames = DriveFrames(logs, stages.decoder.sources)
         shifts = list(events(frames, stages, Trigger()))

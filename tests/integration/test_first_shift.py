@@ -39,7 +39,7 @@ def compiled():
 batches = list(read_log(Path(sys.argv[1])))
 calibration = nominal_calibration()
 decoder = Decoder(load_contract(), load_profile())
-stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+stages = Stages(decoder, calibration)
 warm_up()
 before = compiled()
 statuses = [

@@ -5,21 +5,22 @@ from pathlib import Path
 
 from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.condition.verdict import Launches
-from diag_service.diagnosis.friction import Posterior
 from diag_service.mapping.interpretation import interpret
-from diag_service.service.stages import Diagnosis, Stages
+from diag_service.service.stages import Belief, Stages
 from ecu_emulator.cli import main as emulator
 
 JUDDERED = Launches(juddered=(True, True, True, False))
 
 
-def driven(log: Path, state: Posterior, memory: ConditionMemory) -> Diagnosis:
-    """Return the last diagnosis of a drive that began with this state."""
-    stages = Stages(interpret(None, None).decoder(), nominal_calibration(), state, memory)
-    found = [one for batch in read_log(log) for one in stages.feed(batch)]
-    return [*found, *map(stages.conclude, stages.flush())][-1]
+def driven(log: Path, before: Belief) -> Belief:
+    """Return what is believed after a drive."""
+    stages = Stages(interpret(None, None).decoder(), nominal_calibration(), before)
+    for batch in read_log(log):
+        stages.feed(batch)
+    for event in stages.flush():
+        stages.conclude(event)
+    return stages.belief
 
 
 def test_launches_with_the_old_fluid_are_forgotten_when_friction_is_found_to_have_changed(tmp_path: Path) -> None:
@@ -38,10 +39,9 @@ def test_launches_with_the_old_fluid_are_forgotten_when_friction_is_found_to_hav
             "8",
         ]
         assert emulator(words) == 0
-    fresh = Posterior.fresh(nominal_calibration())
-    before = driven(old, fresh, ConditionMemory.fresh())
-    memory = replace(before.memory, launches=(JUDDERED, JUDDERED))
-    again = driven(old, before.state, memory)
+    before = driven(old, Belief.fresh(nominal_calibration()))
+    before = replace(before, memory=replace(before.memory, launches=(JUDDERED, JUDDERED)))
+    again = driven(old, before)
     assert all(sum(one.juddered) >= 3 for one in again.memory.launches)  # of the same fluid nothing is forgotten
-    after = driven(new, before.state, memory)
+    after = driven(new, before)
     assert [sum(one.juddered) for one in after.memory.launches] == [0, 0]

@@ -55,7 +55,7 @@ def test_a_lying_sensor_costs_its_shift_and_no_other(broken: SensorFault, reason
 
 def test_a_rejected_shift_leaves_no_trace_in_the_running_state() -> None:
     diagnoses, _ = diagnose(replace(drive_scenario(seed=41), sensor_faults=(fault("engine_torque_nm", "frozen"),)))
-    assert diagnoses[SHIFT - 1].state is diagnoses[SHIFT - 2].state
+    assert diagnoses[SHIFT - 1].belief.posterior is diagnoses[SHIFT - 2].belief.posterior
 
 
 def test_a_zero_that_jumps_is_found_on_the_empty_clutch() -> None:

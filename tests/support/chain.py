@@ -8,8 +8,6 @@ from canlog.frames import FrameBatch, join
 from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
-from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import ClutchVerdict, ShiftEstimate
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.decoder import Decoder
@@ -26,12 +24,9 @@ class Outcome:
     counts: FrameCounts
 
     @property
-    def fingerprint(self) -> list[tuple[ShiftEstimate, ClutchVerdict, JsonObject, JsonObject]]:
+    def fingerprint(self) -> list[tuple[ShiftEstimate, ClutchVerdict, tuple[JsonObject, JsonObject]]]:
         """Estimate, verdict and state after every shift; equal only if every bit of every number is."""
-        return [
-            (diagnosis.estimate, diagnosis.verdict, diagnosis.state.to_json(), diagnosis.memory.to_json())
-            for diagnosis in self.diagnoses
-        ]
+        return [(diagnosis.estimate, diagnosis.verdict, diagnosis.belief.to_json()) for diagnosis in self.diagnoses]
 
 
 def frames_of_log(path: Path, duration_s: float) -> FrameBatch:
@@ -45,7 +40,7 @@ def diagnosed(batches: Iterable[FrameBatch]) -> Outcome:
     """Run fresh stages over batches to the end of the stream."""
     calibration = nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
-    stages = Stages(decoder, calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(decoder, calibration)
     found = [diagnosis for batch in batches for diagnosis in stages.feed(batch)]
     found += [stages.conclude(event) for event in stages.flush()]
     return Outcome(diagnoses=tuple(found), counts=stages.decoder.counts)

@@ -11,8 +11,6 @@ from canlog.errors import SourceError
 from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
-from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import ShiftEstimate
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.interpretation import interpret
@@ -61,7 +59,7 @@ def decoder_of(path: Path) -> Callable[[], Decoder]:
 def analyse(path: Path, decoder: Callable[[], Decoder]) -> tuple[list[ShiftEstimate], str]:
     """Read and diagnose a recording; return its estimates, and the error with which reading ended."""
     calibration = nominal_calibration()
-    stages = Stages(decoder(), calibration, Posterior.fresh(calibration), ConditionMemory.fresh())
+    stages = Stages(decoder(), calibration)
     estimates: list[ShiftEstimate] = []
     try:
         for batch in read_log(path):

@@ -242,7 +242,6 @@ class ConditionMemory:
     linings: tuple[LiningBaseline | None, LiningBaseline | None] = (None, None)  # of the first fluid, over all others
     launches: tuple[Launches, Launches] = (Launches(), Launches())  # with this fluid
     course: Course = field(default_factory=Course)  # of all that causes are told by
-    running_since_ns: int | None = None  # start of the first event in the running estimate; None: not known
     refused: tuple[int, int] = (0, 0)  # of each clutch, since one could be used: sensors contradicted each other
 
     @classmethod
@@ -250,13 +249,16 @@ class ConditionMemory:
         """Return the memory of a vehicle not judged before."""
         return cls()
 
-    def with_new_fluid(self, filled_at: str, old: Posterior) -> Self:
+    def with_new_fluid(self, filled_at: str, old: Posterior | None = None) -> Self:
         """Return the memory after a fluid fill: no verdict yet, and what contradicted the old fluid is forgotten.
 
-        Of the first fluid that had a baseline the friction is kept: the lining's, whatever the fluid.
+        Of the first fluid that had a baseline the friction is kept, of a pair whose ``old`` state is known: the
+        lining's, whatever the fluid.
         """
         fits = tuple(fit for fit in self.fits if fit is not Fit.CONTRADICTS)
-        linings = both_clutches(kept or _lining(old, clutch) for clutch, kept in enumerate(self.linings, start=1))
+        linings = both_clutches(
+            kept or (None if old is None else _lining(old, clutch)) for clutch, kept in enumerate(self.linings, start=1)
+        )
         return replace(
             self,
             conditions=(Condition.NO_VERDICT, Condition.NO_VERDICT),
@@ -348,7 +350,6 @@ class ConditionMemory:
             "launches": (Launches(), Launches()),
             "grounds": (None, None),
             "refused": (0, 0),
-            "running_since_ns": None,
         }.items():
             if getattr(self, name) == blank:
                 del plain[name]

@@ -168,6 +168,11 @@ class Posterior:
         used = [event.clutch for event, is_used in zip(self.recent, self.is_used, strict=True) if is_used]
         return self.folded_counts[0] + used.count(1), self.folded_counts[1] + used.count(2)
 
+    @property
+    def shift_count(self) -> int:
+        """Events that the friction of either clutch rests on."""
+        return sum(self.shift_counts)
+
     def with_event(self, event: JudgedEvent, room: "Posterior | None" = None) -> "Posterior":
         """Return what is known after an event, which all recent ones are judged with.
 

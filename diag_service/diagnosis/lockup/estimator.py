@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from clutch_model.calibration import Calibration, Converter
+from clutch_model.calibration import Calibration
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind, Shudder
@@ -93,9 +93,11 @@ class SlipFinder(EventFinder):
 class LockupEstimator:
     """Estimates friction of a lock-up clutch from stretches of slip; holds nothing but the calibration."""
 
-    def __init__(self, calibration: Calibration, converter: Converter) -> None:
+    def __init__(self, calibration: Calibration) -> None:
+        if calibration.converter is None:
+            raise ValueError("the calibration has no converter")
         self._calibration = calibration
-        self._converter = converter
+        self._converter = calibration.converter
 
     def estimate(
         self, event: Event, state: LockupState, against: tuple[Reason, ...] = ()

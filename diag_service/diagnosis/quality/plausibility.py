@@ -6,15 +6,13 @@ balance are looked at in its slip window and moment by moment; what the samples 
 """
 
 import math
-from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Series
-from clutch_model.calibration import clutch_of_gear
+from clutch_model.calibration import Calibration, clutch_of_gear
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, GRID_S, NS_TO_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import EndReason, Event, EventKind
@@ -221,33 +219,33 @@ def _largest_mean(values: FloatArray, span_s: float) -> float:
     return float(np.abs(sums[count:] - sums[: len(sums) - count]).max()) / count
 
 
-@dataclass(slots=True)
-class MeaningCheck:
-    """Looks at the estimates of a drive; ``doubt`` says what cannot be, empty as long as all of it can."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Meaning:
+    """Whether signals that were asked for can be what the profile says, by the estimates of a drive so far."""
 
-    new_mu_c: Sequence[float]  # of the type, of both clutches
-    doubt: str = ""
-    _found: Counter[bool] = field(default_factory=Counter)  # events that fit, and that do not
+    doubt: str = ""  # what cannot be; empty as long as all of it can
+    fit_count: int = 0  # of events
+    misfit_count: int = 0
 
-    def is_believed(self, estimate: ShiftEstimate) -> bool:
-        """Take the estimate of an event; return whether it may be believed."""
-        if self.doubt or estimate.friction is None:
-            self._found[False] += bool(_MISFITS & set(estimate.reasons))
-            self._found[True] += estimate.status is Status.VALID  # of a modelled torque
-            if not self.doubt and self._found[False] >= MOST_MISFITS and not self._found[True]:
-                self.doubt = (
-                    f"none of {self._found[False]} events fits: pressures, torque and speeds do not fit together "
-                    "as the profile says"
+    def believes(self, estimate: ShiftEstimate) -> bool:
+        """Return whether the estimate of an event that is counted here may be believed."""
+        return not self.doubt or estimate.status is not Status.VALID
+
+    def with_estimate(self, estimate: ShiftEstimate, calibration: Calibration) -> "Meaning":
+        """Return the same after one more event; ``calibration`` is that of the type."""
+        if self.doubt:
+            return self
+        if (friction := estimate.friction) is not None:
+            new = calibration.clutches[estimate.clutch - 1].friction.mu_c
+            ratio, spread = friction.mu_c / new, SURE_STD * friction.std_mu_c / new
+            if ratio + spread < LEAST_RATIO or ratio - spread > MOST_RATIO:
+                text = (
+                    f"friction would be {ratio:.0%} of what this type has new: torque, pressure or their scales are "
+                    "not what profile and calibration say"
                 )
-            return not self.doubt or estimate.status is not Status.VALID
-        friction = estimate.friction
-        new = self.new_mu_c[estimate.clutch - 1]
-        ratio, spread = friction.mu_c / new, SURE_STD * friction.std_mu_c / new
-        if ratio + spread < LEAST_RATIO or ratio - spread > MOST_RATIO:
-            self.doubt = (
-                f"friction would be {ratio:.0%} of what this type has new: torque, pressure or their scales are not "
-                "what profile and calibration say"
-            )
-            return False
-        self._found[True] += 1
-        return True
+                return replace(self, doubt=text)
+        fits = self.fit_count + (estimate.status is Status.VALID)  # also of a modelled torque
+        misfits = self.misfit_count + (not _MISFITS.isdisjoint(estimate.reasons))
+        is_off = misfits >= MOST_MISFITS and not fits
+        text = f"none of {misfits} events fits: pressures, torque and speeds do not fit together as the profile says"
+        return Meaning(doubt=text if is_off else "", fit_count=fits, misfit_count=misfits)

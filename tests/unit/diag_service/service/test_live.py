@@ -15,14 +15,13 @@ from canlog.live import LinkBreak, Silence, SourceCounts
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryLink, MemoryReporter, Outbox, Reporter
-from diag_service.diagnosis.condition.condition import ConditionMemory
-from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.records import Reason, ShiftResult
 from diag_service.errors import StoreError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import PROFILE_PATH, load_profile
 from diag_service.service.live import run_live
 from diag_service.service.session import Session, resume, versions_for
+from diag_service.service.stages import Belief
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore, VehicleState
@@ -164,9 +163,7 @@ def test_the_running_state_survives_a_restart(store: ResultStore) -> None:
         first.process(event)
     state = store.state("car1")
     assert state is not None
-    filter_state, memory = resume(store, "car1", VERSIONS, CALIBRATION)
-    assert filter_state.to_json() == state.filter_state
-    assert memory.to_json() == state.condition
+    assert resume(store, "car1", VERSIONS, CALIBRATION).to_json() == (state.filter_state, state.condition)
 
 
 def test_a_state_of_other_versions_is_not_used(store: ResultStore, caplog: pytest.LogCaptureFixture) -> None:
@@ -175,9 +172,7 @@ def test_a_state_of_other_versions_is_not_used(store: ResultStore, caplog: pytes
         session.process(event)
     for other in (replace(VERSIONS, algorithm="older"), replace(VERSIONS, calibration="older")):
         caplog.clear()
-        filter_state, memory = resume(store, "car1", other, CALIBRATION)
-        assert filter_state.to_json() == Posterior.fresh(CALIBRATION).to_json()
-        assert memory == ConditionMemory.fresh()
+        assert resume(store, "car1", other, CALIBRATION).to_json() == Belief.fresh(CALIBRATION).to_json()
         assert [record.levelno for record in caplog.records] == [logging.WARNING]
         assert "results stay" in caplog.text
     assert len(list(store.results("car1"))) == 2

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from ecu_emulator.errors import ConfigError
-from tests.tools.uds_tables import DOCUMENT, written
+from tests.support.documents import page_text
+from tests.tools.uds_tables import page
 from tests.unit.ecu_emulator.diagnostics.bench import Bench
 from workshop.controller.memory import TestResult
 from workshop.controller.table_file import parse_table, shipped_table
@@ -80,17 +81,22 @@ def test_what_is_wrong_is_named(old: str, new: str, message: str) -> None:
     assert "\n" not in str(told.value)
 
 
-def test_the_tables_of_the_document_are_those_of_the_code() -> None:
-    text = DOCUMENT.read_text(encoding="utf-8")
-    assert text.count("<!-- table ") == 8
-    assert written(text, shipped_table()) == text
+def test_the_page_lists_each_service_datum_routine_and_code() -> None:
+    table = shipped_table()
+    rows = [line for line in page(table).splitlines() if line.startswith("| ") and "---" not in line]
+    assert table.obd is not None
+    kinds = (table.services, table.data, table.conditions, table.troubles, table.routines)
+    of_obd = (table.obd.pids, table.obd.monitors, table.obd.infos)
+    assert len(rows) == sum(len(kind) + 1 for kind in (*kinds, *of_obd))  # a head each
 
 
 def test_the_dialogue_of_the_document_is_what_the_controller_answers() -> None:
-    _, _, dialogue = DOCUMENT.read_text(encoding="utf-8").partition("<!-- dialogue -->")
+    _, _, dialogue = page_text("docs/controller.md").partition("<!-- dialogue -->")
     bench, said = Bench(table=shipped_table()), ""
     bench.monitor("P0811", TestResult.FAILED)
-    for line in [line for line in dialogue.splitlines() if line.startswith("7E")]:
+    lines = [line for line in dialogue.splitlines() if line.startswith("7E")]
+    assert len(lines) > 10
+    for line in lines:
         told = line[5:69].strip().lower()
         if line.startswith("7E1"):
             said = bench.ask(told)

@@ -20,7 +20,7 @@ from studies.converter_car import FLUIDS, ConverterCar, Driven, batches, drawn_c
 CALIBRATION = shipped_calibration("lockup")
 CONVERTER = CALIBRATION.converter
 assert CONVERTER is not None
-ESTIMATOR = LockupEstimator(CALIBRATION, CONVERTER)
+ESTIMATOR = LockupEstimator(CALIBRATION)
 
 
 @cache

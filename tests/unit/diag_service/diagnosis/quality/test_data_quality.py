@@ -13,9 +13,7 @@ from canlog.e2e.e2e_state import E2eState
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
-from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.quality.data_quality import LIMITS, QualityBasis, data_quality, reasons_against
 from diag_service.diagnosis.records import DataQuality, QualityPart, Reason
 from diag_service.mapping.decoder import Decoder
@@ -35,7 +33,7 @@ def decoder() -> Decoder:
 
 def stages() -> Stages:
     fresh = Decoder(load_contract(), load_profile())
-    return Stages(fresh, CALIBRATION, Posterior.fresh(CALIBRATION), ConditionMemory.fresh())
+    return Stages(fresh, CALIBRATION)
 
 
 @cache
