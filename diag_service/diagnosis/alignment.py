@@ -145,6 +145,14 @@ class AlignedSignals:
     is_seen: BoolArray  # (len(grid),) whether every signal was sampled near by
     row_s: float = 0.0  # from row to row [s] where signals are columns of a table, else 0
 
+    @property
+    def speeds_apart_rad_s(self) -> float:
+        """By how much speeds of one instant may be apart: those of one row by what they change until the next one."""
+        if not self.row_s:
+            return 0.0
+        speeds = (self.engine_speed, self.hub_speed, *self.input_speed)
+        return max(float(np.abs(np.diff(speed.value)).max()) for speed in speeds)
+
 
 def sample_times_s(series: Series, origin_ns: int) -> FloatArray:
     """Return when the samples were taken [s] after ``origin_ns``, shape (n,), freed of transmission jitter.

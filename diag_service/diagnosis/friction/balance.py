@@ -10,23 +10,20 @@ noise, which would pull friction down by several percent; the residual comes fro
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, NamedTuple, Self
 
 import numpy as np
 
 from canlog.arrays import FloatArray
-from clutch_model.calibration import Calibration, InputSide, SensorBias, TorqueSource
+from clutch_model.calibration import Calibration, InputSide, SensorBias
 from clutch_model.pack import slower_film
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.drives import (
-    PRESSURE_DEGREE,
     SLIP_DEGREE,
     SlipWindow,
     Weights,
     planned_drives,
-    polynomials,
     sines,
     spans_of,
 )
@@ -36,7 +33,6 @@ from diag_service.diagnosis.friction.evidence import (
     REFERENCE_K,
     STATE_COUNT,
     Considered,
-    Measurement,
     State,
 )
 from diag_service.diagnosis.friction.film import (
@@ -204,10 +200,6 @@ LEAST_SECANT: Final = 0.2  # of that: below it the tangent is near enough
 COLD_DOUBT_RATIO: Final = 0.8  # of what the slower film changes: no law holds for the course of one that closes
 MIN_EXCESS = 0.05  # keeps exponents below one finite at zero slip
 DOUBT_RATIO = 0.01  # of a clutch's torque: so far no law of friction and film holds moment by moment
-MODELLED_DOUBT_NM: Final = np.array([10.0, 5.0, 2.0, 1.0, 0.7])  # of a torque's mean in a piece, its slope, its bends
-OPEN_DOUBT_RATIO = 0.5  # of what an open pack drags: how that goes with the slip is another in every pack
-DOUBT_TIME_S = 0.1  # for which what is not known is wrong one way
-DOUBT_STEP = 2  # points of the grid: no test function turns in less than ten times that
 IDLE_RATIO = 0.1  # of the noise: a clutch that weighs less than this in the balance has no say in any derivative
 
 Blocks = tuple[FloatArray, ...]  # one of each piece of a window
@@ -303,44 +295,43 @@ def slower_films(balance: Balance, drives: tuple[PressureDrive, PressureDrive]) 
 
 
 class Sensitivity:
-    """The derivatives of a balance by all parameters, and the covariance of its noise.
+    """How a balance answers to all that it depends on.
 
     Attributes
     ----------
-    slope : (k, PARAMETER_COUNT) array
-        Of the modelled impulses, so that a residual is ``slope @ displacement + noise``.
-    noises
-        Covariance of the residual of each piece from sensor noise; two pieces share half a sample at most.
-    overlaps
-        What the derivatives of each piece by inertia and gains share with its residual, docs/model.md eq. (31); each of
-        shape (PARAMETER_COUNT,).
+    spread
+        The weights of samples in the balance.
+    torques, nominal
+        What both clutches carry on planned drives, and the weighted sums of it.
+    answers
+        How the contact of clutch 1 and 2 answers.
+    turned_ratio
+        Inertia of all that the engine's torque turns over that of the engine.
     """
 
     def __init__(self, balance: Balance) -> None:
-        self._balance, laws, rows = balance, balance.laws, balance.weights.rows
+        self.balance, laws, rows = balance, balance.laws, balance.weights.rows
         # The gain of the torque moves the balance as inertia does: all else that would tell both apart, the drag of
         # open packs and the noise of the hub's speed, is known too badly to be a scale.
         side = balance.calibration.input_side
-        self._turned_ratio = 1.0 + side.hub_inertia_kg_m2 / side.engine_inertia_kg_m2
+        self.turned_ratio = 1.0 + side.hub_inertia_kg_m2 / side.engine_inertia_kg_m2
         self._planned = planned_drives(balance.signals, balance.measured, balance.window)
-        self._spread = _Spread.of(balance.signals, balance.weights, balance.calibration.input_side)
+        self.spread = _Spread.of(balance.signals, balance.weights, side)
         self._torque_nm = balance.weights.fitted(balance.signals.engine_torque.on_grid[rows], SLIP_DEGREE)
+        self.is_motoring = self._torque_nm < balance.at[State.TORQUE_OFFSET]
         tracks = integrate_films(self._planned, laws, balance.window.rows.stop, COARSE)
-        self._torques = Torques.of(self._planned, tracks, balance.tracks, laws, rows)
+        self.torques = Torques.of(self._planned, tracks, balance.tracks, laws, rows)
         is_cold = max(balance.film_steps) >= LEAST_SECANT
         self._lost_nm = self._by_slower_films(tracks) if is_cold else [None, None]
-        self._answers = []
+        self.answers = []
         for m, law in enumerate(laws):
             doubt_nm = balance.tracks[m].doubt_nm[rows]
             if (lost_nm := self._lost_nm[m]) is not None:
                 doubt_nm = np.hypot(doubt_nm, COLD_DOUBT_RATIO * balance.film_steps[m] * lost_nm)
-            contact_nm, contact_pa = self._torques.contact_nm[m], tracks[m].contact_pa[rows]
+            contact_nm, contact_pa = self.torques.contact_nm[m], tracks[m].contact_pa[rows]
             slip_rad_s = self._planned[m].slip_rad_s[rows]
-            self._answers.append(contact_answers(slip_rad_s, contact_nm, contact_pa, doubt_nm, balance.mu[m], law))
-        self._nominal = weigh(balance.weights, self._torques)
-        self.noises = self._noises()
-        self.slope = self._slope()
-        self.overlaps = self._overlaps()
+            self.answers.append(contact_answers(slip_rad_s, contact_nm, contact_pa, doubt_nm, balance.mu[m], law))
+        self.nominal = weigh(balance.weights, self.torques)
 
     def _by_slower_films(self, tracks: tuple[FilmTrack, FilmTrack]) -> list[FloatArray | None]:
         """Return by how much each clutch carries less [N m] where films yield as slowly as cold ones may.
@@ -348,15 +339,19 @@ class Sensitivity:
         Per unit of the logarithm of the mobility; (n,) of each clutch, None where its oil is warm. A film that closes
         before the window, as believed, has no tangent there, and one that closes three times as slowly has not closed.
         """
-        balance, rows, found = self._balance, self._balance.weights.rows, list[FloatArray | None]()
+        balance, rows, found = self.balance, self.balance.weights.rows, list[FloatArray | None]()
         for m, (was, now) in enumerate(zip(tracks, slower_films(balance, self._planned), strict=True)):
             step, lost_pa = balance.film_steps[m], was.contact_pa[rows] - now.contact_pa[rows]
-            lost_nm = balance.mu[m] @ self._torques.lever_m3[m] * lost_pa + was.viscous_nm[rows] - now.viscous_nm[rows]
+            lost_nm = balance.mu[m] @ self.torques.lever_m3[m] * lost_pa + was.viscous_nm[rows] - now.viscous_nm[rows]
             found.append(lost_nm / step if step >= LEAST_SECANT else None)
         return found
 
-    def _slope(self) -> FloatArray:
-        balance, at = self._balance, self._balance.at
+    def slope(self, std_nms: FloatArray) -> FloatArray:
+        """Return the derivatives of the modelled impulses by all parameters, shape (k, PARAMETER_COUNT).
+
+        A residual is ``slope @ displacement + noise``; ``std_nms`` of shape (k,) is the deviation of that noise.
+        """
+        balance, at = self.balance, self.balance.at
         weights, bias = balance.weights, balance.calibration.bias
         torque_nm, motoring_nm = motoring_corrected_nm(self._torque_nm, at[State.TORQUE_OFFSET], bias)
         speed_rad_s = weights.fitted(balance.signals.engine_speed.on_grid[weights.rows], SLIP_DEGREE)
@@ -364,28 +359,27 @@ class Sensitivity:
         slope = np.zeros((weights.value.bands[-1].stop, PARAMETER_COUNT))
         considered = slope[:, STATE_COUNT:]
         slope[:, State.TORQUE_OFFSET] = weights.value.sums()
-        considered[:, Considered.TORQUE_GAIN] = -self._turned_ratio * engine_nms
+        considered[:, Considered.TORQUE_GAIN] = -self.turned_ratio * engine_nms
         considered[:, Considered.ENGINE_INERTIA] = -bias.torque_gain * engine_nms
         considered[:, Considered.MOTORING_GAIN] = weights.value @ motoring_nm
         considered[:, Considered.TORQUE_LATENCY] = weights.rate @ torque_nm  # smooth: noise would hold it where it is
-        std_nms = np.sqrt(np.concatenate([np.diag(noise) for noise in self.noises]))
         for m, mu in enumerate(balance.mu):
-            plain = self._nominal[m]
+            plain = self.nominal[m]
             slope[:, FRICTION_ROWS[m]] = plain.by_friction
             considered[:, Considered.FRICTION_TEMPERATURE] += plain.by_warm_friction @ mu
             considered[:, Considered.OPEN_DRAG] += bias.torque_gain * plain.opened
             if (np.abs(plain.viscous + plain.by_friction @ mu) / std_nms).max() > IDLE_RATIO:
                 self._add_film(slope, m, mu)
-                answers = self._answers[m]
+                answers = self.answers[m]
                 considered[:, Considered.STRIBECK_SPEED] += weights.value @ answers.by_stribeck_speed_nm
                 considered[:, Considered.STRIBECK_EXPONENT] += weights.value @ answers.by_stribeck_exponent_nm
         return slope
 
     def _add_film(self, slope: FloatArray, m: int, mu: FloatArray) -> None:
         """Add what the film of clutch ``m + 1`` answers to everything that moves or forms it."""
-        balance, drive = self._balance, self._planned[m]
+        balance, drive = self.balance, self._planned[m]
         rows, considered = balance.weights.rows, slope[:, STATE_COUNT:]
-        clutch_k, lever_m3 = balance.tracks[m].clutch_k, mu @ self._torques.lever_m3[m]
+        clutch_k, lever_m3 = balance.tracks[m].clutch_k, mu @ self.torques.lever_m3[m]
         answers = balance.weights.value @ film_tangents(balance.laws[m], drive, clutch_k, rows, lever_m3)
         slope[:, State.TOUCH1 + m] = -answers[:, FilmCause.PRESSURE]
         slope[:, State.ZERO1 + m] = -answers[:, FilmCause.PRESSURE]
@@ -395,165 +389,3 @@ class Sensitivity:
         if (lost_nm := self._lost_nm[m]) is not None:
             secant = balance.weights.value @ lost_nm
             considered[:, Considered.FILM_MOBILITY] += secant - answers[:, FilmCause.FILM_MOBILITY]
-
-    def _overlaps(self) -> list[FloatArray]:
-        balance, signals = self._balance, self._balance.signals
-        sensors, bias, weights = balance.calibration.noise, balance.calibration.bias, balance.weights
-        speed_std = sensors.engine_speed_rad_s * balance.calibration.input_side.engine_inertia_kg_m2
-        speed_slopes = weights.rate.fitted_on_samples(SLIP_DEGREE, signals.engine_speed)
-        rates, of_rows = self._spread.engine_rate, weights.value.grid_rows
-        by_speeds = [slope @ rate.T for slope, rate in zip(speed_slopes, rates, strict=True)]
-        precisions = [np.asarray(np.linalg.inv(noise)) for noise in self.noises]
-        if signals.row_s:
-            precisions = [precisions[0][band, band] for band in weights.value.bands]
-            if signals.hub_speed.value is signals.engine_speed.value:  # one noise is in both
-                inertia_kg_m2 = balance.calibration.input_side.engine_inertia_kg_m2
-                rates = tuple(rate + hub / inertia_kg_m2 for rate, hub in zip(rates, self._spread.hub, strict=True))
-            by_speeds = signals.engine_speed.shared(speed_slopes, rates, of_rows, is_followed=True)
-        motoring, by_friction = self._motoring_shares(), self._friction_shares() if signals.row_s else []
-        overlaps = [np.zeros(PARAMETER_COUNT) for _ in precisions]
-        for place, (precision, overlap) in enumerate(zip(precisions, overlaps, strict=True)):
-            considered = overlap[STATE_COUNT:]
-            speed = speed_std**2 * float(np.vdot(precision, by_speeds[place].T))  # the trace of the product
-            considered[Considered.TORQUE_GAIN] = -bias.torque_gain * self._turned_ratio * speed
-            considered[Considered.ENGINE_INERTIA] = -(bias.torque_gain**2) * speed
-            if motoring is not None:
-                shared = float(np.vdot(precision, motoring[place].T))
-                considered[Considered.MOTORING_GAIN] = sensors.engine_torque_nm**2 * shared
-            for row, shares in enumerate(by_friction):
-                overlap[row] = -(sensors.pressure_pa**2) * float(np.vdot(precision, shares[place].T))
-        return [np.sum(overlaps, axis=0)] if signals.row_s else overlaps
-
-    def _friction_shares(self) -> list[list[FloatArray]]:
-        """Return what the derivatives by friction share with the pressures: those of rows are noise in both."""
-        value, found = self._balance.weights.value, list[list[FloatArray]]()
-        for m, pressure in enumerate(self._balance.signals.pressure):
-            by_pressure_m3, film = self._answers[m].by_pressure_m3, self._balance.laws[m].film
-            torque = pressure.to_samples((value * by_pressure_m3).blocks, value.grid_rows)
-            ratio = film.piston_area_m2 / film.lining_area_m2 * (by_pressure_m3 != 0.0)
-            for lever_m3 in ratio * self._torques.lever_m3[m]:
-                slopes = (value * lever_m3).fitted_on_samples(PRESSURE_DEGREE, pressure)
-                found.append(pressure.shared(slopes, torque, value.grid_rows, is_followed=True))
-        return found
-
-    def _motoring_shares(self) -> list[FloatArray] | None:
-        """Return what the derivative by the gain of negative torque shares with the torque; None without such."""
-        balance = self._balance
-        is_motoring = self._torque_nm < balance.at[State.TORQUE_OFFSET]
-        if not is_motoring.any():
-            return None
-        value = balance.weights.value * (is_motoring / balance.calibration.bias.motoring_gain)
-        torque = balance.signals.engine_torque
-        return torque.shared(value.fitted_on_samples(SLIP_DEGREE, torque), self._spread.torque_value, value.grid_rows)
-
-    def _noises(self) -> list[FloatArray]:
-        """Return the covariance of the residual of each piece from sensor noise, every sample independent.
-
-        Films and friction that are not known are noise of another kind, wrong one way for a while.
-        """
-        balance, calibration = self._balance, self._balance.calibration
-        if balance.signals.row_s:
-            return self._row_noises()
-        sensors, side, gain = calibration.noise, calibration.input_side, calibration.bias.torque_gain
-        signals, weights = balance.signals, balance.weights
-        noises = [
-            sensors.engine_torque_nm**2 * torque @ torque.T
-            + (sensors.engine_speed_rad_s * gain * side.engine_inertia_kg_m2) ** 2 * engine @ engine.T
-            for torque, engine in zip(self._spread.torque_value, self._spread.engine_rate, strict=True)
-        ]
-        self._add_clutch_noise(noises)
-        self._add_doubt(noises)
-        if calibration.torque is not TorqueSource.MEASURED:
-            self._add_torque_doubt(noises)
-        by_hub_nms = self._answers[0].by_slip_nms + self._answers[1].by_slip_nms
-        around = signals.hub_speed.around_samples(by_hub_nms, weights.value.places, weights.value.grid_rows)
-        for place, hub in enumerate(self._spread.hub):
-            by_hub = gain * hub - self._spread.hub_value[place] * around[place]
-            noises[place] += sensors.hub_speed_rad_s**2 * by_hub @ by_hub.T
-        return noises
-
-    def _add_clutch_noise(self, noises: list[FloatArray]) -> None:
-        """Add the noise of input speeds and pressures, that of samples with the same weights as one."""
-        signals, sensors, spread = self._balance.signals, self._balance.calibration.noise, self._spread
-        value, of_blocks = self._balance.weights.value, dict[int, tuple[Blocks, list[Blocks]]]()
-        for m, answers in enumerate(self._answers):
-            for std, by, signal, blocks in (
-                (sensors.input_speed_rad_s, answers.by_slip_nms, signals.input_speed[m], spread.input_value[m]),
-                (sensors.pressure_pa, answers.by_pressure_m3, signals.pressure[m], spread.pressure_value[m]),
-            ):
-                if by.any():
-                    squares = tuple(
-                        (std * means) ** 2 for means in signal.around_samples(by, value.places, value.grid_rows)
-                    )
-                    of_blocks.setdefault(id(blocks), (blocks, []))[1].append(squares)
-        for blocks, variances in of_blocks.values():
-            for place, weight in enumerate(blocks):
-                scaled = weight * np.sqrt(sum(squares[place] for squares in variances))
-                noises[place] += scaled @ scaled.T
-
-    def _row_noises(self) -> list[FloatArray]:
-        """Return the covariance of the residual of all pieces where signals are columns of a table.
-
-        What the curves through few rows leave open is wrong in one way from row to row, also from piece to piece.
-        """
-        balance, signals = self._balance, self._balance.signals
-        sensors, side = balance.calibration.noise, balance.calibration.input_side
-        gain = balance.calibration.bias.torque_gain
-        value, rate = balance.weights.value.joined(), balance.weights.rate.joined()
-        first, second = self._answers
-        hub = rate * (gain * side.hub_inertia_kg_m2) + value * -(
-            gain * side.hub_damping_nms_rad + first.by_slip_nms + second.by_slip_nms
-        )
-        engine = rate * (gain * side.engine_inertia_kg_m2)
-        parts = [(signals.engine_torque, value, sensors.engine_torque_nm)]
-        if signals.hub_speed.value is signals.engine_speed.value:
-            parts.append((signals.engine_speed, engine + hub, sensors.engine_speed_rad_s))
-        else:
-            parts.append((signals.engine_speed, engine, sensors.engine_speed_rad_s))
-            parts.append((signals.hub_speed, hub, sensors.hub_speed_rad_s))
-        for m, answers in enumerate(self._answers):
-            parts.append((signals.input_speed[m], value * answers.by_slip_nms, sensors.input_speed_rad_s))
-            parts.append((signals.pressure[m], value * answers.by_pressure_m3, sensors.pressure_pa))
-        bands = balance.weights.value.bands
-        joint = np.zeros((bands[-1].stop, bands[-1].stop))
-        own = [joint[band, band] for band in bands]
-        self._add_doubt(own)
-        if balance.calibration.torque is not TorqueSource.MEASURED:
-            self._add_torque_doubt(own)
-        for signal, functions, std in parts:
-            weights = signal.to_samples(functions.blocks, value.grid_rows)
-            joint += std**2 * signal.shared(weights, weights, value.grid_rows)[0]
-        return [joint]
-
-    def _add_torque_doubt(self, noises: list[FloatArray]) -> None:
-        """Add what a modelled torque leaves open: a smooth course of its own in every piece."""
-        for place, block in enumerate(self._balance.weights.value.blocks):
-            rows = block.shape[1]
-            doubt = (block @ polynomials(rows, len(MODELLED_DOUBT_NM) - 1)) * (math.sqrt(rows) * MODELLED_DOUBT_NM)
-            noises[place] += doubt @ doubt.T
-
-    def _add_doubt(self, noises: list[FloatArray]) -> None:
-        """Add what no law of friction, film and drag holds, wrong one way for a while."""
-        balance = self._balance
-        value, gain = balance.weights.value, balance.calibration.bias.torque_gain
-        doubt_nm = np.hypot(*(answers.doubt_nm for answers in self._answers))
-        doubt_nm *= gain * math.sqrt(DOUBT_TIME_S * DOUBT_STEP / GRID_S)
-        opened_nms = OPEN_DOUBT_RATIO * gain * np.stack([own.opened for own in self._nominal], axis=1)
-        for place, (rows_of_piece, band, block) in enumerate(zip(value.places, value.bands, value.blocks, strict=True)):
-            doubt = block[:, ::DOUBT_STEP] * doubt_nm[rows_of_piece][::DOUBT_STEP]
-            noises[place] += doubt @ doubt.T + opened_nms[band] @ opened_nms[band].T
-
-
-def measured(balance: Balance, near: Sequence[Measurement] = ()) -> tuple[Measurement, ...]:
-    """Return what each piece of a balance says, linearised; with the derivatives found near by if there are some."""
-    residual = balance.residual_nms()
-    bands = balance.weights.value.bands
-    if balance.signals.row_s:  # what curves through rows leave open is shared by all pieces
-        bands = (slice(0, len(residual)),)
-    if [len(one.residual) for one in near] == [band.stop - band.start for band in bands]:
-        return tuple(replace(one, residual=residual[band]) for one, band in zip(near, bands, strict=True))
-    found = Sensitivity(balance)
-    return tuple(
-        Measurement(residual=residual[band], slope=found.slope[band], noise=noise, overlap=overlap)
-        for band, noise, overlap in zip(bands, found.noises, found.overlaps, strict=True)
-    )

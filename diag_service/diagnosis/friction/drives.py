@@ -358,7 +358,7 @@ def slip_window(
     over_pa = np.array([drive.piston_pa - law.touch_pressure_pa for drive, law in zip(drives, laws, strict=True)])
     slip_rad_s = np.array([drive.slip_rad_s for drive in drives])
     is_turning = signals.engine_speed.on_grid > TURNING_RAD_S
-    sure_rad_s = _sure_slip(signals, slip_rad_s) if signals.row_s else slip_rad_s
+    sure_rad_s = _sure_slip(signals, slip_rad_s)
     window = find_window(signals.grid_s, sure_rad_s, over_pa, signals.is_seen & is_turning, signals.row_s)
     return None if window is None else (window, loaded_clutch(window, slip_rad_s, over_pa))
 

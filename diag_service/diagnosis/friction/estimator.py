@@ -16,14 +16,12 @@ from diag_service.diagnosis.friction.balance import (
     LEAST_SECANT,
     WORKING_K,
     Balance,
-    measured,
     slower_films,
 )
 from diag_service.diagnosis.friction.drives import (
     PackTemperatures,
     measured_drives,
     on_other_grid,
-    rows_in_slip,
     slip_window,
     spans_of,
     zeros_seen,
@@ -46,10 +44,11 @@ from diag_service.diagnosis.friction.evidence import (
 )
 from diag_service.diagnosis.friction.film import pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, omission_cost
+from diag_service.diagnosis.friction.noise import measured, noise_of
 from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
 from diag_service.diagnosis.quality import plausibility
 from diag_service.diagnosis.quality.data_quality import Samples, aligned
-from diag_service.diagnosis.records import LEAST_SLIP_ROWS, FrictionSlope, Reason, Revision, ShiftEstimate, Status
+from diag_service.diagnosis.records import FrictionSlope, Reason, Revision, ShiftEstimate, Status
 
 COLD_STD: Final = {
     State.TOUCH1: 12e3,
@@ -65,8 +64,6 @@ COLD_STD: Final = {
 """How far the parameters of one event may be off in oil that is colder than at work by the whole span."""
 _COLD_VARIANCE: Final = np.zeros(PARAMETER_COUNT)
 _COLD_VARIANCE[list(COLD_STD)] = np.square(list(COLD_STD.values()))
-SCALE_RATIO: Final = 0.03  # of gain and inertia where rows are so far apart: what curves leave out, an engine shows
-SCALE_ROW_S: Final = 0.06
 OPEN_DRAG_SPEED_LOG: Final = 0.7  # also at work: twice or half; how drag goes with the slip is another in every pack
 FRICTION_RATIO: Final = 0.01  # of mu, also at work: heat, oil and load are spread over the linings anew each time
 COLD_FRICTION_RATIO: Final = 0.03  # and by this in oil that is 60 K colder: no law of the cold holds in every car
@@ -79,9 +76,9 @@ def own_variance(balance: Balance, clutch: int) -> FloatArray:
     cold = balance.coldness[clutch - 1]
     variance = _COLD_VARIANCE * cold**2
     variance[STATE_COUNT + Considered.OPEN_DRAG] += OPEN_DRAG_SPEED_LOG**2
-    if balance.signals.row_s and balance.signals.engine_speed.curve is None:
-        left_out = SCALE_RATIO * (balance.signals.row_s / SCALE_ROW_S) ** 2
-        variance[[STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA]] += left_out**2
+    variance[[STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA]] += (
+        noise_of(balance.signals).scale_ratio ** 2
+    )
     ratio = FRICTION_RATIO + COLD_FRICTION_RATIO * cold
     variance[:FRICTION_COUNT] = (ratio * balance.at[:FRICTION_COUNT]) ** 2
     return variance
@@ -125,49 +122,116 @@ _UNKNOWN_FRICTION = np.eye(2) * FRICTION_PRIOR_STD**2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Seen:
-    """One event, linearised."""
+class Linearisation:
+    """What an event says, linear about one point of all parameters."""
 
     clutch: int  # 1 or 2: the one that carries most while it slips
-    before: Knowledge  # of everything, the friction of that clutch unknown
     balance: Balance
     measurements: tuple[Measurement, ...]
-    empty: Evidence  # what empty clutches say of the zeros of their pressure sensors
+    zeros: Evidence  # what empty clutches say of the zeros of their pressure sensors
     evidence: Evidence  # of all of it
 
-    def alone(self) -> Fusion:
-        """Return what is known with what was known before, the friction of its own clutch apart."""
-        return fuse(self.before, self.evidence)
+
+class Silent(NamedTuple):
+    """Why an event cannot be linearised."""
+
+    reason: Reason
+    row_count: int = 0  # of a table, in the slip, where these are too few
 
 
-class _TooFew(NamedTuple):
-    """So few rows of a table are in the slip that nothing is said of friction."""
-
-    row_count: int
-
-
-class Estimator:
-    """Estimates friction from shifts; holds nothing but the calibration.
+def linearise(  # noqa: PLR0911 - each stage may find that it ends there
+    samples: Samples,
+    calibration: Calibration,
+    packs: PackTemperatures | None,
+    at: FloatArray,
+    earlier: Linearisation | None = None,
+    *,
+    keeps_slope: bool = False,
+) -> Linearisation | Silent:
+    """Return what an event says about ``at``, shape (PARAMETER_COUNT,).
 
     Parameters
     ----------
     calibration
-        Of the vehicle.
-    skew_s
-        By which columns of a table that its events are of may be apart [s]; 0: they are of a bus.
+        Of the vehicle, without what the parameters say.
+    packs
+        How warm the clutches were before it.
+    earlier, keeps_slope
+        The same event about another point, whose clutch stays; near by also its window and derivatives.
     """
+    try:
+        point = displaced(calibration, at)
+    except CalibrationError:  # no vehicle is like that
+        return Silent(Reason.MISFIT)
+    signals = aligned(samples, point, earlier.balance.signals if earlier else None)
+    if isinstance(signals, Reason):
+        return Silent(signals)
+    near, laws, noise = earlier if keeps_slope else None, pack_laws(point), noise_of(signals)
+    drives = measured_drives(signals, at, packs, samples.event.start_ns, laws)
+    if near is None:
+        found = slip_window(signals, drives, laws)
+    else:
+        found = on_other_grid(near.balance.window, near.balance.signals.grid_s, signals.grid_s), near.clutch
+    if found is None:
+        row_count = noise.too_few(drives, laws)
+        return Silent(Reason.FEW_SAMPLES if row_count else Reason.NO_SLIP_WINDOW, row_count)
+    window, clutch = found
+    balance = Balance(signals, window, drives, point, laws, at)
+    if is_carried_by_film(balance, clutch):
+        return Silent(Reason.NO_SLIP_WINDOW)
+    if noise.is_too_few(balance.sample_count):
+        return Silent(Reason.FEW_SAMPLES, balance.sample_count)
+    measurements = measured(balance, near.measurements if near else ())
+    zeros = zeros_seen(signals, point)
+    evidence = Evidence.of(measurements, at, zeros, own_variance(balance, clutch))
+    if not np.isfinite(evidence.constant):  # by laws that no lining or oil has
+        return Silent(Reason.MISFIT)
+    return Linearisation(
+        clutch=earlier.clutch if earlier else clutch,
+        balance=balance,
+        measurements=measurements,
+        zeros=zeros,
+        evidence=evidence,
+    )
 
-    def __init__(self, calibration: Calibration, skew_s: float = 0.0) -> None:
+
+def iterate(
+    first: Linearisation,
+    linearised: Callable[[FloatArray, Linearisation, bool], Linearisation | Silent],
+    believed: Callable[[Linearisation], Knowledge | None],
+    type_std: FloatArray,
+) -> Linearisation | None:
+    """Return an event linearised where it is ``believed`` to be; None where that says nothing of friction.
+
+    Gauss-Newton: it stops when a step is below ``CONVERGED`` of what is then known, after ``MAX_PASS_COUNT``
+    linearisations, or where there is none. Steps are cut to ``LONGEST_STEP`` of ``type_std``, friction aside.
+    """
+    last = first
+    for _ in range(MAX_PASS_COUNT - 1):
+        at, after = last.balance.at, believed(last)
+        if after is None:
+            return None
+        step = after.mean - at
+        if (np.abs(step) / np.maximum(after.std(), 1e-30)).max() < CONVERGED:
+            break
+        longest = float((np.abs(step) / type_std).max())
+        following = linearised(at + step / max(1.0, longest / LONGEST_STEP), last, longest < NEAR_STEP)
+        if isinstance(following, Silent):
+            if following.reason is Reason.NO_SLIP_WINDOW:
+                return None
+            break
+        last = following
+    return last
+
+
+class Estimator:
+    """Estimates friction from shifts; holds nothing but the calibration."""
+
+    def __init__(self, calibration: Calibration) -> None:
         self._calibration = calibration
-        self._skew_s = skew_s
         self._type = Posterior.fresh(calibration).base
-        if skew_s:
-            self._type = self._type.less_sure(skew_variance(skew_s))
-        std = self._type.std()
-        self._per_std = 1.0 / np.where(std > 0.0, std, np.inf)
-        self._per_std[:FRICTION_COUNT] = 0.0
 
-    def estimate(  # noqa: PLR0911 - each stage may find that it ends there
+    def estimate(
         self, event: Event, samples: Samples | Reason, state: Posterior, against: tuple[Reason, ...] = ()
     ) -> tuple[Posterior, ShiftEstimate]:
         """Return what is known after a shift, and what the shift alone says about the on-coming clutch.
@@ -180,43 +244,35 @@ class Estimator:
         if isinstance(samples, Reason):
             is_untold = samples is Reason.TORQUE_UNKNOWN
             return state, without_friction(event, Status.UNOBSERVED if is_untold else Status.REJECTED, samples)
-        if samples.skew_s != self._skew_s:
-            return Estimator(self._calibration, samples.skew_s).estimate(event, samples, state, against)
-        if self._skew_s:
-            state = self._of_rows(state)
-        first = self._linearised(samples, state, state.fusion.knowledge.mean, None)
-        if not isinstance(first, _Seen):
+        type_ = self._type.less_sure(skew_variance(samples.skew_s))
+        state = _of_skewed(state, type_, samples.skew_s)
+        first = linearise(samples, self._calibration, state.packs, state.fusion.knowledge.mean)
+        if isinstance(first, Silent):
             return state, _untold(event, first, against)
         slipping = plausibility.SlippingClutch(
             number=first.clutch,
             rows=first.balance.window.slip_rows,
-            pressure_zero_pa=self._zero_pa(first.empty, state.fusion.knowledge, first.clutch),
+            pressure_zero_pa=_zero_pa(type_, first.zeros, state.fusion.knowledge, first.clutch),
             touch_pressure_pa=self._calibration.clutches[first.clutch - 1].touch_pressure_pa,
         )
         if faults := plausibility.plausibility_faults(event, first.balance.signals, slipping):
             return state, without_friction(event, Status.REJECTED, *faults)
-        settled = self._settled(samples, state, first)
+        before = self._unknown_friction(state.fusion.knowledge, first.clutch)
+        settled = self._settled(samples, state, first, before, type_)
         if settled is None:  # where event and all that is believed meet, the film carries too much
-            return state, _untold(event, Reason.NO_SLIP_WINDOW, against)
+            return state, _untold(event, Silent(Reason.NO_SLIP_WINDOW), against)
         seen, room, judged = settled
         packs = PackTemperatures(clutch_k=seen.balance.final_clutch_k, at_ns=event.end_ns)
-        is_misfit = _is_misfit(self._type, fuse(self._type, seen.evidence), seen.evidence.count)
+        is_misfit = _is_misfit(type_, fuse(type_, seen.evidence), seen.evidence.count)
         if is_misfit or against:
             state = replace(state, packs=packs) if is_misfit else state
-            estimate = self._described(event, seen, state, seen.alone())
+            estimate = self._described(event, seen, state, fuse(before, seen.evidence))
             return state, _rejected(estimate, *((Reason.MISFIT,) if is_misfit else against))
         return self._judged(event, seen, room, replace(judged, packs=packs))
 
-    def _of_rows(self, state: Posterior) -> Posterior:
-        """Return what is known before the first event of a table, whose columns are apart by nobody knows how much."""
-        if state.recent or state.folded_counts != (0, 0):
-            return state
-        added = np.maximum(self._type.covariance.diagonal() - state.base.covariance.diagonal(), 0.0)
-        added *= skew_variance(self._skew_s) > 0.0
-        base = state.base.less_sure(added)
-        return replace(state, base=base, fusion=fuse(base, Evidence.none()))
-
-    def _judged(self, event: Event, seen: _Seen, room: Posterior, state: Posterior) -> tuple[Posterior, ShiftEstimate]:
+    def _judged(
+        self, event: Event, seen: Linearisation, room: Posterior, state: Posterior
+    ) -> tuple[Posterior, ShiftEstimate]:
         """Return what is known after an event, and its estimate: used or left out, and why."""
         is_agreed = state.believes_as(room)
         others = room.fusion.knowledge if is_agreed else state.without(len(state.recent) - 1)
@@ -264,108 +320,41 @@ class Estimator:
         covariance[rows, rows] = _UNKNOWN_FRICTION
         return Knowledge(mean=mean, covariance=covariance)
 
-    def _settled(self, samples: Samples, state: Posterior, first: _Seen) -> tuple[_Seen, Posterior, Posterior] | None:
+    def _settled(
+        self, samples: Samples, state: Posterior, first: Linearisation, before: Knowledge, type_: Knowledge
+    ) -> tuple[Linearisation, Posterior, Posterior] | None:
         """Return the event linearised where it and all that is believed meet, what is known without it, and with it.
 
         None if it says nothing of friction there.
 
         The event is taken to belong with all that did until now, and only the end is judged: if that finds otherwise,
         or the event costs more than leaving it out, each pass is. One that does not belong meets nothing, it is
-        linearised where it alone would have it.
+        linearised where it alone would have it, with what was known ``before`` of all but its friction.
         """
-        event, room = samples.event, state.with_room()
+        event, room, std = samples.event, state.with_room(), type_.std()
+        std[std == 0.0] = np.inf
+        std[:FRICTION_COUNT] = np.inf
 
-        def expected(seen: _Seen) -> Knowledge | None:
+        def linearised(at: FloatArray, earlier: Linearisation, keeps_slope: bool) -> Linearisation | Silent:  # noqa: FBT001
+            return linearise(samples, self._calibration, state.packs, at, earlier, keeps_slope=keeps_slope)
+
+        def expected(seen: Linearisation) -> Knowledge | None:
             together = fuse(room.fusion.knowledge, seen.evidence)
             return together.knowledge if together.chi_square < omission_cost(seen.evidence) else None
 
-        def found(seen: _Seen) -> Knowledge:
+        def found(seen: Linearisation) -> Knowledge:
             judged = state.with_event(_judged_event(event, seen), room)
-            return judged.fusion.knowledge if judged.is_used[-1] else seen.alone().knowledge
+            return (judged.fusion if judged.is_used[-1] else fuse(before, seen.evidence)).knowledge
 
-        seen = self._met(samples, state, first, expected)
-        if isinstance(seen, _Seen):
+        if (seen := iterate(first, linearised, expected, std)) is not None:
             judged = state.with_event(_judged_event(event, seen), room)
             if judged.is_used[-1] and judged.believes_as(room):
                 return seen, room, judged
-        seen = self._met(samples, state, first, found)
-        if not isinstance(seen, _Seen):
+        if (seen := iterate(first, linearised, found, std)) is None:
             return None
         return seen, room, state.with_event(_judged_event(event, seen), room)
 
-    def _met(
-        self, samples: Samples, state: Posterior, seen: _Seen, believed: Callable[[_Seen], Knowledge | None]
-    ) -> _Seen | Reason | None:
-        """Return the event linearised where it is ``believed`` to be, None where that says nothing, or the reason."""
-        for _ in range(MAX_PASS_COUNT - 1):
-            at, after = seen.balance.at, believed(seen)
-            if after is None:
-                return None
-            step = after.mean - at
-            if (np.abs(step) / np.maximum(after.std(), 1e-30)).max() < CONVERGED:
-                break
-            longest = float((np.abs(step) * self._per_std).max())  # in standard deviations of the type, friction aside
-            at = at + step / max(1.0, longest / LONGEST_STEP)
-            attempt = self._linearised(samples, state, at, seen, is_near=longest < NEAR_STEP)
-            if attempt is Reason.NO_SLIP_WINDOW:
-                return attempt
-            if not isinstance(attempt, _Seen):
-                break
-            seen = attempt
-        return seen
-
-    def _zero_pa(self, empty: Evidence, known: Knowledge, clutch: int) -> float:
-        """Return the zero of a clutch's pressure sensor [Pa] as an event shows it; otherwise it is as known."""
-        row = State.ZERO1 + clutch - 1
-        mean_pa, variance_pa2 = float(self._type.mean[row]), float(self._type.covariance[row, row])
-        told = variance_pa2 * float(empty.matrix[row, row])
-        if told <= 1.0:  # by less than what the type tells
-            return float(known.mean[row])
-        return (mean_pa + variance_pa2 * float(empty.vector[row])) / (1.0 + told)
-
-    def _linearised(  # noqa: PLR0911 - as above
-        self, samples: Samples, state: Posterior, at: FloatArray, earlier: _Seen | None, *, is_near: bool = False
-    ) -> "_Seen | Reason | _TooFew":
-        """Linearise an event about ``at`` with what an earlier pass found: its clutch; near by all but the residual."""
-        try:
-            point = displaced(self._calibration, at)
-        except CalibrationError:  # no vehicle is like that
-            return Reason.MISFIT
-        signals = aligned(samples, point, earlier.balance.signals if earlier else None)
-        if isinstance(signals, Reason):
-            return signals
-        near = earlier if is_near else None
-        laws = pack_laws(point)
-        drives = measured_drives(signals, at, state.packs, samples.event.start_ns, laws)
-        if near is None:
-            found = slip_window(signals, drives, laws)
-        else:
-            found = on_other_grid(near.balance.window, near.balance.signals.grid_s, signals.grid_s), near.clutch
-        if found is None:
-            count = rows_in_slip(signals, drives, laws) if signals.row_s else 0
-            return _TooFew(count) if 0 < count < LEAST_SLIP_ROWS else Reason.NO_SLIP_WINDOW
-        window, clutch = found
-        before = earlier.before if earlier else self._unknown_friction(state.fusion.knowledge, clutch)
-        balance = Balance(signals, window, drives, point, laws, at)
-        if is_carried_by_film(balance, clutch):
-            return Reason.NO_SLIP_WINDOW
-        if signals.row_s and balance.sample_count < LEAST_SLIP_ROWS:
-            return _TooFew(balance.sample_count)
-        seen = measured(balance, near.measurements if near else ())
-        empty = zeros_seen(signals, point)
-        evidence = Evidence.of(seen, at, empty, own_variance(balance, clutch))
-        if not np.isfinite(evidence.constant):  # by laws that no lining or oil has
-            return Reason.MISFIT
-        return _Seen(
-            clutch=earlier.clutch if earlier else clutch,
-            before=before,
-            balance=balance,
-            measurements=seen,
-            empty=empty,
-            evidence=evidence,
-        )
-
-    def _described(self, event: Event, seen: _Seen, state: Posterior, alone: Fusion) -> ShiftEstimate:
+    def _described(self, event: Event, seen: Linearisation, state: Posterior, alone: Fusion) -> ShiftEstimate:
         """Describe what an event says alone, with what is known of all but the friction of its clutch."""
         clutch, balance = seen.clutch, seen.balance
         window_s = sum(end_s - start_s for start_s, end_s in spans_of(balance.window.slipping, balance.signals.grid_s))
@@ -389,6 +378,27 @@ class Estimator:
         )
 
 
+def _of_skewed(state: Posterior, type_: Knowledge, skew_s: float) -> Posterior:
+    """Return what is known before the first event, whose columns are apart by nobody knows how much, up to a skew."""
+    if state.recent or state.folded_counts != (0, 0):
+        return state
+    missing = np.maximum(type_.covariance.diagonal() - state.base.covariance.diagonal(), 0.0)
+    if not (added := missing * (skew_variance(skew_s) > 0.0)).any():
+        return state
+    base = state.base.less_sure(added)
+    return replace(state, base=base, fusion=fuse(base, Evidence.none()))
+
+
+def _zero_pa(type_: Knowledge, zeros: Evidence, known: Knowledge, clutch: int) -> float:
+    """Return the zero of a clutch's pressure sensor [Pa] as an event shows it; otherwise it is as known."""
+    row = State.ZERO1 + clutch - 1
+    mean_pa, variance_pa2 = float(type_.mean[row]), float(type_.covariance[row, row])
+    told = variance_pa2 * float(zeros.matrix[row, row])
+    if told <= 1.0:  # by less than what the type tells
+        return float(known.mean[row])
+    return (mean_pa + variance_pa2 * float(zeros.vector[row])) / (1.0 + told)
+
+
 def _is_misfit(before: Knowledge, alone: Fusion, count: int) -> bool:
     """Return whether an event of ``count`` residuals is not explained, or only by what no vehicle and lining has."""
     if alone.chi_square / count > misfit_gate(count):
@@ -401,14 +411,12 @@ def _is_misfit(before: Knowledge, alone: Fusion, count: int) -> bool:
     return bool(score[FRICTION_COUNT:].max() > SCORE_GATE or most.min() < LEAST_FRICTION)
 
 
-def _untold(event: Event, why: Reason | _TooFew, against: tuple[Reason, ...]) -> ShiftEstimate:
+def _untold(event: Event, why: Silent, against: tuple[Reason, ...]) -> ShiftEstimate:
     """Return the estimate of an event that cannot be linearised."""
-    reason = Reason.FEW_SAMPLES if isinstance(why, _TooFew) else why
-    is_unobserved = reason in {Reason.NO_SLIP_WINDOW, Reason.FEW_SAMPLES}
-    reasons = against if is_unobserved and against else (reason,)
+    is_unobserved = why.reason in {Reason.NO_SLIP_WINDOW, Reason.FEW_SAMPLES}
+    reasons = against if is_unobserved and against else (why.reason,)
     status = Status.UNOBSERVED if is_unobserved and not against else Status.REJECTED
-    untold = without_friction(event, status, *reasons)
-    return replace(untold, sample_count=why.row_count) if isinstance(why, _TooFew) else untold
+    return replace(without_friction(event, status, *reasons), sample_count=why.row_count)
 
 
 def _why_left_out(before: Knowledge, alone: Fusion, count: int) -> Reason:
@@ -423,9 +431,9 @@ def _rejected(estimate: ShiftEstimate, *reasons: Reason) -> ShiftEstimate:
     return replace(estimate, status=Status.REJECTED, reasons=reasons, friction=None, scale_free=None, slope=None)
 
 
-def _judged_event(event: Event, seen: _Seen) -> JudgedEvent:
+def _judged_event(event: Event, seen: Linearisation) -> JudgedEvent:
     # Laws of film, oil and drag in the cold, and what curves through few rows leave out, are wrong alike in all events.
-    is_off = bool(seen.balance.signals.row_s) or min(seen.balance.final_clutch_k) < WORKING_K
+    is_off = noise_of(seen.balance.signals).is_alike or min(seen.balance.final_clutch_k) < WORKING_K
     return JudgedEvent(clutch=seen.clutch, end_ns=event.end_ns, evidence=seen.evidence, is_off_like_others=is_off)
 
 

@@ -51,10 +51,7 @@ def plausibility_faults(
     event: Event, signals: AlignedSignals, clutch: SlippingClutch, limits: QualityLimits = LIMITS
 ) -> tuple[Reason, ...]:
     """Return why the signals of a shift, once put on one clock, cannot all be true; empty if they can."""
-    apart_rad_s = 0.0
-    if signals.row_s:  # speeds of one row may be apart by what they change until the next one
-        speeds = (signals.engine_speed, signals.hub_speed, *signals.input_speed)
-        apart_rad_s = max(float(np.abs(np.diff(speed.value)).max()) for speed in speeds)
+    apart_rad_s = signals.speeds_apart_rad_s
     is_change = event.from_gear != event.to_gear
     most_at_hub_rad_s = limits.speeds_rad_s if is_change else limits.launch_speeds_rad_s
     found = {
