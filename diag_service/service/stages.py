@@ -3,6 +3,7 @@
 ``batch -> Decoder -> Columns -> EventFinder -> Event -> gate -> Element.conclude(belief, event) -> Diagnosis``
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, Final, Protocol
 
@@ -108,27 +109,19 @@ class Reach:
     tier: Tier | None  # None: not even shifts can be found
     missing: str  # what friction lacks
     is_relative: bool  # friction is known up to a scale at best
-    knows_gears: bool
-    has_converter: bool
+    asked: Mapping[str, bool]  # what the tiers are asked with
 
     @classmethod
     def of(cls, decoder: Decoder, calibration: Calibration) -> "Reach":
-        """Return it."""
         signals, torque = decoder.signals, calibration.torque
         known = signals - {Signal.ENGINE_TORQUE} if torque is TorqueSource.UNKNOWN else signals
         # The gear can be told from the ratio of two speeds, where the bus has both.
         knows_gears = decoder.gears is not None and signals >= {Signal.ENGINE_SPEED, decoder.gears.over}
-        has_converter = calibration.converter is not None
-        tier = tier_of(known, knows_gears=knows_gears, has_converter=has_converter)
+        asked = {"knows_gears": knows_gears, "has_converter": calibration.converter is not None}
+        tier, missing = tier_of(known, **asked), why_no_friction(known, torque, **asked)
         lacks_torque = torque is not TorqueSource.MEASURED or Signal.ENGINE_TORQUE not in signals
         tells_ratios = lacks_torque and signals >= PRESSURES | {Signal.ENGINE_SPEED}
-        return cls(
-            tier=tier,
-            missing=why_no_friction(known, torque, knows_gears=knows_gears, has_converter=has_converter),
-            is_relative=tier is not Tier.FRICTION and tells_ratios,
-            knows_gears=knows_gears,
-            has_converter=has_converter,
-        )
+        return cls(tier=tier, missing=missing, is_relative=tier is not Tier.FRICTION and tells_ratios, asked=asked)
 
 
 class Element(Protocol):
@@ -326,12 +319,11 @@ class Stages:
         """Return what the signals that came suffice for."""
         seen = self.decoder.seen
         expected = self.decoder.signals - self.decoder.optional_signals
-        known = {"knows_gears": self.reach.knows_gears, "has_converter": self.reach.has_converter}
         return Capability(
             profile=self.decoder.profile_name,
-            tier=tier_of(seen, **known),
-            missing=missing_for_next(seen, **known),
-            elements=self._calibration.elements if self.reach.has_converter else (),
+            tier=tier_of(seen, **self.reach.asked),
+            missing=missing_for_next(seen, **self.reach.asked),
+            elements=self._calibration.elements if self.reach.asked["has_converter"] else (),
             torque=self._calibration.torque if Signal.ENGINE_TORQUE in seen else TorqueSource.UNKNOWN,
             unseen=tuple(signal.value for signal in Signal if signal in expected - seen),
         )

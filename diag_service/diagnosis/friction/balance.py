@@ -299,8 +299,8 @@ class Sensitivity:
 
     Attributes
     ----------
-    spread
-        The weights of samples in the balance.
+    spread, engine_slopes
+        The weights of samples in the balance, and of the engine speed's in the derivative by inertia.
     torques, nominal
         What both clutches carry on planned drives, and the weighted sums of it.
     answers
@@ -319,6 +319,7 @@ class Sensitivity:
         self.spread = _Spread.of(balance.signals, balance.weights, side)
         self._torque_nm = balance.weights.fitted(balance.signals.engine_torque.on_grid[rows], SLIP_DEGREE)
         self.is_motoring = self._torque_nm < balance.at[State.TORQUE_OFFSET]
+        self.engine_slopes = balance.weights.rate.fitted_on_samples(SLIP_DEGREE, balance.signals.engine_speed)
         tracks = integrate_films(self._planned, laws, balance.window.rows.stop, COARSE)
         self.torques = Torques.of(self._planned, tracks, balance.tracks, laws, rows)
         is_cold = max(balance.film_steps) >= LEAST_SECANT

@@ -22,6 +22,7 @@ from diag_service.diagnosis.friction.drives import (
     PackTemperatures,
     measured_drives,
     on_other_grid,
+    rows_in_slip,
     slip_window,
     spans_of,
     zeros_seen,
@@ -44,7 +45,7 @@ from diag_service.diagnosis.friction.evidence import (
 )
 from diag_service.diagnosis.friction.film import pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, omission_cost
-from diag_service.diagnosis.friction.noise import measured, noise_of
+from diag_service.diagnosis.friction.noise import NoiseModel, measured, noise_of
 from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
 from diag_service.diagnosis.quality import plausibility
 from diag_service.diagnosis.quality.data_quality import Samples, aligned
@@ -71,14 +72,12 @@ MOST_FILM_SHARE: Final = 0.4  # of the torque in the slip window: beyond it noth
 MOST_SLOW_FILM_SHARE: Final = 0.5  # likewise of a film that yields more slowly
 
 
-def own_variance(balance: Balance, clutch: int) -> FloatArray:
+def own_variance(balance: Balance, clutch: int, noise: NoiseModel) -> FloatArray:
     """Return how far the parameters of one event may be from those of the vehicle, shape (PARAMETER_COUNT,)."""
     cold = balance.coldness[clutch - 1]
     variance = _COLD_VARIANCE * cold**2
     variance[STATE_COUNT + Considered.OPEN_DRAG] += OPEN_DRAG_SPEED_LOG**2
-    variance[[STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA]] += (
-        noise_of(balance.signals).scale_ratio ** 2
-    )
+    variance[[STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA]] += noise.scale_ratio**2
     ratio = FRICTION_RATIO + COLD_FRICTION_RATIO * cold
     variance[:FRICTION_COUNT] = (ratio * balance.at[:FRICTION_COUNT]) ** 2
     return variance
@@ -127,6 +126,7 @@ class Linearisation:
 
     clutch: int  # 1 or 2: the one that carries most while it slips
     balance: Balance
+    noise: NoiseModel
     measurements: tuple[Measurement, ...]
     zeros: Evidence  # what empty clutches say of the zeros of their pressure sensors
     evidence: Evidence  # of all of it
@@ -173,22 +173,24 @@ def linearise(  # noqa: PLR0911 - each stage may find that it ends there
     else:
         found = on_other_grid(near.balance.window, near.balance.signals.grid_s, signals.grid_s), near.clutch
     if found is None:
-        row_count = noise.too_few(drives, laws)
-        return Silent(Reason.FEW_SAMPLES if row_count else Reason.NO_SLIP_WINDOW, row_count)
+        row_count = rows_in_slip(signals, drives, laws)
+        is_too_few = 0 < row_count < noise.least_count
+        return Silent(Reason.FEW_SAMPLES, row_count) if is_too_few else Silent(Reason.NO_SLIP_WINDOW)
     window, clutch = found
     balance = Balance(signals, window, drives, point, laws, at)
     if is_carried_by_film(balance, clutch):
         return Silent(Reason.NO_SLIP_WINDOW)
-    if noise.is_too_few(balance.sample_count):
+    if balance.sample_count < noise.least_count:
         return Silent(Reason.FEW_SAMPLES, balance.sample_count)
-    measurements = measured(balance, near.measurements if near else ())
+    measurements = measured(balance, noise, near.measurements if near else ())
     zeros = zeros_seen(signals, point)
-    evidence = Evidence.of(measurements, at, zeros, own_variance(balance, clutch))
+    evidence = Evidence.of(measurements, at, zeros, own_variance(balance, clutch, noise))
     if not np.isfinite(evidence.constant):  # by laws that no lining or oil has
         return Silent(Reason.MISFIT)
     return Linearisation(
         clutch=earlier.clutch if earlier else clutch,
         balance=balance,
+        noise=noise,
         measurements=measurements,
         zeros=zeros,
         evidence=evidence,
@@ -433,7 +435,7 @@ def _rejected(estimate: ShiftEstimate, *reasons: Reason) -> ShiftEstimate:
 
 def _judged_event(event: Event, seen: Linearisation) -> JudgedEvent:
     # Laws of film, oil and drag in the cold, and what curves through few rows leave out, are wrong alike in all events.
-    is_off = noise_of(seen.balance.signals).is_alike or min(seen.balance.final_clutch_k) < WORKING_K
+    is_off = seen.noise.is_alike or min(seen.balance.final_clutch_k) < WORKING_K
     return JudgedEvent(clutch=seen.clutch, end_ns=event.end_ns, evidence=seen.evidence, is_off_like_others=is_off)
 
 

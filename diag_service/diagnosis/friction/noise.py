@@ -15,9 +15,8 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import TorqueSource
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.balance import Balance, Blocks, Sensitivity
-from diag_service.diagnosis.friction.drives import PRESSURE_DEGREE, SLIP_DEGREE, polynomials, rows_in_slip
+from diag_service.diagnosis.friction.drives import PRESSURE_DEGREE, SLIP_DEGREE, polynomials
 from diag_service.diagnosis.friction.evidence import PARAMETER_COUNT, STATE_COUNT, Considered, Measurement
-from diag_service.diagnosis.friction.film import PackLaws, PressureDrive
 from diag_service.diagnosis.records import LEAST_SLIP_ROWS
 
 MODELLED_DOUBT_NM: Final = np.array([10.0, 5.0, 2.0, 1.0, 0.7])  # of a torque's mean in a piece, its slope, its bends
@@ -34,11 +33,7 @@ class NoiseModel(Protocol):
     scale_ratio: float  # by which gain and inertia seem to differ in one event
     is_alike: bool  # errors that all events have alike, so that they agree better than they are
 
-    def too_few(self, drives: tuple[PressureDrive, PressureDrive], laws: PackLaws) -> int:
-        """Return how many samples are in the slip where that is too few for a window; 0: too few are no reason."""
-
-    def is_too_few(self, sample_count: int) -> bool:
-        """Return whether so many samples in a slip window say nothing of friction."""
+    least_count: int  # of samples in the slip: fewer say nothing of friction
 
     def bands(self, balance: Balance) -> tuple[slice, ...]:
         """Return which residuals share errors: they are one measurement."""
@@ -53,13 +48,7 @@ class NoiseModel(Protocol):
 class BusNoise:
     """Every sample errs by itself; two pieces share half a sample at most."""
 
-    scale_ratio, is_alike = 0.0, False
-
-    def too_few(self, _drives: tuple[PressureDrive, PressureDrive], _laws: PackLaws) -> int:
-        return 0
-
-    def is_too_few(self, _sample_count: int) -> bool:
-        return False
+    scale_ratio, is_alike, least_count = 0.0, False, 0
 
     def bands(self, balance: Balance) -> tuple[slice, ...]:
         return balance.weights.value.bands
@@ -85,7 +74,7 @@ class BusNoise:
         return noises
 
     def overlaps(self, sensitivity: Sensitivity, covariances: Sequence[FloatArray]) -> list[FloatArray]:
-        slopes = engine_slopes(sensitivity)
+        slopes = sensitivity.engine_slopes
         by_speed = [slope @ rate.T for slope, rate in zip(slopes, sensitivity.spread.engine_rate, strict=True)]
         precisions = [np.asarray(np.linalg.inv(noise)) for noise in covariances]
         return list(_overlaps(sensitivity, precisions, by_speed))
@@ -94,20 +83,13 @@ class BusNoise:
 class RowNoise:
     """Signals are columns of a table: what the curves leave open is wrong in one way, also from piece to piece."""
 
-    is_alike = True
+    is_alike, least_count = True, LEAST_SLIP_ROWS
 
     def __init__(self, signals: AlignedSignals) -> None:
         self._signals = signals
         is_curve = signals.engine_speed.curve is not None
         self.scale_ratio = 0.0 if is_curve else SCALE_RATIO * (signals.row_s / SCALE_ROW_S) ** 2
         self._has_one_speed = signals.hub_speed.value is signals.engine_speed.value  # one noise is in both
-
-    def too_few(self, drives: tuple[PressureDrive, PressureDrive], laws: PackLaws) -> int:
-        count = rows_in_slip(self._signals, drives, laws)
-        return count if self.is_too_few(count) else 0
-
-    def is_too_few(self, sample_count: int) -> bool:
-        return sample_count < LEAST_SLIP_ROWS
 
     def bands(self, balance: Balance) -> tuple[slice, ...]:
         return (slice(0, balance.weights.value.bands[-1].stop),)
@@ -145,8 +127,8 @@ class RowNoise:
         if self._has_one_speed:
             inertia_kg_m2 = balance.calibration.input_side.engine_inertia_kg_m2
             rates = tuple(rate + hub / inertia_kg_m2 for rate, hub in zip(rates, sensitivity.spread.hub, strict=True))
-        slopes, engine_speed = engine_slopes(sensitivity), self._signals.engine_speed
-        by_speed = engine_speed.shared(slopes, rates, value.grid_rows, is_followed=True)
+        slopes = sensitivity.engine_slopes
+        by_speed = self._signals.engine_speed.shared(slopes, rates, value.grid_rows, is_followed=True)
         precisions = [joint[band, band] for band in value.bands]
         by_friction = self._friction_shares(sensitivity)
         return [np.sum(list(_overlaps(sensitivity, precisions, by_speed, by_friction)), axis=0)]
@@ -169,10 +151,9 @@ def noise_of(signals: AlignedSignals) -> NoiseModel:
     return RowNoise(signals) if signals.row_s else BusNoise()
 
 
-def measured(balance: Balance, near: Sequence[Measurement] = ()) -> tuple[Measurement, ...]:
+def measured(balance: Balance, noise: NoiseModel, near: Sequence[Measurement] = ()) -> tuple[Measurement, ...]:
     """Return what a balance says, linearised; with the derivatives found near by if there are some."""
-    noise, residual = noise_of(balance.signals), balance.residual_nms()
-    bands = noise.bands(balance)
+    residual, bands = balance.residual_nms(), noise.bands(balance)
     if [len(one.residual) for one in near] == [band.stop - band.start for band in bands]:
         return tuple(replace(one, residual=residual[band]) for one, band in zip(near, bands, strict=True))
     sensitivity = Sensitivity(balance)
@@ -182,12 +163,6 @@ def measured(balance: Balance, near: Sequence[Measurement] = ()) -> tuple[Measur
         Measurement(residual=residual[band], slope=slope[band], noise=covariance, overlap=overlap)
         for band, covariance, overlap in zip(bands, covariances, noise.overlaps(sensitivity, covariances), strict=True)
     )
-
-
-def engine_slopes(sensitivity: Sensitivity) -> tuple[FloatArray, ...]:
-    """Return the weights of the engine speed's samples in the derivative by inertia."""
-    balance = sensitivity.balance
-    return balance.weights.rate.fitted_on_samples(SLIP_DEGREE, balance.signals.engine_speed)
 
 
 def _overlaps(
@@ -218,10 +193,9 @@ def _overlaps(
 def _motoring_shares(sensitivity: Sensitivity) -> list[FloatArray] | None:
     """Return what the derivative by the gain of negative torque shares with the torque; None without such."""
     balance = sensitivity.balance
-    is_motoring = sensitivity.is_motoring
-    if not is_motoring.any():
+    if not sensitivity.is_motoring.any():
         return None
-    value = balance.weights.value * (is_motoring / balance.calibration.bias.motoring_gain)
+    value = balance.weights.value * (sensitivity.is_motoring / balance.calibration.bias.motoring_gain)
     torque = balance.signals.engine_torque
     slopes = value.fitted_on_samples(SLIP_DEGREE, torque)
     return torque.shared(slopes, sensitivity.spread.torque_value, value.grid_rows)

@@ -49,7 +49,7 @@ from diag_service.diagnosis.friction.evidence import (
 )
 from diag_service.diagnosis.friction.film import PackLaws, PressureDrive, integrate_films, pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, Scatter
-from diag_service.diagnosis.friction.noise import measured
+from diag_service.diagnosis.friction.noise import measured, noise_of
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.records import Reason
@@ -367,7 +367,8 @@ def _seen_shifts(
         balance = Balance(signals, window, drives, point, laws, at)
         packs = PackTemperatures(clutch_k=balance.final_clutch_k, at_ns=event.end_ns)
         if not is_carried_by_film(balance, clutch):
-            seen = Evidence.of(measured(balance), at, variance=own_variance(balance, clutch))
+            noise = noise_of(signals)
+            seen = Evidence.of(measured(balance, noise), at, variance=own_variance(balance, clutch, noise))
             yield _Seen(
                 balance=seen,
                 zeros=zeros_seen(signals, point),
