@@ -347,10 +347,10 @@ class Sensitivity:
             found.append(lost_nm / step if step >= LEAST_SECANT else None)
         return found
 
-    def slope(self, std_nms: FloatArray) -> FloatArray:
+    def jacobian(self, std_nms: FloatArray) -> FloatArray:
         """Return the derivatives of the modelled impulses by all parameters, shape (k, PARAMETER_COUNT).
 
-        A residual is ``slope @ displacement + noise``; ``std_nms`` of shape (k,) is the deviation of that noise.
+        A residual is ``jacobian @ displacement + noise``; ``std_nms`` of shape (k,) is the deviation of that noise.
         """
         balance, at = self.balance, self.balance.at
         weights, bias = balance.weights, balance.calibration.bias

@@ -45,7 +45,7 @@ from diag_service.diagnosis.friction.evidence import (
 )
 from diag_service.diagnosis.friction.film import pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, omission_cost
-from diag_service.diagnosis.friction.noise import NoiseModel, measured, noise_of
+from diag_service.diagnosis.friction.noise import NoiseModel, measurements_of, noise_of
 from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
 from diag_service.diagnosis.quality import plausibility
 from diag_service.diagnosis.quality.data_quality import Samples, aligned
@@ -72,7 +72,7 @@ MOST_FILM_SHARE: Final = 0.4  # of the torque in the slip window: beyond it noth
 MOST_SLOW_FILM_SHARE: Final = 0.5  # likewise of a film that yields more slowly
 
 
-def own_variance(balance: Balance, clutch: int, noise: NoiseModel) -> FloatArray:
+def event_variance(balance: Balance, clutch: int, noise: NoiseModel) -> FloatArray:
     """Return how far the parameters of one event may be from those of the vehicle, shape (PARAMETER_COUNT,)."""
     cold = balance.coldness[clutch - 1]
     variance = _COLD_VARIANCE * cold**2
@@ -132,7 +132,7 @@ class Linearisation:
     evidence: Evidence  # of all of it
 
 
-class Silent(NamedTuple):
+class NotLinearised(NamedTuple):
     """Why an event cannot be linearised."""
 
     reason: Reason
@@ -146,8 +146,8 @@ def linearise(  # noqa: PLR0911 - each stage may find that it ends there
     at: FloatArray,
     earlier: Linearisation | None = None,
     *,
-    keeps_slope: bool = False,
-) -> Linearisation | Silent:
+    keeps_jacobian: bool = False,
+) -> Linearisation | NotLinearised:
     """Return what an event says about ``at``, shape (PARAMETER_COUNT,).
 
     Parameters
@@ -156,17 +156,17 @@ def linearise(  # noqa: PLR0911 - each stage may find that it ends there
         Of the vehicle, without what the parameters say.
     packs
         How warm the clutches were before it.
-    earlier, keeps_slope
+    earlier, keeps_jacobian
         The same event about another point, whose clutch stays; near by also its window and derivatives.
     """
     try:
         point = displaced(calibration, at)
     except CalibrationError:  # no vehicle is like that
-        return Silent(Reason.MISFIT)
+        return NotLinearised(Reason.MISFIT)
     signals = aligned(samples, point, earlier.balance.signals if earlier else None)
     if isinstance(signals, Reason):
-        return Silent(signals)
-    near, laws, noise = earlier if keeps_slope else None, pack_laws(point), noise_of(signals)
+        return NotLinearised(signals)
+    near, laws, noise = earlier if keeps_jacobian else None, pack_laws(point), noise_of(signals)
     drives = measured_drives(signals, at, packs, samples.event.start_ns, laws)
     if near is None:
         found = slip_window(signals, drives, laws)
@@ -175,18 +175,18 @@ def linearise(  # noqa: PLR0911 - each stage may find that it ends there
     if found is None:
         row_count = rows_in_slip(signals, drives, laws)
         is_too_few = 0 < row_count < noise.least_count
-        return Silent(Reason.FEW_SAMPLES, row_count) if is_too_few else Silent(Reason.NO_SLIP_WINDOW)
+        return NotLinearised(Reason.FEW_SAMPLES, row_count) if is_too_few else NotLinearised(Reason.NO_SLIP_WINDOW)
     window, clutch = found
     balance = Balance(signals, window, drives, point, laws, at)
     if is_carried_by_film(balance, clutch):
-        return Silent(Reason.NO_SLIP_WINDOW)
+        return NotLinearised(Reason.NO_SLIP_WINDOW)
     if balance.sample_count < noise.least_count:
-        return Silent(Reason.FEW_SAMPLES, balance.sample_count)
-    measurements = measured(balance, noise, near.measurements if near else ())
+        return NotLinearised(Reason.FEW_SAMPLES, balance.sample_count)
+    measurements = measurements_of(balance, noise, near.measurements if near else ())
     zeros = zeros_seen(signals, point)
-    evidence = Evidence.of(measurements, at, zeros, own_variance(balance, clutch, noise))
+    evidence = Evidence.of(measurements, at, zeros, event_variance(balance, clutch, noise))
     if not np.isfinite(evidence.constant):  # by laws that no lining or oil has
-        return Silent(Reason.MISFIT)
+        return NotLinearised(Reason.MISFIT)
     return Linearisation(
         clutch=earlier.clutch if earlier else clutch,
         balance=balance,
@@ -199,18 +199,18 @@ def linearise(  # noqa: PLR0911 - each stage may find that it ends there
 
 def iterate(
     first: Linearisation,
-    linearised: Callable[[FloatArray, Linearisation, bool], Linearisation | Silent],
-    believed: Callable[[Linearisation], Knowledge | None],
+    linearised: Callable[[FloatArray, Linearisation, bool], Linearisation | NotLinearised],
+    posterior: Callable[[Linearisation], Knowledge | None],
     type_std: FloatArray,
 ) -> Linearisation | None:
-    """Return an event linearised where it is ``believed`` to be; None where that says nothing of friction.
+    """Return an event linearised at its ``posterior``; None where that says nothing of friction.
 
     Gauss-Newton: it stops when a step is below ``CONVERGED`` of what is then known, after ``MAX_PASS_COUNT``
     linearisations, or where there is none. Steps are cut to ``LONGEST_STEP`` of ``type_std``, friction aside.
     """
     last = first
     for _ in range(MAX_PASS_COUNT - 1):
-        at, after = last.balance.at, believed(last)
+        at, after = last.balance.at, posterior(last)
         if after is None:
             return None
         step = after.mean - at
@@ -218,7 +218,7 @@ def iterate(
             break
         longest = float((np.abs(step) / type_std).max())
         following = linearised(at + step / max(1.0, longest / LONGEST_STEP), last, longest < NEAR_STEP)
-        if isinstance(following, Silent):
+        if isinstance(following, NotLinearised):
             if following.reason is Reason.NO_SLIP_WINDOW:
                 return None
             break
@@ -249,8 +249,8 @@ class Estimator:
         type_ = self._type.less_sure(skew_variance(samples.skew_s))
         state = _of_skewed(state, type_, samples.skew_s)
         first = linearise(samples, self._calibration, state.packs, state.fusion.knowledge.mean)
-        if isinstance(first, Silent):
-            return state, _untold(event, first, against)
+        if isinstance(first, NotLinearised):
+            return state, _unobserved(event, first, against)
         slipping = plausibility.SlippingClutch(
             number=first.clutch,
             rows=first.balance.window.slip_rows,
@@ -260,39 +260,39 @@ class Estimator:
         if faults := plausibility.plausibility_faults(event, first.balance.signals, slipping):
             return state, without_friction(event, Status.REJECTED, *faults)
         before = self._unknown_friction(state.fusion.knowledge, first.clutch)
-        settled = self._settled(samples, state, first, before, type_)
-        if settled is None:  # where event and all that is believed meet, the film carries too much
-            return state, _untold(event, Silent(Reason.NO_SLIP_WINDOW), against)
-        seen, room, judged = settled
-        packs = PackTemperatures(clutch_k=seen.balance.final_clutch_k, at_ns=event.end_ns)
-        is_misfit = _is_misfit(type_, fuse(type_, seen.evidence), seen.evidence.count)
+        result = self._linearised_at_posterior(samples, state, first, before, type_)
+        if result is None:  # where event and all that is believed meet, the film carries too much
+            return state, _unobserved(event, NotLinearised(Reason.NO_SLIP_WINDOW), against)
+        linearisation, earlier, judged = result
+        packs = PackTemperatures(clutch_k=linearisation.balance.final_clutch_k, at_ns=event.end_ns)
+        is_misfit = _is_misfit(type_, fuse(type_, linearisation.evidence), linearisation.evidence.count)
         if is_misfit or against:
             state = replace(state, packs=packs) if is_misfit else state
-            estimate = self._described(event, seen, state, fuse(before, seen.evidence))
+            estimate = self._described(event, linearisation, state, fuse(before, linearisation.evidence))
             return state, _rejected(estimate, *((Reason.MISFIT,) if is_misfit else against))
-        return self._judged(event, seen, room, replace(judged, packs=packs))
+        return self._judged(event, linearisation, earlier, replace(judged, packs=packs))
 
     def _judged(
-        self, event: Event, seen: Linearisation, room: Posterior, state: Posterior
+        self, event: Event, linearisation: Linearisation, earlier: Posterior, state: Posterior
     ) -> tuple[Posterior, ShiftEstimate]:
         """Return what is known after an event, and its estimate: used or left out, and why."""
-        is_agreed = state.believes_as(room)
-        others = room.fusion.knowledge if is_agreed else state.without(len(state.recent) - 1)
-        before = self._unknown_friction(others, seen.clutch)
-        alone = fuse(before, seen.evidence)
-        estimate = self._described(event, seen, state, alone)
+        is_agreed = state.agrees_with(earlier)
+        others = earlier.fusion.knowledge if is_agreed else state.without(len(state.recent) - 1)
+        before = self._unknown_friction(others, linearisation.clutch)
+        alone = fuse(before, linearisation.evidence)
+        estimate = self._described(event, linearisation, state, alone)
         if not is_agreed:
-            estimate = replace(estimate, revisions=tuple(self._revisions(room, state)))
+            estimate = replace(estimate, revisions=tuple(self._revisions(earlier, state)))
         if state.is_used[-1]:
             return state, estimate
-        reason = _why_left_out(before, alone, seen.evidence.count)
+        reason = _why_left_out(before, alone, linearisation.evidence.count)
         if reason is not Reason.NOT_UPDATED:
             return state, _rejected(estimate, reason)
         return state, replace(estimate, reasons=(reason,))
 
-    def _revisions(self, room: Posterior, state: Posterior) -> Iterator[Revision]:
+    def _revisions(self, earlier: Posterior, state: Posterior) -> Iterator[Revision]:
         """Yield what the newest event has made of those before it, with which it was judged."""
-        before = {id(event): used for event, used in zip(room.recent, room.is_used, strict=True)}
+        before = {id(event): used for event, used in zip(earlier.recent, earlier.is_used, strict=True)}
         for place, (event, is_used) in enumerate(zip(state.recent[:-1], state.is_used, strict=False)):
             if before.get(id(event), is_used) == is_used:
                 continue
@@ -322,7 +322,7 @@ class Estimator:
         covariance[rows, rows] = _UNKNOWN_FRICTION
         return Knowledge(mean=mean, covariance=covariance)
 
-    def _settled(
+    def _linearised_at_posterior(
         self, samples: Samples, state: Posterior, first: Linearisation, before: Knowledge, type_: Knowledge
     ) -> tuple[Linearisation, Posterior, Posterior] | None:
         """Return the event linearised where it and all that is believed meet, what is known without it, and with it.
@@ -333,35 +333,35 @@ class Estimator:
         or the event costs more than leaving it out, each pass is. One that does not belong meets nothing, it is
         linearised where it alone would have it, with what was known ``before`` of all but its friction.
         """
-        event, room, std = samples.event, state.with_room(), type_.std()
+        event, earlier, std = samples.event, state.with_oldest_folded(), type_.std()
         std[std == 0.0] = np.inf
         std[:FRICTION_COUNT] = np.inf
 
-        def linearised(at: FloatArray, earlier: Linearisation, keeps_slope: bool) -> Linearisation | Silent:  # noqa: FBT001
-            return linearise(samples, self._calibration, state.packs, at, earlier, keeps_slope=keeps_slope)
+        def linearised(at: FloatArray, last: Linearisation, keeps_jacobian: bool) -> Linearisation | NotLinearised:  # noqa: FBT001
+            return linearise(samples, self._calibration, state.packs, at, last, keeps_jacobian=keeps_jacobian)
 
-        def expected(seen: Linearisation) -> Knowledge | None:
-            together = fuse(room.fusion.knowledge, seen.evidence)
-            return together.knowledge if together.chi_square < omission_cost(seen.evidence) else None
+        def posterior_if_it_fits(linearisation: Linearisation) -> Knowledge | None:
+            fusion = fuse(earlier.fusion.knowledge, linearisation.evidence)
+            return fusion.knowledge if fusion.chi_square < omission_cost(linearisation.evidence) else None
 
-        def found(seen: Linearisation) -> Knowledge:
-            judged = state.with_event(_judged_event(event, seen), room)
-            return (judged.fusion if judged.is_used[-1] else fuse(before, seen.evidence)).knowledge
+        def posterior_as_judged(linearisation: Linearisation) -> Knowledge:
+            judged = state.with_event(_judged_event(event, linearisation), earlier)
+            return (judged.fusion if judged.is_used[-1] else fuse(before, linearisation.evidence)).knowledge
 
-        if (seen := iterate(first, linearised, expected, std)) is not None:
-            judged = state.with_event(_judged_event(event, seen), room)
-            if judged.is_used[-1] and judged.believes_as(room):
-                return seen, room, judged
-        if (seen := iterate(first, linearised, found, std)) is None:
+        if (linearisation := iterate(first, linearised, posterior_if_it_fits, std)) is not None:
+            judged = state.with_event(_judged_event(event, linearisation), earlier)
+            if judged.is_used[-1] and judged.agrees_with(earlier):
+                return linearisation, earlier, judged
+        if (linearisation := iterate(first, linearised, posterior_as_judged, std)) is None:
             return None
-        return seen, room, state.with_event(_judged_event(event, seen), room)
+        return linearisation, earlier, state.with_event(_judged_event(event, linearisation), earlier)
 
-    def _described(self, event: Event, seen: Linearisation, state: Posterior, alone: Fusion) -> ShiftEstimate:
+    def _described(self, event: Event, linearisation: Linearisation, state: Posterior, alone: Fusion) -> ShiftEstimate:
         """Describe what an event says alone, with what is known of all but the friction of its clutch."""
-        clutch, balance = seen.clutch, seen.balance
+        clutch, balance = linearisation.clutch, linearisation.balance
         window_s = sum(end_s - start_s for start_s, end_s in spans_of(balance.window.slipping, balance.signals.grid_s))
-        ratio = alone.chi_square / seen.evidence.count
-        gate = misfit_gate(seen.evidence.count)
+        ratio = alone.chi_square / linearisation.evidence.count
+        gate = chi_square_gate(linearisation.evidence.count)
         fit = min(1.0, max(0.0, (gate - ratio) / (gate - 1.0)))
         with_scale, without_scale = both_frictions(state, clutch, alone)
         is_measured = state.torque is TorqueSource.MEASURED
@@ -403,7 +403,7 @@ def _zero_pa(type_: Knowledge, zeros: Evidence, known: Knowledge, clutch: int) -
 
 def _is_misfit(before: Knowledge, alone: Fusion, count: int) -> bool:
     """Return whether an event of ``count`` residuals is not explained, or only by what no vehicle and lining has."""
-    if alone.chi_square / count > misfit_gate(count):
+    if alone.chi_square / count > chi_square_gate(count):
         return True
     after = alone.knowledge
     variance = before.covariance.diagonal()
@@ -413,7 +413,7 @@ def _is_misfit(before: Knowledge, alone: Fusion, count: int) -> bool:
     return bool(score[FRICTION_COUNT:].max() > SCORE_GATE or most.min() < LEAST_FRICTION)
 
 
-def _untold(event: Event, why: Silent, against: tuple[Reason, ...]) -> ShiftEstimate:
+def _unobserved(event: Event, why: NotLinearised, against: tuple[Reason, ...]) -> ShiftEstimate:
     """Return the estimate of an event that cannot be linearised."""
     is_unobserved = why.reason in {Reason.NO_SLIP_WINDOW, Reason.FEW_SAMPLES}
     reasons = against if is_unobserved and against else (why.reason,)
@@ -433,13 +433,15 @@ def _rejected(estimate: ShiftEstimate, *reasons: Reason) -> ShiftEstimate:
     return replace(estimate, status=Status.REJECTED, reasons=reasons, friction=None, scale_free=None, slope=None)
 
 
-def _judged_event(event: Event, seen: Linearisation) -> JudgedEvent:
+def _judged_event(event: Event, linearisation: Linearisation) -> JudgedEvent:
     # Laws of film, oil and drag in the cold, and what curves through few rows leave out, are wrong alike in all events.
-    is_off = seen.noise.is_alike or min(seen.balance.final_clutch_k) < WORKING_K
-    return JudgedEvent(clutch=seen.clutch, end_ns=event.end_ns, evidence=seen.evidence, is_off_like_others=is_off)
+    is_off = linearisation.noise.is_alike or min(linearisation.balance.final_clutch_k) < WORKING_K
+    return JudgedEvent(
+        clutch=linearisation.clutch, end_ns=event.end_ns, evidence=linearisation.evidence, is_off_like_others=is_off
+    )
 
 
-def misfit_gate(count: int) -> float:
+def chi_square_gate(count: int) -> float:
     """Return the chi-square per degree of freedom beyond which the model does not explain a residual."""
     return min(MAX_MISFIT, 1.0 + MAX_EXCESS / count)
 

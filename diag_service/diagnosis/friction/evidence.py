@@ -210,15 +210,15 @@ def _moved_clutch(clutch: ClutchCalibration, area_ratio: float, by: Sequence[flo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
-    """A linearised residual: ``residual = slope @ dx + noise`` for a displacement ``dx`` of the parameters.
+    """A linearised residual: ``residual = jacobian @ dx + noise`` for a displacement ``dx`` of the parameters.
 
-    ``overlap`` is the expectation of ``slope.T @ inv(covariance) @ noise``: what the sensor noise that a slope shares
+    ``overlap`` is the expectation of ``jacobian.T @ inv(covariance) @ noise``: what the sensor noise that it shares
     with the residual adds to the gradient.
     """
 
     residual: FloatArray  # (m,)
-    slope: FloatArray  # (m, PARAMETER_COUNT)
-    noise: FloatArray  # (m, m) covariance
+    jacobian: FloatArray  # (m, PARAMETER_COUNT)
+    covariance: FloatArray  # (m, m) of the noise
     overlap: FloatArray | None = None  # (PARAMETER_COUNT,); None: nothing is shared
 
 
@@ -271,12 +271,12 @@ class Evidence:
             By which each parameter of this event differs, shape (PARAMETER_COUNT,).
         """
         joint, count = np.zeros((PARAMETER_COUNT + 1, PARAMETER_COUNT + 1)), 0
-        for seen in measurements:
-            sides = np.column_stack([seen.slope, seen.residual])
-            joint += sides.T @ np.linalg.solve(seen.noise, sides)
-            if seen.overlap is not None:
-                joint[:-1, -1] -= seen.overlap
-            count += len(seen.residual)
+        for measurement in measurements:
+            sides = np.column_stack([measurement.jacobian, measurement.residual])
+            joint += sides.T @ np.linalg.solve(measurement.covariance, sides)
+            if measurement.overlap is not None:
+                joint[:-1, -1] -= measurement.overlap
+            count += len(measurement.residual)
         matrix, gradient = 0.5 * (joint + joint.T)[:-1, :-1], joint[:-1, -1]  # but for rounding it is symmetric
         vector = matrix @ at + gradient
         constant = float(joint[-1, -1] + (vector + gradient) @ at)
@@ -285,7 +285,7 @@ class Evidence:
             vector += readings.vector
             constant, count = constant + readings.constant, count + readings.count
         if variance is not None:
-            matrix, vector, lost = _loosened(matrix, vector, variance)
+            matrix, vector, lost = _marginalised(matrix, vector, variance)
             constant -= lost
         return cls(matrix=matrix, vector=vector, constant=constant, count=count)
 
@@ -374,7 +374,7 @@ def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
     )
 
 
-def _loosened(matrix: FloatArray, vector: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+def _marginalised(matrix: FloatArray, vector: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Return information and its vector once each parameter may differ by a variance, and what chi-square loses.
 
     By Woodbury's identity: the information is ``inv(inv(matrix) + diag(variance))``, also where ``matrix`` has no

@@ -151,16 +151,16 @@ def noise_of(signals: AlignedSignals) -> NoiseModel:
     return RowNoise(signals) if signals.row_s else BusNoise()
 
 
-def measured(balance: Balance, noise: NoiseModel, near: Sequence[Measurement] = ()) -> tuple[Measurement, ...]:
+def measurements_of(balance: Balance, noise: NoiseModel, near: Sequence[Measurement] = ()) -> tuple[Measurement, ...]:
     """Return what a balance says, linearised; with the derivatives found near by if there are some."""
     residual, bands = balance.residual_nms(), noise.bands(balance)
     if [len(one.residual) for one in near] == [band.stop - band.start for band in bands]:
         return tuple(replace(one, residual=residual[band]) for one, band in zip(near, bands, strict=True))
     sensitivity = Sensitivity(balance)
     covariances = noise.covariances(sensitivity)
-    slope = sensitivity.slope(np.sqrt(np.concatenate([np.diag(one) for one in covariances])))
+    jacobian = sensitivity.jacobian(np.sqrt(np.concatenate([np.diag(one) for one in covariances])))
     return tuple(
-        Measurement(residual=residual[band], slope=slope[band], noise=covariance, overlap=overlap)
+        Measurement(residual=residual[band], jacobian=jacobian[band], covariance=covariance, overlap=overlap)
         for band, covariance, overlap in zip(bands, covariances, noise.overlaps(sensitivity, covariances), strict=True)
     )
 

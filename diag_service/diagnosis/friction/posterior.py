@@ -173,10 +173,10 @@ class Posterior:
         """Events that the friction of either clutch rests on."""
         return sum(self.shift_counts)
 
-    def with_event(self, event: JudgedEvent, room: "Posterior | None" = None) -> "Posterior":
+    def with_event(self, event: JudgedEvent, earlier: "Posterior | None" = None) -> "Posterior":
         """Return what is known after an event, which all recent ones are judged with.
 
-        ``room`` is what `with_room` returns, where that is known.
+        ``earlier`` is what `with_oldest_folded` returns, where that is known.
         """
         recent = (*self.recent, event)
         judged = judge(self.base, recent)
@@ -184,9 +184,9 @@ class Posterior:
         if judged.first_changed is not None:
             state = _changed(state, judged.first_changed)
         elif len(recent) > RECENT_COUNT:
-            if room is None or judged.is_used[0] != self.is_used[0]:
-                room = _folded(state, 1)
-            state = _together(replace(room, recent=recent[1:], is_used=judged.is_used[1:]))
+            if earlier is None or judged.is_used[0] != self.is_used[0]:
+                earlier = _folded(state, 1)
+            state = _together(replace(earlier, recent=recent[1:], is_used=judged.is_used[1:]))
             # Where all belong they do so beside an older base, too: it differs by the drift of one event.
             is_sure = all(judged.is_used) and is_cheap(state.fusion.chi_square, [one.evidence for one in state.recent])
             state = state if is_sure else _judged(state)
@@ -195,13 +195,13 @@ class Posterior:
         scatter = Scatter(self.apart, self.apart_by_chance).with_event(state.fusion.knowledge, event)
         return replace(state, apart=scatter.apart, apart_by_chance=scatter.by_chance)
 
-    def with_room(self) -> "Posterior":
+    def with_oldest_folded(self) -> "Posterior":
         """Return the same with room for one more event: of twelve the oldest is in the base, if it belongs as yet."""
         return self if len(self.recent) < RECENT_COUNT else _together(_folded(self, 1))
 
-    def believes_as(self, room: "Posterior") -> bool:
-        """Return whether of all but the newest event the same is believed as in ``room``, which it was judged with."""
-        return self.base is room.base and self.is_used[:-1] == room.is_used
+    def agrees_with(self, earlier: "Posterior") -> bool:
+        """Return whether of all but the newest event the same is believed as in ``earlier``, without that event."""
+        return self.base is earlier.base and self.is_used[:-1] == earlier.is_used
 
     def with_new_fluid(self) -> "Posterior":
         """Return the state after a fluid fill: friction is unknown again, and its baseline with it; the rest stays."""

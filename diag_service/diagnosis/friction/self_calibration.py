@@ -29,7 +29,7 @@ from diag_service.diagnosis.friction.drives import (
     slip_window,
     zeros_seen,
 )
-from diag_service.diagnosis.friction.estimator import is_carried_by_film, misfit_gate, own_variance
+from diag_service.diagnosis.friction.estimator import chi_square_gate, event_variance, is_carried_by_film
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
     NAMES,
@@ -49,7 +49,7 @@ from diag_service.diagnosis.friction.evidence import (
 )
 from diag_service.diagnosis.friction.film import PackLaws, PressureDrive, integrate_films, pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, Scatter
-from diag_service.diagnosis.friction.noise import measured, noise_of
+from diag_service.diagnosis.friction.noise import measurements_of, noise_of
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.records import Reason
@@ -97,8 +97,8 @@ def run_up_measurement(
     noise, overlap = _noise_and_overlap(signals, weights, loads, reading_nm < offset_nm, calibration)
     return Measurement(
         residual=weights.value @ torque_nm - length_s * offset_nm + bias.torque_gain * (engine_nms + loads.known_nms),
-        slope=np.hstack((by_state, by_considered)),
-        noise=noise,
+        jacobian=np.hstack((by_state, by_considered)),
+        covariance=noise,
         overlap=overlap,
     )
 
@@ -218,7 +218,7 @@ class SelfCalibration:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Seen:
+class _Linearised:
     """The balance of one event at the present point."""
 
     balance: Evidence
@@ -234,7 +234,7 @@ class _Seen:
     @property
     def fits(self) -> bool:
         """Whether the model explains the balance."""
-        return self.misfit <= misfit_gate(self.balance.count)
+        return self.misfit <= chi_square_gate(self.balance.count)
 
 
 def self_calibrate(
@@ -258,16 +258,16 @@ def self_calibrate(
     spread = _loosened(prior_covariance(start))
     weight = np.linalg.inv(spread)
     mean, point = prior, start
-    windows: dict[int, _Seen] = {}  # chosen anew in every pass while empty
-    used: list[_Seen] = []
+    windows: dict[int, _Linearised] = {}  # chosen anew in every pass while empty
+    used: list[_Linearised] = []
     fine_count = 0
     rest = np.inf
     for number in range(MAX_PASS_COUNT):
-        seen = [*_seen_shifts(shifts, mean, point, windows), *_seen_run_ups(run_ups, mean, point)]
+        seen = [*_linearised_shifts(shifts, mean, point, windows), *_linearised_run_ups(run_ups, mean, point)]
         used = [one for one in seen if not fine_count or one.fits]
         if problem := _shortage(seen, used):
             return problem
-        information, gradient = _gathered(used, mean)
+        information, gradient = _normal_equations(used, mean)
         covariance = np.asarray(np.linalg.inv(weight + information), np.float64)
         step: FloatArray = covariance @ (weight @ (prior - mean) + gradient)
         share = _share(step, spread)
@@ -303,7 +303,7 @@ def advice_on_oil(shifts: Sequence[Event]) -> str:
     return f"; half of the shifts were in oil below {degc_from_k(middle_k):.0f} degC: a drive with warm oil mends it"
 
 
-def _gathered(used: Sequence[_Seen], at: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _normal_equations(used: Sequence[_Linearised], at: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return what all balances say: the information matrix and the gradient; docs/model.md eqs. (30) and (31)."""
     total = Evidence.sum([part for one in used for part in (one.balance, one.zeros)])
     return total.matrix, total.vector - total.matrix @ at
@@ -315,7 +315,7 @@ def _share(step: FloatArray, spread: FloatArray) -> float:
     return LONGEST_STEP / max(longest, LONGEST_STEP)
 
 
-def _scatter(known: Knowledge, used: Sequence[_Seen]) -> Scatter:
+def _scatter(known: Knowledge, used: Sequence[_Linearised]) -> Scatter:
     """Return by how much the friction of the shifts is apart."""
     scatter = Scatter()
     for one in used:
@@ -347,9 +347,9 @@ def _loosened(covariance: FloatArray) -> FloatArray:
     return loose
 
 
-def _seen_shifts(
-    events: Sequence[Event], at: FloatArray, point: Calibration, windows: Mapping[int, _Seen]
-) -> Iterator[_Seen]:
+def _linearised_shifts(
+    events: Sequence[Event], at: FloatArray, point: Calibration, windows: Mapping[int, _Linearised]
+) -> Iterator[_Linearised]:
     """Yield the balances of the shifts, in the windows that are given or else in those that their signals show."""
     packs = None
     for event in events:
@@ -368,8 +368,8 @@ def _seen_shifts(
         packs = PackTemperatures(clutch_k=balance.final_clutch_k, at_ns=event.end_ns)
         if not is_carried_by_film(balance, clutch):
             noise = noise_of(signals)
-            seen = Evidence.of(measured(balance, noise), at, variance=own_variance(balance, clutch, noise))
-            yield _Seen(
+            seen = Evidence.of(measurements_of(balance, noise), at, variance=event_variance(balance, clutch, noise))
+            yield _Linearised(
                 balance=seen,
                 zeros=zeros_seen(signals, point),
                 misfit=seen.chi_square(at) / seen.count,
@@ -382,7 +382,7 @@ def _seen_shifts(
 
 
 def _window(
-    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], laws: PackLaws, before: _Seen | None
+    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], laws: PackLaws, before: _Linearised | None
 ) -> tuple[SlipWindow, int] | None:
     """Return a window and its clutch, those of an earlier pass if there was one."""
     if before is None:
@@ -390,7 +390,7 @@ def _window(
     return on_other_grid(before.window, before.grid_s, signals.grid_s), before.clutch
 
 
-def _seen_run_ups(events: Sequence[Event], at: FloatArray, point: Calibration) -> Iterator[_Seen]:
+def _linearised_run_ups(events: Sequence[Event], at: FloatArray, point: Calibration) -> Iterator[_Linearised]:
     for event in events:
         signals = usable_signals(event, point)
         if isinstance(signals, Reason):
@@ -399,7 +399,7 @@ def _seen_run_ups(events: Sequence[Event], at: FloatArray, point: Calibration) -
         window = SlipWindow.between(int(inside[0]), len(signals.grid_s))
         seen = run_up_measurement(signals, window, at, point, are_clutches_closed=event.are_clutches_closed)
         balance = Evidence.of([seen], at)
-        yield _Seen(
+        yield _Linearised(
             balance=balance,
             zeros=Evidence.none(),
             misfit=balance.chi_square(at) / balance.count,
@@ -411,7 +411,7 @@ def _seen_run_ups(events: Sequence[Event], at: FloatArray, point: Calibration) -
         )
 
 
-def _shortage(seen: Sequence[_Seen], used: Sequence[_Seen]) -> str:
+def _shortage(seen: Sequence[_Linearised], used: Sequence[_Linearised]) -> str:
     """Return what is missing in the shifts that are left; empty if nothing is."""
     for clutch in (1, 2):
         count = sum(one.clutch == clutch for one in used)
@@ -424,7 +424,12 @@ def _shortage(seen: Sequence[_Seen], used: Sequence[_Seen]) -> str:
 
 
 def _concluded(
-    point: Calibration, mean: FloatArray, covariance: FloatArray, used: Sequence[_Seen], shift_count: int, version: str
+    point: Calibration,
+    mean: FloatArray,
+    covariance: FloatArray,
+    used: Sequence[_Linearised],
+    shift_count: int,
+    version: str,
 ) -> SelfCalibration | str:
     """Return the result, unless its shifts fit too badly to believe it."""
     misfit = float(np.mean([one.misfit for one in used if one.clutch]))

@@ -11,7 +11,7 @@ from diag_service.diagnosis.alignment import AlignedSignals
 from diag_service.diagnosis.friction.balance import Balance, Sensitivity
 from diag_service.diagnosis.friction.drives import measured_drives, slip_window
 from diag_service.diagnosis.friction.film import pack_laws
-from diag_service.diagnosis.friction.noise import BusNoise, NoiseModel, RowNoise, measured, noise_of
+from diag_service.diagnosis.friction.noise import BusNoise, NoiseModel, RowNoise, measurements_of, noise_of
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.records import LEAST_SLIP_ROWS
@@ -57,7 +57,9 @@ def test_samples_that_err_by_themselves_err_alike_in_both_models() -> None:
     """Rows without a curve through them are samples of a bus: the models differ by the means that one takes."""
 
     def stds(of: AlignedSignals) -> FloatArray:
-        return np.asarray(np.sqrt(np.concatenate([np.diag(one.noise) for one in measured(balance(of), noise_of(of))])))
+        return np.asarray(
+            np.sqrt(np.concatenate([np.diag(one.covariance) for one in measurements_of(balance(of), noise_of(of))]))
+        )
 
     apart = signals(1e-9)  # a table so fast that its rows are never apart
     assert stds(apart) == pytest.approx(stds(signals()), rel=0.05)
@@ -66,7 +68,7 @@ def test_samples_that_err_by_themselves_err_alike_in_both_models() -> None:
 def test_a_modelled_torque_tells_less_whatever_its_samples_are() -> None:
     for of in (signals(), signals(0.02)):
         plain, modelled = (
-            measured(balance(of, torque), noise_of(of))[0].noise
+            measurements_of(balance(of, torque), noise_of(of))[0].covariance
             for torque in (TorqueSource.MEASURED, TorqueSource.MODELLED)
         )
         assert np.linalg.eigvalsh(modelled - plain).min() > -1e-9 * np.trace(modelled)
