@@ -94,10 +94,11 @@ class Diagnosis:
         cls, before: Belief, event: Event, estimate: ShiftEstimate, verdict: ClutchVerdict, after: Belief
     ) -> "Diagnosis":
         """Return it with since when what the verdict rests on is known, if that is longer than a drive."""
-        if after.state.shift_count:
-            since_ns = before.since_ns if before.state.shift_count else event.start_ns
+        since_ns, drive_ns = before.since_ns, event.start_ns - DRIVE_NS
+        if (since_ns is None or since_ns < drive_ns) and after.state.shift_count:
+            since_ns = since_ns if before.state.shift_count else event.start_ns
             after = replace(after, since_ns=since_ns)
-            if since_ns is not None and DATED_NS <= since_ns < event.start_ns - DRIVE_NS:
+            if since_ns is not None and DATED_NS <= since_ns < drive_ns:
                 verdict = replace(verdict, running_since_bus_ns=since_ns)
         return cls(estimate=estimate, verdict=verdict, belief=after)
 

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import accumulate, pairwise
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
-from clutch_model.calibration import Calibration
+from clutch_model.calibration import Calibration, InputSide
 from clutch_model.pack import clutch_later_k
 from diag_service.diagnosis.alignment import GRID_S, NS_TO_S, TURNING_RAD_S, AlignedSignals, Resampled
 from diag_service.diagnosis.friction.evidence import Evidence, State, open_drag_ratio
@@ -358,7 +358,7 @@ def slip_window(
     over_pa = np.array([drive.piston_pa - law.touch_pressure_pa for drive, law in zip(drives, laws, strict=True)])
     slip_rad_s = np.array([drive.slip_rad_s for drive in drives])
     is_turning = signals.engine_speed.on_grid > TURNING_RAD_S
-    sure_rad_s = _sure_slip(signals, slip_rad_s)
+    sure_rad_s = _sure_slip(signals, slip_rad_s) if signals.row_s else slip_rad_s
     window = find_window(signals.grid_s, sure_rad_s, over_pa, signals.is_seen & is_turning, signals.row_s)
     return None if window is None else (window, loaded_clutch(window, slip_rad_s, over_pa))
 
@@ -381,3 +381,40 @@ def rows_in_slip(signals: AlignedSignals, drives: tuple[PressureDrive, PressureD
         is_told |= is_loaded & (np.abs(drive.slip_rad_s) > SLIPPING_RAD_S) & (signals.grid_s >= 0.0)
     at = np.searchsorted(signals.grid_s, signals.pressure[0].times_s)
     return int(np.count_nonzero(is_told[at[(at > 0) & (at < len(is_told))]]))
+
+
+Blocks = tuple[FloatArray, ...]  # one of each piece of a window
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spread:
+    """The weights of single samples in the weighted sums over the grid that no friction changes; (k, samples) each."""
+
+    torque_value: Blocks
+    engine_rate: Blocks
+    hub_value: Blocks
+    hub: Blocks  # by its inertia and its damping
+    input_value: tuple[Blocks, Blocks]
+    pressure_value: tuple[Blocks, Blocks]
+
+    @classmethod
+    def of(cls, signals: AlignedSignals, weights: Weights, side: InputSide) -> Self:
+        """Return those of a window's test functions; signals of one message share theirs."""
+        value, rate = weights.value, weights.rate
+        own = (signals.engine_torque, signals.hub_speed, *signals.input_speed, *signals.pressure)
+        found: dict[bytes, Blocks] = {}
+        instants = [signal.times_s.tobytes() for signal in own]
+        for instant, signal in zip(instants, own, strict=True):
+            if instant not in found:
+                found[instant] = signal.to_samples(value.blocks, value.grid_rows)
+        torque, hub, first, second, first_pressure, second_pressure = (found[instant] for instant in instants)
+        inertia, damping = side.hub_inertia_kg_m2, side.hub_damping_nms_rad
+        hub_rate = signals.hub_speed.to_samples(rate.blocks, rate.grid_rows)
+        return cls(
+            torque_value=torque,
+            engine_rate=signals.engine_speed.to_samples(rate.blocks, rate.grid_rows),
+            hub_value=hub,
+            hub=tuple(inertia * by_rate - damping * by_value for by_rate, by_value in zip(hub_rate, hub, strict=True)),
+            input_value=(first, second),
+            pressure_value=(first_pressure, second_pressure),
+        )

@@ -16,6 +16,9 @@ from diag_service.diagnosis.friction.balance import (
     LEAST_SECANT,
     WORKING_K,
     Balance,
+    NoiseModel,
+    measurements_of,
+    noise_of,
     slower_films,
 )
 from diag_service.diagnosis.friction.drives import (
@@ -45,7 +48,6 @@ from diag_service.diagnosis.friction.evidence import (
 )
 from diag_service.diagnosis.friction.film import pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, omission_cost
-from diag_service.diagnosis.friction.noise import NoiseModel, measurements_of, noise_of
 from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
 from diag_service.diagnosis.quality import plausibility
 from diag_service.diagnosis.quality.data_quality import Samples, aligned

@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cache
 from typing import Final, NamedTuple, Self
 
 import numpy as np
@@ -140,6 +141,7 @@ def type_std(calibration: Calibration) -> list[float]:
     ]
 
 
+@cache
 def skew_variance(skew_s: float) -> FloatArray:
     """Return what a skew of columns adds to the variance of all parameters, shape (PARAMETER_COUNT,).
 

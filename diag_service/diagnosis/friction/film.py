@@ -19,7 +19,6 @@ from clutch_model.pack import (
     clutch_heating_rate_k_s,
     contact_pressure_pa,
     contact_torque_nm,
-    contact_torques_nm,
     equilibrium_film_m,
     film_law,
     film_point,
@@ -472,8 +471,7 @@ def directions(slip_rad_s: FloatArray) -> FloatArray:
 
 def levers_m3(slip_rad_s: FloatArray, law: FrictionLaw, contact_factor_m3: float) -> FloatArray:
     """Return the torque of a contact per pressure [m^3], by mu_c and by mu_s: (2, n) for n slips."""
-    one_pa = np.ones_like(slip_rad_s)
-    full_m3 = contact_torques_nm(directions(slip_rad_s), 1.0, one_pa, contact_factor_m3)
+    full_m3 = contact_factor_m3 * np.clip(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0, 1.0)
     weight = stribeck_weights(slip_rad_s, law)
     return np.stack([full_m3 * (1.0 - weight), full_m3 * weight])
 

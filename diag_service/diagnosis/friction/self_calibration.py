@@ -18,7 +18,7 @@ from clutch_model.units import degc_from_k
 from diag_service.diagnosis.alignment import AlignedSignals
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction.balance import WORKING_K, Balance, motoring_corrected_nm
+from diag_service.diagnosis.friction.balance import WORKING_K, Balance, measurements_of, motoring_corrected_nm, noise_of
 from diag_service.diagnosis.friction.drives import (
     PackTemperatures,
     SlipWindow,
@@ -49,7 +49,6 @@ from diag_service.diagnosis.friction.evidence import (
 )
 from diag_service.diagnosis.friction.film import PackLaws, PressureDrive, integrate_films, pack_laws
 from diag_service.diagnosis.friction.judgement import JudgedEvent, Scatter
-from diag_service.diagnosis.friction.noise import measurements_of, noise_of
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.records import Reason
