@@ -130,6 +130,8 @@ def _speeds_told(
         beyond = np.maximum(np.maximum(engines - high, low - engines), 0.0) / 3.0
         least = np.fmin.reduce(beyond[:, :-2] + beyond[:, 1:-1] + beyond[:, 2:])
         flare = float(np.fmax.reduce(least, initial=np.nan))
+    if first == stop:
+        return flare, np.nan, np.nan
     turning = engine - on
     slip = np.nan_to_num(np.abs(turning[first:stop]))
     at = first + int(slip.argmax())
@@ -148,14 +150,16 @@ def _speeds_told(
 def _car_told(slopes: FloatArray, first: int, stop: int) -> tuple[float, float, float]:
     """Return by how much the car's acceleration fell below that before and after, its jerk, and the larger of both."""
     end = min(stop + 1, len(slopes) - SLOPE_ROWS)
+    if end <= first:
+        return math.nan, math.nan, math.nan
     before = float(slopes[SLOPE_ROWS : first - SLOPE_ROWS // 2].mean())
     after = float(slopes[end - SLOPE_ROWS : end].mean())
     level = min(before, after)
     if math.isnan(level + after):
         return math.nan, math.nan, math.nan
     rises = np.abs(slopes[first:end] - slopes[first - JERK_ROWS : end - JERK_ROWS])
-    hole, jerk = float(np.nanmax(level - slopes[first:end])), float(np.nanmax(rises)) / (JERK_ROWS * GRID_S)
-    return max(hole, 0.0), jerk, max(abs(before), abs(after))
+    hole, rise = float(np.fmax.reduce(level - slopes[first:end])), float(np.fmax.reduce(rises))
+    return max(hole, 0.0), rise / (JERK_ROWS * GRID_S), max(abs(before), abs(after))
 
 
 def _loads_told(
@@ -173,7 +177,7 @@ def _loads_told(
     ``heat`` is the oil, both packs and how long ago they were so warm [K, s]; a pack is warm throughout. ``packs``
     are of each the torque that it carries by pressure, what warms it and what cools it [N m/Pa, J/K, W/K].
     """
-    if math.isnan(rows[PRESSURE_ON, first]):
+    if first == stop or math.isnan(rows[PRESSURE_ON, first]):
         return np.nan, np.nan, np.nan, np.nan, np.nan
     on_pa, off_pa = (
         _mean_around(rows[row], first, stop, 1) - touch

@@ -48,7 +48,7 @@ def event(number: int, clutch: int, mu: FloatArray, rng: np.random.Generator, st
     at = base().mean
     seen = np.tile(mu, 10) + rng.normal(size=20) * np.sqrt(10.0) * std
     residual = seen - slope @ at
-    measured = Measurement(residual=residual, slope=slope, noise=noise)
+    measured = Measurement(residual=residual, jacobian=slope, covariance=noise)
     return JudgedEvent(clutch=clutch, end_ns=number, evidence=Evidence.of([measured], at))
 
 
@@ -126,7 +126,7 @@ def test_bad_ones_that_agree_do_not_hide_behind_each_other(count: int) -> None:
     slope = np.zeros((20, PARAMETER_COUNT))
     slope[:, STATE_COUNT + Considered.PISTON_AREA1] = 1.0 / 0.01
     noise = np.eye(20)
-    far = Measurement(residual=np.full(20, 12.0), slope=slope, noise=noise)
+    far = Measurement(residual=np.full(20, 12.0), jacobian=slope, covariance=noise)
     alike = [
         JudgedEvent(clutch=1 + number % 2, end_ns=number, evidence=Evidence.of([far], known.mean))
         for number in range(count)

@@ -39,7 +39,7 @@ def event(number: int, clutch: int, mu: np.ndarray, rng: np.random.Generator) ->
     truth = at.copy()
     truth[FRICTION_ROWS[clutch - 1]] = mu
     residual = slope @ (truth - at) + rng.normal(size=24)
-    measured = Measurement(residual=residual, slope=slope, noise=np.eye(24))
+    measured = Measurement(residual=residual, jacobian=slope, covariance=np.eye(24))
     return JudgedEvent(clutch=clutch, end_ns=number, evidence=Evidence.of([measured], at))
 
 
@@ -98,7 +98,7 @@ def test_what_the_type_does_not_tell_is_never_averaged_away() -> None:
     slope[0, 0] = 100.0
     slope[0, STATE_COUNT + Considered.PISTON_AREA1] = 14.0  # mu_c * 100: the area scales the torque, as the gain does
     for number in range(200):
-        seen = Measurement(residual=0.1 * rng.normal(size=1), slope=slope, noise=np.array([[0.01]]))
+        seen = Measurement(residual=0.1 * rng.normal(size=1), jacobian=slope, covariance=np.array([[0.01]]))
         news = JudgedEvent(clutch=1, end_ns=number, evidence=Evidence.of([seen], at))
         state = state.with_event(news)
     found = friction(state, 1)
@@ -166,7 +166,7 @@ def measurement(rng: np.random.Generator, truth: FloatArray, at: FloatArray, cou
     root = 0.2 * rng.normal(size=(count, count)) / np.sqrt(count)
     noise = root @ root.T + 0.01 * np.eye(count)
     drawn = np.linalg.cholesky(noise) @ rng.normal(size=count)
-    return Measurement(residual=slope @ (truth - at) + drawn, slope=slope, noise=noise)
+    return Measurement(residual=slope @ (truth - at) + drawn, jacobian=slope, covariance=noise)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -184,9 +184,9 @@ def test_fusing_is_least_squares(seed: int) -> None:
     rows = [np.linalg.cholesky(np.linalg.inv(known.covariance / np.outer(SCALES, SCALES))).T / SCALES]
     sides = [rows[0] @ known.mean]
     for one, where in zip(seen, at, strict=True):
-        white = np.linalg.inv(np.linalg.cholesky(one.noise))
-        rows.append(white @ one.slope)
-        sides.append(white @ (one.residual + one.slope @ where))
+        white = np.linalg.inv(np.linalg.cholesky(one.covariance))
+        rows.append(white @ one.jacobian)
+        sides.append(white @ (one.residual + one.jacobian @ where))
     design, side = np.vstack(rows) * SCALES, np.concatenate(sides)
     solved, rest, *_ = np.linalg.lstsq(design, side)
     covariance = np.linalg.inv(design.T @ design) * np.outer(SCALES, SCALES)

@@ -7,13 +7,14 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from dbc.contract import load_contract
 from diag_service.diagnosis.alignment import Resampled
 from diag_service.diagnosis.events import EndReason, Event
-from diag_service.diagnosis.friction.balance import Balance, measured
-from diag_service.diagnosis.friction.drives import measured_drives, slip_window
-from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, State, displaced
+from diag_service.diagnosis.friction.balance import Balance, measurements_of, noise_of
+from diag_service.diagnosis.friction.drives import SlipWindow, measured_drives, slip_window
+from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, Measurement, State, displaced
 from diag_service.diagnosis.friction.film import pack_laws
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.posterior import friction as friction_of
@@ -158,9 +159,33 @@ def test_noise_of_one_signal_for_engine_and_hub_is_in_what_both_share_with_the_r
         drives = measured_drives(rows, AS_DRIVEN, None, event.start_ns, pack_laws(calibration))
         found = slip_window(rows, drives, pack_laws(calibration))
         assert found is not None
-        (seen,) = measured(Balance(rows, found[0], drives, calibration, pack_laws(calibration), AS_DRIVEN))
+        there = Balance(rows, found[0], drives, calibration, pack_laws(calibration), AS_DRIVEN)
+        (seen,) = measurements_of(there, noise_of(rows))
         assert seen.overlap is not None
         overlaps.append(seen.overlap[STATE_COUNT + np.array([Considered.TORQUE_GAIN, Considered.ENGINE_INERTIA])])
     (gain, inertia), (apart_gain, apart_inertia) = overlaps
     assert gain < 1.1 * apart_gain < 0.0
     assert inertia < 1.1 * apart_inertia < 0.0
+
+
+def shift_residual(event: Event, at: FloatArray, window: SlipWindow | None) -> tuple[Measurement, SlipWindow]:
+    calibration = displaced(NOMINAL, at)
+    signals = usable_signals(event, calibration)
+    assert not isinstance(signals, Reason)
+    drives = measured_drives(signals, at, None, event.start_ns, pack_laws(calibration))
+    found = slip_window(signals, drives, pack_laws(calibration))
+    assert found is not None
+    chosen = window or found[0]
+    there = Balance(signals, chosen, drives, calibration, pack_laws(calibration), at)
+    (seen,) = measurements_of(there, noise_of(signals))
+    return seen, chosen
+
+
+def test_a_shift_tells_only_the_product_of_torque_gain_and_inertia() -> None:
+    seen, _ = shift_residual(without_noise()[0][0], AS_DRIVEN, None)
+    assert seen.overlap is not None
+    side, gain = NOMINAL.input_side, displaced(NOMINAL, AS_DRIVEN).bias.torque_gain
+    turned_ratio = 1.0 + side.hub_inertia_kg_m2 / displaced(NOMINAL, AS_DRIVEN).input_side.engine_inertia_kg_m2
+    by_gain, by_inertia = STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA
+    assert gain * seen.jacobian[:, by_gain] == pytest.approx(turned_ratio * seen.jacobian[:, by_inertia])
+    assert gain * seen.overlap[by_gain] == pytest.approx(turned_ratio * seen.overlap[by_inertia])
