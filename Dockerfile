@@ -5,6 +5,7 @@ WORKDIR /src
 COPY pyproject.toml setup.py requirements.lock README.md LICENSE ./
 COPY canlog canlog
 COPY clutch_model clutch_model
+COPY clutch_results clutch_results
 COPY dbc dbc
 COPY diag_service diag_service
 COPY ecu_emulator ecu_emulator

@@ -67,7 +67,7 @@ def _parameters() -> str:
     parts = ["# Parameters", "", "Of the six-speed wet DCT and of the prognosis, as the programs read them."]
     for path in (
         "clutch_model/calibrations/nominal.toml", "ecu_emulator/plant/parameters.toml",
-        "ecu_emulator/driving/parameters.toml", "diag_service/diagnosis/prognosis/assumptions.py",
+        "ecu_emulator/driving/parameters.toml", "clutch_results/prognosis/assumptions.py",
     ):  # fmt: skip
         language = {".toml": "toml", ".py": "python"}[Path(path).suffix]
         parts += ["", f"## {path}", "", f"```{language}", (ROOT / path).read_text(encoding="utf-8").strip(), "```"]

@@ -12,12 +12,12 @@ from typing import Final
 from rich.table import Table
 from rich.text import Text
 
+from clutch_results.records import SHIFT_SCHEMA, shift_from
 from clutchdiag_io.people import SHORT_PLUS_MINUS, plus_minus
 from demo.ageing_picture import Point, draw, points_of
 from demo.outcome import CONDITION_STYLE, plain_table
 from demo.programs import EMULATOR, HURRY_S, SERVICE, program
 from diag_service.delivery.console import condition_words
-from diag_service.diagnosis.records import SHIFT_SCHEMA, shift_from
 from ecu_emulator.truth import read_truth
 
 CLUTCH: Final = 2

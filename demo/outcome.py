@@ -9,9 +9,9 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from clutch_results.records import ClutchVerdict, FrictionEstimate, ShiftResult
 from clutchdiag_io.people import PLUS_MINUS, SHORT_PLUS_MINUS, plus_minus
 from diag_service.delivery.console import condition_words
-from diag_service.diagnosis.records import ClutchVerdict, FrictionEstimate, ShiftResult
 from diag_service.diagnosis.summary import reason_text
 from ecu_emulator.truth import ShiftTruth, TruthLog
 from fleet_contract import CLUTCHES

@@ -20,6 +20,8 @@ from rich.console import Console
 from rich.text import Text
 
 from canlog.live.medium import Medium, open_medium
+from clutch_results.errors import ResultError
+from clutch_results.records import SHIFT_SCHEMA, ShiftResult, shift_from, verdict_from
 from clutchdiag_io.people import PLUS_MINUS
 from demo import ageing
 from demo.ageing_picture import Point, draw
@@ -36,8 +38,6 @@ from demo.outcome import (
 from demo.programs import BACKEND, EMULATOR, HOST, LOOK_S, SERVICE, DemoError, Program, free_port, program, run
 from demo.scan_tool import ScanTool
 from diag_service.api import picture
-from diag_service.diagnosis.records import SHIFT_SCHEMA, ShiftResult, shift_from, verdict_from
-from diag_service.errors import ResultError
 from diag_service.service.application import first_error
 from ecu_emulator.truth import read_truth
 from fleet_contract import Channel

@@ -15,6 +15,8 @@ if typing.TYPE_CHECKING:
     from canlog.tables.decoding import TableChoice
     from clutch_model.errors import CalibrationError
     from clutch_model.transmission import Transmission, read_transmission
+    from clutch_results.errors import ResultError
+    from clutch_results.records import ClutchVerdict, Condition, ShiftEstimate, ShiftResult, Status
     from diag_service.api.analysis import Analysis, ResultTable, analyze
     from diag_service.api.choices import Delivery, Poll
     from diag_service.api.expectations import (
@@ -37,7 +39,6 @@ if typing.TYPE_CHECKING:
         propose_profile,
         read,
     )
-    from diag_service.diagnosis.records import ClutchVerdict, Condition, ShiftEstimate, ShiftResult, Status
     from diag_service.errors import (
         ConfigError,
         ControllerError,
@@ -45,7 +46,6 @@ if typing.TYPE_CHECKING:
         IncompleteError,
         PublishError,
         RefusedError,
-        ResultError,
         SilentError,
         StoreError,
     )
@@ -104,6 +104,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "clutch_results.errors": ("ResultError",),
     "canlog.errors": ("CanlogError", "DefinitionError", "ExtraMissingError", "OutputError", "SourceError"),
     "canlog.tables.decoding": ("TableChoice",),
     "clutch_model.errors": ("CalibrationError",),
@@ -125,7 +126,7 @@ _HOMES = {
         "propose_profile",
         "read",
     ),
-    "diag_service.diagnosis.records": ("ClutchVerdict", "Condition", "ShiftEstimate", "ShiftResult", "Status"),
+    "clutch_results.records": ("ClutchVerdict", "Condition", "ShiftEstimate", "ShiftResult", "Status"),
     "diag_service.errors": (
         "ConfigError",
         "ControllerError",
@@ -133,7 +134,6 @@ _HOMES = {
         "IncompleteError",
         "PublishError",
         "RefusedError",
-        "ResultError",
         "SilentError",
         "StoreError",
     ),

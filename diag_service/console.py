@@ -255,7 +255,7 @@ _FOUND: ContextVar[list[str] | None] = ContextVar("notices of this run", default
 
 
 _PROGRAM = "diag-service"
-OWN = ("diag_service", "canlog", "fleet_link", "clutchdiag_io")  # whose messages are shown without being asked for
+OWN = ("diag_service", "workshop", "canlog", "fleet_link", "clutchdiag_io")  # whose messages are shown unasked
 COMPILING = "diag_service.compiling"
 
 

@@ -33,10 +33,6 @@ class PublishRefusedError(PublishError):
     """The broker says no to a message: send something else."""
 
 
-class ResultError(DiagServiceError):
-    """A result does not fit its public form (NaN, unknown key): fix the code that made it, or the file it came from."""
-
-
 class ControllerError(DiagServiceError):
     """A controller cannot be asked, or its answer cannot be used: check bus, address and what it is to do."""
 

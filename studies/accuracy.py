@@ -16,8 +16,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from clutch_model.calibration import Calibration, SensorBias, Uncertainty, nominal_calibration
+from clutch_results.records import FrictionEstimate, Status
 from diag_service.diagnosis.friction.posterior import friction as friction_of
-from diag_service.diagnosis.records import FrictionEstimate, Status
 from ecu_emulator.scenario.scenario import FluidCondition
 from ecu_emulator.scenario.scenario_file import load_scenario
 from studies.builders import FLUIDS, diagnose

@@ -13,9 +13,9 @@ import numpy as np
 from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration, nominal_calibration
 from clutch_model.units import k_from_degc
+from clutch_results.records import ShiftResult
 from dbc.contract import load_contract
 from diag_service import analyze
-from diag_service.diagnosis.records import ShiftResult
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Diagnosis, Stages

@@ -30,9 +30,9 @@ from canlog.arrays import FloatArray
 from canlog.frames import FrameBatch
 from clutch_model.calibration import SHIPPED, Calibration, Uncertainty, shipped_calibration
 from clutch_model.units import degc_from_k
+from clutch_results.records import Condition, FrictionEstimate, ScaleFreeFriction, Status
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.posterior import friction, scale_free
-from diag_service.diagnosis.records import Condition, FrictionEstimate, ScaleFreeFriction, Status
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.drive.recording import Drive

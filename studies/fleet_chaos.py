@@ -21,9 +21,9 @@ from typing import Final
 
 from sqlalchemy import Engine, select
 
+from clutch_results.records import dump, shift_record
 from demo.fleet.brokers import Mosquitto, NatsServer
 from demo.fleet.servers import PostgresServer
-from diag_service.diagnosis.records import dump, shift_record
 from diag_service.store import ResultStore
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate

@@ -14,8 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+from clutch_results.records import ShiftResult, iso_utc, shift_from
 from diag_service.delivery import Acknowledge, Link, MqttConnector, Outbox
-from diag_service.diagnosis.records import ShiftResult, iso_utc, shift_from
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_link import BrokerAddress
 

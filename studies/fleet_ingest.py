@@ -21,8 +21,8 @@ import paho.mqtt.client as mqtt
 import psutil
 from paho.mqtt.enums import CallbackAPIVersion
 
+from clutch_results.records import shift_record
 from demo.fleet.servers import PostgresServer, mosquitto
-from diag_service.diagnosis.records import shift_record
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
 from fleet_backend.queries import table_hash

@@ -27,11 +27,11 @@ from types import CodeType, FrameType
 from typing import Any
 
 from clutch_model.calibration import nominal_calibration
+from clutch_results.records import ClutchVerdict, ShiftEstimate, ShiftResult, StoredResult
 from demo.fleet.brokers import Mosquitto
 from diag_service.cli import main as command_line
 from diag_service.delivery import MemoryReporter, MqttConnector, Outbox
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.records import ClutchVerdict, ShiftEstimate, ShiftResult, StoredResult
 from diag_service.service.drive import DriveFrames, open_drive
 from diag_service.service.recorded import events
 from diag_service.service.session import Session

@@ -24,9 +24,9 @@ from canlog.frames import FrameBatch
 from canlog.live import ReadSchedule, SourceCounts
 from canlog.live.sources import FrameQueue
 from clutch_model.calibration import nominal_calibration
+from clutch_results.records import ShiftResult
 from diag_service.delivery import MemoryReporter, News
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.shifts.shifts import POST_NS
 from diag_service.service.live import run_live
 from diag_service.service.session import Session

@@ -23,14 +23,14 @@ from rich.console import Console
 from rich.table import Table
 
 from clutch_model.calibration import Calibration, shipped_calibration
+from clutch_results.event_kinds import MicroSlip
+from clutch_results.records import ClutchVerdict, Condition
+from clutch_results.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge_lockup
-from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
-from diag_service.diagnosis.events import MicroSlip
 from diag_service.diagnosis.lockup.blocks import MICRO_SLIP_RAD_S
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
 from diag_service.diagnosis.lockup.state import LockupState
-from diag_service.diagnosis.records import ClutchVerdict, Condition
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import find_profile
 from diag_service.service.stages import Diagnosis, Stages

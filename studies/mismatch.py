@@ -17,9 +17,9 @@ from typing import Final
 
 import numpy as np
 
+from clutch_results.records import FrictionEstimate, Status
 from diag_service.diagnosis.friction.evidence import REFERENCE_K
 from diag_service.diagnosis.friction.posterior import friction as friction_of
-from diag_service.diagnosis.records import FrictionEstimate, Status
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.plant.clutch import friction_ratio
 from ecu_emulator.plant.parameters import nominal_parameters

@@ -19,8 +19,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from clutch_model.calibration import nominal_calibration
+from clutch_results.records import Condition
 from demo.drawing import CONDITION_COLOUR, GRID, as_svg, drawing_style
-from diag_service.diagnosis.records import Condition
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.scenario.scenario import Scenario, Truth
 from ecu_emulator.scenario.scenario_file import load_scenario

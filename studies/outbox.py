@@ -22,9 +22,9 @@ import aiomqtt
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
+from clutch_results.records import dump, iso_utc, shift_record
 from demo.fleet.brokers import Mosquitto
 from diag_service.delivery import Acknowledge, MqttConnector, Outbox
-from diag_service.diagnosis.records import dump, iso_utc, shift_record
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import (
     Channel,

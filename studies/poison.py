@@ -24,11 +24,11 @@ from rich.table import Table
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
+from clutch_results.records import Condition, Reason, Status
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.posterior import scale_free
-from diag_service.diagnosis.records import Condition, Reason, Status
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.drive.recording import Drive, frames_of

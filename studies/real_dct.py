@@ -20,6 +20,7 @@ from scipy.special import stdtrit
 from canlog.arrays import FloatArray
 from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
+from clutch_results.event_kinds import EventKind
 from demo.drawing import as_svg, drawing_style
 from diag_service.commands.predict import (
     OURS,
@@ -30,7 +31,6 @@ from diag_service.commands.predict import (
     slip_phases,
 )
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import EventKind
 from diag_service.diagnosis.prediction import (
     DELAY_STD_S,
     FREEDOM,

@@ -26,8 +26,8 @@ from rich.table import Table
 from canlog.arrays import FloatArray
 from canlog.logs import read_log
 from clutch_model.calibration import TorqueSource, nominal_calibration
+from clutch_results.records import FrictionSlope, Status
 from diag_service.diagnosis.friction.posterior import clutch_ratio, scale_free, trend
-from diag_service.diagnosis.records import FrictionSlope, Status
 from diag_service.mapping.interpretation import interpret
 from diag_service.mapping.survey import proposed_profile
 from diag_service.service.stages import Diagnosis, Stages

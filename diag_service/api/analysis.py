@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from canlog.column_files import arrow_schema, row_table
 from canlog.extras import load_extra
+from clutch_results.records import ClutchVerdict, ShiftResult, dump, shift_record, verdict_from
 from clutchdiag_io.people import digits
 from clutchdiag_io.program import legible
 from diag_service.api.choices import AnyPath, AnyPaths, Delivery, LogMeaning, configuration, optional_path, path_list
@@ -15,7 +16,6 @@ from diag_service.batch.tables import columns, drive_rows, flattened, record_col
 from diag_service.console import collected_notices
 from diag_service.delivery import MemoryReporter
 from diag_service.delivery.console import condition_words
-from diag_service.diagnosis.records import ClutchVerdict, ShiftResult, dump, shift_record, verdict_from
 from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged, with_revisions
 from diag_service.errors import ConfigError
 from diag_service.service.drive import insist

@@ -5,9 +5,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
 from typing import TYPE_CHECKING
 
+from clutch_results.records import Condition, ShiftResult, Status
 from diag_service.api.analysis import Analysis
 from diag_service.delivery.console import condition_words
-from diag_service.diagnosis.records import Condition, ShiftResult, Status
 
 if TYPE_CHECKING:
     import can

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Unpack
 
+from clutch_results.records import shift_from
 from diag_service.api.analysis import Analysis, ResultTable
 from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, configuration, optional_path, path_list
 from diag_service.batch.drives import LeftOut
@@ -12,7 +13,6 @@ from diag_service.batch.folder_run import FolderListener, analyse_folders
 from diag_service.batch.journal import Entry
 from diag_service.batch.tables import columns
 from diag_service.console import collected_notices
-from diag_service.diagnosis.records import shift_from
 from diag_service.service.stopping import Trigger
 
 

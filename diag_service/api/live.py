@@ -8,11 +8,11 @@ from contextlib import AsyncExitStack, closing, suppress
 from typing import TYPE_CHECKING, Self, Unpack
 
 from canlog.live import LiveSource, ReadSchedule
+from clutch_results.records import ShiftResult
 from diag_service.api import choices
 from diag_service.api.analysis import Analysis
 from diag_service.console import collected_notices
 from diag_service.delivery import ControllerNews, News
-from diag_service.diagnosis.records import ShiftResult
 from diag_service.diagnosis.summary import FrameCounts, Summary
 from diag_service.errors import ConfigError
 from diag_service.service.application import outbox_of

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any, Unpack
 
 from clutch_model.calibration import nominal_calibration
+from clutch_results.records import FluidFill, ShiftResult, shift_from
 from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, configuration, path_list
 from diag_service.commands.store import check_name, findings_of, noted_fill
 from diag_service.console import collected_notices
-from diag_service.diagnosis.records import FluidFill, ShiftResult, shift_from
 from diag_service.report.findings import findings_of_store
 from diag_service.report.history import history_records
 from diag_service.report.page import page_of, write_page

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from clutch_results.records import dump
 from clutchdiag_io.files import OPEN_FLAGS, PRIVATE_MODE, keep_private, lock
-from diag_service.diagnosis.records import dump
 from diag_service.errors import StoreError
 from fleet_contract import JsonObject
 

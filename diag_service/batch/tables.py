@@ -9,9 +9,9 @@ from pathlib import Path
 
 from canlog.column_files import BOOL_TYPE, TIME_TYPE, ParquetTable, load_pyarrow
 from canlog.files import replacing
+from clutch_results.records import REVISIONS, dump
 from clutchdiag_io.program import legible
 from diag_service.batch.journal import Entry
-from diag_service.diagnosis.records import REVISIONS, dump
 from diag_service.errors import ConfigError, StoreError
 from fleet_contract import Channel, JsonObject, schema
 

@@ -8,12 +8,12 @@ from functools import cached_property
 from pathlib import Path
 
 from canlog.errors import SourceError
+from clutch_results.records import ShiftResult, shift_record
 from diag_service.batch.drives import Drive
 from diag_service.batch.journal import Entry
 from diag_service.batch.processes import follow_parent
 from diag_service.console import collected_notices, set_up_notices
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.records import ShiftResult, shift_record
 from diag_service.diagnosis.summary import summary_record, unjudged, with_revisions
 from diag_service.errors import StoppedError
 from diag_service.mapping.interpretation import Interpretation

@@ -109,7 +109,7 @@ def _check(options: SimpleNamespace, table_format: TableFormat) -> None:
 
 
 def _print_record(record: JsonObject) -> None:
-    from diag_service.diagnosis.records import dump  # noqa: PLC0415 - records of shifts are a lot to import
+    from clutch_results.records import dump  # noqa: PLC0415 - records of shifts are a lot to import
 
     sys.stdout.write(dump(record) + "\n")
 

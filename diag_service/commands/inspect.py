@@ -22,10 +22,10 @@ from canlog.logs import STANDARD_INPUT, LogReader, read_log
 from canlog.logs.log_counts import assumed_texts, lost_texts
 from canlog.logs.reading import Watch
 from canlog.traffic import MAX_IDS, NS_PER_S, IdTraffic, TrafficMeter, TrafficReport
+from clutch_results.records import dump, utc_from_bus_ns
 from clutchdiag_io.people import SHORT_PLUS_MINUS, STDS, digits
 from diag_service.batch.drives import LeftOut, left_out_record, sorted_out
 from diag_service.console import PeopleConsole, ReadingLine
-from diag_service.diagnosis.records import dump, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.databases import asked_database
 from diag_service.mapping.survey import proposed_profile

@@ -9,8 +9,8 @@ from typing import Final
 
 from canlog.errors import NOTICE, SourceError
 from canlog.logs import STANDARD_INPUT
+from clutch_results.records import dump
 from diag_service.batch.processes import job_count
-from diag_service.diagnosis.records import dump
 from diag_service.errors import ConfigError, IncompleteError, StoreError
 from diag_service.lake.parts import Manifest, disagreement, forget, mend, parts_of
 from diag_service.lake.places import UNFINISHED, Place

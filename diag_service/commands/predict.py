@@ -12,6 +12,7 @@ import numpy as np
 from canlog.logs import read_log
 from canlog.logs.reading import Watch
 from clutch_model.units import bar_from_pa, pa_from_bar, rpm_from_rad_s
+from clutch_results.records import dump
 from clutchdiag_io.people import PLUS_MINUS, digits, plus_minus
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.diagnosis.columns import Signal
@@ -26,7 +27,6 @@ from diag_service.diagnosis.prediction import (
     predicted,
     slip_phase,
 )
-from diag_service.diagnosis.records import dump
 from diag_service.diagnosis.shifts.gear_tracking import tracker_for
 from diag_service.diagnosis.shifts.shifts import PRE_NS
 from diag_service.diagnosis.shifts.tracking import NS_PER_S, EventFinder

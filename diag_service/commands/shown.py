@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping
 
 from rich.text import Text
 
+from clutch_results.records import dump
 from diag_service.console import PeopleConsole
-from diag_service.diagnosis.records import dump
 
 
 def show(record: Mapping[str, object], lines: Iterable[str | Text], *, as_json: bool) -> None:

@@ -12,11 +12,11 @@ from typing import Final
 from canlog.logs import STANDARD_INPUT
 from canlog.logs.reading import Watch
 from clutch_model.calibration import nominal_calibration, read_calibration
+from clutch_results.prognosis import Population, population_from
+from clutch_results.records import FluidFill, dump, iso_utc
 from clutchdiag_io.program import legible, replacement_refusal
 from diag_service.commands import shown
 from diag_service.console import PeopleConsole, ReadingLine
-from diag_service.diagnosis.prognosis import Population, population_from
-from diag_service.diagnosis.records import FluidFill, dump, iso_utc
 from diag_service.errors import ConfigError
 from diag_service.report.findings import Findings, findings_of_logs, findings_of_store
 from diag_service.report.history import history_lines, history_records, shift_lines

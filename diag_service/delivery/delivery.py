@@ -12,9 +12,8 @@ from itertools import islice, takewhile
 from typing import Final
 
 from canlog.errors import NOTICE
-from diag_service.delivery.reporters import DeliveryLimits, Link
-from diag_service.diagnosis.events import DATED_NS
-from diag_service.diagnosis.records import (
+from clutch_results.event_kinds import DATED_NS
+from clutch_results.records import (
     FluidFill,
     ShiftResult,
     StoredResult,
@@ -24,6 +23,7 @@ from diag_service.diagnosis.records import (
     parse_shift,
     shift_record,
 )
+from diag_service.delivery.reporters import DeliveryLimits, Link
 from diag_service.diagnosis.summary import of_present_fluid, order_by
 from diag_service.errors import PublishError, PublishRefusedError
 from diag_service.store import ResultStore

@@ -8,8 +8,8 @@ from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from clutch_results.records import ServiceStatus, fills_from, status_record
 from diag_service.delivery.reporters import OnFills, OnReceipts
-from diag_service.diagnosis.records import ServiceStatus, fills_from, status_record
 from diag_service.errors import PublishError, PublishRefusedError
 from fleet_contract import (
     Channel,
@@ -35,7 +35,7 @@ from fleet_link import (
 )
 
 if TYPE_CHECKING:
-    from diag_service.diagnosis.records import FluidFill
+    from clutch_results.records import FluidFill
 
 RENEWAL_PERIOD_S = 5.0  # how often a look is taken whether a certificate was renewed
 _MAX_IN_FLIGHT = 100

@@ -11,7 +11,7 @@ from typing import Final, Protocol, TextIO
 
 from rich.console import Console
 
-from diag_service.diagnosis.records import FluidFill, ShiftResult, dump, shift_from, shift_record
+from clutch_results.records import FluidFill, ShiftResult, dump, shift_from, shift_record
 from diag_service.diagnosis.summary import Summary, summary_record
 from diag_service.errors import PublishError
 from fleet_contract import (

@@ -21,10 +21,10 @@ from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.jit import kernel
 from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import NS_PER_S
+from clutch_results.records import Reason
 from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT, plus_minus
 from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.records import Reason
 
 STEP_S: Final = 0.002  # of the integration
 STEP_RATIO: Final = 0.02  # of a difference quotient

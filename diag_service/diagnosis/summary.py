@@ -7,12 +7,9 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from clutch_model.calibration import TorqueSource
-from clutchdiag_io.people import half_width, plus_minus
-from diag_service.diagnosis.condition.shift_quality import Load
-from diag_service.diagnosis.condition.verdict import Silence, advice, likely
-from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
-from diag_service.diagnosis.events import DATED_NS
-from diag_service.diagnosis.records import (
+from clutch_results.event_kinds import DATED_NS
+from clutch_results.loads import Load
+from clutch_results.records import (
     Causes,
     ClutchVerdict,
     Condition,
@@ -27,6 +24,9 @@ from diag_service.diagnosis.records import (
     to_plain,
     utc_from_bus_ns,
 )
+from clutchdiag_io.people import half_width, plus_minus
+from diag_service.diagnosis.condition.verdict import Silence, advice, likely
+from diag_service.diagnosis.contributions import NO_LOGS, Contributions, log_record
 from fleet_contract import JsonObject, orders
 
 if TYPE_CHECKING:  # a live service tells no friction up to a scale

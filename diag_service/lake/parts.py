@@ -19,8 +19,8 @@ from canlog.column_files import TIME_TYPE, arrow_schema, load_pyarrow, row_table
 from canlog.errors import DefinitionError, SourceError
 from canlog.logs import read_log
 from canlog.tables.decoding import Plan
+from clutch_results.records import iso_utc, utc_from_bus_ns
 from diag_service.batch.tables import flattened, write_parquet
-from diag_service.diagnosis.records import iso_utc, utc_from_bus_ns
 from diag_service.errors import ConfigError, StoreError
 from diag_service.lake.places import Held, Place
 from fleet_contract import JsonObject

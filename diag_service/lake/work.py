@@ -17,11 +17,11 @@ from canlog.column_files import TableFormat
 from canlog.errors import SourceError
 from canlog.logs import looked_at
 from canlog.tables.decoding import Plan, decode_logs
+from clutch_results.records import dump, iso_utc
 from diag_service.batch.drives import drive_of
 from diag_service.batch.folder_run import settings_digest
 from diag_service.batch.journal import Entry
 from diag_service.batch.worker import Analyst
-from diag_service.diagnosis.records import dump, iso_utc
 from diag_service.errors import ConfigError, StoreError
 from diag_service.lake.parts import (
     DATE_CHARACTERS,

@@ -10,8 +10,8 @@ from cantools.database.can import Database
 from canlog.database.loading import bus_of
 from canlog.database.signal_columns import columns_database
 from canlog.errors import NOTICE
+from clutch_results.records import Tier
 from diag_service.diagnosis.columns import GearRatios, Signal
-from diag_service.diagnosis.records import Tier
 from diag_service.errors import ConfigError
 from diag_service.mapping.databases import open_database
 from diag_service.mapping.decoder import Decoder

@@ -8,8 +8,8 @@ from collections.abc import Set as AbstractSet
 from typing import Final
 
 from clutch_model.calibration import TorqueSource
+from clutch_results.records import Tier
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, LOCKUP_SIGNALS, Signal
-from diag_service.diagnosis.records import Tier
 
 Alternative = frozenset[Signal]
 Requirement = tuple[Alternative, ...]  # one of these sets

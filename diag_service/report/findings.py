@@ -8,10 +8,11 @@ from typing import Final
 from canlog.logs.reading import Watch
 from clutch_model.calibration import Calibration, TorqueSource
 from clutch_model.units import NS_PER_S
+from clutch_results.event_kinds import DATED_NS, GEAR_CHANGES
+from clutch_results.records import FluidFill, ShiftResult, Status, utc_from_bus_ns
 from clutchdiag_io.people import NOT_SET
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.events import DATED_NS, GEAR_CHANGES, Event
-from diag_service.diagnosis.records import FluidFill, ShiftResult, Status, utc_from_bus_ns
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import (
     Gap,
     Summary,

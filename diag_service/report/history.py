@@ -9,15 +9,14 @@ from rich.table import Table
 from rich.text import Text
 
 from clutch_model.units import for_people, reading_of
+from clutch_results import records, shift_course
+from clutch_results.event_kinds import events_text
+from clutch_results.prognosis import Population, history_of, prognose, without
+from clutch_results.prognosis.sentence import outlook_line
 from clutchdiag_io.pages.content import spread
 from clutchdiag_io.people import PLUS_MINUS, STDS, digits, plus_minus
 from diag_service.console import plain_table
 from diag_service.delivery.console import condition_words, order_lines
-from diag_service.diagnosis import records
-from diag_service.diagnosis.condition import shift_course
-from diag_service.diagnosis.events import events_text
-from diag_service.diagnosis.prognosis import Population, history_of, prognose, without
-from diag_service.diagnosis.prognosis.sentence import outlook_line
 from diag_service.diagnosis.summary import cause_lines, latest_of, newest_causes
 from diag_service.report.findings import Findings, moment_words
 from diag_service.store import Row

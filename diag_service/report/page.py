@@ -11,14 +11,24 @@ import numpy as np
 
 from canlog.files import replacing
 from clutch_model.units import NS_PER_S
+from clutch_results import records
+from clutch_results.event_kinds import DATED_NS, events_text
+from clutch_results.pictures import (
+    MOST_MOMENTS,
+    MOST_POINTS,
+    THRESHOLD_KEYS,
+    Trend,
+    causes_section,
+    course_tables,
+    curve_figure,
+    trend_picture,
+)
+from clutch_results.shift_course import course_lines, courses, loads
 from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Key, Section, Table, number, spread, templates_of
 from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT, STDS, plus_minus
 from clutchdiag_io.program import legible, legible_record
 from diag_service.delivery.console import condition_words, gear_words, kind_words, reason_words
-from diag_service.diagnosis import records
-from diag_service.diagnosis.condition.shift_course import course_lines, courses, loads
 from diag_service.diagnosis.condition.verdict import likely
-from diag_service.diagnosis.events import DATED_NS, events_text
 from diag_service.diagnosis.prediction import RelativeFriction
 from diag_service.diagnosis.summary import (
     capability_line,
@@ -32,20 +42,7 @@ from diag_service.diagnosis.summary import (
 from diag_service.errors import StoreError
 from diag_service.report.findings import Example, Findings, moment_words
 from diag_service.report.history import outlook_of
-from diag_service.report.pictures import (
-    MOST_MOMENTS,
-    MOST_POINTS,
-    PANELS,
-    THRESHOLD_KEYS,
-    Panel,
-    Trend,
-    causes_section,
-    course_tables,
-    curve_figure,
-    present_curves,
-    shift_picture,
-    trend_picture,
-)
+from diag_service.report.shift_pictures import PANELS, Panel, present_curves, shift_picture
 from diag_service.store import Row
 from fleet_contract import JsonObject
 from fleet_contract.orders import SHOWN_AS, Order, title_of

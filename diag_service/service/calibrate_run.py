@@ -12,13 +12,13 @@ from canlog.errors import SourceError
 from canlog.files import replacing
 from clutch_model.calibration import Calibration, TorqueSource, calibration_toml
 from clutch_model.units import NS_PER_S, bar_from_pa
+from clutch_results.records import dump
 from clutchdiag_io.people import PLUS_MINUS, half_width, plus_minus
 from diag_service.console import PeopleConsole, ReadingLine, plain_table
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.evidence import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
-from diag_service.diagnosis.records import dump
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.diagnosis.summary import GAP_TEXT, Gap

@@ -17,9 +17,9 @@ from prometheus_client.core import Metric
 
 from canlog.e2e.e2e_state import E2eState
 from canlog.live import BusState
+from clutch_results.loads import ENERGY_BOUNDS_J
+from clutch_results.records import Condition, ShiftResult, Status
 from clutchdiag_io.metrics import Told, counter, gauge, histogram
-from diag_service.diagnosis.condition.shift_quality import ENERGY_BOUNDS_J
-from diag_service.diagnosis.records import Condition, ShiftResult, Status
 from diag_service.diagnosis.summary import newest_causes
 from diag_service.errors import ConfigError
 from diag_service.service.session import Stage

@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.table import Table
 
 from canlog.logs.reading import Watch
+from clutch_results.records import dump
 from diag_service.console import PeopleConsole, ReadingLine, plain_table
 from diag_service.diagnosis.friction.paper import (
     PaperCollection,
@@ -16,7 +17,6 @@ from diag_service.diagnosis.friction.paper import (
     PooledClutch,
     nominal_driveline,
 )
-from diag_service.diagnosis.records import dump
 from diag_service.diagnosis.summary import Gap, frames_line, gaps_line
 from diag_service.service.drive import insist, open_drive
 from diag_service.service.recorded import Account, replay

@@ -17,13 +17,15 @@ from typing import TYPE_CHECKING, Final
 from canlog.errors import NOTICE
 from clutch_model.calibration import Calibration
 from clutch_model.fingerprint import fingerprint
+from clutch_results.errors import ResultError
+from clutch_results.event_kinds import DATED_NS
+from clutch_results.loads import Load, borne
+from clutch_results.records import ShiftResult, ShiftStatistics, iso_utc, parse_shift, utc_from_bus_ns
 from diag_service.delivery import Reporter
-from diag_service.diagnosis.condition.shift_quality import Load, borne
 from diag_service.diagnosis.contributions import NO_LOGS, Contributions
-from diag_service.diagnosis.events import DATED_NS, Event
-from diag_service.diagnosis.records import ShiftResult, ShiftStatistics, iso_utc, parse_shift, utc_from_bus_ns
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import FrameCounts, Gap, Summary, frames_line, latest_of, of_present_fluid
-from diag_service.errors import ResultError, StoreFullError
+from diag_service.errors import StoreFullError
 from diag_service.mapping.decoder import Decoder
 from diag_service.service.stages import Belief, Stages, kind_of
 from diag_service.settings.config import DiagnosisConfig

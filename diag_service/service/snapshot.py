@@ -7,7 +7,7 @@ from typing import Protocol
 
 from canlog.live import BusState, BusStatus, LiveSource
 from clutch_model.units import NS_PER_S
-from diag_service.diagnosis.records import FluidFill, ShiftResult
+from clutch_results.records import FluidFill, ShiftResult
 from diag_service.diagnosis.summary import FrameCounts, Summary
 from diag_service.mapping.decoder import MessageCounts
 from diag_service.service.session import Session, Stuck

@@ -9,12 +9,14 @@ from typing import ClassVar, Final, Protocol
 
 from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration, TorqueSource
+from clutch_results.event_kinds import DATED_NS
+from clutch_results.records import ClutchVerdict, Reason, ShiftEstimate, Status, Tier
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.causes import CauseJudge
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge, judge_lockup, no_verdict
 from diag_service.diagnosis.condition.shift_quality import ShiftScorer, measure
 from diag_service.diagnosis.condition.verdict import Silence
-from diag_service.diagnosis.events import DATED_NS, Event
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import ALGORITHM_VERSION, Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import without_friction
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
@@ -22,7 +24,6 @@ from diag_service.diagnosis.lockup.state import ALGORITHM_VERSION as LOCKUP_ALGO
 from diag_service.diagnosis.lockup.state import LockupState
 from diag_service.diagnosis.quality.data_quality import Gate, QualityBasis, gate, named_late
 from diag_service.diagnosis.quality.plausibility import Meaning
-from diag_service.diagnosis.records import ClutchVerdict, Reason, ShiftEstimate, Status, Tier
 from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.diagnosis.shifts.tracking import EventFinder
 from diag_service.diagnosis.summary import Capability

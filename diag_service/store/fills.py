@@ -8,8 +8,8 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Final
 
-from diag_service.diagnosis.events import DATED_NS
-from diag_service.diagnosis.records import FluidFill, iso_utc
+from clutch_results.event_kinds import DATED_NS
+from clutch_results.records import FluidFill, iso_utc
 from diag_service.errors import ConfigError, StoreError
 from diag_service.store.file import connect, translated
 from fleet_contract.orders import SAME_WITHIN, distinct, fill_meant, odometer_complaint

@@ -11,7 +11,7 @@ from typing import Final, Self
 from urllib.parse import quote
 
 from canlog.files import open_plain_file
-from diag_service.diagnosis.records import FluidFill, ShiftResult
+from clutch_results.records import FluidFill, ShiftResult
 from diag_service.errors import StoreError
 from diag_service.store.file import APPLICATION_ID, parsed, refuse_newer, translated
 from diag_service.store.fills import read_fills

@@ -16,9 +16,9 @@ from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 from typing import Final, Self
 
+from clutch_results.event_kinds import DATED_NS
+from clutch_results.records import FluidFill, ShiftResult, StoredResult, dump, shift_record
 from clutchdiag_io.files import keep_private
-from diag_service.diagnosis.events import DATED_NS
-from diag_service.diagnosis.records import FluidFill, ShiftResult, StoredResult, dump, shift_record
 from diag_service.errors import StoreError, StoreFullError
 from diag_service.store import file
 from diag_service.store.fills import add_fills, all_fills, latest_fill, read_fills

@@ -19,9 +19,9 @@ from rich.console import Console
 from rich.table import Table
 
 from canlog.arrays import FloatArray
+from clutch_results.prognosis import Passage, prognose
+from clutch_results.prognosis.changes import fluid_starts
 from diag_service.diagnosis.condition.verdict import CHANGE_PROBABILITY
-from diag_service.diagnosis.prognosis import Passage, prognose
-from diag_service.diagnosis.prognosis.changes import fluid_starts
 from studies.prognosis.baselines import (
     FARTHEST_KM,
     PROBABILITIES,

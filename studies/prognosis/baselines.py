@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.prognosis import History
+from clutch_results.prognosis import History
 from studies.prognosis.lives import REFERENCE
 
 PROBABILITIES: Final[FloatArray] = np.asarray(

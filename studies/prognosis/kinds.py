@@ -15,7 +15,7 @@ from rich.table import Table
 from scipy.stats import norm
 
 from canlog.arrays import BoolArray, FloatArray
-from diag_service.diagnosis.prognosis import History, prognose
+from clutch_results.prognosis import History, prognose
 from studies.prognosis.baselines import PROBABILITIES, crps
 from studies.prognosis.lives import KM_PER_YEAR, REFERENCE
 

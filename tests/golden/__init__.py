@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from diag_service.diagnosis.records import ServiceStatus, clutch_record, shift_record, status_record
+from clutch_results.records import ServiceStatus, clutch_record, shift_record, status_record
 from fleet_contract import (
     JsonObject,
     Outcome,

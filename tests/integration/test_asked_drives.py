@@ -13,7 +13,7 @@ import diag_service
 from canlog.frames import EXTENDED_FLAG, join
 from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.records import ShiftResult
+from clutch_results.records import ShiftResult
 from diag_service.mapping.interpretation import interpret
 from diag_service.service.stages import Stages
 from ecu_emulator.cli import main as emulator

@@ -16,7 +16,7 @@ import pytest
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.e2e.profile1 import COUNTER_PERIOD, counter_of, protect
 from canlog.frames import FrameBatch
-from diag_service.diagnosis.records import Status
+from clutch_results.records import Status
 from diag_service.mapping.profile import load_profile
 from ecu_emulator.drive.build import ROAD_MESSAGES
 from tests.support.chain import Outcome, diagnosed, frames_of_log

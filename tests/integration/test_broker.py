@@ -8,8 +8,8 @@ from dataclasses import replace
 import pytest
 from jsonschema import Draft202012Validator
 
+from clutch_results.records import ServiceStatus, clutch_record, shift_record
 from diag_service.delivery import DeliveryLimits, MqttConnector, Outbox
-from diag_service.diagnosis.records import ServiceStatus, clutch_record, shift_record
 from diag_service.diagnosis.summary import order_by
 from diag_service.store import ResultStore
 from fleet_contract import schema

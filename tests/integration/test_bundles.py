@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Engine, func, select
 
+from clutch_results.records import shift_record
 from demo.fleet.brokers import NatsServer
 from diag_service.delivery import Acknowledge, MqttConnector, Outbox
-from diag_service.diagnosis.records import shift_record
 from diag_service.store import ResultStore
 from fleet_backend.broker import connected
 from fleet_backend.choices import Pace

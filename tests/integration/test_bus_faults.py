@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 from clutch_model.calibration import nominal_calibration
+from clutch_results.records import Status
 from dbc.contract import load_contract
-from diag_service.diagnosis.records import Status
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile

@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from clutch_model.calibration import TorqueSource, nominal_calibration
+from clutch_results.records import shift_from, shift_record
 from dbc.contract import load_contract
 from diag_service import analyze
 from diag_service.cli import main as service
 from diag_service.diagnosis.condition.causes import SOUND, CauseJudge
-from diag_service.diagnosis.records import shift_from, shift_record
 from diag_service.diagnosis.summary import cause_lines
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile

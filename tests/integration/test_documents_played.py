@@ -14,7 +14,7 @@ import pytest
 import diag_service.cli
 import ecu_emulator.cli
 import fleet_backend.cli
-from diag_service.diagnosis.records import Condition
+from clutch_results.records import Condition
 from fleet_backend.database import open_database
 from fleet_backend.writer import Batch, Writer
 from studies.builders import written

@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 
 from canlog.frames import FrameBatch
 from clutch_model.calibration import nominal_calibration
+from clutch_results.event_kinds import EndReason, EventKind
+from clutch_results.records import Status
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import EndReason, Event, EventKind
-from diag_service.diagnosis.records import Status
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile

@@ -15,7 +15,7 @@ import httpx
 import pytest
 from sqlalchemy import Engine, select
 
-from diag_service.diagnosis.records import Condition
+from clutch_results.records import Condition
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter, Note
 from fleet_backend.alarms.carriers import read_carrier

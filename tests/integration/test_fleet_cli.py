@@ -11,7 +11,7 @@ from urllib.request import urlopen
 import pytest
 from sqlalchemy import Engine, select
 
-from diag_service.diagnosis.records import Condition
+from clutch_results.records import Condition
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.office_tables import AUDIT

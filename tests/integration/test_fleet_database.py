@@ -5,7 +5,7 @@ from datetime import timedelta
 import pytest
 from sqlalchemy import Engine, select
 
-from diag_service.diagnosis.records import Condition
+from clutch_results.records import Condition
 from fleet_backend import queries
 from fleet_backend.choices import Axis, Pace
 from fleet_backend.database import transaction

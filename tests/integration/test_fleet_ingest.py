@@ -15,8 +15,8 @@ from paho.mqtt.enums import CallbackAPIVersion
 from sqlalchemy import Engine, select
 
 from clutch_model.calibration import nominal_calibration
+from clutch_results.records import shift_record
 from demo.fleet.servers import PostgresServer
-from diag_service.diagnosis.records import shift_record
 from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate

@@ -14,7 +14,7 @@ from urllib.request import Request, urlopen
 import pytest
 from paho.mqtt import publish
 
-from diag_service.diagnosis.records import Condition
+from clutch_results.records import Condition
 from fleet_backend.database import open_database
 from fleet_backend.intake import MessageKind
 from fleet_backend.rows import Poison, quarantine_row

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Engine, bindparam, column, inspect, table, text
 
-from diag_service.diagnosis.records import Condition
+from clutch_results.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseError

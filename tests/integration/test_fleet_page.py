@@ -14,8 +14,8 @@ import pytest
 from jsonschema import Draft202012Validator
 from playwright.sync_api import Browser, Page
 
+from clutch_results.records import Condition
 from clutchdiag_io.pages.content import SAFE_HEADERS as HEADERS
-from diag_service.diagnosis.records import Condition
 from fleet_backend.database import open_database
 from fleet_backend.intake import batch_of, take
 from fleet_backend.page import server

@@ -10,19 +10,10 @@ from typing import Any
 import pytest
 from sqlalchemy import Connection, Engine, event, text
 
-from diag_service.diagnosis.events import EventKind
-from diag_service.diagnosis.prognosis import history_of, prognose
-from diag_service.diagnosis.prognosis.sentence import outlook_line
-from diag_service.diagnosis.records import (
-    Causes,
-    Condition,
-    LikelyCause,
-    Reason,
-    Revision,
-    ShiftQuality,
-    ShiftResult,
-    Status,
-)
+from clutch_results.event_kinds import EventKind
+from clutch_results.prognosis import history_of, prognose
+from clutch_results.prognosis.sentence import outlook_line
+from clutch_results.records import Causes, Condition, LikelyCause, Reason, Revision, ShiftQuality, ShiftResult, Status
 from fleet_backend import queries
 from fleet_backend.alarms.rules import Rule
 from fleet_backend.choices import Axis

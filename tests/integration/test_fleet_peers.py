@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from diag_service.diagnosis.prognosis import population_from
-from diag_service.diagnosis.records import ShiftResult
+from clutch_results.prognosis import population_from
+from clutch_results.records import ShiftResult
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate

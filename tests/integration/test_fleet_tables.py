@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.diagnosis.records import Condition
+from clutch_results.records import Condition
 from fleet_backend.cli import main
 from fleet_backend.database import open_database
 from fleet_backend.rows import Poison, quarantine_row

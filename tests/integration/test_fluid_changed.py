@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.diagnosis.records import FluidFill
+from clutch_results.records import FluidFill
 from diag_service.store import ResultStore
 from tests.golden.compare import RECORDINGS
 from tests.support.histories import fill_store, history

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Engine, select
 
+from clutch_results.records import FluidFill, iso_utc
 from diag_service.delivery import DeliveryLimits, MqttConnector, Outbox
-from diag_service.diagnosis.records import FluidFill, iso_utc
 from diag_service.store import ResultStore, withdraw_fill
 from fleet_backend import queries
 from fleet_backend.broker import connected

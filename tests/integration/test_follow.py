@@ -13,7 +13,7 @@ from threading import Thread
 
 from paho.mqtt import publish
 
-from diag_service.diagnosis.records import shift_record
+from clutch_results.records import shift_record
 from fleet_contract import Outgoing, bundle_messages, shift_message, status_message
 from tests.plugins.broker import Mosquitto
 from tests.support.fleet import fleet_result

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import Engine
 
-from diag_service.diagnosis.records import shift_record
+from clutch_results.records import shift_record
 from diag_service.store.file import WAITING
 from fleet_backend import queries
 from fleet_backend.choices import Axis

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from clutch_results.records import shift_record
 from demo.fleet.brokers import NatsServer
-from diag_service.diagnosis.records import shift_record
 from fleet_backend.broker import connected
 from fleet_backend.ingest import FILTERS
 from fleet_contract import Receipt, ack_messages, key_of, shift_message

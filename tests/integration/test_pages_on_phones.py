@@ -6,7 +6,7 @@ from pathlib import Path
 
 from playwright.sync_api import Browser
 
-from diag_service.diagnosis.records import Condition
+from clutch_results.records import Condition
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
 from fleet_backend.writer import Batch, Writer

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from clutch_model.calibration import nominal_calibration
+from clutch_results.records import Reason
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.friction.paper import PaperCollection, nominal_driveline
-from diag_service.diagnosis.records import Reason
 from studies.reproduce.drives import Case, PaperDrive, drive, static_tables
 from studies.reproduce.study import Setup, noiseless_errors
 from studies.reproduce.variants import known_film_errors

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from clutch_model.units import for_people
+from clutch_results.records import shift_record
 from clutchdiag_io.pages.content import Number, number
 from clutchdiag_io.people import PER_1000_RPM, SLOPE_UNIT, digits
-from diag_service.diagnosis.records import shift_record
 from diag_service.report.history import shift_lines
 from tests.golden.compare import RECORDINGS
 from tests.integration.test_plus_minus import FACES

@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console, RenderableType
 
 from canlog.traffic import TrafficMeter
+from clutch_results.records import shift_record
 from demo.outcome import live_line, tables
 from diag_service.api.picture import draw
 from diag_service.commands import inspect, predict
@@ -20,7 +21,6 @@ from diag_service.commands.learn import said
 from diag_service.delivery import ConsoleReporter
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.prediction import Prediction
-from diag_service.diagnosis.records import shift_record
 from diag_service.mapping.learning import Found, LearnedGear, LearnedVehicle
 from diag_service.mapping.proposal import GearRatio, gears_text
 from diag_service.report.history import history_lines

@@ -27,8 +27,8 @@ import ecu_emulator
 from canlog.frames import TX_FLAG
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.text_log import frames_of
+from clutch_results.prognosis import Prognosis
 from diag_service.delivery import Outbox
-from diag_service.diagnosis.prognosis import Prognosis
 from diag_service.mapping.profile import load_profile
 from diag_service.store import ResultStore
 from fleet_contract import Channel, read_message

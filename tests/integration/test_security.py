@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from clutch_results.records import shift_record
 from diag_service.delivery import Acknowledge, DeliveryLimits, MqttConnector, Outbox
-from diag_service.diagnosis.records import shift_record
 from diag_service.store import ResultStore
 from fleet_backend import queries
 from fleet_backend.choices import Axis

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import clutch_of_gear
+from clutch_results.records import ShiftEstimate, ShiftQuality
+from clutch_results.shift_course import course_lines, courses
 from diag_service import analyze
-from diag_service.diagnosis.condition.shift_course import course_lines, courses
-from diag_service.diagnosis.records import ShiftEstimate, ShiftQuality
 from diag_service.mapping.survey import proposed_profile
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.cli import main as emulator

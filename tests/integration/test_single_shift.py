@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from diag_service.diagnosis.records import Reason, Status
+from clutch_results.records import Reason, Status
 from ecu_emulator.scenario.faults import Phase, SensorFault, SensorFaultKind
 from studies.builders import diagnose
 from tests.support.builders import drive_scenario

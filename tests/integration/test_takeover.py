@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from diag_service.diagnosis.records import ShiftResult, shift_record
+from clutch_results.records import ShiftResult, shift_record
 from diag_service.store import ResultStore
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
+from clutch_results.event_kinds import EndReason
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import EndReason, Event
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder

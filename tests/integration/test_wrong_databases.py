@@ -10,8 +10,8 @@ import pytest
 from canlog.database.addressing import why_wrong
 from canlog.logs import read_log
 from canlog.logs.log_counts import WHOLE_SECONDS
+from clutch_results.records import ShiftStatistics
 from dbc.contract import DBC_PATH
-from diag_service.diagnosis.records import ShiftStatistics
 from diag_service.diagnosis.summary import FrameCounts, Summary, capability_line
 from tests.support.service import Ended, run_service
 

@@ -9,7 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from canlog.frames import FrameBatch
-from diag_service.diagnosis.records import Status
+from clutch_results.records import Status
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.scenario.scenario import Effects
 from tests.support.builders import drive_scenario

@@ -8,13 +8,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from diag_service.delivery.console import order_lines
-from diag_service.diagnosis.condition.verdict import Cause, Silence, advice
-from diag_service.diagnosis.prognosis import Passage, Prognosis
-from diag_service.diagnosis.prognosis.channels import DISTANCE_M
-from diag_service.diagnosis.prognosis.prognosis import Outlook, Reach
-from diag_service.diagnosis.prognosis.sentence import outlook_line
-from diag_service.diagnosis.records import (
+from clutch_results.prognosis import Passage, Prognosis
+from clutch_results.prognosis.channels import DISTANCE_M
+from clutch_results.prognosis.prognosis import Outlook, Reach
+from clutch_results.prognosis.sentence import outlook_line
+from clutch_results.records import (
     Causes,
     Condition,
     FluidFill,
@@ -25,6 +23,8 @@ from diag_service.diagnosis.records import (
     shift_record,
     utc_from_bus_ns,
 )
+from diag_service.delivery.console import order_lines
+from diag_service.diagnosis.condition.verdict import Cause, Silence, advice
 from diag_service.diagnosis.summary import of_present_fluid, order_by
 from diag_service.report.page import advice_of
 from fleet_backend.orders import with_orders

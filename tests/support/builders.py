@@ -3,8 +3,7 @@
 from dataclasses import replace
 
 from clutch_model.calibration import clutch_of_gear
-from diag_service.diagnosis.condition.verdict import advice
-from diag_service.diagnosis.records import (
+from clutch_results.records import (
     ClutchRatio,
     ClutchVerdict,
     Condition,
@@ -18,6 +17,7 @@ from diag_service.diagnosis.records import (
     ShiftScatter,
     Status,
 )
+from diag_service.diagnosis.condition.verdict import advice
 from ecu_emulator.scenario.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario
 

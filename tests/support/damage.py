@@ -10,8 +10,8 @@ import numpy as np
 from canlog.errors import SourceError
 from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
+from clutch_results.records import ShiftEstimate
 from dbc.contract import load_contract
-from diag_service.diagnosis.records import ShiftEstimate
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.interpretation import interpret
 from diag_service.mapping.profile import load_profile

@@ -12,8 +12,8 @@ from contextlib import closing
 from enum import StrEnum
 from pathlib import Path
 
+from clutch_results.records import ShiftResult
 from diag_service.delivery import Acknowledge, MqttConnector, Outbox, mqtt
-from diag_service.diagnosis.records import ShiftResult
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Outgoing, Receipt
 from fleet_link import BrokerAddress, Connection

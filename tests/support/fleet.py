@@ -3,7 +3,7 @@
 from dataclasses import replace
 from datetime import UTC, datetime
 
-from diag_service.diagnosis.records import Condition, ShiftResult, shift_record
+from clutch_results.records import Condition, ShiftResult, shift_record
 from fleet_backend.rows import Row, shift_row
 from fleet_contract import Outgoing, shift_message
 from fleet_link import Message

@@ -10,7 +10,7 @@ from typing import Any
 
 from sqlalchemy import Engine
 
-from diag_service.diagnosis.records import Condition
+from clutch_results.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.office.watching import Orders, Watch

@@ -5,8 +5,8 @@ from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import asynccontextmanager
 from typing import Final
 
+from clutch_results.records import ServiceStatus
 from diag_service.delivery import Outbox
-from diag_service.diagnosis.records import ServiceStatus
 from diag_service.store import ResultStore, VehicleState, Versions
 from tests.support.builders import shift_result
 from tests.support.patience import HANG_S

@@ -6,7 +6,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
-from diag_service.diagnosis.prognosis import History
+from clutch_results.prognosis import History
 
 REFERENCE = nominal_calibration().clutches[0].friction
 NEW_MARGIN = REFERENCE.mu_c - REFERENCE.mu_s

@@ -3,7 +3,7 @@
 import json
 from typing import Final
 
-from diag_service.diagnosis.records import shift_record
+from clutch_results.records import shift_record
 from fleet_contract import shift_message
 from tests.support.fleet import fleet_result
 

@@ -18,9 +18,9 @@ from typing import Final
 from canlog.frames import FrameBatch
 from canlog.live import BusState, BusStatus, SourceCounts
 from clutch_model.calibration import nominal_calibration
+from clutch_results.records import FluidFill, utc_from_bus_ns
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.records import FluidFill, utc_from_bus_ns
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.metrics import serving

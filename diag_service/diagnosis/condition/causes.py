@@ -21,11 +21,11 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration
+from clutch_results.records import Causes, LikelyCause, Moved
 from clutchdiag_io.people import STDS
 from diag_service.diagnosis.condition.condition import FILLED_COUNT, LOWER, MEASURED, SENSORS, Course, Stretch
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT, State
 from diag_service.diagnosis.friction.posterior import Posterior
-from diag_service.diagnosis.records import Causes, LikelyCause, Moved
 
 SURE: Final = 0.9
 SOUND, ELSE = "sound", "something-else"

@@ -11,6 +11,21 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, TorqueSource, both_clutches, clutch_of_gear, with_clutch
+from clutch_results.event_kinds import EventKind, Shudder
+from clutch_results.records import (
+    Causes,
+    ClutchVerdict,
+    Condition,
+    FrictionSlope,
+    FrictionTrend,
+    LiningChange,
+    Reason,
+    ScaleFreeFriction,
+    ShiftEstimate,
+    Status,
+    from_plain,
+    to_plain,
+)
 from diag_service.diagnosis.condition.verdict import (
     CALIBRATED_RATIO,
     COLD_K,
@@ -28,7 +43,6 @@ from diag_service.diagnosis.condition.verdict import (
     decide_up_to_scale,
     nothing,
 )
-from diag_service.diagnosis.events import EventKind, Shudder
 from diag_service.diagnosis.friction.evidence import PARAMETER_COUNT, Evidence
 from diag_service.diagnosis.friction.posterior import (
     Posterior,
@@ -41,20 +55,6 @@ from diag_service.diagnosis.friction.posterior import (
     trend,
 )
 from diag_service.diagnosis.lockup.state import LockupState
-from diag_service.diagnosis.records import (
-    Causes,
-    ClutchVerdict,
-    Condition,
-    FrictionSlope,
-    FrictionTrend,
-    LiningChange,
-    Reason,
-    ScaleFreeFriction,
-    ShiftEstimate,
-    Status,
-    from_plain,
-    to_plain,
-)
 from fleet_contract import JsonObject
 
 

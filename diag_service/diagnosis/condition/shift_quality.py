@@ -5,7 +5,6 @@ that are missing leave parts out; the score is that of the others.
 """
 
 import math
-from bisect import bisect
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Final, NamedTuple, Self
@@ -15,13 +14,15 @@ import numpy as np
 from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration, ClutchCalibration, clutch_of_gear
 from clutch_model.pack import contact_torque_nm, film_law
+from clutch_results.event_kinds import GEAR_CHANGES, EndReason, EventKind
+from clutch_results.loads import PARTS
+from clutch_results.records import ShiftIndices, ShiftQuality
 from diag_service.diagnosis.alignment import readings
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.condition import shift_kernels as loops
-from diag_service.diagnosis.events import GEAR_CHANGES, EndReason, Event, EventKind
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import Knowledge, State
-from diag_service.diagnosis.records import ShiftEstimate, ShiftIndices, ShiftQuality
 from diag_service.diagnosis.shifts.slip_tracking import LOADED_NM, LOADED_PA, PRESSURES, SHAFTS, SLIP_RAD_S
 
 BEFORE_S, AFTER_S = 0.3, 0.1  # of the signals around the event
@@ -31,7 +32,6 @@ FLOW_STD_RATIO = 0.2  # how well the flow of a pulse is known, of readings
 FLOW_STD_S = 0.015  # likewise: a valve opens and closes late
 WEAR_M3_J: Final = 1.4e-15  # of a wet paper lining, by Archard's law [C]: 1.4 mm3 per MJ
 WORN_M: Final = 0.2e-3  # that each lining may lose [C]
-ENERGY_BOUNDS_J: Final = (300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0)
 USUAL_M_S2: Final = 1.5  # acceleration of the car at which `free` and `felt` hold: a faster one hides more [C]
 USUAL_S = 1.2  # from the request to the end of slip [C]
 INTENDED_S: Final = {EventKind.COAST_SKIP: 1.8, EventKind.POWER_ON_SKIP: 1.8, EventKind.KICKDOWN: 1.5}  # other kinds
@@ -41,28 +41,6 @@ MIN_WINDOW_S = 0.1
 CORRELATION_S = 0.1  # residuals are alike for about as long as torque lags
 INERTIA_STD_RATIO = 0.2  # of the engine inertia: below the first tier nobody has calibrated it for the vehicle
 
-
-class Part(NamedTuple):
-    """What a part of the score is worth: up to ``free`` it costs nothing, at ``felt`` its weight."""
-
-    name: str  # of the field of `ShiftQuality`
-    weight: float
-    free: float
-    felt: float
-    is_relative: bool = False  # it is felt beside the acceleration that the driver asked for
-
-
-PARTS: Final = (
-    Part("jerk_m_s3", 25.0, 12.0, 30.0, is_relative=True),
-    Part("torque_hole_m_s2", 15.0, 0.8, 2.0, is_relative=True),
-    Part("flare_rad_s", 20.0, 1.5, 10.0),
-    Part("tie_up_nm", 15.0, 8.0, 40.0),
-    Part("fill_error_s", 10.0, 0.04, 0.12),
-    Part("touch_error_pa", 15.0, 0.05e5, 0.2e5),
-    Part("lock_rate_rad_s2", 10.0, 100.0, 400.0),
-    Part("overtime_s", 5.0, 0.1, 0.6),
-    Part("temperature_rise_k", 5.0, 6.0, 30.0),
-)
 
 _PUBLIC: Final = tuple(one.name for one in fields(ShiftQuality) if one.name not in {"score", "reasons"})
 
@@ -280,46 +258,6 @@ def weighed(parts: Mapping[str, float]) -> tuple[float | None, list[str]]:
         return None, []
     dear = sorted((name for name in costs if costs[name] >= 0.01 * weight), key=lambda name: -costs[name])
     return 100.0 * math.exp(-sum(costs.values()) / weight), dear
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Load:
-    """What one clutch had to bear."""
-
-    clutch: int
-    counts: tuple[int, ...] = (0,) * (len(ENERGY_BOUNDS_J) + 1)  # events by slip energy, bounds as ENERGY_BOUNDS_J
-    energy_j: float = 0.0
-    peak_k: float | None = None  # of the pack
-    launch_count: int = 0
-    life_ratio: float = 0.0  # of a lining's life that this energy consumes: an index, docs/verdict.md
-
-
-_UNLOADED: Final = Load(clutch=0)
-
-
-def borne(before: Mapping[int, Load], estimate: ShiftEstimate) -> dict[int, Load]:
-    """Return what each clutch had to bear after one more event; slip without pressures tells no energy."""
-    found, quality = dict(before), estimate.shift_quality
-    if quality is None:
-        return found
-    for clutch, energy_j, peak_k, life_ratio in (
-        (1, quality.slip_energy1_j, quality.peak1_k, quality.life1_ratio),
-        (2, quality.slip_energy2_j, quality.peak2_k, quality.life2_ratio),
-    ):
-        is_launch = estimate.kind is EventKind.LAUNCH and estimate.clutch == clutch
-        if energy_j or is_launch:
-            old = found.get(clutch, _UNLOADED)
-            counts = list(old.counts)
-            counts[bisect(ENERGY_BOUNDS_J, energy_j or 0.0)] += bool(energy_j)
-            found[clutch] = Load(
-                clutch=clutch,
-                counts=tuple(counts),
-                energy_j=old.energy_j + (energy_j or 0.0),
-                peak_k=max(peak_k or 0.0, old.peak_k or 0.0) or None,
-                launch_count=old.launch_count + is_launch,
-                life_ratio=old.life_ratio + (life_ratio or 0.0),
-            )
-    return found
 
 
 _INDEX_SPEEDS: Final = (Signal.HUB_SPEED, Signal.ENGINE_SPEED, *SHAFTS, Signal.INPUT_SPEED)

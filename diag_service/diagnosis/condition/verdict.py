@@ -14,9 +14,8 @@ from statistics import NormalDist
 from typing import Final, Self
 
 from clutch_model.calibration import FrictionCurve
-from clutchdiag_io.people import plus_minus
-from diag_service.diagnosis.events import EndReason, EventKind, Shudder
-from diag_service.diagnosis.records import (
+from clutch_results.event_kinds import EndReason, EventKind, Shudder
+from clutch_results.records import (
     Condition,
     FrictionEstimate,
     FrictionSlope,
@@ -25,14 +24,13 @@ from diag_service.diagnosis.records import (
     ShiftScatter,
     StickSlip,
 )
+from clutch_results.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
+from clutchdiag_io.people import plus_minus
 from fleet_contract.orders import title_of
 
 MIN_SHIFT_COUNT = 3  # of two that disagree nobody knows which is wrong
 MAX_MARGIN_STD_RATIO = 0.25  # of the reference margin: beyond it the slope is anyone's guess
 SURE_MARGIN_STD_RATIO = 0.05  # likewise: until it is known so well, more shifts will tell a thin margin from a good one
-CHANGE_LEVEL_RATIO = 0.80  # torque reserve of the hold pressure (1.5) is half used up; of new, and of the own baseline
-WATCH_LEVEL_RATIO = 0.90
-WATCH_MARGIN_RATIO = 0.50  # half of the new fluid's margin against shudder is gone
 CHANGE_PROBABILITY = 0.95  # a workshop visit costs: be sure
 WATCH_PROBABILITY = 0.80
 THIN_PROBABILITY = 0.01  # of a thin margin, to call a fluid good before that: a drive is judged a hundred times

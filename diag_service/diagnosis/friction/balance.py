@@ -23,6 +23,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, SensorBias, TorqueSource
 from clutch_model.pack import slower_film
+from clutch_results.records import LEAST_SLIP_ROWS
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.drives import (
     PRESSURE_DEGREE,
@@ -58,7 +59,6 @@ from diag_service.diagnosis.friction.film import (
     integrate_films,
     levers_m3,
 )
-from diag_service.diagnosis.records import LEAST_SLIP_ROWS
 
 MAX_MOMENT_COUNT = 24  # beyond it the quadrature, not the noise, limits
 SAMPLES_PER_MOMENT = 2

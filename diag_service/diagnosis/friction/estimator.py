@@ -9,6 +9,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, TorqueSource, clutch_of_gear
 from clutch_model.errors import CalibrationError
+from clutch_results.records import FrictionSlope, Reason, Revision, ShiftEstimate, Status
 from diag_service.diagnosis.alignment import NS_TO_S
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
@@ -51,7 +52,6 @@ from diag_service.diagnosis.friction.judgement import JudgedEvent, omission_cost
 from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
 from diag_service.diagnosis.quality import plausibility
 from diag_service.diagnosis.quality.data_quality import Samples, aligned
-from diag_service.diagnosis.records import FrictionSlope, Reason, Revision, ShiftEstimate, Status
 
 COLD_STD: Final = {
     State.TOUCH1: 12e3,

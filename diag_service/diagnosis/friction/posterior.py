@@ -17,8 +17,8 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 
 from canlog.arrays import FloatArray
-from clutch_model.calibration import Calibration, FrictionCurve, TorqueSource, both_clutches, with_clutch
-from clutch_model.pack import friction_law, stribeck_weights
+from clutch_model.calibration import Calibration, TorqueSource, both_clutches, with_clutch
+from clutch_results.records import ClutchRatio, FrictionEstimate, FrictionTrend, ScaleFreeFriction, from_plain, to_plain
 from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
@@ -37,14 +37,6 @@ from diag_service.diagnosis.friction.evidence import (
     type_std,
 )
 from diag_service.diagnosis.friction.judgement import JudgedEvent, Scatter, after_change, is_cheap, judge, together
-from diag_service.diagnosis.records import (
-    ClutchRatio,
-    FrictionEstimate,
-    FrictionTrend,
-    ScaleFreeFriction,
-    from_plain,
-    to_plain,
-)
 from fleet_contract import JsonObject
 
 BASELINE_SHIFT_COUNT = 15  # of the clutch: three times the shifts that settle a verdict
@@ -549,29 +541,6 @@ def clutch_ratio(state: Posterior) -> ClutchRatio | None:
         ratios.append((ratio, math.sqrt(max(shared, 0.0) + 2.0 * (MODEL_STD_RATIO * ratio) ** 2)))
     (ratio_c, std_c), (ratio_s, std_s) = ratios
     return ClutchRatio(mu_c_ratio=ratio_c, mu_s_ratio=ratio_s, std_mu_c_ratio=std_c, std_mu_s_ratio=std_s)
-
-
-def curve_band(
-    slip_rad_s: FloatArray, friction: FrictionEstimate, reference: FrictionCurve
-) -> tuple[FloatArray, FloatArray]:
-    """Return the estimated friction coefficient over slip and its standard deviation, shape (n,) each.
-
-    The coefficient is linear in both estimates, docs/model.md eq. (8), so their covariance carries over exactly.
-    """
-    weight_s = stribeck_weights(slip_rad_s, friction_law(reference))
-    weight_c = 1.0 - weight_s
-    variance = (
-        (weight_c * friction.std_mu_c) ** 2
-        + (weight_s * friction.std_mu_s) ** 2
-        + 2.0 * friction.correlation * weight_c * friction.std_mu_c * weight_s * friction.std_mu_s
-    )
-    return weight_c * friction.mu_c + weight_s * friction.mu_s, np.sqrt(np.maximum(variance, 0.0))
-
-
-def new_curve(slip_rad_s: FloatArray, reference: FrictionCurve) -> FloatArray:
-    """Return the friction coefficient of new fluid over slip, shape (n,)."""
-    weight_s = stribeck_weights(slip_rad_s, friction_law(reference))
-    return reference.mu_c + (reference.mu_s - reference.mu_c) * weight_s
 
 
 _LEARNT: Final = np.array((

@@ -15,6 +15,7 @@ from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration, JointUncertainty, both_clutches
 from clutch_model.errors import CalibrationError
 from clutch_model.units import degc_from_k
+from clutch_results.records import Reason
 from diag_service.diagnosis.alignment import AlignedSignals
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
@@ -51,7 +52,6 @@ from diag_service.diagnosis.friction.film import PackLaws, PressureDrive, integr
 from diag_service.diagnosis.friction.judgement import JudgedEvent, Scatter
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.quality.data_quality import usable_signals
-from diag_service.diagnosis.records import Reason
 
 MOMENT_COUNT = 24  # the torque of a run-up has steps; more moments see little but their interpolation
 

@@ -7,13 +7,14 @@ import numpy as np
 
 from clutch_model.calibration import Calibration
 from clutch_model.units import NS_PER_S
+from clutch_results.event_kinds import EndReason, EventKind, Shudder
+from clutch_results.records import Reason, ShiftEstimate, Status
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import EndReason, Event, EventKind, Shudder
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.estimator import without_friction
 from diag_service.diagnosis.lockup.blocks import cut, is_slipping, samples_of
 from diag_service.diagnosis.lockup.shudder import shudder
 from diag_service.diagnosis.lockup.state import MISFIT_RATIO, LockupState
-from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 from diag_service.diagnosis.shifts.history import History
 from diag_service.diagnosis.shifts.tracking import Bounds, EventFinder, held_values
 

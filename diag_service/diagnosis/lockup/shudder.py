@@ -11,7 +11,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.units import NS_PER_S
-from diag_service.diagnosis.events import Shudder
+from clutch_results.event_kinds import Shudder
 from diag_service.diagnosis.lockup import blocks
 
 BAND_HZ: Final = (5.0, 20.0)

@@ -14,8 +14,8 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
-from diag_service.diagnosis import records
-from diag_service.diagnosis.events import MicroSlip, Shudder
+from clutch_results import records
+from clutch_results.event_kinds import MicroSlip, Shudder
 from diag_service.diagnosis.lockup.blocks import (
     FRICTION_COUNT,
     MICRO_SLIP_RAD_S,

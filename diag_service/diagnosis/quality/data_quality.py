@@ -17,6 +17,8 @@ from canlog.e2e.alive_counter import row_period_ns
 from canlog.e2e.e2e_state import E2eState
 from canlog.e2e.profile1 import COUNTER_PERIOD
 from clutch_model.calibration import Calibration, TorqueSource
+from clutch_results.event_kinds import SLIPS_IN_GEAR, EndReason, EventKind
+from clutch_results.records import DataQuality, QualityPart, Reason
 from diag_service.diagnosis.alignment import (
     ANSWER_S,
     COMMAND_LAG_S,
@@ -33,8 +35,7 @@ from diag_service.diagnosis.alignment import (
     sampling_times,
 )
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, ROW_SIGNALS, Columns, Signal
-from diag_service.diagnosis.events import SLIPS_IN_GEAR, EndReason, Event, EventKind
-from diag_service.diagnosis.records import DataQuality, QualityPart, Reason
+from diag_service.diagnosis.events import Event
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

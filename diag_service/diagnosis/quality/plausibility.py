@@ -13,11 +13,12 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Series
 from clutch_model.calibration import Calibration, clutch_of_gear
+from clutch_results.event_kinds import EndReason, EventKind
+from clutch_results.records import Reason, ShiftEstimate, Status
 from diag_service.diagnosis.alignment import COMMAND_LAG_S, GRID_S, NS_TO_S, AlignedSignals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
-from diag_service.diagnosis.events import EndReason, Event, EventKind
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.quality.data_quality import LIMITS, SHAFT_GEARS, QualityLimits
-from diag_service.diagnosis.records import Reason, ShiftEstimate, Status
 
 _LEAST: Final = 0.0  # what a sensor of pressure or speed cannot show less of: it repeats that with reason
 _STD_OF_SECOND_DIFFERENCE: Final = 1.4826 / math.sqrt(6.0)  # of white noise, over the median of their sizes

@@ -14,8 +14,8 @@ import numpy as np
 from canlog.arrays import FloatArray, Int64Array
 from canlog.frames import BEFORE_ALL_NS
 from clutch_model.calibration import clutch_of_gear
+from clutch_results.event_kinds import EndReason, EventKind
 from diag_service.diagnosis.columns import GearRatios, Signal
-from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.diagnosis.shifts.history import History
 from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, HeldSignals, Tracker, held_values
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from canlog.arrays import Int64Array
 from clutch_model.calibration import Calibration, both_clutches
+from clutch_results.event_kinds import EndReason, EventKind
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.diagnosis.shifts.history import History
 from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, EventFinder, held_values
 

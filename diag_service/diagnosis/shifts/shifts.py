@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 
 from clutch_model.calibration import Calibration
+from clutch_results.event_kinds import EndReason, EventKind
 from diag_service.diagnosis.columns import EngineState, GearRatios, Signal
-from diag_service.diagnosis.events import EndReason, EventKind
 from diag_service.diagnosis.shifts.gear_tracking import ROLLING_RATIO, GearPairTracker, LaunchTracker, tracker_for
 from diag_service.diagnosis.shifts.history import History
 from diag_service.diagnosis.shifts.slip_tracking import PEDAL_RATIO, Grip, GripChange, SlipTracker, slip_signals

@@ -10,8 +10,9 @@ import numpy as np
 from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.alive_counter import came_in_bursts
 from canlog.frames import BEFORE_ALL_NS
+from clutch_results.event_kinds import EndReason, EventKind
 from diag_service.diagnosis.columns import ColumnBatch, Signal
-from diag_service.diagnosis.events import EndReason, Event, EventKind
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.history import History
 
 NS_PER_S = 1_000_000_000

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from clutch_model.calibration import clutch_of_gear
+from clutch_results.records import ClutchVerdict, Condition, ShiftResult
 from demo.outcome import FrameAccount, Outcome
-from diag_service.diagnosis.records import ClutchVerdict, Condition, ShiftResult
 from ecu_emulator.truth import DriveTruth, ShiftTruth, Totals, TruthLog
 from tests.support.builders import friction_estimate, shift_result
 

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
+from clutch_results.records import FrictionEstimate
 from demo.outcome import FrameAccount, Outcome, complaints, frame_account
-from diag_service.diagnosis.records import FrictionEstimate
 from tests.unit.demo.outcomes import FRICTION, good_frames, good_outcome
 
 

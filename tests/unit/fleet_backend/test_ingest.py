@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diag_service.diagnosis.records import shift_record
+from clutch_results.records import shift_record
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, RowRefusedError
 from fleet_backend.ingest import Worker

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from diag_service.diagnosis.records import clutch_record, shift_record
+from clutch_results.records import clutch_record, shift_record
 from fleet_contract import (
     MAX_BUNDLED,
     Address,

@@ -13,6 +13,7 @@ import numpy as np
 from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration, InputSide, both_clutches, clutch_of_gear
 from clutch_model.pack import film_law
+from clutch_results.records import Reason
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals, sample_times_s
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
@@ -30,7 +31,6 @@ from diag_service.diagnosis.friction.paper.friction_data import (
     viscous_torques_nm,
 )
 from diag_service.diagnosis.quality.data_quality import usable_signals
-from diag_service.diagnosis.records import Reason
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,10 +11,10 @@ from typing import Final
 
 from sqlalchemy import Engine, delete, func, insert, select
 
+from clutch_results.prognosis import Prognosis
+from clutch_results.prognosis.sentence import soonest
 from clutchdiag_io.pages.content import NONE, Badge, Cell, Section, Table, TimeCell
 from clutchdiag_io.people import is_dated
-from diag_service.diagnosis.prognosis import Prognosis
-from diag_service.diagnosis.prognosis.sentence import soonest
 from fleet_backend.database import transaction
 from fleet_backend.office_tables import FLUID_DUE
 from fleet_backend.page import wording

@@ -6,12 +6,11 @@ from typing import Any, Final
 
 from sqlalchemy import Engine
 
-from diag_service.diagnosis.condition.shift_course import Course, courses, fall_of, loads
-from diag_service.diagnosis.condition.shift_quality import Load
-from diag_service.diagnosis.events import EventKind
-from diag_service.diagnosis.prognosis import Prognosis, history_of_estimates, prognose, without
-from diag_service.diagnosis.prognosis.sentence import outlook_line, soonest
-from diag_service.diagnosis.records import (
+from clutch_results.event_kinds import EventKind
+from clutch_results.loads import Load
+from clutch_results.prognosis import Prognosis, history_of_estimates, prognose, without
+from clutch_results.prognosis.sentence import outlook_line, soonest
+from clutch_results.records import (
     FluidFill,
     FrictionEstimate,
     ScaleFreeFriction,
@@ -20,6 +19,7 @@ from diag_service.diagnosis.records import (
     Status,
     iso_utc,
 )
+from clutch_results.shift_course import Course, courses, fall_of, loads
 from fleet_backend.page import past
 from fleet_backend.page.calibrations import reference_of, type_of
 from fleet_backend.page.past import Row, friction_in

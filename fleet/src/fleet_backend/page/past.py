@@ -8,8 +8,8 @@ from typing import Any, Final, TypeVar
 
 from sqlalchemy import Connection, Engine, Interval, Select, and_, func, literal, or_, select, tuple_
 
+from clutch_results.records import Causes, ShiftQuality, from_plain
 from clutchdiag_io.people import is_dated
-from diag_service.diagnosis.records import Causes, ShiftQuality, from_plain
 from fleet_backend import schema
 from fleet_backend.database import transaction
 from fleet_backend.months import has_partitions

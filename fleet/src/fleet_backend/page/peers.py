@@ -8,7 +8,7 @@ from itertools import chain
 from sqlalchemy import Engine, select
 
 from clutch_model.calibration import FrictionCurve
-from diag_service.diagnosis.prognosis import (
+from clutch_results.prognosis import (
     Ageing,
     Common,
     History,

@@ -10,12 +10,12 @@ from markupsafe import Markup
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
+from clutch_results.pictures import MOST_MOMENTS, MOST_POINTS, THRESHOLD_KEYS
+from clutch_results.shift_course import COURSE_COUNT
+from clutch_results.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from clutchdiag_io.pages.content import Key
 from clutchdiag_io.pages.plot import Axis, Plot, broken, thinned
 from clutchdiag_io.people import PLUS_MINUS, STDS
-from diag_service.diagnosis.condition.shift_course import COURSE_COUNT
-from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
-from diag_service.report.pictures import MOST_MOMENTS, MOST_POINTS, THRESHOLD_KEYS
 from fleet_backend.page.calibrations import reference_of
 from fleet_backend.page.records import ClutchNow, TrendPoint, Usual, VehicleAnswer
 from fleet_backend.page.wording import M_PER_KM

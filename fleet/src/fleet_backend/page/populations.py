@@ -9,7 +9,7 @@ from typing import Final
 
 from sqlalchemy import Engine, func, insert, select
 
-from diag_service.diagnosis.prognosis import Population, population_from, population_record
+from clutch_results.prognosis import Population, population_from, population_record
 from fleet_backend.database import transaction
 from fleet_backend.errors import ConfigError, DatabaseError
 from fleet_backend.office_tables import COMMAND_LINE, POPULATION, note_change

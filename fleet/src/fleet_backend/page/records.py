@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from datetime import date, datetime
 from enum import StrEnum
 
-from diag_service.diagnosis.condition.shift_course import Course
-from diag_service.diagnosis.condition.shift_quality import Load
-from diag_service.diagnosis.records import Causes, ShiftQuality
+from clutch_results.loads import Load
+from clutch_results.records import Causes, ShiftQuality
+from clutch_results.shift_course import Course
 
 
 class Severity(StrEnum):

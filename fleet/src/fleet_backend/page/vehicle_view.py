@@ -4,12 +4,12 @@ from collections.abc import Iterator, Sequence
 from math import isfinite
 from typing import Any, Final
 
+from clutch_results.loads import Load
+from clutch_results.pictures import causes_section, course_tables
+from clutch_results.records import Causes
+from clutch_results.shift_course import course_lines
 from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table, moment, number, spread
 from clutchdiag_io.people import PLUS_MINUS, STDS, moment_words
-from diag_service.diagnosis.condition.shift_course import course_lines
-from diag_service.diagnosis.condition.shift_quality import Load
-from diag_service.diagnosis.records import Causes
-from diag_service.report.pictures import causes_section, course_tables
 from fleet_backend.alarms import book
 from fleet_backend.office_tables import ALARM
 from fleet_backend.page import past, wording

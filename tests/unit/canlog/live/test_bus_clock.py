@@ -10,7 +10,7 @@ import pytest
 from canlog.arrays import Int64Array
 from canlog.frames import FrameBatch
 from canlog.live.bus_clock import BusClock, ClockReading
-from diag_service.diagnosis.records import Status
+from clutch_results.records import Status
 from ecu_emulator.drive.recording import Drive
 from tests.support.builders import drive_scenario
 from tests.support.chain import Outcome, diagnosed

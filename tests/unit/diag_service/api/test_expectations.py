@@ -5,9 +5,9 @@ from dataclasses import replace
 import can
 import pytest
 
+from clutch_results.records import Condition, ShiftStatistics
 from diag_service.api.analysis import Analysis
 from diag_service.api.expectations import expect_frames, expect_same_frames, expect_shifts, expect_verdict
-from diag_service.diagnosis.records import Condition, ShiftStatistics
 from diag_service.diagnosis.summary import FrameCounts, Summary
 from tests.support.builders import rejected, shift_result
 

@@ -6,8 +6,8 @@ from contextlib import asynccontextmanager, closing
 
 import pytest
 
+from clutch_results.records import shift_record
 from diag_service.delivery import Acknowledge, DeliveryLimits, MemoryLink, Outbox
-from diag_service.diagnosis.records import shift_record
 from diag_service.errors import PublishError, PublishRefusedError
 from diag_service.store import ResultStore
 from fleet_contract import MAX_BUNDLED, Outgoing, Receipt, key_of

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
+from clutch_results.records import shift_record
 from diag_service.delivery import Acknowledge, DeliveryLimits, MemoryLink, Outbox
-from diag_service.diagnosis.records import shift_record
 from diag_service.errors import PublishError
 from diag_service.store import ResultStore
 from fleet_contract import Outcome, Receipt, key_of

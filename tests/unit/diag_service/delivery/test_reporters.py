@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from rich.console import Console
 
+from clutch_results.records import Reason, ShiftResult, ShiftStatistics, shift_record
 from diag_service.delivery import JsonLinesReporter, MemoryReporter, News, PipeReporter
-from diag_service.diagnosis.records import Reason, ShiftResult, ShiftStatistics, shift_record
 from diag_service.diagnosis.summary import FrameCounts, Summary
 from tests.support.builders import rejected, shift_result
 

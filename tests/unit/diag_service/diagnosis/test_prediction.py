@@ -7,8 +7,9 @@ import pytest
 from scipy.special import stdtrit
 
 from canlog.arrays import FloatArray, Series
+from clutch_results.event_kinds import EndReason
 from diag_service.diagnosis.columns import GearRatios, Signal
-from diag_service.diagnosis.events import EndReason, Event
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.prediction import SlipPhase, fitted, predicted, relative_friction, simulated, slip_phase
 
 TOUCH_PA, ROW_S = 1.4e5, 0.03

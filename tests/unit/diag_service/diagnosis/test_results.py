@@ -10,10 +10,9 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from clutch_model.calibration import TorqueSource, nominal_calibration
-from diag_service.diagnosis.condition.condition import ConditionMemory, judge
-from diag_service.diagnosis.events import EventKind
-from diag_service.diagnosis.friction import Posterior
-from diag_service.diagnosis.records import (
+from clutch_results.errors import ResultError
+from clutch_results.event_kinds import EventKind
+from clutch_results.records import (
     Condition,
     FluidFill,
     FrictionSlope,
@@ -30,8 +29,9 @@ from diag_service.diagnosis.records import (
     status_record,
     utc_from_bus_ns,
 )
+from diag_service.diagnosis.condition.condition import ConditionMemory, judge
+from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.summary import Capability, FrameCounts, Summary, capability_line, of_own_fluid, order_by
-from diag_service.errors import ResultError
 from fleet_contract import schema
 from fleet_contract.orders import Action
 from tests.support.builders import friction_estimate, rejected, scale_free_friction, shift_result

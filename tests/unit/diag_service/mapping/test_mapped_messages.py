@@ -8,8 +8,8 @@ from cantools.database.can import Database, Message
 from canlog.arrays import UInt8Array
 from canlog.database.loading import load_database
 from canlog.decode.signals import InvalidCounts, PayloadWords
+from clutch_results.records import Tier
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.records import Tier
 from diag_service.errors import ConfigError
 from diag_service.mapping.mapped_messages import compile_source, find_message, signal_name
 from diag_service.mapping.profile import PROFILE_FOLDER, SignalSource, load_shipped

@@ -12,10 +12,11 @@ from rich.text import Text
 
 from canlog.arrays import Series
 from clutch_model.calibration import nominal_calibration
+from clutch_results.event_kinds import EndReason
+from clutch_results.prognosis import ChannelName, PeerGroup, Peers, Population, Usual
+from clutch_results.records import FluidFill, Reason, Status, clutch_record, dump, shift_record, utc_from_bus_ns
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import EndReason, Event
-from diag_service.diagnosis.prognosis import ChannelName, PeerGroup, Peers, Population, Usual
-from diag_service.diagnosis.records import FluidFill, Reason, Status, clutch_record, dump, shift_record, utc_from_bus_ns
+from diag_service.diagnosis.events import Event
 from diag_service.report.findings import Album, Findings, findings_of_store
 from diag_service.report.history import history_lines, history_records, periods_of
 from diag_service.report.page import html_of, page_of, record_of

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
+from clutch_results.records import Condition, FluidFill, ShiftResult
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.records import Condition, FluidFill, ShiftResult
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import PROFILE_PATH, load_profile

@@ -6,10 +6,11 @@ from contextlib import closing
 import pytest
 
 from clutch_model.calibration import nominal_calibration
+from clutch_results.event_kinds import EndReason
+from clutch_results.records import ShiftResult
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.events import EndReason, Event
-from diag_service.diagnosis.records import ShiftResult
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.errors import StoreFullError
 from diag_service.mapping.decoder import Decoder

@@ -8,7 +8,7 @@ import pytest
 
 from canlog.arrays import Int64Array
 from canlog.frames import FrameBatch
-from diag_service.diagnosis.records import Reason, Status
+from clutch_results.records import Reason, Status
 from diag_service.diagnosis.summary import frames_line
 from diag_service.service.session import SenderWatch
 from ecu_emulator.drive.recording import Drive

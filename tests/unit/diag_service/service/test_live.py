@@ -13,9 +13,9 @@ from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.live import LinkBreak, Silence, SourceCounts
 from clutch_model.calibration import nominal_calibration
+from clutch_results.records import Reason, ShiftResult
 from dbc.contract import load_contract
 from diag_service.delivery import MemoryLink, MemoryReporter, Outbox, Reporter
-from diag_service.diagnosis.records import Reason, ShiftResult
 from diag_service.errors import StoreError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import PROFILE_PATH, load_profile

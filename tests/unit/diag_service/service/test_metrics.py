@@ -10,10 +10,10 @@ from prometheus_client.core import Metric, Sample
 from prometheus_client.parser import text_string_to_metric_families
 
 from canlog.live import BusState, BusStatus
+from clutch_results.event_kinds import EventKind
+from clutch_results.loads import Load, borne
+from clutch_results.records import FluidFill, ShiftQuality, ShiftResult, ShiftStatistics
 from clutchdiag_io.metrics import Told
-from diag_service.diagnosis.condition.shift_quality import Load, borne
-from diag_service.diagnosis.events import EventKind
-from diag_service.diagnosis.records import FluidFill, ShiftQuality, ShiftResult, ShiftStatistics
 from diag_service.diagnosis.summary import FrameCounts, Summary, of_present_fluid
 from diag_service.service.metrics import families as _families
 from diag_service.service.snapshot import Snapshot

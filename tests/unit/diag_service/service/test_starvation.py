@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from clutch_results.records import ShiftResult
 from diag_service.delivery import DeliveryLimits, DetachedReporter, MemoryLink, MemoryReporter, News, Outbox
-from diag_service.diagnosis.records import ShiftResult
 from diag_service.errors import PublishError
 from diag_service.store import ResultStore
 from fleet_contract import Outgoing

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from clutch_results.records import ShiftResult
 from diag_service.delivery import MemoryReporter
-from diag_service.diagnosis.records import ShiftResult
 from diag_service.service.bus_run import ServiceManager
 from diag_service.service.session import Progress, Stage
 from diag_service.service.stopping import PatientTrigger, Trigger

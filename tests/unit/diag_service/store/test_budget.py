@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.diagnosis.records import ShiftResult
+from clutch_results.records import ShiftResult
 from diag_service.store import ResultStore, VehicleState, Versions
 from tests.support.builders import rejected, shift_result
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from diag_service.diagnosis.records import FluidFill, StoredResult, dump, shift_record
+from clutch_results.records import FluidFill, StoredResult, dump, shift_record
 from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract import Outcome, Receipt, key_of
 from tests.support.builders import shift_result

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from canlog.errors import NOTICE, CanlogError
+from clutch_results.errors import ResultError
+from clutch_results.records import dump
 from diag_service.delivery import ControllerNews, Outbox, Reporter
-from diag_service.diagnosis.records import dump
 from diag_service.errors import DiagServiceError
 from diag_service.service.session import utc_now
 from diag_service.settings.config import BusConfig, PollConfig
@@ -130,7 +131,7 @@ class Poller(AskingThread):
             report = self._read()
             if not self._is_over.is_set():
                 self._tell(report)
-        except (CanlogError, DiagServiceError) as exc:  # nothing of what is expected may end the thread
+        except (CanlogError, DiagServiceError, ResultError) as exc:  # nothing of what is expected may end the thread
             return str(exc)
         return None
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 
 from clutch_model.calibration import nominal_calibration
+from clutch_results.records import Causes, ClutchVerdict, Condition, LikelyCause
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge, no_verdict
 from diag_service.diagnosis.condition.verdict import likely
-from diag_service.diagnosis.records import Causes, ClutchVerdict, Condition, LikelyCause
 from diag_service.diagnosis.summary import Gap, order_by, unjudged
 from tests.support.builders import shift_result
 from tests.unit.diag_service.diagnosis.condition.test_condition import believed

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
+from clutch_results.records import Causes, Condition, LikelyCause
 from diag_service.diagnosis.condition.causes import ELSE, SOUND, CauseJudge, described
 from diag_service.diagnosis.condition.condition import (
     BEGIN_COUNT,
@@ -18,7 +19,6 @@ from diag_service.diagnosis.condition.condition import (
 )
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT
 from diag_service.diagnosis.friction.posterior import Posterior
-from diag_service.diagnosis.records import Causes, Condition, LikelyCause
 
 CALIBRATION = nominal_calibration()
 JUDGE = CauseJudge(CALIBRATION)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import TorqueSource, nominal_calibration
+from clutch_results.records import ClutchVerdict, Condition, Reason, Status
 from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, Fit, judge
 from diag_service.diagnosis.condition.verdict import LEAST_SHIFT_COUNT, Cause
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, FRICTION_ROWS, STATE_COUNT, Considered, Knowledge
 from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, Baseline, Posterior, friction
-from diag_service.diagnosis.records import ClutchVerdict, Condition, Reason, Status
 from tests.support.builders import rejected, shift_estimate, shift_result
 
 CALIBRATION = nominal_calibration()

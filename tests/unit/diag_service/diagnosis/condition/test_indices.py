@@ -5,9 +5,10 @@ import pytest
 
 from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
+from clutch_results.event_kinds import EndReason
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.shift_quality import measure
-from diag_service.diagnosis.events import EndReason, Event
+from diag_service.diagnosis.events import Event
 
 CALIBRATION = nominal_calibration()
 STEP_NS = 10_000_000

@@ -8,14 +8,16 @@ import pytest
 from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
 from clutch_model.pack import film_law
+from clutch_results.event_kinds import EndReason, EventKind
+from clutch_results.loads import PARTS
+from clutch_results.records import FrictionEstimate, ShiftEstimate, ShiftQuality
+from clutch_results.shift_course import Course, courses, load_line, loads
 from diag_service.diagnosis.columns import GearRatios, Signal
-from diag_service.diagnosis.condition.shift_course import Course, courses, load_line, loads
-from diag_service.diagnosis.condition.shift_quality import PARTS, ShiftScorer
+from diag_service.diagnosis.condition.shift_quality import ShiftScorer
 from diag_service.diagnosis.condition.verdict import Scatter
-from diag_service.diagnosis.events import EndReason, Event, EventKind
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.drives import PackTemperatures
-from diag_service.diagnosis.records import FrictionEstimate, ShiftEstimate, ShiftQuality
 from tests.support.builders import friction_estimate, shift_result
 
 CALIBRATION = nominal_calibration()

@@ -7,12 +7,13 @@ import pytest
 
 from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
+from clutch_results.event_kinds import EndReason, EventKind
+from clutch_results.records import Condition, ShiftEstimate, StickSlip
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge
 from diag_service.diagnosis.condition.shift_quality import measure
 from diag_service.diagnosis.condition.verdict import LAUNCH_WINDOW
-from diag_service.diagnosis.events import EndReason, Event, EventKind
-from diag_service.diagnosis.records import Condition, ShiftEstimate, StickSlip
+from diag_service.diagnosis.events import Event
 from tests.support.builders import shift_estimate
 from tests.unit.diag_service.diagnosis.condition.test_condition import believed
 

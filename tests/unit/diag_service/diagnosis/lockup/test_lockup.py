@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import shipped_calibration
+from clutch_results.event_kinds import EventKind
+from clutch_results.records import ClutchVerdict, Condition, Reason, ShiftEstimate, Status
 from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, judge_lockup
 from diag_service.diagnosis.condition.verdict import Silence
-from diag_service.diagnosis.events import Event, EventKind
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.lockup.blocks import MICRO_SLIP_RAD_S, samples_of
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
 from diag_service.diagnosis.lockup.shudder import shudder
 from diag_service.diagnosis.lockup.state import LockupState
-from diag_service.diagnosis.records import ClutchVerdict, Condition, Reason, ShiftEstimate, Status
 from studies.converter_car import FLUIDS, ConverterCar, Driven, batches, drawn_car, drive
 
 CALIBRATION = shipped_calibration("lockup")

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diag_service.diagnosis.prognosis import common_of, monthly, without
-from diag_service.diagnosis.prognosis.changes import fluid_starts
-from diag_service.diagnosis.prognosis.history import History
-from diag_service.diagnosis.prognosis.population import PERIOD_S
+from clutch_results.prognosis import common_of, monthly, without
+from clutch_results.prognosis.changes import fluid_starts
+from clutch_results.prognosis.history import History
+from clutch_results.prognosis.population import PERIOD_S
 from tests.support.pasts import ageing, past
 
 COUNT = 300

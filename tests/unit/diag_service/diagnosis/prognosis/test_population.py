@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diag_service.diagnosis.prognosis import (
+from clutch_results.prognosis import (
     ChannelName,
     Common,
     PeerGroup,
@@ -20,8 +20,8 @@ from diag_service.diagnosis.prognosis import (
     population_record,
     prognose,
 )
-from diag_service.diagnosis.prognosis.assumptions import KNEE_PROBABILITY
-from diag_service.diagnosis.prognosis.population import Ageing, Course, location_and_scatter
+from clutch_results.prognosis.assumptions import KNEE_PROBABILITY
+from clutch_results.prognosis.population import Ageing, Course, location_and_scatter
 from tests.support.pasts import REFERENCE, past
 
 KIND = PeerGroup(vehicle_type="dct", fluid="75W")

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from diag_service.diagnosis.prognosis import Passage, Prognosis
-from diag_service.diagnosis.prognosis.channels import DISTANCE_M
-from diag_service.diagnosis.prognosis.prognosis import Outlook, Reach
-from diag_service.diagnosis.prognosis.sentence import outlook_line
+from clutch_results.prognosis import Passage, Prognosis
+from clutch_results.prognosis.channels import DISTANCE_M
+from clutch_results.prognosis.prognosis import Outlook, Reach
+from clutch_results.prognosis.sentence import outlook_line
 from fleet_contract.orders import Action
 
 NEVER = Passage(distance_m=DISTANCE_M, probability=np.zeros_like(DISTANCE_M))

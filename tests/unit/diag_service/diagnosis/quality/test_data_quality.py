@@ -11,11 +11,11 @@ import pytest
 from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.e2e.e2e_state import E2eState
 from clutch_model.calibration import nominal_calibration
+from clutch_results.records import DataQuality, QualityPart, Reason
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.quality.data_quality import LIMITS, QualityBasis, data_quality, reasons_against
-from diag_service.diagnosis.records import DataQuality, QualityPart, Reason
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages

@@ -8,6 +8,7 @@ import pytest
 
 from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
+from clutch_results.records import Reason
 from diag_service.diagnosis.alignment import AlignedSignals
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
@@ -23,7 +24,6 @@ from diag_service.diagnosis.quality.plausibility import (
     plausibility_faults,
     zero_has_jumped,
 )
-from diag_service.diagnosis.records import Reason
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts
 
 CALIBRATION = nominal_calibration()

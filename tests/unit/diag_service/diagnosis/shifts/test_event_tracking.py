@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from canlog.arrays import Series
 from clutch_model.calibration import nominal_calibration
+from clutch_results.event_kinds import EndReason, EventKind
 from diag_service.diagnosis.columns import ColumnBatch, Signal
-from diag_service.diagnosis.events import EndReason, Event, EventKind
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.shifts import LOCK_NS, MAX_SLIP_NS, DriveFinder
 
 STEP_NS = 10_000_000

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
+from clutch_results.event_kinds import EndReason
 from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
-from diag_service.diagnosis.events import EndReason, Event
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.gear_tracking import tracker_for
 from diag_service.diagnosis.shifts.shifts import DriveFinder, ShiftFinder
 

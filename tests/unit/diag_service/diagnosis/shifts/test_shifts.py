@@ -3,8 +3,9 @@
 import pytest
 
 from clutch_model.calibration import nominal_calibration
+from clutch_results.event_kinds import EndReason
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import EndReason, Event
+from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.run_ups import HIGH_RAD_S, LOW_RAD_S, MARGIN_NS, RunUpFinder
 from diag_service.diagnosis.shifts.shifts import POST_NS, PRE_NS, ShiftFinder
 from tests.support.gears import STEP_NS, gear_batch

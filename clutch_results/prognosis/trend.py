@@ -12,7 +12,7 @@ from typing import Final, Self
 import numpy as np
 
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.prognosis.assumptions import (
+from clutch_results.prognosis.assumptions import (
     BENT_FACTOR,
     BENT_LOG_STD,
     BENT_PROBABILITY,
@@ -28,7 +28,7 @@ from diag_service.diagnosis.prognosis.assumptions import (
     USUAL_LIFE_M,
     ChannelPrior,
 )
-from diag_service.diagnosis.prognosis.channels import DISTANCE_M, Bins, Channel, Clock
+from clutch_results.prognosis.channels import DISTANCE_M, Bins, Channel, Clock
 
 BENDS: Final = np.array([0.1, 0.3, 0.5, 0.65, 0.75, 0.85, 0.9, 0.95])  # of the age, where a bend is looked for
 LEAST_BENT_BINS: Final = 8

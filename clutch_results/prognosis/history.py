@@ -8,9 +8,9 @@ from typing import Any, Final, Self
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
-from diag_service.diagnosis.events import DATED_NS
-from diag_service.diagnosis.prognosis.assumptions import NEW_WITHIN_M
-from diag_service.diagnosis.records import FluidFill, ShiftEstimate, ShiftResult, Status, utc_from_bus_ns
+from clutch_results.event_kinds import DATED_NS
+from clutch_results.prognosis.assumptions import NEW_WITHIN_M
+from clutch_results.records import FluidFill, ShiftEstimate, ShiftResult, Status, utc_from_bus_ns
 
 NS_PER_S: Final = 1e9
 MAX_CORRELATION: Final = 0.999

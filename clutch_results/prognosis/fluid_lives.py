@@ -7,9 +7,8 @@ from typing import Final
 import numpy as np
 
 from clutch_model.calibration import FrictionCurve
-from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO
-from diag_service.diagnosis.prognosis import trend
-from diag_service.diagnosis.prognosis.assumptions import (
+from clutch_results.prognosis import trend
+from clutch_results.prognosis.assumptions import (
     KNEE_PROBABILITY,
     LEAST_ROWS,
     LEVEL_OF_NEW,
@@ -21,10 +20,11 @@ from diag_service.diagnosis.prognosis.assumptions import (
     UNKNOWN_MARGIN,
     ChannelPrior,
 )
-from diag_service.diagnosis.prognosis.changes import FluidStart, fluid_starts
-from diag_service.diagnosis.prognosis.channels import ChannelName, channels_of, clocks_of
-from diag_service.diagnosis.prognosis.history import History
-from diag_service.diagnosis.prognosis.population import Ageing, Course, PeerGroup, Peers
+from clutch_results.prognosis.changes import FluidStart, fluid_starts
+from clutch_results.prognosis.channels import ChannelName, channels_of, clocks_of
+from clutch_results.prognosis.history import History
+from clutch_results.prognosis.population import Ageing, Course, PeerGroup, Peers
+from clutch_results.thresholds import CHANGE_LEVEL_RATIO
 
 MOST_CLOCKS = 6  # that are looked at for bends
 LEAST_LOG_EVIDENCE = -4.6  # of a clock against the best: one in a hundred

@@ -13,9 +13,9 @@ from typing import Any, Final
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
-from diag_service.diagnosis.prognosis.assumptions import KNEE_PROBABILITY, ChannelPrior
-from diag_service.diagnosis.prognosis.channels import ChannelName
-from diag_service.diagnosis.prognosis.history import History
+from clutch_results.prognosis.assumptions import KNEE_PROBABILITY, ChannelPrior
+from clutch_results.prognosis.channels import ChannelName
+from clutch_results.prognosis.history import History
 
 SURE_STEP_STD: Final = 4.0  # of a step that many clutches make at once
 LEAST_CLUTCHES: Final = 8  # that say what is common at one time

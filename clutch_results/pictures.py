@@ -9,21 +9,18 @@ from markupsafe import Markup
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
-from clutch_model.units import NS_PER_S, bar_from_pa, degc_from_k, rad_s_from_rpm, rpm_from_rad_s
+from clutch_model.units import degc_from_k, rad_s_from_rpm, rpm_from_rad_s
+from clutch_results.curves import curve_band, new_curve
+from clutch_results.loads import ENERGY_BOUNDS_J, Load
+from clutch_results.records import Causes, ClutchVerdict, FrictionEstimate, ShiftResult, utc_from_bus_ns
+from clutch_results.shift_course import COURSE_COUNT, Course, change_words, part_words
+from clutch_results.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from clutchdiag_io.pages.content import Cell, Figure, Key, Section, Table, number
 from clutchdiag_io.pages.plot import Axis, Plot, broken, thinned
 from clutchdiag_io.people import PLUS_MINUS, STDS
-from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.condition.shift_course import COURSE_COUNT, Course, change_words, part_words
-from diag_service.diagnosis.condition.shift_quality import ENERGY_BOUNDS_J, Load
-from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
-from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction.posterior import curve_band, new_curve
-from diag_service.diagnosis.records import Causes, ClutchVerdict, FrictionEstimate, ShiftResult, utc_from_bus_ns
 from fleet_contract.orders import cause_words, title_of
 
 MOST_POINTS: Final = 600  # of a trend; a screen shows no more
-MOST_SAMPLES: Final = 400  # of one signal of a shift
 MOST_MOMENTS: Final = 8  # names of moments do not overlap too much
 _SLIP_RAD_S: Final = rad_s_from_rpm(np.linspace(0.0, 400.0, 121))
 TABLE_SLIPS_RAD_S: Final = rad_s_from_rpm(np.array([0.0, 20.0, 50.0, 100.0, 200.0, 400.0]))
@@ -131,85 +128,6 @@ def trend_picture(trend: Trend) -> Markup:
     plot.line(along, mu_c, f"line strong clutch{trend.clutch}")
     for place, style, text in trend.moments[-MOST_MOMENTS:]:
         plot.moment(float(place), style, text)
-    return plot.markup()
-
-
-@dataclass(frozen=True, slots=True)
-class Curve:
-    """One signal of a shift as it is drawn."""
-
-    signal: Signal
-    label: str
-    style: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Panel:
-    """Signals of one unit, drawn together."""
-
-    title: str
-    unit: str
-    factor: float  # from SI
-    curves: tuple[Curve, ...]
-
-
-PANELS: Final = (
-    Panel(
-        title="Speeds",
-        unit="rpm",
-        factor=rpm_from_rad_s(1.0),
-        curves=(
-            Curve(Signal.ENGINE_SPEED, "engine", "ink"),
-            Curve(Signal.HUB_SPEED, "clutch hub", "new"),
-            Curve(Signal.INPUT1_SPEED, "input shaft 1", "clutch1"),
-            Curve(Signal.INPUT2_SPEED, "input shaft 2", "clutch2"),
-            Curve(Signal.INPUT_SPEED, "input shaft", "clutch1"),
-            Curve(Signal.TURBINE_SPEED, "turbine", "clutch1"),
-        ),
-    ),
-    Panel(
-        title="Pressures",
-        unit="bar",
-        factor=bar_from_pa(1.0),
-        curves=(
-            Curve(Signal.CLUTCH1_PRESSURE, "clutch 1", "clutch1"),
-            Curve(Signal.LOCKUP_PRESSURE, "lock-up clutch", "clutch1"),
-            Curve(Signal.CLUTCH1_PRESSURE_COMMAND, "clutch 1, commanded", "clutch1 dashed"),
-            Curve(Signal.CLUTCH2_PRESSURE, "clutch 2", "clutch2"),
-            Curve(Signal.CLUTCH2_PRESSURE_COMMAND, "clutch 2, commanded", "clutch2 dashed"),
-        ),
-    ),
-    Panel(
-        title="Torques",
-        unit="Nm",
-        factor=1.0,
-        curves=(
-            Curve(Signal.ENGINE_TORQUE, "engine", "ink"),
-            Curve(Signal.CLUTCH_TORQUE, "clutches", "new"),
-            Curve(Signal.CLUTCH1_TORQUE_COMMAND, "clutch 1, commanded", "clutch1 dashed"),
-            Curve(Signal.CLUTCH2_TORQUE_COMMAND, "clutch 2, commanded", "clutch2 dashed"),
-        ),
-    ),
-)
-
-
-def present_curves(panel: Panel, event: Event) -> tuple[Curve, ...]:
-    return tuple(one for one in panel.curves if one.signal in event.columns and len(event.columns[one.signal].t_ns))
-
-
-def shift_picture(panel: Panel, event: Event) -> Markup:
-    """Return the signals of one unit over the time of a shift; only for panels of which some are present."""
-    curves = present_curves(panel, event)
-    times = [(event.columns[one.signal].t_ns - event.start_ns) / NS_PER_S for one in curves]
-    values = [event.columns[one.signal].value * panel.factor for one in curves]
-    duration_s = (event.end_ns - event.start_ns) / NS_PER_S
-    x = Axis.around("time since the shift began [s]; shaded: the shift", *times, margin_ratio=0.0)
-    names = ", ".join(one.label for one in curves)
-    plot = Plot(f"{panel.title} during the shift [{panel.unit}]: {names}", x, Axis.around(panel.unit, *values))
-    plot.span(max(0.0, x.low), min(duration_s, x.high), "shade")
-    for one, t_s, value in zip(curves, times, values, strict=True):
-        kept = thinned(value, MOST_SAMPLES)
-        plot.line(t_s[kept], value[kept], f"line {one.style}")
     return plot.markup()
 
 

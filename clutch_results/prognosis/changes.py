@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
-from diag_service.diagnosis.prognosis.assumptions import REFERENCE_K
-from diag_service.diagnosis.prognosis.history import History, robust_noise_ratio
+from clutch_results.prognosis.assumptions import REFERENCE_K
+from clutch_results.prognosis.history import History, robust_noise_ratio
 
 # Rows that say where friction was: share of chi-square that each reaches.
 BEFORE_COUNTS: Final = {480: 1.0, 60: 0.7, 30: 0.5}

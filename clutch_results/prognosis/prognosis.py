@@ -8,8 +8,7 @@ import numpy as np
 
 from clutch_model.calibration import FrictionCurve
 from clutch_model.units import degc_from_k
-from diag_service.diagnosis.condition.verdict import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
-from diag_service.diagnosis.prognosis.assumptions import (
+from clutch_results.prognosis.assumptions import (
     HAND_FACTOR,
     HAND_SHARE,
     HORIZON_M,
@@ -20,17 +19,13 @@ from diag_service.diagnosis.prognosis.assumptions import (
     SERVICE_DISTANCE_M,
     SURE_OF_AGEING,
 )
-from diag_service.diagnosis.prognosis.changes import FluidStart, fluid_starts
-from diag_service.diagnosis.prognosis.channels import ChannelName
-from diag_service.diagnosis.prognosis.fluid_lives import (
-    CHANGE_MARGIN_RATIO,
-    FluidLife,
-    either,
-    fluid_lives,
-)
-from diag_service.diagnosis.prognosis.history import History
-from diag_service.diagnosis.prognosis.population import Peers
-from diag_service.diagnosis.prognosis.trend import AgedChannel, Passage, Value
+from clutch_results.prognosis.changes import FluidStart, fluid_starts
+from clutch_results.prognosis.channels import ChannelName
+from clutch_results.prognosis.fluid_lives import CHANGE_MARGIN_RATIO, FluidLife, either, fluid_lives
+from clutch_results.prognosis.history import History
+from clutch_results.prognosis.population import Peers
+from clutch_results.prognosis.trend import AgedChannel, Passage, Value
+from clutch_results.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 
 M_PER_KM = 1000.0
 PERCENT = 100.0

@@ -9,8 +9,8 @@ from datetime import UTC, datetime
 from math import inf, isnan
 from typing import Final
 
-from diag_service.diagnosis.prognosis.assumptions import HORIZON_M, LEAST_ROWS
-from diag_service.diagnosis.prognosis.prognosis import M_PER_KM, PERCENT, Outlook, Prognosis, Reach
+from clutch_results.prognosis.assumptions import HORIZON_M, LEAST_ROWS
+from clutch_results.prognosis.prognosis import M_PER_KM, PERCENT, Outlook, Prognosis, Reach
 from fleet_contract.orders import Action, name_of
 
 LIKELY: Final = 0.5  # so likely the limit comes before the service: then an order that waits for it is not all

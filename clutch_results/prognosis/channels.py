@@ -14,7 +14,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
 from clutch_model.calibration import FrictionCurve
-from diag_service.diagnosis.prognosis.assumptions import (
+from clutch_results.prognosis.assumptions import (
     ENERGY_PROBABILITY,
     HEATS_PER_K,
     HORIZON_M,
@@ -22,7 +22,7 @@ from diag_service.diagnosis.prognosis.assumptions import (
     SHAPES,
     USUAL_LIFE_M,
 )
-from diag_service.diagnosis.prognosis.history import History, robust_noise_ratio
+from clutch_results.prognosis.history import History, robust_noise_ratio
 
 # Denser near today, where it matters: 0, 12, 47, 105 km, ..., at last 3,700 km apart.
 DISTANCE_M: Final = HORIZON_M * np.linspace(0.0, 1.0, 161) ** 2

@@ -1,9 +1,9 @@
 """Prognosis: from the past results of one clutch to how far its fluid will go, with how sure that is."""
 
-from diag_service.diagnosis.prognosis.channels import ChannelName
-from diag_service.diagnosis.prognosis.fluid_lives import ageings
-from diag_service.diagnosis.prognosis.history import History, history_of, history_of_estimates
-from diag_service.diagnosis.prognosis.population import (
+from clutch_results.prognosis.channels import ChannelName
+from clutch_results.prognosis.fluid_lives import ageings
+from clutch_results.prognosis.history import History, history_of, history_of_estimates
+from clutch_results.prognosis.population import (
     Ageing,
     Common,
     Monthly,
@@ -19,8 +19,8 @@ from diag_service.diagnosis.prognosis.population import (
     population_record,
     without,
 )
-from diag_service.diagnosis.prognosis.prognosis import Outlook, Prognosis, prognose
-from diag_service.diagnosis.prognosis.trend import Passage
+from clutch_results.prognosis.prognosis import Outlook, Prognosis, prognose
+from clutch_results.prognosis.trend import Passage
 
 __all__ = [
     "Ageing",

@@ -10,9 +10,9 @@ from statistics import fmean
 from typing import Final
 
 from clutch_model.units import degc_from_k
-from diag_service.diagnosis.condition.shift_quality import PARTS, Load, borne
-from diag_service.diagnosis.events import EventKind, events_text
-from diag_service.diagnosis.records import ShiftEstimate, ShiftQuality
+from clutch_results.event_kinds import EventKind, events_text
+from clutch_results.loads import PARTS, Load, borne
+from clutch_results.records import ShiftEstimate, ShiftQuality
 
 COURSE_COUNT: Final = 20  # changes of a kind at either end of a course
 COLD_DEGC, HOT_DEGC = 40.0, 90.0  # of the oil
