@@ -124,10 +124,6 @@ _RUN: Final = Command(
     Option("-b --bitrate BITRATE", "bit rate of a real interface [bit/s]", INT),
     Option("--fd", "open the interface in CAN FD mode"),
     *_DRIVE,
-    Option(
-        "--workshop",
-        "stand in neutral until a tester starts the workshop routine (routine 0301); needs --diagnostics",
-    ),
     Option("--truth FILE", "write the truth about every shift to this file", FILE),
     Option("--summary FILE", "write the transmit report to this file as JSON", FILE),
     FORCE,

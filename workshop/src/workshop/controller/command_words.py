@@ -29,6 +29,10 @@ def answers(options: SimpleNamespace) -> "AnswersTesters | None":
 
 RUN_OPTIONS: Final = (
     Option(
+        "--workshop",
+        "stand in neutral until a tester starts the workshop routine (routine 0301); needs --diagnostics",
+    ),
+    Option(
         "--diagnostics [TABLE]",
         "answer UDS requests of testers (7E1, 7DF); TABLE: a controller of your own instead of the one that ships",
         flag_value="",
