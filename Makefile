@@ -144,7 +144,7 @@ mismatch: setup-all
 
 check: static
 	@echo "check: unit and property tests"
-	@$(PY) -m pytest -q -n 2 -m "not vcan and not slow" tests/unit tests/properties
+	@$(PY) -m pytest -q -n 2 -m "not vcan and not slow" tests/unit tests/properties canlog/tests workshop/tests fleet/tests
 
 static: setup-all
 	@echo "check: format, lint, types, import contracts, spelling"

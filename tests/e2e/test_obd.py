@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from tests.support.patience import HANG_S
-from tests.unit.ecu_emulator.diagnostics.bench import Bench
 from workshop.controller.memory import TestResult
 from workshop.controller.memory_file import MemoryFile
 from workshop.controller.table_file import shipped_table
+from workshop_tests.controller.bench import Bench
 
 
 def confirmed(path: Path, code: str) -> None:

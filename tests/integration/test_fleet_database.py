@@ -15,8 +15,8 @@ from fleet_backend.intake import MessageKind
 from fleet_backend.rows import Row, controller_row, status_row
 from fleet_backend.schema import SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer, identity_of
+from fleet_tests.test_ingest import Records, outcomes
 from tests.support.fleet import NOW, START, fleet_result, message_of, row_of
-from tests.unit.fleet_backend.test_ingest import Records, outcomes
 from workshop.tester.polling import ControllerReport
 from workshop.tester.trouble import TroubleCode
 

@@ -10,11 +10,11 @@ from ecu_emulator import Emulator
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.scenario.scenario_file import load_scenario
-from tests.unit.ecu_emulator.diagnostics.test_monitors import STEP_S, sensed
 from workshop.controller.controller import Controller
 from workshop.controller.iso14229 import Status
 from workshop.controller.monitoring import Monitoring
 from workshop.controller.table_file import shipped_table
+from workshop_tests.controller.test_monitors import STEP_S, sensed
 
 CYCLES = 2
 SHIFTS = 12  # of a cycle: 1-7-1

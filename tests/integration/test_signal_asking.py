@@ -13,6 +13,7 @@ import can
 import pytest
 
 from canlog.errors import NOTICE
+from canlog_tests.test_traffic import sent_bits
 from diag_service.diagnosis.columns import Signal
 from diag_service.mapping.asked_signals import Overheard, flagged
 from diag_service.mapping.interpretation import interpret
@@ -20,7 +21,6 @@ from diag_service.mapping.profile import AskingRules, Profile, load_profile, loa
 from tests.integration.test_tester import vehicle
 from tests.support.asked import batch_of
 from tests.support.patience import HANG_S
-from tests.unit.canlog.test_traffic import sent_bits
 from workshop.controller.controller import Controller
 from workshop.controller.table_file import table_like
 from workshop.tester import signal_asking

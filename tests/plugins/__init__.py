@@ -1,1 +1,1 @@
-"""Pytest plugins; tests/conftest.py names those that every run loads."""
+"""Pytest plugins; conftest.py names those that every run loads."""

@@ -3,9 +3,9 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.unit.ecu_emulator.diagnostics.bench import Bench
 from workshop.controller.elm327.interpreter import Interpreter
 from workshop.controller.table_file import shipped_table
+from workshop_tests.controller.bench import Bench
 
 COMMANDS = (
     "Z", "WS", "D", "I", "E0", "L1", "S0", "S1", "H0", "H1", "SP0", "SP6", "SP7", "SPA6", "TP3", "DP", "DPN", "PC",

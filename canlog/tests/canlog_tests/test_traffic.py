@@ -12,8 +12,8 @@ from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 from canlog.live import SupervisedSource
 from canlog.logs import read_log
 from canlog.traffic import IdTraffic, TrafficMeter, TrafficReport, frame_bits
+from canlog_tests.live.test_supervisor import Script, ShortSource, numbered, parts_of
 from tests.support.batches import frames_at
-from tests.unit.canlog.live.test_supervisor import Script, ShortSource, numbered, parts_of
 
 MS = 1_000_000
 START_NS = 1_700_000_000_000_000_000
@@ -74,7 +74,7 @@ def test_cutting_the_stream_changes_nothing(seed: int) -> None:
         assert one.jitter_s == pytest.approx(other.jitter_s, abs=1e-8)
 
 
-RECORDINGS: Final = Path(__file__).parents[2] / "golden" / "recordings"
+RECORDINGS: Final = Path(__file__).parents[3] / "tests" / "golden" / "recordings"
 CRC_POLYNOMIAL: Final = 0x4599  # ISO 11898-1, 15 bits
 TAIL_BITS: Final = 13
 BITRATE: Final = 500_000

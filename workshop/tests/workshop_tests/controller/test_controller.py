@@ -7,10 +7,10 @@ import pytest
 
 from ecu_emulator.errors import RecordError
 from tests.support.uds.full_table import full_table
-from tests.unit.ecu_emulator.diagnostics.bench import PARKED, SEED
 from workshop.controller.controller import Controller
 from workshop.controller.memory import TestResult
 from workshop.controller.memory_file import MemoryFile
+from workshop_tests.controller.bench import PARKED, SEED
 
 HOT = 0x27874B
 KEY = (int.from_bytes(SEED[:4], "big") ^ 0x5AA5C33C).to_bytes(4, "big")

@@ -17,7 +17,7 @@ from tests.support.batches import frames_at
 from tests.support.cantools_oracle import reference, same_bits
 from tests.support.wire import DATABASE
 
-DATA: Final = Path(__file__).parents[3] / "data"
+DATA: Final = Path(__file__).parents[4] / "tests" / "data"
 
 HEAD = 'VERSION ""\nBU_: A\n'
 SIGNAL = 'BO_ 256 M: 8 A\n SG_ s : 0|8@1+ (1,0) [0|0] "" A\n'

@@ -11,9 +11,9 @@ from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.listing import Wanted
 from fleet_backend.page.news import News
 from fleet_backend.page.records import ClutchNow
+from fleet_tests.page.test_keeper import Fleet
 from tests.support.fleet import NOW
 from tests.support.fleet_page import clutch_now
-from tests.unit.fleet_backend.page.test_keeper import Fleet
 
 ANY = Wanted()
 CLUTCHES = st.builds(

@@ -16,7 +16,7 @@ from tests.support.batches import frames_at
 from tests.support.cantools_oracle import reference, same_bits
 from tests.support.wire import DATABASE
 
-CORNERS = Path(__file__).parents[3] / "data" / "corners.dbc"
+CORNERS = Path(__file__).parents[4] / "tests" / "data" / "corners.dbc"
 ROWS = 200
 
 

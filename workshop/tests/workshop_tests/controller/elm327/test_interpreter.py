@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from tests.unit.ecu_emulator.diagnostics.bench import Bench
 from workshop.controller.elm327.interpreter import Interpreter
 from workshop.controller.table_file import shipped_table
+from workshop_tests.controller.bench import Bench
 
 
 class Adapter:

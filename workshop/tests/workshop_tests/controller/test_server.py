@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.unit.ecu_emulator.diagnostics.bench import Bench
+from workshop_tests.controller.bench import Bench
 
 
 @pytest.fixture

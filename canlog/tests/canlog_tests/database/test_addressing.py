@@ -22,7 +22,7 @@ from canlog.errors import DefinitionError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from tests.support.batches import frames_at
 
-CORNERS: Final = Path(__file__).parents[3] / "data" / "corners.dbc"
+CORNERS: Final = Path(__file__).parents[4] / "tests" / "data" / "corners.dbc"
 EEC1: Final = 0x0CF0_0400  # group 61444, without its sender
 OK: Final = FrameReason.OK
 OTHER_CHANNEL: Final = FrameReason.OTHER_CHANNEL
