@@ -29,3 +29,8 @@ def new_curve(slip_rad_s: FloatArray, reference: FrictionCurve) -> FloatArray:
     """Return the friction coefficient of new fluid over slip, shape (n,)."""
     weight_s = stribeck_weights(slip_rad_s, friction_law(reference))
     return reference.mu_c + (reference.mu_s - reference.mu_c) * weight_s
+
+
+CHANGE_LEVEL_RATIO = 0.80  # torque reserve of the hold pressure (1.5) is half used up; of new, and of the own baseline
+WATCH_LEVEL_RATIO = 0.90
+WATCH_MARGIN_RATIO = 0.50  # half of the new fluid's margin against shudder is gone

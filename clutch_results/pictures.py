@@ -10,11 +10,10 @@ from markupsafe import Markup
 from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
 from clutch_model.units import degc_from_k, rad_s_from_rpm, rpm_from_rad_s
-from clutch_results.curves import curve_band, new_curve
+from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, curve_band, new_curve
 from clutch_results.loads import ENERGY_BOUNDS_J, Load
 from clutch_results.records import Causes, ClutchVerdict, FrictionEstimate, ShiftResult, utc_from_bus_ns
 from clutch_results.shift_course import COURSE_COUNT, Course, change_words, part_words
-from clutch_results.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from clutchdiag_io.pages.content import Cell, Figure, Key, Section, Table, number
 from clutchdiag_io.pages.plot import Axis, Plot, broken, thinned
 from clutchdiag_io.people import PLUS_MINUS, STDS

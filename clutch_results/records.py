@@ -21,10 +21,10 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import TorqueSource
-from clutch_results.errors import ResultError
 from clutch_results.event_kinds import EndReason, EventKind, MicroSlip
 from clutchdiag_io.program import legible_record
 from fleet_contract import Channel, JsonObject, ResultKey, schema
+from fleet_contract.errors import ResultError
 from fleet_contract.orders import Order
 
 RecordT = TypeVar("RecordT")

@@ -20,7 +20,6 @@ from rich.console import Console
 from rich.text import Text
 
 from canlog.live.medium import Medium, open_medium
-from clutch_results.errors import ResultError
 from clutch_results.records import SHIFT_SCHEMA, ShiftResult, shift_from, verdict_from
 from clutchdiag_io.people import PLUS_MINUS
 from demo import ageing
@@ -41,6 +40,7 @@ from diag_service.api import picture
 from diag_service.service.application import first_error
 from ecu_emulator.truth import read_truth
 from fleet_contract import Channel
+from fleet_contract.errors import ResultError
 from fleet_link import BrokerAddress
 
 if TYPE_CHECKING:

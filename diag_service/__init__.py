@@ -15,7 +15,6 @@ if typing.TYPE_CHECKING:
     from canlog.tables.decoding import TableChoice
     from clutch_model.errors import CalibrationError
     from clutch_model.transmission import Transmission, read_transmission
-    from clutch_results.errors import ResultError
     from clutch_results.records import ClutchVerdict, Condition, ShiftEstimate, ShiftResult, Status
     from diag_service.api.analysis import Analysis, ResultTable, analyze
     from diag_service.api.choices import Delivery, Poll
@@ -49,6 +48,7 @@ if typing.TYPE_CHECKING:
         SilentError,
         StoreError,
     )
+    from fleet_contract.errors import ResultError
 
 __all__ = [
     "Analysis",
@@ -104,7 +104,6 @@ __all__ = [
 ]
 
 _HOMES = {
-    "clutch_results.errors": ("ResultError",),
     "canlog.errors": ("CanlogError", "DefinitionError", "ExtraMissingError", "OutputError", "SourceError"),
     "canlog.tables.decoding": ("TableChoice",),
     "clutch_model.errors": ("CalibrationError",),
@@ -127,6 +126,7 @@ _HOMES = {
         "read",
     ),
     "clutch_results.records": ("ClutchVerdict", "Condition", "ShiftEstimate", "ShiftResult", "Status"),
+    "fleet_contract.errors": ("ResultError",),
     "diag_service.errors": (
         "ConfigError",
         "ControllerError",

@@ -7,7 +7,7 @@ import select
 import sys
 import threading
 import time
-from collections.abc import Callable, Container, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from typing import Any, Final, Self, TextIO
@@ -23,6 +23,7 @@ from rich.text import Text
 from canlog.errors import NOTICE
 from canlog.jit import announce_compiling
 from canlog.logs import LogReader
+from clutch_results.records import dump
 from clutchdiag_io.program import legible
 
 INDENT: Final = "    "  # of what goes on in the next line
@@ -311,3 +312,10 @@ def set_up_notices(verbosity: int) -> None:
     announce_compiling(lambda line: compiling.log(NOTICE, "%s", line))
     logging.getLogger("can").setLevel(logging.CRITICAL)  # python-can logs what it raises, and more
     logging.getLogger().handlers = [handler] if verbosity > 1 else [logging.NullHandler()]
+
+
+def write_record(record: Mapping[str, object], lines: Iterable[str | Text], *, as_json: bool) -> None:
+    if as_json:
+        sys.stdout.write(dump(record) + "\n")
+    else:
+        PeopleConsole().print_all(lines)

@@ -23,3 +23,7 @@ class IdentityError(ContractError):
 
 class VariableError(ContractError):
     """An environment variable of our prefix that nothing reads: correct its name."""
+
+
+class ResultError(Exception):
+    """A result does not fit its public form (NaN, unknown key): fix the code that made it, or the file it came from."""

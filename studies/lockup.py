@@ -23,9 +23,9 @@ from rich.console import Console
 from rich.table import Table
 
 from clutch_model.calibration import Calibration, shipped_calibration
+from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from clutch_results.event_kinds import MicroSlip
 from clutch_results.records import ClutchVerdict, Condition
-from clutch_results.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge_lockup
 from diag_service.diagnosis.lockup.blocks import MICRO_SLIP_RAD_S

@@ -1,5 +1,5 @@
 """All tests and their tools."""
 
-from clutchdiag_io.kernel_cache import choose_kernel_cache
+from clutchdiag_io.starting import choose_kernel_cache
 
 choose_kernel_cache()  # as programs do, before anything loads numba

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from clutch_model.calibration import FrictionCurve
+from clutch_results.curves import CHANGE_LEVEL_RATIO
 from clutch_results.prognosis import trend
 from clutch_results.prognosis.assumptions import (
     KNEE_PROBABILITY,
@@ -24,7 +25,6 @@ from clutch_results.prognosis.changes import FluidStart, fluid_starts
 from clutch_results.prognosis.channels import ChannelName, channels_of, clocks_of
 from clutch_results.prognosis.history import History
 from clutch_results.prognosis.population import Ageing, Course, PeerGroup, Peers
-from clutch_results.thresholds import CHANGE_LEVEL_RATIO
 
 MOST_CLOCKS = 6  # that are looked at for bends
 LEAST_LOG_EVIDENCE = -4.6  # of a clock against the best: one in a hundred

@@ -8,6 +8,7 @@ import numpy as np
 
 from clutch_model.calibration import FrictionCurve
 from clutch_model.units import degc_from_k
+from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from clutch_results.prognosis.assumptions import (
     HAND_FACTOR,
     HAND_SHARE,
@@ -25,7 +26,6 @@ from clutch_results.prognosis.fluid_lives import CHANGE_MARGIN_RATIO, FluidLife,
 from clutch_results.prognosis.history import History
 from clutch_results.prognosis.population import Peers
 from clutch_results.prognosis.trend import AgedChannel, Passage, Value
-from clutch_results.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 
 M_PER_KM = 1000.0
 PERCENT = 100.0

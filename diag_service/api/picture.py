@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Final
 
 from canlog.errors import OutputError
 from canlog.extras import load_extra
+from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from clutch_results.pictures import new_mu_c_of
 from clutch_results.records import Condition, ShiftResult, Status
-from clutch_results.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from clutchdiag_io.people import PLUS_MINUS, STDS
 from diag_service.delivery.console import condition_words
 from fleet_contract import CLUTCHES

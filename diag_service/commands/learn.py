@@ -14,8 +14,7 @@ from clutch_model.units import bar_from_pa, pa_from_bar, rpm_from_rad_s
 from clutchdiag_io.people import PLUS_MINUS, half_width, plus_minus
 from clutchdiag_io.program import legible, replacement_refusal
 from diag_service.commands.predict import slip_phases
-from diag_service.commands.shown import show
-from diag_service.console import ReadingLine
+from diag_service.console import ReadingLine, write_record
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.prediction import PRESSURES, Standing
 from diag_service.errors import ConfigError, StoppedError
@@ -72,7 +71,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     write_description(options.output, learned, assumed, options.logs)
     last = f"description in {options.output}: what is assumed there, a drawing or a data sheet tells better"
     told = {**record(learned), "output": str(options.output)}
-    show(told, (*said(learned), last), as_json=options.json)
+    write_record(told, (*said(learned), last), as_json=options.json)
 
 
 def write_description(path: Path, learned: LearnedVehicle, assumed: Calibration, paths: Sequence[Path]) -> None:

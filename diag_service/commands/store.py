@@ -15,8 +15,7 @@ from clutch_model.calibration import nominal_calibration, read_calibration
 from clutch_results.prognosis import Population, population_from
 from clutch_results.records import FluidFill, dump, iso_utc
 from clutchdiag_io.program import legible, replacement_refusal
-from diag_service.commands import shown
-from diag_service.console import PeopleConsole, ReadingLine
+from diag_service.console import PeopleConsole, ReadingLine, write_record
 from diag_service.errors import ConfigError
 from diag_service.report.findings import Findings, findings_of_logs, findings_of_store
 from diag_service.report.history import history_lines, history_records, shift_lines
@@ -60,7 +59,7 @@ def show(options: SimpleNamespace, controls: Controls) -> None:
     del controls
     with StoreReader.open(options.store) as store:
         record = store.record(options.shift)
-    shown.show(record, shift_lines(record), as_json=options.json)
+    write_record(record, shift_lines(record), as_json=options.json)
 
 
 def fluid_changed(options: SimpleNamespace, controls: Controls) -> None:

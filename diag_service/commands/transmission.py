@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from clutch_model.transmission import Transmission, read_transmission
-from diag_service.commands.shown import show
+from diag_service.console import write_record
 from diag_service.service.stopping import Controls
 from fleet_contract import JsonObject
 
@@ -17,7 +17,7 @@ SCHEMA: Final = "clutchdiag/transmission/v1"
 def execute(options: SimpleNamespace, controls: Controls) -> None:
     del controls
     transmission = read_transmission(options.file)
-    show(record(transmission), said(transmission), as_json=options.json)
+    write_record(record(transmission), said(transmission), as_json=options.json)
 
 
 def record(transmission: Transmission) -> JsonObject:

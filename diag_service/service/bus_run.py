@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, ExitStack, closing, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -20,18 +20,23 @@ from rich.text import Text
 from canlog.e2e.e2e_state import E2eState
 from canlog.errors import NOTICE, ExtraMissingError
 from canlog.live import BusOpener, BusState, ReadSchedule, SupervisedSource, supervise
+from canlog.logs import read_log
+from clutch_model.calibration import nominal_calibration
 from clutchdiag_io.program import attached
+from dbc.contract import load_contract
 from diag_service.console import PeopleConsole, ending_key
 from diag_service.delivery import DetachedReporter, News, Outbox
 from diag_service.delivery.console import order_lines, shift_head, shift_line, short_shift_head, short_shift_line
 from diag_service.diagnosis.summary import frames_line, shifts_line
 from diag_service.errors import ConfigError
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
 from diag_service.service.application import opened_store, outbox_of, reporter_of
 from diag_service.service.live import run_live
 from diag_service.service.session import Session
 from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
+from diag_service.service.stages import Stages
 from diag_service.service.stopping import Controls
-from diag_service.service.warm_up import warm_up
 from diag_service.settings.config import BusConfig, DiagnosisConfig
 from diag_service.store import ResultStore
 
@@ -302,3 +307,15 @@ class ServiceManager:
                 channel.sendto(text.encode(), address)
         except OSError as exc:
             _LOG.debug("the service manager could not be told: %s", exc)
+
+
+RECORDING: Final = Path(__file__).with_name("warm_up.log.xz")  # two seconds of the emulator, with one upshift
+
+
+def warm_up() -> None:
+    """Diagnose a recording of two seconds."""
+    calibration = nominal_calibration()
+    decoder = Decoder(load_contract(), load_profile())
+    stages = Stages(decoder, calibration)
+    for batch in read_log(RECORDING):
+        stages.feed(batch)

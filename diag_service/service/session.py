@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Final
 from canlog.errors import NOTICE
 from clutch_model.calibration import Calibration
 from clutch_model.fingerprint import fingerprint
-from clutch_results.errors import ResultError
 from clutch_results.event_kinds import DATED_NS
 from clutch_results.loads import Load, borne
 from clutch_results.records import ShiftResult, ShiftStatistics, iso_utc, parse_shift, utc_from_bus_ns
@@ -30,6 +29,7 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.service.stages import Belief, Stages, kind_of
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import SessionStore, VehicleState, Versions
+from fleet_contract.errors import ResultError
 
 if TYPE_CHECKING:  # a live service has none
     from diag_service.service.drive_survey import DriveSurvey

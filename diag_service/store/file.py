@@ -9,10 +9,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from clutch_results.errors import ResultError
 from clutch_results.records import ShiftResult, parse_shift
 from clutchdiag_io.files import OPEN_FLAGS, PRIVATE_MODE, create_private, lock
 from diag_service.errors import StoreError, StoreFullError
+from fleet_contract.errors import ResultError
 
 APPLICATION_ID: Final = 0x434C4449  # "CLDI", in the header of every store
 SCHEMA_VERSION: Final = 6

@@ -12,8 +12,8 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import nominal_calibration
+from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from clutch_results.prognosis import History
-from clutch_results.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 
 REFERENCE: Final = nominal_calibration().clutches[0].friction
 STEP_KM: Final = 100.0  # of the true life

@@ -21,7 +21,7 @@ from diag_service.mapping.profile import load_profile
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.condition.condition import ConditionMemory
 from diag_service.service.stages import Stages
-from diag_service.service.warm_up import warm_up
+from diag_service.service.bus_run import warm_up
 from canlog.logs import read_log
 
 PIECE = 500  # frames, as a live bus hands them over

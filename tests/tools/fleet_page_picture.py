@@ -13,9 +13,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from PIL import Image
 
+from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from clutch_results.event_kinds import EventKind
 from clutch_results.records import Condition, ShiftQuality, ShiftResult
-from clutch_results.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from diag_service.diagnosis.condition.verdict import Cause, advice
 from fleet_backend import queries
 from fleet_backend.database import open_database

@@ -14,6 +14,7 @@ from statistics import NormalDist
 from typing import Final, Self
 
 from clutch_model.calibration import FrictionCurve
+from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from clutch_results.event_kinds import EndReason, EventKind, Shudder
 from clutch_results.records import (
     Condition,
@@ -24,7 +25,6 @@ from clutch_results.records import (
     ShiftScatter,
     StickSlip,
 )
-from clutch_results.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from clutchdiag_io.people import plus_minus
 from fleet_contract.orders import title_of
 

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from clutchdiag_io.kernel_cache import KEPT_FOLDERS, PACKAGES, choose_kernel_cache
+from clutchdiag_io.starting import KEPT_FOLDERS, PACKAGES, choose_kernel_cache
 
 ROOT = Path(__file__).parents[3]
 USE_LAWS = """
-from clutchdiag_io.kernel_cache import choose_kernel_cache
+from clutchdiag_io.starting import choose_kernel_cache
 choose_kernel_cache()
 from canlog.jit import on_compiling
 compiled = []

@@ -11,8 +11,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any, Final
 
-from fleet_backend.errors import ConfigError
-from fleet_backend.page.errors import ForbiddenError, LoginError
+from fleet_backend.errors import ConfigError, ForbiddenError, LoginError
 from fleet_link import AddressError, read_secret
 
 ANYBODY = "*"  # in a list of names: whoever the proxy has logged in

@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 from enum import Enum
 from typing import Final
 
+from fleet_backend.errors import AskError
 from fleet_backend.page.access import NOBODY, Viewer
-from fleet_backend.page.errors import AskError
 
 MOST_IN_A_PART: Final = 1000
 USUAL_IN_A_PART: Final = 50

@@ -11,8 +11,8 @@ from typing import Any, Final, TypeVar
 
 from sqlalchemy import Select, Table, and_, or_, select
 
+from fleet_backend.errors import NotFoundError
 from fleet_backend.page.calibrations import type_of
-from fleet_backend.page.errors import NotFoundError
 from fleet_backend.page.records import ClutchNow, Severity
 
 Place = tuple[int, float, float, str, int]  # sorts as the view fleet_worst_first does

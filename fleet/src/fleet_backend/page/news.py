@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator
 from contextlib import suppress
 from typing import Final
 
-from fleet_backend.page.errors import BusyError
+from fleet_backend.errors import BusyError
 from fleet_backend.page.keeper import Keeper, Snapshot
 
 HEARTBEAT_S: Final = 15.0  # a line that says nothing finds readers who have gone

@@ -10,9 +10,9 @@ from markupsafe import Markup
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
+from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from clutch_results.pictures import MOST_MOMENTS, MOST_POINTS, THRESHOLD_KEYS
 from clutch_results.shift_course import COURSE_COUNT
-from clutch_results.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from clutchdiag_io.pages.content import Key
 from clutchdiag_io.pages.plot import Axis, Plot, broken, thinned
 from clutchdiag_io.people import PLUS_MINUS, STDS

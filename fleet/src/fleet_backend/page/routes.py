@@ -17,9 +17,9 @@ from starlette.responses import RedirectResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from clutchdiag_io.pages.content import Link, templates_of
+from fleet_backend.errors import AskError, ForbiddenError, LoginError
 from fleet_backend.page.access import NOBODY, Access, Role, Viewer, check_role, check_token
 from fleet_backend.page.asking import LIMIT, VEHICLE, Ask, Parameter, ParameterType, read_words
-from fleet_backend.page.errors import AskError, ForbiddenError, LoginError
 from fleet_backend.page.view import Action, Drawn, Shown, Sources, View
 
 NAVIGATION: Final = (

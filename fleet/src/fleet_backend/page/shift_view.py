@@ -8,10 +8,10 @@ from clutch_model.units import degc_from_k, reading_of
 from clutch_results.pictures import curve_figure
 from clutchdiag_io.pages.content import NONE, Advice, Cell, Figure, Link, Number, Section, Table, moment, number
 from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT, STDS, digits, moment_words
+from fleet_backend.errors import NotFoundError
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
 from fleet_backend.page.calibrations import reference_of
-from fleet_backend.page.errors import NotFoundError
 from fleet_backend.page.outlook import friction_of
 from fleet_backend.page.records import ShiftAnswer
 from fleet_backend.page.view import Shown, Sources, View

@@ -19,7 +19,7 @@ from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from clutchdiag_io.pages.content import SAFE_HEADERS, host_of
-from fleet_backend.errors import DatabaseError, FleetBackendError
+from fleet_backend.errors import DatabaseError, FleetBackendError, PageError
 from fleet_backend.page import (
     alarms_view,
     changes_view,
@@ -32,7 +32,6 @@ from fleet_backend.page import (
 )
 from fleet_backend.page.access import Access
 from fleet_backend.page.asking import TEXT, Parameter, ParameterType
-from fleet_backend.page.errors import PageError
 from fleet_backend.page.routes import NAVIGATION, Endpoints, api_parameters, problem_page
 from fleet_backend.page.view import Sources, View
 

@@ -11,11 +11,11 @@ from clutch_results.shift_course import course_lines
 from clutchdiag_io.pages.content import NONE, Cell, Figure, Link, Section, Table, moment, number, spread
 from clutchdiag_io.people import PLUS_MINUS, STDS, moment_words
 from fleet_backend.alarms import book
+from fleet_backend.errors import NotFoundError
 from fleet_backend.office_tables import ALARM
 from fleet_backend.page import past, wording
 from fleet_backend.page.asking import VEHICLE, Ask, Parameter, ParameterType
 from fleet_backend.page.cache import Same
-from fleet_backend.page.errors import NotFoundError
 from fleet_backend.page.keeper import group_of
 from fleet_backend.page.listing import vehicle_type
 from fleet_backend.page.outlook import Past, outlook_text, read_past

@@ -4,8 +4,8 @@ from datetime import UTC, datetime
 
 import pytest
 
+from fleet_backend.errors import AskError
 from fleet_backend.page.asking import AFTER, LIMIT, VEHICLE, Ask, Parameter, ParameterType, read_words
-from fleet_backend.page.errors import AskError
 from tests.support.fleet import NOW
 
 SINCE = Parameter(name="since", text="since when", kind=ParameterType.MOMENT, longest=40)

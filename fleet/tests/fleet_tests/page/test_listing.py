@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fleet_backend.page.errors import NotFoundError
+from fleet_backend.errors import NotFoundError
 from fleet_backend.page.listing import cursor, part_of, place_of, read_words, worst_first
 from fleet_backend.page.records import ClutchNow
 from tests.support.fleet_page import clutch_now

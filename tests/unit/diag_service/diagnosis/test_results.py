@@ -10,7 +10,6 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from clutch_model.calibration import TorqueSource, nominal_calibration
-from clutch_results.errors import ResultError
 from clutch_results.event_kinds import EventKind
 from clutch_results.records import (
     Condition,
@@ -33,6 +32,7 @@ from diag_service.diagnosis.condition.condition import ConditionMemory, judge
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.summary import Capability, FrameCounts, Summary, capability_line, of_own_fluid, order_by
 from fleet_contract import schema
+from fleet_contract.errors import ResultError
 from fleet_contract.orders import Action
 from tests.support.builders import friction_estimate, rejected, scale_free_friction, shift_result
 from tests.support.histories import history

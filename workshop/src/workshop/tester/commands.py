@@ -6,8 +6,7 @@ from dataclasses import asdict
 from types import SimpleNamespace
 from typing import Final, TypeVar
 
-from diag_service.commands.shown import show
-from diag_service.console import ReadingLine, is_confirmed
+from diag_service.console import ReadingLine, is_confirmed, write_record
 from diag_service.errors import ConfigError, ControllerError, StoppedError
 from diag_service.service.stopping import Controls, Trigger
 from workshop.tester import questions, scanning
@@ -138,7 +137,7 @@ def scan(options: SimpleNamespace, controls: Controls) -> None:
             found = scanning.scan(plan, goes_on=waiting(line, text, stop))
         traffic = {} if found.traffic is None else {"bus": traffic_record(found.traffic)}
         record = outcome("scan", is_asked=True, **traffic, controllers=[found_record(one) for one in found.controllers])
-        show(record, found_lines(found.controllers), as_json=options.json)
+        write_record(record, found_lines(found.controllers), as_json=options.json)
     if stop.is_set:
         raise StoppedError("stopped early: what was shown is a part of what is there")
 
@@ -203,7 +202,7 @@ def ask_one(
         line.clear()
         head: Record = {"controller": tester.where, "description": known.name}
         more: Record = {"dialogue": asdict(tester.counts)}
-        show(outcome(options.command, is_asked=True, **head, **record, **more), lines, as_json=options.json)
+        write_record(outcome(options.command, is_asked=True, **head, **record, **more), lines, as_json=options.json)
         return answer
 
 
@@ -222,7 +221,7 @@ def show_wish(schema: str, wanted: Sequence[str], traffic: Traffic | None, *, is
     """Say what was heard and what would be asked."""
     before: Record = {} if traffic is None else {"bus": traffic_record(traffic)}
     record = outcome(schema, is_asked=False, **before, would_ask=list(wanted))
-    show(record, would_lines(traffic, wanted), as_json=is_json)
+    write_record(record, would_lines(traffic, wanted), as_json=is_json)
 
 
 def timing_of(options: SimpleNamespace) -> Timing:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Final
 
 from canlog.errors import NOTICE, CanlogError
-from clutch_results.errors import ResultError
 from clutch_results.records import dump
 from diag_service.delivery import ControllerNews, Outbox, Reporter
 from diag_service.errors import DiagServiceError
@@ -16,6 +15,7 @@ from diag_service.service.session import utc_now
 from diag_service.settings.config import BusConfig, PollConfig
 from diag_service.store import ResultStore
 from fleet_contract import Channel, Outgoing, controller_message
+from fleet_contract.errors import ResultError
 from workshop.tester.addresses import parse_address
 from workshop.tester.answers import Timing
 from workshop.tester.asking import AskingThread, BusName, BusTarget, address_for, asking, check_libraries

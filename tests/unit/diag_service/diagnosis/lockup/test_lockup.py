@@ -13,8 +13,7 @@ from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionM
 from diag_service.diagnosis.condition.verdict import Silence
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.lockup.blocks import MICRO_SLIP_RAD_S, samples_of
-from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
-from diag_service.diagnosis.lockup.shudder import shudder
+from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder, shudder
 from diag_service.diagnosis.lockup.state import LockupState
 from studies.converter_car import FLUIDS, ConverterCar, Driven, batches, drawn_car, drive
 

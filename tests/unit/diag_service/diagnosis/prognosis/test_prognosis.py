@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from clutch_results.prognosis import History, Outlook, Prognosis, history_of, prognose
 from clutch_results.prognosis.assumptions import KNEE_PROBABILITY, MARGIN_OF_NEW, USUAL_LIFE_M
 from clutch_results.prognosis.channels import DISTANCE_M, ChannelName, channels_of, clocks_of
 from clutch_results.prognosis.prognosis import Reach
 from clutch_results.prognosis.trend import AgedChannel, Future, aged, passage
 from clutch_results.records import FluidFill, ShiftResult, utc_from_bus_ns
-from clutch_results.thresholds import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from tests.support.histories import history as stored
 from tests.support.pasts import REFERENCE, ageing, past
 
