@@ -217,7 +217,7 @@ class Hostile:
 
 
 def certify(folder: Path, *names: str) -> Path:
-    """Make an authority and certificates, by the commands of docs/mqtt.md; return the folder."""
+    """Make an authority and certificates, by the commands of docs/operations.md; return the folder."""
     folder.mkdir(parents=True)
     signed = "-addext basicConstraints=critical,CA:FALSE -CA ca.crt -CAkey ca.key"
     for name in ("ca", *names):
@@ -234,7 +234,7 @@ def tls_files(folder: Path, name: str) -> TlsFiles:
 
 
 def write_access(folder: Path, vehicles: Iterable[str]) -> None:
-    """Write the brokers' files into a folder, with an entry for each vehicle, as docs/mqtt.md has it."""
+    """Write the brokers' files into a folder, with an entry for each vehicle, as docs/operations.md has it."""
     for name in ("dynamic-security.json", "nats.conf"):
         lines = []
         for line in (DEPLOY / name).read_text(encoding="utf-8").splitlines():

@@ -4,7 +4,7 @@
     python -m studies.prognosis --kinds --lives 400          # even, in bursts, after a fill, with a late knee
 
 Numbers of the prognosis were chosen on seeds below 2000, two of them after a look at 100000 and 200000;
-docs/prognosis.md has what later ones say.
+docs/accuracy.md has what later ones say.
 """
 
 import sys

@@ -189,7 +189,7 @@ _PEERS: Final = Command(
     examples=(f"{PROGRAM} peers", f"{PROGRAM} peers --keep --write peers.json"),
 )
 _ACCESS: Final = Option(
-    "--access FILE", "who may read and change what, behind a proxy that logs people in (docs/page.md)", FILE
+    "--access FILE", "who may read and change what, behind a proxy that logs people in (docs/fleet.md)", FILE
 )
 _SERVE: Final = Command(
     "serve",
