@@ -1,4 +1,4 @@
-"""The laws against values from elsewhere (docs/model.md, "Golden values")."""
+"""The laws against values from elsewhere (docs/model.md, "Parameters")."""
 
 import math
 

@@ -254,7 +254,7 @@ def _warmed_k(pack: _Pack, k: int, at: _State, step_s: float) -> tuple[float, fl
 def film_torques_nm(
     slip_rad_s: float, film_m: float, viscosity: float, shear: float, open_drag_ratio: float, law: FilmLaw
 ) -> tuple[float, float]:
-    """Return what an open pack drags [N m], and what the film of a closing one shears; "Cold oil".
+    """Return what an open pack drags [N m], and what the film of a closing one shears; (19a).
 
     The oil of a thick film takes up air or gives it off: it drags more or less as that of an open pack does.
     """
@@ -276,7 +276,7 @@ def _whole_nm(
 
 @kernel
 def _doubt(openness: float, film_rate_1_s: float, piston_pa: float, law: FilmLaw) -> float:
-    """Return the standard deviation of what a film shears, as a ratio to that torque; docs/model.md "Cold oil"."""
+    """Return the standard deviation of what a film shears, as a ratio to that torque; docs/model.md "Estimator"."""
     if openness > 0.0 and abs(piston_pa - piston_pressure_pa(0.0, law)) < _HOVER_PA:
         return 1.0
     return min(_DOUBT_RISE * openness + _TIMING_S * film_rate_1_s, 1.0)
@@ -340,7 +340,7 @@ class _Answers(NamedTuple):
 def film_tangents(
     law: PackLaw, drive: PressureDrive, clutch_k: FloatArray, rows: slice, lever_m3: FloatArray
 ) -> FloatArray:
-    """Follow the film of a clutch with its derivatives; docs/model.md, "Estimator", section on derivatives.
+    """Follow the film of a clutch with its derivatives; docs/model.md, equation (21a).
 
     Parameters
     ----------
