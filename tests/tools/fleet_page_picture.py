@@ -1,4 +1,4 @@
-"""Makes the picture of the fleet's page in docs/fleet.md: a made-up fleet that ages at different rates, one vehicle of it.
+"""Makes the picture of the page in docs/fleet.md: a made-up fleet that ages at different rates, one vehicle of it.
 
 python -m tests.tools.fleet_page_picture docs/page.png
 """

@@ -1,1 +1,1 @@
-"""A second implementation of the diagnosis, from the standard's prose, and random clients for both."""
+"""Clients of other makers, cars and controllers that tests ask, right and wrong ones."""
