@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from canlog.arrays import FloatArray
 from canlog.jit import kernel
 from clutch_model.calibration import ClutchCalibration, FrictionCurve, clutch_of_gear, faces
 from clutch_model.units import Quantity
@@ -62,6 +63,14 @@ def contact_torques_nm(direction: Quantity, mu: float, contact_pa: Quantity, con
 
 
 contact_torque_nm = kernel(contact_torques_nm)
+
+
+def contact_levers_m3(
+    slip_rad_s: FloatArray, direction: FloatArray, law: FrictionLaw, contact_factor_m3: float
+) -> FloatArray:
+    """Return the torque of the contact per pressure [m^3], by mu_c and by mu_s, (2, n); docs/model.md eqs. (6), (8)."""
+    full_m3, weight = contact_factor_m3 * direction, stribeck_weights(slip_rad_s, law)
+    return np.stack([full_m3 * (1.0 - weight), full_m3 * weight])
 
 
 @kernel

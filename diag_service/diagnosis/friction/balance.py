@@ -22,7 +22,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, SensorBias, TorqueSource
-from clutch_model.pack import slower_film
+from clutch_model.pack import contact_levers_m3, slower_film
 from clutch_results.records import LEAST_SLIP_ROWS
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
 from diag_service.diagnosis.friction.drives import (
@@ -48,6 +48,7 @@ from diag_service.diagnosis.friction.evidence import (
 )
 from diag_service.diagnosis.friction.film import (
     COARSE,
+    SIGN_WIDTH_RAD_S,
     FilmCause,
     FilmTrack,
     PackLaw,
@@ -57,7 +58,6 @@ from diag_service.diagnosis.friction.film import (
     film_tangents,
     heat_w,
     integrate_films,
-    levers_m3,
 )
 
 MAX_MOMENT_COUNT = 24  # beyond it the quadrature, not the noise, limits
@@ -98,7 +98,9 @@ class Torques(NamedTuple):
         count = rows.stop - rows.start
         lever_m3, parts_nm = np.empty((2, 2, count)), np.empty((2, 6, count))
         for m, (drive, track, law) in enumerate(zip(drives, tracks, laws, strict=True)):
-            lever_m3[m] = levers_m3(drive.slip_rad_s[rows], law.friction, law.film.contact_factor_m3)
+            slip_rad_s = drive.slip_rad_s[rows]
+            direction = np.clip(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0, 1.0)
+            lever_m3[m] = contact_levers_m3(slip_rad_s, direction, law.friction, law.film.contact_factor_m3)
             parts_nm[m, :2] = lever_m3[m] * track.contact_pa[rows]
             clutch_k = warmed[m].clutch_k[rows]  # what the laws of cold oil err by, alike, makes a kelvin two
             parts_nm[m, 2:4] = parts_nm[m, :2] * (clutch_k - REFERENCE_K + np.minimum(clutch_k - WORKING_K, 0.0))

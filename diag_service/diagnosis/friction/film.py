@@ -17,6 +17,7 @@ from clutch_model.pack import (
     FrictionLaw,
     applied_pressure_pa,
     clutch_heating_rate_k_s,
+    contact_levers_m3,
     contact_pressure_pa,
     contact_torque_nm,
     equilibrium_film_m,
@@ -30,7 +31,6 @@ from clutch_model.pack import (
     point_rate_m_s,
     shear_factor_difference,
     sheared_torque_nm,
-    stribeck_weights,
     thicker_m,
     viscosity_pa_s,
 )
@@ -469,14 +469,8 @@ def directions(slip_rad_s: FloatArray) -> FloatArray:
     return np.clip(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0, 1.0)
 
 
-def levers_m3(slip_rad_s: FloatArray, law: FrictionLaw, contact_factor_m3: float) -> FloatArray:
-    """Return the torque of a contact per pressure [m^3], by mu_c and by mu_s: (2, n) for n slips."""
-    full_m3 = contact_factor_m3 * np.clip(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0, 1.0)
-    weight = stribeck_weights(slip_rad_s, law)
-    return np.stack([full_m3 * (1.0 - weight), full_m3 * weight])
-
-
 def heat_w(drive: PressureDrive, track: FilmTrack, mu: FloatArray, law: PackLaw) -> float:
     """Return the sum of the heat made at each point [W], for ``(mu_c, mu_s)``."""
-    lever_m3 = mu @ levers_m3(drive.slip_rad_s, law.friction, law.film.contact_factor_m3)
+    direction = np.clip(drive.slip_rad_s / SIGN_WIDTH_RAD_S, -1.0, 1.0)
+    lever_m3 = mu @ contact_levers_m3(drive.slip_rad_s, direction, law.friction, law.film.contact_factor_m3)
     return float(np.abs((track.viscous_nm + lever_m3 * track.contact_pa) * drive.slip_rad_s).sum())
