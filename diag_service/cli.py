@@ -112,11 +112,11 @@ def execute_of(command: str) -> Callable[[SimpleNamespace, Controls], None]:  # 
         case "lake":
             from diag_service.commands.lake import execute
         case "learn":
-            from diag_service.commands.learn import execute
+            from diag_service.commands.learn import learn as execute
         case "monitor":
             from diag_service.commands.live import monitor as execute
         case "predict":
-            from diag_service.commands.predict import execute
+            from diag_service.commands.learn import predict as execute
         case "report":
             from diag_service.commands.store import report as execute
         case "run":

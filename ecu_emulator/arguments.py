@@ -21,7 +21,6 @@ OIL_RANGE_DEGC: Final = (-15.0, 130.0)
 MASS_RANGE_KG: Final = (900.0, 3500.0)
 DELAY_RANGE_S: Final = (0.0, 3600.0)
 MOST_PARKED_S: Final = 86_400.0
-MOST_HELD_ROWS: Final = 100
 PARKED_RANGE_S: Final = (0.0, MOST_PARKED_S)
 LIVE_PARKED_S: Final = 10.0
 DEFAULT_START: Final = "2026-01-01T00:00:00Z"
@@ -45,13 +44,6 @@ def _between(low: float, high: float, unit: str) -> Callable[[str], float]:
         return value
 
     return read
-
-
-def _most_held(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= MOST_HELD_ROWS:
-        raise ValueError(f"must be 1..{MOST_HELD_ROWS}, got {text}")
-    return value
 
 
 def _names(text: str) -> frozenset[str]:
@@ -159,7 +151,7 @@ _TABLE: Final = (
         default="1",
     ),
     Option("--table-step KPA", "resolution of pressures (default: 5.86)", _between(0.01, 100.0, "kPa"), default="5.86"),
-    Option("--table-held ROWS", "for which a column keeps a value (default: 1)", _most_held, default="1"),
+    Option("--table-held ROWS", "for which a column keeps a value (default: 1)", click.IntRange(1, 100), default=1),
     Option("--table-without COLUMNS", "that the table does not have, with commas between them", _names, default=""),
 )
 _RECORD: Final = Command(

@@ -22,7 +22,7 @@ from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
 from clutch_results.event_kinds import EventKind
 from demo.drawing import as_svg, drawing_style
-from diag_service.commands.predict import (
+from diag_service.api.learning import (
     OURS,
     Shown,
     left_out_one_by_one,

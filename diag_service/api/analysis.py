@@ -16,10 +16,12 @@ from diag_service.batch.tables import columns, drive_rows, flattened, record_col
 from diag_service.console import collected_notices
 from diag_service.delivery import MemoryReporter
 from diag_service.delivery.console import condition_words
+from diag_service.diagnosis.friction.paper import PaperShift, PooledClutch
 from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged, with_revisions
 from diag_service.errors import ConfigError
 from diag_service.service.drive import insist
 from diag_service.service.drive_survey import DriveSurvey
+from diag_service.service.paper_run import run_paper
 from diag_service.service.recorded import run_recorded
 from diag_service.service.stopping import Trigger
 from diag_service.settings.proposed import as_proposed
@@ -287,3 +289,34 @@ def analyze(
     if is_strict:
         insist(summary.gaps, summary.contributions, is_strict=True)
     return Analysis.of(named, reporter.results, summary, notices)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaperAnalysis:
+    """What a drive says by the method of SAE 2015-01-1146, which states no uncertainty and gives no verdict."""
+
+    shifts: tuple[PaperShift, ...]
+    clutches: tuple[PooledClutch, ...]  # 1 and 2, all shifts together
+    is_complete: bool  # whether the whole drive was seen
+    notices: tuple[str, ...]
+
+
+def analyze_by_paper(
+    paths: AnyPaths,
+    *,
+    is_strict: bool = False,
+    **meaning: Unpack[LogMeaning],
+) -> PaperAnalysis:
+    """Analyse the logs of one drive as ``diag-service analyze --estimator paper`` does; arguments as of ``analyze``.
+
+    Raises what ``analyze`` raises.
+    """
+    shifts: list[PaperShift] = []
+    with collected_notices() as notices:
+        config = configuration(is_strict=is_strict, **meaning)
+        run = run_paper(config, path_list(paths), Trigger(), shifts.append)
+    if is_strict:
+        insist(run.account.gaps, run.account.contributions, is_strict=True)
+    return PaperAnalysis(
+        shifts=tuple(shifts), clutches=run.clutches, is_complete=not run.account.gaps, notices=tuple(notices)
+    )

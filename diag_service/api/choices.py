@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 AnyPath = str | os.PathLike[str]
 AnyPaths = AnyPath | Iterable[AnyPath]
-BYTES_PER_MIB = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,20 +94,43 @@ def configuration(
 ) -> DiagnosisConfig:
     """Return how frames become results; raises ConfigError or CalibrationError, and TypeError for another keyword."""
     named = calibration if isinstance(calibration, Calibration) else optional_path(calibration)
-    files = {name: optional_path(getattr(delivery, name, None)) for name in ("ca", "cert", "key", "password_file")}
     chosen, gears = described_by(named, optional_path(profile))
+    broker = None
+    if delivery is not None:
+        files = (delivery.ca, delivery.cert, delivery.key, delivery.password_file)
+        broker = broker_of(delivery.broker, *map(optional_path, files))
     return DiagnosisConfig(
         vehicle=vehicle_of(vehicle, chosen),
         calibration=as_profiled(chosen, optional_path(profile)),
         gears=gears,
-        vehicle_file=None if gears is None or isinstance(named, Calibration) else named,
+        vehicle_file=None if isinstance(named, Calibration) else named,
         dbc=optional_path(dbc),
         profile=optional_path(profile),
         is_strict=is_strict,
         columns=columns,
-        broker=None if delivery is None else broker_of(SimpleNamespace(broker=delivery.broker, **files)),
+        broker=broker,
         acknowledge=Acknowledge.BROKER if delivery is None else _acknowledge(delivery.acknowledge),
-        budget_bytes=None if store_budget_mib is None else store_budget_mib * BYTES_PER_MIB,
+        budget_bytes=None if store_budget_mib is None else store_budget_mib << 20,
+    )
+
+
+def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
+    """Return what the words of a command line stand for; raises as ``configuration``."""
+    if options.vehicle_file is not None and options.calibration is not None:
+        raise ConfigError("a vehicle file holds a calibration: give either --vehicle-file or --calibration")
+    delivery = None
+    if is_delivering := hasattr(options, "broker"):
+        members = ("ca", "cert", "key", "password_file", "acknowledge")
+        delivery = Delivery(broker=options.broker or "", **{name: getattr(options, name) for name in members})
+    return configuration(
+        vehicle=options.vehicle,
+        dbc=options.dbc,
+        profile=options.profile,
+        calibration=options.vehicle_file or options.calibration,
+        is_strict=getattr(options, "strict", False),
+        columns=getattr(options, "columns", None) or "",
+        delivery=delivery,
+        store_budget_mib=options.store_budget if is_delivering else None,
     )
 
 

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT
 from clutchdiag_io.program import replacement_refusal
+from diag_service.api.choices import diagnosis_config
 from diag_service.console import ReadingLine, collected_notices
 from diag_service.delivery import AllReporters, MemoryReporter
 from diag_service.diagnosis.summary import Gap
@@ -17,7 +18,7 @@ from diag_service.service.drive import insist
 from diag_service.service.drive_survey import DriveSurvey
 from diag_service.service.recorded import run_recorded
 from diag_service.service.stopping import Controls
-from diag_service.settings.config import DiagnosisConfig, diagnosis_config
+from diag_service.settings.config import DiagnosisConfig
 from diag_service.settings.proposed import as_proposed
 
 _LOG = logging.getLogger(__name__)

@@ -18,7 +18,17 @@ from clutchdiag_io.command_line import (
     Program,
 )
 from clutchdiag_io.program import attached
-from diag_service.settings.options import BUS, CONFIG, DELIVERY, JSON, MEANING, POLL, PROGRAM, VARIABLES
+from diag_service.settings.options import (
+    BUS,
+    CONFIG,
+    DEFAULT_BITRATE,
+    DELIVERY,
+    JSON,
+    MEANING,
+    POLL,
+    PROGRAM,
+    VARIABLES,
+)
 
 DEFAULT_LIMIT_S: Final = 600.0  # an hour of a bus takes half a minute
 _LAKE: Final = click.Argument(
@@ -84,7 +94,6 @@ _FOLDERS: Final = (
     "below, is a drive of its own. With --output an interrupted run over a folder continues where it stopped, even "
     "after it was killed."
 )
-DEFAULT_BITRATE: Final = 500_000
 
 
 _JSON_LINES: Final = Option("--json", "JSON lines on standard output, text on standard error")

@@ -23,7 +23,7 @@ from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.program import replacement_refusal
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
-from diag_service.mapping.databases import asked_database
+from diag_service.mapping.databases import open_database
 from diag_service.service.stopping import Controls
 from fleet_contract import JsonObject
 
@@ -49,7 +49,13 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         raise ConfigError("--jobs is for folders: the logs that were named are one table")
     table_format = table_format_of(options.output, options.format, is_folder=is_of_messages)
     _check(options, table_format)
-    messages = asked_database(options, lambda: controls.stop.is_set).messages
+    messages = open_database(
+        options.dbc,
+        options.logs,
+        is_j1939=options.match == "group",
+        is_stopped=lambda: controls.stop.is_set,
+        columns=options.columns or "",
+    ).messages
     plan = _planned(_choice_of(options), messages)
     _check_messages(options.output, plan, table_format, is_forced=options.force)
     is_piped = options.output == STANDARD_STREAM
@@ -290,7 +296,7 @@ def _decode_folders(options: SimpleNamespace, controls: Controls) -> None:
     except OutputError as exc:
         raise ConfigError(str(exc)) from exc
     jobs = job_count(options.jobs)
-    messages = asked_database(SimpleNamespace(**{**vars(options), "logs": ()})).messages
+    messages = open_database(options.dbc, is_j1939=options.match == "group").messages
     tasks = _tasks(options, "" if options.layout == TableShape.MESSAGES else SUFFIX_OF_FORMAT[table_format])
     plans = {task.columns: _planned(choice, task.messages(messages)) for task in tasks}  # complains of what is none
     for task in tasks:

@@ -2,16 +2,19 @@
 
 import logging
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from urllib.parse import urlsplit
 
 import tomli_w
 
 from clutchdiag_io.program import legible
+from diag_service.api.choices import diagnosis_config
 from diag_service.service import bus_run
 from diag_service.service.stopping import Controls
-from diag_service.settings.config import bus_config, default_store, diagnosis_config
+from diag_service.settings.config import bus_config, default_store
 from diag_service.settings.options import SETTINGS
 
 
@@ -39,12 +42,12 @@ def config(options: SimpleNamespace, controls: Controls) -> None:
     broker = diagnosis.broker
     if broker is not None and broker.exposure:
         _LOG.warning("%s", broker.exposure)
-    sys.stdout.write(describe(options))
+    sys.stdout.write(describe({**vars(options), "vehicle": diagnosis.vehicle}))
 
 
-def describe(options: SimpleNamespace) -> str:
-    """Return the options as the text of a settings file, with what is secret masked."""
-    return "".join(_line(name, getattr(options, name)) for name in SETTINGS)
+def describe(values: Mapping[str, Any]) -> str:
+    """Return values of settings as the text of a settings file, with what is secret masked."""
+    return "".join(_line(name, values[name]) for name in SETTINGS)
 
 
 def _line(name: str, value: str | float | Path | None) -> str:

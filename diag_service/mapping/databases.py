@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from types import SimpleNamespace
 
 from cantools.database.can import Database
 
@@ -33,14 +32,3 @@ def open_database(
     if path is None or path == DBC_PATH:
         return load_contract()
     return load_database(path, is_j1939=is_j1939)
-
-
-def asked_database(options: SimpleNamespace, is_stopped: Callable[[], bool] = never) -> Database:
-    """Return the database that a command line names, read as that says; raises as `open_database`."""
-    return open_database(
-        options.dbc,
-        getattr(options, "logs", ()),
-        is_j1939=getattr(options, "match", "") == "group",
-        is_stopped=is_stopped,
-        columns=getattr(options, "columns", "") or "",
-    )

@@ -2,7 +2,7 @@
 
 import os
 import uuid
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
@@ -132,33 +132,6 @@ def as_profiled(calibration: Calibration, profile: Path | Profile | None) -> Cal
     return calibration.with_torque(told if told.is_modelled else calibration.torque)
 
 
-def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
-    """Return how frames become results; names the vehicle in the options. Raises ConfigError or CalibrationError."""
-    if options.vehicle_file is not None and options.calibration is not None:
-        raise ConfigError("a vehicle file holds a calibration: give either --vehicle-file or --calibration")
-    described_in = options.vehicle_file or options.calibration
-    calibration, gears = described_by(described_in, options.profile)
-    options.vehicle = vehicle_of(options.vehicle, calibration)
-    config = DiagnosisConfig(
-        vehicle=options.vehicle,
-        dbc=options.dbc,
-        profile=options.profile,
-        vehicle_file=described_in,
-        gears=gears,
-        calibration=as_profiled(calibration, options.profile),
-        is_strict=getattr(options, "strict", False),
-        columns=getattr(options, "columns", None) or "",
-    )
-    if not hasattr(options, "broker"):  # of a command that neither delivers nor stores
-        return config
-    return replace(
-        config,
-        broker=broker_of(options),
-        acknowledge=Acknowledge(options.acknowledge),
-        budget_bytes=None if options.store_budget is None else options.store_budget << 20,
-    )
-
-
 def adapter_bus() -> tuple[str, str]:
     """Return interface and channel of a new bus of this process, on which dialogues through an adapter are said."""
     return "virtual", f"adapter {uuid.uuid4()}"
@@ -209,15 +182,17 @@ def vehicle_of(named: str | None, calibration: Calibration) -> str:
         raise ConfigError(f"the calibration's vehicle: {exc}") from exc
 
 
-def broker_of(options: SimpleNamespace) -> BrokerAddress | None:
+def broker_of(
+    url: str | None, ca: Path | None, cert: Path | None, key: Path | None, password_file: Path | None
+) -> BrokerAddress | None:
     """Return where results are sent, with the certificates and the password for it."""
     try:
-        tls = TlsFiles(authority=options.ca, certificate=options.cert, key=options.key)
-        if options.broker:
-            return parse_broker(options.broker, tls, options.password_file)
+        tls = TlsFiles(authority=ca, certificate=cert, key=key)
+        if url:
+            return parse_broker(url, tls, password_file)
     except AddressError as exc:
         raise ConfigError(str(exc)) from exc
-    if tls != TlsFiles() or options.password_file is not None:
+    if tls != TlsFiles() or password_file is not None:
         raise ConfigError("certificates and passwords need a broker")
     return None
 

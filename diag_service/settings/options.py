@@ -17,6 +17,7 @@ from clutchdiag_io.command_line import FILE, FLOAT, INT, Choice, Option
 from diag_service.errors import ConfigError
 
 PROGRAM: Final = "diag-service"
+DEFAULT_BITRATE: Final = 500_000
 JSON: Final = Option("--json", "one JSON object on standard output")
 
 _KINDS: Final = {

@@ -5,7 +5,6 @@ import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Final
 
 from canlog.errors import NOTICE
@@ -74,14 +73,3 @@ def interpret_logs(
     """
     named = profile or _proposed(logs, dbc, profile, is_stopped, columns)
     return interpret(dbc, named)
-
-
-def asked_meaning(options: SimpleNamespace, is_stopped: Callable[[], bool]) -> Interpretation:
-    """Return what the logs of a command line mean by what that names; raises as `interpret_logs`."""
-    return interpret_logs(
-        options.logs,
-        options.dbc,
-        options.profile,
-        is_stopped=is_stopped,
-        columns=getattr(options, "columns", None) or "",
-    )

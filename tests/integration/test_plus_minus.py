@@ -15,9 +15,9 @@ from rich.console import Console, RenderableType
 from canlog.traffic import TrafficMeter
 from clutch_results.records import shift_record
 from demo.outcome import live_line, tables
+from diag_service.api.learning import said
 from diag_service.api.picture import draw
-from diag_service.commands import inspect, predict
-from diag_service.commands.learn import said
+from diag_service.commands import inspect, learn
 from diag_service.delivery import ConsoleReporter
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.prediction import Prediction
@@ -142,7 +142,7 @@ def test_a_prediction_is_as_wide_as_two_of_its_deviations() -> None:
     change = Prediction(mean_rad_s=np.array([-100.0]), scale_rad_s=np.array([5.0 / 2.0**0.5]), freedom=4.0)  # std 5
     phase = SimpleNamespace(t_s=[0.0, 0.1], change_rad_s=np.array([-99.0]), from_gear=1, to_gear=2)
     shown = cast("Any", SimpleNamespace(log="a.log", phase=phase, predictions=defaultdict(lambda: change)))
-    head, _, line, *_ = predict._lines("power upshifts", [shown])
+    head, _, line, *_ = learn._lines("power upshifts", [shown])
     assert SAID in head
     assert "[rpm]" in head
     assert "-955 ± 95" in line

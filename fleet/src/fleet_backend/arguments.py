@@ -16,13 +16,7 @@ DEFAULT_SILENCE_DAYS: Final = 14
 DEFAULT_LISTEN: Final = "127.0.0.1:8090"
 
 
-def count(text: str | int) -> int:
-    """Return how many lines are wanted; databases differ in what a negative number means."""
-    if not str(text).isdecimal():
-        raise ValueError(f"must be a count, got {text}")
-    return int(text)
-
-
+COUNT: Final = click.IntRange(min=0)  # databases differ in what a negative number means
 COMMON: Final = (
     Option(
         "--database URL",
@@ -36,7 +30,7 @@ METRICS: Final = Option("--metrics ADDRESS", "serve metrics for Prometheus at HO
 QUESTION: Final = (
     *COMMON,
     Option("--json", "one JSON object per line"),
-    Option("--width N", "columns to fit a table into (default: the terminal's, in a pipe any)", count),
+    Option("--width N", "columns to fit a table into (default: the terminal's, in a pipe any)", COUNT),
 )
 VEHICLE: Final = click.Argument(["vehicle"], metavar="VEHICLE", help="vehicle id")
 CLUTCH: Final = Choice([1, 2])
@@ -102,7 +96,7 @@ _TABLE: Final = Command(
     "table",
     "show the running condition of every clutch, the worst first",
     *QUESTION,
-    Option("--limit N", "show only the N worst", count),
+    Option("--limit N", "show only the N worst", COUNT),
     examples=(f"{PROGRAM} table --limit 10",),
 )
 _TREND: Final = Command(
@@ -123,7 +117,7 @@ _QUARANTINE: Final = Command(
     "quarantine",
     "show or forget messages that could not be used",
     *QUESTION,
-    Option("--limit N", f"show only the N latest (default: {_QUARANTINE_LIMIT})", count, default=_QUARANTINE_LIMIT),
+    Option("--limit N", f"show only the N latest (default: {_QUARANTINE_LIMIT})", COUNT, default=_QUARANTINE_LIMIT),
     Option("--purge-days D", "delete messages older than D days instead", FLOAT),
     examples=(f"{PROGRAM} quarantine --purge-days 90",),
 )
@@ -149,8 +143,8 @@ _PARTITIONS: Final = Command(
     "partitions",
     "make the months in which a PostgreSQL database keeps results, and show all",
     *QUESTION,
-    Option("--ahead N", f"months ahead (default: {_AHEAD_MONTHS})", count, default=_AHEAD_MONTHS),
-    Option("--back N", "months back, for old results that may still arrive (default: 0)", count, default=0),
+    Option("--ahead N", f"months ahead (default: {_AHEAD_MONTHS})", COUNT, default=_AHEAD_MONTHS),
+    Option("--back N", "months back, for old results that may still arrive (default: 0)", COUNT, default=0),
     examples=(f"{PROGRAM} partitions --ahead 6",),
 )
 _FOLLOW: Final = Command(
@@ -240,7 +234,7 @@ _RETAIN: Final = Command(
     "retain",
     "forget old results; the last of each clutch stays",
     *COMMON,
-    Option("--months N", "whole months to keep besides this one", count, required=True),
+    Option("--months N", "whole months to keep besides this one", COUNT, required=True),
     examples=(f"{PROGRAM} retain --months 24",),
 )
 _FORGET: Final = Command(

@@ -3,7 +3,6 @@
 import tomllib
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -136,8 +135,7 @@ def test_a_password_in_a_file_that_others_may_read_is_refused(tmp_path: Path) ->
 
 
 def test_the_settings_are_shown_as_a_file_with_the_password_masked() -> None:
-    options = SimpleNamespace(**{**VALUES, "broker": "mqtts://car1:hunter2@host", "metrics": None})
-    text = describe(options)
+    text = describe({**VALUES, "broker": "mqtts://car1:hunter2@host", "metrics": None})
     assert "hunter2" not in text
     assert tomllib.loads(text) == {key: value for key, value in VALUES.items() if key != "metrics"} | {
         "broker": "mqtts://car1:***@host"

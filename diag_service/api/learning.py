@@ -1,0 +1,435 @@
+"""What logs teach of a vehicle: predictions of its shifts, its description, its own calibration."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Unpack
+
+import numpy as np
+
+from canlog.files import replacing
+from canlog.logs import read_log
+from canlog.logs.reading import Watch
+from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
+from clutch_model.units import bar_from_pa, pa_from_bar, rpm_from_rad_s
+from clutchdiag_io.people import PLUS_MINUS, half_width, plus_minus
+from clutchdiag_io.program import legible
+from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, configuration, optional_path, path_list
+from diag_service.console import collected_notices
+from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.friction.self_calibration import SelfCalibration
+from diag_service.diagnosis.prediction import (
+    LEAST_EVENTS,
+    PRESSURES,
+    NoPhase,
+    Prediction,
+    SlipPhase,
+    Standing,
+    fitted,
+    predicted,
+    slip_phase,
+)
+from diag_service.diagnosis.shifts.gear_tracking import tracker_for
+from diag_service.diagnosis.shifts.shifts import PRE_NS
+from diag_service.diagnosis.shifts.tracking import NS_PER_S, EventFinder
+from diag_service.errors import ConfigError, StoppedError
+from diag_service.mapping.interpretation import Interpretation
+from diag_service.mapping.learning import COMMANDS, LearnedVehicle, VehicleSurvey
+from diag_service.mapping.tiers import missing_for_next
+from diag_service.mapping.vehicle_file import description_toml
+from diag_service.service.calibrate_run import calibrated, write_calibration
+from diag_service.service.stopping import Trigger
+from diag_service.settings.proposed import interpret_logs
+
+if TYPE_CHECKING:
+    from diag_service.diagnosis.events import Event
+
+PREDICT_SCHEMA: Final = "clutchdiag/predict/v1"
+LEARN_SCHEMA: Final = "clutchdiag/learn/v1"
+BEHIND: Final = (Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED)
+OURS: Final = "friction"
+AFTER_NS: Final = NS_PER_S // 2  # behind a gear change: its slip is nearly closed there
+QUANTILES: Final = (np.arange(400) + 0.5) / 400.0
+
+
+def predict(
+    paths: AnyPaths,
+    profile: AnyPath | None = None,
+    dbc: AnyPath | None = None,
+    *,
+    touch_pa: float | None = None,
+    is_by_halves: bool = False,
+) -> list[dict[str, Any]]:
+    """Predict shifts of logs from the others, as ``diag-service predict`` does (docs/logs.md).
+
+    Parameters
+    ----------
+    paths
+        Logs of one type of vehicle, frames or tables of signals.
+    profile, dbc
+        As of ``analyze``.
+    touch_pa
+        Touch point of the clutches [Pa]; None: the pressure in gear at standstill.
+    is_by_halves
+        Whether the second half is predicted from the first; else each shift from all others.
+
+    Returns
+    -------
+    list of dict
+        A record for each kind of gear change of which there are enough: ``shifts`` with the recorded change of engine
+        speed [rad/s] and what each model said of it, and ``scores``.
+
+    Raises
+    ------
+    SourceError, DefinitionError, ConfigError
+        If a log or the database cannot be read, or the profile lacks what a prediction needs.
+    """
+    with collected_notices():
+        found = predict_shifts(
+            path_list(paths),
+            optional_path(profile),
+            optional_path(dbc),
+            touch_pa=touch_pa,
+            is_by_halves=is_by_halves,
+            stop=Trigger(),
+        )
+    return found.records()
+
+
+def learn(
+    paths: AnyPaths,
+    profile: AnyPath | None = None,
+    dbc: AnyPath | None = None,
+    *,
+    output: AnyPath | None = None,
+    calibration: AnyPath | None = None,
+    columns: str = "",
+) -> dict[str, Any]:
+    """Describe an unknown vehicle from its logs, as ``diag-service learn`` does.
+
+    Parameters
+    ----------
+    paths
+        Logs of one vehicle, frames or tables of signals.
+    profile, dbc, columns
+        As of ``analyze``.
+    output
+        Where the description goes, which ``analyze(calibration=...)`` takes; None: nowhere.
+    calibration
+        Of the type that all is assumed from which the logs do not tell; None: the shipped one.
+
+    Returns
+    -------
+    dict
+        ``gears`` with ratio, deviation and clutch of each, and by clutch touch points [Pa], lags [s] and gains
+        [rad/s^2 a Pa], each with its deviation and origin; what is absent the logs do not tell.
+
+    Raises
+    ------
+    SourceError, DefinitionError, ConfigError
+        If a log or the database cannot be read, or the profile lacks the speeds.
+    """
+    with collected_notices():
+        logs = path_list(paths)
+        learned = learned_from(logs, optional_path(profile), optional_path(dbc), columns=columns, stop=Trigger())
+        if output is not None:
+            assumed = nominal_calibration() if calibration is None else read_calibration(Path(calibration))
+            write_description(Path(output), learned, assumed, logs)
+    return learned_record(learned)
+
+
+def calibrate(
+    paths: AnyPaths,
+    *,
+    output: AnyPath | None = None,
+    **meaning: Unpack[LogMeaning],
+) -> SelfCalibration:
+    """Find one vehicle's sensor errors and inertia from its logs, as ``diag-service calibrate`` does.
+
+    Parameters
+    ----------
+    output
+        TOML file to write.
+    paths, vehicle, dbc, profile, calibration, columns
+        As of ``analyze``; the logs may be of several drives of the one vehicle.
+
+    Returns
+    -------
+    SelfCalibration
+        ``.calibration`` is what ``analyze(calibration=...)`` takes; ``.std(name)`` is how sure each parameter is.
+
+    Raises
+    ------
+    ConfigError, DefinitionError, CalibrationError
+        If an argument cannot be used, the drives do not suffice, or the file cannot be written.
+    SourceError
+        If a log cannot be read, or there is no shift in them.
+    """
+    with collected_notices():
+        found = calibrated(configuration(**meaning), path_list(paths), Trigger()).found
+        if output is not None:
+            write_calibration(Path(output), found.calibration)
+        return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """One shift, left out of what it was predicted from, and what was said of it, by the name of the model."""
+
+    log: str
+    phase: SlipPhase
+    predictions: dict[str, Prediction]
+
+
+def slip_phases(
+    log: Path, meaning: Interpretation, standing: Standing, stop: Trigger, watch: Watch | None = None, columns: str = ""
+) -> tuple[list[SlipPhase], list[NoPhase]]:
+    """Return the slip phases of the gear changes of a log, and the gear changes without one; raises StoppedError."""
+    decoder = meaning.decoder()
+    finder = EventFinder(tracker_for(decoder.signals, decoder.gears), PRE_NS, AFTER_NS)
+    events: list[Event] = []
+    with read_log(log, is_stopped=lambda: stop.is_set, watch=watch, columns=columns) as reader:
+        for batch in reader:
+            if stop.is_set:
+                raise StoppedError("stopped early: nothing is predicted from a part of a log")
+            for one in decoder.stream(batch):
+                standing.add(one)
+                events += decoder.marked(finder.feed(one))
+    for one in decoder.drain():
+        events += decoder.marked(finder.feed(one))
+    found = [slip_phase(event, decoder.gears) for event in [*events, *decoder.marked(finder.flush())]]
+    return [one for one in found if isinstance(one, SlipPhase)], [one for one in found if isinstance(one, NoPhase)]
+
+
+def left_out_one_by_one(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[Shown]:
+    """Yield every slip phase with what the others say of it; raises ValueError if they are too few."""
+    for log, phase in named:
+        yield _shown(log, phase, [other for _, other in named if other is not phase], touch_pa)
+
+
+def second_half_from_first(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[Shown]:
+    """Yield the slip phases of the second half with what those of the first say; raises ValueError if too few."""
+    half = (len(named) + 1) // 2
+    for log, phase in named[half:]:
+        yield _shown(log, phase, [other for _, other in named[:half]], touch_pa)
+
+
+def _shown(log: str, phase: SlipPhase, known: Sequence[SlipPhase], touch_pa: float | None) -> Shown:
+    return Shown(log=log, phase=phase, predictions={OURS: predicted(fitted(known, touch_pa), phase)})
+
+
+def scores(shown: Sequence[Shown]) -> dict[str, dict[str, float]]:
+    """Return what the model was worth at the ends of the slip phases, and over all their samples.
+
+    ``crps_rad_s``, the continuous ranked probability score, is an error that a too narrow or too wide interval
+    enlarges; ``inside_50`` and ``inside_90`` are how many of 1 lay inside these intervals.
+    """
+    return {name: _score([(one.phase, one.predictions[name]) for one in shown]) for name in shown[0].predictions}
+
+
+def _score(pairs: Sequence[tuple[SlipPhase, Prediction]]) -> dict[str, float]:
+    ends = [(one.mean_rad_s[-1], one.scale_rad_s[-1], one.freedom, phase.change_rad_s[-1]) for phase, one in pairs]
+    every = [
+        (mean, scale, one.freedom, true)
+        for phase, one in pairs
+        for mean, scale, true in zip(one.mean_rad_s, one.scale_rad_s, phase.change_rad_s, strict=True)
+    ]
+    errors = [abs(mean / true - 1.0) for mean, _, _, true in ends]
+    return {
+        "median_error_ratio": float(np.median(errors)),
+        "crps_rad_s": float(np.mean([_crps(*one) for one in ends])),
+        **{f"inside_{part}": inside_ratio(ends, part) for part in (50, 90)},
+        **{f"samples_inside_{part}": inside_ratio(every, part) for part in (50, 90)},
+    }
+
+
+def _crps(mean: float, scale: float, freedom: float, true: float) -> float:
+    from scipy.special import stdtrit  # noqa: PLC0415 - a large library
+
+    drawn = mean + scale * stdtrit(freedom, QUANTILES)
+    return float(np.mean(np.abs(drawn - true)) - 0.5 * np.mean(np.abs(drawn[:, None] - drawn)))
+
+
+def inside_ratio(found: Sequence[tuple[float, float, float, float]], part: int) -> float:
+    from scipy.special import stdtrit  # noqa: PLC0415 - a large library
+
+    return float(np.mean([abs(true - mean) < scale * stdtrit(f, 0.5 + part / 200.0) for mean, scale, f, true in found]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Predicted:
+    """The gear changes of some logs: each predicted from others, by kind, and those that cannot be."""
+
+    groups: dict[str, list[Shown]]  # only those of which there are enough
+    too_few: dict[str, int]
+    not_used: list[tuple[str, NoPhase]]  # log, and why
+    touch_pa: float | None
+
+    def records(self) -> list[dict[str, object]]:
+        """Return what ``--json`` prints, a record for each kind of gear change."""
+        return [_record(title, shown, self.touch_pa) for title, shown in self.groups.items()]
+
+
+def predict_shifts(
+    logs: Sequence[Path],
+    profile: Path | None,
+    dbc: Path | None,
+    *,
+    touch_pa: float | None = None,
+    is_by_halves: bool = False,
+    stop: Trigger,
+    watch: Watch | None = None,
+) -> Predicted:
+    """Return the gear changes of logs of one type of vehicle, each predicted from the others or by the first half.
+
+    Raises ConfigError if the profile lacks what this needs, SourceError if a log cannot be read, StoppedError.
+    """
+    meaning = interpret_logs(logs, dbc, profile, is_stopped=lambda: stop.is_set)
+    signals = meaning.decoder().signals
+    wanted = {Signal.ENGINE_SPEED, *PRESSURES.values()}
+    if not wanted <= signals:
+        lacking = ", ".join(sorted(one.value for one in wanted - signals))
+        raise ConfigError(f"profile {meaning.profile.name} has no {lacking}. {missing_for_next(signals)}".rstrip())
+    standing, named, without = Standing(), list[tuple[str, SlipPhase]](), list[tuple[str, NoPhase]]()
+    for log in logs:
+        phases, others = slip_phases(log, meaning, standing, stop, watch)
+        named += [(log.name, one) for one in phases]
+        without += [(log.name, one) for one in others]
+    touch_pa = standing.touch_pa if touch_pa is None else touch_pa
+    groups = {
+        "power upshifts": [one for one in named if one[1].sign > 0.0 and one[1].is_powered],
+        "other upshifts": [one for one in named if one[1].sign > 0.0 and not one[1].is_powered],
+        "downshifts": [one for one in named if one[1].sign < 0.0],
+    }
+    split = second_half_from_first if is_by_halves else left_out_one_by_one
+    shown, too_few = dict[str, list[Shown]](), dict[str, int]()
+    for title, group in groups.items():
+        if ((len(group) + 1) // 2 if is_by_halves else len(group) - 1) < LEAST_EVENTS:
+            too_few[title] = len(group)
+        else:
+            shown[title] = list(split(group, touch_pa))
+    return Predicted(groups=shown, too_few=too_few, not_used=without, touch_pa=touch_pa)
+
+
+def _record(title: str, shown: Sequence[Shown], touch_pa: float | None) -> dict[str, object]:
+    return {
+        "schema": PREDICT_SCHEMA,
+        "group": title,
+        "touch_pa": touch_pa,
+        "shifts": [
+            {
+                "log": one.log, "number": one.phase.number, "from_gear": one.phase.from_gear,
+                "to_gear": one.phase.to_gear, "clutch": one.phase.clutch, "t_s": one.phase.t_s[1:].tolist(),
+                "change_rad_s": one.phase.change_rad_s.tolist(),
+                "predictions": {
+                    name: {"mean_rad_s": prediction.mean_rad_s.tolist(), "scale_rad_s": prediction.scale_rad_s.tolist(),
+                           "freedom": prediction.freedom} for name, prediction in one.predictions.items()
+                },
+            }
+            for one in shown
+        ],
+        "scores": scores(shown),
+    }  # fmt: skip
+
+
+def learned_from(
+    logs: Sequence[Path],
+    profile: Path | None,
+    dbc: Path | None,
+    *,
+    columns: str = "",
+    stop: Trigger,
+    watch: Watch | None = None,
+) -> LearnedVehicle:
+    """Return what logs tell of their vehicle; raises ConfigError if they lack the speeds for it, StoppedError."""
+    meaning = interpret_logs(logs, dbc, profile, is_stopped=lambda: stop.is_set, columns=columns)
+    signals = meaning.decoder().signals
+    known = meaning.profile.gears
+    over = known.over if known is not None else next((one for one in BEHIND if one in signals), None)
+    if over is None or Signal.ENGINE_SPEED not in signals:
+        raise ConfigError(
+            "nothing can be learned without engine_speed_rad_s and output_speed_rad_s or vehicle_speed_m_s"
+        )
+    survey = VehicleSurvey(over)
+    for log in logs:
+        decoder = meaning.decoder()
+        with closing(read_log(log, is_stopped=lambda: stop.is_set, watch=watch, columns=columns)) as reader:
+            for batch in reader:
+                if stop.is_set:
+                    raise StoppedError("stopped early: nothing is learned from a part of a log")
+                for one in decoder.stream(batch):
+                    survey.add(one)
+    learned = survey.learned()
+    if (known is None and learned.ratios is None) or not {*PRESSURES.values()} <= signals:
+        return learned
+    meaning = meaning.with_gears(known or learned.ratios)
+    phases = [one for log in logs for one in slip_phases(log, meaning, Standing(), stop, watch, columns)[0]]
+    return survey.learned([one for one in phases if one.sign > 0.0 and one.is_powered])
+
+
+def write_description(path: Path, learned: LearnedVehicle, assumed: Calibration, paths: Sequence[Path]) -> None:
+    """Write a description whole or not at all; raises ConfigError if the disk does not take it."""
+    logs = ", ".join(legible(one.name) for one in paths)
+    remarks = (
+        f"The vehicle of {logs}, for analyze --vehicle-file.",
+        f'Behind each value is where it is from: the log, or assumed as of the type "{assumed.name}".',
+        'Change what you know better, and write "given" behind it. [learned] is for reading: nothing uses it.',
+        *said(learned),
+    )
+    with replacing(path, ConfigError) as part:
+        part.write_text(description_toml(learned, assumed, f"learned from {logs}", remarks), encoding="utf-8")
+        part.replace(path)
+
+
+def said(learned: LearnedVehicle) -> Iterator[str]:
+    """Yield what was learned and what was not, a line each."""
+    yield f"{PLUS_MINUS}:"
+    if not learned.gears:
+        yield "gears: none was driven for long with its clutch closed"
+    for gear, one in learned.gears.items():
+        by = "the pressures do not tell its clutch" if one.clutch is None else f"clutch {one.clutch}"
+        yield f"gear {gear}: ratio {one.ratio.ratio:.4g} ± {half_width(one.ratio.std, '{:.2g}')}, {by}"
+    if learned.gears and not learned.are_named:
+        yield "gears are numbered from the highest ratio that was driven: no signal names them"
+    if learned.gears and learned.ratios is None:
+        yield "a gear between them was not driven: complete [gears] by hand"
+    if learned.is_swapped:
+        yield "clutch 1 carries the even gears here: name the two pressures the other way round in the profile"
+    for clutch in (1, 2):
+        if (touch := learned.touch_point(clutch)) is not None:
+            pressure = f"{plus_minus(bar_from_pa(touch.value), bar_from_pa(touch.std), '{:.2f}')} bar"
+            yield f"clutch {clutch}: touch point {pressure} ({touch.origin})"
+        else:
+            yield f"clutch {clutch}: touch point not in the logs, assumed"
+        yield f"clutch {clutch}: {_lag_said(learned, clutch)}"
+        if (gain := learned.gain_rad_s2_pa.get(clutch)) is not None:
+            change = plus_minus(rpm_from_rad_s(gain.value), rpm_from_rad_s(gain.std), "{:.3g}", scale=pa_from_bar(1.0))
+            yield f"clutch {clutch}: engine speed changes by {change} rpm/s a bar ({gain.origin})"
+
+
+def _lag_said(learned: LearnedVehicle, clutch: int) -> str:
+    if (lag := learned.lag_s.get(clutch)) is not None:
+        return f"pressure {plus_minus(lag.value, lag.std, '{:.0f}', scale=1e3)} ms behind its command"
+    if COMMANDS[clutch - 1] in learned.rates_hz:
+        return "lag of the pressure not told: its command moves too little, or not as the pressure does"
+    return "lag of the pressure not told: the profile names no commanded pressure"
+
+
+def learned_record(learned: LearnedVehicle) -> dict[str, object]:
+    clutches = {
+        name: {str(clutch): {"value": one.value, "std": one.std, "origin": one.origin} for clutch, one in found.items()}
+        for name, found in (
+            ("touch_pressure_pa", learned.touch_pa),
+            ("pressure_lag_s", learned.lag_s),
+            ("gain_rad_s2_pa", learned.gain_rad_s2_pa),
+        )
+    }
+    return {
+        "schema": LEARN_SCHEMA,
+        "over": learned.over.value,
+        "gears": {str(gear): {**one.ratio._asdict(), "clutch": one.clutch} for gear, one in learned.gears.items()},
+        "gears_are_named": learned.are_named,
+        **clutches,
+        "rates_hz": {one.value: rate for one, rate in learned.rates_hz.items()},
+    }
