@@ -107,7 +107,7 @@ def _schemas() -> str:
 
 
 def _controller() -> str:
-    table = import_module("workshop.controller.table_file").shipped_table()
+    table = import_module("workshop.controller.table").shipped_table()
     return str(import_module("tests.tools.uds_tables").page(table))
 
 

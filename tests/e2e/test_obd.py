@@ -13,7 +13,7 @@ import pytest
 from tests.support.patience import HANG_S
 from workshop.controller.memory import TestResult
 from workshop.controller.memory_file import MemoryFile
-from workshop.controller.table_file import shipped_table
+from workshop.controller.table import shipped_table
 from workshop_tests.controller.bench import Bench
 
 

@@ -25,8 +25,7 @@ from tests.integration.test_signal_asking import controller, wait_for
 from tests.integration.test_tester import vehicle
 from tests.support.ports import free_port
 from tests.support.uds.udsoncan_client import CONFIG, ISO_TP, Number
-from workshop.controller.doip.listening import Place
-from workshop.controller.doip.server import DoipServer
+from workshop.controller.doip_server import DoipServer, Place
 from workshop.tester.signal_asking import SignalAsker, address_of, line_on
 
 pytestmark = pytest.mark.asks

@@ -13,8 +13,7 @@ from tests.support.doip.tester import Tester, entity
 from tests.support.patience import HANG_S
 from tests.support.ports import free_port
 from tests.support.uds.wire import Wire
-from workshop.controller.doip.listening import Place
-from workshop.controller.doip.server import DoipServer
+from workshop.controller.doip_server import DoipServer, Place
 
 EVERYBODY = "127.255.255.255"
 

@@ -9,8 +9,7 @@ from tests.support.certificates import certify
 from tests.support.doip.tester import entity
 from tests.support.in_process import ended
 from tests.support.ports import free_port
-from workshop.controller.doip.listening import TlsNode
-from workshop.controller.doip.server import DoipServer
+from workshop.controller.doip_server import DoipServer, TlsNode
 from workshop.controller.memory import TestResult as Result
 
 SLIPS = 0x081107

@@ -13,7 +13,7 @@ from ecu_emulator.scenario.scenario_file import load_scenario
 from workshop.controller.controller import Controller
 from workshop.controller.iso14229 import Status
 from workshop.controller.monitoring import Monitoring
-from workshop.controller.table_file import shipped_table
+from workshop.controller.table import shipped_table
 from workshop_tests.controller.test_monitors import STEP_S, sensed
 
 CYCLES = 2

@@ -16,7 +16,7 @@ from ecu_emulator.truth import Happened, RevTruth, ShiftTruth
 from tests.support.builders import drive_scenario
 from tests.support.patience import HANG_S
 from tests.support.traffic import START_NS
-from workshop.controller.answering_tester import Answering
+from workshop.controller.answers import Answering
 
 MASK = bytes.fromhex("5aa5c33c")
 TESTER = 7

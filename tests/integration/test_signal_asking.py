@@ -22,7 +22,7 @@ from tests.integration.test_tester import vehicle
 from tests.support.asked import batch_of
 from tests.support.patience import HANG_S
 from workshop.controller.controller import Controller
-from workshop.controller.table_file import table_like
+from workshop.controller.table import table_like
 from workshop.tester import signal_asking
 from workshop.tester.addresses import CanAddress
 from workshop.tester.signal_asking import SignalAsker, line_on

@@ -16,7 +16,7 @@ from tests.support.documents import block_lines
 from tests.support.in_process import ended
 from tests.support.replay import free_bus
 from tests.support.service import service
-from workshop.controller.elm327.server import ElmServer
+from workshop.controller.elm327_server import ElmServer
 
 pytestmark = pytest.mark.asks
 

@@ -15,7 +15,7 @@ from tests.support.documents import page_text
 from tests.support.uds.full_table import full_table
 from tests.support.uds.pdx_client import PdxClient, read_back, templates_compiled_once
 from workshop.controller.pdx.package import pdx_package
-from workshop.controller.table_file import shipped_table
+from workshop.controller.table import shipped_table
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.doip.desk import ENTITY, Desk, activation, framed, messages_in, request
-from workshop.controller.doip.messages import datagram_reply
+from workshop.controller.doip import datagram_reply
 
 TYPES = st.sampled_from([0, 1, 2, 3, 4, 5, 6, 7, 8, 0x4001, 0x4003, 0x8001, 0x8002, 0x8003]) | st.integers(0, 0xFFFF)
 MESSAGES = st.one_of(

@@ -3,8 +3,8 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from workshop.controller.elm327.interpreter import Interpreter
-from workshop.controller.table_file import shipped_table
+from workshop.controller.elm327 import Interpreter
+from workshop.controller.table import shipped_table
 from workshop_tests.controller.bench import Bench
 
 COMMANDS = (

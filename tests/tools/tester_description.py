@@ -8,11 +8,9 @@ from typing import Any, Final
 
 import tomli_w
 
-from workshop.controller.descriptions import Coding, Datum, ExtendedRecord, Field
+from workshop.controller.descriptions import Coding, Datum, ExtendedRecord, Field, not_available
 from workshop.controller.services.routines import COMPLETED, RUNNING, STOPPED
-from workshop.controller.table import DiagnosticTable
-from workshop.controller.table_file import shipped_table
-from workshop.controller.values import not_available
+from workshop.controller.table import DiagnosticTable, shipped_table
 
 FILE: Final = Path(__file__).parents[2] / "workshop/src/workshop/tester/controllers/dct.toml"
 _SYSTEM_NAME: Final = 0xF197

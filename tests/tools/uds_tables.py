@@ -3,8 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 from workshop.controller.descriptions import Access, Coding, Datum, Field
-from workshop.controller.table import DiagnosticTable
-from workshop.controller.table_file import shipped_table
+from workshop.controller.table import DiagnosticTable, shipped_table
 
 
 def page(table: DiagnosticTable) -> str:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from workshop.controller.doip.streams import Ask, Close, Send, Step, advanced, closed, opened, received, responded
+from workshop.controller.doip import Ask, Close, Send, Step, advanced, closed, opened, received, responded
 from workshop.controller.table import DoipEntity
 
 ENTITY = DoipEntity()

@@ -15,8 +15,7 @@ from tests.support.ports import free_port
 from tests.support.uds.full_table import full_table
 from tests.support.uds.wire import PARKED
 from workshop.controller.controller import Controller
-from workshop.controller.doip.listening import Place, TlsNode
-from workshop.controller.doip.server import DoipServer
+from workshop.controller.doip_server import DoipServer, Place, TlsNode
 from workshop.controller.memory_file import MemoryFile
 
 MASK = 0x5AA5C33C

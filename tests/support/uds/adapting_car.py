@@ -17,7 +17,7 @@ from workshop.controller.iso14229 import Status
 from workshop.controller.memory_file import MemoryFile
 from workshop.controller.monitoring import Monitoring
 from workshop.controller.requested_tasks import RequestedAdaptation, RequestedClearing
-from workshop.controller.table_file import shipped_table
+from workshop.controller.table import shipped_table
 
 ADAPT = "31 01 03 02"
 CLEAR = "31 01 03 03"

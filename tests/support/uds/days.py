@@ -12,7 +12,7 @@ from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.sensing import Readings
-from workshop.controller.answering_tester import Answering
+from workshop.controller.answers import Answering
 
 STEP_S = 0.5
 TRIP_STEPS = 12

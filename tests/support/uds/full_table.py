@@ -7,8 +7,7 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
-from workshop.controller.table import DiagnosticTable
-from workshop.controller.table_file import parse_table
+from workshop.controller.table import DiagnosticTable, parse_table
 
 
 @cache

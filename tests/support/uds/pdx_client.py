@@ -19,6 +19,7 @@ from odxtools.endofpdufield import EndOfPduField
 from odxtools.message import Message
 from odxtools.structure import Structure
 
+from workshop.controller.descriptions import Values
 from workshop.controller.memory import TestResult
 from workshop.controller.pdx.elements import UNDEFINED
 from workshop.controller.pdx.package import pdx_package
@@ -27,7 +28,6 @@ from workshop.controller.services.routines import finished
 from workshop.controller.services.sessions import key_of
 from workshop.controller.state import Instant, Request, ServerState
 from workshop.controller.table import DiagnosticTable
-from workshop.controller.values import Values
 
 PARKED = {
     "vehicle_speed_m_s": 0.0, "engine_speed_rad_s": 85.0, "sump_temperature_k": 353.0, "pedal_ratio": 0.0,

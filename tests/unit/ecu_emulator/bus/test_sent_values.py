@@ -11,7 +11,7 @@ from dbc.contract import load_contract
 from ecu_emulator.bus.frames import FrameEncoder
 from ecu_emulator.bus.sent_values import SentValues
 from ecu_emulator.sensing import Readings
-from workshop.controller.answering_tester import Answering
+from workshop.controller.answers import Answering
 
 DATABASE = load_contract()
 

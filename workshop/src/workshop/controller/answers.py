@@ -1,19 +1,335 @@
-"""Whether and how the emulated controller answers testers: what attaches to a drive by its entry point."""
+"""The emulated transmission answers testers while it drives: what attaches to a drive by its entry point."""
 
+import math
 import os
-from dataclasses import dataclass, replace
+import random
+import secrets
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, ExitStack, closing
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
+from types import SimpleNamespace, TracebackType
+from typing import Final, Self
 
 import can
 
+from canlog.e2e.message_contract import message_contracts
+from clutch_model.calibration import CONVERTERS
+from dbc.contract import load_contract
+from ecu_emulator.bus.sender import FrameSender
+from ecu_emulator.bus.sent_values import OWN_NODE, SentValues, recounted
 from ecu_emulator.drive.recording import Drive
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import ConfigError, ExtraMissingError
 from ecu_emulator.live.live_drive import BusChoice
-from workshop.controller.answering_tester import Answering
-from workshop.controller.doip.listening import Place, parse_place, tls_node
-from workshop.controller.iso14229 import DOIP_TLS_PORT
-from workshop.controller.table_file import table_like
+from workshop.controller.controller import Controller
+from workshop.controller.doip_server import DoipServer, Place, parse_place, tls_node
+from workshop.controller.elm327_server import ElmServer
+from workshop.controller.iso14229 import DOIP_TLS_PORT, Status
+from workshop.controller.memory_file import MemoryFile
+from workshop.controller.monitoring import MONITOR_PERIOD_S, Monitoring
+from workshop.controller.monitors import SENSED, SENSED_OF_CONVERTER
+from workshop.controller.requested_tasks import (
+    AdaptedCar,
+    Driven,
+    RequestedAdaptation,
+    RequestedClearing,
+    RequestedRoutine,
+)
+from workshop.controller.services.data import STARTING
+from workshop.controller.table import load_table, table_like, table_of
+
+RUNNING_RAD_S: Final = 30.0  # engine speed that no starter reaches
+LEAST_LOOK_S: Final = 0.8 * MONITOR_PERIOD_S  # of the drive between two looks of the monitors, which count them
+
+
+class Answering:
+    """A tester may ask while this is entered; frames that are to go out go through ``send``.
+
+    Parameters
+    ----------
+    bus
+        Where responses go, and the frames that ``send`` is given.
+    table
+        A TOML file that describes the controller; empty: the one that ships.
+    like
+        Whose data it has besides, and whose times to answer; empty: its own alone.
+    memory
+        The file that keeps trouble codes over restarts; without one they are forgotten.
+    doip
+        Where testers may ask over an IP network; None: nowhere.
+    is_fd
+        Whether responses are CAN FD frames.
+    elm327
+        ``[HOST:]PORT`` of an ELM327 adapter for OBD apps; without one there is none.
+    bitrate
+        Of the bus [bit/s], if it is known; the adapter names its protocol by it.
+    performer
+        The car that performs the routines of the workshop when a tester starts them; None: it cannot.
+    ignition
+        Gets times of the drive [s], ahead of the frames: of the first frame, then of each time that a parked car is
+        switched on. They are taken out.
+    clock
+        Returns a time [s] that never goes back.
+
+    Raises
+    ------
+    ConfigError, RecordError, BusError, ExtraMissingError
+        If the table, the memory or an address cannot be used, or can-isotp is not installed.
+    """
+
+    def __init__(
+        self,
+        bus: FrameSender,
+        *,
+        table: str,
+        like: str = "",
+        memory: Path | None,
+        doip: Place | None,
+        is_fd: bool,
+        elm327: str | None = None,
+        bitrate: int | None = None,
+        performer: AdaptedCar | None = None,
+        ignition: deque[float] | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        try:
+            from workshop.controller.link import DiagnosticLink  # noqa: PLC0415 - an extra
+        except ImportError as exc:
+            raise ExtraMissingError("diagnostics need can-isotp: pip install './workshop[diagnostics]'") from exc
+        self._bus = bus
+        self._stack = ExitStack()
+        self._clock = clock
+        self._began_s = clock()
+        self._ignition: deque[float] = deque() if ignition is None else ignition
+        self._switched_on_s = math.inf  # next, time of the bus
+        self._epoch_s: float | None = None  # time 0 of the drive, time of the bus
+        self._is_new_cycle = self._is_restarted = False  # what the monitors have not been told yet
+        self._reset_s = 0.0  # until when a tester's last reset takes, time of the clock
+        self._counted_from: dict[int, int] | None = None  # alive counters as they went on after that reset
+        transmission = "nominal" if performer is None else performer.transmission
+        database = load_contract(transmission)
+        self._sent = SentValues(database, clock)
+        is_converter = transmission in CONVERTERS
+        self._sensed = SENSED_OF_CONVERTER if is_converter else SENSED
+        self._shift_id = database.get_message_by_name("TCU_Gear" if is_converter else "TCU_Shift").frame_id
+        self._pressure_id = database.get_message_by_name("TCU_LockUp" if is_converter else "TCU_Pressures").frame_id
+        contracts = message_contracts(database).values()
+        self._own_ids = {one.can_id: one.data_id or 0 for one in contracts if one.sender == OWN_NODE}
+        self._driven = Driven()
+        self._driven_s = -math.inf  # when the newest frame was due: the drive's time, also where sending lags behind
+        self._looked_s = -math.inf  # at which moment of that the monitors looked last
+        self._engine_ran_s = 0.0  # since the controller was switched on
+        self._is_over = threading.Event()
+        self._watcher = threading.Thread(target=self._watch, name="monitors", daemon=True)
+        self._error: BaseException | None = None
+        shipped = table_like(like, transmission) if like else table_of(transmission)
+        described = load_table(Path(table)) if table else shipped
+        least_s, most_s = described.timing.least_answer_s, described.timing.most_answer_s
+        times = random.Random()  # noqa: S311 - no secret: how long an answer takes
+        store = None if memory is None else self._stack.enter_context(MemoryFile(memory, described))
+        try:
+            self.controller = Controller(
+                described,
+                values=self._values,
+                clock=clock,
+                chance=secrets.token_bytes,
+                store=store,
+                work=lambda: time.sleep(times.uniform(least_s, most_s) / 2.0),
+            )
+            self._monitoring = Monitoring(
+                self.controller,
+                was_adapted=performer is None or performer.is_adapted,
+                transmission=transmission,
+            )
+            self._routine = None if performer is None else RequestedRoutine(performer, self.controller)
+            self._adaptation = None if performer is None else RequestedAdaptation(performer, self.controller)
+            self._clearing = (
+                None
+                if self._adaptation is None
+                else RequestedClearing(self.controller, self._monitoring, self._adaptation)
+            )
+            self.link = DiagnosticLink(self.controller, bus.send, is_fd=is_fd)
+            self.doip = None if doip is None else self._stack.enter_context(closing(DoipServer(self.controller, doip)))
+            there = None if elm327 is None else parse_place(elm327, "--elm327", least_port=0)
+            adapter = None if there is None else ElmServer(self.controller, (there.host, there.port), bitrate)
+            self.elm327 = None if adapter is None else self._stack.enter_context(closing(adapter))
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def __enter__(self) -> Self:
+        parts: tuple[AbstractContextManager[object] | None, ...] = (self.elm327, self.link, self.doip)
+        try:
+            for part in parts:
+                if part is not None:
+                    self._stack.enter_context(part)
+        except BaseException:
+            self._stack.close()
+            raise
+        self._watcher.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._is_over.set()
+        self._watcher.join()
+        self._stack.__exit__(kind, error, trace)
+        if self._error is not None and error is None:
+            raise self._error
+
+    def send(self, message: can.Message) -> None:
+        """Put a frame on the bus, unless a tester has switched this controller's messages off (28) or reset it (11)."""
+        can_id = message.arbitration_id
+        if not message.is_error_frame:
+            self._note_reset()
+            self._note_ignition(message.timestamp)
+            if can_id in self._own_ids or self.controller.state.communication.receives_normal:
+                self._sent.note(can_id, bytes(message.data), message.timestamp)
+            self._driven_s = max(self._driven_s, message.timestamp)
+        if can_id == self._pressure_id and self._adaptation is not None and self._adaptation.is_listening:
+            self._adaptation.hear(message.timestamp, self._sent.now({}))
+        if can_id == self._shift_id:
+            self._count_shift()
+        if can_id in self._own_ids:
+            if not self.controller.state.communication.sends_normal or self.controller.is_asleep:
+                return
+            if self._counted_from is not None:
+                message = recounted(message, self._own_ids[can_id], self._counted_from)
+        self._bus.send(message)
+        if self.elm327 is not None:
+            self.elm327.hear_frame(message)
+
+    @property
+    def outcome(self) -> dict[str, object]:
+        """What was asked, and the trouble codes that are confirmed now."""
+        records, troubles = self.controller.state.memory.records, self.controller.table.troubles
+        confirmed = [troubles[number].code for number, record in records.items() if record.status & Status.CONFIRMED]
+        over_ip = {} if self.doip is None else {"doip": self.doip.counts}
+        adapter = {} if self.elm327 is None else {"elm327": asdict(self.elm327.counts)}
+        disbelieved = {"disbelieved_frames": self._sent.disbelieved_count}
+        return {**asdict(self.link.counts), **disbelieved, **over_ip, **adapter, "confirmed": confirmed}
+
+    @property
+    def places(self) -> list[str]:
+        """Where else than on the bus it can be asked, for people; each with a warning if others can reach it."""
+        said = []
+        if self.doip is not None:
+            place = self.doip.place
+            said.append(place_text("DoIP on", str(place), is_exposed=self.doip.is_exposed))
+            if place.tls is not None:
+                said.append(f"DoIP by TLS on port {place.tls.port}")
+        if self.elm327 is not None:
+            said.append(place_text("ELM327 adapter at", self.elm327.place, is_exposed=self.elm327.is_exposed))
+        return said
+
+    @property
+    def summary(self) -> str:
+        """What was asked and which codes are confirmed, for people."""
+        told = self.outcome["confirmed"]
+        codes = ", ".join(told) if isinstance(told, list) and told else "none"
+        unkept = self._monitoring.problem or (self._adaptation.problem if self._adaptation is not None else None)
+        problem = f"\nwarning: trouble codes could not be kept: {unkept}" if unkept else ""
+        asked = f"{self.link.counts.requests} requests, {self.link.counts.responses} responses"
+        if self.doip is not None:
+            over_ip = self.doip.counts
+            asked += f"; DoIP: {over_ip['requests']} requests, {over_ip['responses']} responses"
+        if self.elm327 is not None:
+            asked += f"; ELM327: {self.elm327.counts.lines} lines of {self.elm327.counts.clients} clients"
+        if self._sent.disbelieved_count:
+            problem += f"\n{self._sent.disbelieved_count} frames of others were not believed: wrong checksum or length"
+        return f"diagnostics: {asked}; confirmed trouble codes: {codes}{problem}"
+
+    def watch(self) -> None:
+        """Let the monitors judge what was sent, from when what they need has been; ten times a second if entered."""
+        if self._is_restarted:
+            self._is_restarted, is_new_cycle, self._is_new_cycle = False, self._is_new_cycle, False
+            self._engine_ran_s, self._looked_s = 0.0, -math.inf
+            self._monitoring.restart(is_new_cycle=is_new_cycle)
+        if self._sent.has_all(self._sensed) and not self.controller.is_asleep:
+            self._look()
+            self._monitoring.judge_adaptation()
+
+    def _look(self) -> None:
+        """Judge the newest frames: a sender that the machine keeps waiting makes neither shift nor failure longer."""
+        driven_s, looked_s = self._driven_s, self._looked_s
+        if driven_s - looked_s >= LEAST_LOOK_S:
+            self._looked_s = driven_s
+            values = self._values()
+            if values.get("engine_speed_rad_s", 0.0) >= RUNNING_RAD_S and math.isfinite(looked_s):
+                self._engine_ran_s += driven_s - looked_s
+            self._monitoring.look(values, driven_s)
+
+    def _watch(self) -> None:
+        """Look after monitors and routines until the end."""
+        try:
+            while not self._is_over.wait(MONITOR_PERIOD_S):
+                self.watch()
+                if self._routine is not None:
+                    self._routine.step(self._driven)
+                if self._adaptation is not None:
+                    self._adaptation.step(self._values())
+                if self._clearing is not None:
+                    self._clearing.step()
+        except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
+            self._error = exc
+
+    def _note_reset(self) -> None:
+        """Begin anew once a tester has reset the controller, alive counters included."""
+        reset_s = self.controller.state.asleep_until_s
+        if reset_s != self._reset_s:
+            self._reset_s = reset_s
+            self._restart({})
+
+    def _note_ignition(self, t_s: float) -> None:
+        """Begin anew with the first frame after the ignition was switched on."""
+        if self._epoch_s is None:
+            self._epoch_s = t_s - (self._ignition.popleft() if self._ignition else 0.0)
+        if math.isinf(self._switched_on_s) and self._ignition:
+            self._switched_on_s = self._epoch_s + self._ignition.popleft()
+        if t_s >= self._switched_on_s:
+            self._switched_on_s = math.inf
+            self._is_new_cycle = True
+            self._restart(None)
+
+    def _restart(self, counted_from: dict[int, int] | None) -> None:
+        """Know nothing of the time before."""
+        self._sent.restart()
+        self._began_s = max(self._clock(), self._reset_s)
+        self._counted_from = counted_from
+        self._is_restarted = True
+
+    def _count_shift(self) -> None:
+        driven = self._driven
+        gear = self._sent.now({}).get("current_gear", driven.gear)
+        if gear and driven.gear and gear != driven.gear:
+            driven = replace(driven, shift_count=driven.shift_count + 1)
+        self._driven = replace(driven, gear=gear or driven.gear)  # neutral between two gears is a part of their shift
+
+    def _values(self) -> Mapping[str, float]:
+        more = {
+            "time_s": self._clock() - self._began_s,
+            "shift_count": float(self._driven.shift_count),
+            "engine_run_time_s": self._engine_ran_s,
+            STARTING: float(not self._sent.has_begun),
+            "revs_possible": float(self._routine is not None and self._routine.is_possible),
+            "clearing_possible": float(self._clearing is not None),
+            "adaptation_possible": float(self._adaptation is not None and self._adaptation.is_possible),
+            **(self._adaptation.values if self._adaptation is not None else {}),
+            **self._monitoring.temperatures,
+            **(self._sent.silences if self.controller.state.communication.receives_normal else {}),
+        }
+        return self._sent.now(more)
+
+
+def place_text(what: str, place: str, *, is_exposed: bool) -> str:
+    """Return what people are told of a server for testers, with a warning if others than this machine can reach it."""
+    warning = f"\nwarning: anyone who can reach {place} can ask this controller and change what testers can change"
+    return f"{what} {place}{warning if is_exposed else ''}"
+
 
 AnyPath = str | os.PathLike[str]
 

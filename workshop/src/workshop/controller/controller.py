@@ -8,15 +8,14 @@ from typing import Final
 from ecu_emulator.errors import RecordError
 from workshop.controller import server
 from workshop.controller.clutches import Adaptation
+from workshop.controller.descriptions import Values
 from workshop.controller.iso14229 import NEGATIVE, Nrc
 from workshop.controller.memory import TestResult
 from workshop.controller.memory_file import MemoryFile
-from workshop.controller.services.call import under_control
 from workshop.controller.services.data import data_of
 from workshop.controller.services.routines import failed, finished
-from workshop.controller.state import Instant, Reply, Request, ServerState
+from workshop.controller.state import Instant, Reply, Request, ServerState, under_control
 from workshop.controller.table import DiagnosticTable
-from workshop.controller.values import Values
 
 LONGEST_SEED_BYTES: Final = 16
 TICK_S: Final = 0.01  # about so often a transport calls `tick`

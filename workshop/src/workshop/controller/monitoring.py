@@ -9,10 +9,10 @@ from ecu_emulator.errors import RecordError
 from ecu_emulator.plant.parameters import nominal_parameters
 from workshop.controller import clutches
 from workshop.controller.controller import Controller
+from workshop.controller.descriptions import Values
 from workshop.controller.iso14229 import Status
 from workshop.controller.memory import TestResult
 from workshop.controller.monitors import MonitorLimits, Watch, is_warm, judge
-from workshop.controller.values import Values
 
 MONITOR_PERIOD_S: Final = 0.1
 

@@ -12,8 +12,8 @@ from typing import Final
 from clutch_model.calibration import clutch_of_gear
 from ecu_emulator.scenario.signals import SILENCE
 from workshop.controller.clutches import Pack, heated_k, packs_of
+from workshop.controller.descriptions import Values
 from workshop.controller.memory import TestResult
-from workshop.controller.values import Values
 
 Sample = tuple[str, TestResult]  # a trouble code as scan tools show it, and the sample
 

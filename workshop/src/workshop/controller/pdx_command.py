@@ -7,8 +7,7 @@ from types import SimpleNamespace
 from ecu_emulator.commands import save
 from ecu_emulator.errors import ConfigError, ExtraMissingError
 from ecu_emulator.progress import people, print_json
-from workshop.controller.table import DiagnosticTable
-from workshop.controller.table_file import load_table, shipped_table
+from workshop.controller.table import DiagnosticTable, load_table, shipped_table
 
 
 def execute(options: SimpleNamespace) -> None:

@@ -20,10 +20,9 @@ from ecu_emulator.shift_control.touch_points import (
 )
 from workshop.controller.clutches import CLUTCHES, Adaptation
 from workshop.controller.controller import Controller
-from workshop.controller.descriptions import Task
+from workshop.controller.descriptions import Task, Values, holds
 from workshop.controller.monitoring import Monitoring
 from workshop.controller.state import RoutineRun
-from workshop.controller.values import Values, holds
 
 FIRST_GEAR: Final = 1.0
 MOST_MOMENTS: Final = 4096  # that are heard and not looked at yet

@@ -32,10 +32,20 @@ from workshop.controller.memory import (
     report,
 )
 from workshop.controller.services import data, routines, sessions
-from workshop.controller.services.call import Call, Outcome, Result, is_unlocked, under_control
 from workshop.controller.services.obd import OBD_HANDLERS
 from workshop.controller.services.trouble import EMISSION_REPORTS, REPORTS, capture, clear_codes, read_codes
-from workshop.controller.state import Instant, Reply, Request, ServerState, Waiting
+from workshop.controller.state import (
+    Call,
+    Instant,
+    Outcome,
+    Reply,
+    Request,
+    Result,
+    ServerState,
+    Waiting,
+    is_unlocked,
+    under_control,
+)
 from workshop.controller.table import DiagnosticTable
 
 AGAIN_RATIO: Final = 0.7  # of P2*, after which 78 is sent again

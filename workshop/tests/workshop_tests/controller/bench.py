@@ -1,13 +1,12 @@
 """A controller on a bench: requests and responses as hexadecimal text, the time and the vehicle in the test's hands."""
 
 from tests.support.uds.full_table import full_table
+from workshop.controller.descriptions import Value
 from workshop.controller.memory import TestResult
 from workshop.controller.server import advance, answer, broadcast, left, switched_on, tested
-from workshop.controller.services.call import under_control
 from workshop.controller.services.routines import failed, finished
-from workshop.controller.state import Instant, Request, ServerState
+from workshop.controller.state import Instant, Request, ServerState, under_control
 from workshop.controller.table import DiagnosticTable
-from workshop.controller.values import Value
 
 SEED = bytes(range(1, 17))
 PARKED: dict[str, Value] = {

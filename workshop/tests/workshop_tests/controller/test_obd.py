@@ -6,7 +6,7 @@ import pytest
 
 from workshop.controller.memory import TestResult
 from workshop.controller.server import cycled, warmed_up
-from workshop.controller.table_file import shipped_table
+from workshop.controller.table import shipped_table
 from workshop_tests.controller.bench import Bench
 
 PROBED_PIDS = sorted(set(range(0x100)) - set(range(0, 0x100, 0x20)))

@@ -8,7 +8,7 @@ from ecu_emulator.errors import ConfigError
 from tests.support.documents import page_text
 from tests.tools.uds_tables import page
 from workshop.controller.memory import TestResult
-from workshop.controller.table_file import parse_table, shipped_table
+from workshop.controller.table import parse_table, shipped_table
 from workshop_tests.controller.bench import Bench
 
 TEXT = (Path(__file__).parents[4] / "workshop/src/workshop/controller/tcu.toml").read_text(encoding="utf-8")

@@ -53,8 +53,7 @@ from odxtools.unit import Unit
 from odxtools.unitspec import UnitSpec
 from odxtools.validtype import ValidType
 
-from workshop.controller.descriptions import Coding, Field, Trouble
-from workshop.controller.values import not_available
+from workshop.controller.descriptions import Coding, Field, Trouble, not_available
 
 LONGEST_NUMBER_BYTES: Final = 4  # ODX has no longer whole numbers
 UNDEFINED: Final = "undefined"  # the meaning of a number that has none

@@ -4,21 +4,35 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Final
 
-from workshop.controller.descriptions import Access, Datum, Field, Pid, Profile, VehicleInfo, supported
+from workshop.controller.descriptions import (
+    Access,
+    Datum,
+    Field,
+    Pid,
+    Profile,
+    Value,
+    Values,
+    VehicleInfo,
+    are_valid,
+    encode,
+    supported,
+)
 from workshop.controller.iso14229 import Nrc, Service, Status
 from workshop.controller.memory import FrozenPids, emission_codes, is_lamp_on, located
-from workshop.controller.services.call import (
+from workshop.controller.state import (
     Call,
+    Instant,
+    PeriodicRun,
+    Piece,
     Result,
+    ServerState,
     is_in_session,
     is_unlocked,
     under_control,
     unmet,
     unmet_by_service,
 )
-from workshop.controller.state import Instant, PeriodicRun, Piece, ServerState
 from workshop.controller.table import PERIODIC_PAGE, DiagnosticTable
-from workshop.controller.values import Value, Values, are_valid, encode
 
 STARTING: Final = "is_starting"  # a value: the vehicle has said nothing yet, as while its kernels are compiled
 DEFINE_BY_IDENTIFIER: Final = 0x01

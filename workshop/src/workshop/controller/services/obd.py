@@ -10,9 +10,9 @@ from typing import Final, TypeVar
 from workshop.controller.descriptions import BLOCK, MonitorTest, Obd, VehicleInfo, supported
 from workshop.controller.iso14229 import ALL_CODES, Nrc, ObdService, Status
 from workshop.controller.memory import FAILED_COUNTER, PASSED_COUNTER, TroubleRecord, emission_codes
-from workshop.controller.services.call import Call, Result, unmet
 from workshop.controller.services.data import info_data, is_pid_awaited, pid_data
 from workshop.controller.services.trouble import cleared
+from workshop.controller.state import Call, Result, unmet
 
 MOST_PIDS: Final = 6  # in one request
 MOST_FROZEN_PIDS: Final = 3

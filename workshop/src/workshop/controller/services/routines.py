@@ -3,20 +3,21 @@
 from dataclasses import replace
 from typing import Final
 
-from workshop.controller.descriptions import Routine, size_of
+from workshop.controller.descriptions import Routine, are_valid, encode, size_of
 from workshop.controller.iso14229 import Nrc
-from workshop.controller.services.call import (
+from workshop.controller.state import (
     Call,
+    Instant,
     Outcome,
     Result,
+    RoutineRun,
+    ServerState,
     is_in_session,
     is_unlocked,
     unmet,
     unmet_by_service,
 )
-from workshop.controller.state import Instant, RoutineRun, ServerState
 from workshop.controller.table import DiagnosticTable
-from workshop.controller.values import are_valid, encode
 
 START: Final = 0x01
 STOP: Final = 0x02

@@ -6,8 +6,7 @@ from typing import Final
 from workshop.controller.descriptions import SecurityLevel
 from workshop.controller.iso14229 import DEFAULT_SESSION, Nrc
 from workshop.controller.memory import after_cycle, begin_cycle
-from workshop.controller.services.call import Call, Outcome, Result, locked, unmet_by_service
-from workshop.controller.state import Communication, ServerState
+from workshop.controller.state import Call, Communication, Outcome, Result, ServerState, locked, unmet_by_service
 from workshop.controller.table import DiagnosticTable
 
 HARD_RESET: Final = 0x01

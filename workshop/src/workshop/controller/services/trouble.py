@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Final
 
-from workshop.controller.descriptions import IN_USE, OF_MEMORY, ExtendedRecord, Profile, Trouble
+from workshop.controller.descriptions import IN_USE, OF_MEMORY, ExtendedRecord, Profile, Trouble, encode
 from workshop.controller.iso14229 import ALL_BITS, ALL_CODES, Nrc
 from workshop.controller.memory import (
     ALL_EMISSION_CODES,
@@ -17,11 +17,9 @@ from workshop.controller.memory import (
     clear,
     emission_codes,
 )
-from workshop.controller.services.call import Call, Result, unmet_by_service
 from workshop.controller.services.data import data_of, odometer_m
-from workshop.controller.state import Instant, ServerState
+from workshop.controller.state import Call, Instant, Result, ServerState, unmet_by_service
 from workshop.controller.table import DiagnosticTable
-from workshop.controller.values import encode
 
 CODE_FORMAT: Final = 0x00  # SAE J2012-DA: a code of two bytes and a failure type
 ALL_RECORDS: Final = 0xFF

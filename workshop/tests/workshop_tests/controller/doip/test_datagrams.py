@@ -5,8 +5,8 @@ import pytest
 from ecu_emulator.errors import ConfigError
 from tests.support.doip.desk import ENTITY, framed
 from tests.support.uds.full_table import full_text
-from workshop.controller.doip.messages import datagram_reply
-from workshop.controller.table_file import parse_table
+from workshop.controller.doip import datagram_reply
+from workshop.controller.table import parse_table
 
 VIN = b"WDCTEMUL3TED00047"
 IDENTITY = VIN.hex() + "1011" + "020000001011" * 2 + "0000"

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from workshop.controller.elm327.interpreter import Interpreter
-from workshop.controller.table_file import shipped_table
+from workshop.controller.elm327 import Interpreter
+from workshop.controller.table import shipped_table
 from workshop_tests.controller.bench import Bench
 
 

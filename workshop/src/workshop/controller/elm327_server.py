@@ -19,8 +19,8 @@ import can
 
 from ecu_emulator.errors import BusError, ConfigError, RecordError
 from workshop.controller.controller import TICK_S, Controller
-from workshop.controller.elm327.interpreter import LARGEST_STANDARD_ID, Interpreter, Shown
-from workshop.controller.elm327.interpreter import line as frame_line
+from workshop.controller.elm327 import LARGEST_STANDARD_ID, Interpreter, Shown
+from workshop.controller.elm327 import line as frame_line
 from workshop.controller.iso14229 import NEGATIVE, Nrc
 
 MOST_LINE_BYTES: Final = 512
@@ -203,22 +203,8 @@ def _emptied(waiting: "queue.Queue[can.Message] | queue.Queue[bytes]") -> None:
             waiting.get_nowait()
 
 
-PORT: Final = 35000  # where adapters on a wireless network listen
-LOOPBACK: Final = "127.0.0.1"
 MOST_CLIENTS: Final = 8
 IDLE_S: Final = 300.0  # a client that says nothing for so long has gone, as DoIP has it
-_LARGEST_PORT: Final = 65535
-
-
-def parse_place(text: str) -> tuple[str, int]:
-    """Return host and port of ``[HOST:]PORT``; without a host it is this machine alone.
-
-    Raises ConfigError if it is no such thing.
-    """
-    host, colon, port = text.rpartition(":")
-    if not (port.isascii() and port.isdecimal() and 0 <= int(port) <= _LARGEST_PORT) or (colon and not host):
-        raise ConfigError(f"--elm327 must be [HOST:]PORT with a port of 0..{_LARGEST_PORT}, got {text}")
-    return host.strip("[]") or LOOPBACK, int(port)
 
 
 class ElmServer:

@@ -1,23 +1,182 @@
-"""A controller on an IP network: connections and datagrams around the pure part, in a thread with an event loop."""
+"""A controller on an IP network: sockets, connections and datagrams around the pure part, in an event loop."""
 
 import asyncio
 import random
+import socket
+import ssl
 import threading
 import time
 from collections.abc import Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
 from functools import partial
+from ipaddress import IPv4Address, IPv6Address
+from pathlib import Path
 from typing import Final, Self
 
+from canlog.files import check_plain_file
+from ecu_emulator.errors import BusError, ConfigError
+from workshop.controller import doip
 from workshop.controller.controller import TICK_S, Controller
-from workshop.controller.doip import streams
-from workshop.controller.doip.listening import Listening, Place, listen
-from workshop.controller.doip.messages import announcement, datagram_reply
+from workshop.controller.doip import announcement, datagram_reply
 from workshop.controller.iso14229 import NEGATIVE, Nrc, Service
 from workshop.controller.server import AGAIN_RATIO, KEEP_ALIVE, PENDING_RATIO
 from workshop.controller.table import DoipEntity
+
+LARGEST_PORT: Final = 65535
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TlsNode:
+    """Where an entity speaks TLS, and the files (PEM) by which testers know it."""
+
+    certificate: Path
+    key: Path | None  # None: it is in the file of the certificate
+    port: int
+
+    def context(self) -> ssl.SSLContext:
+        """Return what connections are made with: TLS 1.2 or newer, as the standard has it.
+
+        Raises ConfigError if a file cannot be read, or is no certificate or the wrong key.
+        """
+        files = ", ".join(str(path) for path in (self.certificate, self.key) if path is not None)
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.minimum_version = ssl.TLSVersion.TLSv1_2
+        try:
+            for path in (self.certificate, self.key):
+                if path is not None:
+                    check_plain_file(path)
+            context.load_cert_chain(self.certificate, self.key, password="")  # or a terminal would be asked
+        except ssl.SSLError as exc:
+            raise ConfigError(f"certificate or key cannot be used: {exc.reason or exc} ({files})") from exc
+        except OSError as exc:
+            raise ConfigError(f"certificate or key cannot be read: {exc.strerror or exc} ({files})") from exc
+        return context
+
+
+def tls_node(certificate: Path | None, key: Path | None, port: int) -> TlsNode | None:
+    """Return how TLS is spoken, as the command line says; None if it is not.
+
+    Raises ConfigError if there is a key without a certificate, or the port is none.
+    """
+    if certificate is None:
+        if key is not None:
+            raise ConfigError("--doip-key needs --doip-certificate")
+        return None
+    if not 1 <= port <= LARGEST_PORT:
+        raise ConfigError(f"--doip-tls-port must be 1..{LARGEST_PORT}, got {port}")
+    return TlsNode(certificate=certificate, key=key, port=port)
+
+
+PORT: Final = 13400  # registered for DoIP, both TCP and UDP
+LOOPBACK: Final = "127.0.0.1"
+LOCAL_BROADCAST: Final = "127.255.255.255"
+BROADCAST: Final = "255.255.255.255"
+ALL_NODES: Final = "ff02::1"  # on one link; what IPv6 has in place of a broadcast
+BACKLOG: Final = 16
+SEND_BYTES: Final = 1 << 16  # that one tester may leave unread before nothing more is read from it
+
+Address = IPv4Address | IPv6Address
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """Where to listen, and what people call it."""
+
+    host: str
+    port: int
+    tls: TlsNode | None = None  # likewise by TLS, on a port of its own
+
+    def __str__(self) -> str:
+        return f"{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Listening:
+    """Open sockets of one address."""
+
+    tcp: socket.socket
+    tls: socket.socket | None
+    udp: tuple[socket.socket, ...]  # the first one also says what is said
+    everybody: tuple[str, int]  # who hears announcements
+    is_exposed: bool  # whether others than this machine can reach it
+
+    def close(self) -> None:
+        for one in (self.tcp, *([] if self.tls is None else [self.tls]), *self.udp):
+            one.close()
+
+
+def parse_place(text: str, option: str = "--doip", *, least_port: int = 1) -> Place:
+    """Return what ``[HOST:]PORT`` says; without a host this machine alone is meant. IPv6 stands in brackets.
+
+    Raises ConfigError if it says no such thing.
+    """
+    host, _, port = text.rpartition(":")
+    is_bracketed = host.startswith("[") and host.endswith("]")
+    is_port = port.isascii() and port.isdecimal() and least_port <= int(port) <= LARGEST_PORT
+    if not is_port or text.startswith(":") or (":" in host and not is_bracketed):
+        raise ConfigError(f"{option} must be [HOST:]PORT with a port of {least_port}..{LARGEST_PORT}, got {text}")
+    return Place(host=(host[1:-1] if is_bracketed else host) or LOOPBACK, port=int(port))
+
+
+def listen(place: Place) -> Listening:
+    """Return the sockets of a place; requests to everybody on its network come in as well.
+
+    By IPv6 they come in only where all addresses are listened on (``::``). Raises BusError if it is no address of this
+    machine, or somebody else listens there.
+    """
+    with ExitStack() as stack:
+        try:
+            address = _address(place.host)
+            everybody = _everybody(address)
+            tcp = _connections(stack, address, place.port)
+            tls = None if place.tls is None else _connections(stack, address, place.tls.port)
+            is_broadcast = isinstance(address, IPv4Address) and not address.is_unspecified
+            hosts = [str(address), everybody] if is_broadcast else [str(address)]
+            udp = tuple(_datagrams(stack, _family(address), host, place.port) for host in hosts)
+        except OSError as exc:
+            raise BusError(f"DoIP cannot listen on {place}: {exc.strerror or exc}") from exc
+        stack.pop_all()
+    return Listening(tcp=tcp, tls=tls, udp=udp, everybody=(everybody, place.port), is_exposed=not address.is_loopback)
+
+
+def _address(host: str) -> Address:
+    """Return the address of a host, that of IPv4 if it has both."""
+    try:
+        return IPv4Address(socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM)[0][4][0])
+    except socket.gaierror:
+        return IPv6Address(socket.getaddrinfo(host, None, socket.AF_INET6, socket.SOCK_STREAM)[0][4][0])
+
+
+def _family(address: Address) -> socket.AddressFamily:
+    return socket.AF_INET if isinstance(address, IPv4Address) else socket.AF_INET6
+
+
+def _everybody(address: Address) -> str:
+    """Return who is reached by what is said to everybody; this machine alone if nobody else can reach the address."""
+    if isinstance(address, IPv4Address):
+        return LOCAL_BROADCAST if address.is_loopback else BROADCAST
+    return str(address) if address.is_loopback else ALL_NODES
+
+
+def _connections(stack: ExitStack, address: Address, port: int) -> socket.socket:
+    one = stack.enter_context(socket.socket(_family(address), socket.SOCK_STREAM))
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # its connections inherit that: no 40 ms each
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
+    one.bind((str(address), port))
+    one.listen(BACKLOG)
+    return one
+
+
+def _datagrams(stack: ExitStack, family: socket.AddressFamily, host: str, port: int) -> socket.socket:
+    one = stack.enter_context(socket.socket(family, socket.SOCK_DGRAM))
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+    one.setblocking(False)
+    one.bind((host, port))
+    return one
+
 
 VIN = 0xF190
 MOST_DELAYED = 64  # identifications that wait for their random pause
@@ -144,9 +303,9 @@ class DoipServer:
     def __init__(self, controller: Controller, place: Place) -> None:
         self._controller = controller
         self._entity = controller.table.doip
-        self._step = streams.Step(sockets={})
+        self._step = doip.Step(sockets={})
         self._writers: dict[int, asyncio.StreamWriter] = {}
-        self._asks: dict[int, asyncio.Queue[streams.Ask]] = {}
+        self._asks: dict[int, asyncio.Queue[doip.Ask]] = {}
         self._reset_s = controller.state.asleep_until_s  # until when the last reset takes
         self._asking_count = 0
         self._silent: set[int] = set()  # connections whose periodic data wait for the response that announces them
@@ -243,7 +402,7 @@ class DoipServer:
         return task
 
     def _accept(self, group: asyncio.TaskGroup, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        most = self._entity.most_sockets + streams.MORE_CONNECTIONS
+        most = self._entity.most_sockets + doip.MORE_CONNECTIONS
         if self._controller.is_asleep or len(self._writers) >= most:
             self._counts.refused_connections += 1
             writer.transport.abort()
@@ -251,7 +410,7 @@ class DoipServer:
         self._counts.connections += 1
         number = self._counts.connections
         self._writers[number], self._asks[number] = writer, asyncio.Queue()
-        self._step = streams.opened(self._step, number, time.monotonic())
+        self._step = doip.opened(self._step, number, time.monotonic())
         self._start(group, self._converse(group, number, reader))
 
     async def _converse(self, group: asyncio.TaskGroup, number: int, reader: asyncio.StreamReader) -> None:
@@ -260,7 +419,7 @@ class DoipServer:
         writer = self._writers[number]
         try:
             while data := await reader.read(READ_BYTES):
-                self._do(streams.received(self._entity, self._step, number, data, time.monotonic()))
+                self._do(doip.received(self._entity, self._step, number, data, time.monotonic()))
                 if number in self._step.sockets:
                     await writer.drain()
         except OSError:  # the tester has gone without saying so
@@ -270,19 +429,19 @@ class DoipServer:
             writer.transport.abort() if reader.exception() else writer.close()
             del self._writers[number], self._asks[number]
             self._silent.discard(number)
-            self._do(streams.closed(self._entity, self._step, number, time.monotonic()))
+            self._do(doip.closed(self._entity, self._step, number, time.monotonic()))
             self._pool.submit(self._controller.leave, number)
 
-    def _do(self, step: streams.Step) -> None:
+    def _do(self, step: doip.Step) -> None:
         self._step = step.done()
         for action in step.actions:
             match action:
-                case streams.Send(number=number, data=data):
+                case doip.Send(number=number, data=data):
                     if not self._writers[number].is_closing():  # it may have gone a moment ago
                         self._writers[number].write(data)
-                case streams.Ask(number=number):
+                case doip.Ask(number=number):
                     self._asks[number].put_nowait(action)
-                case streams.Close(number=number):
+                case doip.Close(number=number):
                     self._close(self._writers[number])
 
     def _close(self, writer: asyncio.StreamWriter) -> None:
@@ -298,7 +457,7 @@ class DoipServer:
         while True:
             await asyncio.sleep(TICK_S)
             self._note_reset(group)
-            self._do(streams.advanced(self._entity, self._step, time.monotonic()))
+            self._do(doip.advanced(self._entity, self._step, time.monotonic()))
             for number in self._writers.keys() - self._silent:
                 for message in self._controller.broadcast(number):
                     self._respond(number, message, is_final=False)
@@ -337,7 +496,7 @@ class DoipServer:
         except OSError:  # the tester has gone; who reads from it finds out as well
             return
 
-    async def _ask(self, number: int, ask: streams.Ask) -> None:
+    async def _ask(self, number: int, ask: doip.Ask) -> None:
         """Answer one request, with 78 first if the disk takes its time."""
         self._counts.requests += 1
         timing = self._controller.table.timing
@@ -356,4 +515,4 @@ class DoipServer:
 
     def _respond(self, number: int, response: bytes | None, *, is_final: bool) -> None:
         self._counts.responses += response is not None
-        self._do(streams.responded(self._entity, self._step, number, response, time.monotonic(), is_final=is_final))
+        self._do(doip.responded(self._entity, self._step, number, response, time.monotonic(), is_final=is_final))
