@@ -16,9 +16,16 @@ from clutch_results.records import dump
 from clutchdiag_io.program import legible, replacement_refusal
 from diag_service.batch.drives import Drive, LeftOut, find_drives, left_out_record
 from diag_service.batch.journal import Entry, Journal
-from diag_service.batch.processes import DEADLY, job_count, progress_bar, shared_out
 from diag_service.batch.tables import check_output, write_results
-from diag_service.batch.worker import analyse_drive, failed_entry, start_worker
+from diag_service.batch.worker import (
+    DEADLY,
+    analyse_drive,
+    failed_entry,
+    job_count,
+    progress_bar,
+    shared_out,
+    start_worker,
+)
 from diag_service.delivery import Acknowledge
 from diag_service.diagnosis.summary import GAP_TEXT, Gap
 from diag_service.errors import ConfigError, IncompleteError, StoppedError

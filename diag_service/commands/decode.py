@@ -275,7 +275,7 @@ _WRITERS: list[TableWriter] = []  # of this process: one, made when it starts
 
 
 def begin_tables(messages: Sequence[Message], choice: TableChoice, table_format: TableFormat) -> None:
-    from diag_service.batch.processes import follow_parent  # noqa: PLC0415 - one table needs none of it
+    from diag_service.batch.worker import follow_parent  # noqa: PLC0415 - one table needs none of it
 
     follow_parent()
     _WRITERS.append(TableWriter(messages=messages, choice=choice, table_format=table_format))
@@ -287,7 +287,7 @@ def write_own_table(task: TableTask) -> TableDone:
 
 def _decode_folders(options: SimpleNamespace, controls: Controls) -> None:
     """Decode logs into tables of their own; raises StoppedError if that was stopped before all were written."""
-    from diag_service.batch.processes import DEADLY, job_count, shared_out  # noqa: PLC0415 - one table needs none of it
+    from diag_service.batch.worker import DEADLY, job_count, shared_out  # noqa: PLC0415 - one table needs none of it
 
     table_format = TableFormat(options.format or TableFormat.PARQUET)
     choice = replace(_choice_of(options), table_format=table_format.value)

@@ -92,7 +92,7 @@ class BusConfig:
     channel: str | None
     bitrate: int | None
     is_fd: bool
-    duration_s: float | None
+    duration_s: float | None = None
     is_filtered: bool = False  # whether the kernel discards what no mapped signal needs
     metrics: ListenAddress | None = None  # where to serve metrics and health checks
     poll: PollConfig | None = None  # None: trouble codes are not asked for

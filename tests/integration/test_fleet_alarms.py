@@ -18,12 +18,11 @@ from sqlalchemy import Engine, select
 from clutch_results.records import Condition
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter, Note
-from fleet_backend.alarms.carriers import read_carrier
 from fleet_backend.alarms.rules import Rule, Subject
 from fleet_backend.cli import main
 from fleet_backend.database import transaction
 from fleet_backend.errors import CarrierError
-from fleet_backend.office.watching import Orders, Watch
+from fleet_backend.office.watching import Orders, Watch, read_carrier
 from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, AUDIT
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import NOW, fleet_result, row_of

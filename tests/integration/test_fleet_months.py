@@ -13,13 +13,13 @@ from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import ConfigError
 from fleet_backend.intake import MessageKind, Taken, batch_of, take_all
-from fleet_backend.layout import lines_of
 from fleet_backend.months import RANK, keep_months, partitions
 from fleet_backend.office.retention import retain
 from fleet_backend.office_tables import AUDIT
 from fleet_backend.page.past import results_of
 from fleet_backend.page.running import DatabaseSource
 from fleet_backend.quotas import Gate
+from fleet_backend.report import lines_of
 from fleet_backend.rows import Row
 from fleet_backend.schema import REVISION, SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer

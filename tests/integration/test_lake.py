@@ -21,8 +21,7 @@ from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import IncompleteError, StoreError
 from diag_service.lake.parts import DONE, FAILED, Disagreement, LogRow, Manifest, disagreement
 from diag_service.lake.places import Place
-from diag_service.lake.run import find_logs, to_do
-from diag_service.lake.work import Job, LakeLog, Maker
+from diag_service.lake.run import Job, LakeLog, Maker, find_logs, to_do
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import DiagnosisConfig
 from tests.plugins.drives import SHIFT_COUNT
@@ -230,7 +229,7 @@ def test_what_a_killed_run_left_is_told_and_can_be_removed(logs: Path, filled: P
 
 def test_a_log_that_does_not_heed_its_limit_ends_its_worker() -> None:
     program = (
-        "import time; from diag_service.lake import work; work.GRACE_S = 0.0\nwith work._limited(0.01): time.sleep(600)"
+        "import time; from diag_service.lake import run; run.GRACE_S = 0.0\nwith run._limited(0.01): time.sleep(600)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 1

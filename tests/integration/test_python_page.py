@@ -42,7 +42,7 @@ from tests.support.outboxes import STATE
 from tests.support.patience import HANG_S
 from tests.support.uds.wire import parked_controller
 from workshop.controller.memory import TestResult as Result
-from workshop.tester.description_files import load_file
+from workshop.tester.description import load_file
 
 PAGE, DIAGNOSTICS = "docs/python.md", "docs/controller.md"
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)

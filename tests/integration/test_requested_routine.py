@@ -16,7 +16,7 @@ from ecu_emulator.truth import Happened, RevTruth, ShiftTruth
 from tests.support.builders import drive_scenario
 from tests.support.patience import HANG_S
 from tests.support.traffic import START_NS
-from workshop.controller.answers import Answering
+from workshop.controller.answers import Answering, Answers
 
 MASK = bytes.fromhex("5aa5c33c")
 TESTER = 7
@@ -33,7 +33,7 @@ class Bench:
 
     def __init__(self, scenario: Scenario, table: Path) -> None:
         self.drive = Drive(scenario)
-        self.answering = Answering(Bus(), table=str(table), memory=None, doip=None, is_fd=False, performer=self.drive)
+        self.answering = Answering(Bus(), Answers(table=table), performer=self.drive)
         self.happened: list[Happened] = []
         self.t_s = 0.0
         self._stretches = self.drive.stretches(SHORT_STRETCH_S)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
-from fleet_backend.layout import Sheet, lines_of
+from fleet_backend.report import Sheet, lines_of
 
 WORD = st.text(st.characters(exclude_categories=["C", "Z"], exclude_characters="─"), min_size=1, max_size=30)
 TEXT = st.lists(WORD, min_size=1, max_size=6).map(" ".join)

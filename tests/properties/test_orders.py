@@ -27,8 +27,8 @@ from diag_service.delivery.console import order_lines
 from diag_service.diagnosis.condition.verdict import Cause, Silence, advice
 from diag_service.diagnosis.summary import of_present_fluid, order_by
 from diag_service.report.page import advice_of
-from fleet_backend.orders import with_orders
 from fleet_backend.page import wording
+from fleet_backend.queries import with_orders
 from fleet_contract.orders import Action, Order
 from tests.support.builders import shift_result
 from tests.support.fleet import row_of

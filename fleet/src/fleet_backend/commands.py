@@ -17,9 +17,9 @@ from fleet_backend.arguments import BROKER_VARIABLE
 from fleet_backend.choices import Axis
 from fleet_backend.database import default_database, open_database, place_of
 from fleet_backend.errors import ConfigError
-from fleet_backend.layout import Sheet
 from fleet_backend.migrate import make_ready, migrate, newest_revision
 from fleet_backend.months import keep_months, partitions
+from fleet_backend.report import Sheet
 from fleet_link import BrokerAddress
 
 Command = Callable[[SimpleNamespace, Engine], None]

@@ -16,7 +16,7 @@ from workshop.controller.controller import Controller
 from workshop.controller.iso14229 import Status
 from workshop.controller.memory_file import MemoryFile
 from workshop.controller.monitoring import Monitoring
-from workshop.controller.requested_tasks import RequestedAdaptation, RequestedClearing
+from workshop.controller.requested_tasks import RequestedAdaptation, clear_if_requested
 from workshop.controller.table import shipped_table
 
 ADAPT = "31 01 03 02"
@@ -52,7 +52,6 @@ class AdaptingCar:
         )
         self.monitoring = Monitoring(self.controller, was_adapted=scenario.adapted)
         self.adaptation = RequestedAdaptation(self.drive, self.controller)
-        self.clearing = RequestedClearing(self.controller, self.monitoring, self.adaptation)
         self._stretches = self.drive.stretches(SHORT_STRETCH_S)
         while self.t_s < _READY_S:
             self.go_on()
@@ -85,7 +84,7 @@ class AdaptingCar:
         self.monitoring.look(self._values(), self.t_s)
         self.monitoring.judge_adaptation()
         self.adaptation.step(self._values())
-        self.clearing.step()
+        clear_if_requested(self.controller, self.monitoring, self.adaptation)
 
     def _take(self, t_s: float, values: LatestValues) -> None:
         if self.adaptation.is_listening:

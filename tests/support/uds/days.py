@@ -12,7 +12,7 @@ from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.sensing import Readings
-from workshop.controller.answers import Answering
+from workshop.controller.answers import Answering, Answers
 
 STEP_S = 0.5
 TRIP_STEPS = 12
@@ -53,7 +53,7 @@ class TripCar:
         self._encoder = FrameEncoder(database)
         self._ignition: deque[float] = deque([0.0]) if ignition is None else ignition
         self.answering = Answering(
-            self.bus, table=table, memory=memory, doip=None, is_fd=False, ignition=self._ignition,
+            self.bus, Answers(table=table or None, memory=memory), ignition=self._ignition,
             clock=lambda: 1000.0 + self.t_s,
         )  # fmt: skip
 

@@ -12,7 +12,7 @@ from fleet_backend.alarms.rules import Event, Rule, Subject, Transition
 from fleet_backend.database import transaction
 from fleet_backend.errors import RowRefusedError
 from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, note_change
-from fleet_backend.orders import clutch_names
+from fleet_backend.queries import clutch_names
 
 CLAIM: Final = timedelta(seconds=60)  # whoever takes a message has so long to deliver it
 _TOGETHER: Final = 500  # in one transaction

@@ -88,8 +88,8 @@ def watch(options: SimpleNamespace, engine: Engine) -> None:
     limits = Limits(silence_from=parse_silence(options.silence_days))
     distance_m = parse_service_km(options.service_km)
     with _of_the_page():
-        from fleet_backend.alarms.carriers import read_carrier
         from fleet_backend.office import watching
+        from fleet_backend.office.watching import read_carrier
     carriers = [read_carrier(path) for path in options.notify]
     for name, count in Counter(one.name for one in carriers).items():
         if count > 1:

@@ -9,8 +9,10 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
 from itertools import chain
+from pathlib import Path
 from typing import Final, Protocol
 
+from apprise import Apprise, AppriseAsset, NotifyFormat, NotifyType
 from prometheus_client.core import Metric
 from sqlalchemy import Engine, func, select
 
@@ -18,12 +20,12 @@ from clutchdiag_io.metrics import gauge
 from fleet_backend import queries
 from fleet_backend.alarms import book, rules
 from fleet_backend.alarms.book import Letter
+from fleet_backend.alarms.rules import Event
 from fleet_backend.config import Place
 from fleet_backend.database import transaction
-from fleet_backend.errors import CarrierError, DatabaseError
+from fleet_backend.errors import CarrierError, ConfigError, DatabaseError
 from fleet_backend.months import month_of, partitions
 from fleet_backend.office_tables import ALARM_MESSAGE, INTAKE
-from fleet_backend.orders import is_alarming_since
 from fleet_backend.page import past
 from fleet_backend.page.keeper import Keeper, fleet_families
 from fleet_backend.page.maintenance_view import due_of, keep_due
@@ -33,7 +35,49 @@ from fleet_backend.page.records import ClutchNow, Severity
 from fleet_backend.page.running import DatabaseSource, last_arrivals
 from fleet_backend.page.vehicle_state import fills_of
 from fleet_backend.programs import shown_at, until_stopped
+from fleet_backend.queries import is_alarming_since
 from fleet_backend.schema import QUARANTINE
+from fleet_contract.orders import name_of
+from fleet_link import AddressError, read_secret
+
+_LONGEST_WAIT_S: Final = 15.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AppriseCarrier:
+    """Hands messages to one address of apprise."""
+
+    name: str
+    apprise: Apprise = field(repr=False)
+
+    def deliver(self, letter: Letter) -> None:
+        """Deliver a message; raises CarrierError if it was not taken."""
+        told, is_over = letter.payload, letter.payload["event"] == Event.CLEARED
+        whose = told["vehicle"] + (f", {name_of(told['clutch'], told['element'])}" if told["clutch"] else "")
+        is_taken = self.apprise.notify(
+            title=f"{'Alarm over' if is_over else 'Alarm'}: {whose}: {told['rule']}",
+            body=f"{told['reason']}\n\n{told['at']}\n{letter.key}",
+            body_format=NotifyFormat.TEXT,
+            notify_type=NotifyType.SUCCESS if is_over else NotifyType.WARNING,
+        )
+        if not is_taken:
+            raise CarrierError(f"{self.name}: not delivered")  # apprise has logged why
+
+
+def read_carrier(path: Path) -> AppriseCarrier:
+    """Return the carrier whose address is in a file, called like the file.
+
+    Raises ConfigError, without the address: it may hold a secret.
+    """
+    try:
+        address = read_secret(path)
+    except AddressError as exc:
+        raise ConfigError(str(exc)) from exc
+    apprise = Apprise(asset=AppriseAsset(http_redirects=False, service_timeout=_LONGEST_WAIT_S))
+    if not apprise.add(address) or len(apprise) != 1:
+        raise ConfigError(f"{path} must hold one address that apprise knows")
+    return AppriseCarrier(name=path.stem, apprise=apprise)
+
 
 ROUND_S: Final = 10.0
 JUDGING_S: Final = 5.0  # of a round, for prognoses; what is left over is judged in the next

@@ -13,7 +13,6 @@ from fleet_backend.alarms.rules import Rule, Subject
 from fleet_backend.database import transaction
 from fleet_backend.errors import AskError, NotFoundError
 from fleet_backend.office_tables import ALARM
-from fleet_backend.orders import clutch_names
 from fleet_backend.page import wording
 from fleet_backend.page.access import Role
 from fleet_backend.page.asking import AFTER, LIMIT, VEHICLE, Ask, Parameter, ParameterType
@@ -21,6 +20,7 @@ from fleet_backend.page.clutches_view import next_of
 from fleet_backend.page.listing import latest_first, page_of
 from fleet_backend.page.records import Alarm, AlarmsAnswer
 from fleet_backend.page.view import Action, Choice, Field, Form, Shown, Sources, View, list_section
+from fleet_backend.queries import clutch_names
 from fleet_contract.orders import name_of
 
 _KEY: Final = ("vehicle", "clutch", "rule", "number")

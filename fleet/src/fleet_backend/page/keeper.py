@@ -15,10 +15,10 @@ from prometheus_client.core import Metric
 
 from clutchdiag_io.metrics import gauge
 from fleet_backend.errors import DatabaseError
-from fleet_backend.orders import PresentFluid
 from fleet_backend.page.listing import vehicle_type, worst_first
 from fleet_backend.page.records import ClutchNow, Severity, Usual
 from fleet_backend.page.running import DatabaseSource, FillsSeen
+from fleet_backend.queries import PresentFluid
 
 PERIOD_S: Final = 2.0
 REST_RATIO: Final = 19.0  # of the time that reading takes: a twentieth of a processor at most, while much arrives

@@ -13,10 +13,10 @@ from clutchdiag_io.people import is_dated
 from fleet_backend import schema
 from fleet_backend.database import transaction
 from fleet_backend.months import has_partitions
-from fleet_backend.orders import since_of
 from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ShiftAnswer
 from fleet_backend.page.vehicle_state import fills_in
+from fleet_backend.queries import since_of
 from fleet_contract.orders import EARLIEST, NO_VERDICT, is_of_earlier_fluid
 
 SAME_RATIO: Final = 0.5

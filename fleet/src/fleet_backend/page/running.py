@@ -11,9 +11,9 @@ from sqlalchemy import Connection, Engine, TextualSelect, bindparam, func, selec
 
 from fleet_backend.database import transaction
 from fleet_backend.months import CLUTCH_STREAM, has_partitions
-from fleet_backend.orders import PresentFluid, clutch_names, present_fluids, with_orders
 from fleet_backend.page.calibrations import remember
 from fleet_backend.page.records import ClutchNow
+from fleet_backend.queries import PresentFluid, clutch_names, present_fluids, with_orders
 from fleet_backend.schema import FLUID_FILL, HAPPENED_AT, RANKED_AT, SHIFT_RESULT, WITHDRAWN_FILL, UtcDateTime
 from fleet_backend.views import LAST_RESULTS
 

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from datetime import datetime
 
 from fleet_backend.errors import DatabaseAwayError
-from fleet_backend.orders import PresentFluid
 from fleet_backend.page.keeper import Keeper
 from fleet_backend.page.records import ClutchNow
 from fleet_backend.page.running import DatabaseSource, FillsSeen
+from fleet_backend.queries import PresentFluid
 from tests.support.fleet import NOW
 from tests.support.fleet_page import clutch_now
 

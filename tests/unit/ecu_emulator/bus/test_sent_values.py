@@ -11,7 +11,7 @@ from dbc.contract import load_contract
 from ecu_emulator.bus.frames import FrameEncoder
 from ecu_emulator.bus.sent_values import SentValues
 from ecu_emulator.sensing import Readings
-from workshop.controller.answers import Answering
+from workshop.controller.answers import Answering, Answers
 
 DATABASE = load_contract()
 
@@ -95,7 +95,7 @@ class Sent:
 
 
 def test_a_controller_whose_vehicle_has_not_begun_is_busy_with_what_it_will_know_and_answers_the_rest() -> None:
-    answering = Answering(Sent(), table="", memory=None, doip=None, is_fd=False)
+    answering = Answering(Sent(), Answers())
 
     def ask(request: str, *, to_all: bool = False) -> str:
         return (answering.controller.ask(bytes.fromhex(request), is_functional=to_all) or b"").hex()

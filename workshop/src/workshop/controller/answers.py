@@ -35,8 +35,8 @@ from workshop.controller.requested_tasks import (
     AdaptedCar,
     Driven,
     RequestedAdaptation,
-    RequestedClearing,
     RequestedRoutine,
+    clear_if_requested,
 )
 from workshop.controller.services.data import STARTING
 from workshop.controller.table import load_table, table_like, table_of
@@ -52,18 +52,10 @@ class Answering:
     ----------
     bus
         Where responses go, and the frames that ``send`` is given.
-    table
-        A TOML file that describes the controller; empty: the one that ships.
-    like
-        Whose data it has besides, and whose times to answer; empty: its own alone.
-    memory
-        The file that keeps trouble codes over restarts; without one they are forgotten.
-    doip
-        Where testers may ask over an IP network; None: nowhere.
+    how
+        Its table, its memory, and where else it answers.
     is_fd
         Whether responses are CAN FD frames.
-    elm327
-        ``[HOST:]PORT`` of an ELM327 adapter for OBD apps; without one there is none.
     bitrate
         Of the bus [bit/s], if it is known; the adapter names its protocol by it.
     performer
@@ -83,13 +75,9 @@ class Answering:
     def __init__(
         self,
         bus: FrameSender,
+        how: "Answers",
         *,
-        table: str,
-        like: str = "",
-        memory: Path | None,
-        doip: Place | None,
-        is_fd: bool,
-        elm327: str | None = None,
+        is_fd: bool = False,
         bitrate: int | None = None,
         performer: AdaptedCar | None = None,
         ignition: deque[float] | None = None,
@@ -125,11 +113,11 @@ class Answering:
         self._is_over = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="monitors", daemon=True)
         self._error: BaseException | None = None
-        shipped = table_like(like, transmission) if like else table_of(transmission)
-        described = load_table(Path(table)) if table else shipped
+        shipped = table_of(transmission) if how.like is None else table_like(how.like, transmission)
+        described = shipped if how.table is None else load_table(Path(how.table))
         least_s, most_s = described.timing.least_answer_s, described.timing.most_answer_s
         times = random.Random()  # noqa: S311 - no secret: how long an answer takes
-        store = None if memory is None else self._stack.enter_context(MemoryFile(memory, described))
+        store = None if how.memory is None else self._stack.enter_context(MemoryFile(Path(how.memory), described))
         try:
             self.controller = Controller(
                 described,
@@ -146,14 +134,10 @@ class Answering:
             )
             self._routine = None if performer is None else RequestedRoutine(performer, self.controller)
             self._adaptation = None if performer is None else RequestedAdaptation(performer, self.controller)
-            self._clearing = (
-                None
-                if self._adaptation is None
-                else RequestedClearing(self.controller, self._monitoring, self._adaptation)
-            )
             self.link = DiagnosticLink(self.controller, bus.send, is_fd=is_fd)
+            doip = how.place
             self.doip = None if doip is None else self._stack.enter_context(closing(DoipServer(self.controller, doip)))
-            there = None if elm327 is None else parse_place(elm327, "--elm327", least_port=0)
+            there = None if how.elm327 is None else parse_place(how.elm327, "--elm327", least_port=0)
             adapter = None if there is None else ElmServer(self.controller, (there.host, there.port), bitrate)
             self.elm327 = None if adapter is None else self._stack.enter_context(closing(adapter))
         except BaseException:
@@ -272,8 +256,7 @@ class Answering:
                     self._routine.step(self._driven)
                 if self._adaptation is not None:
                     self._adaptation.step(self._values())
-                if self._clearing is not None:
-                    self._clearing.step()
+                    clear_if_requested(self.controller, self._monitoring, self._adaptation)
         except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
             self._error = exc
 
@@ -316,7 +299,7 @@ class Answering:
             "engine_run_time_s": self._engine_ran_s,
             STARTING: float(not self._sent.has_begun),
             "revs_possible": float(self._routine is not None and self._routine.is_possible),
-            "clearing_possible": float(self._clearing is not None),
+            "clearing_possible": float(self._adaptation is not None),
             "adaptation_possible": float(self._adaptation is not None and self._adaptation.is_possible),
             **(self._adaptation.values if self._adaptation is not None else {}),
             **self._monitoring.temperatures,
@@ -373,7 +356,7 @@ class Answers:
             raise ConfigError("a controller answers by a table of its own, or like another one, not both")
         if self.like is not None:
             table_like(self.like)
-        self._place()
+        _ = self.place
 
     def opened(self, bus: can.BusABC, choice: BusChoice, drive: Drive) -> Answering:
         """Return the controller that answers while it is entered.
@@ -384,24 +367,12 @@ class Answers:
             If the table, the memory, the bus or an address cannot be used, or can-isotp is not installed.
         """
         return Answering(
-            bus,
-            table="" if self.table is None else os.fspath(self.table),
-            like=self.like or "",
-            memory=self._memory,
-            doip=self._place(),
-            is_fd=choice.is_fd,
-            elm327=self.elm327,
-            bitrate=choice.bitrate,
-            performer=drive,
-            ignition=drive.ignition,
+            bus, self, is_fd=choice.is_fd, bitrate=choice.bitrate, performer=drive, ignition=drive.ignition
         )
 
     @property
-    def _memory(self) -> Path | None:
-        return None if self.memory is None else Path(self.memory)
-
-    def _place(self) -> Place | None:
-        """Return where it answers on an IP network, None if it does not."""
+    def place(self) -> Place | None:
+        """Where it answers on an IP network, None if it does not."""
         certificate, key = (None if one is None else Path(one) for one in (self.doip_certificate, self.doip_key))
         if certificate is None and self.doip_tls_port != DOIP_TLS_PORT:
             raise ConfigError("--doip-tls-port needs --doip-certificate")

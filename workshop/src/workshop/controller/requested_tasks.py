@@ -279,31 +279,13 @@ class RequestedAdaptation:
         return True
 
 
-class RequestedClearing:
-    """Clears the touch points when a routine asks for it, as after a change of the fluid.
-
-    Parameters
-    ----------
-    controller
-        Whose routines are looked after.
-    monitoring
-        Tests what is left.
-    adaptation
-        Forgets the touch points.
-    """
-
-    def __init__(self, controller: Controller, monitoring: Monitoring, adaptation: RequestedAdaptation) -> None:
-        self._controller = controller
-        self._monitoring = monitoring
-        self._adaptation = adaptation
-
-    def step(self) -> None:
-        """Do what is due; to be called about ten times a second."""
-        found = running_routine(self._controller, Task.NEW_FLUID)
-        if found is None:
-            return
-        if self._adaptation.forget():
-            self._monitoring.judge_adaptation()
-            self._controller.finish(found[0])
-        else:
-            self._controller.fail(found[0])
+def clear_if_requested(controller: Controller, monitoring: Monitoring, adaptation: RequestedAdaptation) -> None:
+    """Clear the touch points when a routine asks for it, as after a change of the fluid, and test what is left."""
+    found = running_routine(controller, Task.NEW_FLUID)
+    if found is None:
+        return
+    if adaptation.forget():
+        monitoring.judge_adaptation()
+        controller.finish(found[0])
+    else:
+        controller.fail(found[0])

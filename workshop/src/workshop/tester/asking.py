@@ -1,10 +1,11 @@
-"""Listen first, then ask: what commands, polling and Python do with one controller."""
+"""Listen first who else is asking on a bus, then ask: what commands, polling and Python do with one controller."""
 
 import contextvars
 import ipaddress
 import socket
 import ssl
 import threading
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,15 +18,86 @@ import can
 
 from canlog.files import check_plain_file
 from canlog.live.factory import complete_settings
-from canlog.live.pythoncan import open_bus
-from diag_service.errors import ConfigError, ControllerError
-from workshop.tester.addresses import TRANSMISSION, CanAddress, is_extended, usual_response_id
+from canlog.live.pythoncan import one_line, open_bus
+from diag_service.errors import ConfigError, ControllerError, StoppedError
+from diag_service.settings.config import BusConfig
+from workshop.tester.addresses import TRANSMISSION, CanAddress, id_text, is_extended, is_request, usual_response_id
 from workshop.tester.answers import Timing
 from workshop.tester.description import Description
-from workshop.tester.listening import LISTEN_S, Traffic, check_alone, listen, receive
 
 if TYPE_CHECKING:
     from workshop.tester.dialogue import Dialogue
+
+LISTEN_S: Final = 5.0  # S3 of a controller (ISO 14229-2): a tester that keeps a session speaks at least so often
+CLASSIC_BYTES: Final = 8  # of a frame of a request
+PADDING: Final = 0xCC  # what fills it, ISO 15765-2: the bits stuffed least
+_PATIENCE_S: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Traffic:
+    """What was heard."""
+
+    duration_s: float
+    frame_count: int
+    can_ids: frozenset[int]
+    error_count: int = 0  # frames that tell of trouble on the bus
+
+    def __str__(self) -> str:
+        if not self.frame_count:
+            return f"nothing was heard in {self.duration_s:g} s"
+        rate_hz = self.frame_count / self.duration_s
+        return f"{self.frame_count} frames of {len(self.can_ids)} identifiers in {self.duration_s:g} s, {rate_hz:.0f}/s"
+
+    def other_testers(self, address: CanAddress | None = None) -> tuple[int, ...]:
+        """Return the identifiers by which somebody else asks: those of the standard, and that of an address."""
+        own = set() if address is None else {address.request_id}
+        return tuple(sorted(can_id for can_id in self.can_ids if is_request(can_id) or can_id in own))
+
+
+def send(bus: can.BusABC, message: can.Message) -> None:
+    """Put a frame on a bus; raises ControllerError if the bus does not take it."""
+    try:
+        bus.send(message, timeout=1.0)
+    except (can.CanError, OSError, ValueError) as exc:
+        raise ControllerError(f"the bus does not take a request: {one_line(exc)}") from exc
+
+
+def receive(bus: can.BusABC, patience_s: float) -> can.Message | None:
+    """Return the next frame, None if none comes in time; raises ControllerError if the bus cannot be read."""
+    try:
+        return bus.recv(patience_s)
+    except (can.CanError, OSError, ValueError) as exc:
+        raise ControllerError(f"the bus cannot be read: {one_line(exc)}") from exc
+
+
+def listen(bus: can.BusABC, duration_s: float = LISTEN_S, goes_on: Callable[[], bool] = lambda: True) -> Traffic:
+    """Return what is heard on a bus for so long.
+
+    Raises ControllerError if it cannot be read, StoppedError if it shall not go on.
+    """
+    until_s = time.monotonic() + duration_s
+    frame_count = error_count = 0
+    can_ids = set[int]()
+    while (left_s := until_s - time.monotonic()) > 0.0:
+        if not goes_on():
+            raise StoppedError("stopped early: nothing was asked")
+        message = receive(bus, min(_PATIENCE_S, left_s))
+        if message is None:
+            continue
+        if message.is_error_frame:
+            error_count += 1
+            continue
+        frame_count += 1
+        can_ids.add(message.arbitration_id)
+    return Traffic(duration_s=duration_s, frame_count=frame_count, can_ids=frozenset(can_ids), error_count=error_count)
+
+
+def check_alone(traffic: Traffic, address: CanAddress | None = None) -> None:
+    """Raise ControllerError if another tester was heard: two on one bus take each other's answers."""
+    if others := traffic.other_testers(address):
+        named = ", ".join(map(id_text, others))
+        raise ControllerError(f"another tester is asking on this bus (requests on {named}): nothing was asked")
 
 
 DOIP_PORT: Final = 13400
@@ -37,16 +109,6 @@ _LARGEST_PORT: Final = 0xFFFF
 LONGEST_S: Final = 3600.0
 JOIN_S: Final = 3.0  # how long an ending service waits for a question that is under way
 SHORTEST_ANSWER_S: Final = 0.001
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BusName:
-    """Which bus to open; None leaves the choice to python-can's configuration."""
-
-    interface: str | None
-    channel: str | None
-    bitrate: int | None
-    is_fd: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,11 +157,11 @@ def address_for(named: CanAddress | None, description: Description) -> CanAddres
 
 def check_libraries() -> None:
     """Raise ExtraMissingError if a library that asks is missing; what imports this can be imported without."""
-    import_module("workshop.tester.libraries")
+    import_module("workshop.tester.dialogue")
 
 
 @contextmanager
-def opened_bus(place: BusName | can.BusABC) -> Iterator[can.BusABC]:
+def opened_bus(place: BusConfig | can.BusABC) -> Iterator[can.BusABC]:
     """Open a bus for the time of the block; one that is open is lent, and stays open with the filters that it had.
 
     Meanwhile it has none: behind them another tester could not be heard.
@@ -114,7 +176,7 @@ def opened_bus(place: BusName | can.BusABC) -> Iterator[can.BusABC]:
         If one that is open cannot be read.
     """
     check_libraries()
-    if not isinstance(place, BusName):
+    if not isinstance(place, BusConfig):
         filters = place.filters
         try:
             place.set_filters(None)
@@ -142,8 +204,7 @@ def dialogue_on(
     goes_on: Callable[[], bool] = lambda: True,
 ) -> "Dialogue":
     """Return a tester for one controller; from now on the bus gives no more than that controller's frames."""
-    from workshop.tester.can_link import CanConnection  # noqa: PLC0415 - libraries of an extra
-    from workshop.tester.dialogue import Dialogue  # noqa: PLC0415 - likewise
+    from workshop.tester.dialogue import CanConnection, Dialogue  # noqa: PLC0415 - libraries of an extra
 
     mask = 0x1FFF_FFFF if is_extended(address.response_id) else 0x7FF
     bus.set_filters([{"can_id": address.response_id, "can_mask": mask, "extended": is_extended(address.response_id)}])
@@ -236,7 +297,7 @@ class AskingThread(ABC):
 class BusTarget:
     """One controller on a bus."""
 
-    bus: BusName | can.BusABC
+    bus: BusConfig | can.BusABC
     address: CanAddress
     is_fd: bool = False  # whether requests go out in CAN FD frames
     listen_s: float = LISTEN_S  # before anything is sent
@@ -268,7 +329,7 @@ def asking(
 
 
 def heard(
-    place: BusName | can.BusABC | DoipPlace, listen_s: float, goes_on: Callable[[], bool] = lambda: True
+    place: BusConfig | can.BusABC | DoipPlace, listen_s: float, goes_on: Callable[[], bool] = lambda: True
 ) -> Traffic | None:
     """Return what is heard where something would be asked; None: over IP there is nothing to hear.
 
@@ -284,3 +345,10 @@ def check_time(name: str, value_s: float, *, least_s: float) -> None:
     """Raise ConfigError unless a time is usable [s]."""
     if not least_s <= value_s <= LONGEST_S:
         raise ConfigError(f"{name} must be {least_s:g} to {LONGEST_S:g} s, got {value_s:g}")
+
+
+def timing_of(listen_s: float, timeout_s: float, names: tuple[str, str] = ("--listen", "--timeout")) -> Timing:
+    """Return how patient the tester is to be; raises ConfigError, by one of the names, if a time cannot be."""
+    check_time(names[0], listen_s, least_s=0.0)
+    check_time(names[1], timeout_s, least_s=SHORTEST_ANSWER_S)
+    return Timing(p2_s=timeout_s)

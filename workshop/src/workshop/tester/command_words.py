@@ -1,5 +1,7 @@
 """The commands that ask controllers: dtc, did, routine, scan and try. What does the work is imported by who works."""
 
+from collections.abc import Callable
+from importlib import import_module
 from types import SimpleNamespace
 from typing import Final
 
@@ -10,34 +12,13 @@ from diag_service.service.stopping import Controls
 from diag_service.settings.options import BUS, CONFIG, JSON, PROGRAM, VARIABLES
 
 
-def _dtc(options: SimpleNamespace, controls: Controls) -> None:
-    from workshop.tester.commands import dtc  # noqa: PLC0415 - compiled libraries
+def _of(module: str, name: str) -> Callable[[SimpleNamespace, Controls], None]:
+    """Return what carries out a command; its libraries, some of them compiled, are loaded when it is called."""
 
-    dtc(options, controls)
+    def execute(options: SimpleNamespace, controls: Controls) -> None:
+        getattr(import_module(f"workshop.tester.{module}"), name)(options, controls)
 
-
-def _did(options: SimpleNamespace, controls: Controls) -> None:
-    from workshop.tester.commands import did  # noqa: PLC0415 - compiled libraries
-
-    did(options, controls)
-
-
-def _routine(options: SimpleNamespace, controls: Controls) -> None:
-    from workshop.tester.commands import routine  # noqa: PLC0415 - compiled libraries
-
-    routine(options, controls)
-
-
-def _scan(options: SimpleNamespace, controls: Controls) -> None:
-    from workshop.tester.commands import scan  # noqa: PLC0415 - compiled libraries
-
-    scan(options, controls)
-
-
-def _try(options: SimpleNamespace, controls: Controls) -> None:
-    from workshop.tester.trying import try_car  # noqa: PLC0415 - compiled libraries
-
-    try_car(options, controls)
+    return execute
 
 
 _ASKED_BUS: Final = tuple(option for option in BUS if option.name in {"interface", "channel", "bitrate", "fd"})
@@ -90,7 +71,7 @@ DTC: Final = Command(
     *(CONFIG, JSON, VERBOSE),
     variables=VARIABLES,
     description=f"Read the trouble codes of a controller, with what it kept of the failure, or clear them. {_LISTENS}",
-    execute=_dtc,
+    execute=_of("commands", "dtc"),
     examples=(
         f"{PROGRAM} dtc -i socketcan -c can0 --active",
         f"{PROGRAM} dtc -i socketcan -c can0 --ecu 18DA10F1 --description engine.pdx --active --json",
@@ -107,7 +88,7 @@ DID: Final = Command(
     *(CONFIG, JSON, VERBOSE),
     variables=VARIABLES,
     description=f"Read data of a controller by identifier; without any, all that it is known to have. {_LISTENS}",
-    execute=_did,
+    execute=_of("commands", "did"),
     examples=(
         f"{PROGRAM} did F190 'fluid temperature' -i socketcan -c can0 --active",
         f"{PROGRAM} did --session 03 --description gearbox.toml -i socketcan -c can0 --active --json",
@@ -133,7 +114,7 @@ ROUTINE: Final = Command(
     *(CONFIG, JSON, VERBOSE),
     variables=VARIABLES,
     description=f"Start or stop a routine of a controller, or read its results. {_LISTENS}",
-    execute=_routine,
+    execute=_of("commands", "routine"),
     examples=(f"{PROGRAM} routine 0301 start --options '02 02' --unlock 1=5AA5C33C -i socketcan -c can0 --active",),
 )
 SCAN: Final = Command(
@@ -151,7 +132,7 @@ SCAN: Final = Command(
         "Find the controllers on a bus and what each can be asked, by questions that change nothing, no "
         f"session either: tester present, data that identify it, the number of its trouble codes. {_LISTENS}"
     ),
-    execute=_scan,
+    execute=_of("commands", "scan"),
     examples=(f"{PROGRAM} scan -i socketcan -c can0 --active", f"{PROGRAM} scan -c can0 --extended --active --json"),
 )
 TRY: Final = Command(
@@ -173,7 +154,7 @@ TRY: Final = Command(
         "say what that suffices for; with --record also after a drive. Only reading services are sent, and nothing "
         "without --active."
     ),
-    execute=_try,
+    execute=_of("trying", "try_car"),
     examples=(
         f"{PROGRAM} try -i socketcan -c can0 --active",
         f"{PROGRAM} try --adapter elm327:/dev/rfcomm0 --active --record drive.log",

@@ -9,23 +9,23 @@ from typing import Final, TypeVar
 from diag_service.console import ReadingLine, is_confirmed, write_record
 from diag_service.errors import ConfigError, ControllerError, StoppedError
 from diag_service.service.stopping import Controls, Trigger
+from diag_service.settings.config import BusConfig
 from workshop.tester import questions, scanning
 from workshop.tester.addresses import hexadecimal, id_text, parse_address
-from workshop.tester.answers import Timing
 from workshop.tester.asking import (
     LARGEST_LOGICAL,
     SHORTEST_ANSWER_S,
-    BusName,
     BusTarget,
     DoipPlace,
+    Traffic,
     address_for,
     asking,
     check_time,
     heard,
     parse_doip,
+    timing_of,
 )
-from workshop.tester.description_files import find_description
-from workshop.tester.listening import Traffic
+from workshop.tester.description import find_description
 from workshop.tester.trouble import (
     Record,
     TroubleCode,
@@ -143,7 +143,7 @@ def scan(options: SimpleNamespace, controls: Controls) -> None:
 
 
 def _scan_plan(options: SimpleNamespace) -> scanning.ScanPlan:
-    timing = timing_of(options)
+    timing = timing_of(options.listen, options.timeout)
     check_time("--wait", options.wait, least_s=scanning.SHORTEST_WAIT_S)
     place = doip_place(options)
     most = scanning.largest_id(is_extended=options.extended)
@@ -180,7 +180,7 @@ def ask_one(
     stop
         Ends it early.
     """
-    timing = timing_of(options)
+    timing = timing_of(options.listen, options.timeout)
     description = find_description(options.description)
     wanted = question.requests(description)
     target: BusTarget | DoipPlace
@@ -224,15 +224,8 @@ def show_wish(schema: str, wanted: Sequence[str], traffic: Traffic | None, *, is
     write_record(record, would_lines(traffic, wanted), as_json=is_json)
 
 
-def timing_of(options: SimpleNamespace) -> Timing:
-    """Return how patient the tester is to be; raises ConfigError if a time cannot be."""
-    check_time("--listen", options.listen, least_s=0.0)
-    check_time("--timeout", options.timeout, least_s=SHORTEST_ANSWER_S)
-    return Timing(p2_s=options.timeout)
-
-
-def bus_name(options: SimpleNamespace) -> BusName:
-    return BusName(
+def bus_name(options: SimpleNamespace) -> BusConfig:
+    return BusConfig(
         interface=options.interface, channel=options.channel, bitrate=options.bitrate, is_fd=bool(options.fd)
     )
 

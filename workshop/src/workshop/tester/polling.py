@@ -18,10 +18,8 @@ from fleet_contract import Channel, Outgoing, controller_message
 from fleet_contract.errors import ResultError
 from workshop.tester.addresses import parse_address
 from workshop.tester.answers import Timing
-from workshop.tester.asking import AskingThread, BusName, BusTarget, address_for, asking, check_libraries
-from workshop.tester.description import Description
-from workshop.tester.description_files import find_description
-from workshop.tester.listening import LISTEN_S
+from workshop.tester.asking import LISTEN_S, AskingThread, BusTarget, address_for, asking, check_libraries
+from workshop.tester.description import Description, find_description
 from workshop.tester.questions import read_troubles, recognised
 from workshop.tester.trouble import Record, TroubleCode, code_words, trouble_record
 
@@ -167,9 +165,8 @@ def poller_for(
     """Return a poller as the settings have it; raises ConfigError, ExtraMissingError if they cannot be used."""
     check_libraries()
     description = find_description(poll.description)
-    named = BusName(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, is_fd=bus.is_fd)
     target = BusTarget(
-        bus=poll.bus or named,
+        bus=poll.bus or bus,
         address=address_for(parse_address(poll.ecu, poll.reply), description),
         is_fd=bus.is_fd,
         listen_s=LISTEN_S,

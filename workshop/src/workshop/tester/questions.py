@@ -24,8 +24,7 @@ from workshop.tester.answers import (
     request_text,
     shown,
 )
-from workshop.tester.description import SYSTEMS, UNKNOWN, Description, Values, fields_size_bytes, read_fields
-from workshop.tester.description_files import shipped
+from workshop.tester.description import SYSTEMS, UNKNOWN, Description, Values, fields_size_bytes, read_fields, shipped
 from workshop.tester.trouble import CODE_BYTES, Snapshot, TroubleCode, read_codes, read_extended, read_snapshots
 
 if TYPE_CHECKING:

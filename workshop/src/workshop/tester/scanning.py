@@ -12,7 +12,8 @@ import can
 
 from canlog.errors import NOTICE
 from diag_service import errors
-from workshop.tester import asking, listening
+from diag_service.settings.config import BusConfig
+from workshop.tester import asking
 from workshop.tester.addresses import (
     FIXED_PHYSICAL,
     FUNCTIONAL_ID,
@@ -55,7 +56,7 @@ WAIT_S: Final = 0.06  # P2 of a controller, and a little for the bus
 SUSPECTS: Final = 4  # addresses whose answer may come so late that it seems to be the next one's
 MOST_SILENT: Final = 3  # questions without an answer after which a controller is left alone
 _PRESENT: Final = bytes([0x02, TESTER_PRESENT, 0x00])  # a single frame: TesterPresent
-_FRAME: Final = _PRESENT.ljust(listening.CLASSIC_BYTES, bytes([listening.PADDING]))
+_FRAME: Final = _PRESENT.ljust(asking.CLASSIC_BYTES, bytes([asking.PADDING]))
 _ANSWERS: Final = (bytes([0x02, TESTER_PRESENT + POSITIVE, 0x00]), bytes([0x03, NEGATIVE, TESTER_PRESENT]))
 PROBES: Final = (
     (TESTER_PRESENT, bytes([TESTER_PRESENT, 0x00])),
@@ -92,12 +93,12 @@ class Found:
 class ScanPlan:
     """Where controllers are looked for, and what each is asked."""
 
-    place: asking.BusName | can.BusABC | asking.DoipPlace
+    place: BusConfig | can.BusABC | asking.DoipPlace
     request_ids: Sequence[int] = ()  # to try on a bus
     data: Sequence[int] = STANDARD_NUMBERS  # to try on each controller
     is_fd: bool = False
     timing: Timing = field(default_factory=Timing)
-    listen_s: float = listening.LISTEN_S
+    listen_s: float = asking.LISTEN_S
     wait_s: float = WAIT_S  # how long each identifier may take to answer
 
     @property
@@ -162,11 +163,11 @@ def _confirmed(bus: can.BusABC, suspects: Iterable[int], response_id: int, wait_
 def _answering(bus: can.BusABC, request_id: int | None, wait_s: float, wanted: int | None = None) -> frozenset[int]:
     """Ask once and return the identifiers of the answers that come in time; the wanted one ends the wait."""
     if request_id is not None:
-        listening.send(bus, can.Message(arbitration_id=request_id, is_extended_id=is_extended(request_id), data=_FRAME))
+        asking.send(bus, can.Message(arbitration_id=request_id, is_extended_id=is_extended(request_id), data=_FRAME))
     until_s = time.monotonic() + wait_s
     found = set[int]()
     while (left_s := until_s - time.monotonic()) > 0.0 and (wanted is None or wanted not in found):
-        message = listening.receive(bus, left_s)
+        message = asking.receive(bus, left_s)
         if message is None or message.is_error_frame:
             continue
         if is_request(message.arbitration_id) and bytes(message.data) != _FRAME:  # ours may come back
@@ -234,7 +235,7 @@ def _data_of(tester: "Dialogue", description: Description, numbers: Iterable[int
 class Scan:
     """What a scan heard and found."""
 
-    traffic: listening.Traffic | None  # before anything was sent; None: over IP there is nothing to hear
+    traffic: asking.Traffic | None  # before anything was sent; None: over IP there is nothing to hear
     controllers: tuple[Found, ...]
 
 
@@ -272,8 +273,8 @@ def scan(plan: ScanPlan, *, goes_on: Callable[[], bool] = lambda: True) -> Scan:
         with asking.dialogue_over_ip(plan.place, plan.timing, goes_on=goes_on) as tester:
             return Scan(traffic=None, controllers=(_explored(tester, plan, None),))
     with asking.opened_bus(plan.place) as bus:
-        traffic = listening.listen(bus, plan.listen_s, goes_on)
-        listening.check_alone(traffic)
+        traffic = asking.listen(bus, plan.listen_s, goes_on)
+        asking.check_alone(traffic)
         _LOG.log(NOTICE, "listened: %s; asking %d identifiers", traffic, len(plan.request_ids))
         addresses = find_addresses(bus, plan.request_ids, traffic.can_ids, wait_s=plan.wait_s, goes_on=goes_on)
         return Scan(traffic=traffic, controllers=tuple(_controllers(bus, addresses, plan, goes_on)))

@@ -53,10 +53,8 @@ from workshop.tester.addresses import (
     is_request,
 )
 from workshop.tester.answers import BUSY, MOST_PENDING_S, PENDING_S, is_pending, refusal_text, tells
-from workshop.tester.asking import AskingThread, BusName, opened_bus
-from workshop.tester.can_link import CanConnection
-from workshop.tester.libraries import TimeoutException
-from workshop.tester.listening import LISTEN_S, receive, send
+from workshop.tester.asking import LISTEN_S, AskingThread, opened_bus, receive, send
+from workshop.tester.dialogue import CanConnection, TimeoutException
 
 MOST_LOAD: Final = 0.05  # of the bus, by requests and answers together
 USUAL_BITRATE: Final = 500_000
@@ -549,7 +547,7 @@ class CanLine:
 
 @contextmanager
 def line_on(
-    name: BusName | can.BusABC,
+    name: BusConfig | can.BusABC,
     addresses: Sequence[CanAddress],
     groups: Sequence[int] = (),
     *,
@@ -569,7 +567,6 @@ async def asking(
     bus: BusConfig, fields: Mapping[Signal, AskedField], rules: AskingRules, groups: Sequence[int] = ()
 ) -> AsyncIterator[None]:
     """Ask for signals until the block ends; raises ConfigError."""
-    own = BusName(interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, is_fd=bus.is_fd)
     addresses = [address_of(one) for one in fields.values()]
     open_line: OpenLine
     if bus.adapter is not None:
@@ -579,7 +576,7 @@ async def asking(
         rules = rules_through(adapter, rules)
         open_line = lambda: line_through(adapter, channel, lambda: asker.goes_on)  # noqa: E731 - one of two
     else:
-        open_line = lambda: line_on(own, addresses, groups, is_fd=bus.is_fd, goes_on=lambda: asker.goes_on)  # noqa: E731
+        open_line = lambda: line_on(bus, addresses, groups, is_fd=bus.is_fd, goes_on=lambda: asker.goes_on)  # noqa: E731
     asker = SignalAsker(fields, rules, open_line, bus.bitrate, groups)
     with asker:
         try:

@@ -36,12 +36,12 @@ from diag_service.mapping.mapped_messages import fitting
 from diag_service.mapping.profile import AskingRules, Profile, find_profile, load_shipped, shipped_profiles, to_si
 from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
 from diag_service.service.stopping import Controls
+from diag_service.settings.config import BusConfig
 from diag_service.settings.options import PROGRAM
 from workshop.tester.adapters import Line, line_through, parse_adapter, rules_through
 from workshop.tester.addresses import CanAddress, id_text, is_extended
 from workshop.tester.answers import refusal_text
-from workshop.tester.asking import BusName, check_time, heard, opened_bus
-from workshop.tester.listening import Traffic
+from workshop.tester.asking import Traffic, check_time, heard, opened_bus
 from workshop.tester.signal_asking import (
     MOST_SILENT,
     NO_GROUPS,
@@ -69,14 +69,14 @@ def try_car(options: SimpleNamespace, controls: Controls) -> None:
     _check_recording(options)
     _check_adapter(options)
     profiles = _profiles(options.profile)
-    bus = BusName(interface=options.interface, channel=options.channel, bitrate=options.bitrate, is_fd=options.fd)
+    bus = BusConfig(interface=options.interface, channel=options.channel, bitrate=options.bitrate, is_fd=options.fd)
     traffic = None  # through an adapter nothing is heard that was not asked for
     if options.adapter is None:
         show(str(traffic := heard(bus, options.listen, lambda: not controls.stop.is_set)))
         if traffic is not None and not any(map(is_extended, traffic.can_ids)) and options.profile is None:
             profiles = [one for one in profiles if not one.groups]  # no J1939 on a bus without any such frame
     else:
-        bus = BusName(interface="virtual", channel=f"try-{uuid.uuid4()}", bitrate=None, is_fd=False)
+        bus = BusConfig(interface="virtual", channel=f"try-{uuid.uuid4()}", bitrate=None, is_fd=False)
         if not (profiles := [one for one in profiles if not one.groups]):
             raise ConfigError(NO_GROUPS)
     if options.dry_run or not options.active:
@@ -197,7 +197,7 @@ class InOrder(can.Listener):
         self._log.stop()
 
 
-def _record(asker: SignalAsker, bus: BusName, options: SimpleNamespace, controls: Controls, show: Show) -> None:
+def _record(asker: SignalAsker, bus: BusConfig, options: SimpleNamespace, controls: Controls, show: Show) -> None:
     """Write what is said on a bus into a log while a car is driven and asked; raises OutputError, SourceError."""
     path, end_s = options.record, time.monotonic() + (options.duration or float("inf"))
     until = "until Ctrl-C" if options.duration is None else f"for {options.duration:g} s"

@@ -5,23 +5,25 @@ from typing import TYPE_CHECKING, Final, Self, TypeVar
 
 from diag_service.api.choices import AnyPath, check_one_bus, optional_path
 from diag_service.errors import ConfigError
+from diag_service.settings.config import BusConfig
 from workshop.tester import questions, scanning
 from workshop.tester.addresses import CanAddress, usual_response_id
-from workshop.tester.answers import DEFAULT_SESSION, DialogueCounts, Timing
+from workshop.tester.answers import DEFAULT_SESSION, DialogueCounts
 from workshop.tester.asking import (
     LARGEST_LOGICAL,
+    LISTEN_S,
     SHORTEST_ANSWER_S,
-    BusName,
     BusTarget,
     DoipPlace,
+    Traffic,
     address_for,
     asking,
     check_time,
     heard,
     parse_doip,
+    timing_of,
 )
-from workshop.tester.description_files import find_description
-from workshop.tester.listening import LISTEN_S, Traffic
+from workshop.tester.description import find_description
 from workshop.tester.trouble import TroubleCode
 
 if TYPE_CHECKING:
@@ -30,16 +32,10 @@ if TYPE_CHECKING:
     from workshop.tester.dialogue import Dialogue
 
 ANSWER_S: Final = 1.0  # until an answer begins
+_TIMES: Final = ("listen_s", "timeout_s")
 
 
 _AnswerT = TypeVar("_AnswerT")
-
-
-def timing_of(listen_s: float, timeout_s: float) -> Timing:
-    """Return how patient the tester is; raises ConfigError if a time cannot be."""
-    check_time("listen_s", listen_s, least_s=0.0)
-    check_time("timeout_s", timeout_s, least_s=SHORTEST_ANSWER_S)
-    return Timing(p2_s=timeout_s)
 
 
 def place_of(
@@ -52,7 +48,7 @@ def place_of(
     *,
     is_fd: bool,
     doip_authority: AnyPath | None = None,
-) -> "BusName | can.BusABC | DoipPlace":
+) -> "BusConfig | can.BusABC | DoipPlace":
     """Return where to ask; raises ConfigError."""
     check_one_bus(bus, interface, channel, bitrate, doip)
     if doip is not None:
@@ -62,7 +58,7 @@ def place_of(
         return parse_doip(doip, ecu, optional_path(doip_authority))
     if doip_authority is not None:
         raise ConfigError("doip_authority needs doip")
-    return bus if bus is not None else BusName(interface=interface, channel=channel, bitrate=bitrate, is_fd=is_fd)
+    return bus if bus is not None else BusConfig(interface=interface, channel=channel, bitrate=bitrate, is_fd=is_fd)
 
 
 def address_of(ecu: int | None, reply: int | None, address: int | None) -> CanAddress | None:
@@ -134,7 +130,7 @@ def scan_controllers(
         request_ids=() if isinstance(place, DoipPlace) else scanning.request_ids(first, last, is_extended=is_extended),
         data=scanning.ALL_NUMBERS if has_all_data else scanning.STANDARD_NUMBERS,
         is_fd=is_fd,
-        timing=timing_of(listen_s, timeout_s),
+        timing=timing_of(listen_s, timeout_s, _TIMES),
         listen_s=listen_s,
         wait_s=wait_s,
     )
@@ -200,7 +196,7 @@ class UdsTester:
         listen_s: float = LISTEN_S,
         timeout_s: float = ANSWER_S,
     ) -> None:
-        self._timing = timing_of(listen_s, timeout_s)
+        self._timing = timing_of(listen_s, timeout_s, _TIMES)
         self._described = find_description(optional_path(description))
         self._listen_s = listen_s
         self._place = place_of(bus, interface, channel, bitrate, doip, ecu, is_fd=is_fd, doip_authority=doip_authority)

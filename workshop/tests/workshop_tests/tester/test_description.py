@@ -8,7 +8,7 @@ from diag_service.errors import ConfigError
 from tests.tools.tester_description import FILE, written
 from workshop.controller.pdx.package import pdx_package
 from workshop.controller.table import shipped_table
-from workshop.tester.description_files import find_description, shipped
+from workshop.tester.description import find_description, shipped
 
 OWN = """
 name = "gearbox"
