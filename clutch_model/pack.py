@@ -1,6 +1,6 @@
 """The laws of a clutch pack: friction of its lining, heat, and the oil film between rough, permeable surfaces.
 
-A law in the plural takes numbers or whole arrays; its singular is the same law, compiled for other kernels to call.
+A law in the plural takes numbers or whole arrays; its singular is the same law for kernels to call.
 """
 
 import math
@@ -9,11 +9,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import part
 from clutch_model.calibration import ClutchCalibration, FrictionCurve, clutch_of_gear, faces
 from clutch_model.units import Quantity
 
-gear_clutch = kernel(clutch_of_gear)  # for other kernels: the only law of the gearbox that they call
+gear_clutch = part(clutch_of_gear)  # for other kernels: the only law of the gearbox that they call
 
 
 class FrictionLaw(NamedTuple):
@@ -45,10 +45,10 @@ def stribeck_weights(slip_rad_s: Quantity, law: FrictionLaw) -> Quantity:
     return weight
 
 
-stribeck_weight = kernel(stribeck_weights)
+stribeck_weight = part(stribeck_weights)
 
 
-@kernel
+@part
 def kinetic_friction(slip_rad_s: float, law: FrictionLaw) -> float:
     """Return the friction coefficient mu_K at a slip speed of either sign; docs/model.md eq. (8)."""
     return law.mu_c + (law.mu_s - law.mu_c) * stribeck_weight(slip_rad_s, law)
@@ -62,7 +62,7 @@ def contact_torques_nm(direction: Quantity, mu: float, contact_pa: Quantity, con
     return direction * (contact_factor_m3 * mu * contact_pa)
 
 
-contact_torque_nm = kernel(contact_torques_nm)
+contact_torque_nm = part(contact_torques_nm)
 
 
 def contact_levers_m3(
@@ -73,13 +73,13 @@ def contact_levers_m3(
     return np.stack([full_m3 * (1.0 - weight), full_m3 * weight])
 
 
-@kernel
+@part
 def convected_w(warm_k: float, cold_k: float, convection_w_k: float) -> float:
     """Return the heat that goes from the warm to the cold side [W]: ``hA * (T_warm - T_cold)``."""
     return convection_w_k * (warm_k - cold_k)
 
 
-@kernel
+@part
 def clutch_heating_rate_k_s(
     friction_power_w: float, clutch_k: float, oil_k: float, heat_capacity_j_k: float, convection_w_k: float
 ) -> float:
@@ -87,7 +87,7 @@ def clutch_heating_rate_k_s(
     return (friction_power_w - convected_w(clutch_k, oil_k, convection_w_k)) / heat_capacity_j_k
 
 
-@kernel
+@part
 def sump_heating_rate_k_s(
     heat_from_clutches_w: float, oil_k: float, coolant_k: float, heat_capacity_j_k: float, convection_w_k: float
 ) -> float:
@@ -162,7 +162,7 @@ def film_law(clutch: ClutchCalibration) -> FilmLaw:
     )
 
 
-@kernel
+@part
 def applied_pressure_pa(piston_pa: float, law: FilmLaw) -> float:
     """Return what the piston presses on the lining [Pa], its return spring deducted, or 0; docs/model.md eq. (H6)."""
     net_n = piston_pa * law.piston_area_m2 - law.closed_spring_force_n
@@ -172,15 +172,15 @@ def applied_pressure_pa(piston_pa: float, law: FilmLaw) -> float:
 def piston_pressures_pa(applied_pa: Quantity, law: FilmLaw) -> Quantity:
     """Return the piston pressure [Pa] of a closed pack that presses on the lining like this: (H6) solved for it.
 
-    For numbers or arrays; the singular is the same law, compiled for other kernels to call.
+    For numbers or arrays.
     """
     return (law.closed_spring_force_n + law.lining_area_m2 * applied_pa) / law.piston_area_m2
 
 
-piston_pressure_pa = kernel(piston_pressures_pa)
+piston_pressure_pa = part(piston_pressures_pa)
 
 
-@kernel
+@part
 def contact_pressure_pa(film_m: float, law: FilmLaw) -> float:
     """Return the mean pressure carried by touching asperities [Pa], P_C of docs/model.md eq. (7)."""
     overlap = CONTACT_END - film_m / law.roughness_m
@@ -189,7 +189,7 @@ def contact_pressure_pa(film_m: float, law: FilmLaw) -> float:
     return law.contact_stiffness_pa * _CONTACT_SCALE * math.exp(CONTACT_EXPONENT * math.log(overlap))
 
 
-@kernel
+@part
 def equilibrium_film_m(applied_pa: float, law: FilmLaw) -> float:
     """Return the film [m] at which the asperities carry the whole load: inverse of `contact_pressure_pa`.
 
@@ -202,7 +202,7 @@ def equilibrium_film_m(applied_pa: float, law: FilmLaw) -> float:
     return max(law.min_film_m, law.roughness_m * (CONTACT_END - overlap))
 
 
-@kernel
+@part
 def film_mobility_m(film_m: float, law: FilmLaw) -> float:
     """Return how readily the film yields [m]: squeeze rate times viscosity over net pressure, eq. (7).
 
@@ -219,12 +219,12 @@ def film_mobility_m(film_m: float, law: FilmLaw) -> float:
     return (through_film + through_lining) / (law.squeeze_factor_m2 * gap_slope)
 
 
-@kernel
+@part
 def _squeezed_m_s(net_pa: float, mobility_m: float, viscosity: float) -> float:
     return -net_pa * mobility_m / viscosity
 
 
-@kernel
+@part
 def film_rate_m_s(film_m: float, applied_pa: float, viscosity: float, is_closed: bool, law: FilmLaw) -> float:  # noqa: FBT001 - a kernel takes its arguments by position
     """Return the rate of the film [m/s], opening included; docs/model.md eq. (7) with its opening rule.
 
@@ -247,13 +247,13 @@ def film_rate_m_s(film_m: float, applied_pa: float, viscosity: float, is_closed:
     return _closed_rate_m_s(film_m, contact_pa, mobility_m, applied_pa, viscosity, law)
 
 
-@kernel
+@part
 def _opening_m_s(film_m: float, law: FilmLaw) -> float:
     """Return how fast an open pack drifts back to its gap [m/s]."""
     return (law.open_gap_m - film_m) / law.separation_time_s
 
 
-@kernel
+@part
 def _closed_rate_m_s(
     film_m: float, contact_pa: float, mobility_m: float, applied_pa: float, viscosity: float, law: FilmLaw
 ) -> float:
@@ -263,7 +263,7 @@ def _closed_rate_m_s(
     return min(squeezed_m_s, _opening_m_s(film_m, law))
 
 
-@kernel
+@part
 def shear_factor_difference(film_ratio: float) -> float:
     """Return ``phi_f - phi_fs``, the shear stress of a rough film over that of a smooth one; eq. (5).
 
@@ -285,13 +285,13 @@ def shear_factor_difference(film_ratio: float) -> float:
     return mean - 11.1 * decay
 
 
-@kernel
+@part
 def viscous_torque_nm(slip_rad_s: float, film_m: float, viscosity: float, law: FilmLaw) -> float:
     """Return the torque of the sheared film [N m], with the sign of the slip; docs/model.md eq. (5)."""
     return sheared_torque_nm(slip_rad_s, film_m, viscosity, shear_factor_difference(film_m / law.roughness_m), law)
 
 
-@kernel
+@part
 def sheared_torque_nm(slip_rad_s: float, film_m: float, viscosity: float, shear: float, law: FilmLaw) -> float:
     """Return `viscous_torque_nm` where the ``shear`` factor difference of the film is known already."""
     return law.viscous_factor_m4 * viscosity * slip_rad_s / film_m * shear
@@ -306,7 +306,7 @@ def viscosities_pa_s(temperature_k: Quantity, a_pa_s: float, b_k: float, pole_k:
     return viscosity
 
 
-viscosity_pa_s = kernel(viscosities_pa_s)  # the same law, for other kernels
+viscosity_pa_s = part(viscosities_pa_s)  # the same law, for other kernels
 
 
 _SLOPE_STEP: Final = 1e-4  # ratio of thicknesses over which a slope is taken
@@ -326,20 +326,20 @@ def slower_film(law: FilmLaw, ratio: float) -> FilmLaw:
     return law._replace(squeeze_factor_m2=law.squeeze_factor_m2 * ratio)
 
 
-@kernel
+@part
 def film_point(film_m: float, law: FilmLaw) -> FilmPoint:
     """Return contact, mobility and shear of a film of this thickness."""
     contact_pa, mobility_m = contact_pressure_pa(film_m, law), film_mobility_m(film_m, law)
     return FilmPoint(film_m, contact_pa, mobility_m, shear_factor_difference(film_m / law.roughness_m))
 
 
-@kernel
+@part
 def thicker_m(point: FilmPoint) -> float:
     """Return the thickness [m] that a slope over the film is taken to."""
     return point.film_m * (1.0 + _SLOPE_STEP)
 
 
-@kernel
+@part
 def point_rate_m_s(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLaw) -> float:
     """Return `film_rate_m_s` by the piston pressure: a pack is closed above its touch point."""
     applied_pa = applied_pressure_pa(piston_pa, law)
@@ -348,7 +348,7 @@ def point_rate_m_s(point: FilmPoint, piston_pa: float, viscosity: float, law: Fi
     return _closed_rate_m_s(point.film_m, point.contact_pa, point.mobility_m, applied_pa, viscosity, law)
 
 
-@kernel
+@part
 def point_motion(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLaw) -> tuple[float, float]:
     """Return `point_rate_m_s`, and how much faster a thicker film moves, per thickness [1/s]."""
     applied_pa, thicker = applied_pressure_pa(piston_pa, law), thicker_m(point)

@@ -14,7 +14,7 @@ from canlog.decode.signals import NO_INVALID, InvalidCounts, PayloadWords, pick_
 from canlog.e2e.e2e_state import E2eState, E2eStates
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from canlog.frames import ERROR_FLAG, MAX_GAP_NS, BusTrouble, FrameBatch, empty_batch, is_error, reports
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 from canlog.logs.log_counts import LEAST_PER_S, WATCHED_FRAMES
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import BlockLayout, ColumnBatch, Columns, GearRatios, SampleBlock, Samples, Signal
@@ -99,7 +99,7 @@ def is_seamless(t_ns: Int64Array, can_id: UInt32Array, before_ns: int, silence_n
     return True
 
 
-@kernel
+@part
 def sort_accepted(verdicts: FrameVerdicts, accepted: Int64Array, order: Int64Array, stop: Int64Array) -> int:
     """Sort the rows of accepted frames by message; return ``_HAS_BAD`` if any frame was."""
     found = 0
@@ -146,7 +146,7 @@ def decode_samples(
     return found
 
 
-@kernel
+@part
 def keep(
     rows: Int64Array,
     t_ns: Int64Array,

@@ -3,7 +3,7 @@
 import math
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import part
 from ecu_emulator.driving import gear_choice
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.indices import DriveState, EventKind, LockUpState
@@ -18,7 +18,7 @@ _INTEGRAL_LIMIT_NM = 60.0
 _LEAST_NM = 3.0  # that keeps a closed clutch closed
 
 
-@kernel
+@part
 def enter_lock_up(memory: FloatArray, state: int) -> None:
     memory[at.LOCKUP_STATE] = state
     memory[at.LOCKUP_TIME] = 0.0
@@ -26,7 +26,7 @@ def enter_lock_up(memory: FloatArray, state: int) -> None:
     memory[tcu_data.START_SLIP] = memory[at.LOCKUP_SLIP]
 
 
-@kernel
+@part
 def begin_change(memory: FloatArray, sense: FloatArray, gear: int) -> None:
     begin_event(memory, EventKind.NONE.value)
     enter_state(memory, DriveState.CHANGING.value)
@@ -34,7 +34,7 @@ def begin_change(memory: FloatArray, sense: FloatArray, gear: int) -> None:
     memory[at.START_RATIO] = sense[at.GEAR_RATIO]
 
 
-@kernel
+@part
 def change(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Open the lock-up clutch, then lead the ratio of the gearbox to that of the target gear."""
     p, time_s = law.driving.lock_up, memory[at.STATE_TIME] - law.driving.lock_up.release_s
@@ -55,7 +55,7 @@ def change(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dri
         enter_state(memory, DriveState.IN_GEAR.value)
 
 
-@kernel
+@part
 def choose_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> None:
     """Stand in 1st gear; on the way change as the map wants."""
     is_standing = abs(sense[at.VEHICLE_SPEED]) < _STANDING_M_S and memory[at.BRAKE] > 0.0
@@ -68,7 +68,7 @@ def choose_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> None:
         begin_change(memory, sense, wanted)
 
 
-@kernel
+@part
 def may_close(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> bool:
     """Tell whether gear, warmth, speed and pedal let the lock-up clutch close, or stay closed."""
     p, is_open = law.driving.lock_up, memory[at.LOCKUP_STATE] == LockUpState.OPEN.value
@@ -80,7 +80,7 @@ def may_close(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> bool:
     return bool(is_settled and sense[at.TURBINE_SPEED] > (p.on_rad_s if is_open else p.off_rad_s))
 
 
-@kernel
+@part
 def follow_slip(
     memory: FloatArray,
     sense: FloatArray,
@@ -100,7 +100,7 @@ def follow_slip(
     tcu.command_torque(commands, 0, max(torque_nm, _LEAST_NM), law.drive.actuation)
 
 
-@kernel
+@part
 def apply_lock_up(
     memory: FloatArray, sense: FloatArray, commands: FloatArray, wanted_rad_s: float, law: DrivingLaw
 ) -> None:
@@ -121,14 +121,14 @@ def apply_lock_up(
     follow_slip(memory, sense, commands, now_rad_s, way_rad_s * 6.0 * q * (1.0 - q) / length_s, law)
 
 
-@kernel
+@part
 def hold_lock_up(memory: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     p = law.driving.lock_up
     torque_nm = p.hold_ratio * abs(memory[tcu_data.INPUT_TORQUE]) + p.hold_nm
     tcu.command_torque(commands, 0, torque_nm, law.drive.actuation)
 
 
-@kernel
+@part
 def control_lock_up(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Open, apply, slip, lock, release."""
     p, input_nm = law.driving.lock_up, memory[tcu_data.INPUT_TORQUE]
@@ -163,7 +163,7 @@ def control_lock_up(memory: FloatArray, sense: FloatArray, commands: FloatArray,
             enter_lock_up(memory, LockUpState.APPLYING.value)
 
 
-@kernel
+@part
 def control(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Take one step of 1 ms: read ``sense``, update ``memory``, write ``commands``."""
     tcu.tick(memory, sense, law.drive.control)

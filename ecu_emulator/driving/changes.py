@@ -1,7 +1,7 @@
 """Changes of gear on the road: upshifts, changes without power, downshifts under power, and the change of mind."""
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import part
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.gear_choice import low_rad_s
 from ecu_emulator.driving.indices import EventKind
@@ -18,7 +18,7 @@ _RELEASED_RATIO = 0.6  # of the touch pressure
 _SETTLE_RATE_RAD_S2 = 25.0
 
 
-@kernel
+@part
 def is_turned_back(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> bool:
     """Tell whether the driver's foot has made the old gear the right one again while there is time to go back."""
     phase = int(memory[tcu_data.PHASE])
@@ -36,7 +36,7 @@ def is_turned_back(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> bo
     return is_released and gear_speed_rad_s(sense, int(memory[tcu_data.CURRENT_GEAR]), law) > low
 
 
-@kernel
+@part
 def turn_back(memory: FloatArray) -> None:
     """Go back to the old gear: the target follows at once, the clutches need a moment."""
     memory[at.IS_ABORTED] = 1.0
@@ -44,7 +44,7 @@ def turn_back(memory: FloatArray) -> None:
     tcu.enter_phase(memory, tcu_data.LOCK_UP)
 
 
-@kernel
+@part
 def lock_up(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Raise the pressure to the hold level and keep it until the clutch sticks, which takes longer in the cold."""
     control, clutch = law.drive.control, tcu.clutch_of(int(memory[tcu_data.TARGET_GEAR]))
@@ -56,7 +56,7 @@ def lock_up(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dr
     tcu.command_pressure(commands, 1 - clutch, 0.0)
 
 
-@kernel
+@part
 def return_to_gear(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Let the clutch of the old gear take up its torque again and the other one open."""
     clutch = tcu.clutch_of(int(memory[tcu_data.CURRENT_GEAR]))
@@ -72,7 +72,7 @@ def return_to_gear(memory: FloatArray, sense: FloatArray, commands: FloatArray, 
         memory[tcu_data.PHASE] = tcu_data.HOLD
 
 
-@kernel
+@part
 def turn_engine(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Have the engine come to the speed of the target gear by itself: a blip of the throttle, or less fuel."""
     p = law.driving.change
@@ -85,7 +85,7 @@ def turn_engine(memory: FloatArray, sense: FloatArray, commands: FloatArray, law
     commands[at.REQUESTED_TORQUE] = min(max(torque_nm, least_nm), most_nm)
 
 
-@kernel
+@part
 def catch(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Close the clutch of the target gear once the engine turns nearly as fast as its shaft."""
     p, clutch = law.driving.change, tcu.clutch_of(int(memory[tcu_data.TARGET_GEAR]))
@@ -102,7 +102,7 @@ def catch(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Driv
     tcu.command_pressure(commands, 1 - clutch, 0.0)
 
 
-@kernel
+@part
 def catch_overrun(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Bring up an engine that a lift in mid-shift has made slower than the new gear, then catch it."""
     if memory[at.FROM_CLUTCH] != NOBODY:
@@ -112,7 +112,7 @@ def catch_overrun(memory: FloatArray, sense: FloatArray, commands: FloatArray, l
     catch(memory, sense, commands, law)
 
 
-@kernel
+@part
 def upshift(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Power-on upshift: prefill, torque phase, inertia phase with less spark, lock-up, as on the shift cycles."""
     actuation, control, phase = law.drive.actuation, law.drive.control, int(memory[tcu_data.PHASE])
@@ -130,7 +130,7 @@ def upshift(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dr
         lock_up(memory, sense, commands, law)
 
 
-@kernel
+@part
 def unloaded_change(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Change up or down without power: the old clutch opens, the engine turns itself, the new clutch catches it."""
     actuation, control, phase = law.drive.actuation, law.drive.control, int(memory[tcu_data.PHASE])
@@ -147,7 +147,7 @@ def unloaded_change(memory: FloatArray, sense: FloatArray, commands: FloatArray,
         lock_up(memory, sense, commands, law)
 
 
-@kernel
+@part
 def coast_skip(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Two gears down on one shaft while coasting: the clutch opens, the shaft changes its gear, the clutch catches."""
     if memory[tcu_data.PHASE] == tcu_data.LOCK_UP:
@@ -168,7 +168,7 @@ def coast_skip(memory: FloatArray, sense: FloatArray, commands: FloatArray, law:
     catch(memory, sense, commands, law)
 
 
-@kernel
+@part
 def press(commands: FloatArray, clutch: int, torque_nm: float, law: DrivingLaw) -> None:
     """Let a clutch carry a torque; if it shall carry none, open it far enough for its film to let go."""
     if torque_nm > 0.0:
@@ -177,7 +177,7 @@ def press(commands: FloatArray, clutch: int, torque_nm: float, law: DrivingLaw) 
         tcu.command_pressure(commands, clutch, _RELEASED_RATIO * law.drive.actuation.touch_pressure_pa[clutch])
 
 
-@kernel
+@part
 def engine_reference(memory: FloatArray, sense: FloatArray, gear: int, law: DrivingLaw) -> tuple[float, float]:
     """Return the engine speed [rad/s] and its rate [rad/s^2] on the way to a little above a gear's speed."""
     p = law.driving.change
@@ -187,7 +187,7 @@ def engine_reference(memory: FloatArray, sense: FloatArray, gear: int, law: Driv
     return memory[at.START_SPEED] + rise_rad_s * q * q * (3.0 - 2.0 * q), rise_rad_s * 6.0 * q * (1.0 - q) / length_s
 
 
-@kernel
+@part
 def carried_nm(memory: FloatArray, sense: FloatArray, commands: FloatArray, gear: int, law: DrivingLaw) -> float:
     """Return the torque the clutches shall take from the engine so that it follows its reference [N m]."""
     wanted_rad_s, rate_rad_s2 = engine_reference(memory, sense, gear, law)
@@ -206,7 +206,7 @@ def carried_nm(memory: FloatArray, sense: FloatArray, commands: FloatArray, gear
     return float(torque_nm)
 
 
-@kernel
+@part
 def begin_leg(memory: FloatArray, sense: FloatArray, from_clutch: int, to_gear: int) -> None:
     """Begin to hand the torque from one clutch to that of a gear."""
     memory[at.FROM_CLUTCH] = from_clutch
@@ -216,7 +216,7 @@ def begin_leg(memory: FloatArray, sense: FloatArray, from_clutch: int, to_gear: 
     memory[tcu_data.IS_FILLED] = 0.0
 
 
-@kernel
+@part
 def fill_next(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> bool:
     """Bring the next clutch to its touch point, its shaft to its gear first; True once it may take torque."""
     to_gear = int(memory[at.TO_GEAR])
@@ -228,7 +228,7 @@ def fill_next(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: 
     return bool(memory[tcu_data.IS_FILLED] != 0.0)
 
 
-@kernel
+@part
 def raise_engine(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Let the engine rise over a slipping off-going clutch; at the speed of the next gear torque may be handed over."""
     to_gear, target = int(memory[at.TO_GEAR]), int(memory[tcu_data.TARGET_GEAR])
@@ -240,7 +240,7 @@ def raise_engine(memory: FloatArray, sense: FloatArray, commands: FloatArray, la
         memory[at.SHARE] = 1.0e-6
 
 
-@kernel
+@part
 def hand_over(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Move the torque from clutch to clutch; behind a bridge the next leg begins, else the new clutch locks."""
     target, to_gear, control = int(memory[tcu_data.TARGET_GEAR]), int(memory[at.TO_GEAR]), law.drive.control
@@ -265,7 +265,7 @@ def hand_over(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: 
     memory[at.SHARE] = 2.0
 
 
-@kernel
+@part
 def settle_on(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """All torque is on the new clutch: let the engine fall onto its shaft."""
     target = int(memory[tcu_data.TARGET_GEAR])
@@ -283,7 +283,7 @@ def settle_on(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: 
     tcu.begin_lock_up(memory, sense, commands, coming, law.drive.control)
 
 
-@kernel
+@part
 def downshift_under_power(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Power-on downshift, kickdown, or a skip over the other shaft: slip and rise, then hand over, then lock."""
     phase = int(memory[tcu_data.PHASE])

@@ -1,7 +1,7 @@
 """The transmission control on the road: which state it is in, and which change it begins."""
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import part
 from ecu_emulator.driving import changes, gear_choice, standing
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.indices import DriveState, EventKind
@@ -21,7 +21,7 @@ _AHEAD_S = 0.15  # the clutch opens so long before the engine would get too slow
 _HIGHEST_OPENED_GEAR = 2
 
 
-@kernel
+@part
 def kind_of_change(memory: FloatArray, wanted: int, law: DrivingLaw) -> int:
     """Return the kind of the change from the current to another gear."""
     gear = int(memory[tcu_data.CURRENT_GEAR])
@@ -39,7 +39,7 @@ def kind_of_change(memory: FloatArray, wanted: int, law: DrivingLaw) -> int:
     return EventKind.POWER_ON_DOWNSHIFT.value
 
 
-@kernel
+@part
 def begin_change(memory: FloatArray, sense: FloatArray, wanted: int, law: DrivingLaw) -> None:
     gear = int(memory[tcu_data.CURRENT_GEAR])
     begin_event(memory, kind_of_change(memory, wanted, law))
@@ -50,7 +50,7 @@ def begin_change(memory: FloatArray, sense: FloatArray, wanted: int, law: Drivin
     tcu.enter_phase(memory, tcu_data.PREFILL)
 
 
-@kernel
+@part
 def hold(memory: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Press the clutch of the current gear, harder step by step after it has locked."""
     gear = int(memory[tcu_data.CURRENT_GEAR])
@@ -62,7 +62,7 @@ def hold(memory: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     tcu.command_pressure(commands, 1 - tcu.clutch_of(gear), 0.0)
 
 
-@kernel
+@part
 def is_too_slow(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> bool:
     """Tell whether the engine would soon get too slow in this gear."""
     gear = int(memory[tcu_data.CURRENT_GEAR])
@@ -74,7 +74,7 @@ def is_too_slow(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> bool:
     return bool(soon_rad_s < idle_rad_s(sense, law) + margin_rad_s)
 
 
-@kernel
+@part
 def stay_in_gear(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Hold the gear, prepare the next, change when the map says so, open before the engine stalls."""
     hold(memory, commands, law)
@@ -94,7 +94,7 @@ def stay_in_gear(memory: FloatArray, sense: FloatArray, commands: FloatArray, la
         begin_change(memory, sense, wanted, law)
 
 
-@kernel
+@part
 def change(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Go on with a change; back in gear when it is over."""
     kind = int(memory[at.EVENT_KIND])
@@ -117,7 +117,7 @@ def change(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dri
         enter_state(memory, DriveState.IN_GEAR.value)
 
 
-@kernel
+@part
 def have_whim(memory: FloatArray, whims: FloatArray) -> None:
     """Let the driver's foot do what no trace asks for, some time after an event has begun."""
     if memory[at.WHIM_TIME] > 0.0:
@@ -130,7 +130,7 @@ def have_whim(memory: FloatArray, whims: FloatArray) -> None:
         memory[at.WHIM_PEDAL] = row[at.WHIM_SIZE]
 
 
-@kernel
+@part
 def control(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Take one step of 1 ms: read ``sense``, update ``memory``, write ``commands``."""
     tcu.tick(memory, sense, law.drive.control)

@@ -3,7 +3,7 @@
 import math
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import part
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.indices import DriveState, EngineState
 from ecu_emulator.driving.laws import DrivingLaw, asked_force_n, idle_rad_s, overrun_nm, pulls_on_wheels
@@ -23,7 +23,7 @@ _RUNNING_RATIO = 0.92  # of the speed at which the starter gives nothing: a load
 _TOP_BAND_RAD_S = 40.0  # over which the torque fades towards the top speed
 
 
-@kernel
+@part
 def wished_torque_nm(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> float:
     """Return the crankshaft torque that gives the force at the wheels the pedal asks for [N m]."""
     p = law.driving
@@ -40,7 +40,7 @@ def wished_torque_nm(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> 
     return float(min(max(force_n * radius_m / (ratio * efficiency), least_nm), p.engine.full_torque_nm))
 
 
-@kernel
+@part
 def throttle_for_air(air_kg_rad: float, manifold_pa: float, engine_rad_s: float, p: EngineParameters) -> float:
     """Return the throttle 0..1 that holds an air charge [kg/rad] at a manifold pressure, in the steady state."""
     share = 1.0 - math.exp(_SHARPNESS * (min(manifold_pa / p.ambient_pressure_pa, 0.999) - 1.0))
@@ -49,7 +49,7 @@ def throttle_for_air(air_kg_rad: float, manifold_pa: float, engine_rad_s: float,
     return min(max((angle_rad - p.closed_throttle_rad) / (0.5 * math.pi - p.closed_throttle_rad), 0.0), 1.0)
 
 
-@kernel
+@part
 def set_air(commands: FloatArray, sense: FloatArray, torque_nm: float, spark: float, law: DrivingLaw) -> None:
     """Slow path: the throttle at which the engine settles at a torque, its spark at this factor."""
     engine, air_k = law.drive.plant.engine, law.drive.plant.air_k
@@ -63,7 +63,7 @@ def set_air(commands: FloatArray, sense: FloatArray, torque_nm: float, spark: fl
     commands[tcu_data.THROTTLE] = throttle_for_air(air_per_pa * manifold_pa, manifold_pa, speed_rad_s, engine)
 
 
-@kernel
+@part
 def set_spark(commands: FloatArray, sense: FloatArray, torque_nm: float, law: DrivingLaw) -> None:
     """Fast path: the spark that takes away at once what the air gives too much; a shift's own factor on top."""
     engine, air_k = law.drive.plant.engine, law.drive.plant.air_k
@@ -73,7 +73,7 @@ def set_spark(commands: FloatArray, sense: FloatArray, torque_nm: float, law: Dr
     commands[tcu_data.SPARK] *= min(max(share, law.driving.engine.least_spark_ratio), 1.0)
 
 
-@kernel
+@part
 def idle_torque_nm(memory: FloatArray, sense: FloatArray, wish_nm: float, law: DrivingLaw) -> float:
     """Return the torque that keeps the engine at its idle speed [N m]; its integral part is bounded."""
     p = law.driving.engine
@@ -85,13 +85,13 @@ def idle_torque_nm(memory: FloatArray, sense: FloatArray, wish_nm: float, law: D
     return float(torque_nm)
 
 
-@kernel
+@part
 def enter_engine_state(memory: FloatArray, state: int) -> None:
     memory[at.ENGINE_STATE] = state
     memory[at.ENGINE_TIME] = 0.0
 
 
-@kernel
+@part
 def stop_and_start(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> None:
     """Stop the engine at a standstill, crank it when a foot moves."""
     p, state = law.driving.engine, int(memory[at.ENGINE_STATE])
@@ -108,7 +108,7 @@ def stop_and_start(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> No
         enter_engine_state(memory, EngineState.STOPPED.value)
 
 
-@kernel
+@part
 def cut_fuel(memory: FloatArray, sense: FloatArray, commands: FloatArray, wish_nm: float, law: DrivingLaw) -> None:
     """Cut the fuel while the car turns the engine and nobody asks for torque."""
     p = law.driving.engine
@@ -125,7 +125,7 @@ def cut_fuel(memory: FloatArray, sense: FloatArray, commands: FloatArray, wish_n
         enter_engine_state(memory, EngineState.FUEL_CUT.value)
 
 
-@kernel
+@part
 def crank(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Leave the engine at rest, or turn it with the starter and fire when it is fast enough."""
     p, speed_rad_s = law.driving.engine, sense[tcu_data.ENGINE_SPEED]
@@ -136,7 +136,7 @@ def crank(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Driv
         commands[tcu_data.SPARK] = 0.6 if speed_rad_s > p.firing_rad_s else 0.0
 
 
-@kernel
+@part
 def control_engine(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Take one step of 1 ms: throttle, spark and starter for what driver, idle and transmission want."""
     p = law.driving.engine

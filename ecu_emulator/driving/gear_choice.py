@@ -3,7 +3,7 @@
 import math
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import part
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.laws import DrivingLaw, gear_speed_rad_s, idle_rad_s, shift_shaft
 from ecu_emulator.shift_control import tcu, tcu_data
@@ -14,7 +14,7 @@ _LOWEST_SKIPPED_FROM = 4  # 4-2 and above
 _LOWEST_COASTING = 2  # the car rolls out of 2nd gear with open clutches
 
 
-@kernel
+@part
 def low_rad_s(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> float:
     """Return the engine speed below which a gear is too high [rad/s]: the pedal raises it, so does a cold engine."""
     p = law.driving.choice
@@ -23,12 +23,12 @@ def low_rad_s(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> float:
     return float(p.low_rad_s + p.rise_rad_s * soon * math.sqrt(soon) + cold_rad_s)
 
 
-@kernel
+@part
 def is_highest(gear: int, law: DrivingLaw) -> bool:
     return bool(law.drive.overall_ratios[gear + 1] == 0.0)
 
 
-@kernel
+@part
 def wants_up(memory: FloatArray, sense: FloatArray, gear: int, law: DrivingLaw) -> bool:
     """Tell whether the gear above this one would turn the engine fast enough, or this one turns it too fast."""
     p = law.driving.choice
@@ -39,7 +39,7 @@ def wants_up(memory: FloatArray, sense: FloatArray, gear: int, law: DrivingLaw) 
     return bool(gear_speed_rad_s(sense, gear + 1, law) > p.up_ratio * low_rad_s(memory, sense, law) + p.up_margin_rad_s)
 
 
-@kernel
+@part
 def is_foot_coming_off(memory: FloatArray, law: DrivingLaw) -> bool:
     """Tell whether the pedal will be released before an upshift that begins now has settled."""
     control, overrun_ratio = law.drive.control, law.driving.pedal.overrun_ratio
@@ -48,7 +48,7 @@ def is_foot_coming_off(memory: FloatArray, law: DrivingLaw) -> bool:
     return bool(memory[at.PEDAL] > overrun_ratio >= soon)
 
 
-@kernel
+@part
 def lower_gear(memory: FloatArray, sense: FloatArray, gear: int, is_pulling: bool, law: DrivingLaw) -> int:  # noqa: FBT001 - kernels take their arguments by position
     """Return the gear to change down to, or this one if it is low enough; two gears at once on one shaft at most."""
     p, low = law.driving.choice, low_rad_s(memory, sense, law)
@@ -65,7 +65,7 @@ def lower_gear(memory: FloatArray, sense: FloatArray, gear: int, is_pulling: boo
     return gear - 1
 
 
-@kernel
+@part
 def wanted_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> int:
     """Return the gear the map asks for now, after the least time in the present one."""
     p, gear = law.driving.choice, int(memory[tcu_data.CURRENT_GEAR])
@@ -79,7 +79,7 @@ def wanted_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> int:
     return gear
 
 
-@kernel
+@part
 def likely_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> int:
     """Return the gear that will probably come next: the nearer of both thresholds."""
     p, gear = law.driving.choice, int(memory[tcu_data.CURRENT_GEAR])
@@ -94,7 +94,7 @@ def likely_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> int:
     return gear + 1 if gear_speed_rad_s(sense, gear, law) > 0.5 * (top_rad_s + bottom_rad_s) else gear - 1
 
 
-@kernel
+@part
 def preselect(memory: FloatArray, sense: FloatArray, commands: FloatArray, wanted: int, law: DrivingLaw) -> bool:
     """Move the idle shaft to the gear that is wanted, or likely to be; True if the wanted change may begin."""
     gear = int(memory[tcu_data.CURRENT_GEAR])

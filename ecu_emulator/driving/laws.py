@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import part
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.indices import DriveState, EventKind
 from ecu_emulator.driving.parameters import DrivingParameters, PedalParameters
@@ -23,7 +23,7 @@ class DrivingLaw(NamedTuple):
     driving: DrivingParameters
 
 
-@kernel
+@part
 def idle_rad_s(sense: FloatArray, law: DrivingLaw) -> float:
     """Return the speed the engine shall idle at [rad/s]: the colder the coolant, the faster."""
     p = law.driving.engine
@@ -31,7 +31,7 @@ def idle_rad_s(sense: FloatArray, law: DrivingLaw) -> float:
     return float(p.cold_idle_rad_s + min(max(share, 0.0), 1.0) * (p.warm_idle_rad_s - p.cold_idle_rad_s))
 
 
-@kernel
+@part
 def overrun_nm(engine_rad_s: float, law: DrivingLaw) -> float:
     """Return the torque of the engine that the car turns, fuel cut [N m]: negative."""
     engine = law.drive.plant.engine
@@ -39,13 +39,13 @@ def overrun_nm(engine_rad_s: float, law: DrivingLaw) -> float:
     return float(-(engine.friction_nm + engine.friction_nms_rad * engine_rad_s + pumping_nm))
 
 
-@kernel
+@part
 def gear_speed_rad_s(sense: FloatArray, gear: int, law: DrivingLaw) -> float:
     """Return the speed of an input shaft that had this gear [rad/s]."""
     return float(sense[at.DIFF_SPEED] * law.drive.overall_ratios[gear])
 
 
-@kernel
+@part
 def enter_state(memory: FloatArray, state: int) -> None:
     memory[at.STATE] = state
     memory[at.STATE_TIME] = 0.0
@@ -53,7 +53,7 @@ def enter_state(memory: FloatArray, state: int) -> None:
     memory[tcu_data.PHASE_TIME] = 0.0
 
 
-@kernel
+@part
 def begin_event(memory: FloatArray, kind: int) -> None:
     """Begin an event; one that was going on is over."""
     memory[at.EVENT_KIND] = kind
@@ -62,20 +62,20 @@ def begin_event(memory: FloatArray, kind: int) -> None:
     memory[at.IS_ABORTED] = 0.0
 
 
-@kernel
+@part
 def end_event(memory: FloatArray) -> None:
     memory[at.EVENT_KIND] = EventKind.NONE.value
     memory[at.EVENT_NUMBER] = 0.0
     memory[at.IS_ABORTED] = 0.0
 
 
-@kernel
+@part
 def pulls_on_wheels(memory: FloatArray) -> bool:
     """Tell whether engine and wheels are connected well enough for the engine to brake the car."""
     return bool(memory[at.STATE] == DriveState.IN_GEAR.value or memory[at.STATE] == DriveState.CHANGING.value)
 
 
-@kernel
+@part
 def shift_shaft(
     memory: FloatArray, sense: FloatArray, commands: FloatArray, shaft: int, gear: int, law: DrivingLaw
 ) -> bool:
@@ -96,13 +96,13 @@ def shift_shaft(
     return False
 
 
-@kernel
+@part
 def full_force_n(vehicle_m_s: float, p: PedalParameters) -> float:
     """Return the force at the wheels that the full pedal asks for [N]."""
     return min(p.force_n, p.power_w / max(vehicle_m_s, 1.0))
 
 
-@kernel
+@part
 def asked_force_n(pedal: float, vehicle_m_s: float, overrun_n: float, p: PedalParameters) -> float:
     """Return the force at the wheels [N] that a pedal asks for; released, the engine brakes with ``overrun_n`` < 0."""
     if pedal >= p.overrun_ratio:
@@ -110,7 +110,7 @@ def asked_force_n(pedal: float, vehicle_m_s: float, overrun_n: float, p: PedalPa
     return (1.0 - pedal / p.overrun_ratio) * overrun_n
 
 
-@kernel
+@part
 def pedal_for_force(force_n: float, vehicle_m_s: float, overrun_n: float, p: PedalParameters) -> float:
     """Return the pedal that asks for a force at the wheels: `asked_force_n` solved for it, within 0..1."""
     if force_n >= 0.0:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 from ecu_emulator.driving import automatic, indices
 from ecu_emulator.driving.control import control, have_whim
 from ecu_emulator.driving.engine_control import control_engine
@@ -32,7 +32,7 @@ class Road(NamedTuple):
     end: npt.NDArray[np.int64]  # (1,), milliseconds of the whole drive
 
 
-@kernel
+@part
 def sense_drive(machine: Machine, road: Road, law: DrivingLaw) -> None:
     sense_plant(machine, law.drive.plant)
     y, sense = machine.y, machine.sense
@@ -51,7 +51,7 @@ def sense_drive(machine: Machine, road: Road, law: DrivingLaw) -> None:
     sense[indices.GRADE] = seen(road.grades, machine.clock[0] * tcu_data.PERIOD_S)
 
 
-@kernel
+@part
 def warm(machine: Machine, law: DrivingLaw) -> None:
     """Let the running engine warm its coolant, and the coolant cool down to the air while it is stopped."""
     p = law.driving.surroundings
@@ -60,7 +60,7 @@ def warm(machine: Machine, law: DrivingLaw) -> None:
     machine.u[at.COOLANT] += tcu_data.PERIOD_S / p.coolant_time_s * (goal_k - machine.u[at.COOLANT])
 
 
-@kernel
+@part
 def obey_drive(machine: Machine, law: DrivingLaw) -> None:
     """Turn the commands into inputs of the plant."""
     u, coolant_k = machine.u, machine.u[at.COOLANT]
@@ -76,7 +76,7 @@ def obey_drive(machine: Machine, law: DrivingLaw) -> None:
         u[at.OPEN_DRAG + k] = p.open_drag_nm * math.exp(p.open_drag_exponent * math.log(share))
 
 
-@kernel
+@part
 def record_drive(machine: Machine, road: Road, row: FloatArray) -> None:
     """Write what driver and controllers show of themselves."""
     memory, modes, u = machine.memory, machine.modes, machine.u
@@ -130,7 +130,7 @@ _STOPPING_M_S2 = 0.8  # the last metre before a stop
 _TURNING_RATIO = 1.05  # mass of the car with all that turns, over its mass
 
 
-@kernel
+@part
 def seen(column: FloatArray, time_s: float) -> float:
     """Return what a column of the trace says at a time; its last value beyond its end."""
     place = time_s / GRID_S
@@ -140,7 +140,7 @@ def seen(column: FloatArray, time_s: float) -> float:
     return float(column[index] + (place - index) * (column[index + 1] - column[index]))
 
 
-@kernel
+@part
 def wanted_force_n(memory: FloatArray, sense: FloatArray, speeds: FloatArray, time_s: float, law: DrivingLaw) -> float:
     """Return the force that would bring the car onto the trace [N]: what lies ahead, corrected by the error."""
     p, vehicle = law.driving.driver, law.drive.plant.vehicle
@@ -153,7 +153,7 @@ def wanted_force_n(memory: FloatArray, sense: FloatArray, speeds: FloatArray, ti
     return float(_TURNING_RATIO * vehicle.mass_kg * wanted_m_s2 + road_load_n(speed_m_s, sense[indices.GRADE], vehicle))
 
 
-@kernel
+@part
 def move_feet(memory: FloatArray, pedal: float, brake_m_s2: float, law: DrivingLaw) -> None:
     """Move pedal and brake towards what is wanted; the same foot serves both."""
     p, period_s = law.driving.driver, tcu_data.PERIOD_S
@@ -168,14 +168,14 @@ def move_feet(memory: FloatArray, pedal: float, brake_m_s2: float, law: DrivingL
     memory[indices.BRAKE] += min(max(step, -p.brake_release_m_s3 * period_s), p.brake_press_m_s3 * period_s)
 
 
-@kernel
+@part
 def is_waiting(sense: FloatArray, speeds: FloatArray, time_s: float, law: DrivingLaw) -> bool:
     """Tell whether car and trace stand still, and the trace goes on doing so for a moment."""
     ahead_m_s = max(seen(speeds, time_s), seen(speeds, time_s + law.driving.driver.departure_s))
     return bool(ahead_m_s < _ROLLING_M_S and abs(sense[indices.VEHICLE_SPEED]) < _STANDING_M_S)
 
 
-@kernel
+@part
 def drive(memory: FloatArray, sense: FloatArray, speeds: FloatArray, time_s: float, law: DrivingLaw) -> None:
     """Take one step of 1 ms: pedal and brake."""
     p, vehicle = law.driving.driver, law.drive.plant.vehicle

@@ -3,7 +3,7 @@
 import math
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import part
 from ecu_emulator.driving import gear_choice
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.indices import DriveState, EngineState, EventKind
@@ -39,7 +39,7 @@ _SWINGS_S = 0.2  # over which swings of the driveline are averaged
 _RATE_LAG_S = 0.05
 
 
-@kernel
+@part
 def open_both(memory: FloatArray, commands: FloatArray) -> None:
     tcu.command_pressure(commands, 0, 0.0)
     tcu.command_pressure(commands, 1, 0.0)
@@ -47,12 +47,12 @@ def open_both(memory: FloatArray, commands: FloatArray) -> None:
     memory[tcu_data.IS_FILLED] = 0.0
 
 
-@kernel
+@part
 def has_foot_on_pedal(memory: FloatArray, law: DrivingLaw) -> bool:
     return bool(memory[at.PEDAL] > law.driving.pedal.overrun_ratio)
 
 
-@kernel
+@part
 def starting_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> int:
     """Return the gear to close the clutch in: the present one if it still does, else the highest that pulls soon."""
     soon_m_s = sense[at.VEHICLE_SPEED] - _SOON_S * memory[at.BRAKE]
@@ -70,7 +70,7 @@ def starting_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> int
     return gear
 
 
-@kernel
+@part
 def gear_while_open(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> bool:
     """Change gears with both clutches open, the target shown first; True once the right gear is engaged."""
     current, target = int(memory[tcu_data.CURRENT_GEAR]), int(memory[tcu_data.TARGET_GEAR])
@@ -97,7 +97,7 @@ def gear_while_open(memory: FloatArray, sense: FloatArray, commands: FloatArray,
     return is_engaged
 
 
-@kernel
+@part
 def hold_on_hill(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Let the brakes hold the car uphill until the clutch carries it."""
     gear = int(memory[tcu_data.CURRENT_GEAR])
@@ -108,7 +108,7 @@ def hold_on_hill(memory: FloatArray, sense: FloatArray, commands: FloatArray, la
     commands[at.HILL_BRAKE] = _HILL_MARGIN * GRAVITY_M_S2 * sense[at.GRADE] if is_needed else 0.0
 
 
-@kernel
+@part
 def begin_launch(memory: FloatArray, sense: FloatArray, kind: int, law: DrivingLaw) -> None:
     """Begin a launch, from rest or rolling, or let the clutch close onto a car that rolls by itself."""
     enter_state(memory, DriveState.LAUNCHING.value)
@@ -119,7 +119,7 @@ def begin_launch(memory: FloatArray, sense: FloatArray, kind: int, law: DrivingL
     memory[at.SHARE] = memory[at.SHAFT_AHEAD] = memory[at.LAUNCH_RATE] = 0.0
 
 
-@kernel
+@part
 def begin_creep_or_launch(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> None:
     """Set the car in motion as the driver's foot wants it."""
     if has_foot_on_pedal(memory, law):
@@ -129,7 +129,7 @@ def begin_creep_or_launch(memory: FloatArray, sense: FloatArray, law: DrivingLaw
     begin_event(memory, EventKind.CREEP.value)
 
 
-@kernel
+@part
 def stand(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Standstill: both clutches open, 1st gear engaged."""
     open_both(memory, commands)
@@ -147,7 +147,7 @@ def stand(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Driv
         memory[at.LIFT_TIME] = 0.0
 
 
-@kernel
+@part
 def slip_clutch(memory: FloatArray, sense: FloatArray, commands: FloatArray, torque_nm: float, law: DrivingLaw) -> None:
     """Fill the clutch of the current gear, then let it carry a torque; the other one stays empty."""
     clutch = tcu.clutch_of(int(memory[tcu_data.CURRENT_GEAR]))
@@ -160,7 +160,7 @@ def slip_clutch(memory: FloatArray, sense: FloatArray, commands: FloatArray, tor
     tcu.command_pressure(commands, 1 - clutch, 0.0)
 
 
-@kernel
+@part
 def creep(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """No foot on the pedal: clutch 1 carries a little, which fades as the car rolls."""
     p = law.driving.launch
@@ -176,7 +176,7 @@ def creep(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Driv
         enter_state(memory, DriveState.COASTING_OPEN.value if is_rolling else DriveState.STANDSTILL.value)
 
 
-@kernel
+@part
 def coast_open(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Roll with both clutches open until the car stands, or the driver wants to go on."""
     open_both(memory, commands)
@@ -197,7 +197,7 @@ def coast_open(memory: FloatArray, sense: FloatArray, commands: FloatArray, law:
         begin_launch(memory, sense, EventKind.CLOSING.value, law)
 
 
-@kernel
+@part
 def launch_torque_nm(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> float:
     """Return what the slipping clutch shall carry [N m].
 
@@ -217,7 +217,7 @@ def launch_torque_nm(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> 
     return float(min(max(smooth_nm, law.drive.control.min_torque_nm), p.top_nm))
 
 
-@kernel
+@part
 def steady_shaft_rad_s(memory: FloatArray, sense: FloatArray, clutch: int, law: DrivingLaw) -> float:
     """Return how fast the shaft of the launch turns without the swings of the driveline [rad/s]."""
     ratio = law.drive.overall_ratios[int(memory[tcu_data.CURRENT_GEAR])]
@@ -227,14 +227,14 @@ def steady_shaft_rad_s(memory: FloatArray, sense: FloatArray, clutch: int, law: 
     return float(rolling_rad_s + memory[at.SHAFT_AHEAD])
 
 
-@kernel
+@part
 def led_slip_rad_s(time_s: float, p: LaunchParameters) -> float:
     """Return the slip so long after the engine has come near the shaft: led down softly, in the end below zero."""
     soft_rad_s = _LOCK_AHEAD_RAD_S * math.exp(-time_s / p.lock_fade_s)
     return max(soft_rad_s - p.lock_rate_rad_s2 * time_s, -_LOCK_BEHIND_RAD_S)
 
 
-@kernel
+@part
 def move_engine(
     memory: FloatArray, sense: FloatArray, commands: FloatArray, shaft_rad_s: float, law: DrivingLaw
 ) -> None:
@@ -261,7 +261,7 @@ def move_engine(
     commands[at.REQUESTED_TORQUE] = max(memory[at.DEMAND], 0.0) + help_nm
 
 
-@kernel
+@part
 def is_locked_for_good(memory: FloatArray, sense: FloatArray, clutch: int, law: DrivingLaw) -> bool:
     """Tell whether a clutch has stopped slipping long enough."""
     control = law.drive.control
@@ -271,7 +271,7 @@ def is_locked_for_good(memory: FloatArray, sense: FloatArray, clutch: int, law: 
     return bool(memory[tcu_data.LOCKED_TIME] > law.driving.launch.locked_s)
 
 
-@kernel
+@part
 def launch(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Let the clutch of the current gear slip until the car is as fast as the engine."""
     clutch = tcu.clutch_of(int(memory[tcu_data.CURRENT_GEAR]))

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, fields
 
 from canlog.arrays import FloatArray, Int64Array
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 from clutch_model.pack import convected_w
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.driveline import ENGAGED, brake_force_n, geared_torque_nm, road_load_n
@@ -63,14 +63,14 @@ class PowerBalance:
         return (made_j - self.heated_j - self.coolant_j) / made_j
 
 
-@kernel
+@part
 def note(account: FloatArray) -> None:
     """Remember the account, in its second third; the last one is workspace."""
     for entry in range(account.size // 3):
         account[ACCOUNT_COUNT + entry] = account[entry]
 
 
-@kernel
+@part
 def undo(account: FloatArray) -> None:
     """Put the account back to what was remembered."""
     for entry in range(account.size // 3):
@@ -99,7 +99,7 @@ def stored_heat_j(y: FloatArray, law: PlantLaw) -> float:
     return float(heat_j + law.clutches.second.heat_capacity_j_k * y[at.T_C + 1])
 
 
-@kernel
+@part
 def shaft_powers(y: FloatArray, modes: Int64Array, out: FloatArray, powers: FloatArray, law: PlantLaw) -> None:
     """Add the losses of both input shafts, their gears and synchronisers to ``powers`` [W]."""
     for k in range(2):
@@ -116,7 +116,7 @@ def shaft_powers(y: FloatArray, modes: Int64Array, out: FloatArray, powers: Floa
             powers[GEARS] += (shaft_nm - geared_torque_nm(shaft_nm, gear_rad_s, efficiency, 0.0)) * gear_rad_s
 
 
-@kernel
+@part
 def add_powers(
     account: FloatArray,
     weight_s: float,

@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 from clutch_model.pack import (
     FilmLaw,
     FrictionLaw,
@@ -39,7 +39,7 @@ class LiningParameters(NamedTuple):
     erratic_ratio: float = 0.0  # standard deviation of friction along the way, of what comes and goes on the lining
 
 
-@kernel
+@part
 def friction_ratio(clutch_k: float, p: LiningParameters, way_m: float = 0.0) -> float:
     """Return the factor on mu_C and mu_S at a pack temperature, eq. (X1), where the car has come this far."""
     way = math.sin(way_m / _WAYS_M[0]) + math.sin(way_m / _WAYS_M[1]) + math.sin(way_m / _WAYS_M[2])
@@ -63,7 +63,7 @@ class ClutchLaw(NamedTuple):
     lining: LiningParameters
 
 
-@kernel
+@part
 def openness(film_m: float, law: ClutchLaw) -> float:
     """Return how far a pack drags like an open one: 0 where the film law holds, 1 where it is open.
 
@@ -75,7 +75,7 @@ def openness(film_m: float, law: ClutchLaw) -> float:
     return min(math.log(film_m / closing_m) / math.log(_OPEN_FILM_RATIO * law.film.open_gap_m / closing_m), 1.0)
 
 
-@kernel
+@part
 def film_derivative_m_s(film_m: float, volume_m3: float, viscosity: float, law: ClutchLaw) -> float:
     """Return the film's rate [m/s] for the oil volume behind the piston; docs/model.md eq. (7).
 
@@ -95,13 +95,13 @@ def refresh_contact(y: FloatArray, clutch: int, law: ClutchLaw) -> None:
     y[at.OPENNESS + clutch] = openness(film_m, law)
 
 
-@kernel
+@part
 def volume_rate_m3_s(valve_pa: float, volume_m3: float, law: ClutchLaw) -> float:
     """Return the flow into the cavity [m^3/s]."""
     return orifice_flow_m3_s(valve_pa, cavity_pressure_pa(volume_m3, law.cavity, law.valve), law.valve)
 
 
-@kernel
+@part
 def fluid_step(
     start: tuple[float, float, float], command_pa: float, viscosity: float, dt_s: float, law: ClutchLaw
 ) -> tuple[float, float, float]:
@@ -127,7 +127,7 @@ def fluid_step(
     return end_pa, volume_m3, film_m
 
 
-@kernel
+@part
 def advance_clutch(y: FloatArray, u: FloatArray, clutch: int, dt_s: float, law: ClutchLaw) -> None:
     """Advance solenoid, cavity and film of one clutch in place, in two steps where the cavity fills or empties."""
     supply_pa = law.valve.supply_ratio * law.valve.line_pressure_pa
@@ -149,13 +149,13 @@ def advance_clutch(y: FloatArray, u: FloatArray, clutch: int, dt_s: float, law: 
     refresh_contact(y, clutch, law)
 
 
-@kernel
+@part
 def capacity_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> float:
     """Return the largest torque the locked clutch holds [N m]; docs/model.md eq. (K3)."""
     return float(contact_torque_nm(1.0, u[at.MU_S + clutch], y[at.P_C + clutch], law.film.contact_factor_m3))
 
 
-@kernel
+@part
 def viscous_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> float:
     """Return the torque of the sheared film [N m]; docs/model.md eqs. (5), (D2)."""
     slip_rad_s = y[at.W_H] - y[at.W_L + clutch]
@@ -174,7 +174,7 @@ def viscous_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> flo
     return float(film_nm * (open_nm / film_nm) ** y[at.OPENNESS + clutch])
 
 
-@kernel
+@part
 def contact_nm(y: FloatArray, u: FloatArray, clutch: int, law: ClutchLaw) -> float:
     """Return the torque of the slipping contact [N m]; docs/model.md eqs. (6), (8)."""
     contact_pa = y[at.P_C + clutch]

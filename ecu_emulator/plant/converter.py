@@ -4,7 +4,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canlog.jit import kernel
+from canlog.jit import part
 from clutch_model.calibration import Converter
 
 PLACES: Final = 101  # of the characteristic, evenly from stall to equal speeds
@@ -32,14 +32,14 @@ def converter_law(converter: Converter | None) -> ConverterLaw:
     return ConverterLaw(1, tuple(capacities.tolist()), tuple(ratios.tolist()), _LAG_S)
 
 
-@kernel
+@part
 def _at(column: tuple[float, ...], speed_ratio: float) -> float:
     place = min(max(speed_ratio, 0.0), 1.0) * (PLACES - 1)
     index = min(int(place), PLACES - 2)
     return float(column[index] + (place - index) * (column[index + 1] - column[index]))
 
 
-@kernel
+@part
 def impeller_torque_nm(impeller_rad_s: float, turbine_rad_s: float, law: ConverterLaw) -> float:
     """Return the torque that the converter takes from the engine in the steady state [N m], eq. (C1).
 
@@ -54,7 +54,7 @@ def impeller_torque_nm(impeller_rad_s: float, turbine_rad_s: float, law: Convert
     return -_at(law.capacities_nm_s2, impeller_rad_s / turbine_rad_s) * turbine_rad_s * turbine_rad_s
 
 
-@kernel
+@part
 def torque_ratio(impeller_rad_s: float, turbine_rad_s: float, law: ConverterLaw) -> float:
     """Return the torque of the turbine over that of the impeller, eq. (C2): 1 on the overrun."""
     if impeller_rad_s <= 0.0 or turbine_rad_s >= impeller_rad_s:

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from canlog.jit import kernel
+from canlog.jit import part
 
 GRAVITY_M_S2 = 9.81
 _ROLLING_SPEED_M_S = 0.1  # over which rolling resistance changes sign
@@ -32,7 +32,7 @@ class VehicleParameters(NamedTuple):
     driven_brake_ratio: float  # share of the brake force on the driven axle
 
 
-@kernel
+@part
 def tanh_exact(x: float) -> float:
     """Return tanh(x), without computing it where it is 1 to the last bit."""
     if x > _SATURATED:
@@ -42,7 +42,7 @@ def tanh_exact(x: float) -> float:
     return math.tanh(x)
 
 
-@kernel
+@part
 def tyre_force_n(wheel_rad_s: float, vehicle_m_s: float, p: VehicleParameters) -> float:
     """Return the traction of the driven axle F_x [N]."""
     slip_ratio = (p.wheel_radius_m * wheel_rad_s - vehicle_m_s) / max(abs(vehicle_m_s), 1.0)
@@ -50,13 +50,13 @@ def tyre_force_n(wheel_rad_s: float, vehicle_m_s: float, p: VehicleParameters) -
     return grip_n * tanh_exact(p.tyre_stiffness_n * slip_ratio / grip_n)
 
 
-@kernel
+@part
 def brake_force_n(deceleration_m_s2: float, vehicle_m_s: float, full_brake_m_s: float, p: VehicleParameters) -> float:
     """Return the total brake force F_b [N], faded out below a speed; what holds the car at rest is no force."""
     return p.mass_kg * deceleration_m_s2 * min(max(vehicle_m_s / full_brake_m_s, -1.0), 1.0)
 
 
-@kernel
+@part
 def road_load_n(vehicle_m_s: float, grade_ratio: float, p: VehicleParameters) -> float:
     """Return rolling, grade and air resistance [N]."""
     rolling = p.rolling_resistance_ratio * tanh_exact(vehicle_m_s / _ROLLING_SPEED_M_S)
@@ -100,20 +100,20 @@ class OutputParameters(NamedTuple):
     shaft_damping_nms_rad: float  # c_OS
 
 
-@kernel
+@part
 def twist_torque_nm(twist_rad: float, rate_rad_s: float, stiffness_nm_rad: float, damping_nms_rad: float) -> float:
     """Return the torque of a sprung and damped shaft [N m]."""
     return stiffness_nm_rad * twist_rad + damping_nms_rad * rate_rad_s
 
 
-@kernel
+@part
 def geared_torque_nm(shaft_nm: float, gear_rad_s: float, efficiency_ratio: float, damping_nms_rad: float) -> float:
     """Return what an engaged gear passes on of its shaft's torque [N m], T_g."""
     loss_nm = (1.0 - efficiency_ratio) * abs(shaft_nm) * tanh_exact(gear_rad_s / _LOSS_SPEED_RAD_S)
     return shaft_nm - loss_nm - damping_nms_rad * gear_rad_s
 
 
-@kernel
+@part
 def synchroniser_torque_nm(slip_rad_s: float, p: SynchroniserParameters) -> float:
     """Return the cone torque T_sy [N m] for a slip ``i*w_D - w_G``."""
     return p.torque_nm * max(-1.0, min(1.0, slip_rad_s / p.full_torque_slip_rad_s))

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from canlog.jit import kernel
+from canlog.jit import part
 from ecu_emulator.plant.driveline import tanh_exact
 
 _AIR_GAS_CONSTANT_J_KG_K = 287.0
@@ -29,14 +29,14 @@ class EngineParameters(NamedTuple):
     ambient_pressure_pa: float  # p_a
 
 
-@kernel
+@part
 def throttle_flow_kg_s(throttle: float, p: EngineParameters) -> float:
     """Return the air flow at sonic throat [kg/s] of a throttle opened 0..1."""
     angle_rad = p.closed_throttle_rad + (0.5 * math.pi - p.closed_throttle_rad) * throttle
     return p.max_air_flow_kg_s * (1.0 - math.cos(angle_rad))
 
 
-@kernel
+@part
 def cylinder_air_kg_rad(manifold_pa: float, air_k: float, p: EngineParameters) -> float:
     """Return the air drawn per crank angle [kg/rad], mdot_cyl / w_E."""
     return (
@@ -47,7 +47,7 @@ def cylinder_air_kg_rad(manifold_pa: float, air_k: float, p: EngineParameters) -
     )
 
 
-@kernel
+@part
 def manifold_rate_pa_s(
     manifold_pa: float, throttle_kg_s: float, engine_rad_s: float, air_k: float, p: EngineParameters
 ) -> float:
@@ -56,13 +56,13 @@ def manifold_rate_pa_s(
     return _AIR_GAS_CONSTANT_J_KG_K * air_k / p.manifold_volume_m3 * (inflow_kg_s - outflow_kg_s)
 
 
-@kernel
+@part
 def mean_indicated_torque_nm(manifold_pa: float, spark: float, air_k: float, p: EngineParameters) -> float:
     """Return the torque of combustion [N m] without its pulses; ``spark`` is its factor, 1 at best timing."""
     return p.torque_per_air_j_kg * cylinder_air_kg_rad(manifold_pa, air_k, p) * spark
 
 
-@kernel
+@part
 def indicated_torque_nm(manifold_pa: float, spark: float, crank_rad: float, air_k: float, p: EngineParameters) -> float:
     """Return the torque of combustion [N m] at a crank angle."""
     torque_nm = mean_indicated_torque_nm(manifold_pa, spark, air_k, p)
@@ -71,7 +71,7 @@ def indicated_torque_nm(manifold_pa: float, spark: float, crank_rad: float, air_
     return torque_nm * (1.0 + p.ripple_ratio * math.sin(3.0 * crank_rad))
 
 
-@kernel
+@part
 def engine_losses_nm(manifold_pa: float, engine_rad_s: float, p: EngineParameters) -> float:
     """Return friction and pumping torque [N m]; none at a standstill."""
     pumping_nm = (p.ambient_pressure_pa - manifold_pa) * p.displacement_m3 / _CYCLE_RAD

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from canlog.jit import kernel
+from canlog.jit import part
 from clutch_model.calibration import ClutchCalibration
 
 _FADE_RATIO = 0.02  # the first share of the volume over which an empty cavity loses its pressure
@@ -42,7 +42,7 @@ def cavity_law(clutch: ClutchCalibration) -> CavityLaw:
     )
 
 
-@kernel
+@part
 def cavity_pressure_pa(volume_m3: float, cavity: CavityLaw, valve: HydraulicsParameters) -> float:
     """Return the piston pressure P_K [Pa] of a cavity that holds ``volume_m3`` of oil."""
     excess_m3 = volume_m3 - cavity.full_volume_m3
@@ -53,13 +53,13 @@ def cavity_pressure_pa(volume_m3: float, cavity: CavityLaw, valve: HydraulicsPar
     return fade * spring_n / cavity.area_m2
 
 
-@kernel
+@part
 def closed_volume_m3(piston_pa: float, cavity: CavityLaw, valve: HydraulicsParameters) -> float:
     """Return the oil volume [m^3] of a closed pack at a pressure above its touch point."""
     return cavity.full_volume_m3 + (piston_pa - cavity.touch_pressure_pa) * valve.pack_compliance_m3_pa
 
 
-@kernel
+@part
 def orifice_flow_m3_s(valve_pa: float, piston_pa: float, valve: HydraulicsParameters) -> float:
     """Return the flow into the cavity [m^3/s], laminar near zero pressure difference."""
     drop_pa = valve_pa - piston_pa

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
-from canlog.jit import kernel
+from canlog.jit import part
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import ACCOUNT_COUNT, SYNCHRONISERS, add_powers, note, stored_energy_j, undo
 from ecu_emulator.plant.clutch import advance_clutch
@@ -44,7 +44,7 @@ def workspace(*, is_audited: bool) -> Workspace:
     )
 
 
-@kernel
+@part
 def settle(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> None:
     """Evaluate the plant at ``y`` and bring the clutch modes into agreement with the torques."""
     evaluate(y, u, modes, out, law)
@@ -52,7 +52,7 @@ def settle(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law
         evaluate(y, u, modes, out, law)
 
 
-@kernel
+@part
 def advance_lags(y: FloatArray, u: FloatArray, dt_s: float, law: PlantLaw) -> None:
     """Advance throttle and spark exactly, and the air flow with the throttle."""
     engine = law.engine
@@ -67,13 +67,13 @@ def advance_lags(y: FloatArray, u: FloatArray, dt_s: float, law: PlantLaw) -> No
         y[at.SPARK] = u[at.SPARK_COMMAND] + (spark_gap if abs(spark_gap) > _SETTLED else 0.0)
 
 
-@kernel
+@part
 def copy(source: FloatArray, into: FloatArray) -> None:
     for i in range(at.STATE_COUNT):
         into[i] = source[i]
 
 
-@kernel
+@part
 def predict(y: FloatArray, before: FloatArray, slope: FloatArray, dt_s: float, into: FloatArray) -> None:
     """Put ``before`` moved along ``slope`` into ``into``, together with the present oil and film in ``y``."""
     for i in range(at.RATE_COUNT):
@@ -82,14 +82,14 @@ def predict(y: FloatArray, before: FloatArray, slope: FloatArray, dt_s: float, i
         into[i] = y[i]
 
 
-@kernel
+@part
 def gather(y: FloatArray, slope: FloatArray, weight_s: float) -> None:
     """Add one stage of the Runge-Kutta step to the state."""
     for i in range(at.RATE_COUNT):
         y[i] += weight_s * slope[i]
 
 
-@kernel
+@part
 def advance_fluids(y: FloatArray, u: FloatArray, dt_s: float, law: PlantLaw) -> None:
     """Advance what nothing mechanical acts back on: lags, oil, films."""
     advance_lags(y, u, dt_s, law)
@@ -97,7 +97,7 @@ def advance_fluids(y: FloatArray, u: FloatArray, dt_s: float, law: PlantLaw) -> 
     advance_clutch(y, u, 1, dt_s, law.clutches.second)
 
 
-@kernel
+@part
 def step(
     y: FloatArray,
     u: FloatArray,
@@ -126,7 +126,7 @@ def step(
     gather(y, slope, dt_s / 6.0)
 
 
-@kernel
+@part
 def first_root(old: float, change: float, new: float) -> float:
     """Return where in 0..1 a falling quantity reaches zero: parabola through both ends with the slope at the first."""
     curve = new - old - change
@@ -134,7 +134,7 @@ def first_root(old: float, change: float, new: float) -> float:
     return max(2.0 * old / (root - change), 0.0)
 
 
-@kernel
+@part
 def approach_fraction(old: float, change: float, new: float, band: float) -> float:
     """Return the share of a step after which a slip enters its band, 1 if it does not or stands at the edge.
 
@@ -148,7 +148,7 @@ def approach_fraction(old: float, change: float, new: float, band: float) -> flo
     return first_root(old - edge, change, new - edge)
 
 
-@kernel
+@part
 def event_fraction(
     y: FloatArray,
     u: FloatArray,
@@ -174,7 +174,7 @@ def event_fraction(
     return fraction
 
 
-@kernel
+@part
 def close_synchronisers(y: FloatArray, u: FloatArray, modes: Int64Array, account: FloatArray, law: PlantLaw) -> None:
     """Engage a gear whose synchroniser has done its work, conserving momentum."""
     for k in range(2):
@@ -199,7 +199,7 @@ def close_synchronisers(y: FloatArray, u: FloatArray, modes: Int64Array, account
             account[SYNCHRONISERS] += before_j - stored_energy_j(y, law)
 
 
-@kernel
+@part
 def advance_to_event(
     y: FloatArray,
     u: FloatArray,
@@ -228,7 +228,7 @@ def advance_to_event(
     return taken_s
 
 
-@kernel
+@part
 def advance_millisecond(
     y: FloatArray,
     u: FloatArray,

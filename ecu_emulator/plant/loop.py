@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from canlog.arrays import FloatArray, Int64Array
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 from clutch_model.pack import viscosity_pa_s
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import BRAKES, stored_energy_j
@@ -48,7 +48,7 @@ class DriveLaw(NamedTuple):
     steps_per_millisecond: int
 
 
-@kernel
+@part
 def modelled_torque_nm(machine: Machine, law: PlantLaw) -> float:
     """Return the crankshaft torque as an engine controller models it [N m]: without the pulses of the firings."""
     y, engine = machine.y, law.engine
@@ -56,7 +56,7 @@ def modelled_torque_nm(machine: Machine, law: PlantLaw) -> float:
     return float(indicated_nm - engine_losses_nm(y[at.P_M], y[at.W_E], engine))
 
 
-@kernel
+@part
 def sense_plant(machine: Machine, law: PlantLaw) -> None:
     y, modes, sense = machine.y, machine.modes, machine.sense
     sense[tcu_data.ENGINE_SPEED] = y[at.W_E]
@@ -70,7 +70,7 @@ def sense_plant(machine: Machine, law: PlantLaw) -> None:
         sense[tcu_data.IS_ENGAGED + k] = modes[at.LINK + k] == ENGAGED
 
 
-@kernel
+@part
 def obey(machine: Machine, law: DriveLaw) -> None:
     """Turn the commands into inputs of the plant and moves of the synchronisers."""
     y, u, modes, commands = machine.y, machine.u, machine.modes, machine.commands
@@ -97,7 +97,7 @@ def obey(machine: Machine, law: DriveLaw) -> None:
             u[at.RATIO + k] = law.overall_ratios[wanted]
 
 
-@kernel
+@part
 def record_bodies(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
     """Write the mechanical part of a row."""
     y, u, out = machine.y, machine.u, machine.work.slope1
@@ -118,7 +118,7 @@ def record_bodies(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
     row[Col.MANIFOLD_PRESSURE] = y[at.P_M]
 
 
-@kernel
+@part
 def record_clutches(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
     """Write the part of a row that comes in pairs; clutch 2 stands right of clutch 1."""
     y, u, out = machine.y, machine.u, machine.work.slope1
@@ -138,7 +138,7 @@ def record_clutches(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
         row[Col.MU_S1 + 2 * k] = u[at.MU_S + k]
 
 
-@kernel
+@part
 def record_plant(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
     """Bring the clutch modes into agreement with the torques, and write what the plant shows of itself."""
     settle(machine.y, machine.u, machine.modes, machine.work.slope1, law)
@@ -146,7 +146,7 @@ def record_plant(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
     record_clutches(machine, law, row)
 
 
-@kernel
+@part
 def record_surroundings(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
     """Write the gears of the shafts and what lies around the transmission; a cycle has no events."""
     modes = machine.modes
@@ -157,7 +157,7 @@ def record_surroundings(machine: Machine, law: PlantLaw, row: FloatArray) -> Non
     row[Col.COOLANT_TEMPERATURE] = law.coolant_k
 
 
-@kernel
+@part
 def record_control(machine: Machine, row: FloatArray) -> None:
     """Write what the shift control shows of itself."""
     memory, modes = machine.memory, machine.modes
@@ -170,7 +170,7 @@ def record_control(machine: Machine, row: FloatArray) -> None:
     row[Col.REV] = memory[tcu_data.REV]
 
 
-@kernel
+@part
 def hold_car(machine: Machine, law: PlantLaw, hold_m_s: float) -> None:
     """Let the brakes hold the car and its wheels at rest, or let go when they can no longer."""
     y, modes, vehicle = machine.y, machine.modes, law.vehicle
@@ -190,14 +190,14 @@ def hold_car(machine: Machine, law: PlantLaw, hold_m_s: float) -> None:
             machine.work.account[BRAKES] += before_j - stored_energy_j(y, law)
 
 
-@kernel
+@part
 def advance(machine: Machine, step_count: int, law: PlantLaw) -> None:
     """Advance plant and clock by one millisecond."""
     advance_millisecond(machine.y, machine.u, machine.modes, machine.work, step_count, law)
     machine.clock[0] += 1
 
 
-@kernel
+@part
 def act(machine: Machine, law: DriveLaw) -> None:
     """Let the control take its step: the workshop routine first, if one was asked for, then the cycles."""
     memory, sense, commands = machine.memory, machine.sense, machine.commands

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from canlog.arrays import FloatArray, Int64Array
-from canlog.jit import kernel
+from canlog.jit import part
 from clutch_model.pack import clutch_heating_rate_k_s, convected_w, sump_heating_rate_k_s
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import ClutchLaw, capacity_nm, contact_nm, viscous_nm
@@ -72,13 +72,13 @@ class PlantLaw(NamedTuple):
     full_brake_m_s: float  # speed from which the brakes act with their full force
 
 
-@kernel
+@part
 def hub_pull(y: FloatArray, out: FloatArray, law: PlantLaw) -> float:
     """Return the acceleration that flywheel and drag alone would give the hub [rad/s^2]."""
     return float((out[at.T_FW] - out[at.T_IMPELLER] - law.hub_damping_nms_rad * y[at.W_H]) / law.hub_inertia_kg_m2)
 
 
-@kernel
+@part
 def shaft_drag(y: FloatArray, out: FloatArray, clutch: int, shaft: ShaftParameters) -> float:
     """Return the deceleration of a clutch's gearbox side by its shaft [rad/s^2], with the fading of residual slip."""
     slip_rad_s = y[at.W_H] - y[at.W_L + clutch]
@@ -86,7 +86,7 @@ def shaft_drag(y: FloatArray, out: FloatArray, clutch: int, shaft: ShaftParamete
     return float(drag_nm / shaft.clutch_inertia_kg_m2 + slip_rad_s / _SLIP_DECAY_S)
 
 
-@kernel
+@part
 def locking_torque_nm(y: FloatArray, out: FloatArray, clutch: int, law: PlantLaw) -> float:
     """Return the torque that holds this clutch locked while the other one passes ``out[T_F]`` [N m]."""
     shaft = law.shafts.first if clutch == 0 else law.shafts.second
@@ -95,7 +95,7 @@ def locking_torque_nm(y: FloatArray, out: FloatArray, clutch: int, law: PlantLaw
     return float((pull + shaft_drag(y, out, clutch, shaft)) / (inverse_hub + 1.0 / shaft.clutch_inertia_kg_m2))
 
 
-@kernel
+@part
 def lock_both(y: FloatArray, out: FloatArray, law: PlantLaw) -> None:
     """Put the torques that hold both clutches locked into ``out``: two equations, coupled by the hub."""
     inverse_hub = 1.0 / law.hub_inertia_kg_m2
@@ -109,7 +109,7 @@ def lock_both(y: FloatArray, out: FloatArray, law: PlantLaw) -> None:
     out[at.T_F + 1] = (need2 * diagonal1 - need1 * inverse_hub) / determinant
 
 
-@kernel
+@part
 def limit_torque(y: FloatArray, u: FloatArray, clutch: int, out: FloatArray, law: PlantLaw) -> bool:
     """Limit a locked clutch's torque to its capacity; True if that was necessary."""
     capacity = capacity_nm(y, u, clutch, law.clutches.first if clutch == 0 else law.clutches.second)
@@ -118,7 +118,7 @@ def limit_torque(y: FloatArray, u: FloatArray, clutch: int, out: FloatArray, law
     return bool(abs(torque_nm) > capacity)
 
 
-@kernel
+@part
 def clutch_torques(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> None:
     """Put the torques of both clutches into ``out``: kinetic where slipping, required up to capacity where locked."""
     for k in range(2):
@@ -141,7 +141,7 @@ def clutch_torques(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatAr
             limit_torque(y, u, k, out, law)
 
 
-@kernel
+@part
 def converter_rates(y: FloatArray, u: FloatArray, out: FloatArray, law: PlantLaw) -> None:
     """Fill ``out`` with the torques of the converter and what they and the gearbox's ratio change; eqs. (C1)-(C3)."""
     out[at.T_IMPELLER] = out[at.T_TURBINE] = out[at.T_TURBINE + 1] = 0.0
@@ -155,7 +155,7 @@ def converter_rates(y: FloatArray, u: FloatArray, out: FloatArray, law: PlantLaw
     out[at.GEAR_RATIO] = u[at.RATIO_RATE]
 
 
-@kernel
+@part
 def input_rates(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> None:
     """Fill ``out`` from the engine to the input shafts; docs/model.md eqs. (1)-(3)."""
     engine_nm = indicated_torque_nm(y[at.P_M], y[at.SPARK], y[at.CRANK], law.air_k, law.engine)
@@ -185,7 +185,7 @@ def input_rates(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray
     out[at.P_M] = manifold_rate_pa_s(y[at.P_M], u[at.AIR_FLOW], y[at.W_E], law.air_k, law.engine)
 
 
-@kernel
+@part
 def output_rates(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> None:
     """Fill ``out`` from the gears to the road."""
     output, vehicle = law.output, law.vehicle
@@ -231,7 +231,7 @@ def output_rates(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArra
     out[at.DISTANCE] = y[at.V]
 
 
-@kernel
+@part
 def heat_rates(y: FloatArray, u: FloatArray, out: FloatArray, law: PlantLaw) -> None:
     """Fill ``out`` with the warming of clutches and sump."""
     to_oil_w = out[at.T_IMPELLER] * y[at.W_H] - out[at.T_TURBINE] * y[at.W_G]
@@ -247,7 +247,7 @@ def heat_rates(y: FloatArray, u: FloatArray, out: FloatArray, law: PlantLaw) -> 
     )
 
 
-@kernel
+@part
 def evaluate(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> None:
     """Put the rates of the state and the torques behind them into ``out``."""
     input_rates(y, u, modes, out, law)
@@ -255,7 +255,7 @@ def evaluate(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, l
     heat_rates(y, u, out, law)
 
 
-@kernel
+@part
 def lock_or_slip(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> bool:
     """Lock and unlock the clutches as the torques in ``out`` demand; True if a mode changed (Karnopp's rule)."""
     has_changed = False

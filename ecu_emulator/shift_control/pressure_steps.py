@@ -5,7 +5,7 @@ torque any more the engine is relieved. Whoever asked for the steps watches that
 """
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import part
 from ecu_emulator.shift_control import tcu, workshop
 from ecu_emulator.shift_control import tcu_data as at
 from ecu_emulator.shift_control.tcu_data import ControlParameters
@@ -19,7 +19,7 @@ STEP_S = 0.8
 RELEASE_S = 0.4
 
 
-@kernel
+@part
 def move_shafts(memory: FloatArray, commands: FloatArray, gear: int) -> None:
     """Want a gear on the shaft whose clutch is stepped, and none on the other."""
     clutch = int(memory[at.STEP_CLUTCH])
@@ -27,7 +27,7 @@ def move_shafts(memory: FloatArray, commands: FloatArray, gear: int) -> None:
     commands[at.WANTED_GEAR + 1 - clutch] = 0.0
 
 
-@kernel
+@part
 def engage(memory: FloatArray, sense: FloatArray, commands: FloatArray) -> None:
     """Engage the gear; the brake holds the wheels, and so the shaft."""
     clutch = int(memory[at.STEP_CLUTCH])
@@ -36,7 +36,7 @@ def engage(memory: FloatArray, sense: FloatArray, commands: FloatArray) -> None:
         workshop.enter_stage(memory, at.STEPS_OPEN)
 
 
-@kernel
+@part
 def stay_open(memory: FloatArray) -> None:
     """Leave the clutch empty for a while: what the engine gives now it gives without it."""
     if memory[at.REV_TIME] >= OPEN_S:
@@ -44,7 +44,7 @@ def stay_open(memory: FloatArray) -> None:
         workshop.enter_stage(memory, at.STEPS_FILLING)
 
 
-@kernel
+@part
 def fill(memory: FloatArray, sense: FloatArray, commands: FloatArray, control: ControlParameters) -> None:
     """Fill the cavity fast, then hold it above the first step."""
     clutch = int(memory[at.STEP_CLUTCH])
@@ -59,7 +59,7 @@ def fill(memory: FloatArray, sense: FloatArray, commands: FloatArray, control: C
         workshop.enter_stage(memory, at.STEPPING)
 
 
-@kernel
+@part
 def step(memory: FloatArray, commands: FloatArray) -> None:
     """Hold each step for its time, from the highest pressure to the lowest."""
     pressure_pa = memory[at.STEP_TOP] - memory[at.STEP] * memory[at.STEP_DOWN]
@@ -71,7 +71,7 @@ def step(memory: FloatArray, commands: FloatArray) -> None:
         workshop.enter_stage(memory, at.STEPS_RELEASING)
 
 
-@kernel
+@part
 def release(memory: FloatArray, sense: FloatArray, commands: FloatArray, control: ControlParameters) -> None:
     """Empty the clutch, take the gear out and wait for whoever asks next."""
     is_empty = max(sense[at.FILL], sense[at.FILL + 1]) < control.preselect_fill_ratio
@@ -80,7 +80,7 @@ def release(memory: FloatArray, sense: FloatArray, commands: FloatArray, control
         workshop.enter_stage(memory, at.WAITING)
 
 
-@kernel
+@part
 def perform(memory: FloatArray, sense: FloatArray, commands: FloatArray, control: ControlParameters) -> None:
     """Take one step of 1 ms."""
     tcu.tick(memory, sense, control)

@@ -7,19 +7,19 @@ brake and moves the synchronisers. Clutch 1 carries the odd gears, clutch 2 the 
 import math
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import part
 from clutch_model.pack import gear_clutch
 from ecu_emulator.shift_control import tcu_data as at
 from ecu_emulator.shift_control.tcu_data import ClutchActuation, ControlParameters
 
 
-@kernel
+@part
 def clutch_of(gear: int) -> int:
     """Return the index of the clutch that carries a gear: 0 for clutch 1."""
     return gear_clutch(gear) - 1
 
 
-@kernel
+@part
 def command_torque(commands: FloatArray, clutch: int, torque_nm: float, actuation: ClutchActuation) -> None:
     """Command the pressure at which a clutch should carry ``torque_nm``, P(T)."""
     pressure_pa = actuation.touch_pressure_pa[clutch] + torque_nm * actuation.pressure_per_torque_pa_nm[clutch]
@@ -27,26 +27,26 @@ def command_torque(commands: FloatArray, clutch: int, torque_nm: float, actuatio
     commands[at.TORQUE_COMMAND + clutch] = torque_nm
 
 
-@kernel
+@part
 def command_pressure(commands: FloatArray, clutch: int, pressure_pa: float) -> None:
     """Command a pressure at which a clutch carries nothing."""
     commands[at.PRESSURE + clutch] = pressure_pa
     commands[at.TORQUE_COMMAND + clutch] = 0.0
 
 
-@kernel
+@part
 def enter_phase(memory: FloatArray, phase: int) -> None:
     memory[at.PHASE] = phase
     memory[at.PHASE_TIME] = 0.0
 
 
-@kernel
+@part
 def hold_torque_nm(memory: FloatArray, p: ControlParameters) -> float:
     """Return the capacity of a clutch that shall not slip [N m]."""
     return float(p.hold_gain_ratio * abs(memory[at.INPUT_TORQUE]) + p.hold_margin_nm)
 
 
-@kernel
+@part
 def next_gear(memory: FloatArray, cycles: FloatArray) -> int:
     """Return the gear the sequence wants after the current one, 0 if none."""
     gear = int(memory[at.CURRENT_GEAR])
@@ -55,7 +55,7 @@ def next_gear(memory: FloatArray, cycles: FloatArray) -> int:
     return gear - 1
 
 
-@kernel
+@part
 def drive(memory: FloatArray, commands: FloatArray, cycles: FloatArray, p: ControlParameters) -> None:
     """Move pedal and brake through the cycle; note when the last cycle is over."""
     is_steady = memory[at.PHASE] == at.HOLD
@@ -78,7 +78,7 @@ def drive(memory: FloatArray, commands: FloatArray, cycles: FloatArray, p: Contr
     commands[at.BRAKE] = cycles[cycle, at.CYCLE_BRAKE] if is_braking else 0.0
 
 
-@kernel
+@part
 def preselect(
     memory: FloatArray, sense: FloatArray, commands: FloatArray, cycles: FloatArray, p: ControlParameters
 ) -> None:
@@ -98,7 +98,7 @@ def preselect(
         commands[at.WANTED_GEAR + idle] = wanted
 
 
-@kernel
+@part
 def wants_shift(memory: FloatArray, sense: FloatArray, cycles: FloatArray, p: ControlParameters) -> bool:
     """Tell whether the engine has reached the speed of the next shift and the next gear stands ready."""
     gear, wanted = int(memory[at.CURRENT_GEAR]), next_gear(memory, cycles)
@@ -114,7 +114,7 @@ def wants_shift(memory: FloatArray, sense: FloatArray, cycles: FloatArray, p: Co
     return bool(sense[at.ENGINE_SPEED] < row[at.CYCLE_DOWN + gear - 2])
 
 
-@kernel
+@part
 def hold_phase(memory: FloatArray, commands: FloatArray, actuation: ClutchActuation, p: ControlParameters) -> None:
     """Phase 0: the clutch of the current gear holds, the other one is empty."""
     active = clutch_of(int(memory[at.CURRENT_GEAR]))
@@ -122,7 +122,7 @@ def hold_phase(memory: FloatArray, commands: FloatArray, actuation: ClutchActuat
     command_pressure(commands, 1 - active, 0.0)
 
 
-@kernel
+@part
 def fill_clutch(
     memory: FloatArray,
     sense: FloatArray,
@@ -138,7 +138,7 @@ def fill_clutch(
     command_pressure(commands, clutch, touch_pa if memory[at.IS_FILLED] != 0.0 else p.prefill_pressure_pa)
 
 
-@kernel
+@part
 def prefill_phase(
     memory: FloatArray, sense: FloatArray, commands: FloatArray, actuation: ClutchActuation, p: ControlParameters
 ) -> None:
@@ -151,7 +151,7 @@ def prefill_phase(
         enter_phase(memory, at.TORQUE)
 
 
-@kernel
+@part
 def torque_phase(
     memory: FloatArray, sense: FloatArray, commands: FloatArray, actuation: ClutchActuation, p: ControlParameters
 ) -> None:
@@ -174,7 +174,7 @@ def torque_phase(
         enter_phase(memory, at.INERTIA)
 
 
-@kernel
+@part
 def slip_reference(time_s: float, start_rad_s: float, length_s: float, p: ControlParameters) -> tuple[float, float]:
     """Return the slip the inertia phase follows [rad/s] and its rate [rad/s^2]: to zero smoothly, then beyond."""
     if time_s < length_s:
@@ -187,7 +187,7 @@ def slip_reference(time_s: float, start_rad_s: float, length_s: float, p: Contro
     return -sign * p.overshoot_limit_rad_s, 0.0
 
 
-@kernel
+@part
 def inertia_phase(
     memory: FloatArray, sense: FloatArray, commands: FloatArray, actuation: ClutchActuation, p: ControlParameters
 ) -> None:
@@ -212,7 +212,7 @@ def inertia_phase(
     begin_lock_up(memory, sense, commands, coming, p)
 
 
-@kernel
+@part
 def begin_lock_up(
     memory: FloatArray, sense: FloatArray, commands: FloatArray, coming: int, p: ControlParameters
 ) -> None:
@@ -225,7 +225,7 @@ def begin_lock_up(
         enter_phase(memory, at.LOCK_UP)
 
 
-@kernel
+@part
 def lock_up_phase(memory: FloatArray, commands: FloatArray, actuation: ClutchActuation, p: ControlParameters) -> None:
     """Phase 4: pressure rises to the hold level, then the gear counts as changed."""
     coming = clutch_of(int(memory[at.TARGET_GEAR]))
@@ -239,7 +239,7 @@ def lock_up_phase(memory: FloatArray, commands: FloatArray, actuation: ClutchAct
         enter_phase(memory, at.HOLD)
 
 
-@kernel
+@part
 def tick(memory: FloatArray, sense: FloatArray, p: ControlParameters) -> None:
     """Advance the clocks and the filtered engine torque by 1 ms."""
     blend = 1.0 - math.exp(-at.PERIOD_S / p.torque_filter_s)
@@ -248,7 +248,7 @@ def tick(memory: FloatArray, sense: FloatArray, p: ControlParameters) -> None:
     memory[at.DWELL] += at.PERIOD_S
 
 
-@kernel
+@part
 def control(
     memory: FloatArray,
     sense: FloatArray,

@@ -7,7 +7,7 @@ shafts as well, whose inertia is known from the drawing; docs/model.md section "
 """
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 from ecu_emulator.shift_control import tcu
 from ecu_emulator.shift_control import tcu_data as at
 from ecu_emulator.shift_control.tcu_data import ClutchActuation, ControlParameters, WorkshopParameters
@@ -23,7 +23,7 @@ def enter_stage(memory: FloatArray, stage: int) -> None:
     memory[at.IS_REVVING] = 0.0
 
 
-@kernel
+@part
 def rev(memory: FloatArray, sense: FloatArray, count: int, is_settled: bool, p: WorkshopParameters) -> bool:  # noqa: FBT001 - kernels take their arguments by position
     """Move the pedal through the revs of a stage; True once all ``count`` are over."""
     memory[at.REV_TIME] += at.PERIOD_S
@@ -46,7 +46,7 @@ def rev(memory: FloatArray, sense: FloatArray, count: int, is_settled: bool, p: 
     return False
 
 
-@kernel
+@part
 def wait(commands: FloatArray) -> None:
     """Idle with both clutches empty and the brake held; whoever asks for the routine moves on to its first stage."""
     tcu.command_pressure(commands, 0, 0.0)
@@ -55,7 +55,7 @@ def wait(commands: FloatArray) -> None:
     commands[at.BRAKE] = STANDING_BRAKE_M_S2
 
 
-@kernel
+@part
 def open_revs(memory: FloatArray, sense: FloatArray, commands: FloatArray, p: WorkshopParameters) -> None:
     """Rev with both clutches empty."""
     tcu.command_pressure(commands, 0, 0.0)
@@ -65,7 +65,7 @@ def open_revs(memory: FloatArray, sense: FloatArray, commands: FloatArray, p: Wo
         enter_stage(memory, at.CLOSED_REVS)
 
 
-@kernel
+@part
 def closed_revs(
     memory: FloatArray,
     sense: FloatArray,
@@ -87,7 +87,7 @@ def closed_revs(
         enter_stage(memory, at.ENGAGING)
 
 
-@kernel
+@part
 def engage(
     memory: FloatArray, sense: FloatArray, commands: FloatArray, control: ControlParameters, p: WorkshopParameters
 ) -> None:
@@ -108,7 +108,7 @@ def engage(
         enter_stage(memory, at.FILLING)
 
 
-@kernel
+@part
 def fill(
     memory: FloatArray, sense: FloatArray, commands: FloatArray, actuation: ClutchActuation, control: ControlParameters
 ) -> None:
@@ -119,7 +119,7 @@ def fill(
         enter_stage(memory, at.LAUNCHING)
 
 
-@kernel
+@part
 def launch(
     memory: FloatArray,
     sense: FloatArray,
@@ -138,7 +138,7 @@ def launch(
         enter_stage(memory, at.LOCKING)
 
 
-@kernel
+@part
 def lock(memory: FloatArray, commands: FloatArray, actuation: ClutchActuation, control: ControlParameters) -> None:
     """Raise the pressure to the hold level; then the shift control takes over in 1st gear."""
     tcu.lock_up_phase(memory, commands, actuation, control)
@@ -146,7 +146,7 @@ def lock(memory: FloatArray, commands: FloatArray, actuation: ClutchActuation, c
         enter_stage(memory, at.NO_ROUTINE)
 
 
-@kernel
+@part
 def perform(
     memory: FloatArray,
     sense: FloatArray,

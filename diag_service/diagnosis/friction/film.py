@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from canlog.arrays import FloatArray
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 from clutch_model.calibration import Calibration
 from clutch_model.pack import (
     CONTACT_END,
@@ -209,13 +209,13 @@ def _integrate(one: _Pack, other: _Pack, step_s: float) -> tuple[float, float]:
     return _warmed_k(one, last, at_one, step_s)[0], _warmed_k(other, last, at_other, step_s)[0]
 
 
-@kernel
+@part
 def _start(pack: _Pack) -> _State:
     film_m = equilibrium_film_m(applied_pressure_pa(pack.piston_pa[0], pack.law), pack.law)
     return _State(film_point(film_m, pack.law), pack.heat.start_k, 0.0)
 
 
-@kernel
+@part
 def _next(pack: _Pack, k: int, at: _State, step_s: float) -> _State:
     """Fill row k and return what the pack is at the next point."""
     clutch_k, viscosity = _warmed_k(pack, k, at, step_s)
@@ -227,7 +227,7 @@ def _next(pack: _Pack, k: int, at: _State, step_s: float) -> _State:
     return _State(film_point(film_m, law), clutch_k, film_rate_1_s)
 
 
-@kernel
+@part
 def _warmed_k(pack: _Pack, k: int, at: _State, step_s: float) -> tuple[float, float]:
     """Fill row k; return the temperature of the pack a step later [K] and the viscosity of its oil at this point."""
     point, law, heat, rows, slip = at.point, pack.law, pack.heat, pack.rows, pack.slip_rad_s[k]
@@ -250,7 +250,7 @@ def _warmed_k(pack: _Pack, k: int, at: _State, step_s: float) -> tuple[float, fl
     return at.clutch_k + step_s * rate_k_s, viscosity
 
 
-@kernel
+@part
 def film_torques_nm(
     slip_rad_s: float, film_m: float, viscosity: float, shear: float, open_drag_ratio: float, law: FilmLaw
 ) -> tuple[float, float]:
@@ -266,7 +266,7 @@ def film_torques_nm(
     return open_nm, (1.0 - openness) * full_nm * open_drag_ratio ** min(_DOUBT_RISE * openness, 1.0)
 
 
-@kernel
+@part
 def _whole_nm(
     slip_rad_s: float, film_m: float, viscosity: float, shear: float, open_drag_ratio: float, law: FilmLaw
 ) -> float:
@@ -274,7 +274,7 @@ def _whole_nm(
     return open_nm + closing_nm
 
 
-@kernel
+@part
 def _doubt(openness: float, film_rate_1_s: float, piston_pa: float, law: FilmLaw) -> float:
     """Return the standard deviation of what a film shears, as a ratio to that torque; docs/model.md "Estimator"."""
     if openness > 0.0 and abs(piston_pa - piston_pressure_pa(0.0, law)) < _HOVER_PA:
@@ -282,14 +282,14 @@ def _doubt(openness: float, film_rate_1_s: float, piston_pa: float, law: FilmLaw
     return min(_DOUBT_RISE * openness + _TIMING_S * film_rate_1_s, 1.0)
 
 
-@kernel
+@part
 def _openness(film_m: float, law: FilmLaw) -> float:
     """Return how far a pack is open: 0 as long as asperities touch, 1 at its open gap."""
     touching_m = CONTACT_END * law.roughness_m
     return max(0.0, film_m - touching_m) / (law.open_gap_m - touching_m)
 
 
-@kernel
+@part
 def _film_step(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLaw, step_s: float) -> float:
     """Return the film one step later by the exponential Rosenbrock-Euler rule, exact for a linear rate."""
     rate_m_s, slope_1_s = point_motion(point, piston_pa, viscosity, law)
@@ -400,7 +400,7 @@ def _follow(moved: _Moved, law: FilmLaw, oil: _Oil, by: FloatArray, answers: _An
         k = following
 
 
-@kernel
+@part
 def _is_quiet(moved: _Moved, k: int, points: int, point: FilmPoint, viscosity: float, law: FilmLaw) -> bool:
     """Return whether a film hardly changes over some points: then one step follows it."""
     driving_pa = 0.5 * (moved.piston_pa[k] + moved.piston_pa[k + points])
@@ -408,7 +408,7 @@ def _is_quiet(moved: _Moved, k: int, points: int, point: FilmPoint, viscosity: f
     return abs(rate) * points * GRID_S < _QUIET * point.film_m
 
 
-@kernel
+@part
 def _answer(
     moved: _Moved, k: int, point: FilmPoint, viscosity: float, law: FilmLaw, by: FloatArray, contact: FloatArray,
     viscous: FloatArray,
@@ -427,7 +427,7 @@ def _answer(
     viscous[_VISCOSITY] += (stiffer_nm - whole_nm) / _VISCOSITY_STEP
 
 
-@kernel
+@part
 def _step(
     moved: _Moved, k: int, points: int, point: FilmPoint, viscosity: float, law: FilmLaw, by: FloatArray
 ) -> float:

@@ -16,7 +16,7 @@ from cantools.database.can import Message
 from canlog.arrays import Int64Array
 from canlog.errors import DefinitionError
 from canlog.frames import EXTENDED_FLAG, REMOTE_FLAG
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 
 J1939: Final = "j1939"
 PDU2_FORMATS: Final = 240
@@ -212,7 +212,7 @@ def find_slot(book: AddressBook, can_id: int) -> int:
     return NOBODY
 
 
-@kernel
+@part
 def find(keys: Int64Array, key: int) -> int:
     """Return the place of a key among sorted ones; -1 if it is not among them."""
     low = 0

@@ -42,7 +42,7 @@ from canlog.decode.signals import (
 )
 from canlog.errors import DefinitionError
 from canlog.frames import ERROR_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 
 SIGNAL: Final = np.dtype(
     [
@@ -165,7 +165,7 @@ def _decode_rows(
         decode_signal(words[rules.signal[row]["word"]], rules, row, value[row], good[row], bad_count[row])
 
 
-@kernel
+@part
 def decode_signal(
     word: UInt64Array, rules: SignalRules, row: int, value: FloatArray, good: BoolArray, bad_count: Int64Array
 ) -> None:
@@ -186,7 +186,7 @@ def decode_signal(
         _check(word, signal, unusable, good, bad_count)
 
 
-@kernel
+@part
 def _check(word: UInt64Array, signal: np.void, unusable: Int64Array, good: BoolArray, bad_count: Int64Array) -> None:
     """Fill in which raw values are measurements, and how many are codes and how many out of range."""
     left, right, is_signed = signal["left"], signal["right"], signal["is_signed"] != 0
@@ -418,7 +418,7 @@ def _labelled(signals: Sequence[Signal]) -> dict[str, Signal]:
     return found
 
 
-@kernel
+@part
 def frame_room(flags: int, length: int) -> int:
     """Return how many bytes frames of this kind have room for; not every log says which are of CAN FD."""
     return FD_PAYLOAD_BYTES if flags & _FD_FLAG or length > PAYLOAD_BYTES else PAYLOAD_BYTES

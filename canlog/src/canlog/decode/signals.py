@@ -20,7 +20,7 @@ from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt8Array
 from canlog.database.not_available import CodeRange
 from canlog.errors import DefinitionError
 from canlog.frames import FD_PAYLOAD_BYTES
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 
 UInt64Array = npt.NDArray[np.uint64]
 
@@ -66,7 +66,7 @@ def pick_words(payloads: UInt64Array, rows: Int64Array, starts: Int64Array, word
         pick_word(payloads, rows, starts[number], words[number])
 
 
-@kernel
+@part
 def pick_word(payloads: UInt64Array, rows: Int64Array, start: Int64Array, word: UInt64Array) -> None:
     """Fill in the eight bytes of some payloads from a first one on, in one of the two orders."""
     column, is_big = start[0] // WORD_BYTES, start[1] != 0
@@ -80,7 +80,7 @@ def pick_word(payloads: UInt64Array, rows: Int64Array, start: Int64Array, word: 
         word[at] = byteswapped(bits) if is_big else bits
 
 
-@kernel
+@part
 def byteswapped(word: np.uint64) -> np.uint64:
     """Return a word with its bytes in the other order."""
     word = (word & _ODD_BYTES) << np.uint64(8) | (word >> np.uint64(8)) & _ODD_BYTES

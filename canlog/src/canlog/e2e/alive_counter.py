@@ -23,7 +23,7 @@ import numpy as np
 
 from canlog.arrays import Int64Array, Records, Series
 from canlog.e2e.profile1 import COUNTER_PERIOD
-from canlog.jit import kernel
+from canlog.jit import part
 
 MAX_DELTA_COUNTER: Final = 3  # permitted jump between frames one cycle apart: two frames may be lost in silence
 LATE_CYCLES: Final = 1.0  # jitter within which a gap still counts as whole counter periods
@@ -80,13 +80,13 @@ def forget(links: Records) -> None:
         links[name] = _NONE if name.endswith("counter") else 0
 
 
-@kernel
+@part
 def elapsed_cycles(elapsed_ns: int, cycle_ns: int) -> float:
     """Return elapsed time in cycles; -1 if the cycle time is unknown."""
     return elapsed_ns / cycle_ns if cycle_ns > 0 else -1.0
 
 
-@kernel
+@part
 def whole_periods(delta: int, cycles: float) -> int:
     """Return how many counter periods passed unseen, if the frame is on time for that; else 0."""
     periods = int(np.rint((cycles - delta) / COUNTER_PERIOD))
@@ -95,7 +95,7 @@ def whole_periods(delta: int, cycles: float) -> int:
     return 0
 
 
-@kernel
+@part
 def permitted_advance(counter: int, since: int, cycles: float, late: int) -> int:
     """Return by how many transmissions ``counter`` follows the counter ``since``; 0 if time does not permit it.
 
@@ -109,7 +109,7 @@ def permitted_advance(counter: int, since: int, cycles: float, late: int) -> int
     return delta if delta <= limit else 0
 
 
-@kernel
+@part
 def retracted(link: LinkState, t_ns: int, cycles: float) -> int:
     """Return how many frames were not missing after all: those that follow come too soon for that."""
     assumed, since = link.assumed, link.sequence - link.assumed_sequence
@@ -125,7 +125,7 @@ def retracted(link: LinkState, t_ns: int, cycles: float) -> int:
     return 0
 
 
-@kernel
+@part
 def accept(link: LinkState, counter: int, t_ns: int, advance: int, proven: int, cycles: float) -> int:
     """Move the state on to an accepted frame; return how many frames are missing before it.
 
@@ -152,7 +152,7 @@ def accept(link: LinkState, counter: int, t_ns: int, advance: int, proven: int, 
     return missing
 
 
-@kernel
+@part
 def is_repeated(link: LinkState, counter: int, t_ns: int, cycle_ns: int) -> bool:
     """Return whether the counter has not moved since the last frame; remember the frame."""
     same = counter == link.seen_counter
@@ -167,7 +167,7 @@ def is_repeated(link: LinkState, counter: int, t_ns: int, cycle_ns: int) -> bool
     return repeated
 
 
-@kernel
+@part
 def judge(link: LinkState, counter: int, t_ns: int, cycle_ns: int) -> tuple[int, int]:
     """Return reason and missing frames of one frame with a good CRC, and move the state on."""
     if counter >= COUNTER_PERIOD:
@@ -202,7 +202,7 @@ def judge(link: LinkState, counter: int, t_ns: int, cycle_ns: int) -> tuple[int,
     return WRONG_SEQUENCE, 0
 
 
-@kernel
+@part
 def note_unusable(link: LinkState) -> None:
     """Remember a frame that stood in for a transmission but could not be read."""
     link.rejected += 1

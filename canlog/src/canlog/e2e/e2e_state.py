@@ -23,7 +23,7 @@ from canlog.e2e.alive_counter import SLOWER_RATIO, SLOWEST
 from canlog.e2e.profile1 import COUNTER_PERIOD
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts
 from canlog.frames import BEFORE_ALL_NS
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 
 
 class E2eState(IntEnum):
@@ -80,7 +80,7 @@ class E2eMemory:
 _MEMORY_TYPE: Final = np.dtype([(name, np.int64) for name in E2eMemory.__annotations__])
 
 
-@kernel
+@part
 def count_ones(bits: int) -> int:
     count = 0
     while bits:
@@ -89,7 +89,7 @@ def count_ones(bits: int) -> int:
     return count
 
 
-@kernel
+@part
 def next_state(state: int, ok_bits: int, error_bits: int) -> int:
     """Return the state after the last check."""
     if state == _NO_DATA:
@@ -102,7 +102,7 @@ def next_state(state: int, ok_bits: int, error_bits: int) -> int:
     return _INVALID
 
 
-@kernel
+@part
 def add_check(memory: E2eMemory, slot: int, t_ns: int, is_ok: int, is_error: int, changes: Int64Array) -> int:
     """Take the result of one check into the window; write the change of state that it brings, return how many."""
     before = memory.state
@@ -116,7 +116,7 @@ def add_check(memory: E2eMemory, slot: int, t_ns: int, is_ok: int, is_error: int
     return enter_state(memory, slot, t_ns, after, changes)
 
 
-@kernel
+@part
 def enter_state(memory: E2eMemory, slot: int, t_ns: int, state: int, changes: Int64Array) -> int:
     """Change the state of a message; write that into the first row of ``changes``, return whether it was one."""
     if state == memory.state:
@@ -126,7 +126,7 @@ def enter_state(memory: E2eMemory, slot: int, t_ns: int, state: int, changes: In
     return 1
 
 
-@kernel
+@part
 def add_silence(memory: E2eMemory, slot: int, now_ns: int, changes: Int64Array) -> int:
     """If a message is overdue, take that for a window without new data; write and return as ``add_check``."""
     if memory.own_ns <= 0 or memory.heard_ns == BEFORE_ALL_NS:
@@ -144,7 +144,7 @@ def add_silence(memory: E2eMemory, slot: int, now_ns: int, changes: Int64Array) 
     return enter_state(memory, slot, overdue_ns, _INVALID, changes)
 
 
-@kernel
+@part
 def take_back_silence(memory: E2eMemory, slot: int, sequence: int, changes: Int64Array) -> int:
     """If the frame after a silence is the very next one, it was late: write that there was no lapse, at its time."""
     before, state = memory.sequence, memory.lapse_state
@@ -157,7 +157,7 @@ def take_back_silence(memory: E2eMemory, slot: int, sequence: int, changes: Int6
     return enter_state(memory, slot, memory.lapse_ns, state, changes)
 
 
-@kernel
+@part
 def learn_cycle(memory: E2eMemory, now_ns: int, missing: int) -> None:
     """Take the time since the last frame into account, frames that are missing in between left out."""
     own_ns, cycle_ns = memory.own_ns, memory.cycle_ns

@@ -28,7 +28,7 @@ from canlog.e2e.message_contract import message_contract
 from canlog.e2e.profile1 import COUNTER_BYTE, COUNTER_MASK, CRC_BYTE, CRC_TABLES, data_id_remainder
 from canlog.errors import DefinitionError
 from canlog.frames import ERROR_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch, empty_batch
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 
 ORIGINS: Final = 256  # channels, and J1939 source addresses
 
@@ -136,7 +136,7 @@ def judge_frames(
         totals.marked[frames.channel[row], reason] += 1
 
 
-@kernel
+@part
 def identify(book: AddressBook, origins: Origins, frames: FrameColumns, row: int) -> tuple[int, int]:
     """Return the message of a frame and whether it comes from where that message is followed; count its origin."""
     can_id = frames.can_id[row]
@@ -160,7 +160,7 @@ def identify(book: AddressBook, origins: Origins, frames: FrameColumns, row: int
     return slot, _OK
 
 
-@kernel
+@part
 def soundness(rules: Rules, frames: FrameColumns, row: int, slot: int) -> int:
     if frames.length[row] < rules.min_length[slot]:
         return _SHORT
@@ -173,7 +173,7 @@ def soundness(rules: Rules, frames: FrameColumns, row: int, slot: int) -> int:
     return _OK
 
 
-@kernel
+@part
 def keep_origin(book: AddressBook, origins: Origins, frames: FrameColumns, row: int, slot: int) -> None:
     """From its first sound frame on, a message is followed from where that came."""
     if origins.channel[slot] == ANY:
@@ -182,7 +182,7 @@ def keep_origin(book: AddressBook, origins: Origins, frames: FrameColumns, row: 
         origins.sender[slot] = frames.can_id[row] & 0xFF
 
 
-@kernel
+@part
 def sequence_reason(
     rules: Rules, links: Records, frames: FrameColumns, row: int, slot: int, verdicts: FrameVerdicts
 ) -> int:

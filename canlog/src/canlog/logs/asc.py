@@ -22,7 +22,7 @@ from canlog.frames import (
     TX_FLAG,
     FrameBatch,
 )
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 from canlog.logs.dates import US_PER_S, date_us, decoded
 from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.text_kernels import (
@@ -64,7 +64,7 @@ NONE = -1  # in place of a number or a position
 IS_LETTER: BoolArray = np.isin(np.arange(256), list(f"{string.ascii_letters}{string.digits}_".encode()))  # of a name
 
 
-@kernel
+@part
 def is_word(text: UInt8Array, at: int, word: UInt8Array) -> bool:
     """Return whether a word stands here, in letters of either size."""
     for index in range(len(word)):
@@ -73,7 +73,7 @@ def is_word(text: UInt8Array, at: int, word: UInt8Array) -> bool:
     return not IS_LETTER[text[at + len(word)]]
 
 
-@kernel
+@part
 def decimal_number(text: UInt8Array, at: int) -> tuple[int, int]:
     """Read a decimal number and the blanks behind it; NONE, and stay, if there is none."""
     number, behind = decimal(text, at, LONGEST_NUMBER)
@@ -82,7 +82,7 @@ def decimal_number(text: UInt8Array, at: int) -> tuple[int, int]:
     return number, skip_blanks(text, behind)
 
 
-@kernel
+@part
 def read_direction(text: UInt8Array, at: int) -> tuple[int, int]:
     """Pass over ``Rx`` or ``Tx`` and the blanks behind it; return 1 for the latter. Else stay: NONE."""
     is_sent = text[at] | 32 == LETTER_T
@@ -91,7 +91,7 @@ def read_direction(text: UInt8Array, at: int) -> tuple[int, int]:
     return NONE, at
 
 
-@kernel
+@part
 def read_identifier(text: UInt8Array, at: int, base: int) -> tuple[int, int]:
     """Read an identifier and the blanks behind it; NONE if it is none."""
     begin = at
@@ -103,7 +103,7 @@ def read_identifier(text: UInt8Array, at: int, base: int) -> tuple[int, int]:
     return (value | EXTENDED_FLAG if is_extended else value), skip_blanks(text, at)
 
 
-@kernel
+@part
 def payload(text: UInt8Array, at: int, data: UInt8Array, row: int, count: int, base: int, is_fd: int) -> int:
     """Read bytes, each behind blanks; return the position behind them, or NONE.
 
@@ -121,7 +121,7 @@ def payload(text: UInt8Array, at: int, data: UInt8Array, row: int, count: int, b
     return behind
 
 
-@kernel
+@part
 def end_of_line(text: UInt8Array, at: int) -> int:
     """Pass over ``name = anything`` or a comment, if it is there; return the position behind the line, or NONE."""
     at = skip_blanks(text, at)
@@ -178,7 +178,7 @@ def parse_lines(text: UInt8Array, rows: FrameRows, clock: Int64Array, progress: 
     progress[POSITION], progress[LINES], progress[ROWS] = at, line, row
 
 
-@kernel
+@part
 def _time_us(text: UInt8Array, at: int) -> tuple[int, int]:
     """Read ``seconds.fraction`` and the blanks behind it, rounded to microseconds; NONE if no event follows."""
     begin = at
@@ -193,7 +193,7 @@ def _time_us(text: UInt8Array, at: int) -> tuple[int, int]:
     return seconds * US_PER_S + (fraction_ns + NS_PER_US // 2) // NS_PER_US, behind
 
 
-@kernel
+@part
 def _event(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> tuple[int, int]:
     """Read what stands behind a time; return the outcome and the position behind the line."""
     is_fd = text[at] | 32 == CANFD_WORD[0]
@@ -207,7 +207,7 @@ def _event(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> t
     return _other(text, at, rows, row) if end == NONE else (TOO_LONG, at)
 
 
-@kernel
+@part
 def _other(text: UInt8Array, at: int, rows: FrameRows, row: int) -> tuple[int, int]:
     """Read an event that is no frame with a payload; return the outcome and the position behind the line."""
     begin, is_fd, outcome = at, is_word(text, at, CANFD_WORD), SKIPPED
@@ -235,7 +235,7 @@ def _other(text: UInt8Array, at: int, rows: FrameRows, row: int) -> tuple[int, i
     return outcome, at + 1
 
 
-@kernel
+@part
 def _frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> int:
     """Read ``123x  Rx   d 8 11 22 ...``, perhaps without a direction; return what ``_fd_frame`` does."""
     identifier, at = read_identifier(text, at, base)
@@ -267,7 +267,7 @@ def _frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> i
     return end_of_line(text, at) if at >= 0 else NONE
 
 
-@kernel
+@part
 def _long_payload(text: UInt8Array, begin: int, rows: FrameRows, row: int, base: int) -> tuple[int, int]:
     """Read a length beyond eight and its bytes; return their number and the position behind, or as ``_fd_frame``.
 
@@ -296,7 +296,7 @@ def _long_payload(text: UInt8Array, begin: int, rows: FrameRows, row: int, base:
     return count, at
 
 
-@kernel
+@part
 def _fd_frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> int:
     """Read ``Rx 123 [name] 1 0 9 12 11 22 ... duration length flags ...``; return the position behind, or NONE.
 
@@ -328,7 +328,7 @@ def _fd_frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -
     return end
 
 
-@kernel
+@part
 def _said_flags(text: UInt8Array, at: int) -> tuple[int, int]:
     """Read the flags among the numbers behind a payload; return them and the position behind the line, or NONE.
 

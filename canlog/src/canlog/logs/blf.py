@@ -27,7 +27,7 @@ from canlog.frames import (
     TX_FLAG,
     FrameBatch,
 )
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 from canlog.logs.frame_buffer import FrameBuffer, FrameRows
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_kernels import LENGTH_OF_CODE, half, lower, word
@@ -91,14 +91,14 @@ WRITTEN, BROKEN, TOO_WIDE = range(3)
 SENT_BIT = 0x01
 
 
-@kernel
+@part
 def _count_damage(report: Int64Array) -> None:
     if report[DAMAGED] == 0:
         report[FIRST_DAMAGED] = report[OBJECTS] + 1
     report[DAMAGED] += 1
 
 
-@kernel
+@part
 def _locate(raw: UInt8Array, at: int, report: Int64Array) -> tuple[int, int]:
     """Return where the next object is and its size, -1 if the buffer does not hold all of it; count what is damaged."""
     while True:
@@ -120,7 +120,7 @@ def _locate(raw: UInt8Array, at: int, report: Int64Array) -> tuple[int, int]:
         at = found + 4
 
 
-@kernel
+@part
 def _frame(raw: UInt8Array, at: int, size: int, layout: Int64Array, rows: FrameRows, row: int, start_ns: int) -> int:
     """Write the frame of an object into a row; return WRITTEN, or why it could not be."""
     header = half(raw, at + HEADER_SIZE_OFFSET)
@@ -161,7 +161,7 @@ def _frame(raw: UInt8Array, at: int, size: int, layout: Int64Array, rows: FrameR
     return WRITTEN
 
 
-@kernel
+@part
 def _time_ns(raw: UInt8Array, at: int, start_ns: int) -> int:
     """Return the time of an object since the epoch, rounded to microseconds; -1 if there can be no such time."""
     count, longest_ns = np.int64(word(raw, at + TIME_OFFSET)), LAST_NS - start_ns

@@ -8,7 +8,7 @@ import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG, FrameBatch
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 from canlog.logs.frame_buffer import ChannelNames, FrameRows, NameWords, channel_number
 from canlog.logs.text_kernels import (
     FRAME,
@@ -63,7 +63,7 @@ def parse_lines(text: UInt8Array, rows: FrameRows, names: NameWords, known: int,
     progress[POSITION], progress[LINES], progress[ROWS] = at, line, row
 
 
-@kernel
+@part
 def _parse_line(text: UInt8Array, at: int, rows: FrameRows, row: int, names: NameWords, known: int) -> tuple[int, int]:
     """Parse one line into one row; return the outcome and the position behind the line."""
     at = skip_blanks(text, at)
@@ -95,7 +95,7 @@ def _parse_line(text: UInt8Array, at: int, rows: FrameRows, row: int, names: Nam
     return (FRAME if number >= 0 else NEW_CHANNEL), at
 
 
-@kernel
+@part
 def _parse_time(text: UInt8Array, at: int) -> tuple[int, int]:
     """Parse ``(seconds.fraction)``; return the time [ns], -1 if it is none, and the position behind it."""
     if text[at] != OPEN:
@@ -111,7 +111,7 @@ def _parse_time(text: UInt8Array, at: int) -> tuple[int, int]:
     return seconds * NS_PER_S + fraction // NS_PER_US * NS_PER_US, at + 1
 
 
-@kernel
+@part
 def _parse_id(text: UInt8Array, at: int) -> tuple[int, int]:
     """Parse ``123#`` or ``12345678#``; return the identifier with its flags, -1 if it is none, and the position."""
     begin = at
@@ -126,7 +126,7 @@ def _parse_id(text: UInt8Array, at: int) -> tuple[int, int]:
     return -1, at
 
 
-@kernel
+@part
 def _payload(text: UInt8Array, at: int, data: UInt8Array, row: int, limit: int) -> tuple[int, int]:
     """Parse ``1122`` or ``11.22`` into a row that is zero behind it; return the count and the position."""
     count, at = hex_bytes(text, at, row, data, limit, POINT)
@@ -134,7 +134,7 @@ def _payload(text: UInt8Array, at: int, data: UInt8Array, row: int, limit: int) 
     return count, at
 
 
-@kernel
+@part
 def _parse_fd_payload(text: UInt8Array, at: int, rows: FrameRows, row: int) -> int:
     """Parse flags and payload of an FD frame; return the position, negative if it is none."""
     digit = HEX_VALUE[text[at]]
@@ -145,7 +145,7 @@ def _parse_fd_payload(text: UInt8Array, at: int, rows: FrameRows, row: int) -> i
     return at if IS_LENGTH[count] else -at
 
 
-@kernel
+@part
 def _parse_tail(text: UInt8Array, at: int, rows: FrameRows, row: int) -> int:
     """Pass over what may follow a payload; return the position behind the line, negative if it is anything else."""
     if text[at] == UNDERSCORE and HEX_VALUE[text[at + 1]] > PAYLOAD_BYTES:

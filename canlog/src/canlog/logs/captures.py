@@ -26,7 +26,7 @@ from canlog.frames import (
     TX_FLAG,
     FrameBatch,
 )
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 from canlog.logs import text_kernels as outcomes
 from canlog.logs.frame_buffer import FrameBuffer, FrameRows
 from canlog.logs.log_counts import LogCounts, LogReject
@@ -101,19 +101,19 @@ def parse_records(
     report[POSITION] = at
 
 
-@kernel
+@part
 def _long(raw: UInt8Array, at: int, is_big: int) -> int:
     value = lower(raw, at)
     return reversed_bytes(value) if is_big else value
 
 
-@kernel
+@part
 def _short(raw: UInt8Array, at: int) -> int:
     """Return two bytes in network byte order."""
     return int(raw[at]) << 8 | int(raw[at + 1])
 
 
-@kernel
+@part
 def _record_bytes(raw: UInt8Array, at: int, interfaces: Int64Array, report: Int64Array) -> int:
     """Return how long a record is, 0 if the buffer does not tell, -1 if there can be none."""
     is_big, is_lost = report[IS_BIG], report[IS_LOST] != 0
@@ -138,7 +138,7 @@ def _record_bytes(raw: UInt8Array, at: int, interfaces: Int64Array, report: Int6
     return size if at + size > raw.size or _long(raw, at + size - 4, is_big) == size else -1
 
 
-@kernel
+@part
 def _packet(  # noqa: PLR0911 - one for each reason
     raw: UInt8Array, at: int, size: int, interfaces: Int64Array, rows: FrameRows, report: Int64Array
 ) -> int:
@@ -176,7 +176,7 @@ def _packet(  # noqa: PLR0911 - one for each reason
     return _frame(raw, at + header, length - header, rows, row, _short(raw, at + protocol), is_big, report)
 
 
-@kernel
+@part
 def _is_odd(said: int) -> bool:
     """Return whether nobody numbers a frame so: too large, an error of no class, 29 bits that end with 16 zeros."""
     if said & ERROR_FLAG:
@@ -184,7 +184,7 @@ def _is_odd(said: int) -> bool:
     return bool(said & 0xFFFF == 0 if said & EXTENDED_FLAG else said & ~REMOTE_FLAG > STANDARD_ID)
 
 
-@kernel
+@part
 def _frame(
     raw: UInt8Array, at: int, size: int, rows: FrameRows, row: int, protocol: int, is_big: int, report: Int64Array
 ) -> int:

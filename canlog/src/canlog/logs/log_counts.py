@@ -10,7 +10,7 @@ import numpy as np
 
 from canlog.arrays import Int64Array
 from canlog.frames import EXTENDED_FLAG, FD_FLAG, MAX_GAP_NS, FrameBatch, join
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 from canlog.logs.frame_buffer import FrameRows, rows_of
 
 MOST_NOTES = 8
@@ -287,7 +287,7 @@ def look_at_steps(rows: FrameRows, steps: Int64Array, longest_ns: int) -> None:
             steps[BACK if step_ns < 0 else AHEAD] += 1
 
 
-@kernel
+@part
 def _is_repeated(rows: FrameRows, row: int) -> bool:
     for place in range(rows.data.shape[1]):
         if rows.data[row, place] != rows.data[row - 1, place]:

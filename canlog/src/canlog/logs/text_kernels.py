@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from canlog.arrays import Int64Array, UInt8Array
-from canlog.jit import kernel
+from canlog.jit import part
 
 # What one line comes to. The last three stop a kernel: the frame is too long for the rows, the line is none that the
 # kernel reads, its channel has no number yet.
@@ -27,14 +27,14 @@ _1, _2, _3, _4, _5, _6, _7 = (np.uint64(number) for number in range(1, 8))
 _8, _16, _24, _32, _40, _48, _56 = (np.uint64(8 * number) for number in range(1, 8))
 
 
-@kernel
+@part
 def half(raw: UInt8Array, at: int) -> int:
     """Return a little-endian number of two bytes."""
     place = np.uint64(at)  # unsigned: no look from the end of the array
     return int(np.int64(raw[place]) | np.int64(raw[place + _1]) << 8)
 
 
-@kernel
+@part
 def word(raw: UInt8Array, at: int) -> np.uint64:
     """Return eight bytes from anywhere, little-endian, in one load."""
     place = np.uint64(at)
@@ -45,7 +45,7 @@ def word(raw: UInt8Array, at: int) -> np.uint64:
     return low | high
 
 
-@kernel
+@part
 def lower(raw: UInt8Array, at: int) -> int:
     """Return a little-endian number of four bytes."""
     place = np.uint64(at)
@@ -53,7 +53,7 @@ def lower(raw: UInt8Array, at: int) -> int:
     return int(np.int64(low | np.uint64(raw[place + _2]) << _16 | np.uint64(raw[place + _3]) << _24))
 
 
-@kernel
+@part
 def reversed_bytes(value: int) -> int:
     """Return four bytes in the other order."""
     return (value & 0xFF) << 24 | (value & 0xFF00) << 8 | (value >> 8) & 0xFF00 | (value >> 24) & 0xFF
@@ -70,7 +70,7 @@ LENGTH_OF_CODE = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64
 IS_LENGTH: npt.NDArray[np.bool_] = np.isin(np.arange(65), LENGTH_OF_CODE)
 
 
-@kernel
+@part
 def skip_blanks(text: UInt8Array, at: int) -> int:
     """Return the position of the next character that is neither space, tabulator nor carriage return."""
     while text[at] == BLANK or text[at] == TAB or text[at] == RETURN:
@@ -78,7 +78,7 @@ def skip_blanks(text: UInt8Array, at: int) -> int:
     return at
 
 
-@kernel
+@part
 def skip_word(text: UInt8Array, at: int) -> int:
     """Return the position behind the characters that are neither blank nor the end of the line."""
     while text[at] > BLANK:
@@ -86,14 +86,14 @@ def skip_word(text: UInt8Array, at: int) -> int:
     return at
 
 
-@kernel
+@part
 def skip_line(text: UInt8Array, at: int) -> int:
     while text[at] != NEWLINE:
         at += 1
     return at + 1
 
 
-@kernel
+@part
 def decimal(text: UInt8Array, at: int, most_digits: int) -> tuple[int, int]:
     """Read a number of up to so many digits; return it and the position behind it, which is ``at`` if there is none."""
     value, begin = 0, at
@@ -103,7 +103,7 @@ def decimal(text: UInt8Array, at: int, most_digits: int) -> tuple[int, int]:
     return value, at
 
 
-@kernel
+@part
 def decimal_parts(text: UInt8Array, at: int, whole: int, most_digits: int) -> tuple[int, int]:
     """Read digits behind a decimal point as parts of a whole, a power of ten; further ones are worth nothing."""
     value, begin = 0, at
@@ -114,7 +114,7 @@ def decimal_parts(text: UInt8Array, at: int, whole: int, most_digits: int) -> tu
     return value, at
 
 
-@kernel
+@part
 def digits(text: UInt8Array, at: int, base: int, most_digits: int) -> tuple[int, int]:
     """Read a number of up to so many digits in a base up to 16, as ``decimal``."""
     value, begin = 0, at
@@ -124,7 +124,7 @@ def digits(text: UInt8Array, at: int, base: int, most_digits: int) -> tuple[int,
     return value, at
 
 
-@kernel
+@part
 def whole_number(text: UInt8Array, at: int, base: int, most_digits: int) -> tuple[int, int]:
     """Read a number as ``digits`` does that ends before a blank, a comment or the line's end; -1, and stay, if not."""
     begin = at
@@ -133,7 +133,7 @@ def whole_number(text: UInt8Array, at: int, base: int, most_digits: int) -> tupl
     return (value, at) if at > begin and is_ended else (-1, begin)
 
 
-@kernel
+@part
 def hex_bytes(text: UInt8Array, at: int, row: int, data: UInt8Array, limit: int, separator: int) -> tuple[int, int]:
     """Read bytes of two digits into a row until something else comes; return how many and the position behind them.
 
@@ -152,7 +152,7 @@ def hex_bytes(text: UInt8Array, at: int, row: int, data: UInt8Array, limit: int,
     return count, at
 
 
-@kernel
+@part
 def day_number(year: int, month: int, day: int) -> int:
     """Return how many days a date is behind the epoch."""
     shifted = year - (month <= 2)
@@ -161,7 +161,7 @@ def day_number(year: int, month: int, day: int) -> int:
     return int(days + day_of_year - DAYS_TO_EPOCH)
 
 
-@kernel
+@part
 def count_line(progress: Int64Array, outcome: int, line: int) -> None:
     if outcome == SKIPPED:
         progress[SKIPPED_LINES] += 1

@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG
-from canlog.jit import kernel
+from canlog.jit import part
 from canlog.logs.columns.roles import BLANKS, HEXADECIMAL, Role, packed_word
 from canlog.logs.frame_buffer import name_hash
 from canlog.logs.text_kernels import (
@@ -59,7 +59,7 @@ for _role, _letters, _flag in (
     MEANING_OF_ROLE[_role] = _flag
 
 
-@kernel
+@part
 def skip_margin(text: UInt8Array, at: int, separator: int) -> int:
     """Return the position of the next character that is neither blank nor, of blank-separated columns, a tabulator."""
     while text[at] == BLANK or text[at] == RETURN or (text[at] == TAB and separator != TAB):
@@ -67,7 +67,7 @@ def skip_margin(text: UInt8Array, at: int, separator: int) -> int:
     return at
 
 
-@kernel
+@part
 def field(text: UInt8Array, at: int, separator: int) -> tuple[int, int, int]:
     """Return where a field begins and stops, without quotes and blanks around it, and where its separator stands."""
     begin = skip_margin(text, at, separator)
@@ -91,14 +91,14 @@ def field(text: UInt8Array, at: int, separator: int) -> tuple[int, int, int]:
     return begin, stop, (skip_margin(text, at, separator) if separator == BLANKS else at)
 
 
-@kernel
+@part
 def hexadecimal_field(text: UInt8Array, begin: int, stop: int) -> int:
     """Return a hexadecimal number of up to eight digits, -1 if a field is none."""
     value, at = digits(text, begin, HEXADECIMAL, 8)
     return value if begin < at == stop else -1
 
 
-@kernel
+@part
 def small_number(text: UInt8Array, begin: int, stop: int) -> int:
     """Return a decimal number, perhaps in brackets, -1 if a field is none or it is larger than any length."""
     if stop - begin > 2 and text[begin] == SQUARE and text[stop - 1] == SQUARE_END:
@@ -107,7 +107,7 @@ def small_number(text: UInt8Array, begin: int, stop: int) -> int:
     return value if begin < at == stop and value <= MOST_LENGTH else -1
 
 
-@kernel
+@part
 def channel(text: UInt8Array, begin: int, stop: int, names: Int64Array) -> int:
     """Return the place of a name of a bus among known ones; without those the number at its end, 0 if there is none."""
     if names.size:
@@ -124,7 +124,7 @@ def channel(text: UInt8Array, begin: int, stop: int, names: Int64Array) -> int:
     return value if value <= MOST_CHANNEL else 0
 
 
-@kernel
+@part
 def identifier(
     text: UInt8Array,
     begin: int,
@@ -155,7 +155,7 @@ def identifier(
     return value if value <= LARGEST_ID else -1
 
 
-@kernel
+@part
 def data_bytes(
     text: UInt8Array,
     begin: int,
@@ -192,7 +192,7 @@ def data_bytes(
     return -1 if is_one and count - before > 1 else count
 
 
-@kernel
+@part
 def is_on(text: UInt8Array, begin: int, stop: int, role: int) -> bool:
     """Return whether a field says yes: 1, true, yes, x, or by the name of what it stands for, such as Tx or Ext."""
     if stop == begin:
@@ -203,7 +203,7 @@ def is_on(text: UInt8Array, begin: int, stop: int, role: int) -> bool:
     return bool(SAYS_YES[role, text[begin]])
 
 
-@kernel
+@part
 def time_us(text: UInt8Array, begin: int, stop: int, power: int, has_decimal_comma: bool) -> int:  # noqa: FBT001
     """Return a time in microseconds: a number of a unit, a time of day, or a date; NO_TIME if a field is none of them.
 
@@ -224,7 +224,7 @@ def time_us(text: UInt8Array, begin: int, stop: int, power: int, has_decimal_com
     return decimal_us_of(text, begin, stop, power)
 
 
-@kernel
+@part
 def decimal_us_of(text: UInt8Array, begin: int, stop: int, power: int) -> int:
     """Return a decimal number as microseconds, NO_TIME unless it takes the whole field."""
     if begin == stop:
@@ -233,17 +233,17 @@ def decimal_us_of(text: UInt8Array, begin: int, stop: int, power: int) -> int:
     return value_us if at == stop else NO_TIME
 
 
-@kernel
+@part
 def clock_us(text: UInt8Array, begin: int, stop: int) -> tuple[int, int]:
     """Read ``hours:minutes:seconds.fraction``; return the time and the position behind it, or NO_TIME."""
     total_s, at = 0, begin
-    for part in range(3):
+    for place in range(3):
         start = at
         value, at = decimal(text, start, 4)
-        if at == start or (part > 0 and value > 59):
+        if at == start or (place > 0 and value > 59):
             return NO_TIME, at
         total_s = total_s * 60 + value
-        if part < 2:
+        if place < 2:
             if at == stop or text[at] != COLON:
                 return NO_TIME, at
             at += 1
@@ -256,7 +256,7 @@ def clock_us(text: UInt8Array, begin: int, stop: int) -> tuple[int, int]:
     return total_s * SECOND_US + fraction_us, at
 
 
-@kernel
+@part
 def date_us(text: UInt8Array, begin: int, stop: int) -> int:
     """Return ``2026-01-31T23:59:59.5+01:00``, or with a blank and without an offset, in microseconds."""
     if stop - begin < 12:
@@ -274,7 +274,7 @@ def date_us(text: UInt8Array, begin: int, stop: int) -> int:
     return NO_TIME if offset_s == NO_TIME else value_us - offset_s * SECOND_US
 
 
-@kernel
+@part
 def stamp_us(text: UInt8Array, begin: int, stop: int, year: int) -> int:  # noqa: PLR0911 - one for each length
     """Return ``20260131T235959.999`` in microseconds, whatever stands between its digits, as if it were UTC.
 
@@ -304,14 +304,14 @@ def stamp_us(text: UInt8Array, begin: int, stop: int, year: int) -> int:  # noqa
     return value_us + day_number(rest // 10_000 if count == MOST_STAMP_DIGITS else year, month, day) * DAY_S * SECOND_US
 
 
-@kernel
+@part
 def _number(text: UInt8Array, at: int, count: int) -> int:
     """Return a number of so many digits, -1 if it is none."""
     value, behind = decimal(text, at, count)
     return value if behind == at + count else -1
 
 
-@kernel
+@part
 def _offset_s(text: UInt8Array, at: int, stop: int) -> int:
     """Return ``+01:00`` or ``Z`` in seconds, 0 where nothing stands, NO_TIME if it is anything else."""
     if at == stop or (stop - at == 1 and (text[at] | 32) == LETTER_Z):
@@ -325,7 +325,7 @@ def _offset_s(text: UInt8Array, at: int, stop: int) -> int:
     return -total_s if text[at] == MINUS else total_s
 
 
-@kernel
+@part
 def is_switch(text: UInt8Array, begin: int, stop: int) -> bool:
     """Return whether a field is 0, 1, false or true and nothing else."""
     if stop == begin + 1:
@@ -334,7 +334,7 @@ def is_switch(text: UInt8Array, begin: int, stop: int) -> bool:
     return bool(behind == stop and (packed == TRUE or packed == FALSE))  # noqa: PLR1714, SIM109 - no tuple in a kernel
 
 
-@kernel
+@part
 def decimal_us(text: UInt8Array, at: int, power: int) -> tuple[int, int]:
     """Read a decimal number, perhaps with sign and exponent, as microseconds: times ten to this power, rounded."""
     is_negative = text[at] == MINUS
@@ -361,7 +361,7 @@ def decimal_us(text: UInt8Array, at: int, power: int) -> tuple[int, int]:
     return (-time_us if is_negative and time_us != NO_TIME else time_us), at
 
 
-@kernel
+@part
 def _exponent(text: UInt8Array, at: int) -> tuple[int, int]:
     """Read ``e-05`` or ``E+12`` behind a number, if it is there."""
     if (text[at] | 32) != LETTER_E:
@@ -373,7 +373,7 @@ def _exponent(text: UInt8Array, at: int) -> tuple[int, int]:
     return (-value if text[at + 1] == MINUS else value), behind
 
 
-@kernel
+@part
 def scaled(mantissa: int, power: int) -> int:
     """Return an integer times a power of ten, rounded half up; NO_TIME if it is too large."""
     if power < -LONGEST_NUMBER or mantissa == 0:
@@ -388,14 +388,14 @@ def scaled(mantissa: int, power: int) -> int:
     return NO_TIME if mantissa > 4_000_000_000_000_000_000 // factor else mantissa * factor
 
 
-@kernel
+@part
 def counted_clock_us(text: UInt8Array, at: int, unit_us: int) -> tuple[int, int]:
     """Read ``hours:minutes:seconds:count``, a count of so many microseconds, padded with zeros or not."""
     total_us = 0
-    for part in range(3):
+    for place in range(3):
         begin = at
         value, at = decimal(text, begin, 4)
-        if at == begin or text[at] != COLON or value > (MOST_HOURS if part == 0 else 59):
+        if at == begin or text[at] != COLON or value > (MOST_HOURS if place == 0 else 59):
             return NO_TIME, -at
         total_us = total_us * 60 + value
         at += 1
@@ -406,7 +406,7 @@ def counted_clock_us(text: UInt8Array, at: int, unit_us: int) -> tuple[int, int]
     return total_us * SECOND_US + count * unit_us, at
 
 
-@kernel
+@part
 def word(text: UInt8Array, at: int) -> tuple[int, int]:
     """Read a word of letters and digits, packed in lower case; 0 if there is none or it is too long to be known."""
     packed, begin = 0, at
@@ -417,7 +417,7 @@ def word(text: UInt8Array, at: int) -> tuple[int, int]:
     return packed, at
 
 
-@kernel
+@part
 def meaning_of(packed: int, words: Int64Array) -> int:
     """Return what a word means, -1 if it is not known."""
     for index in range(len(words)):
@@ -426,7 +426,7 @@ def meaning_of(packed: int, words: Int64Array) -> int:
     return -1
 
 
-@kernel
+@part
 def base64_bytes(text: UInt8Array, at: int, row: int, data: UInt8Array) -> tuple[int, int]:
     """Read all bytes of a payload; return their number, or one more than fit beside a negative position."""
     bits, held, count, begin = 0, 0, 0, at

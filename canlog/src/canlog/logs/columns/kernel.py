@@ -14,7 +14,7 @@ from canlog.frames import (
     REMOTE_FLAG,
     TX_FLAG,
 )
-from canlog.jit import kernel
+from canlog.jit import kernel, part
 from canlog.logs.asc import is_word
 from canlog.logs.columns import fields
 from canlog.logs.columns.fields import NO_TIME
@@ -91,7 +91,7 @@ def parse_lines(
     progress[POSITION], progress[LINES], progress[ROWS] = at, number, row
 
 
-@kernel
+@part
 def _parse_line(
     text: UInt8Array, at: int, data: UInt8Array, row: int, program: Program, line: Int64Array
 ) -> tuple[int, int]:
@@ -131,7 +131,7 @@ def _parse_line(
     return _check(column, program, line), at + 1
 
 
-@kernel
+@part
 def _role_of(
     column: int,
     has_text: bool,  # noqa: FBT001 - of a kernel
@@ -153,7 +153,7 @@ def _role_of(
     return (Role.IGNORED if is_full else Role.BYTE), parameter  # a comment, or bytes of one column, spread over others
 
 
-@kernel
+@part
 def _column_of(text: UInt8Array, begin: int, column: int, program: Program, line: Int64Array) -> int:
     """Return which column a field is that begins here: one that error frames lack is passed over."""
     while column < len(program.columns) and _is_left_out(text, begin, program.columns[column, 0], line):
@@ -161,7 +161,7 @@ def _column_of(text: UInt8Array, begin: int, column: int, program: Program, line
     return column
 
 
-@kernel
+@part
 def _is_left_out(text: UInt8Array, begin: int, role: int, line: Int64Array) -> bool:
     """Return whether an error frame has no such column: TRC 2.0 leaves out its identifier and its length."""
     letter = text[begin] | 32
@@ -172,7 +172,7 @@ def _is_left_out(text: UInt8Array, begin: int, role: int, line: Int64Array) -> b
     return bool(role == Role.LENGTH and line[LENGTH] == 0)
 
 
-@kernel
+@part
 def _read_exact_field(  # noqa: C901, PLR0911 - one for each role
     text: UInt8Array,
     begin: int,
@@ -220,7 +220,7 @@ def _read_exact_field(  # noqa: C901, PLR0911 - one for each role
     return role == Role.IGNORED
 
 
-@kernel
+@part
 def _read_exact_id(text: UInt8Array, begin: int, stop: int, base: int, extended_digits: int, line: Int64Array) -> bool:
     """Read a decimal identifier, or one of up to eight hexadecimal digits, perhaps behind 0x."""
     if base != HEXADECIMAL:
@@ -233,7 +233,7 @@ def _read_exact_id(text: UInt8Array, begin: int, stop: int, base: int, extended_
     return bool(line[ID] >= 0)
 
 
-@kernel
+@part
 def _read_word(text: UInt8Array, at: int, stop: int, initial: int, words: Int64Array, line: Int64Array) -> bool:
     """Read a word of the layout, behind a channel of one digit if there is one; return whether it is known."""
     if 48 <= text[at] <= 57:
@@ -247,7 +247,7 @@ def _read_word(text: UInt8Array, at: int, stop: int, initial: int, words: Int64A
     return bool(meaning >= 0 and behind == stop)
 
 
-@kernel
+@part
 def _read_exact_data(
     text: UInt8Array, at: int, data: UInt8Array, row: int, base: int, program: Program, line: Int64Array
 ) -> tuple[bool, int]:
@@ -283,7 +283,7 @@ def _read_exact_data(
     return True, at
 
 
-@kernel
+@part
 def _read_field(  # noqa: PLR0911 - one for each role
     text: UInt8Array,
     begin: int,
@@ -323,7 +323,7 @@ def _read_field(  # noqa: PLR0911 - one for each role
     return False
 
 
-@kernel
+@part
 def _read_bytes(
     text: UInt8Array,
     begin: int,
@@ -344,7 +344,7 @@ def _read_bytes(
     return bool(0 <= line[COUNT] <= data.shape[1])
 
 
-@kernel
+@part
 def _read_flags(text: UInt8Array, begin: int, stop: int, sent_bit: int, line: Int64Array) -> bool:
     """Read the type of a frame: whether its identifier is an extended one, and whether it was sent."""
     bits = fields.hexadecimal_field(text, begin, stop)
@@ -355,7 +355,7 @@ def _read_flags(text: UInt8Array, begin: int, stop: int, sent_bit: int, line: In
     return True
 
 
-@kernel
+@part
 def _check(column: int, program: Program, line: Int64Array) -> int:
     """Return whether so many columns were enough, and their bytes those that the line speaks of."""
     width = len(program.columns)
@@ -366,7 +366,7 @@ def _check(column: int, program: Program, line: Int64Array) -> int:
     return _check_length(line)
 
 
-@kernel
+@part
 def _check_length(line: Int64Array) -> int:
     """Return whether the bytes that were found are those that the line speaks of; more may stand behind them."""
     count, length = line[COUNT], line[LENGTH]
@@ -384,7 +384,7 @@ def _check_length(line: Int64Array) -> int:
     return FRAME
 
 
-@kernel
+@part
 def _check_exact_length(line: Int64Array, is_padded: bool) -> int:  # noqa: FBT001 - of a kernel
     """Return whether there are as many bytes as the line says."""
     count = line[COUNT]
@@ -397,7 +397,7 @@ def _check_exact_length(line: Int64Array, is_padded: bool) -> int:  # noqa: FBT0
     return FRAME if line[LENGTH] <= FD_PAYLOAD_BYTES and IS_LENGTH[line[LENGTH]] else MALFORMED
 
 
-@kernel
+@part
 def _store(rows: FrameRows, row: int, program: Program, clock: Int64Array, line: Int64Array) -> int:
     """Write the fields of a line into a row; return whether they make a frame."""
     meaning, identifier, length = line[MEANING], line[ID], line[LENGTH]
@@ -424,7 +424,7 @@ def _store(rows: FrameRows, row: int, program: Program, clock: Int64Array, line:
     return FRAME
 
 
-@kernel
+@part
 def _advance(clock: Int64Array, time_us: int, is_exact: bool) -> int:  # noqa: FBT001 - of a kernel
     """Return the time since the epoch; a clock that begins again goes on where it ended."""
     if clock[IS_RELATIVE]:
