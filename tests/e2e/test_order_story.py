@@ -20,11 +20,10 @@ from fleet_backend import queries
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter
 from fleet_backend.alarms.rules import Rule
-from fleet_backend.broker import connected
 from fleet_backend.choices import Pace
 from fleet_backend.cli import main as fleet
 from fleet_backend.database import open_database
-from fleet_backend.ingest import FILTERS, Worker
+from fleet_backend.ingest import FILTERS, Worker, connected
 from fleet_backend.office.watching import Orders, Watch
 from fleet_backend.office_tables import ALARM
 from fleet_backend.page import clutches_view, maintenance_view, vehicle_view

@@ -14,10 +14,9 @@ from clutch_results.records import shift_record
 from demo.fleet.brokers import NatsServer
 from diag_service.delivery import Acknowledge, MqttConnector, Outbox
 from diag_service.store import ResultStore
-from fleet_backend.broker import connected
 from fleet_backend.choices import Pace
 from fleet_backend.database import open_database, transaction
-from fleet_backend.ingest import FILTERS, Worker
+from fleet_backend.ingest import FILTERS, Worker, connected
 from fleet_backend.schema import QUARANTINE, SHIFT_RESULT
 from fleet_backend.writer import Writer
 from fleet_contract import Outcome, bundle_messages, read_message, receipts_of, shift_message, takes_bundles

@@ -13,10 +13,9 @@ from clutch_results.records import FluidFill, iso_utc
 from diag_service.delivery import DeliveryLimits, MqttConnector, Outbox
 from diag_service.store import ResultStore, withdraw_fill
 from fleet_backend import queries
-from fleet_backend.broker import connected
 from fleet_backend.choices import Pace
 from fleet_backend.database import open_database, transaction
-from fleet_backend.ingest import FILTERS, Worker
+from fleet_backend.ingest import FILTERS, Worker, connected
 from fleet_backend.schema import FLUID_FILL
 from fleet_backend.writer import Writer
 from fleet_contract import metrics_message

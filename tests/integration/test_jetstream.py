@@ -8,8 +8,7 @@ import pytest
 
 from clutch_results.records import shift_record
 from demo.fleet.brokers import NatsServer
-from fleet_backend.broker import connected
-from fleet_backend.ingest import FILTERS
+from fleet_backend.ingest import FILTERS, connected
 from fleet_contract import Receipt, ack_messages, key_of, shift_message
 from fleet_link import Connection, LinkDownError, Terms, parse_broker
 from tests.support.certificates import certify, tls_files

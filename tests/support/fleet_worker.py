@@ -19,11 +19,10 @@ from pathlib import Path
 
 from sqlalchemy import Connection, Engine, event
 
-from fleet_backend.broker import connected
 from fleet_backend.choices import Pace
 from fleet_backend.config import parse_broker
 from fleet_backend.database import open_database
-from fleet_backend.ingest import FILTERS, Inbox, Worker
+from fleet_backend.ingest import FILTERS, Inbox, Worker, connected
 from fleet_backend.writer import Batch, Identity, Writer
 from fleet_contract import JsonObject, Outgoing
 from fleet_link import Message

@@ -17,12 +17,11 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from clutchdiag_io.files import give_sign, make_sign
 from clutchdiag_io.metrics import counter, gauge
-from fleet_backend.broker import BrokerInbox, connected
 from fleet_backend.choices import Pace, Quotas
 from fleet_backend.config import Place
 from fleet_backend.database import place_of
 from fleet_backend.errors import ConfigError
-from fleet_backend.ingest import Worker, filters_of, until_it_answers
+from fleet_backend.ingest import BrokerInbox, Worker, connected, filters_of, until_it_answers
 from fleet_backend.intake import MessageKind
 from fleet_backend.migrate import make_ready
 from fleet_backend.programs import shown_at, until_stopped

@@ -72,7 +72,9 @@ def make_ready(engine: Engine) -> None:
     Raises DatabaseAwayError if the database does not answer, DatabaseError if it has no schema of ours, or one that it
     may not be brought from to the present one.
     """
-    if engine.dialect.name == "sqlite" and _has_schema(engine):
+    with transaction(engine) as connection:
+        is_known = _revision(connection) is not None
+    if engine.dialect.name == "sqlite" and is_known:
         migrate(engine)
     else:
         check_schema(engine)
@@ -98,11 +100,6 @@ def _refuse_unknown(engine: Engine, connection: Connection) -> None:
         raise DatabaseError(f"database {place_of(engine)} was made by a newer program (schema {found})")
     if found is None and engine.dialect.name == "sqlite" and inspect(connection).get_table_names():
         raise DatabaseError(f"database {place_of(engine)} is another program's, not a fleet's")
-
-
-def _has_schema(engine: Engine) -> bool:
-    with transaction(engine) as connection:
-        return _revision(connection) is not None
 
 
 def _revision(connection: Connection) -> str | None:

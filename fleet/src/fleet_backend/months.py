@@ -215,7 +215,6 @@ RANK: Final = (
     f" FROM {TABLE} GROUP BY {_STREAM}) AS s WHERE s.at <> e.last_at"
     " AND s.vehicle = e.vehicle AND s.clutch = e.clutch AND s.stream = e.stream"
 )
-FILL: Final = _INTO_STREAMS + _streams(TABLE)
 _LEFT: Final = f"(SELECT s.* FROM {TABLE} AS s WHERE s.vehicle IN (SELECT vehicle FROM gone))"  # noqa: S608
 _CAME: Final = f"""
 CREATE OR REPLACE FUNCTION shift_result_came() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN

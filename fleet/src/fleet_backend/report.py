@@ -165,6 +165,7 @@ def _blocks(
 
 Record = Mapping[str, object]
 Cell = Callable[[Record], str]
+_SERVICES: Final[Mapping[object, str]] = {None: NONE, True: "online", False: "offline"}
 _STYLES: Final = MappingProxyType({"change fluid": "bold red", "watch": "yellow", "good": "green"})
 
 
@@ -262,7 +263,7 @@ def seen_table(records: Sequence[Record]) -> Sheet:
         records,
         {
             "vehicle": _plain("vehicle"),
-            "service": lambda record: {None: NONE, True: "online", False: "offline"}[_truth(record["is_online"])],
+            "service": lambda record: _SERVICES[record["is_online"]],
             "since (UTC)": _moment("connected_at"),
             "last result": _moment("last_result_at"),
             "metrics": _moment("metrics_at"),
@@ -398,10 +399,6 @@ def _moment(name: str, form: str = "%Y-%m-%d %H:%M:%S") -> Cell:
 
 def _condition(record: Record) -> str:
     return str(record["condition"]).replace("_", " ")
-
-
-def _truth(value: object) -> bool | None:
-    return None if value is None else bool(value)
 
 
 def _as_text(value: object) -> str:

@@ -5,10 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from fleet_backend.broker import connected, is_of_bundles
 from fleet_backend.config import parse_broker, parse_listen
 from fleet_backend.errors import BrokerError, ConfigError
-from fleet_backend.ingest import FILTERS
+from fleet_backend.ingest import FILTERS, connected, is_of_bundles
 from tests.unit.fleet_link.test_connection import ACCEPTED, Script, broker, packet
 
 
