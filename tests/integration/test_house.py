@@ -19,7 +19,9 @@ def modules(room: str) -> Iterator[tuple[str, str]]:
 
 def kernels(text: str) -> Iterator[ast.FunctionDef]:
     for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.FunctionDef) and any("kernel" in ast.unparse(one) for one in node.decorator_list):
+        if isinstance(node, ast.FunctionDef) and any(
+            ast.unparse(one).split("(")[0] in {"kernel", "part"} for one in node.decorator_list
+        ):
             yield node
 
 
