@@ -11,8 +11,7 @@ from numba.extending import register_jitable
 P = ParamSpec("P")
 R = TypeVar("R")
 FIRST_START: Final = "first start: compiling, takes about 20 s"
-# No kernel makes arrays: without the last option the use of each argument would be counted.
-_OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
+_OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 _EVENT: Final = "numba:compile"
 _events: Any = numba_event  # numba has no types
 
