@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
+from canlog.jit import kernel
 from clutch_model.pack import clutch_heating_rate_k_s
 from diag_service.diagnosis.shifts.slip_tracking import LOADED_PA, SLIP_RAD_S
 
@@ -202,11 +203,18 @@ def _heated(
 ) -> tuple[float, float]:
     """Return the slip energy of a pack [J] and its highest temperature [K]."""
     (oil_k, _, _, age_s), (_, heat_j_k, cooling_w_k) = heat, pack
-    k = peak_k = oil_k + (pack_k - oil_k) * math.exp(-age_s * cooling_w_k / heat_j_k)
-    for power in power_w.tolist():
-        k += GRID_S * clutch_heating_rate_k_s(power, k, oil_k, heat_j_k, cooling_w_k)
+    start_k = oil_k + (pack_k - oil_k) * math.exp(-age_s * cooling_w_k / heat_j_k)
+    return float(power_w.sum()) * GRID_S, _peak_k(power_w, start_k, oil_k, heat_j_k, cooling_w_k)
+
+
+@kernel
+def _peak_k(power_w: FloatArray, start_k: float, oil_k: float, heat_j_k: float, cooling_w_k: float) -> float:
+    """Return the highest temperature of a pack [K] that a power heats from row to row."""
+    k = peak_k = start_k
+    for row in range(power_w.size):
+        k += GRID_S * clutch_heating_rate_k_s(power_w[row], k, oil_k, heat_j_k, cooling_w_k)
         peak_k = max(peak_k, k)
-    return float(power_w.sum()) * GRID_S, peak_k
+    return peak_k
 
 
 def _map_told(command_pa: FloatArray, asked_nm: FloatArray) -> tuple[float, float]:
