@@ -211,13 +211,11 @@ MEASURABLE: Final = frozenset(_DIRECT.values()) | {
 
 
 @kernel
-def first_order_lag(signal: FloatArray, state: float, weight: float) -> FloatArray:
-    """Return ``y[k] = y[k-1] + weight * (signal[k] - y[k-1])``, shape (n,), starting from ``state``."""
-    filtered = np.empty_like(signal)
+def fill_first_order_lag(signal: FloatArray, state: float, weight: float, filtered: FloatArray) -> None:
+    """Fill in ``y[k] = y[k-1] + weight * (signal[k] - y[k-1])``, shape (n,), starting from ``state``."""
     for k in range(signal.size):
         state += weight * (signal[k] - state)
         filtered[k] = state
-    return filtered
 
 
 class CrankSpeed:
@@ -270,7 +268,8 @@ class Chain:
             self._trace = np.full(self._delay, trace[0])
             self._lag_state = float(trace[0])
         if self._lag_weight < 1.0:
-            trace = first_order_lag(np.ascontiguousarray(trace), self._lag_state, self._lag_weight)
+            signal, trace = np.ascontiguousarray(trace), np.empty(len(trace))
+            fill_first_order_lag(signal, self._lag_state, self._lag_weight, trace)
             self._lag_state = float(trace[-1])
         past = self._trace[self._trace.size - self._delay :]
         self._trace = np.concatenate((past, trace))

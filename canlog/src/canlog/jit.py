@@ -11,7 +11,8 @@ from numba.extending import register_jitable
 P = ParamSpec("P")
 R = TypeVar("R")
 FIRST_START: Final = "first start: compiling, takes about 20 s"
-_OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+# No kernel makes an array: without the last option, which numba does not list, the use of each argument is counted.
+_OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
 _EVENT: Final = "numba:compile"
 _events: Any = numba_event  # numba has no types
 
