@@ -99,15 +99,14 @@ def test_a_first_drive_is_recorded_learned_from_and_diagnosed(tmp_path: Path, se
     (driving,) = shown("ecu-emulator run", places)
     (trying,) = [one for one in shown("diag-service try", places) if bus.group in one]
     emulator = (sys.executable, "-m", "ecu_emulator", *driving[1:])
-    with (
-        service(tmp_path / "car", program=emulator, variables=bus.variables),
-        service(tmp_path / "try", *trying[1:], "--listen", "2", variables=bus.variables) as trial,
-    ):
-        trial.wait_for(lambda: "drive now" in trial.out)
-        trial.wait_for(log.exists)
-        trial.wait_for(lambda: log.read_bytes().count(b" 7E9#") >= ANSWERS)
-        trial.send(signal.SIGINT)  # ends the drive, not the program
-        run = trial.wait()
+    with service(tmp_path / "car", program=emulator, variables=bus.variables) as car:
+        car.wait_for(lambda: "sending on" in car.out + car.err)
+        with service(tmp_path / "try", *trying[1:], "--listen", "2", variables=bus.variables) as trial:
+            trial.wait_for(lambda: "drive now" in trial.out)
+            trial.wait_for(log.exists)
+            trial.wait_for(lambda: log.read_bytes().count(b" 7E9#") >= ANSWERS)
+            trial.send(signal.SIGINT)  # ends the drive, not the program
+            run = trial.wait()
     assert run.status == 0, run.err
     sent_by_us.note_log(log)
     assert sent_by_us.services[0x22] > 100
