@@ -15,7 +15,7 @@ from tests.plugins.asked_services import SentByUs
 from tests.support.documents import block_lines
 from tests.support.in_process import ended
 from tests.support.replay import free_bus
-from tests.support.service import service
+from tests.support.service import Ended, service
 from workshop.controller.elm327_server import ElmServer
 
 pytestmark = pytest.mark.asks
@@ -93,20 +93,34 @@ def test_the_commands_of_the_page_ask_as_it_says() -> None:
     assert "clutch1_pressure = 4 bar (38EB at 7E1)" in run.out
 
 
-def test_a_first_drive_is_recorded_learned_from_and_diagnosed(tmp_path: Path, sent_by_us: SentByUs) -> None:
-    log, bus = tmp_path / "drive.log", free_bus()
+def first_drive(folder: Path) -> tuple[Ended, Path]:
+    """Return what a trial of the emulated car said, and the log that it recorded."""
+    log, bus = folder / "drive.log", free_bus()
     places = {"socketcan": "udp_multicast", "vcan0": bus.group, "drive.log": str(log)}
     (driving,) = shown("ecu-emulator run", places)
     (trying,) = [one for one in shown("diag-service try", places) if bus.group in one]
     emulator = (sys.executable, "-m", "ecu_emulator", *driving[1:])
-    with service(tmp_path / "car", program=emulator, variables=bus.variables) as car:
+    with service(folder / "car", program=emulator, variables=bus.variables) as car:
         car.wait_for(lambda: "sending on" in car.out + car.err)
-        with service(tmp_path / "try", *trying[1:], "--listen", "2", variables=bus.variables) as trial:
-            trial.wait_for(lambda: "drive now" in trial.out)
-            trial.wait_for(log.exists)
-            trial.wait_for(lambda: log.read_bytes().count(b" 7E9#") >= ANSWERS)
-            trial.send(signal.SIGINT)  # ends the drive, not the program
-            run = trial.wait()
+        while True:  # until the kernels of the car are compiled: so long its controller is busy
+            with service(folder / "try", *trying[1:], "--listen", "2", variables=bus.variables) as trial:
+                trial.wait_for(lambda: "drive now" in trial.out or trial.process.poll() is not None)
+                if trial.process.poll() is not None:
+                    assert "busy" in trial.out
+                    continue
+                trial.wait_for(log.exists)
+                trial.wait_for(lambda: log.read_bytes().count(b" 7E9#") >= ANSWERS)
+                trial.send(signal.SIGINT)  # ends the drive, not the program
+                return trial.wait(), log
+
+
+def test_a_first_drive_is_recorded_learned_from_and_diagnosed(tmp_path: Path, sent_by_us: SentByUs) -> None:
+    for number in range(6):  # again where the machine was too busy to answer in time
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        run, log = first_drive(folder)
+        if "± two standard deviations: gear 1: ratio" in " ".join(run.out.split()):
+            break
     assert run.status == 0, run.err
     sent_by_us.note_log(log)
     assert sent_by_us.services[0x22] > 100
