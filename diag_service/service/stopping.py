@@ -24,6 +24,10 @@ class Trigger:
         for listener in tuple(self._listeners):
             listener()
 
+    def rearm(self) -> None:
+        """Begin afresh, where what set it ended one part of a run and not the run."""
+        self.is_set, self.signal = False, None
+
     def subscribe(self, listener: Callable[[], None]) -> None:
         """Call ``listener`` from now on, and now if the trigger is set; more than once does no harm to it."""
         self._listeners.append(listener)

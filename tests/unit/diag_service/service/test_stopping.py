@@ -114,3 +114,14 @@ def test_a_store_that_hangs_is_seen_from_outside(monkeypatch: pytest.MonkeyPatch
     worker.join()
     assert session.progress.stuck is None
     store.close()
+
+
+def test_a_trigger_that_ended_one_part_of_a_run_can_end_the_next_one_too() -> None:
+    trigger, heard = Trigger(), list[str]()
+    trigger.subscribe(lambda: heard.append("now"))
+    trigger.set()
+    trigger.signal = signal.SIGINT
+    trigger.rearm()
+    assert (trigger.is_set, trigger.signal) == (False, None)
+    trigger.set()
+    assert (trigger.is_set, heard) == (True, ["now", "now"])

@@ -224,21 +224,14 @@ def _judged(log: Path, words: list[str], controls: Controls, show: Show) -> list
 
     Each is the command that a person could type. A Ctrl-C that ended the drive does not end this; the next one does.
     """
-    after, description, named = Controls(), description_path(log), list[str]()
-    drive_is_over = False
-
-    def stop_again() -> None:
-        if drive_is_over:
-            after.stop.set()
-
-    controls.stop.subscribe(stop_again)
-    drive_is_over = True
+    controls.stop.rearm()
+    description, named = description_path(log), list[str]()
     try:
-        _typed(["learn", str(log), *words, "-o", str(description)], after, show)
+        _typed(["learn", str(log), *words, "-o", str(description)], controls, show)
         named = ["--vehicle-file", str(description)]
     except ConfigError as exc:
         show(str(exc))
-    _typed(["analyze", str(log), *words, *named], after, show)
+    _typed(["analyze", str(log), *words, *named], controls, show)
     return named
 
 
