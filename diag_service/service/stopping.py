@@ -51,12 +51,7 @@ class Trigger:
 class PatientTrigger(Trigger):
     """A trigger that a signal sets only after a while: Ctrl-C ends the writer of a pipe, too, and then all has come.
 
-    Parameters
-    ----------
-    first :
-        The trigger that signals set.
-    patience_s :
-        How long the writer has time to end the stream.
+    ``first`` is the trigger that signals set; for ``patience_s`` the writer has time to end the stream.
     """
 
     def __init__(
