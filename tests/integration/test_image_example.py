@@ -9,8 +9,6 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from tests.integration.test_python_page import BLOCK
 from tests.support.documents import ROOT, page_text
 from tests.support.image.plain import PlainImage
@@ -46,6 +44,7 @@ import canlog, diag_service, ecu_emulator
 told["homes"] = [one.__file__ for one in (canlog, diag_service, ecu_emulator)]
 print(json.dumps(told))
 """
+FAULTS = {"drop": "did not come", "alter": " came as ", "swap": "in the wrong order"}
 ANY_BUS = """
 import can
 def test_bus(vcan_bus, make_vcan_bus, recorded_frames):
@@ -63,9 +62,9 @@ def shown_tests() -> list[str]:
     return [text for text in BLOCK.findall(page_text("docs/python.md")) if "def test_" in text]
 
 
-@pytest.fixture(name="told", scope="module")
-def _told(image: PlainImage, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    folder = tmp_path_factory.mktemp("gateway") / "gateway"
+def runs_of_the_example(image: PlainImage, tmp_path: Path) -> dict[str, Any]:
+    """Return status and output of each run of RUNS."""
+    folder = tmp_path / "gateway"
     shutil.copytree(EXAMPLE, folder, ignore=shutil.ignore_patterns("__pycache__", ".*"))
     _, lossy = shown_tests()
     (folder / "test_page.py").write_text(lossy, encoding="utf-8")
@@ -81,12 +80,11 @@ def _told(image: PlainImage, tmp_path_factory: pytest.TempPathFactory) -> dict[s
     return told
 
 
-def test_it_runs_with_what_the_wheel_brings(told: dict[str, Any], image: PlainImage) -> None:
-    homes = told["homes"]
-    assert [home for home in homes if not Path(home).is_relative_to(image.root)] == []
-
-
-def test_a_sound_gateway_passes_and_the_bus_is_said(told: dict[str, Any]) -> None:
+def test_it_passes_with_a_sound_gateway_and_fails_with_each_fault_on_every_kind_of_bus(
+    image: PlainImage, tmp_path: Path
+) -> None:
+    told = runs_of_the_example(image, tmp_path)
+    assert [home for home in told["homes"] if not Path(home).is_relative_to(image.root)] == []
     status, out = told["none"]
     assert status == 0, out
     assert "3 passed" in out
@@ -95,18 +93,17 @@ def test_a_sound_gateway_passes_and_the_bus_is_said(told: dict[str, Any]) -> Non
     assert status == 0, out
     assert "1 passed" in out
     assert "vcan_bus: multicast UDP 239.74.163.2:" in out
-
-
-@pytest.mark.parametrize(
-    ("fault", "words"),
-    [("drop", "did not come"), ("alter", " came as "), ("swap", "in the wrong order")],
-)
-def test_a_fault_in_the_gateway_fails_its_tests(told: dict[str, Any], fault: str, words: str) -> None:
-    status, out = told[fault]
-    assert status == 1, out
-    assert "1 failed" in out
-    assert " passed" not in out
-    assert words in out
+    for fault, words in FAULTS.items():
+        status, out = told[fault]
+        assert status == 1, out
+        assert "1 failed" in out
+        assert " passed" not in out
+        assert words in out
+    for kind in ("auto", "udp_multicast", "virtual"):
+        status, out = told[kind]
+        assert status == 0, out
+        assert "vcan_bus: " in out
+        assert kind != "virtual" or "vcan_bus: virtual, since it was asked for (and 1 more like it)" in out
 
 
 def test_the_page_shows_the_test_of_the_example() -> None:
@@ -118,13 +115,5 @@ def test_the_page_shows_the_test_of_the_example() -> None:
 
 def test_the_readme_names_the_faults_that_there_are() -> None:
     text = (EXAMPLE / "README.md").read_text(encoding="utf-8")
-    for fault in ("drop", "alter", "swap"):
+    for fault in FAULTS:
         assert f"GATEWAY_FAULT={fault} pytest" in text
-
-
-@pytest.mark.parametrize("kind", ["auto", "udp_multicast", "virtual"])
-def test_the_kinds_of_bus(told: dict[str, Any], kind: str) -> None:
-    status, out = told[kind]
-    assert status == 0, out
-    assert "vcan_bus: " in out
-    assert kind != "virtual" or "vcan_bus: virtual, since it was asked for (and 1 more like it)" in out

@@ -1,5 +1,6 @@
-"""Pytest plugin: the project's wheel in an environment of its own, outside the checkout, as the Dockerfile makes it."""
+"""Pytest plugin: the project's wheels in an environment of their own, made as the Dockerfile makes the image."""
 
+import fcntl
 import os
 from pathlib import Path
 
@@ -10,7 +11,9 @@ from tests.support.image.plain import PlainImage
 
 
 @pytest.fixture(scope="session")
-def image(tmp_path_factory: pytest.TempPathFactory) -> PlainImage:
-    """Return the image in a plain folder; who needs it stands beside test_image.py, so that one process makes it."""
+def image(shared_folder: Path) -> PlainImage:
+    """Return the image in a plain folder, made once per run, for all of its workers."""
     kernels = Path(os.environ["NUMBA_CACHE_DIR"]).parent
-    return PlainImage(ROOT, tmp_path_factory.mktemp("image") / "root", kernels)
+    with (shared_folder / "image.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return PlainImage(ROOT, shared_folder / "image", kernels)

@@ -51,7 +51,7 @@ class PlainImage:
     """A folder in which the stages of a Dockerfile were carried out."""
 
     def __init__(self, source: Path, root: Path, kernels: Path) -> None:
-        """Carry out the stages of ``source``; machine code of kernels is kept in ``kernels`` for all such images."""
+        """Carry out the stages of ``source``, if ``root`` has not got them; ``kernels`` keeps machine code for all."""
         self.root = root
         self.stages = read_stages(source / "Dockerfile")
         self._source = source
@@ -60,12 +60,15 @@ class PlainImage:
             "PATH": os.pathsep.join((str(root / "stand-ins"), os.environ.get("PATH", os.defpath))),
             "HOME": str(root / "nowhere"),
         }
-        (root / "tmp").mkdir(parents=True)
-        self.path("/var/cache").mkdir(parents=True)
-        self.path(f"/var/cache/{PROJECT}").symlink_to(kernels, target_is_directory=True)
-        self._make_stand_ins()
+        self._is_made = (root / "made").exists()
+        if not self._is_made:
+            (root / "tmp").mkdir(parents=True)
+            self.path("/var/cache").mkdir(parents=True)
+            self.path(f"/var/cache/{PROJECT}").symlink_to(kernels, target_is_directory=True)
+            self._make_stand_ins()
         for stage in self.stages:
             self._carry_out(stage)
+        (root / "made").touch()
 
     def run(self, *words: str, folder: Path | None = None, **more: str) -> "subprocess.CompletedProcess[str]":
         """Run a program of the image in its environment, with more variables perhaps, in a folder without sources."""
@@ -93,12 +96,12 @@ class PlainImage:
             match entry.name:
                 case "WORKDIR":
                     self._folder = self.path(entry.text)
-                    self._folder.mkdir(parents=True)
-                case "COPY":
-                    self._copy(entry.copy)
+                    self._folder.mkdir(parents=True, exist_ok=self._is_made)
                 case "ENV":
                     self._set(entry)
-                case "RUN":
+                case "COPY" if not self._is_made:
+                    self._copy(entry.copy)
+                case "RUN" if not self._is_made:
                     done = self._run("sh", "-ec", self.mapped(entry.text))
                     assert done.returncode == 0, f"RUN {entry.text}\n{done.stdout}\n{done.stderr}"
 
