@@ -26,8 +26,6 @@ from clutch_results.prognosis.channels import ChannelName, channels_of, clocks_o
 from clutch_results.prognosis.history import History
 from clutch_results.prognosis.population import Ageing, Course, PeerGroup, Peers
 
-MOST_CLOCKS = 6  # that are looked at for bends
-LEAST_LOG_EVIDENCE = -4.6  # of a clock against the best: one in a hundred
 CHANGE_MARGIN_RATIO = 0.0  # the slope turns: what the verdict calls a negative slope
 _OF_NEW = {ChannelName.MARGIN: MARGIN_OF_NEW, ChannelName.LEVEL: LEVEL_OF_NEW}
 _UNKNOWN = {ChannelName.MARGIN: UNKNOWN_MARGIN, ChannelName.LEVEL: UNKNOWN_LEVEL}

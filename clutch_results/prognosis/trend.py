@@ -38,6 +38,7 @@ MOST_LOG_RATIO: Final = 3.0  # of a loss over the usual one
 LEAST_LOG_WEIGHT: Final = -6.0  # of a course against the best
 COURSES: Final = 500  # of equal weight, that stand for all
 NOW, START, RATE = range(3)  # places in the state of a course: the channel today and at first sight, and its rate
+CERTAIN_STD: Final = 9.0  # beyond it the normal distribution is 0 or 1 to all digits
 _STUDENT: Final = 3.0  # degrees of freedom of the logarithm of a life
 _LOG_STUDENT: Final = float(np.log(1.0883))  # its constant over that of the normal distribution
 
@@ -145,12 +146,10 @@ def _courses(channel: Channel, clocks: Sequence[Clock], prior: ChannelPrior, war
     before = np.minimum(ages[:, None, :], bend[:, :, None])
     surprise = bins.value - prior.start - warmth.mean * bins.warmth_k
     level = np.broadcast_to([surprise, np.ones_like(surprise)], (len(clocks), 2, len(surprise)))
-    given = np.concatenate((level, before, ages[:, None] - before), axis=1)[:, None]
-    walk = random[:, None, None] * ages[:, None, None]  # of random wear today with that at each mean
-    columns = np.concatenate((np.repeat(given, len(random), axis=1), walk), axis=2)
-    noise = np.diag(bins.variance + prior.floor_std**2) + warmth.std**2 * np.outer(bins.warmth_k, bins.warmth_k)
-    covariance = noise + random[:, None, None] * np.minimum(ages[:, None, :], ages[:, :, None])[:, None]
-    gram = columns @ np.linalg.solve(covariance, columns.swapaxes(-1, -2))
+    warm = np.broadcast_to(warmth.std * bins.warmth_k, (len(clocks), 1, len(surprise)))
+    given = np.concatenate((level, before, ages[:, None] - before, warm), axis=1)
+    gram, log_determinant = gram_matrices(given, ages, bins.variance + prior.floor_std**2, random)
+    walk = random[:, None] * gram[:, :, 2 + bend.shape[1]]  # of random wear today with that at each mean
     place = np.array([[1, 2 + one, 2 + bend.shape[1] + one] for one in range(bend.shape[1])])
 
     usual = prior.typical_rate_per_m * USUAL_LIFE_M
@@ -158,10 +157,11 @@ def _courses(channel: Channel, clocks: Sequence[Clock], prior: ChannelPrior, war
     expected = np.array([0.0, -usual, 0.0])
     stds = [np.hypot(prior.start_std, channel.common_std), RATE_BEFORE_STD * usual, prior.rate_std_per_m * USUAL_LIFE_M]
     precision = np.array(stds) ** -2.0
-    unknown_covariance = np.linalg.inv(gram[:, :, place[:, :, None], place[:, None, :]] + np.diag(precision))
+    known = gram[:, :, place[:, :, None], place[:, None, :]] + np.diag(precision)
+    unknown_covariance = np.asarray(np.linalg.inv(known), np.float64)
     pull = gram[:, :, place, 0] + precision * expected
     unknown = np.einsum("cvmij,cvmj->cvmi", unknown_covariance, pull)
-    misfit = gram[:, :, 0, 0] + np.linalg.slogdet(covariance)[1]
+    misfit = gram[:, :, 0, 0] + log_determinant
     explained = np.einsum("cvmi,cvmi->cvm", pull, unknown) + np.linalg.slogdet(unknown_covariance)[1]
     chances = np.add.outer([one.log_prior for one in clocks], np.log(list(RANDOMNESS.values())))
 
@@ -169,15 +169,15 @@ def _courses(channel: Channel, clocks: Sequence[Clock], prior: ChannelPrior, war
     true_share = start_variance / (start_variance + common_variance)
     to_now = np.stack((np.full_like(bend, true_share), bend, age[:, None] - bend), axis=-1)[:, None]
     turn = np.zeros((*unknown.shape, 3))
-    turn[..., NOW, :] = to_now - gram[:, :, -1][:, :, place]
+    turn[..., NOW, :] = to_now - walk[:, :, place]
     turn[..., START, 0] = true_share
     turn[..., RATE, 2] = 1.0
     mean = np.einsum("cvmij,cvmj->cvmi", turn, unknown)
     mean[..., : START + 1] += prior.start
-    mean[..., NOW] += gram[:, :, -1, 0, None]
+    mean[..., NOW] += walk[:, :, 0, None]
     state = turn @ unknown_covariance @ turn.swapaxes(-1, -2)
     state[..., : START + 1, : START + 1] += true_share * common_variance
-    state[..., NOW, NOW] += (np.multiply.outer(age, random) - gram[:, :, -1, -1])[:, :, None]
+    state[..., NOW, NOW] += (np.multiply.outer(age, random) - random * walk[:, :, 2 + bend.shape[1]])[:, :, None]
     return _Courses(
         log_weight=0.5 * (explained - misfit[:, :, None]) + chances[:, :, None] + _log_bent(bends),
         unknown=unknown,
@@ -187,6 +187,45 @@ def _courses(channel: Channel, clocks: Sequence[Clock], prior: ChannelPrior, war
         age=age,
         random=random,
     )
+
+
+def gram_matrices(
+    columns: FloatArray, ages: FloatArray, variance: FloatArray, random: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return products of columns by the inverse covariance of their rows, and the logarithm of its determinant.
+
+    Random wear is a Brownian motion over the age: the innovations of its Kalman filter do not correlate.
+
+    Parameters
+    ----------
+    columns : (c, k, b) array
+        By clock. The last column is a deviation that all rows have in common.
+    ages : (c, b) array
+        Of the rows, by clock; they do not fall.
+    variance : (b,) array
+        Of the noise of each row.
+    random : (v,) array
+        Variances of random wear over an age of 1.
+
+    Returns
+    -------
+    (c, v, k, k) and (c, v) array
+    """
+    steps, wear = np.diff(ages, prepend=0.0), np.zeros((len(ages), len(random)))
+    white = np.empty((*wear.shape, *columns.shape[1:]))
+    log_determinant, expected = np.zeros_like(wear), np.zeros(white.shape[:-1])
+    for row, noise in enumerate(variance):
+        wear = wear + np.multiply.outer(steps[:, row], random)
+        total = wear + noise
+        innovation = columns[:, None, :, row] - expected
+        white[..., row] = innovation / np.sqrt(total)[..., None]
+        expected += (wear / total)[..., None] * innovation
+        log_determinant += np.log(total)
+        wear = wear * noise / total
+    gram = white @ white.swapaxes(-1, -2)
+    common, own = gram[..., -1], 1.0 + gram[..., -1, -1]
+    gram = gram - common[..., None] * (common / own[..., None])[..., None, :]  # Sherman and Morrison
+    return gram, log_determinant + np.log(own)
 
 
 def _log_bent(bends: FloatArray) -> FloatArray:
@@ -218,41 +257,41 @@ def _future(
     log_weight = courses.log_weight[likely][:, None] + of_results + np.log(width / np.sqrt(variance)[:, None])
 
     # What may come: nothing, a bend at hand, or a knee at some share of the life; after one bend no knee.
-    factor = np.array([1.0, HAND_FACTOR, *np.repeat(list(KNEE_FACTORS), len(KNEE_SHARES))])
-    share = np.array([1.0, 0.0, *np.tile(list(KNEE_SHARES), len(KNEE_FACTORS))])
+    factors = np.array([1.0, HAND_FACTOR, *np.repeat(list(KNEE_FACTORS), len(KNEE_SHARES))])
+    shares = np.array([1.0, 0.0, *np.tile(list(KNEE_SHARES), len(KNEE_FACTORS))])
     knees = bend_chance * np.outer(list(KNEE_FACTORS.values()), list(KNEE_SHARES.values())).ravel()
     at_hand = HAND_SHARE * bend_chance
-    chance = np.array([1.0 - bend_chance - at_hand, at_hand, *knees])
-    age = courses.age[clock][:, None, None]
-    left = np.maximum(mean[:, None, None, NOW] - prior.start + prior.fall, 0.0) / loss[:, :, None]
-    life = prior.fall / loss[:, :, None] / (1.0 + (factor - 1.0) * (1.0 - share))
-    knee = np.maximum(share * life - age, 0.0)
-    shape = np.array([one.shape for one in clocks])[clock][:, None, None]
+    log_chance = np.log([1.0 - bend_chance - at_hand, at_hand, *knees])
+    row, way = np.nonzero((bend == 0)[:, None] | (np.arange(len(factors)) < 2))
+    is_knee, is_bent, factor, share = way >= 2, bend[row] > 0, factors[way, None], shares[way, None]
+    lost = loss[row]
+    left = np.maximum(mean[row, None, NOW] - prior.start + prior.fall, 0.0) / lost
+    life = prior.fall / lost / np.where(is_knee[:, None], 1.0 + (factor - 1.0) * (1.0 - share), 1.0)
+    knee = np.maximum(share * life - courses.age[clock[row], None], 0.0)
+    shape = np.array([one.shape for one in clocks])[clock[row], None]
     log_ratio = np.log(life * usual / prior.fall) / shape / prior.typical_log_std
     density = -0.5 * (_STUDENT + 1.0) * np.log1p(log_ratio**2 / _STUDENT)
     density -= np.log(prior.typical_log_std * shape) + _LOG_STUDENT
-    is_bent = bend > 0
-    was = np.log(np.maximum(-courses.unknown[likely][is_bent, 1], 0.2 * usual) * BENT_FACTOR)[:, None]
-    density[is_bent, :, 0] = -0.5 * ((np.log(loss[is_bent]) - was) / BENT_LOG_STD) ** 2 - np.log(BENT_LOG_STD)
-    density[..., 1] = density[..., 0]
-    density[..., 2:] = np.where((knee[..., 2:] > 0.0) & ~is_bent[:, None, None], density[..., 2:], -np.inf)
-    every = log_weight[:, :, None] + density + np.log(chance)
+    was = np.log(np.maximum(-courses.unknown[likely][row[is_bent], 1], 0.2 * usual) * BENT_FACTOR)[:, None]
+    density[is_bent] = -0.5 * ((np.log(lost[is_bent]) - was) / BENT_LOG_STD) ** 2 - np.log(BENT_LOG_STD)
+    density[is_knee[:, None] & (knee <= 0.0)] = -np.inf
+    every = log_weight[row] + density + log_chance[way, None]
 
     # Evenly by what is left, so that few courses stand for all.
     near = np.where(factor > 1.0, np.minimum(left, knee), left)
     order = np.argsort(near + (left - near) / factor, axis=None)
     cumulative = np.cumsum(np.exp(every - every.max()).ravel()[order])
     picked = order[np.searchsorted(cumulative, cumulative[-1] * (np.arange(COURSES) + 0.5) / COURSES)]
-    row, step, way = np.unravel_index(picked, every.shape)
-    own = loss[row, step]
+    pair, step = np.unravel_index(picked, every.shape)
+    row, way, own = row[pair], way[pair], lost[pair, step]
     gain = covariance[:, :, RATE] / variance[:, None]
     known = covariance - gain[:, :, None] * covariance[:, None, RATE]
     moved = mean[row] + gain[row] * (middle[row] - own)[:, None]
     advance = (np.array([one.ahead_m for one in clocks]) / USUAL_LIFE_M)[clock[row]]
-    to_bend = np.where(way > 0, knee[row, step, way], np.inf)[:, None]
+    to_bend = np.where(way > 0, knee[pair, step], np.inf)[:, None]
     per_m = -own * np.array([one.pace for one in clocks])[clock[row]] / USUAL_LIFE_M
     future = Future(
-        ahead=advance + (factor[way] - 1.0)[:, None] * np.maximum(advance - to_bend, 0.0),
+        ahead=advance + (factors[way] - 1.0)[:, None] * np.maximum(advance - to_bend, 0.0),
         loss=own,
         now=moved[:, NOW],
         start=moved[:, START],
@@ -312,4 +351,6 @@ def normal_cdf(value: FloatArray) -> FloatArray:
     """Return the standard normal distribution function of each value."""
     from scipy.special import ndtr  # noqa: PLC0415 - it takes a while to load; only prognoses need it
 
-    return np.asarray(ndtr(value))
+    share, is_open = np.where(value > 0.0, 1.0, 0.0), np.abs(value) < CERTAIN_STD
+    share[is_open] = ndtr(value[is_open])  # dear, and most values lie far outside
+    return share

@@ -13,7 +13,7 @@ from clutch_results.prognosis import History, Outlook, Prognosis, history_of, pr
 from clutch_results.prognosis.assumptions import KNEE_PROBABILITY, MARGIN_OF_NEW, USUAL_LIFE_M
 from clutch_results.prognosis.channels import DISTANCE_M, ChannelName, channels_of, clocks_of
 from clutch_results.prognosis.prognosis import Reach
-from clutch_results.prognosis.trend import AgedChannel, Future, aged, passage
+from clutch_results.prognosis.trend import AgedChannel, Future, aged, gram_matrices, passage
 from clutch_results.records import FluidFill, ShiftResult, utc_from_bus_ns
 from tests.support.histories import history as stored
 from tests.support.pasts import REFERENCE, ageing, past
@@ -55,6 +55,20 @@ def test_the_limits_are_those_of_the_verdict() -> None:
     assert found.watch is not None
     assert found.watch.passage.within(0.0) > 0.7
     assert reach(found).passage.within(0.0) < 0.1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_products_of_means_are_those_of_their_whole_covariance(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    columns, variance = rng.standard_normal((2, 4, 12)), rng.uniform(1e-4, 1e-2, 12)
+    ages, random = np.cumsum(rng.uniform(0.0, 0.2, (2, 12)), axis=1), np.array([0.0, 0.01, 0.3])
+    ages[:, 5] = ages[:, 4]  # driving that counts for nothing
+    gram, log_determinant = gram_matrices(columns, ages, variance, random)
+    for clock, amount in np.ndindex(log_determinant.shape):
+        own, common = ages[clock], columns[clock, -1]
+        covariance = np.diag(variance) + random[amount] * np.minimum.outer(own, own) + np.outer(common, common)
+        assert gram[clock, amount] == pytest.approx(columns[clock] @ np.linalg.solve(covariance, columns[clock].T))
+        assert log_determinant[clock, amount] == pytest.approx(np.linalg.slogdet(covariance)[1])
 
 
 @pytest.mark.parametrize("is_noted", [True, False])
