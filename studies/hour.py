@@ -67,9 +67,8 @@ def decode(log: Path) -> None:
     """Read a log and make columns of all its frames."""
     decoder = new_decoder()
     with closing(read_log(log)) as reader:
-        for batch in reader:
-            for _ in decoder.stream(batch):
-                pass
+        for _ in decoder.whole(reader):
+            pass
 
 
 def find_shifts(log: Path) -> None:

@@ -143,7 +143,7 @@ def launches(table: Path, meaning: Interpretation) -> Iterator[SlipPhase]:
         return
     finder = DriveFinder(decoder.signals, calibration, gears)
     with read_log(table) as reader:
-        events = [event for batch in reader for part in decoder.stream(batch) for event in finder.feed(part)]
+        events = [event for part in decoder.whole(reader) for event in finder.feed(part)]
     for event in (*events, *finder.flush()):
         engine, over = event.columns.get(Signal.ENGINE_SPEED), event.columns.get(gears.over)
         if event.kind is not EventKind.LAUNCH or engine is None or over is None:

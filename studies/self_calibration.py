@@ -117,9 +117,8 @@ def road_study(case: Case, start: Calibration) -> list[Row]:
         ShiftFinder(),
         [],
     )
-    for stretch in drive.stretches(STRETCH_S):
-        for columns in decoder.stream(to_batch(merge([stretch.frames]))):
-            shifts += finder.feed(columns)
+    for columns in decoder.whole(to_batch(merge([stretch.frames])) for stretch in drive.stretches(STRETCH_S)):
+        shifts += finder.feed(columns)
     found = self_calibrate(shifts + finder.flush(), [], start, "study")
     kind = f"{case.trace} from {case.oil_degc:g} degC"
     if isinstance(found, str):
@@ -132,7 +131,7 @@ def events_of(frames: EncodedFrames) -> tuple[list[Event], list[Event]]:
     """Return the shifts and revs that the service sees in a drive."""
     decoder, shift_finder, run_up_finder = new_decoder(), ShiftFinder(), RunUpFinder(nominal_calibration())
     shifts, run_ups = [], []
-    for columns in decoder.feed(to_batch(frames)):
+    for columns in decoder.whole([to_batch(frames)]):
         shifts += shift_finder.feed(columns)
         run_ups += run_up_finder.feed(columns)
     return shifts + shift_finder.flush(), run_ups + run_up_finder.flush()

@@ -190,14 +190,11 @@ def slip_phases(
     finder = EventFinder(tracker_for(decoder.signals, decoder.gears), PRE_NS, AFTER_NS)
     events: list[Event] = []
     with read_log(log, is_stopped=lambda: stop.is_set, watch=watch, columns=columns) as reader:
-        for batch in reader:
+        for one in decoder.whole(reader):
             if stop.is_set:
                 raise StoppedError("stopped early: nothing is predicted from a part of a log")
-            for one in decoder.stream(batch):
-                standing.add(one)
-                events += decoder.marked(finder.feed(one))
-    for one in decoder.drain():
-        events += decoder.marked(finder.feed(one))
+            standing.add(one)
+            events += decoder.marked(finder.feed(one))
     found = [slip_phase(event, decoder.gears) for event in [*events, *decoder.marked(finder.flush())]]
     return [one for one in found if isinstance(one, SlipPhase)], [one for one in found if isinstance(one, NoPhase)]
 
@@ -355,11 +352,10 @@ def learned_from(
     for log in logs:
         decoder = meaning.decoder()
         with closing(read_log(log, is_stopped=lambda: stop.is_set, watch=watch, columns=columns)) as reader:
-            for batch in reader:
+            for one in decoder.whole(reader):
                 if stop.is_set:
                     raise StoppedError("stopped early: nothing is learned from a part of a log")
-                for one in decoder.stream(batch):
-                    survey.add(one)
+                survey.add(one)
     learned = survey.learned()
     if (known is None and learned.ratios is None) or not {*PRESSURES.values()} <= signals:
         return learned

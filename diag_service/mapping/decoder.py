@@ -319,6 +319,12 @@ class Decoder:
         for first in range(0, len(batch), PIECE_FRAMES):
             yield from self.feed(batch if len(batch) <= PIECE_FRAMES else batch[first : first + PIECE_FRAMES])
 
+    def whole(self, batches: Iterable[FrameBatch]) -> Iterator[ColumnBatch]:
+        """Yield the columns of all frames until the last: what is held back when they end is theirs."""
+        for batch in batches:
+            yield from self.stream(batch)
+        yield from self.drain()
+
     def feed(self, batch: FrameBatch) -> list[ColumnBatch]:
         """Return the columns of a batch: none if it is empty, several if bus time jumps inside it."""
         if self.overheard is None:

@@ -141,8 +141,7 @@ def _shown_ratios(
     profile = Profile(name="proposed", sources={signal: found[0].source for signal, found in best.items()})
     decoder, survey = Decoder(database, profile), VehicleSurvey(over)
     with closing(read_log(log, columns=columns)) as reader:
-        for batch in reader:
-            for one in decoder.stream(batch):
-                survey.add(one)
+        for one in decoder.whole(reader):
+            survey.add(one)
     learned = survey.learned()
     return over, {gear: one.ratio for gear, one in learned.gears.items() if learned.are_named}

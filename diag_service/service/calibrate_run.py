@@ -84,11 +84,10 @@ def find_events(
     shifts: list[Event] = []
     run_ups: list[Event] = []
     drive = DriveFrames(logs, decoder.sources)
-    for batch in drive:
+    for columns in decoder.whole(drive):
         _go_on(stop)
-        for columns in decoder.stream(batch):
-            shifts += shift_finder.feed(columns)
-            run_ups += run_up_finder.feed(columns)
+        shifts += shift_finder.feed(columns)
+        run_ups += run_up_finder.feed(columns)
     shifts += shift_finder.flush()
     run_ups += run_up_finder.flush()
     warn_of_faults(logs, drive.contributions(decoder.named_channel))

@@ -108,7 +108,7 @@ def _can_estimates(case: Case, seed: int, cycles: int) -> tuple[PaperEstimate, P
     frames, _ = frames_of(replace(scenario, seed=seed, cycles=cycles, fluid=fluid))
     decoder, finder = new_decoder(), ShiftFinder()
     collection = PaperCollection(CALIBRATION, DRIVELINE)
-    for columns in decoder.feed(to_batch(frames)):
+    for columns in decoder.whole([to_batch(frames)]):
         for event in finder.feed(columns):
             collection.add(event)
     first, second = (clutch.estimate for clutch in collection.pooled())

@@ -6,8 +6,15 @@ from pathlib import Path
 import pytest
 
 from clutch_model.calibration import nominal_calibration, read_calibration
+from diag_service.mapping.interpretation import interpret
+from diag_service.service.calibrate_run import find_events
+from diag_service.service.drive import open_drive
+from diag_service.service.stopping import Trigger
 from ecu_emulator.cli import main as emulator
+from tests.support.asked import write_candump
+from tests.support.chain import frames_of_log
 from tests.support.in_process import ended as run
+from tests.support.lateness import after_stalls
 
 
 @pytest.fixture(scope="module")
@@ -44,3 +51,12 @@ def test_a_calibration_is_found_written_and_used(routine_log: Path, cycle_log: P
     again = run("calibrate", str(routine_log), "-o", str(tmp_path / "again.toml"), "--calibration", str(own))
     assert again.status == 2
     assert "start from its type" in again.err
+
+
+def test_a_log_that_ends_in_a_burst_is_used_to_its_end(routine_log: Path, tmp_path: Path) -> None:
+    log, frames = tmp_path / "late.log", frames_of_log(routine_log, 60.0)
+    write_candump(log, after_stalls(frames, [((frames.t_ns[-1] - frames.t_ns[0]) / 1e9 - 0.1, 0.09)], 0.0))
+    decoder = interpret(None, None).decoder()
+    with open_drive([log]) as logs:
+        assert find_events(logs, decoder, nominal_calibration(), Trigger()).shifts
+    assert decoder.counts.on_bus == len(frames)

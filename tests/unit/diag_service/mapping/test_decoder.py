@@ -13,6 +13,7 @@ from diag_service.mapping.profile import Profile, SignalSource, load_profile
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder
 from ecu_emulator.sensing import Readings
 from tests.support import wire
+from tests.support.lateness import after_stalls
 from tests.support.wire import CONTRACTS, DATABASE, START_NS, drive
 
 
@@ -44,6 +45,16 @@ def test_undisturbed_drive() -> None:
     assert series.period_ns == 10_000_000
     assert series.sequence.tolist() == list(range(200))
     assert series.t_ns.tolist() == [START_NS + 1_000_000 + 10_000_000 * k for k in range(200)]
+
+
+def test_frames_held_back_when_a_log_ends_are_used() -> None:
+    batch = after_stalls(received(drive(2.0)), [(1.9, 0.09)], 0.0)  # what the last burst was is not yet told
+    fed, whole = decoder(), decoder()
+    assert list(fed.stream(batch))
+    assert fed.counts.decoded < len(batch)
+    last = list(whole.whole([batch[:100], batch[100:]]))[-1]
+    assert whole.counts.decoded == len(batch)
+    assert last.watermark_ns == received(drive(2.0)).t_ns[-1]
 
 
 def test_values_arrive_in_si_units() -> None:
