@@ -170,6 +170,10 @@ def keep(
 
 
 PIECE_FRAMES: Final = 8192  # their samples stay in the cache, and in memory that the system need not map anew
+AT_ONCE_NS: Final = 100_000  # steps below it no bus makes: a frame of 8 bytes takes longer at 1 Mbit/s
+LEAST_AT_ONCE: Final = 2.5  # frames at each look of a reader, on average
+MOST_SINGLE: Final = 0.1  # frames between looks, over the looks
+LEAST_LOOKS: Final = 20
 _NEVER: Final = np.empty(0, np.int64)
 
 REJECTIONS: Final = tuple(reason for reason in FrameReason if reason not in {FrameReason.OK, FrameReason.UNKNOWN_ID})
@@ -187,6 +191,35 @@ class MessageCounts:
     senders: Mapping[int, int]  # frames by J1939 source address, empty for other messages
     e2e_state: E2eState
     invalidations: int  # times that the message as a whole lost its trust
+
+
+class Rhythm:
+    """Tells whether a reader looked at the bus now and then: all that has gathered comes at once, after a pause.
+
+    When a frame was sent is then known to a look only, and in a rhythm in step with the bus nothing tells more.
+    """
+
+    def __init__(self, quickest_ns: int) -> None:
+        self._pause_ns = quickest_ns // 2  # of the quickest message: a bus in use is never as quiet
+        self._last_ns = 0
+        self._frame_count = self._look_count = self._single_count = 0
+
+    def add(self, t_ns: Int64Array) -> None:
+        """Take the times at which frames were received into account, the oldest first."""
+        if not self._pause_ns or not len(t_ns):
+            return
+        steps_ns = np.diff(t_ns, prepend=self._last_ns)
+        looks = int(np.count_nonzero(steps_ns >= self._pause_ns))
+        self._frame_count += len(t_ns)
+        self._look_count += looks
+        self._single_count += int(np.count_nonzero(steps_ns >= AT_ONCE_NS)) - looks
+        self._last_ns = int(t_ns[-1])
+
+    @property
+    def is_of_looks(self) -> bool:
+        """Whether nearly all frames came together with others, and nothing between two looks."""
+        is_known = self._look_count >= LEAST_LOOKS and self._frame_count >= LEAST_AT_ONCE * self._look_count
+        return is_known and self._single_count <= MOST_SINGLE * self._look_count
 
 
 class Decoder:
@@ -226,6 +259,7 @@ class Decoder:
         self._whole_ns: int | None = None  # since when all times are whole seconds
         self._whole_count = 0
         self._has_whole_seconds = False
+        self._rhythm = Rhythm(min((mapped.period_ns for mapped in self._messages if mapped.period_ns > 0), default=0))
 
     @property
     def signals(self) -> frozenset[Signal]:
@@ -341,8 +375,10 @@ class Decoder:
         ]
 
     def marked(self, events: Iterable[Event]) -> list[Event]:
-        """Return events with whether the times of their frames are whole seconds, as coarse as friction is not."""
+        """Return events with what the times of all frames say: they are whole seconds, or those of a reader's looks."""
         found = list(events)
+        if self._rhythm.is_of_looks:
+            found = [replace(event, came_late=True) for event in found]
         return [replace(event, has_whole_seconds=True) for event in found] if self._has_whole_seconds else found
 
     def _look_for_seconds(self, t_ns: Int64Array) -> None:
@@ -358,6 +394,7 @@ class Decoder:
 
     def _fed(self, batch: FrameBatch, *, is_last: bool = False) -> list[ColumnBatch]:
         self._look_for_seconds(batch.t_ns)
+        self._rhythm.add(batch.t_ns)
         batch = batch.plain()
         if self._goes_on(batch):
             self.last_ns = int(batch.t_ns[-1])

@@ -18,7 +18,7 @@ from canlog.e2e.profile1 import COUNTER_BYTE, COUNTER_MASK, COUNTER_PERIOD
 from canlog.frames import ERROR_FLAG, MAX_GAP_NS, REMOTE_FLAG, FrameBatch, empty_batch, join
 from canlog.jit import kernel
 
-SILENT_CYCLES: Final = 1.5  # of the quickest message: the whole bus is never as quiet while its messages come in time
+SILENT_CYCLES: Final = 1.2  # of the quickest message: the whole bus is never as quiet while its messages come in time
 HELD_FRAMES, HELD_NS = 96, 150_000_000  # held until either is full
 FASTER_RATIO: Final = 0.9  # of the time in which frames came to the time in which they were sent
 LEAST_COUNTED: Final = 6  # frames with a counter, to tell anything

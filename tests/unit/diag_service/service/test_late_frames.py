@@ -98,7 +98,7 @@ def at_looks(looks_ns: Int64Array) -> FrameBatch:
 
 
 @pytest.mark.parametrize("first_ms", [0.0, 0.5, 2.5, 7.0])  # after the first frame; a cycle is sent within 6 ms
-@pytest.mark.parametrize("tick_s", [0.02, 0.03, 0.05, 0.1, 0.2])
+@pytest.mark.parametrize("tick_s", [0.0125, 0.013, 0.02, 0.03, 0.05, 0.1, 0.2])
 def test_shifts_are_estimated_from_what_a_reader_saw_that_looks_now_and_then(tick_s: float, first_ms: float) -> None:
     looks_s = 1e-3 * first_ms + tick_s * np.arange(DURATION_S / tick_s + 1)
     outcome = diagnosed([at_looks(frames().t_ns[0] + np.rint(1e9 * looks_s).astype(np.int64))])
@@ -113,6 +113,19 @@ def test_a_reader_that_looks_now_and_then_need_not_keep_time(tick_s: float, jitt
     looks_s = 5e-3 + np.cumsum(steps_s)
     outcome = diagnosed([at_looks(frames().t_ns[0] + np.rint(1e9 * looks_s).astype(np.int64))])
     assert_as_on_time(outcome)
+
+
+@pytest.mark.parametrize("first_ms", [0.0, 1.5, 5.5, 9.0])
+@pytest.mark.parametrize("tick_ms", [5.0, 7.5, 9.99, 10.0, 10.01, 12.5, 20.01, 30.01, 50.01, 120.02, 250.0])
+def test_a_reader_in_step_with_the_senders_finds_the_shifts_and_accuses_no_sensor(
+    tick_ms: float, first_ms: float
+) -> None:
+    """A cycle that a look cuts in two is not told from one that was sent otherwise: that is a doubt of the time."""
+    looks_ms = first_ms + tick_ms * np.arange(1e3 * DURATION_S / tick_ms + 1)
+    outcome = diagnosed([at_looks(frames().t_ns[0] + np.rint(1e6 * looks_ms).astype(np.int64))])
+    assert_all_frames_are_used(outcome)
+    assert len(outcome.diagnoses) == 3
+    assert reasons(outcome) <= {Reason.TIME_UNSURE}
 
 
 def test_frames_on_time_are_not_late() -> None:
