@@ -16,7 +16,7 @@ from tests.integration.test_signal_asking import Ear, heard, wait_for
 from tests.plugins.asked_services import SentByUs
 from tests.support.asked import batch_of
 from workshop.tester.addresses import GROUP_REQUEST
-from workshop.tester.signal_asking import GROUP_S, SignalAsker, line_on
+from workshop.tester.signal_asking import GROUP_S, Plan, SignalAsker, line_on
 
 pytestmark = pytest.mark.asks
 
@@ -66,8 +66,8 @@ def asked(channel: str) -> Iterator[SignalAsker]:
             yield asker
 
 
-def requests(ear: Ear) -> list[float]:
-    return [one.timestamp for one in list(ear.frames) if one.arbitration_id == REQUEST_ID]
+def requests(ear: Ear) -> list[can.Message]:
+    return [one for one in list(ear.frames) if one.arbitration_id == REQUEST_ID]
 
 
 @pytest.fixture(name="channel")
@@ -75,13 +75,17 @@ def _channel() -> str:
     return f"groups {next(NUMBERS)}"
 
 
-def test_a_group_is_asked_for_twice_a_second_and_its_answers_are_signals(channel: str, sent_by_us: SentByUs) -> None:
+def test_a_group_is_asked_for_no_more_than_twice_a_second() -> None:
+    plan, moments_s = Plan({}, load_profile().asking, [TRF1]), [100.0 + 0.01 * step for step in range(1000)]
+    asked_s = [now_s for now_s in moments_s if plan.due(now_s)]
+    assert len(asked_s) == 20
+    assert all(after - before > 0.99 * GROUP_S for before, after in pairwise(asked_s))
+
+
+def test_the_answers_of_a_group_are_signals(channel: str, sent_by_us: SentByUs) -> None:
     with transmission(channel), heard(channel) as ear, asked(channel) as asker:
-        wait_for(lambda: asker.set_count >= 3)
+        wait_for(lambda: asker.set_count >= 3 and len(requests(ear)) >= 3)
         assert set(asker.sent) == {GROUP_REQUEST}
-    times_s = requests(ear)
-    assert len(times_s) >= 3
-    assert all(after - before > 0.9 * GROUP_S for before, after in pairwise(times_s))
     assert set(sent_by_us.services) == {GROUP_REQUEST}
     decoder = interpret(None, Path("j1939")).decoder()
     told = [batch.columns for batch in decoder.feed(batch_of(ear.frames))]

@@ -24,7 +24,6 @@ async def test_it_hurts_nobody_and_is_seen(tmp_path: Path, kind: str) -> None:
     assert outcome.stored_count == 2 * len(GOOD) * SHIFTS
     assert outcome.unseen(kind) == []
     assert outcome.kept_bytes < outcome.sent_bytes * KEPT_SHARE[kind]
-    assert outcome.took_s < 60.0
     if kind == "mosquitto":
         assert not any(f"Client {name} already connected" in outcome.log for name in (*GOOD, "fleet-backend"))
 
