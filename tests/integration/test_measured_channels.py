@@ -7,8 +7,10 @@ import pytest
 from asammdf import MDF, Signal
 
 from canlog.database.signal_columns import column_id
+from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG
 from canlog.logs import LogFormat, LogReader, read_log
+from canlog.logs.mf4_channels import one_each
 from ecu_emulator.log_formats.writers import Header, Mf4Writer
 from tests.support.measurements import START, Measured, written
 from tests.support.mf4_layouts import Layout, laid_out
@@ -42,6 +44,12 @@ def values(path: Path) -> tuple[LogReader, dict[str, tuple[list[float], list[int
         found[column.name] = (data.view("<f8").ravel().tolist(), times.tolist())
     assert all(np.diff(np.concatenate([one.t_ns for one in batches])) >= 0)
     return reader, found
+
+
+def test_arrays_of_one_are_numbers_and_longer_ones_are_refused_by_name() -> None:
+    assert one_each(np.array([[3], [5]]), "biuf", "BusChannel").tolist() == [3, 5]
+    with pytest.raises(SourceError, match="BusChannel: not one number for each record"):
+        one_each(np.zeros((2, 3)), "biuf", "BusChannel")
 
 
 @pytest.mark.parametrize("version", ["4.00", "4.10", "4.20"])

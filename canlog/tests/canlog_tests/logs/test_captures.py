@@ -9,7 +9,7 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
-from canlog.logs.captures import read_capture
+from canlog.logs.captures import SWAPPED, read_capture
 from canlog.logs.log_counts import LogCounts, LogReject
 from tests.support.batches import read_whole
 from tests.support.capture_grammars import SOCKETCAN, pcap, pcapng, socketcan
@@ -48,6 +48,15 @@ def test_a_packet_is_a_frame_or_has_a_reason(packet: bytes, outcome: str) -> Non
     assert len(batch) == (1 if outcome else 2)
     assert counts.rejected == ({LogReject.MALFORMED: 1} if outcome else {})
     assert counts.first_rejected == ("packet 2: malformed" if outcome else "")
+
+
+def test_identifiers_in_the_other_byte_order_are_read_swapped_and_that_is_said() -> None:
+    ids = [0x12A, 0x0E1, 0x241] * 7
+    packets = [socketcan(replace(FRAME, can_id=one), "<") for one in ids]
+    batch, counts = read(PCAP_HEADER + b"".join(map(record, packets)))
+    assert batch.can_id.tolist() == ids
+    assert counts.rejected == {}
+    assert SWAPPED in counts.notes
 
 
 @pytest.mark.parametrize("name", ["pcap", "pcapng"])

@@ -163,6 +163,14 @@ def test_a_fault_of_a_drive_is_found(quantity: str, kind: SensorFaultKind, size:
     assert failed_on_drive("ideal", SensorFault(quantity=quantity, kind=kind, size=size, start_s=5.0))[code] >= 5
 
 
+@pytest.mark.parametrize("quantity", ["clutch1_pressure_pa", "clutch2_pressure_pa"])
+def test_a_pressure_sensor_that_reads_too_low_is_not_called_low_line_pressure(quantity: str) -> None:
+    biased = SensorFault(quantity=quantity, kind=SensorFaultKind.OFFSET, size=-3e5, start_s=5.0)
+    failed = {code for code, count in failed_on_drive("ideal", biased).items() if count}
+    assert failed & {"P0841", "P0846"} == {"P0841" if quantity.startswith("clutch1") else "P0846"}
+    assert "P0868" not in failed
+
+
 CONVERTER_LIMITS = MonitorLimits(
     has_converter=True, input_output_ratios=nominal_parameters("lockup").gearbox.input_output_ratios
 )

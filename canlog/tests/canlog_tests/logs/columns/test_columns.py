@@ -41,6 +41,10 @@ def rows(batch: FrameBatch) -> list[tuple[int, int, str]]:
         (("title\nLine,Abs Time(Sec),Rel Time (Sec),Status,Er,Tx,Description,Network,Node,Arb ID,Remote,Xtd,B1,B2,B3\n"
          "2,2550.368293675,0.0038,67371008,F,F,HS CAN $119,HS CAN,,119,F,F,00,0D,8B,,,\n"),
          [(2_550_368_294, 0x119, "000d8b")]),
+        (("title\n" + "".join(f"HS CAN {number},{number},500000,T\n" for number in range(60))
+          + "Line,Abs Time(Sec),Rel Time (Sec),Status,Er,Tx,Description,Network,Node,Arb ID,Remote,Xtd,B1,B2,B3\n"
+          + "".join(f"{n},0.{n}5,0.01,0,F,F,HS CAN $119,HS CAN,,119,F,F,00,0D,8B\n" for n in range(1, 9))),
+         [(1000 * (100 * n + 50), 0x119, "000d8b") for n in range(1, 9)]),
         ("Time\tChannel\tFlags\tID\tDLC\tData\tParserFlags\n1\t1\t0\t123\t1\t01\t0\n", [(1, 0x123, "01")]),
     ],
 )  # fmt: skip
