@@ -8,7 +8,6 @@ import re
 
 import numpy as np
 
-from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import (
     ERROR_FLAG,
     EXTENDED_FLAG,
@@ -24,18 +23,13 @@ from canlog.logs.frame_buffer import ChannelNames, FrameRows
 from canlog.logs.text_kernels import (
     FRAME,
     IS_LENGTH,
-    LINES,
     MALFORMED,
     OTHER,
-    POSITION,
-    ROWS,
     SKIPPED,
-    STOP,
     TOO_LONG,
-    count_line,
     day_number,
 )
-from canlog.logs.text_log import TextLog, frames_of
+from canlog.logs.text_log import LineLog, frames_of
 
 NS_PER_S, NS_PER_US, DAY_S = 1_000_000_000, 1_000, 86_400
 NS_DIGITS = 9
@@ -111,7 +105,7 @@ LEAST_FALLS = 0.1  # of all steps between times: so many times of one clock neve
 NO_TIMES = "the log has no times (candump -t): every frame gets the time 1970-01-01 00:00:00"
 
 
-class ConsoleLog(TextLog):
+class ConsoleLog(LineLog):
     """A log as candump prints it without ``-L``."""
 
     shortest_line_bytes = 9  # "c 123 [0]"
@@ -140,19 +134,7 @@ class ConsoleLog(TextLog):
             kind = "frame before (candump -t d)" if self._is_delta else "start (candump -t z)"
             self.notes.append(f"times are taken as those since the {kind}, and count from 1970")
 
-    def parse(self, text: UInt8Array, rows: FrameRows, progress: Int64Array) -> None:
-        """Read lines up to one of lost frames."""
-        at, line, row = (int(progress[one]) for one in (POSITION, LINES, ROWS))
-        for one in text[at:].tobytes().split(b"\n")[:-1]:
-            outcome = self._read(one, rows, row)
-            if outcome >= TOO_LONG:
-                progress[STOP] = outcome
-                break
-            at, line, row = at + len(one) + 1, line + 1, row + (outcome == FRAME)
-            count_line(progress, outcome, line)
-        progress[POSITION], progress[LINES], progress[ROWS] = at, line, row
-
-    def _read(self, line: bytes, rows: FrameRows, row: int) -> int:  # noqa: PLR0911 - one for each outcome
+    def read_line(self, line: bytes, rows: FrameRows, row: int) -> int:  # noqa: PLR0911 - one for each outcome
         """Read one line into one row; return the outcome."""
         begin = _BEGINNING.match(line)
         rest = line[begin.end() :] if begin else line

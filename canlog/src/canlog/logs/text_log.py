@@ -9,9 +9,24 @@ import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import FrameBatch
-from canlog.logs import text_kernels
 from canlog.logs.frame_buffer import FrameBuffer, FrameRows
 from canlog.logs.log_counts import LogCounts, LogReject
+from canlog.logs.text_kernels import (
+    FIRST_MALFORMED,
+    FRAME,
+    LINES,
+    MALFORMED,
+    MALFORMED_LINES,
+    OTHER,
+    POSITION,
+    PROGRESS_FIELDS,
+    ROWS,
+    SKIPPED,
+    SKIPPED_LINES,
+    STOP,
+    TOO_LONG,
+    count_line,
+)
 
 BLOCK_BYTES = 2 * 1024 * 1024
 MAX_LINE_BYTES = 4096  # whatever is longer is not text
@@ -46,6 +61,25 @@ class TextLog(ABC):
         """Find out what single lines do not tell, from the beginning of the log."""
 
 
+class LineLog(TextLog):
+    """A format whose lines are read one by one."""
+
+    @abstractmethod
+    def read_line(self, line: bytes, rows: FrameRows, row: int) -> int:
+        """Read a line into a row; return the outcome, of which TOO_LONG and OTHER stop the reader."""
+
+    def parse(self, text: UInt8Array, rows: FrameRows, progress: Int64Array) -> None:
+        at, number, row = (int(progress[one]) for one in (POSITION, LINES, ROWS))
+        for line in text[at:].tobytes().split(b"\n")[:-1]:
+            outcome = self.read_line(line, rows, row)
+            if outcome >= TOO_LONG:
+                progress[STOP] = outcome
+                break
+            at, number, row = at + len(line) + 1, number + 1, row + (outcome == FRAME)
+            count_line(progress, outcome, number)
+        progress[POSITION], progress[LINES], progress[ROWS] = at, number, row
+
+
 class TextReader:
     """Reads the text of one file, which comes in blocks of no more than so many bytes."""
 
@@ -58,19 +92,19 @@ class TextReader:
 
     def read(self, text: UInt8Array) -> FrameBatch:
         """Return the frames of whole lines; count what is not a frame."""
-        progress = np.zeros(text_kernels.PROGRESS_FIELDS, np.int64)
-        while progress[text_kernels.POSITION] < len(text):
-            progress[text_kernels.STOP] = text_kernels.FRAME
+        progress = np.zeros(PROGRESS_FIELDS, np.int64)
+        while progress[POSITION] < len(text):
+            progress[STOP] = FRAME
             self._log.parse(text, self._buffer.rows, progress)
-            if progress[text_kernels.STOP] == text_kernels.TOO_LONG:
-                self._buffer.widen(int(progress[text_kernels.ROWS]))
-            elif progress[text_kernels.STOP] == text_kernels.OTHER:
+            if progress[STOP] == TOO_LONG:
+                self._buffer.widen(int(progress[ROWS]))
+            elif progress[STOP] == OTHER:
                 self._read_comment(text, progress)
-        self._counts.skipped += int(progress[text_kernels.SKIPPED_LINES])
-        place = f"line {self._lines + int(progress[text_kernels.FIRST_MALFORMED])}"
-        self._counts.reject(LogReject.MALFORMED, place, int(progress[text_kernels.MALFORMED_LINES]))
-        self._lines += int(progress[text_kernels.LINES])
-        return self._buffer.batch(int(progress[text_kernels.ROWS]))
+        self._counts.skipped += int(progress[SKIPPED_LINES])
+        place = f"line {self._lines + int(progress[FIRST_MALFORMED])}"
+        self._counts.reject(LogReject.MALFORMED, place, int(progress[MALFORMED_LINES]))
+        self._lines += int(progress[LINES])
+        return self._buffer.batch(int(progress[ROWS]))
 
     def read_last(self, text: UInt8Array) -> FrameBatch:
         """Return the frame of a last line without its end, if no byte of it can be missing."""
@@ -85,14 +119,12 @@ class TextReader:
         return frame[:0]
 
     def _read_comment(self, text: UInt8Array, progress: Int64Array) -> None:
-        start = int(progress[text_kernels.POSITION])
-        progress[text_kernels.POSITION] = end_of_line(text, start)
-        progress[text_kernels.LINES] += 1
-        is_known = self._log.read_comment(text[start : progress[text_kernels.POSITION]].tobytes().strip())
+        start = int(progress[POSITION])
+        progress[POSITION] = end_of_line(text, start)
+        progress[LINES] += 1
+        is_known = self._log.read_comment(text[start : progress[POSITION]].tobytes().strip())
         self._comments += is_known
-        text_kernels.count_line(
-            progress, text_kernels.SKIPPED if is_known else text_kernels.MALFORMED, progress[text_kernels.LINES]
-        )
+        count_line(progress, SKIPPED if is_known else MALFORMED, progress[LINES])
 
 
 def reader_of(new_log: Callable[[], TextLog]) -> Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]:

@@ -4,18 +4,17 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from canlog.arrays import Int64Array, UInt8Array
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
-from canlog.logs.columns import header, kernel
+from canlog.logs.columns import header
 from canlog.logs.columns.header import COMMENTS, LEAST_COLUMNS
+from canlog.logs.columns.lines import Clock, LineReader
 from canlog.logs.columns.roles import DAY_US, DECIMAL, HEXADECIMAL, Column, Layout, Role
 from canlog.logs.dates import date_us
 from canlog.logs.frame_buffer import MOST_CHANNELS, FrameRows
 from canlog.logs.log_counts import MICROSECONDS, SECONDS, UNIT_NAMES, likely_unit
-from canlog.logs.text_log import TextLog, frames_of
+from canlog.logs.text_kernels import SKIPPED
+from canlog.logs.text_log import LineLog, frames_of
 
 HEADER_LINES_LOOKED_AT = 200  # Vehicle Spy lists up to a hundred networks before
 SAMPLE_LINES = 2_000
@@ -34,29 +33,30 @@ NO_TIMES = "the log has no times: every frame gets the time 1970-01-01 00:00:00"
 NO_LAYOUT = Layout(columns=(Column(),), separator=ord(","))
 
 
-class TableLog(TextLog):
+class TableLog(LineLog):
     """A table of a known layout; ``set_layout`` says another, before the first line or by what one says."""
 
     def __init__(self, layout: Layout = NO_LAYOUT) -> None:
         super().__init__()
-        self._clock = np.zeros(kernel.CLOCK_FIELDS, np.int64)
-        self._line = np.zeros(kernel.FIELDS, np.int64)
+        self._clock = Clock()
         self.set_layout(layout)
 
     def set_layout(self, layout: Layout) -> None:
         """Read the lines that follow by a layout."""
-        self.layout, self._program = layout, layout.program()
+        self.layout, self._reader, self._header_lines = layout, LineReader(layout), layout.header_lines
         self.shortest_line_bytes = 7 if layout.is_exact else 3  # "0 DT 1" and "1,2", each with its newline
-        self._clock[kernel.WRAP_US], self._clock[kernel.HEADER_LINES] = layout.wrap_us, layout.header_lines
+        self._clock.wrap_us = layout.wrap_us
 
     def set_base(self, base_us: int, now_us: int = 0, *, is_relative: bool = False) -> None:
         """Count times from here, of which so much has passed; each from the one before if ``is_relative``."""
-        self._clock[[kernel.BASE_US, kernel.NOW_US]] = base_us, now_us
-        self._clock[[kernel.LAPS_US, kernel.IS_RELATIVE]] = 0, is_relative
+        self._clock = Clock(base_us=base_us, now_us=now_us, wrap_us=self.layout.wrap_us, is_relative=is_relative)
 
-    def parse(self, text: UInt8Array, rows: FrameRows, progress: Int64Array) -> None:
-        """Read lines, of an exact layout up to a comment."""
-        kernel.parse_lines(text, rows, self._program, self._clock, self._line, progress)
+    def read_line(self, line: bytes, rows: FrameRows, row: int) -> int:
+        """Read a line; a comment of an exact layout is for ``read_comment``."""
+        if self._header_lines > 0:
+            self._header_lines -= 1
+            return SKIPPED
+        return self._reader.read(line, self._clock, rows, row)
 
     def is_whole(self, line: bytes, frame: FrameBatch) -> bool:
         """Return whether no byte can be missing, and no digit of the last one."""

@@ -3,13 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
-from typing import NamedTuple
 
-import numpy as np
-
-from canlog.arrays import BoolArray, Int64Array
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG
-from canlog.logs.frame_buffer import name_hash
 
 
 class Role(IntEnum):
@@ -54,7 +49,6 @@ class Meaning(IntFlag):
 EVENT = int(Meaning.EVENT)
 HEXADECIMAL, DECIMAL = 16, 10
 BLANKS, COMMA = ord(" "), ord(",")
-PACKED_BYTES = 8  # of a word: its first characters tell it apart
 MINUTE_US, DAY_US = 60_000_000, 86_400_000_000
 
 
@@ -62,20 +56,6 @@ MINUTE_US, DAY_US = 60_000_000, 86_400_000_000
 class Column:
     role: Role = Role.IGNORED
     parameter: int = 0
-
-
-class Program(NamedTuple):
-    """A layout, as the compiled reader follows it."""
-
-    columns: Int64Array  # (n, 2): role, parameter
-    is_comment: BoolArray  # (256,): whether a line that begins with this character is one
-    separator: int
-    extended_digits: int
-    has_decimal_comma: bool
-    channel_names: Int64Array  # hashes
-    words: Int64Array  # (n, 2): packed, meaning
-    is_exact: bool
-    is_padded: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,28 +86,3 @@ class Layout:
 
     def has(self, role: Role) -> bool:
         return any(column.role is role for column in self.columns)
-
-    def program(self) -> Program:
-        is_comment, names = np.zeros(256, np.bool_), [name.encode() for name in self.channel_names]
-        is_comment[list(self.comment_starts)] = True
-        return Program(
-            columns=np.array([(column.role, column.parameter) for column in self.columns], np.int64).reshape(-1, 2),
-            is_comment=is_comment,
-            separator=self.separator,
-            extended_digits=self.extended_digits,
-            has_decimal_comma=self.has_decimal_comma,
-            channel_names=np.array([name_hash(np.frombuffer(one, np.uint8), 0, len(one)) for one in names], np.int64),
-            words=np.array([(packed_word(word), int(one)) for word, one in self.words.items()], np.int64).reshape(
-                -1, 2
-            ),
-            is_exact=self.is_exact,
-            is_padded=self.is_padded,
-        )
-
-
-def packed_word(word: str) -> int:
-    """Return a short word as one number, as the compiled reader packs it."""
-    value = 0
-    for character in word.encode()[:PACKED_BYTES]:
-        value = (value << 7) | character
-    return value
