@@ -11,7 +11,7 @@ from clutch_model.calibration import nominal_calibration
 from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from clutch_results.records import Condition, FrictionEstimate, ShiftResult
 from demo.drawing import CONDITION_COLOUR, INK, as_svg, drawing_style
-from diag_service.api.picture import MU_C_COLOUR, MU_S_COLOUR
+from diag_service.api.analysis import MU_C_COLOUR, MU_S_COLOUR
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.truth import ShiftTruth, TruthLog
 

@@ -36,7 +36,8 @@ from demo.outcome import (
 )
 from demo.programs import BACKEND, EMULATOR, HOST, LOOK_S, SERVICE, DemoError, Program, free_port, program, run
 from demo.scan_tool import ScanTool
-from diag_service.api import picture
+from diag_service.api.analysis import draw as draw_shifts
+from diag_service.api.analysis import save
 from diag_service.service.application import first_error
 from ecu_emulator.truth import read_truth
 from fleet_contract import Channel
@@ -108,7 +109,7 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
             console.print(table)
         console.print("drawing the pictures: about 3 s")
         (folder / ageing.PICTURE).write_text(draw(points), encoding="utf-8")
-        picture.save(bus_picture(outcome), folder / PICTURE)
+        save(bus_picture(outcome), folder / PICTURE)
         parts.end("pictures")
     found = [*ageing.course_complaints(points), *complaints(outcome)]
     lines: list[str | Text] = [*frame_lines(outcome.frames), f"pictures: {folder / PICTURE}, {folder / ageing.PICTURE}"]
@@ -122,7 +123,7 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
 
 def bus_picture(outcome: Outcome) -> "Figure":
     """Return the picture of the shifts that the table of single shifts tells."""
-    return picture.draw(outcome.shifts, f"{len(outcome.shifts)} shifts on the bus")
+    return draw_shifts(outcome.shifts, f"{len(outcome.shifts)} shifts on the bus")
 
 
 class Parts:

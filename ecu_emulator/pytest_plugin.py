@@ -11,7 +11,7 @@ import pytest
 
 if TYPE_CHECKING:
     from canlog.live.medium import Medium
-    from canlog.live.recorder import FrameRecorder
+    from canlog.live.pythoncan import FrameRecorder
     from ecu_emulator.api import Emulator
 
 AUTO = "auto"
@@ -92,7 +92,7 @@ def recorded_frames(
     with ExitStack() as stack:
 
         def start(bus: "Medium | None" = None) -> "FrameRecorder":
-            from canlog.live.recorder import FrameRecorder  # noqa: PLC0415 - not before it is used
+            from canlog.live.pythoncan import FrameRecorder  # noqa: PLC0415 - not before it is used
 
             medium = request.getfixturevalue("vcan_bus") if bus is None else bus
             return stack.enter_context(FrameRecorder(stack.enter_context(medium.open())))

@@ -16,8 +16,18 @@ from canlog.arrays import FloatArray
 from canlog.jit import kernel
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.state import Col
-from ecu_emulator.scenario.faults import PhaseCode, Scheduled, SensorFault, SensorFaultKind
-from ecu_emulator.scenario.signals import NOMINAL_SENSORS, STATES, Sensor, Sensors, generator, split_unit
+from ecu_emulator.scenario.faults import (
+    NOMINAL_SENSORS,
+    STATES,
+    PhaseCode,
+    Scheduled,
+    Sensor,
+    SensorFault,
+    SensorFaultKind,
+    Sensors,
+    generator,
+    split_unit,
+)
 
 MS_PER_S: Final = 1000.0
 ScheduledT = TypeVar("ScheduledT", bound=Scheduled)

@@ -22,7 +22,7 @@ from canlog.frames import FrameBatch, join
 from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
 from diag_service.batch.drives import drive_of
-from diag_service.batch.journal import Entry
+from diag_service.batch.tables import Entry
 from diag_service.batch.worker import Analyst
 from diag_service.settings.config import DiagnosisConfig
 from ecu_emulator.bus.frames import EncodedFrames

@@ -29,7 +29,7 @@ from clutch_model.calibration import TorqueSource, nominal_calibration
 from clutch_results.records import FrictionSlope, Status
 from diag_service.diagnosis.friction.posterior import clutch_ratio, scale_free, trend
 from diag_service.mapping.interpretation import interpret
-from diag_service.mapping.survey import proposed_profile
+from diag_service.mapping.learning import proposed_profile
 from diag_service.service.stages import Diagnosis, Stages
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.log_formats.record import open_log

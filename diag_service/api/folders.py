@@ -10,8 +10,7 @@ from diag_service.api.analysis import Analysis, ResultTable
 from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, configuration, optional_path, path_list
 from diag_service.batch.drives import LeftOut
 from diag_service.batch.folder_run import FolderListener, analyse_folders
-from diag_service.batch.journal import Entry
-from diag_service.batch.tables import columns
+from diag_service.batch.tables import Entry, columns
 from diag_service.console import collected_notices
 from diag_service.service.stopping import Trigger
 

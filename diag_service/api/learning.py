@@ -36,7 +36,7 @@ from diag_service.diagnosis.shifts.tracking import NS_PER_S, EventFinder
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.mapping.learning import COMMANDS, LearnedVehicle, VehicleSurvey
-from diag_service.mapping.tiers import missing_for_next
+from diag_service.mapping.mapped_messages import missing_for_next
 from diag_service.mapping.vehicle_file import description_toml
 from diag_service.service.calibrate_run import calibrated, write_calibration
 from diag_service.service.stopping import Trigger

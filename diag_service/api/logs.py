@@ -25,8 +25,8 @@ from clutch_results.records import dump
 from diag_service.api.choices import AnyPath, AnyPaths, optional_path, path_list
 from diag_service.console import collected_notices
 from diag_service.errors import ConfigError
-from diag_service.mapping.databases import open_database
-from diag_service.mapping.survey import proposed_profile
+from diag_service.mapping.interpretation import open_database
+from diag_service.mapping.learning import proposed_profile
 from diag_service.service.stopping import Trigger
 from diag_service.settings.options import DEFAULT_BITRATE
 

@@ -15,8 +15,7 @@ from canlog.errors import NOTICE, SourceError
 from clutch_results.records import dump
 from clutchdiag_io.program import legible, replacement_refusal
 from diag_service.batch.drives import Drive, LeftOut, find_drives, left_out_record
-from diag_service.batch.journal import Entry, Journal
-from diag_service.batch.tables import check_output, write_results
+from diag_service.batch.tables import Entry, Journal, check_output, write_results
 from diag_service.batch.worker import (
     DEADLY,
     analyse_drive,

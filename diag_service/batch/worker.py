@@ -21,7 +21,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, 
 from canlog.errors import SourceError
 from clutch_results.records import ShiftResult, shift_record
 from diag_service.batch.drives import Drive
-from diag_service.batch.journal import Entry
+from diag_service.batch.tables import Entry
 from diag_service.console import collected_notices, set_up_notices
 from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.summary import summary_record, unjudged, with_revisions

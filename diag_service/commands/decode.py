@@ -23,7 +23,7 @@ from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.program import replacement_refusal
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
-from diag_service.mapping.databases import open_database
+from diag_service.mapping.interpretation import open_database
 from diag_service.service.stopping import Controls
 from fleet_contract import JsonObject
 

@@ -19,8 +19,8 @@ from diag_service.api.logs import Inspection, LinkErrors, TableValues, inspect_l
 from diag_service.batch.drives import LeftOut, left_out_record, sorted_out
 from diag_service.console import PeopleConsole, ReadingLine
 from diag_service.errors import StoppedError
-from diag_service.mapping.databases import open_database
-from diag_service.mapping.survey import proposed_profile
+from diag_service.mapping.interpretation import open_database
+from diag_service.mapping.learning import proposed_profile
 from diag_service.service.stopping import Controls
 
 MS_PER_S = 1e3

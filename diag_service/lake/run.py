@@ -26,7 +26,7 @@ from canlog.tables.decoding import Plan, decode_logs
 from clutch_results.records import dump, iso_utc
 from diag_service.batch.drives import drive_of
 from diag_service.batch.folder_run import settings_digest
-from diag_service.batch.journal import Entry
+from diag_service.batch.tables import Entry
 from diag_service.batch.worker import DEADLY, Analyst, handed_out, leave_to_parent, progress_bar, shared_out
 from diag_service.errors import ConfigError, StoppedError, StoreError
 from diag_service.lake.parts import (

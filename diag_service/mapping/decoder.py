@@ -21,9 +21,8 @@ from diag_service.diagnosis.columns import BlockLayout, ColumnBatch, Columns, Ge
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.asked_signals import Overheard
-from diag_service.mapping.mapped_messages import MessageColumns, SourceTable, map_signals
+from diag_service.mapping.mapped_messages import FRICTION_SIGNALS, MessageColumns, SourceTable, map_signals
 from diag_service.mapping.profile import Profile
-from diag_service.mapping.tiers import FRICTION_SIGNALS
 
 _HAS_BAD: Final = 1  # bits of what a pass found
 _HAS_INVALID: Final = 2

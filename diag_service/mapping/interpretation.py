@@ -1,21 +1,24 @@
 """What frames mean: database and profile, as the user named them or as they fit each other."""
 
 import logging
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
 from cantools.database.can import Database
 
-from canlog.database.loading import bus_of
+from canlog.database.loading import bus_of, load_database
 from canlog.database.signal_columns import columns_database
 from canlog.errors import NOTICE
+from canlog.logs import STANDARD_INPUT, table_columns
+from canlog.logs.streams import never
 from clutch_results.records import Tier
+from dbc.contract import DBC_PATH, load_contract
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.errors import ConfigError
-from diag_service.mapping.databases import open_database
 from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.mapped_messages import fitting
+from diag_service.mapping.mapped_messages import fitting, missing_for_next, tier_of
 from diag_service.mapping.profile import (
     PROFILE_FOLDER,
     Profile,
@@ -24,7 +27,29 @@ from diag_service.mapping.profile import (
     load_shipped,
     shipped_profiles,
 )
-from diag_service.mapping.tiers import missing_for_next, tier_of
+
+
+def open_database(
+    path: Path | None,
+    logs: Iterable[Path] = (),
+    *,
+    is_j1939: bool = False,
+    is_stopped: Callable[[], bool] = never,
+    columns: str = "",
+) -> Database:
+    """Return the database of a file, as `load_database` does; without one that of logs which are tables of signals.
+
+    If there are none either, the shipped one, which needs no care.
+
+    Raises DefinitionError, and SourceError if one of the logs cannot be read.
+    """
+    tables = () if path is not None else [one for one in logs if one == STANDARD_INPUT or not one.is_dir()]
+    if named := [one for log in tables for one in table_columns(log, is_stopped=is_stopped, columns=columns)]:
+        return columns_database(named)
+    if path is None or path == DBC_PATH:
+        return load_contract()
+    return load_database(path, is_j1939=is_j1939)
+
 
 MAX_COMPLAINTS = 3  # of a profile that does not fit: enough to see how far off it is
 _LOG = logging.getLogger(__name__)

@@ -29,7 +29,7 @@ from diag_service.diagnosis.shifts.tracking import EventFinder
 from diag_service.diagnosis.summary import Capability
 from diag_service.errors import ConfigError
 from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.tiers import PRESSURES, missing_for_next, tier_of, why_no_friction
+from diag_service.mapping.mapped_messages import PRESSURES, missing_for_next, tier_of, why_no_friction
 from fleet_contract import JsonObject
 
 DRIVE_NS: Final = 3_600_000_000_000  # within an hour of another event nobody has changed the fluid

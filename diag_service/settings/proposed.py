@@ -12,9 +12,9 @@ from canlog.logs import STANDARD_INPUT, table_columns
 from canlog.logs.streams import never
 from clutchdiag_io.program import legible
 from diag_service.mapping.interpretation import Interpretation, interpret
+from diag_service.mapping.learning import proposed_profile
+from diag_service.mapping.mapped_messages import PURPOSE, tier_of
 from diag_service.mapping.profile import Profile, profile_of
-from diag_service.mapping.survey import proposed_profile
-from diag_service.mapping.tiers import PURPOSE, tier_of
 from diag_service.settings.config import DiagnosisConfig, as_profiled
 
 PROPOSED: Final = "proposed"  # what such a profile is called

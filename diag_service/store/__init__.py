@@ -1,8 +1,7 @@
 """The result store: an SQLite file that holds every result, the running state and what has not been delivered yet."""
 
 from diag_service.store.file import APPLICATION_ID, SCHEMA_VERSION, remove_store
-from diag_service.store.fills import note_fill, withdraw_fill
-from diag_service.store.reading import Row, StoreReader, is_store
+from diag_service.store.reading import Row, StoreReader, is_store, note_fill, withdraw_fill
 from diag_service.store.result_store import NoStore, ResultStore, SessionStore, VehicleState, Versions
 
 __all__ = [

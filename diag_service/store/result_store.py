@@ -21,7 +21,7 @@ from clutch_results.records import FluidFill, ShiftResult, StoredResult, dump, s
 from clutchdiag_io.files import keep_private
 from diag_service.errors import StoreError, StoreFullError
 from diag_service.store import file
-from diag_service.store.fills import add_fills, all_fills, latest_fill, read_fills
+from diag_service.store.reading import add_fills, all_fills, latest_fill, read_fills
 from fleet_contract import JsonObject, Outcome, Receipt, ResultKey
 
 _ROWS_AT_ONCE: Final = 16

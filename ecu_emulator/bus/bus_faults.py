@@ -13,8 +13,7 @@ from canlog.e2e.profile1 import COUNTER_PERIOD, CRC_BYTE, PAYLOAD_BYTES, counter
 from canlog.frames import ERROR_FLAG
 from ecu_emulator.bus.frames import EncodedFrames, joined, merge
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.scenario.faults import BusFault, BusFaultKind
-from ecu_emulator.scenario.signals import generator
+from ecu_emulator.scenario.faults import BusFault, BusFaultKind, generator
 from ecu_emulator.sensing import MS_PER_S, Onsets
 
 Rows = npt.NDArray[np.int64]

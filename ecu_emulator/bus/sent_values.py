@@ -19,7 +19,7 @@ from canlog.e2e import profile1
 from canlog.e2e.message_contract import message_contracts
 from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from ecu_emulator.bus.frames import SIGNAL_OF
-from ecu_emulator.scenario.signals import SILENCE
+from ecu_emulator.scenario.faults import SILENCE
 
 OWN_NODE: Final = "TCU"
 TIMEOUT_CYCLES: Final = 5

@@ -10,11 +10,10 @@ from typing import Final, Protocol
 import numpy as np
 
 from canlog.arrays import FloatArray
-from ecu_emulator.driving.trace import SpeedTrace, public_trace
-from ecu_emulator.driving.traffic import CITY, MIXED, MOTORWAY, Range, Traffic, traffic_trace
+from ecu_emulator.driving.traffic import CITY, MIXED, MOTORWAY, Range, SpeedTrace, Traffic, public_trace, traffic_trace
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.drive_names import DriveName
-from ecu_emulator.scenario.signals import generator
+from ecu_emulator.scenario.faults import generator
 
 CITY_TRIP_S: Final = 1200.0
 CITY_GRADE_RATIO: Final = 0.02  # the steepest place

@@ -12,11 +12,18 @@ from ecu_emulator.driving.indices import DriveState
 from ecu_emulator.driving.laws import DrivingLaw, idle_rad_s
 from ecu_emulator.driving.loop import GRID_S, Road, run
 from ecu_emulator.driving.parameters import DrivingParameters, nominal_driving
-from ecu_emulator.driving.trace import SpeedTrace
+from ecu_emulator.driving.traffic import SpeedTrace
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.course import ROWS_PER_S, Course, as_record, check_step, idle_machine
-from ecu_emulator.plant.drive import DriveSettings, FrictionFactors
+from ecu_emulator.plant.course import (
+    ROWS_PER_S,
+    Course,
+    DriveSettings,
+    FrictionFactors,
+    as_record,
+    check_step,
+    idle_machine,
+)
 from ecu_emulator.plant.driveline import ENGAGED, NEUTRAL
 from ecu_emulator.plant.loop import COLUMN_COUNT, Machine
 from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters

@@ -11,9 +11,8 @@ from clutch_model.calibration import overlaid
 from clutch_model.errors import CalibrationError
 from clutch_model.tables import record_from, require
 from ecu_emulator.plant import driveline
-from ecu_emulator.plant.clutch import LiningParameters
+from ecu_emulator.plant.clutch import HydraulicsParameters, LiningParameters
 from ecu_emulator.plant.engine import EngineParameters
-from ecu_emulator.plant.hydraulics import HydraulicsParameters
 from ecu_emulator.shift_control.tcu_data import MOST_GEARS, ControlParameters, WorkshopParameters
 
 _MAY_BE_ZERO = frozenset(

@@ -8,12 +8,17 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, ClutchCalibration
 from clutch_model.pack import applied_pressure_pa, contact_torque_nm, equilibrium_film_m, film_law, friction_law
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.clutch import ClutchLaw, grooved, refresh_contact
-from ecu_emulator.plant.converter import converter_law
-from ecu_emulator.plant.course import ROWS_PER_S, Course, as_record, check_step, idle_machine
-from ecu_emulator.plant.drive import DriveSettings, cycle_table
-from ecu_emulator.plant.driveline import ENGAGED
-from ecu_emulator.plant.hydraulics import cavity_law, closed_volume_m3
+from ecu_emulator.plant.clutch import ClutchLaw, cavity_law, closed_volume_m3, grooved, refresh_contact
+from ecu_emulator.plant.course import (
+    ROWS_PER_S,
+    Course,
+    DriveSettings,
+    as_record,
+    check_step,
+    cycle_table,
+    idle_machine,
+)
+from ecu_emulator.plant.driveline import ENGAGED, converter_law
 from ecu_emulator.plant.loop import COLUMN_COUNT, DriveLaw, Machine, run
 from ecu_emulator.plant.parameters import GearboxParameters, PlantParameters
 from ecu_emulator.plant.rates import ClutchPair, FluidLaw, PlantLaw, ShaftPair

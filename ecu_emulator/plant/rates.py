@@ -7,10 +7,10 @@ from canlog.jit import part
 from clutch_model.pack import clutch_heating_rate_k_s, convected_w, sump_heating_rate_k_s
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import ClutchLaw, capacity_nm, contact_nm, viscous_nm
-from ecu_emulator.plant.converter import ConverterLaw, impeller_torque_nm, torque_ratio
 from ecu_emulator.plant.driveline import (
     ENGAGED,
     SYNCHRONISING,
+    ConverterLaw,
     FlywheelParameters,
     OutputParameters,
     ShaftParameters,
@@ -18,8 +18,10 @@ from ecu_emulator.plant.driveline import (
     VehicleParameters,
     brake_force_n,
     geared_torque_nm,
+    impeller_torque_nm,
     road_load_n,
     synchroniser_torque_nm,
+    torque_ratio,
     twist_torque_nm,
     tyre_force_n,
 )

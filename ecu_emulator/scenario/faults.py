@@ -1,16 +1,116 @@
-"""Faults that a scenario scripts: when each begins and what it does. Records that check their own ranges."""
+"""What is measured with which errors, and the faults that a scenario scripts: records that check their own ranges."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from enum import IntEnum, StrEnum
+from types import MappingProxyType
 from typing import Final
+from zlib import crc32
+
+import numpy as np
 
 from canlog.e2e.profile1 import COUNTER_PERIOD
+from clutch_model.units import m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.scenario.signals import NOMINAL_SENSORS
+
+MAX_DELAY_S: Final = 0.5  # the longest latency or lag a measuring chain may have
+UNITS: Final = ("rad_s", "m_s", "nm", "pa", "ratio", "k", "m")  # longest first: the unit ends a quantity's name
+
+_SPEED_NOISE_RAD_S: Final = float(rad_s_from_rpm(2.0))
+_PRESSURE_NOISE_PA: Final = float(pa_from_bar(0.05))
+_WHEEL_NOISE_M_S: Final = float(m_s_from_km_h(0.05))
+_TORQUE_NOISE_NM: Final = 3.0
+_TEMPERATURE_NOISE_K: Final = 0.3
+_MANIFOLD_NOISE_PA: Final = 500.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensor:
+    """One measuring chain: ``reading(t) = gain * lag(quantity)(t - latency) + offset + noise``.
+
+    ``offset`` and ``noise_std`` are in the unit that ends the quantity's name. Resolution is the wire contract's:
+    readings are rounded where frames are built.
+    """
+
+    gain_ratio: float = 1.0
+    offset: float = 0.0
+    noise_std: float = 0.0  # white and Gaussian
+    latency_s: float = 0.0  # pure delay
+    lag_s: float = 0.0  # time constant of a first-order low-pass, 0: none
+
+    def __post_init__(self) -> None:
+        """Check that the chain can exist: it neither amplifies wildly nor sees the future."""
+        for field in fields(self):
+            if not math.isfinite(getattr(self, field.name)):
+                raise ConfigError(f"{field.name} must be finite")
+        if not 0.1 <= self.gain_ratio <= 10.0:
+            raise ConfigError(f"gain_ratio must be 0.1..10, got {self.gain_ratio}")
+        if self.noise_std < 0.0:
+            raise ConfigError(f"noise_std must be >= 0, got {self.noise_std}")
+        for name in ("latency_s", "lag_s"):
+            if not 0.0 <= getattr(self, name) <= MAX_DELAY_S:
+                raise ConfigError(f"{name} must be 0..{MAX_DELAY_S}, got {getattr(self, name)}")
+
+
+Sensors = Mapping[str, Sensor]
+
+_NOISE_STD: Final = {
+    "engine_speed_rad_s": _SPEED_NOISE_RAD_S,
+    "engine_torque_nm": _TORQUE_NOISE_NM,
+    "pedal_ratio": 0.0,
+    "throttle_ratio": 0.0,
+    "hub_speed_rad_s": _SPEED_NOISE_RAD_S,
+    "input1_speed_rad_s": _SPEED_NOISE_RAD_S,
+    "input2_speed_rad_s": _SPEED_NOISE_RAD_S,
+    "clutch1_pressure_pa": _PRESSURE_NOISE_PA,
+    "clutch2_pressure_pa": _PRESSURE_NOISE_PA,
+    "clutch1_pressure_command_pa": 0.0,
+    "clutch2_pressure_command_pa": 0.0,
+    "turbine_speed_rad_s": _SPEED_NOISE_RAD_S,
+    "lockup_pressure_pa": _PRESSURE_NOISE_PA,
+    "lockup_pressure_command_pa": 0.0,
+    "output_speed_rad_s": _SPEED_NOISE_RAD_S,
+    "clutch1_torque_command_nm": 0.0,
+    "clutch2_torque_command_nm": 0.0,
+    "sump_temperature_k": _TEMPERATURE_NOISE_K,
+    "wheel_fl_speed_m_s": _WHEEL_NOISE_M_S,
+    "wheel_fr_speed_m_s": _WHEEL_NOISE_M_S,
+    "wheel_rl_speed_m_s": _WHEEL_NOISE_M_S,
+    "wheel_rr_speed_m_s": _WHEEL_NOISE_M_S,
+    "vehicle_speed_m_s": _WHEEL_NOISE_M_S,
+    "brake_pressure_pa": _PRESSURE_NOISE_PA,
+    "coolant_temperature_k": _TEMPERATURE_NOISE_K,
+    "ambient_temperature_k": _TEMPERATURE_NOISE_K,
+    "manifold_pressure_pa": _MANIFOLD_NOISE_PA,
+    "odometer_m": 0.0,
+}
+NOMINAL_SENSORS: Final[Sensors] = MappingProxyType(
+    {quantity: Sensor(noise_std=noise_std) for quantity, noise_std in _NOISE_STD.items()}
+)
+STATES: Final = frozenset({
+    "current_gear", "target_gear", "preselected_gear", "shift_phase", "brake_light",
+    "input1_gear", "input2_gear", "drive_state", "engine_state", "lockup_state",
+})  # fmt: skip
+"""Quantities that a controller knows without measuring: they have no sensor errors and are never interpolated."""
+SILENCE: Final = "is_silent_"  # begins the name of what says whether a sender has fallen silent; its node follows
+
+
+def split_unit(quantity: str) -> tuple[str, str]:
+    """Split a quantity into its stem and its unit: ``hub_speed_rad_s`` -> ``("hub_speed", "rad_s")``."""
+    for unit in UNITS:
+        if quantity.endswith(f"_{unit}"):
+            return quantity.removesuffix(f"_{unit}"), unit
+    return quantity, ""
+
+
+def generator(seed: int, name: str) -> np.random.Generator:
+    """Return the random generator of one named purpose; names do not disturb each other, nor does their order."""
+    return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=(crc32(name.encode()),)))
+
 
 MAX_SHIFT: Final = 1_000_000
-MAX_DELAY_S: Final = 10.0  # frames are held in memory that long
+MAX_HOLD_S: Final = 10.0  # frames are held in memory that long
 
 
 class Phase(StrEnum):
@@ -86,7 +186,7 @@ class SensorFault(Scheduled):
 
 
 class CauseKind(StrEnum):
-    """What can be wrong with a transmission for good; what each does: `ecu_emulator.drive.causes`."""
+    """What can be wrong with a transmission for good; what each does: `ecu_emulator.drive.build`."""
 
     AGED_FLUID = "aged-fluid"
     WATER = "water"
@@ -183,8 +283,8 @@ class BusFault(Scheduled):
         if self.kind in _WHOLE and self.share != 1.0:
             raise ConfigError(f"a fault of kind {self.kind} strikes all frames: no share")
         for name in ("delay_s", "jitter_s"):
-            if not 0.0 <= getattr(self, name) <= MAX_DELAY_S:
-                raise ConfigError(f"{name} must be 0..{MAX_DELAY_S:g}, got {getattr(self, name)}")
+            if not 0.0 <= getattr(self, name) <= MAX_HOLD_S:
+                raise ConfigError(f"{name} must be 0..{MAX_HOLD_S:g}, got {getattr(self, name)}")
         if (self.kind is BusFaultKind.DELAY) != (self.delay_s + self.jitter_s > 0.0):
             raise ConfigError("delay_s or jitter_s belong to a fault of kind delay, which needs one of them")
         if (self.kind is BusFaultKind.SKIPPING_COUNTER) != (self.skip != 0) or not 0 <= self.skip < COUNTER_PERIOD:

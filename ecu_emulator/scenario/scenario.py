@@ -10,8 +10,7 @@ from typing import ClassVar, Final, TypeVar
 from clutch_model.calibration import CONVERTERS, SHIPPED, nominal_calibration
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.scenario.drive_names import DriveName
-from ecu_emulator.scenario.faults import BusFault, Cause, SensorFault
-from ecu_emulator.scenario.signals import NOMINAL_SENSORS, Sensors
+from ecu_emulator.scenario.faults import NOMINAL_SENSORS, BusFault, Cause, SensorFault, Sensors
 
 Overrides = Mapping[str, object]  # dotted key -> TOML value
 RangedT = TypeVar("RangedT", int, float)

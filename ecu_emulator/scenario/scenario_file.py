@@ -10,9 +10,8 @@ from typing import Final
 from canlog.files import read_small_file
 from clutch_model.tables import record_from
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.scenario.faults import BusFault, SensorFault
+from ecu_emulator.scenario.faults import NOMINAL_SENSORS, BusFault, Sensor, SensorFault, Sensors, split_unit
 from ecu_emulator.scenario.scenario import Scatter, Scenario, Truth, production_scatter
-from ecu_emulator.scenario.signals import NOMINAL_SENSORS, Sensor, Sensors, split_unit
 
 _SHIPPED: Final = files("ecu_emulator").joinpath("scenarios")
 

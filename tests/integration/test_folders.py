@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from diag_service.batch.journal import Entry
-from diag_service.batch.tables import write_results
+from diag_service.batch.tables import Entry, write_results
 from tests.plugins.drives import SHIFT_COUNT
 from tests.support.folders import fill_folder, kill_and_resume
 from tests.support.in_process import ended as run

@@ -10,7 +10,7 @@ import pytest
 
 import diag_service
 from clutch_model.calibration import nominal_calibration
-from diag_service.mapping.survey import proposed_profile
+from diag_service.mapping.learning import proposed_profile
 from diag_service.mapping.vehicle_file import read_description
 from ecu_emulator.cli import main as emulator
 from ecu_emulator.plant.parameters import plant_table

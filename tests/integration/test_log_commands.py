@@ -8,8 +8,8 @@ import pytest
 from diag_service.commands import decode, inspect
 from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.diagnosis.columns import Signal
+from diag_service.mapping.mapped_messages import tier_of
 from diag_service.mapping.profile import load_profile
-from diag_service.mapping.tiers import tier_of
 from diag_service.service.stopping import Controls
 
 FRAME_COUNT = 1000

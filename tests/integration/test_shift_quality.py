@@ -14,7 +14,7 @@ from clutch_model.calibration import clutch_of_gear
 from clutch_results.records import ShiftEstimate, ShiftQuality
 from clutch_results.shift_course import course_lines, courses
 from diag_service import analyze
-from diag_service.mapping.survey import proposed_profile
+from diag_service.mapping.learning import proposed_profile
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.cli import main as emulator
 from ecu_emulator.drive.build import build_vehicle, drive_settings

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canlog.arrays import FloatArray
-from ecu_emulator.scenario.signals import NOMINAL_SENSORS, Sensors
+from ecu_emulator.scenario.faults import NOMINAL_SENSORS, Sensors
 from ecu_emulator.sensing import QUANTITIES, Installation, Readings, Schedule, SensorSuite
 from ecu_emulator.shift_control.tcu_data import CLOSED_REVS, OPEN_REVS
 from ecu_emulator.truth import RevWatcher, ShiftWatcher

@@ -14,8 +14,8 @@ from clutch_results.records import ShiftEstimate
 from dbc.contract import load_contract
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.interpretation import interpret
+from diag_service.mapping.learning import proposed_profile
 from diag_service.mapping.profile import load_profile
-from diag_service.mapping.survey import proposed_profile
 from diag_service.service.stages import Stages
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.drive.recording import Drive

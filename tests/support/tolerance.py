@@ -12,7 +12,7 @@ import numpy.typing as npt
 from canlog.arrays import FloatArray
 from clutch_model.errors import DomainError
 from clutch_model.units import m_s_from_km_h
-from ecu_emulator.driving.trace import SpeedTrace
+from ecu_emulator.driving.traffic import SpeedTrace
 
 SPEED_TOLERANCE_M_S: Final = float(m_s_from_km_h(2.0))
 TIME_TOLERANCE_S: Final = 1.0

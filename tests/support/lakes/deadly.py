@@ -9,7 +9,7 @@ import sys
 
 import diag_service.cli
 from diag_service.batch.drives import Drive
-from diag_service.batch.journal import Entry
+from diag_service.batch.tables import Entry
 from diag_service.batch.worker import Analyst
 from diag_service.service.stopping import Trigger
 

@@ -1,6 +1,6 @@
 """Live buses: received without waiting, supervised, in bus time."""
 
-from canlog.live.factory import BusOpener
+from canlog.live.opening import BusOpener
 from canlog.live.sources import FrameSource, LinkBreak, LiveSource, ReadSchedule, Silence, SourceCounts
 from canlog.live.supervisor import BusState, BusStatus, SupervisedSource, supervise
 

@@ -1,10 +1,15 @@
-"""The bus that a user names: python-can's, but multicast UDP that keeps to this machine unless told otherwise."""
+"""The bus that a user names: which it is, by command line, environment and can.conf, and how it is opened.
 
+It is python-can's, but multicast UDP that keeps to this machine unless told otherwise.
+"""
+
+import asyncio
 import select
 import socket
 import struct
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, Final
@@ -12,7 +17,10 @@ from typing import Any, Final
 import can
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
-from canlog.live.raw_socket import SO_TIMESTAMPNS, grow_receive_buffer
+from canlog.errors import SourceError
+from canlog.live.raw_socket import SO_TIMESTAMPNS, Seen, grow_receive_buffer, index_of, present_name, restart_controller
+from canlog.live.socketcan import SocketCanSource
+from canlog.live.sources import FrameSource, ReadSchedule
 
 UDP_MULTICAST: Final = "udp_multicast"
 DEFAULT_GROUP: Final = "ff15:7079:7468:6f6e:6465:6d6f:6d63:6173"  # group and port are python-can's own
@@ -223,3 +231,109 @@ def _time_s(ancillary: list[tuple[int, int, bytes]]) -> float:
             seconds, nanoseconds = TIMESPEC.unpack(content)
             return float(seconds + nanoseconds / NS_PER_S)
     return time.time()
+
+
+SOCKETCAN = "socketcan"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusSettings:
+    """A bus, fully named."""
+
+    interface: str
+    channel: str | None
+    bitrate: int | None
+    fd: bool
+
+    @property
+    def description(self) -> str:
+        """Interface and channel, for people."""
+        return f"{self.interface} {self.channel}" if self.channel is not None else self.interface
+
+
+class BusOpener:
+    """Opens one bus, again and again.
+
+    Interface, channel, bit rate and ``fd`` are as python-can names them; what is not given comes from
+    ``CAN_INTERFACE``, ``CAN_CHANNEL`` and ``CAN_BITRATE``, then from ``can.conf``. Filters, identifiers with masks, and
+    schedule are for SocketCAN; other interfaces give everything at once.
+    """
+
+    def __init__(
+        self,
+        interface: str | None = None,
+        channel: str | None = None,
+        bitrate: int | None = None,
+        *,
+        fd: bool = False,
+        filters: Sequence[tuple[int, int]] = (),
+        schedule: ReadSchedule | None = None,
+    ) -> None:
+        self._schedule = schedule
+        self._given = (interface, channel, bitrate, fd)
+        self._filters = filters
+        self._settings: BusSettings | None = None
+        self._last: Seen | None = None  # a SocketCAN interface, to find it under another name
+
+    async def open(self) -> FrameSource:
+        """Open the bus; when this returns, it receives.
+
+        Raises
+        ------
+        SourceError
+            If the bus is not named completely or cannot be opened.
+        """
+        if self._settings is None:
+            # python-can takes up to a second to import, and a driver may take as long to open: neither stops the loop.
+            interface, channel, bitrate, fd = self._given
+            self._settings = await asyncio.to_thread(complete_settings, interface, channel, bitrate, fd=fd)
+        settings = self._settings
+        if settings.interface != SOCKETCAN:
+            from canlog.live import pythoncan  # noqa: PLC0415 - heavy, and not needed for SocketCAN
+
+            bus = await asyncio.to_thread(
+                pythoncan.open_bus, settings.interface, settings.channel, settings.bitrate, fd=settings.fd
+            )
+            return pythoncan.PythonCanSource(bus, settings.description)
+        if not settings.channel:
+            raise SourceError("no CAN channel given: name the interface, for example -i socketcan -c vcan0")
+        name = present_name(settings.channel, self._last)
+        source = SocketCanSource(name, fd=settings.fd, filters=self._filters, schedule=self._schedule)
+        self._last = Seen(name=name, index=index_of(name))
+        return source
+
+    async def restart(self) -> str | None:
+        """Ask the controller to leave bus-off; return why that cannot be, None if it was accepted."""
+        settings = self._settings
+        if settings is None or settings.interface != SOCKETCAN or settings.channel is None:
+            return "only SocketCAN offers it"
+        return await asyncio.to_thread(restart_controller, present_name(settings.channel, self._last))
+
+
+def complete_settings(interface: str | None, channel: str | None, bitrate: int | None, *, fd: bool) -> BusSettings:
+    """Return the settings with what the user left out taken from environment and configuration files.
+
+    Raises SourceError if no interface is named anywhere, or one that python-can does not know.
+    """
+    if interface == SOCKETCAN and channel is not None:
+        return BusSettings(interface=interface, channel=channel, bitrate=bitrate, fd=fd)
+    import can  # noqa: PLC0415 - heavy, and not needed for a SocketCAN interface named in full
+
+    given = {"interface": interface, "channel": channel, "bitrate": bitrate}
+    try:
+        found = can.util.load_config(config={key: value for key, value in given.items() if value is not None})
+    except can.CanInterfaceNotImplementedError as exc:
+        hint = "-i INTERFACE -c CHANNEL, CAN_INTERFACE and CAN_CHANNEL, or ~/can.conf"
+        if interface is None:
+            raise SourceError(f"no usable CAN interface given: use {hint} ({exc})") from exc
+        known = ", ".join(sorted(can.VALID_INTERFACES))
+        raise SourceError(f"unknown CAN interface {interface!r}: choose one of {known}") from exc
+    except (OSError, ValueError, TypeError) as exc:
+        raise SourceError(f"the configuration of python-can cannot be used: {exc}") from exc
+    name, rate = found.get("channel"), found.get("bitrate")
+    return BusSettings(
+        interface=str(found["interface"]),
+        channel=None if name is None else str(name),
+        bitrate=None if rate is None else int(rate),
+        fd=fd or bool(found.get("fd")),
+    )

@@ -16,8 +16,8 @@ from canlog.logs.blf import MAGIC as BLF_MAGIC
 from canlog.logs.candump import CandumpLog
 from canlog.logs.captures import CAPTURE_MAGICS, capture_of
 from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, is_list, is_traffic, programs, proposed
-from canlog.logs.columns.headed import CLX000_HEADER, Busmaster, Clx000, Trc
 from canlog.logs.columns.log import TableLog
+from canlog.logs.columns.programs import CLX000_HEADER, Busmaster, Clx000, Trc
 from canlog.logs.console import ConsoleLog
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.signal_tables import LEAST_ROWS, table_header

@@ -36,8 +36,7 @@ from canlog.frames import (
 )
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.merging import merged_by_time
-from canlog.logs.mf4_blocks import UNFINISHED_MAGIC
-from canlog.logs.mf4_channels import Untyped, channel_batches, measured_channels, one_each
+from canlog.logs.mf4_channels import UNFINISHED_MAGIC, Untyped, channel_batches, measured_channels, one_each
 from canlog.logs.text_kernels import IS_LENGTH
 
 Records = npt.NDArray[np.void]  # one row per frame, fields named "CAN_DataFrame.ID" and so on

@@ -9,8 +9,7 @@ import pytest
 from canlog.errors import SourceError
 from clutch_results.records import shift_record
 from diag_service.batch.drives import drive_of, find_drives
-from diag_service.batch.journal import Entry, Journal
-from diag_service.batch.tables import columns, flattened, write_results
+from diag_service.batch.tables import Entry, Journal, columns, flattened, write_results
 from diag_service.errors import ConfigError, StoreError
 from tests.support.builders import rejected, shift_result
 

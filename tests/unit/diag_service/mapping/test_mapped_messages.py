@@ -11,9 +11,8 @@ from canlog.decode.signals import InvalidCounts, PayloadWords
 from clutch_results.records import Tier
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError
-from diag_service.mapping.mapped_messages import compile_source, find_message, signal_name
+from diag_service.mapping.mapped_messages import compile_source, find_message, missing_for_next, signal_name, tier_of
 from diag_service.mapping.profile import PROFILE_FOLDER, SignalSource, load_shipped
-from diag_service.mapping.tiers import missing_for_next, tier_of
 
 TEXT = """VERSION ""
 BU_: A

@@ -7,14 +7,12 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from ecu_emulator.commands import DriveOptions, choose_scenario
-from ecu_emulator.drive.build import BuiltVehicle, build_vehicle, drive_truth
-from ecu_emulator.drive.causes import PER_STRENGTH
+from ecu_emulator.drive.build import PER_STRENGTH, BuiltVehicle, build_vehicle, drive_truth
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.plant.parameters import nominal_parameters
-from ecu_emulator.scenario.faults import Cause, CauseKind
+from ecu_emulator.scenario.faults import NOMINAL_SENSORS, Cause, CauseKind
 from ecu_emulator.scenario.scenario import Truth, production_scatter
 from ecu_emulator.scenario.scenario_file import load_scenario
-from ecu_emulator.scenario.signals import NOMINAL_SENSORS
 from tests.support.builders import drive_scenario
 
 

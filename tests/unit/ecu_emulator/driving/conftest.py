@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray
-from ecu_emulator.driving.trace import SpeedTrace
+from ecu_emulator.driving.traffic import SpeedTrace
 from tests.unit.ecu_emulator.driving.drives import COLD_K, driven, trace
 
 TOWN = trace((0, 0), (4, 0), (14, 13), (24, 14), (32, 4), (36, 9), (44, 0), (50, 0))

@@ -6,7 +6,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from ecu_emulator.driving.indices import EventKind
-from ecu_emulator.driving.trace import SpeedTrace
+from ecu_emulator.driving.traffic import SpeedTrace
 from ecu_emulator.driving.trip import Car, DriveConditions, Trip
 from ecu_emulator.plant.state import Col
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray
-from ecu_emulator.driving.trace import SpeedTrace
+from ecu_emulator.driving.traffic import SpeedTrace
 from ecu_emulator.errors import ConfigError
 
 

@@ -5,7 +5,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from ecu_emulator.driving.trace import SpeedTrace
 from ecu_emulator.driving.traffic import (
     CITY,
     MAX_ACCELERATION_M_S2,
@@ -14,6 +13,7 @@ from ecu_emulator.driving.traffic import (
     MIXED,
     MOTORWAY,
     PERIOD_S,
+    SpeedTrace,
     Traffic,
     traffic_trace,
 )

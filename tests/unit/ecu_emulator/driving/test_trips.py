@@ -16,7 +16,7 @@ from ecu_emulator.driving.journey import (
     trips,
 )
 from ecu_emulator.driving.parameters import nominal_driving
-from ecu_emulator.driving.trace import SpeedTrace, public_trace
+from ecu_emulator.driving.traffic import SpeedTrace, public_trace
 from ecu_emulator.driving.trip import DriveConditions, Trip
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.state import Col

@@ -4,7 +4,7 @@ import pytest
 from canlog.arrays import FloatArray
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant.state import Col
-from ecu_emulator.scenario.signals import NOMINAL_SENSORS, Sensor, Sensors
+from ecu_emulator.scenario.faults import NOMINAL_SENSORS, Sensor, Sensors
 from ecu_emulator.sensing import (
     BRAKE_PA_PER_M_S2,
     MEASURABLE,

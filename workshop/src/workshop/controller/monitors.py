@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from clutch_model.calibration import clutch_of_gear
-from ecu_emulator.scenario.signals import SILENCE
+from ecu_emulator.scenario.faults import SILENCE
 from workshop.controller.clutches import Pack, heated_k, packs_of
 from workshop.controller.descriptions import Values
 from workshop.controller.memory import TestResult

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final, Self
 import can
 
 from canlog.files import check_plain_file
-from canlog.live.factory import complete_settings
+from canlog.live.opening import complete_settings
 from canlog.live.pythoncan import one_line, open_bus
 from diag_service.errors import ConfigError, ControllerError, StoppedError
 from diag_service.settings.config import BusConfig
@@ -224,8 +224,11 @@ def dialogue_over_ip(
     ExtraMissingError
         If doipclient is not installed.
     """
-    from workshop.tester.dialogue import Dialogue  # noqa: PLC0415 - libraries of an extra
-    from workshop.tester.doip_link import DoipNode, connector  # noqa: PLC0415 - likewise
+    from workshop.tester.dialogue import (  # noqa: PLC0415 - likewise
+        Dialogue,
+        DoipNode,
+        connector,
+    )
 
     try:
         context = None if place.authority is None else _tls_context(place.authority)

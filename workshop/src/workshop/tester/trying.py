@@ -30,11 +30,9 @@ from diag_service.console import PeopleConsole
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError, ControllerError
 from diag_service.mapping.asked_signals import NEGATIVE, data_in, sizes_of
-from diag_service.mapping.databases import open_database
-from diag_service.mapping.interpretation import fit_of
-from diag_service.mapping.mapped_messages import fitting
+from diag_service.mapping.interpretation import fit_of, open_database
+from diag_service.mapping.mapped_messages import PURPOSE, fitting, missing_for_next, tier_of
 from diag_service.mapping.profile import AskingRules, Profile, find_profile, load_shipped, shipped_profiles, to_si
-from diag_service.mapping.tiers import PURPOSE, missing_for_next, tier_of
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import BusConfig
 from diag_service.settings.options import PROGRAM
