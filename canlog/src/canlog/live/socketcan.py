@@ -1,17 +1,15 @@
-"""Live frames from SocketCAN, many with a system call, by a path that neither hangs nor loses frames in silence."""
+"""Live frames from SocketCAN, by a path that neither hangs nor loses frames in silence."""
 
 import asyncio
-import ctypes
 import errno
-import os
 import socket
+import struct
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from canlog.arrays import Int64Array, UInt8Array, UInt32Array
 from canlog.frames import (
     BRS_FLAG,
     ESI_FLAG,
@@ -20,8 +18,8 @@ from canlog.frames import (
     NS_PER_US,
     PAYLOAD_BYTES,
     FrameBatch,
+    clear_padding,
 )
-from canlog.jit import kernel
 from canlog.live.bus_clock import BusClock, clock_alarm
 from canlog.live.raw_socket import (
     RECEIVE_BUFFER_BYTES,
@@ -37,90 +35,28 @@ from canlog.live.sources import RELAXED_S, SILENCE_S, URGENT_S, FrameQueue, Read
 if TYPE_CHECKING:
     from canlog.errors import SourceError
 
-SLOTS = 512  # frames per call
+SLOTS = 512  # frames that are read at once
 CLASSIC_BYTES = 16  # struct can_frame
 FD_BYTES = 72  # struct canfd_frame
-CONTROL_BYTES = 64  # one time stamp takes 32
+STAMP = struct.Struct("qq")  # seconds, nanoseconds
 NS_PER_S = 1_000_000_000
-
-_CONTROL_WORDS = CONTROL_BYTES // 8  # length, level and type, seconds, nanoseconds
-_STAMP = socket.SOL_SOCKET | SO_TIMESTAMPNS << 32  # level and type of a control message as one word
-
-
-class _IoVector(ctypes.Structure):
-    _fields_ = (("base", ctypes.c_void_p), ("length", ctypes.c_size_t))
-
-
-class _MessageHeader(ctypes.Structure):
-    _fields_ = (
-        ("name", ctypes.c_void_p),
-        ("name_length", ctypes.c_uint32),
-        ("vectors", ctypes.POINTER(_IoVector)),
-        ("vector_count", ctypes.c_size_t),
-        ("control", ctypes.c_void_p),
-        ("control_length", ctypes.c_size_t),
-        ("flags", ctypes.c_int),
-    )
-
-
-class _Message(ctypes.Structure):
-    _fields_ = (("header", _MessageHeader), ("received", ctypes.c_uint32))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reception:
-    """What one call brought: frames as columns, and how many there were that are neither CAN nor CAN FD."""
+    """What one reading brought: frames as columns, and how many there were that are neither CAN nor CAN FD."""
 
     batch: FrameBatch
     read: int  # all of them
     unsupported: int
 
 
-class Slots(NamedTuple):
-    """What the kernel filled in, one row per frame."""
-
-    frames: UInt8Array  # (slots, 72)
-    can_id: UInt32Array  # (slots,) the first bytes of those
-    control: Int64Array  # (slots, 8)
-    size: UInt32Array  # (slots,)
-    control_length: Int64Array  # (slots,)
-
-
-class SlotColumns(NamedTuple):
-    """The same as columns, with room for all rows."""
-
-    t_ns: Int64Array
-    can_id: UInt32Array
-    length: UInt8Array
-    flags: UInt8Array
-    data: UInt8Array
-
-
 class FrameReceiver:
-    """Preallocated slots that ``receive`` fills from a non-blocking raw CAN socket with SO_TIMESTAMPNS switched on."""
+    """Reads a non-blocking raw CAN socket with SO_TIMESTAMPNS switched on."""
 
-    def __init__(self, file_descriptor: int) -> None:
-        self._vectors = (_IoVector * SLOTS)()
-        self._messages = (_Message * SLOTS)()
-        headers = np.frombuffer(memoryview(self._messages).cast("B"), np.uint8).reshape(SLOTS, ctypes.sizeof(_Message))
-        frames = np.zeros((SLOTS, FD_BYTES), np.uint8)
-        self._slots = Slots(
-            frames=frames,
-            can_id=frames.view(np.uint32)[:, 0],
-            control=np.zeros((SLOTS, _CONTROL_WORDS), np.int64),
-            size=headers[:, _Message.received.offset :][:, :4].view(np.uint32)[:, 0],
-            control_length=headers[:, _MessageHeader.control_length.offset :][:, :8].view(np.int64)[:, 0],
-        )
-        self._slots.control_length[:] = CONTROL_BYTES
-        for slot in range(SLOTS):
-            self._vectors[slot] = _IoVector(self._slots.frames.ctypes.data + slot * FD_BYTES, FD_BYTES)
-            header = self._messages[slot].header
-            header.vectors = ctypes.pointer(self._vectors[slot])
-            header.vector_count = 1
-            header.control = self._slots.control.ctypes.data + slot * CONTROL_BYTES
-        self._call = ctypes.CDLL(None, use_errno=True).recvmmsg
-        self._arguments = (file_descriptor, ctypes.byref(self._messages), SLOTS, socket.MSG_DONTWAIT, None)
-        self._reception(0)  # compiles now: the first frames must not wait for the compiler
+    def __init__(self, raw: socket.socket) -> None:
+        self._receive = raw.recvmsg
+        self._failure: OSError | None = None
 
     def receive(self) -> Reception:
         """Return what is waiting, at most ``SLOTS`` frames.
@@ -131,71 +67,51 @@ class FrameReceiver:
             As the kernel reports it, once all frames before the failure were returned or are still to be returned;
             also if a frame has no time.
         """
-        while (count := self._call(*self._arguments)) < 0:
-            number = ctypes.get_errno()
-            if number == errno.EINTR:
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+        packets, stamps = list[bytes](), list[tuple[int, int]]()
+        read = 0
+        while read < SLOTS:
+            try:
+                packet, control, _, _ = self._receive(FD_BYTES, socket.CMSG_SPACE(STAMP.size))
+            except BlockingIOError:
+                break
+            except OSError as exc:
+                if not read:
+                    raise
+                self._failure = exc
+                break
+            read += 1
+            if len(packet) not in {CLASSIC_BYTES, FD_BYTES}:
                 continue
-            if number == errno.EAGAIN:
-                return self._reception(0)
-            raise OSError(number, os.strerror(number))
-        return self._reception(count)
-
-    def _reception(self, count: int) -> Reception:
-        columns = SlotColumns(
-            t_ns=np.empty(count, np.int64),
-            can_id=np.empty(count, np.uint32),
-            length=np.empty(count, np.uint8),
-            flags=np.empty(count, np.uint8),
-            data=np.zeros((count, FD_PAYLOAD_BYTES if has_fd(self._slots.size, count) else PAYLOAD_BYTES), np.uint8),
-        )
-        known = read_slots(self._slots, count, columns)
-        if known < 0:
-            raise OSError(errno.EPROTO, "the kernel delivered a frame without its time")
-        batch = FrameBatch(**columns._asdict(), channel=np.zeros(count, np.uint8))
-        return Reception(batch=batch if known == count else batch[:known], read=count, unsupported=count - known)
+            stamp = next((data for _, kind, data in control if kind == SO_TIMESTAMPNS), None)
+            if stamp is None:
+                raise OSError(errno.EPROTO, "the kernel delivered a frame without its time")
+            packets.append(packet)
+            stamps.append(STAMP.unpack(stamp))
+        return Reception(batch=columns_of(packets, stamps), read=read, unsupported=read - len(packets))
 
 
-@kernel
-def has_fd(size: UInt32Array, count: int) -> bool:
-    """Return whether one of the frames is a CAN FD frame."""
-    fd_count = 0
-    for row in range(count):
-        fd_count += size[row] == FD_BYTES
-    return fd_count > 0
+def columns_of(packets: Sequence[bytes], stamps: Sequence[tuple[int, int]]) -> FrameBatch:
+    """Return frames as the kernel lays them out, and their times, as columns.
 
-
-@kernel
-def read_slots(slots: Slots, count: int, columns: SlotColumns) -> int:
-    """Fill in the columns of the frames that are CAN or CAN FD; return how many are, -1 if one has no time.
-
-    The slots are made ready for the next call: the kernel changes the lengths that it is given, and no stamp of these
-    frames may pass for one of later frames.
+    Times are whole microseconds, cut as candump cuts them: a live stream and its recording have identical times.
     """
-    known = 0
-    has_times = True
-    for row in range(count):
-        has_time = slots.control[row, 1] == _STAMP
-        slots.control[row, 1] = 0
-        slots.control_length[row] = CONTROL_BYTES
-        is_fd = slots.size[row] == FD_BYTES
-        if not is_fd and slots.size[row] != CLASSIC_BYTES:
-            continue
-        if not has_time:
-            has_times = False
-            continue
-        frame = slots.frames[row]
-        # Whole microseconds, cut as candump cuts them: a live stream and its recording have identical times.
-        micros = slots.control[row, 3] // NS_PER_US
-        columns.t_ns[known] = slots.control[row, 2] * NS_PER_S + micros * NS_PER_US
-        columns.can_id[known] = slots.can_id[row]
-        length = min(frame[4], FD_PAYLOAD_BYTES if is_fd else PAYLOAD_BYTES)
-        columns.length[known] = length
-        # The byte of the flags is padding in a classic frame; past its length a sender may leave anything.
-        columns.flags[known] = (frame[5] & (BRS_FLAG | ESI_FLAG)) | FD_FLAG if is_fd else 0
-        for place in range(length):
-            columns.data[known, place] = frame[8 + place]
-        known += 1
-    return known if has_times else -1
+    is_fd = np.array([len(packet) == FD_BYTES for packet in packets], np.bool_)
+    raw = np.frombuffer(b"".join(packet.ljust(FD_BYTES, b"\0") for packet in packets), np.uint8).reshape(-1, FD_BYTES)
+    times = np.array(stamps, np.int64).reshape(-1, 2)
+    width = FD_PAYLOAD_BYTES if is_fd.any() else PAYLOAD_BYTES
+    length = np.minimum(raw[:, 4], np.where(is_fd, FD_PAYLOAD_BYTES, PAYLOAD_BYTES).astype(np.uint8))
+    return FrameBatch(
+        t_ns=times[:, 0] * NS_PER_S + times[:, 1] // NS_PER_US * NS_PER_US,
+        can_id=raw[:, :4].copy().view(np.uint32)[:, 0],
+        length=length,
+        # The byte of the flags is padding in a classic frame.
+        flags=np.where(is_fd, raw[:, 5] & (BRS_FLAG | ESI_FLAG) | FD_FLAG, 0).astype(np.uint8),
+        channel=np.zeros(len(packets), np.uint8),
+        data=clear_padding(raw[:, 8 : 8 + width], length),
+    )
 
 
 CALLS_PER_WAKE_UP = 8  # 4096 frames, then the rest of the service gets its turn
@@ -245,7 +161,7 @@ class SocketCanSource:
         self._socket: socket.socket | None = open_socket(
             channel, fd=fd, filters=filters, receive_buffer_bytes=receive_buffer_bytes
         )
-        self._receiver = FrameReceiver(self._socket.fileno())
+        self._receiver = FrameReceiver(self._socket)
         self._granted = granted_share(self._socket)
         self._clock = BusClock()
         self._schedule = schedule or ReadSchedule()
