@@ -19,7 +19,7 @@ from ecu_emulator.bus.sender import open_bus
 from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_scenario, save_dbc, write_log
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live.live_drive import AnswersTesters, BusChoice, SentTruth, answering_of, send
+from ecu_emulator.live import AnswersTesters, BusChoice, SentTruth, answering_of, send
 from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFormat
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.faults import BusFault, SensorFault

@@ -57,8 +57,7 @@ def _execute(options: SimpleNamespace, stop: _Stop) -> bool:
     """Run a command; return whether it did all of what it was to do."""
     with _without("asammdf"):  # python-can loads it where it is installed, and that pandas: 0.3 s for nothing
         from canlog.jit import announce_compiling, on_compiling  # noqa: PLC0415 - heavy; signals are in hand before
-        from ecu_emulator import commands  # noqa: PLC0415 - likewise
-        from ecu_emulator.live import live_drive as live  # noqa: PLC0415 - likewise
+        from ecu_emulator import commands, live  # noqa: PLC0415 - likewise
 
     silence = announce_compiling(lambda line: sys.stderr.write(f"{PROGRAM}: {line}\n"))
     unheed = on_compiling(stop.check)

@@ -13,8 +13,7 @@ from clutch_results.records import dump
 from diag_service.api.choices import diagnosis_config
 from diag_service.batch.worker import job_count
 from diag_service.errors import ConfigError, IncompleteError, StoreError
-from diag_service.lake.parts import Manifest, disagreement, forget, mend, parts_of
-from diag_service.lake.places import UNFINISHED, Place
+from diag_service.lake.parts import UNFINISHED, Manifest, Place, disagreement, forget, mend, parts_of
 from diag_service.lake.run import Job, fill_lake, find_logs, trusted_scheduler
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import check_vehicle

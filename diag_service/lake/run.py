@@ -35,15 +35,16 @@ from diag_service.lake.parts import (
     FAILED,
     SHIFTS,
     SIGNALS,
+    Held,
     LogRow,
     Manifest,
+    Place,
     content_digest,
     first_date,
     part_name,
     signal_plan,
     write_shifts,
 )
-from diag_service.lake.places import Held, Place
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.service.session import versions_for
 from diag_service.service.stopping import Trigger

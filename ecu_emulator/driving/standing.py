@@ -9,6 +9,7 @@ from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.indices import DriveState, EngineState, EventKind
 from ecu_emulator.driving.laws import (
     DrivingLaw,
+    LaunchParameters,
     begin_event,
     end_event,
     enter_state,
@@ -16,7 +17,6 @@ from ecu_emulator.driving.laws import (
     idle_rad_s,
     shift_shaft,
 )
-from ecu_emulator.driving.parameters import LaunchParameters
 from ecu_emulator.plant.driveline import GRAVITY_M_S2
 from ecu_emulator.shift_control import tcu, tcu_data
 

@@ -9,9 +9,8 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
 from ecu_emulator.driving import indices
 from ecu_emulator.driving.indices import DriveState
-from ecu_emulator.driving.laws import DrivingLaw, idle_rad_s
+from ecu_emulator.driving.laws import DrivingLaw, DrivingParameters, idle_rad_s, nominal_driving
 from ecu_emulator.driving.loop import GRID_S, Road, run
-from ecu_emulator.driving.parameters import DrivingParameters, nominal_driving
 from ecu_emulator.driving.traffic import SpeedTrace
 from ecu_emulator.errors import ConfigError
 from ecu_emulator.plant import state as at

@@ -11,7 +11,7 @@ import pytest
 
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError
-from ecu_emulator.live.live_drive import ControlSocket
+from ecu_emulator.live import ControlSocket
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind, SensorFault, SensorFaultKind
 from tests.support.builders import drive_scenario
 from tests.support.patience import HANG_S

@@ -19,8 +19,7 @@ from clutch_model.calibration import nominal_calibration
 from diag_service.commands import analyze, lake
 from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import IncompleteError, StoreError
-from diag_service.lake.parts import DONE, FAILED, Disagreement, LogRow, Manifest, disagreement
-from diag_service.lake.places import Place
+from diag_service.lake.parts import DONE, FAILED, Disagreement, LogRow, Manifest, Place, disagreement
 from diag_service.lake.run import Job, LakeLog, Maker, find_logs, to_do
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import DiagnosisConfig

@@ -14,7 +14,7 @@ import can
 import pytest
 
 from canlog.live.opening import MulticastBus
-from ecu_emulator.live.live_drive import WORTH_SAYING, OtherSenders
+from ecu_emulator.live import WORTH_SAYING, OtherSenders
 from tests.support.patience import HANG_S
 from tests.support.replay import UdpBus, free_bus
 from tests.support.service import service

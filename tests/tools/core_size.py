@@ -15,7 +15,7 @@ from tests.support.distributions import PACKAGES
 CORE: Mapping[str, tuple[str, ...]] = {
     "service": ("diag_service.service.application", "diag_service.service.bus_run", "diag_service.service.recorded"),
     "logs": ("canlog.whole_log",),
-    "emulator": ("ecu_emulator.live.live_drive",),
+    "emulator": ("ecu_emulator.live",),
     "ingest": ("fleet_backend.ingest",),
 }
 ANNEXES = ("workshop", "fleet_backend.office", "fleet_backend.page", "fleet_backend.alarms")

@@ -9,7 +9,7 @@ from typing import Any, Final
 import tomli_w
 
 from workshop.controller.descriptions import Coding, Datum, ExtendedRecord, Field, not_available
-from workshop.controller.services.routines import COMPLETED, RUNNING, STOPPED
+from workshop.controller.services.sessions import COMPLETED, RUNNING, STOPPED
 from workshop.controller.table import DiagnosticTable, shipped_table
 
 FILE: Final = Path(__file__).parents[2] / "workshop/src/workshop/tester/controllers/dct.toml"

@@ -24,8 +24,7 @@ from workshop.controller.memory import TestResult
 from workshop.controller.pdx.elements import UNDEFINED
 from workshop.controller.pdx.package import pdx_package
 from workshop.controller.server import advance, answer, switched_on, tested
-from workshop.controller.services.routines import finished
-from workshop.controller.services.sessions import key_of
+from workshop.controller.services.sessions import finished, key_of
 from workshop.controller.state import Instant, Request, ServerState
 from workshop.controller.table import DiagnosticTable
 

@@ -15,7 +15,7 @@ from ecu_emulator.driving.journey import (
     cooled_k,
     trips,
 )
-from ecu_emulator.driving.parameters import nominal_driving
+from ecu_emulator.driving.laws import nominal_driving
 from ecu_emulator.driving.traffic import SpeedTrace, public_trace
 from ecu_emulator.driving.trip import DriveConditions, Trip
 from ecu_emulator.errors import ConfigError

@@ -23,7 +23,7 @@ from ecu_emulator.bus.sender import FrameSender
 from ecu_emulator.bus.sent_values import OWN_NODE, SentValues, recounted
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError, ExtraMissingError
-from ecu_emulator.live.live_drive import BusChoice
+from ecu_emulator.live import BusChoice
 from workshop.controller.controller import Controller
 from workshop.controller.doip_server import DoipServer, Place, parse_place, tls_node
 from workshop.controller.elm327_server import ElmServer

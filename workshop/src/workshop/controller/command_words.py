@@ -9,7 +9,7 @@ from clutchdiag_io.command_line import FILE, FORCE, INT, Choice, Command, Option
 from workshop.controller.iso14229 import DOIP_TLS_PORT
 
 if TYPE_CHECKING:
-    from ecu_emulator.live.live_drive import AnswersTesters
+    from ecu_emulator.live import AnswersTesters
 
 DEFAULT_ELM_PORT: Final = "35000"
 

@@ -13,7 +13,7 @@ from workshop.controller.iso14229 import NEGATIVE, Nrc
 from workshop.controller.memory import TestResult
 from workshop.controller.memory_file import MemoryFile
 from workshop.controller.services.data import data_of
-from workshop.controller.services.routines import failed, finished
+from workshop.controller.services.sessions import failed, finished
 from workshop.controller.state import Instant, Reply, Request, ServerState, under_control
 from workshop.controller.table import DiagnosticTable
 

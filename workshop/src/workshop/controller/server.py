@@ -31,7 +31,7 @@ from workshop.controller.memory import (
     note_warm_up,
     report,
 )
-from workshop.controller.services import data, routines, sessions
+from workshop.controller.services import data, sessions
 from workshop.controller.services.obd import OBD_HANDLERS
 from workshop.controller.services.trouble import EMISSION_REPORTS, REPORTS, capture, clear_codes, read_codes
 from workshop.controller.state import (
@@ -64,7 +64,7 @@ _HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {
     Service.DEFINE_DATA: data.define_data,
     Service.WRITE_DATA: data.write_data,
     Service.CONTROL_DATA: data.control_data,
-    Service.ROUTINE_CONTROL: routines.routine_control,
+    Service.ROUTINE_CONTROL: sessions.routine_control,
     Service.TESTER_PRESENT: sessions.tester_present,
     Service.CONTROL_CODE_SETTING: sessions.control_code_setting,
 }
@@ -73,7 +73,7 @@ _SUB_FUNCTIONS: Final[Mapping[int, frozenset[int]]] = {
     Service.READ_CODES: REPORTS,
     Service.COMMUNICATION_CONTROL: frozenset({0x00, 0x01, 0x02, 0x03}),
     Service.DEFINE_DATA: frozenset({data.DEFINE_BY_IDENTIFIER, data.CLEAR_DEFINITION}),
-    Service.ROUTINE_CONTROL: frozenset({routines.START, routines.STOP, routines.RESULTS}),
+    Service.ROUTINE_CONTROL: frozenset({sessions.START, sessions.STOP, sessions.RESULTS}),
     Service.TESTER_PRESENT: frozenset({0x00}),
     Service.CONTROL_CODE_SETTING: frozenset({sessions.CODES_ON, sessions.CODES_OFF}),
 }  # those of 10 and 27 are in the table
@@ -148,7 +148,7 @@ def advance(table: DiagnosticTable, state: ServerState, moment: Instant) -> Repl
     if run.failed_nrc:
         return Reply(payload=_negative(waiting.request, Nrc(run.failed_nrc)), state=state)
     call = Call(table=table, state=state, moment=moment, sensed=sensed, request=waiting.request)
-    response = routines.answered(call, table.routines[waiting.routine], run).response
+    response = sessions.answered(call, table.routines[waiting.routine], run).response
     return Reply(payload=response if isinstance(response, bytes) else None, state=state)
 
 
@@ -206,7 +206,7 @@ def cycled(table: DiagnosticTable, state: ServerState) -> ServerState:
 
 def _settled(table: DiagnosticTable, state: ServerState, moment: Instant) -> ServerState:
     """Return the state with everything done that time alone does."""
-    state = routines.timed_out(state, table, moment)
+    state = sessions.timed_out(state, table, moment)
     for level in table.levels.values():
         state = sessions.delay_over(state, level, moment.t_s)
     is_over = moment.t_s - state.heard_s >= table.timing.s3_s

@@ -4,7 +4,7 @@ from tests.support.uds.full_table import full_table
 from workshop.controller.descriptions import Value
 from workshop.controller.memory import TestResult
 from workshop.controller.server import advance, answer, broadcast, left, switched_on, tested
-from workshop.controller.services.routines import failed, finished
+from workshop.controller.services.sessions import failed, finished
 from workshop.controller.state import Instant, Request, ServerState, under_control
 from workshop.controller.table import DiagnosticTable
 

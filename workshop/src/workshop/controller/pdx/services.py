@@ -22,7 +22,7 @@ from workshop.controller.pdx.elements import (
     value,
     worded,
 )
-from workshop.controller.services import data, obd, routines, sessions, trouble
+from workshop.controller.services import data, obd, sessions, trouble
 from workshop.controller.table import PERIODIC_PAGE, DiagnosticTable
 
 _RESETS: Final = {1: "hard reset", 2: "ignition off and on", 3: "soft reset"}
@@ -32,7 +32,7 @@ _MESSAGES: Final = {1: "normal messages", 2: "network management", 3: "normal me
 _SETTINGS: Final = {sessions.CODES_ON: "trouble codes on", sessions.CODES_OFF: "trouble codes off"}
 _RATES: Final = {data.SLOW: "Slow", data.MEDIUM: "Medium", data.FAST: "Fast", data.STOP: "Stop"}
 _CONTROLS: Final = {data.RETURN_CONTROL: "Return", data.FREEZE: "Freeze", data.ADJUST: "Adjust"}
-_ACTIONS: Final = {routines.START: "Start", routines.STOP: "Stop", routines.RESULTS: "Results of"}
+_ACTIONS: Final = {sessions.START: "Start", sessions.STOP: "Stop", sessions.RESULTS: "Results of"}
 _STATUS_BITS: Final = (
     "test failed", "test failed this operation cycle", "pending", "confirmed", "test not completed since last clear",
     "test failed since last clear", "test not completed this operation cycle", "warning indicator requested",
@@ -228,11 +228,11 @@ class UdsServices(_Services):
             begin = constant("identifier", routine.number, 2, "ID")
             for sub, verb in _ACTIONS.items():
                 responses = (
-                    (begin, constant("status", status), *(results if status == routines.COMPLETED else ()))
+                    (begin, constant("status", status), *(results if status == sessions.COMPLETED else ()))
                     for status in _routine_states(routine, sub)
                 )
-                asked, name = (begin, *(options if sub == routines.START else ())), f"{verb} {routine.name}"
-                if sub != routines.STOP or routine.can_be_stopped:
+                asked, name = (begin, *(options if sub == sessions.START else ())), f"{verb} {routine.name}"
+                if sub != sessions.STOP or routine.can_be_stopped:
                     yield self.service(name, number, "ROUTINE", asked, *responses, sub=sub, access=routine.access)
 
     def _clearing(self, number: int) -> Iterator[Service]:
@@ -324,11 +324,11 @@ def renamed(part: Part, name: str) -> Part:
 
 def _routine_states(routine: Routine, sub: int) -> tuple[int, ...]:
     """Return what may be answered: the status says whether results follow."""
-    if sub == routines.STOP:
-        return (routines.STOPPED,)
-    if sub == routines.RESULTS:
-        return routines.COMPLETED, routines.RUNNING, routines.STOPPED
-    return (routines.COMPLETED, routines.STOPPED) if routine.is_awaited else (routines.RUNNING,)
+    if sub == sessions.STOP:
+        return (sessions.STOPPED,)
+    if sub == sessions.RESULTS:
+        return sessions.COMPLETED, sessions.RUNNING, sessions.STOPPED
+    return (sessions.COMPLETED, sessions.STOPPED) if routine.is_awaited else (sessions.RUNNING,)
 
 
 class ObdServices(_Services):

@@ -1,1 +1,0 @@
-"""A drive on a bus in real time."""
