@@ -1,7 +1,9 @@
 """What an answer says and how long it may take: whether it belongs to a request, what a refusal means (ISO 14229-1)."""
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 POSITIVE: Final = 0x40  # added to the service in a positive response
@@ -54,47 +56,7 @@ _LEAST_DOUBLED: Final = 4  # bytes: the half of a shorter answer may come twice 
 _SHOWN_BYTES: Final = 24
 
 _REFUSALS: Final[Mapping[int, str]] = {
-    0x10: "general reject",
-    0x11: "service not supported",
-    0x12: "sub-function not supported",
-    0x13: "incorrect length or format",
-    0x14: "response too long",
-    0x21: "busy, repeat request",
-    0x22: "conditions not correct",
-    0x24: "request sequence error",
-    0x25: "no response from subnet component",
-    0x26: "failure prevents execution",
-    0x31: "request out of range",
-    0x33: "security access denied",
-    0x34: "authentication required",
-    0x35: "invalid key",
-    0x36: "exceeded number of attempts",
-    0x37: "required time delay not expired",
-    0x70: "upload or download not accepted",
-    0x71: "transfer data suspended",
-    0x72: "general programming failure",
-    0x73: "wrong block sequence counter",
-    0x78: "response pending",
-    0x7E: "sub-function not supported in active session",
-    0x7F: "service not supported in active session",
-    0x81: "engine speed too high",
-    0x82: "engine speed too low",
-    0x83: "engine is running",
-    0x84: "engine is not running",
-    0x85: "engine run time too low",
-    0x86: "temperature too high",
-    0x87: "temperature too low",
-    0x88: "vehicle speed too high",
-    0x89: "vehicle speed too low",
-    0x8A: "pedal too high",
-    0x8B: "pedal too low",
-    0x8C: "transmission not in neutral",
-    0x8D: "transmission not in gear",
-    0x8F: "brake not closed",
-    0x90: "shifter not in park",
-    0x91: "torque converter clutch locked",
-    0x92: "voltage too high",
-    0x93: "voltage too low",
+    int(code, 16): text for code, text in tomllib.loads((Path(__file__).parent / "refusals.toml").read_text()).items()
 }
 
 

@@ -225,51 +225,6 @@ def _find(word: str, names: Mapping[int, str], what: str) -> int:
     raise ConfigError(f"{word!r} is not a {what}: give its number in hexadecimal or its name{known}")
 
 
-# ISO 14229-1, annex C: data that controllers of all makers give. What a maker writes as bytes is shown as bytes.
-STANDARD_DATA: Final[Mapping[int, Datum]] = {
-    0xF186: Datum(
-        number=0xF186,
-        name="active diagnostic session",
-        fields=(Field(name="session", kind=Coding.UNSIGNED, size_bytes=1),),
-    ),
-    **{
-        number: Datum(number=number, name=name, fields=(Field(name=name, kind=Coding.TEXT),))
-        for number, name in (
-            (0xF180, "boot software identification"),
-            (0xF181, "application software identification"),
-            (0xF182, "application data identification"),
-            (0xF187, "spare part number"),
-            (0xF188, "software number"),
-            (0xF189, "software version"),
-            (0xF18A, "system supplier"),
-            (0xF18B, "date of manufacture"),
-            (0xF18C, "serial number"),
-            (0xF190, "vehicle identification number"),
-            (0xF191, "hardware number"),
-            (0xF192, "supplier hardware number"),
-            (0xF193, "supplier hardware version"),
-            (0xF194, "supplier software number"),
-            (0xF195, "supplier software version"),
-            (0xF197, "system name"),
-            (0xF198, "repair shop code"),
-            (0xF199, "date of programming"),
-            (0xF19E, "ODX file"),
-        )
-    },
-}
-# SAE J1979-2: records of extended data that controllers of all makers keep of a trouble code of OBD.
-STANDARD_EXTENDED: Final[Mapping[int, Datum]] = {
-    0x91: Datum(
-        number=0x91,
-        name="in-use performance of the monitor",
-        fields=(
-            Field(name="completed", kind=Coding.UNSIGNED, size_bytes=2),
-            Field(name="conditions met", kind=Coding.UNSIGNED, size_bytes=2),
-        ),
-    )
-}
-UNKNOWN: Final = Description(name="a controller without description", data=STANDARD_DATA)
-
 PDX_SUFFIXES: Final = frozenset({".pdx", ".odx-d", ".odx"})
 FOLDER: Final = Path(__file__).parent / "controllers"
 MOST_BYTES: Final = 256 * 2**20
@@ -482,3 +437,10 @@ def _or_none(find: Any) -> int | None:  # noqa: ANN401 - a method of the library
     except Exception:  # noqa: BLE001 - a file without parameters of communication
         return None
     return None if found is None else int(found)
+
+
+_TABLE: Final = read_table(Path(__file__).parent / "standard.toml", "the description", ConfigError)
+_STANDARD: Final = record_from(DescriptionFile, _TABLE, error=ConfigError)
+STANDARD_DATA: Final = _numbered(_STANDARD.data, "data")  # that controllers of all makers give
+STANDARD_EXTENDED: Final = _numbered(_STANDARD.extended, "extended")  # records that they keep of a trouble code of OBD
+UNKNOWN: Final = Description(name=_STANDARD.name, data=STANDARD_DATA)
