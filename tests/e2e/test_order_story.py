@@ -26,15 +26,13 @@ from fleet_backend.database import open_database
 from fleet_backend.ingest import FILTERS, Worker, connected
 from fleet_backend.office.watching import Orders, Watch
 from fleet_backend.office_tables import ALARM
-from fleet_backend.page import clutches_view, maintenance_view, vehicle_view
-from fleet_backend.page.asking import Ask, read_words
-from fleet_backend.page.vehicle_state import fills_of
-from fleet_backend.page.view import View
+from fleet_backend.page.queries import fills_of
 from fleet_backend.writer import Writer
 from fleet_contract import CLUTCHES
 from fleet_link import BrokerAddress
 from tests.plugins.broker import Mosquitto
 from tests.support.fleet_page import sources_of
+from tests.support.fleet_page import told as told_by_page
 from tests.support.in_process import ended
 from tests.support.outboxes import STATUS, sending, until
 from tests.support.patience import HANG_S
@@ -130,16 +128,15 @@ class World:
         rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
         told |= {f"fleet table, clutch {row['clutch']}": row["order"] for row in rows}
         sources = sources_of(self.engine)
-        shown = clutches_view.find(sources, ask(clutches_view.VIEW)).clutches
-        told |= {f"fleet page, clutch {one.clutch}": one.order for one in shown}
-        assert {one.condition for one in shown} == {row["condition"] for row in rows}
-        words = ask(vehicle_view.VIEW, "car1")
-        vehicle = vehicle_view.find(sources, words)
-        (advice_of_page,) = vehicle_view.show(vehicle, words, sources).advice
-        told["vehicle page"] = advice_of_page.text
-        assert vehicle.outlook == history[3]
-        for one in maintenance_view.find(sources, ask(maintenance_view.VIEW)).clutches:
-            told[f"maintenance, clutch {one.clutch}"] = one.text.removesuffix(f" {history[3]}")
+        sources.keeper.foretell(HANG_S)
+        shown = told_by_page(sources, "/clutches")["clutches"]
+        told |= {f"fleet page, clutch {one['clutch']}": one["order"] for one in shown}
+        assert {one["condition"] for one in shown} == {row["condition"] for row in rows}
+        vehicle = told_by_page(sources, "/vehicles/car1")
+        told["vehicle page"] = vehicle["order"]
+        assert vehicle["outlook"] == history[3]
+        for one in told_by_page(sources, "/maintenance")["clutches"]:
+            told[f"maintenance, clutch {one['clutch']}"] = one["text"].removesuffix(f" {history[3]}")
         return told
 
     def alarms_now(self) -> list[tuple[str, str, str]]:
@@ -153,10 +150,6 @@ class World:
 
 def clutch_states(listener: Subscriber) -> list[Any]:
     return [state for topic, state in listener.retained().items() if "/clutch/" in topic]
-
-
-def ask(view: View, vehicle: str | None = None) -> Ask:
-    return read_words(view.parameters, {} if vehicle is None else {"vehicle": vehicle}, (), NOW)
 
 
 @pytest.fixture(name="world")

@@ -10,11 +10,9 @@ import pytest
 
 from fleet_backend import queries
 from fleet_backend.database import open_database
-from fleet_backend.page import past
 from fleet_backend.page.calibrations import remember
-from fleet_backend.page.outlook import outlook_of, outlook_text
-from fleet_backend.page.running import DatabaseSource
-from fleet_backend.page.vehicle_state import fills_of
+from fleet_backend.page.prognosis import outlook_of, outlook_text
+from fleet_backend.page.queries import DatabaseSource, fills_of, results_of
 from tests.integration.test_fluid_changed import LATER_S, recording
 from tests.plugins.broker import Mosquitto
 from tests.support.fleet_worker import worker
@@ -60,7 +58,7 @@ class World:
             time.sleep(0.05)
         (fill,) = fills_of(engine, "car1")
         clutches = DatabaseSource(engine).clutches_of(["car1"])
-        rows = [past.results_of(engine, "car1", one.clutch) for one in clutches]
+        rows = [results_of(engine, "car1", one.clutch) for one in clutches]
         with engine.connect() as connection:
             remember(connection, [("car1", clutches[0].calibration_version)])
         founds = [
@@ -125,7 +123,7 @@ def test_a_fill_that_is_noted_late_leaves_no_verdict_that_rests_on_the_old_fluid
     assert [row.split()[-7:] for row in later] == 2 * [["12:00", "0", "-", "-", "-", "no", "verdict"]]
     world.assert_same_everywhere()
     engine = open_database(world.database)
-    rows = [row for row in past.results_of(engine, "car1", 1) if row["end_at"] > FILLED]
+    rows = [row for row in results_of(engine, "car1", 1) if row["end_at"] > FILLED]
     engine.dispose()
     assert {(row["condition"], row["running_mu_c"], row["level_ratio"]) for row in rows} == {("no_verdict", None, None)}
     events = [one for one in ended("history", world.store, "--json").records if one["record"] == "event"]

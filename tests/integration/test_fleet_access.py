@@ -11,8 +11,7 @@ from sqlalchemy import select
 from fleet_backend.database import open_database, transaction
 from fleet_backend.office_tables import ALARM, AUDIT
 from fleet_backend.page.access import Role, read_access
-from fleet_backend.page.routes import EVENTS_PATH
-from fleet_backend.page.site import ACTIONS, OPENAPI_PATH, VIEWS
+from fleet_backend.page.routes import ENDPOINTS, OPENAPI_PATH
 from tests.support.fleet_page import ACCESS, MARKUP, SECRET, fill_database, headers_of, raise_alarms, served
 from tests.support.patience import HANG_S
 
@@ -21,12 +20,11 @@ WORDS = {"shift": {"stream": "stream-1", "seq": "59"}, "alarm": ALARM_WORDS}
 NOBODY, STRANGER, VIEWER, WORKSHOP = "", "mallory", "eve", "ann"
 ROUTES = {  # what each may do: nobody logged in, somebody without a role, viewer, workshop
     **dict.fromkeys(
-        ("vehicles", "fleet", "vehicle", "shift", "alarms", "alarm", "maintenance", "changes", "quarantine"),
+        ("vehicles", "clutches", "vehicle", "shift", "alarms", "alarm", "maintenance", "changes", "quarantine"),
         (401, 403, 200, 200),
     ),
-    "openapi": (401, 403, 200, 200),
-    "events": (401, 403, 200, 200),
-    "acknowledge": (401, 403, 403, 403),  # 403 for want of the token; who has it: see below
+    **dict.fromkeys((OPENAPI_PATH, "/events", "/static/page.css"), (401, 403, 200, 200)),
+    **dict.fromkeys(("/alarm/acknowledge", "/vehicles/car1/fluid"), (401, 403, 403, 403)),  # for want of the token
 }
 PEOPLE = (NOBODY, STRANGER, VIEWER, WORKSHOP)
 
@@ -56,21 +54,20 @@ def status(site: httpx.Client, method: str, path: str, headers: dict[str, str], 
 def test_every_route_is_for_its_roles_alone(site: httpx.Client) -> None:
     found: dict[str, tuple[int, ...]] = {}
     people = [headers_of(name) if name else {} for name in PEOPLE]
-    for view in VIEWS:
-        statuses = {
+    for one in ENDPOINTS:
+        name = one.handler.__name__
+        (found[name],) = {
             tuple(
-                status(site, "GET", path.replace("{vehicle}", "car1"), one, **WORDS.get(view.name, {}))
-                for one in people
+                status(site, "GET", path.replace("{vehicle}", "car1"), each, **WORDS.get(name, {})) for each in people
             )
-            for path in (view.page_path, view.api_path)
+            for path in (one.path, one.api_path)
         }
-        (found[view.name],) = statuses
-    for name, path in (("openapi", OPENAPI_PATH), ("events", EVENTS_PATH)):
-        found[name] = tuple(status(site, "GET", path, one) for one in people)
-    for action in ACTIONS:
+    for path in (OPENAPI_PATH, "/events", "/static/page.css"):
+        found[path] = tuple(status(site, "GET", path, each) for each in people)
+    for path in ("/alarm/acknowledge", "/vehicles/car1/fluid"):
         form = {"content-type": "application/x-www-form-urlencoded"}
-        found[action.name] = tuple(status(site, "POST", action.path, {**one, **form}) for one in people)
-        assert status(site, "GET", action.path, people[-1]) == 405
+        found[path] = tuple(status(site, "POST", path, {**each, **form}) for each in people)
+        assert status(site, "GET", path, people[-1]) == 405
     assert found == ROUTES
 
 
@@ -96,15 +93,14 @@ def test_who_is_named_twice_is_nobody(site: httpx.Client) -> None:
 
 
 def token_of(site: httpx.Client, name: str) -> str:
-    found = re.search(
-        r'name="token" value="([0-9a-f]{64})"', site.get("/alarm", params=ALARM_WORDS, headers=headers_of(name)).text
-    )
+    page = site.get("/vehicles/worn", headers=headers_of(name)).text
+    found = re.search(r'name="token" value="([0-9a-f]{64})"', page)
     assert found is not None
     return found[1]
 
 
 def test_a_change_comes_from_a_form_of_our_own_and_is_audited(site: httpx.Client, database: str) -> None:
-    ann, action = headers_of("ann"), ACTIONS[0].path
+    ann, action = headers_of("ann"), "/alarm/acknowledge"
     token = token_of(site, "ann")
     words = {**ALARM_WORDS, "token": token, "note": MARKUP}
     assert 'name="token"' not in site.get("/alarm", params=ALARM_WORDS, headers=headers_of("eve")).text
@@ -141,6 +137,44 @@ def test_a_change_comes_from_a_form_of_our_own_and_is_audited(site: httpx.Client
         text = site.get(path, headers=headers_of("bob")).text
         assert "ann" in text
         assert "<img" not in text
+
+
+def test_a_fill_is_noted_on_the_page_once_and_taken_back(site: httpx.Client, database: str) -> None:
+    ann, page, action = headers_of("ann"), "/vehicles/worn", "/vehicles/worn/fluid"
+    words = {
+        "token": token_of(site, "ann"),
+        "product": "DCTF-II",
+        "at": "2026-02-01T10:00",
+        "odometer_km": "",
+        "note": "",
+    }
+    assert action not in site.get(page, headers=headers_of("eve")).text
+    forged = ({**words, "token": ""}, {**words, "token": words["token"][::-1]})
+    assert [site.post(action, headers=ann, data=sent).status_code for sent in forged] == [403, 403]
+    assert site.post(action, headers={**ann, "sec-fetch-site": "cross-site"}, data=words).status_code == 403
+    assert site.post(action, headers=headers_of("eve"), data=words).status_code == 403
+    done = site.post(action, headers=ann, data=words)
+    assert (done.status_code, done.headers["location"]) == (303, page)
+    assert "new fluid: DCTF-II" in site.get(page, headers=ann).text
+    told = site.get("/api/v1/vehicles/worn", headers=ann).json()
+    assert (told["action"], [one["product"] for one in told["fills"]]) == ("new_fluid", ["DCTF-II"])
+    again = site.post(action, headers=ann, data=words)
+    assert (again.status_code, "is noted already" in again.text) == (400, True)
+    wrong = ({"product": ""}, {"at": "yesterday"}, {"at": "2999-01-01"}, {"odometer_km": "-1"}, {"odometer_km": "4e6"})
+    assert {site.post(action, headers=ann, data={**words, **one}).status_code for one in wrong} == {400}
+    undo = {"token": words["token"], "undo": "yes"}
+    assert [site.post(action, headers=ann, data=undo).status_code for _ in range(2)] == [303, 400]
+    assert site.get("/api/v1/vehicles/worn", headers=ann).json()["action"] == "change_now"
+    engine = open_database(database)
+    with transaction(engine) as connection:
+        entries = connection.execute(
+            select(AUDIT).where(AUDIT.c.action.contains("fluid fill")).order_by(AUDIT.c.at)
+        ).all()
+    engine.dispose()
+    assert [(one.who, one.role, one.action) for one in entries] == [
+        ("ann", "workshop", "note fluid fill"),
+        ("ann", "workshop", "withdraw fluid fill"),
+    ]
 
 
 GOOD = """

@@ -14,7 +14,7 @@ from demo.fleet.servers import PostgresServer
 from fleet_backend import queries
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import check_schema
-from fleet_backend.page.running import DatabaseSource
+from fleet_backend.page.queries import DatabaseSource
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import START, fleet_result, row_of
 from tests.support.patience import HANG_S

@@ -4,20 +4,17 @@ import math
 from datetime import UTC, datetime
 from typing import Any
 
-import httpx
 import pytest
 from sqlalchemy import Engine
 
 from fleet_backend.intake import INGESTED, MessageKind, Taken, batch_of, take_all
 from fleet_backend.office.retention import retain
 from fleet_backend.office.watching import Orders, Watch
-from fleet_backend.page.access import Access
-from fleet_backend.page.site import site
 from fleet_backend.writer import Writer
 from fleet_contract import Channel, Outcome
 from tests.support.extremes import Schema, message, put, values
 from tests.support.fleet import delivered, fleet_result, message_of
-from tests.support.fleet_page import sources_of
+from tests.support.fleet_page import asked, sources_of
 
 NOW = datetime(2026, 6, 15, 12, tzinfo=UTC)
 SCHEMAS = [Schema(channel) for channel in INGESTED if channel is not Channel.BUNDLE]
@@ -41,17 +38,15 @@ def extremes(described: Schema) -> list[tuple[Taken, bool]]:
     return found
 
 
-async def all_goes_on(engine: Engine) -> None:
+def all_goes_on(engine: Engine) -> None:
     """Watch, show everything and forget what is old."""
     Watch(engine, Orders(), lambda: NOW).round(judging_s=float("inf"))
-    sources = sources_of(engine)
-    transport = httpx.ASGITransport(site(sources, Access(), now=lambda: NOW))
-    async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as client:
-        vehicles = [
-            f"{root}/{name}" for name in sources.keeper.snapshot.vehicles for root in ("/vehicles", "/api/v1/vehicles")
-        ]
-        answers = {path: (await client.get(path)).status_code for path in (*PAGES, *OFFICE, *vehicles)}
-    assert {path: code for path, code in answers.items() if code != 200} == {}
+    sources = sources_of(engine, now=NOW)
+    sources.keeper.foretell(float("inf"))
+    names = sources.keeper.snapshot.vehicles
+    paths = (*PAGES, *OFFICE, *(f"{root}/{name}" for name in names for root in ("/vehicles", "/api/v1/vehicles")))
+    answers = zip(paths, asked(sources, *paths), strict=True)
+    assert {path: answer.status_code for path, answer in answers if answer.status_code != 200} == {}
     retain(engine, 1, now=NOW, by="ann")
 
 
@@ -66,7 +61,7 @@ def test_every_number_has_bounds_that_a_sum_of_them_keeps(described: Schema) -> 
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-async def test_a_number_at_its_bounds_is_stored_and_one_beyond_is_put_aside(engine: Engine) -> None:
+def test_a_number_at_its_bounds_is_stored_and_one_beyond_is_put_aside(engine: Engine) -> None:
     for described in SCHEMAS:
         judged = extremes(described)
         for taken, is_possible in judged:
@@ -75,14 +70,14 @@ async def test_a_number_at_its_bounds_is_stored_and_one_beyond_is_put_aside(engi
                 assert taken.row["reason"] in {"schema", "malformed"}
                 assert taken.receipt is None or taken.receipt.outcome is Outcome.QUARANTINED
         Writer(engine).store(batch_of([one for one, _ in judged]))
-    await all_goes_on(engine)
+    all_goes_on(engine)
 
 
 @pytest.mark.parametrize(("year", "is_stored"), [(1, False), (1899, False), (1900, True), (2199, True), (9999, False)])
-async def test_a_moment_of_no_vehicle_is_put_aside(engine: Engine, year: int, is_stored: bool) -> None:
+def test_a_moment_of_no_vehicle_is_put_aside(engine: Engine, year: int, is_stored: bool) -> None:
     """Where it was stored, the month after it had to exist too."""
     result = fleet_result(produced_at=f"{year:04}-12-31T23:59:59.999999Z")
     (taken,) = take_all(message_of(result), NOW)
     assert (taken.kind is MessageKind.SHIFT) is is_stored
     Writer(engine).store(batch_of([taken]))
-    await all_goes_on(engine)
+    all_goes_on(engine)

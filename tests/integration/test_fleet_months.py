@@ -16,8 +16,7 @@ from fleet_backend.intake import MessageKind, Taken, batch_of, take_all
 from fleet_backend.months import RANK, keep_months, partitions
 from fleet_backend.office.retention import retain
 from fleet_backend.office_tables import AUDIT
-from fleet_backend.page.past import results_of
-from fleet_backend.page.running import DatabaseSource
+from fleet_backend.page.queries import DatabaseSource, results_of
 from fleet_backend.quotas import Gate
 from fleet_backend.report import lines_of
 from fleet_backend.rows import Row

@@ -28,13 +28,13 @@ def test_the_overview_has_one_row_a_vehicle_and_columns_that_sort(address: str) 
         page.goto(address)
         names = page.locator("tbody th")
         assert names.all_text_contents() == ["worn", "car1", "good.1"]
-        for count in ("change fluid: 1", "watch: 1", "good: 1"):
+        for count in ("1 change fluid", "1 watch", "1 good"):
             assert page.get_by_role("link", name=count, exact=True).count() == 1
         for way, found in (("ascending", ["car1", "good.1", "worn"]), ("descending", ["worn", "good.1", "car1"])):
             page.get_by_role("columnheader", name="vehicle").get_by_role("link").click()
             page.locator(f"th[aria-sort={way}]").wait_for()
             assert names.all_text_contents() == found
-        page.get_by_role("link", name="watch: 1").click()
+        page.get_by_role("link", name="1 watch", exact=True).click()
         page.wait_for_url("**condition=watch")
         assert names.all_text_contents() == ["car1"]
 
@@ -46,9 +46,9 @@ def test_moments_are_shown_in_local_time_on_demand(address: str) -> None:
         page = context.new_page()
         page.goto(address)
         row = page.get_by_role("row", name="worn")
-        assert row.locator("time").text_content() == "2026-01-01 00:00"
+        assert row.locator("time").last.text_content() == "2026-01-01 00:00"
         page.get_by_role("button", name="Local time").click()
-        assert row.locator("time").text_content() == "2026-01-01 05:30"
+        assert row.locator("time").last.text_content() == "2026-01-01 05:30"
         assert page.get_by_role("columnheader", name="last event (local)").count() == 1
         page.goto(f"{address}/vehicles/worn")  # the choice is kept
         assert page.locator("time", has_text="2026-01-01 05:30:").count() >= 1

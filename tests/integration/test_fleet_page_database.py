@@ -22,35 +22,28 @@ from fleet_backend.errors import DatabaseError
 from fleet_backend.intake import batch_of, take_all
 from fleet_backend.office.watching import Orders
 from fleet_backend.office.watching import Watch as WatchOfOffice
-from fleet_backend.page import (
-    changes_view,
-    clutches_view,
-    maintenance_view,
-    quarantine_view,
-    shift_view,
-    vehicle_view,
-)
-from fleet_backend.page.asking import Ask, read_words
-from fleet_backend.page.keeper import Keeper
-from fleet_backend.page.news import News
-from fleet_backend.page.past import results_of, shift_of
-from fleet_backend.page.records import Due
-from fleet_backend.page.running import DatabaseSource
-from fleet_backend.page.view import Sources, View
+from fleet_backend.page.fleet import Keeper
+from fleet_backend.page.queries import DatabaseSource, results_of, shift_of
+from fleet_backend.page.site import Sources
 from fleet_backend.rows import moment
 from fleet_backend.writer import Batch, Writer
 from fleet_contract.orders import Action
 from tests.support.fleet import NOW, fleet_result, message_of, row_of
-from tests.support.fleet_page import sources_of
+from tests.support.fleet_page import asked, sources_of, told
 from tests.support.histories import CALIBRATION, history
 
 BEFORE, AFTER = datetime(2026, 2, 1, tzinfo=UTC), datetime(2026, 3, 1, tzinfo=UTC)
-SHIFT = {"stream": "stream-1", "seq": "9"}
 
 
-def ask(view: View, vehicle: str | None = None, **query: str) -> Ask:
-    path = {} if vehicle is None else {"vehicle": vehicle}
-    return read_words(view.parameters, path, query.items(), NOW)
+def parts_of(sources: Sources, path: str, name: str) -> list[Any]:
+    """Return the rows of all parts of a list of programs, three at a time."""
+    found: list[Any] = []
+    after: str | None = ""
+    while after is not None:
+        part = told(sources, f"{path}{'&' if '?' in path else '?'}limit=3&after={after}")
+        found += part[name]
+        after = part["next"]
+    return found
 
 
 def store(engine: Engine, rows: list[Any], at: datetime) -> None:
@@ -73,26 +66,20 @@ def test_what_became_different_is_told_with_its_reasons(engine: Engine) -> None:
     store(engine, second, AFTER)
     filled_at = moment(second[3]["end_at"]) - timedelta(microseconds=1)
     queries.note_fill(engine, "refilled", "DCTF", at=filled_at, odometer_m=None, note=None)
-    found = changes_view.find(sources_of(engine), ask(changes_view.VIEW, since="2026-02-15"))
-    changes = {one.vehicle: one for one in found.changes}
-    assert {name: one.why for name, one in changes.items()} == {
-        "aged": ("new data: 2 results",),
-        "again": ("new algorithm: algorithm-1 before, algorithm-2 now", "new data: 1 result"),
-        "refilled": ("new fluid: DCTF", "new data: 1 result"),
-        "new": ("first results of this clutch",),
+    sources = sources_of(engine)
+    found = told(sources, "/changes?since=2026-02-15")["changes"]
+    changes = {one["vehicle"]: one for one in found}
+    assert {name: one["why"] for name, one in changes.items()} == {
+        "aged": ["new data: 2 results"],
+        "again": ["new algorithm: algorithm-1 before, algorithm-2 now", "new data: 1 result"],
+        "refilled": ["new fluid: DCTF", "new data: 1 result"],
+        "new": ["first results of this clutch"],
     }
-    assert (changes["aged"].condition_before, changes["aged"].condition) == ("good", "watch")
-    assert changes["new"].condition_before is None
-    one = changes_view.find(sources_of(engine), ask(changes_view.VIEW, since="2026-02-15", q="GAIN"))
-    assert one.changes == (changes["again"],)
-    assert found.changes[0].vehicle == "aged"  # the worst first
-    parts: list[Any] = []
-    after: dict[str, str] = {}
-    while not parts or after:
-        question = ask(changes_view.VIEW, since="2026-02-15", limit="3", **after)
-        parts.append(changes_view.find(sources_of(engine), question))
-        after = {"after": parts[-1].next} if parts[-1].next else {}
-    assert [one for part in parts for one in part.changes] == list(found.changes)
+    assert (changes["aged"]["condition_before"], changes["aged"]["condition"]) == ("good", "watch")
+    assert changes["new"]["condition_before"] is None
+    assert told(sources, "/changes?since=2026-02-15&q=GAIN")["changes"] == [changes["again"]]
+    assert found[0]["vehicle"] == "aged"  # the worst first
+    assert parts_of(sources, "/changes?since=2026-02-15", "changes") == found
 
 
 def scored(seq: int, score: float, touch_error_pa: float = 0.0) -> ShiftResult:
@@ -114,30 +101,27 @@ def test_how_well_a_vehicle_shifts_is_on_its_page_and_a_fall_raises_an_alarm(eng
     raised = {step.subject.rule: step for step in watch.round()}
     assert "clutch 2 score 30 points less than the first" in raised[Rule.SCORE].reason
     sources = sources_of(engine)
-    answer = vehicle_view.find(sources, ask(vehicle_view.VIEW, "rough"))
-    (change,), (load,) = answer.changes, answer.loads
-    assert (change.count, change.first, change.last) == (50, 90.0, 60.0)
-    assert (load.clutch, load.counts, load.energy_j, load.peak_k) == (2, (0, 0, 0, 50, 0, 0), 250e3, 390.0)
-    assert [point.score for point in answer.clutches[0].trend] == [90.0] * 30 + [60.0] * 20
-    shown = vehicle_view.show(answer, ask(vehicle_view.VIEW, "rough"), sources)
-    (section,) = (one for one in shown.sections if one.title == "How well it shifts")
-    untold = "jerk, torque hole, flare, tie up, fill error, lock rate, overtime, temperature rise"
-    assert section.texts == (
-        "Power on upshift 1-2 scores 60: jerk.",
-        f"Scores are without what the signals do not tell: {untold}.",
+    answer = told(sources, "/vehicles/rough")
+    (change,), (load,) = answer["changes"], answer["loads"]
+    assert (change["count"], change["first"], change["last"]) == (50, 90.0, 60.0)
+    assert (load["clutch"], load["counts"], load["energy_j"]) == (2, [0, 0, 0, 50, 0, 0], 250e3)
+    assert load["peak_k"] == 390.0
+    assert [point["score"] for point in answer["clutches"][0]["trend"]] == [90.0] * 30 + [60.0] * 20
+    page, event = (
+        one.text for one in asked(sources, "/vehicles/rough", "/vehicles/rough/shift?stream=stream-1&seq=50")
     )
-    assert [table.rows[0][0] for table in section.tables] == ["power on upshift 1-2", "2"]
-    captions = [figure.caption for one in shown.sections for figure in one.figures]
-    assert captions.count("Clutch 2: trend of score") == 1
-    old = vehicle_view.find(sources, ask(vehicle_view.VIEW, "old"))  # of an older program
-    assert (old.changes, old.loads) == ((), ())
+    untold = "jerk, torque hole, flare, tie up, fill error, lock rate, overtime, temperature rise"
+    assert "Power on upshift 1-2 scores 60: jerk." in page
+    assert f"Scores are without what the signals do not tell: {untold}." in page
+    assert "Score of the gear changes, 100 is faultless" in page
+    assert "How well it went" in event
+    old = told(sources, "/vehicles/old")  # of an older program
+    assert (old["changes"], old["loads"]) == ([], [])
     assert {one.vehicle: one.score for one in DatabaseSource(engine).all_clutches()} == {"rough": 60.0, "old": None}
     one = shift_of(engine, "rough", "stream-1", 50)
     assert one is not None
     assert one.shift_quality is not None
     assert one.shift_quality.touch_error_pa == 9e3
-    page = shift_view.show(one, ask(shift_view.VIEW, "rough", stream="stream-1", seq="50"), sources)
-    assert "How well it went" in [section.title for section in page.sections]
 
 
 def test_a_cause_that_new_fluid_does_not_mend_is_on_the_page_in_the_list_and_an_alarm(engine: Engine) -> None:
@@ -148,9 +132,9 @@ def test_a_cause_that_new_fluid_does_not_mend_is_on_the_page_in_the_list_and_an_
         *(LikelyCause(cause=one, clutch=None, probability=0.02, evidence=f"For {one}: nothing.") for one in fluids),
     )
     causes = Causes(event_count=60, likely=likely, advice="Glazed lining of clutch 2: renew it.", test=None)
-    told = replace(worn, verdict=replace(worn.verdict, causes=causes))
-    unclear = row_of(replace(fleet_result(1, vehicle="unclear"), verdict=told.verdict)) | {"causes": '{"likely": []}'}
-    Writer(engine).store(Batch(shifts=[row_of(told), row_of(fleet_result(1, vehicle="plain")), unclear]))
+    caused = replace(worn, verdict=replace(worn.verdict, causes=causes))
+    unclear = row_of(replace(fleet_result(1, vehicle="unclear"), verdict=caused.verdict)) | {"causes": '{"likely": []}'}
+    Writer(engine).store(Batch(shifts=[row_of(caused), row_of(fleet_result(1, vehicle="plain")), unclear]))
     watch = WatchOfOffice(engine, Orders(), lambda: NOW)
     raised = {(one.subject.vehicle, one.subject.clutch): one for one in watch.round() if one.subject.rule is Rule.CAUSE}
     order = "See to another cause than the fluid first: glazed lining of clutch 2 (93 % likely)."
@@ -158,23 +142,22 @@ def test_a_cause_that_new_fluid_does_not_mend_is_on_the_page_in_the_list_and_an_
     listed = {str(one["vehicle"]): one for one in queries.worst_first(engine)}
     assert (listed["worn"]["action"], listed["unclear"]["action"]) == ("find_cause", "change_now")
     assert str(listed["worn"]["order"]).startswith(order)
-    assert listed["worn"]["causes"] == json.loads(str(row_of(told)["causes"]))
+    assert listed["worn"]["causes"] == json.loads(str(row_of(caused)["causes"]))
     assert listed["plain"]["causes"] is None
     sources = sources_of(engine)
-    answer = vehicle_view.find(sources, ask(vehicle_view.VIEW, "worn"))
-    assert answer.action == "find_cause"
-    (section,) = (
-        one for one in vehicle_view.show(answer, ask(vehicle_view.VIEW, "worn"), sources).sections if one.title == "Why"
-    )
-    assert section.texts == ("Glazed lining of clutch 2: renew it.",)
-    assert [row[0] for row in section.tables[0].rows] == ["glazed lining of clutch 2", "aged fluid", "water"]
-    assert section.tables[0].rows[0][2] == "For it: friction of clutch 2 -20 %."
+    answer = told(sources, "/vehicles/worn")
+    assert answer["action"] == "find_cause"
+    assert [one["cause"] for one in answer["causes"]["likely"]] == ["glazed-lining", *fluids[:2]]
+    (page,) = asked(sources, "/vehicles/worn")
+    for words in ("Why", "Glazed lining of clutch 2: renew it.", "glazed lining of clutch 2", "water"):
+        assert words in page.text
+    assert "For it: friction of clutch 2 -20 %." in page.text
     for vehicle in ("plain", "unclear"):
-        assert vehicle_view.find(sources, ask(vehicle_view.VIEW, vehicle)).causes is None
+        assert told(sources, f"/vehicles/{vehicle}")["causes"] is None
     queries.note_fill(engine, "worn", "DCTF", at=NOW, odometer_m=None, note=None)
     assert not [one for one in watch.round() if one.subject.rule is Rule.CAUSE]  # it stays until more is known
-    answer = vehicle_view.find(sources_of(engine), ask(vehicle_view.VIEW, "worn"))
-    assert (answer.action, answer.causes) == ("new_fluid", None)
+    answer = told(engine, "/vehicles/worn")
+    assert (answer["action"], answer["causes"]) == ("new_fluid", None)
 
 
 def test_news_are_seen_and_a_reader_writes_nothing(database: str) -> None:
@@ -198,38 +181,38 @@ def test_news_are_seen_and_a_reader_writes_nothing(database: str) -> None:
 def test_the_prognosis_is_that_of_the_service(engine: Engine) -> None:
     results = history(200)
     Writer(engine).store(Batch(shifts=[row_of(one) for one in results]))
-    answer = vehicle_view.find(sources_of(engine), ask(vehicle_view.VIEW, "car1", service_km="20000"))
+    answer = told(engine, "/vehicles/car1?service_km=20000")
     founds = []
-    for one in answer.clutches:
-        clutch = one.now.clutch
+    for one in answer["clutches"]:
+        clutch = one["now"]["clutch"]
         past = history_of(results, (), clutch)
         found = prognose(clutch, past, CALIBRATION.clutches[clutch - 1].friction, service_distance_m=2.0e7)
-        assert one.outlook is not None
         founds.append(found)
-        for shown, meant in ((one.outlook.watch, found.watch), (one.outlook.change_fluid, found.change_fluid)):
-            assert shown is not None
+        for shown, meant in (
+            (one["outlook"]["watch"], found.watch),
+            (one["outlook"]["change_fluid"], found.change_fluid),
+        ):
             assert meant is not None
-            assert (shown.p10_m, shown.p50_m, shown.p90_m) == (meant.p10_m, meant.p50_m, meant.p90_m)
-            assert shown.probability_before_service == meant.probability_before_service
-    assert answer.outlook == outlook_line(founds, Action.CHANGE_AT_SERVICE)
+            names = ("p10_m", "p50_m", "p90_m", "probability_before_service")
+            assert shown == {name: getattr(meant, name) for name in names}
+    assert answer["outlook"] == outlook_line(founds, Action.CHANGE_AT_SERVICE)
     other = [row | {"calibration_version": "another"} for row in map(row_of, history(9, vehicle="car2"))]
     Writer(engine).store(Batch(shifts=other))
-    answer = vehicle_view.find(sources_of(engine), ask(vehicle_view.VIEW, "car2"))
-    assert {one.outlook for one in answer.clutches} == {None}
-    assert "has not told what calibration" in str(answer.clutches[0].why_no_outlook)
+    answer = told(engine, "/vehicles/car2")
+    assert {one["outlook"] for one in answer["clutches"]} == {None}
+    assert "has not told what calibration" in answer["clutches"][0]["why_no_outlook"]
 
 
 def test_a_shift_that_was_seen_live_and_in_a_log_counts_once(engine: Engine) -> None:
     live = history(120)
     Writer(engine).store(Batch(shifts=[row_of(one) for one in live]))
-    question = ask(vehicle_view.VIEW, "car1")
-    once = vehicle_view.find(sources_of(engine), question)
+    once = told(engine, "/vehicles/car1")["clutches"]
     later = [replace(one, stream="from a log", produced_at="2026-03-01T00:00:00.000000Z") for one in live[:60]]
     Writer(engine).store(Batch(shifts=[row_of(one) for one in later]))
-    twice = vehicle_view.find(sources_of(engine), question)
-    assert [one.result_count for one in twice.clutches] == [90, 90]
-    assert [one.trend for one in twice.clutches] == [one.trend for one in once.clutches]
-    assert [one.outlook for one in twice.clutches] == [one.outlook for one in once.clutches]
+    twice = told(engine, "/vehicles/car1")["clutches"]
+    assert [one["result_count"] for one in twice] == [90, 90]
+    assert [one["trend"] for one in twice] == [one["trend"] for one in once]
+    assert [one["outlook"] for one in twice] == [one["outlook"] for one in once]
 
 
 def test_a_clock_that_was_ahead_hides_no_newer_results(engine: Engine) -> None:
@@ -256,25 +239,24 @@ def test_maintenance_is_by_day_over_all_parts_and_the_watch_keeps_it(engine: Eng
         rows = [row_of(one) | {"vehicle": f"car{number}"} | told for one, told in zip(results, seen, strict=True)]
         Writer(engine).store(Batch(shifts=rows))
 
-    def parts(sources: Sources) -> list[Due]:
-        found = [maintenance_view.find(sources, ask(maintenance_view.VIEW, limit="3"))]
-        while after := found[-1].next:
-            found.append(maintenance_view.find(sources, ask(maintenance_view.VIEW, limit="3", after=after)))
-        return [one for answer in found for one in answer.clutches]
-
-    foretold = parts(sources_of(engine))
-    days = [one.due_from or NOW.date() for one in foretold]
+    sources = sources_of(engine)
+    unknown = parts_of(sources, "/maintenance", "clutches")
+    assert {one["text"].endswith("Not foretold yet: fleet-backend watch does so.") for one in unknown} == {True}
+    sources.keeper.foretell(float("inf"))
+    foretold = parts_of(sources, "/maintenance", "clutches")
+    days = [one["due_from"] or str(NOW.date()) for one in foretold]
     assert days == sorted(days)
-    assert [one.vehicle for one in foretold if one.clutch == 1] == ["car4", "car3", "car2", "car1", "car0"]
+    assert [one["vehicle"] for one in foretold if one["clutch"] == 1] == ["car4", "car3", "car2", "car1", "car0"]
     WatchOfOffice(engine, Orders(), lambda: NOW).round(judging_s=float("inf"))
-    sources, asked = sources_of(engine), Watch(engine)
-    assert parts(sources) == foretold
-    assert not [one for one, _ in asked.asked if "version_rank" in one]  # no result was read
+    sources, asked_of = sources_of(engine), Watch(engine)
+    assert parts_of(sources, "/maintenance", "clutches") == foretold
+    assert asked_of.asked == []  # nothing is read for a reader
     queries.note_fill(engine, "car2", "DCTF", at=NOW - timedelta(days=1), odometer_m=None, note=None)
     sources.keeper.refresh()
-    again = parts(sources)
-    assert {one.due_from for one in again if one.vehicle == "car2"} == {None}
-    assert [one for one in again if one.vehicle != "car2"] == [one for one in foretold if one.vehicle != "car2"]
+    again = parts_of(sources, "/maintenance", "clutches")
+    assert {one["due_from"] for one in again if one["vehicle"] == "car2"} == {None}
+    others = [one for one in foretold if one["vehicle"] != "car2"]
+    assert [one for one in again if one["vehicle"] != "car2"] == others
 
 
 class Watch:
@@ -319,21 +301,14 @@ def test_no_question_reads_all_results(large: Engine) -> None:
     watch = Watch(large)
     keeper.refresh()
     assert len(keeper.snapshot.clutches) == 302
-    sources = Sources(engine=large, keeper=keeper, news=News(keeper))
-    since = (datetime.now(UTC) - timedelta(minutes=90)).isoformat()
+    since = (datetime.now(UTC) - timedelta(minutes=90)).isoformat().replace("+", "%2B")
     with transaction(large) as connection:
         connection.execute(text("UPDATE shift_result SET stored_at = now() WHERE vehicle = 'v9' AND seq = 9"))
     keeper.refresh()
-    questions = (
-        (clutches_view.VIEW, ask(clutches_view.VIEW)),
-        (vehicle_view.VIEW, ask(vehicle_view.VIEW, "v7")),
-        (shift_view.VIEW, ask(shift_view.VIEW, "v7", **SHIFT)),
-        (changes_view.VIEW, ask(changes_view.VIEW, since=since)),
-        (maintenance_view.VIEW, ask(maintenance_view.VIEW, limit="2")),
-        (quarantine_view.VIEW, ask(quarantine_view.VIEW)),
-    )
-    for view, question in questions:
-        view.show(view.find(sources, question), question, sources)
+    paths = [f"/{name}" for name in ("", "clutches", "vehicles/v7", "maintenance", "alarms", "quarantine")]
+    paths += ["/vehicles/v7/shift?stream=stream-1&seq=9", f"/changes?since={since}"]
+    answers = asked(Sources(engine=large, keeper=keeper), *paths)
+    assert [one.status_code for one in answers] == [200] * len(paths)
     plans = {}
     with large.connect() as connection:
         for statement, values in watch.asked:

@@ -14,9 +14,9 @@ from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
 from fleet_backend.office_tables import AUDIT
-from fleet_backend.page.outlook import outlook_of
-from fleet_backend.page.past import results_of
 from fleet_backend.page.populations import latest
+from fleet_backend.page.prognosis import outlook_of
+from fleet_backend.page.queries import results_of
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
 from tests.support.histories import history

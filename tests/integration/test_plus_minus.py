@@ -2,9 +2,9 @@
 
 import io
 from collections import defaultdict
-from collections.abc import Callable, Iterable
-from dataclasses import asdict
-from datetime import UTC, datetime
+from collections.abc import Callable
+from functools import partial
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -27,17 +27,21 @@ from diag_service.report.history import history_lines
 from diag_service.report.page import html_of, page_of
 from diag_service.service import calibrate_run
 from fleet_backend import report
+from fleet_backend.database import open_database
 from fleet_backend.follow import _finding
-from fleet_backend.page import changes_view, clutches_view, shift_view
-from fleet_backend.page.records import Change, ChangesAnswer
+from fleet_backend.migrate import migrate
+from fleet_backend.writer import Batch, Writer
 from tests.support.batches import frames_at
-from tests.support.builders import friction_estimate, shift_result
+from tests.support.builders import STREAM, friction_estimate, shift_result
+from tests.support.fleet import row_of
+from tests.support.fleet_page import asked, sources_of
 from tests.support.histories import findings
 from tests.unit.demo.outcomes import good_outcome
 from tests.unit.diag_service.delivery.test_reporters import numbers
 
 FRICTION = friction_estimate()
 MU_C, MU_S = (f"{2.0 * std:.4f}" for std in (FRICTION.std_mu_c, FRICTION.std_mu_s))
+SHIFT = f"/vehicles/car1/shift?stream={STREAM}&seq=1"
 SAID, SHORT = "± two standard deviations", "± 2 std"
 RATIO = GearRatio(ratio=3.462, std=0.006, sample_count=99)
 
@@ -91,24 +95,15 @@ def table() -> str:
     return out.getvalue()
 
 
-def changes() -> str:
-    own = {"mu_c": FRICTION.mu_c, "std_mu_c": FRICTION.std_mu_c, "mu_c_before": 0.2, "std_mu_c_before": 0.003}
-    one = Change(
-        vehicle="car1", clutch=1, condition_before="good", condition="watch", new_result_count=1, why=("new",), **own
-    )
-    answer = ChangesAnswer(since=datetime(2026, 3, 1, tzinfo=UTC), changes=(one,), clutch_count=1, next=None)
-    ask = cast("Any", SimpleNamespace(text=lambda _: None, with_words=dict, words={}))
-    (found,) = changes_view.show(answer, ask, cast("Any", None)).sections[0].tables
-    return " ".join(str(getattr(cell, "text", cell)) for cell in (*found.head, *found.rows[0]))
-
-
-def page() -> str:
-    """Return heads and cells of the pages of a fleet."""
-    own = asdict(FRICTION)
-    now = cast("Any", SimpleNamespace(std_mu_c=FRICTION.std_mu_c))
-    answer = cast("Any", SimpleNamespace(friction=own, running=own))
-    rows: list[Iterable[object]] = [*shift_view._friction_rows(answer), [clutches_view._COLUMNS[SAID](now)]]
-    return " ".join([*shift_view._FRICTION_HEAD, *(str(getattr(cell, "text", cell)) for row in rows for cell in row)])
+def page(path: str) -> str:
+    """Return a page of a fleet of one vehicle."""
+    with TemporaryDirectory() as folder:
+        engine = open_database(f"sqlite:///{folder}/fleet.sqlite")
+        migrate(engine)
+        Writer(engine).store(Batch(shifts=[row_of(shift_result(1))]))
+        (answer,) = asked(sources_of(engine), path)
+        engine.dispose()
+    return answer.text
 
 
 FACES: dict[str, Callable[[], str]] = {
@@ -120,8 +115,7 @@ FACES: dict[str, Callable[[], str]] = {
     "fleet-backend follow": follow,
     "fleet-backend trend": fleet,
     "fleet-backend table": table,
-    "fleet page": page,
-    "fleet page, changes": changes,
+    **{f"fleet page {path}": partial(page, path) for path in ("/clutches", SHIFT, "/changes?since=2020-01-01")},
 }
 
 

@@ -214,7 +214,7 @@ def test_no_text_contradicts_another(
 def test_all_who_tell_tell_the_same(known: list[ShiftResult], fluid: FluidFill | None) -> None:
     order = order_by(known, fluid)
     assert " ".join(line.plain for line in order_lines(order)) == order.text == advice_of(order).text
-    assert wording.advice(order.action.value, order.text) == advice_of(order)
+    assert wording.style(wording.shown_as(order.action.value)) == advice_of(order).condition
     rows = [
         {
             **row,

@@ -8,6 +8,8 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
+import httpx
+from anyio.from_thread import start_blocking_portal
 from sqlalchemy import Engine
 
 from clutch_results.records import Condition
@@ -15,12 +17,13 @@ from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.office.watching import Orders, Watch
 from fleet_backend.page.access import Access, Proxy, Role
-from fleet_backend.page.keeper import Keeper
+from fleet_backend.page.fleet import Keeper
 from fleet_backend.page.news import News
+from fleet_backend.page.queries import DatabaseSource
 from fleet_backend.page.records import ClutchNow
-from fleet_backend.page.running import DatabaseSource
+from fleet_backend.page.routes import routes_of
 from fleet_backend.page.server import address_of, closing_socket, serve
-from fleet_backend.page.view import Sources
+from fleet_backend.page.site import Sources, application
 from fleet_backend.rows import Poison, quarantine_row
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import NOW, fleet_result, row_of
@@ -88,11 +91,31 @@ def fill_database(engine: Engine) -> None:
     queries.note_fill(engine, "car1", FLUID, at=datetime(2026, 1, 1, 0, 1, tzinfo=UTC), odometer_m=1.5e4, note=MARKUP)
 
 
-def sources_of(engine: Engine) -> Sources:
+def sources_of(engine: Engine, *, now: datetime = NOW) -> Sources:
     """Return what answers questions about a database, which was just read."""
     keeper = Keeper(DatabaseSource(engine))
     keeper.refresh()
-    return Sources(engine=engine, keeper=keeper, news=News(keeper))
+    return Sources(engine=engine, keeper=keeper, now=lambda: now)
+
+
+def asked(sources: Sources, *paths: str) -> list[httpx.Response]:
+    """Return what is answered at addresses, without a server."""
+    site = application(sources, routes_of(News(sources.keeper)))
+
+    async def answers() -> list[httpx.Response]:
+        async with httpx.AsyncClient(transport=httpx.ASGITransport(site), base_url="http://127.0.0.1") as client:
+            return [await client.get(path) for path in paths]
+
+    with start_blocking_portal() as portal:
+        return portal.call(answers)
+
+
+def told(asked_of: Engine | Sources, path: str) -> Any:  # noqa: ANN401 - JSON
+    """Return what a program is told at an address below /api/v1."""
+    sources = asked_of if isinstance(asked_of, Sources) else sources_of(asked_of)
+    (answer,) = asked(sources, f"/api/v1{path}")
+    assert answer.status_code == 200, answer.text
+    return answer.json()
 
 
 def raise_alarms(engine: Engine) -> None:
@@ -107,12 +130,11 @@ def served(database: str, access: Access | None = None, *, port: int = 0) -> Ite
     writer = open_database(database, must_exist=True)
     keeper = Keeper(DatabaseSource(engine))
     keeper.refresh()
+    keeper.foretell(float("inf"))
     with closing_socket("127.0.0.1", port) as listener:
         started = list[Any]()  # servers
-        sources = Sources(
-            engine=engine, keeper=keeper, news=News(keeper, rest_s=0.0), writer=writer if access else None
-        )
-        work = serve(sources, listener, access=access or Access(), on_start=started.append)
+        sources = Sources(engine=engine, keeper=keeper, access=access or Access(), writer=writer if access else None)
+        work = serve(sources, listener, on_start=started.append, rest_s=0.0)
         thread = threading.Thread(target=asyncio.run, args=(work,), name="fleet page")
         thread.start()
         try:

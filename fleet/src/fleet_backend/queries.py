@@ -296,6 +296,7 @@ def note_fill(
     odometer_m: float | None,
     note: str | None,
     by: str = "",  # who notes it, for the audit; of what a vehicle told nobody
+    role: str = COMMAND_LINE,
     is_insisted: bool = False,
 ) -> datetime:
     """Note that a vehicle got new fluid, and return since when; UnknownVehicleError if it never spoke.
@@ -328,11 +329,11 @@ def note_fill(
         )
         if by:
             told = f"{vehicle}: {product} since {at.isoformat()}: {note or ''}"
-            _note(connection, datetime.now(UTC), by, "note fluid fill", told)
+            _note(connection, datetime.now(UTC), by, "note fluid fill", told, role)
     return at
 
 
-def withdraw_fill(engine: Engine, vehicle: str, at: datetime | None, *, by: str) -> datetime:
+def withdraw_fill(engine: Engine, vehicle: str, at: datetime | None, *, by: str, role: str = COMMAND_LINE) -> datetime:
     """Take back the last fill of a vehicle, or the one nearest a moment; return which. ConfigError if there is none."""
     table = FLUID_FILL.c
     with transaction(engine) as connection:
@@ -343,7 +344,7 @@ def withdraw_fill(engine: Engine, vehicle: str, at: datetime | None, *, by: str)
         gone = [one for one in known if timedelta(0) <= one - meant < SAME_WITHIN]
         connection.execute(insert(WITHDRAWN_FILL), [{"vehicle": vehicle, "filled_at": one} for one in gone])
         connection.execute(delete(FLUID_FILL).where(table.vehicle == vehicle, table.filled_at.in_(gone)))
-        _note(connection, datetime.now(UTC), by, "withdraw fluid fill", f"{vehicle}: {meant.isoformat()}")
+        _note(connection, datetime.now(UTC), by, "withdraw fluid fill", f"{vehicle}: {meant.isoformat()}", role)
     return meant
 
 
@@ -380,8 +381,8 @@ def result_count(engine: Engine) -> int:
         return int(connection.execute(select(func.count()).select_from(SHIFT_RESULT)).scalar_one())
 
 
-def _note(connection: Connection, at: datetime, by: str, action: str, subject: str) -> None:
-    note_change(connection, at=at, who=by, role=COMMAND_LINE, action=action, subject=subject)
+def _note(connection: Connection, at: datetime, by: str, action: str, subject: str, role: str = COMMAND_LINE) -> None:
+    note_change(connection, at=at, who=by, role=role, action=action, subject=subject)
 
 
 def _has(connection: Connection, statement: Select[tuple[str]]) -> bool:

@@ -26,14 +26,11 @@ from fleet_backend.database import transaction
 from fleet_backend.errors import CarrierError, ConfigError, DatabaseError
 from fleet_backend.months import month_of, partitions
 from fleet_backend.office_tables import ALARM_MESSAGE, INTAKE
-from fleet_backend.page import past
-from fleet_backend.page.keeper import Keeper, fleet_families
-from fleet_backend.page.maintenance_view import due_of, keep_due
-from fleet_backend.page.outlook import chance_of, outlook_of, outlook_text, score_fall_of
+from fleet_backend.page.fleet import Keeper, fleet_families
 from fleet_backend.page.populations import Kept, latest
+from fleet_backend.page.prognosis import chance_of, foretold, outlook_of, outlook_text, score_fall_of
+from fleet_backend.page.queries import DatabaseSource, fills_of, keep_due, last_arrivals, results_of
 from fleet_backend.page.records import ClutchNow, Severity
-from fleet_backend.page.running import DatabaseSource, last_arrivals
-from fleet_backend.page.vehicle_state import fills_of
 from fleet_backend.programs import shown_at, until_stopped
 from fleet_backend.queries import is_alarming_since
 from fleet_backend.schema import QUARANTINE
@@ -255,7 +252,7 @@ class Watch:
     def _judge(self, vehicle: str, clutches: Sequence[ClutchNow], kept: Kept | None) -> Iterator[rules.Finding]:
         limits, fills, founds, readings = self._orders.limits, fills_of(self._engine, vehicle), [], []
         for one in clutches:
-            rows = past.results_of(self._engine, vehicle, one.clutch)
+            rows = results_of(self._engine, vehicle, one.clutch)
             last = rows[-limits.unused_events :]
             unused = sum(row["status"] == "rejected" for row in last)
             yield rules.quality_finding(_whose(one), unused, len(last), limits)
@@ -265,9 +262,8 @@ class Watch:
             readings.append([(row["end_at"], row["odometer_m"]) for row in rows])
             founds.append(outlook_of(one.clutch, rows, fills, self._orders.service_distance_m, kept) if rows else None)
         yield rules.cause_finding(vehicle, clutches[0].action, clutches[0].order)
-        now = self._now()
-        due = [due_of(one, founds, own, now.date()) for one, own in zip(clutches, readings, strict=True)]
-        keep_due(self._engine, clutches, due, now)
+        rows = [foretold(one, founds, own) for one, own in zip(clutches, readings, strict=True)]
+        keep_due(self._engine, rows, self._now())
         text = f"{clutches[0].order} {outlook_text(founds, clutches[0])}"
         for one, found in zip(clutches, founds, strict=True):
             if found is not None:

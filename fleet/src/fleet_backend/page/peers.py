@@ -24,9 +24,8 @@ from clutch_results.prognosis import (
 )
 from fleet_backend.database import transaction
 from fleet_backend.page.calibrations import reference_of, type_of
-from fleet_backend.page.outlook import BEYOND_NUMBERS, estimate_of, fluid_fill
-from fleet_backend.page.past import results_of
-from fleet_backend.page.vehicle_state import fills_of
+from fleet_backend.page.prognosis import BEYOND_NUMBERS, estimate_of, fluid_fill
+from fleet_backend.page.queries import fills_of, results_of
 from fleet_backend.schema import CLUTCH
 
 Key = tuple[str, int]  # vehicle and clutch

@@ -1,180 +1,247 @@
-"""The pictures of the fleet's page: how a clutch went, with the bands of its estimate, fluids and alarms."""
+"""The pictures of the fleet's page: how the fluid of a clutch went and will go, friction over slip, a small curve."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from enum import StrEnum
+from typing import Final
 
 import numpy as np
 from markupsafe import Markup
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
-from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
-from clutch_results.pictures import MOST_MOMENTS, MOST_POINTS, THRESHOLD_KEYS
-from clutch_results.shift_course import COURSE_COUNT
-from clutchdiag_io.pages.content import Key
+from clutch_model.units import rad_s_from_rpm, rpm_from_rad_s
+from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO, curve_band, new_curve
+from clutch_results.records import FrictionEstimate
 from clutchdiag_io.pages.plot import Axis, Plot, broken, thinned
 from clutchdiag_io.people import PLUS_MINUS, STDS
 from fleet_backend.page.calibrations import reference_of
-from fleet_backend.page.records import ClutchNow, TrendPoint, Usual, VehicleAnswer
+from fleet_backend.page.records import ClutchHistory, ReachAnswer, ShiftAnswer, TrendPoint, VehicleAnswer
 from fleet_backend.page.wording import M_PER_KM
-from fleet_contract.orders import name_of, title_of
+from fleet_contract.orders import Action, name_of, title_of
 
+_MOST_POINTS: Final = 600  # a screen shows no more
+_MOST_MOMENTS: Final = 8  # names of moments do not overlap too much
+_AHEAD_RATIO: Final = 1.0  # of the past that is shown: so far the future is
+_SLIP_RAD_S: Final = rad_s_from_rpm(np.linspace(0.0, 400.0, 121))
+Keys = tuple[tuple[str, str], ...]  # style and words of what is drawn
 Level = tuple[float, str, str]  # where a line lies, its style, its name
 
 
-class Quantity(StrEnum):
-    """What is drawn of a clutch; the margin decides most verdicts."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figure:
+    """A picture with what its lines stand for."""
 
-    MARGIN = "margin mu_C - mu_S"
-    MU_C = "mu_C"
-    MU_S = "mu_S"
-    SCORE = "score"  # of gear changes, 100 is faultless
-
-    @property
-    def form(self) -> str:
-        """How its numbers are written."""
-        return "{:.1f}" if self is Quantity.SCORE else "{:.4f}"
+    picture: Markup
+    caption: str
+    keys: Keys
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
-    """How one quantity of one clutch went, an item per event; NaN where nothing is known."""
+    """How what decides the verdict of one clutch went, an item per event; NaN where nothing is known."""
 
-    clutch: int
-    title: str  # what the clutch is called
-    quantity: Quantity
-    along: FloatArray  # (n,) kilometres, or numbers of the events
-    label: str  # of the horizontal axis
+    quantity: str
     single: FloatArray  # (n,) of the event alone
     running: FloatArray  # (n,) of all events so far
     std_running: FloatArray  # (n,)
-    levels: tuple[Level, ...]  # of new fluid, and thresholds of the verdict
-    moments: tuple[tuple[float, str, str], ...]  # place on the axis, style, text
-    fills: tuple[int, ...] = ()  # rows of the first events with another fluid
-    usual: Usual | None = None  # in the fleet now
-
-    @classmethod
-    def of(
-        cls,
-        now: ClutchNow,
-        quantity: Quantity,
-        points: Sequence[TrendPoint],
-        answer: VehicleAnswer,
-        usual: Usual | None,
-    ) -> "Course":
-        """Return the course of a clutch, over the odometer if most events know it."""
-        odometer_km = _column([one.odometer_m for one in points]) / M_PER_KM
-        has_odometer = 2 * np.count_nonzero(np.isfinite(odometer_km)) > len(points)
-        along = _carried_on(odometer_km) if has_odometer else np.arange(1.0, len(points) + 1.0)
-        single, running, std_running = _values(quantity, points)
-        ends = [one.end_at for one in points]
-        return cls(
-            clutch=now.clutch,
-            title=title_of(now.clutch, now.element),
-            quantity=quantity,
-            along=along,
-            label="odometer [km]" if has_odometer else f"event of {name_of(now.clutch, now.element)}",
-            single=single,
-            running=running,
-            std_running=std_running,
-            levels=_levels(quantity, points, reference_of(now.vehicle, now.calibration_version, now.clutch)),
-            moments=tuple(_moments(now.clutch, along, ends, answer))[-MOST_MOMENTS:],
-            fills=tuple(_row_after(ends, fill.filled_at) for fill in answer.fills),
-            usual=usual if quantity is Quantity.MU_C else None,
-        )
+    levels: tuple[Level, ...]  # new fluid, and the limits of the verdict
 
 
-def _values(quantity: Quantity, points: Sequence[TrendPoint]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what each event said alone, what was known after it, and the deviation of that; shape (n,) each."""
-    if quantity is Quantity.SCORE:
-        return _scores([one.score for one in points])
-    mu_c, mu_s = _column([one.mu_c for one in points]), _column([one.mu_s for one in points])
-    running_c, std_c = (_column([getattr(one, f"running_{name}mu_c") for one in points]) for name in ("", "std_"))
-    running_s, std_s = (_column([getattr(one, f"running_{name}mu_s") for one in points]) for name in ("", "std_"))
-    if quantity is Quantity.MU_C:
-        return mu_c, running_c, std_c
-    if quantity is Quantity.MU_S:
-        return mu_s, running_s, std_s
+def margin_course(points: Sequence[TrendPoint], new: FrictionCurve | None) -> Course:
+    """Return how the margin against shudder went, which decides most verdicts."""
+    mu_c, mu_s = (_column([getattr(one, name) for one in points]) for name in ("mu_c", "mu_s"))
+    running_c, running_s = (_column([getattr(one, f"running_{name}") for one in points]) for name in ("mu_c", "mu_s"))
+    std_c, std_s = (_column([getattr(one, f"running_std_{name}") for one in points]) for name in ("mu_c", "mu_s"))
     common = _column([one.running_correlation for one in points]) * std_c * std_s
-    return mu_c - mu_s, running_c - running_s, np.sqrt(np.maximum(std_c**2 + std_s**2 - 2.0 * common, 0.0))
+    levels: tuple[Level, ...] = ()
+    if new is not None:
+        margin, watch = new.mu_c - new.mu_s, f"watch: {100.0 * WATCH_MARGIN_RATIO:.0f} %"
+        levels = (margin, "new", "new"), (WATCH_MARGIN_RATIO * margin, "watch", watch), (0.0, "change", "change: 0 %")
+    return Course(
+        quantity="margin mu_C - mu_S",
+        single=mu_c - mu_s,
+        running=running_c - running_s,
+        std_running=np.sqrt(np.maximum(std_c**2 + std_s**2 - 2.0 * common, 0.0)),
+        levels=levels,
+    )
 
 
-def _scores(told: Sequence[float | None]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return scores, their mean over the last twenty, and how well that is known; shape (n,) each."""
-    single = _column(told)
-    known = np.flatnonzero(np.isfinite(single))
-    running, std = np.full((2, len(single)), np.nan)
-    for place, row in enumerate(known.tolist()):
-        last = single[known[max(place + 1 - COURSE_COUNT, 0) : place + 1]]
-        running[row], std[row] = last.mean(), last.std() / np.sqrt(len(last))
-    return single, _carried_on(running), _carried_on(std)
+def level_course(points: Sequence[TrendPoint]) -> Course:
+    """Return how the friction at high slip went; what new fluid has the results themselves tell."""
+    told = [(one.level_ratio, one.running_mu_c) for one in points if one.level_ratio and one.running_mu_c]
+    new_mu_c = (told[-1][1] or 0.0) / (told[-1][0] or 1.0) if told else 0.0
+    ratios = ((1.0, "new"), (WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change"))
+    return Course(
+        quantity="mu_C",
+        single=_column([one.mu_c for one in points]),
+        running=_column([one.running_mu_c for one in points]),
+        std_running=_column([one.running_std_mu_c for one in points]),
+        levels=tuple((ratio * new_mu_c, style, f"{style}: {100.0 * ratio:.0f} %") for ratio, style in ratios if told),
+    )
 
 
-def _levels(quantity: Quantity, points: Sequence[TrendPoint], new: FrictionCurve | None) -> tuple[Level, ...]:
-    """Return new fluid and the thresholds, as far as they are known; that of mu_C the results themselves tell."""
-    if quantity is Quantity.MU_C:
-        told = [one for one in points if one.level_ratio and one.running_mu_c]
-        if not told:
-            return ()
-        new_mu_c = (told[-1].running_mu_c or 0.0) / (told[-1].level_ratio or 1.0)
-        ratios = ((1.0, "new"), (WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change"))
-        return tuple((ratio * new_mu_c, style, f"{style}: {100.0 * ratio:.0f} %") for ratio, style in ratios)
-    if new is None or quantity is Quantity.SCORE:
-        return ()
-    if quantity is Quantity.MU_S:
-        return ((new.mu_s, "new", "new"),)
-    margin = new.mu_c - new.mu_s
-    watch = (WATCH_MARGIN_RATIO * margin, "watch", f"watch: {100.0 * WATCH_MARGIN_RATIO:.0f} %")
-    return (margin, "new", "new"), watch, (0.0, "change", "change: 0 %")
+def deciding_course(points: Sequence[TrendPoint], new: FrictionCurve | None) -> Course:
+    """Return the course of what is nearer to its limit."""
+    return max(margin_course(points, new), level_course(points), key=_used_ratio)
 
 
-def course_picture(course: Course) -> Markup:
-    """Return how a quantity of a clutch went, thinned to what a screen can show."""
-    wide = STDS * course.std_running
-    usual = [] if course.usual is None else [course.usual.low_mu_c, course.usual.high_mu_c]
-    marks = np.array([*(y for y, _, _ in course.levels), *usual])
+def _used_ratio(course: Course) -> float:
+    """Return how much of the way from new fluid to the limit is gone."""
+    known = course.running[np.isfinite(course.running)]
+    if not len(known) or not course.levels:
+        return -np.inf
+    new, limit = course.levels[0][0], course.levels[-1][0]
+    return float((new - known[-1]) / (new - limit)) if new > limit else -np.inf
+
+
+def of_vehicle(answer: VehicleAnswer) -> list[Figure]:
+    """Return for each clutch how its fluid went and will go."""
+    return [_fan(answer, one) for one in answer.clutches if one.trend]
+
+
+def _fan(answer: VehicleAnswer, clutch: ClutchHistory) -> Figure:
+    """Return the past of a clutch with its band, its limits, what happened, and the prognosis as a fan."""
+    now, points = clutch.now, clutch.trend
+    course = deciding_course(points, reference_of(now.vehicle, now.calibration_version, now.clutch))
+    odometer_km = _column([one.odometer_m for one in points]) / M_PER_KM
+    has_odometer = 2 * np.count_nonzero(np.isfinite(odometer_km)) > len(points)
+    along = _carried_on(odometer_km) if has_odometer else np.arange(1.0, len(points) + 1.0)
+    ends = [one.end_at for one in points]
+    reach = clutch.outlook.change_fluid if has_odometer and clutch.outlook and course.levels else None
+    ahead = np.array([along[-1]]) if reach is None else _ends_km(along, reach)
+    wide, style = STDS * course.std_running, f"clutch{now.clutch}"
+    marks = np.array([level for level, _, _ in course.levels])
     y = Axis.around(course.quantity, course.single, course.running - wide, course.running + wide, marks)
-    x = Axis.around(course.label, course.along, np.array([place for place, _, _ in course.moments]), margin_ratio=0.02)
-    what = f"trend of {course.quantity}, single events, running estimate with its band"
-    plot = Plot(f"{course.title}: {what}", x, y)
-    if usual:
-        plot.band(np.array([x.low, x.high]), np.full(2, usual[0]), np.full(2, usual[1]), "shade")
+    label = "odometer [km]" if has_odometer else f"event of {name_of(now.clutch, now.element)}"
+    x = Axis.around(label, along, np.minimum(ahead, along[-1] + _span(along)), margin_ratio=0.02)
+    title = title_of(now.clutch, now.element)
+    plot = Plot(f"{title}: {course.quantity} over distance, single events, estimate with its band, prognosis", x, y)
     for level in course.levels:
         plot.level(*level)
-    single = thinned(course.single, MOST_POINTS)
-    running, along, width = broken(course.fills, MOST_POINTS, course.running, course.along, wide)
-    plot.band(along, running - width, running + width, f"band clutch{course.clutch}")
-    plot.dots(course.along[single], course.single[single], f"clutch{course.clutch}")
-    plot.line(along, running, f"line strong clutch{course.clutch}")
-    for place, style, text in course.moments:
-        plot.moment(place, style, text)
-    return plot.markup()
-
-
-def course_keys(course: Course) -> tuple[Key, ...]:
-    """Return what the lines of a course stand for."""
-    clutch = course.clutch
-    is_score = course.quantity is Quantity.SCORE
-    so_far = f"mean of the last {COURSE_COUNT}" if is_score else "estimate from all events so far"
-    usual = Key(style="shade", text="80 % of the clutches of this type and fluid are in this range now")
-    thresholds = {
-        Quantity.MU_C: THRESHOLD_KEYS,
-        Quantity.MU_S: (),
-        Quantity.SCORE: (),
-        Quantity.MARGIN: (
-            Key(style="watch", text=f"watch below {100.0 * WATCH_MARGIN_RATIO:.0f} % of new"),
-            Key(style="change", text="change below 0: the clutch can shudder"),
-        ),
-    }
-    return (
-        Key(style=f"dots clutch{clutch}", text="single events"),
-        Key(style=f"clutch{clutch}", text=so_far),
-        Key(style=f"band clutch{clutch}", text=PLUS_MINUS),
-        *(() if course.usual is None else (usual,)),
-        *(thresholds[course.quantity] if course.levels else ()),
+    fills = [_row_after(ends, fill.filled_at) for fill in answer.fills]
+    running, where, width = broken(fills, _MOST_POINTS, course.running, along, wide)
+    plot.band(where, running - width, running + width, f"band {style}")
+    single = thinned(course.single, _MOST_POINTS)
+    plot.dots(along[single], course.single[single], style)
+    plot.line(where, running, f"line strong {style}")
+    last = course.running[np.isfinite(course.running)]
+    has_fan = reach is not None and len(last) > 0 and last[-1] > course.levels[-1][0]
+    if has_fan:
+        low, middle, high = (_fall(x, float(along[-1]), float(last[-1]), end, course.levels[-1][0]) for end in ahead)
+        plot.band(low[0], low[1], high[1], f"band {style} ahead")
+        plot.line(*middle, f"line dashed {style}")
+    for place, kind, text in list(_moments(now.clutch, along, ends, answer))[-_MOST_MOMENTS:]:
+        plot.moment(place, kind, text)
+    return Figure(
+        picture=plot.markup(), caption=f"{title}: {course.quantity}", keys=tuple(_keys(course, style, has_fan=has_fan))
     )
+
+
+def fluid_bar(answer: VehicleAnswer) -> Markup:
+    """Return how far the fluid has gone and how far it will go, as a bar with an interval; empty: that is not known."""
+    reaches = [one.outlook.change_fluid for one in answer.clutches if one.outlook and one.outlook.change_fluid]
+    known = [one for one in reaches if one.p50_m is not None]
+    driven = [one.now.odometer_m for one in answer.clutches if one.now.odometer_m is not None]
+    if not known or not driven or answer.action in {Action.CHANGE_NOW, Action.NEW_FLUID, Action.FIND_CAUSE}:
+        return Markup()
+    first = min(known, key=lambda one: one.p50_m or 0.0)
+    filled_m = answer.fills[-1].odometer_m if answer.fills else None
+    age_km = 0.0 if filled_m is None else max(max(driven) - filled_m, 0.0) / M_PER_KM
+    low, middle, high = (3.0e5 if one is None else one / M_PER_KM for one in (first.p10_m, first.p50_m, first.p90_m))
+    low, middle, high = (float(f"{one:.2g}") for one in (low, middle, high))
+    age = "" if filled_m is None else f"Fluid: {age_km:,.0f} km old. "
+    text = f"{age}Left: about {middle:,.0f} km, {low:,.0f} to {high:,.0f} km (80 % sure)."
+    parts = (("age", 0.0, age_km), ("left", age_km, low), ("fan", age_km + low, high - low))
+    whole = max(age_km + high, 1.0)
+    boxes = Markup().join(
+        Markup('<rect class="{}" x="{:.1f}" y="0" width="{:.1f}" height="20"/>').format(
+            style, 1000.0 * start / whole, 1000.0 * width / whole
+        )
+        for style, start, width in parts
+    )
+    mark = Markup('<path class="middle" d="M{0:.1f} 0V20"/>').format(1000.0 * (age_km + middle) / whole)
+    return Markup(
+        '<p class="left">{0}</p><svg class="bar" viewBox="0 0 1000 20" preserveAspectRatio="none" role="img"'
+        ' aria-label="{0}">{1}{2}</svg>'
+    ).format(text, boxes, mark)
+
+
+def _span(along: FloatArray) -> float:
+    return max(_AHEAD_RATIO * float(along.max() - along.min()), 1.0)
+
+
+def _ends_km(along: FloatArray, reach: ReachAnswer) -> FloatArray:
+    """Return where the limit is passed with 10, 50 and 90 % probability, shape (3,); beyond the horizon far away."""
+    distances = (reach.p10_m, reach.p50_m, reach.p90_m)
+    return float(along[-1]) + np.array([3.0e5 if one is None else one / M_PER_KM for one in distances])
+
+
+def _fall(x: Axis, start: float, value: float, end: float, limit: float) -> tuple[FloatArray, FloatArray]:
+    """Return a straight way from now to the limit, and along it, up to the end of the picture, shape (n,) each."""
+    places = np.linspace(start, max(x.high, start), 50)
+    return places, np.interp(places, [start, max(end, start + 1e-6)], [value, limit])
+
+
+def _keys(course: Course, style: str, *, has_fan: bool) -> Iterator[tuple[str, str]]:
+    yield f"dots {style}", "single events"
+    yield style, "estimate from all events so far"
+    yield f"band {style}", PLUS_MINUS
+    if has_fan:
+        yield f"dashed {style}", "prognosis: half of such fluids reach their limit there, 80 % in the fan"
+    if course.levels:
+        yield "watch", course.levels[1][2] + " of new fluid"
+        yield "change", course.levels[2][2] + " of new fluid"
+
+
+def _moments(
+    clutch: int, along: FloatArray, ends: Sequence[datetime], answer: VehicleAnswer
+) -> Iterator[tuple[float, str, str]]:
+    """Yield where fluid was filled, and where alarms of the clutch were raised and cleared, in their order."""
+    happened = [
+        (ends[min(_row_after(ends, fill.filled_at), len(ends) - 1)], "fill", f"new fluid: {fill.product}")
+        for fill in answer.fills
+    ]
+    for alarm in answer.alarms:
+        if alarm.clutch == clutch and alarm.rule == "verdict":
+            happened.append((alarm.raised_at, "change_fluid", "alarm"))
+            if alarm.cleared_at is not None:
+                happened.append((alarm.cleared_at, "good", "alarm over"))
+    for at, style, text in sorted(happened):
+        place = next((row for row, end in enumerate(ends) if end >= at), None)
+        if place is not None:
+            yield float(along[place]), style, text
+
+
+def of_shift(answer: ShiftAnswer, reference: FrictionCurve) -> list[Figure]:
+    """Return the friction over slip by one event alone, and by all events so far."""
+    told = ((answer.friction, "this event alone"), (answer.running, "all events so far"))
+    return [_curve(answer, reference, values, what) for values, what in told if values is not None]
+
+
+def _curve(answer: ShiftAnswer, reference: FrictionCurve, values: Mapping[str, float], what: str) -> Figure:
+    friction, title, style = (
+        FrictionEstimate(**values),
+        title_of(answer.clutch, answer.element),
+        f"clutch{answer.clutch}",
+    )
+    new = new_curve(_SLIP_RAD_S, reference)
+    mean, std = curve_band(_SLIP_RAD_S, friction, reference)
+    levels = [
+        (ratio * reference.mu_c, style)
+        for ratio, style in ((WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change"))
+    ]
+    slip_rpm = rpm_from_rad_s(_SLIP_RAD_S)
+    y = Axis.around("friction coefficient", new, mean - STDS * std, mean + STDS * std, [level for level, _ in levels])
+    plot = Plot(f"{title}: friction over slip, {what}", Axis(low=0.0, high=400.0, label="slip speed [rpm]"), y)
+    for level, name in levels:
+        plot.level(level, name, f"{name}: {100.0 * level / reference.mu_c:.0f} %")
+    plot.line(slip_rpm, new, "line new dashed")
+    plot.band(slip_rpm, mean - STDS * std, mean + STDS * std, f"band {style}")
+    plot.line(slip_rpm, mean, f"line strong {style}")
+    keys = ((style, what), (f"band {style}", PLUS_MINUS), ("new dashed", "new fluid"))
+    limits = (("watch", "watch: 90 % of new"), ("change", "change: 80 % of new"))
+    return Figure(picture=plot.markup(), caption=f"{title}: friction over slip, {what}", keys=(*keys, *limits))
 
 
 def _column(values: Sequence[float | None]) -> FloatArray:
@@ -191,23 +258,3 @@ def _carried_on(odometer_km: FloatArray) -> FloatArray:
 def _row_after(ends: Sequence[datetime], filled_at: datetime) -> int:
     """Return the row of the first event with a fluid; behind the last row where there is none yet."""
     return next((row for row, end in enumerate(ends) if end > filled_at), len(ends))
-
-
-def _moments(
-    clutch: int, along: FloatArray, ends: Sequence[datetime], answer: VehicleAnswer
-) -> Iterator[tuple[float, str, str]]:
-    """Yield where fluid was filled, and where alarms of the clutch were raised and cleared, in their order."""
-    happened = [
-        (ends[min(_row_after(ends, fill.filled_at), len(ends) - 1)], "fill", f"new fluid: {fill.product}")
-        for fill in answer.fills
-        if ends
-    ]
-    for alarm in answer.alarms:
-        if alarm.clutch == clutch and alarm.rule == "verdict":
-            happened.append((alarm.raised_at, "change_fluid", "alarm"))
-            if alarm.cleared_at is not None:
-                happened.append((alarm.cleared_at, "good", "alarm over"))
-    for at, style, text in sorted(happened):
-        place = next((row for row, end in enumerate(ends) if end >= at), None)
-        if place is not None:
-            yield float(along[place]), style, text

@@ -72,6 +72,9 @@ class VehiclesAnswer:
     matching_count: int
     vehicle_count: int
     counts: Mapping[str, int]
+    due_count: int  # within 30 days, more probably than not
+    silent_count: int  # no result came for 14 days
+    alarm_count: int  # with an open alarm
     next: str | None
 
 

@@ -1,236 +1,537 @@
-"""Views and actions as routes: who asks, what for, and what comes back; the role is checked before all else."""
+"""The routes: each a question whose words are checked, what answers it, and a template; programs get JSON."""
 
-import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
-from dataclasses import dataclass, field, replace
-from datetime import datetime
-from functools import cache
-from typing import Final
-from urllib.parse import parse_qsl, quote, urlencode, urlsplit
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from datetime import UTC, date, datetime, timedelta
+from importlib.metadata import version
+from typing import Any, Final, NamedTuple
 
 import msgspec
-from jinja2 import Environment
-from markupsafe import Markup
+from sqlalchemy import Engine
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response, StreamingResponse
-from starlette.routing import Route
+from starlette.responses import RedirectResponse, Response
+from starlette.routing import BaseRoute, Route
 
-from clutchdiag_io.pages.content import Link, templates_of
-from fleet_backend.errors import AskError, ForbiddenError, LoginError
-from fleet_backend.page.access import NOBODY, Access, Role, Viewer, check_role, check_token
-from fleet_backend.page.asking import LIMIT, VEHICLE, Ask, Parameter, ParameterType, read_words
-from fleet_backend.page.view import Action, Drawn, Shown, Sources, View
-
-NAVIGATION: Final = (
-    Link(text="Fleet", href="/"),
-    Link(text="Clutches", href="/clutches"),
-    Link(text="Alarms", href="/alarms"),
-    Link(text="Maintenance", href="/maintenance"),
-    Link(text="Changes", href="/changes"),
-    Link(text="Quarantine", href="/quarantine"),
+from clutch_model.units import reading_of
+from clutch_results.loads import Load
+from clutch_results.records import Causes
+from clutch_results.shift_course import course_lines
+from clutchdiag_io.people import PER_1000_RPM, SLOPE_UNIT, STDS, digits
+from fleet_backend import queries as common
+from fleet_backend.alarms import book
+from fleet_backend.alarms.book import Note
+from fleet_backend.alarms.rules import Rule, Subject
+from fleet_backend.errors import AskError, ConfigError, NotFoundError, UnknownVehicleError
+from fleet_backend.office_tables import ALARM
+from fleet_backend.page import pictures, queries
+from fleet_backend.page.access import Role
+from fleet_backend.page.calibrations import reference_of
+from fleet_backend.page.fleet import SEVERITY, Snapshot, group_of, place_of, vehicle_type
+from fleet_backend.page.news import News
+from fleet_backend.page.parts import part_of, word_of
+from fleet_backend.page.prognosis import NO_PROGNOSIS, days_of, due_of, outlook_text, read_past
+from fleet_backend.page.questions import (
+    ORDERS,
+    Acknowledgement,
+    AlarmQuery,
+    AlarmsQuery,
+    ChangesQuery,
+    FleetQuery,
+    ListQuery,
+    NewFluid,
+    ShiftQuery,
+    VehicleQuery,
+    VehiclesQuery,
 )
-
-ASKING: Final = 4  # answers at a time that ask the database: more would wait for each other, and for new connections
-THINKING: Final = 2  # likewise that ask none
-EVENTS_PATH: Final = "/events"
-_FORM: Final = "application/x-www-form-urlencoded"
-_MOST_FOR_PROGRAMS: Final = 50_000
-_LONGEST_FORM: Final = 16_384  # bytes
-_TOKEN: Final = "token"  # noqa: S105 - the name of a field
-_EVENT_WORDS: Final = (
-    replace(VEHICLE, in_path=False, is_required=False),
-    Parameter(name="number", text="of the snapshot that the reader knows", kind=ParameterType.COUNT, least=0),
+from fleet_backend.page.records import (
+    Alarm,
+    AlarmsAnswer,
+    ChangesAnswer,
+    ClutchHistory,
+    ClutchNow,
+    Due,
+    FleetAnswer,
+    MaintenanceAnswer,
+    QuarantineAnswer,
+    Severity,
+    ShiftAnswer,
+    VehicleAnswer,
+    VehiclesAnswer,
 )
+from fleet_backend.page.site import (
+    API,
+    Problem,
+    asked,
+    encoded,
+    form_of,
+    is_api,
+    page,
+    sources_of,
+    static_files,
+    viewer_of,
+)
+from fleet_backend.page.wording import M_PER_KM, STEPS, address
+from fleet_contract.orders import UNKNOWN_FLUID, Action, name_of
+
+MOST_FOR_PEOPLE: Final = 1000  # rows of a page
+USUAL: Final = timedelta(days=7)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Endpoints:
-    """Makes routes that share where answers come from and who may ask."""
+def vehicles(request: Request) -> Response:
+    """Tell every vehicle as its worse clutch is, the worst first, and how many have each verdict."""
+    query, sources = asked(request, VehiclesQuery), sources_of(request)
+    keeper, snapshot = sources.keeper, sources.keeper.snapshot
+    groups = {"due": snapshot.due, "silent": snapshot.silent, "alarm": snapshot.alarmed}
+    found: Sequence[ClutchNow] = _matching(snapshot.worst, query)
+    found = found if query.only is None else [one for one in found if one.vehicle in groups[query.only]]
+    of = None if query.sort is None else ORDERS[query.sort.removeprefix("-")]
+    place: Callable[[ClutchNow], tuple[Any, ...]] = place_of if of is None else lambda one: (of(one), one.vehicle)
+    ordered = found if of is None else sorted(found, key=place)
+    is_down = query.sort is not None and query.sort.startswith("-")
+    some, following = part_of(ordered, place, query.after, _limit(request, query), is_down=is_down)
+    counts = Counter(one.condition for one in snapshot.worst)
+    answer = VehiclesAnswer(
+        vehicles=some,
+        matching_count=len(found),
+        vehicle_count=len(snapshot.worst),
+        counts={one.value: counts[one.value] for one in Severity},
+        due_count=len(snapshot.due),
+        silent_count=len(snapshot.silent),
+        alarm_count=len(snapshot.alarmed),
+        next=following,
+    )
+    if is_api(request):
+        return encoded(answer)
+    shown = _list(request, query, answer) | {
+        "heads": [_head(text, name, query) for text, name in _COLUMNS],
+        "orders": _ORDERS,
+        "strips": _strips(snapshot),
+        "tiles": [(name, len(groups[name]), text) for name, text in _TILES.items()],
+        "types": {one.vehicle: vehicle_type(one) for one in some},
+        "dues": {one.vehicle: due_of(one, keeper.foretold(one), sources.now().date()) for one in some},
+    }
+    return page(request, "fleet.html", shown)
 
-    sources: Sources
-    access: Access
-    now: Callable[[], datetime]
-    asking: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(ASKING))
-    thinking: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(THINKING))
 
-    def page(self, view: View) -> Route:
-        def answer(request: Request) -> Response:
-            ask = self._ask(request, view.role, view.parameters)
-            number = self.sources.keeper.snapshot.number
-            drawn = self._drawn(view, view.find(self.sources, ask), ask)
-            words = {name: quote(str(word), safe="") for name, word in request.path_params.items()}
-            query = urlencode([pair for pair in request.query_params.multi_items() if pair[1]])
-            text = html_of(
-                view,
-                drawn,
-                viewer=ask.viewer,
-                api_href=view.api_path.format(**words) + (f"?{query}" if query else ""),
-                number=number,
-                complaint=self.sources.keeper.complaint,
+_TILES: Final = {"due": "due within 30 days", "silent": "silent for 14 days", "alarm": "with an open alarm"}
+_COLUMNS: Final = (  # and by which word each sorts
+    *(("vehicle", "vehicle"), ("verdict", ""), ("what to do", ""), ("due from", ""), ("of new", "level")),
+    *(("last score", ""), ("km", "km"), ("fluid", "fluid"), ("type", "type"), ("last event (UTC)", "last")),
+)
+_ORDERS: Final = (  # for screens that show no heads of columns
+    ("", "worst first"),
+    *((sign + name, f"{text} {way}") for text, name in _COLUMNS if name for sign, way in (("", "up"), ("-", "down"))),
+)
+_MOST_STRIPS: Final = 12
+
+
+def _head(text: str, name: str, query: VehiclesQuery) -> str | dict[str, str]:
+    """Return the head of a column; it sorts upwards, and downwards where it sorts upwards already."""
+    if not name:
+        return text
+    ways = {name: "ascending", f"-{name}": "descending"}
+    said = _said(query) | {"sort": f"-{name}" if query.sort == name else name}
+    return {"text": text, "way": ways.get(query.sort or "", ""), "href": address("/", **said)}
+
+
+def _strips(snapshot: Snapshot) -> list[tuple[str, list[tuple[str, int, int]], int]]:
+    """Return the largest types with how many vehicles have which verdict, the worst first, and where each begins."""
+    largest = sorted(snapshot.strips.items(), key=lambda one: (-sum(one[1].values()), one[0]))[:_MOST_STRIPS]
+    found = []
+    for name, counts in largest:
+        parts, start = list[tuple[str, int, int]](), 0
+        for condition in Severity:
+            if counts.get(condition, 0):
+                parts.append((condition.value, counts[condition], start))
+                start += counts[condition]
+        found.append((name, parts, start))
+    return found
+
+
+def clutches(request: Request) -> Response:
+    """Tell the running condition of every clutch, the worst first."""
+    query, snapshot = asked(request, FleetQuery), sources_of(request).keeper.snapshot
+    found = _matching(snapshot.clutches, query)
+    some, following = part_of(found, place_of, query.after, _limit(request, query))
+    answer = FleetAnswer(
+        clutches=some,
+        matching_count=len(found),
+        clutch_count=len(snapshot.clutches),
+        next=following,
+        read_at=snapshot.read_at,
+    )
+    return encoded(answer) if is_api(request) else page(request, "clutches.html", _list(request, query, answer))
+
+
+def _matching(clutches: Sequence[ClutchNow], query: FleetQuery | ChangesQuery) -> Sequence[ClutchNow]:
+    """Return the clutches that are looked for, in the order in which they come."""
+    if query.q:
+        part = query.q.casefold()
+        clutches = [now for now in clutches if part in now.vehicle.casefold()]
+    if isinstance(query, ChangesQuery):
+        return clutches
+    for name in ("condition", "fluid"):
+        if (wanted := getattr(query, name)) is not None:
+            clutches = [now for now in clutches if getattr(now, name) == wanted]
+    if query.calibration is not None:
+        clutches = [now for now in clutches if query.calibration in {now.calibration_version, vehicle_type(now)}]
+    return clutches
+
+
+def _limit(request: Request, query: ListQuery) -> int:
+    return query.limit if is_api(request) else min(query.limit, MOST_FOR_PEOPLE)
+
+
+def _list(request: Request, query: ListQuery, answer: Any) -> dict[str, Any]:  # noqa: ANN401 - a part of any list
+    """Return what the page of a list shows: the part, its filters, and where it goes on."""
+    following = None if answer.next is None else address(request.url.path, **_said(query), after=answer.next)
+    return {"answer": answer, "query": query, "following": following}
+
+
+def _said(query: ListQuery) -> dict[str, Any]:
+    return {name: value for name, value in msgspec.to_builtins(query).items() if name != "after"}
+
+
+def vehicle(request: Request) -> Response:
+    """Tell of one vehicle: its clutches now, how far their fluid will go, and their past."""
+    query, sources = asked(request, VehicleQuery), sources_of(request)
+    name, engine, snapshot = query.vehicle, sources.engine, sources.keeper.snapshot
+    about = queries.vehicle_of(engine, name)
+    if about is None:
+        raise NotFoundError(f"no message was ever received of a vehicle {name}")
+    own, fills, stored = (
+        snapshot.vehicles.get(name, ()),
+        queries.fills_of(engine, name),
+        queries.stored_of(engine, name),
+    )
+    pasts = [read_past(engine, now, fills, query.service_km * M_PER_KM) for now in own]
+    changes = sorted(
+        (one for past in pasts for one in past.changes), key=lambda one: (one.kind, one.from_gear, one.to_gear)
+    )
+    answer = VehicleAnswer(
+        vehicle=name,
+        is_online=None if about["is_online"] is None else bool(about["is_online"]),
+        connected_at=about["connected_at"],
+        last_result_at=max((at for _, at in stored.values() if at is not None), default=None),
+        service_version=about["service_version"],
+        action=own[0].action if own else None,
+        order=own[0].order if own else None,
+        outlook=outlook_text((past.prognosis for past in pasts), own[0]) if own else None,
+        fills=fills,
+        alarms=tuple(Alarm(**one) for one in book.alarms(engine, ALARM.c.vehicle == name)),
+        clutches=tuple(
+            ClutchHistory(
+                now=now,
+                outlook=past.outlook,
+                why_no_outlook=NO_PROGNOSIS if past.outlook is None else None,
+                trend=past.trend,
+                result_count=stored.get(now.clutch, (0, None))[0],
+                usual=snapshot.usual.get(group_of(now)),
             )
-            return Response(text, media_type="text/html")
-
-        return Route(view.page_path, self._worked_on(view, answer), name=view.name)
-
-    def _drawn(self, view: View, answer: object, ask: Ask) -> Drawn:
-        """Return the page of an answer, as it is kept or made anew."""
-
-        def make() -> Drawn:
-            shown = view.show(answer, ask, self.sources)
-            return Drawn(shown=shown, body=body_of(shown))
-
-        if view.state is None:
-            return make()
-        key = (view.name, *sorted(ask.values.items()))
-        kept = self.sources.pages.of(key, view.state(answer), make)
-        return replace(kept, shown=replace(kept.shown, subtitle=view.subtitle(answer, self.sources)))
-
-    def _worked_on(self, view: View, answer: Callable[[Request], Response]) -> Callable[[Request], Awaitable[Response]]:
-        """Return what answers in one of few threads; who asks no database does not wait for those who do."""
-        turn = self.asking if view.asks_database else self.thinking
-
-        async def answered(request: Request) -> Response:
-            async with turn:
-                return await run_in_threadpool(answer, request)
-
-        return answered
-
-    def interface(self, view: View) -> Route:
-        parameters = api_parameters(view)
-
-        def answer(request: Request) -> Response:
-            ask = self._ask(request, view.role, parameters)
-            return Response(msgspec.json.encode(view.find(self.sources, ask)), media_type="application/json")
-
-        return Route(view.api_path, self._worked_on(view, answer), name=f"api {view.name}")
-
-    def action(self, action: Action) -> Route:
-        """Return the route of a change; only a form of one of our own pages gets through."""
-
-        async def answer(request: Request) -> Response:
-            viewer, words = await self._changing(request, action.role)
-            ask = read_words(action.parameters, {}, words.items(), self.now(), viewer)
-            where = await run_in_threadpool(action.do, self.sources, ask)
-            return RedirectResponse(where, status_code=303)
-
-        return Route(action.path, answer, name=action.name, methods=["POST"])
-
-    def events(self) -> Route:
-        """Return the route that tells a page that something is new; who comes back says what was heard last."""
-
-        async def answer(request: Request) -> Response:
-            viewer = self._viewer(request, Role.VIEWER)
-            words = [pair for pair in request.query_params.multi_items() if pair[0] != "number"]
-            heard = request.headers.get("last-event-id") or request.query_params.get("number", "")
-            ask = read_words(_EVENT_WORDS, {}, [*words, ("number", heard)], self.now(), viewer)
-            number = ask.count("number") if ask.text("number") else None
-            stream = self.sources.news.stream(number, ask.text("vehicle"))
-            return StreamingResponse(stream, media_type="text/event-stream", headers={"x-accel-buffering": "no"})
-
-        return Route(EVENTS_PATH, answer, name="events")
-
-    def document(self, path: str, content: bytes, media_type: str) -> Route:
-        """Return the route of a text that does not change."""
-
-        def answer(request: Request) -> Response:
-            self._viewer(request, Role.VIEWER)
-            return Response(content, media_type=media_type)
-
-        return Route(path, answer, name=path)
-
-    def _viewer(self, request: Request, role: Role) -> Viewer:
-        proxy = self.access.proxy
-        names = () if proxy is None else (proxy.user_header, proxy.secret_header)
-        if any(len(request.headers.getlist(name)) > 1 for name in names):
-            raise LoginError("the proxy passed on what somebody else said of the user")
-        viewer = self.access.viewer_of(request.headers)
-        check_role(viewer, role)
-        return viewer
-
-    async def _changing(self, request: Request, role: Role) -> tuple[Viewer, dict[str, str]]:
-        """Return who asks for a change by a form of one of our own pages, and its words."""
-        viewer = self._viewer(request, role)
-        fetched_by = request.headers.get("sec-fetch-site", "same-origin")
-        origin = request.headers.get("origin")
-        if fetched_by != "same-origin" or (
-            origin is not None and urlsplit(origin).hostname not in self.access.host_names
-        ):
-            raise ForbiddenError("a page of another site sent this request")
-        words = dict(await _form_words(request))
-        check_token(viewer, words.pop(_TOKEN, ""))
-        return viewer, words
-
-    def _ask(self, request: Request, role: Role, parameters: Sequence[Parameter]) -> Ask:
-        viewer = self._viewer(request, role)
-        return read_words(parameters, request.path_params, request.query_params.multi_items(), self.now(), viewer)
+            for now, past in zip(own, pasts, strict=True)
+        ),
+        changes=tuple(changes),
+        loads=_joined([load for past in pasts for load in past.loads]),
+        causes=_causes(request, own),
+    )
+    if is_api(request):
+        return encoded(answer)
+    shown = {
+        "answer": answer,
+        "figures": pictures.of_vehicle(answer),
+        "bar": pictures.fluid_bar(answer),
+        "steps": STEPS.get(Action(answer.action), ()) if answer.action else (),
+        "happened": sorted(_happened(answer), key=lambda one: one[0], reverse=True),
+        "lines": course_lines(answer.changes),
+        "assumptions": dict.fromkeys(
+            one for each in answer.clutches if each.outlook for one in each.outlook.assumptions
+        ),
+        "now": sources.now(),
+    }
+    return page(request, "vehicle.html", shown)
 
 
-def api_parameters(view: View) -> Sequence[Parameter]:
-    """Return what a program may say: as a reader, but for longer parts."""
-    return [replace(one, most=_MOST_FOR_PROGRAMS) if one is LIMIT else one for one in view.parameters]
+def _happened(answer: VehicleAnswer) -> Iterator[tuple[datetime, str, float | None, str | None]]:
+    """Yield when what was done to a vehicle or told of it, at which distance, with which note."""
+    for fill in answer.fills:
+        yield fill.filled_at, f"new fluid: {fill.product}", fill.odometer_m, fill.note
+    for one in answer.alarms:
+        whose = "" if one.clutch is None else f" of {name_of(one.clutch, one.element)}"
+        yield one.raised_at, f"alarm{whose}: {one.reason}", None, None
+        if one.acknowledged_at is not None:
+            yield one.acknowledged_at, f"alarm{whose} acknowledged by {one.acknowledged_by}", None, one.note
+        if one.cleared_at is not None:
+            yield one.cleared_at, f"alarm{whose} over", None, None
 
 
-async def _form_words(request: Request) -> list[tuple[str, str]]:
-    """Return the words of a form, none of them twice."""
-    if request.headers.get("content-type", "").partition(";")[0].strip() != _FORM:
-        raise AskError(f"a form is sent as {_FORM}")
-    content = b""
-    chunks: AsyncIterator[bytes] = request.stream()
-    async for chunk in chunks:
-        content += chunk
-        if len(content) > _LONGEST_FORM:
-            raise AskError(f"a form has {_LONGEST_FORM} bytes at most")
-    try:
-        words = parse_qsl(content.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=20)
-    except ValueError as exc:
-        raise AskError("this is not a form") from exc
-    if len({name for name, _ in words}) != len(words):
-        raise AskError("a field of the form is given twice")
-    return words
-
-
-def html_of(view: View, drawn: Drawn, *, viewer: Viewer, api_href: str, number: int, complaint: str | None) -> str:
-    """Return the page of an answer.
-
-    Parameters
-    ----------
-    api_href :
-        Address of the same answer for programs.
-    viewer :
-        Who reads it.
-    number :
-        Of the snapshot that it is from.
-    complaint :
-        Why what is shown is older than it should be, if it is.
-    """
-    return (
-        _templates()
-        .get_template("view.html")
-        .render(
-            page=drawn.shown,
-            body=drawn.body,
-            navigation=NAVIGATION,
-            viewer=viewer,
-            here=view.page_path,
-            api_href=api_href,
-            complaint=complaint,
-            number=number,
+def _joined(loads: Sequence[Load]) -> tuple[Load, ...]:
+    """Return what each clutch had to bear in its own events and, as the off-going one, in those of the other."""
+    return tuple(
+        Load(
+            clutch=clutch,
+            counts=tuple(map(sum, zip(*(one.counts for one in own), strict=True))),
+            energy_j=sum(one.energy_j for one in own),
+            peak_k=max((one.peak_k for one in own if one.peak_k is not None), default=None),
+            launch_count=sum(one.launch_count for one in own),
+            life_ratio=sum(one.life_ratio for one in own),
         )
+        for clutch in sorted({one.clutch for one in loads})
+        for own in [[one for one in loads if one.clutch == clutch]]
     )
 
 
-def body_of(shown: Shown) -> Markup:
-    """Return the sections of a page, which are the most of it and the same for all readers."""
-    return Markup(_templates().get_template("body.html").render(page=shown))  # noqa: S704 - a template escapes
+def _causes(request: Request, clutches: Sequence[ClutchNow]) -> Causes | None:
+    """Return why a vehicle is as it is, as its last result says; of an earlier fluid nothing."""
+    last = max(clutches, key=lambda one: one.end_at, default=None)
+    if last is None or last.condition_reason == UNKNOWN_FLUID:
+        return None
+    found = queries.shift_of(sources_of(request).engine, last.vehicle, last.stream, last.seq)
+    return None if found is None else found.causes
 
 
-def problem_page(title: str, detail: str) -> str:
-    """Return the page of something that went wrong."""
-    template = _templates().get_template("problem.html")
-    return template.render(title=title, detail=detail, navigation=NAVIGATION, here="", viewer=NOBODY)
+def shift(request: Request) -> Response:
+    """Tell of one event of a vehicle: its own estimate, the running one after it, and what its data were worth."""
+    query = asked(request, ShiftQuery)
+    answer = queries.shift_of(sources_of(request).engine, query.vehicle, query.stream, query.seq)
+    if answer is None:
+        raise NotFoundError(f"{query.vehicle} has no event {query.seq} in this stream")
+    if is_api(request):
+        return encoded(answer)
+    reference = reference_of(answer.vehicle, answer.calibration_version, answer.clutch)
+    figures = [] if reference is None else pictures.of_shift(answer, reference)
+    shown = {
+        "answer": answer,
+        "figures": figures,
+        "has_reference": reference is not None,
+        "quantities": _QUANTITIES,
+        "parts": list(_parts(asdict(answer.shift_quality))) if answer.shift_quality is not None else [],
+    }
+    return page(request, "shift.html", shown)
 
 
-@cache
-def _templates() -> Environment:
-    return templates_of("fleet_backend.page")
+_QUANTITIES: Final = (
+    ("mu_C, at high slip", "mu_c", "std_mu_c", 1.0),
+    ("mu_S, at no slip", "mu_s", "std_mu_s", 1.0),
+    (f"slope {SLOPE_UNIT}", "slope_s_rad", "std_slope_s_rad", PER_1000_RPM),
+)
+
+
+def _parts(told: Mapping[str, Any]) -> Iterator[tuple[str, float, str, str, str]]:
+    """Yield the parts of a score as people read them: name, value, its text, what stands behind ±, unit."""
+    for name, value in told.items():
+        if (reading := reading_of(told, name)) is not None:
+            label, shown, std, unit = reading
+            yield label, value, digits(shown), "" if std is None else digits(STDS * std), unit
+
+
+def alarms(request: Request) -> Response:
+    """Tell the alarms that rules raised, the latest first."""
+    query = asked(request, AlarmsQuery)
+    limit = _limit(request, query)
+    found, place = queries.alarms_of(
+        sources_of(request).engine, state=query.state, rule=query.rule, after=query.after, limit=limit
+    )
+    answer = AlarmsAnswer(alarms=tuple(found), next=word_of(place))
+    shown = {"rules": [rule.value for rule in Rule]}
+    return encoded(answer) if is_api(request) else page(request, "alarms.html", _list(request, query, answer) | shown)
+
+
+def alarm(request: Request) -> Response:
+    """Tell of one alarm that a rule raised."""
+    answer = queries.alarm_of(sources_of(request).engine, **msgspec.structs.asdict(asked(request, AlarmQuery)))
+    return encoded(answer) if is_api(request) else page(request, "alarm.html", {"answer": answer})
+
+
+def maintenance(request: Request) -> Response:
+    """Tell when the fluids of the fleet are due, in the order of their days."""
+    query, sources = asked(request, ListQuery), sources_of(request)
+    keeper, today = sources.keeper, sources.now().date()
+
+    def place(now: ClutchNow) -> tuple[bool, str, int, str, int]:
+        """Return where a fluid stands: what is overdue first, then by its day; what has no day is last."""
+        is_overdue, day = days_of(now, keeper.foretold(now), today)
+        return not is_overdue, (day or date.max).isoformat(), SEVERITY[Severity(now.condition)], now.vehicle, now.clutch
+
+    found = sorted(keeper.snapshot.clutches, key=place)
+    some, following = part_of(found, place, query.after, _limit(request, query))
+    dues = tuple(due_of(now, keeper.foretold(now), today) for now in some)
+    answer = MaintenanceAnswer(clutches=dues, clutch_count=len(found), next=following)
+    if is_api(request):
+        return encoded(answer)
+    return page(request, "maintenance.html", _list(request, query, answer) | {"weeks": _weeks(dues, today)})
+
+
+def _weeks(dues: Sequence[Due], today: date) -> list[tuple[str, list[Due]]]:
+    """Return which vehicles are due by the week from which they are, what is overdue first, what has no day last.
+
+    Both clutches of a vehicle slip in one oil, so it is told once.
+    """
+    found: dict[str, list[Due]] = {}
+    seen: dict[str, Due] = {}
+    for one in dues:
+        if seen.setdefault(one.vehicle, one) is not one:
+            continue
+        if one.is_overdue or (one.due_from is not None and one.due_from <= today):
+            key = "Now"
+        else:
+            monday = one.due_from and one.due_from - timedelta(days=one.due_from.weekday())
+            key = "No day known" if monday is None else f"Week of {monday.isoformat()}"
+        found.setdefault(key, []).append(one)
+    return list(found.items())
+
+
+def changes(request: Request) -> Response:
+    """Tell what changed since a given time, and why: new data, another algorithm or calibration, new fluid."""
+    query, sources = asked(request, ChangesQuery), sources_of(request)
+    since = sources.now() - USUAL if query.since is None else _moment(query.since)
+    touched = [now for now in _matching(sources.keeper.snapshot.clutches, query) if now.stored_at >= since]
+    some, following = part_of(touched, place_of, query.after, _limit(request, query))
+    found = queries.changes_of(sources.engine, some, since)
+    answer = ChangesAnswer(since=since, changes=tuple(found), clutch_count=len(touched), next=following)
+    return encoded(answer) if is_api(request) else page(request, "changes.html", _list(request, query, answer))
+
+
+def _moment(word: str) -> datetime:
+    try:
+        moment = datetime.fromisoformat(word)
+        return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
+    except (ValueError, OverflowError) as exc:
+        raise AskError("no date, such as 2026-01-31 or 2026-01-31T12:00Z") from exc
+
+
+def quarantine(request: Request) -> Response:
+    """Tell which messages could not be used, the latest first."""
+    query = asked(request, ListQuery)
+    found, place = queries.quarantined(sources_of(request).engine, query.after, _limit(request, query))
+    answer = QuarantineAnswer(messages=tuple(found), next=word_of(place))
+    return encoded(answer) if is_api(request) else page(request, "quarantine.html", _list(request, query, answer))
+
+
+async def acknowledge(request: Request) -> Response:
+    """Acknowledge an alarm, once."""
+    form = await form_of(request, Acknowledgement, Role.WORKSHOP)
+    writer, by = _writer_of(request)
+
+    def write() -> None:
+        queries.alarm_of(writer, **key)
+        note = Note(**by, at=sources_of(request).now(), text=form.note)
+        subject = Subject(vehicle=form.vehicle, clutch=form.clutch, rule=form.rule)
+        if not book.acknowledge(writer, subject, form.number, note):
+            raise AskError("somebody else has already acknowledged this alarm")
+
+    key: dict[str, Any] = {name: getattr(form, name) for name in ("vehicle", "clutch", "rule", "number")}
+    await run_in_threadpool(write)
+    return RedirectResponse(address("/alarm", **key), status_code=303)
+
+
+async def change_fluid(request: Request) -> Response:
+    """Note that a vehicle got new fluid, or take a fill back; the same fill is noted once."""
+    form = await form_of(request, NewFluid, Role.WORKSHOP)
+    (writer, by), sources = _writer_of(request), sources_of(request)
+    at = None if form.at is None else _moment(form.at)
+
+    def write() -> None:
+        if form.undo:
+            common.withdraw_fill(writer, form.vehicle, at, **by)
+        elif form.product is None:
+            raise AskError("product: which fluid is in?")
+        else:
+            odometer_m = None if form.odometer_km is None else form.odometer_km * M_PER_KM
+            told: dict[str, Any] = {"at": at or sources.now(), "odometer_m": odometer_m, "note": form.note}
+            common.note_fill(writer, form.vehicle, form.product, **told, **by)
+
+    try:
+        await run_in_threadpool(write)
+    except (ConfigError, UnknownVehicleError) as exc:
+        raise AskError(str(exc)) from exc
+    await sources.keeper.look()
+    return RedirectResponse(address(f"/vehicles/{form.vehicle}"), status_code=303)
+
+
+def _writer_of(request: Request) -> tuple[Engine, dict[str, Any]]:
+    """Return where somebody changes something, and who it is, for the audit."""
+    writer, viewer = sources_of(request).writer, viewer_of(request)
+    if writer is None or viewer.name is None:
+        raise NotFoundError("this server is read-only")
+    return writer, {"by": viewer.name, "role": viewer.role.name.lower()}
+
+
+class Endpoint(NamedTuple):
+    """A page, its address for programs, and the records of question and answer."""
+
+    path: str
+    api_path: str
+    handler: Callable[[Request], Response]
+    query: type
+    answer: type
+
+
+ENDPOINTS: Final = (
+    Endpoint("/", f"{API}/vehicles", vehicles, VehiclesQuery, VehiclesAnswer),
+    Endpoint("/clutches", f"{API}/clutches", clutches, FleetQuery, FleetAnswer),
+    Endpoint("/vehicles/{vehicle}", f"{API}/vehicles/{{vehicle}}", vehicle, VehicleQuery, VehicleAnswer),
+    Endpoint("/vehicles/{vehicle}/shift", f"{API}/vehicles/{{vehicle}}/shift", shift, ShiftQuery, ShiftAnswer),
+    Endpoint("/alarms", f"{API}/alarms", alarms, AlarmsQuery, AlarmsAnswer),
+    Endpoint("/alarm", f"{API}/alarm", alarm, AlarmQuery, Alarm),
+    Endpoint("/maintenance", f"{API}/maintenance", maintenance, ListQuery, MaintenanceAnswer),
+    Endpoint("/changes", f"{API}/changes", changes, ChangesQuery, ChangesAnswer),
+    Endpoint("/quarantine", f"{API}/quarantine", quarantine, ListQuery, QuarantineAnswer),
+)
+OPENAPI_PATH: Final = f"{API}/openapi.json"
+
+
+def routes_of(news: News) -> list[BaseRoute]:
+    """Return all routes."""
+    content = msgspec.json.encode(openapi())
+    return [
+        *(Route(path, one.handler) for one in ENDPOINTS for path in (one.path, one.api_path)),
+        Route("/alarm/acknowledge", acknowledge, methods=["POST"]),
+        Route("/vehicles/{vehicle}/fluid", change_fluid, methods=["POST"]),
+        Route(OPENAPI_PATH, lambda _: Response(content, media_type="application/json")),
+        Route("/events", news.answer),
+        Route("/static/{name}", static_files()),
+    ]
+
+
+def openapi() -> dict[str, Any]:
+    """Return the description of the addresses for programs (OpenAPI 3.1), by the records of questions and answers."""
+    template = "#/components/schemas/{name}"
+    records = [Problem, *(one.answer for one in ENDPOINTS), *(one.query for one in ENDPOINTS)]
+    schemas, components = msgspec.json.schema_components(records, ref_template=template)
+    wrong = {"content": {"application/problem+json": {"schema": schemas[0]}}}
+    problems = {
+        "400": "the request is not valid",
+        "401": "nobody is logged in",
+        "403": "this takes another role",
+        "404": "not found",
+        "503": "the database does not answer",
+    }
+    paths = {}
+    for one, schema in zip(ENDPOINTS, schemas[1:], strict=False):
+        asking = components[one.query.__name__]
+        parameters = [
+            {
+                "name": name,
+                "in": "path" if f"{{{name}}}" in one.api_path else "query",
+                "required": name in asking.get("required", ()),
+                "description": part.pop("description", ""),
+                "schema": part,
+            }
+            for name, part in ((name, dict(part)) for name, part in asking["properties"].items())
+        ]
+        good = {"description": one.handler.__doc__, "content": {"application/json": {"schema": schema}}}
+        told = {"200": good} | {status: {"description": text, **wrong} for status, text in problems.items()}
+        summary = {"operationId": one.handler.__name__, "summary": one.handler.__doc__}
+        paths[one.api_path] = {"get": {**summary, "parameters": parameters, "responses": told}}
+    return {
+        "openapi": "3.1.0",
+        "info": {
+            "title": "clutchdiag fleet",
+            "version": version("clutchdiag"),
+            "description": "What the fleet's database knows. SI units, UTC. Within v1 keys are only ever added.",
+        },
+        "paths": paths,
+        "components": {"schemas": components},
+    }

@@ -1,4 +1,4 @@
-"""The server: a socket, the site behind it, and the task that keeps its view of the fleet fresh."""
+"""The server: a socket, the application behind it, and the tasks that keep its view of the fleet fresh."""
 
 import asyncio
 import contextlib
@@ -8,9 +8,9 @@ import socket
 import sys
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager, contextmanager
-from datetime import UTC, datetime
 from typing import Final
 
+import anyio.to_thread
 import uvicorn
 from sqlalchemy import Engine
 from starlette.applications import Starlette
@@ -20,15 +20,16 @@ from fleet_backend.config import Place
 from fleet_backend.database import place_of
 from fleet_backend.errors import ConfigError
 from fleet_backend.page.access import Access
-from fleet_backend.page.keeper import Keeper, fleet_families
-from fleet_backend.page.news import News
-from fleet_backend.page.running import DatabaseSource
-from fleet_backend.page.site import site
-from fleet_backend.page.view import Sources
+from fleet_backend.page.fleet import Keeper, fleet_families
+from fleet_backend.page.news import REST_S, News
+from fleet_backend.page.queries import DatabaseSource
+from fleet_backend.page.routes import routes_of
+from fleet_backend.page.site import Sources, application
 from fleet_backend.programs import shown_at, stopping
 
 _BACKLOG: Final = 128
 _NICE: Final = 5  # who stores results beside us goes first
+_THREADS: Final = 6  # that answer at a time: more would wait for each other, and for new connections
 HEADERS_S: Final = 10.0  # from the first byte of a request, or the connection, to the end of its head
 _GRACE_S: Final = 3  # for readers who are being answered when the server is told to stop
 _LOG: Final = logging.getLogger(__name__)
@@ -60,8 +61,8 @@ def run_server(
         where = address_of(listener)
         sys.stdout.write(f"{where}  {len(keeper.snapshot.vehicles)} vehicles of {place_of(engine)}; ends with Ctrl-C\n")
         sys.stdout.flush()
-        sources = Sources(engine=engine, keeper=keeper, news=News(keeper), writer=writer if access.proxy else None)
-        asyncio.run(_serve_until_told(sources, listener, access, None if beside is None else beside(keeper)))
+        sources = Sources(engine=engine, keeper=keeper, access=access, writer=writer if access.proxy else None)
+        asyncio.run(_serve_until_told(sources, listener, None if beside is None else beside(keeper)))
 
 
 async def show(metrics: Place | None, keeper: Keeper) -> None:
@@ -92,27 +93,24 @@ def address_of(listener: socket.socket) -> str:
 
 
 async def serve(
-    sources: Sources,
-    listener: socket.socket,
-    *,
-    on_start: Callable[[uvicorn.Server], None],
-    access: Access,
-    now: Callable[[], datetime] = lambda: datetime.now(UTC),
+    sources: Sources, listener: socket.socket, *, on_start: Callable[[uvicorn.Server], None], rest_s: float = REST_S
 ) -> None:
     """Serve until ``should_exit`` of the server, which ``on_start`` is given, is set."""
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
-        task = asyncio.create_task(sources.keeper.run(), name="keeper")
+        anyio.to_thread.current_default_thread_limiter().total_tokens = _THREADS
+        tasks = [asyncio.create_task(work) for work in (sources.keeper.run(), sources.keeper.warm())]
         try:
             yield
         finally:
-            task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await task
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
 
+    news = News(sources.keeper, rest_s=rest_s)
     config = uvicorn.Config(
-        site(sources, access, lifespan=lifespan, now=now),
+        application(sources, routes_of(news), lifespan),
         log_config=None,
         access_log=False,
         server_header=False,
@@ -120,7 +118,7 @@ async def serve(
         timeout_graceful_shutdown=_GRACE_S,
         http=HeadersInTime,
     )
-    server = _Server(config, sources.news)
+    server = _Server(config, news)
     on_start(server)
     await server.serve(sockets=[listener])
 
@@ -175,7 +173,7 @@ class _Server(uvicorn.Server):
 
 
 async def _serve_until_told(
-    sources: Sources, listener: socket.socket, access: Access, beside: Coroutine[None, None, None] | None
+    sources: Sources, listener: socket.socket, beside: Coroutine[None, None, None] | None
 ) -> None:
     servers: list[uvicorn.Server] = []
 
@@ -187,7 +185,7 @@ async def _serve_until_told(
     if task is not None:
         task.add_done_callback(lambda _: stop())  # neither goes on without the other
     with stopping(stop):
-        await serve(sources, listener, access=access, on_start=servers.append)
+        await serve(sources, listener, on_start=servers.append)
     if task is not None:
         task.cancel()
         with contextlib.suppress(asyncio.CancelledError):

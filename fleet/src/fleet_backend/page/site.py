@@ -1,42 +1,71 @@
-"""The site: views become routes for people and for programs; whatever goes wrong becomes one line and a status."""
+"""The application: who asks is checked before all else, words of an address are checked once, an error is one line."""
 
 import logging
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Mapping
 from contextlib import AbstractAsyncContextManager
-from datetime import datetime
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from importlib import resources
-from importlib.metadata import version
-from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, TypeVar
+from urllib.parse import parse_qsl, urlencode, urlsplit
 
 import msgspec
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from sqlalchemy import Engine
 from starlette.applications import Starlette
+from starlette.authentication import AuthCredentials, AuthenticationBackend, AuthenticationError
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
+from starlette.middleware import Middleware
+from starlette.middleware.authentication import AuthenticationMiddleware
+from starlette.requests import HTTPConnection, Request
 from starlette.responses import PlainTextResponse, Response
-from starlette.routing import Route
+from starlette.routing import BaseRoute
+from starlette.templating import Jinja2Templates
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from clutchdiag_io.pages.content import SAFE_HEADERS, host_of
-from fleet_backend.errors import DatabaseError, FleetBackendError, PageError
-from fleet_backend.page import (
-    alarms_view,
-    changes_view,
-    clutches_view,
-    fleet_view,
-    maintenance_view,
-    quarantine_view,
-    shift_view,
-    vehicle_view,
-)
-from fleet_backend.page.access import Access
-from fleet_backend.page.asking import TEXT, Parameter, ParameterType
-from fleet_backend.page.routes import NAVIGATION, Endpoints, api_parameters, problem_page
-from fleet_backend.page.view import Sources, View
+from fleet_backend.errors import AskError, DatabaseError, FleetBackendError, ForbiddenError, LoginError, PageError
+from fleet_backend.page import wording
+from fleet_backend.page.access import NOBODY, Access, Role, Viewer, check_role, check_token
+from fleet_backend.page.fleet import Keeper
 
-_REF: Final = "#/components/schemas/{name}"
-_KEEP_NOTHING: Final = "no-store"  # of what says something of vehicles
+LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
+API: Final = "/api/v1"
+NAVIGATION: Final = (
+    ("/", "Fleet"),
+    ("/maintenance", "Maintenance"),
+    ("/alarms", "Alarms"),
+    ("/clutches", "Clutches"),
+    ("/changes", "Changes"),
+    ("/quarantine", "Quarantine"),
+)
+_FORM: Final = "application/x-www-form-urlencoded"
+_LONGEST_FORM: Final = 16_384  # bytes
+_TOKEN: Final = "token"  # noqa: S105 - the name of a field
+_STATIC_TYPES: Final = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
+_LOG: Final = logging.getLogger(__name__)
+QueryT = TypeVar("QueryT")
+Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sources:
+    """Where answers come from, and who may ask."""
+
+    engine: Engine
+    keeper: Keeper
+    access: Access = field(default_factory=Access)
+    writer: Engine | None = None  # where somebody may change something
+    now: Callable[[], datetime] = lambda: datetime.now(UTC)
+
+
+class Problem(msgspec.Struct, frozen=True, kw_only=True):
+    """What went wrong (RFC 9457)."""
+
+    title: str
+    status: int
+    detail: str
 
 
 class SafeHeaders:
@@ -49,16 +78,18 @@ class SafeHeaders:
         async def send_safely(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                for name, value in SAFE_HEADERS:
-                    headers[name] = value
-                headers.setdefault("cache-control", _KEEP_NOTHING)
+                headers.update(dict(SAFE_HEADERS))
+                headers.setdefault("cache-control", "no-store")  # of what says something of vehicles
             await send(message)
 
         await self._app(scope, receive, send_safely)
 
 
 class KnownHosts:
-    """Answers those who call this server by its own names; a strange page that leads its name here gets nothing."""
+    """Answers those who call this server by its own names; a strange page that leads its name here gets nothing.
+
+    Starlette's own middleware knows no IPv6.
+    """
 
     def __init__(self, app: ASGIApp, names: Collection[str]) -> None:
         self._app = app
@@ -71,154 +102,167 @@ class KnownHosts:
         await self._app(scope, receive, send)
 
 
-class Problem(msgspec.Struct, frozen=True, kw_only=True):
-    """What went wrong (RFC 9457)."""
+class Login(AuthenticationBackend):
+    """Believes the proxy who asks; without one everybody is nobody, and reads."""
 
-    title: str
-    status: int
-    detail: str
+    def __init__(self, access: Access) -> None:
+        self._access = access
 
-
-def openapi(views: Sequence[tuple[View, Sequence[Parameter]]]) -> dict[str, Any]:
-    records = [view.answer for view, _ in views]
-    schemas, components = msgspec.json.schema_components([*records, Problem], ref_template=_REF)
-    problem = schemas[-1]
-    paths = {
-        view.api_path: {"get": _operation(view, parameters, schema, problem)}
-        for (view, parameters), schema in zip(views, schemas, strict=False)
-    }
-    return {
-        "openapi": "3.1.0",
-        "info": {
-            "title": "clutchdiag fleet",
-            "version": version("clutchdiag"),
-            "description": "What the fleet's database knows. SI units, UTC. Within v1 keys are only ever added.",
-        },
-        "paths": paths,
-        "components": {"schemas": components},
-    }
+    async def authenticate(self, conn: HTTPConnection) -> tuple[AuthCredentials, Any]:
+        """Return who asks; raises AuthenticationError, from the error that is told."""
+        proxy = self._access.proxy
+        names = () if proxy is None else (proxy.user_header, proxy.secret_header)
+        try:
+            if any(len(conn.headers.getlist(name)) > 1 for name in names):
+                raise LoginError("the proxy passed on what somebody else said of the user")
+            return AuthCredentials(), self._access.viewer_of(conn.headers)
+        except PageError as exc:
+            raise AuthenticationError from exc
 
 
-def _operation(view: View, parameters: Iterable[Parameter], schema: object, problem: object) -> dict[str, Any]:
-    content = {"application/json": {"schema": schema}}
-    wrong = {"content": {"application/problem+json": {"schema": problem}}}
-    answers = {
-        "200": {"description": view.text, "content": content},
-        "400": {"description": "the request is not valid", **wrong},
-        "401": {"description": "nobody is logged in", **wrong},
-        "403": {"description": f"this takes the role {view.role.name.lower()}", **wrong},
-        "404": {"description": "not found", **wrong},
-        "503": {"description": "the database does not answer", **wrong},
-    }
-    return {
-        "operationId": view.name,
-        "summary": view.text,
-        "parameters": [_parameter(one) for one in parameters],
-        "responses": answers,
-    }
-
-
-def _parameter(one: Parameter) -> dict[str, Any]:
-    described: dict[str, Any] = {
-        "name": one.name,
-        "in": "path" if one.in_path else "query",
-        "required": one.is_required,
-        "description": one.text,
-        "schema": _schema(one),
-    }
-    may_be_empty = not one.in_path and not one.is_required  # as an empty field of a form: not said
-    return {**described, "allowEmptyValue": True} if may_be_empty else described
-
-
-def _schema(one: Parameter) -> dict[str, Any]:
-    if one.kind is ParameterType.COUNT:
-        limits: dict[str, Any] = {"type": "integer", "minimum": one.least, "maximum": one.most}
-        return limits if one.default is None else {**limits, "default": one.default}
-    schema: dict[str, Any] = {"type": "string", "maxLength": one.longest}
-    if one.kind is ParameterType.MOMENT:
-        schema["format"] = "date-time"
-    if one.choices:
-        schema["enum"] = list(one.choices)
-    if one.pattern is not None:
-        schema["pattern"] = f"^{one.pattern}$"
-    elif one.kind is ParameterType.TEXT and not one.choices:
-        schema["pattern"] = f"^{TEXT}$"
-    return schema
-
-
-VIEWS: Final = (
-    *(fleet_view.VIEW, clutches_view.VIEW, vehicle_view.VIEW, shift_view.VIEW),
-    *(alarms_view.VIEW, alarms_view.ONE_VIEW, maintenance_view.VIEW, changes_view.VIEW),
-    quarantine_view.VIEW,
-)
-ACTIONS: Final = (alarms_view.ACTION,)
-OPENAPI_PATH: Final = "/api/v1/openapi.json"
-LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
-_API: Final = "/api/"
-_STATIC_TYPES: Final[Mapping[str, str]] = MappingProxyType({
-    "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml",
-})  # fmt: skip
-_LOG: Final = logging.getLogger(__name__)
-
-Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
-
-
-def site(sources: Sources, access: Access, *, lifespan: Lifespan | None = None, now: Callable[[], datetime]) -> ASGIApp:
+def application(sources: Sources, routes: list[BaseRoute], lifespan: Lifespan | None = None) -> ASGIApp:
     """Return the application that answers."""
-    make = Endpoints(sources=sources, access=access, now=now)
-    description = msgspec.json.encode(openapi([(view, api_parameters(view)) for view in VIEWS]))
-    routes = [
-        *(make.page(view) for view in VIEWS),
-        *(make.interface(view) for view in VIEWS),
-        *(make.action(action) for action in ACTIONS),
-        make.document(OPENAPI_PATH, description, "application/json"),
-        make.events(),
-        Route("/static/{name}", _static_endpoint(), name="static"),
-    ]
     handlers = dict.fromkeys((FleetBackendError, HTTPException, Exception), _tell)
-    inside = Starlette(routes=routes, exception_handlers=handlers, lifespan=lifespan)
-    return SafeHeaders(KnownHosts(inside, host_names(access)))  # around everything, what goes wrong included
+    names = sources.access.host_names or LOOPBACK  # by which readers may call the page
+    login = Middleware(
+        AuthenticationMiddleware, backend=Login(sources.access), on_error=lambda conn, exc: _told(conn, exc.__cause__)
+    )
+    inside = Starlette(routes=routes, exception_handlers=handlers, middleware=[login], lifespan=lifespan)
+    inside.state.sources = sources
+    return SafeHeaders(KnownHosts(inside, names))  # around everything, what goes wrong included
 
 
-def host_names(access: Access) -> Collection[str]:
-    """Return the names by which readers may call the page: the loopback's, or those that are given instead."""
-    return access.host_names or LOOPBACK
+def sources_of(request: HTTPConnection) -> Sources:
+    found: Sources = request.app.state.sources
+    return found
 
 
-def _static_endpoint() -> Callable[[Request], Response]:
-    own = [one for one in resources.files("fleet_backend.page").joinpath("static").iterdir() if one.is_file()]
-    folder = resources.files("clutchdiag_io.pages").joinpath("templates")
-    shared = (folder.joinpath(name) for name in ("style.css", "live.js", "times.js", "icon.svg"))
-    files = {entry.name: entry.read_bytes() for entry in (*own, *shared)}
+def viewer_of(request: HTTPConnection) -> Viewer:
+    found: Viewer = request.user
+    return found
+
+
+def is_api(request: HTTPConnection) -> bool:
+    return request.url.path.startswith(API)
+
+
+def asked(request: Request, query: type[QueryT]) -> QueryT:
+    """Return the words of an address, checked; an empty word of a form was not said."""
+    return _checked([*request.path_params.items(), *request.query_params.multi_items()], query)
+
+
+async def form_of(request: Request, query: type[QueryT], role: Role) -> QueryT:
+    """Return the words of a form; it is one of our own pages that sent it, for somebody who may."""
+    viewer = viewer_of(request)
+    check_role(viewer, role)
+    origin, fetched_by = request.headers.get("origin"), request.headers.get("sec-fetch-site", "same-origin")
+    is_other = origin is not None and urlsplit(origin).hostname not in sources_of(request).access.host_names
+    if fetched_by != "same-origin" or is_other:
+        raise ForbiddenError("a page of another site sent this request")
+    if request.headers.get("content-type", "").partition(";")[0].strip() != _FORM:
+        raise AskError(f"a form is sent as {_FORM}")
+    content = b""
+    chunks: AsyncIterator[bytes] = request.stream()
+    async for chunk in chunks:
+        content += chunk
+        if len(content) > _LONGEST_FORM:
+            raise AskError(f"a form has {_LONGEST_FORM} bytes at most")
+    try:
+        words = parse_qsl(content.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=20)
+    except ValueError as exc:
+        raise AskError("this is not a form") from exc
+    check_token(viewer, dict(words).get(_TOKEN, ""))
+    return _checked([*request.path_params.items(), *(pair for pair in words if pair[0] != _TOKEN)], query)
+
+
+def _checked(pairs: list[tuple[str, str]], query: type[QueryT]) -> QueryT:
+    """Return words as a record; raises AskError, naming the first that is unknown, said twice, missing or wrong."""
+    words = dict(pairs)
+    if len(words) < len(pairs):
+        raise AskError("a word of this address is given twice")
+    for name, word in pairs:
+        if not f"{name}{word}".replace("\r\n", " ").isprintable():  # a note may have lines
+            raise AskError(f"{ascii(name)[:40]}: holds characters that are not text")
+    try:
+        return msgspec.convert({name: word for name, word in pairs if word}, query, strict=False)
+    except msgspec.ValidationError as exc:
+        raise AskError(str(exc).replace(" - at `$.", " - at `")) from exc
+
+
+def encoded(answer: object) -> Response:
+    """Return an answer for programs."""
+    return Response(msgspec.json.encode(answer), media_type="application/json")
+
+
+def page(request: Request, template: str, context: Mapping[str, Any]) -> Response:
+    """Return an answer for people."""
+    return _TEMPLATES.TemplateResponse(request, template, dict(context))
+
+
+def _everywhere(request: HTTPConnection) -> dict[str, Any]:
+    """Return what each page shows besides its own."""
+    sources = sources_of(request)
+    query = urlencode([pair for pair in request.query_params.multi_items() if pair[1]])
+    path = "/vehicles" if request.url.path == "/" else request.url.path
+    return {
+        "navigation": NAVIGATION,
+        "viewer": request.scope.get("user", NOBODY),
+        "complaint": sources.keeper.complaint,
+        "snapshot": sources.keeper.snapshot,
+        "api_href": f"{API}{path}" + (f"?{query}" if query else ""),
+        "is_workshop": sources.writer is not None and request.scope.get("user", NOBODY).role >= Role.WORKSHOP,
+    }
+
+
+def _environment() -> Environment:
+    loader = ChoiceLoader([PackageLoader("fleet_backend.page"), PackageLoader("clutchdiag_io.pages")])
+    made = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    made.filters |= wording.FILTERS
+    made.globals |= wording.GLOBALS
+    return made
+
+
+_TEMPLATES: Final = Jinja2Templates(env=_environment(), context_processors=[_everywhere])
+
+
+def static_files() -> Callable[[Request], Response]:
+    """Return what answers with style sheets, scripts and the icon."""
+    folders = (resources.files("fleet_backend.page") / "static", resources.files("clutchdiag_io.pages") / "templates")
+    files = {one.name: one.read_bytes() for folder in folders for one in folder.iterdir() if one.is_file()}
 
     def answer(request: Request) -> Response:
         name = request.path_params["name"]
-        if name not in files:
+        kind = _STATIC_TYPES.get(name.rpartition(".")[2])
+        if name not in files or kind is None:
             raise HTTPException(404)
-        kind = _STATIC_TYPES[name.rpartition(".")[2]]
         return Response(files[name], media_type=kind, headers={"cache-control": "max-age=3600"})
 
     return answer
 
 
 async def _tell(request: Request, exc: Exception) -> Response:
+    return _told(request, exc)
+
+
+def _told(request: HTTPConnection, exc: BaseException | None) -> Response:
     """Return what a reader is told instead of an answer."""
     status, title, detail = _problem(exc)
     headers = {"retry-after": "5"} if status == 503 else {}
     if isinstance(exc, HTTPException) and exc.headers:
         headers |= exc.headers
-    if request.url.path.startswith(_API):
-        content = Problem(title=title, status=status, detail=detail)
-        return Response(msgspec.json.encode(content), status, headers, media_type="application/problem+json")
-    return Response(problem_page(title, detail), status, headers, media_type="text/html")
+    if is_api(request):
+        content = msgspec.json.encode(Problem(title=title, status=status, detail=detail))
+        return Response(content, status, headers, media_type="application/problem+json")
+    context = {"title": title, "detail": detail}
+    return _TEMPLATES.TemplateResponse(Request(request.scope), "problem.html", context, status, headers)
 
 
-def _problem(exc: Exception) -> tuple[int, str, str]:
+def _problem(exc: BaseException | None) -> tuple[int, str, str]:
     if isinstance(exc, PageError):
         return exc.status, exc.title, str(exc)
     if isinstance(exc, DatabaseError):
         _LOG.warning("%s", exc)
         return 503, "The database does not answer", "The server keeps trying. Load this page again in a few seconds."
     if isinstance(exc, HTTPException):
-        return exc.status_code, exc.detail, "The pages there are: " + ", ".join(link.href for link in NAVIGATION)
+        return exc.status_code, exc.detail, "The pages there are: " + ", ".join(path for path, _ in NAVIGATION)
     return 500, "This did not work", "The server's log says why."

@@ -1,75 +1,116 @@
-"""How numbers, moments and verdicts of the fleet read: the one place, for all pages."""
+"""How numbers, moments and verdicts of the fleet read: filters of the templates, and addresses of pages."""
 
-from datetime import datetime
-from typing import Final
+from collections.abc import Callable, Iterable, Mapping
+from datetime import UTC, date, datetime
+from types import MappingProxyType
+from typing import Any, Final
 from urllib.parse import quote, urlencode
 
-from clutchdiag_io.pages.content import NONE, Advice, Badge, Cell, Link, number
-from fleet_contract.orders import SHOWN_AS, Action
+from markupsafe import Markup, escape
+
+from clutch_model.units import degc_from_k
+from clutch_results.shift_course import change_words, load_line, part_words
+from clutchdiag_io.people import PLUS_MINUS, STDS, digits, moment_words
+from fleet_backend.page.records import Severity
+from fleet_contract.orders import SHOWN_AS, Action, cause_words, title_of
 
 M_PER_KM: Final = 1000.0
+NONE: Final = "–"
 
 
-def share(value: float | None) -> Cell:
-    """Return a ratio as percent."""
-    return number(value, "{:.1%}")
+def number(value: float | None, form: str = "{:.4f}", scale: float = 1.0) -> Markup | str:
+    """Return a number as people read it, times a scale, and all digits for programs; a dash where there is none.
+
+    Without a form it has the digits that tell something.
+    """
+    if value is None or value != value:  # noqa: PLR0124 - NaN alone differs from itself
+        return NONE
+    text = form.format(value * scale) if form else digits(value * scale)
+    text = text.replace("%", " %").replace("100.0 %", "100 %")
+    text = text if any(digit in text for digit in "123456789") else text.lstrip("-")
+    return Markup('<data value="{}">{}</data>').format(float(value), text)
 
 
-def probability(value: float | None) -> Cell:
-    return number(value, "{:.3f}")
+def half_width(std: float | None, scale: float = 1.0) -> Markup | str:
+    """Return what stands behind ±."""
+    return number(None if std is None else STDS * std, scale=scale)
 
 
-def km(distance_m: float | None) -> Cell:
-    """Return a distance; programs read metres."""
-    return number(distance_m, "{:,.0f}", scale=1.0 / M_PER_KM)
+def moment(at: datetime | date | None, form: str = "%Y-%m-%d %H:%M") -> Markup | str:
+    """Return a moment in UTC or a day, all of it for programs; a dash where there is none."""
+    if at is None:
+        return NONE
+    if not isinstance(at, datetime):
+        return Markup('<time datetime="{0}">{0}</time>').format(at.isoformat())
+    return Markup('<time datetime="{}">{}</time>').format(at.astimezone(UTC).isoformat(), moment_words(at, form))
 
 
-def quality(value: float | None) -> Cell:
-    return number(value, "{:.2f}")
-
-
-def condition_word(condition: str) -> str:
-    return condition.replace("_", " ")
+def badge(condition: str | None) -> Markup | str:
+    """Return the word of a verdict, whose style adds a sign and a colour."""
+    if condition is None:
+        return NONE
+    form = Markup('<span class="{}"><strong class="badge">{}</strong></span>')
+    return form.format(style(condition), words(condition))
 
 
 def style(condition: str) -> str:
-    """Return the style of a verdict's badge."""
     return condition.replace("_", "-")
 
 
-def badge(condition: str) -> Badge:
-    return Badge(style=style(condition), text=condition_word(condition))
+def words(word: str | Iterable[str] | None) -> str:
+    """Return what programs write with underscores as people read it."""
+    if word is None or isinstance(word, str):
+        return (word or NONE).replace("_", " ")
+    return ", ".join(one.replace("_", " ") for one in word) or NONE
 
 
-def plain(text: str | None) -> str:
-    """Return a text, or a dash where there is none."""
-    return text or NONE
+def shown_as(action: str) -> str:
+    """Return the verdict as which an order is shown."""
+    return SHOWN_AS[Action(action)]
 
 
-def words(reasons: tuple[str, ...]) -> str:
-    """Return reasons as people read them."""
-    return ", ".join(reason.replace("_", " ") for reason in reasons) or NONE
+def address(path: str, **query: object) -> str:
+    """Return the address of a page; words that nobody said are left out."""
+    said = {name: value for name, value in query.items() if value not in (None, "")}
+    return f"{quote(path)}?{urlencode(said)}" if said else quote(path)
 
 
-def advice(action: str, order: str) -> Advice:
-    """Return the order for a vehicle, shown as the verdict that it comes from."""
-    condition = SHOWN_AS[Action(action)]
-    return Advice(condition=style(condition), word=condition_word(condition), text=order)
+def degc(temperature_k: float | None) -> Markup | str:
+    return number(None if temperature_k is None else degc_from_k(temperature_k), "{:.1f}")
 
 
-def vehicle_link(vehicle: str) -> Link:
-    return Link(text=vehicle, href=f"/vehicles/{quote(vehicle, safe='')}")
-
-
-def alarm_href(vehicle: str, clutch: int, rule: str, number_of_it: int) -> str:
-    """Return the address of an alarm; clutch 0 is the vehicle as a whole."""
-    words_of_it = urlencode({"vehicle": vehicle, "clutch": clutch, "rule": rule, "number": number_of_it})
-    return f"/alarm?{words_of_it}"
-
-
-def shift_link(text: str, vehicle: str, stream: str, seq: int, *, at: datetime | None = None) -> Link:
-    """Return the link to an event; ``at`` is the moment that the text tells, if it does."""
-    words_of_it = urlencode({"stream": stream, "seq": seq})
-    return Link(
-        text=text, href=f"/vehicles/{quote(vehicle, safe='')}/shift?{words_of_it}", iso=at.isoformat() if at else ""
-    )
+# What somebody does next, by the order for the vehicle.
+_DRIVE: Final = "Drive 20 gear changes of each clutch with a warm gearbox, then look here again."
+STEPS: Final[Mapping[Action, tuple[str, ...]]] = MappingProxyType({
+    Action.CHANGE_NOW: ("Change the fluid.", "Note it: product, date and odometer.", _DRIVE),
+    Action.CHANGE_AT_SERVICE: ("Order the fluid.", "Change it at the next service.", "Note it.", _DRIVE),
+    Action.FIND_CAUSE: ("See to the likeliest cause.", _DRIVE),
+    Action.NEW_FLUID: (_DRIVE,),
+    Action.MEASURE_AGAIN: (_DRIVE,),
+})  # fmt: skip
+NOTHING_YET: Final = "No vehicle has been heard from yet. fleet-backend ingest brings results into this database."
+GLOBALS: Final[Mapping[str, object]] = MappingProxyType({
+    "address": address,
+    "pairs": lambda words_of: [(one, one) for one in words_of],
+    "plus_minus": PLUS_MINUS,
+    "conditions": [(one.value, words(one.value)) for one in Severity],
+    "nothing_yet": NOTHING_YET,
+})  # fmt: skip
+FILTERS: Final[Mapping[str, Callable[..., Any]]] = MappingProxyType({
+    "number": number,
+    "half": half_width,
+    "km": lambda distance_m: number(distance_m, "{:,.0f}", 1.0 / M_PER_KM),
+    "share": lambda value: number(value, "{:.1%}"),
+    "moment": moment,
+    "badge": badge,
+    "style": style,
+    "words": words,
+    "shown_as": shown_as,
+    "clutch": lambda one: title_of(one.clutch, one.element),
+    "cause": lambda one: cause_words(one.cause, one.clutch),
+    "change": change_words,
+    "part": part_words,
+    "load_line": load_line,
+    "degc": degc,
+    "some": lambda text: escape(text) if text not in (None, "") else NONE,
+})  # fmt: skip

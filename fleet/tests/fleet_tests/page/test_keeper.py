@@ -1,13 +1,13 @@
 """What is kept of the fleet: what arrives is seen, what fails is tried again, who listens hears of changes alone."""
 
 from collections.abc import Sequence
-from datetime import datetime
+from datetime import datetime, timedelta
 
 from fleet_backend.errors import DatabaseAwayError
-from fleet_backend.page.keeper import Keeper
+from fleet_backend.page.fleet import Keeper
+from fleet_backend.page.queries import DatabaseSource
 from fleet_backend.page.records import ClutchNow
-from fleet_backend.page.running import DatabaseSource, FillsSeen
-from fleet_backend.queries import PresentFluid
+from fleet_backend.queries import PresentFluid, Row
 from tests.support.fleet import NOW
 from tests.support.fleet_page import clutch_now
 
@@ -19,7 +19,7 @@ class Fleet(DatabaseSource):
         self.clutches = list(clutches)
         self.news: list[str] = []
         self.at = NOW
-        self.fills = FillsSeen(count=0, latest=None)
+        self.mark: tuple[object, ...] = (0, None, 0)
         self.filled: dict[str, PresentFluid] = {}
         self.asked: list[str] = []
         self.is_away = False
@@ -29,8 +29,14 @@ class Fleet(DatabaseSource):
             raise DatabaseAwayError("database x: away")
         return self.at
 
-    def fills_seen(self) -> FillsSeen:
-        return self.fills
+    def fills_mark(self) -> tuple[object, ...]:
+        return self.mark
+
+    def alarmed(self) -> Sequence[str]:
+        return ["a", "gone"]
+
+    def dues(self, _since: datetime) -> Sequence[Row]:
+        return []
 
     def fluids(self) -> dict[str, PresentFluid]:
         self.asked.append("fluids")
@@ -47,6 +53,14 @@ class Fleet(DatabaseSource):
     def vehicles_with_news(self, since: datetime) -> Sequence[str]:
         assert since < self.at
         return self.news
+
+
+def test_it_is_counted_who_is_due_silent_or_has_an_alarm() -> None:
+    old = NOW - timedelta(days=15)
+    keeper = Keeper(Fleet(clutch_now("a", action="change_now"), clutch_now("b", stored_at=old), clutch_now("c")))
+    keeper.refresh()
+    shown = keeper.snapshot
+    assert [set(one) for one in (shown.due, shown.silent, shown.alarmed)] == [{"a"}, {"b"}, {"a"}]
 
 
 def test_only_vehicles_with_news_are_read_again() -> None:

@@ -1,6 +1,7 @@
 """The fleet as it was read last, kept in memory; what is new is read every two seconds, readers ask no database."""
 
 import asyncio
+import contextlib
 import logging
 import time
 from collections import Counter
@@ -15,10 +16,12 @@ from prometheus_client.core import Metric
 
 from clutchdiag_io.metrics import gauge
 from fleet_backend.errors import DatabaseError
-from fleet_backend.page.listing import vehicle_type, worst_first
+from fleet_backend.page.calibrations import type_of
+from fleet_backend.page.prognosis import foretold_now
+from fleet_backend.page.queries import DatabaseSource
 from fleet_backend.page.records import ClutchNow, Severity, Usual
-from fleet_backend.page.running import DatabaseSource, FillsSeen
-from fleet_backend.queries import PresentFluid
+from fleet_backend.queries import PresentFluid, Row
+from fleet_contract.orders import Action
 
 PERIOD_S: Final = 2.0
 REST_RATIO: Final = 19.0  # of the time that reading takes: a twentieth of a processor at most, while much arrives
@@ -28,11 +31,37 @@ WHOLE_AFTER: Final = timedelta(minutes=15)  # what nobody foresaw is put right b
 USUAL_FOR: Final = timedelta(minutes=1)  # what is usual changes slowly, and every vehicle's page shows it
 LEAST_CLUTCHES: Final = 20  # fewer say little of what is usual
 _SHARES: Final = (0.1, 0.5, 0.9)
+SOON: Final = timedelta(days=30)
+SILENT_AFTER: Final = timedelta(days=14)
+FORETOLD_S: Final = 0.5  # at a time
+SEVERITY: Final = {Severity.CHANGE_FLUID: 0, Severity.WATCH: 1, Severity.GOOD: 2, Severity.NO_VERDICT: 3}
+_NO_LEVEL: Final = 9.0  # of the view fleet_worst_first
 ClutchGroup = tuple[str, int, str | None]  # type, clutch, fluid
 ByVehicle = Mapping[str, tuple[ClutchNow, ...]]
-Fluids = Mapping[str, PresentFluid]
 _NEVER: Final = datetime.min.replace(tzinfo=UTC)
 _LOG: Final = logging.getLogger(__name__)
+
+
+def place_of(now: ClutchNow) -> tuple[int, float, float, str, int]:
+    """Return where a clutch stands in the fleet, as in the view fleet_worst_first: the smaller the worse."""
+    severity = SEVERITY.get(Severity(now.condition), len(SEVERITY))
+    falling = now.probability_negative_slope or 0.0
+    return severity, -falling, now.level_ratio or _NO_LEVEL, now.vehicle, now.clutch
+
+
+def vehicle_type(now: ClutchNow) -> str:
+    return type_of(now.vehicle, now.calibration_version)
+
+
+def group_of(now: ClutchNow) -> ClutchGroup:
+    return vehicle_type(now), now.clutch, now.fluid
+
+
+def worse_clutch(clutches: Sequence[ClutchNow]) -> ClutchNow:
+    """Return a vehicle as its worse clutch; distance, fluid and last event are the vehicle's."""
+    worst, last = min(clutches, key=place_of), max(clutches, key=lambda one: one.end_at)
+    furthest_m = max((one.odometer_m for one in clutches if one.odometer_m is not None), default=None)
+    return replace(worst, odometer_m=furthest_m, fluid=last.fluid, end_at=last.end_at)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +69,7 @@ class Snapshot:
     """The fleet at one moment."""
 
     clutches: tuple[ClutchNow, ...] = ()  # the worst first
+    worst: tuple[ClutchNow, ...] = ()  # the worse clutch of each vehicle, the worst first
     read_at: datetime = _NEVER
     number: int = 0  # grows whenever something became different
     changed: frozenset[str] = frozenset()  # vehicles that did with this number
@@ -48,6 +78,10 @@ class Snapshot:
     usual_at: datetime = _NEVER
     fluids: tuple[str, ...] = ()
     types: tuple[str, ...] = ()
+    strips: Mapping[str, Mapping[str, int]] = field(default_factory=lambda: MappingProxyType({}))  # verdicts by type
+    alarmed: frozenset[str] = frozenset()  # vehicles with an open alarm
+    due: frozenset[str] = frozenset()  # those whose fluid is due within a month
+    silent: frozenset[str] = frozenset()  # those of which no result came for long
 
 
 class Keeper:
@@ -56,9 +90,11 @@ class Keeper:
     def __init__(self, source: DatabaseSource) -> None:
         self._source = source
         self.snapshot = Snapshot()  # the fleet as it was read last
-        self._fills: FillsSeen | None = None
-        self._fluids: Fluids = {}
+        self._fills_mark: tuple[object, ...] = ()
+        self._fluids: Mapping[str, PresentFluid] = {}
         self._whole_at = self.snapshot.read_at
+        self._dues: dict[tuple[str, int], Row] = {}  # as the watch foretold them, or we
+        self._dues_at = _NEVER
         self._listeners: set[Callable[[Snapshot], None]] = set()
         self.complaint: str | None = None  # why the snapshot is older than it should be
 
@@ -70,8 +106,8 @@ class Keeper:
         DatabaseError
             If the database does not answer or cannot be used; the last snapshot stays.
         """
-        now, fills, last = self._source.now(), self._source.fills_seen(), self.snapshot
-        fluids = self._fluids if fills == self._fills else self._source.fluids()
+        now, mark, last = self._source.now(), self._source.fills_mark(), self.snapshot
+        fluids = self._fluids if mark == self._fills_mark else self._source.fluids()
         is_whole = now - self._whole_at >= WHOLE_AFTER
         if is_whole:
             fresh = _by_vehicle(self._source.all_clutches())
@@ -83,32 +119,83 @@ class Keeper:
             names = sorted(news.union(self._source.vehicles_with_news(last.read_at - OVERLAP)))
             fresh = _by_vehicle(self._source.clutches_of(names) if names else ())
             changed = {name for name, own in fresh.items() if own != last.vehicles.get(name)}
-        self._fills, self._fluids, self._whole_at = fills, fluids, now if is_whole else self._whole_at
+        for row in self._source.dues(self._dues_at):
+            self._dues[row["vehicle"], row["clutch"]] = row
+            self._dues_at = max(self._dues_at, row["judged_at"])
+        alarmed = self._source.alarmed()
+        self._fills_mark, self._fluids, self._whole_at = mark, fluids, now if is_whole else self._whole_at
         if changed or is_whole:
             self.snapshot = self._changed(fresh, changed, now, is_whole=is_whole)
-        else:
-            self.snapshot = replace(last, read_at=now)
+        self.snapshot = replace(
+            self.snapshot,
+            read_at=now,
+            alarmed=frozenset(alarmed) & self.snapshot.vehicles.keys(),
+            due=self._soon(now),
+            silent=self._silent(now),
+        )
         return bool(changed)
+
+    def _silent(self, now: datetime) -> frozenset[str]:
+        heard = {one.vehicle for one in self.snapshot.clutches if one.stored_at >= now - SILENT_AFTER}
+        return frozenset(self.snapshot.vehicles.keys() - heard)
 
     def _changed(self, fresh: ByVehicle, changed: set[str], now: datetime, *, is_whole: bool) -> Snapshot:
         """Return the fleet with what was read of it: of changed vehicles, or of all."""
         last = Snapshot() if is_whole else self.snapshot
         read = [one for name, own in fresh.items() if is_whole or name in changed for one in own]
-        clutches = worst_first([*(one for one in last.clutches if one.vehicle not in changed), *read])
+        vehicles = MappingProxyType({**last.vehicles, **fresh})
+        clutches = sorted([*(one for one in last.clutches if one.vehicle not in changed), *read], key=place_of)
+        worst = [*(one for one in last.worst if one.vehicle not in changed)]
+        worst += [worse_clutch(own) for name, own in fresh.items() if is_whole or name in changed]
+        strips: dict[str, Counter[str]] = {}
+        for one in worst:
+            strips.setdefault(vehicle_type(one), Counter())[one.condition] += 1
         is_usual_old = now - self.snapshot.usual_at >= USUAL_FOR
         return replace(
             self.snapshot,
-            clutches=clutches,
-            read_at=now,
+            clutches=tuple(clutches),
+            worst=tuple(sorted(worst, key=place_of)),
             number=self.snapshot.number + (1 if changed else 0),
             changed=frozenset(changed) if changed else self.snapshot.changed,
-            vehicles=MappingProxyType({**last.vehicles, **fresh}),
+            vehicles=vehicles,
             usual=usual_of(clutches) if is_usual_old else self.snapshot.usual,
             usual_at=now if is_usual_old else self.snapshot.usual_at,
             # Those of which nothing is left go when all is read.
             fluids=tuple(sorted({*last.fluids, *(one.fluid for one in read if one.fluid is not None)})),
-            types=tuple(sorted({*last.types, *map(vehicle_type, read)})),
+            types=tuple(sorted(strips)),
+            strips=MappingProxyType(strips),
         )
+
+    def foretold(self, now: ClutchNow) -> Row | None:
+        """Return what was foretold of a clutch, None if nothing was for its present order and fluid."""
+        row = self._dues.get((now.vehicle, now.clutch))
+        return row if row is not None and (row["action"], row["fluid_since"]) == (now.action, now.fluid_since) else None
+
+    def foretell(self, budget_s: float) -> None:
+        """Foretell for a while when fluids are due, the worst first, where nobody has; at least one.
+
+        What the watch foretells takes its place.
+        """
+        end_s = time.monotonic() + budget_s
+        waiting = (now.vehicle for now in self.snapshot.clutches if self._is_stale(now))
+        for vehicle in dict.fromkeys(waiting):
+            clutches = self.snapshot.vehicles[vehicle]
+            for now, row in zip(clutches, foretold_now(self._source.engine, clutches), strict=True):
+                self._dues[vehicle, now.clutch] = {**row, "of": now}
+            if time.monotonic() >= end_s:
+                return
+
+    def _is_stale(self, now: ClutchNow) -> bool:
+        row = self.foretold(now)
+        return row is None or row.get("of", now) != now
+
+    def _soon(self, now: datetime) -> frozenset[str]:
+        """Return the vehicles whose fluid is due within a month, more probably than not."""
+        by, clutches = (now + SOON).date(), self.snapshot.clutches
+        told = ((one, self.foretold(one)) for one in clutches)
+        days = ((one, None if row is None else row["half_by"]) for one, row in told)
+        is_now = {one.vehicle for one in clutches if one.action == Action.CHANGE_NOW}
+        return frozenset(is_now.union(one.vehicle for one, day in days if day is not None and day <= by))
 
     def listen(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:
         """Call a listener, in the event loop, with each new snapshot; return what ends that."""
@@ -137,6 +224,13 @@ class Keeper:
         for listener in tuple(self._listeners) if is_new else ():
             listener(self.snapshot)
 
+    async def warm(self) -> None:
+        """Foretell for ever, a third of the time, what the watch has not."""
+        while True:
+            with contextlib.suppress(DatabaseError):
+                await asyncio.to_thread(self.foretell, FORETOLD_S)
+            await asyncio.sleep(2.0 * FORETOLD_S)
+
 
 def fleet_families(keeper: Keeper) -> Iterator[Metric]:
     """Yield how large the fleet is and how old is what is known of it."""
@@ -152,10 +246,6 @@ def _by_vehicle(clutches: Sequence[ClutchNow]) -> ByVehicle:
     for one in clutches:
         found.setdefault(one.vehicle, []).append(one)
     return {name: tuple(sorted(some, key=lambda one: one.clutch)) for name, some in found.items()}
-
-
-def group_of(now: ClutchNow) -> ClutchGroup:
-    return vehicle_type(now), now.clutch, now.fluid
 
 
 def usual_of(clutches: Iterable[ClutchNow]) -> Mapping[ClutchGroup, Usual]:

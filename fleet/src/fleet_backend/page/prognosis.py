@@ -1,0 +1,276 @@
+"""Where the fleet meets the pure diagnosis: rows of the database become results again, and those a prognosis."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date, datetime, timedelta
+from typing import Any, Final
+
+from sqlalchemy import Engine
+
+from clutch_results.event_kinds import EventKind
+from clutch_results.loads import Load
+from clutch_results.prognosis import Prognosis, history_of_estimates, prognose, without
+from clutch_results.prognosis.sentence import outlook_line, soonest
+from clutch_results.records import (
+    FluidFill,
+    FrictionEstimate,
+    ScaleFreeFriction,
+    ShiftEstimate,
+    ShiftQuality,
+    Status,
+    iso_utc,
+)
+from clutch_results.shift_course import Course, courses, fall_of, loads
+from clutchdiag_io.people import is_dated
+from fleet_backend.page.calibrations import reference_of, type_of
+from fleet_backend.page.populations import Kept, latest
+from fleet_backend.page.queries import fills_of, friction_in, record_in, results_of, words_in
+from fleet_backend.page.records import ClutchNow, Due, Fill, OutlookAnswer, ReachAnswer, TrendPoint
+from fleet_backend.queries import Row
+from fleet_backend.schema import RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
+from fleet_contract.orders import Action
+
+SERVICE_M: Final = 1.5e7  # to the next service, if nobody says
+LOOKED_BACK: Final = timedelta(days=90)  # over which it is counted how much a vehicle is driven
+LEAST: Final = timedelta(days=1)
+_HORIZON: Final = timedelta(days=3653)
+_KINDS: Final = frozenset(EventKind)
+_SAME_IN_ROWS: Final = (  # of an estimate
+    *("number", "from_gear", "to_gear", "clutch", "sample_count", "window_s", "chi_square_ratio", "quality"),
+    *("sump_temperature_k", "clutch_temperature_k", "slip_energy_j", "duration_s", "odometer_m"),
+)
+NO_PROGNOSIS: Final = (
+    "No prognosis: its service has not told what calibration these results are of, or their numbers are of no clutch."
+)
+NOT_YET: Final = "Not foretold yet: fleet-backend watch does so."
+_NOTHING: Final = dict.fromkeys(("half_by", "most_by", "distance_a_day_m")) | {"outlook": NOT_YET}
+# What calculations raise of numbers that keep the contract and are of no clutch; a LinAlgError is a ValueError.
+BEYOND_NUMBERS: Final = (ArithmeticError, ValueError)
+
+
+def friction_of(values: Mapping[str, float] | None) -> FrictionEstimate | None:
+    return None if values is None else FrictionEstimate(**values)
+
+
+def estimate_of(row: Row) -> ShiftEstimate:
+    """Return what one event said of the friction; what no prognosis asks for is left out."""
+    return ShiftEstimate(
+        **{name: row[name] for name in _SAME_IN_ROWS},
+        start_ns=row["start_bus_ns"],
+        end_ns=row["end_bus_ns"],
+        status=Status(row["status"]),
+        reasons=(),
+        friction=friction_of(friction_in(row, "")),
+        scale_free=_scale_free(row),
+        kind=EventKind(row["kind"]) if row["kind"] in _KINDS else EventKind.SHIFT,  # newer programs may know more
+        shift_quality=record_in(row, "shift_quality", ShiftQuality),
+    )
+
+
+def _scale_free(row: Row) -> ScaleFreeFriction | None:
+    """Return what driving alone tells of the friction; of rows that do not know it, their random part stands for it."""
+    if row["mu_c"] is None:
+        return None
+    if row[f"{SCALE_FREE}correlation"] is not None:
+        return ScaleFreeFriction(**{name: row[SCALE_FREE + name] for name in SCALE_FREE_COLUMNS})
+    return ScaleFreeFriction(
+        mu_c=row["mu_c"],
+        mu_s=row["mu_s"],
+        std_mu_c=row["random_std_mu_c"],
+        std_mu_s=row["random_std_mu_s"],
+        correlation=row["correlation"],
+    )
+
+
+def score_fall_of(rows: Sequence[Row]) -> float | None:
+    """Return by how much the score of gear changes fell; None: too few."""
+    return fall_of(map(estimate_of, rows))
+
+
+def outlook_of(
+    clutch: int, rows: Sequence[Row], fills: Sequence[Fill], service_distance_m: float, kept: Kept | None
+) -> Prognosis | None:
+    """Return how far the fluid of a clutch will go by its results, the oldest first; None: that cannot be told.
+
+    It begins with the population that was kept last.
+    """
+    vehicle, calibration = rows[-1]["vehicle"], rows[-1]["calibration_version"]
+    reference, vehicle_type = reference_of(vehicle, calibration, clutch), type_of(vehicle, calibration)
+    if reference is None:
+        return None
+    same = [estimate_of(row) for row in rows if row["calibration_version"] == calibration]
+    try:
+        past = history_of_estimates(same, [fluid_fill(vehicle, one) for one in fills], clutch)
+        peers = None
+        if kept is not None:
+            fluid = fills[-1].product if fills else None
+            past = without(past, kept.population.common.get(vehicle_type))
+            peers = kept.population.of(vehicle_type, fluid)
+        return prognose(clutch, past, reference, service_distance_m=service_distance_m, peers=peers)
+    except BEYOND_NUMBERS:
+        return None
+
+
+def fluid_fill(vehicle: str, fill: Fill) -> FluidFill:
+    """Return a fill of the database as the diagnosis knows it."""
+    return FluidFill(
+        vehicle=vehicle,
+        filled_at=iso_utc(fill.filled_at),
+        odometer_m=fill.odometer_m,
+        product=fill.product,
+        note=fill.note,
+    )
+
+
+def outlook_text(founds: Iterable[Prognosis | None], first: ClutchNow) -> str:
+    """Return how far the fluid of a vehicle will go, by what is foretold of each clutch; made for pages and alarms."""
+    known = [found for found in founds if found is not None]
+    return outlook_line(known, Action(first.action), first.element) if known else NO_PROGNOSIS
+
+
+def chance_of(found: Prognosis) -> float | None:
+    """Return how likely an ageing fluid reaches its limit before the next service; None: it shows no trend."""
+    first = soonest([found])
+    return None if first is None else first.probability_before_service
+
+
+_POINT_NAMES: Final = (
+    *("vehicle", "clutch", "end_at", "odometer_m", "kind", "status", "mu_c", "std_mu_c", "random_std_mu_c", "mu_s"),
+    *("std_mu_s", "level_ratio", "condition", "stream", "seq", "algorithm_version", "calibration_version"),
+)
+_RUNNING_NAMES: Final = ("mu_c", "std_mu_c", "mu_s", "std_mu_s", "correlation")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Past:
+    """The past of a clutch, and what follows from it."""
+
+    trend: tuple[TrendPoint, ...]
+    prognosis: Prognosis | None
+    outlook: OutlookAnswer | None  # the same, as it is told
+    changes: tuple[Course, ...]  # of gears
+    loads: tuple[Load, ...]
+
+
+def read_past(engine: Engine, now: ClutchNow, fills: Sequence[Fill], service_distance_m: float) -> Past:
+    """Read the past of a clutch, and work out how far its fluid will go."""
+    rows = results_of(engine, now.vehicle, now.clutch)
+    found = outlook_of(now.clutch, rows, fills, service_distance_m, latest(engine)) if rows else None
+    estimates = list(map(estimate_of, rows))
+    return Past(
+        trend=tuple(map(_point_of, rows, estimates)),
+        prognosis=found,
+        outlook=None if found is None else _outlook_answer(found, rows),
+        changes=tuple(courses(estimates)),
+        loads=tuple(loads(estimates)),
+    )
+
+
+def _point_of(row: Row, estimate: ShiftEstimate) -> TrendPoint:
+    made: dict[str, Any] = {name: row[name] for name in _POINT_NAMES}
+    quality = estimate.shift_quality
+    made["score"] = None if quality is None else quality.score
+    made |= {f"running_{name}": row[RUNNING + name] for name in _RUNNING_NAMES}
+    return TrendPoint(reasons=words_in(row), **made)
+
+
+def _outlook_answer(found: Prognosis, rows: Sequence[Row]) -> OutlookAnswer:
+    """Return a prognosis as pages and programs read it; ``rows`` are all results, those of no use included."""
+    return OutlookAnswer(
+        clutch=found.clutch,
+        outlook=found.outlook.value,
+        row_count=found.row_count,
+        left_out_count=found.left_out_count,
+        service_distance_m=found.service_distance_m,
+        watch=_reach(found.watch),
+        change_fluid=_reach(found.change_fluid),
+        assumptions=(*found.assumptions, *_left_out(rows)),
+    )
+
+
+def _reach(when: Any) -> ReachAnswer | None:  # noqa: ANN401 - a Reach, which the package of prognoses does not name
+    names = ("p10_m", "p50_m", "p90_m", "probability_before_service")
+    return None if when is None else ReachAnswer(**{name: getattr(when, name) for name in names})
+
+
+def _left_out(rows: Sequence[Row]) -> Iterator[str]:
+    same_count = sum(row["calibration_version"] == rows[-1]["calibration_version"] for row in rows)
+    if same_count < len(rows):
+        yield f"{len(rows) - same_count} results of other calibrations are left out"
+    assumed = sum(row["mu_c"] is not None and row[f"{SCALE_FREE}correlation"] is None for row in rows)
+    if assumed:
+        yield f"in {assumed} results of older programs random errors of mu_C and mu_S correlate as the whole ones do"
+
+
+def foretold_now(engine: Engine, clutches: Sequence[ClutchNow]) -> list[Row]:
+    """Read the past of a vehicle, and return when its fluids are due, a row per clutch."""
+    fills = fills_of(engine, clutches[0].vehicle)
+    pasts = [read_past(engine, now, fills, SERVICE_M) for now in clutches]
+    founds = [past.prognosis for past in pasts]
+    readings = [[(point.end_at, point.odometer_m) for point in past.trend] for past in pasts]
+    return [foretold(now, founds, own) for now, own in zip(clutches, readings, strict=True)]
+
+
+def foretold(
+    now: ClutchNow, founds: Sequence[Prognosis | None], readings: Iterable[tuple[datetime, float | None]]
+) -> Row:
+    """Return when a fluid is due, as a row of the table; by the prognoses of all clutches: they slip in one oil."""
+    a_day_m = driven_a_day_m(readings)
+    reach = None if now.action == Action.FIND_CAUSE else soonest(one for one in founds if one is not None)
+    quantiles = (None, None, None) if reach is None else (reach.p10_m, reach.p50_m, reach.p90_m)
+    first, half, most = (_day(now, distance_m, a_day_m) for distance_m in quantiles)
+    return {
+        "vehicle": now.vehicle,
+        "clutch": now.clutch,
+        "action": now.action,
+        "fluid_since": now.fluid_since,
+        "due_from": first,
+        "half_by": half,
+        "most_by": most,
+        "distance_a_day_m": a_day_m,
+        "outlook": outlook_text(founds, now),
+    }
+
+
+def days_of(now: ClutchNow, row: Row | None, today: date) -> tuple[bool, date | None]:
+    """Return whether a fluid is overdue, more probably than not, and from which day it is due."""
+    if now.action == Action.CHANGE_NOW:
+        return True, today
+    return (False, None) if row is None else (row["half_by"] is not None and row["half_by"] < today, row["due_from"])
+
+
+def due_of(now: ClutchNow, row: Row | None, today: date) -> Due:
+    """Return when a fluid is due by what was foretold of it; None: nothing was yet."""
+    told = _NOTHING if row is None else row
+    is_overdue, first = days_of(now, row, today)
+    half, most = (today if now.action == Action.CHANGE_NOW else told[name] for name in ("half_by", "most_by"))
+    return Due(
+        vehicle=now.vehicle,
+        clutch=now.clutch,
+        element=now.element,
+        condition=now.condition,
+        is_overdue=is_overdue,
+        due_from=first,
+        half_by=half,
+        most_by=most,
+        distance_a_day_m=told["distance_a_day_m"],
+        text=f"{now.order} {told['outlook']}",
+    )
+
+
+def driven_a_day_m(readings: Iterable[tuple[datetime, float | None]]) -> float | None:
+    """Return the distance that a vehicle is driven a day, None if it is not known; readings come in their order."""
+    known = [(at, odometer_m) for at, odometer_m in readings if odometer_m is not None and is_dated(at)]
+    if not known:
+        return None
+    last_at, last_m = known[-1]
+    first_at, first_m = next(one for one in known if last_at - one[0] <= LOOKED_BACK)
+    if last_at - first_at < LEAST or last_m <= first_m:
+        return None
+    return (last_m - first_m) * (timedelta(days=1) / (last_at - first_at))
+
+
+def _day(now: ClutchNow, distance_m: float | None, a_day_m: float | None) -> date | None:
+    if distance_m is None or a_day_m is None or not is_dated(now.end_at) or distance_m > a_day_m * _HORIZON.days:
+        return None
+    return (now.end_at + timedelta(days=distance_m / a_day_m)).date()
