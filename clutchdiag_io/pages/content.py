@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from itertools import zip_longest
 from typing import Final
 
@@ -11,7 +10,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from canlog.arrays import FloatArray
-from clutchdiag_io.people import digits, moment_words
+from clutchdiag_io.people import digits
 
 NONE: Final = "–"
 
@@ -24,32 +23,7 @@ class Number:
     text: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Link:
-    """A text that leads to another page."""
-
-    text: str
-    href: str
-    iso: str = ""  # of a text that is a moment
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Badge:
-    """The word of a verdict or state; its style adds a sign and a colour."""
-
-    style: str
-    text: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TimeCell:
-    """A moment as people read it, and all of it for programs."""
-
-    iso: str
-    text: str
-
-
-Cell = str | Number | Link | Badge | TimeCell
+Cell = str | Number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,8 +31,7 @@ class Table:
     """A table; the first cell of each row is its name."""
 
     caption: str
-    head: tuple[str | Link, ...]  # a link sorts by its column
-    sorted_by: tuple[int, str] | None = None  # place of a column, and ascending or descending
+    head: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
 
 
@@ -111,13 +84,6 @@ def number(value: float | None, form: str = "{:.4f}", *, scale: float = 1.0) -> 
     return Number(value=float(value), text=text if any(digit in text for digit in "123456789") else text.lstrip("-"))
 
 
-def moment(value: datetime | None, form: str = "%Y-%m-%d %H:%M") -> Cell:
-    """Return an aware moment for people and programs, in UTC; a dash where there is none."""
-    if value is None:
-        return NONE
-    return TimeCell(iso=value.astimezone(UTC).isoformat(), text=moment_words(value, form))
-
-
 def spread(values: FloatArray | Sequence[object], most: int) -> list[int]:
     """Return at most ``most`` places of a sequence, evenly spread, the first and the last among them."""
     count = len(values)
@@ -126,37 +92,14 @@ def spread(values: FloatArray | Sequence[object], most: int) -> list[int]:
 
 _OWN: Final = "clutchdiag_io.pages"  # brings style.css and parts.html
 LONG: Final = 30  # letters: what has more gets a line of its own on a narrow screen
-_POLICY: Final = "; ".join(
-    (
-        *("default-src 'none'", "style-src 'self'", "script-src 'self'", "connect-src 'self'", "img-src 'self'"),
-        *("form-action 'self'", "base-uri 'none'", "frame-ancestors 'none'"),
-    )
-)
-SAFE_HEADERS: Final = (
-    ("content-security-policy", _POLICY),
-    ("x-content-type-options", "nosniff"),
-    ("x-frame-options", "DENY"),
-    ("referrer-policy", "same-origin"),
-    ("cross-origin-opener-policy", "same-origin"),
-    ("cross-origin-resource-policy", "same-origin"),
-    ("permissions-policy", "camera=(), geolocation=(), microphone=()"),
-)
 
 
-def host_of(header: str) -> str:
-    """Return the name, without a port, by which a request calls the server: what its header ``Host`` says."""
-    host = header.casefold()
-    if host.startswith("["):
-        return host.partition("]")[0] + "]"
-    return host.rpartition(":")[0] if ":" in host else host
-
-
-def rows_markup(rows: Iterable[Sequence[Cell]], head: Sequence[str | Link] = ()) -> Markup:
+def rows_markup(rows: Iterable[Sequence[Cell]], head: Sequence[str] = ()) -> Markup:
     """Return the rows of a table, a line each; the first cell of each is its head. Every text is escaped.
 
     With ``head`` each cell carries the name of its column, which a narrow screen shows beside it.
     """
-    names = [f' data-name="{escape(one.text if isinstance(one, Link) else one)}"' for one in head]
+    names = [f' data-name="{escape(one)}"' for one in head]
     lines = []
     for row in rows:
         wide = [' class="wide"' if names and isinstance(one, str) and len(one) > LONG else "" for one in row]
@@ -169,15 +112,7 @@ def rows_markup(rows: Iterable[Sequence[Cell]], head: Sequence[str | Link] = ())
 def _cell(one: Cell) -> str:
     if isinstance(one, str):
         return escape(one.strip())
-    if isinstance(one, Number):
-        return f'<data value="{escape(one.value)}">{escape(one.text)}</data>'
-    if isinstance(one, Link):
-        text = f'<time datetime="{escape(one.iso)}">{escape(one.text)}</time>' if one.iso else escape(one.text)
-        return f'<a href="{escape(one.href)}">{text}</a>'
-    if isinstance(one, TimeCell):
-        return f'<time datetime="{escape(one.iso)}">{escape(one.text)}</time>'
-    badge: Badge = one
-    return f'<span class="{escape(badge.style)}"><strong class="badge">{escape(badge.text)}</strong></span>'
+    return f'<data value="{escape(one.value)}">{escape(one.text)}</data>'
 
 
 def templates_of(package: str) -> Environment:

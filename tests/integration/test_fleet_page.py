@@ -15,11 +15,11 @@ from jsonschema import Draft202012Validator
 from playwright.sync_api import Browser, Page
 
 from clutch_results.records import Condition
-from clutchdiag_io.pages.content import SAFE_HEADERS as HEADERS
 from fleet_backend.database import open_database
 from fleet_backend.intake import batch_of, take
 from fleet_backend.page import server
 from fleet_backend.page.routes import ENDPOINTS, OPENAPI_PATH
+from fleet_backend.page.site import SAFE_HEADERS as HEADERS
 from fleet_backend.schema import SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
 from tests.support.browsing import chromium, complaints_of, new_page, refused_in

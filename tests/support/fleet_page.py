@@ -134,7 +134,7 @@ def served(database: str, access: Access | None = None, *, port: int = 0) -> Ite
     with closing_socket("127.0.0.1", port) as listener:
         started = list[Any]()  # servers
         sources = Sources(engine=engine, keeper=keeper, access=access or Access(), writer=writer if access else None)
-        work = serve(sources, listener, on_start=started.append, rest_s=0.0)
+        work = serve(sources, listener, on_start=started.append, period_s=0.05)
         thread = threading.Thread(target=asyncio.run, args=(work,), name="fleet page")
         thread.start()
         try:

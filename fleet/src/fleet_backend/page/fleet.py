@@ -5,7 +5,7 @@ import contextlib
 import logging
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from types import MappingProxyType
@@ -72,7 +72,6 @@ class Snapshot:
     worst: tuple[ClutchNow, ...] = ()  # the worse clutch of each vehicle, the worst first
     read_at: datetime = _NEVER
     number: int = 0  # grows whenever something became different
-    changed: frozenset[str] = frozenset()  # vehicles that did with this number
     vehicles: ByVehicle = field(default_factory=lambda: MappingProxyType({}))
     usual: Mapping[ClutchGroup, Usual] = field(default_factory=lambda: MappingProxyType({}))
     usual_at: datetime = _NEVER
@@ -95,7 +94,6 @@ class Keeper:
         self._whole_at = self.snapshot.read_at
         self._dues: dict[tuple[str, int], Row] = {}  # as the watch foretold them, or we
         self._dues_at = _NEVER
-        self._listeners: set[Callable[[Snapshot], None]] = set()
         self.complaint: str | None = None  # why the snapshot is older than it should be
 
     def refresh(self) -> bool:
@@ -156,7 +154,6 @@ class Keeper:
             clutches=tuple(clutches),
             worst=tuple(sorted(worst, key=place_of)),
             number=self.snapshot.number + (1 if changed else 0),
-            changed=frozenset(changed) if changed else self.snapshot.changed,
             vehicles=vehicles,
             usual=usual_of(clutches) if is_usual_old else self.snapshot.usual,
             usual_at=now if is_usual_old else self.snapshot.usual_at,
@@ -197,11 +194,6 @@ class Keeper:
         is_now = {one.vehicle for one in clutches if one.action == Action.CHANGE_NOW}
         return frozenset(is_now.union(one.vehicle for one, day in days if day is not None and day <= by))
 
-    def listen(self, listener: Callable[[Snapshot], None]) -> Callable[[], None]:
-        """Call a listener, in the event loop, with each new snapshot; return what ends that."""
-        self._listeners.add(listener)
-        return lambda: self._listeners.discard(listener)
-
     async def run(self, period_s: float = PERIOD_S) -> None:
         """Refresh for ever; the longer reading takes, the longer is the pause behind it."""
         pause_s = period_s
@@ -212,17 +204,15 @@ class Keeper:
             pause_s = max(period_s, min(REST_RATIO * (time.monotonic() - began_s), LONGEST_REST_S))
 
     async def look(self) -> None:
-        """Refresh once, in a thread, and tell who listens if something is new; what goes wrong is kept to be shown."""
+        """Refresh once, in a thread; what goes wrong is kept to be shown."""
         try:
-            is_new = await asyncio.to_thread(self.refresh)
+            await asyncio.to_thread(self.refresh)
         except DatabaseError as exc:
             if self.complaint is None:
                 _LOG.warning("%s; trying again", exc)
             self.complaint = str(exc)
             return
         self.complaint = None
-        for listener in tuple(self._listeners) if is_new else ():
-            listener(self.snapshot)
 
     async def warm(self) -> None:
         """Foretell for ever, a third of the time, what the watch has not."""

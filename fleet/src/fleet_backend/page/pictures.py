@@ -10,8 +10,8 @@ from markupsafe import Markup
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
-from clutch_model.units import rad_s_from_rpm, rpm_from_rad_s
-from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO, curve_band, new_curve
+from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
+from clutch_results.pictures import THRESHOLD_KEYS, curve_picture
 from clutch_results.records import FrictionEstimate
 from clutchdiag_io.pages.plot import Axis, Plot, broken, thinned
 from clutchdiag_io.people import PLUS_MINUS, STDS
@@ -23,7 +23,6 @@ from fleet_contract.orders import Action, name_of, title_of
 _MOST_POINTS: Final = 600  # a screen shows no more
 _MOST_MOMENTS: Final = 8  # names of moments do not overlap too much
 _AHEAD_RATIO: Final = 1.0  # of the past that is shown: so far the future is
-_SLIP_RAD_S: Final = rad_s_from_rpm(np.linspace(0.0, 400.0, 121))
 Keys = tuple[tuple[str, str], ...]  # style and words of what is drawn
 Level = tuple[float, str, str]  # where a line lies, its style, its name
 
@@ -220,28 +219,11 @@ def of_shift(answer: ShiftAnswer, reference: FrictionCurve) -> list[Figure]:
 
 
 def _curve(answer: ShiftAnswer, reference: FrictionCurve, values: Mapping[str, float], what: str) -> Figure:
-    friction, title, style = (
-        FrictionEstimate(**values),
-        title_of(answer.clutch, answer.element),
-        f"clutch{answer.clutch}",
-    )
-    new = new_curve(_SLIP_RAD_S, reference)
-    mean, std = curve_band(_SLIP_RAD_S, friction, reference)
-    levels = [
-        (ratio * reference.mu_c, style)
-        for ratio, style in ((WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change"))
-    ]
-    slip_rpm = rpm_from_rad_s(_SLIP_RAD_S)
-    y = Axis.around("friction coefficient", new, mean - STDS * std, mean + STDS * std, [level for level, _ in levels])
-    plot = Plot(f"{title}: friction over slip, {what}", Axis(low=0.0, high=400.0, label="slip speed [rpm]"), y)
-    for level, name in levels:
-        plot.level(level, name, f"{name}: {100.0 * level / reference.mu_c:.0f} %")
-    plot.line(slip_rpm, new, "line new dashed")
-    plot.band(slip_rpm, mean - STDS * std, mean + STDS * std, f"band {style}")
-    plot.line(slip_rpm, mean, f"line strong {style}")
-    keys = ((style, what), (f"band {style}", PLUS_MINUS), ("new dashed", "new fluid"))
-    limits = (("watch", "watch: 90 % of new"), ("change", "change: 80 % of new"))
-    return Figure(picture=plot.markup(), caption=f"{title}: friction over slip, {what}", keys=(*keys, *limits))
+    picture = curve_picture(answer.clutch, FrictionEstimate(**values), reference, answer.element)
+    style, limits = f"clutch{answer.clutch}", tuple((one.style, one.text) for one in THRESHOLD_KEYS)
+    keys = ((style, what), (f"band {style}", PLUS_MINUS), ("new dashed", "new fluid"), *limits)
+    title = title_of(answer.clutch, answer.element)
+    return Figure(picture=picture, caption=f"{title}: friction over slip, {what}", keys=keys)
 
 
 def _column(values: Sequence[float | None]) -> FloatArray:

@@ -8,7 +8,6 @@ from typing import Any, Final
 from sqlalchemy import Engine
 
 from clutch_results.event_kinds import EventKind
-from clutch_results.loads import Load
 from clutch_results.prognosis import Prognosis, history_of_estimates, prognose, without
 from clutch_results.prognosis.sentence import outlook_line, soonest
 from clutch_results.records import (
@@ -20,7 +19,7 @@ from clutch_results.records import (
     Status,
     iso_utc,
 )
-from clutch_results.shift_course import Course, courses, fall_of, loads
+from clutch_results.shift_course import fall_of
 from clutchdiag_io.people import is_dated
 from fleet_backend.page.calibrations import reference_of, type_of
 from fleet_backend.page.populations import Kept, latest
@@ -148,8 +147,7 @@ class Past:
     trend: tuple[TrendPoint, ...]
     prognosis: Prognosis | None
     outlook: OutlookAnswer | None  # the same, as it is told
-    changes: tuple[Course, ...]  # of gears
-    loads: tuple[Load, ...]
+    estimates: tuple[ShiftEstimate, ...]
 
 
 def read_past(engine: Engine, now: ClutchNow, fills: Sequence[Fill], service_distance_m: float) -> Past:
@@ -161,8 +159,7 @@ def read_past(engine: Engine, now: ClutchNow, fills: Sequence[Fill], service_dis
         trend=tuple(map(_point_of, rows, estimates)),
         prognosis=found,
         outlook=None if found is None else _outlook_answer(found, rows),
-        changes=tuple(courses(estimates)),
-        loads=tuple(loads(estimates)),
+        estimates=tuple(estimates),
     )
 
 

@@ -15,9 +15,8 @@ from starlette.responses import RedirectResponse, Response
 from starlette.routing import BaseRoute, Route
 
 from clutch_model.units import reading_of
-from clutch_results.loads import Load
 from clutch_results.records import Causes
-from clutch_results.shift_course import course_lines
+from clutch_results.shift_course import course_lines, courses, loads
 from clutchdiag_io.people import PER_1000_RPM, SLOPE_UNIT, STDS, digits
 from fleet_backend import queries as common
 from fleet_backend.alarms import book
@@ -207,9 +206,7 @@ def vehicle(request: Request) -> Response:
         queries.stored_of(engine, name),
     )
     pasts = [read_past(engine, now, fills, query.service_km * M_PER_KM) for now in own]
-    changes = sorted(
-        (one for past in pasts for one in past.changes), key=lambda one: (one.kind, one.from_gear, one.to_gear)
-    )
+    estimates = [one for past in pasts for one in past.estimates]
     answer = VehicleAnswer(
         vehicle=name,
         is_online=None if about["is_online"] is None else bool(about["is_online"]),
@@ -232,8 +229,8 @@ def vehicle(request: Request) -> Response:
             )
             for now, past in zip(own, pasts, strict=True)
         ),
-        changes=tuple(changes),
-        loads=_joined([load for past in pasts for load in past.loads]),
+        changes=tuple(courses(estimates)),
+        loads=tuple(loads(estimates)),
         causes=_causes(request, own),
     )
     if is_api(request):
@@ -264,22 +261,6 @@ def _happened(answer: VehicleAnswer) -> Iterator[tuple[datetime, str, float | No
             yield one.acknowledged_at, f"alarm{whose} acknowledged by {one.acknowledged_by}", None, one.note
         if one.cleared_at is not None:
             yield one.cleared_at, f"alarm{whose} over", None, None
-
-
-def _joined(loads: Sequence[Load]) -> tuple[Load, ...]:
-    """Return what each clutch had to bear in its own events and, as the off-going one, in those of the other."""
-    return tuple(
-        Load(
-            clutch=clutch,
-            counts=tuple(map(sum, zip(*(one.counts for one in own), strict=True))),
-            energy_j=sum(one.energy_j for one in own),
-            peak_k=max((one.peak_k for one in own if one.peak_k is not None), default=None),
-            launch_count=sum(one.launch_count for one in own),
-            life_ratio=sum(one.life_ratio for one in own),
-        )
-        for clutch in sorted({one.clutch for one in loads})
-        for own in [[one for one in loads if one.clutch == clutch]]
-    )
 
 
 def _causes(request: Request, clutches: Sequence[ClutchNow]) -> Causes | None:

@@ -21,7 +21,7 @@ from fleet_backend.database import place_of
 from fleet_backend.errors import ConfigError
 from fleet_backend.page.access import Access
 from fleet_backend.page.fleet import Keeper, fleet_families
-from fleet_backend.page.news import REST_S, News
+from fleet_backend.page.news import PERIOD_S, News
 from fleet_backend.page.queries import DatabaseSource
 from fleet_backend.page.routes import routes_of
 from fleet_backend.page.site import Sources, application
@@ -93,7 +93,7 @@ def address_of(listener: socket.socket) -> str:
 
 
 async def serve(
-    sources: Sources, listener: socket.socket, *, on_start: Callable[[uvicorn.Server], None], rest_s: float = REST_S
+    sources: Sources, listener: socket.socket, *, on_start: Callable[[uvicorn.Server], None], period_s: float = PERIOD_S
 ) -> None:
     """Serve until ``should_exit`` of the server, which ``on_start`` is given, is set."""
 
@@ -108,7 +108,7 @@ async def serve(
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
 
-    news = News(sources.keeper, rest_s=rest_s)
+    news = News(sources.keeper, period_s)
     config = uvicorn.Config(
         application(sources, routes_of(news), lifespan),
         log_config=None,

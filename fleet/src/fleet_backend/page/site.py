@@ -24,7 +24,6 @@ from starlette.routing import BaseRoute
 from starlette.templating import Jinja2Templates
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from clutchdiag_io.pages.content import SAFE_HEADERS, host_of
 from fleet_backend.errors import AskError, DatabaseError, FleetBackendError, ForbiddenError, LoginError, PageError
 from fleet_backend.page import wording
 from fleet_backend.page.access import NOBODY, Access, Role, Viewer, check_role, check_token
@@ -66,6 +65,31 @@ class Problem(msgspec.Struct, frozen=True, kw_only=True):
     title: str
     status: int
     detail: str
+
+
+_POLICY: Final = "; ".join(
+    (
+        *("default-src 'none'", "style-src 'self'", "script-src 'self'", "connect-src 'self'", "img-src 'self'"),
+        *("form-action 'self'", "base-uri 'none'", "frame-ancestors 'none'"),
+    )
+)
+SAFE_HEADERS: Final = (
+    ("content-security-policy", _POLICY),
+    ("x-content-type-options", "nosniff"),
+    ("x-frame-options", "DENY"),
+    ("referrer-policy", "same-origin"),
+    ("cross-origin-opener-policy", "same-origin"),
+    ("cross-origin-resource-policy", "same-origin"),
+    ("permissions-policy", "camera=(), geolocation=(), microphone=()"),
+)
+
+
+def host_of(header: str) -> str:
+    """Return the name, without a port, by which a request calls the server: what its header ``Host`` says."""
+    host = header.casefold()
+    if host.startswith("["):
+        return host.partition("]")[0] + "]"
+    return host.rpartition(":")[0] if ":" in host else host
 
 
 class SafeHeaders:
