@@ -128,7 +128,7 @@ class World:
         rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
         told |= {f"fleet table, clutch {row['clutch']}": row["order"] for row in rows}
         sources = sources_of(self.engine)
-        sources.keeper.foretell(HANG_S)
+        sources.keeper.work_ahead(HANG_S)
         shown = told_by_page(sources, "/clutches")["clutches"]
         told |= {f"fleet page, clutch {one['clutch']}": one["order"] for one in shown}
         assert {one["condition"] for one in shown} == {row["condition"] for row in rows}

@@ -42,7 +42,7 @@ def all_goes_on(engine: Engine) -> None:
     """Watch, show everything and forget what is old."""
     Watch(engine, Orders(), lambda: NOW).round(judging_s=float("inf"))
     sources = sources_of(engine, now=NOW)
-    sources.keeper.foretell(float("inf"))
+    sources.keeper.work_ahead(float("inf"))
     names = sources.keeper.snapshot.vehicles
     paths = (*PAGES, *OFFICE, *(f"{root}/{name}" for name in names for root in ("/vehicles", "/api/v1/vehicles")))
     answers = zip(paths, asked(sources, *paths), strict=True)

@@ -242,7 +242,7 @@ def test_maintenance_is_by_day_over_all_parts_and_the_watch_keeps_it(engine: Eng
     sources = sources_of(engine)
     unknown = parts_of(sources, "/maintenance", "clutches")
     assert {one["text"].endswith("Not foretold yet: fleet-backend watch does so.") for one in unknown} == {True}
-    sources.keeper.foretell(float("inf"))
+    sources.keeper.work_ahead(float("inf"))
     foretold = parts_of(sources, "/maintenance", "clutches")
     days = [one["due_from"] or str(NOW.date()) for one in foretold]
     assert days == sorted(days)

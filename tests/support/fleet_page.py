@@ -130,7 +130,7 @@ def served(database: str, access: Access | None = None, *, port: int = 0) -> Ite
     writer = open_database(database, must_exist=True)
     keeper = Keeper(DatabaseSource(engine))
     keeper.refresh()
-    keeper.foretell(float("inf"))
+    keeper.work_ahead(float("inf"))
     with closing_socket("127.0.0.1", port) as listener:
         started = list[Any]()  # servers
         sources = Sources(engine=engine, keeper=keeper, access=access or Access(), writer=writer if access else None)

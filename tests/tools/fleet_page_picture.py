@@ -1,6 +1,6 @@
-"""Makes the picture of the page in docs/fleet.md: a made-up fleet that ages at different rates, one vehicle of it.
+"""Makes the pictures of the pages in docs/fleet.md: a made-up fleet that ages at different rates, one vehicle of it.
 
-python -m tests.tools.fleet_page_picture docs/page.png
+python -m tests.tools.fleet_page_picture docs
 """
 
 import argparse
@@ -41,7 +41,12 @@ FLEET = {
 }  # loss of mu_C
 DISTANCE_M = 2.6e5  # between two results
 DAYS = 0.72
-WIDTH, HEIGHT, COLOURS = 1200, 1560, 160
+WIDTH, COLOURS = 1200, 160
+PAGES = {
+    "fleet-page.png": ("/", 900),
+    "page.png": (f"/vehicles/{SHOWN}", 980),
+    "maintenance.png": ("/maintenance", 900),
+}
 _NEW = CALIBRATION.clutches[0].friction
 
 
@@ -112,20 +117,22 @@ def fill(database: str) -> None:
 
 
 def main() -> int:
-    """Write the picture and say how large it is."""
-    parser = argparse.ArgumentParser(description="The picture of the fleet's page in the README.")
-    parser.add_argument("picture", type=Path)
-    path = parser.parse_args().picture
+    """Write the pictures and say how large they are."""
+    parser = argparse.ArgumentParser(description="The pictures of the fleet's pages in the documents.")
+    parser.add_argument("folder", type=Path)
+    target = parser.parse_args().folder
     with TemporaryDirectory() as folder:
         database = f"sqlite:///{folder}/fleet.sqlite"
         fill(database)
         with served(database) as address, chromium() as browser:
-            page = browser.new_page(viewport={"width": WIDTH, "height": HEIGHT})
-            page.goto(f"{address}/vehicles/{SHOWN}")
-            page.get_by_text("Renews itself.").wait_for()
-            page.screenshot(path=path)
-    Image.open(path).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
-    print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
+            for name, (path, height) in PAGES.items():
+                page = browser.new_page(viewport={"width": WIDTH, "height": height})
+                page.goto(address + path)
+                page.screenshot(path=target / name)
+    for name in PAGES:
+        picture = Image.open(target / name).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+        picture.save(target / name, optimize=True)
+        print(f"{target / name}: {(target / name).stat().st_size / 1000:.0f} kB")
     return 0
 
 

@@ -18,7 +18,7 @@ from clutchdiag_io.metrics import gauge
 from fleet_backend.errors import DatabaseError
 from fleet_backend.page.calibrations import type_of
 from fleet_backend.page.prognosis import foretold_now
-from fleet_backend.page.queries import DatabaseSource
+from fleet_backend.page.queries import DatabaseSource, levels_of
 from fleet_backend.page.records import ClutchNow, Severity, Usual
 from fleet_backend.queries import PresentFluid, Row
 from fleet_contract.orders import Action
@@ -33,7 +33,7 @@ LEAST_CLUTCHES: Final = 20  # fewer say little of what is usual
 _SHARES: Final = (0.1, 0.5, 0.9)
 SOON: Final = timedelta(days=30)
 SILENT_AFTER: Final = timedelta(days=14)
-FORETOLD_S: Final = 0.5  # at a time
+AHEAD_S: Final = 0.5  # at a time
 SEVERITY: Final = {Severity.CHANGE_FLUID: 0, Severity.WATCH: 1, Severity.GOOD: 2, Severity.NO_VERDICT: 3}
 _NO_LEVEL: Final = 9.0  # of the view fleet_worst_first
 ClutchGroup = tuple[str, int, str | None]  # type, clutch, fluid
@@ -94,6 +94,8 @@ class Keeper:
         self._whole_at = self.snapshot.read_at
         self._dues: dict[tuple[str, int], Row] = {}  # as the watch foretold them, or we
         self._dues_at = _NEVER
+        self._curves: dict[tuple[str, int], tuple[tuple[object, ...], tuple[float, ...]]] = {}  # after which result
+        self._done: tuple[int, datetime] | None = None  # of what all was worked out ahead
         self.complaint: str | None = None  # why the snapshot is older than it should be
 
     def refresh(self) -> bool:
@@ -168,19 +170,30 @@ class Keeper:
         row = self._dues.get((now.vehicle, now.clutch))
         return row if row is not None and (row["action"], row["fluid_since"]) == (now.action, now.fluid_since) else None
 
-    def foretell(self, budget_s: float) -> None:
-        """Foretell for a while when fluids are due, the worst first, where nobody has; at least one.
+    def curve(self, now: ClutchNow) -> tuple[float, ...]:
+        """Return how the friction of a clutch went against new fluid, the latest last; empty: not read yet."""
+        return self._curves.get((now.vehicle, now.clutch), ((), ()))[1]
 
-        What the watch foretells takes its place.
+    def work_ahead(self, budget_s: float) -> None:
+        """Foretell when fluids are due, where nobody has, and read small curves: for a while, the worst first.
+
+        At least one vehicle is done with. What the watch foretells takes the place of what is foretold here.
         """
-        end_s = time.monotonic() + budget_s
-        waiting = (now.vehicle for now in self.snapshot.clutches if self._is_stale(now))
-        for vehicle in dict.fromkeys(waiting):
-            clutches = self.snapshot.vehicles[vehicle]
-            for now, row in zip(clutches, foretold_now(self._source.engine, clutches), strict=True):
-                self._dues[vehicle, now.clutch] = {**row, "of": now}
-            if time.monotonic() >= end_s:
+        end_s, mark = time.monotonic() + budget_s, (self.snapshot.number, self._dues_at)
+        if mark == self._done:
+            return
+        for one in self.snapshot.worst:
+            clutches, last = self.snapshot.vehicles[one.vehicle], (one.stream, one.seq)
+            is_stale = any(map(self._is_stale, clutches))
+            if is_stale:
+                for now, row in zip(clutches, foretold_now(self._source.engine, clutches), strict=True):
+                    self._dues[one.vehicle, now.clutch] = {**row, "of": now}
+            is_old = self._curves.get((one.vehicle, one.clutch), ((), ()))[0] != last
+            if is_old:
+                self._curves[one.vehicle, one.clutch] = last, levels_of(self._source.engine, one.vehicle, one.clutch)
+            if (is_stale or is_old) and time.monotonic() >= end_s:
                 return
+        self._done = mark
 
     def _is_stale(self, now: ClutchNow) -> bool:
         row = self.foretold(now)
@@ -214,12 +227,12 @@ class Keeper:
             return
         self.complaint = None
 
-    async def warm(self) -> None:
-        """Foretell for ever, a third of the time, what the watch has not."""
+    async def work(self) -> None:
+        """Work ahead for ever, a third of the time."""
         while True:
             with contextlib.suppress(DatabaseError):
-                await asyncio.to_thread(self.foretell, FORETOLD_S)
-            await asyncio.sleep(2.0 * FORETOLD_S)
+                await asyncio.to_thread(self.work_ahead, AHEAD_S)
+            await asyncio.sleep(2.0 * AHEAD_S)
 
 
 def fleet_families(keeper: Keeper) -> Iterator[Metric]:

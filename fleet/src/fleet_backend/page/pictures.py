@@ -23,6 +23,7 @@ from fleet_contract.orders import Action, name_of, title_of
 _MOST_POINTS: Final = 600  # a screen shows no more
 _MOST_MOMENTS: Final = 8  # names of moments do not overlap too much
 _AHEAD_RATIO: Final = 1.0  # of the past that is shown: so far the future is
+_SPARK_RANGE: Final = (0.7, 1.05)
 Keys = tuple[tuple[str, str], ...]  # style and words of what is drawn
 Level = tuple[float, str, str]  # where a line lies, its style, its name
 
@@ -150,7 +151,8 @@ def fluid_bar(answer: VehicleAnswer) -> Markup:
     low, middle, high = (3.0e5 if one is None else one / M_PER_KM for one in (first.p10_m, first.p50_m, first.p90_m))
     low, middle, high = (float(f"{one:.2g}") for one in (low, middle, high))
     age = "" if filled_m is None else f"Fluid: {age_km:,.0f} km old. "
-    text = f"{age}Left: about {middle:,.0f} km, {low:,.0f} to {high:,.0f} km (80 % sure)."
+    text = f"{age}Left: {low:,.0f} to {high:,.0f} km (80 % sure), as likely more as less than {middle:,.0f} km."
+    text = text if middle > 0.0 else f"{age}Left: at most {high:,.0f} km (90 % sure), probably nothing."
     parts = (("age", 0.0, age_km), ("left", age_km, low), ("fan", age_km + low, high - low))
     whole = max(age_km + high, 1.0)
     boxes = Markup().join(
@@ -164,6 +166,18 @@ def fluid_bar(answer: VehicleAnswer) -> Markup:
         '<p class="left">{0}</p><svg class="bar" viewBox="0 0 1000 20" preserveAspectRatio="none" role="img"'
         ' aria-label="{0}">{1}{2}</svg>'
     ).format(text, boxes, mark)
+
+
+def spark(levels: Sequence[float]) -> Markup:
+    """Return a small curve of levels against new fluid, all on one scale; empty where there is none."""
+    if len(levels) < 2:
+        return Markup()
+    places = enumerate(np.clip(levels, *_SPARK_RANGE).tolist())
+    step, (low, high) = 100.0 / (len(levels) - 1), _SPARK_RANGE
+    line = " ".join(f"{step * place:.1f},{22.0 - 20.0 * (level - low) / (high - low):.1f}" for place, level in places)
+    told = f"friction against new: {levels[0]:.0%} to {levels[-1]:.0%}"
+    form = '<svg class="spark" viewBox="0 0 100 24" role="img" aria-label="{}"><polyline points="{}"/></svg> '
+    return Markup(form).format(told, line)  # noqa: S704 - a form of ours, whose words are escaped
 
 
 def _span(along: FloatArray) -> float:

@@ -197,6 +197,16 @@ def keep_due(engine: Engine, rows: Sequence[Row], at: datetime) -> None:
             connection.execute(insert(FLUID_DUE), [{**row, "judged_at": at} for row in rows])  # else it was forgotten
 
 
+def levels_of(engine: Engine, vehicle: str, clutch: int, most: int = 240, every: int = 10) -> tuple[float, ...]:
+    """Return some of the newest levels of a clutch against new fluid, the latest last."""
+    table = SHIFT_RESULT.c
+    statement = select(table.level_ratio).where(table.vehicle == vehicle, table.clutch == clutch)
+    order = (table.vehicle.desc(), table.clutch.desc(), table.produced_at.desc(), table.stream.desc())
+    with transaction(engine) as connection:
+        told = connection.scalars(statement.order_by(*order).limit(most)).all()
+    return tuple(one for one in told if one is not None)[::every][::-1]
+
+
 def vehicle_of(engine: Engine, vehicle: str) -> Row | None:
     """Return what the service of a vehicle said last of itself; None if nothing was ever heard of it."""
     table = VEHICLE.c

@@ -1,8 +1,10 @@
 """The routes: each a question whose words are checked, what answers it, and a template; programs get JSON."""
 
+import csv
+import io
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from datetime import UTC, date, datetime, timedelta
 from importlib.metadata import version
 from typing import Any, Final, NamedTuple
@@ -89,7 +91,11 @@ def vehicles(request: Request) -> Response:
     place: Callable[[ClutchNow], tuple[Any, ...]] = place_of if of is None else lambda one: (of(one), one.vehicle)
     ordered = found if of is None else sorted(found, key=place)
     is_down = query.sort is not None and query.sort.startswith("-")
-    some, following = part_of(ordered, place, query.after, _limit(request, query), is_down=is_down)
+    is_table = request.url.path == CSV_PATH
+    limit = query.limit if is_table else _limit(request, query)
+    some, following = part_of(ordered, place, query.after, limit, is_down=is_down)
+    if is_table:
+        return _csv(some)
     counts = Counter(one.condition for one in snapshot.worst)
     answer = VehiclesAnswer(
         vehicles=some,
@@ -104,16 +110,27 @@ def vehicles(request: Request) -> Response:
     if is_api(request):
         return encoded(answer)
     shown = _list(request, query, answer) | {
+        "csv_href": address(CSV_PATH, **_said(query)),
         "heads": [_head(text, name, query) for text, name in _COLUMNS],
         "orders": _ORDERS,
         "strips": _strips(snapshot),
         "tiles": [(name, len(groups[name]), text) for name, text in _TILES.items()],
+        "sparks": {one.vehicle: pictures.spark(keeper.curve(one)) for one in some},
         "types": {one.vehicle: vehicle_type(one) for one in some},
         "dues": {one.vehicle: due_of(one, keeper.foretold(one), sources.now().date()) for one in some},
     }
     return page(request, "fleet.html", shown)
 
 
+def _csv(rows: Sequence[ClutchNow]) -> Response:
+    out = io.StringIO()
+    table = csv.DictWriter(out, [field.name for field in fields(ClutchNow)])
+    table.writeheader()
+    table.writerows(map(asdict, rows))
+    return Response(out.getvalue(), media_type="text/csv")
+
+
+CSV_PATH: Final = "/vehicles.csv"
 _TILES: Final = {"due": "due within 30 days", "silent": "silent for 14 days", "alarm": "with an open alarm"}
 _COLUMNS: Final = (  # and by which word each sorts
     *(("vehicle", "vehicle"), ("verdict", ""), ("what to do", ""), ("due from", ""), ("of new", "level")),
@@ -472,6 +489,7 @@ def routes_of(news: News) -> list[BaseRoute]:
         Route("/vehicles/{vehicle}/fluid", change_fluid, methods=["POST"]),
         Route(OPENAPI_PATH, lambda _: Response(content, media_type="application/json")),
         Route("/events", news.answer),
+        Route(CSV_PATH, vehicles),
         Route("/static/{name}", static_files()),
     ]
 

@@ -100,7 +100,7 @@ async def serve(
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         anyio.to_thread.current_default_thread_limiter().total_tokens = _THREADS
-        tasks = [asyncio.create_task(work) for work in (sources.keeper.run(), sources.keeper.warm())]
+        tasks = [asyncio.create_task(work) for work in (sources.keeper.run(), sources.keeper.work())]
         try:
             yield
         finally:
