@@ -229,12 +229,12 @@ class DataQuality:
 class ShiftIndices:
     """What speeds and torques alone say about one shift (docs/model.md, indices of a shift); None: not to be had."""
 
-    shift_time_s: float | None  # None unless the shift was completed
-    slip_duration_s: float | None  # of the on-coming clutch, inside the shift
-    peak_slip_rad_s: float | None
-    slip_angle_rad: float | None  # slip integrated over time
-    torque_capacity_ratio: float | None  # clutch torque transmitted at slip over the one asked for
-    std_torque_capacity_ratio: float | None
+    shift_time_s: float | None = None  # None unless the shift was completed
+    slip_duration_s: float | None = None  # of the on-coming clutch, inside the shift
+    peak_slip_rad_s: float | None = None
+    slip_angle_rad: float | None = None  # slip integrated over time
+    torque_capacity_ratio: float | None = None  # clutch torque transmitted at slip over the one asked for
+    std_torque_capacity_ratio: float | None = None
     reslip_rad_s: float | None = None  # largest slip under load after it had ended once; 0: none
 
 

@@ -28,9 +28,8 @@ from clutch_results.event_kinds import MicroSlip
 from clutch_results.records import ClutchVerdict, Condition
 from dbc.contract import load_contract
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge_lockup
-from diag_service.diagnosis.lockup.blocks import MICRO_SLIP_RAD_S
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
-from diag_service.diagnosis.lockup.state import LockupState
+from diag_service.diagnosis.lockup.state import MICRO_SLIP_RAD_S, LockupState
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import find_profile
 from diag_service.service.stages import Diagnosis, Stages

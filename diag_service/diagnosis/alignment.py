@@ -3,37 +3,62 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
+from canlog.e2e.alive_counter import row_period_ns
+from canlog.e2e.profile1 import COUNTER_PERIOD
 from canlog.jit import kernel
 from clutch_model.calibration import Calibration, SensorNoise
-from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
+from clutch_results.event_kinds import EndReason
+from clutch_results.records import Reason
+from diag_service.diagnosis.columns import BALANCE_SIGNALS, ROW_SIGNALS, Columns, Signal
 from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.row_curve import RowCurve
 
 NS_TO_S = 1e-9
+
+
 GRID_S = 2e-3  # five points per CAN sample; a finer grid moves friction by a tenth of its deviation
+
+
 TURNING_RAD_S = 58.0  # 554 rpm: below any idle; there a starter may turn the engine, which no torque reading tells
+
+
 END_COUNT = 30  # samples, of which one is nearly on time; an event is cut that much wider than its slip window
+
+
 COMMAND_LAG_S = 0.025  # from commanded to piston pressure: solenoid and feed orifice; docs/model.md, hydraulics
 
+
 FRAME_AGE_STD_S = 3e-3  # of a value that was sent every 10 ms before it was asked for
+
+
 ANSWER_S = 0.025  # after a request some controller reads a value, nobody knows when
-POINT_S, POINTS_PER_ROW = 0.01, 4  # of the curve through rows: as near as frames, or as is of use
-WALK_RATIO = 2.0  # of what slopes near by say: of four each may be small by chance
-LEAST_WALK = 1.0  # of what the noise of three rows alone would look like
-HELD_STEPS, HELD_ROWS, LEAST_RUNS = 2.5, 1.5, 4  # of the resolution, of the rows, of what must agree
+
+
+GAP_PERIODS: Final = 2.5  # one missing frame is bridged by interpolation; in a longer gap no friction is looked for
+LOST_PERIODS: Final = 8.5  # a longer gap may hide anything: the event is not used
+NOMINAL_PERIOD_S: Final = 0.01  # of signals whose message states no cycle time
+ROW_GAP_PERIODS: Final = 3.5  # as gap_periods, of the rows of a table, which come unevenly
+NEAR_ROW_PERIODS: Final = 0.25  # a row that comes so soon after another tells nothing beside it
+OIL_RANGE_K: Final = (233.15, 443.15)  # -40..170 degC: where the fluid's viscosity law holds
 
 _NO_WEIGHT = 1e-9  # of grid points: a sample at the very end of some rows says nothing there
 
+
 _MOVED = (Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE, Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)  # by latencies
+
 
 AGE_RATIO: Mapping[Signal, float] = {
     **dict.fromkeys(BALANCE_SIGNALS, 0.3),  # of a row: columns are asked one after the other
     **dict.fromkeys((Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE), 0.0),  # the latencies of torque and pressure hold that
     **dict.fromkeys((Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE), 0.15),  # what both do not share
 }
+
+
 """Standard deviation of the age of values within a row, of its length."""
 
 
@@ -49,7 +74,11 @@ def noise_of_signals(noise: SensorNoise) -> dict[Signal, float]:
 
 
 Sums = Sequence[FloatArray]
+
+
 SampleTimes = Mapping[Signal, FloatArray]
+
+
 """When each signal of the balance was sampled [s] after the start of its event."""
 
 
@@ -154,6 +183,17 @@ class AlignedSignals:
         return max(float(np.abs(np.diff(speed.value)).max()) for speed in speeds)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Samples:
+    """What was sampled in an event that can be used, whatever vehicle it is of."""
+
+    event: Event
+    times: SampleTimes
+    oil_k: float
+    row_s: float = 0.0  # from row to row [s] where signals are columns of a table, else 0
+    skew_s: float = 0.0  # by which columns of a row, or values that are asked for, may be apart [s]
+
+
 def sample_times_s(series: Series, origin_ns: int) -> FloatArray:
     """Return when the samples were taken [s] after ``origin_ns``, shape (n,), freed of transmission jitter.
 
@@ -209,38 +249,34 @@ def measured_times(sampled: SampleTimes, event: Event, calibration: Calibration)
     }
 
 
-def align(
-    times: SampleTimes,
-    event: Event,
-    oil_k: float,
-    gaps_s: FloatArray,
-    other: AlignedSignals | None = None,
-    rows: Rows = NO_ROWS,
-) -> AlignedSignals:
-    """Return the signals of an event on the even grid that all of them reach.
+def aligned(samples: Samples, calibration: Calibration, other: AlignedSignals | None = None) -> AlignedSignals | Reason:
+    """Return samples on one clock and on the even grid that all signals reach, or why they cannot be.
 
-    Parameters
-    ----------
-    times
-        Of every signal of the balance, strictly increasing.
-    event
-        Its columns hold every signal of the balance.
-    oil_k
-        Temperature of the oil [K].
-    gaps_s : (n, 2) array
-        Between which instants [s] samples are missing, on the clock of ``times``.
-    other
-        The same event as another calibration has it: what no calibration moves is taken over from there.
-    rows
-        Of the table that its signals are columns of.
+    Latencies are as the calibration has them. What no calibration moves is taken over from ``other``: the same samples
+    as another calibration has them.
     """
+    event = samples.event
+    times = measured_times(samples.times, event, calibration)
+    gaps, rows = gaps_s(times, event, samples.row_s), NO_ROWS
+    if gaps is None:
+        return Reason.TIME_UNSURE  # frames of one message came at one time
+    if samples.row_s:
+        noise_std = noise_of_signals(calibration.noise)
+        if any(np.abs(event.columns[signal].value).max() > MOST_NOISES * noise_std[signal] for signal in times):
+            return Reason.OUT_OF_RANGE  # a cell may hold any number
+        rows = Rows(
+            period_s=samples.row_s,
+            skew_s=samples.skew_s,
+            own_age_std_s=FRAME_AGE_STD_S if samples.skew_s >= samples.row_s else samples.skew_s / math.sqrt(12.0),
+            noise_std=noise_std,
+        )
     history_s = max(one[0] for one in times.values())
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     # Whole steps after the shift's start: a latency that is found more exactly must not move the points.
     grid_s = GRID_S * np.arange(math.ceil(history_s / GRID_S), math.ceil(duration_s / GRID_S), dtype=np.float64)
 
     is_seen = np.ones(len(grid_s), np.bool_)
-    for start_s, stop_s in gaps_s:
+    for start_s, stop_s in gaps:
         is_seen[grid_s.searchsorted(start_s, "right") : grid_s.searchsorted(stop_s)] = False
     is_known = other is not None and len(other.grid_s) == len(grid_s)  # the same grid: it ends where the event ends
     wanted = _MOVED if is_known else BALANCE_SIGNALS
@@ -270,7 +306,7 @@ def align(
             _expected_pa(event, Signal.CLUTCH1_PRESSURE_COMMAND, grid_s),
             _expected_pa(event, Signal.CLUTCH2_PRESSURE_COMMAND, grid_s),
         ),
-        oil_k=oil_k,
+        oil_k=samples.oil_k,
         is_seen=is_seen,
         row_s=rows.period_s,
     )
@@ -288,96 +324,6 @@ def _resampled(signal: Signal, times_s: FloatArray, series: Series, grid_s: Floa
 def is_of_rows(series: Series) -> bool:
     """Return whether samples have neither counter nor schedule, as columns of a table, and answers to a tester."""
     return not series.period_ns and len(series.t_ns) > 1 and bool(series.sequence[0] < 0)
-
-
-class RowCurve:
-    """The curve through the rows of a column that bends as little as its rows do, and how sure it is.
-
-    What the column does between rows is a random walk of its slope, as large as the slopes of rows near by differ; what
-    is off in each row is independent; an age that all rows share moves the whole curve.
-
-    Parameters
-    ----------
-    times_s, value : (n,) array
-        The column; n >= 2.
-    noise_std
-        Of its sensor.
-    age_std_s, own_age_std_s
-        Of the age that all rows share, and of that which each has of its own.
-    """
-
-    def __init__(
-        self, times_s: FloatArray, value: FloatArray, noise_std: float, age_std_s: float, own_age_std_s: float
-    ) -> None:
-        from scipy.linalg import cho_solve_banded, cholesky_banded  # noqa: PLC0415 - it takes a while to load
-
-        rise, moved = np.diff(value), np.abs(np.diff(value)) > 0.0
-        step = float(np.abs(rise[moved]).min()) if moved.any() else 0.0
-        own_s = math.hypot(own_age_std_s, held_s(times_s, value, step) / math.sqrt(12.0))
-        variance = noise_std**2 + step**2 / 12.0 + (own_s * np.gradient(value, times_s)) ** 2
-        period_s = float(np.median(np.diff(times_s)))
-        spacing_s = max(POINT_S, period_s / POINTS_PER_ROW)
-        count = max(3, math.ceil((times_s[-1] - times_s[0]) / spacing_s) + 1)
-        self.times_s, spacing_s = np.linspace(times_s[0], times_s[-1], count, retstep=True)
-        walk = _slope_walk(times_s, value, noise_std)[np.searchsorted(times_s[1:-1], self.times_s[1:-1])]
-        stiffness = 1.0 / (walk * spacing_s**3)
-        bands = np.zeros((3, count))  # of the information, upper form
-        for k, first in enumerate((1.0, -2.0, 1.0)):
-            for j, second in enumerate((1.0, -2.0, 1.0)[k:]):
-                bands[2 - j, k + j : count - 2 + k + j] += first * second * stiffness
-        left = np.minimum(((times_s - times_s[0]) / spacing_s).astype(np.int64), count - 2)
-        share = (times_s - self.times_s[left]) / spacing_s
-        rows, at = np.zeros((len(value), count)), np.arange(len(value))  # each by the points, in deviations
-        rows[at, left], rows[at, left + 1] = 1.0 - share, share
-        rows /= np.sqrt(variance)[:, None]
-        bands[2] += (rows**2).sum(axis=0)
-        bands[1, 1:] += (rows[:, :-1] * rows[:, 1:]).sum(axis=0)
-        self._root, self._noise_std = cholesky_banded(bands), noise_std
-        self._by_rows = cho_solve_banded((self._root, False), rows.T)
-        self.value = self._by_rows @ (value / np.sqrt(variance))
-        self._moved_by_age = age_std_s * np.gradient(self.value, spacing_s)
-
-    def covariance(self, first: int, stop: int) -> FloatArray:
-        """Return that of the points ``first <= point < stop``, in variances of the sensor."""
-        from scipy.linalg import cho_solve_banded  # noqa: PLC0415 - it takes a while to load
-
-        own = np.eye(len(self.value), stop - first, -first)
-        by_age = self._moved_by_age[first:stop]
-        found = cho_solve_banded((self._root, False), own)[first:stop] + np.outer(by_age, by_age)
-        return np.asarray(found / self._noise_std**2)
-
-    def followed(self, first: int, stop: int) -> FloatArray:
-        """Return likewise how far points are off where they are high: by what noise of rows the loose walk lets in."""
-        own = self._by_rows[first:stop] / self._noise_std
-        return np.asarray((1.0 - 1.0 / WALK_RATIO) * own @ own.T)
-
-
-def _slope_walk(times_s: FloatArray, value: FloatArray, noise_std: float) -> FloatArray:
-    """Return by how much the variance of a column's slope grows in a second between its rows, shape (n - 1,)."""
-    periods_s = np.diff(times_s)
-    if len(value) < 3:
-        return np.full(1, (np.ptp(value) + noise_std) ** 2 / periods_s[0] ** 3)
-    spans_s = periods_s[1:] + periods_s[:-1]
-    found = 3.0 * np.diff(np.diff(value) / periods_s) ** 2 / spans_s
-    found = np.pad(found, 2, mode="edge")
-    near = (found[:-3] + found[1:-2] + found[2:-1] + found[3:]) * (WALK_RATIO / 4.0)
-    return np.asarray(np.maximum(near, LEAST_WALK * noise_std**2 / np.median(periods_s) ** 3))
-
-
-def held_s(times_s: FloatArray, value: FloatArray, step: float) -> float:
-    """Return for how long [s] a column holds a value while it moves; 0 if each row has its own.
-
-    Where runs of one value end in a jump of several steps they were held, not at rest.
-    """
-    starts = np.flatnonzero(np.diff(value, prepend=np.nan) != 0.0)
-    if len(starts) < LEAST_RUNS:
-        return 0.0
-    jumps = np.abs(np.diff(value[starts])) > HELD_STEPS * step
-    lengths_s = np.diff(times_s[starts])[jumps]
-    if len(lengths_s) < LEAST_RUNS:
-        return 0.0
-    held = float(np.median(lengths_s))
-    return held if held > HELD_ROWS * float(np.median(np.diff(times_s))) else 0.0
 
 
 def _expected_pa(event: Event, command: Signal, grid_s: FloatArray) -> FloatArray | None:
@@ -404,3 +350,123 @@ def _lag(values: FloatArray, share: float) -> None:
     """Have values follow themselves by a first-order lag, which takes up a share of what is missing at each."""
     for row in range(1, len(values)):
         values[row] = values[row - 1] + (values[row] - values[row - 1]) * share
+
+
+UNSCHEDULED_PERIODS: Final = 1.5  # of the nominal one: what comes more seldom without schedule was asked for
+
+
+MOST_NOISES: Final = 3e4  # of its sensor: no speed, torque or pressure is larger
+
+
+MOST: Final = 1e9  # SI: likewise; a signal of a bus that is a floating-point number may say anything
+
+
+def usable_signals(event: Event, calibration: Calibration) -> AlignedSignals | Reason:
+    """Return the signals of a shift or engine run-up on one clock, or why they cannot be used."""
+    samples = usable_samples(event)
+    return samples if isinstance(samples, Reason) else aligned(samples, calibration)
+
+
+def usable_samples(event: Event) -> Samples | Reason:
+    """Return the samples of a shift or engine run-up, or why they cannot be used."""
+    if event.has_whole_seconds or event.end_reason not in {EndReason.COMPLETE, EndReason.ABANDONED}:
+        return Reason.WHOLE_SECONDS if event.has_whole_seconds else Reason.INTERRUPTED
+    is_whole = event.end_reason is EndReason.COMPLETE  # what another event cut short may be seen in full, or not
+    oil = event.columns.get(Signal.SUMP_TEMPERATURE)
+    row_s = _row_s(event)
+    if row_s:
+        event = _without_near_rows(event, round(NEAR_ROW_PERIODS * row_s / NS_TO_S))
+    sampled = sampling_times(event)
+    if oil is None or not len(oil.t_ns) or len(sampled) < len(BALANCE_SIGNALS):
+        return Reason.SIGNAL_MISSING if is_whole else Reason.INTERRUPTED
+    duration_s = (event.end_ns - event.start_ns) * NS_TO_S
+    for one, times_s in sampled.items():
+        series = event.columns[one]
+        if np.abs(series.value).max(initial=0.0) > MOST:
+            return Reason.OUT_OF_RANGE
+        own_s = series.period_ns * NS_TO_S or NOMINAL_PERIOD_S
+        period_s = row_s if row_s and is_of_rows(series) else own_s
+        silence_s = longest_silence_s(times_s, -2.0 * period_s, duration_s)
+        if silence_s > LOST_PERIODS * period_s:
+            return _why_silent(event, sampled) if is_whole else Reason.INTERRUPTED
+    oil_k = float(oil.value.mean())
+    if not OIL_RANGE_K[0] <= oil_k <= OIL_RANGE_K[1]:
+        return Reason.OUT_OF_RANGE
+    of_torque, of_pressure = (event.columns[one].t_ns for one in (Signal.ENGINE_TORQUE, Signal.CLUTCH1_PRESSURE))
+    skew_s = row_s if np.array_equal(of_torque, of_pressure) else min(row_s, ANSWER_S)  # asked values have own times
+    return Samples(event=event, times=sampled, oil_k=oil_k, row_s=row_s, skew_s=skew_s)
+
+
+def _why_silent(event: Event, sampled: Iterable[Signal]) -> Reason:
+    """Return whether frames were late in a silence: then all signals stood still, and no counter proves a loss."""
+    for series in (event.columns[one] for one in sampled):
+        proven = (np.diff(series.sequence) - 1) % COUNTER_PERIOD + 1
+        is_numbered = len(proven) > 0 and series.period_ns > 0 and series.sequence[0] >= 0
+        stood_ns = np.diff(series.t_ns).max(initial=0)
+        if not is_numbered or proven.max() > LOST_PERIODS or stood_ns <= LOST_PERIODS * series.period_ns:
+            return Reason.FRAMES_MISSING
+    return Reason.TIME_UNSURE
+
+
+def _row_s(event: Event) -> float:
+    """Return the time from row to row [s] of the table that an event is of; 0 if it is of a bus.
+
+    What controllers tell whoever asks makes rows of its own: as slow as the slowest of them.
+    """
+    columns = [event.columns[one] for one in ROW_SIGNALS if one in event.columns]
+    own = [event.columns[one] for one in BALANCE_SIGNALS if one in event.columns]
+    if len(columns) < len(ROW_SIGNALS) or all(one.period_ns for one in own):
+        return 0.0
+    if not (row_ns := row_period_ns(columns)):
+        row_ns = max((int(np.median(np.diff(one.t_ns))) for one in own if is_of_rows(one)), default=0)
+        if row_ns * NS_TO_S < UNSCHEDULED_PERIODS * NOMINAL_PERIOD_S:
+            return 0.0  # messages of a bus whose database knows no cycle
+    return max(row_ns * NS_TO_S, NOMINAL_PERIOD_S)
+
+
+def _without_near_rows(event: Event, least_ns: int) -> Event:
+    """Return an event of a table without rows that come too soon after the one before."""
+    columns = dict(event.columns)
+    for signal in BALANCE_SIGNALS:
+        if (series := columns.get(signal)) is None or not is_of_rows(series):
+            continue
+        kept, last_ns = list[int](), None
+        for place, t_ns in enumerate(series.t_ns.tolist()):
+            if last_ns is None or t_ns - last_ns >= least_ns:
+                kept.append(place)
+                last_ns = t_ns
+        columns[signal] = replace(
+            series, t_ns=series.t_ns[kept], sequence=series.sequence[kept], value=series.value[kept]
+        )
+    return replace(event, columns=columns)
+
+
+def longest_silence_s(times_s: FloatArray, from_s: float, duration_s: float) -> float:
+    """Return for how long [s] nothing was sampled between the event's start and its end; inf for fewer than 2 samples.
+
+    Samples before the start count from ``from_s`` on.
+    """
+    seen_s = times_s[(from_s <= times_s) & (times_s <= duration_s)]
+    if len(seen_s) < 2:
+        return math.inf
+    return max(0.0, float(seen_s[0]), float(np.diff(seen_s).max()), duration_s - float(seen_s[-1]))
+
+
+def gaps_s(times: SampleTimes, event: Event, row_s: float = 0.0) -> FloatArray | None:
+    """Return between which instants [s] two samples of any signal or more are missing in a row, shape (n, 2).
+
+    None if the times of a signal do not rise.
+    """
+    duration_s = (event.end_ns - event.start_ns) * NS_TO_S
+    found = []
+    for signal, times_s in times.items():
+        period_s = event.columns[signal].period_ns * NS_TO_S or NOMINAL_PERIOD_S
+        is_row = row_s and is_of_rows(event.columns[signal])
+        longest_s = ROW_GAP_PERIODS * row_s if is_row else GAP_PERIODS * period_s
+        steps_s = np.diff(times_s)
+        if steps_s.min(initial=math.inf) <= 0.0:
+            return None
+        found += [times_s[row : row + 2] for row in np.flatnonzero(steps_s > longest_s)]
+        if duration_s - times_s[-1] > longest_s:
+            found.append(np.array((times_s[-1], duration_s)))
+    return np.array(found).reshape(-1, 2)

@@ -412,13 +412,13 @@ class RelativeSurvey:
     def __init__(self) -> None:
         self._standing, self._phases = Standing(MOST_EVENTS), deque[SlipPhase](maxlen=MOST_EVENTS)
 
-    def take(self, event: Event, gears: GearRatios | None) -> None:
+    def add(self, event: Event, gears: GearRatios | None) -> None:
         self._standing.add(event)
         phase = slip_phase(event, gears)
         if isinstance(phase, SlipPhase) and phase.is_powered and phase.sign > 0.0 and len(phase.drive) > 1:
             self._phases.append(phase)  # without fuel or torque the law tells nothing
 
-    def found(self) -> tuple[RelativeFriction, ...]:
+    def frictions(self) -> tuple[RelativeFriction, ...]:
         """Return what they tell of each clutch; nothing if they are too few."""
         if len(self._phases) < LEAST_EVENTS:
             return ()

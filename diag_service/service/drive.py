@@ -19,8 +19,7 @@ from canlog.logs.log_counts import assumed_texts, lost_texts, odd_texts
 from canlog.logs.merging import SourceMarks
 from canlog.logs.reading import Watch
 from canlog.logs.streams import never
-from diag_service.diagnosis.contributions import ChannelShare, Contributions, LogShare, idle_lines
-from diag_service.diagnosis.summary import Gap, gaps_line
+from diag_service.diagnosis.summary import ChannelShare, Contributions, Gap, LogShare, gaps_line, idle_lines
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 
 _BLOCK_BYTES: Final = 1 << 20

@@ -18,13 +18,13 @@ class DriveSurvey:
         self._relative = RelativeSurvey() if stages.reach.is_relative else None
         self._gears = stages.decoder.gears
 
-    def take(self, event: Event) -> None:
+    def add(self, event: Event) -> None:
         self._ranges.add(event)
         if self._relative is not None:
-            self._relative.take(event, self._gears)
+            self._relative.add(event, self._gears)
 
-    def found(self) -> tuple[RelativeFriction, ...]:
+    def relative_frictions(self) -> tuple[RelativeFriction, ...]:
         """Return what they tell of friction up to a scale, and warn of units."""
         for text in self._ranges.doubts():
             _LOG.warning("%s", text)
-        return () if self._relative is None else self._relative.found()
+        return () if self._relative is None else self._relative.frictions()

@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING
 from canlog.errors import InputLeftError
 from canlog.logs.reading import Watch
 from diag_service.delivery import Outbox, Reporter
-from diag_service.diagnosis.contributions import Contributions
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.summary import FrameCounts, Gap, Summary
+from diag_service.diagnosis.summary import Contributions, FrameCounts, Gap, Summary
 from diag_service.errors import StoppedError
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.service.application import first_error, opened_store, outbox_of, run_to_end

@@ -21,9 +21,17 @@ from clutch_results.event_kinds import DATED_NS
 from clutch_results.loads import Load, borne
 from clutch_results.records import ShiftResult, ShiftStatistics, iso_utc, parse_shift, utc_from_bus_ns
 from diag_service.delivery import Reporter
-from diag_service.diagnosis.contributions import NO_LOGS, Contributions
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.summary import FrameCounts, Gap, Summary, frames_line, latest_of, of_present_fluid
+from diag_service.diagnosis.summary import (
+    NO_LOGS,
+    Contributions,
+    FrameCounts,
+    Gap,
+    Summary,
+    frames_line,
+    latest_of,
+    of_present_fluid,
+)
 from diag_service.errors import StoreFullError
 from diag_service.mapping.decoder import Decoder
 from diag_service.service.stages import Belief, Stages, kind_of
@@ -153,7 +161,7 @@ class Session:
         """
         stream = self._stream
         if self.survey is not None:
-            self.survey.take(event)
+            self.survey.add(event)
         known = None if stream is None else self._store.find(self.vehicle, stream, event.number, self._versions)
         if known is not None:
             self._report(known, is_new=False)
@@ -236,7 +244,7 @@ class Session:
             _LOG.error("frame counts do not add up: %s", frames_line(frames))
         summary = self.summary(frames, unpublished_count, gaps, contributions)
         if self.survey is not None:
-            summary = replace(summary, relative=self.survey.found())
+            summary = replace(summary, relative=self.survey.relative_frictions())
         self.reporter.report(summary)
         if frames.on_bus and not frames.decoded and not frames.rejected_count:
             _LOG.log(NOTICE, "%s", NOTHING_KNOWN)

@@ -22,8 +22,7 @@ from diag_service.diagnosis.friction.estimator import without_friction
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
 from diag_service.diagnosis.lockup.state import ALGORITHM_VERSION as LOCKUP_ALGORITHM_VERSION
 from diag_service.diagnosis.lockup.state import LockupState
-from diag_service.diagnosis.quality.data_quality import Gate, QualityBasis, gate, named_late
-from diag_service.diagnosis.quality.plausibility import Meaning
+from diag_service.diagnosis.quality import Gate, Meaning, QualityBasis, gate, named_late
 from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.diagnosis.shifts.tracking import EventFinder
 from diag_service.diagnosis.summary import Capability

@@ -3,7 +3,7 @@
 import numpy as np
 
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.friction.paper.differentiate import TRACKING_DECADES, Rated, SteadyKalman, tracker
+from diag_service.diagnosis.friction.paper.driveline import TRACKING_DECADES, Rated, SteadyKalman, tracker
 from diag_service.diagnosis.friction.paper.method import Differentiators
 
 MIN_SAMPLE_COUNT = 5  # of the fourth-order stencils

@@ -9,8 +9,7 @@ import numpy.typing as npt
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, clutch_of_gear, nominal_calibration
 from clutch_model.pack import FilmLaw, film_law
-from diag_service.diagnosis.friction.paper.friction_data import TABLE_END_PA, FilmTable, static_table
-from diag_service.diagnosis.friction.paper.method import PaperSignals
+from diag_service.diagnosis.friction.paper.method import TABLE_END_PA, FilmTable, PaperSignals, static_table
 from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
 from ecu_emulator.shift_control.tcu_data import INERTIA, PREFILL, TORQUE
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.friction.paper.friction_data import FrictionData, fit, static_gate
+from diag_service.diagnosis.friction.paper.method import FrictionData, fit, static_gate
 from studies.reproduce.drives import BoolArray, PaperDrive, noisy
 from studies.reproduce.study import CALIBRATION, CLUTCHES, Setup, analysed, error_percent, true_value
 

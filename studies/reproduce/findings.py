@@ -4,7 +4,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from diag_service.diagnosis.friction.paper.friction_data import NOISY_GATES
+from diag_service.diagnosis.friction.paper.method import NOISY_GATES
 from studies.reproduce.bound import bounds_percent
 from studies.reproduce.drives import Case, PaperDrive, drive, noisy, static_tables, trajectory_tables
 from studies.reproduce.evidence import StaticEvidence, static_evidence

@@ -14,9 +14,8 @@ from canlog.arrays import FloatArray
 from clutch_model.pack import friction_law, kinetic_friction
 from clutch_model.units import bar_from_pa, rpm_from_rad_s
 from demo.drawing import CLUTCH_COLOUR, INK, MUTED, STYLE
-from diag_service.diagnosis.friction.paper.differentiate import SteadyKalman
-from diag_service.diagnosis.friction.paper.friction_data import coulomb_gate, static_gate
-from diag_service.diagnosis.friction.paper.method import Analysis, PaperSignals
+from diag_service.diagnosis.friction.paper.driveline import SteadyKalman
+from diag_service.diagnosis.friction.paper.method import Analysis, PaperSignals, coulomb_gate, static_gate
 from ecu_emulator.plant import Col
 from ecu_emulator.shift_control.tcu_data import HOLD, TORQUE
 from studies.reproduce.differences import central_difference

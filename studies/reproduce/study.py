@@ -8,9 +8,18 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.friction.paper import PaperEstimate, nominal_driveline
-from diag_service.diagnosis.friction.paper.differentiate import quiet_filter
-from diag_service.diagnosis.friction.paper.friction_data import NOISELESS_GATES, NOISY_GATES, FilmTable, Gates, fit
-from diag_service.diagnosis.friction.paper.method import Analysis, Differentiators, PaperSignals, analyse
+from diag_service.diagnosis.friction.paper.driveline import quiet_filter
+from diag_service.diagnosis.friction.paper.method import (
+    NOISELESS_GATES,
+    NOISY_GATES,
+    Analysis,
+    Differentiators,
+    FilmTable,
+    Gates,
+    PaperSignals,
+    analyse,
+    fit,
+)
 from studies.reproduce.differences import NOISELESS, central_difference, matched_filter
 from studies.reproduce.drives import (
     PERIOD_S,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from diag_service.diagnosis.friction.paper import PaperCollection, PaperEstimate
-from diag_service.diagnosis.friction.paper.friction_data import FilmTable, fit, friction_data, viscous_torques_nm
+from diag_service.diagnosis.friction.paper.method import FilmTable, fit, friction_data, viscous_torques_nm
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.plant import Col

@@ -12,12 +12,12 @@ from clutch_model.calibration import nominal_calibration
 from clutch_results.event_kinds import EndReason
 from clutch_results.records import Reason, ShiftEstimate, Status, shift_from, shift_record
 from dbc.contract import load_contract
+from diag_service.diagnosis.alignment import usable_samples
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.posterior import scale_free
-from diag_service.diagnosis.quality.data_quality import usable_samples
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.diagnosis.summary import with_revisions
 from diag_service.mapping.decoder import Decoder

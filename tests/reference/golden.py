@@ -18,7 +18,7 @@ from clutch_model.pack import (
     viscosity_pa_s,
 )
 from clutch_model.units import k_from_degc, pa_from_bar
-from diag_service.diagnosis.friction.paper.differentiate import steady_kalman_gain
+from diag_service.diagnosis.friction.paper.driveline import steady_kalman_gain
 from tests.support.film_laws import squeeze_rate_m_s
 
 CALIBRATION = nominal_calibration()

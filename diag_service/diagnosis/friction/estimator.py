@@ -10,7 +10,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, TorqueSource, clutch_of_gear
 from clutch_model.errors import CalibrationError
 from clutch_results.records import FrictionSlope, Reason, Revision, ShiftEstimate, Status
-from diag_service.diagnosis.alignment import NS_TO_S
+from diag_service.diagnosis.alignment import NS_TO_S, Samples, aligned
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import (
@@ -40,18 +40,18 @@ from diag_service.diagnosis.friction.evidence import (
     Considered,
     Evidence,
     Fusion,
+    JudgedEvent,
     Knowledge,
     Measurement,
     State,
     displaced,
     fuse,
+    omission_cost,
     skew_variance,
 )
 from diag_service.diagnosis.friction.film import pack_laws
-from diag_service.diagnosis.friction.judgement import JudgedEvent, omission_cost
 from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
-from diag_service.diagnosis.quality import plausibility
-from diag_service.diagnosis.quality.data_quality import Samples, aligned
+from diag_service.diagnosis.quality import PressureZeros, SlippingClutch, plausibility_faults, zero_has_jumped
 
 COLD_STD: Final = {
     State.TOUCH1: 12e3,
@@ -253,13 +253,13 @@ class Estimator:
         first = linearise(samples, self._calibration, state.packs, state.fusion.knowledge.mean)
         if isinstance(first, NotLinearised):
             return state, _unobserved(event, first, against)
-        slipping = plausibility.SlippingClutch(
+        slipping = SlippingClutch(
             number=first.clutch,
             rows=first.balance.window.slip_rows,
             pressure_zero_pa=_zero_pa(type_, first.zeros, state.fusion.knowledge, first.clutch),
             touch_pressure_pa=self._calibration.clutches[first.clutch - 1].touch_pressure_pa,
         )
-        if faults := plausibility.plausibility_faults(event, first.balance.signals, slipping):
+        if faults := plausibility_faults(event, first.balance.signals, slipping):
             return state, without_friction(event, Status.REJECTED, *faults)
         before = self._unknown_friction(state.fusion.knowledge, first.clutch)
         result = self._linearised_at_posterior(samples, state, first, before, type_)
@@ -425,7 +425,7 @@ def _unobserved(event: Event, why: NotLinearised, against: tuple[Reason, ...]) -
 
 def _why_left_out(before: Knowledge, alone: Fusion, count: int) -> Reason:
     """Return why an event of ``count`` residuals does not belong with the others, which know ``before``."""
-    if plausibility.zero_has_jumped(_zeros(before), _zeros(alone.knowledge)):
+    if zero_has_jumped(_zeros(before), _zeros(alone.knowledge)):
         return Reason.ZERO_JUMPED
     return Reason.MISFIT if _is_misfit(before, alone, count) else Reason.NOT_UPDATED
 
@@ -448,8 +448,8 @@ def chi_square_gate(count: int) -> float:
     return min(MAX_MISFIT, 1.0 + MAX_EXCESS / count)
 
 
-def _zeros(known: Knowledge) -> plausibility.PressureZeros:
-    return plausibility.PressureZeros(mean_pa=known.mean[_ZEROS], variance_pa2=known.covariance.diagonal()[_ZEROS])
+def _zeros(known: Knowledge) -> PressureZeros:
+    return PressureZeros(mean_pa=known.mean[_ZEROS], variance_pa2=known.covariance.diagonal()[_ZEROS])
 
 
 def without_friction(event: Event, status: Status, *reasons: Reason) -> ShiftEstimate:

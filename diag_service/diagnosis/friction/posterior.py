@@ -28,15 +28,20 @@ from diag_service.diagnosis.friction.evidence import (
     Considered,
     Evidence,
     Fusion,
+    JudgedEvent,
     Knowledge,
     Prior,
+    Scatter,
     State,
+    after_change,
     fuse,
+    is_cheap,
+    judge,
     prior_covariance,
     prior_mean,
+    together,
     type_std,
 )
-from diag_service.diagnosis.friction.judgement import JudgedEvent, Scatter, after_change, is_cheap, judge, together
 from fleet_contract import JsonObject
 
 BASELINE_SHIFT_COUNT = 15  # of the clutch: three times the shifts that settle a verdict

@@ -16,7 +16,7 @@ from clutch_model.calibration import Calibration, JointUncertainty, both_clutche
 from clutch_model.errors import CalibrationError
 from clutch_model.units import degc_from_k
 from clutch_results.records import Reason
-from diag_service.diagnosis.alignment import AlignedSignals
+from diag_service.diagnosis.alignment import AlignedSignals, usable_signals
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import WORKING_K, Balance, measurements_of, motoring_corrected_nm, noise_of
@@ -39,9 +39,11 @@ from diag_service.diagnosis.friction.evidence import (
     STATE_COUNT,
     Considered,
     Evidence,
+    JudgedEvent,
     Knowledge,
     Measurement,
     Prior,
+    Scatter,
     State,
     displaced,
     open_drag_ratio,
@@ -49,9 +51,7 @@ from diag_service.diagnosis.friction.evidence import (
     prior_mean,
 )
 from diag_service.diagnosis.friction.film import PackLaws, PressureDrive, integrate_films, pack_laws
-from diag_service.diagnosis.friction.judgement import JudgedEvent, Scatter
 from diag_service.diagnosis.friction.posterior import Posterior
-from diag_service.diagnosis.quality.data_quality import usable_signals
 
 MOMENT_COUNT = 24  # the torque of a run-up has steps; more moments see little but their interpolation
 

@@ -13,11 +13,19 @@ from clutch_results.records import Reason, ShiftEstimate, Status
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.estimator import without_friction
-from diag_service.diagnosis.lockup import blocks
-from diag_service.diagnosis.lockup.blocks import cut, is_slipping, samples_of
-from diag_service.diagnosis.lockup.state import MISFIT_RATIO, LockupState
-from diag_service.diagnosis.shifts.history import History
-from diag_service.diagnosis.shifts.tracking import Bounds, EventFinder, held_values
+from diag_service.diagnosis.lockup.state import (
+    LEAST_PRESSURE_PA,
+    LEAST_SLIP_RAD_S,
+    MISFIT_RATIO,
+    MOST_SLIP_RAD_S,
+    MOST_SLIP_RATE_RAD_S2,
+    LockupState,
+    Samples,
+    cut,
+    is_slipping,
+    samples_of,
+)
+from diag_service.diagnosis.shifts.tracking import Bounds, EventFinder, History, held_values
 
 BAND_HZ: Final = (5.0, 20.0)
 STEP_S: Final = 0.01
@@ -32,7 +40,7 @@ ORDER_HZ: Final = 1.0
 ENGINE_SHARE: Final = 0.6  # engine's swing over the turbine's: it has several times the inertia, so it swings less
 
 
-def shudder(samples: blocks.Samples, calibration: Calibration) -> Shudder | None:
+def shudder(samples: Samples, calibration: Calibration) -> Shudder | None:
     """Return what swings in a stretch; None where signals are too slow, or the clutch never slips for long enough."""
     at_s = (samples.t_ns - samples.t_ns[0]) / NS_PER_S
     if float(np.median(np.diff(at_s))) > SLOWEST_S:
@@ -49,10 +57,10 @@ def shudder(samples: blocks.Samples, calibration: Calibration) -> Shudder | None
     trend = np.linspace(-0.5, 0.5, WINDOW)
     rise = slips @ trend / (trend @ trend)
     held = (
-        (pressed_pa[rows].min(axis=1) > blocks.LEAST_PRESSURE_PA)
-        & (mean > blocks.LEAST_SLIP_RAD_S)
-        & (mean < blocks.MOST_SLIP_RAD_S)
-        & (np.abs(rise) < blocks.MOST_SLIP_RATE_RAD_S2 * WINDOW * STEP_S)
+        (pressed_pa[rows].min(axis=1) > LEAST_PRESSURE_PA)
+        & (mean > LEAST_SLIP_RAD_S)
+        & (mean < MOST_SLIP_RAD_S)
+        & (np.abs(rise) < MOST_SLIP_RATE_RAD_S2 * WINDOW * STEP_S)
     )
     if not held.any():
         return None

@@ -16,8 +16,7 @@ from canlog.frames import BEFORE_ALL_NS
 from clutch_model.calibration import clutch_of_gear
 from clutch_results.event_kinds import EndReason, EventKind
 from diag_service.diagnosis.columns import GearRatios, Signal
-from diag_service.diagnosis.shifts.history import History
-from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, HeldSignals, Tracker, held_values
+from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, HeldSignals, History, Tracker, held_values
 
 MAX_SHIFT_NS = 5 * NS_PER_S  # a production shift takes about one second
 MAX_LAUNCH_NS = 15 * NS_PER_S  # three seconds, on a hill with a trailer ten

@@ -9,8 +9,7 @@ from canlog.arrays import Int64Array
 from clutch_model.calibration import Calibration, both_clutches
 from clutch_results.event_kinds import EndReason, EventKind
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.shifts.history import History
-from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, EventFinder, held_values
+from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, EventFinder, History, held_values
 
 MARGIN_NS: Final = NS_PER_S // 5  # around a run-up: what sensor latencies and the crank segment reach back from
 MAX_RUN_UP_NS: Final = 10 * NS_PER_S

@@ -1,19 +1,198 @@
 """How events are found: a tracker walks along the samples and says when they begin and end, a finder cuts them out."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Final, Protocol
 
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array, Series
-from canlog.e2e.alive_counter import came_in_bursts
+from canlog.e2e.alive_counter import came_in_bursts, own_period_ns
+from canlog.e2e.e2e_state import E2eChange, E2eState
 from canlog.frames import BEFORE_ALL_NS
 from clutch_results.event_kinds import EndReason, EventKind
-from diag_service.diagnosis.columns import ColumnBatch, Signal
+from diag_service.diagnosis.columns import ColumnBatch, Columns, Signal
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.shifts.history import History
+
+FIRST_CAPACITY: Final = 256  # samples of a signal; grows by doubling
+
+
+class _Ring:
+    """The samples of one signal: they grow at their end, and what is forgotten makes room at their beginning."""
+
+    def __init__(self, period_ns: int) -> None:
+        self.period_ns = period_ns
+        self.changed_ns = BEFORE_ALL_NS  # when a sample last differed from the one before it, as the first one does
+        self.first = self.stop = 0
+        self._last = np.nan
+        self.t_ns, self._sequence = np.empty((2, FIRST_CAPACITY), np.int64)
+        self._value = np.empty(FIRST_CAPACITY)
+
+    def append(self, series: Series) -> None:
+        count = len(series.t_ns)
+        if self.stop + count > len(self.t_ns):
+            self._make_room(count)
+        self.t_ns[self.stop : self.stop + count] = series.t_ns
+        self._sequence[self.stop : self.stop + count] = series.sequence
+        self._value[self.stop : self.stop + count] = series.value
+        self.stop += count
+        changes = np.flatnonzero(series.value != np.append(self._last, series.value[:-1]))
+        if len(changes):
+            self.changed_ns = int(series.t_ns[changes[-1]])
+        self._last = series.value[-1]
+
+    def between(self, start_ns: int, stop_ns: int) -> Series:
+        low, high = self.first + self.t_ns[self.first : self.stop].searchsorted((start_ns, stop_ns))
+        return Series(
+            t_ns=self.t_ns[low:high],
+            sequence=self._sequence[low:high],
+            value=self._value[low:high],
+            period_ns=self.period_ns,
+        )
+
+    def _make_room(self, count: int) -> None:
+        held, capacity = slice(self.first, self.stop), len(self.t_ns)
+        self.first, self.stop = 0, self.stop - self.first
+        while 2 * (self.stop + count) > capacity:  # moving a few samples again and again would be the dearest way
+            capacity *= 2
+        for name in ("t_ns", "_sequence", "_value"):
+            old = getattr(self, name)
+            setattr(self, name, np.empty(capacity, old.dtype))
+            getattr(self, name)[: self.stop] = old[held]
+
+
+class SampleRings:
+    """Samples of all signals that grow at their end and are forgotten at their beginning.
+
+    What ``between`` returns is valid until something is appended; who keeps it copies it.
+    """
+
+    def __init__(self) -> None:
+        self._rings: dict[Signal, _Ring] = {}
+
+    @property
+    def sample_count(self) -> int:
+        return sum(ring.stop - ring.first for ring in self._rings.values())
+
+    def append(self, columns: Mapping[Signal, Series]) -> None:
+        for signal, series in columns.items():
+            if len(series.t_ns):
+                if signal not in self._rings:
+                    self._rings[signal] = _Ring(series.period_ns)
+                self._rings[signal].append(series)
+
+    def between(self, signal: Signal, start_ns: int, stop_ns: int) -> Series:
+        """Return the samples of a signal with ``start_ns <= t_ns < stop_ns``; none if there is no such signal."""
+        ring = self._rings.get(signal)
+        return _NO_SAMPLES if ring is None else ring.between(start_ns, stop_ns)
+
+    def cut(self, start_ns: int, stop_ns: int) -> dict[Signal, Series]:
+        """Return copies of the samples of all signals that ever had one, with ``start_ns <= t_ns < stop_ns``."""
+        found = ((signal, ring.between(start_ns, stop_ns)) for signal, ring in self._rings.items())
+        return {
+            signal: replace(one, t_ns=one.t_ns.copy(), sequence=one.sequence.copy(), value=one.value.copy())
+            for signal, one in found
+        }
+
+    def changed_ns(self, signal: Signal) -> int:
+        """Return when a sample of a signal last differed from the one before it, as the first one does."""
+        ring = self._rings.get(signal)
+        return BEFORE_ALL_NS if ring is None else ring.changed_ns
+
+    def drop_before(self, keep_ns: int) -> None:
+        """Forget what lies before ``keep_ns``."""
+        for ring in self._rings.values():
+            ring.first += int(ring.t_ns[ring.first : ring.stop].searchsorted(keep_ns))
+
+    def clear(self) -> None:
+        self._rings.clear()
+
+
+_NO_SAMPLES: Final = Series(t_ns=np.empty(0, np.int64), sequence=np.empty(0, np.int64), value=np.empty(0))
+
+
+class History:
+    """The recent samples of all signals, the times of bad frames and the states of messages, until they are dropped."""
+
+    def __init__(self) -> None:
+        self._rings = SampleRings()
+        self._bad_ns: list[Int64Array] = []
+        self._e2e: dict[str, list[E2eChange]] = {}
+        self.watermark_ns = BEFORE_ALL_NS  # all that happened before it has been seen
+        self.walked_ns = BEFORE_ALL_NS  # up to where a tracker has looked at the samples
+
+    @property
+    def sample_count(self) -> int:
+        return self._rings.sample_count
+
+    def append(self, batch: ColumnBatch) -> None:
+        self._rings.append(batch.columns)
+        if len(batch.bad_frame_ns):
+            self._bad_ns.append(batch.bad_frame_ns)
+        for change in batch.e2e_changes:
+            changes = self._e2e.setdefault(change.message, [])
+            if changes and changes[-1].t_ns == change.t_ns:  # taken back
+                changes.pop()
+            changes.append(change)
+        self.watermark_ns = max(self.watermark_ns, batch.watermark_ns)
+
+    def samples(self, signal: Signal, start_ns: int, stop_ns: int) -> Series:
+        """Return the samples of one signal with ``start_ns <= t_ns < stop_ns``; valid until more are appended."""
+        return self._rings.between(signal, start_ns, stop_ns)
+
+    def ahead(self, signal: Signal, until_ns: int) -> Series:
+        """Return the samples of a signal that the tracker has not walked yet; valid until more are appended."""
+        return self._rings.between(signal, self.walked_ns, until_ns)
+
+    def has_change_ahead(self, signal: Signal) -> bool:
+        """Return whether a sample that the tracker has not walked yet differs from the one before it."""
+        return self._rings.changed_ns(signal) >= self.walked_ns
+
+    def cut(self, start_ns: int, stop_ns: int) -> Columns:
+        """Return the samples of all signals with ``start_ns <= t_ns < stop_ns``, each with the cycle that it keeps."""
+        found = sorted(self._rings.cut(start_ns, stop_ns).items())
+        return {
+            signal: series if (own := own_period_ns(series)) == series.period_ns else replace(series, period_ns=own)
+            for signal, series in found
+        }
+
+    def bad_frame_count(self, start_ns: int, stop_ns: int) -> int:
+        """Return how many frames were rejected or missing in ``start_ns <= t_ns < stop_ns``."""
+        return sum(int(np.count_nonzero((times >= start_ns) & (times < stop_ns))) for times in self._bad_ns)
+
+    def e2e_states(self, start_ns: int, stop_ns: int) -> Mapping[str, E2eState]:
+        """Return, by message, INVALID if it was that in ``start_ns <= t_ns < stop_ns``, else its last state there."""
+        return {message: _worst(changes, start_ns, stop_ns) for message, changes in sorted(self._e2e.items())}
+
+    def drop_before(self, keep_ns: int) -> None:
+        """Forget what lies before ``keep_ns``, times of bad frames and states a little late."""
+        self._rings.drop_before(keep_ns)
+        if self._bad_ns:
+            self._bad_ns = [times for times in self._bad_ns if times.max() >= keep_ns]
+        for changes in self._e2e.values():
+            while len(changes) > 1 and changes[1].t_ns <= keep_ns:
+                del changes[0]
+
+    def clear(self) -> None:
+        """Forget everything: another segment of bus time begins."""
+        self._rings.clear()
+        self._bad_ns.clear()
+        self._e2e.clear()
+        self.watermark_ns = self.walked_ns = BEFORE_ALL_NS
+
+
+def _worst(changes: list[E2eChange], start_ns: int, stop_ns: int) -> E2eState:
+    state = E2eState.NO_DATA
+    was_invalid = False
+    for change in changes:
+        if change.t_ns >= stop_ns:
+            break
+        if change.t_ns > start_ns:
+            was_invalid |= state is E2eState.INVALID
+        state = change.state
+    return E2eState.INVALID if was_invalid else state
+
 
 NS_PER_S = 1_000_000_000
 _NEVER: Final = np.empty(0, np.int64)

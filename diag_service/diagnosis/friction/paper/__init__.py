@@ -4,7 +4,6 @@ It states no uncertainty, so nothing here leads to a verdict; it is the yardstic
 """
 
 from diag_service.diagnosis.friction.paper.driveline import nominal_driveline
-from diag_service.diagnosis.friction.paper.friction_data import PaperEstimate
-from diag_service.diagnosis.friction.paper.method import PaperCollection, PaperShift, PooledClutch
+from diag_service.diagnosis.friction.paper.method import PaperCollection, PaperEstimate, PaperShift, PooledClutch
 
 __all__ = ["PaperCollection", "PaperEstimate", "PaperShift", "PooledClutch", "nominal_driveline"]

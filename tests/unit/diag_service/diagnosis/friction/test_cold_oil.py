@@ -8,13 +8,12 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from clutch_model.units import k_from_degc
 from clutch_results.records import Reason, Status
-from diag_service.diagnosis.alignment import GRID_S
+from diag_service.diagnosis.alignment import GRID_S, usable_samples
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.balance import Torques
 from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films, pack_laws
-from diag_service.diagnosis.quality.data_quality import usable_samples
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts
 
 CALIBRATION = nominal_calibration()

@@ -9,14 +9,13 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from clutch_results.event_kinds import EndReason
 from clutch_results.records import Reason, ShiftEstimate, Status
+from diag_service.diagnosis.alignment import usable_samples
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import FULL_WINDOW_S, without_friction
-from diag_service.diagnosis.friction.evidence import FRICTION_ROWS, Knowledge, State
-from diag_service.diagnosis.friction.judgement import STEP_COUNT
+from diag_service.diagnosis.friction.evidence import FRICTION_ROWS, STEP_COUNT, Knowledge, State
 from diag_service.diagnosis.friction.posterior import friction
-from diag_service.diagnosis.quality.data_quality import usable_samples
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts, thinned
 
 CALIBRATION = nominal_calibration()

@@ -14,13 +14,15 @@ from diag_service.diagnosis.friction.evidence import (
     STATE_COUNT,
     Considered,
     Evidence,
+    JudgedEvent,
     Knowledge,
     Measurement,
+    Scatter,
     State,
+    judge,
     prior_covariance,
     prior_mean,
 )
-from diag_service.diagnosis.friction.judgement import JudgedEvent, Scatter, judge
 from diag_service.diagnosis.friction.posterior import Posterior
 
 STD = 0.001  # of friction seen in one event

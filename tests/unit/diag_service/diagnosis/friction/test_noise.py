@@ -8,7 +8,7 @@ import pytest
 from canlog.arrays import FloatArray
 from clutch_model.calibration import TorqueSource, nominal_calibration
 from clutch_results.records import LEAST_SLIP_ROWS
-from diag_service.diagnosis.alignment import AlignedSignals
+from diag_service.diagnosis.alignment import AlignedSignals, usable_signals
 from diag_service.diagnosis.friction.balance import (
     Balance,
     BusNoise,
@@ -21,7 +21,6 @@ from diag_service.diagnosis.friction.balance import (
 from diag_service.diagnosis.friction.drives import measured_drives, slip_window
 from diag_service.diagnosis.friction.film import pack_laws
 from diag_service.diagnosis.friction.posterior import Posterior
-from diag_service.diagnosis.quality.data_quality import usable_signals
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts
 
 CALIBRATION = nominal_calibration()

@@ -17,11 +17,11 @@ from diag_service.diagnosis.friction.evidence import (
     STATE_COUNT,
     Considered,
     Evidence,
+    JudgedEvent,
     Knowledge,
     Measurement,
     fuse,
 )
-from diag_service.diagnosis.friction.judgement import JudgedEvent
 from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, RECENT_COUNT, Posterior, friction, trend
 from fleet_contract import JsonObject
 
@@ -56,7 +56,7 @@ def test_nothing_is_lost_when_events_become_part_of_the_base() -> None:
     rng = np.random.default_rng(0)
     total = Evidence.none()
     for number in range(30):
-        total = total.plus(event(number, 1 + number % 2, MU, rng).evidence)
+        total = Evidence.sum((total, event(number, 1 + number % 2, MU, rng).evidence))
     at_once, state = fuse(Posterior.fresh(CALIBRATION).base, total).knowledge, driven(30)
     assert len(state.recent) == RECENT_COUNT
     assert state.shift_counts == (15, 15)
@@ -178,7 +178,7 @@ def test_fusing_is_least_squares(seed: int) -> None:
     seen = [measurement(rng, truth, one) for one in at]
     total = Evidence.none()
     for one, where in zip(seen, at, strict=True):
-        total = total.plus(Evidence.of([one], where))
+        total = Evidence.sum((total, Evidence.of([one], where)))
     fused = fuse(known, total)
 
     rows = [np.linalg.cholesky(np.linalg.inv(known.covariance / np.outer(SCALES, SCALES))).T / SCALES]

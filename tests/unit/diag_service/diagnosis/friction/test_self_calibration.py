@@ -12,7 +12,7 @@ from clutch_model.calibration import nominal_calibration
 from clutch_results.event_kinds import EndReason
 from clutch_results.records import Reason
 from dbc.contract import load_contract
-from diag_service.diagnosis.alignment import Resampled
+from diag_service.diagnosis.alignment import Resampled, usable_signals
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import Balance, measurements_of, noise_of
 from diag_service.diagnosis.friction.drives import SlipWindow, measured_drives, slip_window
@@ -21,7 +21,6 @@ from diag_service.diagnosis.friction.film import pack_laws
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
-from diag_service.diagnosis.quality.data_quality import usable_signals
 from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder

@@ -64,9 +64,8 @@ def shifts(count: int, truth: FloatArray, rng: np.random.Generator) -> Evidence:
     for slope in slopes():
         matrix = count * slope.T @ slope
         noise = np.sqrt(count) * slope.T @ rng.normal(size=NUMBERS_OF_A_SHIFT)
-        total = total.plus(
-            Evidence(matrix=matrix, vector=matrix @ truth + noise, constant=0.0, count=count * NUMBERS_OF_A_SHIFT)
-        )
+        alone = Evidence(matrix=matrix, vector=matrix @ truth + noise, constant=0.0, count=count * NUMBERS_OF_A_SHIFT)
+        total = Evidence.sum((total, alone))
     return total
 
 

@@ -12,9 +12,8 @@ from clutch_results.records import ClutchVerdict, Condition, Reason, ShiftEstima
 from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, judge_lockup
 from diag_service.diagnosis.condition.verdict import Silence
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.lockup.blocks import MICRO_SLIP_RAD_S, samples_of
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder, shudder
-from diag_service.diagnosis.lockup.state import LockupState
+from diag_service.diagnosis.lockup.state import MICRO_SLIP_RAD_S, LockupState, samples_of
 from studies.converter_car import FLUIDS, ConverterCar, Driven, batches, drawn_car, drive
 
 CALIBRATION = shipped_calibration("lockup")

@@ -15,7 +15,7 @@ from clutch_results.records import DataQuality, QualityPart, Reason
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.quality.data_quality import LIMITS, QualityBasis, data_quality, reasons_against
+from diag_service.diagnosis.quality import LIMITS, QualityBasis, data_quality, reasons_against
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages

@@ -9,15 +9,14 @@ import pytest
 from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
 from clutch_results.records import Reason
-from diag_service.diagnosis.alignment import AlignedSignals
+from diag_service.diagnosis.alignment import AlignedSignals, usable_signals
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.drives import measured_drives, slip_window
 from diag_service.diagnosis.friction.evidence import State
 from diag_service.diagnosis.friction.film import pack_laws
-from diag_service.diagnosis.quality.data_quality import LIMITS, QualityLimits, usable_signals
-from diag_service.diagnosis.quality.plausibility import (
+from diag_service.diagnosis.quality import (
     PressureZeros,
     SlippingClutch,
     is_frozen,
@@ -86,11 +85,11 @@ def of_shift(event: Event) -> tuple[AlignedSignals, SlippingClutch]:
     )
 
 
-def faults_of(event: Event, limits: QualityLimits = LIMITS) -> tuple[Reason, ...]:
+def faults_of(event: Event) -> tuple[Reason, ...]:
     """Return the faults of a changed shift, in the slip window of the sound one."""
     signals = usable_signals(event, CALIBRATION)
     assert not isinstance(signals, Reason)
-    return plausibility_faults(event, signals, of_shift(first_shifts()[0])[1], limits)
+    return plausibility_faults(event, signals, of_shift(first_shifts()[0])[1])
 
 
 @pytest.mark.parametrize(

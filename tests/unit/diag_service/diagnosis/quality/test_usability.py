@@ -9,10 +9,9 @@ import pytest
 from clutch_model.calibration import nominal_calibration
 from clutch_results.event_kinds import EndReason
 from clutch_results.records import Reason
-from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
+from diag_service.diagnosis.alignment import GRID_S, AlignedSignals, usable_signals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.quality.data_quality import usable_signals
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts, thinned, without
 
 CALIBRATION = nominal_calibration()
