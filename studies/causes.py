@@ -153,7 +153,7 @@ def fitted(lives: Sequence[Lived]) -> dict[str, Any]:
         for kind, clutch, sign in [truth for truth in one.truths if truth[0] in rows][:1]:
             told = words["cause"][kind]
             change = judge.change(one.moments[-1].begun, one.moments[-1].now)
-            scale = one.life.strength * np.maximum(change.told, 1e-3) * (sign if told["is_either_way"] else 1.0)
+            scale = one.life.strength * np.maximum(change.shown, 1e-3) * (sign if told["is_either_way"] else 1.0)
             order = MIRRORED if clutch == 2 and told["is_of_one_clutch"] else slice(None)
             rows[kind].append(((change.mean / scale)[order], (change.covariance.diagonal() / scale**2)[order]))
     fits = {kind: _mean_of(some) for kind, some in rows.items()}

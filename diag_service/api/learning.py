@@ -167,7 +167,7 @@ def calibrate(
         If a log cannot be read, or there is no shift in them.
     """
     with collected_notices():
-        found = calibrated(configuration(**meaning), path_list(paths), Trigger()).found
+        found = calibrated(configuration(**meaning), path_list(paths), Trigger()).self_calibration
         if output is not None:
             write_calibration(Path(output), found.calibration)
         return found

@@ -126,36 +126,38 @@ class Resampled:
 
         ``weights`` has shape (k, rows) for each piece; the samples are those that its rows lie between.
         """
-        found = []
+        by_piece = []
         for of_rows, rows in zip(weights, pieces, strict=True):
             place, share = self.left[rows] - self.left[rows][0], self.share[rows]
             shares, row = np.zeros((len(place), place[-1] + 2)), np.arange(len(place))
             shares[row, place], shares[row, place + 1] = 1.0 - share, share
-            found.append(of_rows @ shares)
-        return tuple(found)
+            by_piece.append(of_rows @ shares)
+        return tuple(by_piece)
 
-    def shared(self, one: Sums, other: Sums, rows: Sequence[slice], *, is_followed: bool = False) -> list[FloatArray]:
+    def shared(
+        self, first_sum: Sums, second_sum: Sums, rows: Sequence[slice], *, is_followed: bool = False
+    ) -> list[FloatArray]:
         """Return covariances of two sums with weights of `to_samples`, in variances of the sensor."""
         if self.curve is None:
-            return [first @ second.T for first, second in zip(one, other, strict=True)]
+            return [first @ second.T for first, second in zip(first_sum, second_sum, strict=True)]
         of_points = self.curve.followed if is_followed else self.curve.covariance
         return [
             first @ of_points(self.left[piece][0], self.left[piece][-1] + 2) @ second.T
-            for first, second, piece in zip(one, other, rows, strict=True)
+            for first, second, piece in zip(first_sum, second_sum, rows, strict=True)
         ]
 
     def around_samples(
         self, values: FloatArray, places: Sequence[slice], pieces: Sequence[slice]
     ) -> tuple[FloatArray, ...]:
         """Return values as means around the samples of `to_samples`, shape (n,) each; ``places`` are of the pieces."""
-        found = []
+        means = []
         for place, rows in zip(places, pieces, strict=True):
             left, share, of_rows = self.left[rows] - self.left[rows][0], self.share[rows], values[place]
             both, count = np.concatenate([left, left + 1]), left[-1] + 2
             weight = np.bincount(both, np.concatenate([1.0 - share, share]), count)
             total = np.bincount(both, np.concatenate([(1.0 - share) * of_rows, share * of_rows]), count)
-            found.append(total / np.maximum(weight, _NO_WEIGHT))
-        return tuple(found)
+            means.append(total / np.maximum(weight, _NO_WEIGHT))
+        return tuple(means)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -270,7 +272,7 @@ def aligned(samples: Samples, calibration: Calibration, other: AlignedSignals | 
             own_age_std_s=FRAME_AGE_STD_S if samples.skew_s >= samples.row_s else samples.skew_s / math.sqrt(12.0),
             noise_std=noise_std,
         )
-    history_s = max(one[0] for one in times.values())
+    history_s = max(times_s[0] for times_s in times.values())
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     # Whole steps after the shift's start: a latency that is found more exactly must not move the points.
     grid_s = GRID_S * np.arange(math.ceil(history_s / GRID_S), math.ceil(duration_s / GRID_S), dtype=np.float64)
@@ -281,16 +283,16 @@ def aligned(samples: Samples, calibration: Calibration, other: AlignedSignals | 
     is_known = other is not None and len(other.grid_s) == len(grid_s)  # the same grid: it ends where the event ends
     wanted = _MOVED if is_known else BALANCE_SIGNALS
     if rows.period_s:
-        on_grid = {one: _resampled(one, times[one], event.columns[one], grid_s, rows) for one in wanted}
+        on_grid = {signal: _resampled(signal, times[signal], event.columns[signal], grid_s, rows) for signal in wanted}
     else:
-        on_grid = {one: Resampled(times[one], event.columns[one].value, grid_s) for one in wanted}
+        on_grid = {signal: Resampled(times[signal], event.columns[signal].value, grid_s) for signal in wanted}
     engine_speed, engine_torque = on_grid[Signal.ENGINE_SPEED], on_grid[Signal.ENGINE_TORQUE]
     pressure = (on_grid[Signal.CLUTCH1_PRESSURE], on_grid[Signal.CLUTCH2_PRESSURE])
     if other is not None and is_known:
         return replace(
             other, engine_speed=engine_speed, engine_torque=engine_torque, pressure=pressure, is_seen=is_seen
         )
-    hub, first, second = (on_grid[one] for one in (Signal.HUB_SPEED, Signal.INPUT1_SPEED, Signal.INPUT2_SPEED))
+    hub, first, second = (on_grid[signal] for signal in (Signal.HUB_SPEED, Signal.INPUT1_SPEED, Signal.INPUT2_SPEED))
     is_one = rows.period_s and np.array_equal(hub.value, engine_speed.value)
     if is_one or (hub.curve is not None and engine_speed.curve is not None):
         hub = engine_speed  # nearer to it than two columns are, up to a row apart
@@ -380,8 +382,8 @@ def usable_samples(event: Event) -> Samples | Reason:
     if oil is None or not len(oil.t_ns) or len(sampled) < len(BALANCE_SIGNALS):
         return Reason.SIGNAL_MISSING if is_whole else Reason.INTERRUPTED
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
-    for one, times_s in sampled.items():
-        series = event.columns[one]
+    for signal, times_s in sampled.items():
+        series = event.columns[signal]
         if np.abs(series.value).max(initial=0.0) > MOST:
             return Reason.OUT_OF_RANGE
         own_s = series.period_ns * NS_TO_S or NOMINAL_PERIOD_S
@@ -392,14 +394,14 @@ def usable_samples(event: Event) -> Samples | Reason:
     oil_k = float(oil.value.mean())
     if not OIL_RANGE_K[0] <= oil_k <= OIL_RANGE_K[1]:
         return Reason.OUT_OF_RANGE
-    of_torque, of_pressure = (event.columns[one].t_ns for one in (Signal.ENGINE_TORQUE, Signal.CLUTCH1_PRESSURE))
+    of_torque, of_pressure = (event.columns[signal].t_ns for signal in (Signal.ENGINE_TORQUE, Signal.CLUTCH1_PRESSURE))
     skew_s = row_s if np.array_equal(of_torque, of_pressure) else min(row_s, ANSWER_S)  # asked values have own times
     return Samples(event=event, times=sampled, oil_k=oil_k, row_s=row_s, skew_s=skew_s)
 
 
 def _why_silent(event: Event, sampled: Iterable[Signal]) -> Reason:
     """Return whether frames were late in a silence: then all signals stood still, and no counter proves a loss."""
-    for series in (event.columns[one] for one in sampled):
+    for series in (event.columns[signal] for signal in sampled):
         proven = (np.diff(series.sequence) - 1) % COUNTER_PERIOD + 1
         is_numbered = len(proven) > 0 and series.period_ns > 0 and series.sequence[0] >= 0
         stood_ns = np.diff(series.t_ns).max(initial=0)
@@ -413,12 +415,14 @@ def _row_s(event: Event) -> float:
 
     What controllers tell whoever asks makes rows of its own: as slow as the slowest of them.
     """
-    columns = [event.columns[one] for one in ROW_SIGNALS if one in event.columns]
-    own = [event.columns[one] for one in BALANCE_SIGNALS if one in event.columns]
-    if len(columns) < len(ROW_SIGNALS) or all(one.period_ns for one in own):
+    columns = [event.columns[signal] for signal in ROW_SIGNALS if signal in event.columns]
+    balance_columns = [event.columns[signal] for signal in BALANCE_SIGNALS if signal in event.columns]
+    if len(columns) < len(ROW_SIGNALS) or all(signal.period_ns for signal in balance_columns):
         return 0.0
     if not (row_ns := row_period_ns(columns)):
-        row_ns = max((int(np.median(np.diff(one.t_ns))) for one in own if is_of_rows(one)), default=0)
+        row_ns = max(
+            (int(np.median(np.diff(signal.t_ns))) for signal in balance_columns if is_of_rows(signal)), default=0
+        )
         if row_ns * NS_TO_S < UNSCHEDULED_PERIODS * NOMINAL_PERIOD_S:
             return 0.0  # messages of a bus whose database knows no cycle
     return max(row_ns * NS_TO_S, NOMINAL_PERIOD_S)
@@ -458,7 +462,7 @@ def gaps_s(times: SampleTimes, event: Event, row_s: float = 0.0) -> FloatArray |
     None if the times of a signal do not rise.
     """
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
-    found = []
+    gaps = []
     for signal, times_s in times.items():
         period_s = event.columns[signal].period_ns * NS_TO_S or NOMINAL_PERIOD_S
         is_row = row_s and is_of_rows(event.columns[signal])
@@ -466,7 +470,7 @@ def gaps_s(times: SampleTimes, event: Event, row_s: float = 0.0) -> FloatArray |
         steps_s = np.diff(times_s)
         if steps_s.min(initial=math.inf) <= 0.0:
             return None
-        found += [times_s[row : row + 2] for row in np.flatnonzero(steps_s > longest_s)]
+        gaps += [times_s[row : row + 2] for row in np.flatnonzero(steps_s > longest_s)]
         if duration_s - times_s[-1] > longest_s:
-            found.append(np.array((times_s[-1], duration_s)))
-    return np.array(found).reshape(-1, 2)
+            gaps.append(np.array((times_s[-1], duration_s)))
+    return np.array(gaps).reshape(-1, 2)

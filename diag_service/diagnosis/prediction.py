@@ -45,9 +45,9 @@ PARAMETERS: Final = ("drive", "drag", "gain_1", "gain_2", "touch_pa", "delay_s")
 ROUNDS: Final = 8  # of finding parameters and what is left unexplained in turn
 GAIN_RATIOS: Final = (0.0, 0.02, 0.04, 0.07, 0.1, 0.15, 0.2)
 FREEDOM: Final = 4.0  # of Student's t
-MOST_LEVERAGE: Final = 0.8
+MOST_LEVERAGE: Final = 0.8  # of a sample on its own fit: beyond it what is left over is too small to be scaled up
 TOUCH_STD_PA, DELAY_STD_S = 1.5e4, 0.015
-STANDING_RAD_S: Final = 0.5
+STANDING_RAD_S: Final = 0.5  # of the output shaft: slower, the car stands
 HELD_PA: Final = 0.3e5  # what is less is an empty piston, not a clutch that is held at its touch point
 
 
@@ -104,7 +104,9 @@ def slip_phase(event: Event, gears: GearRatios | None = None) -> SlipPhase | NoP
     """Return the slip phase of a gear change, from speeds alone, or why there is none."""
     columns = event.columns
     missing = [
-        one.value for one in (Signal.ENGINE_SPEED, *PRESSURES.values()) if not len(columns.get(one, _NOTHING).t_ns)
+        signal.value
+        for signal in (Signal.ENGINE_SPEED, *PRESSURES.values())
+        if not len(columns.get(signal, _NOTHING).t_ns)
     ]
     if event.from_gear == event.to_gear or min(event.from_gear, event.to_gear) < 1:
         return NoPhase(event, "no change from gear to gear")
@@ -127,8 +129,10 @@ def slip_phase(event: Event, gears: GearRatios | None = None) -> SlipPhase | NoP
     start_ns = int(engine.t_ns[first])
     t_s = (engine.t_ns[first:stop] - start_ns) / NS_PER_S
     clutch = clutch_of_gear(event.to_gear)
-    source = next((columns[one] for one in TORQUE_SOURCES if one in columns and len(columns[one].t_ns)), None)
-    pedals = [columns[one].value for one in PEDALS if one in columns and len(columns[one].t_ns)]
+    source = next(
+        (columns[signal] for signal in TORQUE_SOURCES if signal in columns and len(columns[signal].t_ns)), None
+    )
+    pedals = [columns[signal].value for signal in PEDALS if signal in columns and len(columns[signal].t_ns)]
     return SlipPhase(
         number=event.number,
         from_gear=event.from_gear,
@@ -150,14 +154,14 @@ _NOTHING: Final = Series(t_ns=np.empty(0, np.int64), sequence=np.empty(0, np.int
 def _input_speeds(event: Event, t_ns: Int64Array, gears: GearRatios | None) -> tuple[FloatArray, FloatArray] | None:
     """Return the speeds behind the on-coming and the off-going clutch at some times."""
     columns, clutches = event.columns, (clutch_of_gear(event.to_gear), clutch_of_gear(event.from_gear))
-    found = [columns.get(INPUTS[clutch], _NOTHING) for clutch in clutches]
+    shafts = [columns.get(INPUTS[clutch], _NOTHING) for clutch in clutches]
     if gears is not None and max(event.from_gear, event.to_gear) <= len(gears.ratios):
         over = columns.get(gears.over, _NOTHING)
         if len(over.t_ns):
             speed = np.interp(t_ns, over.t_ns, over.value)
             return gears.ratios[event.to_gear - 1] * speed, gears.ratios[event.from_gear - 1] * speed
-    if clutches[0] != clutches[1] and all(len(one.t_ns) for one in found):
-        return np.interp(t_ns, found[0].t_ns, found[0].value), np.interp(t_ns, found[1].t_ns, found[1].value)
+    if clutches[0] != clutches[1] and all(len(series.t_ns) for series in shafts):
+        return np.interp(t_ns, shafts[0].t_ns, shafts[0].value), np.interp(t_ns, shafts[1].t_ns, shafts[1].value)
     return None
 
 
@@ -169,7 +173,7 @@ class Standing:
 
     def add(self, batch: ColumnBatch | Event) -> None:
         """Take up the pressures of one batch."""
-        output, pressure = (batch.columns.get(one) for one in (Signal.OUTPUT_SPEED, PRESSURES[1]))
+        output, pressure = (batch.columns.get(signal) for signal in (Signal.OUTPUT_SPEED, PRESSURES[1]))
         if output is None or pressure is None or not len(output.t_ns):
             return
         is_standing = np.interp(pressure.t_ns, output.t_ns, output.value) < STANDING_RAD_S
@@ -179,8 +183,8 @@ class Standing:
     @property
     def touch_pa(self) -> float | None:
         """The middle of them; None if the car never stood."""
-        found = np.concatenate([np.empty(0), *self._found])
-        return float(np.median(found)) if len(found) else None
+        pressures_pa = np.concatenate([np.empty(0), *self._found])
+        return float(np.median(pressures_pa)) if len(pressures_pa) else None
 
 
 def _around(series: Series, start_ns: int) -> FloatArray:
@@ -252,10 +256,10 @@ def fitted(phases: Sequence[SlipPhase], touch_pa: float | None = None) -> Model:
     from scipy.optimize import least_squares  # noqa: PLC0415 - a large library, for this alone
 
     scales = _scales(phases, touch_pa)
-    measured = np.concatenate([one.change_rad_s for one in phases])
-    ends = np.cumsum([len(one.change_rad_s) for one in phases]) - 1
+    measured = np.concatenate([phase.change_rad_s for phase in phases])
+    ends = np.cumsum([len(phase.change_rad_s) for phase in phases]) - 1
     scatter = Scatter(0.1 * float(np.abs(measured).max()), 0.0)
-    found, means = np.array([0.5, 0.0, 1.0, 1.0, 0.0, 0.0]), measured
+    point, means = np.array([0.5, 0.0, 1.0, 1.0, 0.0, 0.0]), measured
     for _ in range(ROUNDS):
         size = scatter.scales_rad_s(means)
         weights = np.sqrt((FREEDOM + 1.0) / (FREEDOM + ((means - measured) / size) ** 2)) / size
@@ -264,14 +268,14 @@ def fitted(phases: Sequence[SlipPhase], touch_pa: float | None = None) -> Model:
             off = np.concatenate([simulated(parameters, scales, phase) for phase in phases]) - measured
             return np.concatenate([off * weights, _priors(parameters)])
 
-        solution = least_squares(residuals, found, diff_step=[1e-3] * len(PARAMETERS))
-        found = solution.x
-        means = np.concatenate([simulated(found, scales, phase) for phase in phases])
+        solution = least_squares(residuals, point, diff_step=[1e-3] * len(PARAMETERS))
+        point = solution.x
+        means = np.concatenate([simulated(point, scales, phase) for phase in phases])
         slopes = np.asarray(solution.jac, np.float64)
         covariance = np.asarray(np.linalg.inv(slopes.T @ slopes), np.float64)
-        own = np.einsum("ij,jk,ik->i", slopes, covariance, slopes)[: len(measured)]  # leverage: what one fits itself
-        scatter = _likeliest(means, (means - measured) / np.sqrt(1.0 - np.minimum(own, MOST_LEVERAGE)), ends)
-    return Model(scales=scales, parameters=found, covariance=covariance, scatter=scatter)
+        leverage = np.einsum("ij,jk,ik->i", slopes, covariance, slopes)[: len(measured)]
+        scatter = _likeliest(means, (means - measured) / np.sqrt(1.0 - np.minimum(leverage, MOST_LEVERAGE)), ends)
+    return Model(scales=scales, parameters=point, covariance=covariance, scatter=scatter)
 
 
 def predicted(model: Model, phase: SlipPhase) -> Prediction:
@@ -285,7 +289,7 @@ def predicted(model: Model, phase: SlipPhase) -> Prediction:
 def _slopes(model: Model, phase: SlipPhase) -> FloatArray:
     """Return how the predicted change goes with each parameter, (n - 1, 6)."""
     steps = STEP_RATIO * np.eye(len(PARAMETERS))
-    both = [[simulated(model.parameters + sign * one, model.scales, phase) for one in steps] for sign in (1.0, -1.0)]
+    both = [[simulated(model.parameters + sign * step, model.scales, phase) for step in steps] for sign in (1.0, -1.0)]
     return (np.transpose(both[0]) - np.transpose(both[1])) / (2.0 * STEP_RATIO)
 
 
@@ -301,8 +305,8 @@ def simulated(
     read_s = t_s + delay * DELAY_STD_S
     touch_pa = scales.touch_pa + touch * scales.touch_std_pa
     above = [
-        np.maximum(np.interp(read_s, *one.T) - touch_pa, 0.0) / scales.pressure_pa
-        for one in (phase.on_pa, phase.off_pa)
+        np.maximum(np.interp(read_s, *read.T) - touch_pa, 0.0) / scales.pressure_pa
+        for read in (phase.on_pa, phase.off_pa)
     ]
     if friction_ratio is not None:
         above[0] *= np.interp(t_s, phase.t_s, friction_ratio)
@@ -332,9 +336,9 @@ def _integrate(rate: FloatArray, hold: FloatArray, step_s: float, change: FloatA
 
 
 def _scales(phases: Sequence[SlipPhase], touch_pa: float | None) -> Scales:
-    rates = [abs(one.change_rad_s[-1]) / one.t_s[-1] for one in phases]
-    pressures = [one.mean_pa for one in phases]
-    drives = np.abs(np.concatenate([one.drive[:, 1] for one in phases]))
+    rates = [abs(phase.change_rad_s[-1]) / phase.t_s[-1] for phase in phases]
+    pressures = [phase.mean_pa for phase in phases]
+    drives = np.abs(np.concatenate([phase.drive[:, 1] for phase in phases]))
     return Scales(
         drive=float(np.median(drives)) or 1.0,
         pressure_pa=float(np.median(pressures)),
@@ -356,14 +360,14 @@ def _likeliest(means: FloatArray, left: FloatArray, ends: Int64Array) -> Scatter
 
     All samples count together as much as the last ones of the shifts: what a whole shift has of its own shows there.
     """
-    best, found = np.inf, Scatter(1.0, 0.0)
+    best, likeliest = np.inf, Scatter(1.0, 0.0)
     for scatter in starmap(Scatter, product(np.geomspace(0.5, 40.0, 30).tolist(), GAIN_RATIOS)):
         size = scatter.scales_rad_s(means)
         costs = 2.0 * np.log(size) + (FREEDOM + 1.0) * np.log1p((left / size) ** 2 / FREEDOM)
         cost = float(costs.mean() + costs[ends].mean())
         if cost < best:
-            best, found = cost, scatter
-    return found
+            best, likeliest = cost, scatter
+    return likeliest
 
 
 # --- friction up to a scale -------------------------------------------------------------------------------------------
@@ -438,18 +442,23 @@ def relative_friction(phases: Sequence[SlipPhase], touch_pa: float | None = None
     model = fitted(phases, touch_pa)
     looks = [_look(model, phase) for phase in phases]
     for clutch in (1, 2):
-        own = [one for one in phases if one.clutch == clutch]
-        if len(own) < LEAST_OF_CLUTCH:
+        of_clutch = [phase for phase in phases if phase.clutch == clutch]
+        if len(of_clutch) < LEAST_OF_CLUTCH:
             continue
-        middle = float(np.mean(np.concatenate([one.slip_rad_s for one in own])))
-        slopes = {one.number: (one.slip_rad_s - middle) / SLIP_RAD_S for one in own}
-        shares = np.linspace(-0.5, 0.5, len(own))
+        middle = float(np.mean(np.concatenate([phase.slip_rad_s for phase in of_clutch])))
+        slopes = {phase.number: (phase.slip_rad_s - middle) / SLIP_RAD_S for phase in of_clutch}
+        shares = np.linspace(-0.5, 0.5, len(of_clutch))
         yield RelativeFriction(
             clutch=clutch,
-            shifts={one.number: _beside(model, looks, {one.number: np.ones(len(one.t_s))}, start=1.0) for one in own},
+            shifts={
+                phase.number: _beside(model, looks, {phase.number: np.ones(len(phase.t_s))}, start=1.0)
+                for phase in of_clutch
+            },
             slope_s_rad=_beside(model, looks, slopes, LAW_STD_SLOPE) * (1.0 / SLIP_RAD_S),
             trend=_beside(
-                model, looks, {one.number: np.full(len(one.t_s), at) for one, at in zip(own, shares, strict=True)}
+                model,
+                looks,
+                {phase.number: np.full(len(phase.t_s), at) for phase, at in zip(of_clutch, shares, strict=True)},
             ),
         )
 
@@ -479,12 +488,12 @@ def _beside(
 ) -> Relative:
     """Return how much of a course friction follows beside the parameters, by least squares; a course for each event."""
     step, count = STEP_RATIO, len(PARAMETERS)
-    priors = [[_priors(model.parameters + sign * one) for one in step * np.eye(count)] for sign in (1.0, -1.0)]
+    priors = [[_priors(model.parameters + sign * move) for move in step * np.eye(count)] for sign in (1.0, -1.0)]
     slopes = (np.transpose(priors[0]) - np.transpose(priors[1])) / (2.0 * step)
     information, pull = np.eye(count + 1), np.zeros(count + 1)  # a course of 100 % is its own weak prior
     information[:-1, :-1], pull[:-1] = slopes.T @ slopes, -slopes.T @ _priors(model.parameters)
-    for phase, own, left, covariance, outlying in looks:
-        design, spread = np.column_stack([own, np.zeros(len(left))]), outlying
+    for phase, sensitivities, left, covariance, outlying in looks:
+        design, spread = np.column_stack([sensitivities, np.zeros(len(left))]), outlying
         if (course := courses.get(phase.number)) is not None:
             ratios = (1.0 + sign * step * course for sign in (1.0, -1.0))
             both = [simulated(model.parameters, model.scales, phase, ratio) for ratio in ratios]
@@ -494,5 +503,5 @@ def _beside(
         certainty = np.linalg.inv(covariance * np.outer(spread, spread))
         information += design.T @ certainty @ design
         pull += design.T @ certainty @ left
-    found = np.linalg.inv(information)
-    return Relative(start + float(found[-1] @ pull), float(np.hypot(np.sqrt(found[-1, -1]), law_std)))
+    inverse = np.linalg.inv(information)
+    return Relative(start + float(inverse[-1] @ pull), float(np.hypot(np.sqrt(inverse[-1, -1]), law_std)))

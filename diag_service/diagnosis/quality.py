@@ -128,11 +128,13 @@ def _wheels(event: Event) -> float | None:
     changes_ns = np.concatenate([_NEVER, *(gear.t_ns[1:][np.diff(gear.value) != 0.0] for gear in gears)])
     wheels = [columns[signal] for signal in _WHEELS if signal in columns]
     ratios = [_ratios(wheel, output, changes_ns) for wheel in wheels]
-    found = np.concatenate([_NO_RATIO, *ratios])
-    if not len(found):
+    all_ratios = np.concatenate([_NO_RATIO, *ratios])
+    if not len(all_ratios):
         return None
-    middle = np.median(found)
-    return LIMITS.wheel_ratio.score(max(math.sqrt(np.mean((own / middle - 1.0) ** 2)) for own in ratios if len(own)))
+    middle = np.median(all_ratios)
+    return LIMITS.wheel_ratio.score(
+        max(math.sqrt(np.mean((ratio / middle - 1.0) ** 2)) for ratio in ratios if len(ratio))
+    )
 
 
 def _ratios(wheel: Series, output: Series, changes_ns: Int64Array) -> FloatArray:
@@ -265,15 +267,15 @@ def gate(event: Event, basis: QualityBasis, *, tells_friction: bool = True) -> G
 def _numbered(columns: Columns) -> list[Series]:
     """Return the signals of the torque balance whose message counts its transmissions."""
     series = [columns[signal] for signal in BALANCE_SIGNALS if signal in columns]
-    return [one for one in series if len(one.t_ns) and one.sequence[0] >= 0]
+    return [column for column in series if len(column.t_ns) and column.sequence[0] >= 0]
 
 
 def _frames(numbered: Sequence[Series]) -> float | None:
     """Judge the share of frames that never came or could not be used."""
-    sent = sum(int(one.sequence[-1] - one.sequence[0]) + 1 for one in numbered)
+    sent = sum(int(column.sequence[-1] - column.sequence[0]) + 1 for column in numbered)
     if not sent:
         return None
-    return LIMITS.lost_ratio.score(1.0 - sum(len(one.t_ns) for one in numbered) / sent)
+    return LIMITS.lost_ratio.score(1.0 - sum(len(column.t_ns) for column in numbered) / sent)
 
 
 def _protection(event: Event, mandatory: frozenset[str]) -> float | None:
@@ -288,14 +290,14 @@ def _protection(event: Event, mandatory: frozenset[str]) -> float | None:
 
 def _time(numbered: Sequence[Series]) -> float | None:
     """Judge how many samples came much later than the schedule that their numbers show."""
-    series = [one for one in numbered if one.period_ns > 0]
+    series = [column for column in numbered if column.period_ns > 0]
     if not series:
         return None
     late = 0
-    for one in series:  # than the schedule of the sample that came earliest by it
-        delays_ns = one.t_ns - one.sequence * one.period_ns
-        late += int(np.count_nonzero(delays_ns - delays_ns.min() > LIMITS.late_periods * one.period_ns))
-    return 1.0 - late / sum(len(one.t_ns) for one in series)
+    for column in series:  # than the schedule of the sample that came earliest by it
+        delays_ns = column.t_ns - column.sequence * column.period_ns
+        late += int(np.count_nonzero(delays_ns - delays_ns.min() > LIMITS.late_periods * column.period_ns))
+    return 1.0 - late / sum(len(column.t_ns) for column in series)
 
 
 def _saturation(columns: Columns, scale_ends: Mapping[Signal, tuple[float, float]]) -> float | None:
@@ -333,7 +335,7 @@ _WITHOUT_LOCK: Final = frozenset({EventKind.CREEP, EventKind.REGEAR})  # a car m
 LEAST_RATIO, MOST_RATIO = 0.7, 1.25  # of the friction that the type has new: no fluid leaves these
 
 
-SURE_STD: Final = 1.0
+SURE_STD: Final = 1.0  # that a friction is granted before it is called impossible
 
 
 MOST_MISFITS: Final = 3  # without one event that fits
@@ -365,13 +367,13 @@ def plausibility_faults(event: Event, signals: AlignedSignals, clutch: SlippingC
     apart_rad_s = signals.speeds_apart_rad_s
     is_change = event.from_gear != event.to_gear
     most_at_hub_rad_s = LIMITS.speeds_rad_s if is_change else LIMITS.launch_speeds_rad_s
-    found = {
-        Reason.SENSOR_FROZEN: any(is_frozen(event.columns[one], one) for one in BALANCE_SIGNALS),
+    faults = {
+        Reason.SENSOR_FROZEN: any(is_frozen(event.columns[signal], signal) for signal in BALANCE_SIGNALS),
         Reason.SPEEDS_DISAGREE: speed_gap_rad_s(event, signals, clutch) > LIMITS.speeds_rad_s + apart_rad_s
         or hub_gap_rad_s(signals) > most_at_hub_rad_s + apart_rad_s,
         Reason.PRESSURE_OFF_COMMAND: _misses_command(signals, clutch),
     }
-    return tuple(reason for reason, is_found in found.items() if is_found)
+    return tuple(reason for reason, is_found in faults.items() if is_found)
 
 
 def zero_has_jumped(known: PressureZeros, measured: PressureZeros) -> bool:

@@ -69,15 +69,15 @@ class RowCurve:
         """Return that of the points ``first <= point < stop``, in variances of the sensor."""
         from scipy.linalg import cho_solve_banded  # noqa: PLC0415 - it takes a while to load
 
-        own = np.eye(len(self.value), stop - first, -first)
+        unit = np.eye(len(self.value), stop - first, -first)
         by_age = self._moved_by_age[first:stop]
-        found = cho_solve_banded((self._root, False), own)[first:stop] + np.outer(by_age, by_age)
-        return np.asarray(found / self._noise_std**2)
+        covariance = cho_solve_banded((self._root, False), unit)[first:stop] + np.outer(by_age, by_age)
+        return np.asarray(covariance / self._noise_std**2)
 
     def followed(self, first: int, stop: int) -> FloatArray:
         """Return likewise how far points are off where they are high: by what noise of rows the loose walk lets in."""
-        own = self._by_rows[first:stop] / self._noise_std
-        return np.asarray((1.0 - 1.0 / WALK_RATIO) * own @ own.T)
+        by_rows = self._by_rows[first:stop] / self._noise_std
+        return np.asarray((1.0 - 1.0 / WALK_RATIO) * by_rows @ by_rows.T)
 
 
 def _slope_walk(times_s: FloatArray, value: FloatArray, noise_std: float) -> FloatArray:
@@ -86,9 +86,9 @@ def _slope_walk(times_s: FloatArray, value: FloatArray, noise_std: float) -> Flo
     if len(value) < 3:
         return np.full(1, (np.ptp(value) + noise_std) ** 2 / periods_s[0] ** 3)
     spans_s = periods_s[1:] + periods_s[:-1]
-    found = 3.0 * np.diff(np.diff(value) / periods_s) ** 2 / spans_s
-    found = np.pad(found, 2, mode="edge")
-    near = (found[:-3] + found[1:-2] + found[2:-1] + found[3:]) * (WALK_RATIO / 4.0)
+    walk = 3.0 * np.diff(np.diff(value) / periods_s) ** 2 / spans_s
+    walk = np.pad(walk, 2, mode="edge")
+    near = (walk[:-3] + walk[1:-2] + walk[2:-1] + walk[3:]) * (WALK_RATIO / 4.0)
     return np.asarray(np.maximum(near, LEAST_WALK * noise_std**2 / np.median(periods_s) ** 3))
 
 

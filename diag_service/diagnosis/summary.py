@@ -65,16 +65,16 @@ class LogShare(FrameShare):
     @classmethod
     def of(cls, path: str, channels: tuple[ChannelShare, ...]) -> Self:
         rejected: Counter[str] = Counter()
-        for one in channels:
-            rejected.update(one.rejected)
+        for channel in channels:
+            rejected.update(channel.rejected)
         frames, decoded, ignored = (
-            sum(getattr(one, name) for one in channels) for name in ("frames", "decoded", "ignored")
+            sum(getattr(channel, name) for channel in channels) for name in ("frames", "decoded", "ignored")
         )
         return cls(frames=frames, decoded=decoded, ignored=ignored, rejected=rejected, path=path, channels=channels)
 
     @property
     def used_channels(self) -> tuple[int, ...]:
-        return tuple(one.channel for one in self.channels if one.decoded)
+        return tuple(channel.channel for channel in self.channels if channel.decoded)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,7 +96,7 @@ def idle_lines(logs: Sequence[LogShare], named_channel: int | None) -> Iterator[
     for log in logs:
         if not log.decoded:
             yield f"{log.path} contributed nothing: {_log_fate(log, logs, named_channel)}"
-        elif named_channel is None and (passed := tuple(one for one in log.channels if one.is_passed_over)):
+        elif named_channel is None and (passed := tuple(channel for channel in log.channels if channel.is_passed_over)):
             more = f" and {len(passed) - 1} more" if len(passed) > 1 else ""  # a damaged log may have hundreds
             fate = _fate_text(LogShare.of(log.path, passed), "of messages that are followed elsewhere")
             yield f"channel {passed[0].channel}{more} of {log.path} contributed nothing: {fate}"
@@ -107,24 +107,28 @@ def log_record(log: LogShare) -> JsonObject:
         "path": log.path,
         "followed_channels": list(log.used_channels),
         **_counts(log),
-        "channels": [{"channel": one.channel, **_counts(one)} for one in log.channels],
+        "channels": [{"channel": channel.channel, **_counts(channel)} for channel in log.channels],
     }
 
 
 def _counts(share: FrameShare) -> JsonObject:
-    return {one.name: getattr(share, one.name) for one in fields(FrameShare)}
+    return {member.name: getattr(share, member.name) for member in fields(FrameShare)}
 
 
 def _log_fate(log: LogShare, logs: Sequence[LogShare], named_channel: int | None) -> str:
     """Return in words what became of the frames of a log of which none was used."""
-    elsewhere = [one for one in log.channels if one.rejected.get(OTHER_CHANNEL)]
-    own = {one.channel for one in elsewhere}
+    elsewhere = [channel for channel in log.channels if channel.rejected.get(OTHER_CHANNEL)]
+    channels = {channel.channel for channel in elsewhere}
     if named_channel is not None:
         wanted = f"the profile names {named_channel}"
     else:
         used = {channel for other in logs for channel in other.used_channels}
-        wanted = f"the drive follows {_listed(used - own)}" if used - own else "the drive follows those of other logs"
-    return _fate_text(log, f"on another channel ({_listed(own)}; {wanted})")
+        wanted = (
+            f"the drive follows {_listed(used - channels)}"
+            if used - channels
+            else "the drive follows those of other logs"
+        )
+    return _fate_text(log, f"on another channel ({_listed(channels)}; {wanted})")
 
 
 def _fate_text(share: FrameShare, elsewhere: str) -> str:
@@ -238,40 +242,40 @@ class Summary:
     @property
     def latest(self) -> tuple[ShiftResult, ...]:
         """The last result of each clutch, clutch 1 first; of a part of a drive and of old fluid none has a verdict."""
-        own = (unjudged(result, self.gaps) for _, result in sorted(self.shifts.latest.items()))
-        return of_present_fluid(own, self.fluid)
+        newest = (unjudged(result, self.gaps) for _, result in sorted(self.shifts.latest.items()))
+        return of_present_fluid(newest, self.fluid)
 
     @property
     def order(self) -> orders.Order:
         """What the vehicle is told, by the last result of each clutch, earlier runs counted."""
-        known = {**{one.verdict.clutch: one for one in self.latest}, **self.earlier}
+        known = {**{result.verdict.clutch: result for result in self.latest}, **self.earlier}
         return order_by(known.values(), self.fluid, self.capability.elements)
 
 
 def latest_of(results: Iterable[ShiftResult]) -> tuple[ShiftResult, ...]:
     """Return the last result of each clutch, clutch 1 first: by the end of its event, without a date by its place."""
     latest, last_ns = dict[int, ShiftResult](), dict[int, int]()
-    for one in results:
-        clutch, end_ns = one.estimate.clutch, one.estimate.end_ns
+    for result in results:
+        clutch, end_ns = result.estimate.clutch, result.estimate.end_ns
         if end_ns < DATED_NS or end_ns >= last_ns.get(clutch, 0):
-            latest[clutch] = one
+            latest[clutch] = result
         last_ns[clutch] = max(end_ns, last_ns.get(clutch, 0))
-    return tuple(one for _, one in sorted(latest.items()))
+    return tuple(result for _, result in sorted(latest.items()))
 
 
 def with_revisions(results: Iterable[ShiftResult]) -> list[ShiftResult]:
     """Return results of one vehicle, the oldest first, each as later ones have judged it."""
     revised, places = list(results), dict[tuple[int, int], int]()
     for place, result in enumerate(revised):
-        for one in result.estimate.revisions:
-            if (earlier := places.get((one.clutch, one.end_bus_ns))) is not None:
+        for revision in result.estimate.revisions:
+            if (earlier := places.get((revision.clutch, revision.end_bus_ns))) is not None:
                 estimate = replace(
                     revised[earlier].estimate,
-                    status=one.status,
-                    reasons=one.reasons,
-                    friction=one.friction,
-                    scale_free=one.scale_free,
-                    slope=one.slope,
+                    status=revision.status,
+                    reasons=revision.reasons,
+                    friction=revision.friction,
+                    scale_free=revision.scale_free,
+                    slope=revision.slope,
                 )
                 revised[earlier] = replace(revised[earlier], estimate=estimate)
         places[result.estimate.clutch, result.estimate.end_ns] = place
@@ -296,7 +300,7 @@ def unjudged(result: ShiftResult, gaps: tuple[Gap, ...]) -> ShiftResult:
 
 def newest_causes(results: Iterable[ShiftResult]) -> Causes | None:
     """Return what is known last of why a vehicle is as it is; its order goes by the same result."""
-    newest = max(results, key=lambda one: one.estimate.end_ns, default=None)
+    newest = max(results, key=lambda result: result.estimate.end_ns, default=None)
     return None if newest is None else newest.verdict.causes
 
 
@@ -304,23 +308,28 @@ def cause_lines(causes: Causes | None) -> list[str]:
     """Return for people why a vehicle is as it is, what that rests on, what to do, and what would tell more."""
     if causes is None:
         return []
-    told = ", ".join(
-        f"{orders.cause_words(one.cause, one.clutch)} {100.0 * one.probability:.0f} %" for one in causes.likely[:3]
+    suspects = ", ".join(
+        f"{orders.cause_words(cause.cause, cause.clutch)} {100.0 * cause.probability:.0f} %"
+        for cause in causes.likely[:3]
     )
-    lines = [f"Why: {told} (by {causes.event_count} events).", f"  {causes.likely[0].evidence}", f"  {causes.advice}"]
+    lines = [
+        f"Why: {suspects} (by {causes.event_count} events).",
+        f"  {causes.likely[0].evidence}",
+        f"  {causes.advice}",
+    ]
     return lines if causes.test is None else [*lines, f"  {causes.test}"]
 
 
 def of_present_fluid(results: Iterable[ShiftResult], fluid: FluidFill | None) -> tuple[ShiftResult, ...]:
     """Return the last results of clutches; those of an earlier fluid without what they say of that."""
     filled_at = None if fluid is None else datetime.fromisoformat(fluid.filled_at)
-    return tuple(_of_fluid(one, filled_at) for one in results)
+    return tuple(_of_fluid(result, filled_at) for result in results)
 
 
 def of_own_fluid(results: Iterable[ShiftResult], fills: Sequence[FluidFill]) -> list[ShiftResult]:
     """Return results without what they say of a fluid before their own: a fill that is noted late finds such ones."""
     moments = [datetime.fromisoformat(fill.filled_at) for fill in fills]
-    return [_of_fluid(one, max((at for at in moments if at < _end_at(one)), default=None)) for one in results]
+    return [_of_fluid(result, max((at for at in moments if at < _end_at(result)), default=None)) for result in results]
 
 
 def _of_fluid(result: ShiftResult, filled_at: datetime | None) -> ShiftResult:
@@ -356,19 +365,19 @@ def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None, elements: 
     """Return the order for a vehicle by the last result of each clutch and the fluid that is in."""
     findings = [
         orders.Finding(
-            clutch=one.verdict.clutch,
-            element=one.verdict.element,
-            condition=one.verdict.condition.name.lower(),
-            text=one.verdict.advice,
-            reason=one.verdict.reason,
-            end_at=_end_at(one),
-            since_at=_since_at(one),
+            clutch=result.verdict.clutch,
+            element=result.verdict.element,
+            condition=result.verdict.condition.name.lower(),
+            text=result.verdict.advice,
+            reason=result.verdict.reason,
+            end_at=_end_at(result),
+            since_at=_since_at(result),
             suspects=tuple(
                 orders.Suspect(likely.cause, likely.clutch, likely.probability)
-                for likely in (() if one.verdict.causes is None else one.verdict.causes.likely)
+                for likely in (() if result.verdict.causes is None else result.verdict.causes.likely)
             ),
         )
-        for one in results
+        for result in results
     ]
     return orders.order_of(findings, None if fluid is None else datetime.fromisoformat(fluid.filled_at), elements)
 
@@ -405,7 +414,7 @@ def summary_record(summary: Summary) -> JsonObject:
         "clutches": [clutch_record(shift_record(result), summary.order) for result in summary.latest],
         "capability": capability,
         **({"loads": [to_plain(load) for _, load in sorted(summary.loads.items())]} if summary.loads else {}),
-        **({"relative_friction": [to_plain(one) for one in summary.relative]} if summary.relative else {}),
+        **({"relative_friction": [to_plain(friction) for friction in summary.relative]} if summary.relative else {}),
         "logs": [log_record(log) for log in summary.contributions.logs],
         "idle": list(summary.contributions.idle),
     }
@@ -456,7 +465,9 @@ def shifts_line(summary: Summary) -> str:
     total = sum(summary.shifts.by_status.values())
     parts = [_with_reasons(f"{total} shifts", summary.shifts.by_status)]
     if any(summary.shifts.by_reason.values()):
-        parts.append(_with_reasons("reasons", {reason_text(one): n for one, n in summary.shifts.by_reason.items()}))
+        parts.append(
+            _with_reasons("reasons", {reason_text(reason): n for reason, n in summary.shifts.by_reason.items()})
+        )
     if summary.shifts.known_count:
         parts.append(f"{summary.shifts.known_count} were stored before")
     if summary.unpublished_count:

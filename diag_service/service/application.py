@@ -79,10 +79,10 @@ def outbox_of(
         calibration_version=versions.calibration,
         calibration={
             "vehicle_type": " ".join(legible(config.calibration.name).split())[:MOST_TYPE_NAME] or "unnamed",
-            "new_friction": [asdict(one.friction) for one in config.calibration.clutches],
+            "new_friction": [asdict(clutch.friction) for clutch in config.calibration.clutches],
         },
     )
-    told = status_message(status_record(replace(status, is_online=False, connected_at=NEVER)))
+    farewell = status_message(status_record(replace(status, is_online=False, connected_at=NEVER)))
     connector = delivery.MqttConnector(
         config.broker,
         f"clutchdiag-{config.vehicle}-{_secret_of(store)}" if is_live else f"clutchdiag-{uuid.uuid4()}",
@@ -95,7 +95,7 @@ def outbox_of(
         lambda: connector.connect(utc_now()),
         str(config.broker),
         acknowledge=config.acknowledge,
-        greetings=[_greeting(config, status) if is_live else replace(told, is_retained=False)],
+        greetings=[_greeting(config, status) if is_live else replace(farewell, is_retained=False)],
         holds_states=not is_live,
         metrics=_metrics_of(store, session) if is_live else None,
     )
@@ -127,14 +127,14 @@ def _greeting(config: DiagnosisConfig, status: ServiceStatus) -> Outgoing:
 def _metrics_of(store: ResultStore, session: Session) -> MetricsMessage:
     def message(numbers: Mapping[str, float]) -> Outgoing:
         dropped = store.dropped_counts()
-        own = {
+        counts = {
             "store_used_bytes": store.used_bytes(),
             "store_dropped_delivered_count": dropped.delivered,
             "store_dropped_empty_count": dropped.empty,
             "store_dropped_undelivered_count": dropped.undelivered,
             "store_given_up_count": session.given_up_count,
         }
-        return metrics_message(session.vehicle, utc_now(), {**numbers, **own})
+        return metrics_message(session.vehicle, utc_now(), {**numbers, **counts})
 
     return message
 

@@ -210,7 +210,7 @@ async def _run_bus(
     manager, board = ServiceManager(os.environ.get(ADDRESS_VARIABLE)), Board()
 
     def show() -> None:
-        snapshot = taker.take(now_s())
+        snapshot = taker.snapshot(now_s())
         board.latest = snapshot
         onlooker(snapshot)
         if snapshot.stuck is None:

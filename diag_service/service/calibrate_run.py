@@ -106,7 +106,7 @@ def _go_on(stop: Trigger) -> None:
 class FoundCalibration:
     """What the drives of a vehicle told about it, and from what they started."""
 
-    found: SelfCalibration
+    self_calibration: SelfCalibration
     start: Calibration
     vehicle: str
     gaps: tuple[Gap, ...]  # why the drives are not all there
@@ -132,14 +132,17 @@ def calibrated(
         events = find_events(drive, config.interpretation().decoder(), start, stop)
         shown.show(f"calibrating from {len(events.shifts)} shifts and {len(events.run_ups)} revs in neutral")
         version = f"{start.version}-{config.vehicle}-{events.last_day.isoformat()}"
-        found = self_calibrate(events.shifts, events.run_ups, start, version)
-    if isinstance(found, str):
-        raise ConfigError(f"no self-calibration: {found}")
+        outcome = self_calibrate(events.shifts, events.run_ups, start, version)
+    if isinstance(outcome, str):
+        raise ConfigError(f"no self-calibration: {outcome}")
     owner = None if config.vehicle == UNNAMED_VEHICLE else config.vehicle
-    calibration = replace(found.calibration, made_on=events.last_day, vehicle=owner)
+    calibration = replace(outcome.calibration, made_on=events.last_day, vehicle=owner)
     _go_on(stop)
     return FoundCalibration(
-        found=replace(found, calibration=calibration), start=start, vehicle=config.vehicle, gaps=events.gaps
+        self_calibration=replace(outcome, calibration=calibration),
+        start=start,
+        vehicle=config.vehicle,
+        gaps=events.gaps,
     )
 
 
@@ -149,12 +152,12 @@ def run_calibrate(config: DiagnosisConfig, logs: Sequence[Path], path: Path, sto
     Raises ConfigError if the drives do not suffice, or the file cannot be written. Raises StoppedError if it was
     stopped before the file was written.
     """
-    told = calibrated(config, logs, stop, ReadingLine())
-    write_calibration(path, told.found.calibration)
+    outcome = calibrated(config, logs, stop, ReadingLine())
+    write_calibration(path, outcome.self_calibration.calibration)
     if as_json:
-        sys.stdout.write(dump(record(told)) + "\n")
+        sys.stdout.write(dump(record(outcome)) + "\n")
     else:
-        show(told, path, PeopleConsole())
+        show(outcome, path, PeopleConsole())
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
@@ -164,76 +167,76 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
         part.replace(path)
 
 
-def show(told: FoundCalibration, path: Path, console: PeopleConsole) -> None:
-    for gap in told.gaps:
+def show(outcome: FoundCalibration, path: Path, console: PeopleConsole) -> None:
+    for gap in outcome.gaps:
         console.print(f"{GAP_TEXT[gap]}: calibrated from what there is", style="bold red")
     table = plain_table(("parameter", "found", "±", "± before", ""), {"parameter", ""}, PLUS_MINUS)
-    for name, value, std, before in _rows(told):
+    for name, value, std, before in _rows(outcome):
         label, unit, factor = _UNITS[name]
         cells = (half_width(number, "{:.3g}", scale=factor) for number in (std, before))
         table.add_row(label, f"{factor * value:+.3g}", *cells, unit)
     console.print(table)
-    console.print_all(_lines(told.found, path))
+    console.print_all(_lines(outcome.self_calibration, path))
 
 
-def _lines(found: SelfCalibration, path: Path) -> Iterator[str]:
+def _lines(calibration: SelfCalibration, path: Path) -> Iterator[str]:
     for clutch in (1, 2):
-        friction = friction_of(found.state, clutch)
+        friction = friction_of(calibration.state, clutch)
         yield (
             f"clutch {clutch}: mu_C {plus_minus(friction.mu_c, friction.std_mu_c)}"
             f"  mu_S {plus_minus(friction.mu_s, friction.std_mu_s)}  ({PLUS_MINUS}, total)"
         )
-    opened, closed = found.run_up_counts
+    opened, closed = calibration.run_up_counts
     yield (
-        f"used: {found.shift_counts[0]} shifts onto clutch 1, {found.shift_counts[1]} onto clutch 2, engine revs in"
-        f" neutral {opened} with open and {closed} with closed clutches; not used: {found.rejected_count} shifts;"
-        f" chi-square {found.mean_misfit:.2f} per degree of freedom"
+        f"used: {calibration.shift_counts[0]} shifts onto clutch 1, {calibration.shift_counts[1]} onto clutch 2, "
+        f"engine revs in neutral {opened} with open and {closed} with closed clutches; "
+        f"not used: {calibration.rejected_count} shifts; chi-square {calibration.mean_misfit:.2f} per degree of freedom"
     )
     if not (opened and closed):
         yield (
             "the torque gain, and with it the scale of friction, is not observable from driving: "
             "engine revs in neutral with open and then with closed clutches (workshop routine) tell it"
         )
-    yield f"calibration {found.calibration.version} in {path}"
-    if found.calibration.vehicle is None:
+    yield f"calibration {calibration.calibration.version} in {path}"
+    if calibration.calibration.vehicle is None:
         yield "it names no vehicle (--vehicle) so it is used for any vehicle"
 
 
-def record(told: FoundCalibration) -> JsonObject:
+def record(outcome: FoundCalibration) -> JsonObject:
     """Return what was found, for machines; SI units."""
-    found = told.found
-    frictions = {clutch: friction_of(found.state, clutch) for clutch in (1, 2)}
+    calibration = outcome.self_calibration
+    frictions = {clutch: friction_of(calibration.state, clutch) for clutch in (1, 2)}
     return {
         "schema": CALIBRATION_SCHEMA,
-        "vehicle": told.vehicle,
-        "complete": not told.gaps,
-        "incomplete": [gap.value for gap in told.gaps],
-        "calibration_version": found.calibration.version,
+        "vehicle": outcome.vehicle,
+        "complete": not outcome.gaps,
+        "incomplete": [gap.value for gap in outcome.gaps],
+        "calibration_version": calibration.calibration.version,
         "parameters": {
-            name: {"value": value, "std": std, "std_before": before} for name, value, std, before in _rows(told)
+            name: {"value": value, "std": std, "std_before": before} for name, value, std, before in _rows(outcome)
         },
         "friction": {
             str(clutch): {key: getattr(friction, key) for key in ("mu_c", "std_mu_c", "mu_s", "std_mu_s")}
             for clutch, friction in frictions.items()
         },
-        "shift_counts": list(found.shift_counts),
-        "rev_counts": list(found.run_up_counts),
-        "rejected_shift_count": found.rejected_count,
-        "chi_square_ratio": found.mean_misfit,
+        "shift_counts": list(calibration.shift_counts),
+        "rev_counts": list(calibration.run_up_counts),
+        "rejected_shift_count": calibration.rejected_count,
+        "chi_square_ratio": calibration.mean_misfit,
     }
 
 
-def _rows(told: FoundCalibration) -> Iterator[tuple[str, float, float, float]]:
+def _rows(outcome: FoundCalibration) -> Iterator[tuple[str, float, float, float]]:
     """Yield name, value, std and the type's std of each parameter; ratios and states as they are kept."""
-    found, start = told.found, told.start
+    calibration, start = outcome.self_calibration, outcome.start
     before = prior_covariance(start).diagonal() ** 0.5
     for row, name in enumerate((*State, *Considered)):
         key = name.name.lower()
         if key not in NUISANCE_NAMES:
             continue
-        value = float(found.mean[row])
+        value = float(calibration.mean[row])
         if row >= STATE_COUNT and name is Considered.TORQUE_LATENCY:
             value += start.bias.torque_latency_s
         if row >= STATE_COUNT and name is Considered.PRESSURE_LATENCY:
             value += start.bias.pressure_latency_s
-        yield key, value, found.std(key), float(before[row])
+        yield key, value, calibration.std(key), float(before[row])

@@ -111,8 +111,8 @@ def _of_shifts(snapshot: Snapshot) -> Iterator[Metric]:
 def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:
     """Yield what is said of each clutch; of one that never engaged, that there is no verdict."""
     vehicle, by_clutch = snapshot.summary.vehicle, snapshot.summary.shifts.by_clutch
-    own = {one.verdict.clutch: one.verdict.element for one in snapshot.clutches if one.verdict.element}
-    names = own or {clutch: str(clutch) for clutch in CLUTCHES}
+    elements = {result.verdict.clutch: result.verdict.element for result in snapshot.clutches if result.verdict.element}
+    names = elements or {clutch: str(clutch) for clutch in CLUTCHES}
     verdicts = {result.verdict.clutch: result.verdict.condition for result in snapshot.clutches}
     states = {
         (vehicle, name, word): value
@@ -125,13 +125,13 @@ def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:
         for status in Status
     }
     yield gauge("clutch_verdict", "1 for the verdict on the clutch and its fluid.", states, *_CLUTCH_LABELS, "verdict")
-    told = {(*_key(result), snapshot.summary.order.text): 1.0 for result in snapshot.clutches}
-    yield gauge("clutch_advice_info", "What the vehicle is told; the same for both.", told, *_CLUTCH_LABELS, "advice")
+    orders = {(*_key(result), snapshot.summary.order.text): 1.0 for result in snapshot.clutches}
+    yield gauge("clutch_advice_info", "What the vehicle is told; the same for both.", orders, *_CLUTCH_LABELS, "advice")
     causes = newest_causes(snapshot.clutches)
     likely = (
         {}
         if causes is None
-        else {(vehicle, one.cause, str(one.clutch or "")): one.probability for one in causes.likely}
+        else {(vehicle, cause.cause, str(cause.clutch or "")): cause.probability for cause in causes.likely}
     )
     yield gauge("cause_probability", "That this is wrong, alone or with another.", likely, "vehicle", "cause", "clutch")
     yield counter(
@@ -156,13 +156,13 @@ def _of_the_estimates(snapshot: Snapshot) -> Iterator[Metric]:
     for name, part, field, text in _OF_ESTIMATES:
         records = {key: getattr(verdict, part) if part else verdict for key, verdict in verdicts.items()}
         labels = [(symbol,) for symbol in _COEFFICIENTS] if "{}" in field else [()]
-        found = {
+        values = {
             (*key, *label): getattr(record, field.format(*label))
             for key, record in records.items()
             for label in labels
             if record is not None
         }
-        known = {key: value for key, value in found.items() if value is not None}
+        known = {key: value for key, value in values.items() if value is not None}
         yield gauge(f"clutch_{name}", text, known, *_CLUTCH_LABELS, *(["coefficient"] if labels[0] else []))
 
 
@@ -207,8 +207,8 @@ def serving(address: ListenAddress, board: Board) -> Iterator[int]:
     def answer(environ: WSGIEnvironment, start_response: StartResponse) -> Iterable[bytes]:
         path = environ.get("PATH_INFO", "")
         if path == "/metrics":
-            found: Iterable[bytes] = metrics(environ, start_response)
-            return found
+            body: Iterable[bytes] = metrics(environ, start_response)
+            return body
         check = checks.get(path)
         status = HTTPStatus.NOT_FOUND
         if check is not None:

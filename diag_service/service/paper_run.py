@@ -99,14 +99,14 @@ def shift_line(shift: PaperShift) -> str:
     if shift.estimate is None:
         reason = "" if shift.reason is None else shift.reason.value.replace("_", " ")
         return f"{start}{'-':>8} {'-':>4} {'-':>8} {'-':>4}  ({reason})"
-    found = shift.estimate
-    return f"{start}{_number(found.mu_c):>8} {found.coulomb_count:>4} {_number(found.mu_s):>8} {found.static_count:>4}"
+    estimate, mu_c, mu_s = shift.estimate, _number(shift.estimate.mu_c), _number(shift.estimate.mu_s)
+    return f"{start}{mu_c:>8} {estimate.coulomb_count:>4} {mu_s:>8} {estimate.static_count:>4}"
 
 
 def _table(pooled: Sequence[PooledClutch]) -> Table:
     table = plain_table(("clutch", "mu_C", "n", "mu_S", "n", "std", "shifts"))
     for clutch in pooled:
-        mu_c, mu_s, mu_c_samples, mu_s_samples = _found(clutch.estimate).values()
+        mu_c, mu_s, mu_c_samples, mu_s_samples = _estimate_record(clutch.estimate).values()
         cells = (_number(mu_c), mu_c_samples, _number(mu_s), mu_s_samples, "n/a", clutch.shift_count)
         table.add_row(str(clutch.clutch), *map(str, cells))
     return table
@@ -121,7 +121,7 @@ def _shift_record(shift: PaperShift) -> JsonObject:
         "to_gear": shift.to_gear,
         "clutch": shift.clutch,
         "reason": None if shift.reason is None else shift.reason.value,
-        **_found(shift.estimate),
+        **_estimate_record(shift.estimate),
     }
 
 
@@ -133,11 +133,11 @@ def _pooled_record(clutch: PooledClutch, gaps: tuple[Gap, ...]) -> JsonObject:
         "shift_count": clutch.shift_count,
         "complete": not gaps,
         "incomplete": [gap.value for gap in gaps],
-        **_found(clutch.estimate),
+        **_estimate_record(clutch.estimate),
     }
 
 
-def _found(estimate: PaperEstimate | None) -> dict[str, float | None]:
+def _estimate_record(estimate: PaperEstimate | None) -> dict[str, float | None]:
     if estimate is None:
         return {"mu_c": None, "mu_s": None, "mu_c_samples": 0, "mu_s_samples": 0}
     return {

@@ -108,8 +108,8 @@ def events(drive: DriveFrames, stages: Stages, stop: Trigger) -> Iterator[Event]
     yield from _until(stop, stages.flush())
 
 
-def _until(stop: Trigger, found: Sequence[Event]) -> Iterator[Event]:
-    for event in found:
+def _until(stop: Trigger, events: Sequence[Event]) -> Iterator[Event]:
+    for event in events:
         if stop.is_set:
             raise StoppedError(STOPPED_TEXT)
         yield event

@@ -202,7 +202,7 @@ class Session:
         self.statistics = self.statistics.with_shift(result, is_new=is_new)
         clutch = result.estimate.clutch
         if is_new and clutch in self._earlier and latest_of((self._earlier[clutch], result)) == (result,):
-            self._earlier = {other: one for other, one in self._earlier.items() if other != clutch}
+            self._earlier = {other: result for other, result in self._earlier.items() if other != clutch}
         self._loads = borne(self._loads, result.estimate)
         self.reporter.report(result)
 
@@ -267,7 +267,7 @@ class Session:
         return since is not None and event.start_ns >= DATED_NS and began_at < since
 
     def _diagnose(self, event: Event) -> tuple[ShiftResult, VehicleState | None]:
-        conclude = self.stages.conclude_past if self._note_fluid(event) else self.stages.conclude
+        conclude = self.stages.conclude_of_earlier_fluid if self._note_fluid(event) else self.stages.conclude
         with self.progress.working(Stage.ESTIMATE):
             diagnosis = conclude(event)
         if (doubt := self.stages.belief.meaning.doubt) and not self._is_doubted:
@@ -315,13 +315,13 @@ def resume(store: SessionStore, vehicle: str, versions: Versions, calibration: C
 
 def last_results(store: SessionStore, vehicle: str, versions: Versions) -> dict[int, ShiftResult]:
     """Return the newest stored result of each clutch, by clutch, if it was made as results are made now."""
-    found: dict[int, ShiftResult] = {}
+    results: dict[int, ShiftResult] = {}
     for row in store.latest(vehicle, versions):
         try:
-            found[row.clutch] = parse_shift(row.text)
+            results[row.clutch] = parse_shift(row.text)
         except ResultError as exc:
             _LOG.warning("the last result of clutch %d of %s is left out: %s", row.clutch, vehicle, exc)
-    return found
+    return results
 
 
 @dataclass(slots=True)

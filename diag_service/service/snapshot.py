@@ -101,11 +101,11 @@ class SnapshotTaker:
         self._session = session
         self._meter = RateMeter(now_s, bitrate or DEFAULT_BITRATE)
 
-    def take(self, now_s: float) -> Snapshot:
+    def snapshot(self, now_s: float) -> Snapshot:
         """Return how things stand; ``now_s`` is monotonic."""
         decoder = self._session.stages.decoder
         messages = decoder.messages
-        received = {name: one.decoded + sum(one.rejected.values()) for name, one in messages.items()}
+        received = {name: counts.decoded + sum(counts.rejected.values()) for name, counts in messages.items()}
         self._meter.measure(now_s, decoder.last_ns, received, self._source.bit_count)
         return Snapshot(
             taken_s=now_s,

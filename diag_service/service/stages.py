@@ -276,8 +276,8 @@ class Stages:
 
     def segment(self, batch: FrameBatch) -> list[Event]:
         """Return the shifts that these frames complete; quick."""
-        found = (event for columns in self.decoder.stream(batch) for event in self._finder.feed(columns))
-        return self.decoder.marked(found)
+        events = (event for columns in self.decoder.stream(batch) for event in self._finder.feed(columns))
+        return self.decoder.marked(events)
 
     @property
     def is_expecting(self) -> bool:
@@ -301,7 +301,7 @@ class Stages:
         self.belief = diagnosis.belief
         return diagnosis
 
-    def conclude_past(self, event: Event) -> Diagnosis:
+    def conclude_of_earlier_fluid(self, event: Event) -> Diagnosis:
         """Diagnose an event of a fluid before the present one by itself; what is believed of the present one stays."""
         unknown = replace(self.element.with_new_fluid(self.belief, ""), memory=ConditionMemory.fresh())
         diagnosis = self.element.conclude(unknown, event)

@@ -96,7 +96,7 @@ def scrapes() -> Iterator[str]:
                     session.process(event)
                     count += 1
                     if count % ASKED_EVERY == 0:
-                        board.latest = taker.take((now_ns - begin_ns) / NS_PER_S)
+                        board.latest = taker.snapshot((now_ns - begin_ns) / NS_PER_S)
                         yield scrape(port)
 
 

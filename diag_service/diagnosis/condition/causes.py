@@ -44,7 +44,7 @@ class Change(NamedTuple):
 
     mean: FloatArray  # (COUNT,)
     covariance: FloatArray  # (COUNT, COUNT)
-    told: FloatArray  # (COUNT,) which part of a true change shows, 0 to 1
+    shown: FloatArray  # (COUNT,) which part of a true change shows, 0 to 1
 
 
 class Signature(NamedTuple):
@@ -100,20 +100,20 @@ def described() -> Mapping[str, Any]:
 
 def signatures(table: Mapping[str, Any]) -> list[Signature]:
     """Return the signatures of all causes, of either clutch and either sign."""
-    found = []
-    for cause, told in table["cause"].items():
+    all_signs = []
+    for cause, words in table["cause"].items():
         mean, spread = np.zeros(COUNT), np.zeros(COUNT)
-        way = -1.0 if "opposite_of" in told else 1.0
-        for name, (size, its_spread) in table["moves"][told.get("opposite_of", cause)].items():
+        way = -1.0 if "opposite_of" in words else 1.0
+        for name, (size, its_spread) in table["moves"][words.get("opposite_of", cause)].items():
             mean[_PLACE[name]], spread[_PLACE[name]] = way * size, its_spread
-        signs = (1.0, -1.0) if told["is_either_way"] else (1.0,)
-        clutches = ((1, 0.5), (2, 0.5)) if told["is_of_one_clutch"] else ((None, 1.0),)
+        signs = (1.0, -1.0) if words["is_either_way"] else (1.0,)
+        clutches = ((1, 0.5), (2, 0.5)) if words["is_of_one_clutch"] else ((None, 1.0),)
         for sign in signs:
             for clutch, share in clutches:
                 order = MIRRORED if clutch == 2 else slice(None)
-                prior = told["prior"] * share / len(signs)
-                found.append(Signature(cause, clutch, sign * mean[order], spread[order], prior))
-    return found
+                prior = words["prior"] * share / len(signs)
+                all_signs.append(Signature(cause, clutch, sign * mean[order], spread[order], prior))
+    return all_signs
 
 
 class CauseJudge:
@@ -137,14 +137,19 @@ class CauseJudge:
         self._type = _as_described(fresh.mean)
         self._floor = np.array([self._table["floor"].get(name, 1e-5) for name in FEATURES]) ** 2
         self.signatures = signatures(self._table)
-        self._means = np.array([one.mean for one in self.signatures])
-        self._spreads = np.array([np.hypot(one.spread, MODEL_SHARE * one.mean) for one in self.signatures])
-        self._priors = np.array([one.prior for one in self.signatures])
+        self._means = np.array([signature.mean for signature in self.signatures])
+        self._spreads = np.array(
+            [np.hypot(signature.spread, MODEL_SHARE * signature.mean) for signature in self.signatures]
+        )
+        self._priors = np.array([signature.prior for signature in self.signatures])
         unknown, count = list(self._unknown()), len(self.signatures)
         known = [self._together([(n,) for n in range(count)], strength) for strength in STRENGTHS]
         none = np.zeros((len(unknown), COUNT, 2))
         self._singles = Hypotheses(
-            causes=(*(((cause, None),) for cause, *_ in unknown), *(one for some in known for one in some.causes)),
+            causes=(
+                *(((cause, None),) for cause, *_ in unknown),
+                *(pairing for some in known for pairing in some.causes),
+            ),
             means=np.concatenate((none[:, :, 0], *(some.means for some in known))),
             roots=np.concatenate((none, *(some.roots for some in known))),
             spreads=np.concatenate((np.array([spread for _, spread, _ in unknown]), *(some.spreads for some in known))),
@@ -162,7 +167,7 @@ class CauseJudge:
         both = [frozenset(n for n, stem in enumerate(stems) if stem in names) for names in self._table["together"]]
         for places in both:
             moved |= {frozenset(n for n in places if FEATURES[n][-1] != clutch) for clutch in "012"}
-        moved |= {one | other for one, other in combinations(both, 2)} | {frozenset([n]) for n in range(COUNT)}
+        moved |= {places | other for places, other in combinations(both, 2)} | {frozenset([n]) for n in range(COUNT)}
         for places in sorted(moved, key=sorted):
             for times in _ELSE_FLOORS:
                 spread = np.where(np.isin(range(COUNT), list(places)), times * np.sqrt(self._floor), 0.0)
@@ -174,14 +179,14 @@ class CauseJudge:
         means, roots = self._means[places], np.zeros((len(some), COUNT, 2))
         roots[:, :, : places.shape[1]] = strength[1] * means.transpose(0, 2, 1)
         shared = PAIR_SHARE / self._priors.sum() if places.shape[1] > 1 else 1.0
-        found = [tuple((self.signatures[n].cause, self.signatures[n].clutch) for n in one) for one in some]
+        pairings = [tuple((self.signatures[n].cause, self.signatures[n].clutch) for n in places) for places in some]
         return Hypotheses(
-            causes=found,
+            causes=pairings,
             means=strength[0] * means.sum(axis=1),
             roots=roots,
             spreads=strength[0] * np.sqrt((self._spreads[places] ** 2).sum(axis=1)),
             log_priors=np.log(shared * self._priors[places].prod(axis=1)),
-            is_new_fluid=np.array([any(cause in _FILLED for cause, _ in one) for one in found], dtype=bool),
+            is_new_fluid=np.array([any(cause in _FILLED for cause, _ in pairing) for pairing in pairings], dtype=bool),
         )
 
     def change(self, begun: Stretch, now: Stretch) -> Change:
@@ -196,23 +201,25 @@ class CauseJudge:
         for mu_c in (State.MU_C1, State.MU_C2):
             turn[mu_c, mu_c] = 1.0 / first[mu_c]
             turn[mu_c + 1, mu_c], turn[mu_c + 1, mu_c + 1] = -1.0 / first[mu_c], 1.0 / first[mu_c + 1]
-        mean, whole, told = np.zeros(COUNT), np.zeros((COUNT, COUNT)), np.ones(COUNT)
+        mean, whole, shown = np.zeros(COUNT), np.zeros((COUNT, COUNT)), np.ones(COUNT)
         mean[:PARAMETER_COUNT] = turn @ (last - first)
         whole[:PARAMETER_COUNT, :PARAMETER_COUNT] = turn @ covariance @ turn.T
-        told[:PARAMETER_COUNT] -= np.clip(last_std.diagonal() * self._precision.diagonal(), 0.0, 1.0)
-        hidden = np.flatnonzero(told < LEAST_SHOWN)
-        mean[hidden], told[hidden], whole[hidden, :], whole[:, hidden] = 0.0, 0.0, 0.0, 0.0
+        shown[:PARAMETER_COUNT] -= np.clip(last_std.diagonal() * self._precision.diagonal(), 0.0, 1.0)
+        hidden = np.flatnonzero(shown < LEAST_SHOWN)
+        mean[hidden], shown[hidden], whole[hidden, :], whole[:, hidden] = 0.0, 0.0, 0.0, 0.0
         whole[hidden, hidden] = 1.0
         for clutch in (0, 1):
             for row in range(len(MEASURED)):
                 place = _FIRST_MEASURED + len(MEASURED) * clutch + row
-                (value_1, variance_1), (value_2, variance_2) = (_mean(one.sums[clutch, row]) for one in (begun, now))
+                (value_1, variance_1), (value_2, variance_2) = (
+                    _mean(stretch.sums[clutch, row]) for stretch in (begun, now)
+                )
                 if math.isfinite(variance_1 + variance_2):
                     mean[place], whole[place, place] = value_2 - value_1, variance_1 + variance_2
                 else:
-                    whole[place, place], told[place] = 1.0, 0.0
-        mean[_SCATTER], whole[_SCATTER, _SCATTER], told[_SCATTER] = _scattered(begun, now)
-        return Change(mean, STRETCHED**2 * whole + np.diag(self._floor), told)
+                    whole[place, place], shown[place] = 1.0, 0.0
+        mean[_SCATTER], whole[_SCATTER, _SCATTER], shown[_SCATTER] = _scattered(begun, now)
+        return Change(mean, STRETCHED**2 * whole + np.diag(self._floor), shown)
 
     def _known(self, stretch: Stretch) -> tuple[FloatArray, FloatArray]:
         """Return what a stretch and the type tell of the parameters."""
@@ -237,10 +244,10 @@ class CauseJudge:
         ranked = np.argsort(-best, kind="stable").tolist()
         pairs = self._together(
             [
-                (one, other)
-                for place, one in enumerate(ranked[:MOST_PAIRED])
+                (first, other)
+                for place, first in enumerate(ranked[:MOST_PAIRED])
                 for other in ranked[place + 1 :]
-                if self.signatures[one].cause != self.signatures[other].cause
+                if self.signatures[first].cause != self.signatures[other].cause
             ],
             PAIR_STRENGTH,
         )
@@ -262,8 +269,8 @@ class CauseJudge:
         cause: another type is no fault.
         """
         by_cause, change = self.probabilities(Course(begun=self._type, now=now))
-        told = {key: share for key, share in by_cause.items() if key[0] not in {*SENSORS, *_FILLED, SOUND, ELSE}}
-        return told, change
+        earlier = {key: share for key, share in by_cause.items() if key[0] not in {*SENSORS, *_FILLED, SOUND, ELSE}}
+        return earlier, change
 
     def judge(self, course: Course) -> Causes:
         """Return the causes, the likeliest first: of what has changed and, so far as nothing has, of what was there."""
@@ -302,13 +309,13 @@ class CauseJudge:
         """Return what a cause moves, in the strength that fits best, and the deviation of that from car to car."""
         std = np.sqrt(change.covariance.diagonal())
         signature = max(
-            (one for one in self.signatures if (one.cause, one.clutch) == (cause, clutch)),
-            key=lambda one: float((one.mean * change.mean / std**2).sum()),
+            (signature for signature in self.signatures if (signature.cause, signature.clutch) == (cause, clutch)),
+            key=lambda signature: float((signature.mean * change.mean / std**2).sum()),
             default=None,
         )
         if signature is None:
             return np.zeros(COUNT), np.zeros(COUNT)
-        moves = signature.mean * change.told
+        moves = signature.mean * change.shown
         strength = float((moves * change.mean / std**2).sum() / max((moves**2 / std**2).sum(), 1e-9))
         strength = min(max(strength, 0.5), 4.0)
         return strength * moves, strength * (signature.spread + MODEL_SHARE * np.abs(moves))
@@ -316,7 +323,7 @@ class CauseJudge:
     def _moved(self, first: LikelyCause, change: Change) -> tuple[Moved, ...]:
         """Return what moved most, or should have by the likeliest cause, by their deviations."""
         std, (expected, _) = np.sqrt(change.covariance.diagonal()), self._expected(first.cause, first.clutch, change)
-        sizes = np.where(change.told > 0.0, np.maximum(np.abs(change.mean), np.abs(expected)) / std, 0.0)
+        sizes = np.where(change.shown > 0.0, np.maximum(np.abs(change.mean), np.abs(expected)) / std, 0.0)
         return tuple(
             Moved(
                 quantity=words,
@@ -335,9 +342,9 @@ class CauseJudge:
         std, (expected, spread) = np.sqrt(change.covariance.diagonal()), self._expected(cause, clutch, change)
         away, moved = np.abs(change.mean - expected) / np.hypot(std, spread), np.abs(change.mean) / std
         awaited = np.abs(expected) / std
-        told = change.told > 0.0
-        pro = told & (awaited > SHOWN_STD) & (moved > SHOWN_STD) & (expected * change.mean > 0.0)
-        contra = told & (away > 2.0) & ((awaited > SHOWN_STD) | (moved > 2.0 * SHOWN_STD))
+        is_shown = change.shown > 0.0
+        pro = is_shown & (awaited > SHOWN_STD) & (moved > SHOWN_STD) & (expected * change.mean > 0.0)
+        contra = is_shown & (away > 2.0) & ((awaited > SHOWN_STD) | (moved > 2.0 * SHOWN_STD))
         if cause == ELSE:
             pro, contra = contra, pro
         for_it = _listed(change, std, expected, np.where(pro, moved, 0.0), 3)
@@ -349,20 +356,20 @@ class CauseJudge:
     def _advice(self, likely: Sequence[LikelyCause]) -> str:
         """Return what to do, and what it costs to be wrong."""
         first = likely[0]
-        told = self._table["cause"].get(first.cause)
-        if told is None:
+        words = self._table["cause"].get(first.cause)
+        if words is None:
             return str(self._table["advice"][first.cause])
         of = "" if first.clutch is None else f" of clutch {first.clutch}"
         if first.probability < SURE:
-            return f"Not sure yet: it may be {told['name']}{of} ({100.0 * first.probability:.0f} %)."
-        return f"{told['name'].capitalize()}{of}: {told['advice']} If that is wrong: {told['if_wrong']}"
+            return f"Not sure yet: it may be {words['name']}{of} ({100.0 * first.probability:.0f} %)."
+        return f"{words['name'].capitalize()}{of}: {words['advice']} If that is wrong: {words['if_wrong']}"
 
     def test_between(self, likely: Sequence[LikelyCause]) -> str | None:
         """Return what would tell the likeliest two from each other, if driving does not."""
-        names = [one.cause for one in likely if one.cause != ELSE][:2]
+        names = [signature.cause for signature in likely if signature.cause != ELSE][:2]
         if likely[0].probability >= SURE or len(names) < 2:
             return None
-        first, second = (self._table["cause"].get(one, {"name": "a sound car"})["name"] for one in names)
+        first, second = (self._table["cause"].get(name, {"name": "a sound car"})["name"] for name in names)
         for test in self._table["test"]:
             outcomes = [test["outcome"].get(name, test["else"]) for name in names]
             if outcomes[0] != outcomes[1]:
@@ -391,15 +398,15 @@ def _logs(some: Hypotheses, change: Change, early: Change | None) -> FloatArray:
     logs: FloatArray = some.log_priors + _likelihoods(some, change)
     if early is None:
         return logs - UNFILLED_COST * some.is_new_fluid
-    own, new = _likelihoods(some, early), float(_likelihoods(_NOTHING, early)[0])
+    logs, new = _likelihoods(some, early), float(_likelihoods(_NOTHING, early)[0])
     for place, causes in enumerate(some.causes):
         names = {cause for cause, _ in causes}
         if names & _FILLED:
-            logs[place] += own[place]
+            logs[place] += logs[place]
         elif names <= _OF_FLUID:
             logs[place] += new
         else:
-            logs[place] += float(np.logaddexp(new, own[place])) - math.log(2.0)
+            logs[place] += float(np.logaddexp(new, logs[place])) - math.log(2.0)
     return logs
 
 
@@ -414,18 +421,18 @@ _NOTHING: Final = Hypotheses(
 
 def _likelihoods(some: Hypotheses, change: Change) -> FloatArray:
     """Return the logarithm of how likely a change is by each hypothesis, but for what all have."""
-    shown = np.flatnonzero(change.told > 0.0)  # the rest is the same by all
-    count, told, mean, covariance = len(shown), change.told[shown], change.mean[shown], change.covariance
+    shown = np.flatnonzero(change.shown > 0.0)  # the rest is the same by all
+    count, part_shown, mean, covariance = len(shown), change.shown[shown], change.mean[shown], change.covariance
     covariance = covariance[np.ix_(shown, shown)]
-    spreads, is_known = some.spreads[:, shown] * told, some.roots.any(axis=(1, 2))
+    spreads, is_known = some.spreads[:, shown] * part_shown, some.roots.any(axis=(1, 2))
     far, scales = np.empty(len(spreads)), np.empty(len(spreads))
     far[~is_known], scales[~is_known] = _scattered_far(spreads[~is_known], mean, covariance)
-    roots = some.roots[np.ix_(is_known, shown)] * told[:, None]
+    roots = some.roots[np.ix_(is_known, shown)] * part_shown[:, None]
     stack = np.empty((len(roots), count + 1, count + 1))
     stack[:, count, count] = _BORDER
     stack[:, :count, :count] = covariance + roots @ roots.transpose(0, 2, 1)
     stack[:, range(count), range(count)] += spreads[is_known] ** 2
-    stack[:, count, :count] = mean - some.means[np.ix_(is_known, shown)] * told
+    stack[:, count, :count] = mean - some.means[np.ix_(is_known, shown)] * part_shown
     far[is_known], scales[is_known] = _factored(stack)
     logs: FloatArray = -0.5 * (TAILS + COUNT) * np.log1p(far / TAILS) - scales  # Student's law: no car is simulated
     return logs
@@ -442,20 +449,20 @@ def _scattered_far(spreads: FloatArray, mean: FloatArray, covariance: FloatArray
     """Return the same of hypotheses that only widen some places, by the formula of Woodbury: there are many."""
     std = np.sqrt(covariance.diagonal())
     away, whole = mean / std, covariance / np.outer(std, std)
-    inverse, own = np.linalg.inv(whole), (spreads / std) ** 2
-    most = int((own > 0.0).sum(axis=1).max(initial=0))
-    places = np.argsort(own <= 0.0, axis=1, kind="stable")[:, :most]
-    own = np.take_along_axis(own, places, axis=1)
-    is_moved = own > 0.0
-    own[~is_moved] = 1.0
-    stack = np.empty((len(own), most + 1, most + 1))
+    inverse, alone = np.linalg.inv(whole), (spreads / std) ** 2
+    most = int((alone > 0.0).sum(axis=1).max(initial=0))
+    places = np.argsort(alone <= 0.0, axis=1, kind="stable")[:, :most]
+    alone = np.take_along_axis(alone, places, axis=1)
+    is_moved = alone > 0.0
+    alone[~is_moved] = 1.0
+    stack = np.empty((len(alone), most + 1, most + 1))
     stack[:, most, most] = _BORDER
     is_pair = is_moved[:, :, None] & is_moved[:, None, :]
     stack[:, :most, :most] = np.where(is_pair, inverse[places[:, :, None], places[:, None, :]], 0.0)
-    stack[:, range(most), range(most)] += 1.0 / own
+    stack[:, range(most), range(most)] += 1.0 / alone
     stack[:, most, :most] = np.where(is_moved, (inverse @ away)[places], 0.0)
     nearer, scales = _factored(stack)
-    scales += 0.5 * np.log(own).sum(axis=1) + 0.5 * np.linalg.slogdet(whole)[1] + np.log(std).sum()
+    scales += 0.5 * np.log(alone).sum(axis=1) + 0.5 * np.linalg.slogdet(whole)[1] + np.log(std).sum()
     return away @ inverse @ away - nearer, scales
 
 
@@ -490,9 +497,9 @@ def _listed(change: Change, std: FloatArray, expected: FloatArray, weight: Float
     for place in np.argsort(-weight)[:most].tolist():
         if weight[place] > 0.0:
             words, unit, factor = _named(place)
-            moved, off, due = (factor * float(one[place]) for one in (change.mean, STDS * std, expected))
-            told = f"{_rounded(moved, 2):+g} ± {_rounded(abs(off), 1):g} {unit} (expected {_rounded(due, 2):+g})"
-            parts.append(f"{words} {told}")
+            moved, off, due = (factor * float(vector[place]) for vector in (change.mean, STDS * std, expected))
+            text = f"{_rounded(moved, 2):+g} ± {_rounded(abs(off), 1):g} {unit} (expected {_rounded(due, 2):+g})"
+            parts.append(f"{words} {text}")
     return "; ".join(parts)
 
 

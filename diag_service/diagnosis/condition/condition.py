@@ -141,7 +141,9 @@ class Stretch:
         """Return whether another one holds the same numbers."""
         if not isinstance(other, Stretch):
             return NotImplemented
-        mine, others = (np.concatenate((one.lower, one.vector, one.sums), axis=None) for one in (self, other))
+        mine, others = (
+            np.concatenate((stretch.lower, stretch.vector, stretch.sums), axis=None) for stretch in (self, other)
+        )
         return self.count == other.count and np.array_equal(mine, others)
 
     __hash__ = None  # type: ignore[assignment]
@@ -150,9 +152,9 @@ class Stretch:
         """Return it after an event; ``evidence`` is None if nothing is said of the parameters."""
         sums, quality, alone = kept * self.sums, estimate.shift_quality, estimate.scale_free
         if quality is not None:
-            told = [getattr(quality, name) for name in MEASURED]
+            measured = [getattr(quality, name) for name in MEASURED]
             sums[clutch_of_gear(estimate.to_gear) - 1, :-1] += [
-                (0.0, 0.0, 0.0) if value is None else (1.0, value, value * value) for value in told
+                (0.0, 0.0, 0.0) if value is None else (1.0, value, value * value) for value in measured
             ]
         if alone is not None:
             value = log(max(alone.mu_c, 1e-3))
@@ -166,11 +168,12 @@ class Stretch:
     @property
     def is_possible(self) -> bool:
         """Whether a store can have kept such numbers."""
-        blank, own = Stretch(), (self.lower, self.vector, self.sums)
+        blank, arrays = Stretch(), (self.lower, self.vector, self.sums)
         is_shaped = all(
-            one.shape == other.shape for one, other in zip(own, (blank.lower, blank.vector, blank.sums), strict=True)
+            array.shape == other.shape
+            for array, other in zip(arrays, (blank.lower, blank.vector, blank.sums), strict=True)
         )
-        return is_shaped and bool(np.isfinite(np.concatenate(own, axis=None)).all())
+        return is_shaped and bool(np.isfinite(np.concatenate(arrays, axis=None)).all())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -221,13 +224,13 @@ class Course:
     @property
     def is_possible(self) -> bool:
         """Whether a store can have kept it."""
-        return all(one.is_possible for one in (self.begun, self.now, self.filled or self.now))
+        return all(stretch.is_possible for stretch in (self.begun, self.now, self.filled or self.now))
 
     def sensor_share(self, clutch: int) -> float:
         """Return how likely it is that a sensor by which a clutch is judged has drifted."""
-        found = () if self.found is None else self.found.likely
-        of_it = [one for one in found if one.cause in SENSORS and one.clutch in {None, clutch}]
-        return 1.0 - prod(1.0 - one.probability for one in of_it)
+        causes = () if self.found is None else self.found.likely
+        of_it = [cause for cause in causes if cause.cause in SENSORS and cause.clutch in {None, clutch}]
+        return 1.0 - prod(1.0 - cause.probability for cause in of_it)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -340,7 +343,7 @@ class ConditionMemory:
 
     def to_json(self) -> JsonObject:
         """Return the memory as JSON-ready values; floats survive the round trip bit by bit."""
-        names = {"conditions": [one.name for one in self.conditions]}
+        names = {"conditions": [condition.name for condition in self.conditions]}
         plain = to_plain(self)
         if self.fluid_since is None:  # a vehicle without a fill is kept as by programs that know none
             del plain["fluid_since"], plain["linings"]
@@ -394,7 +397,7 @@ def judge(
     known = bool(shift_count)
     (now, free), since = both_frictions(state, clutch), trend(state, clutch) if known else None
     launches = memory.launches[index]
-    first, second = (one.friction for one in calibration.clutches)
+    first, second = (clutch.friction for clutch in calibration.clutches)
     common = common_margin(state, (first.mu_c - first.mu_s, second.mu_c - second.mu_s))
     is_cold = state.packs is not None and state.packs.clutch_k[index] < COLD_K
     slope = None if state.torque is TorqueSource.MEASURED else FrictionSlope.of(free, state.torque)

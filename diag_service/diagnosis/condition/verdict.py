@@ -32,12 +32,12 @@ MIN_SHIFT_COUNT = 3  # of two that disagree nobody knows which is wrong
 MAX_MARGIN_STD_RATIO = 0.25  # of the reference margin: beyond it the slope is anyone's guess
 SURE_MARGIN_STD_RATIO = 0.05  # likewise: until it is known so well, more shifts will tell a thin margin from a good one
 CHANGE_PROBABILITY = 0.95  # a workshop visit costs: be sure
-WATCH_PROBABILITY = 0.80
+WATCH_PROBABILITY = 0.80  # to look again costs less than a workshop visit
 THIN_PROBABILITY = 0.01  # of a thin margin, to call a fluid good before that: a drive is judged a hundred times
 EARLY_MARGIN_STD_RATIO = 0.15  # worse known, the margin of one clutch is believed only as far as both together say so
 COLD_K = 333.15  # of a pack: below it nobody knows the laws of film and drag well, and a drive has many looks at them
 UNSURE_CHANGE_PROBABILITY = 0.99  # in the cold, and until the margin is known to EARLY_MARGIN_STD_RATIO
-COLD_WATCH_PROBABILITY = 0.95
+COLD_WATCH_PROBABILITY = 0.95  # likewise in the cold
 SLIP_PROBABILITY = 0.999  # of a lock-up clutch, for either: its slip is judged every minute, for hours
 COMMON_THIN_PROBABILITY = 0.003  # the same by both clutches together: they slip in one oil
 LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
@@ -442,5 +442,5 @@ def _standing(
         cause, give_at = cause if kept is None else kept, LEAVE_PROBABILITY
     probability = causes.get(cause, 0.0)
     reason = f"{cause} ({likely(probability)}): {facts}"
-    found = Finding(condition=condition, reason=reason, ground=cause, probability=probability)
-    return found if probability >= give_at else None
+    finding = Finding(condition=condition, reason=reason, ground=cause, probability=probability)
+    return finding if probability >= give_at else None

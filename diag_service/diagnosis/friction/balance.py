@@ -61,7 +61,7 @@ from diag_service.diagnosis.friction.film import (
 )
 
 MAX_MOMENT_COUNT = 24  # beyond it the quadrature, not the noise, limits
-SAMPLES_PER_MOMENT = 2
+SAMPLES_PER_MOMENT = 2  # of the engine torque: a sine that turns faster than every second sample shows is told by none
 WORKING_K: Final = 353.15  # of a pack: from there on the film is as believed
 
 
@@ -154,9 +154,9 @@ class Balance:
         edges = np.searchsorted(torque_s, spans_of(window.pieces, signals.grid_s))
         sample_counts = (edges[:, 1] - edges[:, 0]).tolist()
         self.sample_count = sum(
-            one for one, piece in zip(sample_counts, window.pieces, strict=True) if not piece.is_rest
+            count for count, piece in zip(sample_counts, window.pieces, strict=True) if not piece.is_rest
         )
-        counts = [max(3, min(MAX_MOMENT_COUNT, one // SAMPLES_PER_MOMENT)) for one in sample_counts]
+        counts = [max(3, min(MAX_MOMENT_COUNT, count // SAMPLES_PER_MOMENT)) for count in sample_counts]
         self.weights = sines(window, counts)
         self.tracks = integrate_films(measured, laws)
         self.coldness = coldness(self.tracks, window.slip_rows)
@@ -194,8 +194,13 @@ def weigh(weights: Weights, torques: Torques) -> tuple[ClutchMoments, ClutchMome
     """Return the weighted torques of both clutches, on the rows of the weights."""
     sums = weights.value @ torques.parts_nm.reshape(12, -1).T
     first, second = (
-        ClutchMoments(viscous=own[:, 4], opened=own[:, 5], by_friction=own[:, :2], by_warm_friction=own[:, 2:4])
-        for own in (sums[:, :6], sums[:, 6:])
+        ClutchMoments(
+            viscous=sums_nms[:, 4],
+            opened=sums_nms[:, 5],
+            by_friction=sums_nms[:, :2],
+            by_warm_friction=sums_nms[:, 2:4],
+        )
+        for sums_nms in (sums[:, :6], sums[:, 6:])
     )
     return first, second
 
@@ -317,12 +322,12 @@ class Sensitivity:
         Per unit of the logarithm of the mobility; (n,) of each clutch, None where its oil is warm. A film that closes
         before the window, as believed, has no tangent there, and one that closes three times as slowly has not closed.
         """
-        balance, rows, found = self.balance, self.balance.weights.rows, list[FloatArray | None]()
+        balance, rows, losses_nm = self.balance, self.balance.weights.rows, list[FloatArray | None]()
         for m, (was, now) in enumerate(zip(tracks, slower_films(balance, self._planned), strict=True)):
             step, lost_pa = balance.film_steps[m], was.contact_pa[rows] - now.contact_pa[rows]
             lost_nm = balance.mu[m] @ self.torques.lever_m3[m] * lost_pa + was.viscous_nm[rows] - now.viscous_nm[rows]
-            found.append(lost_nm / step if step >= LEAST_SECANT else None)
-        return found
+            losses_nm.append(lost_nm / step if step >= LEAST_SECANT else None)
+        return losses_nm
 
     def jacobian(self, std_nms: FloatArray) -> FloatArray:
         """Return the derivatives of the modelled impulses by all parameters, shape (k, PARAMETER_COUNT).
@@ -476,15 +481,15 @@ class RowNoise:
 
     def _friction_shares(self, sensitivity: Sensitivity) -> list[list[FloatArray]]:
         """Return what the derivatives by friction share with the pressures: those of rows are noise in both."""
-        value, found = sensitivity.balance.weights.value, list[list[FloatArray]]()
+        value, shares = sensitivity.balance.weights.value, list[list[FloatArray]]()
         for m, pressure in enumerate(self._signals.pressure):
             by_pressure_m3, film = sensitivity.answers[m].by_pressure_m3, sensitivity.balance.laws[m].film
             torque = pressure.to_samples((value * by_pressure_m3).blocks, value.grid_rows)
             ratio = film.piston_area_m2 / film.lining_area_m2 * (by_pressure_m3 != 0.0)
             for lever_m3 in ratio * sensitivity.torques.lever_m3[m]:
                 slopes = (value * lever_m3).fitted_on_samples(PRESSURE_DEGREE, pressure)
-                found.append(pressure.shared(slopes, torque, value.grid_rows, is_followed=True))
-        return found
+                shares.append(pressure.shared(slopes, torque, value.grid_rows, is_followed=True))
+        return shares
 
 
 def noise_of(signals: AlignedSignals) -> NoiseModel:
@@ -496,11 +501,13 @@ def measurements_of(balance: Balance, noise: NoiseModel, near: Sequence[Measurem
     """Return what a balance says, linearised; with the derivatives found near by if there are some."""
     residual = balance.residual_nms()
     bands = (slice(0, len(residual)),) if noise.is_alike else balance.weights.value.bands
-    if [len(one.residual) for one in near] == [band.stop - band.start for band in bands]:
-        return tuple(replace(one, residual=residual[band]) for one, band in zip(near, bands, strict=True))
+    if [len(measurement.residual) for measurement in near] == [band.stop - band.start for band in bands]:
+        return tuple(
+            replace(measurement, residual=residual[band]) for measurement, band in zip(near, bands, strict=True)
+        )
     sensitivity = Sensitivity(balance)
     covariances = noise.covariances(sensitivity)
-    jacobian = sensitivity.jacobian(np.sqrt(np.concatenate([np.diag(one) for one in covariances])))
+    jacobian = sensitivity.jacobian(np.sqrt(np.concatenate([np.diag(covariance) for covariance in covariances])))
     return tuple(
         Measurement(residual=residual[band], jacobian=jacobian[band], covariance=covariance, overlap=overlap)
         for band, covariance, overlap in zip(bands, covariances, noise.overlaps(sensitivity, covariances), strict=True)
@@ -570,7 +577,7 @@ def add_doubt(sensitivity: Sensitivity, noises: list[FloatArray]) -> None:
     value, gain = balance.weights.value, balance.calibration.bias.torque_gain
     doubt_nm = np.hypot(*(answers.doubt_nm for answers in sensitivity.answers))
     doubt_nm *= gain * math.sqrt(DOUBT_TIME_S * DOUBT_STEP / GRID_S)
-    opened_nms = OPEN_DOUBT_RATIO * gain * np.stack([own.opened for own in sensitivity.nominal], axis=1)
+    opened_nms = OPEN_DOUBT_RATIO * gain * np.stack([moments.opened for moments in sensitivity.nominal], axis=1)
     for place, (rows_of_piece, band, block) in enumerate(zip(value.places, value.bands, value.blocks, strict=True)):
         doubt = block[:, ::DOUBT_STEP] * doubt_nm[rows_of_piece][::DOUBT_STEP]
         noises[place] += doubt @ doubt.T + opened_nms[band] @ opened_nms[band].T

@@ -110,8 +110,8 @@ def _slips_one_way(slip_rad_s: FloatArray, over_touch_pa: FloatArray) -> BoolArr
 def _stretches(is_told: BoolArray) -> list[list[int]]:
     """Return first row and the row after the last one of each run of true values."""
     edges = np.flatnonzero(np.diff(is_told, prepend=False, append=False))
-    found: list[list[int]] = edges.reshape(-1, 2).tolist()
-    return found
+    stretches: list[list[int]] = edges.reshape(-1, 2).tolist()
+    return stretches
 
 
 def _pieces(first: int, stop: int, longest: int) -> list[Piece]:
@@ -173,13 +173,13 @@ class Functions:
 
     def __add__(self, other: "Functions") -> "Functions":
         """Return the sums of two functions on the same pieces."""
-        return replace(self, blocks=tuple(one + two for one, two in zip(self.blocks, other.blocks, strict=True)))
+        return replace(self, blocks=tuple(block + two for block, two in zip(self.blocks, other.blocks, strict=True)))
 
     def joined(self) -> "Functions":
         """Return the same functions on one piece, from the first to the last."""
         block = np.zeros((self.bands[-1].stop, self.rows.stop - self.rows.start))
-        for band, place, own in zip(self.bands, self.places, self.blocks, strict=True):
-            block[band, place] = own
+        for band, place, block in zip(self.bands, self.places, self.blocks, strict=True):
+            block[band, place] = block
         place, band = slice(0, block.shape[1]), slice(0, block.shape[0])
         return replace(self, grid_rows=(self.rows,), places=(place,), bands=(band,), blocks=(block,))
 
@@ -191,7 +191,9 @@ class Functions:
         """Return the weights of the samples of a signal in sums with polynomial fits to the functions, one a piece."""
         bases = [polynomials(block.shape[1], degree) for block in self.blocks]
         spread = signal.to_samples([np.ascontiguousarray(basis.T) for basis in bases], self.grid_rows)
-        return tuple((block @ basis) @ one for block, basis, one in zip(self.blocks, bases, spread, strict=True))
+        return tuple(
+            (block @ basis) @ weights for block, basis, weights in zip(self.blocks, bases, spread, strict=True)
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -205,11 +207,11 @@ class Weights:
 
     def fitted(self, values: FloatArray, degree: int) -> FloatArray:
         """Return polynomial fits to values, shape (len(rows),), one on each piece; nothing in between."""
-        found = np.zeros_like(values)
+        fit = np.zeros_like(values)
         for place in self.value.places:
             basis = polynomials(place.stop - place.start, degree)
-            found[place] = (values[place] @ basis) @ basis.T
-        return found
+            fit[place] = (values[place] @ basis) @ basis.T
+        return fit
 
 
 def sines(window: SlipWindow, counts: Sequence[int]) -> Weights:
@@ -265,9 +267,9 @@ def polynomials(count: int, degree: int) -> FloatArray:
 
 
 EMPTY_PA = 0.30e5  # an idle clutch reads less than this: it is empty, and the reading is the sensor's zero
-EMPTY_S = 0.1
+EMPTY_S = 0.1  # of the cut, from its beginning: ten samples, whose mean is the zero
 OVERLAP_NS = 1e9  # the cut of an event may begin in the event before; what is further back is another stretch of time
-PRESSURE_DEGREE = 3
+PRESSURE_DEGREE = 3  # of the polynomial through the pressures of one piece: it leaves a tenth of their noise
 FILLING_PA: Final = 0.3e5  # so far a pressure is from its command only while oil flows: no sensor's noise reaches it
 
 
@@ -288,7 +290,7 @@ class PackTemperatures:
         return first_k, second_k
 
 
-def zeros_seen(signals: AlignedSignals, calibration: Calibration) -> Evidence:
+def zeros_measured(signals: AlignedSignals, calibration: Calibration) -> Evidence:
     """Return what clutches that are empty before the shift say about the zeros of their pressure sensors."""
     variance_pa2 = calibration.noise.pressure_pa**2
     rows, zeros_pa, of_mean_pa2 = [], [], []
@@ -401,13 +403,13 @@ class Spread:
     def of(cls, signals: AlignedSignals, weights: Weights, side: InputSide) -> Self:
         """Return those of a window's test functions; signals of one message share theirs."""
         value, rate = weights.value, weights.rate
-        own = (signals.engine_torque, signals.hub_speed, *signals.input_speed, *signals.pressure)
-        found: dict[bytes, Blocks] = {}
-        instants = [signal.times_s.tobytes() for signal in own]
-        for instant, signal in zip(instants, own, strict=True):
-            if instant not in found:
-                found[instant] = signal.to_samples(value.blocks, value.grid_rows)
-        torque, hub, first, second, first_pressure, second_pressure = (found[instant] for instant in instants)
+        sampled = (signals.engine_torque, signals.hub_speed, *signals.input_speed, *signals.pressure)
+        by_instant: dict[bytes, Blocks] = {}
+        instants = [signal.times_s.tobytes() for signal in sampled]
+        for instant, signal in zip(instants, sampled, strict=True):
+            if instant not in by_instant:
+                by_instant[instant] = signal.to_samples(value.blocks, value.grid_rows)
+        torque, hub, first, second, first_pressure, second_pressure = (by_instant[instant] for instant in instants)
         inertia, damping = side.hub_inertia_kg_m2, side.hub_damping_nms_rad
         hub_rate = signals.hub_speed.to_samples(rate.blocks, rate.grid_rows)
         return cls(

@@ -29,12 +29,13 @@ from diag_service.diagnosis.friction.drives import (
     rows_in_slip,
     slip_window,
     spans_of,
-    zeros_seen,
+    zeros_measured,
 )
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
     FRICTION_PRIOR_STD,
     FRICTION_ROWS,
+    OMISSION_COST,
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
@@ -46,7 +47,6 @@ from diag_service.diagnosis.friction.evidence import (
     State,
     displaced,
     fuse,
-    omission_cost,
     skew_variance,
 )
 from diag_service.diagnosis.friction.film import pack_laws
@@ -96,10 +96,10 @@ def is_carried_by_film(balance: Balance, clutch: int) -> bool:
     lever_m3 = balance.torques.lever_m3[clutch - 1, :, rows.start - first : rows.stop - first]
     by_friction_m3 = np.abs(balance.at[FRICTION_ROWS[clutch - 1]] @ lever_m3)
 
-    found = [(balance.tracks[clutch - 1], MOST_FILM_SHARE)]
+    films = [(balance.tracks[clutch - 1], MOST_FILM_SHARE)]
     if balance.film_steps[clutch - 1] >= LEAST_SECANT:
-        found.append((slower_films(balance, balance.measured)[clutch - 1], MOST_SLOW_FILM_SHARE))
-    for track, most in found:
+        films.append((slower_films(balance, balance.measured)[clutch - 1], MOST_SLOW_FILM_SHARE))
+    for track, most in films:
         contact = float((by_friction_m3 * track.contact_pa[rows]).sum())
         film = float(np.abs(track.viscous_nm[rows]).sum())
         if film > most * max(film + contact, 1e-9):
@@ -171,21 +171,21 @@ def linearise(  # noqa: PLR0911 - each stage may find that it ends there
     near, laws, noise = earlier if keeps_jacobian else None, pack_laws(point), noise_of(signals)
     drives = measured_drives(signals, at, packs, samples.event.start_ns, laws)
     if near is None:
-        found = slip_window(signals, drives, laws)
+        window_and_clutch = slip_window(signals, drives, laws)
     else:
-        found = on_other_grid(near.balance.window, near.balance.signals.grid_s, signals.grid_s), near.clutch
-    if found is None:
+        window_and_clutch = on_other_grid(near.balance.window, near.balance.signals.grid_s, signals.grid_s), near.clutch
+    if window_and_clutch is None:
         row_count = rows_in_slip(signals, drives, laws)
         is_too_few = 0 < row_count < noise.least_count
         return NotLinearised(Reason.FEW_SAMPLES, row_count) if is_too_few else NotLinearised(Reason.NO_SLIP_WINDOW)
-    window, clutch = found
+    window, clutch = window_and_clutch
     balance = Balance(signals, window, drives, point, laws, at)
     if is_carried_by_film(balance, clutch):
         return NotLinearised(Reason.NO_SLIP_WINDOW)
     if balance.sample_count < noise.least_count:
         return NotLinearised(Reason.FEW_SAMPLES, balance.sample_count)
     measurements = measurements_of(balance, noise, near.measurements if near else ())
-    zeros = zeros_seen(signals, point)
+    zeros = zeros_measured(signals, point)
     evidence = Evidence.of(measurements, at, zeros, event_variance(balance, clutch, noise))
     if not np.isfinite(evidence.constant):  # by laws that no lining or oil has
         return NotLinearised(Reason.MISFIT)
@@ -344,7 +344,7 @@ class Estimator:
 
         def posterior_if_it_fits(linearisation: Linearisation) -> Knowledge | None:
             fusion = fuse(earlier.fusion.knowledge, linearisation.evidence)
-            return fusion.knowledge if fusion.chi_square < omission_cost(linearisation.evidence) else None
+            return fusion.knowledge if fusion.chi_square < linearisation.evidence.count + OMISSION_COST else None
 
         def posterior_as_judged(linearisation: Linearisation) -> Knowledge:
             judged = state.with_event(_judged_event(event, linearisation), earlier)
@@ -397,10 +397,10 @@ def _zero_pa(type_: Knowledge, zeros: Evidence, known: Knowledge, clutch: int) -
     """Return the zero of a clutch's pressure sensor [Pa] as an event shows it; otherwise it is as known."""
     row = State.ZERO1 + clutch - 1
     mean_pa, variance_pa2 = float(type_.mean[row]), float(type_.covariance[row, row])
-    told = variance_pa2 * float(zeros.matrix[row, row])
-    if told <= 1.0:  # by less than what the type tells
+    information_ratio = variance_pa2 * float(zeros.matrix[row, row])
+    if information_ratio <= 1.0:  # by less than what the type tells
         return float(known.mean[row])
-    return (mean_pa + variance_pa2 * float(zeros.vector[row])) / (1.0 + told)
+    return (mean_pa + variance_pa2 * float(zeros.vector[row])) / (1.0 + information_ratio)
 
 
 def _is_misfit(before: Knowledge, alone: Fusion, count: int) -> bool:

@@ -64,7 +64,7 @@ PARAMETER_COUNT = STATE_COUNT + len(Considered)
 FRICTION_COUNT = 4
 FRICTION_ROWS: Final = (slice(0, 2), slice(2, 4))  # (mu_C, mu_S) of clutch 1 and 2
 REFERENCE_K = 363.15  # of a pack at work, for which friction is stated
-NAMES = tuple(one.name.lower() for one in (*State, *Considered))
+NAMES = tuple(member.name.lower() for member in (*State, *Considered))
 """Names of all parameters, states first: the order of every joint vector."""
 NUISANCE_NAMES = NAMES[FRICTION_COUNT:]
 LEAST_JOINT_COUNT = 16  # names of the joint uncertainty in calibration files of the first versions
@@ -362,7 +362,7 @@ def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
     """Return what earlier knowledge and evidence say together; what was certain stays as it is."""
     if not evidence.count:  # then all does, to the last digit
         return Fusion(knowledge=earlier, chi_square=0.0, information=evidence.matrix)
-    std = earlier.std()
+    std = np.sqrt(earlier.covariance.diagonal())
     scale = np.outer(std, std)
     correlation = np.divide(earlier.covariance, scale, out=np.zeros_like(scale), where=scale > 0.0)
     looser = np.eye(len(scale)) + correlation @ (evidence.matrix * scale)
@@ -377,7 +377,8 @@ def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
     )
 
 
-OMISSION_COST: Final = 25.0  # chi-square beyond expectation that leaves an event out: of two numbers 4e-6 by chance
+OMISSION_COST: Final = 25.0  # chi-square beyond its expectation, the count of residuals, that leaves an event out:
+# of two numbers 4e-6 have more by chance
 _LEAST_SAVING: Final = 1e-9  # of chi-square: less is rounding
 _JITTER: Final = 1e-12  # of a variance: what was certain of two parameters together has an inverse too
 
@@ -389,11 +390,6 @@ class Selection(NamedTuple):
     cost: float  # chi-square, and what leaving out costs
 
 
-def omission_cost(evidence: Evidence) -> float:
-    """Return what it costs to leave an event out."""
-    return evidence.count + OMISSION_COST
-
-
 def is_cheap(cost: float, evidences: Sequence[Evidence]) -> bool:
     """Return whether a selection costs so little that none is sought from the other end, with no event at first."""
     return cost <= sum(evidence.count for evidence in evidences) + OMISSION_COST
@@ -402,10 +398,10 @@ def is_cheap(cost: float, evidences: Sequence[Evidence]) -> bool:
 def selected(base: Knowledge, evidences: Sequence[Evidence]) -> Selection:
     """Return the events to believe, given what was known before them."""
     search = _search(base, evidences)
-    found = _settled(search, np.ones(len(evidences), dtype=bool))
-    if is_cheap(found.cost, evidences):
-        return found
-    return min(found, _settled(search, np.zeros(len(evidences), dtype=bool)), key=lambda one: one.cost)
+    selection = _improved(search, np.ones(len(evidences), dtype=bool))
+    if is_cheap(selection.cost, evidences):
+        return selection
+    return min(selection, _improved(search, np.zeros(len(evidences), dtype=bool)), key=lambda choice: choice.cost)
 
 
 class _Search(NamedTuple):
@@ -422,18 +418,19 @@ def _search(base: Knowledge, evidences: Sequence[Evidence]) -> _Search:
     count, number, scale = len(base.mean), len(evidences), np.outer(std := base.std(), std)
     covariance = np.divide(base.covariance, scale, out=np.zeros_like(scale), where=scale > 0.0)
     np.fill_diagonal(covariance, 1.0 + _JITTER)  # also of what was certain
-    matrices = np.array([one.matrix for one in evidences]).reshape(number, count, count)
-    vectors = np.array([one.vector for one in evidences]).reshape(number, count)
+    matrices = np.array([evidence.matrix for evidence in evidences]).reshape(number, count, count)
+    vectors = np.array([evidence.vector for evidence in evidences]).reshape(number, count)
     return _Search(
         precision=np.linalg.inv(covariance),
         matrices=matrices * scale,
         gradients=(vectors - matrices @ base.mean) * std,
-        constants=np.array([one.constant for one in evidences]) + (matrices @ base.mean - 2.0 * vectors) @ base.mean,
-        omissions=np.array([omission_cost(one) for one in evidences], dtype=np.float64),
+        constants=np.array([evidence.constant for evidence in evidences])
+        + (matrices @ base.mean - 2.0 * vectors) @ base.mean,
+        omissions=np.array([evidence.count + OMISSION_COST for evidence in evidences], dtype=np.float64),
     )
 
 
-def _settled(search: _Search, is_used: BoolArray) -> Selection:
+def _improved(search: _Search, is_used: BoolArray) -> Selection:
     """Return the selection in which no single event taken in or left out saves anything.
 
     Takes in or leaves out what saves most, one event at a time, until nothing does.
@@ -521,7 +518,7 @@ def judge(base: Knowledge, events: Sequence[JudgedEvent]) -> Judgement:
     best = selected(base, [event.evidence for event in events])
     judged = Judgement(fusion=fuse(base, together(events, best.is_used)), is_used=best.is_used, cost=best.cost)
     for first, cost in (*_where_changed(events, best.is_used), *_where_stepped(events, best, judged.fusion.knowledge)):
-        judged = min(judged, _with_change(base, events, first, cost), key=lambda one: one.cost)
+        judged = min(judged, _with_change(base, events, first, cost), key=lambda choice: choice.cost)
     return judged
 
 

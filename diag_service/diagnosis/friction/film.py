@@ -135,10 +135,10 @@ class _State(NamedTuple):
 def pack_laws(calibration: Calibration) -> PackLaws:
     """Return the laws of clutch 1 and 2: made once, and asked wherever a film or a friction is."""
     oil = _Oil(calibration.viscosity.a_pa_s, calibration.viscosity.b_k, calibration.viscosity.pole_k)
-    found = []
+    laws = []
     for clutch in calibration.clutches:
         law = film_law(clutch)
-        found.append(
+        laws.append(
             PackLaw(
                 film=law,
                 friction=friction_law(clutch.friction),
@@ -148,7 +148,7 @@ def pack_laws(calibration: Calibration) -> PackLaws:
                 touch_pressure_pa=piston_pressures_pa(0.0, law),
             )
         )
-    return found[0], found[1]
+    return laws[0], laws[1]
 
 
 def integrate_films(
@@ -173,7 +173,7 @@ def integrate_films(
     """
     length = len(drives[0].piston_pa)
     count = length if stop is None else min(stop, length)
-    found = np.empty((2, len(_Rows._fields), -(-count // step)))
+    rows_of_packs = np.empty((2, len(_Rows._fields), -(-count // step)))
     packs = [
         _Pack(
             law=law.film,
@@ -184,29 +184,31 @@ def integrate_films(
             open_drag_ratio=drive.open_drag_ratio,
             rows=_Rows(*rows),
         )
-        for law, drive, rows in zip(laws, drives, found, strict=True)
+        for law, drive, rows in zip(laws, drives, rows_of_packs, strict=True)
     ]
     final_k = _integrate(packs[0], packs[1], step * GRID_S)
     if step != 1 or count != length:  # onto the even grid
-        whole = np.zeros((*found.shape[:-1], length))
+        whole = np.zeros((*rows_of_packs.shape[:-1], length))
         for after in range(step):
             places = whole[..., after:count:step]
-            places[...] = found[..., : places.shape[-1]]
-        found = whole
-    first, second = (FilmTrack(rows[0], rows[1], rows[2], rows[3], rows[4], final_k[m]) for m, rows in enumerate(found))
+            places[...] = rows_of_packs[..., : places.shape[-1]]
+        rows_of_packs = whole
+    first, second = (
+        FilmTrack(rows[0], rows[1], rows[2], rows[3], rows[4], final_k[m]) for m, rows in enumerate(rows_of_packs)
+    )
     return first, second
 
 
 @kernel
-def _integrate(one: _Pack, other: _Pack, step_s: float) -> tuple[float, float]:
+def _integrate(first: _Pack, second: _Pack, step_s: float) -> tuple[float, float]:
     """Fill the rows of both packs and return their temperatures after the last.
 
     Each point of a film waits for the one before: of two films in turns, one is calculated while the other waits.
     """
-    at_one, at_other, last = _start(one), _start(other), len(one.piston_pa) - 1
+    at_one, at_other, last = _start(first), _start(second), len(first.piston_pa) - 1
     for k in range(last):
-        at_one, at_other = _next(one, k, at_one, step_s), _next(other, k, at_other, step_s)
-    return _warmed_k(one, last, at_one, step_s)[0], _warmed_k(other, last, at_other, step_s)[0]
+        at_one, at_other = _next(first, k, at_one, step_s), _next(second, k, at_other, step_s)
+    return _warmed_k(first, last, at_one, step_s)[0], _warmed_k(second, last, at_other, step_s)[0]
 
 
 @part
@@ -299,8 +301,8 @@ def _film_step(point: FilmPoint, piston_pa: float, viscosity: float, law: FilmLa
 
 
 _VISCOSITY_STEP: Final = 1e-4  # ratio
-_PRESSURE_STEP_PA: Final = 10.0
-_MOST_REACH: Final = 50.0
+_PRESSURE_STEP_PA: Final = 10.0  # of a difference quotient: far above rounding, far below the noise of a sensor
+_MOST_REACH: Final = 50.0  # of the exponent of one step: no film grows by e to the 50, and exp stays finite
 _QUIET: Final = 0.02  # of a film: what changes less in a step is followed in long ones
 
 
@@ -315,7 +317,7 @@ class FilmCause(IntEnum):
     FILM_MOBILITY = 5  # natural logarithm of a ratio
 
 
-_PRESSURE, _AREA, _LATENCY, _VISCOSITY, _STIFFNESS, _MOBILITY = (int(one) for one in FilmCause)
+_PRESSURE, _AREA, _LATENCY, _VISCOSITY, _STIFFNESS, _MOBILITY = (int(member) for member in FilmCause)
 
 
 class _Moved(NamedTuple):

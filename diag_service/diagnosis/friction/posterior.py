@@ -138,7 +138,7 @@ class Posterior:
             prior=Prior.of(base.covariance),
             torque=calibration.torque,
             torque_gain=calibration.bias.torque_gain,
-            stribeck_speed_rad_s=both_clutches(one.friction.stribeck_speed_rad_s for one in calibration.clutches),
+            stribeck_speed_rad_s=both_clutches(clutch.friction.stribeck_speed_rad_s for clutch in calibration.clutches),
         )
 
     @property
@@ -185,7 +185,8 @@ class Posterior:
                 earlier = _folded(state, 1)
             state = _together(replace(earlier, recent=recent[1:], is_used=judged.is_used[1:]))
             # Where all belong they do so beside an older base, too: it differs by the drift of one event.
-            is_sure = all(judged.is_used) and is_cheap(state.fusion.chi_square, [one.evidence for one in state.recent])
+            evidences = [recent.evidence for recent in state.recent]
+            is_sure = all(judged.is_used) and is_cheap(state.fusion.chi_square, evidences)
             state = state if is_sure else _judged(state)
         if not state.is_used or not state.is_used[-1]:
             return state
@@ -233,13 +234,16 @@ class Posterior:
         blank = cls.fresh(calibration)
         try:
             kept = from_plain({name: table[name] for name in _STORED if name in table}, _Stored)
-            recent = tuple(_restored(one) for one in _rows(table["recent"]))
+            recent = tuple(_restored(event) for event in _rows(table["recent"]))
         except (KeyError, TypeError, ValueError) as exc:
             raise ValueError(f"not a running state: {exc}") from exc
         if not all(0.0 <= value < math.inf for value in (kept.apart, kept.apart_by_chance)):
             raise ValueError("not a running state: bad scatter of events")
         shapes = {"mean": (PARAMETER_COUNT,), "covariance": (PARAMETER_COUNT, PARAMETER_COUNT)}
-        for record, expected in ((kept.base, shapes), *((one, SHAPES) for one in kept.baselines if one is not None)):
+        for record, expected in (
+            (kept.base, shapes),
+            *((baseline, SHAPES) for baseline in kept.baselines if baseline is not None),
+        ):
             for name, shape in expected.items():
                 value = getattr(record, name)
                 if value.shape != shape or not np.all(np.isfinite(value)):
@@ -273,7 +277,7 @@ def _folded(state: Posterior, count: int) -> Posterior:
             continue
         news = fuse(base, event.evidence)
         base = news.knowledge.less_sure(_drift())
-        baselines = both_clutches(one and one.after(news.kept) for one in baselines)
+        baselines = both_clutches(baseline and baseline.after(news.kept) for baseline in baselines)
         counts = with_clutch(counts, event.clutch, counts[event.clutch - 1] + 1)
         shift_count, baseline = counts[event.clutch - 1], baselines[event.clutch - 1]
         if baseline is not None:
@@ -474,8 +478,8 @@ def common_scale_std_ratio(state: Posterior, clutch: int) -> float:
     known, area = state.fusion.knowledge, _AREAS[clutch - 1]
     mean, covariance = known.mean, known.covariance
     by_gain, by_area = 1.0 / (state.torque_gain + float(mean[_GAIN])), 1.0 / (1.0 + float(mean[area]))
-    gain, both, own = float(covariance[_GAIN, _GAIN]), float(covariance[_GAIN, area]), float(covariance[area, area])
-    return math.sqrt(by_gain**2 * gain + 2.0 * by_gain * by_area * both + by_area**2 * own)
+    gain, both, of_area = float(covariance[_GAIN, _GAIN]), float(covariance[_GAIN, area]), float(covariance[area, area])
+    return math.sqrt(by_gain**2 * gain + 2.0 * by_gain * by_area * both + by_area**2 * of_area)
 
 
 def trend(state: Posterior, clutch: int) -> FrictionTrend | None:
@@ -493,7 +497,9 @@ def trend(state: Posterior, clutch: int) -> FrictionTrend | None:
     now, then = known.mean[rows].tolist(), baseline.mean.tolist()
     doubt = 0.0 if state.torque is TorqueSource.MEASURED else MODELLED_STD_RATIO
     spread = known.covariance[rows, rows], baseline.covariance, state.cross(clutch)[rows]
-    mu_c, mu_s = map(_Change.of, now, then, zip(*(one.diagonal().tolist() for one in spread), strict=True))
+    mu_c, mu_s = map(
+        _Change.of, now, then, zip(*(covariance.diagonal().tolist() for covariance in spread), strict=True)
+    )
     return FrictionTrend(
         change_mu_c=mu_c.difference / gain,
         change_mu_s=mu_s.difference / gain,
@@ -541,8 +547,8 @@ def clutch_ratio(state: Posterior) -> ClutchRatio | None:
     mean, covariance = state.fusion.knowledge.mean.tolist(), state.covariance[:FRICTION_COUNT, :FRICTION_COUNT].tolist()
     ratios = []
     for first, second in ((State.MU_C1, State.MU_C2), (State.MU_S1, State.MU_S2)):
-        ratio, own, other = mean[first] / mean[second], covariance[first][first], covariance[second][second]
-        shared = (own - 2.0 * ratio * covariance[first][second] + ratio**2 * other) / mean[second] ** 2
+        ratio, above, below = mean[first] / mean[second], covariance[first][first], covariance[second][second]
+        shared = (above - 2.0 * ratio * covariance[first][second] + ratio**2 * below) / mean[second] ** 2
         ratios.append((ratio, math.sqrt(max(shared, 0.0) + 2.0 * (MODEL_STD_RATIO * ratio) ** 2)))
     (ratio_c, std_c), (ratio_s, std_s) = ratios
     return ClutchRatio(mu_c_ratio=ratio_c, mu_s_ratio=ratio_s, std_mu_c_ratio=std_c, std_mu_s_ratio=std_s)
@@ -562,4 +568,4 @@ def calibration_ratio(state: Posterior, calibration: Calibration) -> float:
     variances, stds = state.fusion.knowledge.covariance[_LEARNT, _LEARNT].tolist(), type_std(calibration)
     rows = zip(variances, (stds[row] for row in _AMONG_NUISANCES), _KNOWN_STDS, strict=True)
     left = [math.sqrt(now) / std if std > known else 0.0 for now, std, known in rows]
-    return sum(1.0 - min(one, 1.0) for one in left) / len(left)
+    return sum(1.0 - min(ratio, 1.0) for ratio in left) / len(left)

@@ -28,7 +28,7 @@ from diag_service.diagnosis.friction.drives import (
     on_other_grid,
     sines,
     slip_window,
-    zeros_seen,
+    zeros_measured,
 )
 from diag_service.diagnosis.friction.estimator import chi_square_gate, event_variance, is_carried_by_film
 from diag_service.diagnosis.friction.evidence import (
@@ -179,7 +179,7 @@ def _noise_and_overlap(
 COOL_K = 333.15  # of the oil: below it films carry much of the torque, and say less of the vehicle
 LEAST_SHIFTS_PER_CLUTCH = 4  # fewer do not tell touch point and friction apart
 MAX_EVENT_COUNT = 200  # bounds time and memory; three times what the latencies need
-MAX_PASS_COUNT = 18
+MAX_PASS_COUNT = 18  # of Gauss-Newton: what has not come to rest by then swings
 ROUGH_PASS_COUNT = 3  # within them, or while steps are cut short, even a good shift does not fit
 LONGEST_STEP = 2.0  # standard deviations of the prior: far off, the balance is not linear
 FULL_STEP_COUNT = 5  # half steps after them end a swing between two ways of counting a sample at an edge
@@ -263,7 +263,7 @@ def self_calibrate(
     rest = np.inf
     for number in range(MAX_PASS_COUNT):
         seen = [*_linearised_shifts(shifts, mean, point, windows), *_linearised_run_ups(run_ups, mean, point)]
-        used = [one for one in seen if not fine_count or one.fits]
+        used = [event for event in seen if not fine_count or event.fits]
         if problem := _shortage(seen, used):
             return problem
         information, gradient = _normal_equations(used, mean)
@@ -281,7 +281,7 @@ def self_calibrate(
         if fine_count or (share == 1.0 and number + 1 >= ROUGH_PASS_COUNT):
             fine_count += 1
             # From here on the same data pass after pass, or it would not converge.
-            windows = windows or {one.number: one for one in used if one.clutch}
+            windows = windows or {event.number: event for event in used if event.clutch}
     if rest > NEARLY_CONVERGED:
         return (
             f"the self-calibration did not converge: still {rest:.1f} standard deviations a pass{advice_on_oil(shifts)}"
@@ -294,8 +294,10 @@ def self_calibrate(
 
 def advice_on_oil(shifts: Sequence[Event]) -> str:
     """Return the advice to drive in warmer oil, if most of the shifts were in cold one."""
-    told = [one.columns[Signal.SUMP_TEMPERATURE].value for one in shifts if Signal.SUMP_TEMPERATURE in one.columns]
-    oil_k = [float(one.mean()) for one in told if len(one)]
+    readings_k = [
+        event.columns[Signal.SUMP_TEMPERATURE].value for event in shifts if Signal.SUMP_TEMPERATURE in event.columns
+    ]
+    oil_k = [float(oil_k.mean()) for oil_k in readings_k if len(oil_k)]
     middle_k = float(np.median(oil_k)) if oil_k else COOL_K
     if middle_k >= COOL_K:
         return ""
@@ -304,7 +306,7 @@ def advice_on_oil(shifts: Sequence[Event]) -> str:
 
 def _normal_equations(used: Sequence[_Linearised], at: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return what all balances say: the information matrix and the gradient; docs/model.md eqs. (30) and (31)."""
-    total = Evidence.sum([part for one in used for part in (one.balance, one.zeros)])
+    total = Evidence.sum([part for event in used for part in (event.balance, event.zeros)])
     return total.matrix, total.vector - total.matrix @ at
 
 
@@ -317,9 +319,11 @@ def _share(step: FloatArray, spread: FloatArray) -> float:
 def _scatter(known: Knowledge, used: Sequence[_Linearised]) -> Scatter:
     """Return by how much the friction of the shifts is apart."""
     scatter = Scatter()
-    for one in used:
-        if one.clutch:
-            event = JudgedEvent(clutch=one.clutch, end_ns=0, evidence=one.balance, is_off_like_others=one.is_cold)
+    for linearised in used:
+        if linearised.clutch:
+            event = JudgedEvent(
+                clutch=linearised.clutch, end_ns=0, evidence=linearised.balance, is_off_like_others=linearised.is_cold
+            )
             scatter = scatter.with_event(known, event)
     return scatter
 
@@ -359,10 +363,10 @@ def _linearised_shifts(
             continue
         laws = pack_laws(point)
         drives = measured_drives(signals, at, packs, event.start_ns, laws)
-        found = _window(signals, drives, laws, windows.get(event.number))
-        if found is None:
+        window_and_clutch = _window(signals, drives, laws, windows.get(event.number))
+        if window_and_clutch is None:
             continue
-        window, clutch = found
+        window, clutch = window_and_clutch
         balance = Balance(signals, window, drives, point, laws, at)
         packs = PackTemperatures(clutch_k=balance.final_clutch_k, at_ns=event.end_ns)
         if not is_carried_by_film(balance, clutch):
@@ -370,7 +374,7 @@ def _linearised_shifts(
             seen = Evidence.of(measurements_of(balance, noise), at, variance=event_variance(balance, clutch, noise))
             yield _Linearised(
                 balance=seen,
-                zeros=zeros_seen(signals, point),
+                zeros=zeros_measured(signals, point),
                 misfit=seen.chi_square(at) / seen.count,
                 clutch=clutch,
                 number=event.number,
@@ -413,10 +417,10 @@ def _linearised_run_ups(events: Sequence[Event], at: FloatArray, point: Calibrat
 def _shortage(seen: Sequence[_Linearised], used: Sequence[_Linearised]) -> str:
     """Return what is missing in the shifts that are left; empty if nothing is."""
     for clutch in (1, 2):
-        count = sum(one.clutch == clutch for one in used)
+        count = sum(event.clutch == clutch for event in used)
         if count < LEAST_SHIFTS_PER_CLUTCH:
             return f"{count} usable shifts onto clutch {clutch}, needed are {LEAST_SHIFTS_PER_CLUTCH}"
-    seen_count, used_count = (sum(one.clutch > 0 for one in some) for some in (seen, used))
+    seen_count, used_count = (sum(event.clutch > 0 for event in some) for some in (seen, used))
     if seen_count - used_count > MAX_MISFIT_SHARE * seen_count:
         return f"{seen_count - used_count} of {seen_count} shifts do not fit: not a vehicle of this type"
     return ""
@@ -431,7 +435,7 @@ def _concluded(
     version: str,
 ) -> SelfCalibration | str:
     """Return the result, unless its shifts fit too badly to believe it."""
-    misfit = float(np.mean([one.misfit for one in used if one.clutch]))
+    misfit = float(np.mean([event.misfit for event in used if event.clutch]))
     if misfit > MAX_MEAN_MISFIT:
         return f"chi-square {misfit:.1f} per degree of freedom: not a vehicle of this type"
     nuisances = covariance[FRICTION_COUNT:, FRICTION_COUNT:]
@@ -448,8 +452,8 @@ def _concluded(
             correlation=tuple(tuple(row) for row in correlation.tolist()),
         ),
     )
-    counts = both_clutches(sum(one.clutch == clutch for one in used) for clutch in (1, 2))
-    closed_count = sum(one.is_closed_run_up for one in used)
+    counts = both_clutches(sum(event.clutch == clutch for event in used) for clutch in (1, 2))
+    closed_count = sum(event.is_closed_run_up for event in used)
     return SelfCalibration(
         calibration=calibration,
         state=_as_driven(mean, covariance, calibration, counts),
@@ -467,6 +471,8 @@ def _as_driven(
 ) -> Posterior:
     """Return what the drives left of the vehicle, about the calibration that they led to."""
     at = np.concatenate((mean[:STATE_COUNT], np.zeros(len(Considered))))
-    held_by_none = [STATE_COUNT + one for one in (Considered.FRICTION_TEMPERATURE, Considered.OPEN_DRAG)]  # by no file
+    held_by_none = [
+        STATE_COUNT + parameter for parameter in (Considered.FRICTION_TEMPERATURE, Considered.OPEN_DRAG)
+    ]  # by no file
     at[held_by_none] = mean[held_by_none]
     return replace(Posterior.of(Knowledge(mean=at, covariance=covariance), calibration), folded_counts=counts)

@@ -99,8 +99,8 @@ def _power(rows: FloatArray) -> FloatArray:
     taper = np.hanning(WINDOW)
     slow, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, WINDOW), 3))
     rest = rows - rows @ slow @ slow.T
-    found: FloatArray = 2.0 * np.abs(np.fft.rfft(rest * taper)) ** 2 / (WINDOW * (taper @ taper))
-    return found
+    power: FloatArray = 2.0 * np.abs(np.fft.rfft(rest * taper)) ** 2 / (WINDOW * (taper @ taper))
+    return power
 
 
 ENOUGH_SLIP_S: Final = 60.0
@@ -128,21 +128,21 @@ class SlipTracker:
                 return []
             self.open_ns = int(ahead[0])
             self._next_ns = (self.open_ns // NS_PER_S + 1) * NS_PER_S
-        found: list[Bounds] = []
+        ended: list[Bounds] = []
         while self._next_ns < until_ns:
             self._slip_s += self._slipped_s(history, self._next_ns - NS_PER_S, self._next_ns)
             lasts_s = (self._next_ns - self.open_ns) / NS_PER_S
             if self._slip_s >= ENOUGH_SLIP_S or lasts_s >= LONGEST_S:
-                found += self._ended(history, self._next_ns)
+                ended += self._ended(history, self._next_ns)
                 self.open_ns, self._slip_s = self._next_ns, 0.0
             self._next_ns += NS_PER_S
-        return found
+        return ended
 
     def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
         """End the stretch, whose slip counts however long it lasted, and forget everything."""
-        found = [] if self.open_ns is None else self._ended(history, now_ns)
+        ended = [] if self.open_ns is None else self._ended(history, now_ns)
         self._forget()
-        return found
+        return ended
 
     def _ended(self, history: History, end_ns: int) -> list[Bounds]:
         if self._slip_s < LEAST_SLIP_S or self.open_ns is None:

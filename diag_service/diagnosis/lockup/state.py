@@ -93,8 +93,8 @@ def samples_of(columns: Columns) -> Samples | None:
     at_s = (speed.t_ns - first) / NS_PER_S
 
     def there(signal: Signal) -> FloatArray:
-        one = columns[signal]
-        return np.interp(at_s, (one.t_ns - first) / NS_PER_S, one.value)
+        series = columns[signal]
+        return np.interp(at_s, (series.t_ns - first) / NS_PER_S, series.value)
 
     is_bridged = np.zeros(len(at_s), np.bool_)
     for signal in LOCKUP_SIGNALS:
@@ -144,12 +144,12 @@ def cut(samples: Samples, calibration: Calibration, converter: Converter) -> Blo
     sizes = np.diff(begins, append=len(place))
 
     def mean(values: FloatArray) -> FloatArray:
-        found: FloatArray = np.add.reduceat(values, begins) / sizes
-        return found
+        means: FloatArray = np.add.reduceat(values, begins) / sizes
+        return means
 
     def spread(values: FloatArray) -> FloatArray:
-        found: FloatArray = np.maximum.reduceat(values, begins) - np.minimum.reduceat(values, begins)
-        return found
+        spreads: FloatArray = np.maximum.reduceat(values, begins) - np.minimum.reduceat(values, begins)
+        return spreads
 
     slip, engine = samples.slip_rad_s, samples.engine_rad_s
     at_s = (samples.t_ns - samples.t_ns[0]) / NS_PER_S
@@ -195,24 +195,24 @@ def cut(samples: Samples, calibration: Calibration, converter: Converter) -> Blo
         rows[:, PARAMETER_START + knot] = mean(capacity * engine**2)
     by_type = rows[:, PARAMETER_START:].sum(axis=1)
     torque_nm = mean(samples.torque_nm) - inertia * rate - by_type
-    told = kind != Kind.OTHER
+    is_used = kind != Kind.OTHER
     heat_w = normal_nm * (mu_40 * slip) * is_on
     return Blocks(
-        place=place[begins][told],
-        kind=kind[told],
-        rows=rows[told],
-        torque_nm=torque_nm[told],
-        clutch_nm=mu_40 * rows[told, 0],
+        place=place[begins][is_used],
+        kind=kind[is_used],
+        rows=rows[is_used],
+        torque_nm=torque_nm[is_used],
+        clutch_nm=mu_40 * rows[is_used, 0],
         energy_j=float((heat_w[1:] * np.diff(at_s)).sum()),
     )
 
 
 def is_slipping(pressed_pa: FloatArray, slip_rad_s: FloatArray) -> BoolArray:
     """Return of samples whether the clutch carries while it slips."""
-    found: BoolArray = (
+    slips: BoolArray = (
         (pressed_pa > LEAST_PRESSURE_PA) & (slip_rad_s > LEAST_SLIP_RAD_S) & (slip_rad_s < MOST_SLIP_RAD_S)
     )
-    return found
+    return slips
 
 
 ALGORITHM_VERSION: Final = "lockup-balance-1"
@@ -270,7 +270,7 @@ class LockupState:
         mean = np.zeros(size)
         mean[:FRICTION_COUNT] = curve.mu_c - share * margin, margin
         covariance = np.zeros((size, size))
-        own = (
+        stds = (
             UNKNOWN_STD,
             UNKNOWN_STD,
             spread.friction_temperature_1_k,
@@ -278,7 +278,7 @@ class LockupState:
             math.hypot(spread.pressure_zero_pa, spread.touch_pressure_pa),
             math.hypot(spread.engine_inertia_ratio, spread.torque_gain_ratio),
         )
-        covariance[np.arange(len(own)), np.arange(len(own))] = np.maximum(own, LEAST_STD) ** 2
+        covariance[np.arange(len(stds)), np.arange(len(stds))] = np.maximum(stds, LEAST_STD) ** 2
         covariance[PARAMETER_START:, PARAMETER_START:] = converter.capacity_ratio**2 + spread.torque_gain_ratio**2
         covariance[PARAMETER_START:, PARAMETER_START:] += SHAPE_RATIO**2 * np.eye(len(converter.speed_ratios))
         expected = BLOCK_STD_NM**2 * np.power(EXPECTED_CORRELATION, np.arange(LAG_COUNT, dtype=np.float64))

@@ -92,26 +92,26 @@ class LaunchTracker:
         self._now_ns = until_ns
         gears, engine_rad_s = gears_of_ratio(values, self._gears), values[Signal.ENGINE_SPEED]
         if self._told is not None:
-            told = _gears(values[self._told])
-            gears = np.where((told >= 1) & (told != gears), 0, gears)
+            stated = _gears(values[self._told])
+            gears = np.where((stated >= 1) & (stated != gears), 0, gears)
         over = np.nan_to_num(values[self._gears.over], nan=np.inf)
         edges = [*np.flatnonzero(np.diff(gears, prepend=-1)).tolist(), len(gears)]
-        found: list[Bounds] = []
+        ended: list[Bounds] = []
         for begin, end in pairwise(edges):
-            found += self._end_if_due(int(t_ns[begin]))
+            ended += self._end_if_due(int(t_ns[begin]))
             if gears[begin] != self._gear:
                 self._gear, self._since_ns = int(gears[begin]), int(t_ns[begin])
             if self._gear == 0:
                 place = end - 1 - int(np.argmin(over[begin:end][::-1]))  # the last of the slowest
                 if over[place] <= (math.inf if self._slowest is None else self._slowest[2]):
                     self._slowest = int(t_ns[place]), float(engine_rad_s[place]), float(over[place])
-        return [*found, *self._end_if_due(until_ns)]
+        return [*ended, *self._end_if_due(until_ns)]
 
     def interrupt(self, _: History, now_ns: int) -> list[Bounds]:
         """Forget the stretch; what has not locked is no launch."""
-        found = self._end_if_due(now_ns)
+        ended = self._end_if_due(now_ns)
         self._forget()
-        return found
+        return ended
 
     def _end_if_due(self, now_ns: int) -> list[Bounds]:
         """Return the launch that led to the gear which has driven for long enough by now, if it was one."""
@@ -156,24 +156,24 @@ class EngagedTracker:
     def track(self, history: History, until_ns: int) -> list[Bounds]:
         t_ns, values = self._held.ahead(history, until_ns)
         gears = self._gears_of(values)
-        found: list[Bounds] = []
+        ended: list[Bounds] = []
         for row in np.flatnonzero(np.diff(gears, prepend=-1)):
-            found += self._step(int(t_ns[row]), int(gears[row]))
-        return [*found, *self._end_if_due(until_ns)]
+            ended += self._step(int(t_ns[row]), int(gears[row]))
+        return [*ended, *self._end_if_due(until_ns)]
 
     def interrupt(self, _: History, now_ns: int) -> list[Bounds]:
         """Forget the stretch; what it left open is no shift that is known."""
-        found = self._end_if_due(now_ns)
+        ended = self._end_if_due(now_ns)
         self._forget()
-        return found
+        return ended
 
     def _step(self, t_ns: int, matched: int) -> list[Bounds]:
-        found = self._end_if_due(t_ns)
+        ended = self._end_if_due(t_ns)
         if matched != self._seen:
             if self._gear >= 1 and self._seen == self._gear and self._left_ns is None:
                 self._left_ns = t_ns
             self._seen, self._seen_ns = matched, t_ns
-        return found
+        return ended
 
     def _end_if_due(self, now_ns: int) -> list[Bounds]:
         """Return the shift that led to the gear which has stayed engaged for long enough by now, if there is one."""
@@ -210,21 +210,21 @@ class GearPairTracker:
         return self._lone.open_ns if self._open is None else self._open.start_ns
 
     def track(self, history: History, until_ns: int) -> list[Bounds]:
-        found: list[Bounds] = []
+        ended: list[Bounds] = []
         if not self._has_target:
             target_ns = history.ahead(Signal.TARGET_GEAR, until_ns).t_ns
             self._has_target = len(target_ns) > 0
-            found += self._lone.track(history, int(target_ns[0]) if self._has_target else until_ns)
+            ended += self._lone.track(history, int(target_ns[0]) if self._has_target else until_ns)
             if self._has_target:
-                found += self._lone.interrupt(history, int(target_ns[0]))
+                ended += self._lone.interrupt(history, int(target_ns[0]))
         if any(map(history.has_change_ahead, _GEAR_PAIR)):
-            found += self._walk(history, until_ns)
-        return [*found, *self._end_overdue(until_ns)]
+            ended += self._walk(history, until_ns)
+        return [*ended, *self._end_overdue(until_ns)]
 
     def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
-        found = [*self._lone.interrupt(history, now_ns), *self._end(now_ns, EndReason.INTERRUPTED)]
+        ended = [*self._lone.interrupt(history, now_ns), *self._end(now_ns, EndReason.INTERRUPTED)]
         self._forget()
-        return found
+        return ended
 
     def _walk(self, history: History, until_ns: int) -> list[Bounds]:
         """Step through the pairs that differ from the ones before."""
@@ -236,24 +236,24 @@ class GearPairTracker:
         is_known = ~np.isnan(values).any(axis=0)
         rows = np.flatnonzero((gears[:, 1:] != gears[:, :-1]).any(axis=0))
         pairs = zip(t_ns[rows].tolist(), gears[:, rows + 1].T.tolist(), is_known[rows].tolist(), strict=True)
-        found: list[Bounds] = []
+        ended: list[Bounds] = []
         for now_ns, (current_gear, target_gear), was_known in pairs:
-            found += self._step(now_ns, current_gear, target_gear, was_known=was_known)
-        return found
+            ended += self._step(now_ns, current_gear, target_gear, was_known=was_known)
+        return ended
 
     def _step(self, t_ns: int, current: int, target: int, *, was_known: bool) -> list[Bounds]:
-        found = self._end_overdue(t_ns)
+        ended = self._end_overdue(t_ns)
         if current < 1 or target < 1:
-            return [*found, *self._end(t_ns, EndReason.ABANDONED)]
+            return [*ended, *self._end(t_ns, EndReason.ABANDONED)]
         if self._open is not None and (target != self._open.to_gear or current != self._open.from_gear):
             reached = current == target == self._open.to_gear
-            found += self._end(t_ns, EndReason.COMPLETE if reached else EndReason.ABANDONED)
+            ended += self._end(t_ns, EndReason.COMPLETE if reached else EndReason.ABANDONED)
         if current == target:
             self._overdue = False
         elif self._open is None and not self._overdue:
             self._open = Bounds(current, target, t_ns, t_ns, EndReason.INTERRUPTED)
             self._is_begun = was_known
-        return found
+        return ended
 
     def _end(self, t_ns: int, reason: EndReason) -> list[Bounds]:
         ended, self._open = self._open, None
@@ -307,26 +307,26 @@ class TargetTracker:
             bound_rad_s = np.maximum(CLOSED_SLIP_RAD_S, CLOSED_RATIO * engine_rad_s)
         state = 2 * target + (np.abs(engine_rad_s - shaft_rad_s) > bound_rad_s)  # an unknown slip counts as closed
         is_open = (shaft_rad_s < ROLLING_RATIO * engine_rad_s) & (self._ratios is not None)
-        found: list[Bounds] = []
+        ended: list[Bounds] = []
         for row in np.flatnonzero(np.diff(state, prepend=-1)):
-            found += self._step(int(t_ns[row]), int(target[row]), slips=bool(state[row] % 2))
+            ended += self._step(int(t_ns[row]), int(target[row]), slips=bool(state[row] % 2))
             if self._open is not None and self._open.start_ns == t_ns[row] and is_open[row]:
-                found.append(replace(self._open, end_reason=EndReason.COMPLETE, kind=EventKind.REGEAR))
+                ended.append(replace(self._open, end_reason=EndReason.COMPLETE, kind=EventKind.REGEAR))
                 self._open = None  # nothing drove: the gear is chosen for the launch to come
-        return [*found, *self._end_if_due(until_ns)]
+        return [*ended, *self._end_if_due(until_ns)]
 
     def interrupt(self, _: History, now_ns: int) -> list[Bounds]:
-        found = self._end_if_due(now_ns)
+        ended = self._end_if_due(now_ns)
         if self._open is not None:
-            found.append(replace(self._open, end_ns=now_ns))
+            ended.append(replace(self._open, end_ns=now_ns))
         self._forget()
-        return found
+        return ended
 
     def _step(self, t_ns: int, target: int, *, slips: bool) -> list[Bounds]:
-        found = self._end_if_due(t_ns)
+        ended = self._end_if_due(t_ns)
         if target != self._gear:
             if self._open is not None:
-                found.append(replace(self._open, end_ns=t_ns, end_reason=EndReason.ABANDONED))
+                ended.append(replace(self._open, end_ns=t_ns, end_reason=EndReason.ABANDONED))
             begins = self._gear >= 1 and target >= 1
             self._open = Bounds(self._gear, target, t_ns, t_ns, EndReason.INTERRUPTED) if begins else None
             self._gear, self._has_slipped, self._closed_ns = target, False, None
@@ -335,7 +335,7 @@ class TargetTracker:
             self._closed_ns = None
         elif self._closed_ns is None:
             self._closed_ns = t_ns
-        return found
+        return ended
 
     def _end_if_due(self, now_ns: int) -> list[Bounds]:
         """Return the open shift if its clutch has been closed for long enough by now, or the shift takes too long."""

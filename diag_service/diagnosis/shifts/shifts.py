@@ -52,7 +52,7 @@ class Grip(IntEnum):
     SLIPPING = 2  # a clutch slips under load
 
 
-_OPEN, _LOCKED, _SLIPPING = (int(one) for one in Grip)  # compiled functions know no enumerations
+_OPEN, _LOCKED, _SLIPPING = (int(member) for member in Grip)  # compiled functions know no enumerations
 _CREEPING: Final = int(DriveState.CREEPING)
 
 
@@ -93,10 +93,10 @@ class SlipSignals:
 def slip_signals(signals: AbstractSet[Signal], calibration: Calibration) -> SlipSignals | None:
     """Return where slip and load are told, or None if they are not."""
     first, second = (clutch.touch_pressure_pa + LOADED_PA for clutch in calibration.clutches)
-    engine = next((one for one in (Signal.HUB_SPEED, Signal.ENGINE_SPEED) if one in signals), None)
+    engine = next((signal for signal in (Signal.HUB_SPEED, Signal.ENGINE_SPEED) if signal in signals), None)
     shafts = next((pair for pair in (SHAFTS, _SHAFT) if signals >= set(pair)), None)
     loads = next((pair for pair in (PRESSURES, _TORQUES, _TORQUE) if signals >= set(pair)), None)
-    gear = next((one for one in (Signal.CURRENT_GEAR, Signal.TARGET_GEAR) if one in signals), None)
+    gear = next((signal for signal in (Signal.CURRENT_GEAR, Signal.TARGET_GEAR) if signal in signals), None)
     if engine is None or shafts is None or loads is None or gear is None:
         return None
     above = (first, second) if loads is PRESSURES else (LOADED_NM, LOADED_NM)
@@ -130,7 +130,7 @@ class SlipTracker:
 
     def _forgive_rows(self, history: History, engine: Series, held: FloatArray, until_ns: int) -> None:
         """Take for locked what the columns of a table, asked one after the other, may be apart within a row."""
-        others = [history.ahead(one, until_ns) for one in (self._signals.shafts[0], self._signals.loads[0])]
+        others = [history.ahead(signal, until_ns) for signal in (self._signals.shafts[0], self._signals.loads[0])]
         rows = np.hstack([self._rows, np.vstack([engine.value, held[:_LOADS_ROW]])])
         before, self._rows = self._rows.shape[1], rows[:, -HELD_ROWS - 1 :].copy()
         if not share_rows([engine, *others]):
@@ -294,7 +294,7 @@ class EventTracker:
         """When the oldest event began that was not reported, if there is one."""
         starts = [bounds.start_ns for bounds in self._changes]
         starts += [grip.t_ns for grip in self._grips[:1]]
-        starts += [one.start_ns for one in (self._inside, self._slip) if one is not None]
+        starts += [part.start_ns for part in (self._inside, self._slip) if part is not None]
         if self._tail is not None:
             starts.append(self._tail.bounds.start_ns)
         if self._gears.open_ns is not None:
@@ -310,32 +310,32 @@ class EventTracker:
 
     def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
         self._changes += self._gears.interrupt(history, now_ns)
-        found = self._walk(history, now_ns + 1)
-        found += self._end_tail(history)
+        ended = self._walk(history, now_ns + 1)
+        ended += self._end_tail(history)
         if self._inside is not None:
-            found.append(self._named(history, self._inside))
-        found += self._end_slip(now_ns, EndReason.INTERRUPTED)
+            ended.append(self._named(history, self._inside))
+        ended += self._end_slip(now_ns, EndReason.INTERRUPTED)
         self._forget()
-        return found
+        return ended
 
     def _walk(self, history: History, until_ns: int) -> list[Bounds]:
         """Go through beginnings and ends of changes and of slip in the order of time, up to what is known."""
-        found: list[Bounds] = []
+        ended: list[Bounds] = []
         while True:
             begin_ns = self._changes[0].start_ns if self._changes else None
             end_ns = None if self._inside is None else self._inside.end_ns
             grip_ns = self._grips[0].t_ns if self._grips else None
-            next_ns = min((one for one in (begin_ns, end_ns, grip_ns) if one is not None), default=None)
+            next_ns = min((t_ns for t_ns in (begin_ns, end_ns, grip_ns) if t_ns is not None), default=None)
             if next_ns is None or next_ns >= until_ns:
                 break
-            found += self._due(history, next_ns)
+            ended += self._due(history, next_ns)
             if end_ns == next_ns:
                 self._leave()
             elif begin_ns == next_ns:
-                found += self._enter(history, self._changes.pop(0))
+                ended += self._enter(history, self._changes.pop(0))
             else:
-                found += self._step(self._grips.pop(0))
-        return [*found, *self._due(history, until_ns)]
+                ended += self._step(self._grips.pop(0))
+        return [*ended, *self._due(history, until_ns)]
 
     def _step(self, change: GripChange) -> list[Bounds]:
         """Take the next change of what the clutches do."""
@@ -364,9 +364,9 @@ class EventTracker:
                 self._slip = _Slip(change.t_ns, kind, change.gear)
             return []
         if self._slip.kind is EventKind.CREEP and change.is_asked and is_slipping:
-            found = self._end_slip(change.t_ns, EndReason.ABANDONED)
+            ended = self._end_slip(change.t_ns, EndReason.ABANDONED)
             self._slip = _Slip(change.t_ns, EventKind.LAUNCH, change.gear)
-            return found
+            return ended
         if is_slipping:
             self._slip = replace(self._slip, end_ns=None, is_closed=False)
         elif self._slip.end_ns is None:
@@ -375,15 +375,15 @@ class EventTracker:
 
     def _enter(self, history: History, bounds: Bounds) -> list[Bounds]:
         """Begin a change of gears; what was open before ends here."""
-        found = self._end_tail(history)
+        ended = self._end_tail(history)
         if self._slip is not None and bounds.start_ns - self._slip.start_ns >= PRELUDE_NS:
-            found += self._end_slip(bounds.start_ns, self._how_ended(self._slip))
+            ended += self._end_slip(bounds.start_ns, self._how_ended(self._slip))
         if self._slip is not None and bounds.start_ns - self._slip.start_ns >= LEAST_PRELUDE_NS:
             bounds = replace(bounds, start_ns=self._slip.start_ns)
         self._slip = None
         self._inside, self._is_overdue = bounds, False
         self._was_open = self._grip is not _UNKNOWN and self._grip.grip is Grip.OPEN
-        return found
+        return ended
 
     def _leave(self) -> None:
         """End a change as its gears agree again."""
@@ -465,13 +465,13 @@ class SideBySide:
 
     @property
     def open_ns(self) -> int | None:
-        return min((one.open_ns for one in self._both if one.open_ns is not None), default=None)
+        return min((tracker.open_ns for tracker in self._both if tracker.open_ns is not None), default=None)
 
     def track(self, history: History, until_ns: int) -> list[Bounds]:
-        return sorted((bounds for one in self._both for bounds in one.track(history, until_ns)), key=_END_NS)
+        return sorted((bounds for tracker in self._both for bounds in tracker.track(history, until_ns)), key=_END_NS)
 
     def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
-        return sorted((bounds for one in self._both for bounds in one.interrupt(history, now_ns)), key=_END_NS)
+        return sorted((bounds for tracker in self._both for bounds in tracker.interrupt(history, now_ns)), key=_END_NS)
 
 
 def _kind_of_slip(change: GripChange) -> EventKind:
@@ -509,6 +509,6 @@ class DriveFinder(EventFinder):
         slip = slip_signals(signals, calibration)
         tracker: Tracker = EventTracker(tracker_for(signals, gears), None if slip is None else SlipTracker(slip))
         if slip is None and gears is not None and signals >= {Signal.ENGINE_SPEED, gears.over}:
-            told = next((one for one in (Signal.CURRENT_GEAR, Signal.TARGET_GEAR) if one in signals), None)
-            tracker = SideBySide(tracker, LaunchTracker(gears, told))
+            gear = next((signal for signal in (Signal.CURRENT_GEAR, Signal.TARGET_GEAR) if signal in signals), None)
+            tracker = SideBySide(tracker, LaunchTracker(gears, gear))
         super().__init__(tracker, PRE_NS, POST_NS, REST_NS)

@@ -89,10 +89,12 @@ class SampleRings:
 
     def cut(self, start_ns: int, stop_ns: int) -> dict[Signal, Series]:
         """Return copies of the samples of all signals that ever had one, with ``start_ns <= t_ns < stop_ns``."""
-        found = ((signal, ring.between(start_ns, stop_ns)) for signal, ring in self._rings.items())
+        stretches = ((signal, ring.between(start_ns, stop_ns)) for signal, ring in self._rings.items())
         return {
-            signal: replace(one, t_ns=one.t_ns.copy(), sequence=one.sequence.copy(), value=one.value.copy())
-            for signal, one in found
+            signal: replace(
+                samples, t_ns=samples.t_ns.copy(), sequence=samples.sequence.copy(), value=samples.value.copy()
+            )
+            for signal, samples in stretches
         }
 
     def changed_ns(self, signal: Signal) -> int:
@@ -151,10 +153,12 @@ class History:
 
     def cut(self, start_ns: int, stop_ns: int) -> Columns:
         """Return the samples of all signals with ``start_ns <= t_ns < stop_ns``, each with the cycle that it keeps."""
-        found = sorted(self._rings.cut(start_ns, stop_ns).items())
+        stretches = sorted(self._rings.cut(start_ns, stop_ns).items())
         return {
-            signal: series if (own := own_period_ns(series)) == series.period_ns else replace(series, period_ns=own)
-            for signal, series in found
+            signal: series
+            if (kept_ns := own_period_ns(series)) == series.period_ns
+            else replace(series, period_ns=kept_ns)
+            for signal, series in stretches
         }
 
     def bad_frame_count(self, start_ns: int, stop_ns: int) -> int:
@@ -317,8 +321,8 @@ class HeldSignals:
     def ahead(self, history: History, until_ns: int) -> tuple[Int64Array, Mapping[Signal, FloatArray]]:
         """Return times and values of what has not been walked yet, shape (n,) each."""
         series = {signal: history.ahead(signal, until_ns) for signal in self._last}
-        t_ns = reduce(np.union1d, (one.t_ns for one in series.values()), _NEVER)
-        values = {signal: held_values(one, t_ns, self._last[signal]) for signal, one in series.items()}
+        t_ns = reduce(np.union1d, (samples.t_ns for samples in series.values()), _NEVER)
+        values = {signal: held_values(samples, t_ns, self._last[signal]) for signal, samples in series.items()}
         if len(t_ns):
             self._last = {signal: float(value[-1]) for signal, value in values.items()}
         return t_ns, values

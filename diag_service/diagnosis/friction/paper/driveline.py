@@ -108,7 +108,7 @@ class Driveline:
         shafts = table.get("shaft")
         if not isinstance(shafts, list) or len(shafts) != 2:
             raise CalibrationError("driveline needs exactly 2 [[shaft]] tables")
-        both = tuple(record_from(Shaft, one, f"shaft {m}.") for m, one in enumerate(shafts, 1))
+        both = tuple(record_from(Shaft, shaft, f"shaft {m}.") for m, shaft in enumerate(shafts, 1))
         return record_from(cls, {key: value for key, value in table.items() if key != "shaft"}, shafts=both)
 
 
@@ -268,12 +268,12 @@ class SteadyKalman:
         kalman.F = np.array([[1.0, period_s], [0.0, 1.0]])
         kalman.H = np.array([[1.0, 0.0]])
         kalman.K = np.linalg.solve(kalman.F, [[self.value_gain], [self.rate_gain_1_s]])  # L = F*K
-        found = np.empty((len(samples), 2))
-        for row, departure in zip(found, samples - samples[0], strict=True):
+        states = np.empty((len(samples), 2))
+        for row, departure in zip(states, samples - samples[0], strict=True):
             row[:] = kalman.x[:, 0]
             kalman.update_steadystate(departure)
             kalman.predict_steadystate()
-        return Rated(value=samples[0] + found[:, 0], rate=found[:, 1])
+        return Rated(value=samples[0] + states[:, 0], rate=states[:, 1])
 
     def rate_noise_1_s(self, period_s: float) -> float:
         """Return the standard deviation of the rate per standard deviation of white noise in the samples [1/s].

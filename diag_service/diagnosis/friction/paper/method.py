@@ -73,7 +73,9 @@ class FilmTable:
 def static_table(law: FilmLaw) -> FilmTable:
     """Return the table of equilibria: inverse of P_C, the open gap below the touch point."""
     pressure_pa = np.arange(0.0, TABLE_END_PA, TABLE_STEP_PA)
-    film_m = np.array([equilibrium_film_m(applied_pressure_pa(float(one), law), law) for one in pressure_pa])
+    film_m = np.array(
+        [equilibrium_film_m(applied_pressure_pa(float(piston_pa), law), law) for piston_pa in pressure_pa]
+    )
     return FilmTable(pressure_pa=pressure_pa, film_m=film_m)
 
 
@@ -95,7 +97,9 @@ class FrictionData:
 
 def pooled(parts: list[FrictionData]) -> FrictionData:
     """Return the samples of several shifts or drives as one."""
-    columns = {one.name: np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(FrictionData)}
+    columns = {
+        column.name: np.concatenate([getattr(part, column.name) for part in parts]) for column in fields(FrictionData)
+    }
     return FrictionData(**columns)
 
 
@@ -341,7 +345,8 @@ def analyse(
 ) -> Analysis:
     """Return the friction data of both clutches: eqs. (10) to (16), then (9), then (17)."""
     hub, first, second = (
-        differentiators.speed(one, signals.period_s) for one in (signals.hub_rad_s, *signals.input_rad_s)
+        differentiators.speed(speed_rad_s, signals.period_s)
+        for speed_rad_s in (signals.hub_rad_s, *signals.input_rad_s)
     )
     speeds = Speeds(hub=hub, inputs=(first, second))
     side = calibration.input_side
@@ -426,8 +431,8 @@ def paper_signals(event: Event, calibration: Calibration, driveline: Driveline) 
     return PaperSignals(
         period_s=PERIOD_S,
         hub_rad_s=gathered.hub_speed.on_grid[::GRID_STRIDE],
-        input_rad_s=np.stack([one.on_grid[::GRID_STRIDE] for one in gathered.input_speed]),
-        pressure_pa=np.stack([one.on_grid[::GRID_STRIDE] for one in gathered.pressure]),
+        input_rad_s=np.stack([speed.on_grid[::GRID_STRIDE] for speed in gathered.input_speed]),
+        pressure_pa=np.stack([pressure.on_grid[::GRID_STRIDE] for pressure in gathered.pressure]),
         flywheel_nm=states @ model.flywheel_nm,
         shaft_nm=(states @ model.shaft_nm.T).T,
         oil_k=np.full(len(grid_s), gathered.oil_k),
@@ -479,20 +484,17 @@ def _updated(mean: FloatArray, covariance: FloatArray, readings: Readings, k: in
 
 
 def _readings(gathered: AlignedSignals, wheel_rad_s: FloatArray, calibration: Calibration) -> Readings:
-    def per_period(values: FloatArray) -> FloatArray:
-        return values[::GRID_STRIDE]
-
-    torque_nm = per_period(gathered.engine_torque.on_grid)
+    torque_nm = gathered.engine_torque.on_grid[::GRID_STRIDE]
     speeds = (gathered.engine_speed, gathered.hub_speed, *gathered.input_speed)
     noise = calibration.noise
     stds = (noise.engine_speed_rad_s, noise.hub_speed_rad_s, noise.input_speed_rad_s, noise.input_speed_rad_s)
     return Readings(
         engine_nm=0.5 * (torque_nm + np.append(torque_nm[1:], torque_nm[-1])),  # mean over the period to come
-        speeds_rad_s=np.column_stack([*(per_period(one.on_grid) for one in speeds), wheel_rad_s]),
+        speeds_rad_s=np.column_stack([*(speed.on_grid[::GRID_STRIDE] for speed in speeds), wheel_rad_s]),
         speed_std_rad_s=np.array([*stds, WHEEL_STD_RAD_S]),
         is_open=np.column_stack(
             [
-                per_period(pressure.on_grid) < clutch.touch_pressure_pa - noise.pressure_pa
+                pressure.on_grid[::GRID_STRIDE] < clutch.touch_pressure_pa - noise.pressure_pa
                 for pressure, clutch in zip(gathered.pressure, calibration.clutches, strict=True)
             ]
         ),
@@ -501,14 +503,12 @@ def _readings(gathered: AlignedSignals, wheel_rad_s: FloatArray, calibration: Ca
 
 def _wheel_speed_m_s(event: Event, grid_s: FloatArray) -> FloatArray | None:
     """Return the mean speed of the driven (front) wheels on the grid, or None if it is not on the bus."""
-    wheels = [event.columns.get(one) for one in (Signal.WHEEL_FL_SPEED, Signal.WHEEL_FR_SPEED)]
-    found = [one for one in wheels if one is not None and len(one.t_ns)]
-    if len(found) < len(wheels):
+    wheels = [event.columns.get(signal) for signal in (Signal.WHEEL_FL_SPEED, Signal.WHEEL_FR_SPEED)]
+    driven = [wheel for wheel in wheels if wheel is not None and len(wheel.t_ns)]
+    if len(driven) < len(wheels):
         return None
-    mean_m_s: FloatArray = np.mean(
-        [np.interp(grid_s, sample_times_s(one, event.start_ns), one.value) for one in found], axis=0
-    )
-    return mean_m_s
+    on_grid = [np.interp(grid_s, sample_times_s(wheel, event.start_ns), wheel.value) for wheel in driven]
+    return np.asarray(np.mean(on_grid, axis=0))
 
 
 def _is_shifting(event: Event, grid_s: FloatArray) -> BoolArray:
@@ -519,8 +519,7 @@ def _is_shifting(event: Event, grid_s: FloatArray) -> BoolArray:
         return in_shift
     latest = np.searchsorted(sample_times_s(phase, event.start_ns), grid_s, side="right") - 1
     held = phase.value[np.maximum(latest, 0)]
-    slipping: BoolArray = in_shift & (held >= SHIFT_PHASES[0]) & (held <= SHIFT_PHASES[1])
-    return slipping
+    return np.asarray(in_shift & (held >= SHIFT_PHASES[0]) & (held <= SHIFT_PHASES[1]))
 
 
 # q of the speed filter: matched with the hub acceleration of emulated shifts at 2 rpm of noise, as the paper does.

@@ -59,9 +59,9 @@ def _snapshot() -> Snapshot:
         session.process(event)
     source.counts = SourceCounts(received=FRAMES, kernel_dropped=7)
     source.bit_count = 250_000
-    early = taker.take(100.1)
+    early = taker.snapshot(100.1)
     assert early.load_ratio == 0.0
-    taken = taker.take(102.0)
+    taken = taker.snapshot(102.0)
     store.close()
     return taken
 

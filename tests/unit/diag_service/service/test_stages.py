@@ -54,7 +54,7 @@ def test_an_event_of_the_fluid_before_is_judged_by_itself() -> None:
     first = stages.conclude(shifts()[0])
     stages.note_fluid(FILLED_AT)
     filled = stages.belief
-    past = stages.conclude_past(shifts()[0])
+    past = stages.conclude_of_earlier_fluid(shifts()[0])
     assert past.estimate.friction is not None
     assert first.estimate.friction is not None
     assert past.verdict.shift_count == first.verdict.shift_count == 1
