@@ -87,7 +87,7 @@ def test_tables_in_memory_are_those_of_the_file(drive: Path, values: ValuesName)
     output = drive.with_suffix(".parquet")
     database = canlog.load_database(drive.with_name("car.dbc"))
     log = canlog.read(drive, database)
-    assert canlog.write_parquet(drive, database, output, canlog.TableChoice(values=values)) == log.losses
+    assert canlog.write_table(drive, database, output, canlog.TableChoice(values=values)) == log.losses
     table = log.to_arrow("wide", values, is_raw=True)
     assert table.to_pylist() == pl.read_parquet(output).to_dicts()
     assert log.to_polars("wide", values, is_raw=True).to_dicts() == table.to_pylist()
@@ -104,6 +104,6 @@ def test_what_cannot_be_read_is_told(drive: Path) -> None:
     with pytest.raises(canlog.SourceError, match="line 7: malformed"):
         canlog.read(drive, database, is_strict=True)
     with pytest.raises(canlog.OutputError, match="cannot write"):
-        canlog.write_parquet(drive, database, drive.with_name("none") / "out.parquet")
+        canlog.write_table(drive, database, drive.with_name("none") / "out.parquet")
     with pytest.raises(ValueError, match="long"):
         canlog.read(drive, database).to_arrow("long")  # type: ignore[arg-type]  # as a user may type it

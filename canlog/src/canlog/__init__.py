@@ -16,7 +16,7 @@ if typing.TYPE_CHECKING:
     from canlog.errors import CanlogError, DefinitionError, ExtraMissingError, OutputError, SourceError
     from canlog.frames import FrameBatch
     from canlog.logs import LogCounts, LogFormat, LogReader, read_log
-    from canlog.tables.decoding import TableChoice, write_parquet, write_table
+    from canlog.tables.decoding import TableChoice, write_table
     from canlog.whole_log import Log, Samples, read
 
 __all__ = [
@@ -35,7 +35,6 @@ __all__ = [
     "load_database",
     "read",
     "read_log",
-    "write_parquet",
     "write_table",
 ]
 
@@ -45,7 +44,7 @@ _HOMES = {
     "canlog.frames": ("FrameBatch",),
     "canlog.logs": ("LogCounts", "LogFormat", "LogReader", "read_log"),
     "canlog.whole_log": ("Log", "Samples", "read"),
-    "canlog.tables.decoding": ("TableChoice", "write_parquet", "write_table"),
+    "canlog.tables.decoding": ("TableChoice", "write_table"),
 }
 _wait_with("cantools.tester")  # a live bus for cantools; it takes python-can along, and that asammdf, pandas and polars
 __getattr__, __dir__ = _on_demand(__name__, _HOMES)

@@ -3,7 +3,7 @@
 from canlog.logs.detection import LogFormat
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.merging import merged_by_time
-from canlog.logs.reading import LogReader, Looked, is_log, looked_at, read_log, table_columns, why_no_log
+from canlog.logs.reading import LogReader, Looked, looked_at, read_log, table_columns
 from canlog.logs.streams import STANDARD_INPUT, shown_name
 
 __all__ = [
@@ -13,11 +13,9 @@ __all__ = [
     "LogReader",
     "LogReject",
     "Looked",
-    "is_log",
     "looked_at",
     "merged_by_time",
     "read_log",
     "shown_name",
     "table_columns",
-    "why_no_log",
 ]

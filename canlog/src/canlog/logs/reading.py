@@ -381,16 +381,6 @@ def _detected(probe: bytes) -> Detected | None:
         return None
 
 
-def is_log(path: Path) -> bool:
-    """Return whether a file is a log of a known format, by its first bytes; False if it cannot be read."""
-    return not why_no_log(path)
-
-
-def why_no_log(path: Path, columns: str = "") -> str:
-    """Return why a file is no log of a known format, by its first bytes; empty if it is one."""
-    return looked_at(path, columns).reason
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Looked:
     """What a file was taken for, or why for nothing."""

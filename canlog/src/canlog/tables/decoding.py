@@ -518,14 +518,3 @@ def write_table(
     plan = choice.plan(database_of(database).messages)
     decoded = decode_logs(log_paths(path), plan, written, choice.format_of(written), columns=choice.columns)
     return list(losses(decoded.account))
-
-
-def write_parquet(
-    path: Path | str | Sequence[Path | str],
-    database: Database | Path | str,
-    output: Path | str,
-    choice: TableChoice = EVERY_SIGNAL,
-) -> list[str]:
-    """Write the signals of logs into a Parquet file, whatever it is called: what ``write_table`` does."""
-    choice = replace(choice, table_format="parquet", shape=choice.shape or "wide")
-    return write_table(path, database, output, choice)

@@ -7,11 +7,12 @@ from contextlib import asynccontextmanager, closing
 import pytest
 
 from clutch_results.records import shift_record
-from diag_service.delivery import Acknowledge, DeliveryLimits, MemoryLink, Outbox
+from diag_service.delivery import Acknowledge, DeliveryLimits, Outbox
 from diag_service.errors import PublishError, PublishRefusedError
 from diag_service.store import ResultStore
 from fleet_contract import MAX_BUNDLED, Outgoing, Receipt, key_of
 from tests.support.builders import shift_result
+from tests.support.memory_link import MemoryLink
 from tests.support.outboxes import put, until
 from tests.support.patience import HANG_S
 

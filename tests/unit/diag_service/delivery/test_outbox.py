@@ -8,11 +8,12 @@ from dataclasses import replace
 import pytest
 
 from clutch_results.records import shift_record
-from diag_service.delivery import Acknowledge, DeliveryLimits, MemoryLink, Outbox
+from diag_service.delivery import Acknowledge, DeliveryLimits, Outbox
 from diag_service.errors import PublishError
 from diag_service.store import ResultStore
 from fleet_contract import Outcome, Receipt, key_of
 from tests.support.builders import shift_result
+from tests.support.memory_link import MemoryLink
 from tests.support.outboxes import STATE, until
 
 QUICK = DeliveryLimits(first_pause_s=0.001)

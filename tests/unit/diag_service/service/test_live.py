@@ -15,7 +15,7 @@ from canlog.live import LinkBreak, Silence, SourceCounts
 from clutch_model.calibration import nominal_calibration
 from clutch_results.records import Reason, ShiftResult
 from dbc.contract import load_contract
-from diag_service.delivery import MemoryLink, MemoryReporter, Outbox, Reporter
+from diag_service.delivery import MemoryReporter, Outbox, Reporter
 from diag_service.errors import StoreError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import PROFILE_PATH, load_profile
@@ -27,6 +27,7 @@ from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore, VehicleState
 from ecu_emulator.bus.frames import FrameEncoder
 from ecu_emulator.sensing import Readings
+from tests.support.memory_link import MemoryLink
 from tests.support.patience import HANG_S
 
 CALIBRATION = nominal_calibration()

@@ -12,10 +12,11 @@ from typing import Any
 import pytest
 
 from clutch_results.records import ShiftResult
-from diag_service.delivery import DeliveryLimits, DetachedReporter, MemoryLink, MemoryReporter, News, Outbox
+from diag_service.delivery import DeliveryLimits, DetachedReporter, MemoryReporter, News, Outbox
 from diag_service.errors import PublishError
 from diag_service.store import ResultStore
 from fleet_contract import Outgoing
+from tests.support.memory_link import MemoryLink
 from tests.unit.diag_service.service.test_live import ListSource, cut, gear_frames, run, session_for
 
 SHIFTS = 5
