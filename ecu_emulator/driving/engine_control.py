@@ -7,7 +7,12 @@ from canlog.jit import part
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.indices import DriveState, EngineState
 from ecu_emulator.driving.laws import DrivingLaw, asked_force_n, idle_rad_s, overrun_nm, pulls_on_wheels
-from ecu_emulator.plant.engine import EngineParameters, cylinder_air_kg_rad, engine_losses_nm, mean_indicated_torque_nm
+from ecu_emulator.plant.driveline import (
+    EngineParameters,
+    cylinder_air_kg_rad,
+    engine_losses_nm,
+    mean_indicated_torque_nm,
+)
 from ecu_emulator.shift_control import tcu_data
 
 _CYCLE_RAD = 4.0 * math.pi

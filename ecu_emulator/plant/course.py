@@ -15,7 +15,7 @@ from clutch_model.tables import require
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import PowerBalance, power_balance
 from ecu_emulator.plant.clutch import refresh_contact
-from ecu_emulator.plant.engine import throttle_flow_kg_s
+from ecu_emulator.plant.driveline import throttle_flow_kg_s
 from ecu_emulator.plant.integration import workspace
 from ecu_emulator.plant.loop import DriveLaw, Machine
 from ecu_emulator.plant.rates import PlantLaw

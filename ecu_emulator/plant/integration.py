@@ -10,8 +10,7 @@ from canlog.jit import part
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import ACCOUNT_COUNT, SYNCHRONISERS, add_powers, note, stored_energy_j, undo
 from ecu_emulator.plant.clutch import advance_clutch
-from ecu_emulator.plant.driveline import ENGAGED, SYNCHRONISING
-from ecu_emulator.plant.engine import throttle_flow_kg_s
+from ecu_emulator.plant.driveline import ENGAGED, SYNCHRONISING, throttle_flow_kg_s
 from ecu_emulator.plant.rates import PlantLaw, evaluate, lock_or_slip
 
 _MILLISECOND_S = 1.0e-3

@@ -8,8 +8,14 @@ from clutch_model.pack import viscosity_pa_s
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import BRAKES, stored_energy_j
 from ecu_emulator.plant.clutch import cavity_pressure_pa, friction_ratio
-from ecu_emulator.plant.driveline import ENGAGED, GRAVITY_M_S2, NEUTRAL, SYNCHRONISING
-from ecu_emulator.plant.engine import engine_losses_nm, mean_indicated_torque_nm
+from ecu_emulator.plant.driveline import (
+    ENGAGED,
+    GRAVITY_M_S2,
+    NEUTRAL,
+    SYNCHRONISING,
+    engine_losses_nm,
+    mean_indicated_torque_nm,
+)
 from ecu_emulator.plant.integration import Workspace, advance_millisecond, settle
 from ecu_emulator.plant.rates import PlantLaw
 from ecu_emulator.plant.state import Col

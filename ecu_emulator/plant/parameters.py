@@ -12,7 +12,7 @@ from clutch_model.errors import CalibrationError
 from clutch_model.tables import record_from, require
 from ecu_emulator.plant import driveline
 from ecu_emulator.plant.clutch import HydraulicsParameters, LiningParameters
-from ecu_emulator.plant.engine import EngineParameters
+from ecu_emulator.plant.driveline import EngineParameters
 from ecu_emulator.shift_control.tcu_data import MOST_GEARS, ControlParameters, WorkshopParameters
 
 _MAY_BE_ZERO = frozenset(

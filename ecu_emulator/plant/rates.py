@@ -11,21 +11,24 @@ from ecu_emulator.plant.driveline import (
     ENGAGED,
     SYNCHRONISING,
     ConverterLaw,
+    EngineParameters,
     FlywheelParameters,
     OutputParameters,
     ShaftParameters,
     SynchroniserParameters,
     VehicleParameters,
     brake_force_n,
+    engine_losses_nm,
     geared_torque_nm,
     impeller_torque_nm,
+    indicated_torque_nm,
+    manifold_rate_pa_s,
     road_load_n,
     synchroniser_torque_nm,
     torque_ratio,
     twist_torque_nm,
     tyre_force_n,
 )
-from ecu_emulator.plant.engine import EngineParameters, engine_losses_nm, indicated_torque_nm, manifold_rate_pa_s
 
 _SLIP_DECAY_S = 0.005  # tb: what slip is left when a clutch locks fades with this time constant
 

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from tests.support.patience import HANG_S
+from workshop.controller.controller import MemoryFile
 from workshop.controller.memory import TestResult
-from workshop.controller.memory_file import MemoryFile
 from workshop.controller.table import shipped_table
 from workshop_tests.controller.bench import Bench
 

@@ -7,8 +7,8 @@ import pytest
 from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
 from ecu_emulator.scenario.scenario import Scenario
 from tests.support.uds.adapting_car import ADAPT, CLEAR, AdaptingCar, in_workshop, memory_in
+from workshop.controller.controller import MemoryFile
 from workshop.controller.iso14229 import Status
-from workshop.controller.memory_file import MemoryFile
 
 NOMINAL_PA = (134_545.0, 150_000.0)
 MARGIN_PA = 0.1e5  # above the touch point a filled clutch is held

@@ -13,8 +13,8 @@ from tests.support.patience import HANG_S
 from tests.support.uds.full_table import full_table
 from tests.support.uds.streams import run
 from tests.support.uds.wire import RESPONSE_ID, Wire, parked_controller
+from workshop.controller.controller import MemoryFile
 from workshop.controller.link import DiagnosticLink
-from workshop.controller.memory_file import MemoryFile
 from workshop.controller.state import ServerState
 from workshop.controller.table import Transport
 

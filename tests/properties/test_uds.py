@@ -10,9 +10,9 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from tests.support.uds.full_table import full_table
 from tests.support.uds.pdx_client import MORE, PARKED
 from workshop.controller import server
+from workshop.controller.controller import MemoryFile
 from workshop.controller.iso14229 import CLEARED, DEFAULT_SESSION, Nrc, Status
 from workshop.controller.memory import FAILED_COUNTER, PASSED_COUNTER, TestResult
-from workshop.controller.memory_file import MemoryFile
 from workshop.controller.services.sessions import key_of
 from workshop.controller.state import Instant, Request
 

@@ -14,9 +14,8 @@ from tests.support.patience import HANG_S
 from tests.support.ports import free_port
 from tests.support.uds.full_table import full_table
 from tests.support.uds.wire import PARKED
-from workshop.controller.controller import Controller
+from workshop.controller.controller import Controller, MemoryFile
 from workshop.controller.doip_server import DoipServer, Place, TlsNode
-from workshop.controller.memory_file import MemoryFile
 
 MASK = 0x5AA5C33C
 

@@ -12,9 +12,8 @@ from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.scenario.scenario import Routine, Scenario, Truth
 from ecu_emulator.scenario.scenario_file import load_scenario
 from ecu_emulator.shift_control import tcu_data
-from workshop.controller.controller import Controller
+from workshop.controller.controller import Controller, MemoryFile
 from workshop.controller.iso14229 import Status
-from workshop.controller.memory_file import MemoryFile
 from workshop.controller.monitoring import Monitoring
 from workshop.controller.requested_tasks import RequestedAdaptation, clear_if_requested
 from workshop.controller.table import shipped_table

@@ -13,10 +13,9 @@ import can
 
 from tests.support.patience import HANG_S
 from tests.support.uds.full_table import full_table
-from workshop.controller.controller import Controller
+from workshop.controller.controller import Controller, MemoryFile
 from workshop.controller.descriptions import Value
 from workshop.controller.link import DiagnosticLink
-from workshop.controller.memory_file import MemoryFile
 from workshop.controller.table import Addressing, Transport
 
 REQUEST_ID, ALL_ID, RESPONSE_ID = 0x7E1, 0x7DF, 0x7E9

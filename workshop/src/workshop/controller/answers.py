@@ -24,11 +24,10 @@ from ecu_emulator.bus.sent_values import OWN_NODE, SentValues, recounted
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import ConfigError, ExtraMissingError
 from ecu_emulator.live import BusChoice
-from workshop.controller.controller import Controller
+from workshop.controller.controller import Controller, MemoryFile
 from workshop.controller.doip_server import DoipServer, Place, parse_place, tls_node
 from workshop.controller.elm327_server import ElmServer
 from workshop.controller.iso14229 import DOIP_TLS_PORT, Status
-from workshop.controller.memory_file import MemoryFile
 from workshop.controller.monitoring import MONITOR_PERIOD_S, Monitoring
 from workshop.controller.monitors import SENSED, SENSED_OF_CONVERTER
 from workshop.controller.requested_tasks import (

@@ -7,9 +7,8 @@ import pytest
 
 from ecu_emulator.errors import RecordError
 from tests.support.uds.full_table import full_table
-from workshop.controller.controller import Controller
+from workshop.controller.controller import Controller, MemoryFile
 from workshop.controller.memory import TestResult
-from workshop.controller.memory_file import MemoryFile
 from workshop_tests.controller.bench import PARKED, SEED
 
 HOT = 0x27874B
