@@ -5,6 +5,7 @@ ordinary power can follow.
 """
 
 import math
+import tomllib
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Final
@@ -12,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import FloatArray
+from clutch_model.tables import record_from
 from clutch_model.units import m_s_from_km_h
 from ecu_emulator.errors import ConfigError
 
@@ -84,7 +86,7 @@ class Traffic:
     """What the legs of a trip are drawn from."""
 
     name: str
-    cruise_m_s: Range
+    cruise_km_h: Range
     leg_m: Range  # from stop to stop
     accelerate_m_s2: Range  # mean of a change of speed
     brake_m_s2: Range
@@ -95,45 +97,15 @@ class Traffic:
     push_share: float  # of the legs, in which the driver wants more speed at once
     hills_m: tuple[float, ...]  # lengths of the waves of which the road is made
 
+    @property
+    def cruise_m_s(self) -> Range:
+        slowest_km_h, fastest_km_h = self.cruise_km_h
+        return float(m_s_from_km_h(slowest_km_h)), float(m_s_from_km_h(fastest_km_h))
 
-CITY: Final = Traffic(
-    name="city",
-    cruise_m_s=(float(m_s_from_km_h(25.0)), float(m_s_from_km_h(58.0))),
-    leg_m=(80.0, 700.0),
-    accelerate_m_s2=(0.6, 1.6),
-    brake_m_s2=(0.6, 1.7),
-    stop_s=(2.0, 35.0),
-    queue_share=0.3,
-    corner_share=0.3,
-    green_share=0.15,
-    push_share=0.15,
-    hills_m=(350.0, 900.0, 2100.0),
-)
-MIXED: Final = Traffic(
-    name="mixed",
-    cruise_m_s=(float(m_s_from_km_h(45.0)), float(m_s_from_km_h(100.0))),
-    leg_m=(500.0, 4000.0),
-    accelerate_m_s2=(0.5, 1.4),
-    brake_m_s2=(0.5, 1.5),
-    stop_s=(3.0, 30.0),
-    queue_share=0.1,
-    corner_share=0.5,
-    green_share=0.2,
-    push_share=0.3,
-    hills_m=(700.0, 1700.0, 4100.0),
-)
-MOTORWAY: Final = Traffic(
-    name="motorway",
-    cruise_m_s=(float(m_s_from_km_h(90.0)), float(m_s_from_km_h(130.0))),
-    leg_m=(6000.0, 25000.0),
-    accelerate_m_s2=(0.4, 1.2),
-    brake_m_s2=(0.4, 1.3),
-    stop_s=(5.0, 40.0),
-    queue_share=0.3,
-    corner_share=0.3,
-    green_share=0.1,
-    push_share=0.6,
-    hills_m=(1900.0, 4300.0, 9700.0),
+
+_TABLES: Final = tomllib.loads(files("ecu_emulator").joinpath("driving/traffic.toml").read_text(encoding="utf-8"))
+CITY, MIXED, MOTORWAY = (
+    record_from(Traffic, _TABLES[name], error=ConfigError, name=name) for name in ("city", "mixed", "motorway")
 )
 
 
