@@ -71,10 +71,6 @@ class SampleRings:
     def __init__(self) -> None:
         self._rings: dict[Signal, _Ring] = {}
 
-    @property
-    def sample_count(self) -> int:
-        return sum(ring.stop - ring.first for ring in self._rings.values())
-
     def append(self, columns: Mapping[Signal, Series]) -> None:
         for signal, series in columns.items():
             if len(series.t_ns):
@@ -123,10 +119,6 @@ class History:
         self._e2e: dict[str, list[E2eChange]] = {}
         self.watermark_ns = BEFORE_ALL_NS  # all that happened before it has been seen
         self.walked_ns = BEFORE_ALL_NS  # up to where a tracker has looked at the samples
-
-    @property
-    def sample_count(self) -> int:
-        return self._rings.sample_count
 
     def append(self, batch: ColumnBatch) -> None:
         self._rings.append(batch.columns)
@@ -279,11 +271,6 @@ class EventFinder:
     def due_ns(self) -> int | None:
         """Bus time beyond which the oldest event that has ended will be reported, if there is one."""
         return self._closed[0].end_ns + self._after_ns if self._closed else None
-
-    @property
-    def buffered_sample_count(self) -> int:
-        """Samples held of all signals: bounded by the longest event, whatever the length of the drive."""
-        return self._history.sample_count
 
     def _track(self, until_ns: int) -> None:
         """Walk the samples with ``t < until_ns``: at the watermark itself one may still be on its way."""

@@ -35,7 +35,6 @@ from canlog.logs.text_kernels import (
 from canlog.logs.text_log import MAX_LINE_BYTES, TextLog
 
 STANDARD_DIGITS, EXTENDED_DIGITS = 3, 8
-HIGHEST_STANDARD_DIGIT = 7
 MAX_STANDARD_ID, MAX_ID = 0x7FF, 0x3FFF_FFFF
 ERROR_OR_ABOVE = 0x2000_0000  # written with eight digits, yet not an extended identifier
 MAX_SECONDS_DIGITS, NS_DIGITS = 10, 9
