@@ -40,6 +40,13 @@ def test_jumps_of_time_and_repeated_frames_are_counted_and_the_first_is_named(tm
     )
 
 
+def test_rows_that_come_less_often_than_once_a_second_are_no_jumps(tmp_path: Path) -> None:
+    rows = (b"%.1f,%d,%d" % (2.5 * number, 900 + number, 100 + number) for number in range(40))
+    reader = read_log(write(tmp_path / "slow.csv", b"Time [s],Speed [rpm],Pressure [kPa]", *rows))
+    assert sum(len(batch) for batch in reader) == 80
+    assert (reader.counts.jumps_ahead, reader.counts.jumps_back) == (0, 0)
+
+
 @pytest.mark.parametrize(
     ("lines", "fault"),
     [
