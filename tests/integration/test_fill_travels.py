@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+import httpx
 import pytest
 
 from fleet_backend import queries
@@ -15,6 +16,7 @@ from fleet_backend.page.prognosis import outlook_of, outlook_text
 from fleet_backend.page.queries import DatabaseSource, fills_of, results_of
 from tests.integration.test_fluid_changed import LATER_S, recording
 from tests.plugins.broker import Mosquitto
+from tests.support.fleet_page import ACCESS, headers_of, served
 from tests.support.fleet_worker import worker
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
@@ -44,9 +46,10 @@ class World:
         return found
 
     def note_at_the_fleet(self) -> None:
-        engine = open_database(self.database)
-        queries.note_fill(engine, "car1", "DCTF-II", at=FILLED, odometer_m=None, note=None)
-        engine.dispose()
+        """Note the fill by the form of the page, as a workshop does."""
+        with served(self.database, ACCESS) as address, httpx.Client(base_url=address, trust_env=False) as page:
+            words = {"token": ACCESS.token_of("ann"), "product": "DCTF-II", "at": FILLED.strftime("%Y-%m-%dT%H:%M")}
+            assert page.post("/vehicles/car1/fluid", headers=headers_of("ann"), data=words).status_code == 303
 
     def assert_same_everywhere(self) -> None:
         """Check that store and fleet know the same fill, the same order and the same outlook."""
@@ -96,6 +99,8 @@ def test_a_fill_at_the_fleet_is_known_before_the_first_shift_of_the_next_analysi
     assert NEW_BASELINE in found.err
     assert [one["verdict"]["shift_count"] for one in found.shifts[:2]] == [1, 1]
     world.assert_same_everywhere()
+    assert ended("report", world.store, "-o", world.folder / "car1.html").status == 0
+    assert "DCTF-II" in (world.folder / "car1.html").read_text(encoding="utf-8")
 
 
 def test_a_fill_that_the_broker_kept_from_before_does_not_stand_for_the_answer_of_the_fleet(world: World) -> None:

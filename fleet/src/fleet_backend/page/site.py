@@ -92,11 +92,15 @@ def host_of(header: str) -> str:
     return host.rpartition(":")[0] if ":" in host else host
 
 
-class SafeHeaders:
-    """Puts the headers on every answer."""
+class Guard:
+    """Answers those who call this server by its own names, and puts the safe headers on every answer.
 
-    def __init__(self, app: ASGIApp) -> None:
+    A strange page that leads its name here gets nothing. Starlette's own check of names knows no IPv6.
+    """
+
+    def __init__(self, app: ASGIApp, names: Collection[str]) -> None:
         self._app = app
+        self._names = frozenset(name.casefold() for name in names)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def send_safely(message: Message) -> None:
@@ -106,24 +110,10 @@ class SafeHeaders:
                 headers.setdefault("cache-control", "no-store")  # of what says something of vehicles
             await send(message)
 
-        await self._app(scope, receive, send_safely)
-
-
-class KnownHosts:
-    """Answers those who call this server by its own names; a strange page that leads its name here gets nothing.
-
-    Starlette's own middleware knows no IPv6.
-    """
-
-    def __init__(self, app: ASGIApp, names: Collection[str]) -> None:
-        self._app = app
-        self._names = frozenset(name.casefold() for name in names)
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        app = self._app
         if scope["type"] == "http" and host_of(Headers(scope=scope).get("host", "")) not in self._names:
-            await PlainTextResponse("this server has another name\n", status_code=421)(scope, receive, send)
-            return
-        await self._app(scope, receive, send)
+            app = PlainTextResponse("this server has another name\n", status_code=421)
+        await app(scope, receive, send_safely)
 
 
 class Login(AuthenticationBackend):
@@ -153,7 +143,7 @@ def application(sources: Sources, routes: list[BaseRoute], lifespan: Lifespan | 
     )
     inside = Starlette(routes=routes, exception_handlers=handlers, middleware=[login], lifespan=lifespan)
     inside.state.sources = sources
-    return SafeHeaders(KnownHosts(inside, names))  # around everything, what goes wrong included
+    return Guard(inside, names)  # around everything, what goes wrong included
 
 
 def sources_of(request: HTTPConnection) -> Sources:
