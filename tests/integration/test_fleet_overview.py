@@ -88,7 +88,7 @@ def seen_at_once(browser: Browser, url: str, width_px: int) -> str:
 def test_the_first_screen_tells_who_is_worst_what_to_do_and_how_far_it_goes(address: str) -> None:
     with chromium() as browser:
         fleet = seen_at_once(browser, address, 1280)
-        assert "worn CHANGE FLUID Change the fluid now." in fleet
+        assert re.search(r"worn CHANGE FLUID Change the fluid now\. [0-9-]+ 0 ", fleet)  # kilometres left
         assert "1 change fluid" in fleet
         for width_px in (390, 768, 1280):
             vehicle = seen_at_once(browser, f"{address}/vehicles/car1", width_px)

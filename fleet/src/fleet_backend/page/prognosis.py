@@ -240,7 +240,9 @@ def due_of(now: ClutchNow, row: Row | None, today: date) -> Due:
     """Return when a fluid is due by what was foretold of it; None: nothing was yet."""
     told = _NOTHING if row is None else row
     is_overdue, first = days_of(now, row, today)
-    half, most = (today if now.action == Action.CHANGE_NOW else told[name] for name in ("half_by", "most_by"))
+    is_now, a_day_m = now.action == Action.CHANGE_NOW, told["distance_a_day_m"]
+    half, most = (today if is_now else told[name] for name in ("half_by", "most_by"))
+    left_m = None if half is None or a_day_m is None else (half - now.end_at.date()).days * a_day_m
     return Due(
         vehicle=now.vehicle,
         clutch=now.clutch,
@@ -250,7 +252,8 @@ def due_of(now: ClutchNow, row: Row | None, today: date) -> Due:
         due_from=first,
         half_by=half,
         most_by=most,
-        distance_a_day_m=told["distance_a_day_m"],
+        left_m=0.0 if is_now else left_m,
+        distance_a_day_m=a_day_m,
         text=f"{now.order} {told['outlook']}",
     )
 

@@ -313,6 +313,7 @@ class Due:
     due_from: date | None  # it lasts until then with a probability of 90 %
     half_by: date | None
     most_by: date | None
+    left_m: float | None  # from the last event until `half_by`
     distance_a_day_m: float | None
     text: str
 

@@ -133,7 +133,14 @@ def _csv(rows: Sequence[ClutchNow]) -> Response:
 CSV_PATH: Final = "/vehicles.csv"
 _TILES: Final = {"due": "due within 30 days", "silent": "silent for 14 days", "alarm": "with an open alarm"}
 _COLUMNS: Final = (  # and by which word each sorts
-    *(("vehicle", "vehicle"), ("verdict", ""), ("what to do", ""), ("due from", ""), ("of new", "level")),
+    *(
+        ("vehicle", "vehicle"),
+        ("verdict", ""),
+        ("what to do", ""),
+        ("due from", ""),
+        ("km left", ""),
+        ("of new", "level"),
+    ),
     *(("last score", ""), ("km", "km"), ("fluid", "fluid"), ("type", "type"), ("last event (UTC)", "last")),
 )
 _ORDERS: Final = (  # for screens that show no heads of columns
