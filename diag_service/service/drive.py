@@ -100,8 +100,8 @@ def gaps_in(logs: Sequence[OpenLog], *, was_stopped: bool) -> tuple[Gap, ...]:
 
     A log that was merely not closed shows nothing that is missing: many recorders leave every file so.
     """
-    is_there = {Gap.STOPPED: was_stopped, Gap.LOG_CUT: any(log.reader.counts.truncated for log in logs)}
-    return tuple(gap for gap, is_there in is_there.items() if is_there)
+    gaps = {Gap.STOPPED: was_stopped, Gap.LOG_CUT: any(log.reader.counts.truncated for log in logs)}
+    return tuple(gap for gap, is_there in gaps.items() if is_there)
 
 
 def insist(gaps: Sequence[Gap], contributions: Contributions, *, is_strict: bool) -> None:

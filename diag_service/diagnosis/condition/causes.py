@@ -398,15 +398,15 @@ def _logs(some: Hypotheses, change: Change, early: Change | None) -> FloatArray:
     logs: FloatArray = some.log_priors + _likelihoods(some, change)
     if early is None:
         return logs - UNFILLED_COST * some.is_new_fluid
-    logs, new = _likelihoods(some, early), float(_likelihoods(_NOTHING, early)[0])
+    since_fill, new = _likelihoods(some, early), float(_likelihoods(_NOTHING, early)[0])
     for place, causes in enumerate(some.causes):
         names = {cause for cause, _ in causes}
         if names & _FILLED:
-            logs[place] += logs[place]
+            logs[place] += since_fill[place]
         elif names <= _OF_FLUID:
             logs[place] += new
         else:
-            logs[place] += float(np.logaddexp(new, logs[place])) - math.log(2.0)
+            logs[place] += float(np.logaddexp(new, since_fill[place])) - math.log(2.0)
     return logs
 
 

@@ -178,8 +178,8 @@ class Functions:
     def joined(self) -> "Functions":
         """Return the same functions on one piece, from the first to the last."""
         block = np.zeros((self.bands[-1].stop, self.rows.stop - self.rows.start))
-        for band, place, block in zip(self.bands, self.places, self.blocks, strict=True):
-            block[band, place] = block
+        for band, place, part in zip(self.bands, self.places, self.blocks, strict=True):
+            block[band, place] = part
         place, band = slice(0, block.shape[1]), slice(0, block.shape[0])
         return replace(self, grid_rows=(self.rows,), places=(place,), bands=(band,), blocks=(block,))
 
