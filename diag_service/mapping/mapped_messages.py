@@ -17,7 +17,7 @@ from clutch_model.calibration import TorqueSource
 from clutch_results.records import Tier
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, LOCKUP_SIGNALS, Signal
 from diag_service.errors import ConfigError
-from diag_service.mapping.profile import Conversion, Profile, SignalSource, to_si
+from diag_service.mapping.profile import AskedSource, BusSource, Conversion, Profile, SignalSource, to_si
 
 NS_PER_MS: Final = 1_000_000
 
@@ -100,7 +100,7 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
     for signal, source in profile.sources.items():
         try:
             message = find_message(database.messages, source)
-            column = _column(message, signal, source, is_j1939=profile.is_j1939 and not source.is_asked)
+            column = _column(message, signal, source, is_j1939=profile.is_j1939 and not isinstance(source, AskedSource))
         except (ConfigError, DefinitionError) as error:
             if source.optional:
                 continue
@@ -108,7 +108,7 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
             continue
         messages[message.name] = message
         found.setdefault(message.name, []).append(column)
-        if source.source_address is not None:
+        if isinstance(source, BusSource) and source.source_address is not None:
             senders.setdefault(message.name, set()).add(source.source_address)
     problems += [f"several source addresses for {name}" for name, named in senders.items() if len(named) > 1]
     mapped = tuple(
@@ -132,14 +132,14 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
 def _column(message: Message, signal: Signal, source: SignalSource, *, is_j1939: bool) -> SignalColumn:
     found = message.get_signal_by_name(signal_name(message, source))
     convert = to_si(signal, source, found.unit)
-    is_plain = source.check_range and source.less is None and source.times is None
+    is_plain = source.check_range and not (isinstance(source, BusSource) and (source.less or source.times))
     return SignalColumn(
         signal=signal,
         table=compile_source(message, source, is_j1939=is_j1939),
         to_si=convert,
         is_optional=source.optional,
         limits=_limits(found, convert) if is_plain else None,
-        is_asked=source.is_asked,
+        is_asked=isinstance(source, AskedSource),
     )
 
 
@@ -164,10 +164,11 @@ def compile_source(message: Message, source: SignalSource, *, is_j1939: bool = F
         codes = no_value_codes(message, signal, is_j1939=is_j1939) if source.check_codes else ()
         return compile_signal(message, signal, check_range=source.check_range, codes=codes)
 
+    less, times = (source.less, source.times) if isinstance(source, BusSource) else (None, None)
     return SourceTable(
         main=compiled(signal_name(message, source)),
-        less=None if source.less is None else compiled(source.less),
-        times=None if source.times is None else compiled(source.times),
+        less=None if less is None else compiled(less),
+        times=None if times is None else compiled(times),
         valid=source.valid,
         invalid=source.invalid,
     )
@@ -178,11 +179,12 @@ def find_message(messages: Sequence[Message], source: SignalSource) -> Message:
 
     Raises ConfigError if the database has none.
     """
+    pgn = source.pgn if isinstance(source, BusSource) else None
     for message in messages:
-        is_of_group = message.is_extended_frame and parameter_group(message.frame_id) == source.pgn
+        is_of_group = message.is_extended_frame and parameter_group(message.frame_id) == pgn
         if is_of_group or message.name == source.message_name:
             return message
-    raise ConfigError(f"the database has no message {source.message_name or f'of PGN {source.pgn}'}")
+    raise ConfigError(f"the database has no message {source.message_name or f'of PGN {pgn}'}")
 
 
 def signal_name(message: Message, source: SignalSource) -> str:
@@ -190,10 +192,11 @@ def signal_name(message: Message, source: SignalSource) -> str:
 
     Raises ConfigError if the message has none.
     """
+    spn = source.spn if isinstance(source, BusSource) else None
     for signal in message.signals:
-        if signal.name == source.signal_name if source.spn is None else signal.spn == source.spn:
+        if signal.name == source.signal_name if spn is None else signal.spn == spn:
             return signal.name
-    raise ConfigError(f"{message.name} has no signal {source.signal_name or f'with SPN {source.spn}'}")
+    raise ConfigError(f"{message.name} has no signal {source.signal_name or f'with SPN {spn}'}")
 
 
 Alternative = frozenset[Signal]

@@ -1,6 +1,7 @@
 """Profiles: in which message and signal of a database each canonical signal is found, and in which unit."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -98,17 +99,9 @@ _KINDS: Final = ("rad_s", "m_s", "ratio", "nm", "pa", "k", "m", "s")  # longest 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SignalSource:
-    """Where one canonical signal comes from: ``SI(scale * (decoded - less) * times + offset)``.
+class SignalSource(ABC):
+    """How one canonical signal is read, wherever it comes from: ``SI(scale * decoded + offset)``."""
 
-    The message is named, or by its J1939 parameter group; the signal is named, or by its J1939 parameter number.
-    """
-
-    column: str = ""  # of a table of signals: its name in place of message and signal
-    message: str = ""
-    pgn: int | None = None
-    signal: str = ""
-    spn: int | None = None
     unit: str | None = None  # None: as the database says
     scale: float = 1.0
     offset: float = 0.0  # in the unit of the database
@@ -116,15 +109,92 @@ class SignalSource:
     check_codes: bool = True  # whether codes that say "not available" by their place in the scale are invalid
     valid: tuple[float, float] | None = None  # decoded values outside are invalid
     invalid: tuple[float, ...] = ()  # decoded values that are codes
-    less: str | None = None  # signal of the same message that is subtracted
-    times: str | None = None  # signal of the same message that multiplies, such as a reference torque
     optional: bool = False  # a database without it serves as well
     origin: TorqueSource = TorqueSource.MEASURED  # of engine torque: what else goes with it
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.scale) and math.isfinite(self.offset)) or self.scale == 0.0:
+            raise ConfigError(f"scale {self.scale} and offset {self.offset} are not usable")
+        if self.valid is not None and not self.valid[0] < self.valid[1]:
+            raise ConfigError(f"valid {list(self.valid)} is no range")
+        if not all(math.isfinite(value) for value in (*(self.valid or ()), *self.invalid)):
+            raise ConfigError("valid and invalid must be finite")
+
+    @property
+    @abstractmethod
+    def place(self) -> str:
+        """Where it is found, for people."""
+
+    @property
+    def message_name(self) -> str:
+        """The name of its message: of what is no signal of a bus its own."""
+        return self.place
+
+    @property
+    def signal_name(self) -> str:
+        """The name of its signal, likewise."""
+        return self.place
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusSource(SignalSource):
+    """A signal of a message: ``SI(scale * (decoded - less) * times + offset)``.
+
+    The message is named, or by its J1939 parameter group; the signal is named, or by its J1939 parameter number.
+    """
+
+    message: str = ""
+    pgn: int | None = None
+    signal: str = ""
+    spn: int | None = None
+    less: str | None = None  # signal of the same message that is subtracted
+    times: str | None = None  # signal of the same message that multiplies, such as a reference torque
     source_address: int | None = None  # of a J1939 message; None: the first sender that is heard
     request: bool = False  # a J1939 group that is asked for (PGN 59904), whether it comes by itself or not
-    did: int | None = None  # of a datum that the controller tells who asks by service 22
-    pid: int | None = None  # likewise by service 01 of OBD
-    local: int | None = None  # likewise by service 21 of KWP2000
+
+    def __post_init__(self) -> None:
+        SignalSource.__post_init__(self)
+        if self.request and self.pgn is None:
+            raise ConfigError("request needs pgn")
+        if bool(self.message) is (self.pgn is not None):
+            raise ConfigError("lacks message, or has it beside pgn" if self.message else "lacks message")
+        if bool(self.signal) is (self.spn is not None):
+            raise ConfigError("lacks signal, or has it beside spn" if self.signal else "lacks signal")
+        if self.source_address is not None and not 0 <= self.source_address <= MAX_NUMBER:
+            raise ConfigError(f"source_address {self.source_address} is not one of J1939")
+
+    @property
+    def message_name(self) -> str:
+        return self.message
+
+    @property
+    def signal_name(self) -> str:
+        return self.signal
+
+    @property
+    def place(self) -> str:
+        message = self.message or f"PGN {self.pgn}"
+        return f"{message}.{self.signal}" if self.signal else f"{message} SPN {self.spn}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColumnSource(SignalSource):
+    """A column of a table of signals."""
+
+    column: str
+
+    @property
+    def place(self) -> str:
+        return self.column
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AskedSource(SignalSource):
+    """A part of a datum that a controller tells whoever asks."""
+
+    did: int | None = None  # by service 22
+    pid: int | None = None  # by service 01 of OBD
+    local: int | None = None  # by service 21 of KWP2000
     at: str = ""  # identifier of requests, hexadecimal
     reply: str = ""  # of answers; empty: as the standard has it
     byte: int = 0  # first byte of the value within the datum
@@ -135,43 +205,14 @@ class SignalSource:
     size: int = 0  # of the whole datum [byte]; 0: up to the end of its last value
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.scale) and math.isfinite(self.offset)) or self.scale == 0.0:
-            raise ConfigError(f"scale {self.scale} and offset {self.offset} are not usable")
-        if self.valid is not None and not self.valid[0] < self.valid[1]:
-            raise ConfigError(f"valid {list(self.valid)} is no range")
-        if not all(math.isfinite(one) for one in (*(self.valid or ()), *self.invalid)):
-            raise ConfigError("valid and invalid must be finite")
-        if self.column and (self.message or self.signal or self.pgn is not None or self.spn is not None):
-            raise ConfigError("has a column of a table beside a message or signal of a bus")
-        if self.is_asked:
-            self._check_asked()
-            return
-        if self.at or self.reply or (self.request and self.pgn is None):
-            raise ConfigError("at and reply need did, pid or local; request needs pgn")
-        if bool(self.message_name) is (self.pgn is not None):
-            raise ConfigError("lacks message, or has it beside pgn" if self.message else "lacks message")
-        if bool(self.signal_name) is (self.spn is not None):
-            raise ConfigError("lacks signal, or has it beside spn" if self.signal else "lacks signal")
-        if self.source_address is not None and not 0 <= self.source_address <= MAX_NUMBER:
-            raise ConfigError(f"source_address {self.source_address} is not one of J1939")
-
-    def _check_asked(self) -> None:
-        if self.column or self.message or self.signal or self.pgn is not None or self.spn is not None or self.request:
-            raise ConfigError("is asked for, and has a message, signal or column beside")
-        if sum(one is not None for one in (self.did, self.pid, self.local)) > 1:
+        SignalSource.__post_init__(self)
+        if sum(number is not None for number in (self.did, self.pid, self.local)) != 1:
             raise ConfigError("has more than one of did, pid, local")
-        if self.less is not None or self.times is not None:
-            raise ConfigError("less and times name signals of the same message: what is asked for has none")
         if self.order not in {"big", "little"}:
             raise ConfigError(f"order must be big or little, got {self.order!r}")
         if not self.at:
             raise ConfigError('lacks at: the identifier of requests, such as "7E1"')
         _ = self.asked
-
-    @property
-    def is_asked(self) -> bool:
-        """Whether a controller tells it whoever asks."""
-        return not self.did is self.pid is self.local is None
 
     @property
     def asked(self) -> AskedField:
@@ -196,26 +237,36 @@ class SignalSource:
         )
 
     @property
-    def _own_name(self) -> str:
-        return self.asked.name if self.is_asked else self.column
-
-    @property
     def message_name(self) -> str:
-        """The name of its message; of a column, or of what is asked for, its own."""
-        return self._own_name or self.message
+        return self.asked.name
 
     @property
     def signal_name(self) -> str:
-        """The name of its signal; of a column, or of what is asked for, its own."""
-        return self._own_name or self.signal
+        return self.asked.name
 
     @property
     def place(self) -> str:
-        """Message and signal, for people."""
-        if self._own_name:
-            return str(self.asked.data_id) if self.is_asked else self.column
-        message = self.message or f"PGN {self.pgn}"
-        return f"{message}.{self.signal}" if self.signal else f"{message} SPN {self.spn}"
+        return str(self.asked.data_id)
+
+
+_OF_BUS: Final = frozenset({"message", "signal", "pgn", "spn", "request", "less", "times"})
+_OF_ASKED: Final = frozenset({"did", "pid", "local"})
+
+
+def source_from(entry: object) -> SignalSource:
+    """Return the source that an entry of a profile describes, of the kind that its keys name; raises ConfigError."""
+    keys = entry.keys() if isinstance(entry, Mapping) else frozenset[str]()
+    if keys & _OF_ASKED:
+        if beside := sorted(keys & {*_OF_BUS, "column"}):
+            raise ConfigError(f"is asked for, and has a message, signal or column beside: {', '.join(beside)}")
+        return record_from(AskedSource, entry, error=ConfigError)
+    if keys & {"at", "reply"}:
+        raise ConfigError("at and reply need did, pid or local")
+    if "column" not in keys:
+        return record_from(BusSource, entry, error=ConfigError)
+    if keys & _OF_BUS:
+        raise ConfigError("has a column of a table beside a message or signal of a bus")
+    return record_from(ColumnSource, entry, error=ConfigError)
 
 
 def _identifier(text: str, what: str) -> int:
@@ -256,8 +307,8 @@ class Profile:
     @property
     def columns(self) -> tuple[SignalColumn, ...]:
         """The columns of a table of signals that it names, and what is asked for."""
-        own = [one for one in self.sources.values() if one.column or one.is_asked]
-        return tuple(SignalColumn(one.message_name, one.unit or "") for one in own)
+        columns = [source for source in self.sources.values() if not isinstance(source, BusSource)]
+        return tuple(SignalColumn(source.message_name, source.unit or "") for source in columns)
 
     @property
     def torque(self) -> TorqueSource:
@@ -268,17 +319,18 @@ class Profile:
     @property
     def asked(self) -> Mapping[Signal, AskedField]:
         """What a controller tells whoever asks."""
-        return {signal: one.asked for signal, one in self.sources.items() if one.is_asked}
+        return {signal: source.asked for signal, source in self.sources.items() if isinstance(source, AskedSource)}
 
     @property
     def groups(self) -> Mapping[Signal, int]:
         """The J1939 groups that are asked for: their answers are read as whatever is broadcast."""
-        return {signal: one.pgn for signal, one in self.sources.items() if one.request and one.pgn is not None}
+        of_bus = {signal: source for signal, source in self.sources.items() if isinstance(source, BusSource)}
+        return {signal: source.pgn for signal, source in of_bus.items() if source.request and source.pgn is not None}
 
     @property
     def is_of_columns(self) -> bool:
         """Whether it needs no database: nothing of it is a signal of a message."""
-        return all(one.column or one.is_asked for one in self.sources.values())
+        return not any(isinstance(source, BusSource) for source in self.sources.values())
 
 
 def shipped_profiles() -> tuple[str, ...]:
@@ -326,7 +378,7 @@ def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
     problems: list[str] = []
     for key, entry in signals.items():
         try:
-            sources[_canonical(key)] = source = record_from(SignalSource, entry, error=ConfigError)
+            sources[_canonical(key)] = source = source_from(entry)
             if source.origin is not TorqueSource.MEASURED and key != Signal.ENGINE_TORQUE.value:
                 problems.append(f"{key}: origin says where engine torque comes from, nothing else")
         except ConfigError as error:
@@ -335,7 +387,7 @@ def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
     try:
         gears = gear_ratios(table.get("gears"))
         asking = record_from(AskingRules, table.get("asking", {}), "asking.", error=ConfigError)
-        sizes_of(one.asked for one in sources.values() if one.is_asked)
+        sizes_of(source.asked for source in sources.values() if isinstance(source, AskedSource))
     except (ConfigError, DefinitionError) as error:
         problems.append(str(error))
     channel = table.get("channel")
@@ -344,7 +396,7 @@ def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
     protocol = table.get("protocol", "can")
     if not isinstance(protocol, str) or protocol not in PROTOCOLS:
         problems.append(f"protocol must be one of {', '.join(PROTOCOLS)}")
-    if any(one.column for one in sources.values()) and not all(one.column for one in sources.values()):
+    if len({isinstance(source, ColumnSource) for source in sources.values()}) > 1:
         problems.append("some sources are columns of a table, others signals of a bus")
     if problems:
         raise ConfigError(f"profile {path}: {'; '.join(problems)}")

@@ -14,7 +14,7 @@ from clutchdiag_io.people import PLUS_MINUS, digits, half_width
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.errors import ConfigError
-from diag_service.mapping.profile import SignalSource, to_si
+from diag_service.mapping.profile import BusSource, ColumnSource, SignalSource, to_si
 
 TYPICAL_TORQUE_NM: Final = 200.0  # of the most fuel: some scale must be assumed
 ASSUMED_FRICTION_NM: Final = 25.0  # of an engine without fuel
@@ -85,8 +85,8 @@ class SignalStatistics:
     @property
     def source(self) -> SignalSource:
         if self.is_column:
-            return SignalSource(column=self.signal)
-        return SignalSource(message=self.message, signal=self.signal)
+            return ColumnSource(column=self.signal)
+        return BusSource(message=self.message, signal=self.signal)
 
     @property
     def ends(self) -> FloatArray:
@@ -296,7 +296,9 @@ class Ranges:
     """Notes what the columns of a table reach around events, and says which units of a profile cannot be right."""
 
     def __init__(self, sources: Mapping[Signal, SignalSource]) -> None:
-        self._sources = {signal: one for signal, one in sources.items() if one.column and signal in KINDS}
+        self._sources = {
+            signal: source for signal, source in sources.items() if isinstance(source, ColumnSource) and signal in KINDS
+        }
         self._ends: dict[Signal, FloatArray] = {}
 
     def add(self, event: Event) -> None:

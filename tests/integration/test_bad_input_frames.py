@@ -24,7 +24,9 @@ from tests.support.wire import CONTRACTS
 
 DURATION_S = 10.0  # three shifts
 SHIFT = 1  # the one that suffers, counted from 0
-FOLLOWED = sorted({source.message for source in load_profile().sources.values()} - ROAD_MESSAGES)  # of the shift cycle
+FOLLOWED = sorted(
+    {source.message_name for source in load_profile().sources.values()} - ROAD_MESSAGES
+)  # of the shift cycle
 ESTIMATED_FROM = ("ECM_TorqueSpeed", "TCU_InputSpeeds", "TCU_Pressures")
 
 

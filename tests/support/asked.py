@@ -12,7 +12,7 @@ from canlog.frames import EXTENDED_FLAG, FrameBatch, join
 from canlog.transport.isotp import segments
 from diag_service.diagnosis.columns import Signal
 from diag_service.mapping.asked_signals import READ_DATA, DatumId, flagged, sizes_of
-from diag_service.mapping.profile import Profile, SignalSource, load_profile, to_si
+from diag_service.mapping.profile import AskedSource, Profile, load_profile, to_si
 
 FRAME_NS = 250_000  # on the bus, with what the controller needs between two
 FLOW_CONTROL = bytes([0x30, 0, 0])
@@ -92,7 +92,9 @@ def dialogue_of(
     A value is read some time between its request and its answer. Temperatures are asked for once a second. With
     ``is_defined`` the controller makes one datum of all others first, by service 2C.
     """
-    sources = {one.asked.data_id: (signal, one) for signal, one in profile.sources.items() if one.is_asked}
+    sources = {
+        one.asked.data_id: (signal, one) for signal, one in profile.sources.items() if isinstance(one, AskedSource)
+    }
     sizes = sizes_of(profile.asked.values())
     slow = [one for one, (signal, _) in sources.items() if signal is Signal.SUMP_TEMPERATURE]
     fast = [one for one in sources if one not in slow]
@@ -119,7 +121,7 @@ def dialogue_of(
 def _define(
     wire: Wire,
     data: Sequence[DatumId],
-    sources: Mapping[DatumId, tuple[Signal, SignalSource]],
+    sources: Mapping[DatumId, tuple[Signal, AskedSource]],
     sizes: Mapping[DatumId, int],
 ) -> None:
     one = sources[data[0]][1].asked
@@ -132,7 +134,7 @@ def _define(
 def _exchange(
     wire: Wire,
     data: Sequence[DatumId],
-    sources: Mapping[DatumId, tuple[Signal, SignalSource]],
+    sources: Mapping[DatumId, tuple[Signal, AskedSource]],
     sizes: Mapping[DatumId, int],
     drive: Mapping[Signal, Series],
     rng: np.random.Generator,
@@ -163,7 +165,7 @@ def held(series: Series, t_ns: int) -> float:
     return float(series.value[max(int(np.searchsorted(series.t_ns, t_ns, "right")) - 1, 0)])
 
 
-def raw_value(signal: Signal, source: SignalSource, si: float) -> int:
+def raw_value(signal: Signal, source: AskedSource, si: float) -> int:
     """Return what a controller says for a value."""
     convert = to_si(signal, source, None)
     most = (1 << source.length - source.signed) - 1

@@ -15,7 +15,7 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.shifts.tracking import held_values
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.mapped_messages import MessageColumns, fitting, signal_name
-from diag_service.mapping.profile import Profile, SignalSource, load_profile
+from diag_service.mapping.profile import BusSource, Profile, SignalSource, load_profile
 
 Drive = Mapping[Signal, Series]
 LESS = 10.0  # of a signal that is subtracted: some loss
@@ -96,10 +96,10 @@ def _frames(drive: Drive, mapped: MessageColumns, profile: Profile) -> Iterable[
 def _corrected(message: Message, source: SignalSource, decoded: FloatArray) -> dict[str, FloatArray]:
     """Return the signal of a source, and those that correct it, on the steps of the database."""
     found: dict[str, FloatArray] = {}
-    if source.times is not None:
+    if isinstance(source, BusSource) and source.times is not None:
         found[source.times] = np.full(len(decoded), TIMES)
         decoded = decoded / TIMES
-    if source.less is not None:
+    if isinstance(source, BusSource) and source.less is not None:
         found[source.less] = np.full(len(decoded), LESS)
         decoded = decoded + LESS
     name = signal_name(message, source)

@@ -9,7 +9,7 @@ from clutch_model.units import pa_from_bar
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.profile import Profile, SignalSource, load_profile
+from diag_service.mapping.profile import BusSource, Profile, load_profile
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder
 from ecu_emulator.sensing import Readings
 from tests.support import wire
@@ -23,7 +23,7 @@ def decoder() -> Decoder:
 
 def received(frames: EncodedFrames) -> FrameBatch:
     """Return the frames of the messages that the profile follows; the emulated car sends others, too."""
-    followed = {source.message for source in load_profile().sources.values()}
+    followed = {source.message_name for source in load_profile().sources.values()}
     batch = wire.received(frames)
     return batch[np.isin(batch.can_id, [CONTRACTS[name].can_id for name in followed])]
 
@@ -123,16 +123,16 @@ def test_jump_of_bus_time_starts_a_new_segment(shift_ns: int, together: bool) ->
     assert sequences == [list(range(50)), list(range(50, 100))]
 
 
-def profile(**changes: SignalSource | None) -> Profile:
+def profile(**changes: BusSource | None) -> Profile:
     sources = {signal.value: source for signal, source in load_profile().sources.items()} | changes
     return Profile(name="test", sources={Signal(key): source for key, source in sources.items() if source is not None})
 
 
 def test_everything_that_does_not_fit_is_listed() -> None:
     wrong = profile(
-        current_gear=SignalSource(message="TCU_Gears", signal="CurrentGear"),
-        target_gear=SignalSource(message="TCU_Shift", signal="NextGear"),
-        odometer_m=SignalSource(message="BRK_Vehicle", signal="VehicleSpeed"),
+        current_gear=BusSource(message="TCU_Gears", signal="CurrentGear"),
+        target_gear=BusSource(message="TCU_Shift", signal="NextGear"),
+        odometer_m=BusSource(message="BRK_Vehicle", signal="VehicleSpeed"),
     )
     with pytest.raises(ConfigError) as refused:
         Decoder(DATABASE, wrong)

@@ -10,7 +10,7 @@ from clutch_model.calibration import TorqueSource
 from clutch_model.errors import CalibrationError
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.errors import ConfigError
-from diag_service.mapping.profile import SignalSource, find_profile, load_profile, shipped_profiles, to_si
+from diag_service.mapping.profile import BusSource, find_profile, load_profile, shipped_profiles, to_si
 from diag_service.mapping.vehicle_file import read_description
 
 
@@ -20,8 +20,8 @@ def write(folder: Path, text: str) -> Path:
     return path
 
 
-def source(unit: str | None = None, scale: float = 1.0, offset: float = 0.0) -> SignalSource:
-    return SignalSource(message="M", signal="S", unit=unit, scale=scale, offset=offset)
+def source(unit: str | None = None, scale: float = 1.0, offset: float = 0.0) -> BusSource:
+    return BusSource(message="M", signal="S", unit=unit, scale=scale, offset=offset)
 
 
 def converted(signal: Signal, unit: str | None, value: float, scale: float = 1.0, offset: float = 0.0) -> float:
@@ -130,7 +130,7 @@ shift_phase = { message = "M", signal = "S", valid = [3] }
     for complaint in (
         "odometer_km: not a canonical signal",
         "pedal_ratio: lacks signal",
-        "engine_torque_nm: gain is unknown; known: at, bit, byte, check_codes",
+        "engine_torque_nm: gain is unknown; known: check_codes, check_range, invalid",
         "hub_speed_rad_s: signal must be a string, got",
         "input1_speed_rad_s: scale must be a number, got",
         "input2_speed_rad_s: scale 0.0",
