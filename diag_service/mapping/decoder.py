@@ -7,13 +7,13 @@ from typing import Final, NamedTuple
 import numpy as np
 from cantools.database.can import Database
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array, Series, UInt8Array, UInt32Array
-from canlog.database.addressing import NOBODY, kernel_filters, sort_by_slot
+from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
+from canlog.database.addressing import NOBODY, kernel_filters, sorted_by_slot
 from canlog.decode.codec import SignalRules, decode_signal, signal_rules
-from canlog.decode.signals import NO_INVALID, InvalidCounts, PayloadWords, pick_words
+from canlog.decode.signals import LITTLE_WORD, NO_INVALID, InvalidCounts, PayloadWords, UInt64Array, pick_word
 from canlog.e2e.e2e_state import E2eState, E2eStates
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
-from canlog.frames import ERROR_FLAG, MAX_GAP_NS, BusTrouble, FrameBatch, empty_batch, is_error, reports
+from canlog.frames import MAX_GAP_NS, BusTrouble, FrameBatch, empty_batch, is_error, reports
 from canlog.jit import kernel, part
 from canlog.logs.log_counts import LEAST_PER_S, WATCHED_FRAMES
 from clutch_model.units import NS_PER_S
@@ -24,25 +24,28 @@ from diag_service.mapping.asked_signals import Overheard
 from diag_service.mapping.mapped_messages import FRICTION_SIGNALS, MessageColumns, SourceTable, map_signals
 from diag_service.mapping.profile import Profile
 
-_HAS_BAD: Final = 1  # bits of what a pass found
-_HAS_INVALID: Final = 2
-_OK: Final = int(FrameReason.OK)
-_SHORT: Final = int(FrameReason.SHORT)
-_WRONG_SEQUENCE: Final = int(FrameReason.WRONG_SEQUENCE)
-
 
 class DecodedFrames(NamedTuple):
     """What a pass made of a batch."""
 
     samples: SampleBlock
     invalid: dict[Signal, InvalidCounts]  # values that are no measurements, of signals that had any
-    has_bad: bool  # a frame of a followed message was rejected, or is missing
-    order: Int64Array  # rows of the accepted frames, sorted by message
-    stop: Int64Array  # (m + 1,) where those of message k end, in ``stop[k + 1]``
+    order: Int64Array  # rows, sorted by message where their frames were accepted
+    begin: Int64Array  # (m + 1,) where those of a message begin
 
     def rows(self, slot: int) -> Int64Array:
         """Return the rows of the accepted frames of a message, rising."""
-        return self.order[self.stop[slot] : self.stop[slot + 1]]
+        return self.order[self.begin[slot] : self.begin[slot + 1]]
+
+
+class AcceptedFrames(NamedTuple):
+    """The accepted frames of a batch, in the form the kernel takes."""
+
+    order: Int64Array  # as in `DecodedFrames`
+    begin: Int64Array
+    payloads: UInt64Array  # (n, words)
+    t_ns: Int64Array
+    sequence: Int64Array
 
 
 class SamplePass:
@@ -60,25 +63,21 @@ class SamplePass:
         self._to_si = np.array([(one.to_si.factor, one.to_si.offset) for one in columns], np.float64).reshape(-1, 2)
         self._word_count = int(np.diff(self._rules.word_begin).max(initial=0))
         self.decode(empty_batch(), FrameVerdicts.room(0))  # compiles now: the first real batch must not wait
-        is_seamless(np.empty(0, np.int64), np.empty(0, np.uint32), 0, MAX_GAP_NS)
 
     def decode(self, batch: FrameBatch, verdicts: FrameVerdicts) -> DecodedFrames:
         """Return the samples of a batch, and what was left out."""
         count = len(batch)
+        slots = np.where(verdicts.reason == FrameReason.OK, verdicts.slot, NOBODY)
+        order, begin = sorted_by_slot(slots, len(self._rules.begin) - 1)
+        payloads = np.require(batch.data.view(LITTLE_WORD), requirements="A")
+        frames = AcceptedFrames(order, begin, payloads, batch.t_ns, verdicts.sequence)
         samples = self._layout.room(count)
         invalid = np.zeros((len(self._layout.signals), 2), np.int64)
-        stop = np.zeros(len(self._rules.begin), np.int64)
-        scratch = np.empty((self._word_count + 2, count), np.int64)
-        found = decode_samples(
-            self._rules, self._to_si, batch.data, batch.t_ns, verdicts, stop, scratch, samples, invalid
-        )
-        counts: dict[Signal, InvalidCounts] = {}
-        if found & _HAS_INVALID:
-            signals = np.flatnonzero(invalid.any(axis=1)).tolist()
-            counts = {self._layout.signals[row]: InvalidCounts(*invalid[row].tolist()) for row in signals}
-        return DecodedFrames(
-            SampleBlock(self._layout, samples), counts, bool(found & _HAS_BAD), order=scratch[0], stop=stop
-        )
+        words, good = np.empty((self._word_count, count), np.uint64), np.empty(count, np.bool_)
+        decode_samples(self._rules, self._to_si, frames, words, good, samples, invalid)
+        signals = np.flatnonzero(invalid.any(axis=1)).tolist()
+        counts = {self._layout.signals[row]: InvalidCounts(*invalid[row].tolist()) for row in signals}
+        return DecodedFrames(SampleBlock(self._layout, samples), counts, order, begin)
 
 
 def is_able(table: SourceTable) -> bool:
@@ -88,68 +87,34 @@ def is_able(table: SourceTable) -> bool:
 
 
 @kernel
-def is_seamless(t_ns: Int64Array, can_id: UInt32Array, before_ns: int, silence_ns: int) -> bool:
-    """Return whether bus time goes on as it should, from ``before_ns`` on, and the controller reports nothing."""
-    for row in range(t_ns.size):
-        step_ns = t_ns[row] - before_ns
-        if step_ns < 0 or step_ns > silence_ns or can_id[row] & ERROR_FLAG:
-            return False
-        before_ns = t_ns[row]
-    return True
-
-
-@part
-def sort_accepted(verdicts: FrameVerdicts, accepted: Int64Array, order: Int64Array, stop: Int64Array) -> int:
-    """Sort the rows of accepted frames by message; return ``_HAS_BAD`` if any frame was."""
-    found = 0
-    for row in range(verdicts.slot.size):
-        reason = verdicts.reason[row]
-        if verdicts.missing[row] > 0 or _SHORT <= reason <= _WRONG_SEQUENCE:
-            found = _HAS_BAD
-        accepted[row] = verdicts.slot[row] if reason == _OK else NOBODY
-    sort_by_slot(accepted, order, stop)
-    return found
-
-
-@kernel
 def decode_samples(
     rules: SignalRules,
     to_si: FloatArray,
-    data: UInt8Array,
-    t_ns: Int64Array,
-    verdicts: FrameVerdicts,
-    stop: Int64Array,
-    scratch: Int64Array,
+    frames: AcceptedFrames,
+    words: UInt64Array,
+    good: BoolArray,
     samples: Samples,
     invalid: Int64Array,
-) -> int:
-    """Fill in the samples of accepted frames, in SI; count what is no measurement, and return what was found.
-
-    The first row of ``scratch`` becomes the order of the accepted frames.
-    """
-    order, good = scratch[0], scratch[1].view(np.bool_)
-    payloads = data.view(np.uint64)
-    found = sort_accepted(verdicts, scratch[1], order, stop)
-    for message in range(stop.size - 1):
-        own = order[stop[message] : stop[message + 1]]
+) -> None:
+    """Fill in the samples of accepted frames, in SI, and count what is no measurement."""
+    for message in range(frames.begin.size - 1):
+        own = frames.order[frames.begin[message] : frames.begin[message + 1]]
         if not own.size:
             continue
-        words = scratch[2:, : own.size].view(np.uint64)
         first_word = rules.word_begin[message]
-        pick_words(payloads, own, rules.word[first_word : rules.word_begin[message + 1]], words)
+        for number in range(first_word, rules.word_begin[message + 1]):
+            pick_word(frames.payloads, own, rules.word[number], words[number - first_word])
         for row in range(rules.begin[message], rules.begin[message + 1]):
-            decode_signal(words[rules.signal[row]["word"]], rules, row, samples.value[row], good, invalid[row])
+            word = words[rules.signal[row]["word"], : own.size]
+            decode_signal(word, rules, row, samples.value[row], good, invalid[row])
             has_invalid = invalid[row, 0] + invalid[row, 1] > 0
-            found |= _HAS_INVALID if has_invalid else 0
-            keep(own, t_ns, verdicts.sequence, samples, row, to_si[row], good, has_invalid)
-    return found
+            keep(own, frames, samples, row, to_si[row], good, has_invalid)
 
 
 @part
 def keep(
     rows: Int64Array,
-    t_ns: Int64Array,
-    sequence: Int64Array,
+    frames: AcceptedFrames,
     samples: Samples,
     row: int,
     to_si: FloatArray,
@@ -162,8 +127,8 @@ def keep(
         if has_invalid and not good[at]:
             continue
         samples.value[row, kept] = samples.value[row, at] * to_si[0] + to_si[1]
-        samples.t_ns[row, kept] = t_ns[rows[at]]
-        samples.sequence[row, kept] = sequence[rows[at]]
+        samples.t_ns[row, kept] = frames.t_ns[rows[at]]
+        samples.sequence[row, kept] = frames.sequence[rows[at]]
         kept += 1
     samples.filled[row] = kept
 
@@ -422,8 +387,9 @@ class Decoder:
         """Return whether the frames go on where the last ones ended, as they nearly always do."""
         if self.last_ns is None or self._is_interrupted or not len(batch):
             return False
-        late = self._monitor.late
-        return late.is_idle and is_seamless(batch.t_ns, batch.can_id, self.last_ns, late.silence_ns)
+        steps_ns, late = np.diff(batch.t_ns, prepend=self.last_ns), self._monitor.late
+        is_seamless = steps_ns.min() >= 0 and steps_ns.max() <= late.silence_ns
+        return late.is_idle and bool(is_seamless and not is_error(batch).any())
 
     def _segments(self, batch: FrameBatch) -> Iterator[tuple[FrameBatch, bool]]:
         """Cut a batch where bus time goes back or stands still for too long, and where the controller left the bus."""
@@ -470,7 +436,7 @@ class Decoder:
                 continue
             own = segment.t_ns[decoded.rows(self._slot_of[signal])]
             self._count_invalid(signal, counts, own, decoded.samples.get(signal))
-        bad_frame_ns = _bad_frame_ns(segment, verdicts) if decoded.has_bad else _NEVER
+        bad_frame_ns = _bad_frame_ns(segment, verdicts)
         if not self._apart:
             return decoded.samples, bad_frame_ns
         return {**decoded.samples, **self._columns_apart(segment, verdicts, decoded)}, bad_frame_ns
@@ -518,5 +484,5 @@ def _bad_frame_ns(segment: FrameBatch, verdicts: FrameVerdicts) -> Int64Array:
     Frames of another channel or sender are no failures of those that are followed.
     """
     is_rejected = (verdicts.reason >= FrameReason.SHORT) & (verdicts.reason <= FrameReason.WRONG_SEQUENCE)
-    times = np.repeat(segment.t_ns, is_rejected + np.maximum(verdicts.missing, 0))
-    return times.astype(np.int64, copy=False)
+    counts = is_rejected + np.maximum(verdicts.missing, 0)
+    return np.repeat(segment.t_ns, counts) if counts.any() else _NEVER

@@ -313,9 +313,10 @@ RECORDING: Final = Path(__file__).with_name("warm_up.log.xz")  # two seconds of 
 
 
 def warm_up() -> None:
-    """Diagnose a recording of two seconds."""
+    """Diagnose a recording of two seconds, and compile what it has no need of."""
     calibration = nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
+    decoder.sources.late.compile()
     stages = Stages(decoder, calibration)
     for batch in read_log(RECORDING):
         stages.feed(batch)

@@ -110,6 +110,17 @@ def test_a_signal_ends_an_emulator_that_compiles(tmp_path: Path) -> None:
     assert "stopped early" in said
 
 
+def test_a_live_service_has_compiled_what_a_first_burst_needs() -> None:
+    script = (
+        "from canlog.e2e.late_frames import catch_up\n"
+        "from diag_service.service.bus_run import warm_up\n"
+        "warm_up()\n"
+        "print(len(catch_up.signatures))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
+    assert done.stdout == "1\n"
+
+
 def test_a_signal_ends_a_live_service_that_compiles(tmp_path: Path) -> None:
     lines = lzma.decompress(RECORDING.read_bytes()).decode("ascii").splitlines()
     frames = [line.split()[2].split("#") for line in lines]

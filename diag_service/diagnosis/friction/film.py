@@ -205,10 +205,10 @@ def _integrate(first: _Pack, second: _Pack, step_s: float) -> tuple[float, float
 
     Each point of a film waits for the one before: of two films in turns, one is calculated while the other waits.
     """
-    at_one, at_other, last = _start(first), _start(second), len(first.piston_pa) - 1
-    for k in range(last):
+    at_one, at_other = _start(first), _start(second)
+    for k in range(len(first.piston_pa)):
         at_one, at_other = _next(first, k, at_one, step_s), _next(second, k, at_other, step_s)
-    return _warmed_k(first, last, at_one, step_s)[0], _warmed_k(second, last, at_other, step_s)[0]
+    return at_one.clutch_k, at_other.clutch_k
 
 
 @part
@@ -219,9 +219,10 @@ def _start(pack: _Pack) -> _State:
 
 @part
 def _next(pack: _Pack, k: int, at: _State, step_s: float) -> _State:
-    """Fill row k and return what the pack is at the next point."""
+    """Fill row k and return what the pack is at the next point; behind the last one the piston presses as it did."""
     clutch_k, viscosity = _warmed_k(pack, k, at, step_s)
-    point, law, driving_pa = at.point, pack.law, 0.5 * (pack.piston_pa[k] + pack.piston_pa[k + 1])
+    following = k + 1 if k + 1 < len(pack.piston_pa) else k
+    point, law, driving_pa = at.point, pack.law, 0.5 * (pack.piston_pa[k] + pack.piston_pa[following])
     if point.film_m >= law.open_gap_m and applied_pressure_pa(driving_pa, law) <= 0.0:  # an open pack stays open
         return _State(point, clutch_k, at.film_rate_1_s)
     film_m = _film_step(point, driving_pa, viscosity, law, step_s)

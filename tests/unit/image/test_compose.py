@@ -18,6 +18,7 @@ COMPOSE = read_compose(ROOT / "docker-compose.yml")
 SERVICES: dict[str, Service] = COMPOSE["services"]
 OURS = {name: service for name, service in SERVICES.items() if "build" in service}
 LAST = read_stages(ROOT / "Dockerfile")[-1]
+LONGEST_START_S = 30
 EXACT = re.compile(r"[a-z0-9./-]+:v?\d+\.\d+(\.\d+)?(-[a-z0-9-]+)?")
 
 
@@ -37,6 +38,7 @@ def test_it_has_a_health_check_or_ends_by_itself(service: Service) -> None:
         return
     assert check["test"][0] in {"CMD", "CMD-SHELL"}
     assert {"interval", "timeout", "retries"} <= set(check)
+    assert int(check.get("start_period", "0s").removesuffix("s")) <= LONGEST_START_S
 
 
 def test_images_have_exact_tags() -> None:

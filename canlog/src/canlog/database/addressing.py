@@ -13,9 +13,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from cantools.database.can import Message
 
-from canlog.arrays import Int64Array
+from canlog.arrays import Int64Array, UInt32Array
 from canlog.errors import DefinitionError
-from canlog.frames import EXTENDED_FLAG, REMOTE_FLAG
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from canlog.jit import kernel, part
 
 J1939: Final = "j1939"
@@ -30,6 +30,7 @@ NOBODY: Final = -1
 
 _ID_MASK: Final = 0x1FFF_FFFF
 _EXTENDED: Final = int(EXTENDED_FLAG)
+_NO_DATA: Final = int(REMOTE_FLAG | ERROR_FLAG)
 _STANDARD_TABLE, _EXTENDED_TABLE, _GROUP_TABLE = range(3)  # in which messages are looked up
 _SENDER_BITS: Final = 9
 _ANY_SENDER: Final = 0x100  # beside the 256 source addresses
@@ -156,11 +157,18 @@ def _kernel_filter(address: MessageAddress) -> tuple[int, int]:
 
 def rows_by_slot(slot: Int64Array, count: int) -> Iterator[tuple[int, Int64Array]]:
     """Yield the slots that occur, rising, each with its rows, rising; negative slots are left out."""
-    order = np.empty(len(slot), np.int64)
-    stop = np.zeros(count + 1, np.int64)
-    sort_by_slot(slot, order, stop)
-    for number in np.flatnonzero(np.diff(stop)).tolist():
-        yield number, order[stop[number] : stop[number + 1]]
+    order, begin = sorted_by_slot(slot, count)
+    for number in np.flatnonzero(np.diff(begin)).tolist():
+        yield number, order[begin[number] : begin[number + 1]]
+
+
+def sorted_by_slot(slot: Int64Array, count: int) -> tuple[Int64Array, Int64Array]:
+    """Return the rows in the order of their slots, and where those of each slot begin, shape (count + 1,).
+
+    Rows of one slot rise; those of negative slots come before the first.
+    """
+    order = np.argsort(slot.astype(np.min_scalar_type(-count - 1)), kind="stable")  # few bits are sorted fast
+    return order, np.cumsum(np.bincount(slot + 1, minlength=count + 1))
 
 
 def _places(addresses: Sequence[MessageAddress]) -> list[tuple[int, int]]:
@@ -191,7 +199,20 @@ def _sorted_table(slots: dict[int, int]) -> tuple[Int64Array, Int64Array]:
     return np.array([key for key, _ in items], np.int64), np.array([slot for _, slot in items], np.int64)
 
 
+def find_slots(book: AddressBook, can_id: UInt32Array) -> Int64Array:
+    """Return the slots of frames, NOBODY for those that are of no known message or carry no data."""
+    slot = np.empty(len(can_id), np.int64)
+    _fill_slots(book, can_id, slot)
+    return slot
+
+
 @kernel
+def _fill_slots(book: AddressBook, can_id: UInt32Array, slot: Int64Array) -> None:
+    for row in range(can_id.size):
+        slot[row] = NOBODY if can_id[row] & _NO_DATA else find_slot(book, int(can_id[row]))
+
+
+@part
 def find_slot(book: AddressBook, can_id: int) -> int:
     """Return the slot of a data frame's identifier, with its flags; NOBODY if it is of no known message."""
     if can_id & _EXTENDED == 0:
@@ -224,21 +245,3 @@ def find(keys: Int64Array, key: int) -> int:
         else:
             high = middle
     return low if low < keys.size and keys[low] == key else -1
-
-
-@kernel
-def sort_by_slot(slot: Int64Array, order: Int64Array, stop: Int64Array) -> None:
-    """Fill in the rows in the order of their slots, and where the rows of slot k end, in ``stop[k + 1]``."""
-    for row in range(slot.size):
-        if slot[row] >= 0:
-            stop[slot[row] + 1] += 1
-    for number in range(1, stop.size):
-        stop[number] += stop[number - 1]
-    # While filling, stop[k] is where the next row of slot k goes; afterwards it is where slot k + 1 begins.
-    for row in range(slot.size):
-        if slot[row] >= 0:
-            order[stop[slot[row]]] = row
-            stop[slot[row]] += 1
-    for number in range(stop.size - 1, 0, -1):
-        stop[number] = stop[number - 1]
-    stop[0] = 0

@@ -22,6 +22,7 @@ from canlog.database.addressing import (
     AddressBook,
     address_book,
     find_slot,
+    find_slots,
     message_address,
     overwritten,
     parameter_group,
@@ -49,7 +50,7 @@ SIGNAL: Final = np.dtype(
         ("word", np.int64),  # which of the words
         ("left", np.uint64),  # shift that brings its highest bit to the top
         ("right", np.uint64),  # shift that then brings its lowest bit to the bottom
-        ("is_signed", np.int64),
+        ("sign", np.uint64),  # its highest bit, of signed numbers
         ("is_checked", np.int64),  # some raw values are no measurements
         ("lowest", np.int64),
         ("highest", np.int64),
@@ -88,9 +89,8 @@ def signal_rules(messages: Sequence[Sequence[SignalTable]]) -> SignalRules:
             shifts = WORD_BITS - field.shift - field.length, WORD_BITS - field.length
             is_checked = code.raw_range != code.raw_limits or len(code.not_available) > 0
             places = len(codes), len(codes) + len(code.not_available)
-            signals.append(
-                (word, *shifts, field.is_signed, is_checked, *code.raw_range, *places, code.scale, code.offset)
-            )
+            sign = 1 << field.length - 1 if field.is_signed else 0
+            signals.append((word, *shifts, sign, is_checked, *code.raw_range, *places, code.scale, code.offset))
             codes += code.not_available
         words += own
         begin.append(len(signals))
@@ -174,41 +174,40 @@ def decode_signal(
     Where some raw values are no measurements, fill in which are, and how many are codes and how many out of range.
     """
     signal = rules.signal[row]
-    left, right, scale, offset = signal["left"], signal["right"], signal["scale"], signal["offset"]
-    if signal["is_signed"]:
-        for at in range(word.size):
-            value[at] = np.float64(np.int64(word[at] << left) >> np.int64(right)) * scale + offset
-    else:
-        for at in range(word.size):  # as signed numbers, which become floats faster: no plain signal has 64 bits
-            value[at] = np.float64(np.int64((word[at] << left) >> right)) * scale + offset
+    left, right, sign, scale, offset = (
+        signal["left"],
+        signal["right"],
+        signal["sign"],
+        signal["scale"],
+        signal["offset"],
+    )
+    for at in range(word.size):  # as signed numbers, which become floats faster: no plain signal has 64 bits
+        raw = np.int64((word[at] << left) >> right ^ sign) - np.int64(sign)
+        value[at] = np.float64(raw) * scale + offset
     if signal["is_checked"]:
-        unusable = rules.code[signal["first_code"] : signal["last_code"]]
-        _check(word, signal, unusable, good, bad_count)
+        _check(word, signal, rules.code, good, bad_count)
 
 
 @part
-def _check(word: UInt64Array, signal: np.void, unusable: Int64Array, good: BoolArray, bad_count: Int64Array) -> None:
+def _check(word: UInt64Array, signal: np.void, code: Int64Array, good: BoolArray, bad_count: Int64Array) -> None:
     """Fill in which raw values are measurements, and how many are codes and how many out of range."""
-    left, right, is_signed = signal["left"], signal["right"], signal["is_signed"] != 0
-    lowest, highest = signal["lowest"], signal["highest"]
-    outside = 0
-    for row in range(word.size):
-        raw = np.int64(word[row] << left) >> np.int64(right) if is_signed else np.int64((word[row] << left) >> right)
+    left, right, sign, lowest, highest = (
+        signal["left"],
+        signal["right"],
+        signal["sign"],
+        signal["lowest"],
+        signal["highest"],
+    )
+    codes = outside = 0
+    for at in range(word.size):
+        raw, is_code = np.int64((word[at] << left) >> right ^ sign) - np.int64(sign), False
+        for place in range(signal["first_code"], signal["last_code"]):
+            is_code |= code[place, 0] <= raw <= code[place, 1]
         is_inside = lowest <= raw <= highest
-        good[row] = is_inside
-        outside += not is_inside
-    codes = 0
-    for place in range(unusable.shape[0]):
-        for row in range(word.size):
-            raw = (
-                np.int64(word[row] << left) >> np.int64(right) if is_signed else np.int64((word[row] << left) >> right)
-            )
-            if unusable[place, 0] <= raw <= unusable[place, 1]:
-                codes += 1
-                outside -= not good[row]
-                good[row] = False
-    bad_count[0] = codes
-    bad_count[1] = outside
+        good[at] = is_inside and not is_code
+        codes += is_code
+        outside += not (is_inside or is_code)
+    bad_count[0], bad_count[1] = codes, outside
 
 
 class FrameFate(IntEnum):
@@ -325,10 +324,10 @@ class Codec:
         return chosen
 
     def match(self, batch: FrameBatch) -> FrameMatch:
-        slot = np.empty(len(batch), np.int64)
         counts = np.zeros((len(self.tables) + 1, len(FrameFate)), np.int64)
         plain = batch.plain()
-        find_slots(self._book, self._rules, plain.can_id, plain.length, plain.flags, slot, counts)
+        slot = find_slots(self._book, plain.can_id)
+        _count_fates(self._rules, plain.can_id, plain.length, plain.flags, slot, counts)
         if self._is_left_out is not None:
             counts[:-1][self._is_left_out] = 0
             counts[-1, FrameFate.LEFT_OUT] = len(batch) - counts.sum()
@@ -336,7 +335,7 @@ class Codec:
 
     def slot_of(self, can_id: int) -> int:
         """Return the message that an identifier, with its flags, is of; NOBODY if of none."""
-        return int(find_slot(self._book, can_id))
+        return find_slot(self._book, can_id)
 
     def knows(self, can_id: int) -> bool:
         """Return whether data frames of an identifier, with its flags, are of a message."""
@@ -425,24 +424,17 @@ def frame_room(flags: int, length: int) -> int:
 
 
 @kernel
-def find_slots(
-    book: AddressBook,
-    rules: SlotRules,
-    can_id: UInt32Array,
-    length: UInt8Array,
-    flags: UInt8Array,
-    slot: Int64Array,
-    counts: Int64Array,
+def _count_fates(
+    rules: SlotRules, can_id: UInt32Array, length: UInt8Array, flags: UInt8Array, slot: Int64Array, counts: Int64Array
 ) -> None:
-    """Fill in the message of each frame, NOBODY where no signal can be decoded, and count what becomes of them."""
+    """Count what becomes of frames; those of which no signal can be decoded get the slot NOBODY."""
     nobody = counts.shape[0] - 1
     unknown = 0
     for row in range(can_id.size):
-        slot[row] = NOBODY
+        found, slot[row] = slot[row], NOBODY
         if can_id[row] & _NO_DATA:
             counts[nobody, _ERROR if can_id[row] & _ERROR_FLAG else _REMOTE] += 1
             continue
-        found = find_slot(book, int(can_id[row]))
         if found == NOBODY:
             unknown += 1
         elif rules.is_plain[found] and length[row] >= rules.min_length[found]:

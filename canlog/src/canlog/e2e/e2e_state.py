@@ -103,8 +103,10 @@ def next_state(state: int, ok_bits: int, error_bits: int) -> int:
 
 
 @part
-def add_check(memory: E2eMemory, slot: int, t_ns: int, is_ok: int, is_error: int, changes: Int64Array) -> int:
-    """Take the result of one check into the window; write the change of state that it brings, return how many."""
+def add_check(
+    memory: E2eMemory, slot: int, t_ns: int, is_ok: int, is_error: int, changes: Int64Array, count: int
+) -> int:
+    """Take the result of one check into the window; write the change of state that it brings as ``enter_state``."""
     before = memory.state
     ok_bits = ((memory.ok_bits << 1) | is_ok) & _MASK
     error_bits = ((memory.error_bits << 1) | is_error) & _MASK
@@ -113,48 +115,48 @@ def add_check(memory: E2eMemory, slot: int, t_ns: int, is_ok: int, is_error: int
     memory.ok_bits = 0 if is_lost else ok_bits
     memory.error_bits = 0 if is_lost else error_bits
     memory.invalidations += 1 if is_lost else 0
-    return enter_state(memory, slot, t_ns, after, changes)
+    return enter_state(memory, slot, t_ns, after, changes, count)
 
 
 @part
-def enter_state(memory: E2eMemory, slot: int, t_ns: int, state: int, changes: Int64Array) -> int:
-    """Change the state of a message; write that into the first row of ``changes``, return whether it was one."""
+def enter_state(memory: E2eMemory, slot: int, t_ns: int, state: int, changes: Int64Array, count: int) -> int:
+    """Change the state of a message; write that behind ``count`` rows of ``changes``, return how many there are."""
     if state == memory.state:
-        return 0
+        return count
     memory.state = state
-    changes[0, 0], changes[0, 1], changes[0, 2] = t_ns, slot, state
-    return 1
+    changes[count, 0], changes[count, 1], changes[count, 2] = t_ns, slot, state
+    return count + 1
 
 
 @part
-def add_silence(memory: E2eMemory, slot: int, now_ns: int, changes: Int64Array) -> int:
-    """If a message is overdue, take that for a window without new data; write and return as ``add_check``."""
+def add_silence(memory: E2eMemory, slot: int, now_ns: int, changes: Int64Array, count: int) -> int:
+    """If a message is overdue, take that for a window without new data; write and return as ``enter_state``."""
     if memory.own_ns <= 0 or memory.heard_ns == BEFORE_ALL_NS:
-        return 0
+        return count
     overdue_ns = memory.heard_ns + max(TIMEOUT_CYCLES * memory.own_ns, MIN_TIMEOUT_NS)
     if overdue_ns >= now_ns:
-        return 0
+        return count
     ok_bits, memory.ok_bits = memory.ok_bits, 0
     memory.error_bits = 0
     if not _INIT <= memory.state <= _VALID:
-        return 0
+        return count
     memory.lapse_state, memory.lapse_ok_bits = memory.state, ok_bits
     memory.lapse_ns = overdue_ns
     memory.invalidations += 1
-    return enter_state(memory, slot, overdue_ns, _INVALID, changes)
+    return enter_state(memory, slot, overdue_ns, _INVALID, changes, count)
 
 
 @part
-def take_back_silence(memory: E2eMemory, slot: int, sequence: int, changes: Int64Array) -> int:
+def take_back_silence(memory: E2eMemory, slot: int, sequence: int, changes: Int64Array, count: int) -> int:
     """If the frame after a silence is the very next one, it was late: write that there was no lapse, at its time."""
     before, state = memory.sequence, memory.lapse_state
     memory.lapse_state, memory.sequence = _NO_DATA, sequence
     # Whole periods of the counter are told missing by time alone, and time is what is late.
     if state == _NO_DATA or sequence < 0 or before < 0 or (sequence - before) % COUNTER_PERIOD != 1:
-        return 0
+        return count
     memory.ok_bits = memory.lapse_ok_bits
     memory.invalidations -= 1
-    return enter_state(memory, slot, memory.lapse_ns, state, changes)
+    return enter_state(memory, slot, memory.lapse_ns, state, changes, count)
 
 
 @part
@@ -179,16 +181,16 @@ def judge_messages(memory: Records, verdicts: FrameVerdicts, t_ns: Int64Array, c
         slot, reason, missing = verdicts.slot[row], verdicts.reason[row], verdicts.missing[row]
         if slot < 0 or reason >= _OTHER_CHANNEL:
             continue
-        count += add_silence(memory[slot], slot, t_ns[row], changes[count:])
-        count += take_back_silence(memory[slot], slot, verdicts.sequence[row], changes[count:])
+        count = add_silence(memory[slot], slot, t_ns[row], changes, count)
+        count = take_back_silence(memory[slot], slot, verdicts.sequence[row], changes, count)
         for _ in range(min(missing % COUNTER_PERIOD, WINDOW) if missing > 0 else 0):
-            count += add_check(memory[slot], slot, t_ns[row], 0, 0, changes[count:])
+            count = add_check(memory[slot], slot, t_ns[row], 0, 0, changes, count)
         is_error = 1 if _SHORT <= reason <= _BAD_CRC else 0
-        count += add_check(memory[slot], slot, t_ns[row], 1 if reason == _OK else 0, is_error, changes[count:])
+        count = add_check(memory[slot], slot, t_ns[row], 1 if reason == _OK else 0, is_error, changes, count)
         learn_cycle(memory[slot], t_ns[row], missing)
         memory[slot].heard_ns = t_ns[row]
     for slot in range(len(memory) if t_ns.size else 0):
-        count += add_silence(memory[slot], slot, t_ns[-1], changes[count:])
+        count = add_silence(memory[slot], slot, t_ns[-1], changes, count)
     return count
 
 

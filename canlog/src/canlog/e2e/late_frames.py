@@ -12,10 +12,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from canlog.arrays import BoolArray, Int64Array, Records, UInt8Array, UInt32Array
-from canlog.database.addressing import NOBODY, AddressBook, find_slot
+from canlog.arrays import BoolArray, Int64Array, Records, UInt8Array
+from canlog.database.addressing import NOBODY, AddressBook, find_slots
 from canlog.e2e.profile1 import COUNTER_BYTE, COUNTER_MASK, COUNTER_PERIOD
-from canlog.frames import ERROR_FLAG, MAX_GAP_NS, REMOTE_FLAG, FrameBatch, empty_batch, join
+from canlog.frames import MAX_GAP_NS, FrameBatch, empty_batch, join
 from canlog.jit import kernel
 
 SILENT_CYCLES: Final = 1.2  # of the quickest message: the whole bus is never as quiet while its messages come in time
@@ -23,8 +23,7 @@ HELD_FRAMES, HELD_NS = 96, 150_000_000  # held until either is full
 FASTER_RATIO: Final = 0.9  # of the time in which frames came to the time in which they were sent
 LEAST_COUNTED: Final = 6  # frames with a counter, to tell anything
 SETTLED_FRAMES: Final = 300  # without having caught up by a cycle: the least late of them is on time
-
-_NO_DATA: Final = REMOTE_FLAG | ERROR_FLAG
+_NO_CYCLE_NS: Final = 2**60
 
 
 class Schedules(NamedTuple):
@@ -50,64 +49,49 @@ class CatchingUp(NamedTuple):
     is_over: bool
 
 
-@kernel
-def rows_on_time(
-    book: AddressBook, cycle_ns: Int64Array, is_known: BoolArray, t_ns: Int64Array, can_id: UInt32Array, before_ns: int
-) -> int:
+def rows_on_time(cycle_ns: Int64Array, is_known: BoolArray, t_ns: Int64Array, slot: Int64Array, before_ns: int) -> int:
     """Return how many frames come before a silence; from its first frame on, a message is known."""
-    quickest_ns = 2**60
-    for slot in range(cycle_ns.size):
-        if is_known[slot] and cycle_ns[slot] > 0:
-            quickest_ns = min(quickest_ns, cycle_ns[slot])
-    for row in range(t_ns.size):
-        if t_ns[row] - before_ns > SILENT_CYCLES * quickest_ns:
-            return row
-        before_ns = t_ns[row]
-        slot = find_slot(book, can_id[row]) if can_id[row] & _NO_DATA == 0 else NOBODY
-        if slot != NOBODY and cycle_ns[slot] > 0:
-            quickest_ns = min(quickest_ns, cycle_ns[slot])
-    return int(t_ns.size)
+    cycles_ns = np.append(np.where(cycle_ns > 0, cycle_ns, _NO_CYCLE_NS), _NO_CYCLE_NS)  # the last is that of NOBODY
+    known_ns = cycles_ns[:-1][is_known].min(initial=_NO_CYCLE_NS)
+    quickest_ns = np.minimum.accumulate(np.append(known_ns, cycles_ns[slot]))[:-1]
+    is_silent = np.diff(t_ns, prepend=before_ns) > SILENT_CYCLES * quickest_ns
+    return int(is_silent.argmax()) if is_silent.any() else len(t_ns)
 
 
-@kernel
 def held_rows(t_ns: Int64Array) -> int:
     """Return how many frames tell what the silence before them was."""
-    for row in range(min(t_ns.size, HELD_FRAMES)):
-        if not 0 <= t_ns[row] - t_ns[0] <= HELD_NS:
-            return row
-    return int(min(t_ns.size, HELD_FRAMES))
+    since_ns = t_ns[:HELD_FRAMES] - t_ns[0]
+    is_other = (since_ns < 0) | (since_ns > HELD_NS)
+    return int(is_other.argmax()) if is_other.any() else len(since_ns)
 
 
 @kernel
 def catch_up(
-    book: AddressBook,
     schedules: Schedules,
     begun: CatchingUp,
     t_ns: Int64Array,
-    can_id: UInt32Array,
+    slot: Int64Array,
     data: UInt8Array,
     sent_ns: Int64Array,
 ) -> tuple[int, CatchingUp]:
     """Fill in when frames were sent until all are on time, or one comes before its forerunner; return how many."""
     latest_ns, received_ns, begun_late_ns, since, least_late_ns, most_late_ns, counted, skipped, _ = begun
     for row in range(t_ns.size):
-        due_ns, slot = latest_ns, NOBODY
-        if can_id[row] & _NO_DATA == 0:
-            slot = find_slot(book, can_id[row])
-        if slot != NOBODY and schedules.cycle_ns[slot] > 0:
+        due_ns, message = latest_ns, slot[row]
+        if message != NOBODY and schedules.cycle_ns[message] > 0:
             counter = int(data[row, COUNTER_BYTE] & COUNTER_MASK)
-            step = (counter - schedules.counter[slot]) % COUNTER_PERIOD
-            if schedules.counter[slot] >= 0 and step > 0:
-                due_ns = schedules.sent_ns[slot] + step * schedules.cycle_ns[slot]
+            step = (counter - schedules.counter[message]) % COUNTER_PERIOD
+            if schedules.counter[message] >= 0 and step > 0:
+                due_ns = schedules.sent_ns[message] + step * schedules.cycle_ns[message]
                 late_ns = max(t_ns[row] - due_ns, 0)
-                if late_ns < begun_late_ns - schedules.cycle_ns[slot]:
+                if late_ns < begun_late_ns - schedules.cycle_ns[message]:
                     begun_late_ns = least_late_ns = most_late_ns = late_ns
                     since = 0
                 least_late_ns, most_late_ns = min(least_late_ns, late_ns), max(most_late_ns, late_ns)
                 since += 1
                 counted += 1
                 skipped += step > 1
-            schedules.counter[slot], schedules.sent_ns[slot] = counter, min(due_ns, t_ns[row])
+            schedules.counter[message], schedules.sent_ns[message] = counter, min(due_ns, t_ns[row])
         is_over = t_ns[row] < received_ns
         if since > SETTLED_FRAMES:
             is_over |= most_late_ns <= schedules.on_time_ns
@@ -144,11 +128,10 @@ class LateFrames:
         self._held = empty_batch()
         self._schedules = self._schedules_of(cycle_ns)
         self._burst: CatchingUp | None = None
-        self._resent(
-            self._held, CatchingUp(0, 0, 0, 0, 0, 0, 0, 0, False)
-        )  # compiles now: the first burst must not wait
-        held_rows(self._held.t_ns)
-        self._rows_on_time(self._held, 0, cycle_ns.tolist())
+
+    def compile(self) -> None:
+        """Compile what the first burst of a live bus must not wait for; most logs have none."""
+        self._resent(self._held, CatchingUp(0, 0, 0, 0, 0, 0, 0, 0, False))
 
     @property
     def is_idle(self) -> bool:
@@ -186,7 +169,7 @@ class LateFrames:
 
     def _rows_on_time(self, batch: FrameBatch, before_ns: int, own_cycles_ns: Sequence[int]) -> int:
         cycle_ns, is_known = np.where(self._cycle_ns > 0, own_cycles_ns, 0), self._links["valid_counter"] >= 0
-        return rows_on_time(self._book, cycle_ns, is_known, batch.t_ns, batch.can_id, before_ns)
+        return rows_on_time(cycle_ns, is_known, batch.t_ns, find_slots(self._book, batch.can_id), before_ns)
 
     def _begin(self, held: FrameBatch, before_ns: int, own_cycles_ns: Sequence[int]) -> FrameBatch:
         """Return what is late of the frames behind a silence."""
@@ -207,5 +190,6 @@ class LateFrames:
     def _resent(self, batch: FrameBatch, burst: CatchingUp) -> tuple[FrameBatch, CatchingUp]:
         """Return the frames that are late at the times at which they were sent, and how the burst goes on."""
         sent_ns = np.empty(len(batch), np.int64)
-        late, burst = catch_up(self._book, self._schedules, burst, batch.t_ns, batch.can_id, batch.data, sent_ns)
+        slot = find_slots(self._book, batch.can_id)
+        late, burst = catch_up(self._schedules, burst, batch.t_ns, slot, batch.data, sent_ns)
         return replace(batch[:late], t_ns=sent_ns[:late]), burst

@@ -16,13 +16,12 @@ from canlog.arrays import Int64Array, Records, UInt8Array, UInt32Array
 from canlog.database.addressing import (
     ANY,
     NOBODY,
-    AddressBook,
     MessageAddress,
     address_book,
-    find_slot,
+    find_slots,
     message_address,
 )
-from canlog.e2e.alive_counter import IN_SEQUENCE, REPEATED, forget, fresh_links, judge, note_unusable
+from canlog.e2e.alive_counter import IN_SEQUENCE, forget, fresh_links, judge, note_unusable
 from canlog.e2e.late_frames import LateFrames
 from canlog.e2e.message_contract import message_contract
 from canlog.e2e.profile1 import COUNTER_BYTE, COUNTER_MASK, CRC_BYTE, CRC_TABLES, data_id_remainder
@@ -54,23 +53,28 @@ class FrameReason(IntEnum):
 _OK, _UNKNOWN_ID, _REMOTE_OR_ERROR, _SHORT, _BAD_CRC, _REPEATED, _WRONG_SEQUENCE, _OTHER_CHANNEL, _OTHER_SENDER = (
     int(reason) for reason in FrameReason
 )
+_SEQUENCE_REASONS: Final = (_OK, _REPEATED, _WRONG_SEQUENCE)  # by what is said of the counter
 
 
-class Rules(NamedTuple):
-    """What is demanded of each message, arrays of shape (m,)."""
+class Rule:
+    """What is demanded of a message, and where it is followed from, ANY until that is known: a record of an array."""
 
-    min_length: Int64Array
-    is_protected: Int64Array
-    id_remainder: UInt8Array
-    cycle_ns: Int64Array
+    min_length: int
+    is_protected: int
+    id_remainder: int
+    cycle_ns: int
+    is_group: int  # known by its J1939 parameter group
+    named: int  # the only channel that is listened to, ANY if all are
+    channel: int  # as frames are marked: a channel of a bus, or the source that stands for one of a log
+    sender: int  # J1939 source address
+
+
+_RULE_TYPE: Final = np.dtype([(name, np.int64) for name in Rule.__annotations__])
 
 
 class Origins(NamedTuple):
-    """Where each message is followed from, ANY until it is known, and how many frames came from where."""
+    """How many frames came from where."""
 
-    channel: Int64Array  # (m,) as frames are marked: a channel of a bus, or the source that stands for one of a log
-    sender: Int64Array  # (m,) J1939 source address
-    named: Int64Array  # (m,) the only channel that is listened to, ANY if all are
     number: Int64Array  # (256,) channel that a mark stands for
     channel_frames: Int64Array  # (m, 256) by number
     sender_frames: Int64Array  # (m, 256), of J1939 messages
@@ -90,7 +94,7 @@ class FrameVerdicts(NamedTuple):
     """What is said of each frame, arrays of shape (n,)."""
 
     reason: UInt8Array  # of FrameReason
-    slot: Int64Array  # index of the message, -1 if the frame belongs to none
+    slot: Int64Array  # index of the message, NOBODY if the frame belongs to none
     sequence: Int64Array  # transmission number of accepted protected frames, else -1
     missing: Int64Array  # frames found missing at this one; negative takes back what was counted before
 
@@ -108,92 +112,71 @@ class FrameTotals(NamedTuple):
 
 @kernel
 def judge_frames(
-    book: AddressBook,
-    rules: Rules,
+    rules: Records,
     links: Records,
     origins: Origins,
     frames: FrameColumns,
     verdicts: FrameVerdicts,
     totals: FrameTotals,
 ) -> None:
-    """Judge frames in their order: fill the verdicts, move the states on, add to the counts."""
+    """Judge frames in their order: fill the verdicts but for the slot, move the states on, add to the counts."""
     for row in range(frames.t_ns.size):
-        verdicts.sequence[row] = _NONE
-        verdicts.missing[row] = 0
-        slot, reason = identify(book, origins, frames, row)
-        if reason == _OK:
-            reason = soundness(rules, frames, row, slot)
-            if reason != _OK and rules.is_protected[slot]:
-                note_unusable(links[slot])
-        if reason == _OK:
-            keep_origin(book, origins, frames, row, slot)
-            if rules.is_protected[slot]:
-                reason = sequence_reason(rules, links, frames, row, slot, verdicts)
-                totals.missing[slot] += verdicts.missing[row]
-        verdicts.slot[row] = slot
-        verdicts.reason[row] = reason
+        slot, can_id, channel = verdicts.slot[row], frames.can_id[row], frames.channel[row]
+        sequence, missing = _NONE, 0
+        if slot == NOBODY:
+            reason = _REMOTE_OR_ERROR if can_id & _NO_DATA_FRAME else _UNKNOWN_ID
+        else:
+            rule, number, sender = rules[slot], origins.number[channel], can_id & 0xFF
+            reason = origin_reason(rule, channel, number, sender)
+            origins.channel_frames[slot, number] += 1
+            origins.sender_frames[slot, sender] += 1 if rule.is_group and reason != _OTHER_CHANNEL else 0
+            if reason == _OK:
+                reason = soundness(rule, frames.length[row], frames.data, row)
+                if reason != _OK:
+                    note_unusable(links[slot])
+                else:
+                    keep_origin(rule, channel, sender)
+            if reason == _OK and rule.is_protected:
+                counter = frames.data[row, COUNTER_BYTE] & COUNTER_MASK
+                outcome, missing = judge(links[slot], counter, frames.t_ns[row], rule.cycle_ns)
+                reason = _SEQUENCE_REASONS[outcome]
+                sequence = links[slot].sequence if outcome == IN_SEQUENCE else _NONE
+                totals.missing[slot] += missing
+        verdicts.reason[row], verdicts.sequence[row], verdicts.missing[row] = reason, sequence, missing
         totals.frames[slot if slot != NOBODY else totals.missing.size, reason] += 1
-        totals.marked[frames.channel[row], reason] += 1
+        totals.marked[channel, reason] += 1
 
 
 @part
-def identify(book: AddressBook, origins: Origins, frames: FrameColumns, row: int) -> tuple[int, int]:
-    """Return the message of a frame and whether it comes from where that message is followed; count its origin."""
-    can_id = frames.can_id[row]
-    if can_id & _NO_DATA_FRAME:
-        return NOBODY, _REMOTE_OR_ERROR
-    slot = find_slot(book, int(can_id))
-    if slot == NOBODY:
-        return NOBODY, _UNKNOWN_ID
-    channel = frames.channel[row]
-    number = origins.number[channel]
-    origins.channel_frames[slot, number] += 1
-    if origins.channel[slot] != ANY and origins.channel[slot] != channel:
-        return slot, _OTHER_CHANNEL
-    if origins.named[slot] != ANY and origins.named[slot] != number:
-        return slot, _OTHER_CHANNEL
-    if book.is_group[slot]:
-        sender = can_id & 0xFF
-        origins.sender_frames[slot, sender] += 1
-        if origins.sender[slot] != ANY and origins.sender[slot] != sender:
-            return slot, _OTHER_SENDER
-    return slot, _OK
+def origin_reason(rule: Rule, channel: int, number: int, sender: int) -> int:
+    """Return whether a frame comes from where its message is followed."""
+    if ANY != rule.channel != channel or ANY != rule.named != number:
+        return _OTHER_CHANNEL
+    if rule.is_group and ANY != rule.sender != sender:
+        return _OTHER_SENDER
+    return _OK
 
 
 @part
-def soundness(rules: Rules, frames: FrameColumns, row: int, slot: int) -> int:
-    if frames.length[row] < rules.min_length[slot]:
+def soundness(rule: Rule, length: int, data: UInt8Array, row: int) -> int:
+    if length < rule.min_length:
         return _SHORT
-    if rules.is_protected[slot]:
-        crc = rules.id_remainder[slot]
+    if rule.is_protected:
+        crc = rule.id_remainder
         for place in range(CRC_BYTE + 1, PAYLOAD_BYTES):
-            crc ^= CRC_TABLES[place + 1, frames.data[row, place]]
-        if crc != frames.data[row, CRC_BYTE]:
+            crc ^= CRC_TABLES[place + 1, data[row, place]]
+        if crc != data[row, CRC_BYTE]:
             return _BAD_CRC
     return _OK
 
 
 @part
-def keep_origin(book: AddressBook, origins: Origins, frames: FrameColumns, row: int, slot: int) -> None:
+def keep_origin(rule: Rule, channel: int, sender: int) -> None:
     """From its first sound frame on, a message is followed from where that came."""
-    if origins.channel[slot] == ANY:
-        origins.channel[slot] = frames.channel[row]
-    if book.is_group[slot] and origins.sender[slot] == ANY:
-        origins.sender[slot] = frames.can_id[row] & 0xFF
-
-
-@part
-def sequence_reason(
-    rules: Rules, links: Records, frames: FrameColumns, row: int, slot: int, verdicts: FrameVerdicts
-) -> int:
-    """Return whether the counter of a sound frame is as it should be; number the frame, and tell what is missing."""
-    counter = int(frames.data[row, COUNTER_BYTE] & COUNTER_MASK)
-    outcome, missing = judge(links[slot], counter, frames.t_ns[row], rules.cycle_ns[slot])
-    verdicts.missing[row] = missing
-    if outcome == IN_SEQUENCE:
-        verdicts.sequence[row] = links[slot].sequence
-        return _OK
-    return _REPEATED if outcome == REPEATED else _WRONG_SEQUENCE
+    if rule.channel == ANY:
+        rule.channel = channel
+    if rule.is_group and rule.sender == ANY:
+        rule.sender = sender
 
 
 class LinkMonitor:
@@ -208,13 +191,10 @@ class LinkMonitor:
         if addresses is None:
             addresses = [message_address(message) for message in messages]
         self._book = address_book(addresses)
-        self._rules = _rules_of(messages)
+        self._rules = _rules_of(messages, addresses)
         self._links = fresh_links(len(messages))
         self._origins = Origins(
-            channel=np.full(len(messages), ANY, np.int64),
-            named=np.array([address.channel for address in addresses], np.int64),
             number=np.arange(ORIGINS, dtype=np.int64),
-            sender=np.array([address.sender for address in addresses], np.int64),
             channel_frames=np.zeros((len(messages), ORIGINS), np.int64),
             sender_frames=np.zeros((len(messages), ORIGINS), np.int64),
         )
@@ -223,7 +203,7 @@ class LinkMonitor:
             missing=np.zeros(len(messages), np.int64),
             marked=np.zeros((ORIGINS, len(FrameReason)), np.int64),
         )
-        counted_ns = np.where(self._rules.is_protected, self._rules.cycle_ns, 0)
+        counted_ns = np.where(self._rules["is_protected"], self._rules["cycle_ns"], 0)
         self.late = LateFrames(self._book, counted_ns, self._links)
         self.check(empty_batch())  # compiles now: the first real batch must not wait for the compiler
 
@@ -260,7 +240,7 @@ class LinkMonitor:
 
     def end_source(self, source: int) -> None:
         """Follow its messages from where they are heard next: a log has ended, and its mark may be given to another."""
-        self._origins.channel[self._origins.channel == source] = ANY
+        self._rules["channel"][self._rules["channel"] == source] = ANY
         self._totals.marked[source] = 0
 
     def reset(self) -> None:
@@ -268,25 +248,31 @@ class LinkMonitor:
         forget(self._links)
 
     def check(self, batch: FrameBatch) -> FrameVerdicts:
-        verdicts = FrameVerdicts.room(len(batch))
+        verdicts = FrameVerdicts.room(len(batch))._replace(slot=find_slots(self._book, batch.can_id))
         frames = FrameColumns(batch.t_ns, batch.can_id, batch.length, batch.data, batch.channel)
-        judge_frames(self._book, self._rules, self._links, self._origins, frames, verdicts, self._totals)
+        judge_frames(self._rules, self._links, self._origins, frames, verdicts, self._totals)
         return verdicts
 
 
-def _rules_of(messages: Sequence[Message]) -> Rules:
-    contracts = [message_contract(message) for message in messages]
-    for message, contract in zip(messages, contracts, strict=True):
+def _rules_of(messages: Sequence[Message], addresses: Sequence[MessageAddress]) -> Records:
+    rules = np.empty(len(messages), _RULE_TYPE)
+    for slot, (message, address) in enumerate(zip(messages, addresses, strict=True)):
+        contract = message_contract(message)
         if contract.data_id is not None and message.length != PAYLOAD_BYTES:
             raise DefinitionError(
                 f"{message.name}: protection is understood for messages of {PAYLOAD_BYTES} bytes only"
             )
-    return Rules(
-        min_length=np.array([min(message.length, FD_PAYLOAD_BYTES) for message in messages], np.int64),
-        is_protected=np.array([contract.data_id is not None for contract in contracts], np.int64),
-        id_remainder=np.array([data_id_remainder(contract.data_id or 0) for contract in contracts], np.uint8),
-        cycle_ns=np.array([contract.cycle_ms * _NS_PER_MS for contract in contracts], np.int64),
-    )
+        rules[slot] = (
+            min(message.length, FD_PAYLOAD_BYTES),
+            contract.data_id is not None,
+            data_id_remainder(contract.data_id or 0),
+            contract.cycle_ms * _NS_PER_MS,
+            address.is_group,
+            address.channel,
+            ANY,
+            address.sender,
+        )
+    return rules
 
 
 def _nonzero(counts: Int64Array) -> Mapping[int, int]:

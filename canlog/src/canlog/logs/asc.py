@@ -42,6 +42,7 @@ from canlog.logs.text_kernels import (
     SLASH,
     STOP,
     TOO_LONG,
+    clear,
     count_line,
     decimal,
     decimal_parts,
@@ -215,7 +216,7 @@ def _other(text: UInt8Array, at: int, rows: FrameRows, row: int) -> tuple[int, i
     direction, behind = read_direction(text, at)
     if 0 <= number <= MOST_CHANNEL_NUMBER and is_word(text, behind, ERROR_WORD):
         rows.can_id[row], rows.length[row], rows.flags[row] = ERROR_FLAG, 0, TX_FLAG * (direction > 0)
-        rows.data[row, :] = 0
+        clear(rows.data, row, 0)
         return FRAME, skip_line(text, behind)
     if number < 0:  # a channel that is none, or an event of another bus
         at = skip_blanks(text, skip_word(text, at))
@@ -292,7 +293,7 @@ def _long_payload(text: UInt8Array, begin: int, rows: FrameRows, row: int, base:
         return NONE, NONE
     if count > rows.data.shape[1]:
         return NONE, NONE - 1
-    rows.data[row, count:] = 0
+    clear(rows.data, row, count)
     return count, at
 
 
@@ -321,7 +322,7 @@ def _fd_frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -
     if end < 0 or (is_remote and is_fd) or (count != length and not (is_remote and count == 0)):
         return NONE
     if is_remote:
-        rows.data[row, :] = 0
+        clear(rows.data, row, 0)
     rows.length[row], rows.can_id[row] = length, identifier | (REMOTE_FLAG if is_remote else 0)
     kind = FD_FLAG | (BRS_FLAG * is_fast) | (ESI_FLAG * is_passive) if is_fd else 0
     rows.flags[row] = kind | TX_FLAG * (direction > 0)

@@ -30,7 +30,7 @@ from canlog.frames import (
 from canlog.jit import kernel, part
 from canlog.logs.frame_buffer import FrameBuffer, FrameRows
 from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.text_kernels import LENGTH_OF_CODE, half, lower, word
+from canlog.logs.text_kernels import LENGTH_OF_CODE, clear, half, lower, word
 
 # What has been done, and how it goes on.
 POSITION, ROWS, OBJECTS, IS_LOST, SKIPPED, DAMAGED, FIRST_DAMAGED, IS_TOO_WIDE, REPORT_FIELDS = range(9)
@@ -134,7 +134,7 @@ def _frame(raw: UInt8Array, at: int, size: int, layout: Int64Array, rows: FrameR
     rows.channel[row] = min(half(raw, body), 255) if layout[CHANNEL_BYTES] == 2 else raw[body]
     if layout[IS_ERROR]:
         rows.can_id[row], rows.length[row], rows.flags[row] = ERROR_FLAG, 0, 0
-        rows.data[row, :] = 0
+        clear(rows.data, row, 0)
         return WRITTEN
     identifier = lower(raw, body + CAN_ID_OFFSET)
     limit = MAX_EXTENDED_ID | EXTENDED_FLAG if identifier & EXTENDED_FLAG else MAX_STANDARD_ID

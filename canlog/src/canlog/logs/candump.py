@@ -4,8 +4,6 @@ Times keep the whole microseconds that candump writes; further digits are cut of
 are counted with the number of the first one, and reading goes on.
 """
 
-import numpy as np
-
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.jit import kernel, part
@@ -23,6 +21,7 @@ from canlog.logs.text_kernels import (
     SKIPPED,
     STOP,
     TOO_LONG,
+    clear,
     count_line,
     decimal,
     decimal_parts,
@@ -73,22 +72,25 @@ def _parse_line(text: UInt8Array, at: int, rows: FrameRows, row: int, names: Nam
     identifier, at = _parse_id(text, skip_blanks(text, skip_word(text, name_at)))
     if rows.t_ns[row] < 0 or identifier < 0:
         return MALFORMED, skip_line(text, at)
-    rows.can_id[row], rows.flags[row] = identifier, 0
+    flags, limit = 0, PAYLOAD_BYTES
     if text[at] == HASH:
         if rows.data.shape[1] < FD_PAYLOAD_BYTES:
             return TOO_LONG, at
-        at = _parse_fd_payload(text, at + 1, rows, row)
-    elif text[at] == LETTER_R or text[at] == SMALL_R:
-        rows.data[row, :] = 0
-        rows.can_id[row] |= np.uint32(REMOTE_FLAG)
-        rows.length[row], at = decimal(text, at + 1, 1)
-        at = at if rows.length[row] <= PAYLOAD_BYTES else -at
+        digit = HEX_VALUE[text[at + 1]]
+        if digit < 0:
+            return MALFORMED, skip_line(text, at)
+        flags, limit, at = FD_FLAG | (digit & FD_DIGIT_BITS), FD_PAYLOAD_BYTES, at + 2
+    if limit == PAYLOAD_BYTES and (text[at] == LETTER_R or text[at] == SMALL_R):
+        identifier |= REMOTE_FLAG
+        clear(rows.data, row, 0)
+        length, at = decimal(text, at + 1, 1)
     else:
-        rows.length[row], at = _payload(text, at, rows.data, row, PAYLOAD_BYTES)
-    if at >= 0:
-        at = _parse_tail(text, at, rows, row)
-    if at < 0:
-        return MALFORMED, skip_line(text, -at)
+        length, at = hex_bytes(text, at, row, rows.data, limit, POINT)
+    rows.can_id[row], rows.length[row] = identifier, length
+    is_sent, at = _parse_tail(text, at)
+    rows.flags[row] = flags | TX_FLAG * is_sent
+    if at < 0 or not IS_LENGTH[length]:
+        return MALFORMED, at if at > 0 else skip_line(text, -at)
     number = channel_number(text, name_at, names, known)
     rows.channel[row] = max(number, 0)
     return (FRAME if number >= 0 else NEW_CHANNEL), at
@@ -126,35 +128,19 @@ def _parse_id(text: UInt8Array, at: int) -> tuple[int, int]:
 
 
 @part
-def _payload(text: UInt8Array, at: int, data: UInt8Array, row: int, limit: int) -> tuple[int, int]:
-    """Parse ``1122`` or ``11.22`` into a row that is zero behind it; return the count and the position."""
-    count, at = hex_bytes(text, at, row, data, limit, POINT)
-    data[row, count:] = 0
-    return count, at
+def _parse_tail(text: UInt8Array, at: int) -> tuple[bool, int]:
+    """Pass over what may follow a payload; return whether the frame was sent, and the position behind the line.
 
-
-@part
-def _parse_fd_payload(text: UInt8Array, at: int, rows: FrameRows, row: int) -> int:
-    """Parse flags and payload of an FD frame; return the position, negative if it is none."""
-    digit = HEX_VALUE[text[at]]
-    if digit < 0:
-        return -at
-    count, at = _payload(text, at + 1, rows.data, row, FD_PAYLOAD_BYTES)
-    rows.flags[row], rows.length[row] = FD_FLAG | (digit & FD_DIGIT_BITS), count
-    return at if IS_LENGTH[count] else -at
-
-
-@part
-def _parse_tail(text: UInt8Array, at: int, rows: FrameRows, row: int) -> int:
-    """Pass over what may follow a payload; return the position behind the line, negative if it is anything else."""
+    The position is negative if anything else follows.
+    """
     if text[at] == UNDERSCORE and HEX_VALUE[text[at + 1]] > PAYLOAD_BYTES:
         at += 2  # the raw length code above eight that some controllers send
     behind = skip_blanks(text, at)
-    is_sent = text[behind] == LETTER_T
-    if behind > at and (is_sent or text[behind] == LETTER_R):  # the direction that candump -x appends
-        rows.flags[row] |= np.uint8(TX_FLAG * is_sent)
+    has_direction = behind > at and (text[behind] == LETTER_T or text[behind] == LETTER_R)  # that candump -x appends
+    is_sent = has_direction and text[behind] == LETTER_T
+    if has_direction:
         behind = skip_blanks(text, behind + 1)
-    return behind + 1 if text[behind] == NEWLINE else -behind
+    return is_sent, behind + 1 if text[behind] == NEWLINE else -behind
 
 
 class CandumpLog(TextLog):

@@ -7,11 +7,12 @@ import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array, UInt32Array
 from canlog.frames import FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, FrameBatch
-from canlog.jit import kernel
+from canlog.jit import part
 from canlog.logs.text_kernels import skip_word
 
 MOST_CHANNELS = 256
-FNV_SEED, FNV_FACTOR = -3750763034362895579, 1099511628211  # of FNV-1a with 64 bits, as signed numbers
+FNV_SEED, FNV_FACTOR = 0x0BF2_9CE4_8422_2325, 0x100_0000_01B3  # of FNV-1a with 64 bits
+HASH_MASK = 2**60 - 1  # the bits of it that are kept: as many as signed numbers hold, in kernels and in Python
 DIGITS_AT_END = re.compile(rb"\d{1,3}$")
 
 
@@ -57,12 +58,12 @@ class ChannelNames:
         return max(channel_number(text, 0, self.words, len(self)), 0)
 
 
-@kernel
+@part
 def name_hash(text: UInt8Array, begin: int, stop: int) -> int:
-    """Return the FNV-1a hash of the name that stands between two positions."""
+    """Return the lower bits of the FNV-1a hash of the name that stands between two positions."""
     value = FNV_SEED
     for at in range(begin, stop):
-        value = (value ^ int(text[at])) * FNV_FACTOR
+        value = ((value ^ int(text[at])) * FNV_FACTOR) & HASH_MASK
     return value
 
 
@@ -90,12 +91,6 @@ def new_rows(count: int, width: int) -> FrameRows:
         channel=np.empty(count, np.uint8),
         data=np.empty((count, width), np.uint8),
     )
-
-
-def rows_of(batch: FrameBatch) -> FrameRows:
-    plain = batch.plain()
-    flags = np.require(plain.flags, np.uint8, ("C", "W"))
-    return FrameRows(plain.t_ns, plain.can_id, plain.length, flags, plain.channel, plain.data)
 
 
 class FrameBuffer:
@@ -142,7 +137,7 @@ class FrameBuffer:
         )
 
 
-@kernel
+@part
 def channel_number(text: UInt8Array, at: int, names: NameWords, known: int) -> int:
     """Return the number of the channel whose name stands here, -1 if it is new."""
     name = name_hash(text, at, skip_word(text, at))

@@ -8,10 +8,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from canlog.arrays import Int64Array
+from canlog.arrays import BoolArray
 from canlog.frames import EXTENDED_FLAG, FD_FLAG, MAX_GAP_NS, FrameBatch, join
-from canlog.jit import kernel, part
-from canlog.logs.frame_buffer import FrameRows, rows_of
 
 MOST_NOTES = 8
 NS_PER_S = 1_000_000_000
@@ -219,10 +217,6 @@ WATCHED_FRAMES = 1_000  # from the first on
 LEAST_PER_S = 10  # of a bus, which a log of whole seconds does not tell apart
 WHOLE_SECONDS = "times are whole seconds, with many frames in each: too coarse for friction, which needs milliseconds"
 
-# What the steps from frame to frame come to.
-BACK, AHEAD, FIRST_JUMP, REPEATED, STEP_FIELDS = range(5)
-
-
 USUAL_STEPS = 3  # that a silence in a table of signals lasts at least: two rows are missing
 
 
@@ -263,35 +257,20 @@ class TimeWatch:
             self._counts.note(WHOLE_SECONDS)
 
     def _look_inside(self, batch: FrameBatch, number: int) -> None:
-        counts, steps = self._counts, np.zeros(STEP_FIELDS, np.int64)
-        look_at_steps(rows_of(batch), steps, self.longest_step_ns)
-        row = int(steps[FIRST_JUMP])
-        if row and not counts.first_jump:
-            step_s = int(batch.t_ns[row] - batch.t_ns[row - 1]) / 1e9
-            counts.first_jump = f"frame {number + row}: time jumps by {step_s:+.6f} s"
-        counts.jumps_back += int(steps[BACK])
-        counts.jumps_ahead += int(steps[AHEAD])
-        counts.repeated += int(steps[REPEATED])
+        counts, steps_ns = self._counts, np.diff(batch.t_ns)
+        is_back, is_ahead = steps_ns < 0, steps_ns > self.longest_step_ns
+        jumps, stills = np.flatnonzero(is_back | is_ahead), np.flatnonzero(steps_ns == 0)
+        if len(jumps) and not counts.first_jump:
+            step_s = int(steps_ns[jumps[0]]) / 1e9
+            counts.first_jump = f"frame {number + jumps[0] + 1}: time jumps by {step_s:+.6f} s"
+        counts.jumps_back += int(np.count_nonzero(is_back))
+        counts.jumps_ahead += int(np.count_nonzero(is_ahead))
+        if len(stills):
+            counts.repeated += int(np.count_nonzero(_are_equal(batch[stills], batch[stills + 1])))
 
 
-@kernel
-def look_at_steps(rows: FrameRows, steps: Int64Array, longest_ns: int) -> None:
-    """Count the frames before the one before them, far behind it, and equal to it; note the row of the first jump."""
-    for row in range(1, rows.t_ns.size):
-        step_ns = rows.t_ns[row] - rows.t_ns[row - 1]
-        if step_ns == 0:
-            steps[REPEATED] += _is_repeated(rows, row)
-        elif step_ns < 0 or step_ns > longest_ns:
-            if steps[FIRST_JUMP] == 0:
-                steps[FIRST_JUMP] = row
-            steps[BACK if step_ns < 0 else AHEAD] += 1
-
-
-@part
-def _is_repeated(rows: FrameRows, row: int) -> bool:
-    for place in range(rows.data.shape[1]):
-        if rows.data[row, place] != rows.data[row - 1, place]:
-            return False
-    is_same: bool = rows.can_id[row] == rows.can_id[row - 1] and rows.length[row] == rows.length[row - 1]
-    is_same = is_same and rows.flags[row] == rows.flags[row - 1]
-    return is_same and bool(rows.channel[row] == rows.channel[row - 1])
+def _are_equal(batch: FrameBatch, other: FrameBatch) -> BoolArray:
+    """Return which frames are those of the other batch in all but their times, shape (n,)."""
+    is_equal: BoolArray = (batch.data == other.data).all(axis=1) & (batch.can_id == other.can_id)
+    is_equal &= (batch.length == other.length) & (batch.flags == other.flags) & (batch.channel == other.channel)
+    return is_equal

@@ -19,7 +19,6 @@ from cantools.database.can.signal import Signal
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt32Array
 from canlog.column_files import BOOL_TYPE, NAME_TYPE, TIME_TYPE, load_pyarrow
-from canlog.database.addressing import sort_by_slot
 from canlog.decode.codec import MessageTable, MessageValues
 from canlog.decode.signals import FloatCode, PayloadWords, SignalTable
 from canlog.frames import EXTENDED_FLAG
@@ -208,7 +207,7 @@ class WideLayout:
         """Return the number of rows and the columns of one row group, in their order."""
         frames = np.concatenate([one.rows for one in found])
         which = np.repeat(np.arange(len(found), dtype=np.int32), [len(one.rows) for one in found])
-        order = _order(frames, len(group))
+        order = np.argsort(frames, kind="stable")
         row_of = np.empty(len(group), np.int64)
         row_of[frames[order]] = np.arange(len(frames))
         cells = _Cells(len(frames))
@@ -275,13 +274,6 @@ class _Cells:
 
     def texts(self, place: Place, names: Sequence[str]) -> Column:
         return _name_column(names, self._codes.get(place, np.full(self._count, NAMELESS, np.int32)))
-
-
-def _order(rows: Int64Array, count: int) -> Int64Array:
-    """Return the order in which rows, of which there are ``count`` different ones, rise; alike ones stay."""
-    order, stop = np.empty(len(rows), np.int64), np.zeros(count + 1, np.int64)
-    sort_by_slot(rows, order, stop)
-    return order
 
 
 def _name_column(names: Sequence[str], which: Int32Array) -> Column:

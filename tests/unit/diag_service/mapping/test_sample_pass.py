@@ -76,7 +76,6 @@ def test_the_pass_gives_what_each_table_says_of_any_payload(profile: Profile, co
     messages = map_signals(database, profile)
     batch, verdicts = any_frames(messages, count, width)
     found = SamplePass(messages).decode(batch, verdicts)
-    assert found.has_bad == (FrameReason.BAD_CRC in verdicts.reason)
     for slot, mapped in enumerate(messages):
         rows = np.flatnonzero((verdicts.slot == slot) & (verdicts.reason == FrameReason.OK))
         assert np.array_equal(found.rows(slot), rows)
