@@ -1,21 +1,34 @@
-"""Pictures and tables of a report: friction over slip, its trend, the signals of a shift."""
+"""Pictures and tables of a clutch: friction over slip, the margin that is left of it, causes and loads."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from markupsafe import Markup
 
 from canlog.arrays import FloatArray
-from clutch_model.calibration import FrictionCurve
+from clutch_model.calibration import Calibration, FrictionCurve
 from clutch_model.units import degc_from_k, rad_s_from_rpm, rpm_from_rad_s
-from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, curve_band, new_curve
+from clutch_results.curves import (
+    CALIBRATED_RATIO,
+    CHANGE_LEVEL_RATIO,
+    WATCH_LEVEL_RATIO,
+    WATCH_MARGIN_RATIO,
+    curve_band,
+    margin_left,
+    new_curve,
+)
 from clutch_results.loads import ENERGY_BOUNDS_J, Load
-from clutch_results.records import Causes, ClutchVerdict, FrictionEstimate, ShiftResult, utc_from_bus_ns
+from clutch_results.prognosis import Prognosis, forecast, history_of
+from clutch_results.prognosis.history import UNSEEN_M
+from clutch_results.prognosis.prognosis import M_PER_KM
+from clutch_results.prognosis.sentence import soonest
+from clutch_results.records import Causes, Condition, FluidFill, FrictionEstimate, ShiftResult, utc_from_bus_ns
 from clutch_results.shift_course import COURSE_COUNT, Course, change_words, part_words
 from clutchdiag_io.pages.content import Cell, Figure, Key, Section, Table, number
-from clutchdiag_io.pages.plot import Axis, Plot, broken, thinned
+from clutchdiag_io.pages.plot import HEIGHT, WIDTH, Axis, Plot, broken
 from clutchdiag_io.people import PLUS_MINUS, STDS
 from fleet_contract.orders import cause_words, title_of
 
@@ -28,43 +41,161 @@ THRESHOLD_KEYS: Final = (
     Key(style="change", text=f"change below {100.0 * CHANGE_LEVEL_RATIO:.0f} % of new"),
 )
 _THRESHOLDS: Final = ((1.0, "new"), (WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change"))
+WATCH_PERCENT: Final = 100.0 * WATCH_MARGIN_RATIO  # of the margin
+LIMITS: Final = ((WATCH_PERCENT, "watch", f"watch: {WATCH_PERCENT:.0f} %"), (0.0, "change", "change: 0 %"))
+LEAST_KM: Final = 20.0  # on fewer kilometres events are told apart by their numbers
+MOST_AHEAD_M: Final = 1.5e8
+SHOWN_PERCENT: Final = (-120.0, 160.0)  # a margin that is little known may be anywhere
+FAN_SIZE: Final = (640, 280)
+MOMENT_ROWS: Final = 3  # in which names of moments stand, so that neighbours do not overlap
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trend:
-    """How the friction of one clutch went, an item per event that engaged it; NaN where nothing is known."""
+class Past:
+    """What was left of the friction margin of one clutch [%], an item per event that engaged it; NaN while unknown."""
 
     clutch: int
-    single_mu_c: FloatArray  # (n,) of the event alone
-    mu_c: FloatArray  # (n,) of all events so far
-    std_mu_c: FloatArray  # (n,)
-    new_mu_c: float | None  # of the calibration
-    moments: tuple[tuple[int, str, str], ...]  # number of the event, kind, text
     title: str  # name of the clutch
+    along: FloatArray  # (n,) places on the axis
+    left: FloatArray  # (n,)
+    std: FloatArray  # (n,)
 
-    @property
-    def number(self) -> FloatArray:
-        """The numbers of the events, from 1 on, shape (n,)."""
-        return np.arange(1.0, len(self.mu_c) + 1.0)
 
-    @classmethod
-    def of(cls, clutch: int, results: Sequence[ShiftResult], fills: Sequence[str]) -> "Trend":
-        """Return the trend of the results of one clutch; ``fills`` are the moments of new fluid, ISO 8601 UTC."""
-        running = [result.verdict.friction for result in results]
-        levels = [result.verdict for result in results if result.verdict.level_ratio and result.verdict.friction]
-        return cls(
-            clutch=clutch,
-            single_mu_c=np.array([_mu_c(result.estimate.friction) for result in results]),
-            mu_c=np.array([_mu_c(one) for one in running]),
-            std_mu_c=np.array([np.nan if one is None else one.std_mu_c for one in running]),
-            new_mu_c=new_mu_c_of(levels[-1]) if levels else None,
-            moments=tuple(_moments(results, fills)),
-            title=title_of(clutch, results[-1].verdict.element if results else None),
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fan:
+    """The friction margin of a vehicle over its kilometres, and what is foretold of the clutch that decides."""
+
+    pasts: tuple[Past, ...]  # the one that decides first
+    label: str  # of the horizontal axis
+    moments: tuple[tuple[float, str, str], ...]  # place on the axis, kind, text
+    ahead: FloatArray  # (d,) places on the axis from today on; empty: nothing is foretold
+    quantiles: FloatArray  # (3, d) less than this is left with 10, 50 and 90 % probability [%]
+
+    def drawn(self, past: Past) -> list[FloatArray]:
+        """Return places, margins and two of their deviations as they are drawn: thinned, with gaps at new fluid."""
+        fills = [place for place, kind, _ in self.moments if kind == "fill"]
+        starts = np.searchsorted(past.along, fills).tolist()
+        left, along, wide = broken(starts, MOST_POINTS, past.left, past.along, STDS * past.std)
+        return [along, left, wide]
+
+
+def fan_of(
+    results: Sequence[ShiftResult],
+    fills: Sequence[FluidFill],
+    calibration: Calibration,
+    prognoses: Sequence[Prognosis] = (),
+    *,
+    is_foretold: bool = False,
+) -> Fan | None:
+    """Return the fan of results in their order, all of one calibration; None where no margin is known."""
+    curves = {number: one.friction for number, one in enumerate(calibration.clutches, 1)}
+    reach = soonest(prognoses)
+    soon = [one.clutch for one in prognoses if reach is not None and one.change_fluid is reach]
+    pasts = [one for one in (_past(clutch, results, new) for clutch, new in curves.items()) if len(one.left)]
+    if not pasts:
+        return None
+    pasts.sort(key=lambda one: (one.clutch not in soon, one.left[-1]))
+    first = pasts[0].clutch
+    foretold = forecast(history_of(results, fills, first), curves[first]) if is_foretold else None
+    km, ahead, quantiles = _odometer_km(results), np.empty(0), np.empty((3, 0))
+    if foretold is not None:
+        _, likely_m, sure_m = (np.interp(0.0, -one, foretold.distance_m) for one in foretold.quantiles)
+        is_shown = foretold.distance_m <= 1.05 * min(sure_m, 2.0 * likely_m, MOST_AHEAD_M)
+        ahead, quantiles = km[-1] + foretold.distance_m[is_shown] / M_PER_KM, 100.0 * foretold.quantiles[:, is_shown]
+    has_km = foretold is not None or np.ptp(km) >= LEAST_KM  # NaN where the odometer is not known
+    along = km if has_km else np.arange(1.0, len(results) + 1.0)
+    return Fan(
+        pasts=tuple(replace(one, along=along[one.along.astype(np.int64)]) for one in pasts),
+        label="odometer [km]" if has_km else "event",
+        moments=tuple(_moments(first, results, along, fills)),
+        ahead=ahead,
+        quantiles=quantiles,
+    )
+
+
+def _past(clutch: int, results: Sequence[ShiftResult], new: FrictionCurve) -> Past:
+    """Return the past of a clutch over the places of its results; empty while its margin is not known."""
+    places = [place for place, one in enumerate(results) if one.estimate.clutch == clutch]
+    known = np.array([margin_left(results[place].verdict, new) for place in places], np.float64).reshape(-1, 2)
+    if not np.isfinite(known[-1:]).any():
+        places, known = [], known[:0]
+    title = title_of(clutch, results[places[-1]].verdict.element if places else None)
+    left, std = 100.0 * known.T
+    return Past(clutch=clutch, title=title, along=np.array(places, np.float64), left=left, std=std)
+
+
+def _odometer_km(results: Sequence[ShiftResult]) -> FloatArray:
+    """Return how far the vehicle had come at each result, shape (n,), ending with what its odometer reads now.
+
+    A step back or a leap is another instrument cluster. NaN where the odometer is not known of most.
+    """
+    read_m = np.array([one.estimate.odometer_m for one in results], np.float64)  # None becomes NaN
+    places = np.flatnonzero(np.isfinite(read_m))
+    if 2 * len(places) <= len(results):
+        return np.full(len(results), np.nan)
+    steps_m = np.diff(read_m[places], prepend=read_m[places[0]])
+    gone_m = np.cumsum(np.where((steps_m >= 0.0) & (steps_m <= UNSEEN_M), steps_m, 0.0))
+    now_m = read_m[places[-1]]
+    return np.asarray(np.interp(np.arange(len(results)), places, now_m + gone_m - gone_m[-1]) / M_PER_KM)
+
+
+def _moments(
+    clutch: int, results: Sequence[ShiftResult], along: FloatArray, fills: Sequence[FluidFill]
+) -> list[tuple[float, str, str]]:
+    """Return where fluid was filled, a baseline frozen, the vehicle calibrated and the verdict on a clutch worse."""
+    starts = [utc_from_bus_ns(one.estimate.start_ns) for one in results]
+    firsts = [sum(start < fill.filled_at for start in starts) for fill in fills]
+    moments = [(float(along[min(first, len(along) - 1)]), "fill", "new fluid") for first in firsts]
+    own = [
+        (place, one.verdict) for place, one in zip(along.tolist(), results, strict=True) if one.verdict.clutch == clutch
+    ]
+    for (_, before), (place, now) in pairwise(own):
+        told = [(one.calibration_ratio or 0.0) >= CALIBRATED_RATIO for one in (before, now)]
+        word = now.condition.name.lower()
+        happened = (
+            (before.trend is None and now.trend is not None, "base", "baseline"),
+            (told == [False, True], "base", "calibrated"),
+            (before.condition < now.condition > Condition.GOOD, word, word.replace("_", " ")),
         )
+        moments += [(place, kind, text) for is_so, kind, text in happened if is_so]
+    return sorted(moments)[-MOST_MOMENTS:]
+
+
+def fan_picture(fan: Fan) -> Markup:
+    """Return the fan as SVG; its text says what can be seen."""
+    first = fan.pasts[0]
+    spread = [one + sign * wide for _, one, wide in map(fan.drawn, fan.pasts) for sign in (-1.0, 1.0)]
+    y = Axis.around(
+        "friction margin [%]", [-12.0, 112.0], *(np.clip(one, *SHOWN_PERCENT) for one in spread), margin_ratio=0.0
+    )
+    x = Axis.around(fan.label, *(one.along for one in fan.pasts), fan.ahead, margin_ratio=0.02)
+    now = f"{first.title}: {first.left[-1]:.0f} ± {STDS * first.std[-1]:.0f} % left"
+    plot = Plot(f"Friction margin over {fan.label}; {now}", x, y, width=FAN_SIZE[0], height=FAN_SIZE[1])
+    across = np.array([x.low, x.high])
+    for low, high, style in ((y.low, 0.0, "change"), (0.0, WATCH_PERCENT, "watch")):
+        plot.band(across, np.full(2, low), np.full(2, high), f"zone {style}")
+    if len(fan.ahead):
+        plot.band(fan.ahead, fan.quantiles[0], fan.quantiles[2], "band ahead")
+        plot.line(fan.ahead, np.where(fan.quantiles[1] > y.low, fan.quantiles[1], np.nan), "line dashed ahead")
+        plot.moment(float(fan.ahead[0]), "today", "today", row=MOMENT_ROWS)
+    for past in reversed(fan.pasts):
+        along, left, wide = fan.drawn(past)
+        if past is first:
+            plot.band(along, left - wide, left + wide, f"band clutch{past.clutch}")
+        plot.line(along, left, f"line {'strong ' if past is first else ''}clutch{past.clutch}")
+    for level, style, text in LIMITS:
+        plot.level(level, style, text, is_left=True)
+    for turn, (place, kind, text) in enumerate(fan.moments):
+        plot.moment(place, kind, text, row=turn % MOMENT_ROWS)
+    return plot.markup()
 
 
 def curve_picture(
-    clutch: int, friction: FrictionEstimate, reference: FrictionCurve, element: str | None = None
+    clutch: int,
+    friction: FrictionEstimate,
+    reference: FrictionCurve,
+    element: str | None = None,
+    size: tuple[int, int] = (WIDTH, HEIGHT),
 ) -> Markup:
     """Return the friction of one clutch over slip, beside that of new fluid and the thresholds of the verdict."""
     new = new_curve(_SLIP_RAD_S, reference)
@@ -74,7 +205,8 @@ def curve_picture(
     slip_rpm = rpm_from_rad_s(_SLIP_RAD_S)
     x = Axis(low=0.0, high=float(slip_rpm[-1]), label="slip speed [rpm]")
     what = "friction coefficient over slip speed, estimate with band, new fluid, thresholds"
-    plot = Plot(f"{title_of(clutch, element)}: {what}", x, Axis.around("friction coefficient", new, low, high, levels))
+    y = Axis.around("friction coefficient", new, low, high, levels)
+    plot = Plot(f"{title_of(clutch, element)}: {what}", x, y, width=size[0], height=size[1])
     _draw_thresholds(plot, reference.mu_c)
     plot.line(slip_rpm, new, "line new dashed")
     plot.band(slip_rpm, low, high, f"band clutch{clutch}")
@@ -110,59 +242,9 @@ def curve_figure(
     )
 
 
-def trend_picture(trend: Trend) -> Markup:
-    """Return how the friction of one clutch went, thinned to what a screen can show."""
-    number, std = trend.number, STDS * trend.std_mu_c
-    levels = [] if trend.new_mu_c is None else [ratio * trend.new_mu_c for ratio, _ in _THRESHOLDS]
-    y = Axis.around("mu_C", trend.single_mu_c, trend.mu_c - std, trend.mu_c + std, np.array(levels))
-    x = Axis(low=0.0, high=len(number) + 1.0, label=f"event of {trend.title.lower()}")
-    plot = Plot(f"{trend.title}: trend of mu_C, single events and running estimate with band", x, y)
-    if trend.new_mu_c is not None:
-        _draw_thresholds(plot, trend.new_mu_c)
-    single = thinned(trend.single_mu_c, MOST_POINTS)
-    fills = [place - 1 for place, style, _ in trend.moments if style == "fill"]
-    mu_c, along, spread = broken(fills, MOST_POINTS, trend.mu_c, number, std)
-    plot.band(along, mu_c - spread, mu_c + spread, f"band clutch{trend.clutch}")
-    plot.dots(number[single], trend.single_mu_c[single], f"clutch{trend.clutch}")
-    plot.line(along, mu_c, f"line strong clutch{trend.clutch}")
-    for place, style, text in trend.moments[-MOST_MOMENTS:]:
-        plot.moment(float(place), style, text)
-    return plot.markup()
-
-
 def _draw_thresholds(plot: Plot, new_mu_c: float) -> None:
     for ratio, style in _THRESHOLDS:
         plot.level(ratio * new_mu_c, style, f"{style}: {100.0 * ratio:.0f} %")
-
-
-def _moments(results: Sequence[ShiftResult], fills: Sequence[str]) -> list[tuple[int, str, str]]:
-    """Return where fluid was filled, the baseline was frozen and the verdict changed, by number of the event."""
-    moments: list[tuple[int, str, str]] = []
-    starts = [utc_from_bus_ns(result.estimate.start_ns) for result in results]
-    for filled_at in fills:
-        place = next((number for number, start in enumerate(starts, 1) if start >= filled_at), len(starts) + 1)
-        moments.append((place, "fill", "new fluid"))
-    known: ClutchVerdict | None = None
-    for place, result in enumerate(results, 1):
-        verdict = result.verdict
-        if known is not None and verdict.trend is not None and known.trend is None:
-            moments.append((place, "base", "baseline"))
-        if known is not None and verdict.condition is not known.condition:
-            word = verdict.condition.name.lower()
-            moments.append((place, word, word.replace("_", " ")))
-        known = verdict
-    return sorted(moments)
-
-
-def _mu_c(friction: FrictionEstimate | None) -> float:
-    return np.nan if friction is None else friction.mu_c
-
-
-def new_mu_c_of(verdict: ClutchVerdict) -> float | None:
-    """Return mu_C of new fluid by the calibration that a verdict went by, None while that has no level."""
-    if verdict.friction is None or not verdict.level_ratio:
-        return None
-    return verdict.friction.mu_c / verdict.level_ratio
 
 
 def causes_section(causes: Causes) -> Section:
@@ -174,32 +256,15 @@ def causes_section(causes: Causes) -> Section:
         caption=f"Causes, by {causes.event_count} events", head=("cause", "probability", "evidence"), rows=rows
     )
     texts = (causes.advice, *([] if causes.test is None else [causes.test]))
-    figures = (_moved_figure(causes),) if causes.moved else ()
-    return Section(name="causes", title="Why", texts=texts, figures=figures, tables=(table,))
-
-
-def _moved_figure(causes: Causes) -> Figure:
-    """Return what moved most, in standard deviations, beside what the likeliest cause would move."""
-    heights = np.arange(len(causes.moved), 0.0, -1.0)
-    sizes = np.array([(one.change / one.std, one.expected / one.std) for one in causes.moved])
-    caption = "What moved most, and what the likeliest cause would move"
-    x = Axis.around("change over its standard deviation", [0.0], sizes[:, 0] - STDS, sizes[:, 0] + STDS, sizes[:, 1])
-    plot = Plot(caption, x, Axis(low=0.4, high=len(heights) + 0.9, label=""))
-    plot.moment(0.0, "fill", "unchanged")
-    for height, (moved, expected), one in zip(heights, sizes, causes.moved, strict=True):
-        plot.level(float(height), "new", one.quantity)
-        plot.line(moved + np.array([-STDS, STDS]), np.array([height, height]), "line strong clutch2")
-        plot.line(np.array([expected, expected]), height + np.array([-0.2, 0.2]), "line strong clutch1")
-    rows = tuple(
-        (one.quantity, *(number(value, "{:.3g}") for value in (one.change, STDS * one.std, one.expected)), one.unit)
-        for one in causes.moved
+    moved = Table(
+        caption="What moved most, and what the likeliest cause would move",
+        head=("quantity", "moved", PLUS_MINUS, "expected", "unit"),
+        rows=tuple(
+            (one.quantity, *(number(value, "{:.3g}") for value in (one.change, STDS * one.std, one.expected)), one.unit)
+            for one in causes.moved
+        ),
     )
-    return Figure(
-        picture=plot.markup(),
-        caption=caption,
-        keys=(Key(style="clutch2", text=f"moved, {PLUS_MINUS}"), Key(style="clutch1", text="expected")),
-        table=Table(caption=caption, head=("quantity", "moved", PLUS_MINUS, "expected", "unit"), rows=rows),
-    )
+    return Section(name="causes", title="Why", texts=texts, tables=(table, moved) if moved.rows else (table,))
 
 
 def course_tables(found: Sequence[Course], loaded: Sequence[Load]) -> tuple[Table, ...]:

@@ -11,12 +11,13 @@ from clutch_model.calibration import nominal_calibration
 from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from clutch_results.records import Condition, FrictionEstimate, ShiftResult
 from demo.drawing import CONDITION_COLOUR, INK, as_svg, drawing_style
-from diag_service.api.analysis import MU_C_COLOUR, MU_S_COLOUR
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.truth import ShiftTruth, TruthLog
 
 CLUTCH = 2
 BAND_STD = 2.0
+MU_C_COLOUR = "#0f6cbd"
+MU_S_COLOUR = "#c2410c"
 UNKNOWN_COLOUR = "#94a3b0"
 LEAST_NAMED = 12  # shifts: a verdict that lasts shorter has no room for its name
 

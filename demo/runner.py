@@ -20,6 +20,8 @@ from rich.console import Console
 from rich.text import Text
 
 from canlog.live.medium import Medium, open_medium
+from clutch_model.calibration import nominal_calibration
+from clutch_results.pictures import fan_of
 from clutch_results.records import SHIFT_SCHEMA, ShiftResult, shift_from, verdict_from
 from clutchdiag_io.people import PLUS_MINUS
 from demo import ageing
@@ -36,8 +38,7 @@ from demo.outcome import (
 )
 from demo.programs import BACKEND, EMULATOR, HOST, LOOK_S, SERVICE, DemoError, Program, free_port, program, run
 from demo.scan_tool import ScanTool
-from diag_service.api.analysis import draw as draw_shifts
-from diag_service.api.analysis import save
+from diag_service.api import picture
 from diag_service.service.application import first_error
 from ecu_emulator.truth import read_truth
 from fleet_contract import Channel
@@ -109,7 +110,7 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
             console.print(table)
         console.print("drawing the pictures: about 3 s")
         (folder / ageing.PICTURE).write_text(draw(points), encoding="utf-8")
-        save(bus_picture(outcome), folder / PICTURE)
+        picture.save(bus_picture(outcome), folder / PICTURE)
         parts.end("pictures")
     found = [*ageing.course_complaints(points), *complaints(outcome)]
     lines: list[str | Text] = [*frame_lines(outcome.frames), f"pictures: {folder / PICTURE}, {folder / ageing.PICTURE}"]
@@ -123,7 +124,8 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
 
 def bus_picture(outcome: Outcome) -> "Figure":
     """Return the picture of the shifts that the table of single shifts tells."""
-    return draw_shifts(outcome.shifts, f"{len(outcome.shifts)} shifts on the bus")
+    fan = fan_of(outcome.shifts, (), nominal_calibration())
+    return picture.draw(fan, f"{len(outcome.shifts)} shifts on the bus")
 
 
 class Parts:

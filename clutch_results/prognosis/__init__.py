@@ -19,13 +19,14 @@ from clutch_results.prognosis.population import (
     population_record,
     without,
 )
-from clutch_results.prognosis.prognosis import Outlook, Prognosis, prognose
+from clutch_results.prognosis.prognosis import Forecast, Outlook, Prognosis, forecast, prognose
 from clutch_results.prognosis.trend import Passage
 
 __all__ = [
     "Ageing",
     "ChannelName",
     "Common",
+    "Forecast",
     "History",
     "Monthly",
     "Outlook",
@@ -38,6 +39,7 @@ __all__ = [
     "ageings",
     "common_course",
     "common_of",
+    "forecast",
     "history_of",
     "history_of_estimates",
     "learn",

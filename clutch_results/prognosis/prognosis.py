@@ -6,9 +6,10 @@ from enum import StrEnum
 
 import numpy as np
 
+from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
 from clutch_model.units import degc_from_k
-from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
+from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO, level_at
 from clutch_results.prognosis.assumptions import (
     HAND_FACTOR,
     HAND_SHARE,
@@ -165,6 +166,29 @@ def prognose(
         watch=_reach(watch, events_per_m, service_distance_m),
         change_fluid=_reach(change, events_per_m, service_distance_m),
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Forecast:
+    """What will be left of the friction margin of a clutch (`margin_left`) if the fluid stays in."""
+
+    distance_m: FloatArray  # (d,) from today
+    quantiles: FloatArray  # (3, d) less than this is left with 10, 50 and 90 % probability
+
+
+_LEFT = np.linspace(-0.2, 1.2, 36)  # margins of which the passage is looked at
+
+
+def forecast(history: History, reference: FrictionCurve, *, peers: Peers | None = None) -> Forecast | None:
+    """Return what the prognosis of the same past says of the margin at each distance; None where it says nothing."""
+    starts = fluid_starts(history) if len(history) else ()
+    if not starts or history.is_fluid_newer or len(history) - starts[-1].row < LEAST_ROWS:
+        return None
+    today = fluid_lives(history, starts, reference, peers)[-1]
+    passages = [either(today, float(left), level_at(float(left))) for left in _LEFT]
+    passed = np.maximum.accumulate([one.probability for one in passages], axis=0)
+    quantiles = [[np.interp(share, column, _LEFT) for column in passed.T] for share in (0.1, 0.5, 0.9)]
+    return Forecast(distance_m=passages[0].distance_m, quantiles=np.array(quantiles))
 
 
 def _reach(when: Passage, events_per_m: float, service_distance_m: float) -> Reach:

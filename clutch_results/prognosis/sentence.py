@@ -33,6 +33,20 @@ def soonest(founds: Iterable[Prognosis]) -> Reach | None:
     return min((one for one in ends if one is not None), key=_end, default=None)
 
 
+def distance_left(founds: Sequence[Prognosis], action: Action) -> str:
+    """Return what `outlook_line` says of the distance in a few words, for a headline."""
+    if action is Action.CHANGE_NOW:
+        return "0 km left"
+    known = [one.change_fluid for one in founds if one.change_fluid is not None]
+    first = soonest(founds)
+    if action in {Action.FIND_CAUSE, Action.NEW_FLUID} or not known or (first is not None and not _is_told(first)):
+        return "km left: not known yet"
+    if first is not None:
+        return _range(first).removeprefix("in ").replace("within", "at most").replace(" km", " km left")
+    least_m = _least_m(known)
+    return f"at least {_km(least_m)} km left (90 % sure)" if least_m > 0.0 else "km left: not known yet"
+
+
 def _line(founds: Sequence[Prognosis], action: Action, element: str | None) -> str:
     if action is Action.CHANGE_NOW:
         return "No prognosis: the fluid is to be changed now."
@@ -44,14 +58,13 @@ def _line(founds: Sequence[Prognosis], action: Action, element: str | None) -> s
         return f"No prognosis yet: it takes {LEAST_ROWS} usable results of a clutch with this fluid; {counts}."
     first = soonest(founds)
     if first is None:
-        p10_m = min(HORIZON_M if one.p10_m is None else one.p10_m for one in known)
+        p10_m = _least_m(known)
         return (
             _UNKNOWN
             if not p10_m > 0.0  # nor where it is no number
             else f"No trend yet: left in, the fluid lasts at least {_km(p10_m)} km (90 % sure)."
         )
-    ends = (0.0 if one is None else one for one in (first.p10_m, first.p50_m, first.p90_m))
-    if first.p90_m == 0.0 or (first.p90_m is None and first.p10_m == 0.0) or any(map(isnan, ends)):
+    if not _is_told(first):
         return _UNKNOWN
     chance = first.probability_before_service
     begin = _SOONER.get(action, _AGES) if chance >= LIKELY else _AGES
@@ -59,6 +72,16 @@ def _line(founds: Sequence[Prognosis], action: Action, element: str | None) -> s
         f"{begin}, it reaches its limit {_range(first)}; {_percent(chance)} "
         f"that this is within the next {founds[0].service_distance_m / M_PER_KM:,.0f} km."
     )
+
+
+def _least_m(known: Iterable[Reach]) -> float:
+    return min(HORIZON_M if one.p10_m is None else one.p10_m for one in known)
+
+
+def _is_told(when: Reach) -> bool:
+    """Return whether the quantiles of a distance tell something of it."""
+    ends = (0.0 if one is None else one for one in (when.p10_m, when.p50_m, when.p90_m))
+    return when.p90_m != 0.0 and not (when.p90_m is None and when.p10_m == 0.0) and not any(map(isnan, ends))
 
 
 def _end(when: Reach) -> tuple[float, ...]:

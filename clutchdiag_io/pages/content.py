@@ -125,4 +125,5 @@ def templates_of(package: str) -> Environment:
         lstrip_blocks=True,
     )
     made.filters["rows"] = rows_markup
+    made.filters["number"] = lambda value, form="{:.4f}", scale=1.0: Markup(_cell(number(value, form, scale=scale)))  # noqa: S704 - escaped
     return made

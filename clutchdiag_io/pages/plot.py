@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from math import ceil, floor, log10
 from typing import Final
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -18,8 +17,7 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 24, 14, 50  # with room for larger letters on
 _TICK_COUNT: Final = 6
 _FARTHEST: Final = 1e150  # of what an axis shows: a span of more is no number
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
-_DECIMALS: Final = 1  # of a pixel
-_PER_PIXEL: Final = 10**_DECIMALS
+_LINE: Final = 19  # pixels from one line of text to the next, with room for larger letters
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,10 +63,10 @@ class Plot:
         What the picture shows, for those who cannot see it: the table beside it has the numbers.
     """
 
-    def __init__(self, label: str, x: Axis, y: Axis, *, height: int = HEIGHT) -> None:
+    def __init__(self, label: str, x: Axis, y: Axis, *, width: int = WIDTH, height: int = HEIGHT) -> None:
         self.x, self.y = x, y
-        self._height = height
-        attributes = {"viewBox": f"0 0 {WIDTH} {height}", "role": "img", "aria-label": label, "class": "plot"}
+        self._right, self._height = width - _RIGHT, height
+        attributes = {"viewBox": f"0 0 {width} {height}", "role": "img", "aria-label": label, "class": "plot"}
         self._svg = Element("svg", attributes)
         self._draw_axes()
 
@@ -93,33 +91,29 @@ class Plot:
         points = zip(_texts(self._pixels_x(x[known])), _texts(self._pixels_y(y[known])), strict=True)
         self._path("".join(f"M{px} {py}h0" for px, py in points), f"dots {style}")
 
-    def level(self, y: float, style: str, text: str) -> None:
-        """Draw a horizontal line across the picture, with its name at the right end."""
+    def level(self, y: float, style: str, text: str, *, is_left: bool = False) -> None:
+        """Draw a horizontal line across the picture, with its name at the right end, or at the left one."""
         if not self.y.low <= y <= self.y.high:
             return
         height = _text(self._pixels_y(np.array([y]))[0])
-        self._path(f"M{_LEFT} {height}H{WIDTH - _RIGHT}", f"level {style}")
-        self._words(text, WIDTH - _RIGHT - 2, float(height) - 4, f"end {style}")
+        self._path(f"M{_LEFT} {height}H{self._right}", f"level {style}")
+        place = (_LEFT + 4, "begin") if is_left else (self._right - 2, "end")
+        self._words(text, place[0], float(height) - 4, f"{place[1]} {style}")
 
-    def moment(self, x: float, style: str, text: str) -> None:
-        """Draw a vertical line through the picture, with its name at the upper end."""
+    def moment(self, x: float, style: str, text: str, *, row: int = 0) -> None:
+        """Draw a vertical line through the picture, with its name at the upper end, some lines of text below it."""
         place = self._pixels_x(np.array([x]))[0]
         self._path(f"M{_text(place)} {_TOP}V{self._height - _BOTTOM}", f"moment {style}")
-        is_late = place > WIDTH * 0.75
-        self._words(text, place + (-4 if is_late else 4), _TOP + 9, f"{'end' if is_late else 'begin'} {style}")
-
-    def span(self, low: float, high: float, style: str) -> None:
-        """Shade a stretch of the horizontal axis."""
-        left, right = self._pixels_x(np.array([low, high]))
-        box = {"x": _text(left), "y": str(_TOP), "width": _text(right - left)}
-        SubElement(self._svg, "rect", {**box, "height": str(self._height - _TOP - _BOTTOM), "class": style})
+        is_late = place > (self._right + _RIGHT) * 0.75
+        side = (-4, "end") if is_late else (4, "begin")
+        self._words(text, place + side[0], _TOP + 9 + _LINE * row, f"{side[1]} {style}")
 
     def markup(self) -> Markup:
         """Return the picture as it may stand in a page: every text in it is escaped."""
         return Markup(tostring(self._svg, encoding="unicode"))  # noqa: S704 - ElementTree escapes
 
     def _draw_axes(self) -> None:
-        bottom, right = self._height - _BOTTOM, WIDTH - _RIGHT
+        bottom, right = self._height - _BOTTOM, self._right
         for tick in self.x.ticks:
             place = self._pixels_x(np.array([tick]))[0]
             self._path(f"M{_text(place)} {_TOP}V{bottom}", "grid")
@@ -144,7 +138,7 @@ class Plot:
 
     def _pixels_x(self, x: FloatArray) -> FloatArray:
         share = (np.asarray(x, np.float64) - self.x.low) / (self.x.high - self.x.low)
-        return _LEFT + share * (WIDTH - _RIGHT - _LEFT)
+        return _LEFT + share * (self._right - _LEFT)
 
     def _pixels_y(self, y: FloatArray) -> FloatArray:
         share = (np.asarray(y, np.float64) - self.y.low) / (self.y.high - self.y.low)
@@ -188,18 +182,8 @@ def broken(starts: Iterable[int], most: int, values: FloatArray, *others: FloatA
 
 
 def _text(pixels: float) -> str:
-    return f"{pixels:.{_DECIMALS}f}".removesuffix(".0")
-
-
-@cache
-def _known_texts() -> tuple[str, ...]:
-    """Return the texts of all places across a picture: looking one up takes a tenth of making it."""
-    return tuple(_text(place / _PER_PIXEL) for place in range(WIDTH * _PER_PIXEL + 1))
+    return f"{pixels:.1f}".removesuffix(".0")
 
 
 def _texts(pixels: FloatArray) -> list[str]:
-    """Return the texts of many places; those outside of the picture are made."""
-    known, places = _known_texts(), np.rint(pixels * _PER_PIXEL).astype(np.int64)
-    if np.all((places >= 0) & (places < len(known))):
-        return [known[place] for place in places.tolist()]
-    return [_text(place / _PER_PIXEL) for place in places.tolist()]
+    return [_text(one) for one in np.rint(pixels * 10.0) / 10.0]

@@ -4,15 +4,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self, Unpack
+from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from canlog.column_files import arrow_schema, row_table
-from canlog.errors import OutputError
 from canlog.extras import load_extra
-from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
-from clutch_results.pictures import new_mu_c_of
-from clutch_results.records import ClutchVerdict, Condition, ShiftResult, Status, dump, shift_record, verdict_from
-from clutchdiag_io.people import PLUS_MINUS, STDS, digits
+from clutch_model.calibration import Calibration
+from clutch_results.records import ClutchVerdict, ShiftResult, dump, shift_record, verdict_from
+from clutchdiag_io.people import digits
 from clutchdiag_io.program import legible
 from diag_service.api.choices import AnyPath, AnyPaths, Delivery, LogMeaning, configuration, optional_path, path_list
 from diag_service.batch.tables import columns, drive_rows, flattened, record_columns
@@ -28,105 +26,13 @@ from diag_service.service.paper_run import run_paper
 from diag_service.service.recorded import run_recorded
 from diag_service.service.stopping import Trigger
 from diag_service.settings.proposed import as_proposed
-from fleet_contract import CLUTCHES, Channel
+from fleet_contract import Channel
 from fleet_contract.orders import name_of
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
-SIZE_INCH: Final = (9.0, 6.0)
-STRIP: Final = (0.0, 0.04)  # of the height: where the verdicts stand
-MU_C_COLOUR: Final = "#0f6cbd"
-MU_S_COLOUR: Final = "#c2410c"
-CONDITION_COLOUR: Final = {
-    Condition.NO_VERDICT: "#9ca3af",
-    Condition.GOOD: "#15803d",
-    Condition.WATCH: "#d97706",
-    Condition.CHANGE_FLUID: "#b91c1c",
-}
-
-
-THRESHOLDS: Final = ((WATCH_LEVEL_RATIO, Condition.WATCH), (CHANGE_LEVEL_RATIO, Condition.CHANGE_FLUID))
-
-
-def draw(results: Sequence[ShiftResult], name: str) -> "Figure":
-    """Return the figure, under the name of what was analysed; ExtraMissingError if matplotlib is not installed."""
-    load_extra("matplotlib", "plot() needs matplotlib")
-    from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
-    from matplotlib.patches import Patch  # noqa: PLC0415 - likewise
-
-    figure = Figure(figsize=SIZE_INCH, layout="constrained")
-    own_names = {one.verdict.clutch: one.verdict.element for one in results if one.verdict.element}
-    names = own_names or {clutch: name_of(clutch, None) for clutch in CLUTCHES}
-    panels = figure.subplots(len(names), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-    for (clutch, title), axes in zip(names.items(), panels, strict=True):
-        own = [one for one in results if one.estimate.clutch == clutch]
-        _draw_clutch(axes, own)
-        _draw_thresholds(axes, own)
-        axes.set_title(title, loc="left")
-        axes.set_ylabel("friction coefficient")
-    panels[-1].set_xlabel(f"shift; dots: single shifts, lines: all shifts combined, bars and bands: {PLUS_MINUS}")
-    handles = [Patch(color=colour, label=condition_words(condition)) for condition, colour in CONDITION_COLOUR.items()]
-    handles += [Patch(color=MU_C_COLOUR, label="mu_C"), Patch(color=MU_S_COLOUR, label="mu_S")]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
-    panels[0].set_title(name, loc="right")
-    return figure
-
-
-def save(figure: "Figure", path: Path) -> None:
-    """Write a figure; raises OutputError if the file cannot be written, or its suffix is of no picture."""
-    try:
-        figure.savefig(path)
-    except (OSError, ValueError) as exc:
-        reason = exc.strerror if isinstance(exc, OSError) else None
-        raise OutputError(f"cannot write {path}: {reason or exc}") from exc
-
-
-def _draw_clutch(axes: "Axes", results: list[ShiftResult]) -> None:
-    for colour, name in ((MU_C_COLOUR, "mu_c"), (MU_S_COLOUR, "mu_s")):
-        single = [
-            (one.estimate.number, getattr(one.estimate.friction, name), getattr(one.estimate.friction, f"std_{name}"))
-            for one in results
-            if one.estimate.status is Status.VALID and one.estimate.friction is not None
-        ]
-        if single:
-            numbers, values, stds = zip(*single, strict=True)
-            axes.errorbar(
-                numbers, values, yerr=[STDS * std for std in stds], fmt="o", ms=3.0, lw=0.8, color=colour, alpha=0.6
-            )
-        running = [
-            (one.estimate.number, getattr(one.verdict.friction, name), getattr(one.verdict.friction, f"std_{name}"))
-            for one in results
-            if one.verdict.friction is not None
-        ]
-        if running:
-            numbers, values, stds = zip(*running, strict=True)
-            low, high = (
-                [value + sign * STDS * std for value, std in zip(values, stds, strict=True)] for sign in (-1, 1)
-            )
-            axes.plot(numbers, values, color=colour, lw=1.6)
-            axes.fill_between(numbers, low, high, color=colour, alpha=0.15, lw=0.0)
-    for one in results:
-        colour = CONDITION_COLOUR[one.verdict.condition]
-        axes.axvspan(one.estimate.number - 0.5, one.estimate.number + 0.5, *STRIP, color=colour, lw=0.0)
-
-
-def _draw_thresholds(axes: "Axes", results: list[ShiftResult]) -> None:
-    """Draw below which mu_C the verdict is another one, once a level is known."""
-    known = [level for one in results if (level := new_mu_c_of(one.verdict)) is not None]
-    if not known:
-        return
-    for ratio, condition in THRESHOLDS:
-        level, colour = ratio * known[-1], CONDITION_COLOUR[condition]
-        text = f"mu_C below {100.0 * ratio:.0f} % of new: {condition_words(condition)}"
-        axes.axhline(level, color=colour, lw=1.0, ls="--")
-        axes.annotate(
-            text, (1.0, level), (-4.0, -3.0), axes.get_yaxis_transform(), "offset points",
-            color=colour, fontsize=8.0, ha="right", va="top",
-        )  # fmt: skip
-
+    from clutch_results.pictures import Fan
 
 Row = Mapping[str, object]
 SHOWN_ROWS = 20  # in a notebook
@@ -220,19 +126,33 @@ class Analysis:
     notices : tuple of str
         What the program warns of on standard error, as far as the level of the loggers ``diag_service`` and ``canlog``
         lets it through: faults of logs, slow messages, logs that contributed nothing.
+    calibration : Calibration or None
+        What new fluid is like, by which the results were made; without it there is no picture.
     """
 
     paths: tuple[Path, ...]
     results: tuple[ShiftResult, ...]
     summary: Mapping[str, Any]
     notices: tuple[str, ...] = ()
+    calibration: Calibration | None = None
 
     @classmethod
     def of(
-        cls, paths: Sequence[Path], results: Sequence[ShiftResult], summary: Summary, notices: Sequence[str]
+        cls,
+        paths: Sequence[Path],
+        results: Sequence[ShiftResult],
+        summary: Summary,
+        notices: Sequence[str],
+        calibration: Calibration | None = None,
     ) -> Self:
         """Return the analysis that a run came to."""
-        return cls(paths=tuple(paths), results=tuple(results), summary=summary_record(summary), notices=tuple(notices))
+        return cls(
+            paths=tuple(paths),
+            results=tuple(results),
+            summary=summary_record(summary),
+            notices=tuple(notices),
+            calibration=calibration,
+        )
 
     @property
     def vehicle(self) -> str:
@@ -276,7 +196,7 @@ class Analysis:
         return "".join(f"{dump(record)}\n" for record in (*map(shift_record, self.results), dict(self.summary)))
 
     def plot(self, path: AnyPath | None = None) -> "Figure":
-        """Draw the friction of all clutches over the shifts: its uncertainty, the verdicts and their thresholds.
+        """Draw the fan chart of the report: what is left of the friction margin, its limits, what is foretold.
 
         Parameters
         ----------
@@ -295,9 +215,9 @@ class Analysis:
         OutputError
             If the file cannot be written.
         """
-        from diag_service.api.analysis import draw, save  # noqa: PLC0415 - matplotlib, an extra
+        from diag_service.api.picture import draw, save  # noqa: PLC0415 - matplotlib, an extra
 
-        figure = draw(self._judged, legible(", ".join(one.name for one in self.paths) or self.vehicle))
+        figure = draw(self._fan, legible(", ".join(one.name for one in self.paths) or self.vehicle))
         if path is not None:
             save(figure, Path(path))
         return figure
@@ -307,15 +227,25 @@ class Analysis:
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows."""
-        warnings = "".join(f"<li>{escape(text)}</li>" for text in self.notices)
-        order = f"<p>{escape(self.order)}</p>"
-        return f"<p><b>{escape(self._name)}</b>: {escape(self._said)}</p>{order}<ul>{warnings}</ul>"
+        from diag_service.report.page import notebook_of  # noqa: PLC0415 - a notebook alone needs it
+
+        return notebook_of(self._name, self._said, self.order, self.notices, self._fan)
 
     @property
     def _judged(self) -> list[ShiftResult]:
         """The shifts as all of them judge them; of a part of a drive without a verdict."""
         gaps = tuple(Gap(gap) for gap in self.summary["incomplete"])
         return [unjudged(result, gaps) for result in with_revisions(self.results)]
+
+    @property
+    def _fan(self) -> "Fan | None":
+        """The fan chart, as a report of the same logs has it."""
+        from diag_service.report.findings import findings_of_results  # noqa: PLC0415 - only pictures need a report
+        from diag_service.report.page import fan_for  # noqa: PLC0415 - likewise
+
+        if self.calibration is None or not self.results:
+            return None
+        return fan_for(findings_of_results(self.vehicle, self._judged, self.calibration))
 
     @property
     def _name(self) -> str:
@@ -385,7 +315,7 @@ def analyze(
         summary = run_recorded(config, named, optional_path(store), reporter, Trigger(), survey=DriveSurvey).summary
     if is_strict:
         insist(summary.gaps, summary.contributions, is_strict=True)
-    return Analysis.of(named, reporter.results, summary, notices)
+    return Analysis.of(named, reporter.results, summary, notices, config.calibration)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

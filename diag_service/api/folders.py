@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Unpack
 
+from clutch_model.calibration import Calibration
 from clutch_results.records import shift_from
 from diag_service.api.analysis import Analysis, ResultTable
 from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, configuration, optional_path, path_list
@@ -88,8 +89,9 @@ def analyze_folders(
     """
     listener = _Listener()
     with collected_notices() as notices:
+        config = configuration(is_strict=is_strict, **meaning)
         analyse_folders(
-            configuration(is_strict=is_strict, **meaning),
+            config,
             path_list(paths),
             output=optional_path(output),
             jobs=jobs,
@@ -99,7 +101,9 @@ def analyze_folders(
             has_vehicles=has_vehicles,
         )
     return FolderAnalysis(
-        drives=tuple(_analysis(entry) for entry in listener.entries if entry.drive["summary"] is not None),
+        drives=tuple(
+            _analysis(entry, config.calibration) for entry in listener.entries if entry.drive["summary"] is not None
+        ),
         unread={_name(entry): str(entry.drive["error"]) for entry in listener.entries if not entry.drive["summary"]},
         left_out={str(one.path): one.reason for one in listener.left_out},
         notices=tuple(notices),
@@ -120,13 +124,14 @@ class _Listener(FolderListener):
         self.entries = list(entries)
 
 
-def _analysis(entry: Entry) -> Analysis:
+def _analysis(entry: Entry, calibration: Calibration) -> Analysis:
     record: Mapping[str, Any] = entry.drive
     return Analysis(
         paths=tuple(map(Path, record["paths"])),
         results=tuple(map(shift_from, entry.shifts)),
         summary=record["summary"],
         notices=tuple(record["notices"]),
+        calibration=calibration,
     )
 
 

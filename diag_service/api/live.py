@@ -194,7 +194,7 @@ class LiveDiagnosis:
             summary = self._session.summary(self.frames, None)
         if summary is None:
             raise ConfigError("the diagnosis does not listen yet")
-        return Analysis.of((), self.results, summary, self._notices)
+        return Analysis.of((), self.results, summary, self._notices, self._config.calibration)
 
     def stop(self) -> None:
         """End the diagnosis with what was received until now; any thread may call, a second call does nothing."""

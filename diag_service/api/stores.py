@@ -15,7 +15,7 @@ from diag_service.console import collected_notices
 from diag_service.errors import ConfigError
 from diag_service.report.findings import Findings, findings_of_logs, findings_of_store
 from diag_service.report.history import history_records
-from diag_service.report.page import page_of, write_page
+from diag_service.report.page import html_of, write_page
 from diag_service.service.session import utc_now
 from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
@@ -42,7 +42,7 @@ def write_report(
     output
         The page, ``.html``; one that is there is replaced.
     is_full
-        Whether paper gets all sections, not only the first two pages.
+        Whether everything else follows the sheet: numbers, single shifts, data quality, all events.
     vehicle, dbc, profile, calibration, columns
         As of ``analyze``; ``vehicle`` also says which one of a store is meant.
 
@@ -59,7 +59,7 @@ def write_report(
     check_name(Path(output))
     with collected_notices():
         found = findings_of(configuration(**meaning), path_list(paths), meaning.get("vehicle"), Trigger())
-        return write_page(Path(output), page_of(found, utc_now(), is_full=is_full))
+        return write_page(Path(output), html_of(found, utc_now(), is_full=is_full))
 
 
 def history(store: AnyPath, *, vehicle: str | None = None, clutches: Sequence[int] = (1, 2)) -> list[dict[str, Any]]:

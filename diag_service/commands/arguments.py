@@ -324,7 +324,7 @@ _REPORT: Final = Command(
         help="logs of a drive, - is standard input; or a store",
     ),
     _output("HTML file to write", required=True),
-    Option("--full", "print all sections on paper, not only the first two pages"),
+    Option("--full", "after the sheet everything else: numbers, single shifts, data quality, events"),
     FORCE,
     *(*MEANING, CONFIG, _COLUMNS, VERBOSE),
     variables=VARIABLES,

@@ -2,24 +2,33 @@
 
 import json
 import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Final
+
+from rich.text import Text
 
 from clutch_model.calibration import nominal_calibration, read_calibration
+from clutch_model.units import for_people, reading_of
 from clutch_results.prognosis import Population, population_from
 from clutch_results.records import dump
+from clutchdiag_io.people import PLUS_MINUS, STDS, digits
 from clutchdiag_io.program import legible, replacement_refusal
 from diag_service.api.choices import diagnosis_config
 from diag_service.api.stores import check_name, findings_of, moment_of, note_fluid
 from diag_service.console import PeopleConsole, ReadingLine, write_record
 from diag_service.errors import ConfigError
 from diag_service.report.findings import findings_of_store
-from diag_service.report.history import history_lines, history_records, shift_lines
-from diag_service.report.page import page_of, write_page
+from diag_service.report.history import history_lines, history_records
+from diag_service.report.page import html_of, write_page
 from diag_service.service.drive import insist
 from diag_service.service.session import utc_now
 from diag_service.service.stopping import Controls
 from diag_service.store import StoreReader, withdraw_fill
+from fleet_contract import JsonObject
+
+NONE: Final = "-"
 
 
 def history(options: SimpleNamespace, controls: Controls) -> None:
@@ -86,7 +95,32 @@ def report(options: SimpleNamespace, controls: Controls) -> None:
     with ReadingLine() as line:
         found = findings_of(config, options.logs, options.vehicle, controls.stop, watch=line.watch)
         line.show("making the page")
-        size_bytes = write_page(options.output, page_of(found, utc_now(), is_full=options.full))
+        size_bytes = write_page(options.output, html_of(found, utc_now(), is_full=options.full))
     sys.stdout.write(f"{legible(str(options.output))}: {size_bytes / 1000.0:.0f} kB\n")
     if found.summary is not None:
         insist(found.summary.gaps, found.summary.contributions, is_strict=False)
+
+
+def shift_lines(record: JsonObject) -> Iterator[Text]:
+    """Yield everything that is stored of a shift, a line per value; groups of values are indented."""
+    verdict = record.get("verdict")
+    if isinstance(verdict, Mapping) and verdict.get("advice"):
+        yield Text(str(verdict["advice"]))
+    yield Text(PLUS_MINUS)
+    yield from _value_lines(record, "")
+
+
+def _value_lines(table: Mapping[str, object], indent: str) -> Iterator[Text]:
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            yield Text(f"{indent}{name}")
+            yield from _value_lines(value, f"{indent}  ")
+        elif isinstance(value, list):
+            words = (for_people(one, 0.0)[0] if isinstance(one, str) else str(one) for one in value)
+            yield Text(f"{indent}{name}  {', '.join(words) or NONE}")
+        elif (reading := reading_of(table, name)) is not None:
+            label, amount, std, unit = reading
+            spread = "" if std is None else f" ± {digits(STDS * std)}"
+            yield Text(f"{indent}{label}  {digits(amount)}{spread} {unit}".rstrip())
+        elif not isinstance(value, float):
+            yield Text(f"{indent}{name}  {NONE if value is None else value}")

@@ -153,8 +153,6 @@ def findings_of_store(path: Path, named: str | None, calibration: Calibration) -
         fills = tuple(store.fills(vehicle))
     versions = _versions(rows[-1].result)
     same = [row for row in rows if _versions(row.result) == versions]
-    # the profile says where the torque comes from; no store keeps it
-    possible = (calibration, *map(calibration.with_torque, TorqueSource))
     revised = of_own_fluid(with_revisions(row.result for row in same), fills)
     return Findings(
         vehicle=vehicle,
@@ -162,10 +160,29 @@ def findings_of_store(path: Path, named: str | None, calibration: Calibration) -
         rows=tuple(replace(row, result=result) for row, result in zip(same, revised, strict=True)),
         latest=of_present_fluid(latest_of(row.result for row in same), fills[-1] if fills else None),
         versions=versions,
-        calibration=next((one for one in possible if versions_for(one).calibration == versions.calibration), None),
+        calibration=_made_with(versions, calibration),
         fills=fills,
         left_out_count=len(rows) - len(same),
     )
+
+
+def findings_of_results(vehicle: str, results: Sequence[ShiftResult], calibration: Calibration) -> Findings:
+    """Return what some results of a vehicle say, as all of them judge them; there must be one."""
+    versions = _versions(results[-1])
+    return Findings(
+        vehicle=vehicle,
+        sources=(),
+        rows=tuple(Row(position=number, result=one) for number, one in enumerate(results, 1)),
+        latest=latest_of(results),
+        versions=versions,
+        calibration=_made_with(versions, calibration),
+    )
+
+
+def _made_with(versions: Versions, calibration: Calibration) -> Calibration | None:
+    """Return the calibration by which results were made; only the profile says where the torque comes from."""
+    possible = (calibration, *map(calibration.with_torque, TorqueSource))
+    return next((one for one in possible if versions_for(one).calibration == versions.calibration), None)
 
 
 def moment_words(t_ns: int, *, is_dated: bool = False) -> str:

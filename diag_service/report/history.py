@@ -1,20 +1,20 @@
 """What a store tells of the past: the friction of each clutch, fluid by fluid, and all of one shift."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from rich.table import Table
 from rich.text import Text
 
-from clutch_model.units import for_people, reading_of
 from clutch_results import records, shift_course
 from clutch_results.event_kinds import events_text
-from clutch_results.prognosis import Population, history_of, prognose, without
+from clutch_results.pictures import course_tables
+from clutch_results.prognosis import Peers, Population, Prognosis, history_of, prognose, without
 from clutch_results.prognosis.sentence import outlook_line
-from clutchdiag_io.pages.content import spread
-from clutchdiag_io.people import PLUS_MINUS, STDS, digits, plus_minus
+from clutchdiag_io.pages.content import Number, spread
+from clutchdiag_io.people import PLUS_MINUS, plus_minus
 from diag_service.console import plain_table
 from diag_service.delivery.console import condition_words, order_lines
 from diag_service.diagnosis.summary import cause_lines, latest_of, newest_causes
@@ -100,7 +100,9 @@ def history_lines(
     yield Text(f"{found.vehicle}: {events_text(len(found.rows))}{left_out}")
     yield from order_lines(found.order)
     yield from map(Text, cause_lines(newest_causes(found.latest)))
-    yield Text(outlook_of(found, population))
+    peers = peers_of(found, population)
+    known = "" if peers is None else f" Before its own results: as {peers.life_count} lives of its peers."
+    yield Text(outlook_of(found, prognoses_of(found, population)) + known)
     for clutch in (one for one in clutches if one in found.clutches):
         periods = periods_of(found, clutch)
         rows = [row for period in periods for row in period.rows]
@@ -118,59 +120,41 @@ def _course(found: Findings) -> Iterator[Text | Table]:
     known = shift_course.courses(estimates)
     if not known:
         return
-    ends = (f"first {shift_course.COURSE_COUNT}", f"last {shift_course.COURSE_COUNT}")
-    head = ("change", "gears", "count", *ends, "cold", "warm", "hot", "costs")
-    title = "How well it shifts: scores by kind, gears and oil; 100 is faultless"
-    table = plain_table(head, {"change", "costs"}, title)
-    for one in known:
-        scores = (_NONE if score is None else f"{score:.0f}" for score in (one.first, one.last, *one.by_oil))
-        kind, gears = one.kind.value.replace("_", " "), f"{one.from_gear}-{one.to_gear}"
-        table.add_row(kind, gears, str(one.count), *scores, shift_course.part_words(one.reason) or _NONE)
+    (scores,) = course_tables(known, ())
+    table = plain_table(tuple(map(str, scores.head)), {"change", "mostly costs"}, scores.caption)
+    for row in scores.rows:
+        table.add_row(*(cell.text if isinstance(cell, Number) else str(cell) or _NONE for cell in row))
     yield table
     yield from map(Text, shift_course.course_lines(known))
     yield from (Text(shift_course.load_line(load)) for load in shift_course.loads(estimates))
 
 
-def outlook_of(found: Findings, population: Population | None = None) -> str:
-    """Return how far the fluid will go by the clutches that have engaged; new fluid is that of the calibration."""
+def prognoses_of(found: Findings, population: Population | None = None) -> list[Prognosis]:
+    """Return the prognosis of each clutch that has engaged; new fluid is that of the calibration."""
+    prognoses: list[Prognosis] = []
+    if found.calibration is None:
+        return prognoses
+    for clutch in sorted({result.estimate.clutch for result in found.results}):
+        past = history_of(found.results, found.fills, clutch)
+        if population is not None:
+            past = without(past, population.common.get(found.calibration.name))
+        new = found.calibration.clutches[clutch - 1].friction
+        prognoses.append(prognose(clutch, past, new, peers=peers_of(found, population)))
+    return prognoses
+
+
+def peers_of(found: Findings, population: Population | None) -> Peers | None:
+    """Return what a fleet taught of vehicles of this type with this fluid."""
+    if population is None or found.calibration is None:
+        return None
+    return population.of(found.calibration.name, found.fills[-1].product if found.fills else None)
+
+
+def outlook_of(found: Findings, prognoses: Sequence[Prognosis]) -> str:
+    """Return how far the fluid will go, for people."""
     if found.calibration is None:
         return "No prognosis: these results are of another calibration; --calibration names it."
-    outlooks, known = [], ""
-    for clutch in sorted({result.estimate.clutch for result in found.results}):
-        past, peers = history_of(found.results, found.fills, clutch), None
-        if population is not None:
-            vehicle_type = found.calibration.name
-            fluid = found.fills[-1].product if found.fills else None
-            past, peers = without(past, population.common.get(vehicle_type)), population.of(vehicle_type, fluid)
-        outlooks.append(prognose(clutch, past, found.calibration.clutches[clutch - 1].friction, peers=peers))
-        known = "" if peers is None else f" Before its own results: as {peers.life_count} lives of its peers."
-    element = found.latest[0].verdict.element if found.latest else None
-    return outlook_line(outlooks, found.order.action, element) + known
-
-
-def shift_lines(record: JsonObject) -> Iterator[Text]:
-    """Yield everything that is stored of a shift, a line per value; groups of values are indented."""
-    verdict = record.get("verdict")
-    if isinstance(verdict, Mapping) and verdict.get("advice"):
-        yield Text(str(verdict["advice"]))
-    yield Text(PLUS_MINUS)
-    yield from _value_lines(record, "")
-
-
-def _value_lines(table: Mapping[str, object], indent: str) -> Iterator[Text]:
-    for name, value in table.items():
-        if isinstance(value, Mapping):
-            yield Text(f"{indent}{name}")
-            yield from _value_lines(value, f"{indent}  ")
-        elif isinstance(value, list):
-            words = (for_people(one, 0.0)[0] if isinstance(one, str) else str(one) for one in value)
-            yield Text(f"{indent}{name}  {', '.join(words) or _NONE}")
-        elif (reading := reading_of(table, name)) is not None:
-            label, amount, std, unit = reading
-            spread = "" if std is None else f" ± {digits(STDS * std)}"
-            yield Text(f"{indent}{label}  {digits(amount)}{spread} {unit}".rstrip())
-        elif not isinstance(value, float):
-            yield Text(f"{indent}{name}  {_NONE if value is None else value}")
+    return outlook_line(prognoses, found.order.action, found.latest[0].verdict.element if found.latest else None)
 
 
 def _event_record(row: Row, clutch: int, number: int, fill: records.FluidFill | None) -> JsonObject:

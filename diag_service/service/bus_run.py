@@ -4,30 +4,19 @@ import asyncio
 import logging
 import os
 import socket
-import sys
-import textwrap
-from collections.abc import Callable, Iterable
-from contextlib import AbstractAsyncContextManager, AsyncExitStack, ExitStack, closing, nullcontext
-from dataclasses import replace
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, ExitStack, nullcontext
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
-from rich.console import Console, Group, RenderableType
-from rich.live import Live
-from rich.table import Table
-from rich.text import Text
-
-from canlog.e2e.e2e_state import E2eState
 from canlog.errors import NOTICE, ExtraMissingError
-from canlog.live import BusOpener, BusState, ReadSchedule, SupervisedSource, supervise
+from canlog.live import BusOpener, ReadSchedule, SupervisedSource, supervise
 from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
 from clutchdiag_io.program import attached
 from dbc.contract import load_contract
-from diag_service.console import PeopleConsole, ending_key
-from diag_service.delivery import DetachedReporter, News, Outbox
-from diag_service.delivery.console import order_lines, shift_head, shift_line, short_shift_head, short_shift_line
-from diag_service.diagnosis.summary import frames_line, shifts_line
+from diag_service.delivery import DetachedReporter, Outbox
+from diag_service.diagnosis.summary import frames_line
 from diag_service.errors import ConfigError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -40,115 +29,6 @@ from diag_service.service.stopping import Controls
 from diag_service.settings.config import BusConfig, DiagnosisConfig
 from diag_service.store import ResultStore
 
-WHOLE_WIDTH = 140  # columns that everything takes, reasons included
-TABLE_HEADS = 2  # over messages and shifts
-FEW_SHIFTS = 2
-SLOW_RATIO = 0.9  # a message below this share of its nominal rate is marked
-_STATE_STYLE = {
-    BusState.UP: "green",
-    BusState.DEGRADED: "yellow",
-    BusState.DOWN: "bold red",
-    BusState.BUS_OFF: "bold red",
-    BusState.RESTARTED: "yellow",
-}
-_E2E_STYLE = {E2eState.NO_DATA: "dim", E2eState.INIT: "yellow", E2eState.VALID: "green", E2eState.INVALID: "bold red"}
-
-
-class Monitor:
-    """Draws snapshots while it is entered; a stream that is no terminal gets the last one only."""
-
-    def __init__(self, console: Console, hint: str = "") -> None:
-        self._console = console
-        self._hint = hint
-        self._live = Live(console=console, auto_refresh=False, transient=False)
-
-    def __enter__(self) -> Self:
-        self._live.__enter__()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._live.stop()
-
-    def report(self, news: News) -> None:
-        """Do nothing, as the reporter of the run: the next snapshot has it all."""
-
-    def show(self, snapshot: Snapshot) -> None:
-        size = (self._console.width, self._console.height) if self._console.is_terminal else None
-        self._live.update(screen(snapshot, size, self._hint), refresh=True)
-
-
-def screen(snapshot: Snapshot, size: tuple[int, int] | None = None, hint: str = "") -> RenderableType:
-    """Return everything as one picture, within the columns and lines of ``size``; None: as large as it is.
-
-    Where lines are short, what each clutch says gives way first, then the shifts.
-    """
-    width, height = size or (WHOLE_WIDTH, sys.maxsize)
-    head = _head(snapshot)
-    below = [Text(frames_line(snapshot.summary.frames)), Text(shifts_line(snapshot.summary))]
-    free = height - _folded_count([head, *below, Text(hint)], width) - len(snapshot.messages) - TABLE_HEADS
-    sentences = order_lines(snapshot.summary.order)
-    if free - _folded_count(sentences, width) < FEW_SHIFTS:
-        sentences = sentences[:1]
-    shown_count = min(max(0, free - _folded_count(sentences, width)), len(snapshot.recent))
-    recent = snapshot.recent[len(snapshot.recent) - shown_count :]
-    is_short = width < WHOLE_WIDTH
-    shift_heading, line = (short_shift_head, short_shift_line) if is_short else (shift_head, shift_line)
-    return Group(
-        head,
-        *sentences,
-        _message_table(snapshot),
-        *below,
-        *([shift_heading(), *(line(result) for result in reversed(recent))] if recent else []),
-        *([Text(hint, "dim")] if hint else []),
-    )
-
-
-def _folded_count(texts: Iterable[Text], width: int) -> int:
-    """Return how many lines the texts take within so many columns."""
-    return sum(len(textwrap.wrap(text.plain, width)) for text in texts)
-
-
-def _head(snapshot: Snapshot) -> Text:
-    bus = snapshot.bus
-    head = Text(f"{snapshot.summary.vehicle}  bus ")
-    head.append(_words(bus.state.value), _STATE_STYLE[bus.state])
-    head.append(f"  load {100.0 * snapshot.load_ratio:.1f} %  interrupted {bus.interruption_count} times")
-    if bus.errors:
-        errors = ", ".join(f"{count} {_words(error.value)}" for error, count in bus.errors.items())
-        head.append(f"  error frames: {errors}", "yellow")
-    if bus.last_problem is not None:
-        head.append(f"  last problem: {bus.last_problem}", "dim")
-    if snapshot.stuck is not None:
-        head.append(f"  {snapshot.stuck}", "bold red")
-    return head
-
-
-def _message_table(snapshot: Snapshot) -> Table:
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column("message", overflow="ellipsis")  # the one that gives way
-    for name in ("1/s", "nominal", "E2E", "decoded", "rejected", "missing", "lapses"):
-        table.add_column(name, justify="left" if name == "E2E" else "right", no_wrap=True)
-    for name, counts in snapshot.messages.items():
-        rate_hz, nominal_hz = snapshot.rates_hz[name], counts.nominal_hz
-        is_slow = nominal_hz is not None and rate_hz < SLOW_RATIO * nominal_hz
-        table.add_row(
-            name,
-            Text(f"{rate_hz:.1f}", "red" if is_slow else ""),
-            "-" if nominal_hz is None else f"{nominal_hz:.1f}",
-            Text(_words(counts.e2e_state.name.lower()), _E2E_STYLE[counts.e2e_state]),
-            str(counts.decoded),
-            str(sum(counts.rejected.values())),
-            str(counts.missing),
-            str(counts.invalidations),
-        )
-    return table
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
-
-
-QUIT_KEY = "q"
 _LOG = logging.getLogger(__name__)
 
 
@@ -166,19 +46,7 @@ def run_bus(
     with opened_store(config, store_path, keeps_results=True) as store:
         reporter = DetachedReporter(reporter_of(controls.stop, as_json=as_json, is_detailed=is_detailed))
         session = Session(config, decoder, store, None, reporter)
-        asyncio.run(_run_bus(config, bus, store, session, controls))
-
-
-def run_monitor(config: DiagnosisConfig, bus: BusConfig, controls: Controls) -> None:
-    """Show a live bus until told to stop; nothing is stored or published."""
-    decoder = config.interpretation().decoder()
-    with (
-        closing(ResultStore.in_memory()) as store,
-        ending_key(QUIT_KEY, controls.stop.set) as has_keyboard,
-        Monitor(PeopleConsole(), f"{QUIT_KEY} ends this" if has_keyboard else "") as monitor,
-    ):
-        session = Session(config, decoder, store, None, monitor)
-        asyncio.run(_run_bus(replace(config, broker=None), bus, store, session, controls, monitor.show))
+        asyncio.run(serve_bus(config, bus, store, session, controls))
 
 
 async def open_live(config: BusConfig, session: Session) -> tuple[SupervisedSource, ReadSchedule]:
@@ -195,7 +63,7 @@ async def open_live(config: BusConfig, session: Session) -> tuple[SupervisedSour
     return await supervise(opener), schedule
 
 
-async def _run_bus(
+async def serve_bus(
     config: DiagnosisConfig,
     bus: BusConfig,
     store: ResultStore,
@@ -203,6 +71,7 @@ async def _run_bus(
     controls: Controls,
     onlooker: Callable[[Snapshot], None] = lambda _: None,
 ) -> None:
+    """Diagnose a live bus into a session until it is told to stop; ``onlooker`` sees how it stands."""
     source, schedule = await open_live(bus, session)
     session.reporter.report(f"{source.description} for {config.vehicle}, results in {store.where}")
     now_s = asyncio.get_running_loop().time

@@ -58,6 +58,6 @@ def test_an_analysis_tells_causes_to_people_and_programs(tmp_path: Path) -> None
     page = tmp_path / "report.html"
     assert service(["report", str(log), "-o", str(page)]) == 0
     told = page.read_text(encoding="utf-8")
-    assert 0 < told.index(">Why</h2>") < told.index(">Friction</h2>")  # before what the verdict rests on
+    assert 0 < told.index("over slip speed") < told.index(">Why</h2>") < told.index(">What was not seen</h2>")
     assert analysis.results[20].verdict.causes is None
     assert "causes" not in shift_record(analysis.results[20])["verdict"]  # type: ignore[operator]

@@ -38,7 +38,7 @@ def test_old_fluid_is_told_by_slip_and_by_shudder(log: Path) -> None:
     assert abs(micro.scale_free_mu - shown) < 3.0 * micro.std_scale_free_mu
     assert micro.slope_s_rad < 0.0
     assert "lock-up clutch change fluid" in repr(found)
-    assert [axes.get_title(loc="left") for axes in found.plot().axes] == ["lock-up clutch"]
+    assert found.plot().axes[0].lines[0].get_label() == "Lock-up clutch"
 
 
 def test_store_history_and_report_call_it_by_its_name(log: Path, tmp_path: Path) -> None:
@@ -55,10 +55,10 @@ def test_store_history_and_report_call_it_by_its_name(log: Path, tmp_path: Path)
     history = ended("history", str(store), "--calibration", "lockup").out
     assert "Lock-up clutch, fluid by fluid" in history
     assert "lutch 2" not in history
-    ended("report", str(store), "--calibration", "lockup", "-o", str(page))
+    ended("report", str(store), "--calibration", "lockup", "-o", str(page), "--full")
     html = page.read_text(encoding="utf-8")
-    assert "event of lock-up clutch" in html
-    ended("report", str(log), "--profile", "lockup", "-o", str(page), "--force")
+    assert "Lock-up clutch: friction over slip" in html
+    ended("report", str(log), "--profile", "lockup", "-o", str(page), "--force", "--full")
     assert "turbine" in page.read_text(encoding="utf-8")
     assert "Lock-up clutch: running estimate" in html
     assert "slope at 40 rpm" in html

@@ -11,7 +11,7 @@ from clutch_model.units import for_people
 from clutch_results.records import shift_record
 from clutchdiag_io.pages.content import Number, number
 from clutchdiag_io.people import PER_1000_RPM, SLOPE_UNIT, digits
-from diag_service.report.history import shift_lines
+from diag_service.commands.store import shift_lines
 from tests.golden.compare import RECORDINGS
 from tests.integration.test_plus_minus import FACES
 from tests.support.builders import shift_result
@@ -70,7 +70,7 @@ def test_what_a_terminal_tells_of_a_store(store: Path, words: tuple[str, ...]) -
 
 def test_the_report_of_a_log(tmp_path: Path) -> None:
     with contextlib.chdir(RECORDINGS):
-        assert ended("report", "case2.log.xz", "-o", tmp_path / "page.html").status == 0
+        assert ended("report", "case2.log.xz", "-o", tmp_path / "page.html", "--full").status == 0
     text = read_by_people((tmp_path / "page.html").read_text("utf-8"))
     assert f"slope {SLOPE_UNIT}" in text
     assert complaints(text) == set()

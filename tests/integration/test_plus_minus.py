@@ -15,7 +15,7 @@ from rich.console import Console, RenderableType
 from canlog.traffic import TrafficMeter
 from clutch_results.records import shift_record
 from demo.outcome import live_line, tables
-from diag_service.api.analysis import draw
+from diag_service.api.picture import draw
 from diag_service.api.learning import said
 from diag_service.commands import inspect, learn
 from diag_service.delivery import ConsoleReporter
@@ -24,7 +24,7 @@ from diag_service.diagnosis.prediction import Prediction
 from diag_service.mapping.learning import Found, LearnedGear, LearnedVehicle
 from diag_service.mapping.proposal import GearRatio, gears_text
 from diag_service.report.history import history_lines
-from diag_service.report.page import html_of, page_of
+from diag_service.report.page import fan_for, html_of
 from diag_service.service import calibrate_run
 from fleet_backend import report
 from fleet_backend.database import open_database
@@ -111,7 +111,7 @@ FACES: dict[str, Callable[[], str]] = {
     "analyze --verbose": lambda: analyze(is_detailed=True),
     "demo": lambda: printed(*tables(good_outcome())),
     "history": lambda: printed(*history_lines(findings(4), (1, 2), most_rows=9)),
-    "report": lambda: html_of(page_of(findings(4), "2026-03-01T12:00:00.000000Z")),
+    "report": lambda: html_of(findings(4), "2026-03-01T12:00:00.000000Z", is_full=True),
     "fleet-backend follow": follow,
     "fleet-backend trend": fleet,
     "fleet-backend table": table,
@@ -170,10 +170,14 @@ def test_what_is_calibrated_or_learned_shows_the_same(monkeypatch: pytest.Monkey
     assert "touch point 1.20 ± 0.08 bar" in told
 
 
-def test_bars_of_a_picture_are_as_wide_as_its_bands() -> None:
-    figure = draw([shift_result(number) for number in (1, 2, 3)], "drive.log")
-    axes = figure.axes[1]  # clutch 2
-    (bars,) = axes.containers[0][2]
-    low, high = bars.get_segments()[0][:, 1]
-    assert high - low == pytest.approx(4.0 * FRICTION.std_mu_c)
-    assert SAID in axes.get_xlabel()
+def test_bands_of_a_picture_are_two_deviations_wide() -> None:
+    fan = fan_for(findings(4))
+    assert fan is not None
+    figure = draw(fan, "car1")
+    band, *_ = figure.axes[0].collections
+    assert band.get_label() == SAID
+    first = fan.pasts[0]
+    edges = np.asarray(band.get_paths()[0].vertices)[:, 1]
+    assert (edges.max(), edges.min()) == pytest.approx(
+        ((first.left + 2.0 * first.std).max(), (first.left - 2.0 * first.std).min())
+    )

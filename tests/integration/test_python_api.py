@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import re
 import signal
 import subprocess
 import sys
@@ -72,7 +73,9 @@ def process_state() -> dict[str, object]:
     }
 
 
-def test_it_is_what_json_prints_and_disturbs_nothing(drive_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_it_is_what_json_prints_and_disturbs_nothing(
+    drive_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = process_state()
     capsys.readouterr()
     analysis = diag_service.analyze(drive_log, vehicle="car7")
@@ -88,7 +91,11 @@ def test_it_is_what_json_prints_and_disturbs_nothing(drive_log: Path, capsys: py
     assert repr(analysis).startswith(f"<diag_service.Analysis of {drive_log}: {SHIFT_COUNT} shifts, clutch 1 ")
     shown = analysis._repr_html_()
     assert str(drive_log) in shown
-    assert [shown.lower().count(f"clutch {clutch}: ") for clutch in (1, 2)] == [1, 1]
+    assert [shown.lower().count(f"<p>{analysis.order.lower()}</p>")] == [1]
+    page = tmp_path / "report.html"
+    diag_service.write_report(drive_log, page)
+    (chart,) = re.findall(r"<svg .*?</svg>", shown)
+    assert chart in page.read_text(encoding="utf-8")
     by_clutch = {row["clutch"]: row for row in analysis.clutches}
     assert [by_clutch[clutch]["shift_count"] for clutch in (1, 2)] == [
         analysis.verdicts[clutch].shift_count for clutch in (1, 2)
@@ -249,7 +256,7 @@ def test_a_store_tells_what_the_programs_tell(drive_log: Path, tmp_path: Path) -
     short = page.read_text(encoding="utf-8")
     assert short.startswith("<!DOCTYPE html>")
     assert diag_service.write_report(store, page, is_full=True) == page.stat().st_size
-    assert ('class="short"' in short, 'class="short"' in page.read_text(encoding="utf-8")) == (True, False)
+    assert ("<table" in short, "<table" in page.read_text(encoding="utf-8")) == (False, True)
     fill = diag_service.note_fluid(store, at=datetime(2026, 1, 2, tzinfo=UTC), odometer_km=12_345.5, product="fresh")
     assert (fill.filled_at, fill.odometer_m, fill.product) == ("2026-01-02T00:00:00.000000Z", 12_345_500.0, "fresh")
     with pytest.raises(diag_service.ConfigError, match="still to come"):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from clutch_results.prognosis import Passage, Prognosis
 from clutch_results.prognosis.channels import DISTANCE_M
 from clutch_results.prognosis.prognosis import Outlook, Reach
-from clutch_results.prognosis.sentence import outlook_line
+from clutch_results.prognosis.sentence import distance_left, outlook_line
 from clutch_results.records import (
     Causes,
     Condition,
@@ -26,7 +26,6 @@ from clutch_results.records import (
 from diag_service.delivery.console import order_lines
 from diag_service.diagnosis.condition.verdict import Cause, Silence, advice
 from diag_service.diagnosis.summary import of_present_fluid, order_by
-from diag_service.report.page import advice_of
 from fleet_backend.page import wording
 from fleet_backend.queries import with_orders
 from fleet_contract.orders import Action, Order
@@ -188,7 +187,12 @@ def test_no_text_contradicts_another(
     known: list[ShiftResult], fluid: FluidFill | None, founds: list[Prognosis]
 ) -> None:
     order = order_by(known, fluid)
-    check(order, outlook_line(founds, order.action))
+    outlook, left = outlook_line(founds, order.action), distance_left(founds, order.action)
+    check(order, outlook)
+    is_silent = re.search("No prognosis|cannot be said", outlook) is not None
+    assert is_silent is (left in {"0 km left", "km left: not known yet"})
+    assert (left == "0 km left") is (order.action is Action.CHANGE_NOW)
+    assert is_silent or all(number in outlook for number in re.findall(r"\d[\d,]*", left))
     assert order_by(known[::-1], fluid) == order
     since = None if fluid is None else datetime.fromisoformat(fluid.filled_at)
     speaking = [one for one in known if fluid is None or utc_from_bus_ns(one.estimate.end_ns) > fluid.filled_at]
@@ -213,8 +217,8 @@ def test_no_text_contradicts_another(
 @given(known=results(), fluid=fluids)
 def test_all_who_tell_tell_the_same(known: list[ShiftResult], fluid: FluidFill | None) -> None:
     order = order_by(known, fluid)
-    assert " ".join(line.plain for line in order_lines(order)) == order.text == advice_of(order).text
-    assert wording.style(wording.shown_as(order.action.value)) == advice_of(order).condition
+    assert " ".join(line.plain for line in order_lines(order)) == order.text
+    assert wording.advice(order.action.value, order.text).text == order.text
     rows = [
         {
             **row,

@@ -11,6 +11,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, TorqueSource, both_clutches, clutch_of_gear, with_clutch
+from clutch_results.curves import CALIBRATED_RATIO
 from clutch_results.event_kinds import EventKind, Shudder
 from clutch_results.records import (
     Causes,
@@ -27,7 +28,6 @@ from clutch_results.records import (
     to_plain,
 )
 from diag_service.diagnosis.condition.verdict import (
-    CALIBRATED_RATIO,
     COLD_K,
     FIT_WINDOW,
     MAX_MISFIT_SHARE,

@@ -45,7 +45,6 @@ FIT_WINDOW = 20  # shifts of both clutches: two cycles
 MAX_MISFIT_SHARE = 0.25  # none of the shifts of sound drives misfit; of another vehicle's calibration half do
 MIN_MISFIT_COUNT = 3  # one or two shifts are no share
 NEW_FLUID_CONTRADICTIONS = 6  # it contradicts what is known of each clutch up to three times, then that starts afresh
-CALIBRATED_RATIO = 0.7  # of what driving tells of a vehicle: from there on it is no longer said to be calibrating
 
 
 _PERCENT: Final = 100.0  # of a ratio

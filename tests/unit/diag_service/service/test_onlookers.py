@@ -1,21 +1,28 @@
 """Who looks on: snapshots of a live run, metrics and health checks over HTTP, the screen of the monitor."""
 
+import io
+import math
+import re
 import urllib.error
 import urllib.request
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import replace
 
 import pytest
+from rich.console import Console
 
 from canlog.e2e.e2e_state import E2eState
 from canlog.frames import BusTrouble, FrameBatch
 from canlog.live import BusState, BusStatus, SourceCounts
+from clutch_model.calibration import nominal_calibration
+from diag_service.commands.live import Monitor, spark_line
 from diag_service.delivery import MemoryReporter
 from diag_service.service.metrics import serving
 from diag_service.service.session import Stage, Stuck
 from diag_service.service.snapshot import STALE_S, Board, Snapshot, SnapshotTaker
 from diag_service.settings.config import ListenAddress
 from diag_service.store import ResultStore
+from tests.support.histories import history
 from tests.support.patience import HANG_S
 from tests.unit.diag_service.service.test_live import gear_frames, session_for
 
@@ -120,3 +127,26 @@ def test_health_follows_the_snapshot(snapshot: Snapshot) -> None:
         now_s = snapshot.taken_s + STALE_S
         assert codes() == (503, 503)
         assert get(f"http://127.0.0.1:{port}/elsewhere")[0] == 404
+
+
+def test_a_monitor_shows_the_order_and_how_the_margin_of_each_clutch_went(snapshot: Snapshot) -> None:
+    out = io.StringIO()
+    told = [history(40)[number] for number in (0, 1, 38, 39)]
+    with Monitor(Console(file=out, width=100), nominal_calibration()) as monitor:
+        for one in told:
+            monitor.report(one)
+        monitor.show(snapshot)
+    lines = out.getvalue().splitlines()
+    order = lines.index(snapshot.summary.order.sentence)
+    sparks = [line for line in lines if "friction margin" in line]
+    assert [re.sub(r"[▁▂▃▄] -?\d+ %", "lower %", line) for line in sparks] == [
+        "clutch 1 friction margin █lower % of new fluid",
+        "clutch 2 friction margin █lower % of new fluid",
+    ]
+    assert order < lines.index(sparks[0])
+
+
+def test_what_is_not_known_leaves_a_gap_in_a_sparkline() -> None:
+    line = spark_line("clutch 1", [1.2, math.nan, 0.5, -0.3])
+    assert line.plain == "clutch 1 friction margin █ ▅▁ -30 % of new fluid"
+    assert spark_line("clutch 2", [math.nan]).plain.endswith("not known yet")
