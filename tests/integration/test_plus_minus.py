@@ -15,8 +15,8 @@ from rich.console import Console, RenderableType
 from canlog.traffic import TrafficMeter
 from clutch_results.records import shift_record
 from demo.outcome import live_line, tables
-from diag_service.api.picture import draw
 from diag_service.api.learning import said
+from diag_service.api.picture import draw
 from diag_service.commands import inspect, learn
 from diag_service.delivery import ConsoleReporter
 from diag_service.diagnosis.columns import Signal

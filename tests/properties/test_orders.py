@@ -26,7 +26,6 @@ from clutch_results.records import (
 from diag_service.delivery.console import order_lines
 from diag_service.diagnosis.condition.verdict import Cause, Silence, advice
 from diag_service.diagnosis.summary import of_present_fluid, order_by
-from fleet_backend.page import wording
 from fleet_backend.queries import with_orders
 from fleet_contract.orders import Action, Order
 from tests.support.builders import shift_result
@@ -218,7 +217,6 @@ def test_no_text_contradicts_another(
 def test_all_who_tell_tell_the_same(known: list[ShiftResult], fluid: FluidFill | None) -> None:
     order = order_by(known, fluid)
     assert " ".join(line.plain for line in order_lines(order)) == order.text
-    assert wording.advice(order.action.value, order.text).text == order.text
     rows = [
         {
             **row,
