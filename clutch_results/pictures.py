@@ -27,7 +27,7 @@ from clutch_results.prognosis.prognosis import M_PER_KM
 from clutch_results.prognosis.sentence import soonest
 from clutch_results.records import Causes, Condition, FluidFill, FrictionEstimate, ShiftResult, utc_from_bus_ns
 from clutch_results.shift_course import COURSE_COUNT, Course, change_words, part_words
-from clutchdiag_io.pages.content import Cell, Figure, Key, Section, Table, number
+from clutchdiag_io.pages.content import Cell, Section, Table, number
 from clutchdiag_io.pages.plot import HEIGHT, WIDTH, Axis, Plot, broken
 from clutchdiag_io.people import PLUS_MINUS, STDS
 from fleet_contract.orders import cause_words, title_of
@@ -35,10 +35,9 @@ from fleet_contract.orders import cause_words, title_of
 MOST_POINTS: Final = 600  # of a trend; a screen shows no more
 MOST_MOMENTS: Final = 8  # names of moments do not overlap too much
 _SLIP_RAD_S: Final = rad_s_from_rpm(np.linspace(0.0, 400.0, 121))
-TABLE_SLIPS_RAD_S: Final = rad_s_from_rpm(np.array([0.0, 20.0, 50.0, 100.0, 200.0, 400.0]))
-THRESHOLD_KEYS: Final = (
-    Key(style="watch", text=f"watch below {100.0 * WATCH_LEVEL_RATIO:.0f} % of new"),
-    Key(style="change", text=f"change below {100.0 * CHANGE_LEVEL_RATIO:.0f} % of new"),
+THRESHOLD_KEYS: Final = (  # style and text
+    ("watch", f"watch below {100.0 * WATCH_LEVEL_RATIO:.0f} % of new"),
+    ("change", f"change below {100.0 * CHANGE_LEVEL_RATIO:.0f} % of new"),
 )
 _THRESHOLDS: Final = ((1.0, "new"), (WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change"))
 WATCH_PERCENT: Final = 100.0 * WATCH_MARGIN_RATIO  # of the margin
@@ -212,34 +211,6 @@ def curve_picture(
     plot.band(slip_rpm, low, high, f"band clutch{clutch}")
     plot.line(slip_rpm, mean, f"line strong clutch{clutch}")
     return plot.markup()
-
-
-def curve_figure(
-    clutch: int,
-    friction: FrictionEstimate,
-    reference: FrictionCurve,
-    what: str | None = None,
-    element: str | None = None,
-) -> Figure:
-    """Return the friction of one clutch over slip with its numbers; ``what`` says of which events, if not of all."""
-    new = new_curve(TABLE_SLIPS_RAD_S, reference)
-    mean, std = curve_band(TABLE_SLIPS_RAD_S, friction, reference)
-    rows = tuple(
-        (number(rpm_from_rad_s(float(slip)), "{:.0f}"), number(value), number(STDS * one), number(fresh))
-        for slip, value, one, fresh in zip(TABLE_SLIPS_RAD_S, mean, std, new, strict=True)
-    )
-    caption = f"{title_of(clutch, element)}: friction over slip{f', {what}' if what else ''}"
-    return Figure(
-        picture=curve_picture(clutch, friction, reference, element),
-        caption=caption,
-        keys=(
-            Key(style=f"clutch{clutch}", text=what or "estimate, all shifts"),
-            Key(style=f"band clutch{clutch}", text=PLUS_MINUS),
-            Key(style="new dashed", text="new fluid"),
-            *THRESHOLD_KEYS,
-        ),
-        table=Table(caption=caption, head=("slip [rpm]", "estimate", PLUS_MINUS, "new fluid"), rows=rows),
-    )
 
 
 def _draw_thresholds(plot: Plot, new_mu_c: float) -> None:

@@ -1,4 +1,4 @@
-"""What pages are made of: texts, tables, figures and sections; how they look is up to templates and style sheet."""
+"""What pages are made of: texts, tables and sections; how they look is up to templates and style sheet."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -36,24 +36,6 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Key:
-    """What a line of a picture stands for."""
-
-    style: str
-    text: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Figure:
-    """A picture with what its lines stand for, and the same in numbers."""
-
-    picture: Markup
-    caption: str
-    keys: tuple[Key, ...]
-    table: Table
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
     """A part of the page under a title; what is empty is left out."""
 
@@ -61,16 +43,6 @@ class Section:
     title: str
     texts: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
-    figures: tuple[Figure, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Advice:
-    """The sentence on one clutch, and the word of its verdict."""
-
-    condition: str  # style of its badge
-    word: str
-    text: str
 
 
 def number(value: float | None, form: str = "{:.4f}", *, scale: float = 1.0) -> Cell:

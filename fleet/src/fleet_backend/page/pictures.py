@@ -234,7 +234,7 @@ def of_shift(answer: ShiftAnswer, reference: FrictionCurve) -> list[Figure]:
 
 def _curve(answer: ShiftAnswer, reference: FrictionCurve, values: Mapping[str, float], what: str) -> Figure:
     picture = curve_picture(answer.clutch, FrictionEstimate(**values), reference, answer.element)
-    style, limits = f"clutch{answer.clutch}", tuple((one.style, one.text) for one in THRESHOLD_KEYS)
+    style, limits = f"clutch{answer.clutch}", THRESHOLD_KEYS
     keys = ((style, what), (f"band {style}", PLUS_MINUS), ("new dashed", "new fluid"), *limits)
     title = title_of(answer.clutch, answer.element)
     return Figure(picture=picture, caption=f"{title}: friction over slip, {what}", keys=keys)
