@@ -211,7 +211,7 @@ def test_the_same_numbers_are_in_message_database_interface_file_page_and_report
     row, one = rows[59], told(reader, f"/api/v1{SHIFT}")
     page = reader.get(SHIFT).text
     fill_store(tmp_path / "car1.sqlite", results)
-    assert ended("report", tmp_path / "car1.sqlite", "-o", tmp_path / "car1.html").status == 0
+    assert ended("report", tmp_path / "car1.sqlite", "--full", "-o", tmp_path / "car1.html").status == 0
     report = values_in((tmp_path / "car1.html").read_text(encoding="utf-8"))
     (record,) = ended("show", tmp_path / "car1.sqlite", "59", "--json").records
     for name in FRICTION:
