@@ -4,14 +4,28 @@ A law in the plural takes numbers or whole arrays; its singular is the same law 
 """
 
 import math
-from typing import Final, NamedTuple
+from collections.abc import Callable
+from typing import Final, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
+from numba.extending import register_jitable
 
-from canlog.arrays import FloatArray
-from canlog.jit import part
 from clutch_model.calibration import ClutchCalibration, FrictionCurve, clutch_of_gear, faces
-from clutch_model.units import Quantity
+from clutch_model.units import FloatArray, Quantity
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def part(law: Callable[P, R]) -> Callable[P, R]:
+    """Let kernels call a law, which becomes machine code with them; Python runs it as it stands.
+
+    The options are those of the kernels: a law waits for nobody, divides as numpy does, and makes no array.
+    """
+    options = {"nogil": True, "error_model": "numpy", "_nrt": False}
+    compiled: Callable[P, R] = register_jitable(**options, no_cfunc_wrapper=True, no_cpython_wrapper=True)(law)
+    return compiled
+
 
 gear_clutch = part(clutch_of_gear)  # for other kernels: the only law of the gearbox that they call
 

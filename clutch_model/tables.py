@@ -1,5 +1,8 @@
 """Nested tables, as TOML yields them, into checked records; shared by everything that loads parameters."""
 
+import errno
+import os
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from enum import StrEnum
@@ -9,10 +12,10 @@ from typing import Any, ClassVar, Final, TypeVar, cast, get_args, get_origin, ge
 
 import msgspec
 
-from canlog.files import read_toml_file
 from clutch_model.errors import CalibrationError
 
 RecordT = TypeVar("RecordT")
+_MAX_TABLE_BYTES: Final = 4 * 2**20  # far above any settings file, calibration, profile or scenario
 _WORDS: Final[Mapping[object, str]] = {
     float: "a number",
     int: "a whole number",
@@ -26,6 +29,20 @@ def require(condition: bool, message: str) -> None:  # noqa: FBT001 - reads as a
     """Raise `CalibrationError` with ``message`` unless ``condition`` holds."""
     if not condition:
         raise CalibrationError(message)
+
+
+def read_toml_file(path: Path) -> dict[str, Any]:
+    """Return the table of a plain file; raise OSError, ``strerror`` in words, or ValueError if it is no TOML."""
+    if path.exists() and not (path.is_file() or path.is_dir() or path.samefile(os.devnull)):  # it would be waited for
+        raise OSError(errno.EINVAL, "it is a pipe, a socket or a device, not a plain file", str(path))
+    with path.open("rb") as file:
+        content = file.read(_MAX_TABLE_BYTES + 1)
+    if len(content) > _MAX_TABLE_BYTES:
+        raise OSError(errno.EFBIG, f"it is too large (more than {_MAX_TABLE_BYTES / 2**20:g} MiB)", str(path))
+    try:
+        return tomllib.loads(content.decode("utf-8"))
+    except RecursionError:
+        raise ValueError("its lists or tables are nested too deeply") from None
 
 
 def read_table(path: Path, what: str, error: type[Exception] = CalibrationError) -> dict[str, Any]:

@@ -11,10 +11,10 @@ from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 
-from canlog.arrays import FloatArray
 from clutch_model.calibration import calibration_table
 from clutch_model.errors import CalibrationError
 from clutch_model.tables import record_from, require
+from clutch_model.units import FloatArray
 
 HOUSING: Final = "housing"  # the shaft that never turns
 FORMAT: Final = 1

@@ -8,7 +8,8 @@ from typing import Final, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-Quantity = TypeVar("Quantity", float, npt.NDArray[np.float64])
+FloatArray = npt.NDArray[np.float64]
+Quantity = TypeVar("Quantity", float, FloatArray)
 
 NS_PER_S = 1_000_000_000
 _RAD_S_PER_RPM = math.pi / 30.0

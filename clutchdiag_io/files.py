@@ -1,5 +1,6 @@
 """Files that programs keep: for their owner only, locked, whole or as they were, touched as signs of life."""
 
+import errno
 import logging
 import os
 import stat
@@ -8,12 +9,24 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
+MAX_FILE_BYTES: Final = 4 * 2**20  # far above any certificate or description of a controller
 PRIVATE_MODE: Final = 0o600
 # What a system does not know it does without: Windows has no O_CLOEXEC, POSIX no O_BINARY.
 OPEN_FLAGS: Final = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 _OTHERS: Final = 0o077  # permission bits of group and world
 _COMPANIONS: Final = ("", "-wal", "-shm", "-journal")  # what SQLite puts beside a database
 _LOG: Final = logging.getLogger(__name__)
+
+
+def check_plain_file(path: Path, most_bytes: int = MAX_FILE_BYTES) -> None:
+    """Raise OSError, ``strerror`` in words, of what is not to be read whole: missing, too large, or no plain file."""
+    status = path.stat()
+    if stat.S_ISDIR(status.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(status.st_mode) and not path.samefile(os.devnull):
+        raise OSError(errno.EINVAL, "it is a pipe, a socket or a device, not a plain file", str(path))
+    if status.st_size > most_bytes:
+        raise OSError(errno.EFBIG, f"it is too large (more than {most_bytes / 2**20:g} MiB)", str(path))
 
 
 def create_private(path: Path) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import unquote, urlsplit
 
-from canlog.files import check_plain_file, read_small_file
+from clutchdiag_io.files import check_plain_file
 
 MAX_SECRET_BYTES: Final = 64 * 1024
 PIPE_WAIT_S: Final = 5.0  # for whoever writes a secret into a pipe
@@ -66,7 +66,8 @@ def read_secret(path: Path, pipe_wait_s: float = PIPE_WAIT_S) -> str:
 def _read_secret(path: Path, pipe_wait_s: float) -> bytes:
     """Return what a file holds, or what a command writes into the pipe that a shell makes of ``<(command)``."""
     if not path.is_fifo():
-        return read_small_file(path, MAX_SECRET_BYTES)
+        check_plain_file(path, MAX_SECRET_BYTES)
+        return path.read_bytes()
     content, poll = bytearray(), select.poll()
     with FileIO(str(path), opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
         poll.register(file, select.POLLIN)

@@ -6,12 +6,13 @@ from itertools import zip_longest
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from canlog.arrays import FloatArray
 from clutchdiag_io.people import digits
 
+FloatArray = npt.NDArray[np.float64]
 NONE: Final = "–"
 
 

@@ -8,9 +8,10 @@ from typing import Final
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
+import numpy.typing as npt
 from markupsafe import Markup
 
-from canlog.arrays import FloatArray, Int64Array
+from clutchdiag_io.pages.content import FloatArray
 
 WIDTH, HEIGHT = 720, 310
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 24, 14, 50  # with room for larger letters on a small screen
@@ -155,7 +156,7 @@ class Plot:
         return element
 
 
-def thinned(values: FloatArray, most: int) -> Int64Array:
+def thinned(values: FloatArray, most: int) -> npt.NDArray[np.int64]:
     """Return which of many values are drawn, at most about ``most``: of each stretch the lowest and the highest.
 
     Where there are no more than ``most``, all are. Values that are not known count as neither.

@@ -4,6 +4,7 @@ Over the file stands the environment, and over both the command line. Loads next
 """
 
 import os
+import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -12,7 +13,7 @@ from urllib.parse import urlsplit
 
 import click
 
-from canlog.files import read_toml_file
+from canlog.files import read_small_file
 from clutchdiag_io.command_line import FILE, FLOAT, INT, Choice, Option
 from diag_service.errors import ConfigError
 
@@ -165,11 +166,13 @@ def read_settings(file: Path) -> dict[str, Any]:
 
 def _read(file: Path) -> dict[str, Any]:
     try:
-        table = read_toml_file(file)
+        table = tomllib.loads(read_small_file(file).decode("utf-8"))
     except OSError as exc:
         raise ConfigError(f"cannot read {file}: {exc.strerror or exc}") from exc
     except ValueError as exc:
         raise ConfigError(f"{file} is not TOML: {exc}") from exc
+    except RecursionError:
+        raise ConfigError(f"{file} is not TOML: its lists or tables are nested too deeply") from None
     from fleet_link import AddressError, check_secret_mode  # noqa: PLC0415 - most do without a file
 
     try:

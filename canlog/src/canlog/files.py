@@ -3,21 +3,20 @@
 import errno
 import os
 import stat
-import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from io import BufferedReader, FileIO
 from itertools import count
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 # So a file is opened without waiting for whoever may write into it; names of POSIX.
 _AT_ONCE: Final = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
-MAX_TABLE_BYTES: Final = 4 * 2**20  # far above any settings file, calibration, profile or scenario
+MAX_FILE_BYTES: Final = 4 * 2**20  # far above any description of a bus, settings file or scenario
 
 
-def read_small_file(path: Path, most_bytes: int = MAX_TABLE_BYTES) -> bytes:
+def read_small_file(path: Path, most_bytes: int = MAX_FILE_BYTES) -> bytes:
     """Return what a plain file, or one that a link leads to, holds.
 
     Raises OSError if it is missing, unreadable, too large or of another kind; ``strerror`` says so in words.
@@ -25,7 +24,7 @@ def read_small_file(path: Path, most_bytes: int = MAX_TABLE_BYTES) -> bytes:
     with BufferedReader(open_plain_file(path)) as file:
         content = file.read(most_bytes + 1)
     if len(content) > most_bytes:
-        raise _too_large(path, most_bytes)
+        raise OSError(errno.EFBIG, f"it is too large (more than {most_bytes / 2**20:g} MiB)", str(path))
     return content
 
 
@@ -43,23 +42,6 @@ def open_plain_file(path: Path) -> FileIO:
         file.close()
         raise
     return file
-
-
-def check_plain_file(path: Path, most_bytes: int = MAX_TABLE_BYTES) -> None:
-    """Raise OSError, as ``read_small_file`` does, of a file that a library is going to read whole."""
-    status = path.stat()
-    _check_kind(path, status)
-    if status.st_size > most_bytes:
-        raise _too_large(path, most_bytes)
-
-
-def read_toml_file(path: Path) -> dict[str, Any]:
-    """Return the table that a TOML file holds; raises as ``read_small_file``, and ValueError if it is no TOML."""
-    text = read_small_file(path).decode("utf-8")
-    try:
-        return tomllib.loads(text)
-    except RecursionError:
-        raise ValueError("its lists or tables are nested too deeply") from None
 
 
 def _check_kind(path: Path, status: os.stat_result) -> None:
@@ -80,10 +62,6 @@ def _null_device() -> int:
         return Path(os.devnull).stat().st_rdev
     except OSError:
         return -1
-
-
-def _too_large(path: Path, most_bytes: int) -> OSError:
-    return OSError(errno.EFBIG, f"it is too large (more than {most_bytes / 2**20:g} MiB)", str(path))
 
 
 _LONGEST_NAME: Final = 50  # characters of up to four bytes; the name of a file has 255 bytes at most

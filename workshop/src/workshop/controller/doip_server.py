@@ -15,7 +15,7 @@ from ipaddress import IPv4Address, IPv6Address
 from pathlib import Path
 from typing import Final, Self
 
-from canlog.files import check_plain_file
+from clutchdiag_io.files import check_plain_file
 from ecu_emulator.errors import BusError, ConfigError
 from workshop.controller import doip
 from workshop.controller.controller import TICK_S, Controller

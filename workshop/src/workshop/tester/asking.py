@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Final, Self
 
 import can
 
-from canlog.files import check_plain_file
 from canlog.live.opening import complete_settings
 from canlog.live.pythoncan import one_line, open_bus
+from clutchdiag_io.files import check_plain_file
 from diag_service.errors import ConfigError, ControllerError, StoppedError
 from diag_service.settings.config import BusConfig
 from workshop.tester.addresses import TRANSMISSION, CanAddress, id_text, is_extended, is_request, usual_response_id

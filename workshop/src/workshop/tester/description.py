@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from canlog.extras import load_extra
-from canlog.files import check_plain_file
 from clutch_model.tables import read_table, record_from
+from clutchdiag_io.files import check_plain_file
 from diag_service.errors import ConfigError
 from workshop.tester.addresses import LARGEST_ID
 from workshop.tester.answers import POSITIVE, READ_DATA, ROUTINE
