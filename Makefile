@@ -178,6 +178,8 @@ warm: setup-all
 	  $(PY) -m pytest --collect-only -qq && \
 	  $(PY) -m ecu_emulator record "$$folder/warm.log" --scenario noise_only --cycles 1 && \
 	  $(PY) -m diag_service analyze "$$folder/warm.log" --json && \
+	  $(PY) -c 'from ecu_emulator.drive.recording import Drive; from ecu_emulator.scenario.scenario_file import load_scenario; \
+	    next(iter(Drive(load_scenario("lockup")).stretches(10.0)))' && \
 	  $(PY) -c 'from canlog.live.socketcan import FrameReceiver; FrameReceiver(-1)'; } >"$$folder/said" 2>&1 || { \
 	  cat "$$folder/said" >&2; exit 1; }
 
