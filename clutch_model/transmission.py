@@ -53,7 +53,7 @@ class GearPair:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Element:
+class FrictionElement:
     """A friction element between two shafts, or a brake between one and the housing."""
 
     name: str
@@ -81,7 +81,7 @@ class Slip(NamedTuple):
     by_output: float
 
 
-class Change(NamedTuple):
+class GearChange(NamedTuple):
     """A change of gears from one element to another."""
 
     lower: int
@@ -112,7 +112,7 @@ class Transmission:
     name: str
     input: str
     output: str
-    elements: tuple[Element, ...]
+    elements: tuple[FrictionElement, ...]
     gears: tuple[Gear, ...]
     gear_pairs: tuple[GearPair, ...] = ()
     planetary_sets: tuple[PlanetarySet, ...] = ()
@@ -153,7 +153,7 @@ class Transmission:
         speeds, place = self._speeds(gear), self.place
         return {one.name: _of(one.row(place), speeds) for one in self.elements if one.name not in gear.elements}
 
-    def changes(self) -> Iterator[Change]:
+    def changes(self) -> Iterator[GearChange]:
         """Yield the changes between forward gears in which one element comes and one goes."""
         forward = [one for one in self.gears if one.number > 0]
         for lower in forward:
@@ -163,14 +163,14 @@ class Transmission:
                 if lower.number < upper.number and len(coming) == len(going) == 1:
                     yield self._change(lower, upper, coming.pop(), going.pop())
 
-    def _change(self, lower: Gear, upper: Gear, coming: str, going: str) -> Change:
+    def _change(self, lower: Gear, upper: Gear, coming: str, going: str) -> GearChange:
         place = self.place
         held = [self._element(name, upper).row(place) for name in upper.elements if name in lower.elements]
         pairs = dict.fromkeys((*lower.gear_pairs, *upper.gear_pairs))
         rows = [*self._fixed(pairs), *held, _row(place, {self.input: 1.0}), _row(place, {self.output: 1.0})]
         both = _solved(rows, np.eye(len(rows))[:, -2:], f"change {lower.number}-{upper.number}")
         slips = [Slip(*(_of(self._element(name, upper).row(place), one) for one in both.T)) for name in (coming, going)]
-        return Change(lower.number, upper.number, coming, going, (slips[0], slips[1]))
+        return GearChange(lower.number, upper.number, coming, going, (slips[0], slips[1]))
 
     def _speeds(self, gear: Gear) -> FloatArray:
         """Return the speeds of all shafts in a gear, while the input turns with 1."""
@@ -187,7 +187,7 @@ class Transmission:
         place = self.place
         return [*(one.row(place) for one in self.planetary_sets), *(known[name].row(place) for name in pairs)]
 
-    def _element(self, name: str, gear: Gear) -> Element:
+    def _element(self, name: str, gear: Gear) -> FrictionElement:
         found = next((one for one in self.elements if one.name == name), None)
         if found is None:
             raise CalibrationError(f"gear {gear.number}: no element {name!r}")

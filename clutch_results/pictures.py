@@ -26,7 +26,7 @@ from clutch_results.prognosis.history import UNSEEN_M
 from clutch_results.prognosis.prognosis import M_PER_KM
 from clutch_results.prognosis.sentence import soonest
 from clutch_results.records import Causes, Condition, FluidFill, FrictionEstimate, ShiftResult, utc_from_bus_ns
-from clutch_results.shift_course import COURSE_COUNT, Course, change_words, part_words
+from clutch_results.shift_course import COURSE_COUNT, ShiftCourse, change_words, part_words
 from clutchdiag_io.pages.content import Cell, Section, Table, number
 from clutchdiag_io.pages.plot import HEIGHT, WIDTH, Axis, Plot, broken
 from clutchdiag_io.people import PLUS_MINUS, STDS
@@ -238,7 +238,7 @@ def causes_section(causes: Causes) -> Section:
     return Section(name="causes", title="Why", texts=texts, tables=(table, moved) if moved.rows else (table,))
 
 
-def course_tables(found: Sequence[Course], loaded: Sequence[Load]) -> tuple[Table, ...]:
+def course_tables(found: Sequence[ShiftCourse], loaded: Sequence[Load]) -> tuple[Table, ...]:
     """Return how well gear changes went, and what the clutches had to bear."""
     rows = tuple(
         (

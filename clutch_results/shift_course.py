@@ -23,7 +23,7 @@ _UNIT: Final = re.compile(r"_(s|pa|nm|k|rad_s2?|m_s[23])$")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Course:
+class ShiftCourse:
     """How changes of one kind between two gears went."""
 
     kind: EventKind
@@ -37,7 +37,7 @@ class Course:
     untold: tuple[str, ...] = ()  # parts that no change of them has, for want of signals
 
 
-def courses(estimates: Iterable[ShiftEstimate]) -> list[Course]:
+def courses(estimates: Iterable[ShiftEstimate]) -> list[ShiftCourse]:
     """Return how the changes went, by kind and gears; estimates in their order."""
     groups: dict[tuple[EventKind, int, int], list[tuple[float, float | None, ShiftQuality]]] = {}
     for one in estimates:
@@ -53,7 +53,7 @@ def courses(estimates: Iterable[ShiftEstimate]) -> list[Course]:
                 by_oil[bisect((COLD_DEGC, HOT_DEGC), degc_from_k(oil_k))].append(score)
         reasons = Counter(quality.reasons[0] for *_, quality in group[-COURSE_COUNT:] if quality.reasons)
         found.append(
-            Course(
+            ShiftCourse(
                 kind=kind,
                 from_gear=from_gear,
                 to_gear=to_gear,
@@ -75,12 +75,12 @@ def part_words(name: str) -> str:
     return _UNIT.sub("", name).replace("_", " ")
 
 
-def change_words(one: Course) -> str:
+def change_words(one: ShiftCourse) -> str:
     """Return the kind and the gears of a change for people."""
     return f"{one.kind.value.replace('_', ' ')} {one.from_gear}-{one.to_gear}"
 
 
-def course_lines(known: Sequence[Course]) -> list[str]:
+def course_lines(known: Sequence[ShiftCourse]) -> list[str]:
     """Return which changes go worst now, and why, and what the signals do not tell."""
     poor = sorted((one for one in known if one.last < POOR), key=lambda one: one.last)[:MOST_POOR]
     lines = [f"{change_words(one).capitalize()} scores {one.last:.0f}: {part_words(one.reason)}." for one in poor]

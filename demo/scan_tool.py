@@ -5,7 +5,7 @@ from typing import Final, Self
 
 from demo.programs import HOST, free_port
 from diag_service.errors import ControllerError
-from workshop.tester.answers import Timing
+from workshop.tester.answers import TesterTiming
 from workshop.tester.asking import DoipPlace, dialogue_over_ip
 from workshop.tester.questions import read_troubles, recognised
 from workshop.tester.trouble import code_words
@@ -49,7 +49,7 @@ class ScanTool:
                 continue
 
     def _ask(self) -> None:
-        with dialogue_over_ip(self._place, Timing()) as dialogue:
+        with dialogue_over_ip(self._place, TesterTiming()) as dialogue:
             description = recognised(dialogue)
             while not self._is_over.wait(PERIOD_S):
                 codes = read_troubles(dialogue, description, has_details=False)

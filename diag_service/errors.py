@@ -45,7 +45,7 @@ class PendingError(SilentError):
     """A controller asked for more time again and again, and never answered: ask later."""
 
 
-class MalformedError(ControllerError):
+class MalformedAnswerError(ControllerError):
     """A controller's answer breaks the rules of the standard: nothing that it says is believed."""
 
 

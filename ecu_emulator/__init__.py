@@ -13,7 +13,7 @@ from canlog.extras import on_demand as _on_demand
 if typing.TYPE_CHECKING:
     from ecu_emulator.api import Emulator, write_dbc
     from ecu_emulator.commands import Recording
-    from ecu_emulator.errors import BusError, ConfigError, EmulatorError, ExtraMissingError, RecordError
+    from ecu_emulator.errors import BusError, EmulatorConfigError, EmulatorError, LogFormatExtraError, RecordError
     from ecu_emulator.scenario.faults import BusFault, SensorFault
     from ecu_emulator.scenario.scenario import Scenario
     from ecu_emulator.scenario.scenario_file import load_scenario, shipped_scenarios
@@ -22,10 +22,10 @@ if typing.TYPE_CHECKING:
 __all__ = [
     "BusError",
     "BusFault",
-    "ConfigError",
     "Emulator",
+    "EmulatorConfigError",
     "EmulatorError",
-    "ExtraMissingError",
+    "LogFormatExtraError",
     "RecordError",
     "Recording",
     "Scenario",
@@ -43,7 +43,7 @@ __version__ = "0.9.0"
 _HOMES = {
     "ecu_emulator.api": ("Emulator", "write_dbc"),
     "ecu_emulator.commands": ("Recording",),
-    "ecu_emulator.errors": ("BusError", "ConfigError", "EmulatorError", "ExtraMissingError", "RecordError"),
+    "ecu_emulator.errors": ("BusError", "EmulatorConfigError", "EmulatorError", "LogFormatExtraError", "RecordError"),
     "ecu_emulator.scenario.faults": ("BusFault", "SensorFault"),
     "ecu_emulator.scenario.scenario": ("Scenario",),
     "ecu_emulator.scenario.scenario_file": ("load_scenario", "shipped_scenarios"),

@@ -18,9 +18,9 @@ from ecu_emulator import arguments
 from ecu_emulator.bus.sender import open_bus
 from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_scenario, save_dbc, write_log
 from ecu_emulator.drive.recording import Drive
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.live import AnswersTesters, BusChoice, SentTruth, answering_of, send
-from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFormat
+from ecu_emulator.log_formats.record import DEFAULT_START_NS, RecordFormat
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.faults import BusFault, SensorFault
 from ecu_emulator.scenario.scenario import FluidCondition, Scenario
@@ -53,13 +53,13 @@ def check_range(name: str, value: float | None, limits: tuple[float, float]) -> 
     """Raise ConfigError unless a number, if it is given, lies within its limits."""
     low, high = limits
     if value is not None and not low <= value <= high:
-        raise ConfigError(f"{name} must be {low:g}..{high:g}, got {value:g}")
+        raise EmulatorConfigError(f"{name} must be {low:g}..{high:g}, got {value:g}")
 
 
 def check_word(name: str, word: str | None, words: list[str]) -> None:
     """Raise ConfigError unless a word, if it is given, is one of these."""
     if word is not None and word not in words:
-        raise ConfigError(f"{name} must be {', '.join(words[:-1])} or {words[-1]}, got {word!r}")
+        raise EmulatorConfigError(f"{name} must be {', '.join(words[:-1])} or {words[-1]}, got {word!r}")
 
 
 class TruthMemory:
@@ -91,7 +91,7 @@ class TruthMemory:
     def log(self) -> TruthLog:
         """Return all of it; raises ConfigError before the drive has begun."""
         if self._drive is None:
-            raise ConfigError("the car is not driving yet: there is no truth")
+            raise EmulatorConfigError("the car is not driving yet: there is no truth")
         return truth_log(self._drive, self._happened.copy(), self._totals)
 
 
@@ -240,7 +240,7 @@ class Emulator:
             If an argument or the scenario's truth cannot be used, or a file cannot be written. ExtraMissingError, a
             RecordError, if asammdf is not installed for MF4.
         """
-        check_word("log_format", log_format, [one.value for one in LogFormat])
+        check_word("log_format", log_format, [one.value for one in RecordFormat])
         log = LogOptions(
             path=Path(path),
             log_format=log_format,
@@ -253,7 +253,7 @@ class Emulator:
 
     def __enter__(self) -> Self:
         if self._thread is not None:
-            raise ConfigError("an emulator drives only once; make another one")
+            raise EmulatorConfigError("an emulator drives only once; make another one")
         self._drive = Drive(self.scenario, arguments.LIVE_PARKED_S if self._parked_s is None else self._parked_s)
         bus = self.open_bus()
         try:
@@ -310,7 +310,7 @@ class Emulator:
     def result(self) -> Mapping[str, Any]:
         """How the drive went, as ``ecu-emulator run --json`` prints it; raises ConfigError while it goes on."""
         if self._result is None:
-            raise ConfigError("the drive is not over: stop() or wait() first")
+            raise EmulatorConfigError("the drive is not over: stop() or wait() first")
         return self._result
 
     def add_fault(self, fault: AnyFault) -> None:
@@ -320,7 +320,7 @@ class Emulator:
         happen.
         """
         if self._drive is None:
-            raise ConfigError("the car is not driving yet: name the fault among `faults`")
+            raise EmulatorConfigError("the car is not driving yet: name the fault among `faults`")
         self._drive.add_fault(fault_of(fault))
 
     def wait_until(self, t_s: float, timeout_s: float) -> None:
@@ -367,7 +367,7 @@ class Emulator:
 
     def _running(self) -> Thread:
         if self._thread is None:
-            raise ConfigError("the car is not driving: use it in a with block")
+            raise EmulatorConfigError("the car is not driving: use it in a with block")
         return self._thread
 
     def _raise(self) -> None:

@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Final
 
 from clutchdiag_io.program import attached, complain, refusal, standard_output
 from ecu_emulator.arguments import COMMAND_LINE, PROGRAM
-from ecu_emulator.errors import BusError, ConfigError, ExtraMissingError, RecordError, StoppedError
+from ecu_emulator.errors import BusError, EmulatorConfigError, EmulatorStoppedError, LogFormatExtraError, RecordError
 
 if TYPE_CHECKING:
     from types import FrameType
 
 STATUS_SIGNALLED: Final = 128  # and the number of the signal, as a shell tells it
 STATUS_INTERRUPTED: Final = 130  # SIGINT again, without waiting for the clean stop
-STATUSES: Final = (((ConfigError, ExtraMissingError), 2), (BusError, 3), (RecordError, 4))
+STATUSES: Final = (((EmulatorConfigError, LogFormatExtraError), 2), (BusError, 3), (RecordError, 4))
 PATIENCE_S: Final = 1.0
 
 
@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             with standard_output():
                 is_whole = _execute(options, stop)
-        except StoppedError as exc:
+        except EmulatorStoppedError as exc:
             sys.stderr.write(f"{PROGRAM}: {exc}\n")
             is_whole = options.command == "run"  # whose usual end is a signal
         except KeyboardInterrupt:
@@ -50,7 +50,7 @@ class _Stop(Event):
     def check(self, _kernel: str) -> None:
         """Raise StoppedError if it is set: compiling can take minutes."""
         if self.is_set():
-            raise StoppedError("stopped early: numerical kernels were being compiled, nothing was driven")
+            raise EmulatorStoppedError("stopped early: numerical kernels were being compiled, nothing was driven")
 
 
 def _execute(options: SimpleNamespace, stop: _Stop) -> bool:
@@ -87,7 +87,7 @@ def _execute(options: SimpleNamespace, stop: _Stop) -> bool:
         written = (options.truth, options.summary)
         kept = (options.control, options.alive, vars(options).get("diagnostic_memory"))
         if text := refusal(*written, is_forced=options.force) or refusal(*written, *kept, is_forced=True):
-            raise ConfigError(text)
+            raise EmulatorConfigError(text)
         live.run(
             scenario,
             choice=live.BusChoice(

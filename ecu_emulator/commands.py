@@ -20,13 +20,20 @@ from clutchdiag_io.program import refusal
 from dbc.contract import dbc_path
 from ecu_emulator.arguments import MOST_PARKED_S
 from ecu_emulator.drive.recording import LONG_STRETCH_S, Drive
-from ecu_emulator.errors import ConfigError, RecordError, StoppedError
-from ecu_emulator.log_formats.record import DEFAULT_START_NS, LogFile, LogFormat, LogStream, open_log, open_log_stream
+from ecu_emulator.errors import EmulatorConfigError, EmulatorStoppedError, RecordError
+from ecu_emulator.log_formats.record import (
+    DEFAULT_START_NS,
+    LogFile,
+    LogStream,
+    RecordFormat,
+    open_log,
+    open_log_stream,
+)
 from ecu_emulator.log_formats.table import TableOptions, write_table
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.scenario.drive_names import DriveName
-from ecu_emulator.scenario.faults import Cause, CauseKind
-from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Routine, Scenario
+from ecu_emulator.scenario.faults import CauseKind, Degradation
+from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Scenario, WorkshopRoutine
 from ecu_emulator.scenario.scenario_file import load_scenario, shipped_scenarios
 from ecu_emulator.truth import Totals, TruthWriter, read_truth, truth_path
 
@@ -116,21 +123,23 @@ def choose_scenario(options: DriveOptions) -> Scenario:
         given["truth"] = replace(scenario.truth, plant=plant)
     scenario = replace(scenario, endless=scenario.endless or options.is_endless, **given)
     if options.routine is not None:
-        scenario = replace(scenario, routine=Routine(open_revs=options.routine[0], closed_revs=options.routine[1]))
+        scenario = replace(
+            scenario, routine=WorkshopRoutine(open_revs=options.routine[0], closed_revs=options.routine[1])
+        )
     if options.is_in_workshop:
         scenario = replace(scenario, routine=replace(scenario.routine, on_request=True))
     return scenario
 
 
-def _cause(said: str) -> Cause:
+def _cause(said: str) -> Degradation:
     """Return a cause from NAME, NAME:STRENGTH or NAME:STRENGTH:CLUTCH; raises ConfigError."""
     kind, strength, clutch, *more = [*said.split(":"), "", ""]
     if any(more) or kind not in list(CauseKind):
-        raise ConfigError(f"no cause {said!r}: NAME[:STRENGTH[:CLUTCH]], NAME one of {', '.join(CauseKind)}")
+        raise EmulatorConfigError(f"no cause {said!r}: NAME[:STRENGTH[:CLUTCH]], NAME one of {', '.join(CauseKind)}")
     try:
-        return Cause(kind=CauseKind(kind), strength=float(strength or 1.0), clutch=int(clutch or 0))
+        return Degradation(kind=CauseKind(kind), strength=float(strength or 1.0), clutch=int(clutch or 0))
     except ValueError as exc:
-        raise ConfigError(f"no cause {said!r}: strength and clutch must be numbers") from exc
+        raise EmulatorConfigError(f"no cause {said!r}: strength and clutch must be numbers") from exc
 
 
 def odometer_from(said: str | None) -> float | None:
@@ -144,7 +153,7 @@ def odometer_from(said: str | None) -> float | None:
         return 1000.0 * float(said)
     totals = read_truth(Path(said)).totals
     if totals is None or totals.odometer_m is None:
-        raise ConfigError(f"--odometer {said}: that drive does not tell the odometer at its end")
+        raise EmulatorConfigError(f"--odometer {said}: that drive does not tell the odometer at its end")
     return totals.odometer_m
 
 
@@ -179,7 +188,7 @@ def save_dbc(path: Path | None, *, is_forced: bool, transmission: str = "nominal
 def save(content: bytes, path: Path, *, is_forced: bool) -> None:
     """Write a file; raises ConfigError or RecordError if it is there already or cannot be written."""
     if text := refusal(path, is_forced=is_forced):
-        raise ConfigError(text)
+        raise EmulatorConfigError(text)
     try:
         with until_whole(path) as place:
             place.write_bytes(content)
@@ -265,11 +274,11 @@ def write_log(
     written.
     """
     if scenario.routine.on_request:
-        raise ConfigError("a log has no tester who would start the routine: give the number of revs instead")
+        raise EmulatorConfigError("a log has no tester who would start the routine: give the number of revs instead")
     path = options.path
     truth_file = options.truth or (Path(os.devnull) if path == STANDARD_STREAM else truth_path(path))
     if truth_file.absolute() == path.absolute():
-        raise ConfigError(f"log and truth cannot both be {path}")
+        raise EmulatorConfigError(f"log and truth cannot both be {path}")
     drive = Drive(scenario, options.longest_stay_s)
     began_s = time.perf_counter()
     with (  # nobody needs the truth of a log that is not there, nor loses that of the one before
@@ -287,7 +296,7 @@ def write_log(
                 show(drive.totals, time.perf_counter() - began_s)
                 if stop.is_set():
                     break
-        except StoppedError:  # while kernels were compiled that the drive had not needed before
+        except EmulatorStoppedError:  # while kernels were compiled that the drive had not needed before
             if not has_driven:
                 raise
         writer.totals(drive.totals)
@@ -306,7 +315,7 @@ def write_log(
 
 
 def _open(options: LogOptions) -> LogFile | LogStream:
-    chosen = LogFormat(options.log_format) if options.log_format else None
+    chosen = RecordFormat(options.log_format) if options.log_format else None
     if options.path == STANDARD_STREAM:
         return open_log_stream(sys.stdout.buffer, log_format=chosen, start_ns=options.start_ns, channel=options.channel)
     return open_log(options.path, log_format=chosen, start_ns=options.start_ns, channel=options.channel)
@@ -322,14 +331,14 @@ def record(scenario: Scenario, options: LogOptions, stop: Event, *, is_json: boo
     path, truth = options.path, options.truth
     is_piped = path == STANDARD_STREAM
     if is_piped and is_json:
-        raise ConfigError("the log goes to standard output: --json cannot be used")
+        raise EmulatorConfigError("the log goes to standard output: --json cannot be used")
     if is_piped and options.table is not None:
-        raise ConfigError("the log goes to standard output: there is none to make a table of")
+        raise EmulatorConfigError("the log goes to standard output: there is none to make a table of")
     outputs = (truth,) if is_piped else (path, truth or truth_path(path))
     if options.table is not None:
         outputs = (*outputs, options.table.path)
     if text := refusal(*outputs, is_forced=is_forced):
-        raise ConfigError(text)
+        raise EmulatorConfigError(text)
     console = people()
     with ProgressLine(console, "preparing the plant") as progress:
 

@@ -5,11 +5,11 @@ class EmulatorError(Exception):
     """Root of all errors raised by this package; its text is one clear line for the user."""
 
 
-class StoppedError(EmulatorError):
+class EmulatorStoppedError(EmulatorError):
     """The program was told to stop before it had done anything: start it again."""
 
 
-class ConfigError(EmulatorError):
+class EmulatorConfigError(EmulatorError):
     """The command line or a scenario cannot be used: correct it and start again."""
 
 
@@ -21,5 +21,5 @@ class RecordError(EmulatorError):
     """A file cannot be written: check its folder and the space left."""
 
 
-class ExtraMissingError(RecordError):
+class LogFormatExtraError(RecordError):
     """A log format needs a library that only an extra brings: install it."""

@@ -23,7 +23,7 @@ from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
-from ecu_emulator.errors import ConfigError, RecordError
+from ecu_emulator.errors import EmulatorConfigError, RecordError
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.scenario.faults import BusFault, SensorFault
 from ecu_emulator.scenario.scenario import Scenario
@@ -115,7 +115,7 @@ class ControlSocket:
             self._take(parse_fault(json.loads(line)))
         except (ValueError, RecursionError) as exc:
             return f"error: not JSON: {' '.join(str(exc).split())}"
-        except ConfigError as exc:
+        except EmulatorConfigError as exc:
             return f"error: {' '.join(str(exc).split())}"
         return "ok"
 
@@ -321,7 +321,7 @@ class BusChoice:
         return " ".join(part for part in (self.interface, self.channel) if part)
 
 
-class Link(Protocol):
+class BusEnd(Protocol):
     """Where a controller that answers hears the bus."""
 
     @property
@@ -332,11 +332,11 @@ class Link(Protocol):
         """Take a frame of one of them."""
 
 
-class Answering(AbstractContextManager["Answering"], Protocol):
+class AnsweringController(AbstractContextManager["AnsweringController"], Protocol):
     """A controller that answers testers; frames of the drive go out through it."""
 
     @property
-    def link(self) -> Link:
+    def link(self) -> BusEnd:
         """Where it hears the bus."""
 
     @property
@@ -358,7 +358,7 @@ class Answering(AbstractContextManager["Answering"], Protocol):
 class AnswersTesters(Protocol):
     """What opens a controller that answers testers; raises ConfigError, RecordError, BusError if that cannot be."""
 
-    def opened(self, bus: can.BusABC, choice: BusChoice, drive: Drive) -> Answering:
+    def opened(self, bus: can.BusABC, choice: BusChoice, drive: Drive) -> AnsweringController:
         """Return the controller, which answers while it is entered."""
 
 
@@ -420,7 +420,7 @@ def send(
     bus: can.BusABC,
     *,
     choice: BusChoice,
-    answering: Answering | None,
+    answering: AnsweringController | None,
     start_delay_s: float,
     stop: Event,
     say: Callable[[str], None],
@@ -472,12 +472,14 @@ def send(
 
 def answering_of(
     answers: AnswersTesters | None, bus: can.BusABC, choice: BusChoice, scenario: Scenario, drive: Drive
-) -> AbstractContextManager[Answering | None]:
+) -> AbstractContextManager[AnsweringController | None]:
     """Return the controller that answers testers while it is entered; raises ConfigError, RecordError, BusError."""
     if answers is not None:
         return answers.opened(bus, choice, drive)
     if scenario.routine.on_request:
-        raise ConfigError("the workshop routine waits for a tester: --diagnostics is needed, so that one is answered")
+        raise EmulatorConfigError(
+            "the workshop routine waits for a tester: --diagnostics is needed, so that one is answered"
+        )
     return nullcontext()
 
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from canlog.arrays import FloatArray
 from canlog.jit import kernel
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.faults import (
     NOMINAL_SENSORS,
@@ -331,7 +331,7 @@ class SensorSuite:
     ) -> None:
         unknown = {quantity for schedule in schedules for quantity in schedule.quantities} - QUANTITIES
         if unknown:
-            raise ConfigError(f"no sensor measures {', '.join(sorted(unknown))}")
+            raise EmulatorConfigError(f"no sensor measures {', '.join(sorted(unknown))}")
         self._schedules = tuple(schedules)
         self._installation = installation
         self._startup_s = startup_s
@@ -350,7 +350,7 @@ class SensorSuite:
         """Raise ConfigError if a fault is one of a quantity that this car does not send."""
         if fault.quantity not in self._chains:
             known = ", ".join(sorted(NOMINAL_SENSORS.keys() & self._chains.keys()))
-            raise ConfigError(f"quantity {fault.quantity!r} is not on the bus; known: {known}")
+            raise EmulatorConfigError(f"quantity {fault.quantity!r} is not on the bus; known: {known}")
 
     def switch_on(self, t_s: float) -> None:
         """Let the controllers start at this scenario time [s], as when the ignition is switched on."""

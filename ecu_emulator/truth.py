@@ -21,7 +21,7 @@ import numpy as np
 from canlog.arrays import BoolArray, FloatArray
 from canlog.files import read_small_file
 from clutch_model.calibration import clutch_of_gear
-from ecu_emulator.driving.indices import EventKind, LockUpState
+from ecu_emulator.driving.indices import LockUpState, ManoeuvreKind
 from ecu_emulator.errors import RecordError
 from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control.tcu_data import CLOSED_REVS
@@ -475,7 +475,7 @@ class EventWatcher:
         index = int(slips[1].energy_j > slips[0].energy_j)
         return EventTruth(
             number=self._count,
-            event=EventKind(int(last[Col.EVENT_KIND])).name.lower(),
+            event=ManoeuvreKind(int(last[Col.EVENT_KIND])).name.lower(),
             t_start_s=round(float(first[Col.T_S]), 3),
             t_end_s=round(float(after[Col.T_S]), 3),
             from_gear=int(first[Col.CURRENT_GEAR]),

@@ -122,7 +122,7 @@ def cause_words(cause: str, clutch: int | None) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class ClutchFinding:
     """What the last result of a clutch says of it."""
 
     clutch: int
@@ -173,7 +173,7 @@ def unseen_since_new(clutch: int, element: str | None = None) -> str:
     return f"{title_of(clutch, element)}: {_UNSEEN_SINCE}."
 
 
-def order_of(findings: Iterable[Finding], filled_at: datetime | None, elements: Iterable[str] = ()) -> Order:
+def order_of(findings: Iterable[ClutchFinding], filled_at: datetime | None, elements: Iterable[str] = ()) -> Order:
     """Return the order by the last result of each clutch, when the fluid was filled, and names that are no numbers."""
     found = list(findings)
     known = {one.clutch: one for one in found if not is_of_earlier_fluid(one.end_at, filled_at, one.since_at)}
@@ -231,7 +231,7 @@ def _percent(text: str) -> int:
     return 100 if found is None else int(found[1])
 
 
-def _ground(finding: Finding) -> str:
+def _ground(finding: ClutchFinding) -> str:
     """Return what a result says of its clutch, without any order and without the full stop."""
     said = finding.text or f"{finding.condition.replace('_', ' ')}: {finding.reason}"
     said = _EARLIER.sub("", said.removeprefix(f"{title_of(finding.clutch, finding.element)}: ")).removesuffix(".")

@@ -25,10 +25,10 @@ import diag_service
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.causes import ELSE, FEATURES, MIRRORED, SOUND, CauseJudge, described
-from diag_service.diagnosis.condition.condition import LEAST_COUNT, Course
+from diag_service.diagnosis.condition.condition import LEAST_COUNT, VehicleCourse
 from ecu_emulator.drive.build import build_vehicle
 from ecu_emulator.drive.recording import frames_of
-from ecu_emulator.scenario.faults import Cause, CauseKind
+from ecu_emulator.scenario.faults import CauseKind, Degradation
 from ecu_emulator.scenario.scenario import Ambient, Driver, Effects, Scenario
 from studies.builders import new_stages, to_batch
 from studies.run import over_drives, parsed, study_parser
@@ -89,13 +89,13 @@ class Lived:
 
     life: Life
     truths: tuple[tuple[str, int | None, float], ...]  # cause, clutch, and which way
-    moments: tuple[Course, ...]  # sound and grown, of the last one all events
+    moments: tuple[VehicleCourse, ...]  # sound and grown, of the last one all events
 
 
 def scenario_of(life: Life, drive: int, share: float, rng: np.random.Generator) -> Scenario:
     """Return one drive of a life."""
     oil_k = float(rng.uniform(343.0, 373.0))
-    causes = tuple(Cause(kind=kind, strength=life.strength * share) for kind in life.kinds if share > 0.0)
+    causes = tuple(Degradation(kind=kind, strength=life.strength * share) for kind in life.kinds if share > 0.0)
     return Scenario(
         name="life",
         vehicle_seed=life.seed,
@@ -113,7 +113,7 @@ def lived(life: Life) -> list[Lived]:
     stages = new_stages()
     has_fill = CauseKind.WRONG_FLUID in life.kinds
     ramp = 0 if has_fill else int(rng.integers(0, MOST_RAMP + 1))
-    moments, offset_ns = list[Course](), 0
+    moments, offset_ns = list[VehicleCourse](), 0
     scenario = scenario_of(life, 0, 0.0, rng)
     for drive in range(SOUND_DRIVES + ramp + FAULTY_DRIVES):
         if has_fill and drive == SOUND_DRIVES:

@@ -9,7 +9,7 @@ import numpy as np
 
 from clutch_model.calibration import nominal_calibration, shipped_calibration
 from clutch_model.pack import viscosities_pa_s
-from ecu_emulator.scenario.scenario import Effects, FluidCondition, Routine, Scenario, Truth
+from ecu_emulator.scenario.scenario import Effects, FluidCondition, Scenario, Truth, WorkshopRoutine
 from ecu_emulator.scenario.scenario_file import load_scenario
 from studies.builders import FLUIDS
 
@@ -37,7 +37,7 @@ class Vehicle:
     transmission: str = "nominal"
     oil: Mapping[str, float] = field(default_factory=dict, hash=False)  # of another viscosity, as a scenario has it
 
-    def scenario(self, drive: int, routine: Routine) -> Scenario:
+    def scenario(self, drive: int, routine: WorkshopRoutine) -> Scenario:
         """Return one of its drives; noise and driver differ from drive to drive."""
         base = load_scenario("noise_only")
         sensors = {

@@ -37,7 +37,7 @@ from diag_service.service.stages import Diagnosis
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.scenario.drive_names import DriveName
-from ecu_emulator.scenario.scenario import Routine, Scenario
+from ecu_emulator.scenario.scenario import Scenario, WorkshopRoutine
 from ecu_emulator.scenario.scenario_file import load_scenario
 from studies.builders import FLUIDS, STRETCH_S, TRACES, in_oil, new_stages, planned, to_batch
 from studies.drawn_vehicle import Vehicle, draw, with_other_laws
@@ -109,7 +109,7 @@ def scenario_of(case: Case) -> tuple[Scenario, Vehicle | None]:
         base = load_scenario("noise_only")
         base = replace(base, seed=case.seed, fluid=replace(base.fluid, condition=FLUIDS[case.seed % len(FLUIDS)]))
     else:
-        base = vehicle.scenario(0, Routine())
+        base = vehicle.scenario(0, WorkshopRoutine())
     effects = replace(base.effects, frame_loss_ratio=case.loss_ratio if case.burst == 1 else 0.0)
     base = replace(base, transmission=case.transmission, drive=DriveName.CITY, effects=effects)
     return in_oil(base, case.oil_degc), vehicle

@@ -26,7 +26,7 @@ from diag_service.batch.tables import Entry
 from diag_service.batch.worker import Analyst
 from diag_service.settings.config import DiagnosisConfig
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.log_formats.record import BlfWriter, CandumpWriter, FrameWriter, Header
+from ecu_emulator.log_formats.record import BlfWriter, CandumpWriter, FrameWriter, LogHeader
 from studies import bars
 from studies.builders import new_decoder, new_stages
 from studies.run import machine, parsed, study_parser, took_s
@@ -53,7 +53,7 @@ def write_hour(drive: FrameBatch, count: int, path: Path, kind: type[FrameWriter
     round_us = (int(drive.t_ns[-1] - drive.t_ns[0]) + PAUSE_NS) // NS_PER_US
     frames = EncodedFrames(t_s=np.zeros(len(drive)), can_id=drive.can_id, length=drive.length, data=drive.data)
     with path.open("wb") as file:
-        writer = kind(file, Header(start_us=first_us, channel="vcan0"))
+        writer = kind(file, LogHeader(start_us=first_us, channel="vcan0"))
         for first in range(0, count, len(drive)):
             part = slice(0, min(len(drive), count - first))
             times_us = drive.t_ns[part] // NS_PER_US + first // len(drive) * round_us

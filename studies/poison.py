@@ -33,7 +33,7 @@ from diag_service.service.stages import Diagnosis
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.drive.recording import Drive, frames_of
 from ecu_emulator.scenario.drive_names import DriveName
-from ecu_emulator.scenario.scenario import FluidCondition, Routine, Scenario, Truth
+from ecu_emulator.scenario.scenario import FluidCondition, Scenario, Truth, WorkshopRoutine
 from studies.builders import EPOCH_US, STRETCH_S, TRACES, in_oil, new_stages, planned, to_batch
 from studies.drawn_vehicle import draw
 from studies.drive_accuracy import WRONG
@@ -158,7 +158,7 @@ def free(state: Posterior) -> FloatArray:
 def trials(setting: Setting, seed: int) -> list[Trial]:
     """Drive one vehicle and spoil events of it that tell of friction, in several trials."""
     vehicle = draw(seed, has_mismatch=False)
-    events = setting.events(setting.scenario(vehicle.scenario(0, Routine())))
+    events = setting.events(setting.scenario(vehicle.scenario(0, WorkshopRoutine())))
     return trials_of(events, seed, vehicle.fluid)
 
 
@@ -212,7 +212,7 @@ def steps(setting: Setting, seed: int) -> list[Step]:
     """Drive a vehicle twice, the friction of one clutch changed in between."""
     vehicle, clutch = draw(seed, has_mismatch=False), 1 + seed % 2
     ratio = STEP_RATIO if seed % 4 < 2 else -STEP_RATIO
-    before, after = (setting.scenario(vehicle.scenario(drive, Routine())) for drive in range(2))
+    before, after = (setting.scenario(vehicle.scenario(drive, WorkshopRoutine())) for drive in range(2))
     curve = nominal_calibration().clutches[clutch - 1].friction
     changed = {
         f"clutch{clutch}.friction.mu_c": curve.mu_c * (1.0 + ratio),

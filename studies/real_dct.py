@@ -24,7 +24,7 @@ from clutch_results.event_kinds import EventKind
 from demo.drawing import as_svg, drawing_style
 from diag_service.api.learning import (
     OURS,
-    Shown,
+    PredictedShift,
     left_out_one_by_one,
     scores,
     second_half_from_first,
@@ -92,19 +92,19 @@ def predicted_simply(name: str, known: Sequence[SlipPhase], phase: SlipPhase) ->
     return Prediction(mean_rad_s=mean, scale_rad_s=std, freedom=float(len(known)))
 
 
-def beside_simpler(shown: Shown, known: Sequence[SlipPhase]) -> Shown:
+def beside_simpler(shown: PredictedShift, known: Sequence[SlipPhase]) -> PredictedShift:
     """Return a shift with what simpler models say of it from the same others."""
     simpler = {name: predicted_simply(name, known, shown.phase) for name in SIMPLER}
     return replace(shown, predictions={**shown.predictions, **simpler})
 
 
-def each_from_others(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[Shown]:
+def each_from_others(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[PredictedShift]:
     """Yield every shift with what the others say of it."""
     for one in left_out_one_by_one(named, touch_pa):
         yield beside_simpler(one, [other for _, other in named if other is not one.phase])
 
 
-def half_from_half(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[Shown]:
+def half_from_half(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[PredictedShift]:
     """Yield the shifts of the second half with what those of the first say."""
     known = [phase for _, phase in named[: (len(named) + 1) // 2]]
     for one in second_half_from_first(named, touch_pa):
@@ -197,7 +197,7 @@ def launch_lines(
             )
 
 
-def emulated(vehicles: int, cycles: int, folder: Path) -> Iterator[Shown]:
+def emulated(vehicles: int, cycles: int, folder: Path) -> Iterator[PredictedShift]:
     """Yield the power upshifts of emulated cars at 27 rows a second, each predicted from the others of its car."""
     for seed in range(1, vehicles + 1):
         log, table = folder / f"{seed}.log", folder / f"{seed}.csv"
@@ -208,7 +208,7 @@ def emulated(vehicles: int, cycles: int, folder: Path) -> Iterator[Shown]:
         log.unlink()
 
 
-def table(title: str, shown: Sequence[Shown], what: str = "power upshifts") -> Iterator[str]:
+def table(title: str, shown: Sequence[PredictedShift], what: str = "power upshifts") -> Iterator[str]:
     """Yield what each model was worth, as a table."""
     found = scores(shown)
     best = min(score["crps_rad_s"] for name, score in found.items() if name != OURS)
@@ -225,7 +225,7 @@ def table(title: str, shown: Sequence[Shown], what: str = "power upshifts") -> I
     yield f"68 of 100 shifts are predicted within {spread:.1f} % of their change"
 
 
-def picture(shown: Shown) -> str:
+def picture(shown: PredictedShift) -> str:
     """Return the picture of a shift as SVG: samples of engine speed, what was predicted, and simpler models."""
     phase, ours = shown.phase, shown.predictions[OURS]
     t_ms, start = 1e3 * phase.t_s, float(phase.speed_rad_s[0])

@@ -36,7 +36,7 @@ from diag_service.diagnosis.shifts.run_ups import RunUpFinder
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from ecu_emulator.bus.frames import EncodedFrames, merge
 from ecu_emulator.drive.recording import Drive, frames_of
-from ecu_emulator.scenario.scenario import Routine, Scenario
+from ecu_emulator.scenario.scenario import Scenario, WorkshopRoutine
 from studies.builders import STRETCH_S, TRACES, diagnose, new_decoder, planned, to_batch
 from studies.drawn_vehicle import CYCLES, Vehicle, draw
 from studies.drive_accuracy import Case, scenario_of
@@ -90,7 +90,7 @@ BELIEFS: Mapping[str, Callable[[], Calibration]] = {"shipped": nominal_calibrati
 
 def study(vehicle: Vehicle, start: Calibration) -> list[Row]:
     """Drive one vehicle three times and return its rows, calibrated from what is believed of its type."""
-    routine = Routine(open_revs=REV_COUNT, closed_revs=REV_COUNT)
+    routine = WorkshopRoutine(open_revs=REV_COUNT, closed_revs=REV_COUNT)
     frames, truth = frames_of(vehicle.scenario(0, routine))
     shifts, run_ups = events_of(frames)
     opened = [run_up for run_up in run_ups if not run_up.are_clutches_closed]
@@ -101,7 +101,7 @@ def study(vehicle: Vehicle, start: Calibration) -> list[Row]:
         found = self_calibrate(shifts, used, start, "study")
         rows.append(Row(kind=kind, problem=found) if isinstance(found, str) else judged(kind, vehicle, found, true))
     if not isinstance(found, str):
-        drives = [driven_friction(vehicle.scenario(drive, Routine()), found.calibration) for drive in (1, 2)]
+        drives = [driven_friction(vehicle.scenario(drive, WorkshopRoutine()), found.calibration) for drive in (1, 2)]
         rows.append(Row(kind="trend", trend=tuple((100.0 * (drives[1] - drives[0]) / true).tolist())))
     return rows
 

@@ -136,7 +136,7 @@ class Bins:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Channel:
+class TrendChannel:
     """One quantity over the life of one fluid."""
 
     name: ChannelName
@@ -146,14 +146,14 @@ class Channel:
 
 def channels_of(
     history: History, first: int, stop: int, reference: FrictionCurve, clocks: tuple[Clock, ...]
-) -> Iterator[Channel]:
+) -> Iterator[TrendChannel]:
     """Yield margin and level of the fluid in some rows, relative to those of new fluid."""
     place = _places(clocks[0].age_m)
     warmth_k = history.sump_temperature_k[first:stop] - REFERENCE_K
     ages_m = np.array([clock.age_m for clock in clocks])
     for name in ChannelName:
         value, std, common_std = _column(history, name, reference)
-        yield Channel(
+        yield TrendChannel(
             name=name,
             bins=_binned(value[first:stop], std[first:stop], warmth_k, ages_m, place),
             common_std=float(np.median(common_std[first:stop])),

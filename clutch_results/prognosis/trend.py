@@ -28,7 +28,7 @@ from clutch_results.prognosis.assumptions import (
     USUAL_LIFE_M,
     ChannelPrior,
 )
-from clutch_results.prognosis.channels import DISTANCE_M, Bins, Channel, Clock
+from clutch_results.prognosis.channels import DISTANCE_M, Bins, Clock, TrendChannel
 
 BENDS: Final = np.array([0.1, 0.3, 0.5, 0.65, 0.75, 0.85, 0.9, 0.95])  # of the age, where a bend is looked for
 LEAST_BENT_BINS: Final = 8
@@ -92,7 +92,7 @@ class _Courses:
     random: FloatArray  # (amounts,)
 
 
-def aged(channel: Channel, clocks: Sequence[Clock], prior: ChannelPrior, bend_chance: float) -> AgedChannel:
+def aged(channel: TrendChannel, clocks: Sequence[Clock], prior: ChannelPrior, bend_chance: float) -> AgedChannel:
     """Return how a channel has aged and may age by each clock, the first of which is the plain distance.
 
     ``bend_chance`` is the probability that wear becomes clearly faster at some share of a life.
@@ -136,7 +136,7 @@ def _warmth(bins: Bins, prior: ChannelPrior) -> Value:
     return Value(mean=share * bins.warmth_per_k, std=(share * bins.warmth_variance) ** 0.5)
 
 
-def _courses(channel: Channel, clocks: Sequence[Clock], prior: ChannelPrior, warmth: Value) -> _Courses:
+def _courses(channel: TrendChannel, clocks: Sequence[Clock], prior: ChannelPrior, warmth: Value) -> _Courses:
     """Return the exact answer for each course: regression on start and two rates, with random wear in the errors."""
     bins, ages = channel.bins, channel.bins.ages_m / USUAL_LIFE_M
     age = np.array([one.age_m[-1] for one in clocks]) / USUAL_LIFE_M

@@ -66,7 +66,7 @@ class Poll:
     bus: "can.BusABC | None" = None
 
 
-class Meaning(TypedDict, total=False):
+class FrameMeaning(TypedDict, total=False):
     """What frames mean and whose they are, as functions take it by keyword; ``analyze`` says what each stands for."""
 
     vehicle: str | None
@@ -75,7 +75,7 @@ class Meaning(TypedDict, total=False):
     calibration: Calibration | AnyPath | None
 
 
-class LogMeaning(Meaning, total=False):
+class LogMeaning(FrameMeaning, total=False):
     """The same of logs, which may be tables."""
 
     columns: str

@@ -174,7 +174,7 @@ def calibrate(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shown:
+class PredictedShift:
     """One shift, left out of what it was predicted from, and what was said of it, by the name of the model."""
 
     log: str
@@ -199,24 +199,24 @@ def slip_phases(
     return [one for one in found if isinstance(one, SlipPhase)], [one for one in found if isinstance(one, NoPhase)]
 
 
-def left_out_one_by_one(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[Shown]:
+def left_out_one_by_one(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[PredictedShift]:
     """Yield every slip phase with what the others say of it; raises ValueError if they are too few."""
     for log, phase in named:
         yield _shown(log, phase, [other for _, other in named if other is not phase], touch_pa)
 
 
-def second_half_from_first(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[Shown]:
+def second_half_from_first(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[PredictedShift]:
     """Yield the slip phases of the second half with what those of the first say; raises ValueError if too few."""
     half = (len(named) + 1) // 2
     for log, phase in named[half:]:
         yield _shown(log, phase, [other for _, other in named[:half]], touch_pa)
 
 
-def _shown(log: str, phase: SlipPhase, known: Sequence[SlipPhase], touch_pa: float | None) -> Shown:
-    return Shown(log=log, phase=phase, predictions={OURS: predicted(fitted(known, touch_pa), phase)})
+def _shown(log: str, phase: SlipPhase, known: Sequence[SlipPhase], touch_pa: float | None) -> PredictedShift:
+    return PredictedShift(log=log, phase=phase, predictions={OURS: predicted(fitted(known, touch_pa), phase)})
 
 
-def scores(shown: Sequence[Shown]) -> dict[str, dict[str, float]]:
+def scores(shown: Sequence[PredictedShift]) -> dict[str, dict[str, float]]:
     """Return what the model was worth at the ends of the slip phases, and over all their samples.
 
     ``crps_rad_s``, the continuous ranked probability score, is an error that a too narrow or too wide interval
@@ -258,7 +258,7 @@ def inside_ratio(found: Sequence[tuple[float, float, float, float]], part: int) 
 class Predicted:
     """The gear changes of some logs: each predicted from others, by kind, and those that cannot be."""
 
-    groups: dict[str, list[Shown]]  # only those of which there are enough
+    groups: dict[str, list[PredictedShift]]  # only those of which there are enough
     too_few: dict[str, int]
     not_used: list[tuple[str, NoPhase]]  # log, and why
     touch_pa: float | None
@@ -300,7 +300,7 @@ def predict_shifts(
         "downshifts": [one for one in named if one[1].sign < 0.0],
     }
     split = second_half_from_first if is_by_halves else left_out_one_by_one
-    shown, too_few = dict[str, list[Shown]](), dict[str, int]()
+    shown, too_few = dict[str, list[PredictedShift]](), dict[str, int]()
     for title, group in groups.items():
         if ((len(group) + 1) // 2 if is_by_halves else len(group) - 1) < LEAST_EVENTS:
             too_few[title] = len(group)
@@ -309,7 +309,7 @@ def predict_shifts(
     return Predicted(groups=shown, too_few=too_few, not_used=without, touch_pa=touch_pa)
 
 
-def _record(title: str, shown: Sequence[Shown], touch_pa: float | None) -> dict[str, object]:
+def _record(title: str, shown: Sequence[PredictedShift], touch_pa: float | None) -> dict[str, object]:
     return {
         "schema": PREDICT_SCHEMA,
         "group": title,

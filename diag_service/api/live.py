@@ -337,7 +337,7 @@ def diagnose(
     poll: choices.Poll | None = None,
     asks: bool = False,
     adapter: str | None = None,
-    **meaning: Unpack[choices.Meaning],
+    **meaning: Unpack[choices.FrameMeaning],
 ) -> LiveDiagnosis:
     """Diagnose a live bus, as ``diag-service run`` does.
 

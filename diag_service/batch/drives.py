@@ -15,7 +15,7 @@ from fleet_contract import JsonObject
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Drive:
+class DriveLogs:
     """The logs of one drive, as they were when they were found."""
 
     paths: tuple[Path, ...]
@@ -64,14 +64,14 @@ class TakenFor:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
+class FoundDrives:
     """What files and folders hold."""
 
-    drives: tuple[Drive, ...]
+    drives: tuple[DriveLogs, ...]
     left_out: tuple[LeftOut, ...]
 
 
-def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False, columns: str = "") -> Found:
+def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False, columns: str = "") -> FoundDrives:
     """Return the drives that files and folders stand for: the files together one, every log in a folder one.
 
     With ``has_vehicles`` a log is of the vehicle by which the folder below the named one is called; a log that lies in
@@ -93,17 +93,17 @@ def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False, columns: s
     counts = Counter(path.resolve() for drive in drives for path in drive.paths)
     if twice := sorted(str(path) for path, count in counts.items() if count > 1):
         raise ConfigError(f"named twice: {', '.join(twice)}")
-    return Found(drives=tuple(drives), left_out=tuple(left_out))
+    return FoundDrives(drives=tuple(drives), left_out=tuple(left_out))
 
 
-def drive_of(paths: Iterable[Path], vehicle: str | None = None) -> Drive:
+def drive_of(paths: Iterable[Path], vehicle: str | None = None) -> DriveLogs:
     """Return the drive that some files are; raises SourceError if one is not there."""
     files = tuple(paths)
     try:
         stats = [path.stat() for path in files]
     except OSError as exc:
         raise SourceError(f"{exc.filename}: {exc.strerror}") from exc
-    return Drive(
+    return DriveLogs(
         paths=files,
         size_bytes=sum(stat.st_size for stat in stats),
         modified_ns=max(stat.st_mtime_ns for stat in stats),

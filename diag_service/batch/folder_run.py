@@ -14,7 +14,7 @@ from typing import TextIO
 from canlog.errors import NOTICE, SourceError
 from clutch_results.records import dump
 from clutchdiag_io.program import legible, replacement_refusal
-from diag_service.batch.drives import Drive, LeftOut, find_drives, left_out_record
+from diag_service.batch.drives import DriveLogs, LeftOut, find_drives, left_out_record
 from diag_service.batch.tables import Entry, Journal, check_output, write_results
 from diag_service.batch.worker import (
     DEADLY,
@@ -44,7 +44,7 @@ class FolderListener:
     def leave_out(self, files: Sequence[LeftOut]) -> None:
         """Hear which files are no drives, before the first one is analysed."""
 
-    def add(self, drive: Drive, entry: Entry) -> None:
+    def add(self, drive: DriveLogs, entry: Entry) -> None:
         """Hear what one drive said, as soon as it is done; those that were done before are not told again."""
 
     def end(self, totals: Mapping[str, int], entries: Iterable[Entry]) -> None:
@@ -120,8 +120,8 @@ def _journal_of(output: Path) -> Path:
 
 
 def _analysed(
-    config: DiagnosisConfig, drives: Sequence[Drive], jobs: int, stop: Trigger, *, is_shown: bool
-) -> Iterator[tuple[Drive, Entry]]:
+    config: DiagnosisConfig, drives: Sequence[DriveLogs], jobs: int, stop: Trigger, *, is_shown: bool
+) -> Iterator[tuple[DriveLogs, Entry]]:
     """Yield drives as they are done, in no order; when told to stop, those that were begun."""
     if not drives:
         return
@@ -136,7 +136,9 @@ def _analysed(
                 yield drive, failed_entry(drive, DEADLY)
 
 
-def _conclude(journal: Journal, drives: Sequence[Drive], output: Path | None, listener: FolderListener) -> Counter[str]:
+def _conclude(
+    journal: Journal, drives: Sequence[DriveLogs], output: Path | None, listener: FolderListener
+) -> Counter[str]:
     """Write the output, or say how to go on; return what became of the drives."""
     done = [drive for drive in drives if drive.key in journal.done]
     totals: Counter[str] = Counter()
@@ -173,7 +175,7 @@ class FolderLines(FolderListener):
         self._as_json = as_json
         self._left_out = 0
 
-    def add(self, drive: Drive, entry: Entry) -> None:
+    def add(self, drive: DriveLogs, entry: Entry) -> None:
         if self._as_json:
             for record in (*entry.shifts, entry.drive):
                 self._write(dump(record))

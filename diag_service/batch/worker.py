@@ -20,7 +20,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn, 
 
 from canlog.errors import SourceError
 from clutch_results.records import ShiftResult, shift_record
-from diag_service.batch.drives import Drive
+from diag_service.batch.drives import DriveLogs
 from diag_service.batch.tables import Entry
 from diag_service.console import collected_notices, set_up_notices
 from diag_service.delivery import MemoryReporter
@@ -133,7 +133,7 @@ class Analyst:
     def _meaning(self) -> Interpretation:
         return self.config.interpretation()
 
-    def analyse(self, drive: Drive, stop: Trigger | None = None) -> Entry:
+    def analyse(self, drive: DriveLogs, stop: Trigger | None = None) -> Entry:
         """Return the account of a drive and its shifts; a log that cannot be read gives the reason instead.
 
         Whoever sets ``stop`` ends it early, and the account says so.
@@ -160,7 +160,7 @@ def drive_entry(
     return Entry(key=key, drive={**_account(paths), **account}, shifts=tuple(map(shift_record, with_revisions(judged))))
 
 
-def failed_entry(drive: Drive, error: str) -> Entry:
+def failed_entry(drive: DriveLogs, error: str) -> Entry:
     """Return the account of a drive that could not be analysed."""
     return Entry(key=drive.key, drive={**_account(drive.paths), "error": error}, shifts=())
 
@@ -188,5 +188,5 @@ def leave_to_parent(is_shown: bool) -> None:  # noqa: FBT001 - likewise
     logging.getLogger("diag_service").setLevel(logging.WARNING)  # what is only notable the parent has said
 
 
-def analyse_drive(drive: Drive) -> Entry:
+def analyse_drive(drive: DriveLogs) -> Entry:
     return _ANALYSTS[0].analyse(drive)

@@ -17,7 +17,7 @@ from canlog.database.signal_columns import SignalColumn, columns_database
 from canlog.errors import NOTICE, OutputError, SourceError
 from canlog.logs import STANDARD_INPUT, shown_name, table_columns
 from canlog.tables.account import DecodeAccount, account_record, frame_texts, losses, remarks, values_text
-from canlog.tables.decoding import Decoded, Plan, TableChoice, TableShape, decode_logs, default_shape
+from canlog.tables.decoding import DecodedLogs, Plan, TableChoice, TableShape, decode_logs, default_shape
 from canlog.tables.table_folder import message_files, tables_there
 from clutchdiag_io.command_line import STANDARD_STREAM
 from clutchdiag_io.program import replacement_refusal
@@ -124,7 +124,7 @@ def _place(options: SimpleNamespace) -> str:
     return "standard output" if options.output == STANDARD_STREAM else str(options.output)
 
 
-def _record(options: SimpleNamespace, decoded: Decoded) -> JsonObject:
+def _record(options: SimpleNamespace, decoded: DecodedLogs) -> JsonObject:
     """Return everything that is to be said as one JSON object."""
     logs: list[JsonObject] = [
         {
@@ -149,7 +149,7 @@ def _record(options: SimpleNamespace, decoded: Decoded) -> JsonObject:
     }
 
 
-def _show(options: SimpleNamespace, decoded: Decoded, console: PeopleConsole) -> None:
+def _show(options: SimpleNamespace, decoded: DecodedLogs, console: PeopleConsole) -> None:
     account = decoded.account
     fates = ", ".join(frame_texts(account))
     lines = list[str]()
@@ -250,7 +250,7 @@ def _not_read(task: TableTask, reason: str) -> TableDone:
     return TableDone(record=record, line=f"{task.log}: not read: {reason}", error=reason)
 
 
-def _done(task: TableTask, decoded: Decoded) -> TableDone:
+def _done(task: TableTask, decoded: DecodedLogs) -> TableDone:
     (reader,) = decoded.readers
     account = decoded.account
     record: JsonObject = {

@@ -12,7 +12,7 @@ from clutchdiag_io.program import replacement_refusal
 from diag_service.api.choices import diagnosis_config
 from diag_service.api.learning import (
     OURS,
-    Shown,
+    PredictedShift,
     inside_ratio,
     learned_from,
     learned_record,
@@ -82,7 +82,7 @@ def predict(options: SimpleNamespace, controls: Controls) -> None:
         console.print(f"touch point: {digits(bar_from_pa(found.touch_pa))} bar{origin}")
 
 
-def _lines(title: str, shown: Sequence[Shown]) -> Iterator[str]:
+def _lines(title: str, shown: Sequence[PredictedShift]) -> Iterator[str]:
     """Yield the table of one group: engine speed from the old gear to the last sample before the clutch locks."""
     yield f"{title}: change of engine speed in the slip [rpm], each predicted from others; {PLUS_MINUS}"
     yield f"{'log':<16} {'gears':>5} {'samples':>7} {'measured':>8} {'predicted':>15} {'error':>6}  in 50 % in 90 %"

@@ -299,7 +299,7 @@ class OutboxState:
             self.published.popleft()
 
 
-class Delivery:
+class Deliverer:
     """Sends what waits over one link; takes what it sends out of what the outbox is to repeat."""
 
     def __init__(self, state: OutboxState, link: Link) -> None:

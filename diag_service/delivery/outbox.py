@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 
 from canlog.errors import NOTICE
-from diag_service.delivery.delivery import Acknowledge, Bundling, Delivery, OutboxState
+from diag_service.delivery.delivery import Acknowledge, Bundling, Deliverer, OutboxState
 from diag_service.delivery.reporters import DeliveryLimits, Link
 from diag_service.errors import PublishError, StoreFullError
 from diag_service.store import ResultStore
@@ -58,7 +58,7 @@ class Outbox:
         self._greetings = greetings
         self._metrics = metrics
         self._metrics_due_s = 0.0  # of the loop
-        self._delivery: Delivery | None = None  # over the present connection
+        self._delivery: Deliverer | None = None  # over the present connection
         self._lasting: dict[str, Outgoing] = {}  # by topic: what a restarted broker may not know
         self._unsent: dict[str, Outgoing] = {}
         self._closing = asyncio.Event()
@@ -124,7 +124,7 @@ class Outbox:
         return await asyncio.to_thread(self._unpublished_count)
 
     async def _serve(self, link: Link) -> None:
-        delivery = self._delivery = Delivery(self._state, link)
+        delivery = self._delivery = Deliverer(self._state, link)
         self._unsent.clear()
         await delivery.begin([*self._greetings, *self._lasting.values()])
         sent_before = self.counts.sent
@@ -143,7 +143,7 @@ class Outbox:
                 return
             await self._wait(link, delivery)
 
-    async def _wait(self, link: Link, delivery: Delivery) -> None:
+    async def _wait(self, link: Link, delivery: Deliverer) -> None:
         """Return when there is something to do; raises PublishError if the connection is lost."""
         wait_s = delivery.backoff_s()
         if self._metrics is not None:

@@ -186,7 +186,7 @@ class AlignedSignals:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Samples:
+class EventSamples:
     """What was sampled in an event that can be used, whatever vehicle it is of."""
 
     event: Event
@@ -251,7 +251,9 @@ def measured_times(sampled: SampleTimes, event: Event, calibration: Calibration)
     }
 
 
-def aligned(samples: Samples, calibration: Calibration, other: AlignedSignals | None = None) -> AlignedSignals | Reason:
+def aligned(
+    samples: EventSamples, calibration: Calibration, other: AlignedSignals | None = None
+) -> AlignedSignals | Reason:
     """Return samples on one clock and on the even grid that all signals reach, or why they cannot be.
 
     Latencies are as the calibration has them. What no calibration moves is taken over from ``other``: the same samples
@@ -369,7 +371,7 @@ def usable_signals(event: Event, calibration: Calibration) -> AlignedSignals | R
     return samples if isinstance(samples, Reason) else aligned(samples, calibration)
 
 
-def usable_samples(event: Event) -> Samples | Reason:
+def usable_samples(event: Event) -> EventSamples | Reason:
     """Return the samples of a shift or engine run-up, or why they cannot be used."""
     if event.has_whole_seconds or event.end_reason not in {EndReason.COMPLETE, EndReason.ABANDONED}:
         return Reason.WHOLE_SECONDS if event.has_whole_seconds else Reason.INTERRUPTED
@@ -396,7 +398,7 @@ def usable_samples(event: Event) -> Samples | Reason:
         return Reason.OUT_OF_RANGE
     of_torque, of_pressure = (event.columns[signal].t_ns for signal in (Signal.ENGINE_TORQUE, Signal.CLUTCH1_PRESSURE))
     skew_s = row_s if np.array_equal(of_torque, of_pressure) else min(row_s, ANSWER_S)  # asked values have own times
-    return Samples(event=event, times=sampled, oil_k=oil_k, row_s=row_s, skew_s=skew_s)
+    return EventSamples(event=event, times=sampled, oil_k=oil_k, row_s=row_s, skew_s=skew_s)
 
 
 def _why_silent(event: Event, sampled: Iterable[Signal]) -> Reason:

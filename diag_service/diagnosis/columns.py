@@ -122,7 +122,7 @@ class ColumnBatch:
     e2e_changes: tuple[E2eChange, ...] = ()  # of each message in the order of time
 
 
-class Samples(NamedTuple):
+class ColumnSamples(NamedTuple):
     """Samples of k signals, each row filled from its beginning."""
 
     filled: Int64Array  # (k,) where each row ends
@@ -131,9 +131,9 @@ class Samples(NamedTuple):
     value: FloatArray  # (k, n)
 
 
-def empty_rows(count: int, size: int) -> Samples:
+def empty_rows(count: int, size: int) -> ColumnSamples:
     """Return empty rows for ``size`` samples each."""
-    return Samples(
+    return ColumnSamples(
         filled=np.zeros(count, np.int64),
         t_ns=np.empty((count, size), np.int64),
         sequence=np.empty((count, size), np.int64),
@@ -149,7 +149,7 @@ class BlockLayout:
         self.period_ns = tuple(period_ns)
         self.row = {signal: row for row, signal in enumerate(signals)}
 
-    def room(self, size: int) -> Samples:
+    def room(self, size: int) -> ColumnSamples:
         return empty_rows(len(self.signals), size)
 
 
@@ -158,7 +158,7 @@ class SampleBlock(Mapping[Signal, Series]):
 
     __slots__ = ("layout", "samples")
 
-    def __init__(self, layout: BlockLayout, samples: Samples) -> None:
+    def __init__(self, layout: BlockLayout, samples: ColumnSamples) -> None:
         self.layout = layout
         self.samples = samples
 

@@ -205,7 +205,7 @@ class Scales:
     touch_std_pa: float
 
 
-class Scatter(NamedTuple):
+class PredictionScatter(NamedTuple):
     """What no parameter explains: scales of Student's t, whose tails are heavy as those of skewed columns are."""
 
     speed_rad_s: float  # of a sample
@@ -226,7 +226,7 @@ class Model:
     scales: Scales
     parameters: FloatArray
     covariance: FloatArray
-    scatter: Scatter
+    scatter: PredictionScatter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -258,7 +258,7 @@ def fitted(phases: Sequence[SlipPhase], touch_pa: float | None = None) -> Model:
     scales = _scales(phases, touch_pa)
     measured = np.concatenate([phase.change_rad_s for phase in phases])
     ends = np.cumsum([len(phase.change_rad_s) for phase in phases]) - 1
-    scatter = Scatter(0.1 * float(np.abs(measured).max()), 0.0)
+    scatter = PredictionScatter(0.1 * float(np.abs(measured).max()), 0.0)
     point, means = np.array([0.5, 0.0, 1.0, 1.0, 0.0, 0.0]), measured
     for _ in range(ROUNDS):
         size = scatter.scales_rad_s(means)
@@ -355,13 +355,13 @@ def _priors(parameters: FloatArray) -> FloatArray:
     return np.array([drive / 3.0, drag / 0.3, (gain_1 + gain_2) / 8.0, alike, touch, delay])
 
 
-def _likeliest(means: FloatArray, left: FloatArray, ends: Int64Array) -> Scatter:
+def _likeliest(means: FloatArray, left: FloatArray, ends: Int64Array) -> PredictionScatter:
     """Return the scatter that makes what is left of some shifts the likeliest.
 
     All samples count together as much as the last ones of the shifts: what a whole shift has of its own shows there.
     """
-    best, likeliest = np.inf, Scatter(1.0, 0.0)
-    for scatter in starmap(Scatter, product(np.geomspace(0.5, 40.0, 30).tolist(), GAIN_RATIOS)):
+    best, likeliest = np.inf, PredictionScatter(1.0, 0.0)
+    for scatter in starmap(PredictionScatter, product(np.geomspace(0.5, 40.0, 30).tolist(), GAIN_RATIOS)):
         size = scatter.scales_rad_s(means)
         costs = 2.0 * np.log(size) + (FREEDOM + 1.0) * np.log1p((left / size) ** 2 / FREEDOM)
         cost = float(costs.mean() + costs[ends].mean())

@@ -26,7 +26,7 @@ from diag_service.diagnosis.alignment import (
     GRID_S,
     NS_TO_S,
     AlignedSignals,
-    Samples,
+    EventSamples,
     usable_samples,
 )
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
@@ -246,7 +246,9 @@ class Gate:
     """What the data of an event are worth, found before anything is estimated from them."""
 
     quality: DataQuality
-    samples: Samples | Reason | None  # what tells friction, or why nothing does; None: the vehicle has no such signals
+    samples: (
+        EventSamples | Reason | None
+    )  # what tells friction, or why nothing does; None: the vehicle has no such signals
     against: tuple[Reason, ...]  # why the data must not be believed; empty if they may, or there are none to believe
 
 
@@ -254,7 +256,11 @@ def gate(event: Event, basis: QualityBasis, *, tells_friction: bool = True) -> G
     """Judge the data of an event, by themselves: which samples tell its friction, and whether they can be believed."""
     quality = data_quality(event, basis)
     samples = usable_samples(event) if tells_friction else None
-    if basis.torque is TorqueSource.WITHOUT_CUT and event.kind not in SLIPS_IN_GEAR and isinstance(samples, Samples):
+    if (
+        basis.torque is TorqueSource.WITHOUT_CUT
+        and event.kind not in SLIPS_IN_GEAR
+        and isinstance(samples, EventSamples)
+    ):
         samples = Reason.TORQUE_UNKNOWN
     against = () if isinstance(samples, Reason) else reasons_against(quality)
     if event.came_late:
@@ -526,7 +532,7 @@ def _largest_mean(values: FloatArray, span_s: float) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Meaning:
+class SignalMeaning:
     """Whether signals that were asked for can be what the profile says, by the estimates of a drive so far."""
 
     doubt: str = ""  # what cannot be; empty as long as all of it can
@@ -537,7 +543,7 @@ class Meaning:
         """Return whether the estimate of an event that is counted here may be believed."""
         return not self.doubt or estimate.status is not Status.VALID
 
-    def with_estimate(self, estimate: ShiftEstimate, calibration: Calibration) -> "Meaning":
+    def with_estimate(self, estimate: ShiftEstimate, calibration: Calibration) -> "SignalMeaning":
         """Return the same after one more event; ``calibration`` is that of the type."""
         if self.doubt:
             return self
@@ -554,4 +560,4 @@ class Meaning:
         misfits = self.misfit_count + (not _MISFITS.isdisjoint(estimate.reasons))
         is_off = misfits >= MOST_MISFITS and not fits
         text = f"none of {misfits} events fits: pressures, torque and speeds do not fit together as the profile says"
-        return Meaning(doubt=text if is_off else "", fit_count=fits, misfit_count=misfits)
+        return SignalMeaning(doubt=text if is_off else "", fit_count=fits, misfit_count=misfits)

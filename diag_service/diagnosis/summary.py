@@ -364,7 +364,7 @@ def _since_at(result: ShiftResult) -> datetime | None:
 def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None, elements: Iterable[str] = ()) -> orders.Order:
     """Return the order for a vehicle by the last result of each clutch and the fluid that is in."""
     findings = [
-        orders.Finding(
+        orders.ClutchFinding(
             clutch=result.verdict.clutch,
             element=result.verdict.element,
             condition=result.verdict.condition.name.lower(),

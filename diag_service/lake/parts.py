@@ -355,7 +355,7 @@ DATE_CHARACTERS: Final = 10  # of a moment in ISO 8601
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Forgotten:
+class RemovedParts:
     """What was taken out of a lake."""
 
     vehicle: str
@@ -383,7 +383,7 @@ def parts_of(lake: Place, vehicle: str = "", *, with_unfinished: bool = False) -
                 yield part
 
 
-def forget(lake: Place, vehicle: str) -> Forgotten:
+def forget(lake: Place, vehicle: str) -> RemovedParts:
     """Take one vehicle out of a lake: its parts, whoever made them, its rows, its folders; then look again.
 
     Logs that are not in the lake, and copies that others made of it, stay.
@@ -399,7 +399,7 @@ def forget(lake: Place, vehicle: str) -> Forgotten:
     left = [*(part.name for part in parts_of(lake, vehicle, with_unfinished=True)), *again]
     if left:
         raise StoreError(f"{len(left)} things of {vehicle} are still in {lake.address}, the first: {left[0]}")
-    return Forgotten(
+    return RemovedParts(
         vehicle=vehicle,
         parts=tuple(found),
         part_bytes=sum(one.size_bytes for one in found.values()),

@@ -17,7 +17,15 @@ from canlog.frames import MAX_GAP_NS, BusTrouble, FrameBatch, empty_batch, is_er
 from canlog.jit import kernel, part
 from canlog.logs.log_counts import LEAST_PER_S, WATCHED_FRAMES
 from clutch_model.units import NS_PER_S
-from diag_service.diagnosis.columns import BlockLayout, ColumnBatch, Columns, GearRatios, SampleBlock, Samples, Signal
+from diag_service.diagnosis.columns import (
+    BlockLayout,
+    ColumnBatch,
+    Columns,
+    ColumnSamples,
+    GearRatios,
+    SampleBlock,
+    Signal,
+)
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.asked_signals import Overheard
@@ -93,7 +101,7 @@ def decode_samples(
     frames: AcceptedFrames,
     words: UInt64Array,
     good: BoolArray,
-    samples: Samples,
+    samples: ColumnSamples,
     invalid: Int64Array,
 ) -> None:
     """Fill in the samples of accepted frames, in SI, and count what is no measurement."""
@@ -115,7 +123,7 @@ def decode_samples(
 def keep(
     rows: Int64Array,
     frames: AcceptedFrames,
-    samples: Samples,
+    samples: ColumnSamples,
     row: int,
     to_si: FloatArray,
     good: BoolArray,

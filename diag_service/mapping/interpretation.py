@@ -109,7 +109,7 @@ def _files(dbc: Path | None, profile: Profile, named: Path | Profile | None) -> 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fit:
+class ProfileFit:
     """How well a profile fits a database."""
 
     profile: Profile
@@ -130,14 +130,14 @@ def _tells(profile: Profile) -> dict[str, bool]:
     return {"knows_gears": profile.gears is not None, "has_converter": Signal.LOCKUP_PRESSURE in profile.sources}
 
 
-def fit_of(database: Database, profile: Profile) -> Fit:
+def fit_of(database: Database, profile: Profile) -> ProfileFit:
     mapped, problems = fitting(database, profile)
     signals = frozenset(column.signal for message in mapped for column in message.columns)
     tier = tier_of(signals, **_tells(profile))
-    return Fit(profile=profile, tier=tier, signals=signals, problems=problems)
+    return ProfileFit(profile=profile, tier=tier, signals=signals, problems=problems)
 
 
-def choose_profile(database: Database) -> Fit:
+def choose_profile(database: Database) -> ProfileFit:
     """Return the shipped profile that gets most out of a database.
 
     Raises ConfigError if not even shifts can be found with any of them; the text says what is missing.

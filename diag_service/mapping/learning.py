@@ -67,7 +67,7 @@ _TIME, _GEAR, _ENGINE, _OVER, _GROWTH, _FIRST = range(6)  # the columns that are
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
+class LearnedValue:
     """A value, its standard deviation, and what it is from."""
 
     value: float
@@ -95,9 +95,11 @@ class LearnedVehicle:
     over: Signal
     gears: Mapping[int, LearnedGear]
     are_named: bool  # the gears, by a signal; else they are numbered from the highest ratio that was driven
-    touch_pa: Mapping[int, Found] = field(default_factory=dict)  # by clutch, as all that follows
-    lag_s: Mapping[int, Found] = field(default_factory=dict)  # of a pressure behind its command
-    gain_rad_s2_pa: Mapping[int, Found] = field(default_factory=dict)  # of the engine's speed: friction up to a scale
+    touch_pa: Mapping[int, LearnedValue] = field(default_factory=dict)  # by clutch, as all that follows
+    lag_s: Mapping[int, LearnedValue] = field(default_factory=dict)  # of a pressure behind its command
+    gain_rad_s2_pa: Mapping[int, LearnedValue] = field(
+        default_factory=dict
+    )  # of the engine's speed: friction up to a scale
     rates_hz: Mapping[Signal, float] = field(default_factory=dict)  # at which signals came
 
     @property
@@ -108,7 +110,7 @@ class LearnedVehicle:
             return None
         return GearRatios(over=self.over, ratios=tuple(one.ratio for one in told.values()))
 
-    def touch_point(self, clutch: int) -> Found | None:
+    def touch_point(self, clutch: int) -> LearnedValue | None:
         """Return where a clutch touches; one that is not held is taken for as wide apart as clutches of a type are."""
         other = 3 - clutch
         found, likely = self.touch_pa.get(clutch), self.touch_pa.get(other)
@@ -225,11 +227,11 @@ def _lag_s(pressure: Series, command: Series) -> list[float]:
     return [behind_pa2 / moved_pa2_s] if 0.0 < behind_pa2 < MOST_LAG_S * moved_pa2_s else []
 
 
-def _middle(found: FloatArray, age_s: float) -> Found:
+def _middle(found: FloatArray, age_s: float) -> LearnedValue:
     """Return the lag of many commands; when the values of a message were read is unknown to two periods."""
     spread = 1.4826 * float(np.median(np.abs(found - np.median(found))))
     std = float(np.hypot(AGE_RATIO * age_s, spread / np.sqrt(len(found))))
-    return Found(value=float(np.median(found)), std=std, origin="closed pressure behind its command")
+    return LearnedValue(value=float(np.median(found)), std=std, origin="closed pressure behind its command")
 
 
 def _gears_of(rows: FloatArray, *, are_named: bool) -> Mapping[int, LearnedGear]:
@@ -309,7 +311,7 @@ def _clutch(rows: FloatArray) -> int | None:
     return 1 if share > SURE else 2 if share < 1.0 - SURE else None
 
 
-def _held(rows: FloatArray, gears: Mapping[int, LearnedGear], clutch: int) -> Found | None:
+def _held(rows: FloatArray, gears: Mapping[int, LearnedGear], clutch: int) -> LearnedValue | None:
     """Return the pressure that a clutch is held at in gear while the car stands; None if it is not."""
     own = [gear for gear, one in gears.items() if one.clutch == clutch]
     pressure = rows[:, _FIRST + clutch - 1]
@@ -320,12 +322,12 @@ def _held(rows: FloatArray, gears: Mapping[int, LearnedGear], clutch: int) -> Fo
     spread = 1.4826 * float(np.median(np.abs(pressure[is_held] - middle)))
     if spread > STEADY_PA:
         return None
-    return Found(value=middle, std=float(np.hypot(HOLD_STD_PA, spread)), origin="held in gear at standstill")
+    return LearnedValue(value=middle, std=float(np.hypot(HOLD_STD_PA, spread)), origin="held in gear at standstill")
 
 
-def _gains(phases: Sequence[SlipPhase], held: Mapping[int, Found]) -> dict[int, Found]:
+def _gains(phases: Sequence[SlipPhase], held: Mapping[int, LearnedValue]) -> dict[int, LearnedValue]:
     """Return what slip phases of power upshifts tell of the gains of clutches; beside an unknown touch point, less."""
-    gains = dict[int, Found]()
+    gains = dict[int, LearnedValue]()
     for clutch in (1, 2):
         own = [one for one in phases if one.clutch == clutch]
         if len(own) < LEAST_EVENTS:
@@ -335,7 +337,7 @@ def _gains(phases: Sequence[SlipPhase], held: Mapping[int, Found]) -> dict[int, 
         unit, place = model.scales.rate_rad_s2 / model.scales.pressure_pa, 1 + clutch
         value, std = abs(float(model.parameters[place])), float(np.sqrt(model.covariance[place, place]))
         std = float(np.hypot(std, GAIN_LAW_RATIO * value))
-        gains[clutch] = Found(value=unit * value, std=unit * std, origin=f"slip of {len(own)} upshifts")
+        gains[clutch] = LearnedValue(value=unit * value, std=unit * std, origin=f"slip of {len(own)} upshifts")
     return gains
 
 

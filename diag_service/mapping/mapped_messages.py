@@ -58,7 +58,7 @@ class SourceTable:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SignalColumn:
+class MappedSignal:
     """One canonical signal of a message."""
 
     signal: Signal
@@ -76,7 +76,7 @@ class MessageColumns:
     message: Message
     address: MessageAddress
     period_ns: int
-    columns: tuple[SignalColumn, ...]
+    columns: tuple[MappedSignal, ...]
 
 
 def map_signals(database: Database, profile: Profile) -> tuple[MessageColumns, ...]:
@@ -94,7 +94,7 @@ def map_signals(database: Database, profile: Profile) -> tuple[MessageColumns, .
 def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns, ...], tuple[str, ...]]:
     """Return what of a profile the database has, and what it lacks, in words."""
     problems: list[str] = []
-    found: dict[str, list[SignalColumn]] = {}
+    found: dict[str, list[MappedSignal]] = {}
     messages: dict[str, Message] = {}
     senders: dict[str, set[int]] = {}
     for signal, source in profile.sources.items():
@@ -129,11 +129,11 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
     return mapped, tuple(problems)
 
 
-def _column(message: Message, signal: Signal, source: SignalSource, *, is_j1939: bool) -> SignalColumn:
+def _column(message: Message, signal: Signal, source: SignalSource, *, is_j1939: bool) -> MappedSignal:
     found = message.get_signal_by_name(signal_name(message, source))
     convert = to_si(signal, source, found.unit)
     is_plain = source.check_range and not (isinstance(source, BusSource) and (source.less or source.times))
-    return SignalColumn(
+    return MappedSignal(
         signal=signal,
         table=compile_source(message, source, is_j1939=is_j1939),
         to_si=convert,

@@ -21,7 +21,7 @@ from diag_service.diagnosis.columns import GearRatios
 from diag_service.mapping.profile import gear_ratios
 
 if TYPE_CHECKING:
-    from diag_service.mapping.learning import Found, LearnedVehicle
+    from diag_service.mapping.learning import LearnedValue, LearnedVehicle
 
 LEARNED: Final = "learned"  # the table of what the logs told: for people, nothing is computed from it
 PA_PER_KPA: Final = 1e3
@@ -86,7 +86,7 @@ def description_toml(learned: "LearnedVehicle", assumed: Calibration, name: str,
     return "\n".join([*lines, "", *learned_lines(learned)]) + "\n"
 
 
-def _behind(line: str, touch: "Found | None") -> str:
+def _behind(line: str, touch: "LearnedValue | None") -> str:
     """Return where a value of a calibration is from: only springs follow a touch point, that of their own clutch."""
     if touch is None or not line.startswith(_OF_TOUCH):
         return _ASSUMED
@@ -102,7 +102,7 @@ def learned_lines(learned: "LearnedVehicle") -> Iterator[str]:
         yield f"sample_count = {one.ratio.sample_count}"
         if one.clutch is not None:
             yield f"clutch = {one.clutch}"
-    tables: tuple[tuple[str, Mapping[int, Found], float], ...] = (
+    tables: tuple[tuple[str, Mapping[int, LearnedValue], float], ...] = (
         ("touch_pressure_kpa", learned.touch_pa, 1.0 / PA_PER_KPA),
         ("pressure_lag_ms", learned.lag_s, 1e3),
         ("gain_rad_s2_kpa", learned.gain_rad_s2_pa, PA_PER_KPA),

@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from contextlib import suppress
 
 from canlog.errors import NOTICE, SourceError
-from canlog.live import LinkBreak, LiveSource, ReadSchedule, Silence
+from canlog.live import BusSilence, LinkBreak, LiveSource, ReadSchedule
 from diag_service.delivery import Outbox
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import FrameCounts, Summary, frames_line, shifts_line
@@ -108,7 +108,7 @@ class _Work:
     async def _read(self, source: LiveSource, schedule: ReadSchedule) -> None:
         stages = self._session.stages
         async for part in source:
-            events = stages.flush() if isinstance(part, LinkBreak | Silence) else stages.segment(part)
+            events = stages.flush() if isinstance(part, LinkBreak | BusSilence) else stages.segment(part)
             schedule.wait_for(is_expecting=stages.is_expecting, due_ns=stages.due_ns)
             await self._process(events)
 

@@ -22,7 +22,7 @@ from diag_service.diagnosis.friction.estimator import without_friction
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
 from diag_service.diagnosis.lockup.state import ALGORITHM_VERSION as LOCKUP_ALGORITHM_VERSION
 from diag_service.diagnosis.lockup.state import LockupState
-from diag_service.diagnosis.quality import Gate, Meaning, QualityBasis, gate, named_late
+from diag_service.diagnosis.quality import Gate, QualityBasis, SignalMeaning, gate, named_late
 from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.diagnosis.shifts.tracking import EventFinder
 from diag_service.diagnosis.summary import Capability
@@ -42,7 +42,7 @@ class Belief:
     state: Posterior | LockupState
     memory: ConditionMemory = field(default_factory=ConditionMemory.fresh)
     since_ns: int | None = None  # start of the first event that the state rests on; None: not known
-    meaning: Meaning = field(default_factory=Meaning)  # of this run: no store keeps it
+    meaning: SignalMeaning = field(default_factory=SignalMeaning)  # of this run: no store keeps it
 
     @classmethod
     def fresh(cls, calibration: Calibration) -> "Belief":
@@ -104,7 +104,7 @@ class Diagnosis:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reach:
+class SignalReach:
     """What the signals of a profile suffice for, under a calibration."""
 
     tier: Tier | None  # None: not even shifts can be found
@@ -113,7 +113,7 @@ class Reach:
     asked: Mapping[str, bool]  # what the tiers are asked with
 
     @classmethod
-    def of(cls, decoder: Decoder, calibration: Calibration) -> "Reach":
+    def of(cls, decoder: Decoder, calibration: Calibration) -> "SignalReach":
         signals, torque = decoder.signals, calibration.torque
         known = signals - {Signal.ENGINE_TORQUE} if torque is TorqueSource.UNKNOWN else signals
         # The gear can be told from the ratio of two speeds, where the bus has both.
@@ -147,7 +147,7 @@ class DualClutch:
     algorithm_version: ClassVar[str] = ALGORITHM_VERSION
     state_kind: ClassVar[type[Posterior] | type[LockupState]] = Posterior
 
-    def __init__(self, decoder: Decoder, calibration: Calibration, basis: QualityBasis, reach: Reach) -> None:
+    def __init__(self, decoder: Decoder, calibration: Calibration, basis: QualityBasis, reach: SignalReach) -> None:
         self._signals, self._gears, self._asked = decoder.signals, decoder.gears, bool(decoder.asked)
         self._calibration, self._basis, self._reach = calibration, basis, reach
         self._tells_friction = reach.tier is Tier.FRICTION
@@ -223,7 +223,7 @@ class LockupClutch:
     algorithm_version: ClassVar[str] = LOCKUP_ALGORITHM_VERSION
     state_kind: ClassVar[type[Posterior] | type[LockupState]] = LockupState
 
-    def __init__(self, _decoder: Decoder, calibration: Calibration, basis: QualityBasis, reach: Reach) -> None:
+    def __init__(self, _decoder: Decoder, calibration: Calibration, basis: QualityBasis, reach: SignalReach) -> None:
         self._calibration, self._basis, self._reach = calibration, basis, reach
         self._estimator = LockupEstimator(calibration)
 
@@ -259,7 +259,7 @@ class Stages:
     def __init__(self, decoder: Decoder, calibration: Calibration, belief: Belief | None = None) -> None:
         self.decoder = decoder
         self._calibration = calibration
-        self.reach = Reach.of(decoder, calibration)
+        self.reach = SignalReach.of(decoder, calibration)
         basis = QualityBasis(
             mandatory_messages=decoder.mandatory_messages,
             scale_ends=decoder.limits,

@@ -12,7 +12,7 @@ from canlog.e2e.message_contract import MessageContract
 from canlog.e2e.profile1 import COUNTER_PERIOD, CRC_BYTE, PAYLOAD_BYTES, counter_of, protect
 from canlog.frames import ERROR_FLAG
 from ecu_emulator.bus.frames import EncodedFrames, joined, merge
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind, generator
 from ecu_emulator.sensing import MS_PER_S, Onsets
 
@@ -332,7 +332,7 @@ def _targets(fault: BusFault, contracts: Mapping[int, MessageContract]) -> list[
     named = [contract for contract in contracts.values() if contract.name == fault.message]
     if not named:
         known = ", ".join(contract.name for contract in contracts.values())
-        raise ConfigError(f"message {fault.message!r} is not on the bus; known: {known}")
+        raise EmulatorConfigError(f"message {fault.message!r} is not on the bus; known: {known}")
     if fault.kind is BusFaultKind.RESTART:
         return [can_id for can_id, contract in contracts.items() if contract.sender == named[0].sender]
     return [named[0].can_id]

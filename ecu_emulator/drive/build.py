@@ -15,11 +15,11 @@ from clutch_model.units import rad_s_from_rpm
 from ecu_emulator.bus.frames import FrameEncoder
 from ecu_emulator.driving.journey import Departure, Journey, MovingCar, PlannedTrip, Warmth
 from ecu_emulator.driving.trip import Car, DriveConditions, Trip
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant.course import DriveSettings, FrictionFactors
 from ecu_emulator.plant.parameters import PlantParameters, plant_table
-from ecu_emulator.scenario.faults import Cause, CauseKind, Sensors, generator, split_unit
-from ecu_emulator.scenario.scenario import MAX_CYCLES, Effects, FluidCondition, Overrides, Scatter, Scenario
+from ecu_emulator.scenario.faults import CauseKind, Degradation, Sensors, generator, split_unit
+from ecu_emulator.scenario.scenario import MAX_CYCLES, Effects, FluidCondition, Overrides, ProductionScatter, Scenario
 from ecu_emulator.sensing import Installation, Schedule
 from ecu_emulator.truth import CauseTruth, DriveTruth, TripTruth
 
@@ -115,7 +115,7 @@ class CausedChanges:
         return drifted
 
 
-def _drawn(cause: Cause, seed: int) -> tuple[int, dict[str, float]]:
+def _drawn(cause: Degradation, seed: int) -> tuple[int, dict[str, float]]:
     """Return the clutch, 0 of both, and what a strength of 1 does in this vehicle."""
     rng = generator(seed, f"cause {cause.kind}")
     clutch, sign = int(rng.integers(1, 3)), float(rng.choice((-1.0, 1.0)))
@@ -278,10 +278,10 @@ def build_vehicle(scenario: Scenario) -> BuiltVehicle:
             causes=faulty.truths,
         )
     except CalibrationError as exc:
-        raise ConfigError(f"scenario {scenario.name}: truth is not possible: {exc}") from exc
+        raise EmulatorConfigError(f"scenario {scenario.name}: truth is not possible: {exc}") from exc
 
 
-def _draw(scatter: Scatter, seed: int, *, has_converter: bool) -> dict[str, float]:
+def _draw(scatter: ProductionScatter, seed: int, *, has_converter: bool) -> dict[str, float]:
     """Draw every deviation from a generator of its own, so that one more does not change the others."""
     drawn: dict[str, float] = {}
     for name in (one.name for one in fields(scatter) if has_converter or not one.name.startswith("converter")):
@@ -362,7 +362,7 @@ def _overridden(table: dict[str, Any], overrides: Overrides, where: str) -> dict
         for part in path:
             node = _child(node, part)
         if not isinstance(node, dict) or leaf not in node or isinstance(node[leaf], dict):
-            raise ConfigError(f"{where}.{dotted} is unknown")
+            raise EmulatorConfigError(f"{where}.{dotted} is unknown")
         node[leaf] = value
     return table
 

@@ -15,11 +15,11 @@ from ecu_emulator.bus.bus_faults import BusFaults, FrameLoss
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.drive import build
 from ecu_emulator.driving.journey import Departure, Journey, PlannedTrip, trips
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.faults import BusFault, SensorFault
-from ecu_emulator.scenario.scenario import Routine, Scenario
+from ecu_emulator.scenario.scenario import Scenario, WorkshopRoutine
 from ecu_emulator.sensing import MS_PER_S, SensorSuite
 from ecu_emulator.shift_control.touch_points import PressureSteps, nominal_touch_pressures_pa
 from ecu_emulator.truth import (
@@ -44,7 +44,7 @@ SHORT_STRETCH_S: Final = 0.25  # live: a stretch must not hold the interpreter f
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stretch:
+class DriveStretch:
     """What a stretch of driving puts on the bus, and what happened in it, in the order in which it is known."""
 
     frames: EncodedFrames
@@ -145,7 +145,7 @@ class Drive:
         """Whether the car waits for somebody to ask for the workshop routine."""
         return isinstance(self._plant, Powertrain) and self._plant.is_waiting
 
-    def begin_routine(self, request: Routine) -> None:
+    def begin_routine(self, request: WorkshopRoutine) -> None:
         """Have the workshop routine begin with the next stretch, if the car waits for it. Any thread may call."""
         if isinstance(plant := self._plant, Powertrain):
             self._asked.put(lambda: plant.begin_routine(request.open_revs, request.closed_revs))
@@ -180,7 +180,7 @@ class Drive:
         self._touch_pa = touch_pressures_pa
         self._asked.put(lambda: self._plant.believe(touch_pressures_pa))
 
-    def stretches(self, duration_s: float) -> Iterator[Stretch]:
+    def stretches(self, duration_s: float) -> Iterator[DriveStretch]:
         """Yield the rest of the drive in stretches of this length [s]."""
         while not self.finished:
             while not self._asked.empty():
@@ -200,7 +200,9 @@ class Drive:
             touch_pa = self._touch_pa
             return Powertrain(vehicle.calibration, vehicle.parameters, settings, touch_pressures_pa=touch_pa)
         except CalibrationError as exc:
-            raise ConfigError(f"scenario {scenario.name}: drive {scenario.drive} is not possible: {exc}") from exc
+            raise EmulatorConfigError(
+                f"scenario {scenario.name}: drive {scenario.drive} is not possible: {exc}"
+            ) from exc
 
     def _fault_truths(self) -> tuple[FaultTruth, ...]:
         sensors, bus = self._sensors.faults, self._bus_faults
@@ -220,7 +222,7 @@ class Drive:
             if start_s <= self._end_s
         )
 
-    def _stretch(self, rows: FloatArray) -> Stretch:
+    def _stretch(self, rows: FloatArray) -> DriveStretch:
         is_last = self.finished or (isinstance(self._plant, Journey) and self._plant.is_parked)
         truths = sorted([*self._begun_trip(), *self._watched(rows, is_last=is_last)], key=known_at_s)
         frames = self._loss.surviving(self._encoder.encode_all(self._sensors.read(rows)))
@@ -232,7 +234,7 @@ class Drive:
         self._frame_count += len(frames)
         self._driven_ms += len(rows)
         self._odometer_m = self._scenario.odometer_m + float(rows[-1, Col.DISTANCE])
-        return Stretch(frames=frames, truths=tuple(truths), end_s=self._end_s)
+        return DriveStretch(frames=frames, truths=tuple(truths), end_s=self._end_s)
 
     def _begun_trip(self) -> list[TripTruth]:
         """Return the trip that the rows driven last begin, if they do; a car that was parked is switched on."""

@@ -6,7 +6,7 @@ from canlog.arrays import FloatArray
 from canlog.jit import part
 from ecu_emulator.driving import gear_choice
 from ecu_emulator.driving import indices as at
-from ecu_emulator.driving.indices import DriveState, EventKind, LockUpState
+from ecu_emulator.driving.indices import DrivelineState, LockUpState, ManoeuvreKind
 from ecu_emulator.driving.laws import DrivingLaw, begin_event, end_event, enter_state
 from ecu_emulator.shift_control import tcu, tcu_data
 
@@ -28,8 +28,8 @@ def enter_lock_up(memory: FloatArray, state: int) -> None:
 
 @part
 def begin_change(memory: FloatArray, sense: FloatArray, gear: int) -> None:
-    begin_event(memory, EventKind.NONE.value)
-    enter_state(memory, DriveState.CHANGING.value)
+    begin_event(memory, ManoeuvreKind.NONE.value)
+    enter_state(memory, DrivelineState.CHANGING.value)
     memory[tcu_data.TARGET_GEAR] = gear
     memory[at.START_RATIO] = sense[at.GEAR_RATIO]
 
@@ -52,17 +52,17 @@ def change(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dri
         memory[tcu_data.CURRENT_GEAR] = memory[tcu_data.TARGET_GEAR]
         memory[tcu_data.DWELL] = 0.0
         end_event(memory)
-        enter_state(memory, DriveState.IN_GEAR.value)
+        enter_state(memory, DrivelineState.IN_GEAR.value)
 
 
 @part
 def choose_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> None:
     """Stand in 1st gear; on the way change as the map wants."""
     is_standing = abs(sense[at.VEHICLE_SPEED]) < _STANDING_M_S and memory[at.BRAKE] > 0.0
-    if is_standing and memory[at.STATE] != DriveState.STANDSTILL.value:
-        enter_state(memory, DriveState.STANDSTILL.value)
-    if not is_standing and memory[at.STATE] == DriveState.STANDSTILL.value:
-        enter_state(memory, DriveState.IN_GEAR.value)
+    if is_standing and memory[at.STATE] != DrivelineState.STANDSTILL.value:
+        enter_state(memory, DrivelineState.STANDSTILL.value)
+    if not is_standing and memory[at.STATE] == DrivelineState.STANDSTILL.value:
+        enter_state(memory, DrivelineState.IN_GEAR.value)
     wanted = 1 if is_standing else gear_choice.wanted_gear(memory, sense, law)
     if wanted != memory[tcu_data.CURRENT_GEAR]:
         begin_change(memory, sense, wanted)
@@ -72,7 +72,7 @@ def choose_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> None:
 def may_close(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> bool:
     """Tell whether gear, warmth, speed and pedal let the lock-up clutch close, or stay closed."""
     p, is_open = law.driving.lock_up, memory[at.LOCKUP_STATE] == LockUpState.OPEN.value
-    if memory[at.STATE] != DriveState.IN_GEAR.value or memory[tcu_data.CURRENT_GEAR] < p.least_gear:
+    if memory[at.STATE] != DrivelineState.IN_GEAR.value or memory[tcu_data.CURRENT_GEAR] < p.least_gear:
         return False
     if sense[at.OIL] < p.least_oil_k or memory[at.PEDAL] > p.most_pedal_ratio:
         return False
@@ -171,10 +171,10 @@ def control(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dr
     commands[tcu_data.SPARK] = 1.0
     commands[at.REQUEST] = at.NO_REQUEST
     commands[at.RATIO_RATE] = 0.0
-    if memory[at.STATE] == DriveState.CHANGING.value:
+    if memory[at.STATE] == DrivelineState.CHANGING.value:
         change(memory, sense, commands, law)
     else:
         choose_gear(memory, sense, law)
     control_lock_up(memory, sense, commands, law)
-    is_standing = memory[at.STATE] == DriveState.STANDSTILL.value
+    is_standing = memory[at.STATE] == DrivelineState.STANDSTILL.value
     commands[tcu_data.BRAKE] = max(memory[at.BRAKE], _HOLDING_M_S2 if is_standing else 0.0)

@@ -4,7 +4,7 @@ from canlog.arrays import FloatArray
 from canlog.jit import part
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.gear_choice import low_rad_s
-from ecu_emulator.driving.indices import EventKind
+from ecu_emulator.driving.indices import ManoeuvreKind
 from ecu_emulator.driving.laws import DrivingLaw, gear_speed_rad_s, overrun_nm, shift_shaft
 from ecu_emulator.shift_control import tcu, tcu_data
 
@@ -28,9 +28,9 @@ def is_turned_back(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> bo
     if phase == tcu_data.PREFILL and memory[tcu_data.PHASE_TIME] < _SHOWN_S:
         return False
     low, kind = low_rad_s(memory, sense, law), int(memory[at.EVENT_KIND])
-    if kind in (EventKind.POWER_ON_UPSHIFT.value, EventKind.POWER_OFF_UPSHIFT.value):
+    if kind in (ManoeuvreKind.POWER_ON_UPSHIFT.value, ManoeuvreKind.POWER_OFF_UPSHIFT.value):
         return gear_speed_rad_s(sense, int(memory[tcu_data.TARGET_GEAR]), law) < _KEEPS_RATIO * low
-    if kind in (EventKind.COAST_DOWNSHIFT.value, EventKind.COAST_SKIP.value):
+    if kind in (ManoeuvreKind.COAST_DOWNSHIFT.value, ManoeuvreKind.COAST_SKIP.value):
         return False
     is_released = memory[at.PEDAL] <= law.driving.pedal.overrun_ratio
     return is_released and gear_speed_rad_s(sense, int(memory[tcu_data.CURRENT_GEAR]), law) > low

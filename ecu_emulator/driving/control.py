@@ -4,7 +4,7 @@ from canlog.arrays import FloatArray
 from canlog.jit import part
 from ecu_emulator.driving import changes, gear_choice, standing
 from ecu_emulator.driving import indices as at
-from ecu_emulator.driving.indices import DriveState, EventKind
+from ecu_emulator.driving.indices import DrivelineState, ManoeuvreKind
 from ecu_emulator.driving.laws import (
     DrivingLaw,
     begin_event,
@@ -28,24 +28,24 @@ def kind_of_change(memory: FloatArray, wanted: int, law: DrivingLaw) -> int:
     is_pulling = memory[tcu_data.INPUT_TORQUE] > _PULLING_NM
     is_pulling = is_pulling and memory[at.PEDAL] > law.driving.pedal.overrun_ratio
     if wanted > gear:
-        return EventKind.POWER_ON_UPSHIFT.value if is_pulling else EventKind.POWER_OFF_UPSHIFT.value
+        return ManoeuvreKind.POWER_ON_UPSHIFT.value if is_pulling else ManoeuvreKind.POWER_OFF_UPSHIFT.value
     is_asked = memory[at.PEDAL] > law.driving.pedal.overrun_ratio
     if wanted == gear - 2:
-        return EventKind.POWER_ON_SKIP.value if is_asked else EventKind.COAST_SKIP.value
+        return ManoeuvreKind.POWER_ON_SKIP.value if is_asked else ManoeuvreKind.COAST_SKIP.value
     if not is_asked:
-        return EventKind.COAST_DOWNSHIFT.value
+        return ManoeuvreKind.COAST_DOWNSHIFT.value
     if memory[at.PEDAL] > law.driving.choice.kickdown_pedal_ratio:
-        return EventKind.KICKDOWN.value
-    return EventKind.POWER_ON_DOWNSHIFT.value
+        return ManoeuvreKind.KICKDOWN.value
+    return ManoeuvreKind.POWER_ON_DOWNSHIFT.value
 
 
 @part
 def begin_change(memory: FloatArray, sense: FloatArray, wanted: int, law: DrivingLaw) -> None:
     gear = int(memory[tcu_data.CURRENT_GEAR])
     begin_event(memory, kind_of_change(memory, wanted, law))
-    enter_state(memory, DriveState.CHANGING.value)
+    enter_state(memory, DrivelineState.CHANGING.value)
     memory[tcu_data.TARGET_GEAR] = wanted
-    next_gear = gear - 1 if memory[at.EVENT_KIND] == EventKind.POWER_ON_SKIP.value else wanted
+    next_gear = gear - 1 if memory[at.EVENT_KIND] == ManoeuvreKind.POWER_ON_SKIP.value else wanted
     changes.begin_leg(memory, sense, tcu.clutch_of(gear), next_gear)
     tcu.enter_phase(memory, tcu_data.PREFILL)
 
@@ -80,9 +80,9 @@ def stay_in_gear(memory: FloatArray, sense: FloatArray, commands: FloatArray, la
     hold(memory, commands, law)
     if is_too_slow(memory, sense, law):
         if standing.has_foot_on_pedal(memory, law):
-            standing.begin_launch(memory, sense, EventKind.LAUNCH.value, law)
+            standing.begin_launch(memory, sense, ManoeuvreKind.LAUNCH.value, law)
         else:
-            enter_state(memory, DriveState.COASTING_OPEN.value)
+            enter_state(memory, DrivelineState.COASTING_OPEN.value)
         return
     wanted = gear_choice.wanted_gear(memory, sense, law)
     is_ready = gear_choice.preselect(memory, sense, commands, wanted, law)
@@ -100,11 +100,11 @@ def change(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dri
     kind = int(memory[at.EVENT_KIND])
     if memory[at.IS_ABORTED] != 0.0:
         changes.return_to_gear(memory, sense, commands, law)
-    elif kind == EventKind.POWER_ON_UPSHIFT.value:
+    elif kind == ManoeuvreKind.POWER_ON_UPSHIFT.value:
         changes.upshift(memory, sense, commands, law)
-    elif kind in (EventKind.POWER_OFF_UPSHIFT.value, EventKind.COAST_DOWNSHIFT.value):
+    elif kind in (ManoeuvreKind.POWER_OFF_UPSHIFT.value, ManoeuvreKind.COAST_DOWNSHIFT.value):
         changes.unloaded_change(memory, sense, commands, law)
-    elif kind == EventKind.COAST_SKIP.value:
+    elif kind == ManoeuvreKind.COAST_SKIP.value:
         changes.coast_skip(memory, sense, commands, law)
     else:
         changes.downshift_under_power(memory, sense, commands, law)
@@ -114,7 +114,7 @@ def change(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dri
         memory[at.LAUNCH_TORQUE] = commands[tcu_data.TORQUE_COMMAND + tcu.clutch_of(int(memory[tcu_data.CURRENT_GEAR]))]
         memory[tcu_data.DWELL] = 0.0
         end_event(memory)
-        enter_state(memory, DriveState.IN_GEAR.value)
+        enter_state(memory, DrivelineState.IN_GEAR.value)
 
 
 @part
@@ -139,15 +139,15 @@ def control(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dr
     commands[at.REQUEST] = at.NO_REQUEST
     commands[at.HILL_BRAKE] = 0.0
     state = int(memory[at.STATE])
-    if state == DriveState.IN_GEAR.value:
+    if state == DrivelineState.IN_GEAR.value:
         stay_in_gear(memory, sense, commands, law)
-    elif state == DriveState.CHANGING.value:
+    elif state == DrivelineState.CHANGING.value:
         change(memory, sense, commands, law)
-    elif state == DriveState.STANDSTILL.value:
+    elif state == DrivelineState.STANDSTILL.value:
         standing.stand(memory, sense, commands, law)
-    elif state == DriveState.CREEPING.value:
+    elif state == DrivelineState.CREEPING.value:
         standing.creep(memory, sense, commands, law)
-    elif state == DriveState.LAUNCHING.value:
+    elif state == DrivelineState.LAUNCHING.value:
         standing.launch(memory, sense, commands, law)
     else:
         standing.coast_open(memory, sense, commands, law)

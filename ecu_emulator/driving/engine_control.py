@@ -5,7 +5,7 @@ import math
 from canlog.arrays import FloatArray
 from canlog.jit import part
 from ecu_emulator.driving import indices as at
-from ecu_emulator.driving.indices import DriveState, EngineState
+from ecu_emulator.driving.indices import DrivelineState, EngineMode
 from ecu_emulator.driving.laws import DrivingLaw, asked_force_n, idle_rad_s, overrun_nm, pulls_on_wheels
 from ecu_emulator.plant.driveline import (
     EngineParameters,
@@ -100,17 +100,17 @@ def enter_engine_state(memory: FloatArray, state: int) -> None:
 def stop_and_start(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> None:
     """Stop the engine at a standstill, crank it when a foot moves."""
     p, state = law.driving.engine, int(memory[at.ENGINE_STATE])
-    is_resting = memory[at.STATE] == DriveState.STANDSTILL.value and memory[at.PEDAL] == 0.0
+    is_resting = memory[at.STATE] == DrivelineState.STANDSTILL.value and memory[at.PEDAL] == 0.0
     is_resting = is_resting and memory[at.BRAKE] > _BRAKE_FELT_M_S2
-    if state == EngineState.STOPPED.value:
+    if state == EngineMode.STOPPED.value:
         if not is_resting:
-            enter_engine_state(memory, EngineState.CRANKING.value)
-    elif state == EngineState.CRANKING.value:
+            enter_engine_state(memory, EngineMode.CRANKING.value)
+    elif state == EngineMode.CRANKING.value:
         if sense[tcu_data.ENGINE_SPEED] > _RUNNING_RATIO * p.starter_end_rad_s:
             memory[at.IDLE_INTEGRAL] = 0.0
-            enter_engine_state(memory, EngineState.FIRING.value)
+            enter_engine_state(memory, EngineMode.FIRING.value)
     elif is_resting and memory[at.STATE_TIME] > p.stop_delay_s and sense[at.COOLANT] > p.stop_coolant_k:
-        enter_engine_state(memory, EngineState.STOPPED.value)
+        enter_engine_state(memory, EngineMode.STOPPED.value)
 
 
 @part
@@ -120,14 +120,14 @@ def cut_fuel(memory: FloatArray, sense: FloatArray, commands: FloatArray, wish_n
     above_rad_s = sense[tcu_data.ENGINE_SPEED] - idle_rad_s(sense, law)
     least_nm = overrun_nm(sense[tcu_data.ENGINE_SPEED], law)
     is_asked = commands[at.REQUEST] != at.NO_REQUEST and commands[at.REQUESTED_TORQUE] > _FOOT_ON_RATIO * least_nm
-    if memory[at.ENGINE_STATE] == EngineState.FUEL_CUT.value:
+    if memory[at.ENGINE_STATE] == EngineMode.FUEL_CUT.value:
         if above_rad_s < p.resume_above_idle_rad_s or wish_nm > _FOOT_ON_RATIO * least_nm or is_asked:
-            enter_engine_state(memory, EngineState.FIRING.value)
+            enter_engine_state(memory, EngineMode.FIRING.value)
         return
     is_off = wish_nm < _FOOT_OFF_RATIO * least_nm and above_rad_s > p.cut_above_idle_rad_s and not is_asked
     memory[at.OVERRUN_TIME] = memory[at.OVERRUN_TIME] + tcu_data.PERIOD_S if is_off else 0.0
     if memory[at.OVERRUN_TIME] > p.cut_delay_s:
-        enter_engine_state(memory, EngineState.FUEL_CUT.value)
+        enter_engine_state(memory, EngineMode.FUEL_CUT.value)
 
 
 @part
@@ -136,7 +136,7 @@ def crank(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Driv
     p, speed_rad_s = law.driving.engine, sense[tcu_data.ENGINE_SPEED]
     set_air(commands, sense, 0.0, 1.0, law)
     commands[tcu_data.SPARK] = 0.0
-    if memory[at.ENGINE_STATE] == EngineState.CRANKING.value:
+    if memory[at.ENGINE_STATE] == EngineMode.CRANKING.value:
         commands[at.STARTER] = p.starter_nm * max(1.0 - speed_rad_s / p.starter_end_rad_s, 0.0)
         commands[tcu_data.SPARK] = 0.6 if speed_rad_s > p.firing_rad_s else 0.0
 
@@ -150,7 +150,7 @@ def control_engine(memory: FloatArray, sense: FloatArray, commands: FloatArray, 
     blend = 1.0 - math.exp(-tcu_data.PERIOD_S / p.demand_lag_s)
     memory[at.DEMAND] += blend * (wished_torque_nm(memory, sense, law) - memory[at.DEMAND])
     stop_and_start(memory, sense, law)
-    if memory[at.ENGINE_STATE] >= EngineState.STOPPED.value:
+    if memory[at.ENGINE_STATE] >= EngineMode.STOPPED.value:
         crank(memory, sense, commands, law)
         return
     torque_nm = memory[at.DEMAND]
@@ -167,5 +167,5 @@ def control_engine(memory: FloatArray, sense: FloatArray, commands: FloatArray, 
     )
     set_air(commands, sense, torque_nm, p.idle_reserve_ratio if is_idling else 1.0, law)
     set_spark(commands, sense, torque_nm, law)
-    if memory[at.ENGINE_STATE] == EngineState.FUEL_CUT.value:
+    if memory[at.ENGINE_STATE] == EngineMode.FUEL_CUT.value:
         commands[tcu_data.SPARK] = 0.0

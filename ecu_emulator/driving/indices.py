@@ -80,7 +80,7 @@ WHIM_COLUMN_COUNT = 4
 
 
 @unique
-class DriveState(IntEnum):
+class DrivelineState(IntEnum):
     """What the transmission does with the engine's torque."""
 
     IN_GEAR = 0  # the clutch of the current gear holds
@@ -103,7 +103,7 @@ class LockUpState(IntEnum):
 
 
 @unique
-class EngineState(IntEnum):
+class EngineMode(IntEnum):
     FIRING = 0
     FUEL_CUT = 1  # turned by the car
     STOPPED = 2  # by the stop-start
@@ -111,7 +111,7 @@ class EngineState(IntEnum):
 
 
 @unique
-class EventKind(IntEnum):
+class ManoeuvreKind(IntEnum):
     """Kinds of events; each has a start, an end, and one clutch whose friction it shows best."""
 
     NONE = 0

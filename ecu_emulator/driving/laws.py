@@ -12,7 +12,7 @@ from canlog.arrays import FloatArray
 from canlog.jit import part
 from clutch_model.tables import record_from, require
 from ecu_emulator.driving import indices as at
-from ecu_emulator.driving.indices import DriveState, EventKind
+from ecu_emulator.driving.indices import DrivelineState, ManoeuvreKind
 from ecu_emulator.plant.loop import DriveLaw
 from ecu_emulator.shift_control import tcu_data
 
@@ -252,7 +252,7 @@ def begin_event(memory: FloatArray, kind: int) -> None:
 
 @part
 def end_event(memory: FloatArray) -> None:
-    memory[at.EVENT_KIND] = EventKind.NONE.value
+    memory[at.EVENT_KIND] = ManoeuvreKind.NONE.value
     memory[at.EVENT_NUMBER] = 0.0
     memory[at.IS_ABORTED] = 0.0
 
@@ -260,7 +260,7 @@ def end_event(memory: FloatArray) -> None:
 @part
 def pulls_on_wheels(memory: FloatArray) -> bool:
     """Tell whether engine and wheels are connected well enough for the engine to brake the car."""
-    return bool(memory[at.STATE] == DriveState.IN_GEAR.value or memory[at.STATE] == DriveState.CHANGING.value)
+    return bool(memory[at.STATE] == DrivelineState.IN_GEAR.value or memory[at.STATE] == DrivelineState.CHANGING.value)
 
 
 @part

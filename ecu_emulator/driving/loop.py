@@ -14,7 +14,7 @@ from canlog.jit import kernel, part
 from ecu_emulator.driving import automatic, indices
 from ecu_emulator.driving.control import control, have_whim
 from ecu_emulator.driving.engine_control import control_engine
-from ecu_emulator.driving.indices import DriveState, EngineState
+from ecu_emulator.driving.indices import DrivelineState, EngineMode
 from ecu_emulator.driving.laws import DrivingLaw, overrun_nm, pedal_for_force, pulls_on_wheels
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.driveline import ENGAGED, road_load_n
@@ -55,7 +55,7 @@ def sense_drive(machine: Machine, road: Road, law: DrivingLaw) -> None:
 def warm(machine: Machine, law: DrivingLaw) -> None:
     """Let the running engine warm its coolant, and the coolant cool down to the air while it is stopped."""
     p = law.driving.surroundings
-    is_running = machine.memory[indices.ENGINE_STATE] <= EngineState.FUEL_CUT.value
+    is_running = machine.memory[indices.ENGINE_STATE] <= EngineMode.FUEL_CUT.value
     goal_k = p.thermostat_k if is_running else law.drive.plant.air_k
     machine.u[at.COOLANT] += tcu_data.PERIOD_S / p.coolant_time_s * (goal_k - machine.u[at.COOLANT])
 
@@ -197,6 +197,6 @@ def drive(memory: FloatArray, sense: FloatArray, speeds: FloatArray, time_s: flo
     pedal = pedal_for_force(force_n, sense[indices.VEHICLE_SPEED], overrun_n, law.driving.pedal)
     if memory[indices.WHIM_TIME] > 0.0:
         pedal = min(max(pedal + memory[indices.WHIM_PEDAL], 0.0), 1.0)
-    if memory[indices.STATE] == DriveState.STANDSTILL.value and memory[indices.BRAKE] > 0.0:
+    if memory[indices.STATE] == DrivelineState.STANDSTILL.value and memory[indices.BRAKE] > 0.0:
         pedal = 0.0
     move_feet(memory, pedal, 0.0, law)

@@ -6,7 +6,7 @@ from canlog.arrays import FloatArray
 from canlog.jit import part
 from ecu_emulator.driving import gear_choice
 from ecu_emulator.driving import indices as at
-from ecu_emulator.driving.indices import DriveState, EngineState, EventKind
+from ecu_emulator.driving.indices import DrivelineState, EngineMode, ManoeuvreKind
 from ecu_emulator.driving.laws import (
     DrivingLaw,
     LaunchParameters,
@@ -80,7 +80,7 @@ def gear_while_open(memory: FloatArray, sense: FloatArray, commands: FloatArray,
         if target != current:
             memory[tcu_data.TARGET_GEAR] = target
             memory[at.LIFT_TIME] = 0.0
-            begin_event(memory, EventKind.REGEAR.value)
+            begin_event(memory, ManoeuvreKind.REGEAR.value)
     shaft = tcu.clutch_of(target)
     # The synchroniser of 1st gear needs the inertia of an engaged 2nd gear.
     if target == 1 and not shift_shaft(memory, sense, commands, 1, 2, law):
@@ -111,7 +111,7 @@ def hold_on_hill(memory: FloatArray, sense: FloatArray, commands: FloatArray, la
 @part
 def begin_launch(memory: FloatArray, sense: FloatArray, kind: int, law: DrivingLaw) -> None:
     """Begin a launch, from rest or rolling, or let the clutch close onto a car that rolls by itself."""
-    enter_state(memory, DriveState.LAUNCHING.value)
+    enter_state(memory, DrivelineState.LAUNCHING.value)
     begin_event(memory, kind)
     memory[at.LAUNCH_SPEED] = max(sense[tcu_data.ENGINE_SPEED], idle_rad_s(sense, law))
     memory[tcu_data.LOCKED_TIME] = -_FREE_S
@@ -123,10 +123,10 @@ def begin_launch(memory: FloatArray, sense: FloatArray, kind: int, law: DrivingL
 def begin_creep_or_launch(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> None:
     """Set the car in motion as the driver's foot wants it."""
     if has_foot_on_pedal(memory, law):
-        begin_launch(memory, sense, EventKind.LAUNCH.value, law)
+        begin_launch(memory, sense, ManoeuvreKind.LAUNCH.value, law)
         return
-    enter_state(memory, DriveState.CREEPING.value)
-    begin_event(memory, EventKind.CREEP.value)
+    enter_state(memory, DrivelineState.CREEPING.value)
+    begin_event(memory, ManoeuvreKind.CREEP.value)
 
 
 @part
@@ -135,10 +135,10 @@ def stand(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Driv
     open_both(memory, commands)
     is_ready = gear_while_open(memory, sense, commands, law)
     hold_on_hill(memory, sense, commands, law)
-    is_firing = memory[at.ENGINE_STATE] <= EngineState.FUEL_CUT.value
+    is_firing = memory[at.ENGINE_STATE] <= EngineMode.FUEL_CUT.value
     is_firing = is_firing and sense[tcu_data.ENGINE_SPEED] > idle_rad_s(sense, law) - _ENGINE_READY_RAD_S
     if abs(sense[at.VEHICLE_SPEED]) > _FIRST_ONLY_M_S:
-        enter_state(memory, DriveState.COASTING_OPEN.value)
+        enter_state(memory, DrivelineState.COASTING_OPEN.value)
     elif is_ready and is_firing and memory[at.BRAKE] < BRAKING_M_S2:
         memory[at.LIFT_TIME] += tcu_data.PERIOD_S  # the foot is on its way to the pedal, or it rests
         if memory[at.LIFT_TIME] > _RESTING_FOOT_S or has_foot_on_pedal(memory, law):
@@ -169,11 +169,11 @@ def creep(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Driv
     slip_clutch(memory, sense, commands, torque_nm if fading > 0.0 else 0.0, law)
     hold_on_hill(memory, sense, commands, law)
     if has_foot_on_pedal(memory, law):
-        begin_launch(memory, sense, EventKind.LAUNCH.value, law)
+        begin_launch(memory, sense, ManoeuvreKind.LAUNCH.value, law)
     elif memory[at.BRAKE] > BRAKING_M_S2 or fading == 0.0:
         end_event(memory)
         is_rolling = sense[at.VEHICLE_SPEED] > _STANDING_M_S
-        enter_state(memory, DriveState.COASTING_OPEN.value if is_rolling else DriveState.STANDSTILL.value)
+        enter_state(memory, DrivelineState.COASTING_OPEN.value if is_rolling else DrivelineState.STANDSTILL.value)
 
 
 @part
@@ -188,13 +188,13 @@ def coast_open(memory: FloatArray, sense: FloatArray, commands: FloatArray, law:
     if not is_ready:
         return
     if has_foot_on_pedal(memory, law):
-        begin_launch(memory, sense, EventKind.LAUNCH.value, law)
+        begin_launch(memory, sense, ManoeuvreKind.LAUNCH.value, law)
     elif abs(sense[at.VEHICLE_SPEED]) < _STANDING_M_S and is_braking:
-        enter_state(memory, DriveState.STANDSTILL.value)
+        enter_state(memory, DrivelineState.STANDSTILL.value)
     elif gear == 1 and not is_braking and shaft_rad_s < _CREEP_SHARE * law.driving.launch.creep_fade_rad_s:
         begin_creep_or_launch(memory, sense, law)
     elif not is_braking and shaft_rad_s > idle + 2.0 * law.driving.choice.open_above_idle_rad_s:
-        begin_launch(memory, sense, EventKind.CLOSING.value, law)
+        begin_launch(memory, sense, ManoeuvreKind.CLOSING.value, law)
 
 
 @part
@@ -281,15 +281,15 @@ def launch(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dri
     torque_nm = launch_torque_nm(memory, sense, law) if slip_rad_s > -law.drive.control.locked_slip_rad_s else 0.0
     slip_clutch(memory, sense, commands, torque_nm, law)
     hold_on_hill(memory, sense, commands, law)
-    is_wanted = has_foot_on_pedal(memory, law) or memory[at.EVENT_KIND] == EventKind.CLOSING.value
+    is_wanted = has_foot_on_pedal(memory, law) or memory[at.EVENT_KIND] == ManoeuvreKind.CLOSING.value
     is_wanted = is_wanted and (memory[at.BRAKE] < BRAKING_M_S2 or shaft_rad_s > idle_rad_s(sense, law))
     memory[at.LIFT_TIME] = 0.0 if is_wanted else memory[at.LIFT_TIME] + tcu_data.PERIOD_S
     if memory[tcu_data.IS_FILLED] != 0.0 and is_locked_for_good(memory, sense, clutch, law):
         memory[tcu_data.DWELL] = 0.0
         end_event(memory)
-        enter_state(memory, DriveState.IN_GEAR.value)
+        enter_state(memory, DrivelineState.IN_GEAR.value)
     elif memory[at.IS_ABORTED] != 0.0:
         end_event(memory)
-        enter_state(memory, DriveState.COASTING_OPEN.value)
+        enter_state(memory, DrivelineState.COASTING_OPEN.value)
     elif memory[at.LIFT_TIME] > law.driving.launch.abort_s:
         memory[at.IS_ABORTED] = 1.0

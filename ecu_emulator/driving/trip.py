@@ -8,17 +8,17 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, nominal_calibration
 from ecu_emulator.driving import indices
-from ecu_emulator.driving.indices import DriveState
+from ecu_emulator.driving.indices import DrivelineState
 from ecu_emulator.driving.laws import DrivingLaw, DrivingParameters, idle_rad_s, nominal_driving
 from ecu_emulator.driving.loop import GRID_S, Road, run
 from ecu_emulator.driving.traffic import SpeedTrace
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.course import (
     ROWS_PER_S,
-    Course,
     DriveSettings,
     FrictionFactors,
+    MachineCourse,
     as_record,
     check_step,
     idle_machine,
@@ -27,7 +27,7 @@ from ecu_emulator.plant.driveline import ENGAGED, NEUTRAL
 from ecu_emulator.plant.loop import COLUMN_COUNT, Machine
 from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters
 from ecu_emulator.plant.powertrain import drive_law
-from ecu_emulator.scenario.scenario import Ranged, ranged
+from ecu_emulator.scenario.scenario import CheckedRecord, ranged
 from ecu_emulator.shift_control import tcu_data
 
 _WHIM_COUNT = 1021  # prime: no pattern of events meets the same whims again and again
@@ -38,7 +38,7 @@ _DEEPER_PEDAL = (0.15, 0.6)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriveConditions(Ranged):
+class DriveConditions(CheckedRecord):
     """Temperatures as the drive begins, and how the driver behaves.
 
     Raises
@@ -55,10 +55,10 @@ class DriveConditions(Ranged):
     whim_ratio: float = ranged(0.1, 0.0, 1.0)  # share of the events in which the driver's foot moves without need
 
     def __post_init__(self) -> None:
-        Ranged.__post_init__(self)
+        CheckedRecord.__post_init__(self)
         steps = 1.0 / (ROWS_PER_S * self.dt_s)
         if abs(steps - round(steps)) > 1.0e-6 * steps:
-            raise ConfigError(f"dt_s must divide 1 ms, got {self.dt_s}")
+            raise EmulatorConfigError(f"dt_s must divide 1 ms, got {self.dt_s}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,7 +71,7 @@ class Car:
     touch_pressures_pa: tuple[float, float] | None = None  # that the control believes in; None: the true ones
 
 
-class Trip(Course):
+class Trip(MachineCourse):
     """A car on its way along a trace.
 
     Deterministic: the same arguments and the same state of ``rng`` give the same rows to the last bit, however
@@ -186,7 +186,7 @@ def _initial_machine(law: DrivingLaw, conditions: DriveConditions, *, is_audited
     machine.u[at.RATIO : at.RATIO + 2] = [law.drive.overall_ratios[gear] for gear in gears]
     machine.commands[tcu_data.WANTED_GEAR : tcu_data.WANTED_GEAR + 2] = gears
     machine.memory[tcu_data.CURRENT_GEAR] = machine.memory[tcu_data.TARGET_GEAR] = 1
-    machine.memory[indices.STATE] = DriveState.STANDSTILL
+    machine.memory[indices.STATE] = DrivelineState.STANDSTILL
     machine.memory[indices.BRAKE] = law.driving.driver.standing_brake_m_s2
     machine.y[[at.W_E, at.W_H]] = idle_rad_s(machine.sense, law)
     return machine

@@ -19,14 +19,14 @@ import numpy as np
 from canlog.arrays import Int64Array
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, PAYLOAD_BYTES
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.errors import ExtraMissingError, RecordError
+from ecu_emulator.errors import LogFormatExtraError, RecordError
 
 US_PER_S: Final = 1_000_000
 US_PER_MS: Final = 1_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Header:
+class LogHeader:
     """What a log says once."""
 
     start_us: int  # since the epoch: scenario time 0
@@ -36,7 +36,7 @@ class Header:
 class FrameWriter(Protocol):
     """Writes frames in one format; made with the header, ended by ``close``, which leaves the stream open."""
 
-    def __init__(self, stream: BinaryIO, header: Header) -> None: ...
+    def __init__(self, stream: BinaryIO, header: LogHeader) -> None: ...
 
     def write(self, t_us: Int64Array, frames: EncodedFrames) -> None:
         """Append frames; ``t_us`` are their times in microseconds since the epoch."""
@@ -55,7 +55,7 @@ MONTHS: Final = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", 
 class _TextWriter(ABC):
     """Writes a line for each frame; the formats say which, and what comes before and behind all of them."""
 
-    def __init__(self, stream: BinaryIO, header: Header) -> None:
+    def __init__(self, stream: BinaryIO, header: LogHeader) -> None:
         self._stream = stream
         self._channel, self._start_us = header.channel, header.start_us
         self._count = 0
@@ -202,7 +202,7 @@ NS_PER_US: Final = 1_000
 class BlfWriter:
     """Writes what python-can's BLFWriter writes; the start of measurement is UTC, to the millisecond."""
 
-    def __init__(self, stream: BinaryIO, header: Header) -> None:
+    def __init__(self, stream: BinaryIO, header: LogHeader) -> None:
         self._stream = stream
         self._start_us = header.start_us // US_PER_MS * US_PER_MS
         self._stop_us = self._start_us
@@ -291,13 +291,13 @@ class Mf4Writer:
         If asammdf is not installed.
     """
 
-    def __init__(self, stream: BinaryIO, header: Header) -> None:
+    def __init__(self, stream: BinaryIO, header: LogHeader) -> None:
         try:
             import asammdf  # noqa: PLC0415 - optional, and takes a second to import
             from asammdf.blocks import v4_constants  # noqa: PLC0415
             from asammdf.blocks.v4_blocks import SourceInformation  # noqa: PLC0415
         except ImportError as exc:
-            raise ExtraMissingError("MF4 needs asammdf: pip install '.[mf4]' in the checkout") from exc
+            raise LogFormatExtraError("MF4 needs asammdf: pip install '.[mf4]' in the checkout") from exc
         self._stream = stream
         self._start_us = header.start_us
         self._signal: Any = asammdf.Signal
@@ -334,7 +334,7 @@ DEFAULT_START_NS: Final = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
 LAST_START_NS: Final = 9_000_000_000_000_000_000  # the year 2255; ten digits of seconds, 64 bits of nanoseconds
 
 
-class LogFormat(StrEnum):
+class RecordFormat(StrEnum):
     """The log formats that can be written."""
 
     CANDUMP = "candump"
@@ -346,23 +346,23 @@ class LogFormat(StrEnum):
     GVRET = "gvret"
 
 
-FORMAT_OF_SUFFIX: Final[Mapping[str, LogFormat]] = MappingProxyType({
-    ".log": LogFormat.CANDUMP, ".blf": LogFormat.BLF, ".asc": LogFormat.ASC, ".mf4": LogFormat.MF4,
-    ".trc": LogFormat.TRC, ".gvret.csv": LogFormat.GVRET, ".csv": LogFormat.CSV,
+FORMAT_OF_SUFFIX: Final[Mapping[str, RecordFormat]] = MappingProxyType({
+    ".log": RecordFormat.CANDUMP, ".blf": RecordFormat.BLF, ".asc": RecordFormat.ASC, ".mf4": RecordFormat.MF4,
+    ".trc": RecordFormat.TRC, ".gvret.csv": RecordFormat.GVRET, ".csv": RecordFormat.CSV,
 })  # fmt: skip
-NOT_STREAMED: Final = frozenset({LogFormat.BLF, LogFormat.MF4})
+NOT_STREAMED: Final = frozenset({RecordFormat.BLF, RecordFormat.MF4})
 STREAM_NAME: Final = "standard output"
-_WRITERS: Final[Mapping[LogFormat, type[FrameWriter]]] = MappingProxyType({
-    LogFormat.CANDUMP: CandumpWriter, LogFormat.BLF: BlfWriter, LogFormat.ASC: AscWriter,
-    LogFormat.MF4: Mf4Writer, LogFormat.TRC: TrcWriter, LogFormat.CSV: CsvWriter,
-    LogFormat.GVRET: GvretWriter,
+_WRITERS: Final[Mapping[RecordFormat, type[FrameWriter]]] = MappingProxyType({
+    RecordFormat.CANDUMP: CandumpWriter, RecordFormat.BLF: BlfWriter, RecordFormat.ASC: AscWriter,
+    RecordFormat.MF4: Mf4Writer, RecordFormat.TRC: TrcWriter, RecordFormat.CSV: CsvWriter,
+    RecordFormat.GVRET: GvretWriter,
 })  # fmt: skip
 
 
 class LogStream:
     """A log being written to a stream as it comes; formats that write their beginning last do not go there."""
 
-    def __init__(self, stream: BinaryIO, log_format: LogFormat, header: Header, name: str = STREAM_NAME) -> None:
+    def __init__(self, stream: BinaryIO, log_format: RecordFormat, header: LogHeader, name: str = STREAM_NAME) -> None:
         self._stream = stream
         self._name = name
         self._header = header
@@ -371,7 +371,7 @@ class LogStream:
 
     def write(self, frames: EncodedFrames) -> None:
         """Append frames; raises OSError if nobody takes them, RecordError as ``LogFile.write``."""
-        if self._format is not LogFormat.CANDUMP and np.any(frames.can_id & np.uint32(ERROR_FLAG)):
+        if self._format is not RecordFormat.CANDUMP and np.any(frames.can_id & np.uint32(ERROR_FLAG)):
             raise RecordError(f"cannot write {self._name}: error frames are written to candump logs only")
         t_us = self._header.start_us + np.rint(frames.t_s * US_PER_S).astype(np.int64)
         self._writer.write(t_us, frames)
@@ -392,7 +392,7 @@ class LogFile(LogStream):
     If the block ends with an exception, nothing is left behind, and a file that was there before stays as it was.
     """
 
-    def __init__(self, path: Path, log_format: LogFormat, header: Header) -> None:
+    def __init__(self, path: Path, log_format: RecordFormat, header: LogHeader) -> None:
         self._path = path
         self._temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
         try:
@@ -443,7 +443,7 @@ class LogFile(LogStream):
 
 
 def open_log(
-    path: Path, *, log_format: LogFormat | None = None, start_ns: int = DEFAULT_START_NS, channel: str = "vcan0"
+    path: Path, *, log_format: RecordFormat | None = None, start_ns: int = DEFAULT_START_NS, channel: str = "vcan0"
 ) -> LogFile:
     """Begin a log file.
 
@@ -471,26 +471,26 @@ def open_log(
 def open_log_stream(
     stream: BinaryIO,
     *,
-    log_format: LogFormat | None = None,
+    log_format: RecordFormat | None = None,
     start_ns: int = DEFAULT_START_NS,
     channel: str = "vcan0",
 ) -> LogStream:
     """Begin a log on a stream, candump unless ``log_format`` names another; raises RecordError as ``open_log``."""
-    log_format = log_format or LogFormat.CANDUMP
+    log_format = log_format or RecordFormat.CANDUMP
     if log_format in NOT_STREAMED:
         raise RecordError(f"{log_format} is written to files only: its beginning is written last")
     return LogStream(stream, log_format, _header(start_ns, channel))
 
 
-def _header(start_ns: int, channel: str) -> Header:
+def _header(start_ns: int, channel: str) -> LogHeader:
     if not 0 <= start_ns <= LAST_START_NS:
         raise RecordError(f"start of the log out of range: {start_ns} ns since 1970")
     if not channel or any(character.isspace() for character in channel):
         raise RecordError(f"not a channel name: {channel!r}")
-    return Header(start_us=start_ns // NS_PER_US, channel=channel)
+    return LogHeader(start_us=start_ns // NS_PER_US, channel=channel)
 
 
-def format_of(path: Path) -> LogFormat | None:
+def format_of(path: Path) -> RecordFormat | None:
     """Return the format that the end of a file's name speaks of."""
     name = path.name.lower()
     return next((found for suffix, found in FORMAT_OF_SUFFIX.items() if name.endswith(suffix)), None)

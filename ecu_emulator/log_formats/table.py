@@ -12,7 +12,7 @@ from canlog.arrays import FloatArray, Int64Array
 from canlog.errors import CanlogError
 from clutchdiag_io.files import until_whole
 from dbc.contract import load_contract
-from ecu_emulator.errors import ConfigError, RecordError
+from ecu_emulator.errors import EmulatorConfigError, RecordError
 
 PRESSURE_STEP_KPA: Final = 5.86
 KPA_PER_BAR: Final = 100.0
@@ -64,9 +64,9 @@ class TableOptions:
 
     def __post_init__(self) -> None:
         if unknown := self.left_out - COLUMNS.keys():
-            raise ConfigError(f"the table has no column {min(unknown)!r}: there are {', '.join(COLUMNS)}")
+            raise EmulatorConfigError(f"the table has no column {min(unknown)!r}: there are {', '.join(COLUMNS)}")
         if self.left_out >= COLUMNS.keys():
-            raise ConfigError("a table without columns tells nothing")
+            raise EmulatorConfigError("a table without columns tells nothing")
 
 
 def write_table(

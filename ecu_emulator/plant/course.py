@@ -19,7 +19,7 @@ from ecu_emulator.plant.driveline import throttle_flow_kg_s
 from ecu_emulator.plant.integration import workspace
 from ecu_emulator.plant.loop import DriveLaw, Machine
 from ecu_emulator.plant.rates import PlantLaw
-from ecu_emulator.scenario.scenario import MAX_REVS, Ranged, check_range, ranged
+from ecu_emulator.scenario.scenario import MAX_REVS, CheckedRecord, check_range, ranged
 from ecu_emulator.shift_control import tcu_data
 from ecu_emulator.shift_control.tcu_data import ControlParameters
 
@@ -40,7 +40,7 @@ class FrictionFactors:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriveSettings(Ranged):
+class DriveSettings(CheckedRecord):
     """One drive on level ground of ``cycles`` shift cycles, up through all gears and down again.
 
     Raises
@@ -70,7 +70,7 @@ class DriveSettings(Ranged):
         """Check every number against the range in which the cycle can be driven."""
         require(self.cycles >= 1, f"cycles must be >= 1, got {self.cycles}")
         require(self.seed >= 0, f"seed must be >= 0, got {self.seed}")
-        Ranged.__post_init__(self)
+        CheckedRecord.__post_init__(self)
         steps = 1.0e-3 / self.dt_s
         require(abs(steps - round(steps)) < 1.0e-6 * steps, f"dt_s must divide 1 ms, got {self.dt_s}")
         for factors in self.friction_factors:
@@ -244,7 +244,7 @@ def idle_machine(
     return machine
 
 
-class Course:
+class MachineCourse:
     """A machine from its start on.
 
     Parameters

@@ -11,8 +11,8 @@ from ecu_emulator.plant import state as at
 from ecu_emulator.plant.clutch import ClutchLaw, cavity_law, closed_volume_m3, grooved, refresh_contact
 from ecu_emulator.plant.course import (
     ROWS_PER_S,
-    Course,
     DriveSettings,
+    MachineCourse,
     as_record,
     check_step,
     cycle_table,
@@ -30,7 +30,7 @@ _FULL_BRAKE_M_S = 1.0  # of the shift cycles, which never stop
 _IDLE_RAD_S = 94.0  # engine speed when a drive begins at rest, about 900 rpm
 
 
-class Powertrain(Course):
+class Powertrain(MachineCourse):
     """A vehicle on its shift cycles, one row of `Col` per millisecond.
 
     Deterministic: the same arguments give the same rows to the last bit, however `advance` is called. Raises

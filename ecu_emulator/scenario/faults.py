@@ -12,7 +12,7 @@ import numpy as np
 
 from canlog.e2e.profile1 import COUNTER_PERIOD
 from clutch_model.units import m_s_from_km_h, pa_from_bar, rad_s_from_rpm
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 
 MAX_DELAY_S: Final = 0.5  # the longest latency or lag a measuring chain may have
 UNITS: Final = ("rad_s", "m_s", "nm", "pa", "ratio", "k", "m")  # longest first: the unit ends a quantity's name
@@ -43,14 +43,14 @@ class Sensor:
         """Check that the chain can exist: it neither amplifies wildly nor sees the future."""
         for field in fields(self):
             if not math.isfinite(getattr(self, field.name)):
-                raise ConfigError(f"{field.name} must be finite")
+                raise EmulatorConfigError(f"{field.name} must be finite")
         if not 0.1 <= self.gain_ratio <= 10.0:
-            raise ConfigError(f"gain_ratio must be 0.1..10, got {self.gain_ratio}")
+            raise EmulatorConfigError(f"gain_ratio must be 0.1..10, got {self.gain_ratio}")
         if self.noise_std < 0.0:
-            raise ConfigError(f"noise_std must be >= 0, got {self.noise_std}")
+            raise EmulatorConfigError(f"noise_std must be >= 0, got {self.noise_std}")
         for name in ("latency_s", "lag_s"):
             if not 0.0 <= getattr(self, name) <= MAX_DELAY_S:
-                raise ConfigError(f"{name} must be 0..{MAX_DELAY_S}, got {getattr(self, name)}")
+                raise EmulatorConfigError(f"{name} must be 0..{MAX_DELAY_S}, got {getattr(self, name)}")
 
 
 Sensors = Mapping[str, Sensor]
@@ -147,11 +147,11 @@ class Scheduled:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.start_s) and self.start_s >= 0.0):
-            raise ConfigError(f"start_s must be >= 0, got {self.start_s}")
+            raise EmulatorConfigError(f"start_s must be >= 0, got {self.start_s}")
         if not 0 <= self.shift <= MAX_SHIFT:
-            raise ConfigError(f"shift must be 1..{MAX_SHIFT}, or 0 for none, got {self.shift}")
+            raise EmulatorConfigError(f"shift must be 1..{MAX_SHIFT}, or 0 for none, got {self.shift}")
         if not self.duration_s > 0.0:
-            raise ConfigError(f"duration_s must be > 0, got {self.duration_s}")
+            raise EmulatorConfigError(f"duration_s must be > 0, got {self.duration_s}")
 
 
 class SensorFaultKind(StrEnum):
@@ -179,10 +179,12 @@ class SensorFault(Scheduled):
         """Check that the quantity is measured and that the size fits the kind."""
         Scheduled.__post_init__(self)
         if self.quantity not in NOMINAL_SENSORS:
-            raise ConfigError(f"quantity {self.quantity!r} has no sensor; known: {', '.join(sorted(NOMINAL_SENSORS))}")
+            raise EmulatorConfigError(
+                f"quantity {self.quantity!r} has no sensor; known: {', '.join(sorted(NOMINAL_SENSORS))}"
+            )
         if not math.isfinite(self.size) or (self.kind in _SIZED) != (self.size != 0.0):
             needed = "a finite size other than 0" if self.kind in _SIZED else "no size"
-            raise ConfigError(f"a fault of kind {self.kind} needs {needed}, got {self.size}")
+            raise EmulatorConfigError(f"a fault of kind {self.kind} needs {needed}, got {self.size}")
 
 
 class CauseKind(StrEnum):
@@ -210,7 +212,7 @@ MAX_STRENGTH: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Cause:
+class Degradation:
     """Something that is wrong with a car, and grows from drive to drive by the odometer as a drive begins.
 
     A strength of 1 is the smallest that matters; at ``begins_m`` it is none, ``grows_over_m`` later all of it.
@@ -224,11 +226,11 @@ class Cause:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.strength <= MAX_STRENGTH:
-            raise ConfigError(f"strength must be 0..{MAX_STRENGTH:g}, got {self.strength}")
+            raise EmulatorConfigError(f"strength must be 0..{MAX_STRENGTH:g}, got {self.strength}")
         if self.clutch not in ((0, 1, 2) if self.kind.is_of_one_clutch else (0,)):
-            raise ConfigError(f"clutch of {self.kind} must be {'0..2' if self.kind.is_of_one_clutch else 0}")
+            raise EmulatorConfigError(f"clutch of {self.kind} must be {'0..2' if self.kind.is_of_one_clutch else 0}")
         if not (0.0 <= self.begins_m < math.inf and 0.0 <= self.grows_over_m < math.inf):
-            raise ConfigError("begins_m and grows_over_m must be >= 0")
+            raise EmulatorConfigError("begins_m and grows_over_m must be >= 0")
 
     def strength_at(self, odometer_m: float) -> float:
         """Return how strong it is in a drive that begins here."""
@@ -279,15 +281,15 @@ class BusFault(Scheduled):
     def __post_init__(self) -> None:
         Scheduled.__post_init__(self)
         if not 0.0 < self.share <= 1.0:
-            raise ConfigError(f"share must be above 0, up to 1, got {self.share}")
+            raise EmulatorConfigError(f"share must be above 0, up to 1, got {self.share}")
         if self.kind in _WHOLE and self.share != 1.0:
-            raise ConfigError(f"a fault of kind {self.kind} strikes all frames: no share")
+            raise EmulatorConfigError(f"a fault of kind {self.kind} strikes all frames: no share")
         for name in ("delay_s", "jitter_s"):
             if not 0.0 <= getattr(self, name) <= MAX_HOLD_S:
-                raise ConfigError(f"{name} must be 0..{MAX_HOLD_S:g}, got {getattr(self, name)}")
+                raise EmulatorConfigError(f"{name} must be 0..{MAX_HOLD_S:g}, got {getattr(self, name)}")
         if (self.kind is BusFaultKind.DELAY) != (self.delay_s + self.jitter_s > 0.0):
-            raise ConfigError("delay_s or jitter_s belong to a fault of kind delay, which needs one of them")
+            raise EmulatorConfigError("delay_s or jitter_s belong to a fault of kind delay, which needs one of them")
         if (self.kind is BusFaultKind.SKIPPING_COUNTER) != (self.skip != 0) or not 0 <= self.skip < COUNTER_PERIOD:
-            raise ConfigError(f"skip, 1..{COUNTER_PERIOD - 1}, belongs to a fault of kind skipping_counter")
+            raise EmulatorConfigError(f"skip, 1..{COUNTER_PERIOD - 1}, belongs to a fault of kind skipping_counter")
         if self.kind is BusFaultKind.OVERLOAD and self.message:
-            raise ConfigError("an overload concerns the whole bus: no message")
+            raise EmulatorConfigError("an overload concerns the whole bus: no message")

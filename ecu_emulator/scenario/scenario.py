@@ -8,9 +8,9 @@ from enum import StrEnum
 from typing import ClassVar, Final, TypeVar
 
 from clutch_model.calibration import CONVERTERS, SHIPPED, nominal_calibration
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.scenario.drive_names import DriveName
-from ecu_emulator.scenario.faults import NOMINAL_SENSORS, BusFault, Cause, SensorFault, Sensors
+from ecu_emulator.scenario.faults import NOMINAL_SENSORS, BusFault, Degradation, SensorFault, Sensors
 
 Overrides = Mapping[str, object]  # dotted key -> TOML value
 RangedT = TypeVar("RangedT", int, float)
@@ -43,10 +43,10 @@ def check_range(name: str, value: float, low: float, high: float, error: type[Ex
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ranged:
+class CheckedRecord:
     """A record that checks the numbers it declares with ``ranged``, in the order in which it does."""
 
-    error: ClassVar[type[Exception]] = ConfigError
+    error: ClassVar[type[Exception]] = EmulatorConfigError
 
     def __post_init__(self) -> None:
         for member in fields(self):
@@ -64,11 +64,11 @@ class Fluid:
     def __post_init__(self) -> None:
         """Check that ageing takes some time, and ends."""
         if not 1 <= self.ageing_cycles <= MAX_CYCLES:
-            raise ConfigError(f"ageing_cycles must be 1..{MAX_CYCLES}, got {self.ageing_cycles}")
+            raise EmulatorConfigError(f"ageing_cycles must be 1..{MAX_CYCLES}, got {self.ageing_cycles}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Driver(Ranged):
+class Driver(CheckedRecord):
     """How the car is driven."""
 
     pedal_ratio: float = ranged(0.45, 0.25, 0.9)
@@ -76,7 +76,7 @@ class Driver(Ranged):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Routine(Ranged):
+class WorkshopRoutine(CheckedRecord):
     """Workshop routine before the cycles: revs in neutral, the car at rest.
 
     It is there if there are revs of either kind, or a tester asks for it: then that one says how many.
@@ -88,13 +88,13 @@ class Routine(Ranged):
 
     def __post_init__(self) -> None:
         """Check ranges, and that nobody else than the tester says how many revs there are."""
-        Ranged.__post_init__(self)
+        CheckedRecord.__post_init__(self)
         if self.on_request and self.open_revs + self.closed_revs > 0:
-            raise ConfigError("on request the tester says how many revs: leave out open_revs and closed_revs")
+            raise EmulatorConfigError("on request the tester says how many revs: leave out open_revs and closed_revs")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ambient(Ranged):
+class Ambient(CheckedRecord):
     """Temperatures around and inside the transmission when the drive begins."""
 
     temperature_k: float = ranged(293.15, 233.15, 323.15)
@@ -103,7 +103,7 @@ class Ambient(Ranged):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Startup(Ranged):
+class Startup(CheckedRecord):
     """How long after the start each controller sends only not-available codes."""
 
     ecm_s: float = ranged(0.1, 0.0, 60.0)
@@ -117,7 +117,7 @@ class Startup(Ranged):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scatter(Ranged):
+class ProductionScatter(CheckedRecord):
     """Standard deviations of production scatter; the members mean what those of the belief's ``Uncertainty`` mean."""
 
     torque_gain_ratio: float = ranged(0.0, 0.0, 0.1)
@@ -135,7 +135,7 @@ class Scatter(Ranged):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Effects(Ranged):
+class Effects(CheckedRecord):
     """What is true of this vehicle and unknown to the service's model; by default nothing. Ratios multiply.
 
     docs/model.md, section "Effects the estimator does not model".
@@ -166,14 +166,14 @@ class Effects(Ranged):
         }
 
 
-def production_scatter() -> Scatter:
+def production_scatter() -> ProductionScatter:
     """Return the scatter of normal production: half of what the service's nominal calibration allows for.
 
     Machined parts are all alike unless a scenario scatters them.
     """
     believed = nominal_calibration().uncertainty
-    scattered = {member.name for member in fields(Scatter)} - _MACHINED - _CASTINGS.keys()
-    return Scatter(**{name: _SCATTER_SHARE * getattr(believed, name) for name in scattered}, **_CASTINGS)
+    scattered = {member.name for member in fields(ProductionScatter)} - _MACHINED - _CASTINGS.keys()
+    return ProductionScatter(**{name: _SCATTER_SHARE * getattr(believed, name) for name in scattered}, **_CASTINGS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -185,7 +185,7 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scenario(Ranged):
+class Scenario(CheckedRecord):
     """Everything that decides what one drive puts on the bus."""
 
     name: str
@@ -201,36 +201,38 @@ class Scenario(Ranged):
     odometer_m: float = ranged(12_345_000.0, 0.0, 4.0e9)
     fluid: Fluid = field(default_factory=Fluid)
     driver: Driver = field(default_factory=Driver)
-    routine: Routine = field(default_factory=Routine)
+    routine: WorkshopRoutine = field(default_factory=WorkshopRoutine)
     adapted: bool = True  # the controller knows its clutches' touch points as it starts; otherwise those of the type
     ambient: Ambient = field(default_factory=Ambient)
     startup: Startup = field(default_factory=Startup)
-    scatter: Scatter = field(default_factory=production_scatter)
+    scatter: ProductionScatter = field(default_factory=production_scatter)
     sensors: Sensors = field(default_factory=lambda: dict(NOMINAL_SENSORS))
     effects: Effects = field(default_factory=Effects)
     truth: Truth = field(default_factory=Truth)
     sensor_faults: tuple[SensorFault, ...] = ()
     bus_faults: tuple[BusFault, ...] = ()
-    causes: tuple[Cause, ...] = ()  # of what is wrong with the car
+    causes: tuple[Degradation, ...] = ()  # of what is wrong with the car
 
     def __post_init__(self) -> None:
-        Ranged.__post_init__(self)
+        CheckedRecord.__post_init__(self)
         if not _VEHICLE_ID.fullmatch(self.vehicle):
-            raise ConfigError(f"vehicle must be 1..64 letters, digits, '-' or '_', got {self.vehicle!r}")
+            raise EmulatorConfigError(f"vehicle must be 1..64 letters, digits, '-' or '_', got {self.vehicle!r}")
         if self.transmission not in SHIPPED:
-            raise ConfigError(f"transmission must be one of {', '.join(SHIPPED)}, got {self.transmission!r}")
+            raise EmulatorConfigError(f"transmission must be one of {', '.join(SHIPPED)}, got {self.transmission!r}")
         if self.transmission in CONVERTERS and not self.is_on_the_road:
-            raise ConfigError("a car with a torque converter is driven on the road: its drive cannot be cycle")
+            raise EmulatorConfigError("a car with a torque converter is driven on the road: its drive cannot be cycle")
         if self.transmission in CONVERTERS and any(cause.clutch == 2 for cause in self.causes):
-            raise ConfigError("a car with a torque converter has one clutch: that of a cause cannot be 2")
+            raise EmulatorConfigError("a car with a torque converter has one clutch: that of a cause cannot be 2")
         for name in ("seed", "vehicle_seed", "drive_seed"):
             seed = getattr(self, name)
             if seed is not None and not 0 <= seed < 2**63:
-                raise ConfigError(f"{name} must be 0..2^63-1, got {seed}")
+                raise EmulatorConfigError(f"{name} must be 0..2^63-1, got {seed}")
         if not 1 <= self.cycles <= MAX_CYCLES:
-            raise ConfigError(f"cycles must be 1..{MAX_CYCLES}, got {self.cycles}")
-        if self.is_on_the_road and self.routine != Routine():
-            raise ConfigError(f"the workshop routine is driven before shift cycles only, not with drive {self.drive}")
+            raise EmulatorConfigError(f"cycles must be 1..{MAX_CYCLES}, got {self.cycles}")
+        if self.is_on_the_road and self.routine != WorkshopRoutine():
+            raise EmulatorConfigError(
+                f"the workshop routine is driven before shift cycles only, not with drive {self.drive}"
+            )
 
     @property
     def is_on_the_road(self) -> bool:

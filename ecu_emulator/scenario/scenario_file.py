@@ -9,9 +9,9 @@ from typing import Final
 
 from canlog.files import read_small_file
 from clutch_model.tables import record_from
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.scenario.faults import NOMINAL_SENSORS, BusFault, Sensor, SensorFault, Sensors, split_unit
-from ecu_emulator.scenario.scenario import Scatter, Scenario, Truth, production_scatter
+from ecu_emulator.scenario.scenario import ProductionScatter, Scenario, Truth, production_scatter
 
 _SHIPPED: Final = files("ecu_emulator").joinpath("scenarios")
 
@@ -37,13 +37,13 @@ def load_scenario(name_or_file: str) -> Scenario:
     path = Path(name_or_file)
     if path.suffix != ".toml" and not path.exists():
         known = ", ".join(shipped_scenarios())
-        raise ConfigError(f"no scenario {name_or_file!r}: use a TOML file or one of {known}")
+        raise EmulatorConfigError(f"no scenario {name_or_file!r}: use a TOML file or one of {known}")
     try:
         text = read_small_file(path).decode("utf-8")
     except OSError as exc:
-        raise ConfigError(f"cannot read scenario {path}: {exc.strerror or exc}") from exc
+        raise EmulatorConfigError(f"cannot read scenario {path}: {exc.strerror or exc}") from exc
     except UnicodeDecodeError as exc:
-        raise ConfigError(f"cannot read scenario {path}: {exc}") from exc
+        raise EmulatorConfigError(f"cannot read scenario {path}: {exc}") from exc
     return parse_scenario(text, str(path))
 
 
@@ -58,11 +58,11 @@ def parse_scenario(text: str, origin: str) -> Scenario:
     try:
         return _scenario(tomllib.loads(text))
     except tomllib.TOMLDecodeError as exc:
-        raise ConfigError(f"{origin} is not TOML: {exc}") from exc
+        raise EmulatorConfigError(f"{origin} is not TOML: {exc}") from exc
     except RecursionError as exc:
-        raise ConfigError(f"{origin} is not TOML: its lists or tables are nested too deeply") from exc
-    except ConfigError as exc:
-        raise ConfigError(f"{origin}: {exc}") from exc
+        raise EmulatorConfigError(f"{origin} is not TOML: its lists or tables are nested too deeply") from exc
+    except EmulatorConfigError as exc:
+        raise EmulatorConfigError(f"{origin}: {exc}") from exc
 
 
 def parse_fault(table: object) -> SensorFault | BusFault:
@@ -74,10 +74,10 @@ def parse_fault(table: object) -> SensorFault | BusFault:
         Naming the first key that cannot be used.
     """
     if not isinstance(table, Mapping):
-        raise ConfigError(f"a fault must be a table, got {table!r}")
+        raise EmulatorConfigError(f"a fault must be a table, got {table!r}")
     if "quantity" in table:
-        return record_from(SensorFault, table, error=ConfigError)
-    return record_from(BusFault, table, error=ConfigError)
+        return record_from(SensorFault, table, error=EmulatorConfigError)
+    return record_from(BusFault, table, error=EmulatorConfigError)
 
 
 def _scenario(table: Mapping[str, object]) -> Scenario:
@@ -86,17 +86,17 @@ def _scenario(table: Mapping[str, object]) -> Scenario:
         parts["scatter"] = _scatter(parts["scatter"])
     parts["truth"] = _truth(_subtable(parts, "truth"))
     parts["sensors"] = _sensors(_subtable(parts, "sensors"))
-    return record_from(Scenario, parts, error=ConfigError)
+    return record_from(Scenario, parts, error=EmulatorConfigError)
 
 
-def _scatter(value: object) -> Scatter:
+def _scatter(value: object) -> ProductionScatter:
     if value == "none":
-        return Scatter()
+        return ProductionScatter()
     if not isinstance(value, Mapping):
-        raise ConfigError(f'scatter must be "none" or a table, got {value!r}')
+        raise EmulatorConfigError(f'scatter must be "none" or a table, got {value!r}')
     normal = production_scatter()
-    defaults = {member.name: getattr(normal, member.name) for member in fields(Scatter)}
-    return record_from(Scatter, {**defaults, **value}, "scatter.", error=ConfigError)
+    defaults = {member.name: getattr(normal, member.name) for member in fields(ProductionScatter)}
+    return record_from(ProductionScatter, {**defaults, **value}, "scatter.", error=EmulatorConfigError)
 
 
 def _sensors(table: Mapping[str, object]) -> Sensors:
@@ -105,7 +105,7 @@ def _sensors(table: Mapping[str, object]) -> Sensors:
     for stem in table:
         where = f"sensors.{stem}"
         if stem not in stems:
-            raise ConfigError(f"{where} is unknown; known: {', '.join(sorted(stems))}")
+            raise EmulatorConfigError(f"{where} is unknown; known: {', '.join(sorted(stems))}")
         quantity = stems[stem]
         unit = split_unit(quantity)[1]
         members = {f"offset_{unit}": "offset", f"noise_std_{unit}": "noise_std"}
@@ -114,7 +114,7 @@ def _sensors(table: Mapping[str, object]) -> Sensors:
         _check_known(given, set(members), f"{where}.")
         default = {member.name: getattr(sensors[quantity], member.name) for member in fields(Sensor)}
         changed = {members[key]: value for key, value in given.items()}
-        sensors[quantity] = record_from(Sensor, {**default, **changed}, f"{where}.", error=ConfigError)
+        sensors[quantity] = record_from(Sensor, {**default, **changed}, f"{where}.", error=EmulatorConfigError)
     return sensors
 
 
@@ -137,11 +137,11 @@ def _flat(table: Mapping[str, object], prefix: str = "") -> dict[str, object]:
 def _subtable(table: Mapping[str, object], key: str, where: str = "") -> Mapping[str, object]:
     value = table.get(key, {})
     if not isinstance(value, Mapping):
-        raise ConfigError(f"{where or key} must be a table, got {value!r}")
+        raise EmulatorConfigError(f"{where or key} must be a table, got {value!r}")
     return value
 
 
 def _check_known(table: Mapping[str, object], known: set[str], prefix: str) -> None:
     unknown = sorted(set(table) - known)
     if unknown:
-        raise ConfigError(f"{prefix}{unknown[0]} is unknown; known: {', '.join(sorted(known))}")
+        raise EmulatorConfigError(f"{prefix}{unknown[0]} is unknown; known: {', '.join(sorted(known))}")

@@ -69,7 +69,7 @@ class Felt(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class TouchPointFinding:
     """What steps have shown, and where."""
 
     felt: Felt
@@ -101,8 +101,8 @@ class Search:
     clutch: int
     nominal_pa: float
     most_change_pa: float  # from the type's touch point; what lies beyond is not adapted
-    coarse: Finding | None = None
-    fine: tuple[Finding, ...] = ()
+    coarse: TouchPointFinding | None = None
+    fine: tuple[TouchPointFinding, ...] = ()
 
     @property
     def clear_pa(self) -> tuple[float, ...]:
@@ -126,7 +126,7 @@ class Search:
             count=round(2.0 * FINE_RANGE_PA / FINE_PA) + 1,
         )
 
-    def after(self, finding: Finding) -> "Search":
+    def after(self, finding: TouchPointFinding) -> "Search":
         """Return the search after the steps that were asked for have been held."""
         if self.coarse is None:
             return replace(self, coarse=finding)
@@ -180,7 +180,7 @@ def are_over(samples: Sequence[Sample]) -> bool:
     return last_s is not None and samples[-1].t_s >= last_s + QUIET_S
 
 
-def finding_of(samples: Sequence[Sample], steps: PressureSteps) -> Finding:
+def finding_of(samples: Sequence[Sample], steps: PressureSteps) -> TouchPointFinding:
     """Return what steps have shown; ``samples`` reach from before the clutch was filled to after they are over."""
     filled_at = next((place for place, one in enumerate(samples) if one.command_pa > 0.0), 0)
     open_nm = _engine_load_nm(samples[:filled_at])
@@ -190,17 +190,17 @@ def finding_of(samples: Sequence[Sample], steps: PressureSteps) -> Finding:
     loads_nm = [_engine_load_nm(held.get(step, [])) for step in range(steps.count)]
     carried_nm = [load_nm - open_nm for load_nm in loads_nm]
     if not all(map(math.isfinite, carried_nm)):
-        return Finding(felt=Felt.UNCLEAR)
+        return TouchPointFinding(felt=Felt.UNCLEAR)
     lowest_nm = fmean(carried_nm[-2:])
     if lowest_nm > FELT_NM:
-        return Finding(felt=Felt.ALWAYS)
+        return TouchPointFinding(felt=Felt.ALWAYS)
     unfelt_nm = lowest_nm / 2.0  # of three stretches: with an empty clutch, where nothing is carried by definition
     is_felt = [one_nm - unfelt_nm > FELT_NM for one_nm in carried_nm]
     first = next(step for step in range(steps.count) if not any(is_felt[step : step + 2]))
     if first == 0:
-        return Finding(felt=Felt.NEVER)
+        return TouchPointFinding(felt=Felt.NEVER)
     middle_pa = 0.5 * (steps.pressure_pa(first - 1) + steps.pressure_pa(first))
-    return Finding(felt=Felt.BETWEEN, pressure_pa=middle_pa)
+    return TouchPointFinding(felt=Felt.BETWEEN, pressure_pa=middle_pa)
 
 
 def _engine_load_nm(samples: Sequence[Sample]) -> float:

@@ -12,10 +12,10 @@ from diag_service.diagnosis.friction.paper.driveline import quiet_filter
 from diag_service.diagnosis.friction.paper.method import (
     NOISELESS_GATES,
     NOISY_GATES,
-    Analysis,
     Differentiators,
     FilmTable,
     Gates,
+    PaperEstimates,
     PaperSignals,
     analyse,
     fit,
@@ -81,12 +81,12 @@ def matched_differentiators(drive: PaperDrive, gates: Gates = NOISY_GATES) -> Di
     )
 
 
-def analysed(signals: PaperSignals, setup: Setup) -> Analysis:
+def analysed(signals: PaperSignals, setup: Setup) -> PaperEstimates:
     """Return what the method makes of the signals before the fit."""
     return analyse(signals, setup.differentiators, setup.tables, CALIBRATION, DRIVELINE)
 
 
-def fitted(analysis: Analysis, gates: Gates) -> tuple[PaperEstimate, PaperEstimate]:
+def fitted(analysis: PaperEstimates, gates: Gates) -> tuple[PaperEstimate, PaperEstimate]:
     """Return the estimates of both clutches."""
     first, second = (
         fit(clutch.data, gates, believed.friction)

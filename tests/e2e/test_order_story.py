@@ -19,7 +19,7 @@ from ecu_emulator.cli import main as emulator
 from fleet_backend import queries
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter
-from fleet_backend.alarms.rules import Rule
+from fleet_backend.alarms.rules import AlarmRule
 from fleet_backend.choices import Pace
 from fleet_backend.cli import main as fleet
 from fleet_backend.database import open_database
@@ -144,7 +144,7 @@ class World:
         self.watch.round(judging_s=HANG_S)
         self.watch.deliver()
         letters, self.alarms.letters = self.alarms.letters, []
-        told = [one.payload for one in letters if one.payload["rule"] == Rule.VERDICT]
+        told = [one.payload for one in letters if one.payload["rule"] == AlarmRule.VERDICT]
         return sorted((str(one["alarm"]), one["event"], one["reason"]) for one in told)
 
 

@@ -20,7 +20,7 @@ from fleet_contract import (
 )
 from tests.support.builders import rejected, shift_result
 from workshop.tester.polling import ControllerReport
-from workshop.tester.trouble import Snapshot, TroubleCode
+from workshop.tester.trouble import FailureRecord, TroubleCode
 
 FOLDER = Path(__file__).parent
 NOW = "2026-01-01T00:00:06.000000Z"
@@ -35,8 +35,8 @@ CONTROLLER = ControllerReport(
             number=0x089700,
             status=0x2F,
             text="Transmission Fluid Deteriorated",
-            snapshots=(Snapshot(number=1, data={"odometer": {"distance [km]": 12.5, "trip [km]": None}}),),
-            extended=(Snapshot(number=16, data={}, rest=b"\x01\x02"),),
+            snapshots=(FailureRecord(number=1, data={"odometer": {"distance [km]": 12.5, "trip [km]": None}}),),
+            extended=(FailureRecord(number=16, data={}, rest=b"\x01\x02"),),
         ),
     ),
 )

@@ -25,7 +25,7 @@ from tests.integration.test_signal_asking import controller, wait_for
 from tests.integration.test_tester import vehicle
 from tests.support.ports import free_port
 from tests.support.uds.udsoncan_client import CONFIG, ISO_TP, Number
-from workshop.controller.doip_server import DoipServer, Place
+from workshop.controller.doip_server import DoipAddress, DoipServer
 from workshop.tester.signal_asking import SignalAsker, address_of, line_on
 
 pytestmark = pytest.mark.asks
@@ -101,7 +101,7 @@ def test_our_personality_tells_udsoncan(way: str) -> None:
     with ExitStack() as stack:
         connection: BaseConnection
         if way == "doip":
-            server = stack.enter_context(DoipServer(controller(), Place(host="127.0.0.1", port=free_port())))
+            server = stack.enter_context(DoipServer(controller(), DoipAddress(host="127.0.0.1", port=free_port())))
             port = server.place.port
             node = stack.enter_context(closing(Node("127.0.0.1", 0x1011, tcp_port=port, udp_port=port)))
             connection = Connector(node)

@@ -16,7 +16,7 @@ from tests.integration.test_signal_asking import Ear, heard, wait_for
 from tests.plugins.asked_services import SentByUs
 from tests.support.asked import batch_of
 from workshop.tester.addresses import GROUP_REQUEST
-from workshop.tester.signal_asking import GROUP_S, Plan, SignalAsker, line_on
+from workshop.tester.signal_asking import GROUP_S, PollPlan, SignalAsker, line_on
 
 pytestmark = pytest.mark.asks
 
@@ -76,7 +76,7 @@ def _channel() -> str:
 
 
 def test_a_group_is_asked_for_no_more_than_twice_a_second() -> None:
-    plan, moments_s = Plan({}, load_profile().asking, [TRF1]), [100.0 + 0.01 * step for step in range(1000)]
+    plan, moments_s = PollPlan({}, load_profile().asking, [TRF1]), [100.0 + 0.01 * step for step in range(1000)]
     asked_s = [now_s for now_s in moments_s if plan.due(now_s)]
     assert len(asked_s) == 20
     assert all(after - before > 0.99 * GROUP_S for before, after in pairwise(asked_s))

@@ -10,7 +10,7 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, MAX_GAP_NS, FrameBatch, join
-from canlog.live import BusOpener, FrameSource, Silence
+from canlog.live import BusOpener, BusSilence, FrameSource
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
 from tests.support.patience import HANG_S
@@ -43,7 +43,7 @@ def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
 
 
 async def collect(source: FrameSource) -> list[FrameBatch]:
-    return [part async for part in source if not isinstance(part, Silence)]
+    return [part async for part in source if not isinstance(part, BusSilence)]
 
 
 async def received(source: FrameSource, count: int) -> None:
@@ -104,7 +104,7 @@ async def test_a_bus_that_falls_silent_says_so_and_is_heard_again(transport: Tra
     await asyncio.to_thread(send, transport, frames)
     async with asyncio.timeout(HANG_S):
         async for part in source:
-            if not isinstance(part, Silence):
+            if not isinstance(part, BusSilence):
                 heard.append(part)
             elif silence_count == 0:
                 silence_count += 1

@@ -13,7 +13,7 @@ from tests.support.doip.tester import Tester, entity
 from tests.support.patience import HANG_S
 from tests.support.ports import free_port
 from tests.support.uds.wire import Wire
-from workshop.controller.doip_server import DoipServer, Place
+from workshop.controller.doip_server import DoipAddress, DoipServer
 
 EVERYBODY = "127.255.255.255"
 
@@ -48,7 +48,7 @@ def test_two_testers_are_answered_each_by_its_own(port: int) -> None:
 
 
 def test_testers_on_can_and_over_ip_share_a_controller_and_not_their_answers() -> None:
-    place = Place(host="127.0.0.1", port=free_port())
+    place = DoipAddress(host="127.0.0.1", port=free_port())
     with Wire() as wire, DoipServer(wire.controller, place), Tester(place.port) as one:
         wire.put("02 10 03")
         assert wire.get().startswith("06 50 03")

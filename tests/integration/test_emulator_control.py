@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from ecu_emulator.drive.recording import Drive
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.live import ControlSocket
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind, SensorFault, SensorFaultKind
 from tests.support.builders import drive_scenario
@@ -89,12 +89,12 @@ def test_a_drive_takes_faults_while_it_runs() -> None:
     drive.add_fault(
         SensorFault(quantity="hub_speed_rad_s", kind=SensorFaultKind.OFFSET, size=3.0, start_s=1.0, duration_s=0.1)
     )
-    with pytest.raises(ConfigError, match="not on the bus"):
+    with pytest.raises(EmulatorConfigError, match="not on the bus"):
         drive.add_fault(BusFault(kind=BusFaultKind.LOSS, message="Radio"))
     foreign = SensorFault(quantity="turbine_speed_rad_s", kind=SensorFaultKind.FROZEN)
-    with pytest.raises(ConfigError, match="'turbine_speed_rad_s' is not on the bus; known: "):
+    with pytest.raises(EmulatorConfigError, match="'turbine_speed_rad_s' is not on the bus; known: "):
         drive.add_fault(foreign)
-    with pytest.raises(ConfigError, match="is not on the bus"):
+    with pytest.raises(EmulatorConfigError, match="is not on the bus"):
         Drive(replace(drive_scenario(), sensor_faults=(foreign,)))
     next(stretches)
     offset, crc = drive.totals.faults

@@ -15,7 +15,7 @@ import pytest
 
 from canlog.frames import ERROR_FLAG, count_errors
 from canlog.live.pythoncan import PythonCanSource
-from canlog.live.sources import Silence
+from canlog.live.sources import BusSilence
 from dbc.contract import load_contract
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -42,7 +42,7 @@ def test_a_flood_of_error_frames_is_no_more_work_than_its_batches(kind: int) -> 
             while source.counts.received < FLOOD:  # noqa: ASYNC110 - another thread counts
                 await asyncio.sleep(0)
             await source.aclose()  # as a signal does it: what has come is handed over still
-            batches = [part async for part in source if not isinstance(part, Silence)]
+            batches = [part async for part in source if not isinstance(part, BusSilence)]
         stretches = sum(len(decoder.feed(batch)) for batch in batches)
         told = sum((count_errors(batch).total() for batch in batches), 0)
         return stretches, len(batches), told

@@ -10,7 +10,7 @@ from sqlalchemy import select
 
 from fleet_backend.database import open_database, transaction
 from fleet_backend.office_tables import ALARM, AUDIT
-from fleet_backend.page.access import Role, read_access
+from fleet_backend.page.access import UserRole, read_access
 from fleet_backend.page.routes import ENDPOINTS, OPENAPI_PATH
 from tests.support.fleet_page import ACCESS, MARKUP, SECRET, fill_database, headers_of, raise_alarms, served
 from tests.support.patience import HANG_S
@@ -200,6 +200,6 @@ def test_the_highest_role_of_somebody_counts(tmp_path: Path) -> None:
     access = read_access(write(tmp_path, GOOD))
     assert access.host_names == ("fleet.example.org",)
     headers = {"X-Fleet-Proxy": SECRET}
-    assert access.viewer_of({**headers, "X-Forwarded-User": "ann@EXAMPLE.org"}).role is Role.WORKSHOP
-    assert access.viewer_of({**headers, "X-Forwarded-User": "who@ever.org"}).role is Role.VIEWER
+    assert access.viewer_of({**headers, "X-Forwarded-User": "ann@EXAMPLE.org"}).role is UserRole.WORKSHOP
+    assert access.viewer_of({**headers, "X-Forwarded-User": "who@ever.org"}).role is UserRole.VIEWER
     assert SECRET not in repr(access)

@@ -18,7 +18,7 @@ from sqlalchemy import Engine, select
 from clutch_results.records import Condition
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter, Note
-from fleet_backend.alarms.rules import Rule, Subject
+from fleet_backend.alarms.rules import AlarmRule, Subject
 from fleet_backend.cli import main
 from fleet_backend.database import transaction
 from fleet_backend.errors import CarrierError
@@ -63,7 +63,7 @@ def test_an_alarm_is_raised_once_told_once_and_cleared(engine: Engine) -> None:
     memory, clock = Memory(), Clock()
     store(engine, 1, BAD)
     first, second = (Watch(engine, Orders(carriers=[memory]), clock) for _ in range(2))
-    assert {step.subject.rule for step in first.round()} == {Rule.VERDICT, Rule.SILENCE}  # of two months ago
+    assert {step.subject.rule for step in first.round()} == {AlarmRule.VERDICT, AlarmRule.SILENCE}  # of two months ago
     assert second.round() == first.round() == []
     assert (second.deliver(), first.deliver()) == (2, 0)
     store(engine, 2, Condition.GOOD)
@@ -141,7 +141,7 @@ def test_one_program_watches_and_shows_what_it_found(engine: Engine) -> None:
 def test_an_alarm_is_acknowledged_once_and_that_is_audited(engine: Engine) -> None:
     store(engine, 1, BAD)
     Watch(engine, Orders(), Clock()).round()
-    subject = Subject(vehicle="car1", clutch=2, rule=Rule.VERDICT)
+    subject = Subject(vehicle="car1", clutch=2, rule=AlarmRule.VERDICT)
     note = Note(by="ann", role="workshop", at=NOW, text="fluid is on order")
     assert book.acknowledge(engine, subject, 1, note)
     assert not book.acknowledge(engine, subject, 1, replace(note, by="bob"))

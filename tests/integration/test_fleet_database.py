@@ -7,7 +7,7 @@ from sqlalchemy import Engine, select
 
 from clutch_results.records import Condition
 from fleet_backend import queries
-from fleet_backend.choices import Axis, Pace
+from fleet_backend.choices import Pace, TrendAxis
 from fleet_backend.database import transaction
 from fleet_backend.errors import RowRefusedError
 from fleet_backend.ingest import Worker
@@ -63,7 +63,7 @@ def test_the_running_condition_is_that_of_the_last_shift_of_the_newest_stream(en
         Writer(engine).store(Batch(shifts=[row]))
     (record,) = queries.worst_first(engine)
     assert (record["stream"], record["seq"], record["condition"]) == ("stream-0", 2, "good")
-    order = [(row["stream"], row["seq"]) for row in queries.trend(engine, "car1", 2, Axis.SHIFT)]
+    order = [(row["stream"], row["seq"]) for row in queries.trend(engine, "car1", 2, TrendAxis.SHIFT)]
     assert order == [("stream-1", 1), ("stream-1", 2), ("stream-0", 1), ("stream-0", 2)]
 
 
@@ -82,12 +82,12 @@ def test_a_trend_has_three_axes_and_knows_the_fluid(engine: Engine) -> None:
     Writer(engine).store(Batch(shifts=[row_of(fleet_result(seq)) for seq in range(1, 6)]))
     queries.note_fill(engine, "car1", "old oil", at=START - timedelta(days=1), odometer_m=None, note=None)
     queries.note_fill(engine, "car1", "new oil", at=START + timedelta(seconds=10), odometer_m=5.0, note="at last")
-    for axis in Axis:
+    for axis in TrendAxis:
         records = queries.trend(engine, "car1", 2, axis)
         assert [record["shift_number"] for record in records] == [1, 2, 3, 4, 5]
     assert [record["fluid"] for record in records] == ["old oil"] * 3 + ["new oil"] * 2
     assert records[0]["covariance_mu_c_mu_s"] == pytest.approx(0.4 * 0.0012 * 0.0016)
-    assert queries.trend(engine, "car1", 1, Axis.SHIFT) == []
+    assert queries.trend(engine, "car1", 1, TrendAxis.SHIFT) == []
 
 
 def status(moment: str, word: str) -> Row:

@@ -8,16 +8,16 @@ import pytest
 from sqlalchemy import Engine, select, text, update
 
 from fleet_backend import queries, report
-from fleet_backend.choices import Axis, Quotas
+from fleet_backend.choices import Quotas, TrendAxis
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
-from fleet_backend.errors import ConfigError
+from fleet_backend.errors import BackendConfigError
 from fleet_backend.intake import MessageKind, Taken, batch_of, take_all
 from fleet_backend.months import RANK, keep_months, partitions
 from fleet_backend.office.retention import retain
 from fleet_backend.office_tables import AUDIT
 from fleet_backend.page.queries import DatabaseSource, results_of
-from fleet_backend.quotas import Gate
+from fleet_backend.quotas import QuotaGate
 from fleet_backend.report import lines_of
 from fleet_backend.rows import Row
 from fleet_backend.schema import REVISION, SHIFT_RESULT
@@ -60,7 +60,7 @@ def test_months_are_made_ahead_and_take_what_waited_for_them(months: Engine) -> 
     assert queries.table_hash(months) == before
     names = [one.name for one in partitions(months)]
     assert (names[0], names[-2:]) == ("shift_result_before", [f"shift_result_{end}_03", "shift_result_after"])
-    with pytest.raises(ConfigError, match="0 to 120"):
+    with pytest.raises(BackendConfigError, match="0 to 120"):
         keep_months(months, NOW, 121)
 
 
@@ -98,7 +98,7 @@ def test_results_of_a_clock_that_was_not_set_age_by_when_they_were_stored(engine
             connection.execute(stored.values(stored_at=datetime.fromisoformat(f"{day}T00:00:00+00:00")))
     assert [one["seq"] for one in queries.worst_first(engine)] == [5]
     assert [row["seq"] for row in results_of(engine, "car1", 2)] == [1, 2, 3, 4, 5]
-    page = report.trend_table("car1", queries.trend(engine, "car1", 2, Axis.SHIFT))
+    page = report.trend_table("car1", queries.trend(engine, "car1", 2, TrendAxis.SHIFT))
     text_of_it = "\n".join(line.plain for line in lines_of(page, 200))
     assert text_of_it.count("clock not set") == 3
     assert "1970" not in text_of_it
@@ -126,7 +126,7 @@ def test_without_a_clock_the_latest_result_is_the_one_that_came_last(engine: Eng
     (worst,) = queries.worst_first(engine)
     assert (worst["stream"], worst["condition"], worst["fluid"]) == ("a-second", "good", "DCTF")
     order = [("stream-1", 1), ("stream-1", 2), ("z-first", 1), ("a-second", 1)]
-    rows = queries.trend(engine, "car1", 2, Axis.SHIFT)
+    rows = queries.trend(engine, "car1", 2, TrendAxis.SHIFT)
     assert [(row["stream"], row["seq"]) for row in rows] == order
     assert [row["fluid"] for row in rows] == [None, None, "DCTF", "DCTF"]
     assert [(row["stream"], row["seq"]) for row in results_of(engine, "car1", 2)] == order
@@ -146,7 +146,7 @@ def test_revisions_come_and_go_with_their_results(engine: Engine) -> None:
         left = connection.execute(select(REVISION.c.seq, REVISION.c.end_bus_ns)).all()
     assert {tuple(one) for one in left} == set(ends[1:])
     revised = replace(Taken(message=message_of(fleet_result(4)), kind=MessageKind.SHIFT, row=rows[2]), revisions=[told])
-    one, other = Gate(engine, Quotas(results=1)).judge([revised, revised], NOW)
+    one, other = QuotaGate(engine, Quotas(results=1)).judge([revised, revised], NOW)
     assert (one.revisions, other.kind, other.revisions) == ([told], MessageKind.WITHHELD, ())
 
 

@@ -15,8 +15,8 @@ from clutch_results.prognosis import history_of, prognose
 from clutch_results.prognosis.sentence import outlook_line
 from clutch_results.records import Causes, Condition, LikelyCause, Reason, Revision, ShiftQuality, ShiftResult, Status
 from fleet_backend import queries
-from fleet_backend.alarms.rules import Rule
-from fleet_backend.choices import Axis
+from fleet_backend.alarms.rules import AlarmRule
+from fleet_backend.choices import TrendAxis
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseError
 from fleet_backend.intake import batch_of, take_all
@@ -96,10 +96,10 @@ def test_how_well_a_vehicle_shifts_is_on_its_page_and_a_fall_raises_an_alarm(eng
     good = [scored(seq, 90.0) for seq in range(1, 31)]
     Writer(engine).store(Batch(shifts=[*map(row_of, good), row_of(fleet_result(1, vehicle="old"))]))
     watch = WatchOfOffice(engine, Orders(), lambda: NOW)
-    assert Rule.SCORE not in {step.subject.rule for step in watch.round()}
+    assert AlarmRule.SCORE not in {step.subject.rule for step in watch.round()}
     Writer(engine).store(Batch(shifts=[row_of(scored(seq, 60.0, 9e3)) for seq in range(31, 51)]))
     raised = {step.subject.rule: step for step in watch.round()}
-    assert "clutch 2 score 30 points less than the first" in raised[Rule.SCORE].reason
+    assert "clutch 2 score 30 points less than the first" in raised[AlarmRule.SCORE].reason
     sources = sources_of(engine)
     answer = told(sources, "/vehicles/rough")
     (change,), (load,) = answer["changes"], answer["loads"]
@@ -136,7 +136,9 @@ def test_a_cause_that_new_fluid_does_not_mend_is_on_the_page_in_the_list_and_an_
     unclear = row_of(replace(fleet_result(1, vehicle="unclear"), verdict=caused.verdict)) | {"causes": '{"likely": []}'}
     Writer(engine).store(Batch(shifts=[row_of(caused), row_of(fleet_result(1, vehicle="plain")), unclear]))
     watch = WatchOfOffice(engine, Orders(), lambda: NOW)
-    raised = {(one.subject.vehicle, one.subject.clutch): one for one in watch.round() if one.subject.rule is Rule.CAUSE}
+    raised = {
+        (one.subject.vehicle, one.subject.clutch): one for one in watch.round() if one.subject.rule is AlarmRule.CAUSE
+    }
     order = "See to another cause than the fluid first: glazed lining of clutch 2 (93 % likely)."
     assert {subject: one.reason.partition(" Clutch 1")[0] for subject, one in raised.items()} == {("worn", 0): order}
     listed = {str(one["vehicle"]): one for one in queries.worst_first(engine)}
@@ -155,7 +157,7 @@ def test_a_cause_that_new_fluid_does_not_mend_is_on_the_page_in_the_list_and_an_
     for vehicle in ("plain", "unclear"):
         assert told(sources, f"/vehicles/{vehicle}")["causes"] is None
     queries.note_fill(engine, "worn", "DCTF", at=NOW, odometer_m=None, note=None)
-    assert not [one for one in watch.round() if one.subject.rule is Rule.CAUSE]  # it stays until more is known
+    assert not [one for one in watch.round() if one.subject.rule is AlarmRule.CAUSE]  # it stays until more is known
     answer = told(engine, "/vehicles/worn")
     assert (answer["action"], answer["causes"]) == ("new_fluid", None)
 
@@ -225,7 +227,7 @@ def test_a_clock_that_was_ahead_hides_no_newer_results(engine: Engine) -> None:
     assert [(one.stream, one.condition) for one in DatabaseSource(engine).all_clutches()] == [("b", "good")]
     assert [(one.stream, one.condition) for one in DatabaseSource(engine).clutches_of(["car1"])] == [("b", "good")]
     assert results_of(engine, "car1", 2)[-1]["stream"] == "b"
-    assert [row["stream"] for row in queries.trend(engine, "car1", 2, Axis.SHIFT)][-1] == "b"
+    assert [row["stream"] for row in queries.trend(engine, "car1", 2, TrendAxis.SHIFT)][-1] == "b"
     (seen,) = queries.last_seen(engine)
     assert str(seen["last_result_at"]) < "2038"
 

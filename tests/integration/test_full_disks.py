@@ -16,7 +16,7 @@ from sqlalchemy import Engine
 from clutch_results.records import shift_record
 from diag_service.store.file import WAITING
 from fleet_backend import queries
-from fleet_backend.choices import Axis
+from fleet_backend.choices import TrendAxis
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
 from fleet_contract import Outgoing, shift_message
@@ -111,4 +111,4 @@ def wait_for_line(log: Path, text: str, timeout_s: float = HANG_S) -> None:
 
 
 def stored_seqs(engine: Engine) -> list[int]:
-    return [int(str(row["seq"])) for row in queries.trend(engine, "car1", 2, Axis.SHIFT)]
+    return [int(str(row["seq"])) for row in queries.trend(engine, "car1", 2, TrendAxis.SHIFT)]

@@ -1,6 +1,7 @@
 """What keeps the house readable: modules that fit one's head, kernels that take records and not a dozen arrays."""
 
 import ast
+from collections import defaultdict
 from collections.abc import Iterator
 
 import pytest
@@ -40,6 +41,17 @@ def test_no_module_outgrows_its_one_subject(room: str) -> None:
 def test_no_kernel_takes_ten_parameters(room: str) -> None:
     counts = {f"{name}:{one.name}": parameters(one) for name, text in modules(room) for one in kernels(text)}
     assert {name: count for name, count in counts.items() if count > MOST_PARAMETERS} == {}
+
+
+def test_a_public_class_has_its_name_for_itself() -> None:
+    homes = defaultdict(list)
+    for package in PACKAGES:
+        for module, text in modules(package):
+            for node in ast.walk(ast.parse(text)):
+                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                    homes[node.name].append(module)
+    assert len(homes) > 500
+    assert {name: where for name, where in homes.items() if len(where) > 1} == {}
 
 
 def test_kernels_are_found() -> None:

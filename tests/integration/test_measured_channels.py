@@ -11,7 +11,7 @@ from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG
 from canlog.logs import LogFormat, LogReader, read_log
 from canlog.logs.mf4_channels import one_each
-from ecu_emulator.log_formats.record import Header, Mf4Writer
+from ecu_emulator.log_formats.record import LogHeader, Mf4Writer
 from tests.support.measurements import START, Measured, written
 from tests.support.mf4_layouts import Layout, laid_out
 from tests.support.traffic import START_NS, as_received, random_frames
@@ -92,7 +92,7 @@ def test_codes_beside_a_scale_are_no_values_and_the_others_are_scaled(tmp_path: 
 def test_frames_beside_channels_are_the_log_and_the_channels_are_told(tmp_path: Path) -> None:
     frames, path = tmp_path / "frames.mf4", tmp_path / "both.mf4"
     with frames.open("wb") as stream:
-        log = Mf4Writer(stream, Header(start_us=START_NS // 1000, channel="vcan0"))
+        log = Mf4Writer(stream, LogHeader(start_us=START_NS // 1000, channel="vcan0"))
         traffic = random_frames(40)
         log.write(as_received(traffic).t_ns // 1000, traffic)
         log.close()

@@ -8,7 +8,7 @@ from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
 from dbc.contract import load_contract
 from tests.support.uds.days import HOLDING, TripCar
-from workshop.controller.iso14229 import Status
+from workshop.controller.iso14229 import DtcStatus
 
 COLD = (293.0, 350.0)  # coolant in the morning, and after the trip [K]
 WARM = (335.0, 350.0)  # after lunch: no warm-up cycle, it becomes warmer by 15 K only
@@ -45,7 +45,7 @@ def test_days_of_trips_confirm_heal_and_forget_a_code_as_the_table_says() -> Non
     assert car.ask("03") == "43 01 08 11"
     assert car.ask("0A") == "4a 00"  # it is no longer permanent
     days = 0
-    while car.status("P0811") & Status.CONFIRMED and days < LIFE:
+    while car.status("P0811") & DtcStatus.CONFIRMED and days < LIFE:
         day(car)
         days += 1
     assert days == 40  # in the second trip of the fortieth day: its first one was the warm-up

@@ -11,7 +11,7 @@ from ecu_emulator.bus.frames import merge
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.scenario.scenario_file import load_scenario
 from workshop.controller.controller import Controller
-from workshop.controller.iso14229 import Status
+from workshop.controller.iso14229 import DtcStatus
 from workshop.controller.monitoring import Monitoring
 from workshop.controller.table import shipped_table
 from workshop_tests.controller.test_monitors import STEP_S, sensed
@@ -53,7 +53,7 @@ def test_the_controller_of_a_seven_speed_finds_no_fault_but_that_of_a_six_speed_
         found[transmission] = [
             hex(number)
             for number, record in controller.state.memory.records.items()
-            if record.status & Status.TEST_FAILED
+            if record.status & DtcStatus.TEST_FAILED
         ]
     assert found["gs7"] == []
     assert found["nominal"] != []

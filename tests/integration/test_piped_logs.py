@@ -14,7 +14,7 @@ from canlog.frames import FrameBatch, join
 from canlog.logs import read_log
 from ecu_emulator import cli as emulator
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.log_formats.record import LogFormat, open_log
+from ecu_emulator.log_formats.record import RecordFormat, open_log
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 from tests.support.pipes import pieces_of, piped
@@ -48,7 +48,7 @@ def written(path: Path, log_format: str, frames: FrameBatch) -> None:
     encoded = EncodedFrames(
         t_s=(frames.t_ns - start_ns) / 1e9, can_id=frames.can_id, length=frames.length, data=frames.data
     )
-    with open_log(path, log_format=LogFormat(log_format), start_ns=start_ns) as log:
+    with open_log(path, log_format=RecordFormat(log_format), start_ns=start_ns) as log:
         log.write(encoded)
 
 

@@ -21,7 +21,7 @@ from diag_service.commands import inspect, learn
 from diag_service.delivery import ConsoleReporter
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.prediction import Prediction
-from diag_service.mapping.learning import Found, LearnedGear, LearnedVehicle
+from diag_service.mapping.learning import LearnedGear, LearnedValue, LearnedVehicle
 from diag_service.mapping.proposal import GearRatio, gears_text
 from diag_service.report.history import history_lines
 from diag_service.report.page import fan_for, html_of
@@ -163,7 +163,7 @@ def test_what_is_calibrated_or_learned_shows_the_same(monkeypatch: pytest.Monkey
     assert "3.462 ± 0.012" in gears_text(Signal.OUTPUT_SPEED, {1: RATIO})
     assert SAID in gears_text(Signal.OUTPUT_SPEED, {1: RATIO})
     first = LearnedGear(ratio=RATIO, clutch=1)
-    touch = {1: Found(value=1.2e5, std=4e3, origin="held")}
+    touch = {1: LearnedValue(value=1.2e5, std=4e3, origin="held")}
     told = "\n".join(said(LearnedVehicle(over=Signal.OUTPUT_SPEED, gears={1: first}, are_named=True, touch_pa=touch)))
     assert SAID in told
     assert "3.462 ± 0.012" in told

@@ -218,15 +218,15 @@ def test_an_emulator_drives_on_a_bus_of_its_own(tmp_path: Path, capsys: pytest.C
     before = process_state()
     fault = {"kind": "silence", "message": "TCU_Shift"}
     car = ecu_emulator.Emulator("noise_only", seed=3, faults=[fault], truth=tmp_path / "truth.jsonl")
-    with pytest.raises(ecu_emulator.ConfigError, match="not driving yet"):
+    with pytest.raises(ecu_emulator.EmulatorConfigError, match="not driving yet"):
         car.add_fault(fault)
     with car, car.open_bus() as bus, can.Bus(**car.bus_arguments) as other:
         first = bus.recv(timeout=HANG_S)
         assert first is not None
         car.wait_until(0.1, HANG_S)
-        with pytest.raises(ecu_emulator.ConfigError, match="not over"):
+        with pytest.raises(ecu_emulator.EmulatorConfigError, match="not over"):
             _ = car.result
-        with pytest.raises(ecu_emulator.ConfigError, match="quantity"):
+        with pytest.raises(ecu_emulator.EmulatorConfigError, match="quantity"):
             car.add_fault({"quantity": "colour", "kind": "frozen"})
         car.add_fault({"kind": "loss", "share": 0.9})
         car.wait_until(2.6, HANG_S)  # frames are made two seconds ahead
@@ -242,7 +242,7 @@ def test_an_emulator_drives_on_a_bus_of_its_own(tmp_path: Path, capsys: pytest.C
     assert [one.kind for one in truth.totals.faults] == ["silence", "loss"]
     assert process_state() == before
     assert capsys.readouterr() == ("", "")
-    with pytest.raises(ecu_emulator.ConfigError, match="drives only once"), car:
+    with pytest.raises(ecu_emulator.EmulatorConfigError, match="drives only once"), car:
         pass
 
 

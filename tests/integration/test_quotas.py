@@ -9,13 +9,13 @@ import pytest
 from sqlalchemy import Engine
 
 from fleet_backend import queries
-from fleet_backend.alarms.rules import Rule
+from fleet_backend.alarms.rules import AlarmRule
 from fleet_backend.choices import Pace, Quotas
 from fleet_backend.errors import BrokerError
 from fleet_backend.ingest import Worker
 from fleet_backend.intake import MessageKind
 from fleet_backend.office.watching import Orders, Watch
-from fleet_backend.quotas import Gate
+from fleet_backend.quotas import QuotaGate
 from fleet_backend.writer import Writer
 from fleet_contract import Outgoing
 from fleet_link import Message
@@ -31,7 +31,7 @@ class Office:
     unsettled_count = 0
 
     def __init__(self, engine: Engine, quotas: Quotas = QUOTAS) -> None:
-        self.at, self.gate = NOW, Gate(engine, quotas)
+        self.at, self.gate = NOW, QuotaGate(engine, quotas)
         self.sent: list[Outgoing] = []
         self.settled: list[Message] = []
         self.worker = Worker(
@@ -89,10 +89,10 @@ async def test_the_watch_raises_an_alarm_as_long_as_messages_are_withheld(engine
     office, at = Office(engine), [NOW]
     await office.take(*results("flood", *range(1, 9)), *results("good", 1))
     watch = Watch(engine, Orders(), lambda: at[0])
-    raised = [step for step in watch.round() if step.subject.rule is Rule.QUOTA]
+    raised = [step for step in watch.round() if step.subject.rule is AlarmRule.QUOTA]
     assert [(step.subject.vehicle, step.event.value) for step in raised] == [("flood", "raised")]
     assert raised[0].reason.startswith("3 messages of today are beyond its quota")
-    assert [step for step in watch.round() if step.subject.rule is Rule.QUOTA] == []
+    assert [step for step in watch.round() if step.subject.rule is AlarmRule.QUOTA] == []
     at[0] = NOW + timedelta(days=1)
-    cleared = [step for step in watch.round() if step.subject.rule is Rule.QUOTA]
+    cleared = [step for step in watch.round() if step.subject.rule is AlarmRule.QUOTA]
     assert [step.event.value for step in cleared] == ["cleared"]

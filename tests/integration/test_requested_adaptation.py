@@ -8,12 +8,12 @@ from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
 from ecu_emulator.scenario.scenario import Scenario
 from tests.support.uds.adapting_car import ADAPT, CLEAR, AdaptingCar, in_workshop, memory_in
 from workshop.controller.controller import MemoryFile
-from workshop.controller.iso14229 import Status
+from workshop.controller.iso14229 import DtcStatus
 
 NOMINAL_PA = (134_545.0, 150_000.0)
 MARGIN_PA = 0.1e5  # above the touch point a filled clutch is held
 STRONG_SPRING_N = 850.0  # begins to carry torque about 0.6 bar later
-DONE = Status.TEST_FAILED | Status.CONFIRMED
+DONE = DtcStatus.TEST_FAILED | DtcStatus.CONFIRMED
 
 
 @dataclass
@@ -21,7 +21,7 @@ class Day:
     """What an operation cycle has left."""
 
     said: dict[str, str] = field(default_factory=dict)
-    codes: dict[str, list[Status]] = field(default_factory=lambda: {"P0810": [], "P2788": []})
+    codes: dict[str, list[DtcStatus]] = field(default_factory=lambda: {"P0810": [], "P2788": []})
     works_by_pa: list[tuple[float, float]] = field(default_factory=list)
     touch_pa: tuple[float, float] = (0.0, 0.0)
     fills_pa: dict[int, float] = field(default_factory=dict)
@@ -87,28 +87,28 @@ def test_touch_points_are_found_within_the_stated_deviation_and_worked_with(days
 
 
 def test_adaptation_that_is_done_is_no_fault_any_more_and_is_kept(days: list[Day]) -> None:
-    assert not days[2].codes["P0810"][1] & Status.TEST_FAILED
+    assert not days[2].codes["P0810"][1] & DtcStatus.TEST_FAILED
     assert days[3].works_by_pa[0] == days[2].works_by_pa[1]
-    assert not days[3].codes["P0810"][0] & (Status.TEST_FAILED | Status.NOT_TESTED_THIS_CYCLE)
+    assert not days[3].codes["P0810"][0] & (DtcStatus.TEST_FAILED | DtcStatus.NOT_TESTED_THIS_CYCLE)
     assert days[3].said["22 03 10"] != days[2].said["22 03 10"]  # of each day the last: then it was cleared
 
 
 def test_a_touch_point_out_of_reach_is_a_code_that_is_confirmed_in_two_cycles_and_heals(days: list[Day]) -> None:
     assert days[0].said[ADAPT] == "71 01 03 02 00 01 3e 53 ff ff 01 44 5c ff ff"  # 0.25 bar above the type's
     first, second, third = (days[place].codes["P2788"] for place in range(3))
-    assert first[0] & Status.NOT_TESTED_THIS_CYCLE
-    assert first[1] & (Status.PENDING | Status.CONFIRMED) == Status.PENDING
+    assert first[0] & DtcStatus.NOT_TESTED_THIS_CYCLE
+    assert first[1] & (DtcStatus.PENDING | DtcStatus.CONFIRMED) == DtcStatus.PENDING
     assert second[0] & DONE == DONE
     assert third[0] & DONE == DONE  # by what it remembers
-    assert third[1] & DONE == Status.CONFIRMED
-    assert days[3].codes["P2788"][0] & (DONE | Status.FAILED_THIS_CYCLE) == Status.CONFIRMED
+    assert third[1] & DONE == DtcStatus.CONFIRMED
+    assert days[3].codes["P2788"][0] & (DONE | DtcStatus.FAILED_THIS_CYCLE) == DtcStatus.CONFIRMED
 
 
 def test_clearing_the_adaptation_returns_to_the_type_and_asks_for_another(days: list[Day]) -> None:
     day = days[3]
     assert day.said[CLEAR] == "71 01 03 03 00"
     assert day.works_by_pa[1] == pytest.approx(NOMINAL_PA, abs=1.0)
-    assert day.codes["P0810"][1] & Status.TEST_FAILED
+    assert day.codes["P0810"][1] & DtcStatus.TEST_FAILED
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 
 from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
-from ecu_emulator.scenario.scenario import Routine, Scenario
+from ecu_emulator.scenario.scenario import Scenario, WorkshopRoutine
 from ecu_emulator.truth import Happened, RevTruth, ShiftTruth
 from tests.support.builders import drive_scenario
 from tests.support.patience import HANG_S
@@ -77,7 +77,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
 
 
 def in_workshop(fluid: str = "case2") -> Scenario:
-    return replace(drive_scenario("noise_only", fluid=fluid, seed=3), routine=Routine(on_request=True))
+    return replace(drive_scenario("noise_only", fluid=fluid, seed=3), routine=WorkshopRoutine(on_request=True))
 
 
 @pytest.fixture(name="table")
@@ -120,7 +120,7 @@ def test_a_car_that_drives_does_not_take_up_the_routine(table: Path) -> None:
             bench.go_on()
         bench.unlock()
         assert bench.ask("31 01 03 01 01 02")[:2] == b"\x7f\x31"
-        bench.drive.begin_routine(Routine(open_revs=1))  # nor if somebody insists
+        bench.drive.begin_routine(WorkshopRoutine(open_revs=1))  # nor if somebody insists
         while not bench.count(ShiftTruth):
             bench.go_on()
     assert not bench.count(RevTruth)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ecu_emulator.bus.frames import EncodedFrames, merge
-from ecu_emulator.drive.recording import Drive, Stretch
+from ecu_emulator.drive.recording import Drive, DriveStretch
 from ecu_emulator.driving.journey import PlannedTrip
 from ecu_emulator.scenario.scenario import Ambient
 from ecu_emulator.truth import EventTruth, ShiftTruth, TripTruth
@@ -23,17 +23,17 @@ def two_trips() -> Iterator[PlannedTrip]:
 
 
 @pytest.fixture(name="stretches", scope="module")
-def _stretches() -> list[Stretch]:
+def _stretches() -> list[DriveStretch]:
     drive = Drive(replace(road_scenario("ideal"), ambient=COLD), planned=two_trips())
     return list(drive.stretches(10.0))
 
 
 @pytest.fixture(name="frames", scope="module")
-def _frames(stretches: list[Stretch]) -> EncodedFrames:
+def _frames(stretches: list[DriveStretch]) -> EncodedFrames:
     return merge([stretch.frames for stretch in stretches])
 
 
-def test_every_event_is_told_with_its_trip(stretches: list[Stretch]) -> None:
+def test_every_event_is_told_with_its_trip(stretches: list[DriveStretch]) -> None:
     truths = [truth for stretch in stretches for truth in stretch.truths]
     events = [truth for truth in truths if isinstance(truth, EventTruth)]
     assert [event.number for event in events] == list(range(1, len(events) + 1))
@@ -49,7 +49,7 @@ def test_every_event_is_told_with_its_trip(stretches: list[Stretch]) -> None:
     assert len(upshifts) >= 4
 
 
-def test_a_parked_car_is_silent_and_cools_down(stretches: list[Stretch], frames: EncodedFrames) -> None:
+def test_a_parked_car_is_silent_and_cools_down(stretches: list[DriveStretch], frames: EncodedFrames) -> None:
     there, back = (truth for stretch in stretches for truth in stretch.truths if isinstance(truth, TripTruth))
     assert (there.number, there.trace, there.t_start_s, there.parked_s) == (1, "there", 0.0, 0.0)
     assert (back.number, back.trace, back.parked_s) == (2, "back", PARKED_S)
@@ -61,7 +61,7 @@ def test_a_parked_car_is_silent_and_cools_down(stretches: list[Stretch], frames:
     assert frames.t_s[gap[0] + 1] >= back.t_start_s > frames.t_s[gap[0]] + PARKED_S - 0.1
 
 
-def test_the_cutting_changes_nothing(frames: EncodedFrames, stretches: list[Stretch]) -> None:
+def test_the_cutting_changes_nothing(frames: EncodedFrames, stretches: list[DriveStretch]) -> None:
     drive = Drive(replace(road_scenario("ideal"), ambient=COLD), planned=two_trips())
     again = list(drive.stretches(0.777))
     other = merge([stretch.frames for stretch in again])

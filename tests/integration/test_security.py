@@ -11,7 +11,7 @@ from clutch_results.records import shift_record
 from diag_service.delivery import Acknowledge, DeliveryLimits, MqttConnector, Outbox
 from diag_service.store import ResultStore
 from fleet_backend import queries
-from fleet_backend.choices import Axis
+from fleet_backend.choices import TrendAxis
 from fleet_backend.database import open_database
 from fleet_contract import shift_message
 from fleet_link import BrokerAddress, TlsFiles
@@ -132,7 +132,7 @@ async def test_a_certificate_of_another_vehicle_than_the_payload_is_an_alarm_and
     (alarm,) = queries.identity_alarms(engine)
     assert (alarm["vehicle"], alarm["message_count"]) == ("car1", 1)
     assert "car2" in str(alarm["reason"])
-    assert [(row["vehicle"], row["seq"]) for row in queries.trend(engine, "car1", 2, Axis.SHIFT)] == [("car1", 7)]
+    assert [(row["vehicle"], row["seq"]) for row in queries.trend(engine, "car1", 2, TrendAxis.SHIFT)] == [("car1", 7)]
     assert queries.result_count(engine) == 1
     assert "identity: 1 messages put aside" in (tmp_path / "worker-0.log").read_text(encoding="utf-8")
     engine.dispose()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from canlog.frames import ERROR_FLAG, BusTrouble
-from canlog.live import BusOpener, BusState, LinkBreak, Silence, SupervisedSource, supervise
+from canlog.live import BusOpener, BusSilence, BusState, LinkBreak, SupervisedSource, supervise
 from canlog.live.raw_socket import Seen, index_of, present_name, restart_controller
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
@@ -39,7 +39,7 @@ class Listener:
 
     async def _read(self) -> None:
         async for part in self.source:
-            if not isinstance(part, Silence):
+            if not isinstance(part, BusSilence):
                 self.heard += ["break"] if isinstance(part, LinkBreak) else part.can_id.tolist()
 
     async def until(self, *states: BusState) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch, join
-from canlog.live import BusOpener, FrameSource, Silence
+from canlog.live import BusOpener, BusSilence, FrameSource
 from canlog.live.bus_clock import ClockAlarm
 from canlog.live.socketcan import SocketCanSource
 from canlog.live.sources import FrameQueue
@@ -27,7 +27,7 @@ EAR_BYTES = 8 * 2**20
 
 
 async def collect(source: FrameSource) -> list[FrameBatch]:
-    return [part async for part in source if not isinstance(part, Silence)]
+    return [part async for part in source if not isinstance(part, BusSilence)]
 
 
 def send_numbers(channel: str, count: int, *, gap_s: float = 0.0) -> int:

@@ -16,7 +16,7 @@ from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from ecu_emulator.drive.recording import frames_of
-from ecu_emulator.scenario.scenario import Routine
+from ecu_emulator.scenario.scenario import WorkshopRoutine
 from ecu_emulator.truth import TruthLog
 from tests.support.builders import drive_scenario
 from tests.support.traffic import as_received
@@ -25,7 +25,7 @@ from tests.support.traffic import as_received
 @lru_cache(maxsize=4)
 def drive(name: str, open_revs: int, closed_revs: int, seed: int) -> tuple[list[Event], list[Event], TruthLog]:
     """Return what the service finds in a drive of one cycle, and the truth."""
-    routine = Routine(open_revs=open_revs, closed_revs=closed_revs)
+    routine = WorkshopRoutine(open_revs=open_revs, closed_revs=closed_revs)
     frames, truth = frames_of(replace(drive_scenario(name, seed=seed), routine=routine))
     decoder = Decoder(load_contract(), load_profile())
     run_ups, shifts = RunUpFinder(nominal_calibration()), ShiftFinder()

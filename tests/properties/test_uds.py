@@ -11,7 +11,7 @@ from tests.support.uds.full_table import full_table
 from tests.support.uds.pdx_client import MORE, PARKED
 from workshop.controller import server
 from workshop.controller.controller import MemoryFile
-from workshop.controller.iso14229 import CLEARED, DEFAULT_SESSION, Nrc, Status
+from workshop.controller.iso14229 import CLEARED, DEFAULT_SESSION, DtcStatus, Nrc
 from workshop.controller.memory import FAILED_COUNTER, PASSED_COUNTER, TestResult
 from workshop.controller.services.sessions import key_of
 from workshop.controller.state import Instant, Request
@@ -80,7 +80,7 @@ class Diagnosis(RuleBasedStateMachine):
         self.state = server.tested(self.table, self.state, code, result, self.moment)
         if was_updated and result in {TestResult.FAILED, TestResult.PASSED}:
             status = self.state.memory.records[code].status
-            assert bool(status & Status.TEST_FAILED) == (result is TestResult.FAILED)
+            assert bool(status & DtcStatus.TEST_FAILED) == (result is TestResult.FAILED)
 
     @rule(code=CODES, is_warm=st.booleans(), count=st.sampled_from([1, 1, 3, 44]))
     def good_drives(self, code: int, *, is_warm: bool, count: int) -> None:
@@ -88,7 +88,7 @@ class Diagnosis(RuleBasedStateMachine):
             self.state = server.warmed_up(self.state) if is_warm else self.state
             self.state = server.tested(self.table, self.state, code, TestResult.PASSED, self.moment)
             self.state = server.cycled(self.table, self.state)
-        assert not self.state.memory.records[code].status & (Status.TEST_FAILED | Status.FAILED_THIS_CYCLE)
+        assert not self.state.memory.records[code].status & (DtcStatus.TEST_FAILED | DtcStatus.FAILED_THIS_CYCLE)
 
     @rule(duration_s=st.sampled_from([0.01, 1.0, 6.0]))
     def wait(self, duration_s: float) -> None:
@@ -112,8 +112,8 @@ class Diagnosis(RuleBasedStateMachine):
         with MemoryFile(path, self.table) as store:
             again = server.switched_on(self.table, store.load(), self.t_s)
         assert again.written == self.state.written
-        assert {code for code, one in again.memory.records.items() if one.status & Status.CONFIRMED} == {
-            code for code, one in self.state.memory.records.items() if one.status & Status.CONFIRMED
+        assert {code for code, one in again.memory.records.items() if one.status & DtcStatus.CONFIRMED} == {
+            code for code, one in self.state.memory.records.items() if one.status & DtcStatus.CONFIRMED
         }
         assert (again.session, again.unlocked) == (DEFAULT_SESSION, 0)
         self.state = again
@@ -131,12 +131,12 @@ class Diagnosis(RuleBasedStateMachine):
         assert self.state.session != DEFAULT_SESSION or not self.state.unlocked
         for one in self.state.memory.records.values():
             assert PASSED_COUNTER <= one.detection_counter <= FAILED_COUNTER
-            if one.status & Status.FAILED_THIS_CYCLE:
-                assert one.status & Status.PENDING
-                assert one.status & Status.FAILED_SINCE_CLEAR
-                assert not one.status & Status.NOT_TESTED_THIS_CYCLE
-            if one.status & Status.NOT_TESTED_SINCE_CLEAR:
-                assert not one.status & (Status.TEST_FAILED | Status.PENDING | Status.CONFIRMED)
+            if one.status & DtcStatus.FAILED_THIS_CYCLE:
+                assert one.status & DtcStatus.PENDING
+                assert one.status & DtcStatus.FAILED_SINCE_CLEAR
+                assert not one.status & DtcStatus.NOT_TESTED_THIS_CYCLE
+            if one.status & DtcStatus.NOT_TESTED_SINCE_CLEAR:
+                assert not one.status & (DtcStatus.TEST_FAILED | DtcStatus.PENDING | DtcStatus.CONFIRMED)
 
     def teardown(self) -> None:
         if hasattr(self, "folder"):

@@ -16,7 +16,7 @@ from clutch_results.records import Condition
 from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.office.watching import Orders, Watch
-from fleet_backend.page.access import Access, Proxy, Role
+from fleet_backend.page.access import Access, Proxy, UserRole
 from fleet_backend.page.fleet import Keeper
 from fleet_backend.page.news import News
 from fleet_backend.page.queries import DatabaseSource
@@ -36,7 +36,7 @@ SECRET = "0123456789abcdef0123456789abcdef"  # noqa: S105
 ACCESS = Access(
     host_names=("127.0.0.1",),
     proxy=Proxy(user_header="X-Forwarded-User", secret_header="X-Fleet-Proxy", secret=SECRET),  # noqa: S106
-    roles={"ann": Role.WORKSHOP, "bob": Role.WORKSHOP, "eve": Role.VIEWER},
+    roles={"ann": UserRole.WORKSHOP, "bob": UserRole.WORKSHOP, "eve": UserRole.VIEWER},
 )
 
 

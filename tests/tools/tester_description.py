@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import tomli_w
 
-from workshop.controller.descriptions import Coding, Datum, ExtendedRecord, Field, not_available
+from workshop.controller.descriptions import Coding, DataIdentifier, DatumField, ExtendedRecord, not_available
 from workshop.controller.services.sessions import COMPLETED, RUNNING, STOPPED
 from workshop.controller.table import DiagnosticTable, shipped_table
 
@@ -52,11 +52,11 @@ def written(table: DiagnosticTable) -> str:
     return _HEAD + tomli_w.dumps({key: value for key, value in described.items() if value != []})
 
 
-def _record(record: Datum | ExtendedRecord) -> dict[str, Any]:
+def _record(record: DataIdentifier | ExtendedRecord) -> dict[str, Any]:
     return {"number": record.number, "name": record.name, "fields": [_field(entry) for entry in record.fields]}
 
 
-def _field(entry: Field) -> dict[str, Any]:
+def _field(entry: DatumField) -> dict[str, Any]:
     is_number = entry.kind in {Coding.UNSIGNED, Coding.SIGNED}
     found: dict[str, Any] = {"name": entry.name, "kind": entry.kind.value, "size_bytes": entry.size_bytes}
     found |= {"unit": entry.unit} if entry.unit else {}

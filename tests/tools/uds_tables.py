@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
-from workshop.controller.descriptions import Access, Coding, Datum, Field
+from workshop.controller.descriptions import AccessRule, Coding, DataIdentifier, DatumField
 from workshop.controller.table import DiagnosticTable, shipped_table
 
 
@@ -41,7 +41,7 @@ def _sessions(numbers: Iterable[int]) -> str:
     return ", ".join(f"{number:02X}" for number in numbers)
 
 
-def _access(access: Access | None) -> str:
+def _access(access: AccessRule | None) -> str:
     if access is None:
         return ""
     level = " or ".join(f"level {number}" for number in access.levels)
@@ -56,11 +56,11 @@ def _data(table: DiagnosticTable) -> str:
     )  # fmt: skip
 
 
-def _layout(datum: Datum) -> str:
+def _layout(datum: DataIdentifier) -> str:
     return "; ".join(map(_field, datum.fields))
 
 
-def _field(entry: Field) -> str:
+def _field(entry: DatumField) -> str:
     if entry.kind in {Coding.TEXT, Coding.BYTES, Coding.FLOAT}:
         return f"{entry.name}: {entry.size_bytes}, {entry.kind}"
     scale = "" if entry.resolution == 1.0 and not entry.unit else f", {entry.resolution:g} {entry.unit}".rstrip()

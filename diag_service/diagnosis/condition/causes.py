@@ -23,7 +23,7 @@ from canlog.arrays import BoolArray, FloatArray
 from clutch_model.calibration import Calibration
 from clutch_results.records import Causes, LikelyCause, Moved
 from clutchdiag_io.people import STDS
-from diag_service.diagnosis.condition.condition import FILLED_COUNT, LOWER, MEASURED, SENSORS, Course, Stretch
+from diag_service.diagnosis.condition.condition import FILLED_COUNT, LOWER, MEASURED, SENSORS, Stretch, VehicleCourse
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT, State
 from diag_service.diagnosis.friction.posterior import Posterior
 
@@ -229,7 +229,7 @@ class CauseJudge:
         return covariance @ (self._precision @ self._type_mean + stretch.vector), covariance
 
     def probabilities(
-        self, course: Course, log_renewed: float = 0.0
+        self, course: VehicleCourse, log_renewed: float = 0.0
     ) -> tuple[dict[tuple[str, int | None], float], Change]:
         """Return how likely each cause is, alone or with another, and what moved.
 
@@ -268,11 +268,11 @@ class CauseJudge:
         Sensors are not accused: a scale that is off from the beginning looks like another friction. Nor is what fits no
         cause: another type is no fault.
         """
-        by_cause, change = self.probabilities(Course(begun=self._type, now=now))
+        by_cause, change = self.probabilities(VehicleCourse(begun=self._type, now=now))
         earlier = {key: share for key, share in by_cause.items() if key[0] not in {*SENSORS, *_FILLED, SOUND, ELSE}}
         return earlier, change
 
-    def judge(self, course: Course) -> Causes:
+    def judge(self, course: VehicleCourse) -> Causes:
         """Return the causes, the likeliest first: of what has changed and, so far as nothing has, of what was there."""
         by_cause, change = self.probabilities(course)
         if by_cause.get(_RENEWED, 0.0) >= LEAST_TOLD:  # only what was aged is renewed

@@ -36,7 +36,7 @@ from diag_service.diagnosis.condition.verdict import (
     Cause,
     Finding,
     Launches,
-    Scatter,
+    RunningScatter,
     Silence,
     advice,
     decide,
@@ -177,7 +177,7 @@ class Stretch:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Course:
+class VehicleCourse:
     """How a vehicle went: its first events, its last, those after the last fill, and what was found."""
 
     begun: Stretch = field(default_factory=Stretch)
@@ -239,12 +239,12 @@ class ConditionMemory:
 
     conditions: tuple[Condition, Condition] = (Condition.NO_VERDICT, Condition.NO_VERDICT)
     grounds: tuple[Cause | None, Cause | None] = (None, None)  # of bad ones
-    scatters: tuple[Scatter | None, Scatter | None] = (None, None)
+    scatters: tuple[RunningScatter | None, RunningScatter | None] = (None, None)
     fits: tuple[Fit, ...] = ()  # of the last shifts, the oldest first
     fluid_since: str | None = None  # fill of the fluid that was last judged, ISO 8601 UTC; None: not known
     linings: tuple[LiningBaseline | None, LiningBaseline | None] = (None, None)  # of the first fluid, over all others
     launches: tuple[Launches, Launches] = (Launches(), Launches())  # with this fluid
-    course: Course = field(default_factory=Course)  # of all that causes are told by
+    course: VehicleCourse = field(default_factory=VehicleCourse)  # of all that causes are told by
     refused: tuple[int, int] = (0, 0)  # of each clutch, since one could be used: sensors contradicted each other
 
     @classmethod
@@ -287,7 +287,7 @@ class ConditionMemory:
             fit = Fit.CONTRADICTS if Reason.NOT_UPDATED in estimate.reasons else Fit.AGREES
         return replace(self, fits=(*self.fits, fit)[-FIT_WINDOW:], refused=refused)
 
-    def with_launch(self, estimate: ShiftEstimate, course: Course | None = None) -> Self:
+    def with_launch(self, estimate: ShiftEstimate, course: VehicleCourse | None = None) -> Self:
         """Return the memory after an event, which is of interest if it was a launch, and with the course after it."""
         launches = self.launches
         if estimate.kind is EventKind.LAUNCH:
@@ -329,7 +329,7 @@ class ConditionMemory:
             return self
         if not before.shift_counts[index]:
             return self
-        known = self.scatters[index] or Scatter.begun(alone)
+        known = self.scatters[index] or RunningScatter.begun(alone)
         scatter = known.with_shift(alone, both_frictions(before, estimate.clutch)[0])
         return replace(self, scatters=with_clutch(self.scatters, estimate.clutch, scatter))
 

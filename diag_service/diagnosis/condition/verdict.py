@@ -2,9 +2,9 @@
 
 `Launches` are a witness for the sign of the slope that needs no torque: friction that falls with the slip lets a soft
 driveline swing as a clutch sticks. A launch without it says nothing: with little load worn fluid does not swing either.
-`Scatter` is measured, not stated: how far single shifts of a clutch lie from the running estimate. `advice` is one
-plain sentence for a workshop. It holds no order: both clutches slip in one oil, so `fleet_contract.orders` makes one
-order of what both of them say.
+`RunningScatter` is measured, not stated: how far single shifts of a clutch lie from the running estimate. `advice` is
+one plain sentence for a workshop. It holds no order: both clutches slip in one oil, so `fleet_contract.orders` makes
+one order of what both of them say.
 """
 
 from collections.abc import Mapping
@@ -195,7 +195,7 @@ CLIP_STD = 3.0  # a shift farther away counts as if it were so far; takes 0.5 % 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scatter:
+class RunningScatter:
     """Running variances of single shifts about the running estimate, recursive and with outliers clipped."""
 
     variance_mu_c: float

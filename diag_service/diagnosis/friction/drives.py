@@ -28,7 +28,7 @@ MIN_REST_S = 1.0  # of the engine with both packs open: what is shorter tells th
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Piece:
+class RowRange:
     """Grid rows ``first <= row < stop``."""
 
     first: int
@@ -40,13 +40,13 @@ class Piece:
 class SlipWindow:
     """Pieces of an event in which every clutch that carries torque slips, and of a rest before it, in order of time."""
 
-    pieces: tuple[Piece, ...]
-    slipping: tuple[Piece, ...]  # without the rest
+    pieces: tuple[RowRange, ...]
+    slipping: tuple[RowRange, ...]  # without the rest
     rows: slice  # from the first to the last one, with what lies between the pieces
     slip_rows: slice  # from the first to the last one in which a clutch slips under load
 
     @classmethod
-    def of(cls, pieces: tuple[Piece, ...]) -> "SlipWindow":
+    def of(cls, pieces: tuple[RowRange, ...]) -> "SlipWindow":
         """Return a window of some pieces, of which one at least slips."""
         slipping = tuple(piece for piece in pieces if not piece.is_rest)
         return cls(
@@ -59,7 +59,7 @@ class SlipWindow:
     @classmethod
     def between(cls, first: int, stop: int) -> "SlipWindow":
         """Return a window of one piece."""
-        return cls.of((Piece(first=first, stop=stop),))
+        return cls.of((RowRange(first=first, stop=stop),))
 
 
 def find_window(
@@ -92,7 +92,7 @@ def find_window(
     stretches = [(first + fade, stop) for first, stop in _stretches(is_told) if stop - first >= fade + least]
     pieces = [piece for first, stop in stretches for piece in _pieces(first, stop, round(MAX_PIECE_S / step_s))]
     rests = [rest for rest in _stretches(is_rest) if rest[1] - rest[0] >= round(MIN_REST_S / step_s)]
-    rest = [Piece(first=first, stop=stop, is_rest=True) for first, stop in rests[-1:]]
+    rest = [RowRange(first=first, stop=stop, is_rest=True) for first, stop in rests[-1:]]
     return SlipWindow.of((*rest, *pieces)) if pieces else None
 
 
@@ -114,11 +114,11 @@ def _stretches(is_told: BoolArray) -> list[list[int]]:
     return stretches
 
 
-def _pieces(first: int, stop: int, longest: int) -> list[Piece]:
+def _pieces(first: int, stop: int, longest: int) -> list[RowRange]:
     """Return a stretch in equal parts, none longer than ``longest`` rows."""
     count = -(-(stop - first) // longest)
     edges = np.linspace(first, stop, count + 1).round().astype(int).tolist()
-    return [Piece(first=begin, stop=end) for begin, end in pairwise(edges)]
+    return [RowRange(first=begin, stop=end) for begin, end in pairwise(edges)]
 
 
 def loaded_clutch(window: SlipWindow, slip_rad_s: FloatArray, over_touch_pa: FloatArray) -> int:
@@ -132,7 +132,7 @@ Span = tuple[float, float]
 """First and last instant of a piece [s] after the start of its event."""
 
 
-def spans_of(pieces: Sequence[Piece], grid_s: FloatArray) -> tuple[Span, ...]:
+def spans_of(pieces: Sequence[RowRange], grid_s: FloatArray) -> tuple[Span, ...]:
     """Return when pieces begin and end."""
     return tuple((float(grid_s[piece.first]), float(grid_s[piece.stop - 1])) for piece in pieces)
 
@@ -143,7 +143,7 @@ def on_other_grid(window: SlipWindow, grid_s: FloatArray, other_s: FloatArray) -
     pairs = zip(window.pieces, edges, strict=True)
     return SlipWindow.of(
         tuple(
-            Piece(first=first, stop=min(last + 1, len(other_s)), is_rest=piece.is_rest)
+            RowRange(first=first, stop=min(last + 1, len(other_s)), is_rest=piece.is_rest)
             for piece, (first, last) in pairs
         )
     )

@@ -10,7 +10,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, TorqueSource, clutch_of_gear
 from clutch_model.errors import CalibrationError
 from clutch_results.records import FrictionSlope, Reason, Revision, ShiftEstimate, Status
-from diag_service.diagnosis.alignment import NS_TO_S, Samples, aligned
+from diag_service.diagnosis.alignment import NS_TO_S, EventSamples, aligned
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import (
@@ -142,7 +142,7 @@ class NotLinearised(NamedTuple):
 
 
 def linearise(  # noqa: PLR0911 - each stage may find that it ends there
-    samples: Samples,
+    samples: EventSamples,
     calibration: Calibration,
     packs: PackTemperatures | None,
     at: FloatArray,
@@ -236,7 +236,7 @@ class Estimator:
         self._type = Posterior.fresh(calibration).base
 
     def estimate(
-        self, event: Event, samples: Samples | Reason, state: Posterior, against: tuple[Reason, ...] = ()
+        self, event: Event, samples: EventSamples | Reason, state: Posterior, against: tuple[Reason, ...] = ()
     ) -> tuple[Posterior, ShiftEstimate]:
         """Return what is known after a shift, and what the shift alone says about the on-coming clutch.
 
@@ -325,7 +325,7 @@ class Estimator:
         return Knowledge(mean=mean, covariance=covariance)
 
     def _linearised_at_posterior(
-        self, samples: Samples, state: Posterior, first: Linearisation, before: Knowledge, type_: Knowledge
+        self, samples: EventSamples, state: Posterior, first: Linearisation, before: Knowledge, type_: Knowledge
     ) -> tuple[Linearisation, Posterior, Posterior] | None:
         """Return the event linearised where it and all that is believed meet, what is known without it, and with it.
 

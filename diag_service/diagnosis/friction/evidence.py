@@ -483,7 +483,7 @@ STATED_COUNT: Final = 5.0  # numbers that are as far apart as was stated, before
 SCATTER_KEPT: Final = 0.99  # of what an event says of it after each later one: some hundred count
 
 
-class Scatter(NamedTuple):
+class EventScatter(NamedTuple):
     """By how much the friction of single events is apart; docs/model.md, equation (38)."""
 
     apart: float = 0.0  # chi-square that events would save, older ones faded, had each a friction of its own
@@ -494,14 +494,16 @@ class Scatter(NamedTuple):
         """Of the variance that events are granted."""
         return (STATED_COUNT + self.apart) / (STATED_COUNT + self.by_chance)
 
-    def with_event(self, known: Knowledge, event: JudgedEvent) -> "Scatter":
+    def with_event(self, known: Knowledge, event: JudgedEvent) -> "EventScatter":
         """Return it after an event which is part of what is known."""
         apart, _, by_chance = step_since(known, event.evidence, event.clutch)
         if by_chance < LEAST_BY_CHANCE:
             return self
         if event.is_off_like_others:
             apart = max(apart, by_chance)
-        return Scatter(SCATTER_KEPT * self.apart + min(apart, MOST_APART), SCATTER_KEPT * self.by_chance + by_chance)
+        return EventScatter(
+            SCATTER_KEPT * self.apart + min(apart, MOST_APART), SCATTER_KEPT * self.by_chance + by_chance
+        )
 
 
 class Judgement(NamedTuple):

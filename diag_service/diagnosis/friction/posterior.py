@@ -26,12 +26,12 @@ from diag_service.diagnosis.friction.evidence import (
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
+    EventScatter,
     Evidence,
     Fusion,
     JudgedEvent,
     Knowledge,
     Prior,
-    Scatter,
     State,
     after_change,
     fuse,
@@ -152,7 +152,7 @@ class Posterior:
         whole = self.fusion.knowledge.covariance
         if not self.apart_by_chance:
             return whole
-        return self.prior.stated(whole, Scatter(self.apart, self.apart_by_chance).ratio)
+        return self.prior.stated(whole, EventScatter(self.apart, self.apart_by_chance).ratio)
 
     def without(self, place: int) -> Knowledge:
         """Return what is known without one of the recent events."""
@@ -190,7 +190,7 @@ class Posterior:
             state = state if is_sure else _judged(state)
         if not state.is_used or not state.is_used[-1]:
             return state
-        scatter = Scatter(self.apart, self.apart_by_chance).with_event(state.fusion.knowledge, event)
+        scatter = EventScatter(self.apart, self.apart_by_chance).with_event(state.fusion.knowledge, event)
         return replace(state, apart=scatter.apart, apart_by_chance=scatter.by_chance)
 
     def with_oldest_folded(self) -> "Posterior":

@@ -38,12 +38,12 @@ from diag_service.diagnosis.friction.evidence import (
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
+    EventScatter,
     Evidence,
     JudgedEvent,
     Knowledge,
     Measurement,
     Prior,
-    Scatter,
     State,
     displaced,
     open_drag_ratio,
@@ -316,9 +316,9 @@ def _share(step: FloatArray, spread: FloatArray) -> float:
     return LONGEST_STEP / max(longest, LONGEST_STEP)
 
 
-def _scatter(known: Knowledge, used: Sequence[_Linearised]) -> Scatter:
+def _scatter(known: Knowledge, used: Sequence[_Linearised]) -> EventScatter:
     """Return by how much the friction of the shifts is apart."""
-    scatter = Scatter()
+    scatter = EventScatter()
     for linearised in used:
         if linearised.clutch:
             event = JudgedEvent(

@@ -19,13 +19,13 @@ from diag_service.diagnosis.lockup.state import (
     MISFIT_RATIO,
     MOST_SLIP_RAD_S,
     MOST_SLIP_RATE_RAD_S2,
+    LockupSamples,
     LockupState,
-    Samples,
     cut,
     is_slipping,
     samples_of,
 )
-from diag_service.diagnosis.shifts.tracking import Bounds, EventFinder, History, held_values
+from diag_service.diagnosis.shifts.tracking import Bounds, EventFinder, SampleHistory, held_values
 
 BAND_HZ: Final = (5.0, 20.0)
 STEP_S: Final = 0.01
@@ -40,7 +40,7 @@ ORDER_HZ: Final = 1.0
 ENGINE_SHARE: Final = 0.6  # engine's swing over the turbine's: it has several times the inertia, so it swings less
 
 
-def shudder(samples: Samples, calibration: Calibration) -> Shudder | None:
+def shudder(samples: LockupSamples, calibration: Calibration) -> Shudder | None:
     """Return what swings in a stretch; None where signals are too slow, or the clutch never slips for long enough."""
     at_s = (samples.t_ns - samples.t_ns[0]) / NS_PER_S
     if float(np.median(np.diff(at_s))) > SLOWEST_S:
@@ -109,7 +109,7 @@ LONGEST_S: Final = 300.0  # of a stretch, and of what is kept in memory
 CHANGED_COUNT: Final = 3  # stretches in a row that contradict: the clutch or its fluid is another
 
 
-class SlipTracker:
+class StretchFinder:
     """Finds stretches in whole seconds of bus time, each by its own samples alone, however the stream is cut."""
 
     def __init__(self, calibration: Calibration) -> None:
@@ -121,7 +121,7 @@ class SlipTracker:
         self._next_ns = 0
         self._slip_s = 0.0
 
-    def track(self, history: History, until_ns: int) -> list[Bounds]:
+    def track(self, history: SampleHistory, until_ns: int) -> list[Bounds]:
         if self.open_ns is None:
             ahead = history.ahead(Signal.ENGINE_SPEED, until_ns).t_ns
             if not len(ahead):
@@ -138,20 +138,20 @@ class SlipTracker:
             self._next_ns += NS_PER_S
         return ended
 
-    def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
+    def interrupt(self, history: SampleHistory, now_ns: int) -> list[Bounds]:
         """End the stretch, whose slip counts however long it lasted, and forget everything."""
         ended = [] if self.open_ns is None else self._ended(history, now_ns)
         self._forget()
         return ended
 
-    def _ended(self, history: History, end_ns: int) -> list[Bounds]:
+    def _ended(self, history: SampleHistory, end_ns: int) -> list[Bounds]:
         if self._slip_s < LEAST_SLIP_S or self.open_ns is None:
             return []
         gears = history.samples(Signal.CURRENT_GEAR, self.open_ns, end_ns).value
         gear = max(int(gears[-1]), 0) if len(gears) else 0
         return [Bounds(gear, gear, self.open_ns, end_ns, EndReason.COMPLETE, EventKind.MICRO_SLIP)]
 
-    def _slipped_s(self, history: History, start_ns: int, stop_ns: int) -> float:
+    def _slipped_s(self, history: SampleHistory, start_ns: int, stop_ns: int) -> float:
         """Return for how much of a second the clutch slipped while it carried."""
         engine, turbine, pressure = (
             history.samples(signal, start_ns, stop_ns)
@@ -168,7 +168,7 @@ class SlipFinder(EventFinder):
     """Finds the stretches of a drive in which the lock-up clutch slips."""
 
     def __init__(self, calibration: Calibration) -> None:
-        super().__init__(SlipTracker(calibration), 0, 0)
+        super().__init__(StretchFinder(calibration), 0, 0)
 
     @property
     def is_expecting(self) -> bool:

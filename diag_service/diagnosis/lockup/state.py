@@ -49,7 +49,7 @@ class Kind(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Samples:
+class LockupSamples:
     """Signals at the times of the engine speed's samples, shape (n,) each."""
 
     t_ns: Int64Array
@@ -81,7 +81,7 @@ class Blocks:
         return float(np.count_nonzero(self.kind == Kind.SLIPPING)) * BLOCK_NS / NS_PER_S
 
 
-def samples_of(columns: Columns) -> Samples | None:
+def samples_of(columns: Columns) -> LockupSamples | None:
     """Return the signals at common times; None where one of them is missing."""
     if any(signal not in columns or len(columns[signal].t_ns) < LEAST_SAMPLES for signal in LOCKUP_SIGNALS):
         return None
@@ -104,7 +104,7 @@ def samples_of(columns: Columns) -> Samples | None:
 
     sump = columns.get(Signal.SUMP_TEMPERATURE)
     is_told = sump is not None and len(sump.t_ns) > 0  # a message may stop amid a drive
-    return Samples(
+    return LockupSamples(
         t_ns=speed.t_ns,
         engine_rad_s=speed.value,
         turbine_rad_s=there(Signal.TURBINE_SPEED),
@@ -130,7 +130,7 @@ def weight_at_40_rpm(calibration: Calibration) -> float:
     return float(stribeck_weights(np.array(MICRO_SLIP_RAD_S), law))
 
 
-def cut(samples: Samples, calibration: Calibration, converter: Converter) -> Blocks:
+def cut(samples: LockupSamples, calibration: Calibration, converter: Converter) -> Blocks:
     """Return the blocks of a stretch in which the clutch is open or slips, and nothing changes quickly."""
     clutch = calibration.clutches[0]
     law, reference = friction_law(clutch.friction), clutch.friction
@@ -234,7 +234,7 @@ CONTRADICTION: Final = 9.2  # squared distance of two numbers: 1 % by chance, th
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Baseline:
+class LockupBaseline:
     """Friction at 40 rpm, and mu_C - mu_S, as first known well; scale-free."""
 
     mean: FloatArray  # (2,)
@@ -254,7 +254,7 @@ class LockupState:
     shift_count: int = 0
     slip_s: float = 0.0
     contradiction_count: int = 0  # in a row
-    baseline: Baseline | None = None
+    baseline: LockupBaseline | None = None
     calibration: Calibration = field(compare=False)
 
     @classmethod
@@ -366,7 +366,7 @@ class LockupState:
         if self.baseline is not None or self.shift_count < BASELINE_COUNT:
             return self
         rows = slice(0, FRICTION_COUNT)
-        now = Baseline(
+        now = LockupBaseline(
             mean=self.mean[rows], variance=self.covariance[rows, rows], end_ns=end_ns, count=self.shift_count
         )
         return replace(self, baseline=now)
@@ -505,4 +505,4 @@ class _Stored:
     shift_count: int
     slip_s: float
     contradiction_count: int
-    baseline: Baseline | None
+    baseline: LockupBaseline | None

@@ -16,7 +16,7 @@ from canlog.frames import BEFORE_ALL_NS
 from clutch_model.calibration import clutch_of_gear
 from clutch_results.event_kinds import EndReason, EventKind
 from diag_service.diagnosis.columns import GearRatios, Signal
-from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, HeldSignals, History, Tracker, held_values
+from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, HeldSignals, SampleHistory, Tracker, held_values
 
 MAX_SHIFT_NS = 5 * NS_PER_S  # a production shift takes about one second
 MAX_LAUNCH_NS = 15 * NS_PER_S  # three seconds, on a hill with a trailer ten
@@ -87,7 +87,7 @@ class LaunchTracker:
         is_on = self._slowest is not None and self._now_ns <= self._slowest[0] + MAX_LAUNCH_NS
         return self._slowest[0] if is_on and self._slowest is not None else None
 
-    def track(self, history: History, until_ns: int) -> list[Bounds]:
+    def track(self, history: SampleHistory, until_ns: int) -> list[Bounds]:
         t_ns, values = self._held.ahead(history, until_ns)
         self._now_ns = until_ns
         gears, engine_rad_s = gears_of_ratio(values, self._gears), values[Signal.ENGINE_SPEED]
@@ -107,7 +107,7 @@ class LaunchTracker:
                     self._slowest = int(t_ns[place]), float(engine_rad_s[place]), float(over[place])
         return [*ended, *self._end_if_due(until_ns)]
 
-    def interrupt(self, _: History, now_ns: int) -> list[Bounds]:
+    def interrupt(self, _: SampleHistory, now_ns: int) -> list[Bounds]:
         """Forget the stretch; what has not locked is no launch."""
         ended = self._end_if_due(now_ns)
         self._forget()
@@ -153,7 +153,7 @@ class EngagedTracker:
         """When the last gear was left, if it was."""
         return self._left_ns
 
-    def track(self, history: History, until_ns: int) -> list[Bounds]:
+    def track(self, history: SampleHistory, until_ns: int) -> list[Bounds]:
         t_ns, values = self._held.ahead(history, until_ns)
         gears = self._gears_of(values)
         ended: list[Bounds] = []
@@ -161,7 +161,7 @@ class EngagedTracker:
             ended += self._step(int(t_ns[row]), int(gears[row]))
         return [*ended, *self._end_if_due(until_ns)]
 
-    def interrupt(self, _: History, now_ns: int) -> list[Bounds]:
+    def interrupt(self, _: SampleHistory, now_ns: int) -> list[Bounds]:
         """Forget the stretch; what it left open is no shift that is known."""
         ended = self._end_if_due(now_ns)
         self._forget()
@@ -209,7 +209,7 @@ class GearPairTracker:
     def open_ns(self) -> int | None:
         return self._lone.open_ns if self._open is None else self._open.start_ns
 
-    def track(self, history: History, until_ns: int) -> list[Bounds]:
+    def track(self, history: SampleHistory, until_ns: int) -> list[Bounds]:
         ended: list[Bounds] = []
         if not self._has_target:
             target_ns = history.ahead(Signal.TARGET_GEAR, until_ns).t_ns
@@ -221,12 +221,12 @@ class GearPairTracker:
             ended += self._walk(history, until_ns)
         return [*ended, *self._end_overdue(until_ns)]
 
-    def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
+    def interrupt(self, history: SampleHistory, now_ns: int) -> list[Bounds]:
         ended = [*self._lone.interrupt(history, now_ns), *self._end(now_ns, EndReason.INTERRUPTED)]
         self._forget()
         return ended
 
-    def _walk(self, history: History, until_ns: int) -> list[Bounds]:
+    def _walk(self, history: SampleHistory, until_ns: int) -> list[Bounds]:
         """Step through the pairs that differ from the ones before."""
         current, target = (history.ahead(signal, until_ns) for signal in _GEAR_PAIR)
         t_ns = np.union1d(current.t_ns, target.t_ns)
@@ -296,7 +296,7 @@ class TargetTracker:
     def open_ns(self) -> int | None:
         return None if self._open is None else self._open.start_ns
 
-    def track(self, history: History, until_ns: int) -> list[Bounds]:
+    def track(self, history: SampleHistory, until_ns: int) -> list[Bounds]:
         t_ns, values = self._held.ahead(history, until_ns)
         target = _gears(values[Signal.TARGET_GEAR])
         engine_rad_s = values[Signal.ENGINE_SPEED]
@@ -315,7 +315,7 @@ class TargetTracker:
                 self._open = None  # nothing drove: the gear is chosen for the launch to come
         return [*ended, *self._end_if_due(until_ns)]
 
-    def interrupt(self, _: History, now_ns: int) -> list[Bounds]:
+    def interrupt(self, _: SampleHistory, now_ns: int) -> list[Bounds]:
         ended = self._end_if_due(now_ns)
         if self._open is not None:
             ended.append(replace(self._open, end_ns=now_ns))

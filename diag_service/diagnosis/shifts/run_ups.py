@@ -9,7 +9,7 @@ from canlog.arrays import Int64Array
 from clutch_model.calibration import Calibration, both_clutches
 from clutch_results.event_kinds import EndReason, EventKind
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, EventFinder, History, held_values
+from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, EventFinder, SampleHistory, held_values
 
 MARGIN_NS: Final = NS_PER_S // 5  # around a run-up: what sensor latencies and the crank segment reach back from
 MAX_RUN_UP_NS: Final = 10 * NS_PER_S
@@ -70,7 +70,7 @@ class RunUpTracker:
     def open_ns(self) -> int | None:
         return None if self._open is None else self._open.start_ns
 
-    def track(self, history: History, until_ns: int) -> list[Bounds]:
+    def track(self, history: SampleHistory, until_ns: int) -> list[Bounds]:
         speed = history.ahead(Signal.ENGINE_SPEED, until_ns)
         is_neutral = np.ones(len(speed.t_ns), np.bool_)
         for signal in _GEARS:
@@ -83,12 +83,12 @@ class RunUpTracker:
         self._regime = int(regimes[-1])
         return [*ended, *self._end_overdue(history, until_ns)]
 
-    def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
+    def interrupt(self, history: SampleHistory, now_ns: int) -> list[Bounds]:
         ended = self._end(history, now_ns, EndReason.INTERRUPTED)
         self._forget()
         return ended
 
-    def _held_gear(self, signal: Signal, t_ns: Int64Array, history: History, until_ns: int) -> Int64Array:
+    def _held_gear(self, signal: Signal, t_ns: Int64Array, history: SampleHistory, until_ns: int) -> Int64Array:
         """Return the gear in force at each time, and remember the last one."""
         series = history.ahead(signal, until_ns)
         gears = held_values(series, t_ns, self._gears[signal]).astype(np.int64)
@@ -96,7 +96,7 @@ class RunUpTracker:
             self._gears[signal] = int(series.value[-1])
         return gears
 
-    def _step(self, history: History, t_ns: int, before: int, regime: int) -> list[Bounds]:
+    def _step(self, history: SampleHistory, t_ns: int, before: int, regime: int) -> list[Bounds]:
         ended = self._end_overdue(history, t_ns)
         if self._open is None:
             if before == _LOW and regime > _LOW:
@@ -109,12 +109,12 @@ class RunUpTracker:
             ended += self._end(history, t_ns, EndReason.ABANDONED)
         return ended
 
-    def _end_overdue(self, history: History, now_ns: int) -> list[Bounds]:
+    def _end_overdue(self, history: SampleHistory, now_ns: int) -> list[Bounds]:
         if self._open is None or now_ns <= self._open.start_ns + MAX_RUN_UP_NS:
             return []
         return self._end(history, self._open.start_ns + MAX_RUN_UP_NS, EndReason.TOO_LONG)
 
-    def _end(self, history: History, end_ns: int, reason: EndReason) -> list[Bounds]:
+    def _end(self, history: SampleHistory, end_ns: int, reason: EndReason) -> list[Bounds]:
         """End the open run-up; return it if the engine was fast and the clutches both open or both closed."""
         ended, self._open = self._open, None
         if ended is None or not ended.is_high:
@@ -122,7 +122,7 @@ class RunUpTracker:
         kind = self._kind(history, ended.start_ns, end_ns)
         return [] if kind is None else [Bounds(0, 0, ended.start_ns, end_ns, reason, kind)]
 
-    def _kind(self, history: History, start_ns: int, end_ns: int) -> EventKind | None:
+    def _kind(self, history: SampleHistory, start_ns: int, end_ns: int) -> EventKind | None:
         pressures = [history.samples(signal, start_ns, end_ns + 1).value for signal in _PRESSURES]
         if not all(len(pressure_pa) for pressure_pa in pressures):
             return None

@@ -21,7 +21,7 @@ from clutch_model.calibration import Calibration, clutch_of_gear
 from clutch_results.event_kinds import EndReason, EventKind
 from diag_service.diagnosis.columns import DriveState, EngineState, GearRatios, Signal
 from diag_service.diagnosis.shifts.gear_tracking import ROLLING_RATIO, GearPairTracker, LaunchTracker, tracker_for
-from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, EventFinder, History, Tracker, held_values
+from diag_service.diagnosis.shifts.tracking import NS_PER_S, Bounds, EventFinder, SampleHistory, Tracker, held_values
 
 SLIP_RAD_S: Final = 5.0  # 50 rpm: beyond it a clutch slips, whatever two controllers' speeds differ by
 ROWS_APART: Final = 2.0  # times what a speed changed from row to row lately: it may change faster until the next one
@@ -116,7 +116,7 @@ class SlipTracker:
         self._doing = np.full((_STATE_SIZE, 1), _NOTHING_YET)
         self._rows = np.empty((1 + _LOADS_ROW, 0))  # engine and shafts, in the last rows of a table
 
-    def track(self, history: History, until_ns: int) -> list[GripChange]:
+    def track(self, history: SampleHistory, until_ns: int) -> list[GripChange]:
         engine = history.ahead(self._signals.engine, until_ns)
         held = np.empty((len(self._held), len(engine.t_ns)))
         for row, signal in enumerate(self._held):
@@ -128,7 +128,7 @@ class SlipTracker:
             self._forgive_rows(history, engine, held, until_ns)
         return self._changes(engine.t_ns, engine.value, held)
 
-    def _forgive_rows(self, history: History, engine: Series, held: FloatArray, until_ns: int) -> None:
+    def _forgive_rows(self, history: SampleHistory, engine: Series, held: FloatArray, until_ns: int) -> None:
         """Take for locked what the columns of a table, asked one after the other, may be apart within a row."""
         others = [history.ahead(signal, until_ns) for signal in (self._signals.shafts[0], self._signals.loads[0])]
         rows = np.hstack([self._rows, np.vstack([engine.value, held[:_LOADS_ROW]])])
@@ -204,7 +204,7 @@ RECENT_NS: Final = NS_PER_S // 10  # before the change: torque is its mean, peda
 _SKIPPED: Final = 2  # gears down at once
 
 
-def kind_of_change(history: History, bounds: Bounds) -> EventKind:
+def kind_of_change(history: SampleHistory, bounds: Bounds) -> EventKind:
     """Return the kind of a change of gears; a plain shift where neither torque nor pedal is known."""
     pedal_ratio = _latest(history, Signal.PEDAL, bounds.start_ns)
     torque_nm = _torque_nm(history, bounds.start_ns)
@@ -234,7 +234,7 @@ def _is_asked(pedal_ratio: float | None, torque_nm: float | None, *, is_lifting:
     return is_pulling and pedal_ratio > PEDAL_RATIO and not is_lifting  # torque outlasts the foot for a moment
 
 
-def _torque_nm(history: History, start_ns: int) -> float | None:
+def _torque_nm(history: SampleHistory, start_ns: int) -> float | None:
     """Return the engine's torque just before a change; none while its fuel is cut."""
     if _latest(history, Signal.ENGINE_STATE, start_ns) == EngineState.FUEL_CUT:
         return 0.0
@@ -242,7 +242,7 @@ def _torque_nm(history: History, start_ns: int) -> float | None:
     return float(np.mean(recent)) if len(recent) else None
 
 
-def _latest(history: History, signal: Signal, t_ns: int) -> float | None:
+def _latest(history: SampleHistory, signal: Signal, t_ns: int) -> float | None:
     """Return the value of a signal at a time, as far back as is certain to be kept."""
     recent = history.samples(signal, t_ns - NS_PER_S // 2, t_ns + 1).value
     return float(recent[-1]) if len(recent) else None
@@ -301,14 +301,14 @@ class EventTracker:
             starts.append(self._gears.open_ns)
         return min(starts, default=None)
 
-    def track(self, history: History, until_ns: int) -> list[Bounds]:
+    def track(self, history: SampleHistory, until_ns: int) -> list[Bounds]:
         self._changes += self._gears.track(history, until_ns)
         if self._slip_tracker is not None:
             self._grips += self._slip_tracker.track(history, until_ns)
         open_ns = self._gears.open_ns
         return self._walk(history, until_ns if open_ns is None else min(until_ns, open_ns))
 
-    def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
+    def interrupt(self, history: SampleHistory, now_ns: int) -> list[Bounds]:
         self._changes += self._gears.interrupt(history, now_ns)
         ended = self._walk(history, now_ns + 1)
         ended += self._end_tail(history)
@@ -318,7 +318,7 @@ class EventTracker:
         self._forget()
         return ended
 
-    def _walk(self, history: History, until_ns: int) -> list[Bounds]:
+    def _walk(self, history: SampleHistory, until_ns: int) -> list[Bounds]:
         """Go through beginnings and ends of changes and of slip in the order of time, up to what is known."""
         ended: list[Bounds] = []
         while True:
@@ -373,7 +373,7 @@ class EventTracker:
             self._slip = replace(self._slip, end_ns=change.t_ns, is_closed=change.gear_grip is Grip.LOCKED)
         return []
 
-    def _enter(self, history: History, bounds: Bounds) -> list[Bounds]:
+    def _enter(self, history: SampleHistory, bounds: Bounds) -> list[Bounds]:
         """Begin a change of gears; what was open before ends here."""
         ended = self._end_tail(history)
         if self._slip is not None and bounds.start_ns - self._slip.start_ns >= PRELUDE_NS:
@@ -393,7 +393,7 @@ class EventTracker:
             self._tail = _Change(replace(self._inside, kind=kind), is_slipping)
             self._inside = None
 
-    def _due(self, history: History, now_ns: int) -> list[Bounds]:
+    def _due(self, history: SampleHistory, now_ns: int) -> list[Bounds]:
         """Return what has ended for good by now."""
         tail, slip = self._tail, self._slip
         if tail is not None:
@@ -439,7 +439,7 @@ class EventTracker:
         kind = EventKind.LAUNCH if is_locked and slip.kind is EventKind.CREEP else slip.kind
         return [Bounds(slip.gear, slip.gear, slip.start_ns, end_ns, reason, kind)]
 
-    def _end_tail(self, history: History) -> list[Bounds]:
+    def _end_tail(self, history: SampleHistory) -> list[Bounds]:
         """Return the change of gears that is over, to the end of its slip if that has ended."""
         tail, self._tail = self._tail, None
         if tail is None:
@@ -447,7 +447,7 @@ class EventTracker:
         end_ns = tail.bounds.end_ns if tail.closed_ns is None else tail.closed_ns
         return [self._named(history, replace(tail.bounds, end_ns=end_ns))]
 
-    def _named(self, history: History, bounds: Bounds) -> Bounds:
+    def _named(self, history: SampleHistory, bounds: Bounds) -> Bounds:
         """Return a change of gears with its kind."""
         if bounds.kind is EventKind.REGEAR:
             return bounds
@@ -467,10 +467,10 @@ class SideBySide:
     def open_ns(self) -> int | None:
         return min((tracker.open_ns for tracker in self._both if tracker.open_ns is not None), default=None)
 
-    def track(self, history: History, until_ns: int) -> list[Bounds]:
+    def track(self, history: SampleHistory, until_ns: int) -> list[Bounds]:
         return sorted((bounds for tracker in self._both for bounds in tracker.track(history, until_ns)), key=_END_NS)
 
-    def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
+    def interrupt(self, history: SampleHistory, now_ns: int) -> list[Bounds]:
         return sorted((bounds for tracker in self._both for bounds in tracker.interrupt(history, now_ns)), key=_END_NS)
 
 

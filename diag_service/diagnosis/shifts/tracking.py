@@ -110,7 +110,7 @@ class SampleRings:
 _NO_SAMPLES: Final = Series(t_ns=np.empty(0, np.int64), sequence=np.empty(0, np.int64), value=np.empty(0))
 
 
-class History:
+class SampleHistory:
     """The recent samples of all signals, the times of bad frames and the states of messages, until they are dropped."""
 
     def __init__(self) -> None:
@@ -210,10 +210,10 @@ class Bounds:
 class Tracker(Protocol):
     """Finds where events begin and end, in steps of any size."""
 
-    def track(self, history: History, until_ns: int) -> list[Bounds]:
+    def track(self, history: SampleHistory, until_ns: int) -> list[Bounds]:
         """Walk the samples ahead with ``t < until_ns``; return the events that ended."""
 
-    def interrupt(self, history: History, now_ns: int) -> list[Bounds]:
+    def interrupt(self, history: SampleHistory, now_ns: int) -> list[Bounds]:
         """End the stretch: return the event that is open, as interrupted, and forget everything."""
 
     @property
@@ -235,7 +235,7 @@ class EventFinder:
         self._rest_ns = max(rest_ns, before_ns)
         self._end_ns = BEFORE_ALL_NS  # of the event before
         self._after_ns = after_ns
-        self._history = History()
+        self._history = SampleHistory()
         self._closed: list[Bounds] = []
         self._event_count = 0
 
@@ -305,7 +305,7 @@ class HeldSignals:
     def __init__(self, signals: tuple[Signal, ...]) -> None:
         self._last = dict.fromkeys(signals, np.nan)
 
-    def ahead(self, history: History, until_ns: int) -> tuple[Int64Array, Mapping[Signal, FloatArray]]:
+    def ahead(self, history: SampleHistory, until_ns: int) -> tuple[Int64Array, Mapping[Signal, FloatArray]]:
         """Return times and values of what has not been walked yet, shape (n,) each."""
         series = {signal: history.ahead(signal, until_ns) for signal in self._last}
         t_ns = reduce(np.union1d, (samples.t_ns for samples in series.values()), _NEVER)

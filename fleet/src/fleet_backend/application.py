@@ -18,14 +18,14 @@ from sqlalchemy.exc import SQLAlchemyError
 from clutchdiag_io.files import give_sign, make_sign
 from clutchdiag_io.metrics import counter, gauge
 from fleet_backend.choices import Pace, Quotas
-from fleet_backend.config import Place
+from fleet_backend.config import ServerAddress
 from fleet_backend.database import place_of
-from fleet_backend.errors import ConfigError
+from fleet_backend.errors import BackendConfigError
 from fleet_backend.ingest import BrokerInbox, Worker, connected, filters_of, until_it_answers
 from fleet_backend.intake import MessageKind
 from fleet_backend.migrate import make_ready
 from fleet_backend.programs import shown_at, until_stopped
-from fleet_backend.quotas import Gate
+from fleet_backend.quotas import QuotaGate
 from fleet_backend.writer import Writer
 from fleet_link import BrokerAddress
 
@@ -38,7 +38,7 @@ def prepare(path: Path) -> None:
     try:
         make_sign(path)
     except OSError as exc:
-        raise ConfigError(f"cannot touch {path}: {exc.strerror}") from exc
+        raise BackendConfigError(f"cannot touch {path}: {exc.strerror}") from exc
 
 
 async def give_signs(path: Path, worker: Worker, engine: Engine, period_s: float = PERIOD_S) -> None:
@@ -75,7 +75,7 @@ def run_ingest(
     *,
     group: str,
     quotas: Quotas,
-    metrics: Place | None = None,
+    metrics: ServerAddress | None = None,
 ) -> None:
     """Ingest until SIGINT or SIGTERM; while all is well, touch the file ``alive``.
 
@@ -96,7 +96,7 @@ def run_ingest(
     def connect() -> AbstractAsyncContextManager[BrokerInbox]:
         return connected(address, filters_of(group), max_unsettled=pace.max_unsettled)
 
-    gate = Gate(engine, quotas)
+    gate = QuotaGate(engine, quotas)
     worker = Worker(connect, Writer(engine), name=own_name, now=partial(datetime.now, UTC), pace=pace, judge=gate.judge)
     if address.exposure:
         _LOG.warning("%s", address.exposure)
@@ -104,7 +104,7 @@ def run_ingest(
         asyncio.run(_ingest(engine, worker, gate, f"{own_name}: {address} into {place_of(engine)}", alive))
 
 
-async def _ingest(engine: Engine, worker: Worker, gate: Gate, title: str, alive: Path | None) -> None:
+async def _ingest(engine: Engine, worker: Worker, gate: QuotaGate, title: str, alive: Path | None) -> None:
     try:
         await until_stopped(_work(engine, worker, gate, title, alive))
     except ExceptionGroup as exc:
@@ -114,7 +114,7 @@ async def _ingest(engine: Engine, worker: Worker, gate: Gate, title: str, alive:
     _LOG.info("%s", _counts_line(worker))
 
 
-async def _work(engine: Engine, worker: Worker, gate: Gate, title: str, alive: Path | None) -> None:
+async def _work(engine: Engine, worker: Worker, gate: QuotaGate, title: str, alive: Path | None) -> None:
     await until_it_answers(make_ready, engine)
     _LOG.info("worker %s", title)
     async with asyncio.TaskGroup() as tasks:

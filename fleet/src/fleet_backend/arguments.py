@@ -5,7 +5,7 @@ from typing import Final
 import click
 
 from clutchdiag_io.command_line import FILE, FLOAT, INT, VERBOSE, Choice, Command, Option, Program
-from fleet_backend.choices import Axis, Pace
+from fleet_backend.choices import Pace, TrendAxis
 
 PROGRAM: Final = "fleet-backend"
 BROKER_VARIABLE: Final = "CLUTCHDIAG_BROKER"  # these keep passwords out of the process list
@@ -107,9 +107,9 @@ _TREND: Final = Command(
     *QUESTION,
     Option(
         "--against",
-        f"what the trend is shown over (default: {Axis.SHIFT})",
-        Choice([axis.value for axis in Axis]),
-        default=Axis.SHIFT.value,
+        f"what the trend is shown over (default: {TrendAxis.SHIFT})",
+        Choice([axis.value for axis in TrendAxis]),
+        default=TrendAxis.SHIFT.value,
     ),
     examples=(f"{PROGRAM} trend car1 2 --against odometer",),
 )

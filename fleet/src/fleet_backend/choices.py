@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class Axis(StrEnum):
+class TrendAxis(StrEnum):
     """Against what a trend is drawn."""
 
     SHIFT = "shift"
@@ -14,7 +14,7 @@ class Axis(StrEnum):
     @property
     def column(self) -> str:
         """The column of the view ``clutch_trend``."""
-        return {Axis.SHIFT: "shift_number", Axis.ODOMETER: "odometer_m", Axis.DATE: "end_at"}[self]
+        return {TrendAxis.SHIFT: "shift_number", TrendAxis.ODOMETER: "odometer_m", TrendAxis.DATE: "end_at"}[self]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

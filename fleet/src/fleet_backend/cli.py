@@ -17,11 +17,11 @@ from fleet_backend.arguments import (
     EXIT_UNKNOWN,
     PROGRAM,
 )
-from fleet_backend.errors import BrokerError, ConfigError, DatabaseError, UnknownVehicleError
+from fleet_backend.errors import BackendConfigError, BrokerError, DatabaseError, UnknownVehicleError
 from fleet_contract import VariableError, check_variables
 
 _STATUSES: Final = (
-    ((ConfigError, VariableError), EXIT_CONFIG),
+    ((BackendConfigError, VariableError), EXIT_CONFIG),
     (BrokerError, EXIT_BROKER),
     (DatabaseError, EXIT_DATABASE),
     (UnknownVehicleError, EXIT_UNKNOWN),

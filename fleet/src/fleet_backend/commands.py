@@ -14,9 +14,9 @@ from sqlalchemy import Engine
 from fleet_backend import config, queries, report
 from fleet_backend.application import run_ingest
 from fleet_backend.arguments import BROKER_VARIABLE
-from fleet_backend.choices import Axis
+from fleet_backend.choices import TrendAxis
 from fleet_backend.database import default_database, open_database, place_of
-from fleet_backend.errors import ConfigError
+from fleet_backend.errors import BackendConfigError
 from fleet_backend.migrate import make_ready, migrate, newest_revision
 from fleet_backend.months import keep_months, partitions
 from fleet_backend.report import Sheet
@@ -29,7 +29,7 @@ def execute(options: SimpleNamespace, commands: Mapping[str, Command]) -> None:
     """Do what a command line asks for; raises FleetBackendError."""
     for name in ("vehicle", "acknowledge", "product", "note", "by"):
         if not (getattr(options, name, None) or "").isprintable():
-            raise ConfigError(f"{name} holds characters that are not text")
+            raise BackendConfigError(f"{name} holds characters that are not text")
     must_exist = options.command != "migrate"  # a mistyped name must not become an empty fleet
     engine = open_database(options.database or default_database(), must_exist=must_exist)
     try:
@@ -54,7 +54,7 @@ def _ingest(options: SimpleNamespace, engine: Engine) -> None:
     )
 
 
-def metrics_of(options: SimpleNamespace) -> config.Place | None:
+def metrics_of(options: SimpleNamespace) -> config.ServerAddress | None:
     return None if options.metrics is None else config.parse_listen(options.metrics, option="--metrics")
 
 
@@ -68,7 +68,7 @@ def user_name() -> str:
 
 def _broker_of(options: SimpleNamespace) -> BrokerAddress:
     if not options.broker:
-        raise ConfigError(f"no broker: give --broker or set {BROKER_VARIABLE}")
+        raise BackendConfigError(f"no broker: give --broker or set {BROKER_VARIABLE}")
     files = {"ca": options.ca, "certificate": options.cert, "key": options.key}
     return config.parse_broker(options.broker, **files, may_be_nats=True)
 
@@ -91,7 +91,7 @@ def _table(options: SimpleNamespace, engine: Engine) -> None:
 
 def _trend(options: SimpleNamespace, engine: Engine) -> None:
     queries.check_vehicle(engine, options.vehicle)
-    records = queries.trend(engine, options.vehicle, options.clutch, Axis(options.against))
+    records = queries.trend(engine, options.vehicle, options.clutch, TrendAxis(options.against))
     whose = f"{options.vehicle}, {queries.clutch_name(engine, options.vehicle, options.clutch)}"
     title = f"{whose}: {len(records)} valid shifts against {options.against}"
     tell(options, records, lambda: report.trend_table(title, records))
@@ -125,7 +125,7 @@ def _fill(options: SimpleNamespace, engine: Engine) -> None:
         sys.stdout.write(f"{options.vehicle}: the fill at {gone.isoformat()} is taken back\n")
         return
     if options.product is None:
-        raise ConfigError("which fluid? give its name, or --undo to take back the last fill")
+        raise BackendConfigError("which fluid? give its name, or --undo to take back the last fill")
     odometer_m = None if options.odometer_km is None else options.odometer_km * 1000.0
     since = queries.note_fill(
         engine,

@@ -10,7 +10,7 @@ from typing import Final
 
 import fleet_link
 from fleet_backend.choices import Pace, Quotas
-from fleet_backend.errors import ConfigError, ExtraMissingError
+from fleet_backend.errors import BackendConfigError, BackendExtraError
 from fleet_contract.orders import EARLIEST
 from fleet_link import AddressError, BrokerAddress, TlsFiles
 
@@ -47,18 +47,18 @@ def parse_broker(
         if address.tls is not None:
             address.tls.context(is_key_private=False)
     except AddressError as exc:
-        raise ConfigError(str(exc)) from exc
+        raise BackendConfigError(str(exc)) from exc
     if address.is_nats and find_spec("nats") is None:
-        raise ExtraMissingError("nats", extra="nats")
+        raise BackendExtraError("nats", extra="nats")
     return address
 
 
 def parse_pace(batch_size: int, patience_ms: float, *, takes_bundles: bool = True) -> Pace:
     """Return how messages are gathered; raises ConfigError for numbers that make no sense."""
     if not 1 <= batch_size <= _MAX_BATCH:
-        raise ConfigError(f"a batch must be 1 to {_MAX_BATCH} messages, got {batch_size}")
+        raise BackendConfigError(f"a batch must be 1 to {_MAX_BATCH} messages, got {batch_size}")
     if not 0.0 <= patience_ms <= 10_000.0:
-        raise ConfigError(f"the patience must be 0 to 10000 ms, got {patience_ms:g}")
+        raise BackendConfigError(f"the patience must be 0 to 10000 ms, got {patience_ms:g}")
     return Pace(batch_size=batch_size, patience_s=patience_ms / 1000.0, takes_bundles=takes_bundles)
 
 
@@ -66,7 +66,7 @@ def parse_quotas(text: str) -> Quotas:
     """Return the quotas in ``RESULTS,MESSAGES,MB``; raises ConfigError if they are none."""
     found = re.fullmatch(r"([0-9]{1,12}),([0-9]{1,12}),([0-9]{1,9})", text)
     if found is None:
-        raise ConfigError(f"quotas must be RESULTS,MESSAGES,MB, such as 100000,1000,500, got {text!r}")
+        raise BackendConfigError(f"quotas must be RESULTS,MESSAGES,MB, such as 100000,1000,500, got {text!r}")
     results, quarantined, megabytes = map(int, found.groups())
     return Quotas(results=results, quarantined=quarantined, size_bytes=megabytes * 1_000_000)
 
@@ -74,35 +74,35 @@ def parse_quotas(text: str) -> Quotas:
 def parse_group(text: str) -> str:
     """Return the name of the group of workers; raises ConfigError if it cannot be a level of a subscription."""
     if re.fullmatch(r"[A-Za-z0-9_.-]{1,64}", text) is None:
-        raise ConfigError("a group must be 1 to 64 of A-Z, a-z, 0-9, _ . -")
+        raise BackendConfigError("a group must be 1 to 64 of A-Z, a-z, 0-9, _ . -")
     return text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
+class ServerAddress:
     """Where a server listens; port 0 is any free one."""
 
     host: str
     port: int
 
 
-def parse_listen(text: str, *, has_login: bool = False, option: str = "--listen") -> Place:
+def parse_listen(text: str, *, has_login: bool = False, option: str = "--listen") -> ServerAddress:
     """Return the place in ``HOST:PORT`` or ``[HOST]:PORT``, without a login one of this machine's loopback.
 
     Raises ConfigError if the text is none, or others could reach it: nobody has to log in.
     """
     found = re.fullmatch(r"\[?([0-9A-Za-z.:-]+?)\]?:([0-9]{1,5})", text)
     if found is None or int(found[2]) > _MAX_PORT:
-        raise ConfigError(f"{option} must be HOST:PORT, such as 127.0.0.1:8090, got {text!r}")
+        raise BackendConfigError(f"{option} must be HOST:PORT, such as 127.0.0.1:8090, got {text!r}")
     host = "127.0.0.1" if found[1] == "localhost" else found[1]
     try:
         is_loopback = ip_address(host).is_loopback
     except ValueError as exc:
-        raise ConfigError(f"{option} must be an address in numbers or localhost, got {host!r}") from exc
+        raise BackendConfigError(f"{option} must be an address in numbers or localhost, got {host!r}") from exc
     if not is_loopback and not has_login:
         hint = "give --access" if option == "--listen" else "let a proxy with one ask a loopback address"
-        raise ConfigError(f"{option} {text}: others could read the fleet there without a login; {hint}")
-    return Place(host=host, port=int(found[2]))
+        raise BackendConfigError(f"{option} {text}: others could read the fleet there without a login; {hint}")
+    return ServerAddress(host=host, port=int(found[2]))
 
 
 def parse_moment(text: str) -> datetime:
@@ -114,7 +114,7 @@ def parse_moment(text: str) -> datetime:
         moment = datetime.fromisoformat(text)
         moment = moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
     except (ValueError, OverflowError) as exc:
-        raise ConfigError(f"{text!r} is not a date, such as 2026-01-31 or 2026-01-31T12:00Z") from exc
+        raise BackendConfigError(f"{text!r} is not a date, such as 2026-01-31 or 2026-01-31T12:00Z") from exc
     if moment < EARLIEST:
-        raise ConfigError(f"{text} is too long ago")
+        raise BackendConfigError(f"{text} is too long ago")
     return moment

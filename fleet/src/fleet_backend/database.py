@@ -13,7 +13,7 @@ from typing import Any, Final
 from sqlalchemy import URL, Connection, Engine, create_engine, event, exc, make_url
 
 from clutchdiag_io.files import create_private, keep_private
-from fleet_backend.errors import ConfigError, DatabaseAwayError, DatabaseError, RowRefusedError
+from fleet_backend.errors import BackendConfigError, DatabaseAwayError, DatabaseError, RowRefusedError
 
 _DAMAGED: Final = frozenset({SQLITE_NOTADB, SQLITE_CORRUPT})
 _NOT_OURS: Final = _DAMAGED | {SQLITE_ERROR}  # no pause puts these right
@@ -52,12 +52,12 @@ def open_database(address: str, *, must_exist: bool = False, is_read_only: bool 
         url = make_url(address)
         backend = url.get_backend_name()
     except exc.ArgumentError as error:
-        raise ConfigError("the database must be sqlite:///FILE or postgresql://host/NAME") from error
+        raise BackendConfigError("the database must be sqlite:///FILE or postgresql://host/NAME") from error
     if backend == "sqlite":
         return _open_sqlite(url, must_exist=must_exist, is_read_only=is_read_only)
     if backend == "postgresql":
         return _open_postgres(url, is_read_only=is_read_only)
-    raise ConfigError(f"the database must be SQLite or PostgreSQL, not {backend}")
+    raise BackendConfigError(f"the database must be SQLite or PostgreSQL, not {backend}")
 
 
 def place_of(engine: Engine) -> str:
@@ -118,7 +118,9 @@ def _open_postgres(url: URL, *, is_read_only: bool) -> Engine:
 def _open_sqlite(url: URL, *, must_exist: bool, is_read_only: bool) -> Engine:
     path = None if url.database in _IN_MEMORY else Path(str(url.database)).absolute()
     if url.host or url.query or (path is None and must_exist):
-        raise ConfigError("an SQLite database must be sqlite:///FILE, with three slashes, or four before a full path")
+        raise BackendConfigError(
+            "an SQLite database must be sqlite:///FILE, with three slashes, or four before a full path"
+        )
     if path is not None:
         (_find_file if must_exist else _make_file)(path)
     engine = create_engine(url, connect_args={"timeout": _BUSY_TIMEOUT_S})
@@ -148,7 +150,7 @@ def _make_file(path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         create_private(path)
     except OSError as error:
-        raise ConfigError(f"cannot make {path}: {error.strerror}") from error
+        raise BackendConfigError(f"cannot make {path}: {error.strerror}") from error
 
 
 def _prepare_postgres(connection: Any, _record: object) -> None:  # noqa: ANN401 - a driver's, which is an extra

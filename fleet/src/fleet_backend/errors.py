@@ -7,11 +7,11 @@ class FleetBackendError(Exception):
     """Root of all errors raised by this package; its text is one clear line for the user."""
 
 
-class ConfigError(FleetBackendError):
+class BackendConfigError(FleetBackendError):
     """The command line or a file it names cannot be used: correct it and start again."""
 
 
-class ExtraMissingError(ConfigError):
+class BackendExtraError(BackendConfigError):
     """A library that only an extra brings is not installed: install it."""
 
     def __init__(self, module: str, extra: str) -> None:

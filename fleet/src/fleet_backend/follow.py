@@ -15,7 +15,7 @@ import aiomqtt
 from clutchdiag_io.people import PLUS_MINUS, plus_minus
 from fleet_backend.arguments import BROKER_VARIABLE
 from fleet_backend.config import parse_broker
-from fleet_backend.errors import BrokerError, ConfigError
+from fleet_backend.errors import BackendConfigError, BrokerError
 from fleet_backend.programs import until_stopped
 from fleet_contract import (
     NEVER,
@@ -42,10 +42,10 @@ def execute(options: SimpleNamespace) -> None:
     """Follow a broker until SIGINT or SIGTERM; raises ConfigError, and BrokerError if it cannot be reached at first."""
     url = os.environ.get(BROKER_VARIABLE, "") if options.broker == "-" else options.broker
     if not url:
-        raise ConfigError(f"no broker: name one, or set {BROKER_VARIABLE}")
+        raise BackendConfigError(f"no broker: name one, or set {BROKER_VARIABLE}")
     address = parse_broker(url, ca=options.ca, certificate=options.cert, key=options.key)
     if strangers := [name for name in options.vehicles if not is_vehicle(name)]:
-        raise ConfigError(f"{strangers[0]!r} is not a vehicle id")
+        raise BackendConfigError(f"{strangers[0]!r} is not a vehicle id")
     follower = Follower(address, options.vehicles, is_json=options.json)
     try:
         asyncio.run(until_stopped(follower.run()))

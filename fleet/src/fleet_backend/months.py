@@ -13,7 +13,7 @@ from typing import Final
 from sqlalchemy import Connection, Engine, column, table, text
 
 from fleet_backend.database import transaction
-from fleet_backend.errors import ConfigError
+from fleet_backend.errors import BackendConfigError
 from fleet_backend.schema import KEY_COLUMNS, RANKED_AT, UtcDateTime
 
 AHEAD_MONTHS: Final = 3  # kept ready, so that a forgotten command costs a quarter before results gather in the last
@@ -111,9 +111,9 @@ def keep_months(engine: Engine, now: datetime, ahead: int = AHEAD_MONTHS, back: 
     changed.
     """
     if not has_partitions(engine):
-        raise ConfigError("only a PostgreSQL database has partitions; SQLite keeps all results in one table")
+        raise BackendConfigError("only a PostgreSQL database has partitions; SQLite keeps all results in one table")
     if not (0 <= ahead <= MOST_MONTHS and 0 <= back <= MOST_MONTHS):
-        raise ConfigError(f"months ahead and back must be 0 to {MOST_MONTHS}, got {ahead} and {back}")
+        raise BackendConfigError(f"months ahead and back must be 0 to {MOST_MONTHS}, got {ahead} and {back}")
     with transaction(engine) as connection:
         lock(connection)
         known = months(connection)

@@ -10,8 +10,8 @@ from prometheus_client import CollectorRegistry, start_http_server
 from prometheus_client.core import Metric
 
 from clutchdiag_io.metrics import Told
-from fleet_backend.config import Place
-from fleet_backend.errors import ConfigError
+from fleet_backend.config import ServerAddress
+from fleet_backend.errors import BackendConfigError
 
 
 @contextmanager
@@ -43,7 +43,7 @@ async def until_stopped(work: Coroutine[None, None, None]) -> None:
 
 
 @contextmanager
-def shown_at(place: Place | None, tell: Callable[[], Iterable[Metric]]) -> Iterator[None]:
+def shown_at(place: ServerAddress | None, tell: Callable[[], Iterable[Metric]]) -> Iterator[None]:
     """Serve metrics while entered, where that is asked for; raises ConfigError if nothing can listen there."""
     if place is None:
         yield
@@ -53,7 +53,7 @@ def shown_at(place: Place | None, tell: Callable[[], Iterable[Metric]]) -> Itera
     try:
         server, thread = start_http_server(place.port, place.host, registry)
     except OSError as exc:
-        raise ConfigError(f"cannot serve metrics at {place.host}:{place.port}: {exc.strerror}") from exc
+        raise BackendConfigError(f"cannot serve metrics at {place.host}:{place.port}: {exc.strerror}") from exc
     try:
         yield
     finally:

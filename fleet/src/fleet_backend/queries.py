@@ -26,9 +26,9 @@ from sqlalchemy import (
     update,
 )
 
-from fleet_backend.choices import Axis
+from fleet_backend.choices import TrendAxis
 from fleet_backend.database import transaction
-from fleet_backend.errors import ConfigError, UnknownVehicleError
+from fleet_backend.errors import BackendConfigError, UnknownVehicleError
 from fleet_backend.office_tables import COMMAND_LINE, note_change
 from fleet_backend.schema import (
     CLUTCH,
@@ -110,8 +110,8 @@ def is_alarming_since(connection: Connection, vehicle: str, clutch: int, filled_
     return connection.execute(select(table.seq).where(*own, *is_since).limit(1)).first() is not None
 
 
-def _finding(row: Row, names: Mapping[tuple[str, int], str]) -> orders.Finding:
-    return orders.Finding(
+def _finding(row: Row, names: Mapping[tuple[str, int], str]) -> orders.ClutchFinding:
+    return orders.ClutchFinding(
         clutch=row["clutch"],
         condition=row["condition"],
         text=row["advice"],
@@ -218,7 +218,7 @@ def check_vehicle(engine: Engine, vehicle: str) -> None:
     raise UnknownVehicleError(f"no vehicle {vehicle} is known; {hint}")
 
 
-def trend(engine: Engine, vehicle: str, clutch: int, axis: Axis) -> Sequence[Record]:
+def trend(engine: Engine, vehicle: str, clutch: int, axis: TrendAxis) -> Sequence[Record]:
     """Return the valid estimates of a clutch in the order of an axis; without an odometer none on that axis."""
     table = CLUTCH_TREND
     along = table.c[axis.column]
@@ -307,7 +307,7 @@ def note_fill(
         If the fill is known or yet to come, or its odometer does not fit to the results and nobody insists.
     """
     if at - datetime.now(UTC) > SAME_WITHIN:  # until then no result would be of any known fluid
-        raise ConfigError(f"a fill at {at.isoformat()} is yet to come")
+        raise BackendConfigError(f"a fill at {at.isoformat()} is yet to come")
     with transaction(engine) as connection:
         if not _has(connection, select(VEHICLE.c.vehicle).where(VEHICLE.c.vehicle == vehicle)):
             raise UnknownVehicleError(f"of vehicle {vehicle} there are no results and no state")
@@ -317,10 +317,12 @@ def note_fill(
             FLUID_FILL.c.filled_at < at + SAME_WITHIN,
         )
         if (known_at := connection.execute(near).scalar()) is not None:
-            raise ConfigError(f"the fill of {vehicle} at {known_at.isoformat()} is noted already; --undo takes it back")
+            raise BackendConfigError(
+                f"the fill of {vehicle} at {known_at.isoformat()} is noted already; --undo takes it back"
+            )
         complaint = odometer_complaint(odometer_m, *_readings(connection, vehicle, at))
         if complaint and not is_insisted:
-            raise ConfigError(complaint)
+            raise BackendConfigError(complaint)
         gone = WITHDRAWN_FILL.c
         while _has(connection, select(gone.vehicle).where(gone.vehicle == vehicle, gone.filled_at == at)):
             at += timedelta(microseconds=1)  # of a withdrawn one: that moment is taken for good
@@ -340,7 +342,7 @@ def withdraw_fill(engine: Engine, vehicle: str, at: datetime | None, *, by: str,
         known: Sequence[datetime] = connection.scalars(select(table.filled_at).where(table.vehicle == vehicle)).all()
         meant = fill_meant(known, lambda one: one, at)
         if meant is None:
-            raise ConfigError(f"no fill of {vehicle} is noted{f' at {at.isoformat()}' if at else ''}")
+            raise BackendConfigError(f"no fill of {vehicle} is noted{f' at {at.isoformat()}' if at else ''}")
         gone = [one for one in known if timedelta(0) <= one - meant < SAME_WITHIN]
         connection.execute(insert(WITHDRAWN_FILL), [{"vehicle": vehicle, "filled_at": one} for one in gone])
         connection.execute(delete(FLUID_FILL).where(table.vehicle == vehicle, table.filled_at.in_(gone)))

@@ -28,7 +28,7 @@ _LOG: Final = logging.getLogger(__name__)
 Counts = dict[str, list[int]]  # of vehicles, in the order of the names above
 
 
-class Gate:
+class QuotaGate:
     """Lets through what fits into the quotas of its vehicle."""
 
     def __init__(self, engine: Engine, quotas: Quotas) -> None:

@@ -6,20 +6,20 @@ from pathlib import Path
 import pytest
 
 from fleet_backend.config import parse_broker, parse_listen
-from fleet_backend.errors import BrokerError, ConfigError
+from fleet_backend.errors import BackendConfigError, BrokerError
 from fleet_backend.ingest import FILTERS, connected, is_of_bundles
 from tests.unit.fleet_link.test_connection import ACCEPTED, Script, broker, packet
 
 
 def test_certificates_need_tls_and_must_exist() -> None:
     missing = Path("no-such-file")
-    with pytest.raises(ConfigError, match="mqtts"):
+    with pytest.raises(BackendConfigError, match="mqtts"):
         parse_broker("mqtt://x", ca=missing)
-    with pytest.raises(ConfigError, match="no-such-file"):
+    with pytest.raises(BackendConfigError, match="no-such-file"):
         parse_broker("mqtts://x", ca=missing)
-    with pytest.raises(ConfigError, match="no-such-file"):
+    with pytest.raises(BackendConfigError, match="no-such-file"):
         parse_broker("mqtts://x", certificate=missing)
-    with pytest.raises(ConfigError, match="needs its key"):
+    with pytest.raises(BackendConfigError, match="needs its key"):
         parse_broker("mqtts://x", key=missing)
 
 
@@ -41,7 +41,7 @@ def test_a_page_listens_on_the_loopback(text: str, host: str, port: int) -> None
     ["0.0.0.0:8090", "[::]:80", "192.168.1.2:80", "fleet.example:80", "127.0.0.1", ":80", "1:1:1", "127.0.0.1:65536"],
 )
 def test_a_page_without_login_listens_nowhere_else(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"^--listen "):
+    with pytest.raises(BackendConfigError, match=r"^--listen "):
         parse_listen(text)
 
 

@@ -8,7 +8,7 @@ import os
 import sys
 
 import diag_service.cli
-from diag_service.batch.drives import Drive
+from diag_service.batch.drives import DriveLogs
 from diag_service.batch.tables import Entry
 from diag_service.batch.worker import Analyst
 from diag_service.service.stopping import Trigger
@@ -17,7 +17,7 @@ DEADLY = "deadly"  # in the name of the log
 _ANALYSE = Analyst.analyse
 
 
-def analyse(analyst: Analyst, drive: Drive, stop: Trigger | None = None) -> Entry:
+def analyse(analyst: Analyst, drive: DriveLogs, stop: Trigger | None = None) -> Entry:
     """Analyse a drive as ever, or die."""
     if DEADLY in drive.name:
         os._exit(9)

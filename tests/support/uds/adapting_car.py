@@ -9,11 +9,11 @@ from dbc.contract import load_contract
 from ecu_emulator.bus.sent_values import LatestValues, SentValues
 from ecu_emulator.drive.build import build_vehicle
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
-from ecu_emulator.scenario.scenario import Routine, Scenario, Truth
+from ecu_emulator.scenario.scenario import Scenario, Truth, WorkshopRoutine
 from ecu_emulator.scenario.scenario_file import load_scenario
 from ecu_emulator.shift_control import tcu_data
 from workshop.controller.controller import Controller, MemoryFile
-from workshop.controller.iso14229 import Status
+from workshop.controller.iso14229 import DtcStatus
 from workshop.controller.monitoring import Monitoring
 from workshop.controller.requested_tasks import RequestedAdaptation, clear_if_requested
 from workshop.controller.table import shipped_table
@@ -30,7 +30,7 @@ _MOST_S = 200.0
 def in_workshop(*, adapted: bool = False, **truth: float) -> Scenario:
     """Return a drawn vehicle in a workshop, with springs of its own (force [N] by clutch) if they are named."""
     overrides = {f"{clutch}.piston.spring_preload_n": force_n for clutch, force_n in truth.items()}
-    scenario = replace(load_scenario("ideal"), routine=Routine(on_request=True), adapted=adapted)
+    scenario = replace(load_scenario("ideal"), routine=WorkshopRoutine(on_request=True), adapted=adapted)
     return replace(scenario, seed=SEED, truth=Truth(calibration=overrides))
 
 
@@ -97,7 +97,7 @@ class AdaptingCar:
     def drive_off(self, to_gear: int) -> None:
         """Start and drive until a gear's clutch is filled; ``fills_pa`` has at what it is held then."""
         self._is_driving = True
-        self.drive.begin_routine(Routine(open_revs=1))
+        self.drive.begin_routine(WorkshopRoutine(open_revs=1))
         while to_gear not in self.fills_pa or self._sent.now({}).get("current_gear") != to_gear:
             self.go_on()
 
@@ -123,7 +123,7 @@ class AdaptingCar:
                 return response.hex(" ")
         raise AssertionError(f"{request}: no last word")
 
-    def status(self, code: str) -> Status:
+    def status(self, code: str) -> DtcStatus:
         numbers = {trouble.code: number for number, trouble in self.controller.table.troubles.items()}
         return self.controller.state.memory.records[numbers[code]].status
 

@@ -6,7 +6,7 @@ import pytest
 
 from ecu_emulator.arguments import COMMAND_LINE
 from ecu_emulator.commands import choose_scenario, drive_options
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.scenario.drive_names import DriveName
 from ecu_emulator.scenario.scenario import Scenario
 
@@ -50,5 +50,5 @@ def test_a_mass_is_a_truth_of_the_vehicle_beside_others(tmp_path: Path) -> None:
 def test_a_drive_that_cannot_be_is_named_in_one_line(tmp_path: Path, line: str, named: str) -> None:
     path = tmp_path / "own.toml"
     path.write_text(f'name = "own"\n{line}\n')
-    with pytest.raises(ConfigError, match=named):
+    with pytest.raises(EmulatorConfigError, match=named):
         chosen("--scenario", str(path))

@@ -23,7 +23,7 @@ from canlog.frames import (
     FrameBatch,
 )
 from canlog.live import opening
-from canlog.live.sources import SILENCE_S, FrameQueue, Silence, SourceCounts
+from canlog.live.sources import SILENCE_S, BusSilence, FrameQueue, SourceCounts
 
 POLL_S = 0.1  # how soon the thread notices that it shall stop
 MESSAGES_PER_BATCH = 256
@@ -62,7 +62,7 @@ class PythonCanSource:
     def counts(self) -> SourceCounts:
         return SourceCounts(received=self._received, queue_dropped=self._queue.dropped)
 
-    def __aiter__(self) -> AsyncIterator[FrameBatch | Silence]:
+    def __aiter__(self) -> AsyncIterator[FrameBatch | BusSilence]:
         return aiter(self._queue)
 
     async def aclose(self) -> None:

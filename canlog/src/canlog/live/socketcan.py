@@ -30,7 +30,7 @@ from canlog.live.raw_socket import (
     open_socket,
     reading_failed,
 )
-from canlog.live.sources import RELAXED_S, SILENCE_S, URGENT_S, FrameQueue, ReadSchedule, Silence, SourceCounts
+from canlog.live.sources import RELAXED_S, SILENCE_S, URGENT_S, BusSilence, FrameQueue, ReadSchedule, SourceCounts
 
 if TYPE_CHECKING:
     from canlog.errors import SourceError
@@ -190,7 +190,7 @@ class SocketCanSource:
             clock_steps=self._clock.step_count,
         )
 
-    def __aiter__(self) -> AsyncIterator[FrameBatch | Silence]:
+    def __aiter__(self) -> AsyncIterator[FrameBatch | BusSilence]:
         return aiter(self._queue)
 
     async def aclose(self) -> None:

@@ -39,7 +39,7 @@ class SourceCounts:
 
 
 @dataclass(frozen=True, slots=True)
-class Silence:
+class BusSilence:
     """The bus has said nothing for ``SILENCE_S``: nothing that comes can belong to the stretch before any more."""
 
 
@@ -75,8 +75,8 @@ class Source(Protocol[PartT_co]):
         """Stop receiving; a second call does nothing."""
 
 
-FrameSource = Source[FrameBatch | Silence]
-LiveSource = Source[FrameBatch | Silence | LinkBreak]  # what a live run reads: a bus that failed may come back
+FrameSource = Source[FrameBatch | BusSilence]
+LiveSource = Source[FrameBatch | BusSilence | LinkBreak]  # what a live run reads: a bus that failed may come back
 
 
 class ReadSchedule:
@@ -173,7 +173,7 @@ class FrameQueue:
         self._signal(self._has_frames)
         self._signal(self._is_urgent)
 
-    async def __aiter__(self) -> AsyncIterator[FrameBatch | Silence]:
+    async def __aiter__(self) -> AsyncIterator[FrameBatch | BusSilence]:
         """Iterate over the batches that hold frames, and silences; ends and fails as ``next_batch`` does."""
         while (batch := await self.next_batch()) is not None:
             if len(batch):
@@ -181,7 +181,7 @@ class FrameQueue:
             with self._lock:
                 is_silent, self._is_silent = self._is_silent, False
             if is_silent:
-                yield Silence()
+                yield BusSilence()
 
     async def next_batch(self) -> FrameBatch | None:
         """Return everything that has gathered, or None at the end.

@@ -13,7 +13,7 @@ import numpy as np
 
 from canlog.errors import NOTICE, SourceError
 from canlog.frames import GOOD_NEWS, BusTrouble, FrameBatch, count_errors, is_error, reports
-from canlog.live.sources import FrameSource, LinkBreak, Silence, SourceCounts
+from canlog.live.sources import BusSilence, FrameSource, LinkBreak, SourceCounts
 from canlog.traffic import frame_bits
 
 TROUBLE_S = 5.0  # how long an error frame or a loss is remembered as trouble
@@ -157,12 +157,12 @@ class SupervisedSource:
         """State of the bus and what has happened to it."""
         return self._watch.status(_now_s())
 
-    async def __aiter__(self) -> AsyncIterator[FrameBatch | Silence | LinkBreak]:
+    async def __aiter__(self) -> AsyncIterator[FrameBatch | BusSilence | LinkBreak]:
         """Iterate over batches, silences and breaks."""
         while self._source is not None:
             try:
                 async for part in self._source:
-                    if not isinstance(part, Silence):
+                    if not isinstance(part, BusSilence):
                         self._note(part)
                     yield part
             except SourceError as exc:

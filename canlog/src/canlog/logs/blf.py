@@ -193,7 +193,7 @@ OBJECT_HEADER = struct.Struct("<4sHHLL")  # magic, header size, header version, 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Layout:
+class ObjectLayout:
     """Where the fields of a frame object are, counted from the end of its header; -1: it has none.
 
     In the order of the columns that the compiled reader takes.
@@ -213,18 +213,18 @@ class Layout:
     sent: int = 2  # of a field whose lowest bit says that the recorder sent the frame
 
 
-MESSAGE = Layout(length=3, remote=2, remote_mask=0x80, data=8)
-FD_MESSAGE = Layout(
+MESSAGE = ObjectLayout(length=3, remote=2, remote_mask=0x80, data=8)
+FD_MESSAGE = ObjectLayout(
     length=3, remote=2, remote_mask=0x80, fd=13, fd_mask=0x01, brs_mask=0x02, esi_mask=0x04, data=20
 )  # fmt: skip
-FD_MESSAGE_64 = Layout(
+FD_MESSAGE_64 = ObjectLayout(
     length=1, remote=12, remote_mask=0x10, fd=13, fd_mask=0x10, brs_mask=0x20, esi_mask=0x40, data=40, extension=35,
     channel_bytes=1, sent=34,
 )  # fmt: skip
-ERROR = Layout(is_error=True, data=2)
-FD_ERROR = Layout(is_error=True, data=1, channel_bytes=1)
+ERROR = ObjectLayout(is_error=True, data=2)
+FD_ERROR = ObjectLayout(is_error=True, data=1, channel_bytes=1)
 LAYOUTS = {1: MESSAGE, 86: MESSAGE, 100: FD_MESSAGE, 101: FD_MESSAGE_64, 2: ERROR, 73: ERROR, 104: FD_ERROR}
-ABSENT = Layout(data=-1)
+ABSENT = ObjectLayout(data=-1)
 
 
 LAYOUT_TABLE: Int64Array = np.array(
@@ -359,7 +359,7 @@ def containers(
         if is_container:
             contents = inflate(body, is_whole=is_whole)
         else:
-            contents = Contents(header + body, is_sound=True, used_bytes=len(body))
+            contents = ContainerContents(header + body, is_sound=True, used_bytes=len(body))
         if not is_whole:
             counts.cut_off(f"byte {position}")
         elif not (contents.is_sound and is_sound):
@@ -387,7 +387,7 @@ def next_object(stream: BinaryIO, position: int, size_bytes: int, counts: LogCou
     return position
 
 
-class Contents(NamedTuple):
+class ContainerContents(NamedTuple):
     """What a container holds."""
 
     data: bytes | bytearray
@@ -395,10 +395,10 @@ class Contents(NamedTuple):
     used_bytes: int  # of the container's body; what follows was not looked at
 
 
-NOTHING = Contents(b"", is_sound=False, used_bytes=0)
+NOTHING = ContainerContents(b"", is_sound=False, used_bytes=0)
 
 
-def inflate(body: bytes, *, is_whole: bool) -> Contents:
+def inflate(body: bytes, *, is_whole: bool) -> ContainerContents:
     """Return what a container holds.
 
     A container that the end of the file cuts gives its beginning. One with wrong bytes inside gives nothing: where
@@ -411,7 +411,7 @@ def inflate(body: bytes, *, is_whole: bool) -> Contents:
     if method == STORED:
         stored = bytes(payload[:stated_bytes])
         is_sound = stated_bytes <= len(payload) <= stated_bytes + LONGEST_PADDING
-        return Contents(stored, is_sound, CONTAINER_HEADER.size + len(stored))
+        return ContainerContents(stored, is_sound, CONTAINER_HEADER.size + len(stored))
     inflater = zlib.decompressobj()
     try:
         data = inflater.decompress(payload, MAX_CONTAINER_BYTES)
@@ -421,4 +421,4 @@ def inflate(body: bytes, *, is_whole: bool) -> Contents:
     if method != DEFLATED or (not inflater.eof and (is_whole or inflater.unconsumed_tail)):
         return NOTHING
     foreign_bytes = len(inflater.unused_data)
-    return Contents(data, inflater.eof and foreign_bytes <= LONGEST_PADDING, len(body) - foreign_bytes)
+    return ContainerContents(data, inflater.eof and foreign_bytes <= LONGEST_PADDING, len(body) - foreign_bytes)

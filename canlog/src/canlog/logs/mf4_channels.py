@@ -64,7 +64,7 @@ class Block:
         return self.at + HEADER.size + LINK.size * len(self.links)
 
 
-class Channel(NamedTuple):
+class Mf4Channel(NamedTuple):
     """A measured signal that is a number, and where its block is."""
 
     at: int
@@ -76,7 +76,7 @@ class MeasuredGroup(NamedTuple):
     """Channels that share their times; ``is_bus`` if its records are frames of a bus."""
 
     at: int
-    channels: tuple[Channel, ...]
+    channels: tuple[Mf4Channel, ...]
     has_times: bool
     is_bus: bool
     others: tuple[str, ...]  # names of channels that are no numbers, or become such by an unknown formula
@@ -104,7 +104,7 @@ class Mf4File:
         return found
 
     def _measured(self, group: Block, flags: int, blocks: list[Block]) -> MeasuredGroup:
-        channels, others, has_times = list[Channel](), list[str](), False
+        channels, others, has_times = list[Mf4Channel](), list[str](), False
         for block in blocks:
             role, quantity, kind = FIELDS.unpack(self._bytes(block.body_at, FIELDS.size))
             name = self._text(block.links[NAME])
@@ -116,7 +116,7 @@ class Mf4File:
                 unit, at = self._text(block.links[UNIT]), block.links[CONVERSION]
                 if not unit and at:
                     unit = self._text(self._need(at, b"##CC").links[UNIT_OF_CONVERSION])
-                channels.append(Channel(block.at, name, unit))
+                channels.append(Mf4Channel(block.at, name, unit))
         is_bus = bool(flags & PLAIN_BUS_EVENTS) or any(BUS_FRAMES.fullmatch(one) for one in others)
         return MeasuredGroup(group.at, tuple(channels), has_times, is_bus, tuple(others))
 

@@ -13,7 +13,7 @@ from canlog.decode.codec import HAS_VALUES, Codec, FrameFate, MessageTable, Mess
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from canlog.logs import LogCounts
 from canlog.logs.log_counts import assumed_texts, lost_texts, odd_texts
-from canlog.tables.frame_groups import FrameGroup, Stretch
+from canlog.tables.frame_groups import FrameGroup, FrameStretch
 from canlog.tables.layouts import BARE_ID, Place, TableNames, flagged_id, identifier_text
 from canlog.transport import TransferCounts
 
@@ -62,7 +62,7 @@ class DecodeAccount:
     def __post_init__(self) -> None:
         self.counts = np.zeros((len(self.codec.tables) + 1, len(FrameFate)), np.int64)
 
-    def add(self, stretch: Stretch) -> None:
+    def add(self, stretch: FrameStretch) -> None:
         """Count the frames of a batch."""
         self.counts += stretch.match.counts
         sent = stretch.batch.can_id

@@ -23,7 +23,7 @@ from canlog.logs import STANDARD_INPUT, LogReader
 from canlog.logs.reading import Watch
 from canlog.logs.streams import never
 from canlog.tables.account import DecodeAccount, losses
-from canlog.tables.frame_groups import FrameGroup, FrameStock, LogSet, LongRows, Origins, Stretch, log_paths
+from canlog.tables.frame_groups import ChannelOrigins, FrameGroup, FrameStock, FrameStretch, LogSet, LongRows, log_paths
 from canlog.tables.layouts import (
     Place,
     TableNames,
@@ -142,7 +142,7 @@ class GroupSize:
     is_live: bool = False  # somebody waits for the rows: what came together is a group, however few frames that are
 
 
-def stretches(batches: Iterable[FrameBatch], account: DecodeAccount) -> Iterator[Stretch]:
+def stretches(batches: Iterable[FrameBatch], account: DecodeAccount) -> Iterator[FrameStretch]:
     """Yield frames with their messages, and with those messages that several frames are; all enter the account."""
     together = LongRows(account.codec)
     account.transfers, account.long_counts = together.counts, together.counts_of
@@ -152,7 +152,7 @@ def stretches(batches: Iterable[FrameBatch], account: DecodeAccount) -> Iterator
 
 
 def groups(
-    found: Iterable[Stretch], codec: Codec, size: GroupSize, origins: Origins | None = None
+    found: Iterable[FrameStretch], codec: Codec, size: GroupSize, origins: ChannelOrigins | None = None
 ) -> Iterator[FrameGroup]:
     stock = FrameStock(codec, origins, size.frames, size.values)
     for stretch in found:
@@ -207,7 +207,7 @@ def message_columns(
     account: DecodeAccount,
     layouts: dict[int, WideLayout],
     values: Values,
-    origins: Origins | None = None,
+    origins: ChannelOrigins | None = None,
     *,
     is_measured: bool = False,
 ) -> Iterator[tuple[int, Mapping[str, Any]]]:
@@ -233,7 +233,7 @@ class MessageRows:
     table_format: TableFormat
     account: DecodeAccount
     values: Values
-    origins: Origins | None
+    origins: ChannelOrigins | None
     _layouts: dict[int, WideLayout] = field(default_factory=dict)
     _open: dict[int, ColumnSink] = field(default_factory=dict)
 
@@ -305,7 +305,7 @@ class Plan:
             return replace(self, span=span)
         return replace(self, span=span, codec=self.codec.only(chosen_places(self.names.columns, signals)))
 
-    def layout(self, batches: Iterable[FrameBatch], origins: Origins | None = None) -> WideLayout:
+    def layout(self, batches: Iterable[FrameBatch], origins: ChannelOrigins | None = None) -> WideLayout:
         """Return the columns: all frames are looked at, for the messages that occur are the columns."""
         seen: set[int] = set()
         together = LongRows(self.codec)
@@ -328,7 +328,7 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Decoded:
+class DecodedLogs:
     """What became of some logs."""
 
     account: DecodeAccount
@@ -345,7 +345,7 @@ def decode_logs(
     is_stopped: Callable[[], bool] = never,
     watch: Watch | None = None,
     columns: str = "",
-) -> Decoded:
+) -> DecodedLogs:
     """Write the signals of logs, merged by time, in bounded memory; a file appears when it is complete.
 
     For wide rows the logs are read twice, so standard input is kept in a file first. ``columns`` says which column of a
@@ -375,7 +375,7 @@ class _Writing:
     table_format: TableFormat
     is_stopped: Callable[[], bool]
 
-    def write(self, output: Path | BinaryIO) -> Decoded:
+    def write(self, output: Path | BinaryIO) -> DecodedLogs:
         if not isinstance(output, Path):
             return self._into(output)
         if self.plan.shape is TableShape.MESSAGES:
@@ -391,7 +391,7 @@ class _Writing:
                 part.replace(output)
         return decoded
 
-    def _into(self, output: BinaryIO | TableFolder) -> Decoded:
+    def _into(self, output: BinaryIO | TableFolder) -> DecodedLogs:
         logs, account = self.logs, DecodeAccount(codec=self.plan.codec, names=self.plan.names)
         sink, size = self._sink(output, account)
         found = stretches(self._frames(account.leave_out), account)
@@ -406,7 +406,7 @@ class _Writing:
                 sink.discard()
         account.log = logs.counts
         account.leave_out(max(0, account.log.frames - sum(account.fates.values())))  # behind the end that was asked for
-        return Decoded(account=account, readers=tuple(logs.readers), is_whole=is_whole)
+        return DecodedLogs(account=account, readers=tuple(logs.readers), is_whole=is_whole)
 
     def _sink(self, output: BinaryIO | TableFolder, account: DecodeAccount) -> tuple[TableSink, GroupSize]:
         """Return what takes the frames, and how many at a time."""

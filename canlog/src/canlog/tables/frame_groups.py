@@ -22,7 +22,7 @@ from canlog.transport import Reassembler, Transfer, TransferCounts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Origins:
+class ChannelOrigins:
     """Where frames of several logs come from, by the mark that stands for their channel; changes as they are read."""
 
     names: tuple[str, ...]  # of the logs
@@ -69,7 +69,7 @@ class LogSet:
         self.readers: list[LogReader] = []  # of the last reading
         # Bytes that are no text become escapes.
         names = (shown_name(one).encode(errors="surrogateescape").decode(errors="backslashreplace") for one in paths)
-        self.origins = Origins(names=tuple(names)) if len(paths) > 1 else None
+        self.origins = ChannelOrigins(names=tuple(names)) if len(paths) > 1 else None
         self._is_stopped = is_stopped
         self._watch = watch
         self._columns = columns
@@ -175,7 +175,7 @@ class LongPayloads:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stretch:
+class FrameStretch:
     """Frames, and among them a row without a payload for each message that is whole by a frame before it."""
 
     batch: FrameBatch
@@ -198,12 +198,14 @@ class LongRows:
         """What became of all messages until now."""
         return self._reassembler.counts if self._reassembler else TransferCounts()
 
-    def stretches(self, batches: Iterable[FrameBatch]) -> Iterator[Stretch]:
+    def stretches(self, batches: Iterable[FrameBatch]) -> Iterator[FrameStretch]:
         """Yield batches with the messages that are whole by them."""
         for batch in batches:
             match = self._codec.match(batch)
             found = self._known(self._reassembler.feed(batch)) if self._reassembler else []
-            yield self._stretch(batch, match, found) if found else Stretch(batch=batch, slot=match.slot, match=match)
+            yield (
+                self._stretch(batch, match, found) if found else FrameStretch(batch=batch, slot=match.slot, match=match)
+            )
         if self._reassembler and (found := self._known(self._reassembler.close())):
             rest = empty_batch()
             yield self._stretch(rest, self._codec.match(rest), found)
@@ -218,7 +220,7 @@ class LongRows:
                 self.counts_of[slot] = self.counts_of.get(slot, 0) + 1
         return found
 
-    def _stretch(self, batch: FrameBatch, match: FrameMatch, found: Sequence[tuple[int, Transfer]]) -> Stretch:
+    def _stretch(self, batch: FrameBatch, match: FrameMatch, found: Sequence[tuple[int, Transfer]]) -> FrameStretch:
         found = sorted(found, key=lambda one: one[1].last_ns)
         transfers = [one for _, one in found]
         t_ns = np.array([one.last_ns for one in transfers], np.int64)
@@ -243,7 +245,7 @@ class LongRows:
             length=length,
             data=data,
         )
-        return Stretch(batch=whole, slot=np.insert(match.slot, places, NOBODY), match=match, long=payloads)
+        return FrameStretch(batch=whole, slot=np.insert(match.slot, places, NOBODY), match=match, long=payloads)
 
 
 def joined(parts: Sequence[LongPayloads | None], row_counts: Sequence[int]) -> LongPayloads | None:
@@ -297,14 +299,14 @@ class FrameStock:
         After how many frames, or values, a group is complete.
     """
 
-    def __init__(self, codec: Codec, origins: Origins | None, most_frames: int, most_values: int) -> None:
+    def __init__(self, codec: Codec, origins: ChannelOrigins | None, most_frames: int, most_values: int) -> None:
         self._values_of = np.array([len(table.signals) for table in codec.tables], np.int64)  # in a frame, at most
         self._origins, self._most_frames, self._most_values = origins, most_frames, most_values
         self._has_short = np.zeros(len(codec.tables), np.bool_)
         self._parts: list[FrameGroup] = []
         self._frame_count = self._value_count = 0
 
-    def add(self, stretch: Stretch) -> Iterator[FrameGroup]:
+    def add(self, stretch: FrameStretch) -> Iterator[FrameGroup]:
         """Take frames with their messages; yield the groups that are complete by them."""
         batch, slot, long = stretch.batch, stretch.slot, stretch.long
         self._has_short |= stretch.match.counts[:-1, FrameFate.SHORT] > 0

@@ -22,7 +22,7 @@ from canlog.column_files import BOOL_TYPE, NAME_TYPE, TIME_TYPE, load_pyarrow
 from canlog.decode.codec import MessageTable, MessageValues
 from canlog.decode.signals import FloatCode, PayloadWords, SignalTable
 from canlog.frames import EXTENDED_FLAG
-from canlog.tables.frame_groups import FrameGroup, Origins
+from canlog.tables.frame_groups import ChannelOrigins, FrameGroup
 
 TEXT_SUFFIX: Final = ".text"  # of the column that names the states beside the numbers
 BARE_ID: Final = 0x1FFF_FFFF
@@ -140,7 +140,7 @@ class Values(StrEnum):
     BOTH = "both"
 
 
-def frame_kinds(origins: Origins | None) -> dict[str, str]:
+def frame_kinds(origins: ChannelOrigins | None) -> dict[str, str]:
     """Return names and types of the columns that say what is known of frames besides their signals."""
     return FRAME_KINDS if origins is None else {LOG: NAME_TYPE, **FRAME_KINDS}
 
@@ -154,7 +154,7 @@ class WideLayout:
         names: TableNames,
         values: Values,
         slots: Sequence[int],
-        origins: Origins | None = None,
+        origins: ChannelOrigins | None = None,
         *,
         is_measured: bool = False,
     ) -> None:

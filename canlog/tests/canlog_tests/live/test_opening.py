@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import can
 import pytest
 
-from canlog.live import Silence, medium, pythoncan
+from canlog.live import BusSilence, medium, pythoncan
 from canlog.live.medium import open_medium
 from canlog.live.opening import MulticastBus, open_bus
 from canlog.live.pythoncan import PythonCanSource
@@ -128,7 +128,7 @@ async def test_silence_is_told_once_where_times_are_of_this_machine(
         near.send(can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\x01", timestamp=timestamp))
         async with asyncio.timeout(HANG_S), asyncio.TaskGroup() as tasks:
             async for part in source:
-                heard.append("silence" if isinstance(part, Silence) else "frames")
+                heard.append("silence" if isinstance(part, BusSilence) else "frames")
                 if heard == expected:
                     tasks.create_task(_close_later(source))
     assert heard == expected

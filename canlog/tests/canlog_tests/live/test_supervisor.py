@@ -8,7 +8,7 @@ import pytest
 
 from canlog.errors import NOTICE, SourceError
 from canlog.frames import ERROR_FLAG, FrameBatch
-from canlog.live import BusState, LinkBreak, Silence, SourceCounts, SupervisedSource
+from canlog.live import BusSilence, BusState, LinkBreak, SourceCounts, SupervisedSource
 from canlog.live.supervisor import Backoff
 from tests.support.batches import frames_at
 from tests.support.patience import HANG_S
@@ -24,16 +24,16 @@ def numbered(*numbers: int, flags: int = 0) -> FrameBatch:
 class ShortSource:
     """A bus that gives some batches and then fails, or stays silent until it is closed."""
 
-    def __init__(self, *batches: FrameBatch | Silence, failure: str | None = None) -> None:
+    def __init__(self, *batches: FrameBatch | BusSilence, failure: str | None = None) -> None:
         self._batches = batches
         self._failure = failure
         self._closed = asyncio.Event()
         self.description = "short"
         self.counts = SourceCounts(
-            received=sum(len(one) for one in batches if not isinstance(one, Silence)), kernel_dropped=1
+            received=sum(len(one) for one in batches if not isinstance(one, BusSilence)), kernel_dropped=1
         )
 
-    async def __aiter__(self) -> AsyncIterator[FrameBatch | Silence]:
+    async def __aiter__(self) -> AsyncIterator[FrameBatch | BusSilence]:
         for batch in self._batches:
             yield batch
         if self._failure is not None:
@@ -68,7 +68,7 @@ async def parts_of(source: SupervisedSource, count: int) -> list[list[int] | str
     parts: list[list[int] | str] = []
     async with asyncio.timeout(HANG_S):
         async for part in source:
-            if isinstance(part, Silence):
+            if isinstance(part, BusSilence):
                 parts.append("silence")
             else:
                 parts.append(part.problem if isinstance(part, LinkBreak) else part.t_ns.tolist())

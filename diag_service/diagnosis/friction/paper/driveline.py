@@ -123,7 +123,7 @@ WHEEL_WANDER_RAD_S2_SQRT_S = 30.0  # wheel acceleration: 3 rad/s^2 in 10 ms
 ENGINE_TORQUE_BAND_S = 0.01  # over which the engine torque's error is the same
 
 
-class State(IntEnum):
+class Index(IntEnum):
     """Places in the state vector."""
 
     ENGINE_SPEED = 0
@@ -165,59 +165,63 @@ def driveline_model(
     ratios = tuple(driveline.overall_ratios[gear - 1] for gear in gears)
     flywheel, shafts = _torque_rows(ratios, driveline)
     rate = _rates(ratios, flywheel, shafts, side, driveline)
-    size = len(State)
+    size = len(Index)
     diffusion = np.zeros((size, size))
     engine_std = engine_torque_std_nm / side.engine_inertia_kg_m2
-    diffusion[State.ENGINE_SPEED, State.ENGINE_SPEED] = engine_std**2 * ENGINE_TORQUE_BAND_S
-    diffusion[State.WHEEL_ACCELERATION, State.WHEEL_ACCELERATION] = WHEEL_WANDER_RAD_S2_SQRT_S**2
-    for torque in (State.CLUTCH1_TORQUE, State.CLUTCH2_TORQUE):
+    diffusion[Index.ENGINE_SPEED, Index.ENGINE_SPEED] = engine_std**2 * ENGINE_TORQUE_BAND_S
+    diffusion[Index.WHEEL_ACCELERATION, Index.WHEEL_ACCELERATION] = WHEEL_WANDER_RAD_S2_SQRT_S**2
+    for torque in (Index.CLUTCH1_TORQUE, Index.CLUTCH2_TORQUE):
         diffusion[torque, torque] = TORQUE_WANDER_NM_SQRT_S**2
     by_torque = np.zeros(size)
-    by_torque[State.ENGINE_SPEED] = 1.0 / side.engine_inertia_kg_m2
+    by_torque[Index.ENGINE_SPEED] = 1.0 / side.engine_inertia_kg_m2
     transition, engine, noise = _discretised(rate, by_torque, diffusion, period_s)
     return DrivelineModel(transition=transition, engine=engine, noise=noise, flywheel_nm=flywheel, shaft_nm=shafts)
 
 
 def _torque_rows(ratios: tuple[float, ...], driveline: Driveline) -> tuple[FloatArray, FloatArray]:
-    flywheel = np.zeros(len(State))
-    flywheel[State.FLYWHEEL_TWIST] = driveline.flywheel.stiffness_nm_rad
-    flywheel[State.ENGINE_SPEED] = driveline.flywheel.damping_nms_rad
-    flywheel[State.HUB_SPEED] = -driveline.flywheel.damping_nms_rad
-    shafts = np.zeros((2, len(State)))
+    flywheel = np.zeros(len(Index))
+    flywheel[Index.FLYWHEEL_TWIST] = driveline.flywheel.stiffness_nm_rad
+    flywheel[Index.ENGINE_SPEED] = driveline.flywheel.damping_nms_rad
+    flywheel[Index.HUB_SPEED] = -driveline.flywheel.damping_nms_rad
+    shafts = np.zeros((2, len(Index)))
     for m, (ratio, shaft) in enumerate(zip(ratios, driveline.shafts, strict=True)):
-        shafts[m, State.SHAFT1_TWIST + 2 * m] = shaft.stiffness_nm_rad
-        shafts[m, State.INPUT1_SPEED + 2 * m] = shaft.damping_nms_rad
-        shafts[m, State.DIFF_SPEED] = -ratio * shaft.damping_nms_rad
+        shafts[m, Index.SHAFT1_TWIST + 2 * m] = shaft.stiffness_nm_rad
+        shafts[m, Index.INPUT1_SPEED + 2 * m] = shaft.damping_nms_rad
+        shafts[m, Index.DIFF_SPEED] = -ratio * shaft.damping_nms_rad
     return flywheel, shafts
 
 
 def _rates(
     ratios: tuple[float, ...], flywheel: FloatArray, shafts: FloatArray, side: InputSide, driveline: Driveline
 ) -> FloatArray:
-    rate = np.zeros((len(State), len(State)))
-    rate[State.ENGINE_SPEED] = -flywheel / side.engine_inertia_kg_m2
-    rate[State.FLYWHEEL_TWIST, [State.ENGINE_SPEED, State.HUB_SPEED]] = 1.0, -1.0
-    rate[State.HUB_SPEED] = flywheel / side.hub_inertia_kg_m2
-    rate[State.HUB_SPEED, State.HUB_SPEED] -= side.hub_damping_nms_rad / side.hub_inertia_kg_m2
-    diff_nm = np.zeros(len(State))
+    rate = np.zeros((len(Index), len(Index)))
+    rate[Index.ENGINE_SPEED] = -flywheel / side.engine_inertia_kg_m2
+    rate[Index.FLYWHEEL_TWIST, [Index.ENGINE_SPEED, Index.HUB_SPEED]] = 1.0, -1.0
+    rate[Index.HUB_SPEED] = flywheel / side.hub_inertia_kg_m2
+    rate[Index.HUB_SPEED, Index.HUB_SPEED] -= side.hub_damping_nms_rad / side.hub_inertia_kg_m2
+    diff_nm = np.zeros(len(Index))
     diff_inertia_kg_m2 = driveline.output.inertia_kg_m2
     for m, (ratio, shaft) in enumerate(zip(ratios, driveline.shafts, strict=True)):
-        speed, twist, torque = State.INPUT1_SPEED + 2 * m, State.SHAFT1_TWIST + 2 * m, State.CLUTCH1_TORQUE + m
-        rate[State.HUB_SPEED, torque] = -1.0 / side.hub_inertia_kg_m2
+        speed, twist, torque = (
+            Index.INPUT1_SPEED + 2 * m,
+            Index.SHAFT1_TWIST + 2 * m,
+            Index.CLUTCH1_TORQUE + m,
+        )
+        rate[Index.HUB_SPEED, torque] = -1.0 / side.hub_inertia_kg_m2
         rate[speed] = -shafts[m] / shaft.clutch_inertia_kg_m2
         rate[speed, speed] -= shaft.clutch_damping_nms_rad / shaft.clutch_inertia_kg_m2
         rate[speed, torque] += 1.0 / shaft.clutch_inertia_kg_m2
-        rate[twist, [speed, State.DIFF_SPEED]] = 1.0, -ratio
+        rate[twist, [speed, Index.DIFF_SPEED]] = 1.0, -ratio
         diff_nm += ratio * shafts[m]
-        diff_nm[State.DIFF_SPEED] -= ratio**2 * shaft.gear_damping_nms_rad
+        diff_nm[Index.DIFF_SPEED] -= ratio**2 * shaft.gear_damping_nms_rad
         diff_inertia_kg_m2 += ratio**2 * shaft.gear_inertia_kg_m2
     output = driveline.output
-    diff_nm[State.OUTPUT_TWIST] -= output.stiffness_nm_rad
-    diff_nm[State.DIFF_SPEED] -= output.damping_nms_rad
-    diff_nm[State.WHEEL_SPEED] += output.damping_nms_rad
-    rate[State.DIFF_SPEED] = diff_nm / diff_inertia_kg_m2
-    rate[State.OUTPUT_TWIST, [State.DIFF_SPEED, State.WHEEL_SPEED]] = 1.0, -1.0
-    rate[State.WHEEL_SPEED, State.WHEEL_ACCELERATION] = 1.0
+    diff_nm[Index.OUTPUT_TWIST] -= output.stiffness_nm_rad
+    diff_nm[Index.DIFF_SPEED] -= output.damping_nms_rad
+    diff_nm[Index.WHEEL_SPEED] += output.damping_nms_rad
+    rate[Index.DIFF_SPEED] = diff_nm / diff_inertia_kg_m2
+    rate[Index.OUTPUT_TWIST, [Index.DIFF_SPEED, Index.WHEEL_SPEED]] = 1.0, -1.0
+    rate[Index.WHEEL_SPEED, Index.WHEEL_ACCELERATION] = 1.0
     return rate
 
 

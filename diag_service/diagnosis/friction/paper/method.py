@@ -46,9 +46,9 @@ from diag_service.diagnosis.friction.paper.driveline import (
     Differentiator,
     Driveline,
     DrivelineModel,
+    Index,
     Rated,
     Shaft,
-    State,
     driveline_model,
     quiet_filter,
     steady_kalman,
@@ -166,7 +166,7 @@ def _fill_surface(
         share[row] = stribeck_weight(slip_rad_s[row], friction)
 
 
-class Gate(StrEnum):
+class SampleGate(StrEnum):
     """The conditions a sample must meet, each in the order in which the paper names them."""
 
     SHIFTING = "a shift is under way"
@@ -202,8 +202,8 @@ class PaperEstimate:
 
     mu_c: float | None
     mu_s: float | None
-    static_counts: Mapping[Gate, int]  # samples left after each gate of mu_S
-    coulomb_counts: Mapping[Gate, int]  # samples left after each gate of mu_C
+    static_counts: Mapping[SampleGate, int]  # samples left after each gate of mu_S
+    coulomb_counts: Mapping[SampleGate, int]  # samples left after each gate of mu_C
 
     @property
     def static_count(self) -> int:
@@ -221,19 +221,19 @@ class Passed:
     """Which samples pass all gates, and how many are left after each."""
 
     rows: BoolArray
-    counts: Mapping[Gate, int]
+    counts: Mapping[SampleGate, int]
 
 
 def static_gate(data: FrictionData, gates: Gates, lock_band_rad_s: float, prior_mu_s: float) -> Passed:
     """Return the samples that speak of mu_S: slow slip in mechanical contact."""
     excess_rad_s = np.abs(data.slip_rad_s) - lock_band_rad_s
     conditions = {
-        Gate.SHIFTING: _in_shift(data, gates),
-        Gate.STICK: (excess_rad_s > 0.0) & (excess_rad_s <= gates.stick_tolerance_rad_s),
-        Gate.MECHANICAL: data.shear_difference < gates.mechanical_shear_max,
+        SampleGate.SHIFTING: _in_shift(data, gates),
+        SampleGate.STICK: (excess_rad_s > 0.0) & (excess_rad_s <= gates.stick_tolerance_rad_s),
+        SampleGate.MECHANICAL: data.shear_difference < gates.mechanical_shear_max,
     }
     if gates.prior_tolerance_ratio is not None:
-        conditions[Gate.NEAR_PRIOR] = np.abs(data.mu - prior_mu_s) <= gates.prior_tolerance_ratio * prior_mu_s
+        conditions[SampleGate.NEAR_PRIOR] = np.abs(data.mu - prior_mu_s) <= gates.prior_tolerance_ratio * prior_mu_s
     return _through(conditions)
 
 
@@ -241,13 +241,13 @@ def coulomb_gate(data: FrictionData, gates: Gates) -> Passed:
     """Return the samples that speak of mu_C: partial lubrication, slipping, with noise also stroking."""
     slip_rad_s = data.slip_rad_s if gates.is_slip_signed else np.abs(data.slip_rad_s)
     conditions = {
-        Gate.SHIFTING: _in_shift(data, gates),
-        Gate.PARTIAL: (data.shear_difference > gates.mechanical_shear_max)
+        SampleGate.SHIFTING: _in_shift(data, gates),
+        SampleGate.PARTIAL: (data.shear_difference > gates.mechanical_shear_max)
         & (data.shear_difference < gates.partial_shear_max),
-        Gate.SLIPPING: slip_rad_s > gates.slip_min_rad_s,
+        SampleGate.SLIPPING: slip_rad_s > gates.slip_min_rad_s,
     }
     if gates.pressure_rate_min_pa_s is not None:
-        conditions[Gate.STROKING] = data.pressure_rate_pa_s > gates.pressure_rate_min_pa_s
+        conditions[SampleGate.STROKING] = data.pressure_rate_pa_s > gates.pressure_rate_min_pa_s
     return _through(conditions)
 
 
@@ -274,8 +274,8 @@ def _in_shift(data: FrictionData, gates: Gates) -> BoolArray:
     return data.is_shifting if gates.is_shift_required else np.ones(len(data), np.bool_)
 
 
-def _through(conditions: Mapping[Gate, BoolArray]) -> Passed:
-    counts: dict[Gate, int] = {}
+def _through(conditions: Mapping[SampleGate, BoolArray]) -> Passed:
+    counts: dict[SampleGate, int] = {}
     rows: BoolArray | None = None
     for gate, condition in conditions.items():
         rows = condition if rows is None else rows & condition
@@ -329,7 +329,7 @@ class ClutchAnalysis:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Analysis:
+class PaperEstimates:
     """Both clutches, and the speeds they were seen with."""
 
     speeds: Speeds
@@ -342,7 +342,7 @@ def analyse(
     tables: tuple[FilmTable, FilmTable],
     calibration: Calibration,
     driveline: Driveline,
-) -> Analysis:
+) -> PaperEstimates:
     """Return the friction data of both clutches: eqs. (10) to (16), then (9), then (17)."""
     hub, first, second = (
         differentiators.speed(speed_rad_s, signals.period_s)
@@ -364,7 +364,7 @@ def analyse(
                 pressure=pressure, film_m=film_m, friction_nm=friction_nm[m], viscous_nm=viscous_nm, data=data
             )
         )
-    return Analysis(speeds=speeds, clutches=both_clutches(clutches))
+    return PaperEstimates(speeds=speeds, clutches=both_clutches(clutches))
 
 
 def clutch_torques_nm(
@@ -394,13 +394,13 @@ GRID_STRIDE = round(PERIOD_S / GRID_S)
 WHEEL_STD_RAD_S = 0.05  # mean of two wheels, quantisation included
 OPEN_STD_NM = 2.0  # drag of an open clutch
 SHIFT_PHASES = (1.0, 3.0)  # prefill to inertia: until the clutch has stuck
-LOOSE = {State.FLYWHEEL_TWIST: 0.2, State.OUTPUT_TWIST: 0.5, State.WHEEL_ACCELERATION: 20.0}
-LOOSE |= {State.SHAFT1_TWIST: 0.1, State.SHAFT2_TWIST: 0.1, State.CLUTCH1_TORQUE: 500.0, State.CLUTCH2_TORQUE: 500.0}
+LOOSE = {Index.FLYWHEEL_TWIST: 0.2, Index.OUTPUT_TWIST: 0.5, Index.WHEEL_ACCELERATION: 20.0}
+LOOSE |= {Index.SHAFT1_TWIST: 0.1, Index.SHAFT2_TWIST: 0.1, Index.CLUTCH1_TORQUE: 500.0, Index.CLUTCH2_TORQUE: 500.0}
 LOOSE_SPEED_RAD_S = 50.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Readings:
+class SmootherReadings:
     """What the smoother reads at every period."""
 
     engine_nm: FloatArray  # (n,)
@@ -409,8 +409,8 @@ class Readings:
     is_open: BoolArray  # (n, 2) pressure below the touch point
 
 
-SPEED_STATES = (State.ENGINE_SPEED, State.HUB_SPEED, State.INPUT1_SPEED, State.INPUT2_SPEED, State.WHEEL_SPEED)
-TORQUE_STATES = (State.CLUTCH1_TORQUE, State.CLUTCH2_TORQUE)
+SPEED_STATES = (Index.ENGINE_SPEED, Index.HUB_SPEED, Index.INPUT1_SPEED, Index.INPUT2_SPEED, Index.WHEEL_SPEED)
+TORQUE_STATES = (Index.CLUTCH1_TORQUE, Index.CLUTCH2_TORQUE)
 
 
 def paper_signals(event: Event, calibration: Calibration, driveline: Driveline) -> PaperSignals | Reason:
@@ -440,9 +440,9 @@ def paper_signals(event: Event, calibration: Calibration, driveline: Driveline) 
     )
 
 
-def smoothed_states(model: DrivelineModel, readings: Readings) -> FloatArray:
+def smoothed_states(model: DrivelineModel, readings: SmootherReadings) -> FloatArray:
     """Return the state of the driveline at every period, shape (n, 13)."""
-    size, count = len(State), len(readings.engine_nm)
+    size, count = len(Index), len(readings.engine_nm)
     mean, covariance = _start(readings)
     means, predicted_means = np.empty((count, size)), np.empty((count, size))
     covariances, predicted = np.empty((count, size, size)), np.empty((count, size, size))
@@ -457,17 +457,19 @@ def smoothed_states(model: DrivelineModel, readings: Readings) -> FloatArray:
     return means
 
 
-def _start(readings: Readings) -> tuple[FloatArray, FloatArray]:
-    mean = np.zeros(len(State))
+def _start(readings: SmootherReadings) -> tuple[FloatArray, FloatArray]:
+    mean = np.zeros(len(Index))
     mean[list(SPEED_STATES)] = readings.speeds_rad_s[0]
-    mean[State.DIFF_SPEED] = mean[State.WHEEL_SPEED]
-    spread = np.full(len(State), LOOSE_SPEED_RAD_S)
+    mean[Index.DIFF_SPEED] = mean[Index.WHEEL_SPEED]
+    spread = np.full(len(Index), LOOSE_SPEED_RAD_S)
     for state, std in LOOSE.items():
         spread[state] = std
     return mean, np.diag(spread**2)
 
 
-def _updated(mean: FloatArray, covariance: FloatArray, readings: Readings, k: int) -> tuple[FloatArray, FloatArray]:
+def _updated(
+    mean: FloatArray, covariance: FloatArray, readings: SmootherReadings, k: int
+) -> tuple[FloatArray, FloatArray]:
     """Return mean and covariance after the readings of one period; they are independent, so one after the other."""
     measured = [
         (state, value, std)
@@ -483,12 +485,12 @@ def _updated(mean: FloatArray, covariance: FloatArray, readings: Readings, k: in
     return mean, 0.5 * (covariance + covariance.T)
 
 
-def _readings(gathered: AlignedSignals, wheel_rad_s: FloatArray, calibration: Calibration) -> Readings:
+def _readings(gathered: AlignedSignals, wheel_rad_s: FloatArray, calibration: Calibration) -> SmootherReadings:
     torque_nm = gathered.engine_torque.on_grid[::GRID_STRIDE]
     speeds = (gathered.engine_speed, gathered.hub_speed, *gathered.input_speed)
     noise = calibration.noise
     stds = (noise.engine_speed_rad_s, noise.hub_speed_rad_s, noise.input_speed_rad_s, noise.input_speed_rad_s)
-    return Readings(
+    return SmootherReadings(
         engine_nm=0.5 * (torque_nm + np.append(torque_nm[1:], torque_nm[-1])),  # mean over the period to come
         speeds_rad_s=np.column_stack([*(speed.on_grid[::GRID_STRIDE] for speed in speeds), wheel_rad_s]),
         speed_std_rad_s=np.array([*stds, WHEEL_STD_RAD_S]),

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from sqlalchemy import ColumnElement, Connection, Engine, func, insert, or_, select, update
 
-from fleet_backend.alarms.rules import Event, Rule, Subject, Transition
+from fleet_backend.alarms.rules import AlarmEvent, AlarmRule, Subject, Transition
 from fleet_backend.database import transaction
 from fleet_backend.errors import RowRefusedError
 from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, note_change
@@ -44,7 +44,7 @@ def open_alarms(engine: Engine) -> dict[Subject, bool]:
     columns = (ALARM.c.vehicle, ALARM.c.clutch, ALARM.c.rule)
     with transaction(engine) as connection:
         rows = connection.execute(select(*columns).where(ALARM.c.cleared_at.is_(None)))
-        return {Subject(vehicle=row.vehicle, clutch=row.clutch, rule=Rule(row.rule)): True for row in rows}
+        return {Subject(vehicle=row.vehicle, clutch=row.clutch, rule=AlarmRule(row.rule)): True for row in rows}
 
 
 def alarms(engine: Engine, *which: ColumnElement[bool]) -> list[dict[str, Any]]:
@@ -84,7 +84,7 @@ def acknowledge_open(engine: Engine, vehicle: str, clutch: int, note: Note) -> i
     """Acknowledge all open alarms of a clutch that nobody has; return how many; clutch 0: the vehicle as a whole."""
     waiting = (ALARM.c.cleared_at.is_(None), ALARM.c.acknowledged_at.is_(None))
     own = alarms(engine, ALARM.c.vehicle == vehicle, ALARM.c.clutch == clutch, *waiting)
-    subjects = ((Subject(vehicle=vehicle, clutch=clutch, rule=Rule(one["rule"])), one["number"]) for one in own)
+    subjects = ((Subject(vehicle=vehicle, clutch=clutch, rule=AlarmRule(one["rule"])), one["number"]) for one in own)
     return sum(acknowledge(engine, subject, number, note) for subject, number in subjects)
 
 
@@ -118,9 +118,9 @@ def settle(engine: Engine, letter: Letter, now: datetime, complaint: str | None)
 def _write(engine: Engine, steps: Sequence[Transition], carriers: Sequence[str]) -> list[Transition]:
     try:
         with transaction(engine) as connection:
-            numbers = _raise(connection, [step for step in steps if step.event is Event.RAISED])
+            numbers = _raise(connection, [step for step in steps if step.event is AlarmEvent.RAISED])
             for step in steps:
-                if step.event is Event.CLEARED and (number := _clear(connection, step)) is not None:
+                if step.event is AlarmEvent.CLEARED and (number := _clear(connection, step)) is not None:
                     numbers[step] = number
             rows = [
                 {

@@ -8,14 +8,14 @@ from itertools import pairwise
 from typing import Final
 
 from clutchdiag_io.people import is_dated
-from fleet_backend.errors import ConfigError
+from fleet_backend.errors import BackendConfigError
 from fleet_backend.intake import CLOCK_ERROR
 from fleet_contract.orders import Action, name_of
 
 WHOLE_VEHICLE = 0  # in place of the number of a clutch
 
 
-class Rule(StrEnum):
+class AlarmRule(StrEnum):
     """What an alarm is about."""
 
     VERDICT = "verdict"  # the fluid of a clutch is to be changed
@@ -29,7 +29,7 @@ class Rule(StrEnum):
     QUOTA = "quota"  # it sends more than is taken of it in a day
 
 
-class Event(StrEnum):
+class AlarmEvent(StrEnum):
     """What happened to an alarm."""
 
     RAISED = "raised"
@@ -72,7 +72,7 @@ class Subject:
 
     vehicle: str
     clutch: int
-    rule: Rule
+    rule: AlarmRule
     element: str | None = field(default=None, compare=False)  # name of the clutch, as of `Whose`
 
     def __str__(self) -> str:
@@ -80,7 +80,7 @@ class Subject:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class RuleFinding:
     """What a rule says now; ``is_wrong`` is None between where alarms begin and where they end: it stays as it was."""
 
     subject: Subject
@@ -93,53 +93,55 @@ class Transition:
     """An alarm that is raised or cleared."""
 
     subject: Subject
-    event: Event
+    event: AlarmEvent
     reason: str
     at: datetime
 
 
-def verdict_finding(whose: Whose, condition: str, order: str, *, is_old_fluid: bool) -> Finding:
+def verdict_finding(whose: Whose, condition: str, order: str, *, is_old_fluid: bool) -> RuleFinding:
     """Return what the verdict says; one that is none changes nothing, unless all that spoke was an earlier fluid."""
     is_wrong = None if condition == "no_verdict" and not is_old_fluid else condition == "change_fluid"
-    return Finding(subject=_subject(whose, Rule.VERDICT), is_wrong=is_wrong, reason=order)
+    return RuleFinding(subject=_subject(whose, AlarmRule.VERDICT), is_wrong=is_wrong, reason=order)
 
 
-def cause_finding(vehicle: str, action: str, order: str) -> Finding:
+def cause_finding(vehicle: str, action: str, order: str) -> RuleFinding:
     """Return whether another cause than the fluid is to be seen to; while nothing is known it stays as it was."""
     is_wrong = None if action in {Action.MEASURE_AGAIN, Action.NEW_FLUID} else action == Action.FIND_CAUSE
-    return Finding(subject=_subject(Whose(vehicle, WHOLE_VEHICLE), Rule.CAUSE), is_wrong=is_wrong, reason=order)
+    return RuleFinding(
+        subject=_subject(Whose(vehicle, WHOLE_VEHICLE), AlarmRule.CAUSE), is_wrong=is_wrong, reason=order
+    )
 
 
-def due_finding(whose: Whose, probability: float | None, sentence: str, limits: Limits) -> Finding:
+def due_finding(whose: Whose, probability: float | None, sentence: str, limits: Limits) -> RuleFinding:
     """Return what the prognosis says; None: there is no trend, which is not wrong."""
     is_wrong = False if probability is None else _beyond(probability, limits.due_from, limits.due_until)
-    return Finding(subject=_subject(whose, Rule.DUE), is_wrong=is_wrong, reason=sentence)
+    return RuleFinding(subject=_subject(whose, AlarmRule.DUE), is_wrong=is_wrong, reason=sentence)
 
 
-def quality_finding(whose: Whose, unused_count: int, event_count: int, limits: Limits) -> Finding:
+def quality_finding(whose: Whose, unused_count: int, event_count: int, limits: Limits) -> RuleFinding:
     """Return what the last events say of the data; a few say nothing."""
     share = unused_count / max(event_count, 1)
     is_wrong = None if event_count < limits.least_events else _beyond(share, limits.unused_from, limits.unused_until)
     reason = f"{unused_count} of the last {event_count} events of {whose.clutch_name} could not be used"
-    return Finding(subject=_subject(whose, Rule.QUALITY), is_wrong=is_wrong, reason=reason)
+    return RuleFinding(subject=_subject(whose, AlarmRule.QUALITY), is_wrong=is_wrong, reason=reason)
 
 
-def score_finding(whose: Whose, fall: float | None, limits: Limits) -> Finding:
+def score_finding(whose: Whose, fall: float | None, limits: Limits) -> RuleFinding:
     """Return whether gears are changed worse than before; None: too few changes tell."""
     is_wrong = None if fall is None else _beyond(fall, limits.fall_from, limits.fall_until)
     points = f"{fall or 0.0:.0f} points less than the first of their kind"
     reason = f"the last changes to gears of {whose.clutch_name} score {points}"
-    return Finding(subject=_subject(whose, Rule.SCORE), is_wrong=is_wrong, reason=reason)
+    return RuleFinding(subject=_subject(whose, AlarmRule.SCORE), is_wrong=is_wrong, reason=reason)
 
 
-def odometer_finding(whose: Whose, readings_m: Sequence[float], limits: Limits) -> Finding:
+def odometer_finding(whose: Whose, readings_m: Sequence[float], limits: Limits) -> RuleFinding:
     """Return whether the last readings of an odometer, in their order, can be those of one."""
     wrong = [(a, b) for a, b in pairwise(readings_m) if not 0.0 <= b - a <= limits.leap_m]
     reason = "the odometer is plausible"
     if wrong:
         before_m, after_m = wrong[-1]
         reason = f"the odometer went from {before_m / 1000.0:,.0f} km to {after_m / 1000.0:,.0f} km between two results"
-    return Finding(subject=_subject(whose, Rule.ODOMETER), is_wrong=bool(wrong), reason=reason)
+    return RuleFinding(subject=_subject(whose, AlarmRule.ODOMETER), is_wrong=bool(wrong), reason=reason)
 
 
 def heard_last(told: Iterable[object], now: datetime) -> datetime | None:
@@ -148,41 +150,47 @@ def heard_last(told: Iterable[object], now: datetime) -> datetime | None:
     return max((one for one in moments if is_dated(one) and one <= now + CLOCK_ERROR), default=None)
 
 
-def silence_finding(vehicle: str, last_heard_at: datetime, now: datetime, limits: Limits) -> Finding:
+def silence_finding(vehicle: str, last_heard_at: datetime, now: datetime, limits: Limits) -> RuleFinding:
     """Return whether too long nothing was heard of a vehicle."""
     is_wrong = _beyond(
         (now - last_heard_at).total_seconds(), limits.silence_from.total_seconds(), limits.silence_until.total_seconds()
     )
     reason = f"no message received since {last_heard_at:%Y-%m-%d %H:%M} UTC"
-    return Finding(subject=_subject(Whose(vehicle, WHOLE_VEHICLE), Rule.SILENCE), is_wrong=is_wrong, reason=reason)
+    return RuleFinding(
+        subject=_subject(Whose(vehicle, WHOLE_VEHICLE), AlarmRule.SILENCE), is_wrong=is_wrong, reason=reason
+    )
 
 
-def quota_findings(withheld: Mapping[str, int], is_open: Iterable[Subject]) -> Iterator[Finding]:
+def quota_findings(withheld: Mapping[str, int], is_open: Iterable[Subject]) -> Iterator[RuleFinding]:
     """Yield of which vehicles messages of today were withheld, and of which no longer."""
-    for vehicle in sorted(withheld.keys() | {one.vehicle for one in is_open if one.rule is Rule.QUOTA}):
+    for vehicle in sorted(withheld.keys() | {one.vehicle for one in is_open if one.rule is AlarmRule.QUOTA}):
         count = withheld.get(vehicle, 0)
         reason = f"{count} messages of today are beyond its quota; the vehicle keeps them and sends them again"
-        yield Finding(subject=_subject(Whose(vehicle, WHOLE_VEHICLE), Rule.QUOTA), is_wrong=count > 0, reason=reason)
+        yield RuleFinding(
+            subject=_subject(Whose(vehicle, WHOLE_VEHICLE), AlarmRule.QUOTA), is_wrong=count > 0, reason=reason
+        )
 
 
-def retired_findings(is_open: Iterable[Subject]) -> Iterator[Finding]:
+def retired_findings(is_open: Iterable[Subject]) -> Iterator[RuleFinding]:
     """Yield that alarms of a rule that is no more are over."""
     for one in is_open:
-        if one.rule is Rule.CORRECTION:
-            yield Finding(subject=one, is_wrong=False, reason="nothing is told of it any more")
+        if one.rule is AlarmRule.CORRECTION:
+            yield RuleFinding(subject=one, is_wrong=False, reason="nothing is told of it any more")
 
 
-def transitions(findings: Iterable[Finding], is_open: Mapping[Subject, bool], now: datetime) -> Iterator[Transition]:
+def transitions(
+    findings: Iterable[RuleFinding], is_open: Mapping[Subject, bool], now: datetime
+) -> Iterator[Transition]:
     """Yield what becomes of alarms; ``is_open`` knows those that are."""
     for one in findings:
         was_open = is_open.get(one.subject, False)
         if one.is_wrong is None or one.is_wrong == was_open:
             continue
-        event = Event.RAISED if one.is_wrong else Event.CLEARED
+        event = AlarmEvent.RAISED if one.is_wrong else AlarmEvent.CLEARED
         yield Transition(subject=one.subject, event=event, reason=one.reason, at=now)
 
 
-def _subject(whose: Whose, rule: Rule) -> Subject:
+def _subject(whose: Whose, rule: AlarmRule) -> Subject:
     return Subject(vehicle=whose.vehicle, clutch=whose.clutch, element=whose.element, rule=rule)
 
 
@@ -198,12 +206,12 @@ _MOST_KM: Final = 300_000.0  # as far as a prognosis looks
 def parse_silence(days: float) -> timedelta:
     """Return how long a vehicle may be silent; raises ConfigError."""
     if not 2.0 <= days <= 3650.0:
-        raise ConfigError(f"--silence-days must be 2 to 3650, got {days:g}")
+        raise BackendConfigError(f"--silence-days must be 2 to 3650, got {days:g}")
     return timedelta(days=days)
 
 
 def parse_service_km(distance_km: float) -> float:
     """Return the distance to the next service [m]; raises ConfigError."""
     if not 1.0 <= distance_km <= _MOST_KM:
-        raise ConfigError(f"--service-km must be 1 to {_MOST_KM:g}, got {distance_km:g}")
+        raise BackendConfigError(f"--service-km must be 1 to {_MOST_KM:g}, got {distance_km:g}")
     return 1000.0 * distance_km

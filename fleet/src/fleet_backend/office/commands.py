@@ -17,7 +17,7 @@ from fleet_backend.alarms.rules import Limits, parse_service_km, parse_silence
 from fleet_backend.commands import Command, metrics_of, tell, user_name
 from fleet_backend.config import parse_listen
 from fleet_backend.database import default_database, open_database
-from fleet_backend.errors import ConfigError, ExtraMissingError
+from fleet_backend.errors import BackendConfigError, BackendExtraError
 from fleet_backend.office.retention import forget_vehicle
 from fleet_backend.office.retention import retain as retain_months
 from fleet_backend.office_tables import ALARM, COMMAND_LINE
@@ -46,7 +46,7 @@ def _acknowledge(options: SimpleNamespace, engine: Engine) -> None:
         whose = f"clutch {clutch} of {vehicle}" if clutch else vehicle
         count = book.acknowledge_open(engine, vehicle, clutch, note)
         if not count:
-            raise ConfigError(f"{whose} has no alarm that waits for an acknowledgement")
+            raise BackendConfigError(f"{whose} has no alarm that waits for an acknowledgement")
         sys.stdout.write(f"{count} alarms of {whose} acknowledged\n")
 
 
@@ -93,11 +93,13 @@ def watch(options: SimpleNamespace, engine: Engine) -> None:
     carriers = [read_carrier(path) for path in options.notify]
     for name, count in Counter(one.name for one in carriers).items():
         if count > 1:
-            raise ConfigError(f"--notify: two files are called {name}, by which alarms remember whom they reached")
+            raise BackendConfigError(
+                f"--notify: two files are called {name}, by which alarms remember whom they reached"
+            )
     orders = watching.Orders(carriers=carriers, limits=limits, service_distance_m=distance_m)
     if options.listen is not None:
         if options.once:
-            raise ConfigError("--once ends, --listen does not: give one of them")
+            raise BackendConfigError("--once ends, --listen does not: give one of them")
         serve(options, engine, lambda keeper: watching.watch_for_ever(engine, orders, metrics_of(options), keeper))
         return
     watching.run_watch(engine, orders, metrics_of(options), is_once=options.once)
@@ -111,7 +113,7 @@ def _of_the_page() -> Iterator[None]:
     except ModuleNotFoundError as exc:
         if exc.name is None or exc.name.startswith("fleet_backend"):
             raise
-        raise ExtraMissingError(exc.name, extra="page") from exc
+        raise BackendExtraError(exc.name, extra="page") from exc
 
 
 def retain(options: SimpleNamespace, engine: Engine) -> None:

@@ -30,7 +30,7 @@ from sqlalchemy import (
 )
 
 from fleet_backend.database import transaction
-from fleet_backend.errors import ConfigError, DatabaseError
+from fleet_backend.errors import BackendConfigError, DatabaseError
 from fleet_backend.months import (
     CLUTCH_STREAM,
     TABLE,
@@ -72,7 +72,7 @@ def retain(engine: Engine, kept_months: int, *, now: datetime, by: str) -> Retai
     changed.
     """
     if not 1 <= kept_months <= MOST_KEPT:
-        raise ConfigError(f"months to keep must be 1 to {MOST_KEPT}, got {kept_months}")
+        raise BackendConfigError(f"months to keep must be 1 to {MOST_KEPT}, got {kept_months}")
     first = months_on(month_of(now), -kept_months)
     until = datetime.combine(first, time(), UTC)
     if has_partitions(engine):

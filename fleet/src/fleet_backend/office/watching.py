@@ -20,14 +20,14 @@ from clutchdiag_io.metrics import gauge
 from fleet_backend import queries
 from fleet_backend.alarms import book, rules
 from fleet_backend.alarms.book import Letter
-from fleet_backend.alarms.rules import Event
-from fleet_backend.config import Place
+from fleet_backend.alarms.rules import AlarmEvent
+from fleet_backend.config import ServerAddress
 from fleet_backend.database import transaction
-from fleet_backend.errors import CarrierError, ConfigError, DatabaseError
+from fleet_backend.errors import BackendConfigError, CarrierError, DatabaseError
 from fleet_backend.months import month_of, partitions
 from fleet_backend.office_tables import ALARM_MESSAGE, INTAKE
 from fleet_backend.page.fleet import Keeper, fleet_families
-from fleet_backend.page.populations import Kept, latest
+from fleet_backend.page.populations import StoredPopulation, latest
 from fleet_backend.page.prognosis import chance_of, foretold, outlook_of, outlook_text, score_fall_of
 from fleet_backend.page.queries import DatabaseSource, fills_of, keep_due, last_arrivals, results_of
 from fleet_backend.page.records import ClutchNow, Severity
@@ -49,7 +49,7 @@ class AppriseCarrier:
 
     def deliver(self, letter: Letter) -> None:
         """Deliver a message; raises CarrierError if it was not taken."""
-        told, is_over = letter.payload, letter.payload["event"] == Event.CLEARED
+        told, is_over = letter.payload, letter.payload["event"] == AlarmEvent.CLEARED
         whose = told["vehicle"] + (f", {name_of(told['clutch'], told['element'])}" if told["clutch"] else "")
         is_taken = self.apprise.notify(
             title=f"{'Alarm over' if is_over else 'Alarm'}: {whose}: {told['rule']}",
@@ -69,10 +69,10 @@ def read_carrier(path: Path) -> AppriseCarrier:
     try:
         address = read_secret(path)
     except AddressError as exc:
-        raise ConfigError(str(exc)) from exc
+        raise BackendConfigError(str(exc)) from exc
     apprise = Apprise(asset=AppriseAsset(http_redirects=False, service_timeout=_LONGEST_WAIT_S))
     if not apprise.add(address) or len(apprise) != 1:
-        raise ConfigError(f"{path} must hold one address that apprise knows")
+        raise BackendConfigError(f"{path} must hold one address that apprise knows")
     return AppriseCarrier(name=path.stem, apprise=apprise)
 
 
@@ -157,7 +157,7 @@ class Watch:
         yield from self._told
 
     def _round_families(self, now: datetime, began_s: float) -> Iterator[Metric]:
-        open_counts = dict.fromkeys((rule.value for rule in rules.Rule), 0)
+        open_counts = dict.fromkeys((rule.value for rule in rules.AlarmRule), 0)
         open_counts |= Counter(subject.rule.value for subject in book.open_alarms(self._engine))
         yield gauge("fleet_open_alarms", "Alarms that are not cleared, by their rule.", open_counts, "rule")
         own = ALARM_MESSAGE.c.carrier.in_([carrier.name for carrier in self._orders.carriers])  # others may be history
@@ -211,9 +211,9 @@ class Watch:
         with transaction(self._engine) as connection:
             return {str(vehicle): count for vehicle, count in connection.execute(told)}
 
-    def _findings(self, now: datetime, is_open: Container[rules.Subject]) -> Iterator[rules.Finding]:
+    def _findings(self, now: datetime, is_open: Container[rules.Subject]) -> Iterator[rules.RuleFinding]:
         for one in self._keeper.snapshot.clutches:
-            subject = rules.Subject(vehicle=one.vehicle, clutch=one.clutch, rule=rules.Rule.VERDICT)
+            subject = rules.Subject(vehicle=one.vehicle, clutch=one.clutch, rule=rules.AlarmRule.VERDICT)
             is_old = subject in is_open and self._speaks_of_old_fluid(one)
             yield rules.verdict_finding(_whose(one), one.condition, one.order, is_old_fluid=is_old)
         arrivals = last_arrivals(self._engine)
@@ -224,7 +224,7 @@ class Watch:
             if heard_at is not None:
                 yield rules.silence_finding(vehicle, heard_at, now, self._orders.limits)
 
-    def _pasts(self, judging_s: float) -> Iterator[rules.Finding]:
+    def _pasts(self, judging_s: float) -> Iterator[rules.RuleFinding]:
         """Judge vehicles with news: those that never were, the worst first, then those of the longest ago.
 
         Thus the worst, which may have news in each round, keep none of the others waiting for ever.
@@ -249,7 +249,9 @@ class Watch:
         with transaction(self._engine) as connection:
             return not is_alarming_since(connection, one.vehicle, one.clutch, one.fluid_since)
 
-    def _judge(self, vehicle: str, clutches: Sequence[ClutchNow], kept: Kept | None) -> Iterator[rules.Finding]:
+    def _judge(
+        self, vehicle: str, clutches: Sequence[ClutchNow], kept: StoredPopulation | None
+    ) -> Iterator[rules.RuleFinding]:
         limits, fills, founds, readings = self._orders.limits, fills_of(self._engine, vehicle), [], []
         for one in clutches:
             rows = results_of(self._engine, vehicle, one.clutch)
@@ -277,7 +279,7 @@ def _whose(one: ClutchNow) -> rules.Whose:
 def run_watch(
     engine: Engine,
     orders: Orders,
-    metrics: Place | None = None,
+    metrics: ServerAddress | None = None,
     *,
     is_once: bool = False,
     judging_s: float = ONCE_S,  # of a round of those that judge each vehicle once
@@ -298,7 +300,7 @@ def run_watch(
 
 
 async def watch_for_ever(
-    engine: Engine, orders: Orders, metrics: Place | None = None, shared: Keeper | None = None
+    engine: Engine, orders: Orders, metrics: ServerAddress | None = None, shared: Keeper | None = None
 ) -> None:
     """Look and deliver until it is cancelled."""
     watch = Watch(engine, orders, partial(datetime.now, UTC), shared=shared)

@@ -12,14 +12,14 @@ from typing import Annotated, Final
 import msgspec
 from msgspec import Meta
 
-from fleet_backend.errors import ConfigError, ForbiddenError, LoginError
+from fleet_backend.errors import BackendConfigError, ForbiddenError, LoginError
 from fleet_link import AddressError, read_secret
 
 ANYBODY = "*"  # in a list of names: whoever the proxy has logged in
 _LONGEST_NAME: Final = 200
 
 
-class Role(IntEnum):
+class UserRole(IntEnum):
     """What somebody may do; each may what those before it may."""
 
     VIEWER = 1  # reads
@@ -29,11 +29,11 @@ class Role(IntEnum):
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Viewer:
     name: str | None
-    role: Role
+    role: UserRole
     token: str = field(default="", repr=False)  # goes with every change, so that no other site can ask for one
 
 
-NOBODY = Viewer(name=None, role=Role.VIEWER)
+NOBODY = Viewer(name=None, role=UserRole.VIEWER)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +51,7 @@ class Access:
 
     host_names: tuple[str, ...] = ()
     proxy: Proxy | None = None  # without one nobody logs in, and everybody reads
-    roles: Mapping[str, Role] = field(default_factory=dict)
+    roles: Mapping[str, UserRole] = field(default_factory=dict)
     key: bytes = field(default_factory=lambda: secrets.token_bytes(32), repr=False)  # of tokens; dies with the process
 
     def viewer_of(self, headers: Mapping[str, str]) -> Viewer:
@@ -74,7 +74,7 @@ class Access:
             raise LoginError("the proxy did not name the user")
         return Viewer(name=name, role=self.role_of(name), token=self.token_of(name))
 
-    def role_of(self, name: str) -> Role:
+    def role_of(self, name: str) -> UserRole:
         """Return what somebody may do; raises ForbiddenError if nothing."""
         role = self.roles.get(name.casefold(), self.roles.get(ANYBODY))
         if role is None or not is_name(name):
@@ -91,7 +91,7 @@ def is_name(name: str) -> bool:
     return 0 < len(name) <= _LONGEST_NAME and name.isprintable()
 
 
-def check_role(viewer: Viewer, role: Role) -> None:
+def check_role(viewer: Viewer, role: UserRole) -> None:
     """Raise ForbiddenError unless somebody has at least a role."""
     if viewer.role < role:
         raise ForbiddenError(f"this takes the role {role.name.lower()}")
@@ -130,16 +130,16 @@ def read_access(path: Path) -> Access:
     try:
         told = msgspec.toml.decode(path.read_bytes(), type=_AccessFile)
     except (OSError, ValueError) as exc:
-        raise ConfigError(f"{path}: {exc}") from exc
-    proxy, roles = told.proxy, {Role.VIEWER: told.roles.viewer, Role.WORKSHOP: told.roles.workshop}
+        raise BackendConfigError(f"{path}: {exc}") from exc
+    proxy, roles = told.proxy, {UserRole.VIEWER: told.roles.viewer, UserRole.WORKSHOP: told.roles.workshop}
     if proxy.user_header.casefold() == proxy.secret_header.casefold():
-        raise ConfigError(f"{path}: user_header and secret_header must be names of two headers")
+        raise BackendConfigError(f"{path}: user_header and secret_header must be names of two headers")
     try:
         secret = read_secret(path.parent / proxy.secret_file)
     except AddressError as exc:
-        raise ConfigError(f"{path}: {exc}") from exc
+        raise BackendConfigError(f"{path}: {exc}") from exc
     if len(secret.encode()) < _LEAST_SECRET:
-        raise ConfigError(f"{path}: {proxy.secret_file}: a secret must have {_LEAST_SECRET} bytes or more")
+        raise BackendConfigError(f"{path}: {proxy.secret_file}: a secret must have {_LEAST_SECRET} bytes or more")
     return Access(
         host_names=tuple(name.casefold() for name in told.host_names),
         proxy=Proxy(user_header=proxy.user_header, secret_header=proxy.secret_header, secret=secret),

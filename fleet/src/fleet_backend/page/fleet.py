@@ -19,7 +19,7 @@ from fleet_backend.errors import DatabaseError
 from fleet_backend.page.calibrations import type_of
 from fleet_backend.page.prognosis import foretold_now
 from fleet_backend.page.queries import DatabaseSource, levels_of
-from fleet_backend.page.records import ClutchNow, Severity, Usual
+from fleet_backend.page.records import ClutchNow, PeerRange, Severity
 from fleet_backend.queries import PresentFluid, Row
 from fleet_contract.orders import Action
 
@@ -65,7 +65,7 @@ def worse_clutch(clutches: Sequence[ClutchNow]) -> ClutchNow:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Snapshot:
+class FleetSnapshot:
     """The fleet at one moment."""
 
     clutches: tuple[ClutchNow, ...] = ()  # the worst first
@@ -73,7 +73,7 @@ class Snapshot:
     read_at: datetime = _NEVER
     number: int = 0  # grows whenever something became different
     vehicles: ByVehicle = field(default_factory=lambda: MappingProxyType({}))
-    usual: Mapping[ClutchGroup, Usual] = field(default_factory=lambda: MappingProxyType({}))
+    usual: Mapping[ClutchGroup, PeerRange] = field(default_factory=lambda: MappingProxyType({}))
     usual_at: datetime = _NEVER
     fluids: tuple[str, ...] = ()
     types: tuple[str, ...] = ()
@@ -88,7 +88,7 @@ class Keeper:
 
     def __init__(self, source: DatabaseSource) -> None:
         self._source = source
-        self.snapshot = Snapshot()  # the fleet as it was read last
+        self.snapshot = FleetSnapshot()  # the fleet as it was read last
         self._fills_mark: tuple[object, ...] = ()
         self._fluids: Mapping[str, PresentFluid] = {}
         self._whole_at = self.snapshot.read_at
@@ -139,9 +139,9 @@ class Keeper:
         heard = {one.vehicle for one in self.snapshot.clutches if one.stored_at >= now - SILENT_AFTER}
         return frozenset(self.snapshot.vehicles.keys() - heard)
 
-    def _changed(self, fresh: ByVehicle, changed: set[str], now: datetime, *, is_whole: bool) -> Snapshot:
+    def _changed(self, fresh: ByVehicle, changed: set[str], now: datetime, *, is_whole: bool) -> FleetSnapshot:
         """Return the fleet with what was read of it: of changed vehicles, or of all."""
-        last = Snapshot() if is_whole else self.snapshot
+        last = FleetSnapshot() if is_whole else self.snapshot
         read = [one for name, own in fresh.items() if is_whole or name in changed for one in own]
         vehicles = MappingProxyType({**last.vehicles, **fresh})
         clutches = sorted([*(one for one in last.clutches if one.vehicle not in changed), *read], key=place_of)
@@ -251,14 +251,14 @@ def _by_vehicle(clutches: Sequence[ClutchNow]) -> ByVehicle:
     return {name: tuple(sorted(some, key=lambda one: one.clutch)) for name, some in found.items()}
 
 
-def usual_of(clutches: Iterable[ClutchNow]) -> Mapping[ClutchGroup, Usual]:
+def usual_of(clutches: Iterable[ClutchNow]) -> Mapping[ClutchGroup, PeerRange]:
     levels: dict[ClutchGroup, list[float]] = {}
     for now in clutches:
         if now.mu_c is not None:
             levels.setdefault(group_of(now), []).append(now.mu_c)
-    usual: dict[ClutchGroup, Usual] = {}
+    usual: dict[ClutchGroup, PeerRange] = {}
     for kind, some in levels.items():
         if len(some) >= LEAST_CLUTCHES:
             low, middle, high = np.quantile(some, _SHARES).tolist()
-            usual[kind] = Usual(clutch_count=len(some), low_mu_c=low, middle_mu_c=middle, high_mu_c=high)
+            usual[kind] = PeerRange(clutch_count=len(some), low_mu_c=low, middle_mu_c=middle, high_mu_c=high)
     return MappingProxyType(usual)

@@ -38,7 +38,7 @@ class Figure:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Course:
+class PlottedCourse:
     """How what decides the verdict of one clutch went, an item per event; NaN where nothing is known."""
 
     quantity: str
@@ -48,7 +48,7 @@ class Course:
     levels: tuple[Level, ...]  # new fluid, and the limits of the verdict
 
 
-def margin_course(points: Sequence[TrendPoint], new: FrictionCurve | None) -> Course:
+def margin_course(points: Sequence[TrendPoint], new: FrictionCurve | None) -> PlottedCourse:
     """Return how the margin against shudder went, which decides most verdicts."""
     mu_c, mu_s = (_column([getattr(one, name) for one in points]) for name in ("mu_c", "mu_s"))
     running_c, running_s = (_column([getattr(one, f"running_{name}") for one in points]) for name in ("mu_c", "mu_s"))
@@ -58,7 +58,7 @@ def margin_course(points: Sequence[TrendPoint], new: FrictionCurve | None) -> Co
     if new is not None:
         margin, watch = new.mu_c - new.mu_s, f"watch: {100.0 * WATCH_MARGIN_RATIO:.0f} %"
         levels = (margin, "new", "new"), (WATCH_MARGIN_RATIO * margin, "watch", watch), (0.0, "change", "change: 0 %")
-    return Course(
+    return PlottedCourse(
         quantity="margin mu_C - mu_S",
         single=mu_c - mu_s,
         running=running_c - running_s,
@@ -67,12 +67,12 @@ def margin_course(points: Sequence[TrendPoint], new: FrictionCurve | None) -> Co
     )
 
 
-def level_course(points: Sequence[TrendPoint]) -> Course:
+def level_course(points: Sequence[TrendPoint]) -> PlottedCourse:
     """Return how the friction at high slip went; what new fluid has the results themselves tell."""
     told = [(one.level_ratio, one.running_mu_c) for one in points if one.level_ratio and one.running_mu_c]
     new_mu_c = (told[-1][1] or 0.0) / (told[-1][0] or 1.0) if told else 0.0
     ratios = ((1.0, "new"), (WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_RATIO, "change"))
-    return Course(
+    return PlottedCourse(
         quantity="mu_C",
         single=_column([one.mu_c for one in points]),
         running=_column([one.running_mu_c for one in points]),
@@ -81,12 +81,12 @@ def level_course(points: Sequence[TrendPoint]) -> Course:
     )
 
 
-def deciding_course(points: Sequence[TrendPoint], new: FrictionCurve | None) -> Course:
+def deciding_course(points: Sequence[TrendPoint], new: FrictionCurve | None) -> PlottedCourse:
     """Return the course of what is nearer to its limit."""
     return max(margin_course(points, new), level_course(points), key=_used_ratio)
 
 
-def _used_ratio(course: Course) -> float:
+def _used_ratio(course: PlottedCourse) -> float:
     """Return how much of the way from new fluid to the limit is gone."""
     known = course.running[np.isfinite(course.running)]
     if not len(known) or not course.levels:
@@ -196,7 +196,7 @@ def _fall(x: Axis, start: float, value: float, end: float, limit: float) -> tupl
     return places, np.interp(places, [start, max(end, start + 1e-6)], [value, limit])
 
 
-def _keys(course: Course, style: str, *, has_fan: bool) -> Iterator[tuple[str, str]]:
+def _keys(course: PlottedCourse, style: str, *, has_fan: bool) -> Iterator[tuple[str, str]]:
     yield f"dots {style}", "single events"
     yield style, "estimate from all events so far"
     yield f"band {style}", PLUS_MINUS

@@ -11,14 +11,14 @@ from sqlalchemy import Engine, func, insert, select
 
 from clutch_results.prognosis import Population, population_from, population_record
 from fleet_backend.database import transaction
-from fleet_backend.errors import ConfigError, DatabaseError
+from fleet_backend.errors import BackendConfigError, DatabaseError
 from fleet_backend.office_tables import COMMAND_LINE, POPULATION, note_change
 
 _KEPT_IN_MEMORY: Final = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Kept:
+class StoredPopulation:
     """A population with its version."""
 
     version: int
@@ -48,10 +48,10 @@ def write(path: Path, population: Population, version: int | None) -> None:
             encoding="utf-8",
         )
     except OSError as exc:
-        raise ConfigError(f"{path}: {exc}") from exc
+        raise BackendConfigError(f"{path}: {exc}") from exc
 
 
-def latest(engine: Engine) -> Kept | None:
+def latest(engine: Engine) -> StoredPopulation | None:
     """Return the population that was kept last; None: none was.
 
     Raises
@@ -65,7 +65,9 @@ def latest(engine: Engine) -> Kept | None:
         row = connection.execute(statement).first()
     if row is None:
         return None
-    return Kept(version=int(row.version), learned_at=row.learned_at, population=_population(str(row.content)))
+    return StoredPopulation(
+        version=int(row.version), learned_at=row.learned_at, population=_population(str(row.content))
+    )
 
 
 @lru_cache(maxsize=_KEPT_IN_MEMORY)

@@ -22,7 +22,7 @@ from clutch_results.records import (
 from clutch_results.shift_course import fall_of
 from clutchdiag_io.people import is_dated
 from fleet_backend.page.calibrations import reference_of, type_of
-from fleet_backend.page.populations import Kept, latest
+from fleet_backend.page.populations import StoredPopulation, latest
 from fleet_backend.page.queries import fills_of, friction_in, record_in, results_of, words_in
 from fleet_backend.page.records import ClutchNow, Due, Fill, OutlookAnswer, ReachAnswer, TrendPoint
 from fleet_backend.queries import Row
@@ -87,7 +87,7 @@ def score_fall_of(rows: Sequence[Row]) -> float | None:
 
 
 def outlook_of(
-    clutch: int, rows: Sequence[Row], fills: Sequence[Fill], service_distance_m: float, kept: Kept | None
+    clutch: int, rows: Sequence[Row], fills: Sequence[Fill], service_distance_m: float, kept: StoredPopulation | None
 ) -> Prognosis | None:
     """Return how far the fluid of a clutch will go by its results, the oldest first; None: that cannot be told.
 
@@ -141,7 +141,7 @@ _RUNNING_NAMES: Final = ("mu_c", "std_mu_c", "mu_s", "std_mu_s", "correlation")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Past:
+class ClutchPast:
     """The past of a clutch, and what follows from it."""
 
     trend: tuple[TrendPoint, ...]
@@ -150,12 +150,12 @@ class Past:
     estimates: tuple[ShiftEstimate, ...]
 
 
-def read_past(engine: Engine, now: ClutchNow, fills: Sequence[Fill], service_distance_m: float) -> Past:
+def read_past(engine: Engine, now: ClutchNow, fills: Sequence[Fill], service_distance_m: float) -> ClutchPast:
     """Read the past of a clutch, and work out how far its fluid will go."""
     rows = results_of(engine, now.vehicle, now.clutch)
     found = outlook_of(now.clutch, rows, fills, service_distance_m, latest(engine)) if rows else None
     estimates = list(map(estimate_of, rows))
-    return Past(
+    return ClutchPast(
         trend=tuple(map(_point_of, rows, estimates)),
         prognosis=found,
         outlook=None if found is None else _outlook_answer(found, rows),

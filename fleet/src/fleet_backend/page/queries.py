@@ -39,7 +39,7 @@ from fleet_backend.months import CLUTCH_STREAM, has_partitions
 from fleet_backend.office_tables import ALARM, FLUID_DUE
 from fleet_backend.page.calibrations import remember
 from fleet_backend.page.parts import NO_PLACE, read_place
-from fleet_backend.page.records import Alarm, Change, ClutchNow, Fill, Quarantined, ShiftAnswer
+from fleet_backend.page.records import Alarm, ClutchChange, ClutchNow, Fill, Quarantined, ShiftAnswer
 from fleet_backend.queries import PresentFluid, Row, clutch_names, present_fluids, since_of, with_orders
 from fleet_backend.schema import (
     FLUID_FILL,
@@ -394,13 +394,13 @@ def words_in(row: Row) -> tuple[str, ...]:
 _BEFORE: Final = ("condition", "running_mu_c", "running_std_mu_c", "algorithm_version", "calibration_version", "end_at")
 
 
-def changes_of(engine: Engine, clutches: Iterable[ClutchNow], since: datetime) -> list[Change]:
+def changes_of(engine: Engine, clutches: Iterable[ClutchNow], since: datetime) -> list[ClutchChange]:
     """Return what became different of clutches since a moment, and why; of those of which anything did."""
     with transaction(engine) as connection:
         return [change for now in clutches if (change := _change(connection, now, since)).why]
 
 
-def _change(connection: Connection, now: ClutchNow, since: datetime) -> Change:
+def _change(connection: Connection, now: ClutchNow, since: datetime) -> ClutchChange:
     result, fill = SHIFT_RESULT.c, FLUID_FILL.c
     own = (result.vehicle == now.vehicle, result.clutch == now.clutch)
     order = (result.vehicle, result.clutch, result.produced_at, result.stream, result.seq, result.version_rank)
@@ -412,7 +412,7 @@ def _change(connection: Connection, now: ClutchNow, since: datetime) -> Change:
     if before is not None:
         between = (fill.vehicle == now.vehicle, fill.filled_at > before["end_at"], fill.filled_at <= now.end_at)
         fills = connection.execute(select(fill.product).where(*between).order_by(fill.filled_at)).scalars().all()
-    return Change(
+    return ClutchChange(
         vehicle=now.vehicle,
         clutch=now.clutch,
         condition_before=None if before is None else before["condition"],

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Final, Literal
 import msgspec
 from msgspec import Meta
 
-from fleet_backend.alarms.rules import Rule
+from fleet_backend.alarms.rules import AlarmRule
 from fleet_backend.page.fleet import vehicle_type
 from fleet_backend.page.records import ClutchNow, Severity
 
@@ -83,7 +83,7 @@ class AlarmsQuery(ListQuery, frozen=True, kw_only=True):
     """What may be asked of alarms."""
 
     state: Annotated[Literal["open", "waiting", "all"], Meta(description="which ones (default: open)")] | None = None
-    rule: Annotated[Rule, Meta(description="what they are about")] | None = None
+    rule: Annotated[AlarmRule, Meta(description="what they are about")] | None = None
 
 
 class AlarmQuery(Asking, frozen=True, kw_only=True):
@@ -91,7 +91,7 @@ class AlarmQuery(Asking, frozen=True, kw_only=True):
 
     vehicle: Vehicle
     clutch: ClutchWord
-    rule: Rule
+    rule: AlarmRule
     number: Count
 
 

@@ -7,7 +7,7 @@ from enum import StrEnum
 
 from clutch_results.loads import Load
 from clutch_results.records import Causes, ShiftQuality
-from clutch_results.shift_course import Course
+from clutch_results.shift_course import ShiftCourse
 
 
 class Severity(StrEnum):
@@ -160,7 +160,7 @@ class OutlookAnswer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Usual:
+class PeerRange:
     """Where the clutches of one type and fluid stand now: one in ten is below the low, one in ten above the high."""
 
     clutch_count: int
@@ -178,7 +178,7 @@ class ClutchHistory:
     why_no_outlook: str | None
     trend: tuple[TrendPoint, ...]
     result_count: int  # those that are not in the trend counted too
-    usual: Usual | None  # in the fleet; null where there are too few clutches of its type and fluid
+    usual: PeerRange | None  # in the fleet; null where there are too few clutches of its type and fluid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,7 +194,7 @@ class VehicleAnswer:
     fills: tuple[Fill, ...]
     alarms: tuple[Alarm, ...]
     clutches: tuple[ClutchHistory, ...]
-    changes: tuple[Course, ...]  # of gears
+    changes: tuple[ShiftCourse, ...]  # of gears
     loads: tuple[Load, ...]
     causes: Causes | None  # why it is as it is
 
@@ -268,7 +268,7 @@ class QuarantineAnswer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Change:
+class ClutchChange:
     """What became different of a clutch, and why."""
 
     vehicle: str
@@ -288,7 +288,7 @@ class ChangesAnswer:
     """A part of what became different since a moment, the worst first; ``next`` continues it."""
 
     since: datetime
-    changes: tuple[Change, ...]
+    changes: tuple[ClutchChange, ...]
     clutch_count: int  # with results that arrived since then
     next: str | None
 

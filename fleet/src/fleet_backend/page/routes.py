@@ -23,13 +23,13 @@ from clutchdiag_io.people import PER_1000_RPM, SLOPE_UNIT, STDS, digits
 from fleet_backend import queries as common
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Note
-from fleet_backend.alarms.rules import Rule, Subject
-from fleet_backend.errors import AskError, ConfigError, NotFoundError, UnknownVehicleError
+from fleet_backend.alarms.rules import AlarmRule, Subject
+from fleet_backend.errors import AskError, BackendConfigError, NotFoundError, UnknownVehicleError
 from fleet_backend.office_tables import ALARM
 from fleet_backend.page import pictures, queries
-from fleet_backend.page.access import Role
+from fleet_backend.page.access import UserRole
 from fleet_backend.page.calibrations import reference_of
-from fleet_backend.page.fleet import SEVERITY, Snapshot, group_of, place_of, vehicle_type
+from fleet_backend.page.fleet import SEVERITY, FleetSnapshot, group_of, place_of, vehicle_type
 from fleet_backend.page.news import News
 from fleet_backend.page.parts import part_of, word_of
 from fleet_backend.page.prognosis import NO_PROGNOSIS, days_of, due_of, outlook_text, read_past
@@ -159,7 +159,7 @@ def _head(text: str, name: str, query: VehiclesQuery) -> str | dict[str, str]:
     return {"text": text, "way": ways.get(query.sort or "", ""), "href": address("/", **said)}
 
 
-def _strips(snapshot: Snapshot) -> list[tuple[str, list[tuple[str, int, int]], int]]:
+def _strips(snapshot: FleetSnapshot) -> list[tuple[str, list[tuple[str, int, int]], int]]:
     """Return the largest types with how many vehicles have which verdict, the worst first, and where each begins."""
     largest = sorted(snapshot.strips.items(), key=lambda one: (-sum(one[1].values()), one[0]))[:_MOST_STRIPS]
     found = []
@@ -339,7 +339,7 @@ def alarms(request: Request) -> Response:
         sources_of(request).engine, state=query.state, rule=query.rule, after=query.after, limit=limit
     )
     answer = AlarmsAnswer(alarms=tuple(found), next=word_of(place))
-    shown = {"rules": [rule.value for rule in Rule]}
+    shown = {"rules": [rule.value for rule in AlarmRule]}
     return encoded(answer) if is_api(request) else page(request, "alarms.html", _list(request, query, answer) | shown)
 
 
@@ -416,7 +416,7 @@ def quarantine(request: Request) -> Response:
 
 async def acknowledge(request: Request) -> Response:
     """Acknowledge an alarm, once."""
-    form = await form_of(request, Acknowledgement, Role.WORKSHOP)
+    form = await form_of(request, Acknowledgement, UserRole.WORKSHOP)
     writer, by = _writer_of(request)
 
     def write() -> None:
@@ -433,7 +433,7 @@ async def acknowledge(request: Request) -> Response:
 
 async def change_fluid(request: Request) -> Response:
     """Note that a vehicle got new fluid, or take a fill back; the same fill is noted once."""
-    form = await form_of(request, NewFluid, Role.WORKSHOP)
+    form = await form_of(request, NewFluid, UserRole.WORKSHOP)
     (writer, by), sources = _writer_of(request), sources_of(request)
     at = None if form.at is None else _moment(form.at)
 
@@ -449,7 +449,7 @@ async def change_fluid(request: Request) -> Response:
 
     try:
         await run_in_threadpool(write)
-    except (ConfigError, UnknownVehicleError) as exc:
+    except (BackendConfigError, UnknownVehicleError) as exc:
         raise AskError(str(exc)) from exc
     await sources.keeper.look()
     return RedirectResponse(address(f"/vehicles/{form.vehicle}"), status_code=303)

@@ -16,9 +16,9 @@ from sqlalchemy import Engine
 from starlette.applications import Starlette
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from fleet_backend.config import Place
+from fleet_backend.config import ServerAddress
 from fleet_backend.database import place_of
-from fleet_backend.errors import ConfigError
+from fleet_backend.errors import BackendConfigError
 from fleet_backend.page.access import Access
 from fleet_backend.page.fleet import Keeper, fleet_families
 from fleet_backend.page.news import PERIOD_S, News
@@ -65,7 +65,7 @@ def run_server(
         asyncio.run(_serve_until_told(sources, listener, None if beside is None else beside(keeper)))
 
 
-async def show(metrics: Place | None, keeper: Keeper) -> None:
+async def show(metrics: ServerAddress | None, keeper: Keeper) -> None:
     """Show the metrics of a server that watches nothing, until it is cancelled."""
     with shown_at(metrics, lambda: fleet_families(keeper)):
         await asyncio.Event().wait()
@@ -82,7 +82,7 @@ def closing_socket(host: str, port: int) -> Iterator[socket.socket]:
             listener.bind((host, port))
             listener.listen(_BACKLOG)
         except OSError as exc:
-            raise ConfigError(f"cannot listen at {host}:{port}: {exc.strerror}") from exc
+            raise BackendConfigError(f"cannot listen at {host}:{port}: {exc.strerror}") from exc
         yield listener
 
 

@@ -26,7 +26,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from fleet_backend.errors import AskError, DatabaseError, FleetBackendError, ForbiddenError, LoginError, PageError
 from fleet_backend.page import wording
-from fleet_backend.page.access import NOBODY, Access, Role, Viewer, check_role, check_token
+from fleet_backend.page.access import NOBODY, Access, UserRole, Viewer, check_role, check_token
 from fleet_backend.page.fleet import Keeper
 
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
@@ -165,7 +165,7 @@ def asked(request: Request, query: type[QueryT]) -> QueryT:
     return _checked([*request.path_params.items(), *request.query_params.multi_items()], query)
 
 
-async def form_of(request: Request, query: type[QueryT], role: Role) -> QueryT:
+async def form_of(request: Request, query: type[QueryT], role: UserRole) -> QueryT:
     """Return the words of a form; it is one of our own pages that sent it, for somebody who may."""
     viewer = viewer_of(request)
     check_role(viewer, role)
@@ -224,7 +224,7 @@ def _everywhere(request: HTTPConnection) -> dict[str, Any]:
         "complaint": sources.keeper.complaint,
         "snapshot": sources.keeper.snapshot,
         "api_href": f"{API}{path}" + (f"?{query}" if query else ""),
-        "is_workshop": sources.writer is not None and request.scope.get("user", NOBODY).role >= Role.WORKSHOP,
+        "is_workshop": sources.writer is not None and request.scope.get("user", NOBODY).role >= UserRole.WORKSHOP,
     }
 
 

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fleet_backend.alarms.rules import (
-    Event,
-    Finding,
+    AlarmEvent,
     Limits,
+    RuleFinding,
     Subject,
     Whose,
     due_finding,
@@ -24,28 +24,33 @@ from tests.support.fleet import NOW
 LIMITS = Limits()
 
 
-def happened(findings: list[Finding]) -> list[Event]:
+def happened(findings: list[RuleFinding]) -> list[AlarmEvent]:
     """Return what becomes of one alarm while findings come one after the other."""
     is_open: dict[Subject, bool] = {}
     events = []
     for one in findings:
         for step in transitions([one], is_open, NOW):
-            is_open[step.subject] = step.event is Event.RAISED
+            is_open[step.subject] = step.event is AlarmEvent.RAISED
             events.append(step.event)
     return events
 
 
 def test_a_probability_that_swings_about_a_limit_raises_one_alarm() -> None:
     swing = [0.1, 0.49, 0.51, 0.49, 0.51, 0.31, 0.29, 0.31, 0.49]
-    assert happened([due_finding(Whose("a", 1), one, "soon", LIMITS) for one in swing]) == [Event.RAISED, Event.CLEARED]
+    assert happened([due_finding(Whose("a", 1), one, "soon", LIMITS) for one in swing]) == [
+        AlarmEvent.RAISED,
+        AlarmEvent.CLEARED,
+    ]
     lost = [due_finding(Whose("a", 1), 0.9, "soon", LIMITS), due_finding(Whose("a", 1), None, "no trend yet", LIMITS)]
-    assert happened(lost) == [Event.RAISED, Event.CLEARED]
+    assert happened(lost) == [AlarmEvent.RAISED, AlarmEvent.CLEARED]
 
 
 @given(st.lists(st.floats(0.0, 1.0), max_size=30))
 def test_an_alarm_is_raised_and_cleared_in_turn(chances: list[float]) -> None:
     events = happened([due_finding(Whose("a", 1), one, "soon", LIMITS) for one in chances])
-    assert events == [Event.RAISED, Event.CLEARED] * (len(events) // 2) + [Event.RAISED] * (len(events) % 2)
+    assert events == [AlarmEvent.RAISED, AlarmEvent.CLEARED] * (len(events) // 2) + [AlarmEvent.RAISED] * (
+        len(events) % 2
+    )
 
 
 @pytest.mark.parametrize(
@@ -59,7 +64,10 @@ def test_a_few_events_say_nothing_of_the_data(unused: int, events: int, is_wrong
 
 def test_a_score_that_falls_is_an_alarm_until_it_is_nearly_back() -> None:
     falls = [None, 3.0, 14.0, 15.5, 12.0, 8.5, None, 7.0, 14.0]
-    assert happened([score_finding(Whose("a", 1), one, LIMITS) for one in falls]) == [Event.RAISED, Event.CLEARED]
+    assert happened([score_finding(Whose("a", 1), one, LIMITS) for one in falls]) == [
+        AlarmEvent.RAISED,
+        AlarmEvent.CLEARED,
+    ]
     assert "clutch 1 score 16 points less" in score_finding(Whose("a", 1), 15.5, LIMITS).reason
 
 
@@ -69,7 +77,7 @@ def test_a_score_that_falls_is_an_alarm_until_it_is_nearly_back() -> None:
 def test_an_odometer_that_went_back_or_leapt_is_an_alarm(readings_m: list[float], is_wrong: bool) -> None:
     found = odometer_finding(Whose("a", 1), readings_m, LIMITS)
     assert found.is_wrong is is_wrong
-    assert happened([found]) == [Event.RAISED] * is_wrong
+    assert happened([found]) == [AlarmEvent.RAISED] * is_wrong
 
 
 def test_a_clock_that_is_wrong_neither_hides_nor_makes_silence() -> None:

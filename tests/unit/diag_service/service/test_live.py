@@ -11,7 +11,7 @@ import pytest
 
 from canlog.errors import SourceError
 from canlog.frames import FrameBatch
-from canlog.live import LinkBreak, Silence, SourceCounts
+from canlog.live import BusSilence, LinkBreak, SourceCounts
 from clutch_model.calibration import nominal_calibration
 from clutch_results.records import Reason, ShiftResult
 from dbc.contract import load_contract
@@ -191,10 +191,10 @@ class BreakingSource(ListSource):
 class SilentSource(ListSource):
     """A bus that falls silent once it has said everything, and stays open."""
 
-    async def __aiter__(self) -> AsyncIterator[FrameBatch | Silence]:  # type: ignore[override]
+    async def __aiter__(self) -> AsyncIterator[FrameBatch | BusSilence]:  # type: ignore[override]
         for batch in self._batches:
             yield batch
-        yield Silence()
+        yield BusSilence()
         await self._closed.wait()
 
 

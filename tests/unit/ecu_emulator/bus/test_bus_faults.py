@@ -8,7 +8,7 @@ import pytest
 from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
 from ecu_emulator.bus.bus_faults import BusFaults
 from ecu_emulator.bus.frames import EncodedFrames, merge
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.scenario.faults import BusFault, BusFaultKind, Phase
 from ecu_emulator.sensing import MS_PER_S
 from tests.support.wire import CONTRACTS, drive
@@ -109,5 +109,5 @@ def test_the_frames_do_not_depend_on_how_the_stream_was_cut(chunk_ms: int) -> No
     ],
 )
 def test_what_does_not_belong_to_a_kind_is_refused(kind: str, changes: dict[str, float], named: str) -> None:
-    with pytest.raises(ConfigError, match=named):
+    with pytest.raises(EmulatorConfigError, match=named):
         fault(kind, **changes)

@@ -10,7 +10,7 @@ from ecu_emulator.commands import DriveOptions, choose_scenario
 from ecu_emulator.drive.build import PER_STRENGTH, BuiltVehicle, build_vehicle, drive_truth
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.plant.parameters import nominal_parameters
-from ecu_emulator.scenario.faults import NOMINAL_SENSORS, Cause, CauseKind
+from ecu_emulator.scenario.faults import NOMINAL_SENSORS, CauseKind, Degradation
 from ecu_emulator.scenario.scenario import Truth, production_scatter
 from ecu_emulator.scenario.scenario_file import load_scenario
 from tests.support.builders import drive_scenario
@@ -86,7 +86,7 @@ def test_water_makes_friction_erratic_from_shift_to_shift() -> None:
 
 
 def test_a_cause_grows_by_the_odometer_and_the_truth_names_it() -> None:
-    growing = Cause(kind=CauseKind.GLAZED_LINING, strength=2.0, clutch=1, begins_m=1e6, grows_over_m=2e6)
+    growing = Degradation(kind=CauseKind.GLAZED_LINING, strength=2.0, clutch=1, begins_m=1e6, grows_over_m=2e6)
     assert [growing.strength_at(km * 1e6) for km in (0.5, 1.0, 2.0, 3.0, 9.0)] == [0.0, 0.0, 1.0, 2.0, 2.0]
     for odometer_m, strengths in ((5e5, []), (2e6, [1.0]), (4e6, [2.0])):
         scenario = replace(IDEAL, causes=(growing,), odometer_m=odometer_m)

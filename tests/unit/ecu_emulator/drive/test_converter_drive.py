@@ -9,7 +9,7 @@ from canlog.e2e import profile1
 from canlog.e2e.message_contract import message_contracts
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, merge
-from ecu_emulator.drive.recording import Drive, Stretch
+from ecu_emulator.drive.recording import Drive, DriveStretch
 from ecu_emulator.scenario.scenario import Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario
 
@@ -18,8 +18,8 @@ SCENARIO = load_scenario("lockup")
 MOST_S = 100.0
 
 
-def stretches(scenario: Scenario, length_s: float, until_s: float) -> tuple[list[Stretch], Drive]:
-    drive, found = Drive(scenario), list[Stretch]()
+def stretches(scenario: Scenario, length_s: float, until_s: float) -> tuple[list[DriveStretch], Drive]:
+    drive, found = Drive(scenario), list[DriveStretch]()
     for stretch in drive.stretches(length_s):
         found.append(stretch)
         if stretch.end_s >= until_s:
@@ -27,7 +27,7 @@ def stretches(scenario: Scenario, length_s: float, until_s: float) -> tuple[list
     return found, drive
 
 
-def frames_of_all(found: Sequence[Stretch]) -> EncodedFrames:
+def frames_of_all(found: Sequence[DriveStretch]) -> EncodedFrames:
     return merge([one.frames for one in found])
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from canlog.arrays import FloatArray
-from ecu_emulator.driving.indices import EventKind
+from ecu_emulator.driving.indices import ManoeuvreKind
 from ecu_emulator.driving.traffic import SpeedTrace
 from ecu_emulator.driving.trip import Car, DriveConditions, Trip
 from ecu_emulator.plant.state import Col
@@ -45,7 +45,7 @@ def driven(road: SpeedTrace, *, seed: int = 1, mass_kg: float | None = None, **c
 class Event:
     """One event and its rows."""
 
-    kind: EventKind
+    kind: ManoeuvreKind
     rows: FloatArray
 
     @property
@@ -63,9 +63,9 @@ def events(rows: FloatArray) -> list[Event]:
     """Return the events of a drive in order."""
     numbers = np.unique(rows[:, Col.EVENT_NUMBER])
     found = [rows[rows[:, Col.EVENT_NUMBER] == number] for number in numbers[numbers > 0.0]]
-    return [Event(kind=EventKind(int(during[0, Col.EVENT_KIND])), rows=during) for during in found]
+    return [Event(kind=ManoeuvreKind(int(during[0, Col.EVENT_KIND])), rows=during) for during in found]
 
 
-def of_kind(rows: FloatArray, kind: EventKind) -> list[Event]:
+def of_kind(rows: FloatArray, kind: ManoeuvreKind) -> list[Event]:
     """Return the events of one kind."""
     return [event for event in events(rows) if event.kind is kind]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from canlog.arrays import FloatArray
-from ecu_emulator.driving.indices import DriveState, EventKind
+from ecu_emulator.driving.indices import DrivelineState, ManoeuvreKind
 from ecu_emulator.driving.trip import Car, DriveConditions, Trip
 from ecu_emulator.plant.course import FrictionFactors
 from ecu_emulator.plant.state import Col
@@ -12,7 +12,7 @@ from tests.unit.ecu_emulator.driving.drives import Event, driven, of_kind, trace
 HOLD, PREFILL, TORQUE, INERTIA, LOCK_UP = range(5)
 
 
-def only(rows: FloatArray, kind: EventKind) -> Event:
+def only(rows: FloatArray, kind: ManoeuvreKind) -> Event:
     (event,) = of_kind(rows, kind)
     return event
 
@@ -27,7 +27,7 @@ def slip_rad_s(rows: FloatArray, clutch: int) -> FloatArray:
 
 
 def test_a_launch_slips_under_load_and_ends_locked(town: FloatArray) -> None:
-    launch = only(town, EventKind.LAUNCH)
+    launch = only(town, ManoeuvreKind.LAUNCH)
     assert launch.gears == (1, 1)
     assert not launch.is_aborted
     assert phases(launch) == [HOLD]
@@ -40,11 +40,11 @@ def test_a_launch_slips_under_load_and_ends_locked(town: FloatArray) -> None:
     assert 5.0e3 < heat_j < 2.5e4
     after = town[town[:, Col.T_S] > launch.rows[-1, Col.T_S]][100:1000]
     assert after[:, Col.STICK1].all()
-    assert (after[:, Col.DRIVE_STATE] == DriveState.IN_GEAR).all()
+    assert (after[:, Col.DRIVE_STATE] == DrivelineState.IN_GEAR).all()
 
 
 def test_coast_downshifts_blip_the_throttle_and_slip_shortly(town: FloatArray) -> None:
-    for event in of_kind(town, EventKind.COAST_DOWNSHIFT):
+    for event in of_kind(town, ManoeuvreKind.COAST_DOWNSHIFT):
         clutch = 2 - event.gears[1] % 2
         assert event.gears[1] == event.gears[0] - 1
         assert phases(event) == [PREFILL, INERTIA, LOCK_UP]
@@ -57,7 +57,7 @@ def test_coast_downshifts_blip_the_throttle_and_slip_shortly(town: FloatArray) -
 
 def test_in_a_kickdown_the_off_going_clutch_slips_first() -> None:
     rows = driven(trace((0, 0), (1, 0), (11, 15), (20, 15), (25, 32), (26, 32)))
-    downshifts = of_kind(rows, EventKind.KICKDOWN) + of_kind(rows, EventKind.POWER_ON_DOWNSHIFT)
+    downshifts = of_kind(rows, ManoeuvreKind.KICKDOWN) + of_kind(rows, ManoeuvreKind.POWER_ON_DOWNSHIFT)
     strong = [event for event in downshifts if event.rows[:, Col.ENGINE_TORQUE].max() > 150.0]
     assert strong
     for event in strong:

@@ -5,7 +5,7 @@ import pytest
 
 from canlog.arrays import FloatArray
 from ecu_emulator.driving.traffic import SpeedTrace
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 
 
 def trace(**changes: FloatArray) -> SpeedTrace:
@@ -26,5 +26,5 @@ def trace(**changes: FloatArray) -> SpeedTrace:
     ],
 )
 def test_what_is_no_trace_is_refused(changes: dict[str, FloatArray], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(EmulatorConfigError, match=message):
         trace(**changes)

@@ -18,7 +18,7 @@ from ecu_emulator.driving.journey import (
 from ecu_emulator.driving.laws import nominal_driving
 from ecu_emulator.driving.traffic import SpeedTrace, public_trace
 from ecu_emulator.driving.trip import DriveConditions, Trip
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.drive_names import DriveName
 from tests.support.tolerance import share_within_tolerance
@@ -137,5 +137,5 @@ def test_feet_move_no_faster_than_feet_and_never_press_both(town: FloatArray, sp
     ],
 )
 def test_conditions_outside_their_ranges_are_refused(changes: dict[str, float], message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(EmulatorConfigError, match=message):
         DriveConditions(**changes)  # type: ignore[arg-type]  # all of them are numbers

@@ -2,9 +2,9 @@ from dataclasses import replace
 
 import pytest
 
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.scenario.faults import Phase, SensorFault, SensorFaultKind
-from ecu_emulator.scenario.scenario import Ambient, Driver, Routine, Scenario, production_scatter
+from ecu_emulator.scenario.scenario import Ambient, Driver, Scenario, WorkshopRoutine, production_scatter
 from ecu_emulator.scenario.scenario_file import load_scenario, parse_scenario, shipped_scenarios
 
 MINIMAL = 'name = "mine"\n'
@@ -55,7 +55,7 @@ def test_every_key_reaches_its_place() -> None:
     assert (scenario.name, scenario.vehicle, scenario.seed, scenario.cycles) == ("all", "car-7", 99, 3)
     assert (scenario.odometer_m, scenario.fluid.ageing_cycles) == (5.0, 7)
     assert scenario.driver == Driver(pedal_ratio=0.5, variation_ratio=0.0)
-    assert scenario.routine == Routine(open_revs=4, closed_revs=20)
+    assert scenario.routine == WorkshopRoutine(open_revs=4, closed_revs=20)
     assert scenario.ambient == Ambient(temperature_k=280.0, oil_temperature_k=330.0)
     assert scenario.startup.by_sender() == {"ECM": 1.0, "TCU": 2.0, "ABS": 3.0, "IC": 4.0}
     assert scenario.scatter == replace(production_scatter(), torque_gain_ratio=0.02)
@@ -118,7 +118,7 @@ def test_every_key_reaches_its_place() -> None:
     ],
 )
 def test_a_key_that_cannot_be_used_is_named(text: str, named: str) -> None:
-    with pytest.raises(ConfigError, match=named) as caught:
+    with pytest.raises(EmulatorConfigError, match=named) as caught:
         parse_scenario(text, "here.toml")
     assert str(caught.value).startswith("here.toml")
 
@@ -131,5 +131,5 @@ def test_sensor_faults_are_read_in_their_order() -> None:
 
 
 def test_an_unknown_scenario_lists_the_shipped_ones() -> None:
-    with pytest.raises(ConfigError, match="ageing, case1, case2, gs7, ideal, lockup, noise_only"):
+    with pytest.raises(EmulatorConfigError, match="ageing, case1, case2, gs7, ideal, lockup, noise_only"):
         load_scenario("nothing")

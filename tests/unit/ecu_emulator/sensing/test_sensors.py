@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.faults import NOMINAL_SENSORS, Sensor, Sensors
 from ecu_emulator.sensing import (
@@ -132,5 +132,5 @@ def test_only_measurable_columns_reach_the_readings() -> None:
     ],
 )
 def test_impossible_sensors_are_refused(errors: dict[str, float], named: str) -> None:
-    with pytest.raises(ConfigError, match=named):
+    with pytest.raises(EmulatorConfigError, match=named):
         Sensor(**errors)

@@ -6,7 +6,7 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from ecu_emulator.drive.build import BuiltVehicle, build_vehicle
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters
 from ecu_emulator.scenario.scenario import Effects, Scenario
 from tests.support.builders import drive_scenario
@@ -71,6 +71,6 @@ def test_an_effect_on_the_plant_changes_its_number_only(effect: str, value: floa
 def test_every_number_has_its_range(name: str) -> None:
     member = next(one for one in fields(Effects) if one.name == name)
     for limit, step in (("low", -1), ("high", 1)):
-        with pytest.raises(ConfigError, match=name):
+        with pytest.raises(EmulatorConfigError, match=name):
             Effects(**{name: member.metadata[limit] + step})
         assert getattr(Effects(**{name: member.metadata[limit]}), name) == member.metadata[limit]

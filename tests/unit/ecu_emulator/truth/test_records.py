@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray
-from ecu_emulator.driving.indices import EventKind
+from ecu_emulator.driving.indices import ManoeuvreKind
 from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control.tcu_data import CLOSED_REVS, OPEN_REVS
 from ecu_emulator.truth import (
@@ -112,7 +112,7 @@ def quiet_rows(count: int) -> FloatArray:
     return rows
 
 
-def with_event(rows: FloatArray, start: int, stop: int, kind: EventKind, number: int = 1) -> FloatArray:
+def with_event(rows: FloatArray, start: int, stop: int, kind: ManoeuvreKind, number: int = 1) -> FloatArray:
     changed = rows.copy()
     changed[start:stop, Col.EVENT_KIND] = kind
     changed[start:stop, Col.EVENT_NUMBER] = number
@@ -129,7 +129,7 @@ def with_slip(rows: FloatArray, start: int, slip_rad_s: FloatArray, clutch: int 
 
 
 LAUNCH = with_event(
-    with_slip(quiet_rows(3000), 500, np.linspace(100.0, 0.0, 1001)), 500, 1600, EventKind.LAUNCH
+    with_slip(quiet_rows(3000), 500, np.linspace(100.0, 0.0, 1001)), 500, 1600, ManoeuvreKind.LAUNCH
 )  # fmt: skip
 
 
@@ -155,7 +155,7 @@ def test_a_launch_to_lock() -> None:
 
 def test_a_shift_shows_the_clutch_that_did_more_work() -> None:
     rows = with_slip(with_slip(quiet_rows(1000), 100, np.full(50, 20.0)), 150, np.full(300, 60.0), clutch=2)
-    rows = with_event(rows, 100, 500, EventKind.POWER_ON_UPSHIFT)
+    rows = with_event(rows, 100, 500, ManoeuvreKind.POWER_ON_UPSHIFT)
     rows[:500, Col.CURRENT_GEAR], rows[500:, Col.CURRENT_GEAR] = 1.0, 2.0
     rows[500:, Col.STICK2] = 1.0
     event = only(rows)

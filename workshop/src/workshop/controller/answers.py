@@ -22,12 +22,12 @@ from dbc.contract import load_contract
 from ecu_emulator.bus.sender import FrameSender
 from ecu_emulator.bus.sent_values import OWN_NODE, SentValues, recounted
 from ecu_emulator.drive.recording import Drive
-from ecu_emulator.errors import ConfigError, ExtraMissingError
+from ecu_emulator.errors import EmulatorConfigError, LogFormatExtraError
 from ecu_emulator.live import BusChoice
 from workshop.controller.controller import Controller, MemoryFile
-from workshop.controller.doip_server import DoipServer, Place, parse_place, tls_node
+from workshop.controller.doip_server import DoipAddress, DoipServer, parse_place, tls_node
 from workshop.controller.elm327_server import ElmServer
-from workshop.controller.iso14229 import DOIP_TLS_PORT, Status
+from workshop.controller.iso14229 import DOIP_TLS_PORT, DtcStatus
 from workshop.controller.monitoring import MONITOR_PERIOD_S, Monitoring
 from workshop.controller.monitors import SENSED, SENSED_OF_CONVERTER
 from workshop.controller.requested_tasks import (
@@ -85,7 +85,7 @@ class Answering:
         try:
             from workshop.controller.link import DiagnosticLink  # noqa: PLC0415 - an extra
         except ImportError as exc:
-            raise ExtraMissingError("diagnostics need can-isotp: pip install './workshop[diagnostics]'") from exc
+            raise LogFormatExtraError("diagnostics need can-isotp: pip install './workshop[diagnostics]'") from exc
         self._bus = bus
         self._stack = ExitStack()
         self._clock = clock
@@ -190,7 +190,7 @@ class Answering:
     def outcome(self) -> dict[str, object]:
         """What was asked, and the trouble codes that are confirmed now."""
         records, troubles = self.controller.state.memory.records, self.controller.table.troubles
-        confirmed = [troubles[number].code for number, record in records.items() if record.status & Status.CONFIRMED]
+        confirmed = [troubles[number].code for number, record in records.items() if record.status & DtcStatus.CONFIRMED]
         over_ip = {} if self.doip is None else {"doip": self.doip.counts}
         adapter = {} if self.elm327 is None else {"elm327": asdict(self.elm327.counts)}
         disbelieved = {"disbelieved_frames": self._sent.disbelieved_count}
@@ -352,7 +352,7 @@ class Answers:
 
     def __post_init__(self) -> None:
         if self.table is not None and self.like is not None:
-            raise ConfigError("a controller answers by a table of its own, or like another one, not both")
+            raise EmulatorConfigError("a controller answers by a table of its own, or like another one, not both")
         if self.like is not None:
             table_like(self.like)
         _ = self.place
@@ -370,16 +370,16 @@ class Answers:
         )
 
     @property
-    def place(self) -> Place | None:
+    def place(self) -> DoipAddress | None:
         """Where it answers on an IP network, None if it does not."""
         certificate, key = (None if one is None else Path(one) for one in (self.doip_certificate, self.doip_key))
         if certificate is None and self.doip_tls_port != DOIP_TLS_PORT:
-            raise ConfigError("--doip-tls-port needs --doip-certificate")
+            raise EmulatorConfigError("--doip-tls-port needs --doip-certificate")
         tls = tls_node(certificate, key, self.doip_tls_port)
         if self.doip is not None:
             return replace(parse_place(self.doip), tls=tls)
         if tls is not None:
-            raise ConfigError("--doip-certificate needs --doip")
+            raise EmulatorConfigError("--doip-certificate needs --doip")
         return None
 
 
@@ -397,7 +397,7 @@ def chosen(options: SimpleNamespace) -> Answers | None:
     if options.diagnostics is None and options.answers_like is None:
         for option, value in given.items():
             if value is not None:
-                raise ConfigError(f"{option} needs --diagnostics")
+                raise EmulatorConfigError(f"{option} needs --diagnostics")
         return None
     return Answers(
         table=options.diagnostics or None,

@@ -29,7 +29,7 @@ FORMAT: Final = 2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Kept:
+class KeptState:
     """What outlives a restart; whether an operation cycle's test is under way does not."""
 
     memory: TroubleMemory
@@ -95,7 +95,7 @@ class MemoryFile:
             raise RecordError(f"{self._path} has format {document.get('format')}, this program knows {FORMAT}")
         self._saved = digest
         try:
-            return _state(msgspec.convert(document.get("kept"), Kept, str_keys=True), self._table)
+            return _state(msgspec.convert(document.get("kept"), KeptState, str_keys=True), self._table)
         except msgspec.ValidationError as exc:
             raise self._damaged(str(exc)) from exc
         except RecordError as exc:
@@ -146,9 +146,9 @@ def _digest(document: object) -> str:
     return hashlib.sha256(json.dumps(document, sort_keys=True).encode("utf-8")).hexdigest()
 
 
-def _kept(state: ServerState) -> Kept:
+def _kept(state: ServerState) -> KeptState:
     records = {code: replace(record, detection_counter=0) for code, record in state.memory.records.items()}
-    return Kept(
+    return KeptState(
         memory=replace(state.memory, records=records),
         emissions=state.emissions,
         written=state.written,
@@ -157,7 +157,7 @@ def _kept(state: ServerState) -> Kept:
     )
 
 
-def _state(kept: Kept, table: DiagnosticTable) -> ServerState:
+def _state(kept: KeptState, table: DiagnosticTable) -> ServerState:
     """Return what was kept as the state of a controller; raises RecordError if the table does not describe it."""
     emissions = kept.emissions
     codes = {*kept.memory.records, *emissions.permanent, *([emissions.frame.code] if emissions.frame else [])}

@@ -9,7 +9,7 @@ from enum import StrEnum
 from typing import Final
 
 from clutch_model import units
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from workshop.controller.iso14229 import Nrc
 
 OF_MEMORY: Final = "memory."  # begins the source of a counter of a trouble code
@@ -50,7 +50,7 @@ class Task(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Field:
+class DatumField:
     """One value within the bytes of a datum, a routine's options or results, or an extended record."""
 
     name: str
@@ -67,25 +67,27 @@ class Field:
 
     def __post_init__(self) -> None:
         if not 1 <= self.size_bytes <= 255:
-            raise ConfigError(f"{self.name}: size_bytes must be 1..255, got {self.size_bytes}")
+            raise EmulatorConfigError(f"{self.name}: size_bytes must be 1..255, got {self.size_bytes}")
         if self.kind in {Coding.UNSIGNED, Coding.SIGNED} and self.size_bytes > 8:
-            raise ConfigError(f"{self.name}: a number has at most 8 bytes, got {self.size_bytes}")
+            raise EmulatorConfigError(f"{self.name}: a number has at most 8 bytes, got {self.size_bytes}")
         is_scaled = self.resolution != 1.0 or self.offset != 0.0
         if self.kind is Coding.FLOAT and (self.size_bytes not in FLOAT_BYTES or is_scaled):
-            raise ConfigError(f"{self.name}: a float has 4 or 8 bytes and is not scaled")
+            raise EmulatorConfigError(f"{self.name}: a float has 4 or 8 bytes and is not scaled")
         if not (math.isfinite(self.resolution) and math.isfinite(self.offset) and self.resolution > 0.0):
-            raise ConfigError(f"{self.name}: resolution must be > 0, and it and the offset finite")
+            raise EmulatorConfigError(f"{self.name}: resolution must be > 0, and it and the offset finite")
         _check_limits(self)
         known = [_SI_UNITS.get(self.dimension, ""), *(unit for one, unit in _CONVERSIONS if one == self.dimension)]
         if self.dimension and self.unit not in {"", *known}:
-            raise ConfigError(f"{self.name}: the unit of {self.source} is one of {', '.join(known)}, not {self.unit}")
+            raise EmulatorConfigError(
+                f"{self.name}: the unit of {self.source} is one of {', '.join(known)}, not {self.unit}"
+            )
         try:
             re.compile(self.pattern)
         except re.error as exc:
-            raise ConfigError(f"{self.name}: pattern is not a regular expression: {exc}") from exc
+            raise EmulatorConfigError(f"{self.name}: pattern is not a regular expression: {exc}") from exc
         bits = 8 * self.size_bytes
         if any(not 0 <= number < 1 << bits for number in self.numbered_meanings):
-            raise ConfigError(f"{self.name}: meanings are of numbers from 0 to {(1 << bits) - 1}")
+            raise EmulatorConfigError(f"{self.name}: meanings are of numbers from 0 to {(1 << bits) - 1}")
 
     @property
     def dimension(self) -> str:
@@ -103,11 +105,13 @@ class Field:
         try:
             return {int(number, 0): text for number, text in self.meanings.items()}
         except ValueError as exc:
-            raise ConfigError(f"{self.name}: meanings are of whole numbers, got {sorted(self.meanings)}") from exc
+            raise EmulatorConfigError(
+                f"{self.name}: meanings are of whole numbers, got {sorted(self.meanings)}"
+            ) from exc
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Access:
+class AccessRule:
     """Who may do something, and in which condition of the vehicle."""
 
     sessions: tuple[int, ...]
@@ -116,7 +120,7 @@ class Access:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Condition:
+class Precondition:
     """What must hold of a value of the controller, and the response if it does not."""
 
     name: str
@@ -127,19 +131,21 @@ class Condition:
 
     def __post_init__(self) -> None:
         if self.nrc not in set(Nrc):
-            raise ConfigError(f"condition {self.name}: nrc 0x{self.nrc:02X} is unknown")
+            raise EmulatorConfigError(f"condition {self.name}: nrc 0x{self.nrc:02X} is unknown")
         _check_limits(self)
 
 
-def _check_limits(entry: Field | Condition) -> None:
+def _check_limits(entry: DatumField | Precondition) -> None:
     """Raise ConfigError unless the limits that are given can be kept."""
     given = [limit for limit in (entry.minimum, entry.maximum) if limit is not None]
     if not all(map(math.isfinite, given)) or given != sorted(given):
-        raise ConfigError(f"{entry.name}: minimum and maximum {given} are not a range: leave a missing limit out")
+        raise EmulatorConfigError(
+            f"{entry.name}: minimum and maximum {given} are not a range: leave a missing limit out"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Session:
+class DiagnosticSession:
     """A diagnostic session, and from which others it can be entered."""
 
     number: int
@@ -161,11 +167,13 @@ class SecurityLevel:
 
     def __post_init__(self) -> None:
         if self.number % 2 == 0 or not 0x01 <= self.number <= 0x41:
-            raise ConfigError(f"security level {self.name}: its number must be odd, 1..0x41, got {self.number}")
+            raise EmulatorConfigError(f"security level {self.name}: its number must be odd, 1..0x41, got {self.number}")
         if not 0 < self.key_mask < 1 << (8 * self.seed_bytes):
-            raise ConfigError(f"security level {self.name}: key_mask must fit {self.seed_bytes} bytes and not be 0")
+            raise EmulatorConfigError(
+                f"security level {self.name}: key_mask must fit {self.seed_bytes} bytes and not be 0"
+            )
         if self.most_attempts < 1 or self.delay_s < 0.0:
-            raise ConfigError(f"security level {self.name}: most_attempts must be >= 1 and delay_s >= 0")
+            raise EmulatorConfigError(f"security level {self.name}: most_attempts must be >= 1 and delay_s >= 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,28 +188,32 @@ class ServiceAccess:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Datum:
+class DataIdentifier:
     """A data identifier: live (its fields have sources) or stored (it has an initial value)."""
 
     number: int
     name: str
-    fields: tuple[Field, ...]
-    read: Access
+    fields: tuple[DatumField, ...]
+    read: AccessRule
     initial: str | None = None  # text, or hexadecimal digits of all its bytes
-    write: Access | None = None
-    control: Access | None = None  # by service 2F
+    write: AccessRule | None = None
+    control: AccessRule | None = None  # by service 2F
 
     def __post_init__(self) -> None:
         are_live = [bool(entry.source) for entry in self.fields]
         if not self.fields or any(are_live) != all(are_live) or all(are_live) != (self.initial is None):
-            raise ConfigError(f"data {self.name}: either every field has a source, or there is an initial value")
+            raise EmulatorConfigError(
+                f"data {self.name}: either every field has a source, or there is an initial value"
+            )
         if self.write is not None and self.initial is None:
-            raise ConfigError(f"data {self.name}: what is live cannot be written")
+            raise EmulatorConfigError(f"data {self.name}: what is live cannot be written")
         if self.control is not None and self.initial is not None:
-            raise ConfigError(f"data {self.name}: what is stored cannot be controlled")
+            raise EmulatorConfigError(f"data {self.name}: what is stored cannot be controlled")
 
         if self.initial is not None and len(self.initial_bytes) != self.size_bytes:
-            raise ConfigError(f"data {self.name}: initial must have {self.size_bytes} bytes, got {self.initial!r}")
+            raise EmulatorConfigError(
+                f"data {self.name}: initial must have {self.size_bytes} bytes, got {self.initial!r}"
+            )
 
     @property
     def size_bytes(self) -> int:
@@ -215,7 +227,9 @@ class Datum:
         try:
             return text.encode("ascii") if self.fields[0].kind is Coding.TEXT else bytes.fromhex(text)
         except ValueError as exc:
-            raise ConfigError(f"data {self.name}: initial is neither ASCII text nor hexadecimal: {text!r}") from exc
+            raise EmulatorConfigError(
+                f"data {self.name}: initial is neither ASCII text nor hexadecimal: {text!r}"
+            ) from exc
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -224,25 +238,25 @@ class Routine:
 
     number: int
     name: str
-    access: Access
+    access: AccessRule
     duration_s: float
     ends_by_itself: bool = True
     is_awaited: bool = False  # the positive response to its start comes when it has ended
     can_be_stopped: bool = True
     task: Task = Task.NOTHING
     held_conditions: tuple[str, ...] = ()  # that must hold until it ends; the vehicle is watched while it adapts
-    options: tuple[Field, ...] = ()
-    results: tuple[Field, ...] = ()
+    options: tuple[DatumField, ...] = ()
+    results: tuple[DatumField, ...] = ()
 
     def __post_init__(self) -> None:
         if self.task is Task.REVS and (self.ends_by_itself or [entry.size_bytes for entry in self.options] != [1, 1]):
-            raise ConfigError(
+            raise EmulatorConfigError(
                 f"routine {self.name}: task revs has two options of one byte, and the vehicle ends it, not the time"
             )
         if self.task in {Task.NEW_FLUID, Task.TOUCH_POINTS} and self.ends_by_itself:
-            raise ConfigError(f"routine {self.name}: the vehicle ends task {self.task}, not the time")
+            raise EmulatorConfigError(f"routine {self.name}: the vehicle ends task {self.task}, not the time")
         if self.held_conditions and self.task is not Task.TOUCH_POINTS:
-            raise ConfigError(f"routine {self.name}: held_conditions belong to task touch_points")
+            raise EmulatorConfigError(f"routine {self.name}: held_conditions belong to task touch_points")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -264,12 +278,14 @@ class Trouble:
 
     def __post_init__(self) -> None:
         if not _CODE.fullmatch(self.code):
-            raise ConfigError(f"trouble code {self.code} is none: in capitals, as P0741, its failure_type apart")
+            raise EmulatorConfigError(
+                f"trouble code {self.code} is none: in capitals, as P0741, its failure_type apart"
+            )
         bytes_each = dict.fromkeys(("failure_type", "severity", "confirm_cycles", "heal_cycles", "age_cycles"), 255)
         for name, most in {**bytes_each, "failed_step": 127, "passed_step": 128}.items():
             value, least = getattr(self, name), 0 if name in {"failure_type", "severity"} else 1
             if not least <= value <= most:
-                raise ConfigError(f"trouble code {self.code}: {name} must be {least}..{most}, got {value}")
+                raise EmulatorConfigError(f"trouble code {self.code}: {name} must be {least}..{most}, got {value}")
 
     @property
     def number(self) -> int:
@@ -284,13 +300,15 @@ class ExtendedRecord:
 
     number: int
     name: str
-    fields: tuple[Field, ...]
+    fields: tuple[DatumField, ...]
 
     def __post_init__(self) -> None:
         if not 0x01 <= self.number <= 0xEF:
-            raise ConfigError(f"extended record {self.name}: its number must be 1..0xEF, got {self.number}")
+            raise EmulatorConfigError(f"extended record {self.name}: its number must be 1..0xEF, got {self.number}")
         if len({entry.source.startswith(OF_MEMORY) for entry in self.fields}) != 1:
-            raise ConfigError(f"extended record {self.name}: either all its fields are counters (memory.) or none is")
+            raise EmulatorConfigError(
+                f"extended record {self.name}: either all its fields are counters (memory.) or none is"
+            )
 
     @property
     def has_counters(self) -> bool:
@@ -298,7 +316,7 @@ class ExtendedRecord:
         return self.fields[0].source.startswith(OF_MEMORY)
 
 
-def size_of(fields: Iterable[Field]) -> int:
+def size_of(fields: Iterable[DatumField]) -> int:
     """Return the length of fields [byte]."""
     return sum(entry.size_bytes for entry in fields)
 
@@ -310,14 +328,16 @@ IN_USE: Final = ExtendedRecord(
     number=0x91,
     name="in-use performance",
     fields=(
-        Field(name="completions", kind=Coding.UNSIGNED, size_bytes=2, source=f"{OF_MEMORY}ran_cycles"),
-        Field(name="conditions encountered", kind=Coding.UNSIGNED, size_bytes=2, source=f"{OF_MEMORY}driven_cycles"),
+        DatumField(name="completions", kind=Coding.UNSIGNED, size_bytes=2, source=f"{OF_MEMORY}ran_cycles"),
+        DatumField(
+            name="conditions encountered", kind=Coding.UNSIGNED, size_bytes=2, source=f"{OF_MEMORY}driven_cycles"
+        ),
     ),
 )
 """Extended data of SAE J1979-2: in how many operation cycles a test has run, and in how many it should have."""
 
 
-class Profile(StrEnum):
+class ObdProfile(StrEnum):
     """How OBD is spoken: by services 01 to 0A (SAE J1979), or by those of UDS (SAE J1979-2)."""
 
     CLASSIC = "classic"
@@ -330,16 +350,20 @@ class Pid:
 
     number: int
     name: str
-    fields: tuple[Field, ...]
+    fields: tuple[DatumField, ...]
     initial: str = ""  # hexadecimal digits of all its bytes
     is_frozen: bool = False  # kept in the freeze frame
 
     def __post_init__(self) -> None:
         _check_number("PID", self.name, self.number)
         if not 1 <= size_of(self.fields) <= _LONGEST_PID:
-            raise ConfigError(f"PID {self.name}: it must have 1..{_LONGEST_PID} bytes, got {size_of(self.fields)}")
+            raise EmulatorConfigError(
+                f"PID {self.name}: it must have 1..{_LONGEST_PID} bytes, got {size_of(self.fields)}"
+            )
         if self.initial and len(_from_hex(self.name, self.initial)) != size_of(self.fields):
-            raise ConfigError(f"PID {self.name}: initial must have {size_of(self.fields)} bytes, got {self.initial!r}")
+            raise EmulatorConfigError(
+                f"PID {self.name}: initial must have {size_of(self.fields)} bytes, got {self.initial!r}"
+            )
 
     @property
     def initial_bytes(self) -> bytes:
@@ -361,11 +385,11 @@ class VehicleInfo:
     def __post_init__(self) -> None:
         _check_number("vehicle information", self.name, self.number)
         if sum((self.data is not None, bool(self.text), bool(self.digits))) != 1:
-            raise ConfigError(f"vehicle information {self.name}: it has either data, a text or digits")
+            raise EmulatorConfigError(f"vehicle information {self.name}: it has either data, a text or digits")
         if not 1 <= self.size_bytes <= _LONGEST_INFO:
-            raise ConfigError(f"vehicle information {self.name}: size_bytes must be 1..{_LONGEST_INFO}")
+            raise EmulatorConfigError(f"vehicle information {self.name}: size_bytes must be 1..{_LONGEST_INFO}")
         if len(self.fixed_bytes) > self.size_bytes:
-            raise ConfigError(f"vehicle information {self.name}: it is longer than {self.size_bytes} bytes")
+            raise EmulatorConfigError(f"vehicle information {self.name}: it is longer than {self.size_bytes} bytes")
 
     @property
     def fixed_bytes(self) -> bytes:
@@ -373,7 +397,7 @@ class VehicleInfo:
         try:
             return self.text.encode("ascii") or _from_hex(self.name, self.digits)
         except UnicodeEncodeError as exc:
-            raise ConfigError(f"vehicle information {self.name}: text is not ASCII: {self.text!r}") from exc
+            raise EmulatorConfigError(f"vehicle information {self.name}: text is not ASCII: {self.text!r}") from exc
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -391,7 +415,7 @@ class MonitorTest:
 class Obd:
     """OBD as one controller speaks it."""
 
-    profile: Profile
+    profile: ObdProfile
     clear_conditions: tuple[str, ...]  # of the vehicle, before codes are cleared by service 04
     pids: Mapping[int, Pid]
     infos: Mapping[int, VehicleInfo]
@@ -414,14 +438,16 @@ def supported(numbers: Mapping[int, object], first: int) -> bytes | None:
 
 def _check_number(kind: str, name: str, number: int) -> None:
     if not 0x01 <= number <= 0xFF or number % BLOCK == 0:
-        raise ConfigError(f"{kind} {name}: its number must be 1..0xFF and no multiple of 0x20, got 0x{number:02X}")
+        raise EmulatorConfigError(
+            f"{kind} {name}: its number must be 1..0xFF and no multiple of 0x20, got 0x{number:02X}"
+        )
 
 
 def _from_hex(name: str, digits: str) -> bytes:
     try:
         return bytes.fromhex(digits)
     except ValueError as exc:
-        raise ConfigError(f"{name}: not hexadecimal digits: {digits!r}") from exc
+        raise EmulatorConfigError(f"{name}: not hexadecimal digits: {digits!r}") from exc
 
 
 Value = float | str | bytes
@@ -430,7 +456,7 @@ Values = Mapping[str, Value]  # of the controller, by source; numbers in SI
 _FORMATS: Final = {4: ">f", 8: ">d"}  # of IEEE 754, by bytes
 
 
-def encode(fields: tuple[Field, ...], values: Values, *, keeps_code: bool = True) -> bytes:
+def encode(fields: tuple[DatumField, ...], values: Values, *, keeps_code: bool = True) -> bytes:
     """Return the bytes of fields; a value that is missing or not a number becomes the code for not available.
 
     Unless ``keeps_code``, that code also stands for the highest value, as OBD has it.
@@ -438,7 +464,7 @@ def encode(fields: tuple[Field, ...], values: Values, *, keeps_code: bool = True
     return b"".join(_encoded(entry, values.get(entry.source), keeps_code=keeps_code) for entry in fields)
 
 
-def not_available(entry: Field) -> int:
+def not_available(entry: DatumField) -> int:
     """Return the number that says that a value is not known: all bits set, the most negative one if signed.
 
     A float has no such number: it is not a number then.
@@ -447,7 +473,7 @@ def not_available(entry: Field) -> int:
     return -(1 << (bits - 1)) if entry.kind is Coding.SIGNED else (1 << bits) - 1
 
 
-def _encoded(entry: Field, value: Value | None, *, keeps_code: bool) -> bytes:
+def _encoded(entry: DatumField, value: Value | None, *, keeps_code: bool) -> bytes:
     if entry.kind is Coding.TEXT:
         return (
             str("" if value is None else value).encode("ascii", "replace")[: entry.size_bytes].ljust(entry.size_bytes)
@@ -463,7 +489,7 @@ def _encoded(entry: Field, value: Value | None, *, keeps_code: bool) -> bytes:
     return number.to_bytes(entry.size_bytes, "big", signed=entry.kind is Coding.SIGNED)
 
 
-def _float_bytes(entry: Field, value: float) -> bytes:
+def _float_bytes(entry: DatumField, value: float) -> bytes:
     """Return a number as IEEE 754 has it; one that is too large for four bytes is infinite."""
     number = entry.conversion[0](value)
     try:
@@ -472,7 +498,7 @@ def _float_bytes(entry: Field, value: float) -> bytes:
         return struct.pack(_FORMATS[entry.size_bytes], math.copysign(math.inf, number))
 
 
-def _number(entry: Field, value: float, *, keeps_code: bool) -> int:
+def _number(entry: DatumField, value: float, *, keeps_code: bool) -> int:
     """Return what stands for a value: the nearest step, or the last one before the code for not available."""
     if math.isnan(value):
         return not_available(entry)
@@ -486,7 +512,7 @@ def _number(entry: Field, value: float, *, keeps_code: bool) -> int:
     return high if steps >= high else low if steps <= low else round(steps)
 
 
-def _pieces(fields: tuple[Field, ...], raw: bytes) -> Iterator[tuple[Field, bytes]]:
+def _pieces(fields: tuple[DatumField, ...], raw: bytes) -> Iterator[tuple[DatumField, bytes]]:
     """Yield each field and its bytes."""
     place = 0
     for entry in fields:
@@ -494,31 +520,31 @@ def _pieces(fields: tuple[Field, ...], raw: bytes) -> Iterator[tuple[Field, byte
         place += entry.size_bytes
 
 
-def decoded(fields: tuple[Field, ...], raw: bytes) -> dict[str, float]:
+def decoded(fields: tuple[DatumField, ...], raw: bytes) -> dict[str, float]:
     """Return the numbers in bytes by source, in SI; those that are not available are missing."""
     available = ((entry, piece) for entry, piece in _pieces(fields, raw) if _is_available(entry, piece))
     return {entry.source: entry.conversion[1](decode_number(entry, piece)) for entry, piece in available}
 
 
-def _is_available(entry: Field, raw: bytes) -> bool:
+def _is_available(entry: DatumField, raw: bytes) -> bool:
     if entry.kind is Coding.FLOAT:
         return not math.isnan(decode_number(entry, raw))
     return int.from_bytes(raw, "big", signed=entry.kind is Coding.SIGNED) != not_available(entry)
 
 
-def decode_number(entry: Field, raw: bytes) -> float:
+def decode_number(entry: DatumField, raw: bytes) -> float:
     if entry.kind is Coding.FLOAT:
         return float(struct.unpack(_FORMATS[entry.size_bytes], raw)[0])
     steps = int.from_bytes(raw, "big", signed=entry.kind is Coding.SIGNED)
     return steps * entry.resolution + entry.offset
 
 
-def are_valid(fields: tuple[Field, ...], raw: bytes) -> bool:
+def are_valid(fields: tuple[DatumField, ...], raw: bytes) -> bool:
     """Return whether bytes, which are as long as the fields, are within what the fields allow."""
     return all(_is_valid(entry, piece) for entry, piece in _pieces(fields, raw))
 
 
-def _is_valid(entry: Field, raw: bytes) -> bool:
+def _is_valid(entry: DatumField, raw: bytes) -> bool:
     if entry.kind is Coding.BYTES:
         return not entry.pattern or re.fullmatch(entry.pattern, raw.hex()) is not None
     if entry.kind is Coding.TEXT:
@@ -527,7 +553,7 @@ def _is_valid(entry: Field, raw: bytes) -> bool:
     return _is_within(entry, decode_number(entry, raw))
 
 
-def holds(condition: Condition, values: Values) -> bool:
+def holds(condition: Precondition, values: Values) -> bool:
     """Return whether a condition holds; it does not if its value is not known."""
     value = values.get(condition.source)
     if not isinstance(value, int | float) or math.isnan(value):
@@ -535,6 +561,6 @@ def holds(condition: Condition, values: Values) -> bool:
     return _is_within(condition, value)
 
 
-def _is_within(limits: Field | Condition, value: float) -> bool:
+def _is_within(limits: DatumField | Precondition, value: float) -> bool:
     is_above = limits.minimum is None or value >= limits.minimum
     return is_above and (limits.maximum is None or value <= limits.maximum)

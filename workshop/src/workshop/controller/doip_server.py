@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final, Self
 
 from clutchdiag_io.files import check_plain_file
-from ecu_emulator.errors import BusError, ConfigError
+from ecu_emulator.errors import BusError, EmulatorConfigError
 from workshop.controller import doip
 from workshop.controller.controller import TICK_S, Controller
 from workshop.controller.doip import announcement, datagram_reply
@@ -49,9 +49,9 @@ class TlsNode:
                     check_plain_file(path)
             context.load_cert_chain(self.certificate, self.key, password="")  # or a terminal would be asked
         except ssl.SSLError as exc:
-            raise ConfigError(f"certificate or key cannot be used: {exc.reason or exc} ({files})") from exc
+            raise EmulatorConfigError(f"certificate or key cannot be used: {exc.reason or exc} ({files})") from exc
         except OSError as exc:
-            raise ConfigError(f"certificate or key cannot be read: {exc.strerror or exc} ({files})") from exc
+            raise EmulatorConfigError(f"certificate or key cannot be read: {exc.strerror or exc} ({files})") from exc
         return context
 
 
@@ -62,10 +62,10 @@ def tls_node(certificate: Path | None, key: Path | None, port: int) -> TlsNode |
     """
     if certificate is None:
         if key is not None:
-            raise ConfigError("--doip-key needs --doip-certificate")
+            raise EmulatorConfigError("--doip-key needs --doip-certificate")
         return None
     if not 1 <= port <= LARGEST_PORT:
-        raise ConfigError(f"--doip-tls-port must be 1..{LARGEST_PORT}, got {port}")
+        raise EmulatorConfigError(f"--doip-tls-port must be 1..{LARGEST_PORT}, got {port}")
     return TlsNode(certificate=certificate, key=key, port=port)
 
 
@@ -81,7 +81,7 @@ Address = IPv4Address | IPv6Address
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
+class DoipAddress:
     """Where to listen, and what people call it."""
 
     host: str
@@ -107,7 +107,7 @@ class Listening:
             one.close()
 
 
-def parse_place(text: str, option: str = "--doip", *, least_port: int = 1) -> Place:
+def parse_place(text: str, option: str = "--doip", *, least_port: int = 1) -> DoipAddress:
     """Return what ``[HOST:]PORT`` says; without a host this machine alone is meant. IPv6 stands in brackets.
 
     Raises ConfigError if it says no such thing.
@@ -116,11 +116,13 @@ def parse_place(text: str, option: str = "--doip", *, least_port: int = 1) -> Pl
     is_bracketed = host.startswith("[") and host.endswith("]")
     is_port = port.isascii() and port.isdecimal() and least_port <= int(port) <= LARGEST_PORT
     if not is_port or text.startswith(":") or (":" in host and not is_bracketed):
-        raise ConfigError(f"{option} must be [HOST:]PORT with a port of {least_port}..{LARGEST_PORT}, got {text}")
-    return Place(host=(host[1:-1] if is_bracketed else host) or LOOPBACK, port=int(port))
+        raise EmulatorConfigError(
+            f"{option} must be [HOST:]PORT with a port of {least_port}..{LARGEST_PORT}, got {text}"
+        )
+    return DoipAddress(host=(host[1:-1] if is_bracketed else host) or LOOPBACK, port=int(port))
 
 
-def listen(place: Place) -> Listening:
+def listen(place: DoipAddress) -> Listening:
     """Return the sockets of a place; requests to everybody on its network come in as well.
 
     By IPv6 they come in only where all addresses are listened on (``::``). Raises BusError if it is no address of this
@@ -300,7 +302,7 @@ class DoipServer:
         If it cannot listen there, or its certificate cannot be used.
     """
 
-    def __init__(self, controller: Controller, place: Place) -> None:
+    def __init__(self, controller: Controller, place: DoipAddress) -> None:
         self._controller = controller
         self._entity = controller.table.doip
         self._step = doip.Step(sockets={})

@@ -17,7 +17,7 @@ from typing import Final, Self
 
 import can
 
-from ecu_emulator.errors import BusError, ConfigError, RecordError
+from ecu_emulator.errors import BusError, EmulatorConfigError, RecordError
 from workshop.controller.controller import TICK_S, Controller
 from workshop.controller.elm327 import LARGEST_STANDARD_ID, Interpreter, Shown
 from workshop.controller.elm327 import line as frame_line
@@ -233,7 +233,7 @@ class ElmServer:
         self, controller: Controller, place: tuple[str, int], bitrate: int | None = None, *, idle_s: float = IDLE_S
     ) -> None:
         if controller.table.transport.own_address is not None:
-            raise ConfigError("an ELM327 does not reach a controller with extended addresses")
+            raise EmulatorConfigError("an ELM327 does not reach a controller with extended addresses")
         self._controller = controller
         self._bitrate = bitrate
         self._idle_s = idle_s

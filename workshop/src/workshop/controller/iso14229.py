@@ -94,7 +94,7 @@ SILENT_WHEN_FUNCTIONAL: Final = frozenset(
 """What a server keeps to itself when all servers were asked: that it is not the one who was meant."""
 
 
-class Status(IntFlag):
+class DtcStatus(IntFlag):
     """Bits of a trouble code's status, annex D.2."""
 
     TEST_FAILED = 0x01
@@ -107,5 +107,5 @@ class Status(IntFlag):
     WARNING_REQUESTED = 0x80
 
 
-CLEARED: Final = Status.NOT_TESTED_SINCE_CLEAR | Status.NOT_TESTED_THIS_CYCLE
+CLEARED: Final = DtcStatus.NOT_TESTED_SINCE_CLEAR | DtcStatus.NOT_TESTED_THIS_CYCLE
 ALL_BITS: Final = 0xFF  # the status availability mask: every bit is kept

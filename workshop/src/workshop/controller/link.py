@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, Self
 import can
 import isotp
 
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from workshop.controller.controller import TICK_S, Controller
 from workshop.controller.iso14229 import NEGATIVE, Nrc, Service
 from workshop.controller.isotp_frames import single_payload, usable
@@ -109,7 +109,7 @@ class DiagnosticLink:
                 },
             )
         except ValueError as exc:
-            raise ConfigError(f"diagnostics: {exc}") from exc
+            raise EmulatorConfigError(f"diagnostics: {exc}") from exc
 
     @property
     def can_ids(self) -> tuple[int, int]:

@@ -11,7 +11,7 @@ from enum import StrEnum
 from typing import Final
 
 from workshop.controller.descriptions import Trouble
-from workshop.controller.iso14229 import ALL_CODES, CLEARED, Status
+from workshop.controller.iso14229 import ALL_CODES, CLEARED, DtcStatus
 
 MOST_COUNT: Final = 0xFF  # counters stay there
 FAILED_COUNTER: Final = 127
@@ -46,7 +46,7 @@ NOTHING_CAPTURED: Final = Capture()
 class TroubleRecord:
     """What is known of one trouble code."""
 
-    status: Status = CLEARED
+    status: DtcStatus = CLEARED
     detection_counter: int = 0  # -128..127; forgotten when an operation cycle begins
     occurrences: int = 0  # times that the test failed after it had not
     failed_cycles: int = 0  # with a failure, since the last cycle that only passed
@@ -94,7 +94,7 @@ def needs_capture(memory: TroubleMemory, trouble: Trouble, result: TestResult) -
     """Return whether a result makes a failure of which the vehicle's values are kept; ``report`` asks for them then."""
     record = memory.records[trouble.number]
     is_failure = _counted(record.detection_counter, trouble, result) == FAILED_COUNTER
-    return is_failure and (not record.status & Status.TEST_FAILED or None in (record.first, record.latest))
+    return is_failure and (not record.status & DtcStatus.TEST_FAILED or None in (record.first, record.latest))
 
 
 def report(memory: TroubleMemory, trouble: Trouble, result: TestResult, capture: Capture) -> TroubleMemory:
@@ -115,7 +115,7 @@ def report(memory: TroubleMemory, trouble: Trouble, result: TestResult, capture:
     if counter == FAILED_COUNTER:
         record = _failed(record, trouble, capture)
     elif counter == PASSED_COUNTER:
-        left = Status.TEST_FAILED | Status.NOT_TESTED_SINCE_CLEAR | Status.NOT_TESTED_THIS_CYCLE
+        left = DtcStatus.TEST_FAILED | DtcStatus.NOT_TESTED_SINCE_CLEAR | DtcStatus.NOT_TESTED_THIS_CYCLE
         record = replace(record, status=record.status & ~left)
     if record == memory.records[trouble.number]:
         return memory
@@ -130,7 +130,7 @@ def clear(memory: TroubleMemory, group: int) -> TroubleMemory:
 
 def is_lamp_on(memory: TroubleMemory) -> bool:
     """Return whether any code asks for the warning lamp."""
-    return any(record.status & Status.WARNING_REQUESTED for record in memory.records.values())
+    return any(record.status & DtcStatus.WARNING_REQUESTED for record in memory.records.values())
 
 
 def _counted(counter: int, trouble: Trouble, result: TestResult) -> int:
@@ -146,15 +146,15 @@ def _counted(counter: int, trouble: Trouble, result: TestResult) -> int:
 
 
 def _failed(record: TroubleRecord, trouble: Trouble, capture: Capture) -> TroubleRecord:
-    was_failed = bool(record.status & Status.TEST_FAILED)
-    is_first_in_cycle = not record.status & Status.FAILED_THIS_CYCLE
+    was_failed = bool(record.status & DtcStatus.TEST_FAILED)
+    is_first_in_cycle = not record.status & DtcStatus.FAILED_THIS_CYCLE
     failed_cycles = min(MOST_COUNT, record.failed_cycles + is_first_in_cycle)
-    status = record.status & ~(Status.NOT_TESTED_SINCE_CLEAR | Status.NOT_TESTED_THIS_CYCLE)
-    status |= Status.TEST_FAILED | Status.FAILED_THIS_CYCLE | Status.PENDING | Status.FAILED_SINCE_CLEAR
+    status = record.status & ~(DtcStatus.NOT_TESTED_SINCE_CLEAR | DtcStatus.NOT_TESTED_THIS_CYCLE)
+    status |= DtcStatus.TEST_FAILED | DtcStatus.FAILED_THIS_CYCLE | DtcStatus.PENDING | DtcStatus.FAILED_SINCE_CLEAR
     if failed_cycles >= trouble.confirm_cycles:
-        status |= Status.CONFIRMED
-    if trouble.lights_lamp and status & Status.CONFIRMED:
-        status |= Status.WARNING_REQUESTED
+        status |= DtcStatus.CONFIRMED
+    if trouble.lights_lamp and status & DtcStatus.CONFIRMED:
+        status |= DtcStatus.WARNING_REQUESTED
     return replace(
         record,
         status=status,
@@ -169,24 +169,24 @@ def _failed(record: TroubleRecord, trouble: Trouble, capture: Capture) -> Troubl
 
 def _cycled(record: TroubleRecord, trouble: Trouble, *, is_warmed_up: bool) -> TroubleRecord:
     """Return a record after its cycle: one in which the test ran and never failed is a step towards forgetting."""
-    is_good = not record.status & (Status.FAILED_THIS_CYCLE | Status.NOT_TESTED_THIS_CYCLE)
+    is_good = not record.status & (DtcStatus.FAILED_THIS_CYCLE | DtcStatus.NOT_TESTED_THIS_CYCLE)
     if is_good:
         record = _after_a_good_cycle(record, trouble, is_warmed_up=is_warmed_up)
-    status = record.status & ~Status.FAILED_THIS_CYCLE | Status.NOT_TESTED_THIS_CYCLE
+    status = record.status & ~DtcStatus.FAILED_THIS_CYCLE | DtcStatus.NOT_TESTED_THIS_CYCLE
     return replace(record, status=status, detection_counter=0)
 
 
 def _after_a_good_cycle(record: TroubleRecord, trouble: Trouble, *, is_warmed_up: bool) -> TroubleRecord:
-    status, passed, aged = record.status & ~Status.PENDING, record.passed_cycles, record.aged_cycles
-    if status & Status.WARNING_REQUESTED:
+    status, passed, aged = record.status & ~DtcStatus.PENDING, record.passed_cycles, record.aged_cycles
+    if status & DtcStatus.WARNING_REQUESTED:
         passed += 1
         if passed >= trouble.heal_cycles:
-            status &= ~Status.WARNING_REQUESTED
-    elif status & Status.CONFIRMED and is_warmed_up:
+            status &= ~DtcStatus.WARNING_REQUESTED
+    elif status & DtcStatus.CONFIRMED and is_warmed_up:
         aged += 1
         if aged >= trouble.age_cycles:
-            status &= ~Status.CONFIRMED
-    if not status & Status.CONFIRMED:
+            status &= ~DtcStatus.CONFIRMED
+    if not status & DtcStatus.CONFIRMED:
         return TroubleRecord(status=status)  # nothing is kept of what is forgotten, or was never confirmed
     return replace(record, status=status, failed_cycles=0, passed_cycles=passed, aged_cycles=aged)
 
@@ -233,7 +233,7 @@ def after_test(
     if not trouble.lights_lamp or before is after:
         return emissions
     record = after.records[trouble.number]
-    if record.status & Status.WARNING_REQUESTED and trouble.number not in emissions.permanent:
+    if record.status & DtcStatus.WARNING_REQUESTED and trouble.number not in emissions.permanent:
         emissions = replace(emissions, permanent=emissions.permanent | {trouble.number})
     if record.has_data and emissions.frame is None:
         emissions = replace(emissions, frame=FreezeFrame(code=trouble.number, pids=freeze()))
@@ -264,15 +264,15 @@ def after_cycle(emissions: Emissions, before: TroubleMemory, after: TroubleMemor
 
     That is so when it has healed, and, after a clear, as soon as its test has run in a cycle and never failed there.
     """
-    unproven = Status.FAILED_THIS_CYCLE | Status.NOT_TESTED_THIS_CYCLE
+    unproven = DtcStatus.FAILED_THIS_CYCLE | DtcStatus.NOT_TESTED_THIS_CYCLE
     permanent = frozenset(
         number
         for number in emissions.permanent
-        if before.records[number].status & unproven or after.records[number].status & Status.WARNING_REQUESTED
+        if before.records[number].status & unproven or after.records[number].status & DtcStatus.WARNING_REQUESTED
     )
     frame = emissions.frame
     is_forgotten = frame is not None and not after.records[frame.code].has_data
-    ran = {number for number, one in before.records.items() if not one.status & Status.NOT_TESTED_THIS_CYCLE}
+    ran = {number for number, one in before.records.items() if not one.status & DtcStatus.NOT_TESTED_THIS_CYCLE}
     counts = emissions.ran_cycles
     return replace(
         emissions,

@@ -10,9 +10,9 @@ from ecu_emulator.plant.parameters import nominal_parameters
 from workshop.controller import clutches
 from workshop.controller.controller import Controller
 from workshop.controller.descriptions import Values
-from workshop.controller.iso14229 import Status
+from workshop.controller.iso14229 import DtcStatus
 from workshop.controller.memory import TestResult
-from workshop.controller.monitors import MonitorLimits, Watch, is_warm, judge
+from workshop.controller.monitors import MonitorLimits, MonitorState, is_warm, judge
 
 MONITOR_PERIOD_S: Final = 0.1
 
@@ -34,7 +34,7 @@ class Monitoring:
         self._controller = controller
         self._was_adapted = was_adapted
         self._numbers = {trouble.code: number for number, trouble in controller.table.troubles.items()}
-        self._watch = Watch()
+        self._watch = MonitorState()
         self._limits = MonitorLimits(
             most_clutch_k=controller.table.clutches.most_temperature_k,
             input_output_ratios=nominal_parameters(transmission).gearbox.input_output_ratios,
@@ -57,7 +57,7 @@ class Monitoring:
 
     def restart(self, *, is_new_cycle: bool) -> None:
         """Forget what was sensed, as when the controller is switched on; a new operation cycle may begin with it."""
-        self._watch = Watch()
+        self._watch = MonitorState()
         if is_new_cycle:
             self._keep(self._controller.cycle)
 
@@ -81,7 +81,7 @@ class Monitoring:
     def _is_untested(self, code: str) -> bool:
         """Return whether a test has not run in this operation cycle."""
         records, number = self._controller.state.memory.records, self._numbers.get(code)
-        return number is not None and bool(records[number].status & Status.NOT_TESTED_THIS_CYCLE)
+        return number is not None and bool(records[number].status & DtcStatus.NOT_TESTED_THIS_CYCLE)
 
     def _report(
         self, results: Mapping[str, TestResult], *, has_warmed_up: bool = False, is_driven: bool = False

@@ -54,7 +54,7 @@ class MonitorLimits:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Driven:
+class CycleDuration:
     """For how long a cycle was driven: what regulations ask of one in which monitors should have run."""
 
     running_s: float = 0.0
@@ -62,13 +62,13 @@ class Driven:
     idle_s: float = 0.0  # without a break
     has_idled: bool = False
 
-    def later(self, known: Mapping[str, float], duration_s: float) -> "Driven":
+    def later(self, known: Mapping[str, float], duration_s: float) -> "CycleDuration":
         """Return the same after so much more time of this."""
         is_running = known.get("engine_speed_rad_s", 0.0) >= 30.0
         speed_m_s, pedal_ratio = known.get("vehicle_speed_m_s", math.inf), known.get("pedal_ratio", math.inf)
         is_idle = is_running and speed_m_s <= 0.447 and pedal_ratio <= 0.0
         idle_s = self.idle_s + duration_s if is_idle else 0.0
-        return Driven(
+        return CycleDuration(
             running_s=self.running_s + is_running * duration_s,
             fast_s=self.fast_s + (11.1 <= speed_m_s < math.inf) * duration_s,
             idle_s=idle_s,
@@ -121,7 +121,7 @@ class PressureCodes:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Watch:
+class MonitorState:
     """What monitors remember from sample to sample."""
 
     t_s: float | None = None
@@ -135,7 +135,7 @@ class Watch:
     lockup_since_s: float = 0.0  # when it became so
     clutches_k: tuple[float, float] | None = None  # as the controller computes them
     pressures: Mapping[str, PressureLooks] = field(default_factory=dict)  # by clutch
-    driven: Driven = field(default_factory=Driven)
+    driven: CycleDuration = field(default_factory=CycleDuration)
 
 
 SENSED: Final = (
@@ -160,8 +160,8 @@ _SHAFT_SPEEDS: Final = ("hub_speed_rad_s", "input1_speed_rad_s", "input2_speed_r
 
 
 def judge(
-    watch: Watch, values: Values, t_s: float, limits: MonitorLimits = NOMINAL_LIMITS
-) -> tuple[Watch, tuple[Sample, ...]]:
+    watch: MonitorState, values: Values, t_s: float, limits: MonitorLimits = NOMINAL_LIMITS
+) -> tuple[MonitorState, tuple[Sample, ...]]:
     """Return what the monitors remember and say at this moment, about ten times a second.
 
     Parameters
@@ -198,7 +198,7 @@ def judge(
     is_oil_believed = ("P0711", TestResult.PREPASSED) in samples and not limits.has_converter
     since_look_s = 0.0 if watch.t_s is None else max(0.0, t_s - watch.t_s)
     clutches_k = heated_k(watch.clutches_k, known, since_look_s, limits.packs) if is_oil_believed else watch.clutches_k
-    after = Watch(
+    after = MonitorState(
         t_s=t_s,
         gears=gears,
         since_s=since_s,
@@ -215,7 +215,7 @@ def judge(
     return after, (*samples, *(_heat_samples(clutches_k, samples, limits) if is_oil_believed else ()))
 
 
-def is_warm(watch: Watch, values: Values) -> bool:
+def is_warm(watch: MonitorState, values: Values) -> bool:
     """Return whether the engine has become warm in this operation cycle, as OBD has it: the cycle counts for ageing."""
     coolant_k = values.get("coolant_temperature_k")
     if not isinstance(coolant_k, int | float) or watch.start_coolant_k is None:
@@ -241,7 +241,9 @@ def _lost_samples(known: Mapping[str, float]) -> Iterator[Sample]:
             yield _sample(code, is_failed=is_silent > 0.0)
 
 
-def _fluid_samples(watch: Watch, known: Mapping[str, float], t_s: float, limits: MonitorLimits) -> Iterator[Sample]:
+def _fluid_samples(
+    watch: MonitorState, known: Mapping[str, float], t_s: float, limits: MonitorLimits
+) -> Iterator[Sample]:
     """Judge the fluid's temperature, and first its sensor: who says nonsense says nothing about heat."""
     fluid_k = known.get("sump_temperature_k")
     low_k, high_k = limits.fluid_range_k
@@ -255,7 +257,7 @@ def _fluid_samples(watch: Watch, known: Mapping[str, float], t_s: float, limits:
         yield _sample("P0218", is_failed=fluid_k > limits.most_fluid_k)
 
 
-def _is_frozen(watch: Watch, known: Mapping[str, float], limits: MonitorLimits) -> bool:
+def _is_frozen(watch: MonitorState, known: Mapping[str, float], limits: MonitorLimits) -> bool:
     """Return whether the fluid has stayed as it was while the engine became warm around it."""
     coolant_k, fluids_k = known.get("coolant_temperature_k"), _widened(watch.fluids_k, known.get("sump_temperature_k"))
     if coolant_k is None or watch.start_coolant_k is None or fluids_k is None:

@@ -5,7 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from ecu_emulator.commands import save
-from ecu_emulator.errors import ConfigError, ExtraMissingError
+from ecu_emulator.errors import EmulatorConfigError, LogFormatExtraError
 from ecu_emulator.progress import people, print_json
 from workshop.controller.table import DiagnosticTable, load_table, shipped_table
 
@@ -32,10 +32,10 @@ def save_pdx(table: Path | None, path: Path, *, is_forced: bool) -> tuple[Diagno
     try:
         from workshop.controller.pdx.package import pdx_package  # noqa: PLC0415 - an extra
     except ImportError as exc:
-        raise ExtraMissingError("PDX files need odxtools: pip install './workshop[odx]' in the checkout") from exc
+        raise LogFormatExtraError("PDX files need odxtools: pip install './workshop[odx]' in the checkout") from exc
 
     if table is not None and path.absolute() == table.absolute():
-        raise ConfigError(f"table and package cannot both be {path}")
+        raise EmulatorConfigError(f"table and package cannot both be {path}")
     described = shipped_table() if table is None else load_table(table)
     package = pdx_package(described)
     save(package, path, is_forced=is_forced)

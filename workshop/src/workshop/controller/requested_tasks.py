@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final, Protocol
 
 from ecu_emulator.errors import RecordError
-from ecu_emulator.scenario.scenario import Routine
+from ecu_emulator.scenario.scenario import WorkshopRoutine
 from ecu_emulator.shift_control.touch_points import (
     PressureSteps,
     Result,
@@ -35,7 +35,7 @@ class Performer(Protocol):
     def is_waiting(self) -> bool:
         """Whether it waits for somebody to ask for the workshop routine."""
 
-    def begin_routine(self, request: Routine) -> None:
+    def begin_routine(self, request: WorkshopRoutine) -> None:
         """Begin the routine soon."""
 
 
@@ -76,7 +76,7 @@ class RequestedRoutine:
             return
         number, run = found
         if self._shifts_before is None:
-            self._performer.begin_routine(Routine(open_revs=run.options[0], closed_revs=run.options[1]))
+            self._performer.begin_routine(WorkshopRoutine(open_revs=run.options[0], closed_revs=run.options[1]))
             self._shifts_before = driven.shift_count
         if driven.shift_count > self._shifts_before and driven.gear == FIRST_GEAR:  # is back in it
             self._controller.finish(number)

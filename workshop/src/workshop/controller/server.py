@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Final
 
-from workshop.controller.descriptions import Profile
+from workshop.controller.descriptions import ObdProfile
 from workshop.controller.iso14229 import (
     DEFAULT_SESSION,
     NEGATIVE,
@@ -37,11 +37,11 @@ from workshop.controller.services.trouble import EMISSION_REPORTS, REPORTS, capt
 from workshop.controller.state import (
     Call,
     Instant,
-    Outcome,
     Reply,
     Request,
     Result,
     ServerState,
+    ServiceOutcome,
     Waiting,
     is_unlocked,
     under_control,
@@ -119,7 +119,7 @@ def answer(table: DiagnosticTable, state: ServerState, request: Request, moment:
     return _replied(request, result.response, result.state)
 
 
-def _outcome(call: Call) -> Outcome:
+def _outcome(call: Call) -> ServiceOutcome:
     """Return what a service does for the client who holds the session, or for a guest of it."""
     before, number = call.state, call.payload[0]
     is_guest = before.session != DEFAULT_SESSION and call.request.client != before.holder
@@ -127,7 +127,7 @@ def _outcome(call: Call) -> Outcome:
     call = replace(call, state=seen, is_guest=is_guest)
     result = OBD_HANDLERS[number](call) if _is_obd(call) else _refusal(call) or _HANDLERS[number](call)
     if isinstance(result, Nrc):
-        result = Outcome(response=result, state=call.state)
+        result = ServiceOutcome(response=result, state=call.state)
     return replace(result, state=sessions.after_guest(before, result.state)) if is_guest else result
 
 
@@ -226,7 +226,7 @@ def refusal(table: DiagnosticTable, state: ServerState, request: Request) -> Rep
 
 
 def _is_obd(call: Call) -> bool:
-    return call.payload[0] in OBD_HANDLERS and call.table.has_obd(Profile.CLASSIC)
+    return call.payload[0] in OBD_HANDLERS and call.table.has_obd(ObdProfile.CLASSIC)
 
 
 def _refusal(call: Call) -> Nrc | None:
@@ -263,7 +263,7 @@ def _sessions_of_sub_function(call: Call) -> tuple[int, ...]:
         level = table.levels.get(call.sub_function - (call.sub_function % 2 == 0))
         return level.sessions if level is not None else ()
     known = _SUB_FUNCTIONS[number]
-    if number == Service.READ_CODES and table.has_obd(Profile.UDS):
+    if number == Service.READ_CODES and table.has_obd(ObdProfile.UDS):
         known |= EMISSION_REPORTS
     return table.services[number].sessions if call.sub_function in known else ()
 

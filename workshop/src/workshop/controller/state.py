@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from workshop.controller.clutches import Adaptation
-from workshop.controller.descriptions import Access, Values, decoded, holds
+from workshop.controller.descriptions import AccessRule, Values, decoded, holds
 from workshop.controller.iso14229 import DEFAULT_SESSION, POSITIVE, SUPPRESS, Nrc
 from workshop.controller.memory import Emissions, TroubleMemory
 from workshop.controller.table import DiagnosticTable
@@ -135,17 +135,17 @@ class Call:
         """The sub-function, without the bit that suppresses a positive response."""
         return self.payload[1] & ~SUPPRESS
 
-    def positive(self, data: bytes = b"", state: ServerState | None = None) -> "Outcome":
+    def positive(self, data: bytes = b"", state: ServerState | None = None) -> "ServiceOutcome":
         """Return a positive response with these data, and the state that goes with it."""
-        return Outcome(response=bytes([self.payload[0] + POSITIVE]) + data, state=state or self.state)
+        return ServiceOutcome(response=bytes([self.payload[0] + POSITIVE]) + data, state=state or self.state)
 
-    def echoed(self, data: bytes = b"", state: ServerState | None = None) -> "Outcome":
+    def echoed(self, data: bytes = b"", state: ServerState | None = None) -> "ServiceOutcome":
         """Return a positive response that repeats the sub-function before its data."""
         return self.positive(bytes([self.sub_function]) + data, state)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class ServiceOutcome:
     """A response and the state after it; while it is not final, 78 is sent and the response comes later."""
 
     response: bytes | Nrc
@@ -153,10 +153,10 @@ class Outcome:
     is_final: bool = True
 
 
-Result = Outcome | Nrc
+Result = ServiceOutcome | Nrc
 
 
-def is_in_session(call: Call, access: Access) -> bool:
+def is_in_session(call: Call, access: AccessRule) -> bool:
     """Return whether something may be done in the active session."""
     return call.state.session in access.sessions
 

@@ -11,9 +11,9 @@ from typing import Any, Final, TypeVar
 from canlog.files import read_small_file
 from clutch_model.calibration import CONVERTERS
 from clutch_model.tables import record_from
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from workshop.controller import descriptions
-from workshop.controller.descriptions import Access, Datum, Profile, Routine, Trouble
+from workshop.controller.descriptions import AccessRule, DataIdentifier, ObdProfile, Routine, Trouble
 from workshop.controller.iso14229 import DEFAULT_SESSION, Service
 
 PERIODIC_PAGE: Final = 0xF2  # upper byte of data that can be sent periodically, ISO 14229-1 annex C
@@ -50,7 +50,7 @@ class Transport:
         for name in ("padding", "block_size", "separation_time", "own_address", "tester_address", "all_address"):
             value = getattr(self, name)
             if value is not None and not 0 <= value <= 0xFF:
-                raise ConfigError(f"{name} must be 0..0xFF, got {value}")
+                raise EmulatorConfigError(f"{name} must be 0..0xFF, got {value}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,7 +125,7 @@ class Periodic:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
+class RequestLimits:
     """How much one request may ask for."""
 
     most_data: int  # identifiers in one request
@@ -157,12 +157,12 @@ class DiagnosticTable:
     addressing: Addressing
     transport: Transport
     timing: Timing
-    limits: Limits
-    sessions: Mapping[int, descriptions.Session]
+    limits: RequestLimits
+    sessions: Mapping[int, descriptions.DiagnosticSession]
     levels: Mapping[int, descriptions.SecurityLevel]
     services: Mapping[int, descriptions.ServiceAccess]
-    conditions: Mapping[str, descriptions.Condition]
-    data: Mapping[int, descriptions.Datum]
+    conditions: Mapping[str, descriptions.Precondition]
+    data: Mapping[int, descriptions.DataIdentifier]
     routines: Mapping[int, descriptions.Routine]
     troubles: Mapping[int, descriptions.Trouble]
     extended: Mapping[int, descriptions.ExtendedRecord]
@@ -228,7 +228,7 @@ class DiagnosticTable:
                     f"data {datum.name}: what is sent periodically has at most {self.most_periodic_bytes} bytes",
                 )
 
-    def has_obd(self, profile: descriptions.Profile) -> bool:
+    def has_obd(self, profile: descriptions.ObdProfile) -> bool:
         """Return whether OBD is spoken in this way."""
         return self.obd is not None and self.obd.profile is profile
 
@@ -243,7 +243,7 @@ class DiagnosticTable:
             number for number in numbers if trouble.lights_lamp or self.extended.get(number) is not descriptions.IN_USE
         )
 
-    def _accesses(self) -> Iterable[tuple[descriptions.Access | descriptions.ServiceAccess, str]]:
+    def _accesses(self) -> Iterable[tuple[descriptions.AccessRule | descriptions.ServiceAccess, str]]:
         for service in self.services.values():
             yield service, f"service {service.name}"
         for datum in self.data.values():
@@ -263,7 +263,7 @@ def _check_known(
 
 def _check(holds: bool, message: str) -> None:  # noqa: FBT001 - reads as a sentence at the call
     if not holds:
-        raise ConfigError(message)
+        raise EmulatorConfigError(message)
 
 
 RecordT = TypeVar("RecordT")
@@ -286,16 +286,16 @@ class TableFile:
     addressing: Addressing
     transport: Transport
     timing: Timing
-    limits: Limits
-    session: tuple[descriptions.Session, ...] = ()
+    limits: RequestLimits
+    session: tuple[descriptions.DiagnosticSession, ...] = ()
     security: tuple[descriptions.SecurityLevel, ...] = ()
     service: tuple[descriptions.ServiceAccess, ...] = ()
-    condition: tuple[descriptions.Condition, ...] = ()
-    data: tuple[Datum, ...] = ()
+    condition: tuple[descriptions.Precondition, ...] = ()
+    data: tuple[DataIdentifier, ...] = ()
     routine: tuple[Routine, ...] = ()
     trouble: tuple[Trouble, ...] = ()
     extended: tuple[descriptions.ExtendedRecord, ...] = ()
-    obd: Profile | None = None
+    obd: ObdProfile | None = None
     obd_clear_conditions: tuple[str, ...] = ()
     pid: tuple[descriptions.Pid, ...] = ()
     vehicle_info: tuple[descriptions.VehicleInfo, ...] = ()
@@ -335,7 +335,7 @@ def table_like(name: str, transmission: str = "nominal") -> DiagnosticTable:
     Raises ConfigError if there is no such personality.
     """
     if name not in personalities():
-        raise ConfigError(f"nobody answers like {name}: there are {', '.join(personalities())}")
+        raise EmulatorConfigError(f"nobody answers like {name}: there are {', '.join(personalities())}")
     document, own = tomllib.loads(_shipped_text(f"{_LIKE}{name}")), table_of(transmission)
     return replace(
         _with_data(own, document),
@@ -350,8 +350,8 @@ def _shipped_text(name: str) -> str:
 
 def _with_data(table: DiagnosticTable, document: Mapping[str, Any]) -> DiagnosticTable:
     """Return a table under another name, with more data that may be read in every session."""
-    access = {"open": Access(sessions=tuple(table.sessions))}
-    data = _numbered(_records(Datum, _with_access(document, access), "data"), "data")
+    access = {"open": AccessRule(sessions=tuple(table.sessions))}
+    data = _numbered(_records(DataIdentifier, _with_access(document, access), "data"), "data")
     return replace(table, name=document["name"], data={**table.data, **data})
 
 
@@ -366,9 +366,9 @@ def load_table(path: Path) -> DiagnosticTable:
     try:
         return parse_table(read_small_file(path).decode("utf-8"), str(path))
     except OSError as exc:
-        raise ConfigError(f"cannot read {path}: {exc.strerror or exc}") from exc
+        raise EmulatorConfigError(f"cannot read {path}: {exc.strerror or exc}") from exc
     except UnicodeDecodeError as exc:
-        raise ConfigError(f"{path} is not UTF-8") from exc
+        raise EmulatorConfigError(f"{path} is not UTF-8") from exc
 
 
 def parse_table(text: str, where: str) -> DiagnosticTable:
@@ -382,22 +382,24 @@ def parse_table(text: str, where: str) -> DiagnosticTable:
     try:
         document = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as exc:
-        raise ConfigError(f"{where} is not TOML: {exc}") from exc
+        raise EmulatorConfigError(f"{where} is not TOML: {exc}") from exc
     try:
         return _table(document)
-    except ConfigError as exc:
-        raise ConfigError(f"{where}: {exc}") from exc
+    except EmulatorConfigError as exc:
+        raise EmulatorConfigError(f"{where}: {exc}") from exc
 
 
 def _table(document: dict[str, Any]) -> DiagnosticTable:
     _check_signs(document)
     told = document.pop("access", None)
     if not isinstance(told, Mapping):
-        raise ConfigError("access is missing: a table that says who may use what")
-    access = {name: record_from(Access, one, f"access.{name}: ", error=ConfigError) for name, one in told.items()}
-    file = record_from(TableFile, _with_access(document, access), error=ConfigError)
+        raise EmulatorConfigError("access is missing: a table that says who may use what")
+    access = {
+        name: record_from(AccessRule, one, f"access.{name}: ", error=EmulatorConfigError) for name, one in told.items()
+    }
+    file = record_from(TableFile, _with_access(document, access), error=EmulatorConfigError)
     extended = _numbered(file.extended, "extended")
-    if file.obd is Profile.UDS:
+    if file.obd is ObdProfile.UDS:
         extended.setdefault(descriptions.IN_USE.number, descriptions.IN_USE)
     return DiagnosticTable(
         **{name: getattr(file, name) for name in _SAME_IN_FILES},
@@ -416,7 +418,7 @@ def _table(document: dict[str, Any]) -> DiagnosticTable:
 def _obd(file: TableFile) -> descriptions.Obd | None:
     if file.obd is None:
         if unused := [one for one in ("monitor", "obd_clear_conditions", "pid", "vehicle_info") if getattr(file, one)]:
-            raise ConfigError(f"{unused[0]} is there, but key obd is missing: it says how OBD is spoken")
+            raise EmulatorConfigError(f"{unused[0]} is there, but key obd is missing: it says how OBD is spoken")
         return None
     return descriptions.Obd(
         profile=file.obd,
@@ -428,7 +430,7 @@ def _obd(file: TableFile) -> descriptions.Obd | None:
 
 
 def _records(record: type[RecordT], document: Mapping[str, Any], key: str) -> tuple[RecordT, ...]:
-    return tuple(record_from(record, one, f"{key}: ", error=ConfigError) for one in document[key])
+    return tuple(record_from(record, one, f"{key}: ", error=EmulatorConfigError) for one in document[key])
 
 
 def _check_signs(value: object, where: str = "") -> None:
@@ -440,23 +442,23 @@ def _check_signs(value: object, where: str = "") -> None:
         for row, inner in enumerate(value, 1):
             _check_signs(inner, f"{where.rstrip('.')} {row}.")
     elif isinstance(value, int) and value < 0:
-        raise ConfigError(f"{where.rstrip('.')} must not be negative, got {value!r}")
+        raise EmulatorConfigError(f"{where.rstrip('.')} must not be negative, got {value!r}")
 
 
-def _with_access(document: Mapping[str, Any], access: Mapping[str, Access]) -> dict[str, Any]:
+def _with_access(document: Mapping[str, Any], access: Mapping[str, AccessRule]) -> dict[str, Any]:
     """Return a document in which who may use data and routines stands in place of the names for that."""
     told = {key: _resolved(document[key], key, access) for key in ("data", "routine") if key in document}
     return {**document, **told}
 
 
-def _resolved(entries: object, where: str, access: Mapping[str, Access]) -> object:
+def _resolved(entries: object, where: str, access: Mapping[str, AccessRule]) -> object:
     if not isinstance(entries, list) or not all(isinstance(one, Mapping) for one in entries):
         return entries
     for row, entry in enumerate(entries, 1):
         for key in entry.keys() & set(_ACCESSES):
             if not isinstance(entry[key], str) or entry[key] not in access:
                 names = ", ".join(sorted(access))
-                raise ConfigError(f"{where} {row}: {key} must be one of {names}, got {entry[key]!r}")
+                raise EmulatorConfigError(f"{where} {row}: {key} must be one of {names}, got {entry[key]!r}")
     return [{key: access[one] if key in _ACCESSES else one for key, one in entry.items()} for entry in entries]
 
 
@@ -468,6 +470,6 @@ def _unique(pairs: list[tuple[KeyT, RecordT]], where: str) -> dict[KeyT, RecordT
     found: dict[KeyT, RecordT] = {}
     for key, record in pairs:
         if key in found:
-            raise ConfigError(f"{where} {key if isinstance(key, str) else f'0x{key:02X}'} is there twice")
+            raise EmulatorConfigError(f"{where} {key if isinstance(key, str) else f'0x{key:02X}'} is there twice")
         found[key] = record
     return found

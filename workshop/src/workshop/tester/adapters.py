@@ -20,7 +20,7 @@ from canlog.transport.isotp import segments
 from diag_service.errors import ConfigError, ControllerError, RefusedError, SilentError, StoppedError
 from diag_service.mapping.profile import AskingRules
 from workshop.tester.addresses import CanAddress, hexadecimal, is_extended
-from workshop.tester.answers import MOST_PENDING_S, NEGATIVE, PENDING_S, POSITIVE, Timing, is_pending, tells
+from workshop.tester.answers import MOST_PENDING_S, NEGATIVE, PENDING_S, POSITIVE, TesterTiming, is_pending, tells
 from workshop.tester.asking import LARGEST_LOGICAL, dialogue_over_ip, parse_doip
 
 if TYPE_CHECKING:
@@ -265,5 +265,5 @@ def line_through(adapter: str, channel: str, goes_on: Callable[[], bool] = lambd
         if kind == ELM327:
             yield Said(ElmLine(place, stack, goes_on), bus)
         else:
-            tester = stack.enter_context(dialogue_over_ip(parse_doip(place, logical), Timing(), goes_on=goes_on))
+            tester = stack.enter_context(dialogue_over_ip(parse_doip(place, logical), TesterTiming(), goes_on=goes_on))
             yield Said(DoipLine(tester), bus)

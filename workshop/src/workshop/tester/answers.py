@@ -166,7 +166,7 @@ STOPPED: Final = "stopped early: not everything was asked"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Timing:
+class TesterTiming:
     """Times and counts of a tester (ISO 14229-2): how long it waits, how soon and how often it asks again."""
 
     p2_s: float = 1.0  # until an answer begins; a controller has 0.05 s, what is between them the rest

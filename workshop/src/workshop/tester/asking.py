@@ -22,7 +22,7 @@ from clutchdiag_io.files import check_plain_file
 from diag_service.errors import ConfigError, ControllerError, StoppedError
 from diag_service.settings.config import BusConfig
 from workshop.tester.addresses import TRANSMISSION, CanAddress, id_text, is_extended, is_request, usual_response_id
-from workshop.tester.answers import Timing
+from workshop.tester.answers import TesterTiming
 from workshop.tester.description import Description
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ _PATIENCE_S: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Traffic:
+class HeardTraffic:
     """What was heard."""
 
     duration_s: float
@@ -71,7 +71,7 @@ def receive(bus: can.BusABC, patience_s: float) -> can.Message | None:
         raise ControllerError(f"the bus cannot be read: {one_line(exc)}") from exc
 
 
-def listen(bus: can.BusABC, duration_s: float = LISTEN_S, goes_on: Callable[[], bool] = lambda: True) -> Traffic:
+def listen(bus: can.BusABC, duration_s: float = LISTEN_S, goes_on: Callable[[], bool] = lambda: True) -> HeardTraffic:
     """Return what is heard on a bus for so long.
 
     Raises ControllerError if it cannot be read, StoppedError if it shall not go on.
@@ -90,10 +90,12 @@ def listen(bus: can.BusABC, duration_s: float = LISTEN_S, goes_on: Callable[[], 
             continue
         frame_count += 1
         can_ids.add(message.arbitration_id)
-    return Traffic(duration_s=duration_s, frame_count=frame_count, can_ids=frozenset(can_ids), error_count=error_count)
+    return HeardTraffic(
+        duration_s=duration_s, frame_count=frame_count, can_ids=frozenset(can_ids), error_count=error_count
+    )
 
 
-def check_alone(traffic: Traffic, address: CanAddress | None = None) -> None:
+def check_alone(traffic: HeardTraffic, address: CanAddress | None = None) -> None:
     """Raise ControllerError if another tester was heard: two on one bus take each other's answers."""
     if others := traffic.other_testers(address):
         named = ", ".join(map(id_text, others))
@@ -198,7 +200,7 @@ def opened_bus(place: BusConfig | can.BusABC) -> Iterator[can.BusABC]:
 def dialogue_on(
     bus: can.BusABC,
     address: CanAddress,
-    timing: Timing,
+    timing: TesterTiming,
     *,
     is_fd: bool = False,
     goes_on: Callable[[], bool] = lambda: True,
@@ -213,7 +215,7 @@ def dialogue_on(
 
 @contextmanager
 def dialogue_over_ip(
-    place: DoipPlace, timing: Timing, *, goes_on: Callable[[], bool] = lambda: True
+    place: DoipPlace, timing: TesterTiming, *, goes_on: Callable[[], bool] = lambda: True
 ) -> Iterator["Dialogue"]:
     """Connect to a node for the time of the block.
 
@@ -308,8 +310,8 @@ class BusTarget:
 
 @contextmanager
 def asking(
-    target: BusTarget | DoipPlace, timing: Timing, *, goes_on: Callable[[], bool] = lambda: True
-) -> "Iterator[tuple[Dialogue, Traffic | None]]":
+    target: BusTarget | DoipPlace, timing: TesterTiming, *, goes_on: Callable[[], bool] = lambda: True
+) -> "Iterator[tuple[Dialogue, HeardTraffic | None]]":
     """Listen, then be ready to ask for the time of the block; yield the tester, and what it heard on a bus before.
 
     Raises SourceError, ControllerError if the bus cannot be used, another tester is at work, or a node is not there,
@@ -333,7 +335,7 @@ def asking(
 
 def heard(
     place: BusConfig | can.BusABC | DoipPlace, listen_s: float, goes_on: Callable[[], bool] = lambda: True
-) -> Traffic | None:
+) -> HeardTraffic | None:
     """Return what is heard where something would be asked; None: over IP there is nothing to hear.
 
     Raises SourceError, ControllerError if the bus cannot be used.
@@ -350,8 +352,8 @@ def check_time(name: str, value_s: float, *, least_s: float) -> None:
         raise ConfigError(f"{name} must be {least_s:g} to {LONGEST_S:g} s, got {value_s:g}")
 
 
-def timing_of(listen_s: float, timeout_s: float, names: tuple[str, str] = ("--listen", "--timeout")) -> Timing:
+def timing_of(listen_s: float, timeout_s: float, names: tuple[str, str] = ("--listen", "--timeout")) -> TesterTiming:
     """Return how patient the tester is to be; raises ConfigError, by one of the names, if a time cannot be."""
     check_time(names[0], listen_s, least_s=0.0)
     check_time(names[1], timeout_s, least_s=SHORTEST_ANSWER_S)
-    return Timing(p2_s=timeout_s)
+    return TesterTiming(p2_s=timeout_s)

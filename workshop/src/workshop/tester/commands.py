@@ -17,7 +17,7 @@ from workshop.tester.asking import (
     SHORTEST_ANSWER_S,
     BusTarget,
     DoipPlace,
-    Traffic,
+    HeardTraffic,
     address_for,
     asking,
     check_time,
@@ -217,7 +217,7 @@ def waiting(line: ReadingLine, what: str, stop: Trigger) -> Callable[[], bool]:
     return goes_on
 
 
-def show_wish(schema: str, wanted: Sequence[str], traffic: Traffic | None, *, is_json: bool) -> None:
+def show_wish(schema: str, wanted: Sequence[str], traffic: HeardTraffic | None, *, is_json: bool) -> None:
     """Say what was heard and what would be asked."""
     before: Record = {} if traffic is None else {"bus": traffic_record(traffic)}
     record = outcome(schema, is_asked=False, **before, would_ask=list(wanted))
@@ -252,7 +252,7 @@ def hex_bytes(text: str, what: str) -> bytes:
         raise ConfigError(f"{what} must be hexadecimal bytes such as '01 0A', got {text!r}") from exc
 
 
-def traffic_record(traffic: Traffic) -> Record:
+def traffic_record(traffic: HeardTraffic) -> Record:
     """Return what was heard before anything was asked."""
     return {
         "duration_s": traffic.duration_s,
@@ -296,7 +296,7 @@ def cleared_lines(cleared: questions.Clearing) -> Iterator[str]:
     yield from trouble_lines(cleared.after)
 
 
-def found_record(found: scanning.Found) -> Record:
+def found_record(found: scanning.FoundController) -> Record:
     """Return a controller and what it can be asked."""
     return {
         "where": found.where,
@@ -327,7 +327,7 @@ def routine_lines(answer: questions.RoutineAnswer) -> Iterator[str]:
         yield f"  {values_text(answer.values)}"
 
 
-def found_lines(controllers: Sequence[scanning.Found]) -> Iterator[str]:
+def found_lines(controllers: Sequence[scanning.FoundController]) -> Iterator[str]:
     yield f"{len(controllers)} controllers answer" if len(controllers) != 1 else "1 controller answers"
     for found in controllers:
         codes = "" if found.code_count is None else f", trouble codes: {found.code_count}"
@@ -344,7 +344,7 @@ def found_lines(controllers: Sequence[scanning.Found]) -> Iterator[str]:
         yield from (f"  {line}" for line in data_lines(found.data) if found.data)
 
 
-def would_lines(traffic: Traffic | None, wishes: Sequence[str]) -> Iterator[str]:
+def would_lines(traffic: HeardTraffic | None, wishes: Sequence[str]) -> Iterator[str]:
     """Yield what was heard, and what would be asked."""
     if traffic is not None:
         yield f"listened: {traffic}"

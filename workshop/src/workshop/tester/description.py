@@ -30,7 +30,7 @@ _FLOATS: Final = {4: ">f", 8: ">d"}
 _DIGITS: Final = 12  # significant digits of a scaled number: no more than its steps have
 
 
-class Coding(StrEnum):
+class CodedType(StrEnum):
     """How a value is written into bytes, big-endian."""
 
     UNSIGNED = "unsigned"
@@ -45,7 +45,7 @@ class Field:
     """One value within bytes."""
 
     name: str
-    kind: Coding
+    kind: CodedType
     size_bytes: int = 0  # 0: all that is left, for the last field
     unit: str = ""
     resolution: float = 1.0  # of one bit, in that unit
@@ -54,9 +54,11 @@ class Field:
     meanings: Mapping[str, str] = field(default_factory=dict)  # of numbers before they are scaled
 
     def __post_init__(self) -> None:
-        if self.size_bytes < 0 or (self.kind in {Coding.UNSIGNED, Coding.SIGNED} and not 1 <= self.size_bytes <= 8):
+        if self.size_bytes < 0 or (
+            self.kind in {CodedType.UNSIGNED, CodedType.SIGNED} and not 1 <= self.size_bytes <= 8
+        ):
             raise ConfigError(f"{self.name}: size_bytes {self.size_bytes} is not usable: a number has 1 to 8")
-        if self.kind is Coding.FLOAT and self.size_bytes not in _FLOATS:
+        if self.kind is CodedType.FLOAT and self.size_bytes not in _FLOATS:
             raise ConfigError(f"{self.name}: size_bytes {self.size_bytes} is not usable: a float has 4 or 8")
         if not (math.isfinite(self.resolution) and math.isfinite(self.offset)) or not self.resolution:
             raise ConfigError(f"{self.name}: resolution {self.resolution} and offset {self.offset} are not usable")
@@ -95,7 +97,7 @@ class Datum:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trouble:
+class CodeDescription:
     """A trouble code as scan tools show it, and what it says."""
 
     code: str  # P0811
@@ -108,7 +110,7 @@ class Trouble:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Routine:
+class RoutineDescription:
     """A routine: what it is started with, and what its results hold."""
 
     number: int
@@ -124,8 +126,8 @@ class Description:
     name: str
     data: Mapping[int, Datum] = field(default_factory=dict)
     extended: Mapping[int, Datum] = field(default_factory=dict)
-    troubles: tuple[Trouble, ...] = ()
-    routines: Mapping[int, Routine] = field(default_factory=dict)
+    troubles: tuple[CodeDescription, ...] = ()
+    routines: Mapping[int, RoutineDescription] = field(default_factory=dict)
     request_id: int | None = None
     response_id: int | None = None
     readers: Mapping[int, Reader] = field(default_factory=dict)
@@ -190,13 +192,13 @@ def read_fields(fields: tuple[Field, ...], data: bytes) -> dict[str, Value]:
 
 def _value(entry: Field, piece: bytes) -> Value:
     match entry.kind:
-        case Coding.TEXT:
+        case CodedType.TEXT:
             return readable(piece)
-        case Coding.BYTES:
+        case CodedType.BYTES:
             return piece.hex(" ").upper()
-        case Coding.FLOAT:  # to the last bit, unless it is scaled
+        case CodedType.FLOAT:  # to the last bit, unless it is scaled
             return float(struct.unpack(_FLOATS[entry.size_bytes], piece)[0]) * entry.resolution + entry.offset
-    number = int.from_bytes(piece, "big", signed=entry.kind is Coding.SIGNED)
+    number = int.from_bytes(piece, "big", signed=entry.kind is CodedType.SIGNED)
     if number == entry.invalid:
         return None
     is_scaled = entry.resolution != 1.0 or entry.offset
@@ -232,7 +234,7 @@ _START: Final = 0x01
 _HEAD_BYTES: Final = 3  # of a response to service 22: the service and the number of the datum
 
 
-_NumberedT = TypeVar("_NumberedT", Datum, Routine)
+_NumberedT = TypeVar("_NumberedT", Datum, RoutineDescription)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -253,8 +255,8 @@ class DescriptionFile:
     identity: Identity | None = None
     data: tuple[Datum, ...] = ()
     extended: tuple[Datum, ...] = ()
-    trouble: tuple[Trouble, ...] = ()
-    routine: tuple[Routine, ...] = ()
+    trouble: tuple[CodeDescription, ...] = ()
+    routine: tuple[RoutineDescription, ...] = ()
 
     def __post_init__(self) -> None:
         for can_id in (self.request_id, self.response_id):
@@ -346,18 +348,18 @@ def load_odx(path: Path) -> Description:
 
 def _description(layer: Any) -> Description:  # noqa: ANN401 - of a library without a common type for layers
     data, readers = dict[int, Datum](), dict[int, Reader]()
-    routines = dict[int, Routine]()
+    routines = dict[int, RoutineDescription]()
     for service, request in _constant_requests(layer):
         number = int.from_bytes(request[-2:], "big")
         if request[0] == READ_DATA and len(request) == _HEAD_BYTES:
             responses = service.positive_responses
             bits = responses[0].get_static_bit_length() if responses else None  # None: not always the same
             size_bytes = 0 if bits is None else max(0, bits // 8 - _HEAD_BYTES)
-            whole = Field(name="bytes", kind=Coding.BYTES, size_bytes=size_bytes)
+            whole = Field(name="bytes", kind=CodedType.BYTES, size_bytes=size_bytes)
             data[number] = Datum(number=number, name=_name(service), fields=(whole,))
             readers[number] = _reader(service, number)
         elif request[:2] == bytes([ROUTINE, _START]) and len(request) == 1 + _HEAD_BYTES:
-            routines[number] = Routine(number=number, name=_name(service))
+            routines[number] = RoutineDescription(number=number, name=_name(service))
     return Description(
         name=layer.short_name,
         data={**STANDARD_DATA, **data},
@@ -410,7 +412,7 @@ def _flat(value: object, path: tuple[str, ...] = ("",)) -> Iterator[tuple[tuple[
         yield path, None if value is None else str(value)
 
 
-def _troubles(layer: Any) -> Iterator[Trouble]:  # noqa: ANN401 - see above
+def _troubles(layer: Any) -> Iterator[CodeDescription]:  # noqa: ANN401 - see above
     dictionary = layer.diag_data_dictionary_spec
     seen = set[int]()
     for dop in () if dictionary is None else dictionary.dtc_dops:
@@ -420,7 +422,7 @@ def _troubles(layer: Any) -> Iterator[Trouble]:  # noqa: ANN401 - see above
                 continue
             seen.add(number)
             text = str(getattr(dtc.text, "text", dtc.text))
-            yield Trouble(code=code_text(number), text=text, failure_type=number & 0xFF)
+            yield CodeDescription(code=code_text(number), text=text, failure_type=number & 0xFF)
 
 
 def _name(service: Any) -> str:  # noqa: ANN401 - see above

@@ -9,7 +9,14 @@ from typing import Any, Final, Self
 import can
 
 from canlog.extras import extra_missing, load_extra
-from diag_service.errors import ControllerError, MalformedError, PendingError, RefusedError, SilentError, StoppedError
+from diag_service.errors import (
+    ControllerError,
+    MalformedAnswerError,
+    PendingError,
+    RefusedError,
+    SilentError,
+    StoppedError,
+)
 from workshop.tester.addresses import CanAddress, is_extended
 from workshop.tester.answers import (
     BUSY,
@@ -18,7 +25,7 @@ from workshop.tester.answers import (
     SESSION,
     STOPPED,
     DialogueCounts,
-    Timing,
+    TesterTiming,
     belongs,
     fault,
     refusal_text,
@@ -283,13 +290,13 @@ class Dialogue:
         self,
         connection: BaseConnection,
         where: str,
-        timing: Timing | None = None,
+        timing: TesterTiming | None = None,
         *,
         pause: Callable[[float], object] | None = None,
         goes_on: Callable[[], bool] = lambda: True,
     ) -> None:
         self.where = where
-        self.timing = timing or Timing()
+        self.timing = timing or TesterTiming()
         self.counts = DialogueCounts()
         self._goes_on = goes_on
         self._pause = pause or self._rest
@@ -374,7 +381,7 @@ class Dialogue:
     def _check(self, request: bytes, response: bytes) -> bytes:
         if wrong := fault(request, response):
             text = f"{self.where} answers {request_text(request)} with {shown(response)}, which is not a valid answer"
-            raise MalformedError(f"{text}: {wrong}")
+            raise MalformedAnswerError(f"{text}: {wrong}")
         return response
 
     def _note_pending(self) -> None:
@@ -427,7 +434,7 @@ class Dialogue:
         self.ask(bytes([SECURITY, level + _KEY]) + key)
 
 
-def _client_config(timing: Timing, on_pending: Callable[[], None]) -> Any:  # noqa: ANN401 - a typed dictionary of the library, of which this is a part
+def _client_config(timing: TesterTiming, on_pending: Callable[[], None]) -> Any:  # noqa: ANN401 - a typed dictionary of the library, of which this is a part
     return {
         **default_client_config,
         "request_timeout": max(timing.longest_s, timing.p2_s),

@@ -17,7 +17,7 @@ from diag_service.store import ResultStore
 from fleet_contract import Channel, Outgoing, controller_message
 from fleet_contract.errors import ResultError
 from workshop.tester.addresses import parse_address
-from workshop.tester.answers import Timing
+from workshop.tester.answers import TesterTiming
 from workshop.tester.asking import LISTEN_S, AskingThread, BusTarget, address_for, asking, check_libraries
 from workshop.tester.description import Description, find_description
 from workshop.tester.questions import read_troubles, recognised
@@ -151,7 +151,7 @@ def read_once(
     Raises SourceError, ControllerError if the bus cannot be used, another tester is at work, or the controller does not
     answer or will not, StoppedError if it shall not go on.
     """
-    with asking(target, Timing(), goes_on=goes_on) as (tester, _):
+    with asking(target, TesterTiming(), goes_on=goes_on) as (tester, _):
         known = recognised(tester, description)
         codes = read_troubles(tester, known)
     return ControllerReport(

@@ -5,7 +5,14 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Protocol, TypeVar
 
-from diag_service.errors import ConfigError, ControllerError, MalformedError, PendingError, RefusedError, SilentError
+from diag_service.errors import (
+    ConfigError,
+    ControllerError,
+    MalformedAnswerError,
+    PendingError,
+    RefusedError,
+    SilentError,
+)
 from workshop.tester.answers import (
     BY_MASK,
     CLEAR,
@@ -25,7 +32,7 @@ from workshop.tester.answers import (
     shown,
 )
 from workshop.tester.description import SYSTEMS, UNKNOWN, Description, Values, fields_size_bytes, read_fields, shipped
-from workshop.tester.trouble import CODE_BYTES, Snapshot, TroubleCode, read_codes, read_extended, read_snapshots
+from workshop.tester.trouble import CODE_BYTES, FailureRecord, TroubleCode, read_codes, read_extended, read_snapshots
 
 if TYPE_CHECKING:
     from workshop.tester.dialogue import Dialogue
@@ -121,7 +128,7 @@ def read_troubles(
     return tuple(details.added(code, record) for code in codes)
 
 
-_Read = Callable[[bytes, Description], tuple[Snapshot, ...]]
+_Read = Callable[[bytes, Description], tuple[FailureRecord, ...]]
 
 
 class _Details:
@@ -136,13 +143,13 @@ class _Details:
         extended, other = self._told(EXTENDED, code.number, record, read_extended)
         return replace(code, snapshots=snapshots, extended=extended, fault=fault or other)
 
-    def _told(self, kind: int, number: int, record: int, read: _Read) -> tuple[tuple[Snapshot, ...], str]:
+    def _told(self, kind: int, number: int, record: int, read: _Read) -> tuple[tuple[FailureRecord, ...], str]:
         if kind in self._silent:
             return (), self._silent[kind]
         try:
             answer = self._tester.may_ask(bytes([READ_TROUBLE, kind]) + number.to_bytes(3, "big") + bytes([record]))
             return () if isinstance(answer, RefusedError) else read(answer, self._description), ""
-        except MalformedError as exc:
+        except MalformedAnswerError as exc:
             return (), str(exc)
         except SilentError as exc:
             self._silent[kind] = str(exc)
@@ -154,7 +161,7 @@ def read_datum(tester: "Dialogue", description: Description, number: int) -> Dat
     name = description.data_name(number)
     try:
         answer = tester.may_ask(bytes([READ_DATA]) + number.to_bytes(2, "big"))
-    except MalformedError as exc:
+    except MalformedAnswerError as exc:
         return DataAnswer(number=number, name=name, fault=str(exc))
     if isinstance(answer, RefusedError):
         return DataAnswer(number=number, name=name, refusal=answer.code)
@@ -173,7 +180,7 @@ _NUMBER: Final = re.compile(r"(?:0x)?([0-9A-F]{6})", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Group:
+class CodeGroup:
     """Which trouble codes are meant: a number of three bytes, or a code with whatever failure type."""
 
     word: str
@@ -207,19 +214,19 @@ class Clearing:
         return tuple(code for code in self.before if code.number not in left)
 
 
-def parse_group(text: str, name: str = "--clear") -> Group:
+def parse_group(text: str, name: str = "--clear") -> CodeGroup:
     """Return what ``all``, ``obd``, ``P0811``, ``P0811-07`` or ``081107`` means; raises ConfigError."""
     if (number := GROUPS.get(text.casefold())) is not None:
-        return Group(word=text.casefold(), number=number)
+        return CodeGroup(word=text.casefold(), number=number)
     if found := _NUMBER.fullmatch(text):
-        return Group(word=found[1].upper(), number=int(found[1], 16))
+        return CodeGroup(word=found[1].upper(), number=int(found[1], 16))
     if not (found := _CODE.fullmatch(text)):
         raise ConfigError(f"{name} must be all, obd, a code such as P0811 or P0811-07, or three bytes, got {text!r}")
     system, digits, failure_type = found[1].upper(), found[2].upper(), found[3]
     if failure_type is None:
-        return Group(word=system + digits, number=None)
+        return CodeGroup(word=system + digits, number=None)
     upper = SYSTEMS.index(system) << 14 | int(digits, 16)
-    return Group(word=text.upper(), number=upper << 8 | int(failure_type, 16))
+    return CodeGroup(word=text.upper(), number=upper << 8 | int(failure_type, 16))
 
 
 def clear_request(number: int) -> bytes:
@@ -280,7 +287,7 @@ def agreed(where: str, codes: Sequence[TroubleCode]) -> bool:
 class ClearQuestion:
     """Which trouble codes are to be forgotten; those of the mask (0: all) are read before and after."""
 
-    group: Group
+    group: CodeGroup
     mask: int = FAILED_MASK
     session: int = DEFAULT_SESSION
     is_agreed: Callable[[str, Sequence[TroubleCode]], bool] = agreed  # by who is asked, and the codes that it tells
@@ -389,7 +396,7 @@ class RoutineQuestion:
                 text = (
                     f"{tester.where}: the length in bytes of the results of routine {number:04X} is described as {size}"
                 )
-                raise MalformedError(f"{text}, and they came as {shown(data) or 'nothing'}")
+                raise MalformedAnswerError(f"{text}, and they came as {shown(data) or 'nothing'}")
             fields = ()  # an answer to a start may hold the results, or something else
         name = "" if routine is None else routine.name
         return RoutineAnswer(number=number, name=name, action=self.action, data=data, values=read_fields(fields, data))

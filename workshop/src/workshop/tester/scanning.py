@@ -34,7 +34,7 @@ from workshop.tester.answers import (
     READ_TROUBLE,
     SERVICE_NAMES,
     TESTER_PRESENT,
-    Timing,
+    TesterTiming,
     refusal_text,
     request_text,
 )
@@ -79,7 +79,7 @@ class ServiceAnswer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Found:
+class FoundController:
     """A controller and what it can be asked."""
 
     where: str
@@ -97,7 +97,7 @@ class ScanPlan:
     request_ids: Sequence[int] = ()  # to try on a bus
     data: Sequence[int] = STANDARD_NUMBERS  # to try on each controller
     is_fd: bool = False
-    timing: Timing = field(default_factory=Timing)
+    timing: TesterTiming = field(default_factory=TesterTiming)
     listen_s: float = asking.LISTEN_S
     wait_s: float = WAIT_S  # how long each identifier may take to answer
 
@@ -180,7 +180,7 @@ def _answering(bus: can.BusABC, request_id: int | None, wait_s: float, wanted: i
     return frozenset(found)
 
 
-def _explored(tester: "Dialogue", plan: ScanPlan, address: CanAddress | None) -> Found:
+def _explored(tester: "Dialogue", plan: ScanPlan, address: CanAddress | None) -> FoundController:
     """Return what one controller can be asked; its data are tried by number."""
     try:
         known = recognised(tester)
@@ -194,7 +194,7 @@ def _explored(tester: "Dialogue", plan: ScanPlan, address: CanAddress | None) ->
         with suppress(errors.ControllerError):
             response = tester.ask(bytes([READ_TROUBLE, COUNT_BY_MASK, FAILED_MASK]))
             code_count = int.from_bytes(response[4:6], "big")
-    return Found(
+    return FoundController(
         where=tester.where,
         address=address,
         services=services,
@@ -212,7 +212,7 @@ def _tried(tester: "Dialogue", number: int, request: bytes) -> ServiceAnswer:
         return ServiceAnswer(number=number, is_there=is_there, remark=remark)
     except errors.SilentError as exc:
         return ServiceAnswer(number=number, is_there=isinstance(exc, errors.PendingError), remark=str(exc))
-    except errors.MalformedError as exc:
+    except errors.MalformedAnswerError as exc:
         return ServiceAnswer(number=number, is_there=True, remark=str(exc))
     return ServiceAnswer(number=number, is_there=True, remark="")
 
@@ -235,8 +235,8 @@ def _data_of(tester: "Dialogue", description: Description, numbers: Iterable[int
 class Scan:
     """What a scan heard and found."""
 
-    traffic: asking.Traffic | None  # before anything was sent; None: over IP there is nothing to hear
-    controllers: tuple[Found, ...]
+    traffic: asking.HeardTraffic | None  # before anything was sent; None: over IP there is nothing to hear
+    controllers: tuple[FoundController, ...]
 
 
 def request_ids(first: int | None, last: int | None, *, is_extended: bool) -> list[int]:
@@ -282,7 +282,7 @@ def scan(plan: ScanPlan, *, goes_on: Callable[[], bool] = lambda: True) -> Scan:
 
 def _controllers(
     bus: can.BusABC, addresses: Sequence[CanAddress], plan: ScanPlan, goes_on: Callable[[], bool]
-) -> Iterator[Found]:
+) -> Iterator[FoundController]:
     for address in addresses:
         if not goes_on():
             return

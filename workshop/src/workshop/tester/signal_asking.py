@@ -95,7 +95,7 @@ def address_of(asked: AskedField) -> CanAddress:
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class DataRequest:
     """Data that are asked for in one request."""
 
     address: CanAddress
@@ -156,7 +156,7 @@ class GroupQuestion:
 
 
 @dataclass(slots=True)
-class Plan:
+class PollPlan:
     """What is asked when: fast quantities in every round, slow ones once in a while, so many at once as are taken."""
 
     fields: Mapping[Signal, AskedField]
@@ -178,10 +178,10 @@ class Plan:
         }
 
     @property
-    def fast(self) -> list[Question]:
+    def fast(self) -> list[DataRequest]:
         parts = {part for one in self.defined.values() for part in one.parts}
         return [
-            *(Question(one.address, (datum,)) for datum, one in self.defined.items()),
+            *(DataRequest(one.address, (datum,)) for datum, one in self.defined.items()),
             *self._questions([one for one in self._fast_fields() if one.data_id not in parts]),
         ]
 
@@ -200,12 +200,12 @@ class Plan:
     def _fast_fields(self) -> list[AskedField]:
         return [one for signal, one in self.fields.items() if signal not in _SLOW]
 
-    def due(self, now_s: float) -> list[Question | GroupQuestion]:
+    def due(self, now_s: float) -> list[DataRequest | GroupQuestion]:
         if now_s >= self._again_s:
             self.refused -= self._for_now
             self._for_now.clear()
             self._fewer, self._again_s = None, math.inf
-        questions: list[Question | GroupQuestion] = [*self.fast]
+        questions: list[DataRequest | GroupQuestion] = [*self.fast]
         if self.groups and now_s >= self._group_s:
             self._group_s = now_s + GROUP_S
             questions += map(GroupQuestion, self.groups)
@@ -221,7 +221,7 @@ class Plan:
         self._for_now.clear()
         self._fewer, self._again_s = None, math.inf
 
-    def refuse(self, question: Question, why: str, *, for_now: bool = False) -> str:
+    def refuse(self, question: DataRequest, why: str, *, for_now: bool = False) -> str:
         """Ask for less at once, or for a single datum no more, or not for now; return what is to be told of that."""
         if for_now:
             self._again_s = min(self._again_s, time.monotonic() + AGAIN_S)
@@ -235,14 +235,14 @@ class Plan:
             self._for_now.add(question.data[0])
         return f"{question} is not told ({why}), and {'asked for again later' if for_now else 'left out'}"
 
-    def _questions(self, fields: Sequence[AskedField]) -> list[Question]:
+    def _questions(self, fields: Sequence[AskedField]) -> list[DataRequest]:
         addresses = {one.data_id: address_of(one) for one in fields}
         data = [one for one in addresses if one not in self.refused]
-        found: list[Question] = []
+        found: list[DataRequest] = []
         for _, group in groupby(data, key=lambda one: (one.request_id, one.service)):
             own = list(group)
             width = (self._fewer or self.rules.together) if own[0].service == READ_DATA else 1
-            found += [Question(addresses[own[at]], tuple(own[at : at + width])) for at in range(0, len(own), width)]
+            found += [DataRequest(addresses[own[at]], tuple(own[at : at + width])) for at in range(0, len(own), width)]
         return found
 
 
@@ -273,7 +273,7 @@ class SignalAsker(AskingThread):
         groups: Sequence[int] = (),
     ) -> None:
         super().__init__("signal asker")
-        self.plan = Plan(fields, rules, groups)
+        self.plan = PollPlan(fields, rules, groups)
         self._definitions_left = 0
         self._define_at_s = 0.0
         self._odd: Counter[tuple[DatumId, ...]] = Counter()  # answers in a row
@@ -375,10 +375,10 @@ class SignalAsker(AskingThread):
         self._free_s = begun_s + bits / self._bits_per_s
         return answer
 
-    def _ask(self, line: Line, question: Question | GroupQuestion) -> bool:
+    def _ask(self, line: Line, question: DataRequest | GroupQuestion) -> bool:
         """Ask once; return whether it was answered."""
         request, expected = question.request, 0
-        if isinstance(question, Question):
+        if isinstance(question, DataRequest):
             expected = 1 + sum(self._sizes[one] + (len(request) - 1) // len(question.data) for one in question.data)
         answer = self._send(line, request, question.address, expected)
         if answer is None and not self.goes_on:
@@ -422,7 +422,7 @@ class SignalAsker(AskingThread):
         if is_new:
             _LOG.warning("%s does not answer: it is asked now and then", address)
 
-    def _is_told(self, question: Question, answer: bytes) -> bool:
+    def _is_told(self, question: DataRequest, answer: bytes) -> bool:
         """Return whether an answer has what was asked for, in the lengths of the profile."""
         found = data_in(question.request, answer, question.address.request_id, self._sizes)
         if isinstance(found, str):
@@ -432,7 +432,7 @@ class SignalAsker(AskingThread):
             return False
         self._odd.pop(question.data, None)
         for datum in set(question.data) - dict(found).keys():
-            self._say_once(self.plan.refuse(Question(question.address, (datum,)), "left out"))
+            self._say_once(self.plan.refuse(DataRequest(question.address, (datum,)), "left out"))
         return bool(found)
 
     def _log_rate(self) -> None:

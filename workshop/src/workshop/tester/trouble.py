@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from clutchdiag_io.people import digits
-from diag_service.errors import MalformedError
+from diag_service.errors import MalformedAnswerError
 from workshop.tester.answers import EXTENDED, HEAD_BYTES, ROW_BYTES, SNAPSHOTS, shown
 from workshop.tester.description import STANDARD_EXTENDED, Description, Values, code_text, read_fields
 
@@ -25,7 +25,7 @@ CONFIRMED_BIT: Final = 0x08
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Snapshot:
+class FailureRecord:
     """What a controller kept of the moment of a failure: a snapshot, or a record of extended data."""
 
     number: int
@@ -40,8 +40,8 @@ class TroubleCode:
     number: int  # three bytes: the code and its failure type
     status: int
     text: str = ""
-    snapshots: tuple[Snapshot, ...] = field(default=())
-    extended: tuple[Snapshot, ...] = field(default=())
+    snapshots: tuple[FailureRecord, ...] = field(default=())
+    extended: tuple[FailureRecord, ...] = field(default=())
     fault: str = ""  # why what was kept of it is not told, or not all
 
     @property
@@ -81,7 +81,7 @@ def read_codes(response: bytes, description: Description) -> tuple[TroubleCode, 
     return tuple(found)
 
 
-def read_snapshots(response: bytes, description: Description) -> tuple[Snapshot, ...]:
+def read_snapshots(response: bytes, description: Description) -> tuple[FailureRecord, ...]:
     """Return the snapshots in a response to 19 04: each with its number and data; MalformedError: cut off."""
     content = response[HEAD_BYTES[SNAPSHOTS] :]
     found = []
@@ -90,7 +90,7 @@ def read_snapshots(response: bytes, description: Description) -> tuple[Snapshot,
         number, count = content[0], content[1]
         data, content = _data_of(content[2:], count, description)
         is_complete = count > 0 and len(data) == count  # 0: they were too many to be counted
-        found.append(Snapshot(number=number, data=data, rest=b"" if is_complete else content))
+        found.append(FailureRecord(number=number, data=data, rest=b"" if is_complete else content))
         if not is_complete:
             break
     return tuple(found)
@@ -112,7 +112,7 @@ def _data_of(content: bytes, count: int, description: Description) -> tuple[dict
     return data, content
 
 
-def read_extended(response: bytes, description: Description) -> tuple[Snapshot, ...]:
+def read_extended(response: bytes, description: Description) -> tuple[FailureRecord, ...]:
     """Return the records of extended data in a response to 19 06, each with its number; MalformedError: cut off."""
     content = response[HEAD_BYTES[EXTENDED] :]
     found = []
@@ -122,17 +122,17 @@ def read_extended(response: bytes, description: Description) -> tuple[Snapshot, 
         _check_whole(response, content, 1 + (size or 1))
         number, content = content[0], content[1:]
         if record is None or size is None:
-            found.append(Snapshot(number=number, data={}, rest=content))
+            found.append(FailureRecord(number=number, data={}, rest=content))
             break
         values = read_fields(record.fields, content[:size])
-        found.append(Snapshot(number=number, data={record.name: values}))
+        found.append(FailureRecord(number=number, data={record.name: values}))
         content = content[size:]
     return tuple(found)
 
 
 def _check_whole(response: bytes, content: bytes, size_bytes: int) -> None:
     if len(content) < size_bytes:
-        raise MalformedError(f"what was kept of a trouble code is cut off: {shown(response)}")
+        raise MalformedAnswerError(f"what was kept of a trouble code is cut off: {shown(response)}")
 
 
 Record = dict[str, object]
@@ -158,7 +158,7 @@ def trouble_record(code: TroubleCode) -> Record:
     }
 
 
-def _snapshot_record(snapshot: Snapshot) -> Record:
+def _snapshot_record(snapshot: FailureRecord) -> Record:
     data = {name: dict(values) for name, values in snapshot.data.items()}
     return {"number": snapshot.number, "data": data, "rest": snapshot.rest.hex(" ").upper()}
 
@@ -180,7 +180,7 @@ def trouble_lines(codes: Sequence[TroubleCode]) -> Iterator[str]:
         yield from _kept_lines("extended data", code.extended)
 
 
-def _kept_lines(what: str, kept: Iterable[Snapshot]) -> Iterator[str]:
+def _kept_lines(what: str, kept: Iterable[FailureRecord]) -> Iterator[str]:
     for one in kept:
         parts = [f"{name}: {values_text(values)}" for name, values in one.data.items()]
         if one.rest:

@@ -39,14 +39,14 @@ from diag_service.settings.options import PROGRAM
 from workshop.tester.adapters import Line, line_through, parse_adapter, rules_through
 from workshop.tester.addresses import CanAddress, id_text, is_extended
 from workshop.tester.answers import refusal_text
-from workshop.tester.asking import Traffic, check_time, heard, opened_bus
+from workshop.tester.asking import HeardTraffic, check_time, heard, opened_bus
 from workshop.tester.signal_asking import (
     MOST_SILENT,
     NO_GROUPS,
     CanLine,
+    DataRequest,
     GroupQuestion,
-    Plan,
-    Question,
+    PollPlan,
     SignalAsker,
     address_of,
     line_on,
@@ -115,7 +115,7 @@ def _best(
     profiles: list[Profile],
     opened: Callable[[Profile], AbstractContextManager[Line]],
     database: Database | None,
-    traffic: Traffic | None,
+    traffic: HeardTraffic | None,
     show: Show,
 ) -> Profile:
     """Return the profile by which most can be diagnosed; raises ControllerError if nothing is told."""
@@ -136,9 +136,9 @@ def _best(
 
 def _show_requests(profile: Profile, rules: AskingRules, show: Show) -> None:
     """Show the requests of a first round, byte by byte."""
-    plan, sizes = Plan(profile.asked, rules, tuple(profile.groups.values())), sizes_of(profile.asked.values())
+    plan, sizes = PollPlan(profile.asked, rules, tuple(profile.groups.values())), sizes_of(profile.asked.values())
     show(f"{profile.name} would ask for {', '.join(map(str, plan.due(0.0)))}:")
-    plan = Plan(profile.asked, rules, plan.groups)
+    plan = PollPlan(profile.asked, rules, plan.groups)
     plan.defined |= plan.definitions() if rules.define else {}
     requests = [
         (one.address.request_id, request)
@@ -265,7 +265,7 @@ def _told(line: Line, profile: Profile, show: Show) -> frozenset[Signal]:
     """Ask for each signal once, and show what is told."""
     sizes, silent, told = sizes_of(profile.asked.values()), set[CanAddress](), set[Signal]()
     for signal, asked in profile.asked.items():
-        question = Question(address_of(asked), (asked.data_id,))
+        question = DataRequest(address_of(asked), (asked.data_id,))
         if question.address in silent:
             continue
         answers = (line.ask(question.request, question.address) for _ in range(MOST_SILENT))
@@ -307,7 +307,7 @@ class Doubt(IntEnum):
 
 
 def _reached(
-    profile: Profile, told: frozenset[Signal], database: Database | None, traffic: Traffic | None
+    profile: Profile, told: frozenset[Signal], database: Database | None, traffic: HeardTraffic | None
 ) -> tuple[Tier | None, Doubt, str]:
     """Return what the signals that are told suffice for, with those that a database says are broadcast."""
     broadcast = frozenset(profile.sources) - profile.asked.keys() - profile.groups.keys()

@@ -15,7 +15,7 @@ from workshop.tester.asking import (
     SHORTEST_ANSWER_S,
     BusTarget,
     DoipPlace,
-    Traffic,
+    HeardTraffic,
     address_for,
     asking,
     check_time,
@@ -214,7 +214,7 @@ class UdsTester:
         self._known = self._described
         self._is_recognised = False
         self._is_at_work = False
-        self.traffic: Traffic | None = None
+        self.traffic: HeardTraffic | None = None
 
     @property
     def controller(self) -> str:

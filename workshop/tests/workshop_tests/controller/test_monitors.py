@@ -15,7 +15,7 @@ from ecu_emulator.scenario.faults import SensorFault, SensorFaultKind
 from ecu_emulator.scenario.scenario import Fluid, FluidCondition, Truth
 from ecu_emulator.scenario.scenario_file import load_scenario
 from workshop.controller.memory import TestResult
-from workshop.controller.monitors import NOMINAL_LIMITS, MonitorLimits, Watch, judge
+from workshop.controller.monitors import NOMINAL_LIMITS, MonitorLimits, MonitorState, judge
 
 STEP_S = 0.1
 HOLDING = {
@@ -31,7 +31,7 @@ HOLDING = {
 
 def verdicts(*moments: dict[str, float], step_s: float = 1.0) -> dict[str, TestResult]:
     """Return the last word of every monitor after these moments, a second apart."""
-    watch, said = Watch(), dict[str, TestResult]()
+    watch, said = MonitorState(), dict[str, TestResult]()
     for number, values in enumerate(moments):
         watch, samples = judge(watch, values, 100.0 + number * step_s)
         said |= dict(samples)
@@ -79,7 +79,7 @@ def test_a_cycle_counts_once_it_was_driven_fast_and_slow_for_long_enough() -> No
     fast = {"engine_speed_rad_s": 200.0, "vehicle_speed_m_s": 12.0, "pedal_ratio": 0.3}
 
     def driven(*parts: tuple[dict[str, float], int]) -> bool:
-        watch, t_s = Watch(), 0.0
+        watch, t_s = MonitorState(), 0.0
         for values, duration_s in parts:
             for _ in range(duration_s):
                 watch, _ = judge(watch, values, t_s)
@@ -115,7 +115,7 @@ def failed_on_drive(fluid: str, *faults: SensorFault) -> dict[str, int]:
 
 def failures(moments: Iterable[dict[str, float]], limits: MonitorLimits = NOMINAL_LIMITS) -> dict[str, int]:
     """Return how often each code that was tested failed."""
-    watch, count = Watch(), dict[str, int]()
+    watch, count = MonitorState(), dict[str, int]()
     for number, values in enumerate(moments):
         watch, samples = judge(watch, values, number * STEP_S, limits)
         if number < 5:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from tests.support.documents import page_text
 from tests.tools.uds_tables import page
 from workshop.controller.memory import TestResult
@@ -74,7 +74,7 @@ TEXT = (Path(__file__).parents[4] / "workshop/src/workshop/controller/tcu.toml")
 )  # fmt: skip
 def test_what_is_wrong_is_named(old: str, new: str, message: str) -> None:
     assert old in TEXT
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(EmulatorConfigError) as told:
         parse_table(TEXT.replace(old, new, 1), "my.toml")
     assert str(told.value).startswith("my.toml")
     assert message in str(told.value)

@@ -5,22 +5,22 @@ import pytest
 from diag_service.errors import ConfigError
 from workshop.tester.addresses import CanAddress, parse_address, usual_response_id
 from workshop.tester.answers import belongs, fault
-from workshop.tester.description import Coding, Datum, Description, Field, Trouble
+from workshop.tester.description import CodeDescription, CodedType, Datum, Description, Field
 from workshop.tester.questions import parse_group
 from workshop.tester.trouble import TroubleCode, read_codes
 
-SPEED = Field(name="speed", kind=Coding.UNSIGNED, size_bytes=2, unit="km/h", resolution=0.01, invalid=0xFFFF)
+SPEED = Field(name="speed", kind=CodedType.UNSIGNED, size_bytes=2, unit="km/h", resolution=0.01, invalid=0xFFFF)
 KNOWN = Description(
     name="known",
     data={0x0102: Datum(number=0x0102, name="vehicle speed", fields=(SPEED,))},
     extended={
-        0x01: Datum(number=1, name="counter", fields=(Field(name="times", kind=Coding.UNSIGNED, size_bytes=1),)),
+        0x01: Datum(number=1, name="counter", fields=(Field(name="times", kind=CodedType.UNSIGNED, size_bytes=1),)),
         0x10: Datum(number=16, name="at the failure", fields=(SPEED,)),
     },
     troubles=(
-        Trouble(code="P0811", text="slips"),
-        Trouble(code="P0811", text="slips too much", failure_type=0x07),
-        Trouble(code="U3FFF", text="bus", failure_type=0x00),
+        CodeDescription(code="P0811", text="slips"),
+        CodeDescription(code="P0811", text="slips too much", failure_type=0x07),
+        CodeDescription(code="U3FFF", text="bus", failure_type=0x00),
     ),
 )
 

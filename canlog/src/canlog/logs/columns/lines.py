@@ -73,7 +73,7 @@ class _MalformedError(ValueError):
 
 
 @dataclass(slots=True)
-class Clock:
+class FileClock:
     """The clock of a file; its times count from ``base_us``, each from the one before if they are relative."""
 
     base_us: int = 0
@@ -125,7 +125,7 @@ class LineReader:
         self._words = {word.encode(): int(meaning) for word, meaning in layout.words.items()}
         self._separator = None if layout.separator == BLANKS else bytes([layout.separator])
 
-    def read(self, text: bytes, clock: Clock, rows: FrameRows, row: int) -> int:
+    def read(self, text: bytes, clock: FileClock, rows: FrameRows, row: int) -> int:
         """Read one line into a row; return the outcome."""
         stripped = text.strip(_MARGIN)
         if not stripped:
@@ -373,7 +373,7 @@ class LineReader:
         line.length = length
         line.data = line.data[:length] if has_payload else bytearray()
 
-    def _store(self, line: _Line, clock: Clock, rows: FrameRows, row: int) -> int:
+    def _store(self, line: _Line, clock: FileClock, rows: FrameRows, row: int) -> int:
         """Write what was read into a row, and let the clock go on."""
         meaning, identifier, length, is_exact = line.meaning, line.identifier, line.length or 0, self._layout.is_exact
         if meaning & ERROR_FLAG:

@@ -8,7 +8,7 @@ from canlog.errors import SourceError
 from canlog.frames import FrameBatch
 from canlog.logs.columns import header
 from canlog.logs.columns.header import COMMENTS, LEAST_COLUMNS
-from canlog.logs.columns.lines import Clock, LineReader
+from canlog.logs.columns.lines import FileClock, LineReader
 from canlog.logs.columns.roles import DAY_US, DECIMAL, HEXADECIMAL, Column, Layout, Role
 from canlog.logs.dates import date_us
 from canlog.logs.frame_buffer import MOST_CHANNELS, FrameRows
@@ -38,7 +38,7 @@ class TableLog(LineLog):
 
     def __init__(self, layout: Layout = NO_LAYOUT) -> None:
         super().__init__()
-        self._clock = Clock()
+        self._clock = FileClock()
         self.set_layout(layout)
 
     def set_layout(self, layout: Layout) -> None:
@@ -49,7 +49,7 @@ class TableLog(LineLog):
 
     def set_base(self, base_us: int, now_us: int = 0, *, is_relative: bool = False) -> None:
         """Count times from here, of which so much has passed; each from the one before if ``is_relative``."""
-        self._clock = Clock(base_us=base_us, now_us=now_us, wrap_us=self.layout.wrap_us, is_relative=is_relative)
+        self._clock = FileClock(base_us=base_us, now_us=now_us, wrap_us=self.layout.wrap_us, is_relative=is_relative)
 
     def read_line(self, line: bytes, rows: FrameRows, row: int) -> int:
         """Read a line; a comment of an exact layout is for ``read_comment``."""

@@ -13,8 +13,8 @@ from diag_service.diagnosis.condition.condition import (
     LOWER,
     MEASURED,
     ConditionMemory,
-    Course,
     Stretch,
+    VehicleCourse,
     judge,
 )
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT
@@ -49,7 +49,7 @@ def stretch(moved: dict[str, float] | None = None) -> Stretch:
 
 def causes_of(moved: dict[str, float] | None = None, *, filled: bool = False) -> Causes:
     now = stretch(moved)
-    return JUDGE.judge(Course(begun=stretch(), now=now, filled=now if filled else None, event_count=150))
+    return JUDGE.judge(VehicleCourse(begun=stretch(), now=now, filled=now if filled else None, event_count=150))
 
 
 def first(causes: Causes) -> tuple[str, int | None]:
@@ -111,7 +111,7 @@ def test_another_fluid_is_named_only_where_one_was_filled_in() -> None:
 @pytest.mark.parametrize("filled", [False, True])
 def test_new_fluid_after_aged_fluid_is_no_fault(*, filled: bool) -> None:
     now = stretch()
-    course = Course(begun=stretch(AGED), now=now, filled=now if filled else None, event_count=150)
+    course = VehicleCourse(begun=stretch(AGED), now=now, filled=now if filled else None, event_count=150)
     causes = JUDGE.judge(course)
     assert first(causes) == ("renewed-fluid", None)
     assert causes.likely[0].probability > (0.9 if filled else 0.5)
@@ -127,16 +127,16 @@ def test_what_was_there_before_the_first_event_is_told_by_the_type(
     moved: dict[str, float], cause: tuple[str, int | None]
 ) -> None:
     always = stretch({name.format(1): size for name, size in moved.items()})
-    causes = JUDGE.judge(Course(begun=always, now=always, event_count=150))
+    causes = JUDGE.judge(VehicleCourse(begun=always, now=always, event_count=150))
     assert first(causes) == cause
     assert sum(one.probability for one in causes.likely) == pytest.approx(1.0, abs=0.2)
     assert causes.likely[0].evidence.startswith("There from the beginning. For it: ") is (cause[0] != SOUND)
 
 
 def test_friction_that_changes_in_the_beginning_begins_it_again() -> None:
-    early = ConditionMemory(course=Course(begun=replace(stretch(), count=BEGIN_COUNT - 1.0), event_count=39))
-    assert early.with_changed_friction(2).course == Course()
-    later = Course(begun=stretch(), now=stretch(), event_count=100, found=causes_of(AGED))
+    early = ConditionMemory(course=VehicleCourse(begun=replace(stretch(), count=BEGIN_COUNT - 1.0), event_count=39))
+    assert early.with_changed_friction(2).course == VehicleCourse()
+    later = VehicleCourse(begun=stretch(), now=stretch(), event_count=100, found=causes_of(AGED))
     assert later.with_changed_friction() == replace(later, now=Stretch(), found=None)
     drifted = replace(later, found=causes_of(DRIFTED))
     assert drifted.sensor_share(1) > 0.5
@@ -163,7 +163,7 @@ def test_every_pair_of_causes_has_a_test_or_is_told_by_driving() -> None:
 
 def test_a_course_survives_its_store_and_damage_is_found() -> None:
     found = causes_of({name.format(1): size for name, size in GLAZED.items()})
-    memory = ConditionMemory(course=Course(begun=stretch(), now=stretch(AGED), event_count=90, found=found))
+    memory = ConditionMemory(course=VehicleCourse(begun=stretch(), now=stretch(AGED), event_count=90, found=found))
     again = ConditionMemory.from_json(memory.to_json())
     assert again == memory
     damaged = memory.to_json()
@@ -179,7 +179,7 @@ def test_a_course_survives_its_store_and_damage_is_found() -> None:
 def test_a_drifted_sensor_holds_back_the_verdict_on_its_clutch(clutch: int, is_held: bool) -> None:
     drifted = LikelyCause(cause="pressure-sensor", clutch=1, probability=0.8, evidence="For it: x.")
     found = Causes(event_count=60, likely=(drifted,), advice="x")
-    memory = ConditionMemory(course=Course(begun=stretch(), now=stretch(), event_count=100, found=found))
+    memory = ConditionMemory(course=VehicleCourse(begun=stretch(), now=stretch(), event_count=100, found=found))
     _, verdict = judge(memory, FRESH, clutch, CALIBRATION)
     assert verdict.condition is Condition.NO_VERDICT
     assert ("has probably drifted" in verdict.reason) is is_held

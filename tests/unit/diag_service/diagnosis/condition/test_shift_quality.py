@@ -11,10 +11,10 @@ from clutch_model.pack import film_law
 from clutch_results.event_kinds import EndReason, EventKind
 from clutch_results.loads import PARTS
 from clutch_results.records import FrictionEstimate, ShiftEstimate, ShiftQuality
-from clutch_results.shift_course import Course, courses, load_line, loads
+from clutch_results.shift_course import ShiftCourse, courses, load_line, loads
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.condition.shift_quality import ShiftScorer
-from diag_service.diagnosis.condition.verdict import Scatter
+from diag_service.diagnosis.condition.verdict import RunningScatter
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.drives import PackTemperatures
@@ -158,7 +158,7 @@ def test_a_course_has_both_ends_and_the_oil() -> None:
     some += [result(20 + seq, replace(UPSHIFT, score=60.0)) for seq in range(20)]
     some.append(result(41, None))
     (found,) = courses(some)
-    assert found == Course(
+    assert found == ShiftCourse(
         kind=EventKind.POWER_ON_UPSHIFT, from_gear=1, to_gear=2, count=40, first=90.0, last=60.0,
         by_oil=(90.0, 60.0, None), reason="jerk_m_s3", untold=tuple(part.name for part in PARTS),
     )  # fmt: skip
@@ -190,8 +190,8 @@ def shift(distances: np.ndarray) -> FrictionEstimate:
     return replace(RUNNING, mu_c=RUNNING.mu_c + distances[0], mu_s=RUNNING.mu_s + distances[1], random_std_mu_c=0.001)
 
 
-def followed(distances: np.ndarray, running: FrictionEstimate = RUNNING) -> Scatter:
-    scatter = Scatter.begun(replace(shift(distances[0]), random_std_mu_s=0.003))
+def followed(distances: np.ndarray, running: FrictionEstimate = RUNNING) -> RunningScatter:
+    scatter = RunningScatter.begun(replace(shift(distances[0]), random_std_mu_s=0.003))
     for one in distances:
         scatter = scatter.with_shift(replace(shift(one), random_std_mu_s=0.003), running)
     return scatter

@@ -13,7 +13,7 @@ from diag_service.diagnosis.friction.drives import (
     MIN_PIECE_S,
     RELEASED_PA,
     SLIP_MIN_RAD_S,
-    Piece,
+    RowRange,
     SlipWindow,
     find_window,
     loaded_clutch,
@@ -127,7 +127,7 @@ def test_no_film_feels_the_pulse_that_fills_its_piston() -> None:
     commanded_pa = np.where((STEPS_S > 0.1) & (STEPS_S < ARRIVED_S - 0.02), 7e5, TOUCH_PA + 1e5)
     signals, laws = signals_of(read_pa, commanded_pa), pack_laws(CALIBRATION)
     measured = measured_drives(signals, Posterior.fresh(CALIBRATION).known.mean, None, 0, laws)
-    planned = planned_drives(signals, measured, SlipWindow.of((Piece(first=150, stop=250),)))
+    planned = planned_drives(signals, measured, SlipWindow.of((RowRange(first=150, stop=250),)))
     closed_s = [STEPS_S[np.argmax(integrate_films(one, laws)[0].contact_pa > 0.4e5)] for one in (planned, measured)]
     assert ARRIVED_S < closed_s[0] == pytest.approx(closed_s[1], abs=0.01)
     late = STEPS_S > ARRIVED_S + 0.05

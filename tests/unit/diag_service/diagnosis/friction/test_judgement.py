@@ -13,11 +13,11 @@ from diag_service.diagnosis.friction.evidence import (
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
+    EventScatter,
     Evidence,
     JudgedEvent,
     Knowledge,
     Measurement,
-    Scatter,
     State,
     judge,
     prior_covariance,
@@ -148,7 +148,7 @@ class Scaled:
 
 
 def scatter_ratio(state: Posterior) -> float:
-    return Scatter(state.apart, state.apart_by_chance).ratio
+    return EventScatter(state.apart, state.apart_by_chance).ratio
 
 
 @pytest.mark.parametrize("ratio", [0.5, 0.7, 1.0, 1.3])

@@ -26,7 +26,7 @@ from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from ecu_emulator.drive.recording import frames_of
-from ecu_emulator.scenario.scenario import Routine, Scenario, Truth
+from ecu_emulator.scenario.scenario import Scenario, Truth, WorkshopRoutine
 from studies.builders import to_batch
 from tests.support.builders import drive_scenario
 
@@ -70,7 +70,7 @@ def unlike_its_type() -> tuple[tuple[Event, ...], tuple[Event, ...]]:
         sensors[name] = replace(sensors[name], latency_s=PRESSURE_LATENCY_S)
     inertia_kg_m2 = INERTIA * NOMINAL.input_side.engine_inertia_kg_m2
     truth = Truth(calibration={"input_side.engine_inertia_kg_m2": inertia_kg_m2})
-    return seen(replace(base, sensors=sensors, truth=truth, routine=Routine(open_revs=4, closed_revs=4)))
+    return seen(replace(base, sensors=sensors, truth=truth, routine=WorkshopRoutine(open_revs=4, closed_revs=4)))
 
 
 def found(shifts: Sequence[Event], run_ups: Sequence[Event]) -> SelfCalibration:
@@ -145,7 +145,7 @@ def test_an_interrupted_rev_is_not_used() -> None:
 def without_noise() -> tuple[tuple[Event, ...], tuple[Event, ...]]:
     base = drive_scenario(seed=5)
     sensors = {name: replace(sensor, noise_std=0.0) for name, sensor in base.sensors.items()}
-    return seen(replace(base, sensors=sensors, routine=Routine(open_revs=1, closed_revs=1)))
+    return seen(replace(base, sensors=sensors, routine=WorkshopRoutine(open_revs=1, closed_revs=1)))
 
 
 def test_noise_of_one_signal_for_engine_and_hub_is_in_what_both_share_with_the_residual() -> None:

@@ -53,7 +53,7 @@ from odxtools.unit import Unit
 from odxtools.unitspec import UnitSpec
 from odxtools.validtype import ValidType
 
-from workshop.controller.descriptions import Coding, Field, Trouble, not_available
+from workshop.controller.descriptions import Coding, DatumField, Trouble, not_available
 
 LONGEST_NUMBER_BYTES: Final = 4  # ODX has no longer whole numbers
 UNDEFINED: Final = "undefined"  # the meaning of a number that has none
@@ -187,7 +187,7 @@ def rest(least_bytes: int) -> DataObjectProperty:
     return _coding(MinMaxLengthType(base_data_type=BYTES, min_length=least_bytes, termination=end), BYTES)
 
 
-def described(entry: Field) -> DataObjectProperty:
+def described(entry: DatumField) -> DataObjectProperty:
     """Return the coding of a field of the table."""
     bits = 8 * entry.size_bytes
     if entry.kind is Coding.TEXT:
@@ -208,7 +208,7 @@ def described(entry: Field) -> DataObjectProperty:
     return replace(made, internal_constr=missing, physical_constr=_between(entry, physical))
 
 
-def remark(entry: Field) -> str:
+def remark(entry: DatumField) -> str:
     """Return what ODX cannot say of a field in its own words."""
     if entry.pattern:
         return f"As a regular expression: {entry.pattern}"
@@ -222,7 +222,7 @@ def remark(entry: Field) -> str:
     )
 
 
-def _has_unit(entry: Field) -> bool:
+def _has_unit(entry: DatumField) -> bool:
     is_number = entry.kind in {Coding.UNSIGNED, Coding.SIGNED} and entry.size_bytes <= LONGEST_NUMBER_BYTES
     return bool(entry.unit) and (entry.kind is Coding.FLOAT or (is_number and not entry.meanings))
 
@@ -256,12 +256,12 @@ def _only(number: int, data_type: DataType) -> dict[str, Any]:
     return {"lower_limit": _limit(number, data_type), "upper_limit": _limit(number, data_type)}
 
 
-def _not_available(entry: Field, number: DataType) -> InternalConstr:
+def _not_available(entry: DatumField, number: DataType) -> InternalConstr:
     missing = ScaleConstr(validity=ValidType.NOT_AVAILABLE, value_type=number, **_only(not_available(entry), number))
     return InternalConstr(scale_constrs=[missing], value_type=number)
 
 
-def _between(entry: Field, physical: DataType) -> InternalConstr | None:
+def _between(entry: DatumField, physical: DataType) -> InternalConstr | None:
     if entry.minimum is None and entry.maximum is None:
         return None
     lower, upper = (None if limit is None else _limit(limit, physical) for limit in (entry.minimum, entry.maximum))
@@ -290,11 +290,11 @@ class Dictionary(Document):
         """Describe several values one after the other."""
         return self._add("structures", Structure(**self._new(name, long_name), parameters=placed(parts)))
 
-    def fields(self, name: str, entries: tuple[Field, ...]) -> OdxLinkRef:
+    def fields(self, name: str, entries: tuple[DatumField, ...]) -> OdxLinkRef:
         """Describe fields of the table as a structure."""
         return self.structure(name, self.field_parts(name, entries), name)
 
-    def field_parts(self, name: str, entries: tuple[Field, ...]) -> Parts:
+    def field_parts(self, name: str, entries: tuple[DatumField, ...]) -> Parts:
         """Describe fields of the table, one parameter each."""
         made = list[Part]()
         for entry in entries:

@@ -33,7 +33,7 @@ from odxtools.statetransition import StateTransition
 from odxtools.statetransitionref import StateTransitionRef
 from odxtools.writepdxfile import write_pdx_file
 
-from workshop.controller.descriptions import Access, Profile
+from workshop.controller.descriptions import AccessRule, ObdProfile
 from workshop.controller.iso14229 import DEFAULT_SESSION, NEGATIVE, POSITIVE, SUPPRESS, Nrc
 from workshop.controller.pdx.elements import (
     Dictionary,
@@ -47,7 +47,7 @@ from workshop.controller.pdx.elements import (
     worded,
     xml_text,
 )
-from workshop.controller.pdx.services import ObdServices, Service, UdsServices
+from workshop.controller.pdx.services import ObdServices, OdxService, UdsServices
 from workshop.controller.table import DiagnosticTable
 
 _STACK: Final = "ISO_15765_3_on_ISO_15765_2"
@@ -137,7 +137,7 @@ def pdx_package(table: DiagnosticTable) -> bytes:
     database = Database(use_weakrefs=False)
     database.short_name = short_name(table.name)
     database.diag_layer_containers.append(_container(table, database.short_name, "UDS_on_CAN"))
-    if table.obd is not None and table.has_obd(Profile.CLASSIC):
+    if table.obd is not None and table.has_obd(ObdProfile.CLASSIC):
         name = f"{database.short_name}_OBD"
         database.diag_layer_containers.append(_container(table, name, "OBD_on_CAN"))
     for name in _BASE:
@@ -228,7 +228,7 @@ class _Layer:
             parent_refs=[ParentRef(layer_ref=dictionary.ref("LAYER", protocol))],
         )  # fmt: skip
 
-    def _comm(self, name: str, service: Service, *, has_states: bool) -> DiagService:
+    def _comm(self, name: str, service: OdxService, *, has_states: bool) -> DiagService:
         ref, access = self.dictionary.ref, service.access
         conditions = (f"{entry} (else {self._table.conditions[entry].nrc:02X})" for entry in access.conditions)
         text = f"Needs of the vehicle: {', '.join(conditions)}." if access.conditions else ""
@@ -244,13 +244,13 @@ class _Layer:
             pos_response_suppressible=suppressible if service.has_sub_function else None,
         )  # fmt: skip
 
-    def _needed(self, access: Access) -> list[str]:
+    def _needed(self, access: AccessRule) -> list[str]:
         """Return the states of which a service needs one each."""
         is_everywhere = set(access.sessions) == set(self._sessions) and not access.levels
         sessions = () if is_everywhere else access.sessions
         return [*(self._sessions[number] for number in sessions), *(self._levels[number] for number in access.levels)]
 
-    def _changes(self, service: Service) -> list[tuple[str, str]]:
+    def _changes(self, service: OdxService) -> list[tuple[str, str]]:
         changes = list[tuple[str, str]]()
         session = DEFAULT_SESSION if service.resets else service.enters
         if session is not None:
@@ -306,6 +306,6 @@ def _negative(number: int) -> str:
     return f"negative_response_{number:02X}"
 
 
-def _response_names(name: str, service: Service) -> list[str]:
+def _response_names(name: str, service: OdxService) -> list[str]:
     places = range(2, len(service.responses) + 1)
     return [f"{name}_response", *(f"{name}_response_{place}" for place in places)]

@@ -5,7 +5,16 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from workshop.controller import descriptions, iso14229, memory
-from workshop.controller.descriptions import Access, Coding, Datum, Field, Pid, Profile, Routine, VehicleInfo
+from workshop.controller.descriptions import (
+    AccessRule,
+    Coding,
+    DataIdentifier,
+    DatumField,
+    ObdProfile,
+    Pid,
+    Routine,
+    VehicleInfo,
+)
 from workshop.controller.iso14229 import ObdService
 from workshop.controller.iso14229 import Service as Number
 from workshop.controller.pdx.elements import (
@@ -43,7 +52,7 @@ _SNAPSHOTS: Final = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Service:
+class OdxService:
     """One service: its request, its responses, and when it may be asked."""
 
     name: str
@@ -51,7 +60,7 @@ class Service:
     semantic: str
     request: Parts  # after the service's number
     responses: tuple[Parts, ...]  # likewise; one of them comes
-    access: Access
+    access: AccessRule
     has_sub_function: bool = False
     enters: int | None = None  # a session
     unlocks: int | None = None  # a security level
@@ -66,24 +75,24 @@ class _Services:
 
     def service(
         self, name: str, number: int, semantic: str, request: Parts = (), *responses: Parts, sub: int | None = None,
-        access: Access | None = None, **effects: Any,  # noqa: ANN401 - as a service has them
-    ) -> Service:  # fmt: skip
+        access: AccessRule | None = None, **effects: Any,  # noqa: ANN401 - as a service has them
+    ) -> OdxService:  # fmt: skip
         """Return a service; without responses it has an empty one, and each repeats a sub-function."""
         head: Parts = () if sub is None else (constant("sub_function", sub, semantic="SUBFUNCTION"),)
         answers = tuple((*head, *response) for response in responses or ((),))
-        return Service(name=name, number=number, semantic=semantic, request=(*head, *request), responses=answers,
+        return OdxService(name=name, number=number, semantic=semantic, request=(*head, *request), responses=answers,
                        access=self._access(number, access), has_sub_function=sub is not None, **effects)  # fmt: skip
 
-    def _access(self, number: int, own: Access | None) -> Access:
+    def _access(self, number: int, own: AccessRule | None) -> AccessRule:
         """Return who may use a service, or do with it what needs an access of its own."""
         service = self.table.services.get(number)
         if service is None:  # of OBD
-            return Access(sessions=tuple(self.table.sessions))
-        own = own or Access(sessions=service.sessions)
+            return AccessRule(sessions=tuple(self.table.sessions))
+        own = own or AccessRule(sessions=service.sessions)
         both = tuple(level for level in service.levels if level in own.levels or not own.levels)
         allowed = tuple(session for session in service.sessions if session in own.sessions)
         conditions = (*service.conditions, *own.conditions)
-        return Access(sessions=allowed, levels=both if service.levels else own.levels, conditions=conditions)
+        return AccessRule(sessions=allowed, levels=both if service.levels else own.levels, conditions=conditions)
 
     def hexadecimal(self, name: str, what: str, size_bytes: int = 1) -> Part:
         """Return a plain number that tools show in base 16."""
@@ -112,7 +121,7 @@ class UdsServices(_Services):
         self._pages = {data.DEFINABLE_PAGE: "data"}  # upper bytes of data that clients may define
         self._pages |= {} if table.periodic is None else {PERIODIC_PAGE: "periodic data"}
 
-    def __iter__(self) -> Iterator[Service]:
+    def __iter__(self) -> Iterator[OdxService]:
         makers = {
             Number.SESSION_CONTROL: self._sessions, Number.ECU_RESET: self._resets, Number.CLEAR_CODES: self._clearing,
             Number.READ_CODES: self._trouble_codes, Number.READ_DATA: self._reading,
@@ -124,47 +133,55 @@ class UdsServices(_Services):
         }  # fmt: skip
         for number, make in makers.items():
             yield from make(number) if number in self.table.services else ()
-        if self.table.obd is not None and self.table.has_obd(Profile.UDS) and Number.READ_DATA in self.table.services:
+        if (
+            self.table.obd is not None
+            and self.table.has_obd(ObdProfile.UDS)
+            and Number.READ_DATA in self.table.services
+        ):
             yield from ObdServices(self.table, self.table.obd, self.dictionary).by_identifier()
 
-    def _sessions(self, number: int) -> Iterator[Service]:
+    def _sessions(self, number: int) -> Iterator[OdxService]:
         times = tuple(
             value(name, self.dictionary.simple(name, scaled(2, step), unit="ms"), 2)
             for name, step in (("P2", 1.0), ("P2_star", 10.0))
         )
         for session in self.table.sessions.values():
-            name, sub, access = f"Start session {session.name}", session.number, Access(sessions=session.from_sessions)
+            name, sub, access = (
+                f"Start session {session.name}",
+                session.number,
+                AccessRule(sessions=session.from_sessions),
+            )
             yield self.service(name, number, "SESSION", (), times, sub=sub, access=access, enters=sub)
 
-    def _resets(self, number: int) -> Iterator[Service]:
+    def _resets(self, number: int) -> Iterator[OdxService]:
         for sub, name in _RESETS.items():
             yield self.service(f"Reset {name}", number, "RESET", sub=sub, resets=True)
 
-    def _security(self, number: int) -> Iterator[Service]:
+    def _security(self, number: int) -> Iterator[OdxService]:
         for level in self.table.levels.values():
-            access, own = Access(sessions=level.sessions), level.number
+            access, own = AccessRule(sessions=level.sessions), level.number
             content = self.dictionary.simple(f"seed and key {level.name}", raw(level.seed_bytes))
             seed, key = ((value(name, content, level.seed_bytes),) for name in ("seed", "key"))
             yield self.service(f"Request seed {level.name}", number, "SECURITY", (), seed, sub=own, access=access)
             name = f"Send key {level.name}"
             yield self.service(name, number, "SECURITY", key, sub=own + 1, access=access, unlocks=own)
 
-    def _communication(self, number: int) -> Iterator[Service]:
+    def _communication(self, number: int) -> Iterator[OdxService]:
         kind = (self.number("messages", "communication type", meanings=_MESSAGES),)
         for sub, name in enumerate(_TRAFFIC):
             yield self.service(f"Communication {name}", number, "COMMUNICATION", kind, sub=sub)
 
-    def _presence(self, number: int) -> Iterator[Service]:
+    def _presence(self, number: int) -> Iterator[OdxService]:
         yield self.service("Tester present", number, "TESTERPRESENT", sub=0)
 
-    def _settings(self, number: int) -> Iterator[Service]:
+    def _settings(self, number: int) -> Iterator[OdxService]:
         for sub, name in _SETTINGS.items():
             yield self.service(f"Updating of {name}", number, "CONTROL", sub=sub)
 
-    def _content(self, datum: Datum) -> Parts:
+    def _content(self, datum: DataIdentifier) -> Parts:
         return (value(datum.name, self._structures[datum.number], datum.size_bytes),)
 
-    def _reading(self, number: int) -> Iterator[Service]:
+    def _reading(self, number: int) -> Iterator[OdxService]:
         dictionary, most, kind = self.dictionary, self.table.limits.most_data, "CURRENTDATA"
         for datum in self.table.data.values():
             begin = (constant("identifier", datum.number, 2, "ID"),)
@@ -185,14 +202,14 @@ class UdsServices(_Services):
             answer = (defined, echo("number", 2, 1), left)
             yield self.service(f"Read defined {name}", number, kind, (defined, self._low), answer)
 
-    def _periodic(self, number: int) -> Iterator[Service]:
+    def _periodic(self, number: int) -> Iterator[OdxService]:
         datum = self.dictionary.structure("periodic datum", (self._low,))
         asked = value("data", self.dictionary.repeated("periodic data", datum, least=1))
         for mode, verb in _RATES.items():
             yield self.service(f"{verb} periodic data", number, "PERIODIC", (constant("mode", mode), asked))
         yield self.service("Stop all periodic data", number, "PERIODIC", (constant("mode", data.STOP),))
 
-    def _defining(self, number: int) -> Iterator[Service]:
+    def _defining(self, number: int) -> Iterator[OdxService]:
         kind, dictionary = "DYN-DEF-MESSAGE", self.dictionary
         size = self.number("bytes", "number of bytes")
         parts = renamed(self._choice, "source"), renamed(size, "first_byte"), size
@@ -206,14 +223,14 @@ class UdsServices(_Services):
             yield self.service(f"Forget defined {name}", number, kind, asked, response, sub=clear)
         yield self.service("Forget all defined data", number, kind, sub=data.CLEAR_DEFINITION)
 
-    def _writing(self, number: int) -> Iterator[Service]:
+    def _writing(self, number: int) -> Iterator[OdxService]:
         for datum in self.table.data.values():
             if datum.write is not None:
                 begin = (constant("identifier", datum.number, 2, "ID"),)
                 whole = (*begin, *self._content(datum))
                 yield self.service(f"Write {datum.name}", number, "STOREDDATA", whole, begin, access=datum.write)
 
-    def _controlling(self, number: int) -> Iterator[Service]:
+    def _controlling(self, number: int) -> Iterator[OdxService]:
         for datum in self.table.data.values():
             for action, verb in _CONTROLS.items() if datum.control is not None else ():
                 begin = constant("identifier", datum.number, 2, "ID"), constant("action", action)
@@ -221,7 +238,7 @@ class UdsServices(_Services):
                 asked = whole if action == data.ADJUST else begin
                 yield self.service(f"{verb} {datum.name}", number, "CONTROL", asked, whole, access=datum.control)
 
-    def _routines(self, number: int) -> Iterator[Service]:
+    def _routines(self, number: int) -> Iterator[OdxService]:
         for routine in self.table.routines.values():
             options = self.dictionary.field_parts(f"option of {routine.name}", routine.options)
             results = self.dictionary.field_parts(f"result of {routine.name}", routine.results)
@@ -235,23 +252,23 @@ class UdsServices(_Services):
                 if sub != sessions.STOP or routine.can_be_stopped:
                     yield self.service(name, number, "ROUTINE", asked, *responses, sub=sub, access=routine.access)
 
-    def _clearing(self, number: int) -> Iterator[Service]:
+    def _clearing(self, number: int) -> Iterator[OdxService]:
         groups = {"Clear all trouble codes": constant("group", iso14229.ALL_CODES, 3)}
-        if self.table.has_obd(Profile.UDS):
+        if self.table.has_obd(ObdProfile.UDS):
             groups["Clear trouble codes of OBD"] = constant("group", memory.ALL_EMISSION_CODES, 3)
         if self.table.troubles:
             groups["Clear trouble code"] = self._code
         for name, group in groups.items():
             yield self.service(name, number, "FAULTCLEAR", (group,))
 
-    def _report(self, name: str, sub: int, request: Parts, *response: Part) -> Service:
+    def _report(self, name: str, sub: int, request: Parts, *response: Part) -> OdxService:
         return self.service(name, Number.READ_CODES, "FAULTREAD", request, response, sub=sub)
 
     def _list(self, name: str, many: str, item: str, *parts: Part) -> Part:
         """Return a parameter of several entries of these parts."""
         return value(name, self.dictionary.repeated(many, self.dictionary.structure(item, parts)))
 
-    def _trouble_codes(self, _: int) -> Iterator[Service]:
+    def _trouble_codes(self, _: int) -> Iterator[OdxService]:
         codes = self._list("trouble_codes", "trouble codes", "trouble code with status", self._code, self._status)
         mask, available = (self.hexadecimal("status_mask", "mask of status"),), self._availability
         form = self.number("format", "format of trouble codes", meanings={trouble.CODE_FORMAT: "SAE J2012-DA"})
@@ -267,14 +284,14 @@ class UdsServices(_Services):
             record = self.number("record", "record of extended data", meanings=choices)
             yield self._report("Read trouble codes with extended data", 0x1A, (record,), available, record, codes)
         yield self._report("Read supported trouble codes", 0x0A, (), available, codes)
-        coding = described(Field(name="counter", kind=Coding.SIGNED, size_bytes=1))
+        coding = described(DatumField(name="counter", kind=Coding.SIGNED, size_bytes=1))
         counter = value("counter", self.dictionary.simple("fault detection counter", coding), 1)
         counters = self._list("counters", "fault detection counters", "trouble code with counter", self._code, counter)
         yield self._report("Read fault detection counters", 0x14, (), counters)
-        if self.table.has_obd(Profile.UDS):
+        if self.table.has_obd(ObdProfile.UDS):
             yield from self._emission_reports(codes)
 
-    def _emission_reports(self, codes: Part) -> Iterator[Service]:
+    def _emission_reports(self, codes: Part) -> Iterator[OdxService]:
         """Yield the reports of SAE J1979-2: codes by masks, and those that no client can clear."""
         available, group = self._availability, constant("group", trouble.EMISSION_GROUP)
         byte = self.hexadecimal("status_mask", "mask of status and severity")
@@ -291,7 +308,7 @@ class UdsServices(_Services):
         yield self._report(name, 0x56, (group, readiness), group, available, form, readiness, codes)
         yield self._report("Read permanent trouble codes", 0x55, (group,), group, available, form, codes)
 
-    def _snapshots(self) -> Service:
+    def _snapshots(self) -> OdxService:
         table, dictionary = self.table, self.dictionary
         wanted = {number for entry in table.troubles.values() for number in table.snapshot_of(entry)}
         cases = {number: structure for number, structure in self._structures.items() if number in wanted}
@@ -304,7 +321,7 @@ class UdsServices(_Services):
         found = value("snapshots", dictionary.repeated("snapshots", record))
         return self._report("Read snapshots", 0x04, (self._code, asked), self._code, self._status, found)
 
-    def _extended(self) -> Service:
+    def _extended(self) -> OdxService:
         dictionary, extended = self.dictionary, self.table.extended
         choices = {record.number: record.name for record in extended.values()} | {trouble.ALL_RECORDS: "all"}
         if max(extended, default=0) >= trouble.FIRST_REGULATED:
@@ -349,10 +366,10 @@ class ObdServices(_Services):
     def _info(self, info: VehicleInfo) -> Part:
         kind = self.table.data[info.data].fields[0].kind if info.data is not None else Coding.BYTES
         is_text = bool(info.text) or kind is Coding.TEXT
-        content = Field(name=info.name, kind=Coding.TEXT if is_text else Coding.BYTES, size_bytes=info.size_bytes)
+        content = DatumField(name=info.name, kind=Coding.TEXT if is_text else Coding.BYTES, size_bytes=info.size_bytes)
         return value(info.name, self.dictionary.simple(f"OBD {info.name}", described(content)), info.size_bytes)
 
-    def by_identifier(self) -> Iterator[Service]:
+    def by_identifier(self) -> Iterator[OdxService]:
         """Yield a service for each datum of SAE J1979-2: parameters F4xx, vehicle information F8xx."""
         known = self._obd
         found = {data.PID_DATA | pid.number: (pid.name, self._pids[pid.number]) for pid in known.pids.values()}
@@ -363,7 +380,7 @@ class ObdServices(_Services):
             begin = constant("identifier", number, 2, "ID")
             yield self.service(f"Read OBD {name}", Number.READ_DATA, "CURRENTDATA", (begin,), (begin, content))
 
-    def __iter__(self) -> Iterator[Service]:
+    def __iter__(self) -> Iterator[OdxService]:
         yield from self._parameters()
         yield from self._freeze_frame()
         yield from self._codes()
@@ -374,23 +391,23 @@ class ObdServices(_Services):
             yield self._one(info.name, ObdService.VEHICLE_INFORMATION, "IDENTIFICATION", info.number, (), *content)
         yield from self._supported("vehicle information", ObdService.VEHICLE_INFORMATION, self._obd.infos)
 
-    def _one(self, name: str, number: int, kind: str, what: int, more: Parts, *content: Part) -> Service:
+    def _one(self, name: str, number: int, kind: str, what: int, more: Parts, *content: Part) -> OdxService:
         """Return the service that reads one number; ``more`` comes behind it, back and forth."""
         begin = (constant("number", what, semantic="ID"), *more)
         return self.service(f"Read {name}", number, kind, begin, (*begin, *content))
 
-    def _supported(self, what: str, number: int, known: Mapping[int, object], *more: Part) -> Iterator[Service]:
+    def _supported(self, what: str, number: int, known: Mapping[int, object], *more: Part) -> Iterator[OdxService]:
         """Yield the services that read which numbers are there."""
         for first in _bitmaps(known):
             yield self._one(f"supported {what} {first:02X}", number, "IDENTIFICATION", first, more, self._bitmap)
 
-    def _several(self, name: str, number: int, semantic: str, what: str, asked: Parts, most: int) -> Service:
+    def _several(self, name: str, number: int, semantic: str, what: str, asked: Parts, most: int) -> OdxService:
         structure = self.dictionary.structure(f"asked {what}", asked)
         request = (value("parameters", self.dictionary.repeated(f"asked {what}s", structure, most, 1)),)
         response = (value("parameters", self.dictionary.simple(f"{what}s with their numbers", rest(1))),)
         return self.service(name, number, semantic, request, response)
 
-    def _parameters(self) -> Iterator[Service]:
+    def _parameters(self) -> Iterator[OdxService]:
         number, kind = ObdService.CURRENT_DATA, "CURRENTDATA"
         for pid in self._obd.pids.values():
             yield self._one(pid.name, number, kind, pid.number, (), self._pids[pid.number])
@@ -398,7 +415,7 @@ class ObdServices(_Services):
         asked = (self.hexadecimal("number", "number of a parameter"),)
         yield self._several("Read several data", number, kind, "parameter", asked, obd.MOST_PIDS)
 
-    def _freeze_frame(self) -> Iterator[Service]:
+    def _freeze_frame(self) -> Iterator[OdxService]:
         number, kind, frame = ObdService.FREEZE_FRAME, "FAULTREAD", constant("frame", obd.FRAME)
         frozen = {pid.number: pid for pid in self._obd.pids.values() if pid.is_frozen}
         for pid in frozen.values():
@@ -410,7 +427,7 @@ class ObdServices(_Services):
         asked, name = (which, self.hexadecimal("frame", "number of a frame")), "Read several frozen parameters"
         yield self._several(name, number, kind, "frozen parameter", asked, obd.MOST_FROZEN_PIDS)
 
-    def _codes(self) -> Iterator[Service]:
+    def _codes(self) -> Iterator[OdxService]:
         troubles = tuple({entry.code: entry for entry in self.table.troubles.values()}.values())
         item = self.dictionary.code_part("trouble_code", "trouble code", troubles, 2)
         stored = self.dictionary.structure("stored trouble code", (item,))
@@ -420,8 +437,8 @@ class ObdServices(_Services):
             number = ObdService[f"{kind.upper()}_CODES"]
             yield self.service(f"Read {kind} trouble codes", number, "FAULTREAD", (), found)
 
-    def _monitors(self) -> Iterator[Service]:
-        coding = described(Field(name="result", kind=Coding.SIGNED, size_bytes=2))
+    def _monitors(self) -> Iterator[OdxService]:
+        coding = described(DatumField(name="result", kind=Coding.SIGNED, size_bytes=2))
         result = self.dictionary.simple("result of a test", coding)
         begin = constant("test", obd.COUNTER_TEST), constant("unit_and_scaling", obd.SIGNED_COUNT)
         content = (*begin, *(value(name, result, 2) for name in ("result", "least", "most")))

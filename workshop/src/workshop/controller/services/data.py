@@ -5,11 +5,11 @@ from dataclasses import replace
 from typing import Final
 
 from workshop.controller.descriptions import (
-    Access,
-    Datum,
-    Field,
+    AccessRule,
+    DataIdentifier,
+    DatumField,
+    ObdProfile,
     Pid,
-    Profile,
     Value,
     Values,
     VehicleInfo,
@@ -17,7 +17,7 @@ from workshop.controller.descriptions import (
     encode,
     supported,
 )
-from workshop.controller.iso14229 import Nrc, Service, Status
+from workshop.controller.iso14229 import DtcStatus, Nrc, Service
 from workshop.controller.memory import FrozenPids, emission_codes, is_lamp_on, located
 from workshop.controller.state import (
     Call,
@@ -45,7 +45,7 @@ _NAME_BYTES: Final = 2
 _PIECE_BYTES: Final = 4
 
 
-def data_of(datum: Datum, state: ServerState, moment: Instant) -> bytes:
+def data_of(datum: DataIdentifier, state: ServerState, moment: Instant) -> bytes:
     """Return what a datum holds now: what was written, or what the vehicle says, as far as a client let it."""
     if datum.number in state.controlled:
         return state.controlled[datum.number]
@@ -103,7 +103,7 @@ def read_refusal(call: Call, pieces: Iterable[Piece]) -> Nrc | None:
     return None
 
 
-def _are_awaited(fields: Iterable[Field], call: Call) -> bool:
+def _are_awaited(fields: Iterable[DatumField], call: Call) -> bool:
     """Return whether some value is not known only since the vehicle has said nothing yet."""
     known = {*_with_obd(call.table, call.state, call.moment), "active_session"}
     return bool(call.moment.values.get(STARTING)) and any(entry.source not in known for entry in fields)
@@ -148,7 +148,9 @@ def write_data(call: Call) -> Result:
     return call.positive(call.payload[1:3], state)
 
 
-def _target(call: Call, access_of: Callable[[Datum], Access | None]) -> tuple[Datum, Access] | Nrc:
+def _target(
+    call: Call, access_of: Callable[[DataIdentifier], AccessRule | None]
+) -> tuple[DataIdentifier, AccessRule] | Nrc:
     """Return the datum that a request with more than its name is about, and who may do this with it."""
     if len(call.payload) < 1 + _NAME_BYTES + 1:
         return Nrc.INCORRECT_LENGTH
@@ -180,7 +182,7 @@ def control_data(call: Call) -> Result:
     return call.positive(call.payload[1:4] + data_of(datum, state, after), state)
 
 
-def _control_refusal(call: Call, datum: Datum) -> Nrc | None:
+def _control_refusal(call: Call, datum: DataIdentifier) -> Nrc | None:
     action, wanted = call.payload[3], call.payload[4:]
     if action not in {RETURN_CONTROL, FREEZE, ADJUST}:
         return Nrc.REQUEST_OUT_OF_RANGE
@@ -351,7 +353,7 @@ def info_data(info: VehicleInfo, table: DiagnosticTable, state: ServerState) -> 
 def emission_data(table: DiagnosticTable, state: ServerState, moment: Instant, number: int) -> bytes | None:
     """Return what a data identifier of SAE J1979-2 holds; None if it is none, or OBD is not spoken in that way."""
     obd, page, place = table.obd, number & 0xFF00, number & 0xFF
-    if obd is None or obd.profile is not Profile.UDS or page not in {PID_DATA, INFO_DATA}:
+    if obd is None or obd.profile is not ObdProfile.UDS or page not in {PID_DATA, INFO_DATA}:
         return None
     if page == PID_DATA and place in obd.pids:
         return pid_data(obd.pids[place], table, state, moment)
@@ -361,7 +363,7 @@ def emission_data(table: DiagnosticTable, state: ServerState, moment: Instant, n
 
 
 def _with_obd(table: DiagnosticTable, state: ServerState, moment: Instant) -> Values:
-    confirmed = emission_codes(table.troubles, state.memory, Status.CONFIRMED)
+    confirmed = emission_codes(table.troubles, state.memory, DtcStatus.CONFIRMED)
     lamp = _LAMP if is_lamp_on(state.memory) else 0
     more: dict[str, Value] = {
         "obd.monitor_status": bytes([lamp | min(_MOST_CODES, len(confirmed)), _COMPONENTS, 0, 0]),

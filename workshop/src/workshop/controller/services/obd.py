@@ -8,7 +8,7 @@ from functools import partial
 from typing import Final, TypeVar
 
 from workshop.controller.descriptions import BLOCK, MonitorTest, Obd, VehicleInfo, supported
-from workshop.controller.iso14229 import ALL_CODES, Nrc, ObdService, Status
+from workshop.controller.iso14229 import ALL_CODES, DtcStatus, Nrc, ObdService
 from workshop.controller.memory import FAILED_COUNTER, PASSED_COUNTER, TroubleRecord, emission_codes
 from workshop.controller.services.data import info_data, is_pid_awaited, pid_data
 from workshop.controller.services.trouble import cleared
@@ -68,7 +68,7 @@ def _frozen_pid(call: Call, number: int) -> bytes:
     return b"" if data is None else bytes([number, FRAME]) + data
 
 
-def _codes_with(bits: Status, call: Call) -> Result:
+def _codes_with(bits: DtcStatus, call: Call) -> Result:
     """Read the codes of OBD whose status has one of these bits."""
     return _codes(call, emission_codes(call.table.troubles, call.state.memory, bits))
 
@@ -119,7 +119,7 @@ def test_results(call: Call) -> Result:
 
 def _test_result(record: TroubleRecord) -> bytes:
     """Return which test it is, the unit of its result, the result, and its least and its most."""
-    has_run = not record.status & Status.NOT_TESTED_SINCE_CLEAR
+    has_run = not record.status & DtcStatus.NOT_TESTED_SINCE_CLEAR
     numbers = (record.detection_counter, PASSED_COUNTER, FAILED_COUNTER - 1) if has_run else (0, 0, 0)
     return bytes([COUNTER_TEST, SIGNED_COUNT]) + b"".join(number.to_bytes(2, "big", signed=True) for number in numbers)
 
@@ -156,11 +156,11 @@ def _obd(call: Call) -> Obd:
 OBD_HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {
     ObdService.CURRENT_DATA: current_data,
     ObdService.FREEZE_FRAME: freeze_frame,
-    ObdService.CONFIRMED_CODES: partial(_codes_with, Status.CONFIRMED),
+    ObdService.CONFIRMED_CODES: partial(_codes_with, DtcStatus.CONFIRMED),
     ObdService.CLEAR: clear_emission_codes,
     ObdService.TEST_RESULTS: test_results,
     # Those that failed in this operation cycle or the last that was completed.
-    ObdService.PENDING_CODES: partial(_codes_with, Status.PENDING),
+    ObdService.PENDING_CODES: partial(_codes_with, DtcStatus.PENDING),
     ObdService.VEHICLE_INFORMATION: vehicle_information,
     # Those that no client can clear.
     ObdService.PERMANENT_CODES: lambda call: _codes(call, sorted(call.state.emissions.permanent)),

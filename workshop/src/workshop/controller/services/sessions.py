@@ -10,10 +10,10 @@ from workshop.controller.state import (
     Call,
     Communication,
     Instant,
-    Outcome,
     Result,
     RoutineRun,
     ServerState,
+    ServiceOutcome,
     is_in_session,
     is_unlocked,
     locked,
@@ -200,9 +200,9 @@ def _take_key(call: Call, level: SecurityLevel) -> Result:
     count = state.wrong_keys.get(level.number, 0) + 1
     state = replace(state, wrong_keys={**state.wrong_keys, level.number: count})
     if count < level.most_attempts:
-        return Outcome(response=Nrc.INVALID_KEY, state=state)
+        return ServiceOutcome(response=Nrc.INVALID_KEY, state=state)
     until_s = {**state.locked_until_s, level.number: call.moment.t_s + level.delay_s}
-    return Outcome(response=Nrc.EXCEEDED_NUMBER_OF_ATTEMPTS, state=replace(state, locked_until_s=until_s))
+    return ServiceOutcome(response=Nrc.EXCEEDED_NUMBER_OF_ATTEMPTS, state=replace(state, locked_until_s=until_s))
 
 
 START: Final = 0x01
@@ -254,11 +254,11 @@ def _start(call: Call, routine: Routine, options: bytes) -> Result:
     run = RoutineRun(ends_s=call.moment.t_s + routine.duration_s, options=options)
     state = _with(call.state, routine.number, run)
     if routine.is_awaited:
-        return Outcome(response=b"", state=state, is_final=False)
+        return ServiceOutcome(response=b"", state=state, is_final=False)
     return answered(call, routine, run, state)
 
 
-def answered(call: Call, routine: Routine, run: RoutineRun, state: ServerState | None = None) -> Outcome:
+def answered(call: Call, routine: Routine, run: RoutineRun, state: ServerState | None = None) -> ServiceOutcome:
     """Return the positive response about a routine: its number, how far it is, and what it found once it has ended."""
     how_far = RUNNING if run.is_running else STOPPED if run.was_stopped else COMPLETED
     return call.echoed(routine.number.to_bytes(2, "big") + bytes([how_far]) + run.results, state)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Final
 
-from workshop.controller.descriptions import IN_USE, OF_MEMORY, ExtendedRecord, Profile, Trouble, encode
+from workshop.controller.descriptions import IN_USE, OF_MEMORY, ExtendedRecord, ObdProfile, Trouble, encode
 from workshop.controller.iso14229 import ALL_BITS, ALL_CODES, Nrc
 from workshop.controller.memory import (
     ALL_EMISSION_CODES,
@@ -45,7 +45,7 @@ def clear_codes(call: Call) -> Result:
     if len(call.payload) != 1 + _CODE_BYTES:
         return Nrc.INCORRECT_LENGTH
     group = int.from_bytes(call.payload[1:], "big")
-    has_emission_group = call.table.has_obd(Profile.UDS) and group == ALL_EMISSION_CODES
+    has_emission_group = call.table.has_obd(ObdProfile.UDS) and group == ALL_EMISSION_CODES
     if group != ALL_CODES and group not in call.table.troubles and not has_emission_group:
         return Nrc.REQUEST_OUT_OF_RANGE
     if refusal := unmet_by_service(call):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ecu_emulator.errors import ConfigError
+from ecu_emulator.errors import EmulatorConfigError
 from tests.support.doip.desk import ENTITY, framed
 from tests.support.uds.full_table import full_text
 from workshop.controller.doip import datagram_reply
@@ -62,5 +62,5 @@ def test_a_datagram_is_answered(data: bytes, told: str | None) -> None:
 def test_an_entity_that_cannot_be_is_named(line: str, message: str) -> None:
     before, _, after = full_text().partition("[doip]")
     rest = after[after.index("[timing]") :]
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(EmulatorConfigError, match=message):
         parse_table(f"{before}[doip]\n{line}\n{rest}", "table")
