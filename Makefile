@@ -180,7 +180,7 @@ warm: setup-all
 	  $(PY) -m diag_service analyze "$$folder/warm.log" --json && \
 	  $(PY) -c 'from ecu_emulator.drive.recording import Drive; from ecu_emulator.scenario.scenario_file import load_scenario; \
 	    next(iter(Drive(load_scenario("lockup")).stretches(10.0)))' && \
-	  $(PY) -c 'from canlog.live.socketcan import FrameReceiver; FrameReceiver(-1)'; } >"$$folder/said" 2>&1 || { \
+	  $(PY) -c 'from diag_service.service.bus_run import warm_up; warm_up()'; } >"$$folder/said" 2>&1 || { \
 	  cat "$$folder/said" >&2; exit 1; }
 
 # The guest has one processor and mostly waits for real time, so it runs beside; what it said follows, and how long it

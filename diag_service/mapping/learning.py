@@ -15,7 +15,7 @@ import numpy as np
 from cantools.database.can import Database
 
 from canlog.arrays import BoolArray, FloatArray, Series
-from canlog.database.addressing import why_wrong
+from canlog.database.addressing import NOBODY, why_wrong
 from canlog.database.signal_columns import columns_database
 from canlog.decode.codec import Codec
 from canlog.logs import STANDARD_INPUT, read_log, shown_name, table_columns
@@ -383,7 +383,7 @@ class Survey:
     @property
     def why_wrong(self) -> str:
         """Why the database is probably that of another bus; empty if it may be the right one."""
-        known = sum(map(self._codec.knows, self._ids))
+        known = int(np.count_nonzero(self._codec.slots_of([*self._ids]) != NOBODY))
         return why_wrong(known, len(self._ids), len(self._counts), len(self._codec.tables))
 
     def statistics(self) -> list[proposal.SignalStatistics]:

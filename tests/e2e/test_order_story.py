@@ -3,6 +3,7 @@
 import asyncio
 import html
 import json
+import re
 from collections.abc import AsyncIterator, Iterator
 from contextlib import AsyncExitStack, asynccontextmanager, closing
 from dataclasses import dataclass
@@ -121,8 +122,8 @@ class World:
         told["history --json"] = record["order"]
         page = self.store.with_suffix(".html")
         assert ended("report", self.store, "-o", page, "--force").status == 0
-        (advice,) = html.unescape(page.read_text()).split('<ul class="advice">')[1].split("</ul>")[0].split("<li")[1:]
-        told["report"] = advice.rpartition("</strong>")[2].strip(" :\n").removesuffix("</li>").strip()
+        sheet = html.unescape(page.read_text())
+        told["report"] = " ".join(part.split("<")[0] for part in re.split("<h2>|<p class=.why.>", sheet)[1:3])
         capsys.readouterr()
         assert fleet(["table", "--database", self.database, "--json"]) == 0
         rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]

@@ -150,7 +150,7 @@ def test_injected_fuel_tells_friction_up_to_a_scale(tmp_path: Path, origin: str)
     assert last["slope"]["mu_s_ratio"] == pytest.approx(0.85, abs=2.0 * last["slope"]["std_mu_s_ratio"])
     assert f"mu_S/mu_C {last['slope']['mu_s_ratio']:.3f}" in shown
     report = tmp_path / "report.html"
-    assert ended("report", table, "--profile", profile, "-o", report).status == 0
+    assert ended("report", table, "--profile", profile, "--full", "-o", report).status == 0
     assert "mu_S over mu_C" in report.read_text(encoding="utf-8")
 
 
@@ -175,5 +175,5 @@ def test_without_torque_the_shifts_of_a_clutch_are_held_against_each_other(tmp_p
     assert all("the torque of the engine is not measured" in (one.advice or "") for one in verdicts)
     shown = ended("analyze", table, "--profile", profile).out
     assert "clutch 2, friction of each power upshift over its others: event " in shown
-    assert ended("report", table, "--profile", profile, "-o", page).status == 0
+    assert ended("report", table, "--profile", profile, "--full", "-o", page).status == 0
     assert "Clutch 2: friction in power upshifts, up to a scale that is not known" in page.read_text(encoding="utf-8")

@@ -21,7 +21,6 @@ from canlog.database.addressing import (
     NOBODY,
     AddressBook,
     address_book,
-    find_slot,
     find_slots,
     message_address,
     overwritten,
@@ -333,13 +332,9 @@ class Codec:
             counts[-1, FrameFate.LEFT_OUT] = len(batch) - counts.sum()
         return FrameMatch(slot=slot, counts=counts)
 
-    def slot_of(self, can_id: int) -> int:
-        """Return the message that an identifier, with its flags, is of; NOBODY if of none."""
-        return find_slot(self._book, can_id)
-
-    def knows(self, can_id: int) -> bool:
-        """Return whether data frames of an identifier, with its flags, are of a message."""
-        return self.slot_of(can_id) != NOBODY
+    def slots_of(self, can_ids: Sequence[int]) -> Int64Array:
+        """Return the message that each identifier, with its flags, is of; NOBODY if of none."""
+        return find_slots(self._book, np.array(can_ids, np.uint32))
 
     def decode(self, batch: FrameBatch) -> Iterator[MessageValues]:
         """Yield the messages that are in a batch, in the order of the codec."""

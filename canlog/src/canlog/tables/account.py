@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import Int64Array
-from canlog.database.addressing import parameter_group, why_wrong
+from canlog.database.addressing import NOBODY, parameter_group, why_wrong
 from canlog.decode.codec import HAS_VALUES, Codec, FrameFate, MessageTable, MessageValues
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from canlog.logs import LogCounts
@@ -69,8 +69,9 @@ class DecodeAccount:
         if stretch.long is not None:
             sent = np.delete(sent, stretch.long.rows)
         can_ids, counts = np.unique(sent[(sent & _NO_DATA) == 0], return_counts=True)
-        for can_id, count in zip(can_ids.tolist(), counts.tolist(), strict=True):
-            if can_id in self.frames_of_id or len(self.frames_of_id) < MAX_IDS or self.codec.knows(can_id):
+        seen = zip(can_ids.tolist(), counts.tolist(), self.codec.slots_of(can_ids.tolist()), strict=True)
+        for can_id, count, slot in seen:
+            if can_id in self.frames_of_id or len(self.frames_of_id) < MAX_IDS or slot != NOBODY:
                 self.frames_of_id[can_id] += count
             else:
                 self.unlisted_count += count
@@ -136,14 +137,15 @@ class DecodeAccount:
     @property
     def unknown_ids(self) -> list[tuple[int, int]]:
         """Identifiers of no message, with flags, and how often they came; the most frequent first."""
-        unknown = [(can_id, count) for can_id, count in self.frames_of_id.items() if not self.codec.knows(can_id)]
+        slots = self.codec.slots_of([*self.frames_of_id])
+        unknown = [one for one, slot in zip(self.frames_of_id.items(), slots, strict=True) if slot == NOBODY]
         return sorted(unknown, key=lambda one: (-one[1], one[0]))
 
     @property
     def of_group_count(self) -> int:
         """How many frames would be of a message by their group; 0 if identifiers of 29 bits fit as they are."""
-        long = {can_id for can_id in self.frames_of_id if can_id & EXTENDED_FLAG}
-        if any(map(self.codec.knows, long)):
+        long = [can_id for can_id in self.frames_of_id if can_id & EXTENDED_FLAG]
+        if (self.codec.slots_of(long) != NOBODY).any():
             return 0
         messages = [table.message for table in self.codec.tables if table.message.is_extended_frame]
         groups = {parameter_group(message.frame_id) for message in messages} - TESTER_GROUPS
@@ -152,7 +154,7 @@ class DecodeAccount:
     @property
     def known_count(self) -> int:
         """How many identifiers of the log are of messages of the database."""
-        return sum(self.codec.knows(can_id) for can_id in self.frames_of_id)
+        return int(np.count_nonzero(self.codec.slots_of([*self.frames_of_id]) != NOBODY))
 
     @property
     def why_wrong(self) -> str:

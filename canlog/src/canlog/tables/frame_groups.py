@@ -213,8 +213,8 @@ class LongRows:
     def _known(self, transfers: Sequence[Transfer]) -> list[tuple[int, Transfer]]:
         """Return the messages that the database calls longer than a frame, with their slots."""
         found = []
-        for one in transfers:
-            slot = self._codec.slot_of(one.can_id)
+        slots = self._codec.slots_of([one.can_id for one in transfers])
+        for one, slot in zip(transfers, slots.tolist(), strict=True):
             if slot != NOBODY and self._lengths[slot]:
                 found.append((slot, one))
                 self.counts_of[slot] = self.counts_of.get(slot, 0) + 1
