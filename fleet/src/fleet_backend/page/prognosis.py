@@ -242,7 +242,7 @@ def due_of(now: ClutchNow, row: Row | None, today: date) -> Due:
     is_overdue, first = days_of(now, row, today)
     is_now, a_day_m = now.action == Action.CHANGE_NOW, told["distance_a_day_m"]
     half, most = (today if is_now else told[name] for name in ("half_by", "most_by"))
-    left_m = None if half is None or a_day_m is None else (half - now.end_at.date()).days * a_day_m
+    left_m = None if half is None or a_day_m is None else max((half - now.end_at.date()).days, 0) * a_day_m
     return Due(
         vehicle=now.vehicle,
         clutch=now.clutch,

@@ -5,6 +5,7 @@ from datetime import datetime, timedelta
 
 from fleet_backend.errors import DatabaseAwayError
 from fleet_backend.page.fleet import Keeper
+from fleet_backend.page.prognosis import due_of
 from fleet_backend.page.queries import DatabaseSource
 from fleet_backend.page.records import ClutchNow
 from fleet_backend.queries import PresentFluid, Row
@@ -61,6 +62,12 @@ def test_it_is_counted_who_is_due_silent_or_has_an_alarm() -> None:
     keeper.refresh()
     shown = keeper.snapshot
     assert [set(one) for one in (shown.due, shown.silent, shown.alarmed)] == [{"a"}, {"b"}, {"a"}]
+
+
+def test_a_fluid_past_its_day_has_no_kilometres_left_and_not_less() -> None:
+    late, today = clutch_now("a"), NOW.date()
+    days = {"due_from": None, "half_by": late.end_at.date() - timedelta(days=9), "most_by": today}
+    assert due_of(late, {**days, "distance_a_day_m": 4e4, "outlook": ""}, today).left_m == 0.0
 
 
 def test_only_vehicles_with_news_are_read_again() -> None:
