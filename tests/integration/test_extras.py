@@ -97,7 +97,7 @@ for wanted in (
 ):
     try:
         wanted()
-    except (diag_service.ExtraMissingError, ecu_emulator.ExtraMissingError) as error:
+    except (diag_service.ExtraMissingError, ecu_emulator.LogFormatExtraError) as error:
         print(str(error).rpartition("pip install ")[2])
 """
     told = plain.run("-c", program, cwd=tmp_path)

@@ -19,6 +19,8 @@ EXAMPLE = ROOT / "examples" / "gateway"
 # One interpreter for all runs, which saves most of their cost; the gateway itself is a process each time.
 RUNS = """
 import contextlib, io, json, os, sys
+from clutchdiag_io.starting import choose_kernel_cache
+choose_kernel_cache()  # what the image has compiled
 sys.modules.setdefault("asammdf", None)  # python-can loads it where it is installed, and that pandas
 import pytest
 quick = "test_gateway.py::test_every_frame_comes_out_as_it_went_in"

@@ -23,9 +23,10 @@ def pytest_report_header(config: pytest.Config) -> str | None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Shuffle what is left when the marks have chosen."""
+    """Shuffle what is left when the marks have chosen; without a number what takes longest begins first."""
     number = config.getoption("order_seed")
     if number is None:
+        items.sort(key=lambda item: "image" not in getattr(item, "fixturenames", ()))
         return
     files = defaultdict(list)
     for item in items:
