@@ -130,7 +130,7 @@ def test_a_change_comes_from_a_form_of_our_own_and_is_audited(site: httpx.Client
     engine = open_database(database)
     with transaction(engine) as connection:
         (alarm,) = connection.execute(select(ALARM).where(ALARM.c.acknowledged_at.is_not(None))).all()
-        (entry,) = connection.execute(select(AUDIT)).all()
+        (entry,) = connection.execute(select(AUDIT).where(~AUDIT.c.action.contains("fluid fill"))).all()
     engine.dispose()
     assert (alarm.acknowledged_by, alarm.note, entry.who, entry.role) == ("ann", MARKUP, "ann", "workshop")
     for path in (done.headers["location"], "/alarms?state=all"):
