@@ -28,7 +28,7 @@ PARAMETERS = ("mu_c", "mu_s")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Case:
+class AccuracyCase:
     """One drive to make and to analyse."""
 
     scenario: str
@@ -39,7 +39,7 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class AccuracyRow:
     """One clutch after one drive (``scope`` running) or after one shift (``scope`` shift)."""
 
     fluid: str
@@ -66,7 +66,7 @@ def exactly_known() -> Calibration:
     return replace(nominal, uncertainty=certain, bias=SensorBias())
 
 
-def analyse(case: Case) -> list[Row]:
+def analyse(case: AccuracyCase) -> list[AccuracyRow]:
     """Make one drive, analyse it, and return its rows."""
     scenario = load_scenario(case.scenario)
     scenario = replace(
@@ -75,8 +75,8 @@ def analyse(case: Case) -> list[Row]:
     diagnoses, truth = diagnose(scenario, exactly_known() if case.are_nuisances_known else None)
     true = {1: (truth.drive.mu_c[0], truth.drive.mu_s[0]), 2: (truth.drive.mu_c[1], truth.drive.mu_s[1])}
 
-    def row(scope: str, clutch: int, friction: FrictionEstimate, ratio: float, *, is_upshift: bool) -> Row:
-        return Row(
+    def row(scope: str, clutch: int, friction: FrictionEstimate, ratio: float, *, is_upshift: bool) -> AccuracyRow:
+        return AccuracyRow(
             fluid=case.fluid,
             seed=case.seed,
             scope=scope,
@@ -111,7 +111,7 @@ def analyse(case: Case) -> list[Row]:
     return rows
 
 
-def table(rows: list[Row], scope: str) -> Iterator[str]:
+def table(rows: list[AccuracyRow], scope: str) -> Iterator[str]:
     """Yield the lines of the accuracy table, percent of the true value."""
     yield (
         f"{'fluid':8} {'':4} {'clutch':6} {'n':>5} {'bias %':>8} {'RMS %':>8} {'random std %':>13} {'in 2 std %':>11} "
@@ -161,7 +161,7 @@ def main() -> int:
     )
     arguments = parsed(parser, seeds=3)
     cases = [
-        Case(
+        AccuracyCase(
             scenario=arguments.scenario,
             fluid=fluid,
             seed=arguments.seed + k,

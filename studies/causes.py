@@ -74,7 +74,7 @@ SIGNATURES: Final = Path(diag_service.__file__).with_name("diagnosis") / "condit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Life:
+class CauseLife:
     """One car and what becomes of it."""
 
     seed: int
@@ -84,15 +84,15 @@ class Life:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lived:
+class CauseLived:
     """What the service has seen and said at its end."""
 
-    life: Life
+    life: CauseLife
     truths: tuple[tuple[str, int | None, float], ...]  # cause, clutch, and which way
     moments: tuple[VehicleCourse, ...]  # sound and grown, of the last one all events
 
 
-def scenario_of(life: Life, drive: int, share: float, rng: np.random.Generator) -> Scenario:
+def scenario_of(life: CauseLife, drive: int, share: float, rng: np.random.Generator) -> Scenario:
     """Return one drive of a life."""
     oil_k = float(rng.uniform(343.0, 373.0))
     causes = tuple(Degradation(kind=kind, strength=life.strength * share) for kind in life.kinds if share > 0.0)
@@ -107,7 +107,7 @@ def scenario_of(life: Life, drive: int, share: float, rng: np.random.Generator) 
     )
 
 
-def lived(life: Life) -> list[Lived]:
+def lived(life: CauseLife) -> list[CauseLived]:
     """Drive a life and have it diagnosed."""
     rng = np.random.default_rng(life.seed)
     stages = new_stages()
@@ -131,10 +131,10 @@ def lived(life: Life) -> list[Lived]:
         (one.kind, one.clutch, 1.0 if next(iter(one.changes.values())) > 1.0 else -1.0)
         for one in build_vehicle(scenario).causes
     )
-    return [Lived(life=life, truths=truths, moments=tuple(moments))]
+    return [CauseLived(life=life, truths=truths, moments=tuple(moments))]
 
 
-def fitted(lives: Sequence[Lived]) -> dict[str, Any]:
+def fitted(lives: Sequence[CauseLived]) -> dict[str, Any]:
     """Return floors and signatures by lives: moments, less what the stated deviations explain."""
     words = {name: value for name, value in described().items() if name not in {"floor", "moves"}}
     words["cause"] = {kind: told for kind, told in words["cause"].items() if "opposite_of" not in told}
@@ -196,16 +196,16 @@ def _rounded(value: float) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class CauseOutcome:
     """What was stated of one life."""
 
-    life: Life
+    life: CauseLife
     truths: frozenset[tuple[str, int | None]]
     stated: tuple[tuple[str, int | None, float], ...]  # the likeliest first
     accused: bool  # at any moment something else than sound was likelier than not
 
     @classmethod
-    def of(cls, one: Lived, judge: CauseJudge) -> "Outcome":
+    def of(cls, one: CauseLived, judge: CauseJudge) -> "CauseOutcome":
         """Return what the service states of a life; where a clutch is not told, the truth does not tell it either."""
         found = [judge.judge(course) if course.now.count >= LEAST_COUNT else None for course in one.moments]
         with_clutch = {kind for kind, told in described()["cause"].items() if told["is_of_one_clutch"]}
@@ -236,7 +236,7 @@ class Outcome:
         return probability >= SURE and (cause, clutch) not in (self.truths or {(nothing, None)})
 
 
-def reliability(outcomes: Sequence[Outcome]) -> tuple[Table, float]:
+def reliability(outcomes: Sequence[CauseOutcome]) -> tuple[Table, float]:
     """Return stated probabilities against how often they come true, and the mean distance of both."""
     table = Table("stated", "count", "mean", "true", title="Stated probabilities")
     pairs = [
@@ -255,10 +255,10 @@ def reliability(outcomes: Sequence[Outcome]) -> tuple[Table, float]:
     return table, error
 
 
-def confusion(outcomes: Sequence[Outcome]) -> Table:
+def confusion(outcomes: Sequence[CauseOutcome]) -> Table:
     """Return by cause how many lives were told right, and what the others were taken for."""
     table = Table("cause", "lives", "first", "first two", "sure", "sure and wrong", "taken for", title="By cause")
-    kinds: dict[str, list[Outcome]] = defaultdict(list)
+    kinds: dict[str, list[CauseOutcome]] = defaultdict(list)
     for one in outcomes:
         kinds[
             " + ".join(sorted(kind for kind, _ in one.truths)) or ("unknown" if one.life.unknown is not None else SOUND)
@@ -280,34 +280,34 @@ def confusion(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def group_of(life: Life) -> str:
+def group_of(life: CauseLife) -> str:
     """Return what a life is judged with."""
     return "unknown" if life.unknown is not None else (SOUND, "single", "pairs")[len(life.kinds)]
 
 
-def lives_to_judge(count: int, seed: int) -> Iterator[Life]:
+def lives_to_judge(count: int, seed: int) -> Iterator[CauseLife]:
     """Yield as many lives of each cause, of sound cars, pairs and what is unknown twice as many, in turns."""
     for turn in range(count):
         for place, kinds in enumerate((*((kind,) for kind in TOLD), (), ())):
-            yield Life(seed=seed + turn * (len(TOLD) + 2) + place, kinds=kinds)
+            yield CauseLife(seed=seed + turn * (len(TOLD) + 2) + place, kinds=kinds)
         for number in (2 * turn, 2 * turn + 1):
-            yield Life(seed=seed + 5_000 + number, kinds=PAIRED[number % len(PAIRED)])
-            yield Life(seed=seed + 8_000 + number, unknown=number % len(UNKNOWN))
+            yield CauseLife(seed=seed + 5_000 + number, kinds=PAIRED[number % len(PAIRED)])
+            yield CauseLife(seed=seed + 8_000 + number, unknown=number % len(UNKNOWN))
 
 
-def lives_to_fit(count: int, seed: int) -> Iterator[Life]:
+def lives_to_fit(count: int, seed: int) -> Iterator[CauseLife]:
     """Yield lives with strengths drawn wider than those that are judged, and sound ones."""
     rng = np.random.default_rng(seed)
     for number in range(count * (len(TOLD) + 2)):
         place = number % (len(TOLD) + 2)
         kinds = (TOLD[place],) if place < len(TOLD) else ()
-        yield Life(seed=seed + number, kinds=kinds, strength=float(rng.uniform(*FIT_STRENGTHS)))
+        yield CauseLife(seed=seed + number, kinds=kinds, strength=float(rng.uniform(*FIT_STRENGTHS)))
 
 
-def judged(found: Sequence[Lived], console: Console) -> bool:
+def judged(found: Sequence[CauseLived], console: Console) -> bool:
     """Print all tables; return whether everything that is asked for was reached."""
     judge = CauseJudge(nominal_calibration())
-    outcomes = [Outcome.of(one, judge) for one in found]
+    outcomes = [CauseOutcome.of(one, judge) for one in found]
     console.print(confusion(outcomes))
     single, sound, pairs, unknown = ([one for one in outcomes if group_of(one.life) == group] for group in GROUPS)
     reached = [

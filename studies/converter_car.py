@@ -93,7 +93,7 @@ class _Laws(NamedTuple):
     firing_nm: float
 
 
-class Driven(NamedTuple):
+class DrivenCar(NamedTuple):
     """What a drive was: what the bus has of it, and what nobody is told."""
 
     columns: dict[Signal, Series]
@@ -104,7 +104,7 @@ class Driven(NamedTuple):
 
 def drive(
     car: ConverterCar, rng: np.random.Generator, minutes: float, calibration: Calibration | None = None
-) -> Driven:
+) -> DrivenCar:
     """Return a mixed drive: town and country, cold at first."""
     calibration = calibration or shipped_calibration("lockup")
     converter, clutch, noise = calibration.converter, calibration.clutches[0], calibration.noise
@@ -158,7 +158,7 @@ def drive(
     columns[Signal.SUMP_TEMPERATURE] = _series(t_ns[::100], np.round(oil_k[::1000]), 1000)
     slip = engine - turbine_speed
     slips = (mode >= 1.0) & (slip > 0.5)
-    return Driven(columns=columns, slips=slips, slip_rad_s=slip, true_shudder_s=_shudder_s(slip, mode == 2.0))
+    return DrivenCar(columns=columns, slips=slips, slip_rad_s=slip, true_shudder_s=_shudder_s(slip, mode == 2.0))
 
 
 def _shudder_s(slip_rad_s: FloatArray, holds: BoolArray) -> float:

@@ -74,7 +74,7 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Look:
+class DriveLook:
     """What is known of the friction of one clutch at one moment; (mu_C, mu_S) each, in percent of the truth."""
 
     moment: int  # events used, END: all
@@ -87,10 +87,10 @@ class Look:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class DriveOutcome:
     """One drive: looks at the running estimate, what became of the events, and the verdicts."""
 
-    looks: tuple[Look, ...]
+    looks: tuple[DriveLook, ...]
     statuses: Counter[tuple[str, str, str]]  # kind, status, reasons
     alone: tuple[tuple[str, FloatArray, FloatArray], ...]  # kind, scale-free errors and deviations of single events
     wrong_verdicts: tuple[str, ...]  # at any moment: of which clutch, after how many of its events, why
@@ -115,7 +115,7 @@ def scenario_of(case: Case) -> tuple[Scenario, Vehicle | None]:
     return in_oil(base, case.oil_degc), vehicle
 
 
-def driven(case: Case) -> list[Outcome]:
+def driven(case: Case) -> list[DriveOutcome]:
     """Drive and diagnose."""
     scenario, vehicle = scenario_of(case)
     drive = Drive(scenario, planned=iter([planned(case.trace)]))
@@ -153,12 +153,12 @@ def known_vehicle(calibration: Calibration) -> Calibration:
     )
 
 
-def outcome_of(diagnoses: Sequence[Diagnosis], true: FloatArray, vehicle: Vehicle | None, fluid: str) -> Outcome:
+def outcome_of(diagnoses: Sequence[Diagnosis], true: FloatArray, vehicle: Vehicle | None, fluid: str) -> DriveOutcome:
     """Return what the diagnoses of one drive say; ``true`` are ``(mu_c, mu_s)`` of each clutch."""
     shown = true.copy()
     if vehicle is not None:
         shown *= vehicle.torque_gain * (1.0 + np.array(vehicle.area_ratios))[:, None]
-    looks: list[Look] = []
+    looks: list[DriveLook] = []
     alone = []
     used_count = 0
     for diagnosis in diagnoses:
@@ -171,7 +171,7 @@ def outcome_of(diagnoses: Sequence[Diagnosis], true: FloatArray, vehicle: Vehicl
         if estimate.scale_free is not None:
             alone.append((estimate.kind.value, *_error(estimate.scale_free, shown[estimate.clutch - 1])))
     looks += _looks(END, diagnoses[-1].belief.posterior, 0.0, true, shown)
-    return Outcome(
+    return DriveOutcome(
         looks=tuple(looks),
         statuses=Counter(
             (one.estimate.kind.value, one.estimate.status.value, ", ".join(one.estimate.reasons)) for one in diagnoses
@@ -197,13 +197,13 @@ def _final_verdicts(diagnoses: Sequence[Diagnosis]) -> tuple[str, ...]:
     return tuple(last[clutch] for clutch in sorted(last))
 
 
-def _looks(moment: int, state: Posterior, oil_degc: float, true: FloatArray, shown: FloatArray) -> Iterator[Look]:
+def _looks(moment: int, state: Posterior, oil_degc: float, true: FloatArray, shown: FloatArray) -> Iterator[DriveLook]:
     for clutch in (1, 2):
         if not state.shift_counts[clutch - 1]:
             continue
         absolute, absolute_std = _error(friction(state, clutch), true[clutch - 1])
         free, free_std = _error(scale_free(state, clutch), shown[clutch - 1])
-        yield Look(
+        yield DriveLook(
             moment=moment,
             clutch=clutch,
             oil_degc=oil_degc,
@@ -231,7 +231,7 @@ def coverage(errors: FloatArray, stds: FloatArray) -> str:
     return f"{np.mean(distance < 2.0):.1%}" + (f" ({far} beyond 4)" if far else "")
 
 
-def moments_table(outcomes: Sequence[Outcome]) -> Table:
+def moments_table(outcomes: Sequence[DriveOutcome]) -> Table:
     """Return errors and coverage as events come."""
     table = Table(
         "events used", "estimates", "absolute mu_C", "mu_S", "stated", "within 2 std", "scale-free mu_C", "mu_S",
@@ -252,7 +252,7 @@ def moments_table(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def kinds_table(outcomes: Sequence[Outcome]) -> Table:
+def kinds_table(outcomes: Sequence[DriveOutcome]) -> Table:
     """Return what single events say, and what became of them."""
     table = Table(
         "kind", "events", "used", "left out", "mu_C", "mu_S", "stated", "within 2 std", "why not",
@@ -276,13 +276,13 @@ def kinds_table(outcomes: Sequence[Outcome]) -> Table:
     return table
 
 
-def bands_table(outcomes: Sequence[Outcome]) -> Table:
+def bands_table(outcomes: Sequence[DriveOutcome]) -> Table:
     """Return the coverage by temperature of the oil."""
     table = Table(
         "oil, degC", "estimates", "absolute, within 2 std", "scale-free, within 2 std", title="By temperature"
     )
     looks = [look for outcome in outcomes for look in outcome.looks if look.moment != END]
-    by_band: dict[int, list[Look]] = {}
+    by_band: dict[int, list[DriveLook]] = {}
     for look in looks:
         by_band.setdefault(int(look.oil_degc // BAND_K), []).append(look)
     for band, some in sorted(by_band.items()):

@@ -61,7 +61,7 @@ _BROKER_LINES: Final = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class StormPlan:
     """What is produced, and how often what is killed."""
 
     edges: int = 4
@@ -81,7 +81,7 @@ class Plan:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Account:
+class StormAccount:
     """What the storm left."""
 
     planned: int
@@ -97,7 +97,7 @@ class Account:
 class Storm:
     """All parts of a fleet as processes of one folder."""
 
-    def __init__(self, folder: Path, database: str, plan: Plan) -> None:
+    def __init__(self, folder: Path, database: str, plan: StormPlan) -> None:
         self._folder = folder
         self._database = database
         self._plan = plan
@@ -113,7 +113,7 @@ class Storm:
         self._turn = {"worker": 0, "edge": 0}
         self._kills = {"broker": 0, "worker": 0, "edge": 0}
 
-    def run(self) -> Account:
+    def run(self) -> StormAccount:
         """Start everything, kill it for a while, wait for calm, and count."""
         engine = open_database(self._database)
         with ExitStack() as stack:
@@ -180,7 +180,7 @@ class Storm:
             time.sleep(_LOOK_S)
         return None
 
-    def _account(self, engine: Engine, drained_s: float | None) -> Account:
+    def _account(self, engine: Engine, drained_s: float | None) -> StormAccount:
         plan = self._plan
         for child in self._children.values():
             child.kill()
@@ -188,7 +188,7 @@ class Storm:
         stored = _keys(engine)
         expected, waiting, lost = self._expected(stored)
         found = table_hash(engine)
-        return Account(
+        return StormAccount(
             planned=plan.edges * plan.results_per_edge,
             made=expected.row_count,
             stored=found.row_count,
@@ -252,7 +252,7 @@ def _keys(engine: Engine) -> set[Key]:
         return {(row.vehicle, row.stream, row.seq) for row in connection.execute(select(*columns))}
 
 
-def told(title: str, account: Account) -> str:
+def told(title: str, account: StormAccount) -> str:
     kills = ", ".join(f"{part} {count}" for part, count in account.kills.items())
     drained = (
         "NOT EMPTY IN TIME" if account.drained_s is None else f"empty {account.drained_s:.1f} s after the last kill"
@@ -265,20 +265,22 @@ def told(title: str, account: Account) -> str:
     )
 
 
-def is_met(account: Account) -> bool:
+def is_met(account: StormAccount) -> bool:
     """Return whether everything planned is in the database, once, and every outbox is empty in time."""
     return account.is_equal and account.stored == account.planned and account.drained_s is not None
 
 
 def main() -> int:
     parser = study_parser(__doc__, is_parallel=False)
-    parser.add_argument("--results", type=int, default=Plan().results_per_edge, help="per vehicle")
-    parser.add_argument("--seconds", type=float, default=Plan().storm_s, help="of the storm")
-    parser.add_argument("--calm", type=float, default=Plan().calm_s, help="seconds in which outboxes must be empty")
+    parser.add_argument("--results", type=int, default=StormPlan().results_per_edge, help="per vehicle")
+    parser.add_argument("--seconds", type=float, default=StormPlan().storm_s, help="of the storm")
+    parser.add_argument(
+        "--calm", type=float, default=StormPlan().calm_s, help="seconds in which outboxes must be empty"
+    )
     parser.add_argument("--disk", type=BrokerDisk, choices=list(BrokerDisk), help="only this one")
     parser.add_argument("--broker", choices=["mosquitto", "nats"], default="mosquitto")
     options = parsed(parser, results=500, seconds=20.0, disk=BrokerDisk.DELETED)
-    plan = Plan(results_per_edge=options.results, storm_s=options.seconds, calm_s=options.calm)
+    plan = StormPlan(results_per_edge=options.results, storm_s=options.seconds, calm_s=options.calm)
     is_nats = options.broker == "nats"
     if is_nats:
         options.disk = BrokerDisk.SAVED

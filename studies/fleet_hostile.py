@@ -281,7 +281,7 @@ async def deliver(certificates: Path, port: int, names: Sequence[str], seqs: Ite
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class AttackOutcome:
     """What came of an attack."""
 
     usual_s: float  # that the same results take without it
@@ -324,7 +324,7 @@ TRACES = {
 
 async def attack(
     folder: Path, kind: str, names: Sequence[str], shifts: int, topic_count: int = TOPICS, part_count: int = PARTS
-) -> Outcome:
+) -> AttackOutcome:
     """Let vehicles deliver, then once more under attack of one of their own kind."""
     certificates = certify(folder / "certificates", "broker", *names, BAD, "fleet-backend")
     url = f"sqlite:///{folder}/fleet.sqlite"
@@ -366,7 +366,7 @@ async def attack(
         await hostile.close()
         stored_count = queries.result_count(engine)
     (log,) = place.glob("*.log")
-    return Outcome(
+    return AttackOutcome(
         usual_s=usual_s,
         took_s=took_s,
         stored_count=stored_count,

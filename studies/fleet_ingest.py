@@ -118,7 +118,7 @@ def messages(first: int, count: int) -> list[bytes]:
     return made
 
 
-class Load:
+class IngestLoad:
     """A load that costs next to nothing: packets made beforehand, a window of results without the backend's word.
 
     A client library would take more of the two cores to publish than the worker under test; it hears the words.
@@ -203,7 +203,7 @@ def measure(count: int, rounds: int, worker_count: int) -> None:
         migrate(engine)
         port = stack.enter_context(mosquitto(folder, BROKER_LINES))
         stack.enter_context(workers(f"mqtt://127.0.0.1:{port}", database, worker_count, OPTIONS))
-        load = Load(port, [f"car{number}" for number in range(VEHICLES)])
+        load = IngestLoad(port, [f"car{number}" for number in range(VEHICLES)])
         stack.callback(load.close)
         rates: list[float] = []
         busy_s: dict[str, float] = {}

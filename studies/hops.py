@@ -62,7 +62,7 @@ def record(path: Path, cycles: int) -> None:
 
 
 @dataclass(slots=True)
-class Trip:
+class EventTrip:
     """The calls that counted, in the order in which they ended."""
 
     hops: dict[CodeType, str] = field(default_factory=dict)  # code -> module
@@ -102,7 +102,7 @@ def carries(value: object) -> bool:
 
 
 @contextmanager
-def watched(trip: Trip) -> Iterator[None]:
+def watched(trip: EventTrip) -> Iterator[None]:
     """Let a trip watch all threads."""
     watch: Callable[[FrameType, str, Any], None] = trip.watch
     threading.setprofile(watch)
@@ -127,9 +127,9 @@ async def delivered(outbox: Outbox, count: int) -> None:
         await asyncio.sleep(0.01)
 
 
-async def trip_of_a_shift(log: Path, port: int) -> tuple[Trip, Counter[Call]]:
+async def trip_of_a_shift(log: Path, port: int) -> tuple[EventTrip, Counter[Call]]:
     """Return the trip of the second shift of a log, and its calls until it was stored; the first one compiles."""
-    trip = Trip()
+    trip = EventTrip()
     with closing(ResultStore.in_memory()) as store:
         session = new_session(store)
         connector = MqttConnector(BrokerAddress(host="127.0.0.1", port=port), "clutchdiag-hops")
@@ -148,11 +148,11 @@ async def trip_of_a_shift(log: Path, port: int) -> tuple[Trip, Counter[Call]]:
     return trip, stored
 
 
-def trip_of_decoding(log: Path, table: Path) -> Trip:
+def trip_of_decoding(log: Path, table: Path) -> EventTrip:
     """Return the trip of a log that becomes a table, a second time: what is compiled or kept then is."""
     words = ["decode", str(log), "-o", str(table), "--force"]
     command_line(words)
-    trip = Trip()
+    trip = EventTrip()
     with watched(trip):
         command_line(words)
     return trip

@@ -50,7 +50,7 @@ SHUDDERS_S: Final = 5.0  # of swings beyond half of the slip: less is neither tr
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Case:
+class LockupCase:
     """One drive of one vehicle."""
 
     seed: int
@@ -60,7 +60,7 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Look:
+class LockupLook:
     """What is known at one moment; errors and deviations in percent of the truth, of the slope in 1e-3 s/rad."""
 
     moment_s: float
@@ -71,18 +71,18 @@ class Look:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class LockupOutcome:
     """One drive."""
 
-    case: Case
-    looks: tuple[Look, ...]
+    case: LockupCase
+    looks: tuple[LockupLook, ...]
     wrong: tuple[str, ...]
     final: str
     shudder_s: float  # true
     is_seen: bool
 
 
-def emulated(case: Case) -> list[Outcome]:
+def emulated(case: LockupCase) -> list[LockupOutcome]:
     """Drive the emulated car along a UDDS, and diagnose its frames."""
     base, calibration = load_scenario("lockup"), shipped_calibration("lockup")
     scatter = replace(base.scatter, torque_gain_ratio=calibration.uncertainty.torque_gain_ratio)
@@ -108,7 +108,7 @@ def emulated(case: Case) -> list[Outcome]:
     return [outcome_of(case, car, calibration, told, shudder_s, is_seen=is_seen)]
 
 
-def driven(case: Case) -> list[Outcome]:
+def driven(case: LockupCase) -> list[LockupOutcome]:
     """Drive and diagnose."""
     if case.is_emulated:
         return emulated(case)
@@ -130,16 +130,16 @@ def driven(case: Case) -> list[Outcome]:
 
 
 def outcome_of(
-    case: Case,
+    case: LockupCase,
     car: ConverterCar,
     calibration: Calibration,
     told: Sequence[tuple[LockupState, ClutchVerdict]],
     shudder_s: float,
     *,
     is_seen: bool,
-) -> Outcome:
+) -> LockupOutcome:
     """Return what states and verdicts of one drive are worth."""
-    looks, wrong, waiting, final = list[Look](), list[str](), list(MOMENTS_S), Condition.NO_VERDICT
+    looks, wrong, waiting, final = list[LockupLook](), list[str](), list(MOMENTS_S), Condition.NO_VERDICT
     for state, verdict in told:
         final = verdict.condition
         if is_wrong(verdict.condition, car, calibration):
@@ -148,7 +148,7 @@ def outcome_of(
             looks.append(look(waiting.pop(0), state.micro_slip(None), car))
     if told and told[-1][0].shift_count:
         looks.append(look(END, told[-1][0].micro_slip(None), car))
-    return Outcome(
+    return LockupOutcome(
         case=case,
         looks=tuple(looks),
         wrong=tuple(wrong),
@@ -169,12 +169,12 @@ def is_wrong(condition: Condition, car: ConverterCar, calibration: Calibration) 
     return condition is Condition.GOOD and (margin < WATCH_MARGIN_RATIO or level < WATCH_LEVEL_RATIO)
 
 
-def look(moment_s: float, found: MicroSlip, car: ConverterCar) -> Look:
+def look(moment_s: float, found: MicroSlip, car: ConverterCar) -> LockupLook:
     true = car.friction_at(MICRO_SLIP_RAD_S)
     shown = true * car.torque_gain * car.area_ratio
     share = float(np.exp(-MICRO_SLIP_RAD_S / car.stribeck_speed_rad_s))
     slope = (car.mu_c - car.mu_s) / car.stribeck_speed_rad_s * share
-    return Look(
+    return LockupLook(
         moment_s=moment_s,
         absolute=(100.0 * (found.mu / true - 1.0), 100.0 * found.std_mu / true),
         free=(100.0 * (found.scale_free_mu / shown - 1.0), 100.0 * found.std_scale_free_mu / shown),
@@ -183,7 +183,7 @@ def look(moment_s: float, found: MicroSlip, car: ConverterCar) -> Look:
     )
 
 
-def table_of(outcomes: Sequence[Outcome], title: str) -> Table:
+def table_of(outcomes: Sequence[LockupOutcome], title: str) -> Table:
     """Return errors, coverage and signs as slip goes on."""
     table = Table(
         "slip, s", "drives", "mu at 40 rpm, RMS %", "stated", "within 2 std", "scale-free", "stated", "within 2 std",
@@ -201,7 +201,7 @@ def table_of(outcomes: Sequence[Outcome], title: str) -> Table:
     return table
 
 
-def lines(outcomes: Sequence[Outcome]) -> Iterator[str]:
+def lines(outcomes: Sequence[LockupOutcome]) -> Iterator[str]:
     """Yield what verdicts and shudder were."""
     for (fluid, final), count in sorted(Counter((one.case.fluid, one.final) for one in outcomes).items()):
         yield f"{fluid}: {count} drives end with {final}"
@@ -223,7 +223,7 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--emulator", action="store_true", help="the emulated car along a UDDS, frames and all")
     options = parsed(parser, vehicles=5)
-    case = partial(Case, minutes=options.minutes, is_emulated=options.emulator)
+    case = partial(LockupCase, minutes=options.minutes, is_emulated=options.emulator)
     seeds = range(options.seed, options.seed + options.vehicles)
     cases = [case(seed=seed, fluid=fluid) for seed in seeds for fluid in FLUIDS]
     outcomes = over_drives(driven, cases, options.workers, options.kept)

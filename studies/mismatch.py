@@ -28,7 +28,7 @@ from ecu_emulator.scenario.scenario_file import load_scenario
 from studies.builders import FLUIDS, diagnose
 from studies.drive_accuracy import END, MOMENTS, WRONG
 from studies.drive_accuracy import Case as RoadCase
-from studies.drive_accuracy import Outcome as RoadOutcome
+from studies.drive_accuracy import DriveOutcome as RoadOutcome
 from studies.drive_accuracy import driven as driven_road
 from studies.mismatch_rows import BY_NAME, ROWS, Mismatch
 from studies.run import over_drives, parsed, percent, root_mean_square, study_parser
@@ -47,7 +47,7 @@ DRIVES: Final = (("udds", 80.0), ("us06", 80.0), ("wltc", 20.0), ("us06", 0.0), 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Case:
+class MismatchCase:
     """One drive with one effect."""
 
     row: str
@@ -57,7 +57,7 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class MismatchOutcome:
     """What one drive says of one parameter of one clutch."""
 
     row: str
@@ -70,7 +70,7 @@ class Outcome:
     is_wrong: bool  # the verdict on the clutch at the end
 
 
-def scenario_of(case: Case) -> Scenario:
+def scenario_of(case: MismatchCase) -> Scenario:
     """Return the drive of a case."""
     plain = load_scenario(case.scenario)
     fluid = replace(plain.fluid, condition=case.fluid)
@@ -82,7 +82,7 @@ def is_used(diagnosis: Diagnosis) -> bool:
     return diagnosis.estimate.status is Status.VALID and not diagnosis.estimate.reasons
 
 
-def outcomes(case: Case) -> list[Outcome]:
+def outcomes(case: MismatchCase) -> list[MismatchOutcome]:
     """Make one drive and compare its running estimate with the truth at the temperature for which it is stated."""
     diagnoses, truth = diagnose(scenario_of(case))
     used = sum(map(is_used, diagnoses)) / (CYCLES * SHIFTS_PER_CYCLE)
@@ -92,9 +92,9 @@ def outcomes(case: Case) -> list[Outcome]:
 
     final = {one.verdict.clutch: one.verdict.condition for one in diagnoses}
 
-    def outcome(parameter: str, clutch: int, friction: FrictionEstimate) -> Outcome:
+    def outcome(parameter: str, clutch: int, friction: FrictionEstimate) -> MismatchOutcome:
         mu = true[parameter][clutch - 1] * fade
-        return Outcome(
+        return MismatchOutcome(
             row=case.row,
             scenario=case.scenario,
             parameter=parameter,
@@ -109,10 +109,10 @@ def outcomes(case: Case) -> list[Outcome]:
     return [outcome(name, clutch, friction_of(state, clutch)) for name in PARAMETERS for clutch in (1, 2)]
 
 
-def cases_of(rows: Sequence[Mismatch], seeds: int, first_seed: int) -> list[Case]:
+def cases_of(rows: Sequence[Mismatch], seeds: int, first_seed: int) -> list[MismatchCase]:
     """Return all drives: every row and scenario over the same seeds."""
     return [
-        Case(row=row.name, scenario=scenario, seed=first_seed + k, fluid=FLUIDS[k % len(FLUIDS)])
+        MismatchCase(row=row.name, scenario=scenario, seed=first_seed + k, fluid=FLUIDS[k % len(FLUIDS)])
         for row in rows
         for scenario in SCENARIOS
         for k in range(seeds)
@@ -120,7 +120,7 @@ def cases_of(rows: Sequence[Mismatch], seeds: int, first_seed: int) -> list[Case
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Line:
+class MismatchLine:
     """The figures of one row."""
 
     name: str
@@ -138,7 +138,7 @@ class Line:
         return min(self.total_coverage) >= LEAST_COVERAGE
 
 
-def line_of(name: str, results: Sequence[Outcome]) -> Line:
+def line_of(name: str, results: Sequence[MismatchOutcome]) -> MismatchLine:
     """Return the figures of one row from the outcomes of its drives."""
     own = [one for one in results if one.row == name]
 
@@ -152,7 +152,7 @@ def line_of(name: str, results: Sequence[Outcome]) -> Line:
     plain = [errors(NOISE_ONLY, parameter) for parameter in PARAMETERS]
     scattered = [errors(SCATTERED, parameter) for parameter in PARAMETERS]
     quiet = [one for one in own if one.scenario == NOISE_ONLY]
-    return Line(
+    return MismatchLine(
         name=name,
         bias_percent=(100.0 * float(np.mean(plain[0])), 100.0 * float(np.mean(plain[1]))),
         rms_percent=(100.0 * root_mean_square(plain[0]), 100.0 * root_mean_square(plain[1])),
@@ -164,7 +164,7 @@ def line_of(name: str, results: Sequence[Outcome]) -> Line:
     )
 
 
-def table(lines: Sequence[Line]) -> Iterator[str]:
+def table(lines: Sequence[MismatchLine]) -> Iterator[str]:
     """Yield the Markdown table; a row whose interval does not hold is set in bold."""
     yield (
         "| effect | bias mu_C, mu_S % | RMS mu_C, mu_S % | in 2 random std % | with scatter: RMS mu_C, mu_S % "
@@ -182,7 +182,7 @@ def table(lines: Sequence[Line]) -> Iterator[str]:
         )
 
 
-def failures(lines: Sequence[Line]) -> Iterator[str]:
+def failures(lines: Sequence[MismatchLine]) -> Iterator[str]:
     """Yield what is to be said of the rows whose interval does not hold."""
     failing = [line for line in lines if not line.holds]
     if not failing:
@@ -193,7 +193,7 @@ def failures(lines: Sequence[Line]) -> Iterator[str]:
         yield f"- **{line.name}**: {percent(worst)} % instead of 90 %. The way it acts: {BY_NAME[line.name].way}."
 
 
-def document(lines: Sequence[Line], seeds: int, first_seed: int, road: Sequence[str] = ()) -> str:
+def document(lines: Sequence[MismatchLine], seeds: int, first_seed: int, road: Sequence[str] = ()) -> str:
     """Return the whole page; ``road`` are lines about drives on the road."""
     source = (
         "Made by `make mismatch`; do not edit. The effects are defined in "

@@ -48,7 +48,7 @@ COLOURS: Mapping[Condition, str] = {
 CONDITIONS = tuple(COLOURS)
 
 
-class Axis(StrEnum):
+class CurveAxis(StrEnum):
     """What is varied."""
 
     SLOPE = "slope"  # mu_C - mu_S, at the nominal mu_C
@@ -75,37 +75,37 @@ DRAWN = tuple(LAST_SHIFT)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Case:
+class CurveCase:
     """One drive: a point of the curve and a vehicle."""
 
-    axis: Axis
+    axis: CurveAxis
     value: float
     seed: int
     cycles: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
+class CurveOutcome:
     """One verdict on one clutch."""
 
-    axis: Axis
+    axis: CurveAxis
     value: float
     horizon: Horizon
     condition: Condition
 
 
-Shares = Mapping[tuple[Axis, Horizon], Mapping[float, Mapping[Condition, int]]]
+Shares = Mapping[tuple[CurveAxis, Horizon], Mapping[float, Mapping[Condition, int]]]
 
 
-def friction_of(axis: Axis, value: float) -> tuple[float, float]:
+def friction_of(axis: CurveAxis, value: float) -> tuple[float, float]:
     """Return the true (mu_C, mu_S) of a point."""
     nominal = nominal_calibration().clutches[0].friction
-    if axis is Axis.SLOPE:
+    if axis is CurveAxis.SLOPE:
         return nominal.mu_c, nominal.mu_c - value
     return nominal.mu_c * value, nominal.mu_s * value
 
 
-def scenario_of(case: Case) -> Scenario:
+def scenario_of(case: CurveCase) -> Scenario:
     """Return the drive of a case: a scattered vehicle with the friction of its point."""
     mu_c, mu_s = friction_of(case.axis, case.value)
     friction = {
@@ -124,28 +124,30 @@ def verdict_at(diagnoses: Sequence[Diagnosis], clutch: int, horizon: Horizon) ->
     return reached[-1].verdict.condition if reached else Condition.NO_VERDICT
 
 
-def outcomes(case: Case) -> list[Outcome]:
+def outcomes(case: CurveCase) -> list[CurveOutcome]:
     """Make one drive and read its verdicts after each horizon that is its own."""
     diagnoses, _ = diagnose(scenario_of(case))
     is_long = case.cycles == LONG_CYCLES
     horizons = [horizon for horizon in Horizon if (horizon is Horizon.THIRTY_CYCLES) == is_long]
     return [
-        Outcome(axis=case.axis, value=case.value, horizon=horizon, condition=verdict_at(diagnoses, clutch, horizon))
+        CurveOutcome(
+            axis=case.axis, value=case.value, horizon=horizon, condition=verdict_at(diagnoses, clutch, horizon)
+        )
         for horizon in horizons
         for clutch in (1, 2)
     ]
 
 
-def cases_of(seeds: int, long_seeds: int, first_seed: int) -> list[Case]:
+def cases_of(seeds: int, long_seeds: int, first_seed: int) -> list[CurveCase]:
     """Return all drives, the long ones first; no seed comes twice."""
-    points = [(Axis.SLOPE, value) for value in SLOPES] + [(Axis.LEVEL, value) for value in LEVELS]
-    new_fluid = {(Axis.SLOPE, round(nominal_margin(), 6)), (Axis.LEVEL, 1.0)}
+    points = [(CurveAxis.SLOPE, value) for value in SLOPES] + [(CurveAxis.LEVEL, value) for value in LEVELS]
+    new_fluid = {(CurveAxis.SLOPE, round(nominal_margin(), 6)), (CurveAxis.LEVEL, 1.0)}
     planned = [(point, LONG_CYCLES) for point in points[::LONG_EVERY] for _ in range(long_seeds)]
     for point in points:
         count = seeds * (NEW_FLUID_WEIGHT if point in new_fluid else 1)
         planned += [(point, MEDIUM_CYCLES)] * count
     return [
-        Case(axis=axis, value=value, seed=first_seed + number, cycles=cycles)
+        CurveCase(axis=axis, value=value, seed=first_seed + number, cycles=cycles)
         for number, ((axis, value), cycles) in enumerate(planned)
     ]
 
@@ -156,9 +158,9 @@ def nominal_margin() -> float:
     return nominal.mu_c - nominal.mu_s
 
 
-def shares_of(results: Sequence[Outcome]) -> Shares:
+def shares_of(results: Sequence[CurveOutcome]) -> Shares:
     """Count the verdicts by axis, horizon, value and kind."""
-    shares: dict[tuple[Axis, Horizon], dict[float, dict[Condition, int]]] = {}
+    shares: dict[tuple[CurveAxis, Horizon], dict[float, dict[Condition, int]]] = {}
     for one in results:
         counts = shares.setdefault((one.axis, one.horizon), {}).setdefault(one.value, dict.fromkeys(CONDITIONS, 0))
         counts[one.condition] += 1
@@ -178,12 +180,12 @@ def cell(counts: Mapping[Condition, int] | None) -> str:
     return " / ".join(percent(counts[condition] / total) for condition in CONDITIONS) + f" ({total})"
 
 
-def table(shares: Shares, axis: Axis) -> Iterator[str]:
+def table(shares: Shares, axis: CurveAxis) -> Iterator[str]:
     """Yield the Markdown table of one axis."""
-    heads = {Axis.SLOPE: "mu_C - mu_S", Axis.LEVEL: "mu_C over new"}
+    heads = {CurveAxis.SLOPE: "mu_C - mu_S", CurveAxis.LEVEL: "mu_C over new"}
     yield f"| {heads[axis]} | " + " | ".join(Horizon) + " |"
     yield "|---|" + "---|" * len(Horizon)
-    for value in {Axis.SLOPE: SLOPES, Axis.LEVEL: LEVELS}[axis]:
+    for value in {CurveAxis.SLOPE: SLOPES, CurveAxis.LEVEL: LEVELS}[axis]:
         cells = [cell(shares.get((axis, horizon), {}).get(value)) for horizon in Horizon]
         yield f"| {value:.4g} | " + " | ".join(cells) + " |"
 
@@ -208,11 +210,11 @@ def document(shares: Shares, drives: int, first_seed: int) -> str:
         "",
         "## Against the slope, at the nominal mu_C",
         "",
-        *table(shares, Axis.SLOPE),
+        *table(shares, CurveAxis.SLOPE),
         "",
         "## Against the level, at the nominal mu_S/mu_C",
         "",
-        *table(shares, Axis.LEVEL),
+        *table(shares, CurveAxis.LEVEL),
         "",
     ]
     return "\n".join(lines)
@@ -233,8 +235,8 @@ def picture(shares: Shares) -> str:
     """Return the SVG: one row per axis, one column per horizon after which a verdict is possible, shares stacked."""
     with drawing_style():
         figure = Figure(figsize=(9.6, 5.2), layout="constrained")
-        panels = figure.subplots(len(Axis), len(DRAWN), sharey=True, squeeze=False)
-        for row, axis in zip(panels, Axis, strict=True):
+        panels = figure.subplots(len(CurveAxis), len(DRAWN), sharey=True, squeeze=False)
+        for row, axis in zip(panels, CurveAxis, strict=True):
             for panel, horizon in zip(row, DRAWN, strict=True):
                 by_value = sorted(shares.get((axis, horizon), {}).items())
                 counts = np.array([[one[condition] for condition in CONDITIONS] for _, one in by_value], np.float64)
@@ -246,8 +248,8 @@ def picture(shares: Shares) -> str:
                     )
                     panel.set_xlim(values[0], values[-1])
                 panel.set_ylim(0.0, 100.0)
-                panel.set_title(horizon if axis is Axis.SLOPE else "")
-                panel.set_xlabel("mu_C - mu_S" if axis is Axis.SLOPE else "mu_C over new")
+                panel.set_title(horizon if axis is CurveAxis.SLOPE else "")
+                panel.set_xlabel("mu_C - mu_S" if axis is CurveAxis.SLOPE else "mu_C over new")
             row[0].set_ylabel("verdicts [%]")
         handles, labels = panels[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=len(CONDITIONS))

@@ -56,7 +56,7 @@ START_NS: Final = EPOCH_US * 1000  # of all drives
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Setting:
+class PoisonSetting:
     """What is driven, and in which oil."""
 
     oil_degc: float | None = None  # at the start; None: of the cycle, 90 degC
@@ -110,7 +110,7 @@ class Trial:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+class PoisonStep:
     """How a change of friction was followed: error of scale-free mu_C after so many events of the clutch since."""
 
     clutch: int
@@ -155,7 +155,7 @@ def free(state: Posterior) -> FloatArray:
     return np.array([value for one in both for value in (one.mu_c, one.mu_s)])
 
 
-def trials(setting: Setting, seed: int) -> list[Trial]:
+def trials(setting: PoisonSetting, seed: int) -> list[Trial]:
     """Drive one vehicle and spoil events of it that tell of friction, in several trials."""
     vehicle = draw(seed, has_mismatch=False)
     events = setting.events(setting.scenario(vehicle.scenario(0, WorkshopRoutine())))
@@ -208,7 +208,7 @@ def _false_verdict(diagnoses: Sequence[Diagnosis], without: Sequence[Diagnosis],
     return bool(wrong(diagnoses) - wrong(without))
 
 
-def steps(setting: Setting, seed: int) -> list[Step]:
+def steps(setting: PoisonSetting, seed: int) -> list[PoisonStep]:
     """Drive a vehicle twice, the friction of one clutch changed in between."""
     vehicle, clutch = draw(seed, has_mismatch=False), 1 + seed % 2
     ratio = STEP_RATIO if seed % 4 < 2 else -STEP_RATIO
@@ -230,7 +230,7 @@ def steps(setting: Setting, seed: int) -> list[Step]:
             now = scale_free(one.belief.posterior, clutch)
             errors.append(now.mu_c / true - 1.0)
             stds.append(now.std_mu_c / true)
-    return [Step(clutch=clutch, step_ratio=ratio, errors_ratio=tuple(errors), stds_ratio=tuple(stds))]
+    return [PoisonStep(clutch=clutch, step_ratio=ratio, errors_ratio=tuple(errors), stds_ratio=tuple(stds))]
 
 
 def _later(event: Event, by_ns: int) -> Event:
@@ -249,7 +249,7 @@ def main() -> int:
     parser.add_argument("--oil-degc", type=float, help="oil at the start, 90 if nothing is said")
     parser.add_argument("--trace", choices=TRACES, help="instead of three cycles")
     options = parsed(parser, trials=10, steps=4)
-    setting = Setting(oil_degc=options.oil_degc, trace=options.trace)
+    setting = PoisonSetting(oil_degc=options.oil_degc, trace=options.trace)
     count = -(-options.trials // TRIALS_PER_VEHICLE)
     found = over_drives(partial(trials, setting), range(options.seed, options.seed + count), options.workers)
     console = Console(markup=False, width=120)
@@ -277,7 +277,7 @@ def main() -> int:
     return 1 if harmed or false or slow else 0
 
 
-def is_followed(step: Step, events: int = FOLLOWED_EVENTS) -> bool:
+def is_followed(step: PoisonStep, events: int = FOLLOWED_EVENTS) -> bool:
     """Return whether what is stated holds again after so many events, and most of the step has been made."""
     place = events - 1
     if len(step.errors_ratio) <= place:
@@ -303,7 +303,7 @@ def trials_table(found: Sequence[Trial]) -> Table:
     return table
 
 
-def steps_table(found: Sequence[Step]) -> Table:
+def steps_table(found: Sequence[PoisonStep]) -> Table:
     """Return how far behind the running state is after a change, event by event of the clutch."""
     table = Table("events since", "RMS error", "worst", "stated", title=f"Friction changed by {STEP_RATIO:.0%}, mu_C")
     for place in range(8):

@@ -46,7 +46,7 @@ class Contender:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class ReaderRow:
     """A reader beside its peer."""
 
     ours: Contender
@@ -113,7 +113,7 @@ def new_codec() -> Codec:
     return Codec(database().messages, check_range=False)
 
 
-def rows(folder: Path, count: int) -> list[Row]:
+def rows(folder: Path, count: int) -> list[ReaderRow]:
     """Return what is measured, on logs that are written into the folder; databases are loaded before."""
     recorded = frames(count)
     logs = {suffix: write_log(folder / f"drive{suffix}", recorded) for suffix in SUFFIXES}
@@ -125,19 +125,19 @@ def rows(folder: Path, count: int) -> list[Row]:
     bare = Contender("bare inflate (zlib)", lambda: inflate_only(blf_log))
     of_asc = Contender("python-can + cantools", lambda: python_can_and_cantools(asc, decode))
     return [
-        Row(Contender("candump to columns", lambda: decoded(text, decoder)), of_text, bars.LOGS),
-        Row(Contender("BLF to columns", lambda: decoded(blf_log, decoder)), of_blf, bars.LOGS),
-        Row(Contender("ASC to columns", lambda: decoded(asc, decoder)), of_asc, bars.LOGS),
-        Row(
+        ReaderRow(Contender("candump to columns", lambda: decoded(text, decoder)), of_text, bars.LOGS),
+        ReaderRow(Contender("BLF to columns", lambda: decoded(blf_log, decoder)), of_blf, bars.LOGS),
+        ReaderRow(Contender("ASC to columns", lambda: decoded(asc, decoder)), of_asc, bars.LOGS),
+        ReaderRow(
             Contender("MF4 to columns", lambda: decoded(mf4, decoder)),
             Contender("asammdf extract + physical", lambda: asammdf_physical(mf4, dbc)),
             bars.MF4,
         ),
-        Row(
+        ReaderRow(
             Contender("candump to frames", lambda: read_only(text)),
             Contender("wc -l", lambda: count_lines(text)),
         ),
-        Row(Contender("BLF to frames", lambda: read_only(blf_log)), bare),
+        ReaderRow(Contender("BLF to frames", lambda: read_only(blf_log)), bare),
     ]
 
 
@@ -150,7 +150,7 @@ def measured_s(contenders: Sequence[Contender], rounds: int) -> dict[Contender, 
     return times_s
 
 
-def table_of(measured: Sequence[Row], count: int, rounds: int) -> Table:
+def table_of(measured: Sequence[ReaderRow], count: int, rounds: int) -> Table:
     """Measure, and return what is printed."""
     contenders = list(dict.fromkeys(each for row in measured for each in (row.ours, row.peer)))
     times_s = measured_s(contenders, rounds)

@@ -51,7 +51,7 @@ KNOWN_RATIO = 1e-3  # what is as the calibration says
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class CalibrationRow:
     """What one calibration of one vehicle found; errors in percent unless their name says otherwise."""
 
     kind: str
@@ -88,7 +88,7 @@ def drawn_belief() -> Calibration:
 BELIEFS: Mapping[str, Callable[[], Calibration]] = {"shipped": nominal_calibration, "drawn": drawn_belief}
 
 
-def study(vehicle: Vehicle, start: Calibration) -> list[Row]:
+def study(vehicle: Vehicle, start: Calibration) -> list[CalibrationRow]:
     """Drive one vehicle three times and return its rows, calibrated from what is believed of its type."""
     routine = WorkshopRoutine(open_revs=REV_COUNT, closed_revs=REV_COUNT)
     frames, truth = frames_of(vehicle.scenario(0, routine))
@@ -99,14 +99,16 @@ def study(vehicle: Vehicle, start: Calibration) -> list[Row]:
     found: SelfCalibration | str = ""
     for kind, used in (("cycles alone", []), (f"+ {FEW_REVS} revs", opened[:FEW_REVS]), ("workshop", run_ups)):
         found = self_calibrate(shifts, used, start, "study")
-        rows.append(Row(kind=kind, problem=found) if isinstance(found, str) else judged(kind, vehicle, found, true))
+        rows.append(
+            CalibrationRow(kind=kind, problem=found) if isinstance(found, str) else judged(kind, vehicle, found, true)
+        )
     if not isinstance(found, str):
         drives = [driven_friction(vehicle.scenario(drive, WorkshopRoutine()), found.calibration) for drive in (1, 2)]
-        rows.append(Row(kind="trend", trend=tuple((100.0 * (drives[1] - drives[0]) / true).tolist())))
+        rows.append(CalibrationRow(kind="trend", trend=tuple((100.0 * (drives[1] - drives[0]) / true).tolist())))
     return rows
 
 
-def road_study(case: Case, start: Calibration) -> list[Row]:
+def road_study(case: Case, start: Calibration) -> list[CalibrationRow]:
     """Drive one vehicle along a trace and return what its events calibrate; a road has no revs in neutral."""
     scenario, vehicle = scenario_of(case)
     if vehicle is None:
@@ -122,7 +124,7 @@ def road_study(case: Case, start: Calibration) -> list[Row]:
     found = self_calibrate(shifts + finder.flush(), [], start, "study")
     kind = f"{case.trace} from {case.oil_degc:g} degC"
     if isinstance(found, str):
-        return [Row(kind=kind, problem=found)]
+        return [CalibrationRow(kind=kind, problem=found)]
     true = np.array([value for m in range(2) for value in (drive.truth.mu_c[m], drive.truth.mu_s[m])])
     return [judged(kind, vehicle, found, true)]
 
@@ -145,7 +147,7 @@ def driven_friction(scenario: Scenario, calibration: Calibration) -> FloatArray:
     )
 
 
-def judged(kind: str, vehicle: Vehicle, found: SelfCalibration, true: FloatArray) -> Row:
+def judged(kind: str, vehicle: Vehicle, found: SelfCalibration, true: FloatArray) -> CalibrationRow:
     """Return what a calibration found against the truth."""
     friction = [friction_of(found.state, clutch) for clutch in (1, 2)]
     mu = np.array([value for one in friction for value in (one.mu_c, one.mu_s)])
@@ -166,7 +168,7 @@ def judged(kind: str, vehicle: Vehicle, found: SelfCalibration, true: FloatArray
     nominal_kg_m2 = nominal_calibration().input_side.engine_inertia_kg_m2
     product = bias.torque_gain * side.engine_inertia_kg_m2 / nominal_kg_m2
     errors = mu / true - 1.0
-    return Row(
+    return CalibrationRow(
         kind=kind,
         absolute=_percent(errors),
         absolute_std=_percent(std / mu),
@@ -191,7 +193,7 @@ def _percent(values: FloatArray) -> tuple[float, ...]:
     return tuple((100.0 * values).tolist())
 
 
-def report(rows: Sequence[Row]) -> Iterator[str]:
+def report(rows: Sequence[CalibrationRow]) -> Iterator[str]:
     """Yield the lines of the tables."""
     for kind in dict.fromkeys(row.kind for row in rows):
         chosen = [row for row in rows if row.kind == kind]

@@ -34,7 +34,7 @@ from diag_service.service.stages import Diagnosis, Stages
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.log_formats.record import open_log
 from studies.builders import OF_FRICTION, OUTPUT, STRETCH_S, planned, with_fuel, written
-from studies.drive_accuracy import END, MOMENTS, WRONG, Case, Outcome, coverage, outcome_of, scenario_of
+from studies.drive_accuracy import END, MOMENTS, WRONG, Case, DriveOutcome, coverage, outcome_of, scenario_of
 from studies.run import over_drives, parsed, root_mean_square, study_parser
 
 RATES_HZ: Final = (50.0, 27.0, 10.0)
@@ -50,12 +50,12 @@ NAMES: Final = (*(f"{kind}{rate:.0f}/s" for rate in RATES_HZ for kind in ("", f"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shown:
+class TableErrors:
     """What the tables of one drive gave, by the name of the table."""
 
     trace: str
     seed: int
-    outcomes: dict[str, Outcome]
+    outcomes: dict[str, DriveOutcome]
     slopes: dict[str, list["SlopeLook"]] = field(default_factory=dict)
 
 
@@ -69,11 +69,11 @@ class SlopeLook:
     probability_falling: float
 
 
-def shown(names: frozenset[str], case: Case) -> list[Shown]:
+def shown(names: frozenset[str], case: Case) -> list[TableErrors]:
     """Drive, write tables, diagnose each."""
     scenario, vehicle = scenario_of(case)
     drive = Drive(scenario, planned=iter([planned(case.trace)]))
-    outcomes, slopes = dict[str, Outcome](), dict[str, list[SlopeLook]]()
+    outcomes, slopes = dict[str, DriveOutcome](), dict[str, list[SlopeLook]]()
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "drive.log"
         with open_log(log) as file:
@@ -95,7 +95,7 @@ def shown(names: frozenset[str], case: Case) -> list[Shown]:
                 outcomes[name] = outcome_of(diagnoses, true, vehicle, scenario.fluid.condition)
                 if name == fuel:
                     slopes[name] = list(slope_looks(diagnoses, true, vehicle.area_ratios if vehicle else (0.0, 0.0)))
-    return [Shown(trace=case.trace, seed=case.seed, outcomes=outcomes, slopes=slopes)]
+    return [TableErrors(trace=case.trace, seed=case.seed, outcomes=outcomes, slopes=slopes)]
 
 
 def slope_looks(
@@ -143,7 +143,7 @@ def diagnosed(table: Path) -> list[Diagnosis]:
     return [*diagnoses, *(stages.conclude(event) for event in stages.flush())]
 
 
-def moments(drives: Sequence[Shown]) -> Table:
+def moments(drives: Sequence[TableErrors]) -> Table:
     """Return coverage and widths of the running estimate at every moment."""
     table = Table("trace", "table", "events used", "estimates", "absolute: within 2 std", "stated %",
                   "scale-free: within 2 std", "stated %", title="Running friction, mu_C and mu_S")  # fmt: skip
@@ -162,7 +162,7 @@ def moments(drives: Sequence[Shown]) -> Table:
     return table
 
 
-def slopes(drives: Sequence[Shown]) -> Table:
+def slopes(drives: Sequence[TableErrors]) -> Table:
     """Return coverage and widths of what is told up to a scale, at every moment."""
     table = Table("trace", "table", "events used", "what", "estimates", "RMS error %", "stated %", "within 2 std",
                   title="Up to a scale, from injected fuel")  # fmt: skip
@@ -186,7 +186,7 @@ def slopes(drives: Sequence[Shown]) -> Table:
     return table
 
 
-def events(drives: Sequence[Shown]) -> Table:
+def events(drives: Sequence[TableErrors]) -> Table:
     """Return what became of the events, and the verdicts."""
     table = Table("trace", "table", "events", "used", "why not", "verdicts at the end", "drives with a wrong one",
                   title="Events and verdicts")  # fmt: skip

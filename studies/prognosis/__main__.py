@@ -50,7 +50,7 @@ WIDTH = 150
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Forecast:
+class ScoredForecast:
     """What was said at one age of one fluid, and what was true: distances until the change is due [km]."""
 
     stratum: StrEnum
@@ -70,10 +70,10 @@ METHODS: Final = ("prognosis", "fixed interval", "whole line", "logistic index",
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Account:
+class KindAccount:
     """What one life adds to the counts."""
 
-    forecasts: tuple[Forecast, ...]
+    forecasts: tuple[ScoredForecast, ...]
     years: float  # driven before the change was due
     early_count: int  # times that "change now" was said in them
     is_told: bool | None  # whether it is said when overdue; None: the life ends before
@@ -83,12 +83,12 @@ class Account:
     all_years: float
 
 
-def account_of(life: Life, lives_km: FloatArray) -> Account:
+def account_of(life: Life, lives_km: FloatArray) -> KindAccount:
     """Return the account of a life; the fleet baseline knows the lives of others."""
     forecasts = tuple(_forecasts(life, lives_km))
     overdue_km = life.change_km + LATEST_KM
     found_rows, false_count = found_fills(life)
-    return Account(
+    return KindAccount(
         forecasts=forecasts,
         years=min(life.change_km, DRIVEN_KM) / KM_PER_YEAR,
         early_count=early_looks(life),
@@ -119,7 +119,7 @@ def _is_due(life: Life, odometer_km: float) -> bool:
     return when is not None and when.within(0.0) >= CHANGE_PROBABILITY
 
 
-def _forecasts(life: Life, lives_km: FloatArray) -> list[Forecast]:
+def _forecasts(life: Life, lives_km: FloatArray) -> list[ScoredForecast]:
     forecasts = []
     for mark in (*MARKS, *LATE_MARKS):
         odometer_km = life.begin_km + mark * life.life_km
@@ -130,7 +130,7 @@ def _forecasts(life: Life, lives_km: FloatArray) -> list[Forecast]:
         left_km = min(life.change_km - odometer_km, FARTHEST_KM)
         age_km = odometer_km - (0.0 if life.forgotten_km is not None else life.begin_km)
         forecasts.append(
-            Forecast(
+            ScoredForecast(
                 stratum=life.stratum,
                 mark=mark,
                 life_km=life.life_km,
@@ -160,17 +160,17 @@ def found_fills(life: Life) -> tuple[int | None, int]:
     return (near[0].noticed_row - filled + 1 if near else None), len(wrong)
 
 
-def of_marks(forecasts: Sequence[Forecast], *marks: float) -> list[Forecast]:
+def of_marks(forecasts: Sequence[ScoredForecast], *marks: float) -> list[ScoredForecast]:
     """Return the forecasts made at some shares of the lives."""
     return [one for one in forecasts if one.mark in marks]
 
 
-def coverage(forecasts: Sequence[Forecast]) -> float:
+def coverage(forecasts: Sequence[ScoredForecast]) -> float:
     """Return how often the truth lay inside the interval."""
     return float(np.mean(is_covered(np.array([one.passed for one in forecasts])))) if forecasts else float("nan")
 
 
-def mean_crps(forecasts: Sequence[Forecast], method: int) -> float:
+def mean_crps(forecasts: Sequence[ScoredForecast], method: int) -> float:
     """Return the mean CRPS of a method [km]."""
     if not forecasts:
         return float("nan")
@@ -178,7 +178,7 @@ def mean_crps(forecasts: Sequence[Forecast], method: int) -> float:
     return float(np.mean(crps(quantiles, _left(forecasts))))
 
 
-def marks_table(forecasts: Sequence[Forecast]) -> Table:
+def marks_table(forecasts: Sequence[ScoredForecast]) -> Table:
     """Return what is said at each share of the lives."""
     table = Table(
         "age", "forecasts", "inside 90 %", "half width", "median near", *(f"CRPS {name}" for name in METHODS),
@@ -198,7 +198,7 @@ def marks_table(forecasts: Sequence[Forecast]) -> Table:
     return table
 
 
-def strata_table(forecasts: Sequence[Forecast]) -> Table:
+def strata_table(forecasts: Sequence[ScoredForecast]) -> Table:
     """Return what is said of each kind of life."""
     ages = [f"{100.0 * mark:.0f} %" for mark in MARKS]
     table = Table(
@@ -217,7 +217,7 @@ def strata_table(forecasts: Sequence[Forecast]) -> Table:
     return table
 
 
-def counts_table(accounts: Sequence[Account]) -> Table:
+def counts_table(accounts: Sequence[KindAccount]) -> Table:
     """Return what was said too early or too late, and which fills were found."""
     late = of_marks([one for account in accounts for one in account.forecasts], MARKS[-1], *LATE_MARKS)
     error = np.array([(one.median_km - one.left_km) / one.life_km for one in late])
@@ -238,17 +238,17 @@ def counts_table(accounts: Sequence[Account]) -> Table:
     return table
 
 
-def _left(forecasts: Sequence[Forecast]) -> FloatArray:
+def _left(forecasts: Sequence[ScoredForecast]) -> FloatArray:
     return np.array([one.left_km for one in forecasts])
 
 
-def _half_width(forecasts: Sequence[Forecast]) -> float:
+def _half_width(forecasts: Sequence[ScoredForecast]) -> float:
     """Return half of the 90 % interval over the life, the median over forecasts."""
     widths = [float(np.diff(np.quantile(one.methods[0], (0.05, 0.95)))[0]) / one.life_km for one in forecasts]
     return 0.5 * float(np.median(widths)) if widths else float("nan")
 
 
-def accounts_of(lives_km: tuple[float, ...], seed: int) -> list[Account]:
+def accounts_of(lives_km: tuple[float, ...], seed: int) -> list[KindAccount]:
     """Return what a life adds to the counts."""
     return [account_of(life_of(seed), np.array(lives_km))]
 

@@ -33,7 +33,7 @@ _COURSE: Final = np.linspace(0.0, 1.0, 2001)
 _AHEAD_KM: Final = FARTHEST_KM * np.linspace(0.0, 1.0, 2001) ** 2
 
 
-class Kind(StrEnum):
+class LifeKind(StrEnum):
     """How the fluid of a life wears."""
 
     LINEAR = "linear"
@@ -42,14 +42,14 @@ class Kind(StrEnum):
     LATE_KNEE = "late knee"
 
 
-KINDS: Final = tuple(Kind)
+KINDS: Final = tuple(LifeKind)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KindLife:
     """One simulated clutch: its results, and how long its last fluid truly lasts."""
 
-    kind: Kind
+    kind: LifeKind
     history: History
     begin_km: float
     life_km: float
@@ -66,8 +66,8 @@ def kind_life_of(seed: int) -> KindLife:
     rng = np.random.default_rng([seed, STREAM])
     kind = KINDS[seed % len(KINDS)]
     life_km = float(np.clip(rng.lognormal(np.log(USUAL_KM), LIFE_LOG_STD), 15_000.0, 250_000.0))
-    begin_km = float(rng.uniform(0.3, 0.9)) * life_km if kind is Kind.FILL else 0.0
-    last_km = life_km * float(rng.lognormal(0.0, 0.25)) if kind is Kind.FILL else life_km
+    begin_km = float(rng.uniform(0.3, 0.9)) * life_km if kind is LifeKind.FILL else 0.0
+    last_km = life_km * float(rng.lognormal(0.0, 0.25)) if kind is LifeKind.FILL else life_km
     course, knee_share = _course(rng, kind)
     step_km = float(np.exp(rng.uniform(np.log(15.0), np.log(250.0))))
     odometer_km = np.cumsum(rng.gamma(rng.uniform(0.3, 3.0), 1.0, int((begin_km + last_km) / step_km) + 100))
@@ -86,13 +86,13 @@ def kind_life_of(seed: int) -> KindLife:
     )
 
 
-def _course(rng: np.random.Generator, kind: Kind) -> tuple[FloatArray, float]:
+def _course(rng: np.random.Generator, kind: LifeKind) -> tuple[FloatArray, float]:
     """Return the wear over the life, from 0 to 1, and where its knee is."""
-    if kind is Kind.LATE_KNEE:
+    if kind is LifeKind.LATE_KNEE:
         knee, factor = float(rng.uniform(0.65, 0.88)), float(rng.uniform(2.2, 5.5))
         worn = _COURSE + (factor - 1.0) * np.maximum(_COURSE - knee, 0.0)
         return worn / worn[-1], knee
-    if kind is Kind.BURSTS:
+    if kind is LifeKind.BURSTS:
         count = int(np.exp(rng.uniform(np.log(5.0), np.log(60.0))))
         size, width = rng.gamma(rng.uniform(0.5, 3.0), 1.0, count), rng.uniform(0.001, 0.04, count)
         reach = (_COURSE - rng.uniform(0.0, 1.0, count)[:, None]) / width[:, None]
@@ -213,7 +213,7 @@ def kind_oracles(history: History, knees: Sequence[float]) -> list[FloatArray]:
 class KindLook:
     """What was said at one age of a life: errors in km, of the rivals as distributions and as numbers."""
 
-    kind: Kind
+    kind: LifeKind
     mark: float | None  # None: shortly after the knee
     passed: float  # probability that was given to the truth's side
     crps: float
@@ -239,7 +239,7 @@ def _look(life: KindLife, share: float, mark: float | None) -> KindLook | None:
         return None
     left_km = np.array([min(life.life_km - age_km, FARTHEST_KM)])
     line, number_km = straight_line(history)
-    knees = () if life.kind is Kind.BURSTS else (1.0 if life.kind is Kind.LATE_KNEE else 0.0, *ORACLE_KNEES)
+    knees = () if life.kind is LifeKind.BURSTS else (1.0 if life.kind is LifeKind.LATE_KNEE else 0.0, *ORACLE_KNEES)
     oracles = kind_oracles(history, knees) if knees else ()
     forecasts = (change.passage.quantiles_m(PROBABILITIES) / M_PER_KM, line, usual_life(age_km), *oracles)
     ours, of_line, of_usual, *of_oracles = (float(crps(one[None], left_km)[0]) for one in forecasts)
@@ -268,7 +268,7 @@ def kinds_table(looks: Sequence[KindLook]) -> Table:
         for mark in MARKS:
             table.add_row(kind.value, f"{100 * mark:.0f} %", *_cells([one for one in own if one.mark == mark]))
         table.add_row(kind.value, "all", *_cells([one for one in own if one.mark is not None]))
-        if kind is Kind.LATE_KNEE:
+        if kind is LifeKind.LATE_KNEE:
             after = [one for one in own if one.mark is None]
             table.add_row(kind.value, f"knee + {100 * FOLLOWED_AFTER:.0f} %", *_cells(after))
     return table

@@ -60,7 +60,7 @@ STRATA: Final = tuple(Stratum)  # of the seeds, in turn
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Truth:
+class LifeTruth:
     """Friction along the road."""
 
     road_km: FloatArray  # (r,)
@@ -69,7 +69,7 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class LifePlan:
     """What is drawn of one life before it is lived."""
 
     life_km: tuple[float, float]  # of the first and the second fluid, at usual work
@@ -89,9 +89,9 @@ class Lived:
 
     rng: np.random.Generator  # as the truth left it
     stratum: StrEnum
-    plan: Plan
+    plan: LifePlan
     load: FloatArray
-    truth: Truth
+    truth: LifeTruth
 
     @property
     def begin_km(self) -> float:
@@ -118,12 +118,12 @@ def lived_of(seed: int) -> Lived:
     return Lived(rng=rng, stratum=stratum, plan=plan, load=load, truth=_truth(rng, plan, road_km, load, stratum))
 
 
-def _planned(rng: np.random.Generator, stratum: Stratum) -> Plan:
+def _planned(rng: np.random.Generator, stratum: Stratum) -> LifePlan:
     life_km = float(np.clip(rng.lognormal(np.log(USUAL_KM), LIFE_LOG_STD), 0.375 * USUAL_KM, 2.25 * USUAL_KM))
     has_fill = stratum in {Stratum.KNOWN_FILL, Stratum.FORGOTTEN_FILL}
     has_knee, has_run_in = stratum is Stratum.KNEE, stratum is Stratum.RUN_IN
     load_km = rng.uniform(0.2, 0.8) * life_km if stratum is Stratum.LOAD else np.inf
-    return Plan(
+    return LifePlan(
         life_km=(life_km, life_km * float(rng.lognormal(0.0, NEXT_LOG_STD))),
         shape=float(rng.uniform(*SHAPES)),
         fill_km=_on_grid(np.clip(rng.uniform(0.5, 0.85) * life_km, 20_000.0, 70_000.0)) if has_fill else np.inf,
@@ -136,7 +136,9 @@ def _planned(rng: np.random.Generator, stratum: Stratum) -> Plan:
     )
 
 
-def _truth(rng: np.random.Generator, plan: Plan, road_km: FloatArray, load: FloatArray, stratum: Stratum) -> Truth:
+def _truth(
+    rng: np.random.Generator, plan: LifePlan, road_km: FloatArray, load: FloatArray, stratum: Stratum
+) -> LifeTruth:
     """Return what truly becomes of a clutch along the road, friction at the reference temperature."""
     years = road_km / KM_PER_YEAR + plan.winter
     heat = np.exp(plan.season_k / 60.0 * np.sin(2.0 * np.pi * years))  # fluid ages twice as fast 40 K hotter
@@ -156,7 +158,7 @@ def _truth(rng: np.random.Generator, plan: Plan, road_km: FloatArray, load: Floa
     share = float(rng.uniform(0.8, 1.2))  # how the margin's loss is shared by the two coefficients
     mu_c = new_c * (1.0 - CASE_2 * share * damage - lining + run_in)
     mu_s = new_s * (1.0 + CASE_2 * (2.0 - share) * damage - lining)
-    return Truth(road_km=road_km, mu_c=mu_c, mu_s=mu_s)
+    return LifeTruth(road_km=road_km, mu_c=mu_c, mu_s=mu_s)
 
 
 def _on_grid(odometer_km: float) -> float:
@@ -265,7 +267,7 @@ def _shared(rng: np.random.Generator, odometer_km: FloatArray, gone: FloatArray)
     return np.array([np.full_like(gone, scale), scale + split_new * (1.0 - gone) + split_gone * gone]) + of_drive
 
 
-def _oil(rng: np.random.Generator, plan: Plan, odometer_km: FloatArray) -> tuple[FloatArray, BoolArray]:
+def _oil(rng: np.random.Generator, plan: LifePlan, odometer_km: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Return the oil temperature of each result, by season and warming up, and which of them are cold."""
     is_cold = rng.random(len(odometer_km)) < 0.1
     season_k = plan.season_k * np.sin(2.0 * np.pi * (odometer_km / KM_PER_YEAR + plan.winter))

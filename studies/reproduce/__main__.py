@@ -10,7 +10,7 @@ from rich.table import Table as ConsoleTable
 from studies.reproduce.drives import CYCLE_COUNT
 from studies.reproduce.findings import find
 from studies.reproduce.report import EVIDENCE_HEADINGS, evidence_rows, page
-from studies.reproduce.tables import Table, write_csv
+from studies.reproduce.tables import PaperTable, write_csv
 from studies.reproduce.text import html_tables, reading_headings, reading_rows, study_tables, written
 from studies.run import parsed, study_parser
 
@@ -46,7 +46,7 @@ def main() -> int:
     return 0
 
 
-def _shown(table: Table) -> ConsoleTable:
+def _shown(table: PaperTable) -> ConsoleTable:
     shown = ConsoleTable(*table.headings, title=table.caption, title_justify="left")
     for row in table.rows:
         shown.add_row(*row)

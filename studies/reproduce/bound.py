@@ -48,7 +48,7 @@ NUDGE_M = 1.0e-10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stretch:
+class BoundStretch:
     """Samples in a row in which one clutch slips in contact; all (n,)."""
 
     film_m: FloatArray
@@ -73,7 +73,7 @@ def bounds_percent(drive: PaperDrive) -> dict[Key, float]:
     return bounds
 
 
-def stretches(drive: PaperDrive, clutch: int) -> list[Stretch]:
+def stretches(drive: PaperDrive, clutch: int) -> list[BoundStretch]:
     """Return the stretches of a drive that inform about a clutch."""
     truth, rows = drive.truth.clutches[clutch - 1], drive.rows
     law = film_law(truth)
@@ -83,7 +83,7 @@ def stretches(drive: PaperDrive, clutch: int) -> list[Stretch]:
     edges = np.flatnonzero(np.diff(np.concatenate(((False,), informs, (False,))).astype(np.int8)))
     viscosity = _viscosities(rows[:, Col.CLUTCH1_TEMPERATURE + clutch - 1], drive.truth.viscosity)
     return [
-        Stretch(
+        BoundStretch(
             film_m=film_m[first:stop],
             slip_rad_s=slip_rad_s[first:stop],
             viscosity=viscosity[first:stop],
@@ -104,7 +104,7 @@ def piston_pressure_pa(
     return piston_pressures_pa(contact_pa + springs_pa + squeeze_pa, law)
 
 
-def is_followed(stretch: Stretch, law: FilmLaw) -> BoolArray:
+def is_followed(stretch: BoundStretch, law: FilmLaw) -> BoolArray:
     """Tell where eq. (7) alone moves the film, shape (n,): everywhere but in the first instants of an opening."""
     rate_m_s = central_difference(stretch.film_m, PERIOD_S).rate
     seen_pa = piston_pressure_pa(stretch.film_m, rate_m_s, stretch.viscosity, law)
@@ -112,7 +112,7 @@ def is_followed(stretch: Stretch, law: FilmLaw) -> BoolArray:
     return followed
 
 
-def pressure_slopes(stretch: Stretch, truth: ClutchCalibration) -> FloatArray:
+def pressure_slopes(stretch: BoundStretch, truth: ClutchCalibration) -> FloatArray:
     """Return the derivatives of the piston pressure by mu_C and mu_S at a given torque [Pa], shape (2, n)."""
     law, friction = film_law(truth), friction_law(truth.friction)
     rate_m_s = central_difference(stretch.film_m, PERIOD_S).rate
@@ -130,7 +130,7 @@ def pressure_slopes(stretch: Stretch, truth: ClutchCalibration) -> FloatArray:
     return slopes
 
 
-def _film_slopes_m(stretch: Stretch, law: FilmLaw, friction: FrictionLaw) -> FloatArray:
+def _film_slopes_m(stretch: BoundStretch, law: FilmLaw, friction: FrictionLaw) -> FloatArray:
     """Return the derivatives of the film by mu_C and mu_S at a given torque [m], shape (2, n)."""
     slopes = np.empty((2, len(stretch.film_m)))
     for k, (film_m, slip, viscosity) in enumerate(

@@ -26,7 +26,7 @@ LONGEST_CYCLE_S = 80.0
 SPEED_NOISE_RATIO, PRESSURE_NOISE_RATIO = 0.10, 0.05  # the paper's; of the root mean square
 
 
-class Case(StrEnum):
+class PaperCase(StrEnum):
     """The parameter sets of the paper's Table 4."""
 
     IDEAL = "ideal"
@@ -34,7 +34,7 @@ class Case(StrEnum):
     CASE_2 = "case 2"
 
 
-FACTORS = {Case.IDEAL: (1.0, 1.0), Case.CASE_1: (0.95, 1.05), Case.CASE_2: (0.85, 1.15)}
+FACTORS = {PaperCase.IDEAL: (1.0, 1.0), PaperCase.CASE_1: (0.95, 1.05), PaperCase.CASE_2: (0.85, 1.15)}
 """Factors on mu_C and mu_S; clutch_model/calibrations/nominal.toml."""
 
 
@@ -42,7 +42,7 @@ FACTORS = {Case.IDEAL: (1.0, 1.0), Case.CASE_1: (0.95, 1.05), Case.CASE_2: (0.85
 class PaperDrive:
     """One drive: what is true, every row of it, and the noiseless sensor set."""
 
-    case: Case
+    case: PaperCase
     truth: Calibration
     rows: FloatArray
     signals: PaperSignals
@@ -58,7 +58,7 @@ class PaperDrive:
         return locked
 
 
-def true_calibration(case: Case) -> Calibration:
+def true_calibration(case: PaperCase) -> Calibration:
     """Return the nominal calibration with the friction of a parameter set."""
     nominal = nominal_calibration()
     factor_c, factor_s = FACTORS[case]
@@ -74,7 +74,7 @@ def true_calibration(case: Case) -> Calibration:
     return replace(nominal, clutches=(first, second))
 
 
-def drive(case: Case, *, cycles: int = CYCLE_COUNT, seed: int = DRIVE_SEED) -> PaperDrive:
+def drive(case: PaperCase, *, cycles: int = CYCLE_COUNT, seed: int = DRIVE_SEED) -> PaperDrive:
     """Drive the shift cycles of a parameter set."""
     truth = true_calibration(case)
     settings = DriveSettings(cycles=cycles, seed=seed, vary_ratio=VARY_RATIO)
@@ -110,7 +110,7 @@ def static_tables() -> tuple[FilmTable, FilmTable]:
 
 def trajectory_tables() -> tuple[FilmTable, FilmTable]:
     """Return the film tables of both clutches as one calibration cycle with fresh fluid shows them."""
-    cycle = drive(Case.IDEAL, cycles=1, seed=CALIBRATION_SEED)
+    cycle = drive(PaperCase.IDEAL, cycles=1, seed=CALIBRATION_SEED)
     phase, clutch = cycle.rows[:, Col.SHIFT_PHASE], clutch_of_gear(cycle.rows[:, Col.TARGET_GEAR])
     engaging = (phase == TORQUE) | (phase == INERTIA)
     first, second = (

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from diag_service.diagnosis.friction.paper.method import NOISY_GATES
 from studies.reproduce.bound import bounds_percent
-from studies.reproduce.drives import Case, PaperDrive, drive, noisy, static_tables, trajectory_tables
+from studies.reproduce.drives import PaperCase, PaperDrive, drive, noisy, static_tables, trajectory_tables
 from studies.reproduce.evidence import StaticEvidence, static_evidence
 from studies.reproduce.pictures import Picture, pictures, run_of
 from studies.reproduce.study import (
@@ -25,7 +25,7 @@ PICTURE_SEED = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Findings:
+class PaperFindings:
     """Everything the report speaks of."""
 
     cycles: int
@@ -45,7 +45,7 @@ class Findings:
     pictures: Sequence[Picture]
 
 
-def find(seed_count: int, cycles: int) -> Findings:
+def find(seed_count: int, cycles: int) -> PaperFindings:
     """Run every study; which of them is at work goes to stderr."""
 
     def tell(what: str) -> None:
@@ -54,7 +54,7 @@ def find(seed_count: int, cycles: int) -> Findings:
     seeds = range(1, seed_count + 1)
     few, can_seeds = seeds[:VARIANT_SEEDS], seeds[:CAN_SEEDS]
     tell("driving three cycles with each parameter set")
-    drives = [drive(case, cycles=cycles) for case in Case]
+    drives = [drive(case, cycles=cycles) for case in PaperCase]
     tables, other_tables = static_tables(), trajectory_tables()
     clean = Setup(tables=tables)
     setup = Setup(tables=tables, differentiators=matched_differentiators(drives[0]), gates=NOISY_GATES)
@@ -70,7 +70,7 @@ def find(seed_count: int, cycles: int) -> Findings:
     can = can_errors(drives, can_seeds, cycles)
     tell("pictures")
     runs = run_of(drives[0].signals, clean), run_of(noisy(drives[0].signals, PICTURE_SEED), setup)
-    return Findings(
+    return PaperFindings(
         cycles=cycles,
         drives=drives,
         seeds=seeds,

@@ -6,7 +6,7 @@ from html import escape
 
 from studies.reproduce.evidence import PRIOR_FACTORS, StaticEvidence
 from studies.reproduce.pictures import Picture
-from studies.reproduce.tables import Table
+from studies.reproduce.tables import PaperTable
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #22303c; max-width: 62rem; margin: 2.5rem auto; padding: 0 1rem; }
@@ -45,7 +45,7 @@ def page(text: str, tables: Mapping[str, str], pictures: Sequence[Picture]) -> s
     )
 
 
-def study_table(table: Table) -> str:
+def study_table(table: PaperTable) -> str:
     """Return a table of parameter sets as HTML."""
     groups = "".join(f'<th class="set" colspan="{len(one.columns)}">{escape(one.title)}</th>' for one in table.sets)
     sets = f'<tr><th class="set" colspan="3"></th>{groups}</tr>'

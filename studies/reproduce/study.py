@@ -24,7 +24,7 @@ from studies.reproduce.differences import NOISELESS, central_difference, matched
 from studies.reproduce.drives import (
     PERIOD_S,
     PRESSURE_NOISE_RATIO,
-    Case,
+    PaperCase,
     PaperDrive,
     noisy,
     rms,
@@ -32,7 +32,7 @@ from studies.reproduce.drives import (
 
 CLUTCHES = (1, 2)
 PARAMETERS = ("mu_c", "mu_s")
-Key = tuple[Case, int, str]  # parameter set, clutch, parameter
+Key = tuple[PaperCase, int, str]  # parameter set, clutch, parameter
 TUNING_SEED = 900  # the filters are matched on noise that no reported run has
 RATE_GATE_STD = 4.0  # so quiet that noise alone passes the gate of the pressure rate once in 30,000 samples
 
@@ -54,7 +54,7 @@ class Errors:
     """Percent errors of many runs, shape (runs,) per parameter; runs that found nothing are left out."""
 
     percent: dict[Key, FloatArray]
-    slope_right: dict[tuple[Case, int], float]  # share of the runs in which the slope has the sign of the truth
+    slope_right: dict[tuple[PaperCase, int], float]  # share of the runs in which the slope has the sign of the truth
 
     def mean(self, key: Key) -> float:
         """Return the mean error."""
@@ -102,7 +102,7 @@ def noiseless_errors(drives: Sequence[PaperDrive], setup: Setup) -> Errors:
 
 def noisy_errors(drives: Sequence[PaperDrive], setup: Setup, seeds: range) -> Errors:
     """Return the errors over many draws of the noise."""
-    found: dict[Case, list[tuple[PaperEstimate, PaperEstimate]]] = {}
+    found: dict[PaperCase, list[tuple[PaperEstimate, PaperEstimate]]] = {}
     for drive in drives:
         for seed in seeds:
             analysis = analysed(noisy(drive.signals, seed), setup)
@@ -125,10 +125,12 @@ def true_value(drive: PaperDrive, clutch: int, parameter: str) -> float:
     return float(getattr(drive.truth.clutches[clutch - 1].friction, parameter))
 
 
-def errors_of(found: dict[Case, list[tuple[PaperEstimate, PaperEstimate]]], drives: Sequence[PaperDrive]) -> Errors:
+def errors_of(
+    found: dict[PaperCase, list[tuple[PaperEstimate, PaperEstimate]]], drives: Sequence[PaperDrive]
+) -> Errors:
     """Return the errors of the runs of every parameter set."""
     percent: dict[Key, FloatArray] = {}
-    right: dict[tuple[Case, int], float] = {}
+    right: dict[tuple[PaperCase, int], float] = {}
     for drive in drives:
         for clutch in CLUTCHES:
             estimates = [pair[clutch - 1] for pair in found[drive.case]]

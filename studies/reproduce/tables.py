@@ -5,29 +5,29 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from studies.reproduce.drives import Case, PaperDrive
+from studies.reproduce.drives import PaperCase, PaperDrive
 from studies.reproduce.study import CLUTCHES, PARAMETERS, Errors, Key, true_value
 
 SYMBOL = {"mu_c": "µC", "mu_s": "µS"}
 
 # The paper's text gives numbers for the ideal set only; of the others it says what is below 10 %.
 PAPER_NOISELESS = {
-    (Case.IDEAL, 1, "mu_c"): "+6.32",
-    (Case.IDEAL, 1, "mu_s"): "-4.92",
-    (Case.IDEAL, 2, "mu_c"): "+2.41",
-    (Case.IDEAL, 2, "mu_s"): "-7.87",
+    (PaperCase.IDEAL, 1, "mu_c"): "+6.32",
+    (PaperCase.IDEAL, 1, "mu_s"): "-4.92",
+    (PaperCase.IDEAL, 2, "mu_c"): "+2.41",
+    (PaperCase.IDEAL, 2, "mu_s"): "-7.87",
 }
 PAPER_NOISY = {
-    (Case.IDEAL, 1, "mu_c"): "+7.49",
-    (Case.IDEAL, 1, "mu_s"): "-0.75",
-    (Case.IDEAL, 2, "mu_c"): "+5.35",
-    (Case.IDEAL, 2, "mu_s"): "-2.56",
+    (PaperCase.IDEAL, 1, "mu_c"): "+7.49",
+    (PaperCase.IDEAL, 1, "mu_s"): "-0.75",
+    (PaperCase.IDEAL, 2, "mu_c"): "+5.35",
+    (PaperCase.IDEAL, 2, "mu_s"): "-2.56",
 }
 ABOVE, BELOW = "above 10", "below 10"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Column:
+class PaperColumn:
     """One column: a heading and a text for each row."""
 
     heading: str
@@ -39,11 +39,11 @@ class ColumnSet:
     """Columns that belong together under one title."""
 
     title: str
-    columns: Sequence[Column]
+    columns: Sequence[PaperColumn]
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class PaperTable:
     """A table of the report, also written as CSV."""
 
     name: str
@@ -81,7 +81,7 @@ def write_csv(path: Path, headings: Sequence[str], rows: Sequence[Sequence[str]]
         csv.writer(stream).writerows([headings, *rows])
 
 
-def keys_of(cases: Sequence[Case]) -> list[Key]:
+def keys_of(cases: Sequence[PaperCase]) -> list[Key]:
     """Return the rows of a table over parameter sets."""
     return [(case, clutch, parameter) for case in cases for clutch in CLUTCHES for parameter in PARAMETERS]
 
@@ -94,22 +94,22 @@ def truth_columns(drives: Sequence[PaperDrive]) -> ColumnSet:
         for clutch in CLUTCHES
         for parameter in PARAMETERS
     }
-    return ColumnSet(title="truth", columns=[Column(heading="true value", cells=cells)])
+    return ColumnSet(title="truth", columns=[PaperColumn(heading="true value", cells=cells)])
 
 
 def paper_columns(printed: Mapping[Key, str]) -> ColumnSet:
     """Return the paper's own figures, as far as its text gives them."""
     cells = {
-        key: printed.get(key, ABOVE if key[0] is Case.CASE_2 and key[2] == "mu_c" else BELOW)
-        for key in keys_of(list(Case))
+        key: printed.get(key, ABOVE if key[0] is PaperCase.CASE_2 and key[2] == "mu_c" else BELOW)
+        for key in keys_of(list(PaperCase))
     }
-    return ColumnSet(title="the paper", columns=[Column(heading="error % (paper)", cells=cells)])
+    return ColumnSet(title="the paper", columns=[PaperColumn(heading="error % (paper)", cells=cells)])
 
 
 def error_columns(title: str, errors: Errors, *, is_random: bool) -> ColumnSet:
     """Return mean error, with noise also scatter and extremes, and how often the slope has the right sign."""
-    mean = Column(heading=f"error % ({title})", cells={key: f"{errors.mean(key):+.2f}" for key in errors.percent})
-    slope = Column(
+    mean = PaperColumn(heading=f"error % ({title})", cells={key: f"{errors.mean(key):+.2f}" for key in errors.percent})
+    slope = PaperColumn(
         heading="slope sign right",
         cells={
             key: f"{100.0 * errors.slope_right[key[0], key[1]]:.0f} %"
@@ -119,8 +119,8 @@ def error_columns(title: str, errors: Errors, *, is_random: bool) -> ColumnSet:
     )
     if not is_random:
         return ColumnSet(title=title, columns=[mean, slope])
-    scatter = Column(heading="std %", cells={key: f"{errors.std(key):.2f}" for key in errors.percent})
-    extremes = Column(
+    scatter = PaperColumn(heading="std %", cells={key: f"{errors.std(key):.2f}" for key in errors.percent})
+    extremes = PaperColumn(
         heading="from .. to %",
         cells={key: f"{min(one):+.1f} .. {max(one):+.1f}" if len(one) else "" for key, one in errors.percent.items()},
     )
@@ -130,4 +130,6 @@ def error_columns(title: str, errors: Errors, *, is_random: bool) -> ColumnSet:
 def bound_columns(bounds: Mapping[Key, float]) -> ColumnSet:
     """Return the Cramer-Rao bound."""
     cells = {key: f"{bound:.2f}" for key, bound in bounds.items()}
-    return ColumnSet(title="Cramér-Rao bound, slip known", columns=[Column(heading="least std % (bound)", cells=cells)])
+    return ColumnSet(
+        title="Cramér-Rao bound, slip known", columns=[PaperColumn(heading="least std % (bound)", cells=cells)]
+    )

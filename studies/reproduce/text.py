@@ -5,8 +5,8 @@ from importlib.resources import files
 
 import numpy as np
 
-from studies.reproduce.drives import Case
-from studies.reproduce.findings import Findings
+from studies.reproduce.drives import PaperCase
+from studies.reproduce.findings import PaperFindings
 from studies.reproduce.report import EVIDENCE_HEADINGS, evidence_rows, plain_table, study_table
 from studies.reproduce.study import CLUTCHES, Errors, Key
 from studies.reproduce.tables import (
@@ -14,7 +14,7 @@ from studies.reproduce.tables import (
     PAPER_NOISY,
     SYMBOL,
     ColumnSet,
-    Table,
+    PaperTable,
     bound_columns,
     error_columns,
     keys_of,
@@ -22,13 +22,13 @@ from studies.reproduce.tables import (
     truth_columns,
 )
 
-IDEAL_ONLY = [Case.IDEAL]
-READING_KEYS = keys_of([Case.IDEAL, Case.CASE_2])
+IDEAL_ONLY = [PaperCase.IDEAL]
+READING_KEYS = keys_of([PaperCase.IDEAL, PaperCase.CASE_2])
 
 
-def study_tables(found: Findings) -> list[Table]:
+def study_tables(found: PaperFindings) -> list[PaperTable]:
     """Return Tables 2, 3, A.1 and A.2 of the paper and that of the vehicle route."""
-    truth, every = truth_columns(found.drives), list(Case)
+    truth, every = truth_columns(found.drives), list(PaperCase)
     noiseless_sets: list[ColumnSet] = [
         truth,
         paper_columns(PAPER_NOISELESS),
@@ -46,15 +46,15 @@ def study_tables(found: Findings) -> list[Table]:
     runs = f"{len(found.seeds)} draws of the noise"
     can_caption = f"CAN frames, sensor noise only, {len(found.can_seeds)} drives of {found.cycles} cycles per set"
     return [
-        Table("table-2", "Table 2: ideal set, noiseless", keys_of(IDEAL_ONLY), noiseless_sets),
-        Table("table-3", f"Table 3: ideal set, noisy, {runs}", keys_of(IDEAL_ONLY), noisy_sets),
-        Table("table-a1", "Table A.1: all sets, noiseless", keys_of(every), noiseless_sets),
-        Table("table-a2", f"Table A.2: all sets, noisy, {runs}", keys_of(every), noisy_sets),
-        Table("vehicle-route", can_caption, keys_of(every), vehicle_sets),
+        PaperTable("table-2", "Table 2: ideal set, noiseless", keys_of(IDEAL_ONLY), noiseless_sets),
+        PaperTable("table-3", f"Table 3: ideal set, noisy, {runs}", keys_of(IDEAL_ONLY), noisy_sets),
+        PaperTable("table-a1", "Table A.1: all sets, noiseless", keys_of(every), noiseless_sets),
+        PaperTable("table-a2", f"Table A.2: all sets, noisy, {runs}", keys_of(every), noisy_sets),
+        PaperTable("vehicle-route", can_caption, keys_of(every), vehicle_sets),
     ]
 
 
-def html_tables(found: Findings, tables: list[Table]) -> dict[str, str]:
+def html_tables(found: PaperFindings, tables: list[PaperTable]) -> dict[str, str]:
     """Return every table of the report as HTML, by the name that the text calls it."""
     few = f"means over {len(found.reading_seeds)} draws of the noise"
     return {table.name: study_table(table) for table in tables} | {
@@ -63,7 +63,7 @@ def html_tables(found: Findings, tables: list[Table]) -> dict[str, str]:
     }
 
 
-def written(found: Findings) -> str:
+def written(found: PaperFindings) -> str:
     """Return the text of the report with the findings' numbers in it."""
     template = files("studies.reproduce").joinpath("report.md").read_text(encoding="utf-8")
     return template.format(**_general(found), **_noiseless(found), **_case_2(found))
@@ -74,7 +74,7 @@ def reading_headings() -> list[str]:
     return ["reading", *(f"{case.value}: {SYMBOL[name]}{clutch}" for case, clutch, name in READING_KEYS)]
 
 
-def reading_rows(found: Findings) -> list[list[str]]:
+def reading_rows(found: PaperFindings) -> list[list[str]]:
     """Return the table of readings as texts."""
     return [[one.name, *(_signed(one.errors.mean(key)) for key in READING_KEYS)] for one in found.readings]
 
@@ -84,8 +84,8 @@ def rms(errors: Errors, key: Key) -> float:
     return float(np.sqrt(np.mean(errors.percent[key] ** 2)))
 
 
-def _general(found: Findings) -> Mapping[str, object]:
-    factors = [rms(found.noisy, key) / found.bounds[key] for key in keys_of(list(Case))]
+def _general(found: PaperFindings) -> Mapping[str, object]:
+    factors = [rms(found.noisy, key) / found.bounds[key] for key in keys_of(list(PaperCase))]
     ideal = keys_of(IDEAL_ONLY)
     return {
         "cycles": found.cycles,
@@ -100,15 +100,17 @@ def _general(found: Findings) -> Mapping[str, object]:
     }
 
 
-def _noiseless(found: Findings) -> Mapping[str, object]:
+def _noiseless(found: PaperFindings) -> Mapping[str, object]:
     values: dict[str, object] = {
         "noiseless_worst": max(abs(found.noiseless.mean(key)) for key in keys_of(IDEAL_ONLY)),
         "known_worst": max(abs(found.noiseless_known_film.mean(key)) for key in keys_of(IDEAL_ONLY)),
-        "static_mu_s_worst": max(abs(found.noiseless.mean(key)) for key in keys_of(list(Case)) if key[2] == "mu_s"),
+        "static_mu_s_worst": max(
+            abs(found.noiseless.mean(key)) for key in keys_of(list(PaperCase)) if key[2] == "mu_s"
+        ),
     }
     for clutch in CLUTCHES:
-        values[f"static_mu_c{clutch}"] = found.noiseless.mean((Case.IDEAL, clutch, "mu_c"))
-        values[f"trajectory_mu_c{clutch}"] = found.noiseless_trajectory.mean((Case.IDEAL, clutch, "mu_c"))
+        values[f"static_mu_c{clutch}"] = found.noiseless.mean((PaperCase.IDEAL, clutch, "mu_c"))
+        values[f"trajectory_mu_c{clutch}"] = found.noiseless_trajectory.mean((PaperCase.IDEAL, clutch, "mu_c"))
     wrong = [
         f"{case.value}, clutch {clutch}" for (case, clutch), share in found.noiseless.slope_right.items() if not share
     ]
@@ -120,14 +122,14 @@ def _noiseless(found: Findings) -> Mapping[str, object]:
     return values
 
 
-def _case_2(found: Findings) -> Mapping[str, object]:
+def _case_2(found: PaperFindings) -> Mapping[str, object]:
     values: dict[str, object] = {}
-    evidence = {one.clutch: one for one in found.evidence if one.case == Case.CASE_2}
+    evidence = {one.clutch: one for one in found.evidence if one.case == PaperCase.CASE_2}
     for clutch in CLUTCHES:
         one = evidence[clutch]
         values |= {
-            f"case2_mu_s{clutch}": found.noisy.mean((Case.CASE_2, clutch, "mu_s")),
-            f"case2_right{clutch}": 100.0 * found.noisy.slope_right[Case.CASE_2, clutch],
+            f"case2_mu_s{clutch}": found.noisy.mean((PaperCase.CASE_2, clutch, "mu_s")),
+            f"case2_right{clutch}": 100.0 * found.noisy.slope_right[PaperCase.CASE_2, clutch],
             f"locked{clutch}": 100.0 * one.locked_share,
             f"slow{clutch}": 100.0 * one.slow_share,
             f"ungated{clutch}": one.ungated_mean_percent,

@@ -12,7 +12,7 @@ from ecu_emulator.scenario.scenario import FluidCondition
 from ecu_emulator.scenario.scenario_file import load_scenario
 from studies.builders import new_decoder, to_batch
 from studies.reproduce.differences import central_difference, matched_filter
-from studies.reproduce.drives import PERIOD_S, Case, PaperDrive, noisy
+from studies.reproduce.drives import PERIOD_S, PaperCase, PaperDrive, noisy
 from studies.reproduce.study import (
     CALIBRATION,
     DRIVELINE,
@@ -90,19 +90,23 @@ def _film_estimates(drive: PaperDrive, setup: Setup) -> tuple[PaperEstimate, Pap
 
 
 SCENARIO = "noise_only"
-FLUID = {Case.IDEAL: FluidCondition.IDEAL, Case.CASE_1: FluidCondition.CASE_1, Case.CASE_2: FluidCondition.CASE_2}
+FLUID = {
+    PaperCase.IDEAL: FluidCondition.IDEAL,
+    PaperCase.CASE_1: FluidCondition.CASE_1,
+    PaperCase.CASE_2: FluidCondition.CASE_2,
+}
 
 
 def can_errors(drives: Sequence[PaperDrive], seeds: range, cycles: int) -> Errors:
     """Return the errors on CAN frames of drives with sensor noise only, a new drive for every seed."""
-    found: dict[Case, list[tuple[PaperEstimate, PaperEstimate]]] = {case: [] for case in FLUID}
+    found: dict[PaperCase, list[tuple[PaperEstimate, PaperEstimate]]] = {case: [] for case in FLUID}
     for case in FLUID:
         for seed in seeds:
             found[case].append(_can_estimates(case, seed, cycles))
     return errors_of(found, drives)
 
 
-def _can_estimates(case: Case, seed: int, cycles: int) -> tuple[PaperEstimate, PaperEstimate]:
+def _can_estimates(case: PaperCase, seed: int, cycles: int) -> tuple[PaperEstimate, PaperEstimate]:
     scenario = load_scenario(SCENARIO)
     fluid = replace(scenario.fluid, condition=FLUID[case])
     frames, _ = frames_of(replace(scenario, seed=seed, cycles=cycles, fluid=fluid))

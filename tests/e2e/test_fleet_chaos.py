@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from studies.fleet_chaos import BrokerDisk, Plan, Storm
+from studies.fleet_chaos import BrokerDisk, Storm, StormPlan
 
 pytestmark = [pytest.mark.broker, pytest.mark.slow]
 
-SHORT = Plan(
+SHORT = StormPlan(
     edges=2,
     results_per_edge=300,
     storm_s=8.0,

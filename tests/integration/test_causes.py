@@ -16,22 +16,22 @@ from ecu_emulator.cli import main as emulator
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.faults import CauseKind
 from studies.builders import to_batch
-from studies.causes import Life, Outcome, lived
+from studies.causes import CauseLife, CauseOutcome, lived
 from tests.support.builders import drive_scenario
 
 JUDGE = CauseJudge(nominal_calibration())
 
 
 def test_a_life_ends_with_its_cause_named() -> None:
-    (life,) = lived(Life(seed=4711, kinds=(CauseKind.RETURN_SPRING,)))
-    outcome = Outcome.of(life, JUDGE)
+    (life,) = lived(CauseLife(seed=4711, kinds=(CauseKind.RETURN_SPRING,)))
+    outcome = CauseOutcome.of(life, JUDGE)
     assert outcome.is_among(1), outcome.stated
     assert outcome.stated[0][2] > 0.8
 
 
 def test_a_sound_life_stays_sound() -> None:
-    (life,) = lived(Life(seed=4712))
-    outcome = Outcome.of(life, JUDGE)
+    (life,) = lived(CauseLife(seed=4712))
+    outcome = CauseOutcome.of(life, JUDGE)
     assert outcome.stated[0][0] == SOUND
     assert not outcome.accused
 

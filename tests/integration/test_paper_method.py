@@ -11,7 +11,7 @@ from clutch_model.calibration import nominal_calibration
 from clutch_results.records import Reason
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.friction.paper import PaperCollection, nominal_driveline
-from studies.reproduce.drives import Case, PaperDrive, drive, static_tables
+from studies.reproduce.drives import PaperCase, PaperDrive, drive, static_tables
 from studies.reproduce.study import Setup, noiseless_errors
 from studies.reproduce.variants import known_film_errors
 from tests.integration.test_estimation import shifts
@@ -25,16 +25,16 @@ CALIBRATION, DRIVELINE = nominal_calibration(), nominal_driveline()
 
 
 @cache
-def cycle(case: Case = Case.IDEAL) -> PaperDrive:
+def cycle(case: PaperCase = PaperCase.IDEAL) -> PaperDrive:
     return drive(case, cycles=1, seed=7)
 
 
-@pytest.mark.parametrize("case", list(Case))
-def test_without_noise_the_errors_of_one_cycle_are_the_film_table_s(case: Case) -> None:
+@pytest.mark.parametrize("case", list(PaperCase))
+def test_without_noise_the_errors_of_one_cycle_are_the_film_table_s(case: PaperCase) -> None:
     setup = Setup(tables=static_tables())
     by_table, by_film = noiseless_errors([cycle(case)], setup), known_film_errors([cycle(case)], setup)
     for key, errors in by_table.percent.items():
-        assert abs(errors[0]) < (15.0 if case is Case.CASE_2 else 12.0), key
+        assert abs(errors[0]) < (15.0 if case is PaperCase.CASE_2 else 12.0), key
     for key, errors in by_film.percent.items():
         assert abs(errors[0]) < (0.05 if key[2] == "mu_c" else 1.5), key
     assert all(by_table.mean((case, clutch, "mu_c")) < -2.0 for clutch in (1, 2))  # film lag

@@ -14,7 +14,7 @@ from diag_service.diagnosis.condition.verdict import Silence
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder, shudder
 from diag_service.diagnosis.lockup.state import MICRO_SLIP_RAD_S, LockupState, samples_of
-from studies.converter_car import FLUIDS, ConverterCar, Driven, batches, drawn_car, drive
+from studies.converter_car import FLUIDS, ConverterCar, DrivenCar, batches, drawn_car, drive
 
 CALIBRATION = shipped_calibration("lockup")
 CONVERTER = CALIBRATION.converter
@@ -23,7 +23,7 @@ ESTIMATOR = LockupEstimator(CALIBRATION)
 
 
 @cache
-def driven(fluid: str, seed: int = 900, minutes: float = 15.0) -> tuple[ConverterCar, Driven]:
+def driven(fluid: str, seed: int = 900, minutes: float = 15.0) -> tuple[ConverterCar, DrivenCar]:
     rng = np.random.default_rng(seed)
     car = drawn_car(rng, fluid, CALIBRATION)
     return car, drive(car, rng, minutes, CALIBRATION)
