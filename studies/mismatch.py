@@ -279,7 +279,9 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=18)
     parser.add_argument("--road", type=int, default=12, help="vehicles for each kind of drive on the road; 0: none")
     parser.add_argument("--output", type=Path, default=PAGE)
-    parser.add_argument("--row", action="append", choices=sorted(BY_NAME), help="print this row only, write nothing")
+    parser.add_argument(
+        "--row", action="append", choices=sorted(BY_NAME), metavar="NAME", help="print this row only, write nothing"
+    )
     arguments = parsed(
         parser, seeds=3, row=["w_S x 1.5", "viscosity x 1.25", "torque lag 10 ms", "5 % of the frames lost"]
     )
