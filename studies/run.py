@@ -35,7 +35,7 @@ def study_parser(doc: str | None, *, seed: int | None = None, is_parallel: bool 
 
 def parsed(parser: ArgumentParser, argv: Sequence[str] | None = None, **short: object) -> Namespace:
     """Return the options; with ``--short`` what is not named is that of a run of two minutes on one core."""
-    shown = " ".join(f"{name}={value}" for name, value in short.items())
+    shown = " ".join(f"{name}={value}" for name, value in short.items()).replace("%", "%%")
     parser.add_argument("--short", action="store_true", help=f"ends within two minutes on one core: {shown}")
     options = parser.parse_args(argv)
     if options.short:
