@@ -369,13 +369,14 @@ class Decoder:
         self._rhythm.add(batch.t_ns)
         batch = batch.plain()
         if self._goes_on(batch):
+            self._monitor.late.learn(batch)
             self.last_ns = int(batch.t_ns[-1])
             return [self._decode(batch, breaks_before=False)]
         parts: Iterable[FrameBatch] = (batch,)
         late = self._monitor.late
         if len(batch) or not late.is_idle:
             before_ns = int(batch.t_ns[0]) if self.last_ns is None else self.last_ns
-            parts = late.parts(batch, before_ns, self._e2e.own_cycles_ns, is_last=is_last)
+            parts = late.parts(batch, before_ns, is_last=is_last)
         return [
             self._decode(segment, breaks_before=breaks)
             for part in parts

@@ -14,6 +14,7 @@ from ecu_emulator.drive.recording import Drive
 from ecu_emulator.scenario.scenario import Effects
 from tests.support.builders import drive_scenario
 from tests.support.chain import Outcome, diagnosed
+from tests.support.lateness import sent_by_a_slow_machine
 from tests.support.wire import received
 
 DURATION_S = 10.0  # three shifts
@@ -78,5 +79,14 @@ def test_damaged_frames_cut_anywhere_change_nothing(seed: int) -> None:
 def test_a_slower_bus_is_held_against_its_own_cycle_wherever_it_is_cut(places: list[int]) -> None:
     one, pieces = diagnosed([slow_frames()]), diagnosed(cut(slow_frames(), places))
     assert [diagnosis.estimate.status for diagnosis in one.diagnoses] == [Status.VALID] * 3
+    assert pieces.fingerprint == one.fingerprint
+    assert pieces.counts == one.counts
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 600))
+def test_what_a_slow_machine_sent_is_the_same_wherever_it_is_cut(seed: int, step: int) -> None:
+    batch = sent_by_a_slow_machine(frames(), seed)
+    one, pieces = diagnosed([batch]), diagnosed(cut(batch, list(range(0, len(batch), step))))
     assert pieces.fingerprint == one.fingerprint
     assert pieces.counts == one.counts

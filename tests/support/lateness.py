@@ -27,3 +27,16 @@ def after_stalls(batch: FrameBatch, stalls_s: Sequence[tuple[float, float]], ste
         received[row] = at_ns
         free_ns = at_ns + step_ns if is_late else at_ns
     return replace(batch, t_ns=received)
+
+
+def sent_by_a_slow_machine(batch: FrameBatch, seed: int) -> FrameBatch:
+    """Return frames as sent by somebody who in some stretches takes up to twice the time, and now and then pauses."""
+    rng = np.random.default_rng(seed)
+    slowness = np.ones(len(batch))
+    for begin in rng.integers(0, len(batch), rng.integers(1, 30)).tolist():
+        slowness[begin : begin + int(rng.integers(20, 800))] = rng.uniform(1.0, 2.2)
+    steps_ns = np.diff(batch.t_ns, prepend=batch.t_ns[0]) * slowness
+    slow = replace(batch, t_ns=batch.t_ns[0] + np.cumsum(steps_ns).astype(np.int64))
+    length_s = 1e-9 * float(slow.t_ns[-1] - slow.t_ns[0])
+    pauses_s = np.column_stack((np.sort(rng.uniform(0.0, length_s, 8)), rng.exponential(0.03, 8)))
+    return after_stalls(slow, [(at, for_s) for at, for_s in pauses_s.tolist()], 3e-4)

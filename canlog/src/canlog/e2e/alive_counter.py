@@ -17,12 +17,13 @@ data widens the permitted jump by one. Where profile 1 leaves room, this receive
 """
 
 from collections.abc import Iterable, Sequence
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
 from canlog.arrays import Int64Array, Records, Series
 from canlog.e2e.profile1 import COUNTER_PERIOD
+from canlog.frames import BEFORE_ALL_NS
 from canlog.jit import part
 
 MAX_DELTA_COUNTER: Final = 3  # permitted jump between frames one cycle apart: two frames may be lost in silence
@@ -37,6 +38,7 @@ _NONE: Final = -1
 SLOWEST: Final = 5  # cycles of the database: what comes less often is not believed to be meant so
 SLOWER_RATIO: Final = 1.25  # below it the database is believed: jitter is no other cycle
 LEAST_STEPS: Final = 8
+LEARNING_STEPS: Final = 16  # over which the own cycle of a message forgets; one gap moves it by a sixteenth at most
 LEAST_REGULAR: Final = 0.5  # share of the steps that must be near the typical one
 NEAR: Final = 0.25  # of the typical step
 LEAST_SHARED: Final = 0.8  # of the times of columns: cells may be blank
@@ -207,6 +209,25 @@ def note_unusable(link: LinkState) -> None:
     """Remember a frame that stood in for a transmission but could not be read."""
     link.rejected += 1
     link.rejected_after_stray += 1
+
+
+class CycleMemory(Protocol):
+    """What is remembered of how often a message comes: fields of a record of an array."""
+
+    cycle_ns: int  # that the database names; 0 where that is unknown
+    own_ns: int  # that the message keeps, no less than the database's
+    heard_ns: int  # last frame of whatever kind, BEFORE_ALL_NS before the first
+
+
+@part
+def learn_cycle(memory: CycleMemory, now_ns: int, missing: int) -> None:
+    """Take the time since the last frame into account, frames that are missing in between left out."""
+    own_ns, cycle_ns = memory.own_ns, memory.cycle_ns
+    if own_ns > 0 and memory.heard_ns > BEFORE_ALL_NS:
+        step_ns = (now_ns - memory.heard_ns) // (1 + max(missing, 0))
+        step_ns = min(max(step_ns, own_ns // 2), 2 * own_ns)
+        own_ns += (step_ns - own_ns) // LEARNING_STEPS
+        memory.own_ns = min(max(own_ns, cycle_ns), SLOWEST * cycle_ns)
 
 
 def own_period_ns(series: Series) -> int:

@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import Int64Array, Records
-from canlog.e2e.alive_counter import SLOWER_RATIO, SLOWEST
+from canlog.e2e.alive_counter import SLOWER_RATIO, learn_cycle
 from canlog.e2e.profile1 import COUNTER_PERIOD
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts
 from canlog.frames import BEFORE_ALL_NS
@@ -48,7 +48,6 @@ WINDOW: Final = 10  # checks
 MIN_OK: Final = 4  # of a full window: six lost frames are tolerated; what came is checked one by one
 MAX_ERRORS: Final = 1  # frames with a wrong CRC or length
 TIMEOUT_CYCLES: Final = 5
-LEARNING_STEPS: Final = 16  # over which the own cycle of a message forgets; one gap moves it by a sixteenth at most
 MIN_TIMEOUT_NS: Final = 200_000_000  # a listener's machine may be busy: this much lateness says nothing of the sender
 
 _MASK: Final = (1 << WINDOW) - 1
@@ -157,17 +156,6 @@ def take_back_silence(memory: E2eMemory, slot: int, sequence: int, changes: Int6
     memory.ok_bits = memory.lapse_ok_bits
     memory.invalidations -= 1
     return enter_state(memory, slot, memory.lapse_ns, state, changes, count)
-
-
-@part
-def learn_cycle(memory: E2eMemory, now_ns: int, missing: int) -> None:
-    """Take the time since the last frame into account, frames that are missing in between left out."""
-    own_ns, cycle_ns = memory.own_ns, memory.cycle_ns
-    if own_ns > 0 and memory.heard_ns > BEFORE_ALL_NS:
-        step_ns = (now_ns - memory.heard_ns) // (1 + max(missing, 0))
-        step_ns = min(max(step_ns, own_ns // 2), 2 * own_ns)
-        own_ns += (step_ns - own_ns) // LEARNING_STEPS
-        memory.own_ns = min(max(own_ns, cycle_ns), SLOWEST * cycle_ns)
 
 
 @kernel

@@ -6,17 +6,18 @@ frame then gets the time at which the schedule of its sender has it; one without
 A schedule is as early as its frames allow, since a bus only ever delays.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from canlog.arrays import BoolArray, Int64Array, Records, UInt8Array
+from canlog.arrays import Int64Array, Records, UInt8Array
 from canlog.database.addressing import NOBODY, AddressBook, find_slots
+from canlog.e2e.alive_counter import SLOWER_RATIO, learn_cycle
 from canlog.e2e.profile1 import COUNTER_BYTE, COUNTER_MASK, COUNTER_PERIOD
-from canlog.frames import MAX_GAP_NS, FrameBatch, empty_batch, join
-from canlog.jit import kernel
+from canlog.frames import BEFORE_ALL_NS, MAX_GAP_NS, FrameBatch, empty_batch, join
+from canlog.jit import kernel, part
 
 SILENT_CYCLES: Final = 1.2  # of the quickest message: the whole bus is never as quiet while its messages come in time
 HELD_FRAMES, HELD_NS = 96, 150_000_000  # held until either is full
@@ -24,6 +25,18 @@ FASTER_RATIO: Final = 0.9  # of the time in which frames came to the time in whi
 LEAST_COUNTED: Final = 6  # frames with a counter, to tell anything
 SETTLED_FRAMES: Final = 300  # without having caught up by a cycle: the least late of them is on time
 _NO_CYCLE_NS: Final = 2**60
+
+
+class Cadence:
+    """How often a message comes while the bus is on time: a record of an array."""
+
+    cycle_ns: int  # that the database names; 0 of messages without an alive counter
+    own_ns: int  # that the message keeps, no less than the database's
+    heard_ns: int  # last frame, BEFORE_ALL_NS before the first
+    counter: int  # of that frame, whether or not it may be believed
+
+
+CADENCE_TYPE: Final = np.dtype([(name, np.int64) for name in Cadence.__annotations__])
 
 
 class Schedules(NamedTuple):
@@ -49,13 +62,47 @@ class CatchingUp(NamedTuple):
     is_over: bool
 
 
-def rows_on_time(cycle_ns: Int64Array, is_known: BoolArray, t_ns: Int64Array, slot: Int64Array, before_ns: int) -> int:
-    """Return how many frames come before a silence; from its first frame on, a message is known."""
-    cycles_ns = np.append(np.where(cycle_ns > 0, cycle_ns, _NO_CYCLE_NS), _NO_CYCLE_NS)  # the last is that of NOBODY
-    known_ns = cycles_ns[:-1][is_known].min(initial=_NO_CYCLE_NS)
-    quickest_ns = np.minimum.accumulate(np.append(known_ns, cycles_ns[slot]))[:-1]
-    is_silent = np.diff(t_ns, prepend=before_ns) > SILENT_CYCLES * quickest_ns
-    return int(is_silent.argmax()) if is_silent.any() else len(t_ns)
+@part
+def believed_cycle_ns(cadence: Cadence) -> int:
+    """Return how often a message comes by itself: as the database says until it is plainly slower."""
+    return cadence.own_ns if cadence.own_ns >= SLOWER_RATIO * cadence.cycle_ns else cadence.cycle_ns
+
+
+@part
+def silence_ns(cadences: Records) -> float:
+    """Return for how long the bus is quiet at most while its messages come in time, as far as they were heard."""
+    quickest_ns = _NO_CYCLE_NS
+    for cadence in cadences:
+        if cadence.cycle_ns > 0 and cadence.heard_ns > BEFORE_ALL_NS:
+            quickest_ns = min(quickest_ns, believed_cycle_ns(cadence))
+    return SILENT_CYCLES * quickest_ns
+
+
+@part
+def hear(cadence: Cadence, t_ns: int, counter: int) -> None:
+    """Learn from one frame how often its message comes; its counter tells how many between are missing."""
+    learn_cycle(cadence, t_ns, (counter - cadence.counter) % COUNTER_PERIOD - 1)
+    cadence.heard_ns, cadence.counter = t_ns, counter
+
+
+@kernel
+def learn_cadences(cadences: Records, t_ns: Int64Array, slot: Int64Array, data: UInt8Array) -> None:
+    """Learn from frames in their order, whatever is between them."""
+    for row in range(t_ns.size):
+        if slot[row] != NOBODY and cadences[slot[row]].cycle_ns > 0:
+            hear(cadences[slot[row]], t_ns[row], int(data[row, COUNTER_BYTE] & COUNTER_MASK))
+
+
+@kernel
+def rows_on_time(cadences: Records, before_ns: int, t_ns: Int64Array, slot: Int64Array, data: UInt8Array) -> int:
+    """Return how many frames come before a silence of the whole bus; learn from these how often messages come."""
+    for row in range(t_ns.size):
+        if t_ns[row] - before_ns > silence_ns(cadences):
+            return row
+        before_ns = t_ns[row]
+        if slot[row] != NOBODY and cadences[slot[row]].cycle_ns > 0:
+            hear(cadences[slot[row]], t_ns[row], int(data[row, COUNTER_BYTE] & COUNTER_MASK))
+    return t_ns.size
 
 
 def held_rows(t_ns: Int64Array) -> int:
@@ -120,27 +167,34 @@ class LateFrames:
     """
 
     def __init__(self, book: AddressBook, cycle_ns: Int64Array, links: Records) -> None:
-        self._book, self._cycle_ns, self._links = book, cycle_ns, links
+        self._book, self._links = book, links
+        self._cadences = np.zeros(len(cycle_ns), CADENCE_TYPE)
+        self._cadences["cycle_ns"] = self._cadences["own_ns"] = cycle_ns
+        self._cadences["heard_ns"] = BEFORE_ALL_NS
         self._quickest_ns = int(min(cycle_ns[cycle_ns > 0], default=0))
         self.silence_ns = int(SILENT_CYCLES * self._quickest_ns) if self._quickest_ns else MAX_GAP_NS
         self._on_time_ns = self._quickest_ns // 4
         self.count = 0  # frames that got an earlier time
         self._held = empty_batch()
-        self._schedules = self._schedules_of(cycle_ns)
+        self._schedules = self._schedules_of()
         self._burst: CatchingUp | None = None
+        self.learn(self._held)  # compiles now: the first real batch must not wait for the compiler
 
     def compile(self) -> None:
         """Compile what the first burst of a live bus must not wait for; most logs have none."""
         self._resent(self._held, CatchingUp(0, 0, 0, 0, 0, 0, 0, 0, False))
+        self._rows_on_time(self._held, 0)
 
     @property
     def is_idle(self) -> bool:
         """Whether nothing is held and nothing late is expected."""
         return self._burst is None and not len(self._held)
 
-    def parts(
-        self, batch: FrameBatch, before_ns: int, own_cycles_ns: Sequence[int], *, is_last: bool = False
-    ) -> Iterator[FrameBatch]:
+    def learn(self, batch: FrameBatch) -> None:
+        """Learn how often messages come from frames that are yielded as they are, or at the times they were sent."""
+        learn_cadences(self._cadences, batch.t_ns, find_slots(self._book, batch.can_id), batch.data)
+
+    def parts(self, batch: FrameBatch, before_ns: int, *, is_last: bool = False) -> Iterator[FrameBatch]:
         """Yield frames in their order, each part to be looked at before the next one is asked for.
 
         ``before_ns`` is the time of the last one yielded. A few are held until others, or the last, tell what they are.
@@ -151,15 +205,17 @@ class LateFrames:
                 gaps = np.diff(batch.t_ns, prepend=self._burst.received_ns) > HELD_NS
                 rows = int(gaps.argmax()) if gaps.any() else len(batch)
                 part, burst = self._resent(batch[:rows], self._burst)
+                self.learn(part)
                 self._burst, is_judged = None if burst.is_over or rows < len(batch) else burst, burst.is_over
-            elif row := self._rows_on_time(batch, int(batch.t_ns[0]) if is_judged else before_ns, own_cycles_ns):
+            elif row := self._rows_on_time(batch, int(batch.t_ns[0]) if is_judged else before_ns):
                 part, is_judged = batch[:row], False
             else:
                 held = batch[: held_rows(batch.t_ns)]
                 if not is_last and len(held) == len(batch) < HELD_FRAMES:
                     self._held = batch
                     return
-                part, is_judged = self._begin(held, before_ns, own_cycles_ns), True
+                part, is_judged = self._begin(held, before_ns), True
+                self.learn(part)
             if len(part):
                 self.count += int(np.count_nonzero(batch.t_ns[: len(part)] - part.t_ns > self._on_time_ns))
                 yield part
@@ -167,13 +223,15 @@ class LateFrames:
         if is_last:
             self._burst = None
 
-    def _rows_on_time(self, batch: FrameBatch, before_ns: int, own_cycles_ns: Sequence[int]) -> int:
-        cycle_ns, is_known = np.where(self._cycle_ns > 0, own_cycles_ns, 0), self._links["valid_counter"] >= 0
-        return rows_on_time(cycle_ns, is_known, batch.t_ns, find_slots(self._book, batch.can_id), before_ns)
+    def _rows_on_time(self, batch: FrameBatch, before_ns: int) -> int:
+        slot = find_slots(self._book, batch.can_id)
+        return int(rows_on_time(self._cadences, before_ns, batch.t_ns, slot, batch.data))
 
-    def _begin(self, held: FrameBatch, before_ns: int, own_cycles_ns: Sequence[int]) -> FrameBatch:
+    def _begin(self, held: FrameBatch, before_ns: int) -> FrameBatch:
         """Return what is late of the frames behind a silence."""
-        self._schedules = self._schedules_of(np.where(self._cycle_ns > 0, own_cycles_ns, 0))
+        if held.t_ns[0] - before_ns > MAX_GAP_NS:
+            self._cadences["heard_ns"] = BEFORE_ALL_NS  # who speaks behind a jump of bus time is seen anew
+        self._schedules = self._schedules_of()
         begun = CatchingUp(before_ns, int(held.t_ns[0]), 2**62, 0, 0, 0, 0, 0, False)
         part, burst = self._resent(held, begun)
         took_ns, sent_ns = burst.received_ns - begun.received_ns, burst.latest_ns - before_ns
@@ -183,8 +241,10 @@ class LateFrames:
         self._burst = None if burst.is_over else burst
         return part
 
-    def _schedules_of(self, cycle_ns: Int64Array) -> Schedules:
-        known = self._links
+    def _schedules_of(self) -> Schedules:
+        known, cadences = self._links, self._cadences
+        is_slower = cadences["own_ns"] >= SLOWER_RATIO * cadences["cycle_ns"]
+        cycle_ns = np.where(is_slower, cadences["own_ns"], cadences["cycle_ns"])
         return Schedules(cycle_ns, self._on_time_ns, known["valid_counter"].copy(), known["valid_ns"].copy())
 
     def _resent(self, batch: FrameBatch, burst: CatchingUp) -> tuple[FrameBatch, CatchingUp]:
