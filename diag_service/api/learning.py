@@ -389,7 +389,7 @@ def said(learned: LearnedVehicle) -> Iterator[str]:
     if learned.gears and not learned.are_named:
         yield "gears are numbered from the highest ratio that was driven: no signal names them"
     if learned.gears and learned.ratios is None:
-        yield "a gear between them was not driven: complete [gears] by hand"
+        yield "not every gear was driven with its clutch closed for long: complete [gears] by hand"
     if learned.is_swapped:
         yield "clutch 1 carries the even gears here: name the two pressures the other way round in the profile"
     for clutch in (1, 2):

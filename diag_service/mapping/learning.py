@@ -58,7 +58,8 @@ SURE: Final = 0.9  # share of the samples
 PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
 COMMANDS: Final = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMMAND)
 GEARS: Final = (Signal.TARGET_GEAR, Signal.CURRENT_GEAR)
-BAND: Final = 0.03  # of ratios around a gear's: a speed that grows moves them by up to this
+BAND, MOST_BAND = 0.03, 0.09  # of ratios around a gear's: a speed that grows moves them by that, rough ground by more
+ROUNDS: Final = 4  # until a band is where its ratios are
 GROWTH_S: Final = 0.3  # over which the gain of speed is a mean
 MOST_GROWTH: Final = 0.5  # in that time, as a part of the speed
 OUTLYING: Final = 4.0
@@ -241,13 +242,15 @@ def _gears_of(rows: FloatArray, *, are_named: bool) -> Mapping[int, LearnedGear]
     is_steady = np.abs(rows[:, _GROWTH]) * GROWTH_S < MOST_GROWTH  # a mean says nothing of a start from rest
     driven = rows[is_fast & is_steady & (rows[:, _ENGINE] > 0.0)]
     ratios = driven[:, _ENGINE] / driven[:, _OVER] if len(driven) else np.empty(0)
+    higher_pa = np.abs(driven[:, _FIRST] - driven[:, _FIRST + 1])
+    is_between = higher_pa <= CLOSED_PA  # unknown pressures say nothing
     bands = dict[int, BoolArray]()
     if are_named:
         for gear in np.unique(driven[:, _GEAR][driven[:, _GEAR] >= 1.0]).tolist():
-            own = driven[:, _GEAR] == gear
+            own = (driven[:, _GEAR] == gear) & ~is_between
             ratio = densest(ratios[own]) if np.count_nonzero(own) >= LEAST_SAMPLES else None
             if ratio is not None:
-                bands[int(gear)] = own & (np.abs(ratios / ratio.ratio - 1.0) < BAND)
+                bands[int(gear)] = own & _near(ratios, own, ratio.ratio)
     else:
         rest, middles = np.ones(len(ratios), np.bool_), dict[float, BoolArray]()
         while (ratio := densest(ratios[rest], 0.0)) is not None:
@@ -260,6 +263,17 @@ def _gears_of(rows: FloatArray, *, are_named: bool) -> Mapping[int, LearnedGear]
         gear: LearnedGear(ratio=ratio, clutch=_clutch(driven[bands[gear]]))
         for gear, ratio in _at_constant_speed(driven, ratios, bands).items()
     }
+
+
+def _near(ratios: FloatArray, own: BoolArray, middle: float) -> BoolArray:
+    """Return which ratios are those of a gear: a band around its own ones that is as wide as they scatter."""
+    width = BAND
+    for _ in range(ROUNDS):
+        inside = ratios[own & (np.abs(ratios / middle - 1.0) < width)]
+        middle = float(np.median(inside))
+        spread = 1.4826 * float(np.median(np.abs(inside / middle - 1.0)))
+        width = min(max(BAND, OUTLYING * spread), MOST_BAND)
+    return np.abs(ratios / middle - 1.0) < width
 
 
 def _at_constant_speed(rows: FloatArray, ratios: FloatArray, bands: Mapping[int, BoolArray]) -> Mapping[int, GearRatio]:

@@ -18,7 +18,9 @@ from diag_service.mapping.profile import BusSource, ColumnSource, SignalSource, 
 
 TYPICAL_TORQUE_NM: Final = 200.0  # of the most fuel: some scale must be assumed
 ASSUMED_FRICTION_NM: Final = 25.0  # of an engine without fuel
-WINDOW: Final = 0.01  # width of the band in which the ratios of a closed clutch lie, as a part of them
+# Widths of the band in which the ratios of a closed clutch lie, as parts of them; rough ground or a tool that asks for
+# one speed after the other scatters them. Neighbouring gears are twice the widest apart.
+WINDOWS: Final = (0.01, 0.015, 0.02, 0.03)
 LEAST_SAMPLES: Final = 10
 LEAST_SHARE: Final = 0.2  # of a gear's samples in that band: else its clutch was never closed for long
 MOST_ODD: Final = 100  # values at either end, one of a thousand, that may be damage
@@ -42,14 +44,15 @@ def is_complete(ratios: Mapping[int, GearRatio]) -> bool:
 
 
 def densest(ratios: FloatArray, least_share: float = LEAST_SHARE) -> GearRatio | None:
-    """Return the middle of the band that holds most ratios; None if too few lie in any."""
+    """Return the middle of the narrowest band that holds enough of the ratios; None if too few lie in any."""
     ordered = np.sort(ratios[ratios > 0.0])
-    counts = np.searchsorted(ordered, ordered * (1.0 + WINDOW), side="right") - np.arange(len(ordered))
-    if not len(counts) or counts.max() < max(LEAST_SAMPLES, least_share * len(ratios)):
-        return None
-    first = int(counts.argmax())
-    band = ordered[first : first + int(counts[first])]
-    return GearRatio(float(np.median(band)), float(band.std() / np.sqrt(len(band))), len(band))
+    for window in WINDOWS if len(ordered) else ():
+        counts = np.searchsorted(ordered, ordered * (1.0 + window), side="right") - np.arange(len(ordered))
+        first = int(counts.argmax())
+        band = ordered[first : first + int(counts[first])]
+        if len(band) >= max(LEAST_SAMPLES, least_share * len(ratios)):
+            return GearRatio(float(np.median(band)), float(band.std() / np.sqrt(len(band))), len(band))
+    return None
 
 
 MIN_SCORE: Final = 3.0
