@@ -118,12 +118,13 @@ def slip_phase(event: Event, gears: GearRatios | None = None) -> SlipPhase | NoP
         return NoPhase(event, "neither speeds behind the clutches nor ratios and a speed behind the gears")
     on_slip, off_slip = engine.value - inputs[0], engine.value - inputs[1]
     step = float(np.median((inputs[1] - inputs[0])[:3]))
-    left = np.flatnonzero((off_slip * -np.sign(step) > LEFT_OLD_GEAR * abs(step)) & (engine.t_ns >= event.start_ns))
-    if not len(left) or not left[0]:
+    has_left = (off_slip * -np.sign(step) > LEFT_OLD_GEAR * abs(step)) & (engine.t_ns >= event.start_ns)
+    if not has_left.any() or has_left[0]:
         return NoPhase(event, "the engine never leaves the old gear")
-    first = int(left[0]) - 1
-    locked = np.flatnonzero(on_slip[first:] * np.sign(step) <= 0.0)
-    stop = first + int(locked[0]) if len(locked) else len(on_slip)
+    locked = np.flatnonzero((on_slip * np.sign(step) <= 0.0) & (np.cumsum(has_left) > 0))
+    stop = int(locked[0]) if len(locked) else len(on_slip)
+    # Rows scatter: one that seems to have left is not the beginning while a later one is in the old gear.
+    first = int(np.flatnonzero(~has_left[:stop])[-1])
     if not len(locked) or stop - first < LEAST_ROWS:
         return NoPhase(event, f"not enough samples in the slip ({stop - first} of at least {LEAST_ROWS})")
     start_ns = int(engine.t_ns[first])

@@ -90,6 +90,19 @@ def test_a_slip_phase_is_cut_from_the_old_gear_to_the_lock() -> None:
     assert found.mean_pa == 4e5
 
 
+def test_rows_that_scatter_begin_no_slip_phase_early() -> None:
+    event = upshift()
+    engine = event.columns[Signal.ENGINE_SPEED]
+    early = np.where((engine.t_ns > 850_000_000) & (engine.t_ns < 950_000_000), 1.0, 0.0)
+    early[np.flatnonzero(early)[1:]] = 0.0
+    scattered = replace(engine, value=engine.value - 30.0 * early)
+    noisy = replace(event, columns={**event.columns, Signal.ENGINE_SPEED: scattered})
+    found, sound = slip_phase(noisy, GEARS), slip_phase(event, GEARS)
+    assert isinstance(found, SlipPhase)
+    assert isinstance(sound, SlipPhase)
+    assert found.start_ns == sound.start_ns
+
+
 def with_friction(ratios: FloatArray, rng: np.random.Generator) -> list[SlipPhase]:
     """Make shifts 2-3 and 3-4 by turns, whose friction has these ratios; none in which the engine hardly slows down."""
     made: list[SlipPhase] = []

@@ -7,7 +7,9 @@ from canlog.arrays import FloatArray, Series
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.mapping.learning import LearnedVehicle, VehicleSurvey
 
-RATIOS = np.array([10.11, 7.42, 5.75, 4.46, 3.51, 2.89])  # engine over output, of a real six-speed side-by-side
+RATIOS: FloatArray = np.array(
+    [10.11, 7.42, 5.75, 4.46, 3.51, 2.89]
+)  # engine over output, of a real six-speed side-by-side
 ROW_S = 0.037
 ROWS = 600  # of a gear
 SLIPPING = 0.35  # of them
@@ -21,15 +23,15 @@ def series(t_s: FloatArray, value: FloatArray) -> Series:
 def rough_drive(scatter_ratio: float, seed: int) -> LearnedVehicle:
     """Return what a drive tells that holds each gear twice, slipping at first, and whose speeds scatter row by row."""
     rng, gears = np.random.default_rng(seed), np.repeat([*range(6), *range(6)], ROWS // 2)
-    t_s = ROW_S * np.arange(len(gears))
+    t_s = np.asarray(ROW_S * np.arange(len(gears)), np.float64)
     within = np.tile(np.linspace(0.0, 1.0, ROWS // 2), 12)
     output_rad_s = 600.0 / RATIOS[gears] * (0.6 + 0.4 * within)
     slip = 1.0 + np.where(within < SLIPPING, rng.uniform(0.05, 0.4, 12).repeat(ROWS // 2) * (1.0 - within), 0.0)
     own = rng.standard_t(4, len(gears)) / np.sqrt(2.0)
-    rough = 1.0 + scatter_ratio * np.convolve(own, [0.8, 0.6], "same")
+    rough = 1.0 + scatter_ratio * np.asarray(np.convolve(own, [0.8, 0.6], "same"), np.float64)
     is_odd = gears % 2 == 0
     survey = VehicleSurvey(Signal.OUTPUT_SPEED)
-    values = {
+    values: dict[Signal, FloatArray] = {
         Signal.ENGINE_SPEED: RATIOS[gears] * output_rad_s * slip,
         Signal.OUTPUT_SPEED: output_rad_s * rough,
         Signal.TARGET_GEAR: gears + 1.0,
