@@ -3,8 +3,7 @@
 import os
 import time
 import uuid
-from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from datetime import datetime
@@ -20,12 +19,12 @@ from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_sc
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.live import AnswersTesters, BusChoice, SentTruth, answering_of, send
-from ecu_emulator.log_formats.record import DEFAULT_START_NS, RecordFormat
-from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.log_formats import DEFAULT_START_NS, RecordFormat
+from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.faults import BusFault, SensorFault
 from ecu_emulator.scenario.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario.scenario_file import parse_fault
-from ecu_emulator.truth import ROTATED_BYTES, DriveTruth, Happened, Totals, TruthLog, TruthWriter, truth_log
+from ecu_emulator.truth import ROTATED_BYTES, TruthLog, TruthWriter
 
 AnyPath = str | os.PathLike[str]
 AnyFault = SensorFault | BusFault | Mapping[str, object]
@@ -60,39 +59,6 @@ def check_word(name: str, word: str | None, words: list[str]) -> None:
     """Raise ConfigError unless a word, if it is given, is one of these."""
     if word is not None and word not in words:
         raise EmulatorConfigError(f"{name} must be {', '.join(words[:-1])} or {words[-1]}, got {word!r}")
-
-
-class TruthMemory:
-    """Keeps what is true of a drive, and hands it on to a file; one thread may write while others read."""
-
-    def __init__(self) -> None:
-        self.file: TruthWriter | None = None
-        self._drive: DriveTruth | None = None
-        self._happened: deque[Happened] = deque(maxlen=MOST_KEPT)
-        self._totals: Totals | None = None
-
-    def drive(self, drive: DriveTruth) -> None:
-        """Keep what is true for the whole drive."""
-        self._drive = drive
-        if self.file is not None:
-            self.file.drive(drive)
-
-    def write(self, truths: Sequence[Happened]) -> None:
-        self._happened.extend(truths)
-        if self.file is not None:
-            self.file.write(truths)
-
-    def totals(self, totals: Totals) -> None:
-        """Keep what the drive amounted to."""
-        self._totals = totals
-        if self.file is not None:
-            self.file.totals(totals)
-
-    def log(self) -> TruthLog:
-        """Return all of it; raises ConfigError before the drive has begun."""
-        if self._drive is None:
-            raise EmulatorConfigError("the car is not driving yet: there is no truth")
-        return truth_log(self._drive, self._happened.copy(), self._totals)
 
 
 class Emulator:
@@ -208,7 +174,7 @@ class Emulator:
         self._thread: Thread | None = None
         self._drive: Drive | None = None
         self._sent: SentTruth | None = None
-        self._memory = TruthMemory()
+        self._file: TruthWriter | None = None
         self._result: Mapping[str, Any] | None = None
         self._error: BaseException | None = None
         self._said: list[str] = []
@@ -259,8 +225,8 @@ class Emulator:
         try:
             if self._truth_path is not None:
                 most_bytes = ROTATED_BYTES if self.scenario.endless else None
-                self._memory.file = TruthWriter(self._truth_path, most_bytes=most_bytes)
-            self._sent = SentTruth(self._drive, self._memory)
+                self._file = TruthWriter(self._truth_path, most_bytes=most_bytes)
+            self._sent = SentTruth(self._drive, self._file, MOST_KEPT)
         except BaseException:
             bus.shutdown()
             raise
@@ -289,7 +255,9 @@ class Emulator:
     @property
     def truth(self) -> TruthLog:
         """What was true of the shifts whose frames have been sent until now."""
-        return self._memory.log()
+        if self._sent is None:
+            raise EmulatorConfigError("the car is not driving yet: there is no truth")
+        return self._sent.log
 
     @property
     def sent_s(self) -> float:
@@ -355,7 +323,7 @@ class Emulator:
         try:
             with (
                 bus,
-                self._memory.file or nullcontext(),
+                self._file or nullcontext(),
                 answering_of(self._answers, bus, self._choice, self.scenario, sent.drive) as answering,
             ):
                 self._result = send(

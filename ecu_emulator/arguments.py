@@ -8,7 +8,7 @@ import click
 
 from clutchdiag_io.command_line import FILE, FORCE, INT, Choice, Command, Option, Program
 from clutchdiag_io.program import attached
-from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario import DriveName
 
 PROGRAM: Final = "ecu-emulator"
 EXIT_TEXT: Final = (

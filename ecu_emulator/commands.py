@@ -6,7 +6,7 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
@@ -21,17 +21,17 @@ from dbc.contract import dbc_path
 from ecu_emulator.arguments import MOST_PARKED_S
 from ecu_emulator.drive.recording import LONG_STRETCH_S, Drive
 from ecu_emulator.errors import EmulatorConfigError, EmulatorStoppedError, RecordError
-from ecu_emulator.log_formats.record import (
+from ecu_emulator.log_formats import (
     DEFAULT_START_NS,
-    LogFile,
     LogStream,
     RecordFormat,
+    TableOptions,
     open_log,
     open_log_stream,
+    write_table,
 )
-from ecu_emulator.log_formats.table import TableOptions, write_table
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
-from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.faults import CauseKind, Degradation
 from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Scenario, WorkshopRoutine
 from ecu_emulator.scenario.scenario_file import load_scenario, shipped_scenarios
@@ -314,7 +314,7 @@ def write_log(
     )
 
 
-def _open(options: LogOptions) -> LogFile | LogStream:
+def _open(options: LogOptions) -> AbstractContextManager[LogStream]:
     chosen = RecordFormat(options.log_format) if options.log_format else None
     if options.path == STANDARD_STREAM:
         return open_log_stream(sys.stdout.buffer, log_format=chosen, start_ns=options.start_ns, channel=options.channel)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from socketserver import StreamRequestHandler, ThreadingUnixStreamServer
 from threading import Event
 from typing import Final, Protocol, Self
 
@@ -31,32 +32,33 @@ from ecu_emulator.scenario.scenario_file import parse_fault
 from ecu_emulator.sensing import MS_PER_S
 from ecu_emulator.truth import (
     ROTATED_BYTES,
-    DriveTruth,
     EventTruth,
     Happened,
     ShiftTruth,
     Totals,
+    TruthLog,
     TruthWriter,
     known_at_s,
+    truth_log,
 )
 
 LINE_BYTES: Final = 4096
 POLL_S: Final = 0.2  # how soon the end of the drive is noticed
-IDLE_S: Final = 30.0  # a caller who says nothing makes room for the next one
+IDLE_S: Final = 30.0  # a caller who says nothing is left
 OWNER_ONLY: Final = 0o177  # umask
 
 Take = Callable[[SensorFault | BusFault], None]
 
 
 class ControlSocket:
-    """Listens while the ``with`` block runs, in a thread of its own.
+    """Listens while the ``with`` block runs, in threads of its own.
 
     Parameters
     ----------
     path
         Where the socket shall be; one that a dead process left there is replaced.
     take
-        Is handed every fault, in that thread; what it raises as ConfigError is the caller's answer.
+        Is handed every fault, in those threads; what it raises as ConfigError is the caller's answer.
 
     Raises
     ------
@@ -65,78 +67,47 @@ class ControlSocket:
     """
 
     def __init__(self, path: Path, take: Take) -> None:
+        class Caller(StreamRequestHandler):
+            timeout = IDLE_S
+
+            def handle(self) -> None:
+                with suppress(OSError):  # a caller that goes away is no concern of the drive
+                    while (line := self.rfile.readline(LINE_BYTES)).endswith(b"\n"):
+                        self.wfile.write(f"{_answer(line, take)}\n".encode())
+                    if len(line) == LINE_BYTES:
+                        self.wfile.write(f"error: a line has less than {LINE_BYTES} bytes\n".encode())
+
         self._path = path
-        self._take = take
-        self._stop = threading.Event()
-        self._socket = _listening(path)
-        self._thread = threading.Thread(target=self._serve, name="control", daemon=True)
+        before = os.umask(OWNER_ONLY)
+        try:
+            _remove_dead(path)
+            self._server = ThreadingUnixStreamServer(str(path), Caller)
+        except OSError as exc:
+            raise RecordError(f"cannot listen at {path}: {exc.strerror or exc}") from exc
+        finally:
+            os.umask(before)
+        self._server.daemon_threads, self._server.block_on_close = True, False
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(POLL_S,), name="control", daemon=True)
 
     def __enter__(self) -> Self:
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-        self._socket.close()
+        self._server.shutdown()
+        self._server.server_close()
         with suppress(OSError):
             self._path.unlink()
 
-    def _serve(self) -> None:
-        while not self._stop.is_set():
-            try:
-                caller, _ = self._socket.accept()
-            except TimeoutError:
-                continue
-            with caller, suppress(OSError):  # a caller that goes away is no concern of the drive
-                caller.settimeout(POLL_S)
-                self._converse(caller)
 
-    def _converse(self, caller: socket.socket) -> None:
-        pending, silent_s = b"", 0.0
-        while not self._stop.is_set() and silent_s < IDLE_S:
-            try:
-                received = caller.recv(LINE_BYTES)
-            except TimeoutError:
-                silent_s += POLL_S
-                continue
-            *lines, pending = (pending + received).split(b"\n")
-            for line in lines:
-                caller.sendall(f"{self._answer(line)}\n".encode())
-            if len(pending) > LINE_BYTES:
-                caller.sendall(f"error: a line has at most {LINE_BYTES} bytes\n".encode())
-                return
-            if not received:
-                return
-            silent_s = 0.0
-
-    def _answer(self, line: bytes) -> str:
-        try:
-            self._take(parse_fault(json.loads(line)))
-        except (ValueError, RecursionError) as exc:
-            return f"error: not JSON: {' '.join(str(exc).split())}"
-        except EmulatorConfigError as exc:
-            return f"error: {' '.join(str(exc).split())}"
-        return "ok"
-
-
-def _listening(path: Path) -> socket.socket:
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    before = os.umask(OWNER_ONLY)
+def _answer(line: bytes, take: Take) -> str:
     try:
-        _remove_dead(path)
-        listener.bind(str(path))
-        listener.listen(1)
-        listener.settimeout(POLL_S)
-    except OSError as exc:
-        listener.close()
-        raise RecordError(f"cannot listen at {path}: {exc.strerror or exc}") from exc
-    except RecordError:
-        listener.close()
-        raise
-    finally:
-        os.umask(before)
-    return listener
+        take(parse_fault(json.loads(line)))
+    except (ValueError, RecursionError) as exc:
+        return f"error: not JSON: {' '.join(str(exc).split())}"
+    except EmulatorConfigError as exc:
+        return f"error: {' '.join(str(exc).split())}"
+    return "ok"
 
 
 def _remove_dead(path: Path) -> None:
@@ -152,31 +123,35 @@ def _remove_dead(path: Path) -> None:
                 raise RecordError(f"cannot listen at {path}: another process listens there already")
 
 
-class TruthSink(Protocol):
-    """Who hears the truth about a drive, as it becomes known."""
-
-    def drive(self, drive: DriveTruth) -> None:
-        """Hear what is true for the whole drive, first of all."""
-
-    def write(self, truths: Sequence[Happened]) -> None:
-        """Hear what has happened."""
-
-    def totals(self, totals: Totals) -> None:
-        """Hear what the drive amounted to, last of all."""
-
-
 class SentTruth:
-    """Hands a drive's frames to the bus and keeps back the truth of what happened until its frames have been sent."""
+    """Hands a drive's frames to the bus and keeps back the truth of what happened until its frames have been sent.
 
-    def __init__(self, drive: Drive, writer: TruthSink | None) -> None:
+    Parameters
+    ----------
+    drive
+        Whose frames are sent.
+    writer
+        Writes what is true, as it becomes known.
+    most_kept
+        So much of it is kept for ``log``, of an endless drive the last.
+    """
+
+    def __init__(self, drive: Drive, writer: TruthWriter | None, most_kept: int = 0) -> None:
         self.drive: Final = drive
         self._writer = writer
         self._ahead: deque[Happened] = deque()  # filled by the thread that drives
+        self._happened: deque[Happened] = deque(maxlen=most_kept)
+        self._totals: Totals | None = None
         self.shift_count = 0
         self.event_count = 0
         self.sent_s = 0.0
         if writer is not None:
             writer.drive(drive.truth)
+
+    @property
+    def log(self) -> TruthLog:
+        """The truth about what has been sent; any thread may ask."""
+        return truth_log(self.drive.truth, self._happened.copy(), self._totals)
 
     def frames(self) -> Iterator[EncodedFrames]:
         """Drive, and yield what is to be sent; may run in a thread of its own."""
@@ -189,6 +164,7 @@ class SentTruth:
         self.sent_s = t_s
         while self._ahead and known_at_s(self._ahead[0]) <= t_s:
             truth = self._ahead.popleft()
+            self._happened.append(truth)
             if self._writer is not None:
                 self._writer.write([truth])
             self.shift_count += isinstance(truth, ShiftTruth)
@@ -198,16 +174,15 @@ class SentTruth:
         """Write what is left, and the totals of what was sent."""
         if report.is_complete:
             self.sent_until(self.drive.totals.duration_s)
+        self._totals = replace(
+            self.drive.totals,
+            shifts=self.shift_count,
+            events=self.event_count,
+            duration_s=self.sent_s,
+            frames=report.frames_sent,
+        )
         if self._writer is not None:
-            self._writer.totals(
-                replace(
-                    self.drive.totals,
-                    shifts=self.shift_count,
-                    events=self.event_count,
-                    duration_s=self.sent_s,
-                    frames=report.frames_sent,
-                )
-            )
+            self._writer.totals(self._totals)
 
 
 WORTH_SAYING: Final = 10  # frames; fewer may be the last ones of an emulator that has just been stopped

@@ -24,8 +24,8 @@ from ecu_emulator.cli import main as emulator
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.driving.journey import PlannedTrip, trips
 from ecu_emulator.driving.traffic import public_trace
-from ecu_emulator.log_formats.table import TableOptions, write_table
-from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.log_formats import TableOptions, write_table
+from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Scenario
 from ecu_emulator.truth import TruthLog
 

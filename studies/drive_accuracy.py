@@ -36,7 +36,7 @@ from diag_service.diagnosis.friction.posterior import friction, scale_free
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.drive.recording import Drive
-from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.scenario import Scenario, WorkshopRoutine
 from ecu_emulator.scenario.scenario_file import load_scenario
 from studies.builders import FLUIDS, STRETCH_S, TRACES, in_oil, new_stages, planned, to_batch

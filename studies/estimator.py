@@ -26,7 +26,7 @@ from diag_service.diagnosis.columns import BALANCE_SIGNALS
 from diag_service.diagnosis.events import Event
 from diag_service.service.stages import Stages
 from ecu_emulator.drive.recording import frames_of
-from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.scenario_file import load_scenario
 from studies import bars
 from studies.builders import new_stages, to_batch

@@ -26,7 +26,7 @@ from diag_service.batch.tables import Entry
 from diag_service.batch.worker import Analyst
 from diag_service.settings.config import DiagnosisConfig
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.log_formats.record import BlfWriter, CandumpWriter, FrameWriter, LogHeader
+from ecu_emulator.log_formats import BlfWriter, CandumpWriter, FrameWriter, LogHeader
 from studies import bars
 from studies.builders import new_decoder, new_stages
 from studies.run import machine, parsed, study_parser, took_s

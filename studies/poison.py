@@ -32,7 +32,7 @@ from diag_service.diagnosis.friction.posterior import scale_free
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.drive.recording import Drive, frames_of
-from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.scenario import FluidCondition, Scenario, Truth, WorkshopRoutine
 from studies.builders import EPOCH_US, STRETCH_S, TRACES, in_oil, new_stages, planned, to_batch
 from studies.drawn_vehicle import draw

@@ -32,7 +32,7 @@ from diag_service.mapping.interpretation import interpret
 from diag_service.mapping.learning import proposed_profile
 from diag_service.service.stages import Diagnosis, Stages
 from ecu_emulator.drive.recording import Drive
-from ecu_emulator.log_formats.record import open_log
+from ecu_emulator.log_formats import open_log
 from studies.builders import OF_FRICTION, OUTPUT, STRETCH_S, planned, with_fuel, written
 from studies.drive_accuracy import END, MOMENTS, WRONG, Case, DriveOutcome, coverage, outcome_of, scenario_of
 from studies.run import over_drives, parsed, root_mean_square, study_parser

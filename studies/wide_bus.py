@@ -15,7 +15,7 @@ from cantools.database.conversion import BaseConversion
 
 from canlog.arrays import FloatArray, Int64Array, UInt8Array
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.log_formats.record import open_log
+from ecu_emulator.log_formats import open_log
 
 FIRST_ID: Final = 0x100
 PERIODS_S: Final = (0.01,) * 20 + (0.02,) * 20 + (0.05,) * 20 + (0.1,) * 20 + (0.2,) * 10 + (1.0,) * 10

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Final, Self
+from types import MappingProxyType
+from typing import Any, Final, Self, TypeVar
 
 import numpy as np
 
@@ -39,8 +40,19 @@ PER_STRENGTH: Final[Mapping[CauseKind, Mapping[str, float]]] = {  # natural loga
     CauseKind.PRESSURE_SENSOR: {"pressure_gain": 0.04, "pressure_zero_pa": 1.5e3},
     CauseKind.DRAGGING_CLUTCH: {"open_gap": -0.4, "open_drag": 0.6},
 }  # fmt: skip
+_OF_CLUTCH: Final[Mapping[str, str]] = {  # numbers of a clutch, and the changes that multiply them
+    "friction.mu_c": "mu_c", "friction.mu_s": "mu_s", "piston.fill_stroke_m": "fill_stroke",
+    "film.permeability_m2": "permeability", "film.roughness_m": "roughness", "film.open_gap_m": "open_gap",
+}  # fmt: skip
+_OF_PLANT: Final[Mapping[str, str]] = {  # likewise of the plant
+    "hydraulics.supply_ratio": "supply", "hydraulics.solenoid_lag_s": "solenoid_lag",
+    "hydraulics.pack_compliance_m3_pa": "pack_compliance", "hydraulics.orifice_m3_s_sqrt_pa": "orifice",
+    "synchroniser.torque_nm": "synchroniser_torque",
+}  # fmt: skip
 SCATTER_LOG: Final = 0.25  # of each number from car to car, and of what all of a cause's have in common
 _EACH: Final = ("clutch1", "clutch2")
+_NOTHING: Final[Mapping[str, float]] = MappingProxyType({})
+RecordT = TypeVar("RecordT")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,28 +86,18 @@ class CausedChanges:
         """Return clutches and fluid as they are with these causes."""
         clutches = sound.clutches
         for number, (clutch, own) in enumerate(zip(sound.clutches, self.each, strict=True), start=1):
-            clutches = with_clutch(clutches, number, _clutch(clutch, own))
-        fluid = sound.viscosity
-        return replace(
-            sound, clutches=clutches, viscosity=replace(fluid, a_pa_s=fluid.a_pa_s * _ratio(self.both, "viscosity"))
-        )
+            factors = {name: _ratio(own, change) for name, change in _OF_CLUTCH.items()}
+            preload_n = {"piston.spring_preload_n": own.get("spring_preload_n", 0.0)}
+            clutches = with_clutch(clutches, number, changed(clutch, factors, preload_n))
+        return changed(replace(sound, clutches=clutches), {"viscosity.a_pa_s": _ratio(self.both, "viscosity")})
 
     def parameters(self, sound: PlantParameters) -> PlantParameters:
         """Return what is around the clutches."""
-        both, valves, sync = self.both, sound.hydraulics, sound.synchroniser
         drags = (size * _ratio(own, "open_drag") for size, own in zip(sound.open_drags, self.each, strict=True))
+        erratic_ratio = math.hypot(sound.lining.erratic_ratio, self.both.get("erratic", 0.0))
         return replace(
-            sound,
-            hydraulics=valves._replace(
-                supply_ratio=valves.supply_ratio * _ratio(both, "supply"),
-                solenoid_lag_s=valves.solenoid_lag_s * _ratio(both, "solenoid_lag"),
-                pack_compliance_m3_pa=valves.pack_compliance_m3_pa * _ratio(both, "pack_compliance"),
-                orifice_m3_s_sqrt_pa=valves.orifice_m3_s_sqrt_pa * _ratio(both, "orifice"),
-            ),
-            synchroniser=sync._replace(torque_nm=sync.torque_nm * _ratio(both, "synchroniser_torque")),
-            lining=sound.lining._replace(
-                erratic_ratio=math.hypot(sound.lining.erratic_ratio, both.get("erratic", 0.0))
-            ),
+            changed(sound, {name: _ratio(self.both, change) for name, change in _OF_PLANT.items()}),
+            lining=sound.lining._replace(erratic_ratio=erratic_ratio),
             open_drags=type(sound.open_drags)(*drags),
         )
 
@@ -105,12 +107,9 @@ class CausedChanges:
         errors = {f"{clutch}_pressure_pa": (own, "pressure") for clutch, own in zip(_EACH, self.each, strict=True)}
         errors |= {"lockup_pressure_pa": (self.each[0], "pressure"), "engine_torque_nm": (self.both, "torque")}
         for quantity, (own, name) in errors.items():
-            unit = "pa" if name == "pressure" else "nm"
-            sensor = drifted[quantity]
-            drifted[quantity] = replace(
-                sensor,
-                gain_ratio=sensor.gain_ratio * _ratio(own, f"{name}_gain"),
-                offset=sensor.offset + own.get(f"{name}_zero_{unit}", 0.0),
+            zero = own.get(f"{name}_zero_{'pa' if name == 'pressure' else 'nm'}", 0.0)
+            drifted[quantity] = changed(
+                drifted[quantity], {"gain_ratio": _ratio(own, f"{name}_gain")}, {"offset": zero}
             )
         return drifted
 
@@ -132,28 +131,25 @@ def _ratio(changes: Mapping[str, float], name: str) -> float:
     return math.exp(changes.get(name, 0.0))
 
 
-def _clutch(clutch: ClutchCalibration, own: Mapping[str, float]) -> ClutchCalibration:
-    curve, piston, film = clutch.friction, clutch.piston, clutch.film
-    return replace(
-        clutch,
-        friction=replace(curve, mu_c=curve.mu_c * _ratio(own, "mu_c"), mu_s=curve.mu_s * _ratio(own, "mu_s")),
-        piston=replace(
-            piston,
-            spring_preload_n=piston.spring_preload_n + own.get("spring_preload_n", 0.0),
-            fill_stroke_m=piston.fill_stroke_m * _ratio(own, "fill_stroke"),
-        ),
-        film=replace(
-            film,
-            permeability_m2=film.permeability_m2 * _ratio(own, "permeability"),
-            roughness_m=film.roughness_m * _ratio(own, "roughness"),
-            open_gap_m=film.open_gap_m * _ratio(own, "open_gap"),
-        ),
-    )
+def changed(record: RecordT, times: Mapping[str, float], plus: Mapping[str, float] = _NOTHING) -> RecordT:
+    """Return a record, numbers of which are multiplied, then added to; a dot leads into a member."""
+    changes: dict[str, Any] = {}
+    for name in dict.fromkeys(path.partition(".")[0] for path in (*times, *plus)):
+        member = getattr(record, name)
+        start = f"{name}."
+        inner = [
+            {path.removeprefix(start): by for path, by in some.items() if path.startswith(start)}
+            for some in (times, plus)
+        ]
+        is_number = not any(inner)
+        changes[name] = member * times.get(name, 1.0) + plus.get(name, 0.0) if is_number else changed(member, *inner)
+    copied: Any = record
+    made: RecordT = copied._replace(**changes) if isinstance(record, tuple) else replace(copied, **changes)
+    return made
 
 
 _FRESH: Final = (1.0, 1.0)
-_CLUTCH_NAMES: Final = ("clutch1", "clutch2")
-_MEASURED_PACKS: Final = {**{f"{name}_pressure_pa": name for name in _CLUTCH_NAMES}, "lockup_pressure_pa": "clutch1"}
+_MEASURED_PACKS: Final = {**{f"{name}_pressure_pa": name for name in _EACH}, "lockup_pressure_pa": "clutch1"}
 TOLD_SLIPS_RPM: Final = (10, 20, 40, 60, 100, 200)
 _PER_CLUTCH: Final = frozenset({"piston_area_ratio", "touch_pressure_pa", "pressure_zero_pa"})
 _DELAYED_UNITS: Final = frozenset({"rad_s"})  # the speeds that torque and pressure are compared with
@@ -161,13 +157,14 @@ _DELAYED_UNITS: Final = frozenset({"rad_s"})  # the speeds that torque and press
 
 def affected_calibration(calibration: Calibration, effects: Effects) -> Calibration:
     """Return the calibration as the effects make it, equal to the given one without any."""
-    first, second = (_affected_clutch(clutch, effects) for clutch in calibration.clutches)
-    fluid = calibration.viscosity
-    return replace(
-        calibration,
-        clutches=(first, second),
-        viscosity=replace(fluid, a_pa_s=fluid.a_pa_s * effects.viscosity_ratio),
-    )
+    factors = {
+        "friction.stribeck_speed_rad_s": effects.stribeck_speed_ratio,
+        "geometry.piston_area_m2": effects.piston_area_ratio,
+        "film.contact_stiffness_pa": effects.contact_stiffness_ratio,
+    }
+    spring_n = {"piston.spring_preload_n": effects.spring_force_n}
+    first, second = (changed(clutch, factors, spring_n) for clutch in calibration.clutches)
+    return changed(replace(calibration, clutches=(first, second)), {"viscosity.a_pa_s": effects.viscosity_ratio})
 
 
 def affected_parameters(parameters: PlantParameters, effects: Effects) -> PlantParameters:
@@ -176,33 +173,19 @@ def affected_parameters(parameters: PlantParameters, effects: Effects) -> PlantP
     Raises CalibrationError if an effect leads outside a physical range.
     """
     damping = effects.driveline_damping_ratio
-    first, second = (shaft._replace(damping_nms_rad=shaft.damping_nms_rad * damping) for shaft in parameters.shafts)
-    flywheel, output, engine = parameters.flywheel, parameters.output, parameters.engine
-    lining = parameters.lining
-    return replace(
-        parameters,
-        engine=engine._replace(ripple_ratio=engine.ripple_ratio + effects.crank_ripple_ratio),
-        flywheel=flywheel._replace(damping_nms_rad=flywheel.damping_nms_rad * damping),
-        shafts=(first, second),
-        output=output._replace(shaft_damping_nms_rad=output.shaft_damping_nms_rad * damping),
-        lining=lining._replace(
-            fade_per_k=lining.fade_per_k + effects.friction_fade_per_k,
-            film_mobility_ratio=lining.film_mobility_ratio * effects.film_mobility_ratio,
-            open_drag_ratio=lining.open_drag_ratio * effects.open_drag_ratio,
-            open_drag_limit_nm=lining.open_drag_limit_nm + effects.open_drag_limit_nm,
-        ),
-    )
-
-
-def _affected_clutch(clutch: ClutchCalibration, effects: Effects) -> ClutchCalibration:
-    friction, geometry, piston, film = clutch.friction, clutch.geometry, clutch.piston, clutch.film
-    return replace(
-        clutch,
-        friction=replace(friction, stribeck_speed_rad_s=friction.stribeck_speed_rad_s * effects.stribeck_speed_ratio),
-        geometry=replace(geometry, piston_area_m2=geometry.piston_area_m2 * effects.piston_area_ratio),
-        piston=replace(piston, spring_preload_n=piston.spring_preload_n + effects.spring_force_n),
-        film=replace(film, contact_stiffness_pa=film.contact_stiffness_pa * effects.contact_stiffness_ratio),
-    )
+    first, second = (changed(shaft, {"damping_nms_rad": damping}) for shaft in parameters.shafts)
+    factors = {
+        "flywheel.damping_nms_rad": damping,
+        "output.shaft_damping_nms_rad": damping,
+        "lining.film_mobility_ratio": effects.film_mobility_ratio,
+        "lining.open_drag_ratio": effects.open_drag_ratio,
+    }
+    summands = {
+        "engine.ripple_ratio": effects.crank_ripple_ratio,
+        "lining.fade_per_k": effects.friction_fade_per_k,
+        "lining.open_drag_limit_nm": effects.open_drag_limit_nm,
+    }
+    return changed(replace(parameters, shafts=(first, second)), factors, summands)
 
 
 FLUID_FACTORS: Final[Mapping[FluidCondition, tuple[float, float]]] = {
@@ -248,20 +231,16 @@ def build_vehicle(scenario: Scenario) -> BuiltVehicle:
         )
         clutches = [
             _scattered_clutch(clutch, name, drawn, FLUID_FACTORS[scenario.fluid.condition])
-            for clutch, name in zip(calibration.clutches, _CLUTCH_NAMES, strict=True)
+            for clutch, name in zip(calibration.clutches, _EACH, strict=True)
         ]
-        inertia_kg_m2 = calibration.input_side.engine_inertia_kg_m2 * (1.0 + drawn["engine_inertia_ratio"])
-        viscosity_a_pa_s = calibration.viscosity.a_pa_s * (1.0 + drawn["viscosity_ratio"])
+        scattered = {
+            "viscosity.a_pa_s": 1.0 + drawn["viscosity_ratio"],
+            "input_side.engine_inertia_kg_m2": 1.0 + drawn["engine_inertia_ratio"],
+        }
+        converter = _scattered_converter(calibration.converter, drawn)
+        calibration = replace(calibration, clutches=(clutches[0], clutches[1]), converter=converter)
         return BuiltVehicle(
-            calibration=faulty.calibration(
-                replace(
-                    calibration,
-                    clutches=(clutches[0], clutches[1]),
-                    viscosity=replace(calibration.viscosity, a_pa_s=viscosity_a_pa_s),
-                    input_side=replace(calibration.input_side, engine_inertia_kg_m2=inertia_kg_m2),
-                    converter=_scattered_converter(calibration.converter, drawn),
-                )
-            ),
+            calibration=faulty.calibration(changed(calibration, scattered)),
             parameters=faulty.parameters(
                 _scattered_plant(
                     affected_parameters(
@@ -285,7 +264,7 @@ def _draw(scatter: ProductionScatter, seed: int, *, has_converter: bool) -> dict
     """Draw every deviation from a generator of its own, so that one more does not change the others."""
     drawn: dict[str, float] = {}
     for name in (one.name for one in fields(scatter) if has_converter or not one.name.startswith("converter")):
-        keys = [f"{clutch}_{name}" for clutch in _CLUTCH_NAMES] if name in _PER_CLUTCH else [name]
+        keys = [f"{clutch}_{name}" for clutch in _EACH] if name in _PER_CLUTCH else [name]
         std = getattr(scatter, name)
         drawn |= {key: 0.0 + std * float(generator(seed, f"scatter {key}").standard_normal()) for key in keys}
     return drawn
@@ -294,15 +273,12 @@ def _draw(scatter: ProductionScatter, seed: int, *, has_converter: bool) -> dict
 def _scattered_clutch(
     clutch: ClutchCalibration, name: str, drawn: Mapping[str, float], factors: tuple[float, float]
 ) -> ClutchCalibration:
-    area_m2 = clutch.geometry.piston_area_m2 * (1.0 + drawn[f"{name}_piston_area_ratio"])
-    preload_n = clutch.piston.spring_preload_n + drawn[f"{name}_touch_pressure_pa"] * area_m2
-    return replace(
+    area_ratio = 1.0 + drawn[f"{name}_piston_area_ratio"]
+    area_m2 = clutch.geometry.piston_area_m2 * area_ratio
+    return changed(
         clutch,
-        geometry=replace(clutch.geometry, piston_area_m2=area_m2),
-        piston=replace(clutch.piston, spring_preload_n=preload_n),
-        friction=replace(
-            clutch.friction, mu_c=clutch.friction.mu_c * factors[0], mu_s=clutch.friction.mu_s * factors[1]
-        ),
+        {"geometry.piston_area_m2": area_ratio, "friction.mu_c": factors[0], "friction.mu_s": factors[1]},
+        {"piston.spring_preload_n": drawn[f"{name}_touch_pressure_pa"] * area_m2},
     )
 
 
@@ -317,13 +293,8 @@ def _scattered_converter(converter: Converter | None, drawn: Mapping[str, float]
 
 def _scattered_plant(parameters: PlantParameters, drawn: Mapping[str, float]) -> PlantParameters:
     factor = 1.0 + drawn["input_shaft_inertia_ratio"]
-    first, second = (
-        shaft._replace(
-            clutch_inertia_kg_m2=shaft.clutch_inertia_kg_m2 * factor,
-            gear_inertia_kg_m2=shaft.gear_inertia_kg_m2 * factor,
-        )
-        for shaft in parameters.shafts
-    )
+    factors = {"clutch_inertia_kg_m2": factor, "gear_inertia_kg_m2": factor}
+    first, second = (changed(shaft, factors) for shaft in parameters.shafts)
     return replace(parameters, shafts=(first, second))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from ecu_emulator.driving.traffic import CITY, MIXED, MOTORWAY, Range, SpeedTrace, Traffic, public_trace, traffic_trace
 from ecu_emulator.plant.state import Col
-from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.faults import generator
 
 CITY_TRIP_S: Final = 1200.0

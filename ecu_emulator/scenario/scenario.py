@@ -9,7 +9,7 @@ from typing import ClassVar, Final, TypeVar
 
 from clutch_model.calibration import CONVERTERS, SHIPPED, nominal_calibration
 from ecu_emulator.errors import EmulatorConfigError
-from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.faults import NOMINAL_SENSORS, BusFault, Degradation, SensorFault, Sensors
 
 Overrides = Mapping[str, object]  # dotted key -> TOML value

@@ -8,7 +8,7 @@ import pytest
 from canlog.frames import FrameBatch, join
 from canlog.logs import read_log
 from canlog.logs.log_counts import LogCounts
-from ecu_emulator.log_formats.record import open_log
+from ecu_emulator.log_formats import open_log
 from tests.support.mf4_layouts import Layout, Recording, laid_out
 from tests.support.traffic import START_NS, as_received, assert_same, random_frames
 

@@ -13,7 +13,7 @@ from canlog.logs import LogReject, merged_by_time, read_log
 from canlog.logs.log_counts import FREE_BYTES, LogCounts
 from diag_service.errors import ConfigError
 from diag_service.service.drive import open_drive
-from ecu_emulator.log_formats.record import open_log
+from ecu_emulator.log_formats import open_log
 from tests.support.damage import DAMAGES, analyse, decoder_of, untrue
 from tests.support.damage import record as record_drive
 from tests.support.hostile import HOSTILE, refusal_of, sqlite_file

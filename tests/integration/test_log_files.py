@@ -9,7 +9,7 @@ import pytest
 from canlog.errors import SourceError
 from canlog.logs import LogFormat, read_log
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.log_formats.record import open_log
+from ecu_emulator.log_formats import open_log
 from tests.support.traffic import START_NS, as_received, assert_same, random_frames
 
 SUFFIXES = {

@@ -11,7 +11,7 @@ from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG
 from canlog.logs import LogFormat, LogReader, read_log
 from canlog.logs.mf4_channels import one_each
-from ecu_emulator.log_formats.record import LogHeader, Mf4Writer
+from ecu_emulator.log_formats import LogHeader, Mf4Writer
 from tests.support.measurements import START, Measured, written
 from tests.support.mf4_layouts import Layout, laid_out
 from tests.support.traffic import START_NS, as_received, random_frames

@@ -10,7 +10,7 @@ import pytest
 
 from diag_service.batch.drives import find_drives
 from diag_service.cli import main
-from ecu_emulator.log_formats.record import open_log
+from ecu_emulator.log_formats import open_log
 from tests.support.traffic import START_NS, random_frames
 
 LINES = b"".join(b" (1767225600.%06d)  can0  0A0   [2]  %02X 01\n" % (k * 1_000, k) for k in range(50))

@@ -14,7 +14,7 @@ from canlog.frames import FrameBatch, join
 from canlog.logs import read_log
 from ecu_emulator import cli as emulator
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.log_formats.record import RecordFormat, open_log
+from ecu_emulator.log_formats import RecordFormat, open_log
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 from tests.support.pipes import pieces_of, piped

@@ -7,7 +7,7 @@ import pytest
 from canlog.frames import join
 from canlog.logs import read_log
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.log_formats.record import open_log
+from ecu_emulator.log_formats import open_log
 from tests.support.in_process import ended
 from tests.support.mf4_layouts import Layout, laid_out
 from tests.support.traffic import START_NS

@@ -6,7 +6,7 @@ import numpy as np
 
 from ecu_emulator.driving.journey import PlannedTrip
 from ecu_emulator.driving.traffic import SpeedTrace
-from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.scenario import Scenario
 from tests.support.builders import drive_scenario
 

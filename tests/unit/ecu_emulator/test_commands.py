@@ -7,7 +7,7 @@ import pytest
 from ecu_emulator.arguments import COMMAND_LINE
 from ecu_emulator.commands import choose_scenario, drive_options
 from ecu_emulator.errors import EmulatorConfigError
-from ecu_emulator.scenario.drive_names import DriveName
+from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.scenario import Scenario
 
 

@@ -14,7 +14,7 @@ from canlog.arrays import FloatArray
 from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
 from ecu_emulator.bus.bus_faults import error_frames
 from ecu_emulator.bus.frames import SIGNAL_OF, EncodedFrames, FrameEncoder, joined
-from ecu_emulator.log_formats.record import open_log
+from ecu_emulator.log_formats import open_log
 from ecu_emulator.sensing import Readings
 from tests.support.wire import CONTRACTS, DATABASE, drive, readings
 

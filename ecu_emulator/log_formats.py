@@ -1,12 +1,12 @@
-"""Frames into log files, faster than real time: candump, BLF, ASC, MF4, TRC or CSV, whole or not at all."""
+"""Frames into files: logs of all formats, faster than real time, and a table of signals as a scan tool writes it."""
 
 import os
 import struct
 import zlib
 from abc import ABC, abstractmethod
 from base64 import b64encode
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -16,10 +16,14 @@ from typing import Any, BinaryIO, Final, Protocol, Self
 
 import numpy as np
 
-from canlog.arrays import Int64Array
+import canlog
+from canlog.arrays import FloatArray, Int64Array
+from canlog.errors import CanlogError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, PAYLOAD_BYTES
+from clutchdiag_io.files import until_whole
+from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.errors import LogFormatExtraError, RecordError
+from ecu_emulator.errors import EmulatorConfigError, LogFormatExtraError, RecordError
 
 US_PER_S: Final = 1_000_000
 US_PER_MS: Final = 1_000
@@ -360,7 +364,7 @@ _WRITERS: Final[Mapping[RecordFormat, type[FrameWriter]]] = MappingProxyType({
 
 
 class LogStream:
-    """A log being written to a stream as it comes; formats that write their beginning last do not go there."""
+    """A log being written to a stream as it comes; formats that write their beginning last do not go to a pipe."""
 
     def __init__(self, stream: BinaryIO, log_format: RecordFormat, header: LogHeader, name: str = STREAM_NAME) -> None:
         self._stream = stream
@@ -370,7 +374,10 @@ class LogStream:
         self._writer = _WRITERS[log_format](stream, header)
 
     def write(self, frames: EncodedFrames) -> None:
-        """Append frames; raises OSError if nobody takes them, RecordError as ``LogFile.write``."""
+        """Append frames, their times rounded to whole microseconds.
+
+        Raises OSError if nobody takes them, RecordError if the format has no error frames.
+        """
         if self._format is not RecordFormat.CANDUMP and np.any(frames.can_id & np.uint32(ERROR_FLAG)):
             raise RecordError(f"cannot write {self._name}: error frames are written to candump logs only")
         t_us = self._header.start_us + np.rint(frames.t_s * US_PER_S).astype(np.int64)
@@ -386,68 +393,14 @@ class LogStream:
             self._stream.flush()
 
 
-class LogFile(LogStream):
-    """A log being written under a temporary name; the end of the ``with`` block gives it its own.
-
-    If the block ends with an exception, nothing is left behind, and a file that was there before stays as it was.
-    """
-
-    def __init__(self, path: Path, log_format: RecordFormat, header: LogHeader) -> None:
-        self._path = path
-        self._temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-        try:
-            stream = self._temporary.open("wb")
-        except OSError as exc:
-            raise self._failed(exc) from exc
-        try:
-            super().__init__(stream, log_format, header, str(path))
-        except OSError as exc:
-            self._discard()
-            raise self._failed(exc) from exc
-        except RecordError:
-            self._discard()
-            raise
-
-    def write(self, frames: EncodedFrames) -> None:
-        """Append frames; their times are rounded to whole microseconds.
-
-        Raises RecordError if the disk is full or no longer takes data, or the format has no error frames.
-        """
-        try:
-            super().write(frames)
-        except OSError as exc:
-            raise self._failed(exc) from exc
-
-    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
-        if error is not None:
-            self._discard()
-            return
-        try:
-            self._writer.close()
-            self._stream.flush()
-            os.fsync(self._stream.fileno())
-            self._stream.close()
-            self._temporary.replace(self._path)
-        except OSError as exc:
-            self._discard()
-            raise self._failed(exc) from exc
-
-    def _discard(self) -> None:
-        with suppress(OSError):
-            self._stream.close()
-        with suppress(OSError):
-            self._temporary.unlink(missing_ok=True)
-
-    def _failed(self, error: OSError) -> RecordError:
-        return RecordError(f"cannot write {self._path}: {error.strerror or error}")
-
-
+@contextmanager
 def open_log(
     path: Path, *, log_format: RecordFormat | None = None, start_ns: int = DEFAULT_START_NS, channel: str = "vcan0"
-) -> LogFile:
-    """Begin a log file.
+) -> Iterator[LogStream]:
+    """Write a log file while the block runs; if that ends with an exception, a file that was there before stays.
 
-    Raises RecordError if the format is not known, asammdf is missing for MF4, or the file cannot be created.
+    Raises RecordError if the format is not known, asammdf is missing for MF4, the file cannot be created, or the disk
+    is full or no longer takes data.
 
     Parameters
     ----------
@@ -465,7 +418,14 @@ def open_log(
         raise RecordError(f"{path}: no log format has the suffix {path.suffix!r}; there are {known}")
     if path.exists() and not path.is_file():
         raise RecordError(f"cannot write {path}: not a regular file")
-    return LogFile(path, log_format, _header(start_ns, channel))
+    header = _header(start_ns, channel)
+    try:
+        with until_whole(path) as place, place.open("wb") as stream:
+            with LogStream(stream, log_format, header, str(path)) as log:
+                yield log
+            os.fsync(stream.fileno())
+    except OSError as exc:
+        raise RecordError(f"cannot write {path}: {exc.strerror or exc}") from exc
 
 
 def open_log_stream(
@@ -494,3 +454,111 @@ def format_of(path: Path) -> RecordFormat | None:
     """Return the format that the end of a file's name speaks of."""
     name = path.name.lower()
     return next((found for suffix, found in FORMAT_OF_SUFFIX.items() if name.endswith(suffix)), None)
+
+
+PRESSURE_STEP_KPA: Final = 5.86
+KPA_PER_BAR: Final = 100.0
+NS_PER_S: Final = 1e9
+SETTLED_S: Final = 0.2  # behind the first frame: until then sensors tell that they have no value yet
+ENDING_S: Final = 1.0  # before the last frame: no column is asked for what comes later
+LEAST_ROWS: Final = 3
+COLUMNS: Final[Mapping[str, tuple[str, str, float]]] = {  # column: signal, unit, step
+    "Engine Speed": ("ECM_TorqueSpeed.EngineSpeed", "rpm", 1.0),
+    "Engine Torque": ("ECM_TorqueSpeed.EngineTorque", "Nm", 1.0),
+    "Accelerator Pedal": ("ECM_TorqueSpeed.Pedal", "%", 0.5),
+    "Clutch 1 Pressure": ("TCU_Pressures.Clutch1Pressure", "kPa", PRESSURE_STEP_KPA),
+    "Clutch 2 Pressure": ("TCU_Pressures.Clutch2Pressure", "kPa", PRESSURE_STEP_KPA),
+    "Input Shaft 1 Speed": ("TCU_InputSpeeds.InputShaft1Speed", "rpm", 1.0),
+    "Input Shaft 2 Speed": ("TCU_InputSpeeds.InputShaft2Speed", "rpm", 1.0),
+    "Current Gear": ("TCU_Shift.CurrentGear", "", 1.0),
+    "Target Gear": ("TCU_Shift.TargetGear", "", 1.0),
+    "Output Shaft Speed": ("TCU_Output.OutputSpeed", "rpm", 0.25),
+    "Clutch Hub Speed": ("TCU_InputSpeeds.ClutchHubSpeed", "rpm", 0.25),
+    "Oil Temperature": ("TCU_Temperature.SumpOilTemperature", "degC", 1.0),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableOptions:
+    """Which table is written, and how.
+
+    Attributes
+    ----------
+    rate_hz, jitter_s
+        Of the rows; the jitter is a standard deviation, and the times of the rows tell it.
+    skew_ratio
+        By how much of a row's period columns are asked one after the other.
+    held_rows
+        For so many rows a column keeps its value before it is refreshed; each column at rows of its own.
+    pressure_step_kpa
+        Resolution of pressures.
+    left_out
+        Columns that the tool does not have.
+    """
+
+    path: Path
+    rate_hz: float = 27.0
+    jitter_s: float = 0.01
+    skew_ratio: float = 1.0
+    held_rows: int = 1
+    pressure_step_kpa: float = PRESSURE_STEP_KPA
+    left_out: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        if unknown := self.left_out - COLUMNS.keys():
+            raise EmulatorConfigError(f"the table has no column {min(unknown)!r}: there are {', '.join(COLUMNS)}")
+        if self.left_out >= COLUMNS.keys():
+            raise EmulatorConfigError("a table without columns tells nothing")
+
+
+def write_table(
+    log: Path, options: TableOptions, seed: int | np.random.Generator, transmission: str = "nominal"
+) -> int:
+    """Write a table of a log, and return how many rows it has; the same seed makes the same table.
+
+    Raises
+    ------
+    RecordError
+        If the log is too short, cannot be read, or the table cannot be written.
+    """
+    rng = np.random.default_rng(seed)
+    try:
+        signals = canlog.read([log], load_contract(transmission)).signals()
+    except CanlogError as exc:
+        raise RecordError(f"{log} cannot be made a table: {exc}") from exc
+    names = [name for name in COLUMNS if name not in options.left_out]
+    found = {name: signals[COLUMNS[name][0]] for name in names if COLUMNS[name][0] in signals}
+    rows_s = _rows_s([one.t_ns for one in found.values()], options, rng)
+    if len(rows_s) < LEAST_ROWS:
+        raise RecordError(f"{log} is too short for a table of signals")
+    cells = []
+    for place, name in enumerate(found):
+        rows = np.arange(len(rows_s))
+        refreshed = np.maximum(rows - (rows + place) % options.held_rows, 0)
+        asked_s = rows_s[refreshed] + options.skew_ratio / options.rate_hz * place / len(found)
+        series, (_, unit, step) = found[name], COLUMNS[name]
+        values = series.value[np.searchsorted(series.t_ns / NS_PER_S, asked_s, side="right") - 1]
+        if unit == "kPa":
+            values, step = values * KPA_PER_BAR, options.pressure_step_kpa
+        cells.append(np.round(np.round(values / step) * step, 3))
+    heads = [f"{name} [{unit}]" if (unit := COLUMNS[name][1]) else name for name in found]
+    times, values = np.round(1e3 * rows_s).astype(np.int64).tolist(), np.column_stack(cells).tolist()
+    rows_of_cells = ([t, *row] for t, row in zip(times, values, strict=True))
+    lines = [",".join(["Time [ms]", *heads]), *(",".join(map(str, row)) for row in rows_of_cells), ""]
+    try:
+        with until_whole(options.path) as file:
+            file.write_text("\n".join(lines), encoding="utf-8")
+    except OSError as exc:
+        raise RecordError(f"cannot write {options.path}: {exc.strerror or exc}") from exc
+    return len(rows_s)
+
+
+def _rows_s(times_ns: list[Int64Array], options: TableOptions, rng: np.random.Generator) -> FloatArray:
+    """Return the times of rows [s] at which all columns have been sent and go on."""
+    if not times_ns or not all(map(len, times_ns)):
+        return np.empty(0)
+    first_s = max(int(one[0]) for one in times_ns) / NS_PER_S + SETTLED_S
+    last_s = min(int(one[-1]) for one in times_ns) / NS_PER_S - ENDING_S
+    rows_s = np.arange(first_s, last_s, 1.0 / options.rate_hz)
+    rows_s = np.sort(rows_s + rng.normal(0.0, options.jitter_s, len(rows_s)))
+    return rows_s[rows_s > first_s - SETTLED_S]  # before it some column has no value at all

@@ -1,1 +1,0 @@
-"""Writers of the log formats; all take columns."""
