@@ -46,10 +46,6 @@ def _between(low: float, high: float, unit: str) -> Callable[[str], float]:
     return read
 
 
-def _names(text: str) -> frozenset[str]:
-    return frozenset(name.strip() for name in text.split(",") if name.strip())
-
-
 def ns_of(instant: datetime) -> int:
     """Return nanoseconds since the epoch, whole microseconds; UTC unless it has a zone."""
     aware = instant if instant.tzinfo is not None else instant.replace(tzinfo=UTC)
@@ -136,24 +132,6 @@ _RUN: Final = Command(
         f"{PROGRAM} run -i socketcan -c vcan0 --drive day --endless --oil-degc -10",
     ),
 )
-_TABLE: Final = (
-    Option(
-        "--table FILE",
-        "write a table of signals of the log, too, as a scan tool does; the truth is that of the log",
-        FILE,
-    ),
-    Option("--table-rate HZ", "rows a second (default: 27)", _between(1.0, 100.0, "Hz"), default="27"),
-    Option("--table-jitter MS", "by which rows come unevenly (default: 10)", _between(0.0, 100.0, "ms"), default="10"),
-    Option(
-        "--table-skew ROWS",
-        "by how much of a row columns are apart (default: 1)",
-        _between(0.0, 1.0, "rows"),
-        default="1",
-    ),
-    Option("--table-step KPA", "resolution of pressures (default: 5.86)", _between(0.01, 100.0, "kPa"), default="5.86"),
-    Option("--table-held ROWS", "for which a column keeps a value (default: 1)", click.IntRange(1, 100), default=1),
-    Option("--table-without COLUMNS", "that the table does not have, with commas between them", _names, default=""),
-)
 _RECORD: Final = Command(
     "record",
     "write a drive to a log file, faster than real time",
@@ -175,10 +153,8 @@ _RECORD: Final = Command(
         default=str(MOST_PARKED_S),
         show_default=False,
     ),
-    *_TABLE,
     examples=(
         f"{PROGRAM} record drive.log",
-        f"{PROGRAM} record drive.log --table drive.csv --table-without 'Engine Torque'",
         f"{PROGRAM} record drive.blf --scenario case1 --cycles 5 --routine",
         f"{PROGRAM} record - --scenario case2 | diag-service analyze -",
         f"{PROGRAM} record cold.log --drive wltc --oil-degc 0 --mass-kg 1900",

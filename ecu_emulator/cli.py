@@ -80,7 +80,6 @@ def _execute(options: SimpleNamespace, stop: _Stop) -> bool:
                 channel=options.channel,
                 truth=options.truth,
                 longest_stay_s=options.parked,
-                table=commands.table_options(options),
             )
             return commands.record(scenario, log, stop, is_json=options.json, is_forced=options.force)
         answers = attached("ecu_emulator.answers").get("chosen", lambda _options: None)

@@ -25,10 +25,8 @@ from ecu_emulator.log_formats import (
     DEFAULT_START_NS,
     LogStream,
     RecordFormat,
-    TableOptions,
     open_log,
     open_log_stream,
-    write_table,
 )
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
 from ecu_emulator.scenario import DriveName
@@ -73,22 +71,6 @@ class LogOptions:
     channel: str = "vcan0"
     truth: Path | None = None  # None: beside the log
     longest_stay_s: float = MOST_PARKED_S
-    table: TableOptions | None = None  # beside the log
-
-
-def table_options(options: SimpleNamespace) -> TableOptions | None:
-    """Return what a command line says of a table; raises ConfigError if it has no such columns."""
-    if options.table is None:
-        return None
-    return TableOptions(
-        path=options.table,
-        rate_hz=options.table_rate,
-        jitter_s=options.table_jitter / 1e3,
-        skew_ratio=options.table_skew,
-        held_rows=options.table_held,
-        pressure_step_kpa=options.table_step,
-        left_out=options.table_without,
-    )
 
 
 def drive_options(options: SimpleNamespace) -> DriveOptions:
@@ -300,8 +282,6 @@ def write_log(
             if not has_driven:
                 raise
         writer.totals(drive.totals)
-    if options.table is not None:
-        write_table(path, options.table, scenario.seed_of_drive, scenario.transmission)
     return Recording(
         path=path,
         truth=truth_file,
@@ -332,11 +312,7 @@ def record(scenario: Scenario, options: LogOptions, stop: Event, *, is_json: boo
     is_piped = path == STANDARD_STREAM
     if is_piped and is_json:
         raise EmulatorConfigError("the log goes to standard output: --json cannot be used")
-    if is_piped and options.table is not None:
-        raise EmulatorConfigError("the log goes to standard output: there is none to make a table of")
     outputs = (truth,) if is_piped else (path, truth or truth_path(path))
-    if options.table is not None:
-        outputs = (*outputs, options.table.path)
     if text := refusal(*outputs, is_forced=is_forced):
         raise EmulatorConfigError(text)
     console = people()
@@ -351,8 +327,7 @@ def record(scenario: Scenario, options: LogOptions, stop: Event, *, is_json: boo
     name, beside = ("standard output", truth) if is_piped else (path, made.truth)
     console.print(
         f"{state}{name}: {totals.frames} frames, {totals.shifts} shifts, {totals.driven_s:.1f} s of driving "
-        f"in {made.took_s:.1f} s{f'; truth in {beside}' if beside else ''}"
-        f"{f'; table in {options.table.path}' if options.table else ''}",
+        f"in {made.took_s:.1f} s{f'; truth in {beside}' if beside else ''}",
         markup=False,
     )
     if is_json:

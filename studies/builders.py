@@ -24,10 +24,10 @@ from ecu_emulator.cli import main as emulator
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.driving.journey import PlannedTrip, trips
 from ecu_emulator.driving.traffic import public_trace
-from ecu_emulator.log_formats import TableOptions, write_table
 from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Scenario
 from ecu_emulator.truth import TruthLog
+from studies.scan_tool import TableOptions, write_table
 
 EPOCH_US: Final = 1_767_225_600_000_000  # any bus time: 2026-01-01 UTC
 STRETCH_S: Final = 60.0  # of a drive at a time

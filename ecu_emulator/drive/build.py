@@ -14,7 +14,7 @@ from clutch_model.errors import CalibrationError
 from clutch_model.pack import friction_law, kinetic_friction
 from clutch_model.units import rad_s_from_rpm
 from ecu_emulator.bus.frames import FrameEncoder
-from ecu_emulator.driving.journey import Departure, Journey, MovingCar, PlannedTrip, Warmth
+from ecu_emulator.driving.journey import Departure, Journey, PlannedTrip, Warmth
 from ecu_emulator.driving.trip import Car, DriveConditions, Trip
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant.course import DriveSettings, FrictionFactors
@@ -443,7 +443,7 @@ def journey(
     ambient = scenario.ambient
     warmth = Warmth(oil_k=ambient.oil_temperature_k, coolant_k=ambient.coolant_temperature_k)
 
-    def depart(departure: Departure) -> MovingCar:
+    def depart(departure: Departure) -> Trip:
         return Trip(
             Car(truth=vehicle.calibration, parameters=vehicle.parameters, touch_pressures_pa=believed()),
             departure.trip.trace,

@@ -5,12 +5,13 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import count
 from types import MappingProxyType
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
 from canlog.arrays import FloatArray
 from ecu_emulator.driving.traffic import CITY, MIXED, MOTORWAY, Range, SpeedTrace, Traffic, public_trace, traffic_trace
+from ecu_emulator.driving.trip import Trip
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.faults import generator
@@ -107,20 +108,6 @@ class Departure:
     warmth: Warmth
 
 
-class MovingCar(Protocol):
-    """A car on one trip; its rows count time and way from the beginning of the trip."""
-
-    def believe(self, touch_pressures_pa: tuple[float, float]) -> None:
-        """Let the control take these for its clutches' touch points."""
-
-    @property
-    def finished(self) -> bool:
-        """Whether the trip is over."""
-
-    def advance(self, duration_s: float) -> FloatArray:
-        """Drive on and return the next rows, one per millisecond; fewer than asked for where the trip ends."""
-
-
 class Journey:
     """Drives trips one after the other.
 
@@ -141,7 +128,7 @@ class Journey:
     def __init__(
         self,
         trips: Iterator[PlannedTrip],
-        depart: Callable[[Departure], MovingCar],
+        depart: Callable[[Departure], Trip],
         warmth: Warmth,
         ambient_k: float,
         longest_stay_s: float,
@@ -152,7 +139,7 @@ class Journey:
         self._ambient_k = ambient_k
         self._longest_stay_s = longest_stay_s
         self._next_trip = next(trips, None)
-        self._car: MovingCar | None = None  # None: parked
+        self._car: Trip | None = None  # None: parked
         self._clock_ms = 0  # scenario time of the next row, time to come in which the car is parked left out
         self._past_m = 0.0  # way of the trips before
         self.departure: Departure | None = None
@@ -196,7 +183,7 @@ class Journey:
             self._next_trip = next(self._trips, None)
         return rows
 
-    def _set_off(self, trip: PlannedTrip) -> MovingCar:
+    def _set_off(self, trip: PlannedTrip) -> Trip:
         self._clock_ms += round(min(trip.parked_s, self._longest_stay_s) * MS_PER_S)
         least_k = COLDEST_PARKED_K if trip.parked_s > 0.0 else 0.0
         oil_k = cooled_k(self._warmth.oil_k, self._ambient_k, trip.parked_s, OIL_PARKED_TIME_CONSTANT_S)

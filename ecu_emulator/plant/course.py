@@ -271,11 +271,6 @@ class MachineCourse:
         np.asarray(self._drive_law.actuation.touch_pressure_pa)[:] = touch_pressures_pa
 
     @property
-    def time_s(self) -> float:
-        """Time of the next row since the start [s]."""
-        return int(self._machine.clock[0]) / ROWS_PER_S
-
-    @property
     def power_balance(self) -> PowerBalance:
         """Energies since the start; raises DomainError if no account is kept."""
         if self._machine.work.account.size == 0:

@@ -19,7 +19,7 @@ from ecu_emulator.plant.driveline import (
 from ecu_emulator.plant.integration import Workspace, advance_millisecond, settle
 from ecu_emulator.plant.rates import PlantLaw
 from ecu_emulator.plant.state import Col
-from ecu_emulator.shift_control import pressure_steps, tcu, tcu_data, workshop
+from ecu_emulator.shift_control import tcu, tcu_data, workshop
 from ecu_emulator.shift_control.tcu_data import ClutchActuation, ControlParameters, WorkshopParameters
 
 COLUMN_COUNT = len(Col)
@@ -207,7 +207,7 @@ def act(machine: Machine, law: DriveLaw) -> None:
     """Let the control take its step: the workshop routine first, if one was asked for, then the cycles."""
     memory, sense, commands = machine.memory, machine.sense, machine.commands
     if memory[tcu_data.ROUTINE] >= tcu_data.STEPS_ENGAGING:
-        pressure_steps.perform(memory, sense, commands, law.control)
+        workshop.perform_steps(memory, sense, commands, law.control)
         return
     if memory[tcu_data.ROUTINE] != tcu_data.NO_ROUTINE:
         workshop.perform(memory, sense, commands, law.actuation, law.control, law.workshop)

@@ -19,7 +19,8 @@ from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Stages
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.drive.recording import Drive
-from ecu_emulator.log_formats import TableOptions, open_log, write_table
+from ecu_emulator.log_formats import open_log
+from studies.scan_tool import TableOptions, write_table
 from tests.support.builders import drive_scenario
 
 DURATION_S: Final = 10.0  # three shifts

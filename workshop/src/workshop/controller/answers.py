@@ -31,7 +31,6 @@ from workshop.controller.iso14229 import DOIP_TLS_PORT, DtcStatus
 from workshop.controller.monitoring import MONITOR_PERIOD_S, Monitoring
 from workshop.controller.monitors import SENSED, SENSED_OF_CONVERTER
 from workshop.controller.requested_tasks import (
-    AdaptedCar,
     Driven,
     RequestedAdaptation,
     RequestedRoutine,
@@ -78,7 +77,7 @@ class Answering:
         *,
         is_fd: bool = False,
         bitrate: int | None = None,
-        performer: AdaptedCar | None = None,
+        performer: Drive | None = None,
         ignition: deque[float] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:

@@ -4,9 +4,9 @@ import hashlib
 import json
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Self
 
@@ -19,24 +19,13 @@ from workshop.controller import server
 from workshop.controller.clutches import Adaptation
 from workshop.controller.descriptions import Values
 from workshop.controller.iso14229 import NEGATIVE, Nrc
-from workshop.controller.memory import Emissions, TestResult, TroubleMemory, empty_memory
+from workshop.controller.memory import TestResult, empty_memory
 from workshop.controller.services.data import data_of
 from workshop.controller.services.sessions import failed, finished
-from workshop.controller.state import Instant, Reply, Request, ServerState, under_control
+from workshop.controller.state import Instant, KeptState, Reply, Request, ServerState, under_control
 from workshop.controller.table import DiagnosticTable
 
 FORMAT: Final = 2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class KeptState:
-    """What outlives a restart; whether an operation cycle's test is under way does not."""
-
-    memory: TroubleMemory
-    emissions: Emissions
-    written: Mapping[int, bytes]
-    wrong_keys: Mapping[int, int]
-    adaptation: Adaptation | None
 
 
 class MemoryFile:
@@ -75,7 +64,7 @@ class MemoryFile:
     def __exit__(self, *_: object) -> None:
         os.close(self._lock)
 
-    def load(self) -> ServerState | None:
+    def load(self) -> KeptState | None:
         """Return what was kept, None if there is no file yet.
 
         Raises RecordError if the file cannot be read, is damaged, or holds what the table does not describe.
@@ -95,7 +84,7 @@ class MemoryFile:
             raise RecordError(f"{self._path} has format {document.get('format')}, this program knows {FORMAT}")
         self._saved = digest
         try:
-            return _state(msgspec.convert(document.get("kept"), KeptState, str_keys=True), self._table)
+            return _checked(msgspec.convert(document.get("kept"), KeptState, str_keys=True), self._table)
         except msgspec.ValidationError as exc:
             raise self._damaged(str(exc)) from exc
         except RecordError as exc:
@@ -106,7 +95,7 @@ class MemoryFile:
 
         Raises RecordError if the disk is full or cannot be written; the file is as it was before.
         """
-        kept = msgspec.to_builtins(_kept(state), str_keys=True, order="deterministic")
+        kept = msgspec.to_builtins(state.kept, str_keys=True, order="deterministic")
         document = {"format": FORMAT, "kept": kept}
         if (digest := _digest(document)) == self._saved:
             return
@@ -146,19 +135,8 @@ def _digest(document: object) -> str:
     return hashlib.sha256(json.dumps(document, sort_keys=True).encode("utf-8")).hexdigest()
 
 
-def _kept(state: ServerState) -> KeptState:
-    records = {code: replace(record, detection_counter=0) for code, record in state.memory.records.items()}
-    return KeptState(
-        memory=replace(state.memory, records=records),
-        emissions=state.emissions,
-        written=state.written,
-        wrong_keys=state.wrong_keys,
-        adaptation=state.adaptation,
-    )
-
-
-def _state(kept: KeptState, table: DiagnosticTable) -> ServerState:
-    """Return what was kept as the state of a controller; raises RecordError if the table does not describe it."""
+def _checked(kept: KeptState, table: DiagnosticTable) -> KeptState:
+    """Return what was kept, with an empty record for each code that is new; RecordError: the table is of another."""
     emissions = kept.emissions
     codes = {*kept.memory.records, *emissions.permanent, *([emissions.frame.code] if emissions.frame else [])}
     if unknown := sorted(codes - table.troubles.keys()):
@@ -170,13 +148,7 @@ def _state(kept: KeptState, table: DiagnosticTable) -> ServerState:
     if unknown := sorted(kept.wrong_keys.keys() - table.levels.keys()):
         raise RecordError(f"security level {unknown[0]} is not in the table {table.name}")
     records = {**empty_memory(table.troubles).records, **kept.memory.records}
-    return ServerState(
-        memory=replace(kept.memory, records=records),
-        emissions=emissions,
-        written=kept.written,
-        wrong_keys=kept.wrong_keys,
-        adaptation=kept.adaptation,
-    )
+    return replace(kept, memory=replace(kept.memory, records=records))
 
 
 LONGEST_SEED_BYTES: Final = 16
@@ -356,14 +328,8 @@ class Controller:
         return reply
 
     def _save(self, state: ServerState) -> None:
-        if self._store is not None and not _are_same(state, self._state):
+        if self._store is not None and not state.keeps_as(self._state):
             self._store.save(state)
 
     def _moment(self) -> Instant:
         return Instant(t_s=self._clock(), values=self._values(), chance=self._chance(LONGEST_SEED_BYTES))
-
-
-def _are_same(one: ServerState, other: ServerState) -> bool:
-    """Return whether two states keep the same, at a glance."""
-    kept = ("memory", "emissions", "written", "wrong_keys", "adaptation")
-    return all(getattr(one, name) is getattr(other, name) for name in kept)

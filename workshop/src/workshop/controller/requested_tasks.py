@@ -3,8 +3,9 @@
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final, Protocol
+from typing import Final
 
+from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import RecordError
 from ecu_emulator.scenario.scenario import WorkshopRoutine
 from ecu_emulator.shift_control.touch_points import (
@@ -28,17 +29,6 @@ FIRST_GEAR: Final = 1.0
 MOST_MOMENTS: Final = 4096  # that are heard and not looked at yet
 
 
-class Performer(Protocol):
-    """The car, as far as it can be asked to do something."""
-
-    @property
-    def is_waiting(self) -> bool:
-        """Whether it waits for somebody to ask for the workshop routine."""
-
-    def begin_routine(self, request: WorkshopRoutine) -> None:
-        """Begin the routine soon."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Driven:
     """What the car has done on the bus."""
@@ -58,7 +48,7 @@ class RequestedRoutine:
         Whose routines are looked after.
     """
 
-    def __init__(self, performer: Performer, controller: Controller) -> None:
+    def __init__(self, performer: Drive, controller: Controller) -> None:
         self._performer = performer
         self._controller = controller
         self._shifts_before: int | None = None  # None: nothing is performed
@@ -90,31 +80,6 @@ def running_routine(controller: Controller, task: Task) -> tuple[int, RoutineRun
     return None
 
 
-class AdaptedCar(Performer, Protocol):
-    """The car, as far as its touch points go, too."""
-
-    @property
-    def transmission(self) -> str:
-        """Type of the transmission."""
-
-    @property
-    def is_adapted(self) -> bool:
-        """Whether the control knew the touch points as the drive began."""
-
-    @property
-    def touch_pressures_pa(self) -> tuple[float, float]:
-        """Touch points that the control works with [Pa]."""
-
-    def begin_steps(self, steps: PressureSteps) -> None:
-        """Begin pressure steps soon."""
-
-    def stop_steps(self) -> None:
-        """Break pressure steps off soon."""
-
-    def believe(self, touch_pressures_pa: tuple[float, float]) -> None:
-        """Let the control work with these touch points [Pa] soon."""
-
-
 @dataclass(slots=True)
 class _Work:
     """An adaptation that is under way."""
@@ -137,7 +102,7 @@ class RequestedAdaptation:
         Whose routines are looked after, and who keeps what is found.
     """
 
-    def __init__(self, car: AdaptedCar, controller: Controller) -> None:
+    def __init__(self, car: Drive, controller: Controller) -> None:
         self._car = car
         self._controller = controller
         self._nominal_pa = nominal_touch_pressures_pa(car.transmission)

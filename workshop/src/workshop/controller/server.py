@@ -37,6 +37,7 @@ from workshop.controller.services.trouble import EMISSION_REPORTS, REPORTS, capt
 from workshop.controller.state import (
     Call,
     Instant,
+    KeptState,
     Reply,
     Request,
     Result,
@@ -79,9 +80,9 @@ _SUB_FUNCTIONS: Final[Mapping[int, frozenset[int]]] = {
 }  # those of 10 and 27 are in the table
 
 
-def switched_on(table: DiagnosticTable, kept: ServerState | None, t_s: float) -> ServerState:
+def switched_on(table: DiagnosticTable, kept: KeptState | None, t_s: float) -> ServerState:
     """Return the state of a controller that gets its current at this moment; ``kept`` is what its file holds."""
-    return sessions.started(kept or ServerState(memory=empty_memory(table.troubles)), table, t_s)
+    return sessions.started(kept or KeptState(memory=empty_memory(table.troubles)), table, t_s)
 
 
 def answer(table: DiagnosticTable, state: ServerState, request: Request, moment: Instant) -> Reply:

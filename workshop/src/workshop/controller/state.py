@@ -1,7 +1,8 @@
 """What a controller remembers of its clients, what a service is given and gives back; nothing is changed in place."""
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 from workshop.controller.clutches import Adaptation
 from workshop.controller.descriptions import AccessRule, Values, decoded, holds
@@ -76,14 +77,25 @@ class PeriodicRun:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ServerState:
-    """One controller between two requests."""
+class KeptState:
+    """What outlives a restart; whether an operation cycle's test is under way does not."""
 
-    memory: TroubleMemory  # kept over a restart, as the next four
+    memory: TroubleMemory
     emissions: Emissions = field(default_factory=Emissions)
     written: Mapping[int, bytes] = field(default_factory=dict)
     wrong_keys: Mapping[int, int] = field(default_factory=dict)  # by security level
     adaptation: Adaptation | None = None  # None: nothing was ever adapted or cleared
+
+    @property
+    def members(self) -> dict[str, Any]:
+        """All of it by name."""
+        return {one.name: getattr(self, one.name) for one in fields(KeptState)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServerState(KeptState):
+    """One controller between two requests."""
+
     session: int = DEFAULT_SESSION
     holder: int = 0  # the client who entered it, if it is not the default session
     heard_s: float = 0.0  # when S3 began
@@ -99,6 +111,17 @@ class ServerState:
     routines: Mapping[int, RoutineRun] = field(default_factory=dict)
     waiting: Waiting | None = None
     asleep_until_s: float = 0.0  # after a reset
+
+    @property
+    def kept(self) -> KeptState:
+        """What is kept of it."""
+        records = {code: replace(record, detection_counter=0) for code, record in self.memory.records.items()}
+        return KeptState(**{**self.members, "memory": replace(self.memory, records=records)})
+
+    def keeps_as(self, other: KeptState) -> bool:
+        """Return whether the same is kept of another one, at a glance."""
+        theirs = other.members
+        return all(mine is theirs[name] for name, mine in self.members.items())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

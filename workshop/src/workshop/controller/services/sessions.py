@@ -10,6 +10,7 @@ from workshop.controller.state import (
     Call,
     Communication,
     Instant,
+    KeptState,
     Result,
     RoutineRun,
     ServerState,
@@ -96,23 +97,18 @@ def ecu_reset(call: Call) -> Result:
     return call.echoed(state=replace(state, asleep_until_s=call.moment.t_s + call.table.timing.reset_s))
 
 
-def started(state: ServerState, table: DiagnosticTable, t_s: float, *, is_new_cycle: bool = True) -> ServerState:
+def started(state: KeptState, table: DiagnosticTable, t_s: float, *, is_new_cycle: bool = True) -> ServerState:
     """Return the state of a controller that has just started, with what it keeps: codes, written data, wrong keys."""
     until_s = {
         number: t_s + level.delay_s
         for number, level in table.levels.items()
         if state.wrong_keys.get(number, 0) >= level.most_attempts
     }
-    memory = begin_cycle(state.memory, table.troubles) if is_new_cycle else state.memory
-    return ServerState(
-        memory=memory,
-        emissions=after_cycle(state.emissions, state.memory, memory) if is_new_cycle else state.emissions,
-        written=state.written,
-        wrong_keys=state.wrong_keys,
-        adaptation=state.adaptation,
-        locked_until_s=until_s,
-        heard_s=t_s,
-    )
+    kept = state.members
+    if is_new_cycle:
+        memory = begin_cycle(state.memory, table.troubles)
+        kept |= {"memory": memory, "emissions": after_cycle(state.emissions, state.memory, memory)}
+    return ServerState(**kept, locked_until_s=until_s, heard_s=t_s)
 
 
 def tester_present(call: Call) -> Result:
