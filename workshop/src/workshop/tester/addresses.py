@@ -68,6 +68,17 @@ def hexadecimal(text: str, what: str, most: int) -> int:
     return int(text, 16)
 
 
+def number_of(text: str | None, what: str, most: int) -> int | None:
+    """Return a number that may have been written in hexadecimal; raises ConfigError as ``hexadecimal``."""
+    return None if text is None else hexadecimal(text, what, most)
+
+
+def check_number(name: str, value: int, most: int) -> None:
+    """Raise ConfigError unless a number is 0 to ``most``."""
+    if not 0 <= value <= most:
+        raise ConfigError(f"{name} must be 0 to {most:X} in hexadecimal, got {value:X}")
+
+
 def usual_response_id(request_id: int) -> int:
     """Return the identifier of the answers to a request, by the rules that most controllers keep.
 
@@ -91,13 +102,22 @@ def parse_address(request: str | None, response: str | None, target: str | None 
 
     Raises ConfigError if a word is no identifier, or they do not go together.
     """
-    if request is None:
-        if response is not None or target is not None:
+    return can_address(
+        number_of(request, "--ecu", LARGEST_ID),
+        number_of(response, "--reply", LARGEST_ID),
+        number_of(target, "--address", 0xFF),
+    )
+
+
+def can_address(request_id: int | None, response_id: int | None, target_byte: int | None = None) -> CanAddress | None:
+    """Return who is asked on a bus, None if that was not said; raises ConfigError."""
+    if request_id is None:
+        if response_id is not None or target_byte is not None:
             raise ConfigError("--reply and --address need --ecu")
         return None
-    request_id = hexadecimal(request, "--ecu", LARGEST_ID)
-    response_id = usual_response_id(request_id) if response is None else hexadecimal(response, "--reply", LARGEST_ID)
-    target_byte = None if target is None else hexadecimal(target, "--address", 0xFF)
+    if target_byte is not None:
+        check_number("address", target_byte, 0xFF)
+    response_id = usual_response_id(request_id) if response_id is None else response_id
     return CanAddress(request_id=request_id, response_id=response_id, target_byte=target_byte)
 
 

@@ -352,8 +352,8 @@ def check_time(name: str, value_s: float, *, least_s: float) -> None:
         raise ConfigError(f"{name} must be {least_s:g} to {LONGEST_S:g} s, got {value_s:g}")
 
 
-def timing_of(listen_s: float, timeout_s: float, names: tuple[str, str] = ("--listen", "--timeout")) -> TesterTiming:
-    """Return how patient the tester is to be; raises ConfigError, by one of the names, if a time cannot be."""
-    check_time(names[0], listen_s, least_s=0.0)
-    check_time(names[1], timeout_s, least_s=SHORTEST_ANSWER_S)
+def timing_of(listen_s: float, timeout_s: float) -> TesterTiming:
+    """Return how patient the tester is to be; raises ConfigError if a time cannot be."""
+    check_time("listen", listen_s, least_s=0.0)
+    check_time("timeout", timeout_s, least_s=SHORTEST_ANSWER_S)
     return TesterTiming(p2_s=timeout_s)

@@ -6,26 +6,15 @@ from dataclasses import asdict
 from types import SimpleNamespace
 from typing import Final, TypeVar
 
+import can
+
 from diag_service.console import ReadingLine, is_confirmed, write_record
 from diag_service.errors import ConfigError, ControllerError, StoppedError
 from diag_service.service.stopping import Controls, Trigger
 from diag_service.settings.config import BusConfig
 from workshop.tester import questions, scanning
-from workshop.tester.addresses import hexadecimal, id_text, parse_address
-from workshop.tester.asking import (
-    LARGEST_LOGICAL,
-    SHORTEST_ANSWER_S,
-    BusTarget,
-    DoipPlace,
-    HeardTraffic,
-    address_for,
-    asking,
-    check_time,
-    heard,
-    parse_doip,
-    timing_of,
-)
-from workshop.tester.description import find_description
+from workshop.tester.addresses import LARGEST_ID, hexadecimal, id_text, number_of
+from workshop.tester.asking import LARGEST_LOGICAL, SHORTEST_ANSWER_S, DoipPlace, HeardTraffic, check_time, heard
 from workshop.tester.trouble import (
     Record,
     TroubleCode,
@@ -35,6 +24,7 @@ from workshop.tester.trouble import (
     trouble_record,
     values_text,
 )
+from workshop.tester.uds_tester import UdsTester, place_of
 
 LARGEST_GROUP: Final = 0xFE  # of readiness, and of the records of extended data: FF is all
 MOST_NAMED: Final = 3  # in the line that says what was not told
@@ -45,10 +35,8 @@ def dtc(options: SimpleNamespace, controls: Controls) -> None:
     """Read trouble codes and show them, or clear them and show what is left. ControllerError: not all was told."""
     mask = 0 if options.all else hexadecimal(options.mask, "--mask", 0xFF)
     if options.clear is None:
-        group, record = (
-            None if text is None else hexadecimal(text, name, LARGEST_GROUP)
-            for text, name in ((options.readiness, "--readiness"), (options.record, "--record"))
-        )
+        group = number_of(options.readiness, "--readiness", LARGEST_GROUP)
+        record = number_of(options.record, "--record", LARGEST_GROUP)
         question = questions.TroubleQuestion(mask=mask, has_details=not options.brief, group=group, record=record)
 
         def told(codes: Sequence[TroubleCode]) -> tuple[Record, Iterable[str]]:
@@ -101,7 +89,7 @@ def did(options: SimpleNamespace, controls: Controls) -> None:
 
 def routine(options: SimpleNamespace, controls: Controls) -> None:
     """Do what was asked, in a session of its own and unlocked if need be."""
-    check_time("--patience", options.patience, least_s=SHORTEST_ANSWER_S)
+    check_time("patience", options.patience, least_s=SHORTEST_ANSWER_S)
     question = questions.RoutineQuestion(
         routine=options.routine,
         action=options.action,
@@ -124,7 +112,17 @@ def _lock(text: str) -> questions.Lock:
 
 def scan(options: SimpleNamespace, controls: Controls) -> None:
     """Look for controllers and ask each what it can be asked; raises StoppedError if that was stopped."""
-    plan = _scan_plan(options)
+    plan = scanning.ScanPlan(
+        place=_place(options),
+        first=number_of(options.first, "--first", LARGEST_ID),
+        last=number_of(options.last, "--last", LARGEST_ID),
+        is_extended=options.extended,
+        has_all_data=options.all_data,
+        is_fd=options.fd,
+        listen_s=options.listen,
+        timeout_s=options.timeout,
+        wait_s=options.wait,
+    )
     stop = controls.stop
     if not options.active:
         show_wish(
@@ -142,24 +140,12 @@ def scan(options: SimpleNamespace, controls: Controls) -> None:
         raise StoppedError("stopped early: what was shown is a part of what is there")
 
 
-def _scan_plan(options: SimpleNamespace) -> scanning.ScanPlan:
-    timing = timing_of(options.listen, options.timeout)
-    check_time("--wait", options.wait, least_s=scanning.SHORTEST_WAIT_S)
-    place = doip_place(options)
-    most = scanning.largest_id(is_extended=options.extended)
-    first, last = (
-        None if text is None else hexadecimal(text, name, most)
-        for text, name in ((options.first, "--first"), (options.last, "--last"))
-    )
-    return scanning.ScanPlan(
-        place=place or bus_name(options),
-        request_ids=() if place else scanning.request_ids(first, last, is_extended=options.extended),
-        data=scanning.ALL_NUMBERS if options.all_data else scanning.STANDARD_NUMBERS,
-        is_fd=options.fd,
-        timing=timing,
-        listen_s=options.listen,
-        wait_s=options.wait,
-    )
+def _place(options: SimpleNamespace) -> BusConfig | can.BusABC | DoipPlace:
+    ecu = None if options.doip is None else number_of(options.ecu, "--ecu", LARGEST_LOGICAL)
+    return place_of(
+        None, options.interface, options.channel, options.bitrate, options.doip, ecu,
+        is_fd=options.fd, doip_authority=options.doip_authority,
+    )  # fmt: skip
 
 
 def ask_one(
@@ -180,30 +166,37 @@ def ask_one(
     stop
         Ends it early.
     """
-    timing = timing_of(options.listen, options.timeout)
-    description = find_description(options.description)
-    wanted = question.requests(description)
-    target: BusTarget | DoipPlace
-    if isinstance(place := doip_place(options) or bus_name(options), DoipPlace):
-        target = place
-    else:
-        where = address_for(parse_address(options.ecu, options.reply, options.address), description)
-        target = BusTarget(bus=place, address=where, is_fd=options.fd, listen_s=options.listen)
+    tester = UdsTester(
+        interface=options.interface,
+        channel=options.channel,
+        bitrate=options.bitrate,
+        is_fd=options.fd,
+        doip=options.doip,
+        doip_authority=options.doip_authority,
+        ecu=number_of(options.ecu, "--ecu", LARGEST_ID if options.doip is None else LARGEST_LOGICAL),
+        reply=number_of(options.reply, "--reply", LARGEST_ID),
+        address=number_of(options.address, "--address", 0xFF),
+        description=options.description,
+        is_active=options.active,
+        listen_s=options.listen,
+        timeout_s=options.timeout,
+    )
+    wanted = question.requests(tester.described)
+    tester.goes_on = lambda: not stop.is_set
     if not options.active:
-        show_wish(options.command, wanted, heard(place, options.listen, lambda: not stop.is_set), is_json=options.json)
+        with tester:
+            show_wish(options.command, wanted, tester.traffic, is_json=options.json)
         return None
-    with (
-        ReadingLine() as line,
-        asking(target, timing, goes_on=waiting(line, "waiting for the controller", stop)) as (tester, _),
-    ):
-        known = questions.recognised(tester, description)
-        answer = question.ask(tester, known)
-        record, lines = told(answer)
-        line.clear()
-        head: Record = {"controller": tester.where, "description": known.name}
-        more: Record = {"dialogue": asdict(tester.counts)}
-        write_record(outcome(options.command, is_asked=True, **head, **record, **more), lines, as_json=options.json)
-        return answer
+    with ReadingLine() as line:
+        tester.goes_on = waiting(line, "waiting for the controller", stop)
+        with tester:
+            answer = tester.ask(question)
+            record, lines = told(answer)
+            line.clear()
+            head: Record = {"controller": tester.controller, "description": tester.description}
+            more: Record = {"dialogue": asdict(tester.counts)}
+            write_record(outcome(options.command, is_asked=True, **head, **record, **more), lines, as_json=options.json)
+            return answer
 
 
 def waiting(line: ReadingLine, what: str, stop: Trigger) -> Callable[[], bool]:
@@ -222,26 +215,6 @@ def show_wish(schema: str, wanted: Sequence[str], traffic: HeardTraffic | None, 
     before: Record = {} if traffic is None else {"bus": traffic_record(traffic)}
     record = outcome(schema, is_asked=False, **before, would_ask=list(wanted))
     write_record(record, would_lines(traffic, wanted), as_json=is_json)
-
-
-def bus_name(options: SimpleNamespace) -> BusConfig:
-    return BusConfig(
-        interface=options.interface, channel=options.channel, bitrate=options.bitrate, is_fd=bool(options.fd)
-    )
-
-
-def doip_place(options: SimpleNamespace) -> DoipPlace | None:
-    """Return where to ask over IP, None for a bus; raises ConfigError."""
-    if options.doip is None:
-        if options.doip_authority is not None:
-            raise ConfigError("--doip-authority needs --doip")
-        return None
-    if options.ecu is None:
-        raise ConfigError("--doip needs --ecu: the logical address of the controller, such as 1011")
-    if getattr(options, "reply", None) is not None or getattr(options, "address", None) is not None:
-        raise ConfigError("--reply and --address are of a bus, not of --doip")
-    logical_address = hexadecimal(options.ecu, "--ecu", LARGEST_LOGICAL)
-    return parse_doip(options.doip, logical_address, options.doip_authority)
 
 
 def hex_bytes(text: str, what: str) -> bytes:

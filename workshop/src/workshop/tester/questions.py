@@ -13,6 +13,7 @@ from diag_service.errors import (
     RefusedError,
     SilentError,
 )
+from workshop.tester.addresses import check_number
 from workshop.tester.answers import (
     BY_MASK,
     CLEAR,
@@ -400,12 +401,6 @@ class RoutineQuestion:
             fields = ()  # an answer to a start may hold the results, or something else
         name = "" if routine is None else routine.name
         return RoutineAnswer(number=number, name=name, action=self.action, data=data, values=read_fields(fields, data))
-
-
-def check_number(name: str, value: int, most: int) -> None:
-    """Raise ConfigError unless a number is 0 to ``most``."""
-    if not 0 <= value <= most:
-        raise ConfigError(f"{name} must be 0 to {most:X} in hexadecimal, got {value:X}")
 
 
 def _entering(session: int) -> Iterable[str]:

@@ -5,7 +5,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import can
@@ -20,6 +20,7 @@ from workshop.tester.addresses import (
     LARGEST_STANDARD_ID,
     TESTER_ADDRESS,
     CanAddress,
+    check_number,
     id_text,
     is_extended,
     is_request,
@@ -94,12 +95,49 @@ class ScanPlan:
     """Where controllers are looked for, and what each is asked."""
 
     place: BusConfig | can.BusABC | asking.DoipPlace
-    request_ids: Sequence[int] = ()  # to try on a bus
-    data: Sequence[int] = STANDARD_NUMBERS  # to try on each controller
+    first: int | None = None  # identifier to try on a bus, with 29 bits address; None: from the first, to the last
+    last: int | None = None
+    is_extended: bool = False
+    has_all_data: bool = False  # whether all data are tried on each controller, not the standard's alone
     is_fd: bool = False
-    timing: TesterTiming = field(default_factory=TesterTiming)
-    listen_s: float = asking.LISTEN_S
-    wait_s: float = WAIT_S  # how long each identifier may take to answer
+    listen_s: float
+    timeout_s: float
+    wait_s: float  # how long each identifier may take to answer
+
+    def __post_init__(self) -> None:
+        asking.check_time("wait", self.wait_s, least_s=SHORTEST_WAIT_S)
+        asking.timing_of(self.listen_s, self.timeout_s)
+        for name, value in (("first", self.first), ("last", self.last)):
+            if value is not None:
+                check_number(name, value, self._largest)
+        if not self.request_ids and not isinstance(self.place, asking.DoipPlace):
+            raise errors.ConfigError(f"there is no identifier from {self.first or 0:X} to {self.last or 0:X}")
+
+    @property
+    def _largest(self) -> int:
+        return LARGEST_TARGET if self.is_extended else LARGEST_STANDARD_ID
+
+    @property
+    def request_ids(self) -> list[int]:
+        """Identifiers to try on a bus, without the one that all hear; of 29 bits those of normal fixed addressing."""
+        if isinstance(self.place, asking.DoipPlace):
+            return []
+        lowest = 0 if self.is_extended else FIRST_STANDARD_ID
+        numbers = range(
+            lowest if self.first is None else self.first, 1 + (self._largest if self.last is None else self.last)
+        )
+        if self.is_extended:
+            return [FIXED_PHYSICAL | target << 8 | TESTER_ADDRESS for target in numbers]
+        return [can_id for can_id in numbers if can_id != FUNCTIONAL_ID]
+
+    @property
+    def data(self) -> Sequence[int]:
+        """Numbers to try on each controller."""
+        return ALL_NUMBERS if self.has_all_data else STANDARD_NUMBERS
+
+    @property
+    def timing(self) -> TesterTiming:
+        return asking.timing_of(self.listen_s, self.timeout_s)
 
     @property
     def requests(self) -> list[str]:
@@ -237,30 +275,6 @@ class Scan:
 
     traffic: asking.HeardTraffic | None  # before anything was sent; None: over IP there is nothing to hear
     controllers: tuple[FoundController, ...]
-
-
-def request_ids(first: int | None, last: int | None, *, is_extended: bool) -> list[int]:
-    """Return the identifiers to try, without the one that all controllers hear; None: from the first one, to the last.
-
-    Of 29 bits they are those of normal fixed addressing, and ``first`` and ``last`` addresses of controllers.
-
-    Raises ConfigError if there is none.
-    """
-    low = (0 if is_extended else FIRST_STANDARD_ID) if first is None else first
-    high = largest_id(is_extended=is_extended) if last is None else last
-    numbers = range(low, high + 1)
-    if is_extended:
-        found = [FIXED_PHYSICAL | target << 8 | TESTER_ADDRESS for target in numbers]
-    else:
-        found = [can_id for can_id in numbers if can_id != FUNCTIONAL_ID]
-    if not found:
-        raise errors.ConfigError(f"there is no identifier from {low:X} to {high:X}")
-    return found
-
-
-def largest_id(*, is_extended: bool) -> int:
-    """Return the largest identifier of 11 bits, or the largest address of a controller."""
-    return LARGEST_TARGET if is_extended else LARGEST_STANDARD_ID
 
 
 def scan(plan: ScanPlan, *, goes_on: Callable[[], bool] = lambda: True) -> Scan:

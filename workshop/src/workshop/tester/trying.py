@@ -63,7 +63,7 @@ Show = Callable[[str], object]
 def try_car(options: SimpleNamespace, controls: Controls) -> None:
     """Listen, try the profiles that ask, and say what was found; sends nothing without ``--active``, or dry."""
     show: Show = PeopleConsole().print
-    check_time("--listen", options.listen, least_s=0.0)
+    check_time("listen", options.listen, least_s=0.0)
     _check_recording(options)
     _check_adapter(options)
     profiles = _profiles(options.profile)

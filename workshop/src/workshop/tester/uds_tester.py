@@ -7,7 +7,7 @@ from diag_service.api.choices import AnyPath, check_one_bus, optional_path
 from diag_service.errors import ConfigError
 from diag_service.settings.config import BusConfig
 from workshop.tester import questions, scanning
-from workshop.tester.addresses import CanAddress, usual_response_id
+from workshop.tester.addresses import can_address, check_number
 from workshop.tester.answers import DEFAULT_SESSION, DialogueCounts
 from workshop.tester.asking import (
     LARGEST_LOGICAL,
@@ -27,12 +27,13 @@ from workshop.tester.description import find_description
 from workshop.tester.trouble import TroubleCode
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     import can
 
     from workshop.tester.dialogue import Dialogue
 
 ANSWER_S: Final = 1.0  # until an answer begins
-_TIMES: Final = ("listen_s", "timeout_s")
 
 
 _AnswerT = TypeVar("_AnswerT")
@@ -53,24 +54,12 @@ def place_of(
     check_one_bus(bus, interface, channel, bitrate, doip)
     if doip is not None:
         if ecu is None:
-            raise ConfigError("doip needs ecu: the logical address of the controller, such as 0x1011")
-        questions.check_number("ecu", ecu, LARGEST_LOGICAL)
+            raise ConfigError("--doip needs --ecu: the logical address of the controller, such as 1011 in hexadecimal")
+        check_number("ecu", ecu, LARGEST_LOGICAL)
         return parse_doip(doip, ecu, optional_path(doip_authority))
     if doip_authority is not None:
-        raise ConfigError("doip_authority needs doip")
+        raise ConfigError("--doip-authority needs --doip")
     return bus if bus is not None else BusConfig(interface=interface, channel=channel, bitrate=bitrate, is_fd=is_fd)
-
-
-def address_of(ecu: int | None, reply: int | None, address: int | None) -> CanAddress | None:
-    """Return who is asked on a bus, None if that was not said; raises ConfigError."""
-    if ecu is None:
-        if reply is not None or address is not None:
-            raise ConfigError("reply and address need ecu")
-        return None
-    if address is not None:
-        questions.check_number("address", address, 0xFF)
-    response_id = usual_response_id(ecu) if reply is None else reply
-    return CanAddress(request_id=ecu, response_id=response_id, target_byte=address)
 
 
 def scan_controllers(
@@ -119,19 +108,15 @@ def scan_controllers(
     ConfigError, SourceError, ControllerError
         If an argument or the bus cannot be used, another tester is at work, or a node is not there.
     """
-    check_time("wait_s", wait_s, least_s=scanning.SHORTEST_WAIT_S)
-    most = scanning.largest_id(is_extended=is_extended)
-    for name, value in (("first", first), ("last", last)):
-        if value is not None:
-            questions.check_number(name, value, most)
-    place = place_of(bus, interface, channel, bitrate, doip, ecu, is_fd=is_fd, doip_authority=doip_authority)
     plan = scanning.ScanPlan(
-        place=place,
-        request_ids=() if isinstance(place, DoipPlace) else scanning.request_ids(first, last, is_extended=is_extended),
-        data=scanning.ALL_NUMBERS if has_all_data else scanning.STANDARD_NUMBERS,
+        place=place_of(bus, interface, channel, bitrate, doip, ecu, is_fd=is_fd, doip_authority=doip_authority),
+        first=first,
+        last=last,
+        is_extended=is_extended,
+        has_all_data=has_all_data,
         is_fd=is_fd,
-        timing=timing_of(listen_s, timeout_s, _TIMES),
         listen_s=listen_s,
+        timeout_s=timeout_s,
         wait_s=wait_s,
     )
     if not is_active:
@@ -196,25 +181,26 @@ class UdsTester:
         listen_s: float = LISTEN_S,
         timeout_s: float = ANSWER_S,
     ) -> None:
-        self._timing = timing_of(listen_s, timeout_s, _TIMES)
-        self._described = find_description(optional_path(description))
+        self._timing = timing_of(listen_s, timeout_s)
+        self.described = find_description(optional_path(description))
         self._listen_s = listen_s
         self._place = place_of(bus, interface, channel, bitrate, doip, ecu, is_fd=is_fd, doip_authority=doip_authority)
         self._target: BusTarget | DoipPlace
         if isinstance(self._place, DoipPlace):
             if reply is not None or address is not None:
-                raise ConfigError("reply and address are of a bus, not of doip")
+                raise ConfigError("--reply and --address are of a bus, not of --doip")
             self._target = self._place
         else:
-            where = address_for(address_of(ecu, reply, address), self._described)
+            where = address_for(can_address(ecu, reply, address), self.described)
             self._target = BusTarget(bus=self._place, address=where, is_fd=is_fd, listen_s=listen_s)
         self._is_active = is_active
         self._stack = ExitStack()
         self._dialogue: Dialogue | None = None
-        self._known = self._described
+        self._known = self.described
         self._is_recognised = False
         self._is_at_work = False
         self.traffic: HeardTraffic | None = None
+        self.goes_on: Callable[[], bool] = lambda: True  # asked while something is waited for; False: StoppedError
 
     @property
     def controller(self) -> str:
@@ -233,10 +219,12 @@ class UdsTester:
 
     def __enter__(self) -> Self:
         if self._is_active:
-            self._dialogue, self.traffic = self._stack.enter_context(asking(self._target, self._timing))
+            self._dialogue, self.traffic = self._stack.enter_context(
+                asking(self._target, self._timing, goes_on=self.goes_on)
+            )
             self._is_at_work = True
         else:
-            self.traffic = heard(self._place, self._listen_s)
+            self.traffic = heard(self._place, self._listen_s, self.goes_on)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -266,7 +254,7 @@ class UdsTester:
             A readiness group, or a record of extended data, whose codes are wanted instead (SAE J1979-2).
         """
         mask = 0 if is_all else mask
-        return self._ask(questions.TroubleQuestion(mask=mask, has_details=has_details, group=readiness, record=record))
+        return self.ask(questions.TroubleQuestion(mask=mask, has_details=has_details, group=readiness, record=record))
 
     def clear_trouble_codes(
         self,
@@ -289,7 +277,7 @@ class UdsTester:
         """
         word = group if isinstance(group, str) else f"{group:06X}"
         wanted = questions.parse_group(word, "group")
-        return self._ask(questions.ClearQuestion(group=wanted, mask=0 if is_all else mask, session=session))
+        return self.ask(questions.ClearQuestion(group=wanted, mask=0 if is_all else mask, session=session))
 
     def data(self, *data: int | str, session: int = DEFAULT_SESSION) -> tuple[questions.DataAnswer, ...]:
         """Return data by number, as an int or in hexadecimal, or by name: ``diag-service did``.
@@ -302,7 +290,7 @@ class UdsTester:
             In which to ask; it is left in the end.
         """
         words = tuple(one if isinstance(one, str) else f"{one:04X}" for one in data)
-        return self._ask(questions.DataQuestion(words=words, session=session))
+        return self.ask(questions.DataQuestion(words=words, session=session))
 
     def routine(
         self,
@@ -333,20 +321,21 @@ class UdsTester:
         """
         word = routine if isinstance(routine, str) else f"{routine:04X}"
         lock = None if unlock is None else questions.Lock(level=unlock[0], mask=unlock[1])
-        check_time("patience_s", patience_s, least_s=SHORTEST_ANSWER_S)
-        return self._ask(
+        check_time("patience", patience_s, least_s=SHORTEST_ANSWER_S)
+        return self.ask(
             questions.RoutineQuestion(
                 routine=word, action=action, options=options, session=session, lock=lock, patience_s=patience_s
             )
         )
 
-    def _ask(self, question: questions.Question[_AnswerT]) -> _AnswerT:
+    def ask(self, question: questions.Question[_AnswerT]) -> _AnswerT:
+        """Ask and return the answer; raises ConfigError where nothing is to be sent, and what the question raises."""
         if not self._is_active:
-            wanted = "; ".join(question.requests(self._described))
+            wanted = "; ".join(question.requests(self.described))
             raise ConfigError(f"nothing was sent; with is_active=True this would be asked: {wanted}")
         if self._dialogue is None or not self._is_at_work:
             raise ConfigError("the tester is not at work: use it in a with block")
         if not self._is_recognised:
-            self._known = questions.recognised(self._dialogue, self._described)
+            self._known = questions.recognised(self._dialogue, self.described)
             self._is_recognised = True
         return question.ask(self._dialogue, self._known)
