@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ from cantools.database.can.signal import Signal
 from canlog.arrays import FloatArray, UInt8Array, UInt32Array
 from canlog.e2e.message_contract import message_contract
 from canlog.e2e.profile1 import PAYLOAD_BYTES, protect
-from clutch_model.units import bar_from_pa, degc_from_k, km_h_from_m_s, rpm_from_rad_s
+from clutch_model import units
 from ecu_emulator.sensing import Readings
 
 UInt64Array = npt.NDArray[np.uint64]
@@ -62,16 +62,14 @@ SIGNAL_OF: Final[Mapping[str, str]] = MappingProxyType({
 
 _QUANTITY_OF: Final[Mapping[str, str]] = {signal: quantity for quantity, signal in SIGNAL_OF.items()}
 
-_FROM_SI: Final[Mapping[str, Callable[[FloatArray], FloatArray]]] = {
-    "rpm": rpm_from_rad_s,
-    "bar": bar_from_pa,
-    "kPa": lambda pressure_pa: pressure_pa / 1e3,
-    "degC": degc_from_k,
-    "km/h": km_h_from_m_s,
-    "%": lambda ratio: ratio * 100.0,
-    "Nm": lambda torque_nm: torque_nm,
-    "m": lambda distance_m: distance_m,
-    "": lambda state: state,
+UNITS: Final[Mapping[str, tuple[Callable[[Any], Any], Callable[[Any], Any]]]] = {  # of signals: from SI, to SI
+    "rpm": (units.rpm_from_rad_s, units.rad_s_from_rpm),
+    "bar": (units.bar_from_pa, units.pa_from_bar),
+    "kPa": (lambda pressure_pa: pressure_pa / 1e3, lambda pressure_kpa: pressure_kpa * 1e3),
+    "degC": (units.degc_from_k, units.k_from_degc),
+    "km/h": (units.km_h_from_m_s, units.m_s_from_km_h),
+    "%": (lambda ratio: ratio * 100.0, lambda percent: percent / 100.0),
+    **dict.fromkeys(("Nm", "m", ""), (lambda value: value, lambda value: value)),
 }
 
 
@@ -231,7 +229,7 @@ def _signal_code(signal: Signal) -> _SignalCode:
     return _SignalCode(
         quantity=_QUANTITY_OF[signal.name],
         start_bit=signal.start,
-        from_si=_FROM_SI[signal.unit or ""],
+        from_si=UNITS[signal.unit or ""][0],
         scale=signal.scale,
         offset=signal.offset,
         raw_limits=(limits[0], limits[1]),

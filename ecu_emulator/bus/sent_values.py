@@ -17,8 +17,7 @@ from cantools.database.can.signal import Signal
 
 from canlog.e2e import profile1
 from canlog.e2e.message_contract import message_contracts
-from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_from_rpm
-from ecu_emulator.bus.frames import SIGNAL_OF
+from ecu_emulator.bus.frames import SIGNAL_OF, UNITS
 from ecu_emulator.scenario.faults import SILENCE
 
 OWN_NODE: Final = "TCU"
@@ -26,16 +25,6 @@ TIMEOUT_CYCLES: Final = 5
 LEAST_TIMEOUT_S: Final = 0.5
 STANDSTILL_S: Final = 2.0  # for which nothing at all may be sent before that counts as time; a machine may be slow
 
-_TO_SI: Final[Mapping[str, Callable[[float], float]]] = MappingProxyType(
-    {
-        "rpm": rad_s_from_rpm,
-        "bar": pa_from_bar,
-        "kPa": lambda pressure_kpa: pressure_kpa * 1e3,
-        "degC": k_from_degc,
-        "km/h": m_s_from_km_h,
-        "%": lambda percent: percent / 100.0,
-    }
-)
 _DIFFERENCES: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
     {
         "clutch1_slip_rad_s": ("hub_speed_rad_s", "input1_speed_rad_s"),
@@ -187,7 +176,7 @@ class LatestValues(Mapping[str, float]):
         if not isinstance(raw, int) or raw == (1 << signal.length) - 1:
             raise KeyError(quantity)  # the code for not available
         value = raw * float(signal.scale) + float(signal.offset)
-        return _TO_SI.get(signal.unit or "", float)(value)
+        return float(UNITS[signal.unit or ""][1](value))
 
     def __iter__(self) -> Iterator[str]:
         for quantity in (*self._more, *_DIFFERENCES, *self._carriers):

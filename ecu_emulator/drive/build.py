@@ -14,8 +14,7 @@ from clutch_model.errors import CalibrationError
 from clutch_model.pack import friction_law, kinetic_friction
 from clutch_model.units import rad_s_from_rpm
 from ecu_emulator.bus.frames import FrameEncoder
-from ecu_emulator.driving.journey import Departure, Journey, PlannedTrip, Warmth
-from ecu_emulator.driving.trip import Car, DriveConditions, Trip
+from ecu_emulator.driving.journey import Car, Departure, DriveConditions, Journey, PlannedTrip, Trip, Warmth
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant.course import DriveSettings, FrictionFactors
 from ecu_emulator.plant.parameters import PlantParameters, plant_table

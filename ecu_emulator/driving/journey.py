@@ -1,8 +1,12 @@
-"""What is driven, trip after trip, as one stream of plant rows: warm parts cool down while parked, clocks go on."""
+"""A drive on the road: trips, in each of which a car follows a speed trace, one after the other as one stream of rows.
+
+Warm parts cool down while the car is parked; clocks go on.
+"""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import count
 from types import MappingProxyType
 from typing import Final
@@ -10,11 +14,194 @@ from typing import Final
 import numpy as np
 
 from canlog.arrays import FloatArray
+from clutch_model.calibration import Calibration, nominal_calibration
+from ecu_emulator.driving import indices
+from ecu_emulator.driving.indices import DrivelineState
+from ecu_emulator.driving.laws import DrivingLaw, DrivingParameters, idle_rad_s, nominal_driving
+from ecu_emulator.driving.loop import GRID_S, Road, run
 from ecu_emulator.driving.traffic import CITY, MIXED, MOTORWAY, Range, SpeedTrace, Traffic, public_trace, traffic_trace
-from ecu_emulator.driving.trip import Trip
+from ecu_emulator.errors import EmulatorConfigError
+from ecu_emulator.plant import state as at
+from ecu_emulator.plant.course import (
+    ROWS_PER_S,
+    DriveSettings,
+    FrictionFactors,
+    MachineCourse,
+    as_record,
+    check_step,
+    idle_machine,
+)
+from ecu_emulator.plant.driveline import ENGAGED, NEUTRAL
+from ecu_emulator.plant.loop import COLUMN_COUNT, Machine
+from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters
+from ecu_emulator.plant.powertrain import drive_law
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.faults import generator
+from ecu_emulator.scenario.scenario import CheckedRecord, ranged
+from ecu_emulator.shift_control import tcu_data
+
+_WHIM_COUNT = 1021  # prime: no pattern of events meets the same whims again and again
+_LONGEST_WHIM_DELAY_S = 0.7
+_LONGEST_IN_GEAR_DELAY_S = 5.0
+_WHIM_LENGTH_S = (0.25, 0.6)
+_DEEPER_PEDAL = (0.15, 0.6)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveConditions(CheckedRecord):
+    """Temperatures as the drive begins, and how the driver behaves.
+
+    Raises
+    ------
+    ConfigError
+        On construction, naming the first number outside its range.
+    """
+
+    oil_k: float = ranged(363.15, 258.15, 403.15)
+    coolant_k: float = ranged(358.15, 243.15, 393.15)
+    ambient_k: float = ranged(298.15, 233.15, 328.15)
+    friction_factors: FrictionFactors = field(default_factory=FrictionFactors)
+    dt_s: float = ranged(2.5e-4, 1.0e-6, 2.5e-4)  # a whole fraction of a millisecond
+    whim_ratio: float = ranged(0.1, 0.0, 1.0)  # share of the events in which the driver's foot moves without need
+
+    def __post_init__(self) -> None:
+        CheckedRecord.__post_init__(self)
+        steps = 1.0 / (ROWS_PER_S * self.dt_s)
+        if abs(steps - round(steps)) > 1.0e-6 * steps:
+            raise EmulatorConfigError(f"dt_s must divide 1 ms, got {self.dt_s}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Car:
+    """One car: its true clutches, what is around them, how it is controlled."""
+
+    truth: Calibration = field(default_factory=nominal_calibration)
+    parameters: PlantParameters = field(default_factory=nominal_parameters)
+    driving: DrivingParameters = field(default_factory=nominal_driving)
+    touch_pressures_pa: tuple[float, float] | None = None  # that the control believes in; None: the true ones
+
+
+class Trip(MachineCourse):
+    """A car on its way along a trace.
+
+    Deterministic: the same arguments and the same state of ``rng`` give the same rows to the last bit, however
+    `advance` is called.
+
+    Parameters
+    ----------
+    car : Car
+        What is driven.
+    trace : SpeedTrace
+        What the driver follows.
+    conditions : DriveConditions
+        Temperatures, habits.
+    rng : np.random.Generator
+        Of the driver's whims; read once.
+    is_audited : bool
+        Keep an energy account (a few percent slower); see `power_balance`.
+
+    Raises
+    ------
+    CalibrationError
+        If the step is too long for the car.
+    """
+
+    def __init__(
+        self,
+        car: Car,
+        trace: SpeedTrace,
+        conditions: DriveConditions,
+        rng: np.random.Generator,
+        *,
+        is_audited: bool = False,
+    ) -> None:
+        law = driving_law(car, conditions)
+        check_step(conditions.dt_s, law.drive.plant, law.drive.overall_ratios, starts_in_neutral=True)
+        self._law = as_record(law)
+        self._road = _road(trace, conditions, rng)
+        begin = partial(_initial_machine, self._law, conditions, is_audited=is_audited)
+        super().__init__(self._law.drive, car.touch_pressures_pa, begin)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the end of the trace is reached."""
+        return bool(self._machine.clock[0] >= self._road.end[0])
+
+    def advance(self, duration_s: float) -> FloatArray:
+        """Drive on and return the next rows, shape (n, len(Col)); fewer at the end of the trace, none after it."""
+        rows = np.empty((round(duration_s * ROWS_PER_S), COLUMN_COUNT))
+        return rows[: run(self._machine, self._road, self._law, rows)]
+
+
+def driving_law(car: Car, conditions: DriveConditions) -> DrivingLaw:
+    """Return everything constant over a trip, in the form the kernels take after `as_record`."""
+    around = car.driving.surroundings
+    base = drive_law(car.truth, car.parameters, DriveSettings(dt_s=conditions.dt_s))
+    plant = base.plant._replace(
+        synchroniser=base.plant.synchroniser._replace(lock_slip_rad_s=around.synchroniser_lock_rad_s),
+        air_k=float(conditions.ambient_k),
+        coolant_k=float(conditions.coolant_k),
+        full_brake_m_s=around.full_brake_m_s,
+    )
+    return DrivingLaw(drive=base._replace(plant=plant), driving=car.driving)
+
+
+def _road(trace: SpeedTrace, conditions: DriveConditions, rng: np.random.Generator) -> Road:
+    grid_s = np.arange(round(trace.duration_s / GRID_S) + 2) * GRID_S
+    return Road(
+        speeds=np.interp(grid_s, trace.t_s, trace.speed_m_s),
+        grades=np.interp(grid_s, trace.t_s, trace.grade_ratio),
+        whims=_whims(conditions.whim_ratio, rng),
+        end=np.array([round(trace.duration_s * ROWS_PER_S)]),
+    )
+
+
+def _whims(ratio: float, rng: np.random.Generator) -> FloatArray:
+    """Return what the driver's foot does without need, one row per event: a lift, or a deeper pedal."""
+    table = np.empty((_WHIM_COUNT, indices.WHIM_COLUMN_COUNT))
+    has_whim = rng.random(_WHIM_COUNT) < ratio
+    table[:, indices.WHIM_DELAY] = np.where(has_whim, rng.uniform(0.0, _LONGEST_WHIM_DELAY_S, _WHIM_COUNT), -1.0)
+    is_later = rng.random(_WHIM_COUNT) < ratio
+    later_s = rng.uniform(0.0, _LONGEST_IN_GEAR_DELAY_S, _WHIM_COUNT)
+    table[:, indices.WHIM_IN_GEAR_DELAY] = np.where(is_later, later_s, -1.0)
+    table[:, indices.WHIM_LENGTH] = rng.uniform(*_WHIM_LENGTH_S, _WHIM_COUNT)
+    deeper = rng.uniform(*_DEEPER_PEDAL, _WHIM_COUNT)
+    table[:, indices.WHIM_SIZE] = np.where(rng.random(_WHIM_COUNT) < 0.5, -1.0, deeper)
+    return table
+
+
+def _initial_machine(law: DrivingLaw, conditions: DriveConditions, *, is_audited: bool) -> Machine:
+    """Return a car that stands on its brakes, the engine idling, both clutches open, gears 1 and 2 engaged."""
+    factors = conditions.friction_factors
+    cycles = np.zeros((1, tcu_data.CYCLE_COLUMN_COUNT))
+    cycles[0, tcu_data.CYCLE_MU : tcu_data.CYCLE_UP] = (factors.mu_c1, factors.mu_s1, factors.mu_c2, factors.mu_s2)
+    machine = idle_machine(
+        cycles,
+        law.drive.plant,
+        conditions.oil_k,
+        memory_count=indices.MEMORY_COUNT,
+        sense_count=indices.SENSE_COUNT,
+        command_count=indices.COMMAND_COUNT,
+        is_audited=is_audited,
+    )
+    machine.u[at.COOLANT] = machine.sense[indices.COOLANT] = conditions.coolant_k
+    gears = (1, 2)
+    machine.modes[at.LINK : at.LINK + 2] = ENGAGED
+    if law.drive.plant.converter.is_there:  # behind one shaft, which is in some gear at any time
+        gears = (1, 0)
+        machine.modes[at.LINK + 1] = NEUTRAL
+        machine.y[at.GEAR_RATIO] = law.drive.overall_ratios[1]
+    machine.modes[at.GEAR : at.GEAR + 2] = gears
+    machine.modes[at.HELD] = 1
+    machine.u[at.RATIO : at.RATIO + 2] = [law.drive.overall_ratios[gear] for gear in gears]
+    machine.commands[tcu_data.WANTED_GEAR : tcu_data.WANTED_GEAR + 2] = gears
+    machine.memory[tcu_data.CURRENT_GEAR] = machine.memory[tcu_data.TARGET_GEAR] = 1
+    machine.memory[indices.STATE] = DrivelineState.STANDSTILL
+    machine.memory[indices.BRAKE] = law.driving.driver.standing_brake_m_s2
+    machine.y[[at.W_E, at.W_H]] = idle_rad_s(machine.sense, law)
+    return machine
+
 
 CITY_TRIP_S: Final = 1200.0
 CITY_GRADE_RATIO: Final = 0.02  # the steepest place

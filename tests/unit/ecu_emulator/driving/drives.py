@@ -6,8 +6,8 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from ecu_emulator.driving.indices import ManoeuvreKind
+from ecu_emulator.driving.journey import Car, DriveConditions, Trip
 from ecu_emulator.driving.traffic import SpeedTrace
-from ecu_emulator.driving.trip import Car, DriveConditions, Trip
 from ecu_emulator.plant.state import Col
 
 WARM_K = 363.15

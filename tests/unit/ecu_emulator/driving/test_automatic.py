@@ -9,7 +9,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, shipped_calibration
 from ecu_emulator.drive.build import FLUID_FACTORS
 from ecu_emulator.driving.indices import LockUpState
-from ecu_emulator.driving.trip import Car, Trip
+from ecu_emulator.driving.journey import Car, Trip
 from ecu_emulator.plant.parameters import nominal_parameters
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.scenario import FluidCondition

@@ -4,7 +4,7 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from ecu_emulator.driving.indices import DrivelineState, ManoeuvreKind
-from ecu_emulator.driving.trip import Car, DriveConditions, Trip
+from ecu_emulator.driving.journey import Car, DriveConditions, Trip
 from ecu_emulator.plant.course import FrictionFactors
 from ecu_emulator.plant.state import Col
 from tests.unit.ecu_emulator.driving.drives import Event, driven, of_kind, trace

@@ -11,13 +11,14 @@ from ecu_emulator.driving.journey import (
     DAY_TRIPS,
     OIL_PARKED_TIME_CONSTANT_S,
     PARKED_S,
+    DriveConditions,
     PlannedTrip,
+    Trip,
     cooled_k,
     trips,
 )
 from ecu_emulator.driving.laws import nominal_driving
 from ecu_emulator.driving.traffic import SpeedTrace, public_trace
-from ecu_emulator.driving.trip import DriveConditions, Trip
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario import DriveName
