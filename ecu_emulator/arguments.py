@@ -175,7 +175,6 @@ COMMAND_LINE: Final = Program(
     EXIT_TEXT,
     _RUN,
     _RECORD,
-    *attached("ecu_emulator.commands").values(),
     _DBC,
     Command(
         "scenarios",

@@ -65,9 +65,6 @@ def _execute(options: SimpleNamespace, stop: _Stop) -> bool:
         if options.command == "scenarios":
             commands.list_scenarios()
             return True
-        if options.command in (others := attached("ecu_emulator.commands")):
-            others[options.command].execute(options)
-            return True
         if options.command == "dbc":
             commands.save_dbc(options.output, is_forced=options.force, transmission=options.transmission)
             return True

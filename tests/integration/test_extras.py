@@ -18,7 +18,7 @@ MDF = b"MDF     4.10    asammdf ".ljust(512, b"\0")
 FLEET = "--database sqlite:///fleet.sqlite"
 OF_THE_FLEET = {f"{one} {FLEET}": "page" for one in ("serve", "watch")}
 ASKED: Mapping[str, Mapping[str, str]] = {  # words, and the extra that they lack; empty: none
-    "ecu-emulator": {"pdx -o tcu.pdx": "odx", "record made.mf4": "mf4", "scenarios": ""},
+    "ecu-emulator": {"record made.mf4": "mf4", "scenarios": ""},
     "diag-service": {
         "dtc -i virtual -c x --active --description car.pdx": "odx,uds",
         "decode drive.log -o d.parquet": "parquet",

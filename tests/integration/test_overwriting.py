@@ -44,7 +44,7 @@ def test_the_service_asks_for_force(folder: Path, words: tuple[str, ...]) -> Non
         ("record", "new.log", "--truth", "mine.log"),
         ("run", "-i", "virtual", "-c", "x", "--truth", "mine.log"),
         ("run", "-i", "virtual", "-c", "x", "--summary", "mine.log"),
-        ("pdx", "-o", "mine.log"),
+        ("dbc", "-o", "mine.log"),
     ],
     ids=" ".join,
 )
@@ -53,7 +53,7 @@ def test_the_emulator_asks_for_force(folder: Path, words: tuple[str, ...], capsy
     assert emulator.main(list(words)) == 2
     assert "mine.log is there already; --force writes over it\n" in capsys.readouterr().err
     assert (folder / "mine.log").read_text(encoding="ascii") == "mine"
-    assert emulator.main(["pdx", "-o", "mine.log", "--force"]) == 0
+    assert emulator.main(["dbc", "-o", "mine.log", "--force"]) == 0
 
 
 @pytest.mark.parametrize(

@@ -1,20 +1,17 @@
 """A tool that knows a controller by its PDX alone: what it asks is answered, what is answered it understands."""
 
-import json
 import re
 from ast import literal_eval
 from collections.abc import Iterator
-from pathlib import Path
 from random import Random
 from typing import Any
 
 import pytest
 
-from ecu_emulator.cli import main
 from tests.support.documents import page_text
 from tests.support.uds.full_table import full_table
 from tests.support.uds.pdx_client import PdxClient, read_back, templates_compiled_once
-from workshop.controller.pdx.package import pdx_package
+from tests.tools.pdx.package import FILE, pdx_package
 from workshop.controller.table import shipped_table
 
 
@@ -44,23 +41,16 @@ def test_obd_is_a_layer_of_its_own_of_which_everything_is_answered_and_understoo
     assert [code["trouble_code"].display_trouble_code for code in codes["trouble_codes"]] == ["P0811"]
 
 
-def test_the_command_writes_the_package(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "own.pdx"
-    assert main(["pdx", "-o", str(path), "--json"]) == 0
-    said = capsys.readouterr()
-    assert json.loads(said.out) == {"file": str(path), "controller": "TCU", "bytes": path.stat().st_size}
-    assert "25 trouble codes" in said.err.replace("\n", " ")
-    assert path.read_bytes() == pdx_package(shipped_table())
-    assert read_back(path.read_bytes()).short_name == "TCU"
+def test_the_package_that_ships_is_that_of_the_table_that_ships() -> None:
+    assert FILE.read_bytes() == pdx_package(shipped_table())
+    assert read_back(FILE.read_bytes()).short_name == "TCU"
 
 
-def test_the_page_reads_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_reads_the_package() -> None:
     (block,) = re.findall(
         r"^```python\n(import odxtools .*?)^```", page_text("docs/controller.md"), re.MULTILINE | re.DOTALL
     )
     *body, last = block.splitlines()
-    monkeypatch.chdir(tmp_path)
-    assert main(["pdx"]) == 0
     names: dict[str, Any] = {}
     exec("\n".join(body), names)  # noqa: S102 - what the page is for
     code, _, shown = last.partition("  # ")

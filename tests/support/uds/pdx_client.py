@@ -19,10 +19,10 @@ from odxtools.endofpdufield import EndOfPduField
 from odxtools.message import Message
 from odxtools.structure import Structure
 
+from tests.tools.pdx.elements import UNDEFINED
+from tests.tools.pdx.package import pdx_package
 from workshop.controller.descriptions import Values
 from workshop.controller.memory import TestResult
-from workshop.controller.pdx.elements import UNDEFINED
-from workshop.controller.pdx.package import pdx_package
 from workshop.controller.server import advance, answer, switched_on, tested
 from workshop.controller.services.sessions import finished, key_of
 from workshop.controller.state import Instant, Request, ServerState

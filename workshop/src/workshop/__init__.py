@@ -9,14 +9,12 @@ from canlog.extras import on_demand as _on_demand
 
 if typing.TYPE_CHECKING:
     from workshop.controller.answers import Answers
-    from workshop.controller.pdx_command import write_pdx
     from workshop.tester.uds_tester import UdsTester, scan_controllers
 
-__all__ = ["Answers", "UdsTester", "scan_controllers", "write_pdx"]
+__all__ = ["Answers", "UdsTester", "scan_controllers"]
 
 _HOMES = {
     "workshop.controller.answers": ("Answers",),
-    "workshop.controller.pdx_command": ("write_pdx",),
     "workshop.tester.uds_tester": ("UdsTester", "scan_controllers"),
 }
 __getattr__, __dir__ = _on_demand(__name__, _HOMES)

@@ -1,23 +1,15 @@
-"""What lets the emulator answer testers: options of ``run``, and ``pdx``; who works imports what does the work."""
+"""What lets the emulator answer testers: options of ``run``; who works imports what does the work."""
 
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Final
 
-import click
-
-from clutchdiag_io.command_line import FILE, FORCE, INT, Choice, Command, Option
+from clutchdiag_io.command_line import FILE, INT, Choice, Option
 from workshop.controller.iso14229 import DOIP_TLS_PORT
 
 if TYPE_CHECKING:
     from ecu_emulator.live import AnswersTesters
 
 DEFAULT_ELM_PORT: Final = "35000"
-
-
-def _pdx(options: SimpleNamespace) -> None:
-    from workshop.controller.pdx_command import execute  # noqa: PLC0415 - compiled libraries
-
-    execute(options)
 
 
 def answers(options: SimpleNamespace) -> "AnswersTesters | None":
@@ -56,21 +48,4 @@ RUN_OPTIONS: Final = (
         "serve OBD apps on this TCP port as an ELM327 adapter does (127.0.0.1:35000)",
         flag_value=DEFAULT_ELM_PORT,
     ),
-)
-PDX: Final = Command(
-    "pdx",
-    "describe for diagnostic tools what a tester can ask: a PDX package, ODX 2.2 (ISO 22901-1)",
-    click.Argument(
-        ["table"],
-        type=FILE,
-        metavar="[TABLE]",
-        required=False,
-        help="TOML table of a controller (default: the own one)",
-    ),
-    Option("-o --output FILE", "PDX file to write", FILE, default="tcu.pdx"),
-    FORCE,
-    Option("--json", "print the result as one JSON line on stdout"),
-    Option("-v --verbose", "show a traceback on errors"),
-    execute=_pdx,
-    examples=("ecu-emulator pdx -o tcu.pdx", "ecu-emulator pdx my.toml -o my.pdx"),
 )

@@ -1,12 +1,12 @@
 """What a tester knows of a controller: shipped, from a TOML file, from a PDX."""
 
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
 from diag_service.errors import ConfigError
 from tests.tools.tester_description import FILE, written
-from workshop.controller.pdx.package import pdx_package
 from workshop.controller.table import shipped_table
 from workshop.tester.description import find_description, shipped
 
@@ -72,9 +72,8 @@ def test_what_is_wrong_in_a_file_is_named(tmp_path: Path, text: str, complaint: 
     assert "\n" not in str(refused.value)
 
 
-def test_a_pdx_says_the_same_as_the_table_it_was_made_of(tmp_path: Path) -> None:
-    path = tmp_path / "tcu.pdx"
-    path.write_bytes(pdx_package(shipped_table()))
+def test_a_pdx_says_the_same_as_the_table_it_was_made_of() -> None:
+    path = Path(str(files("workshop.controller") / "tcu.pdx"))
     from_pdx, from_toml = find_description(path), find_description(Path("dct"))
     assert (from_pdx.request_id, from_pdx.response_id) == (0x7E1, 0x7E9)
     for number, datum in shipped_table().data.items():

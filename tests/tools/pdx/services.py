@@ -4,20 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from workshop.controller import descriptions, iso14229, memory
-from workshop.controller.descriptions import (
-    AccessRule,
-    Coding,
-    DataIdentifier,
-    DatumField,
-    ObdProfile,
-    Pid,
-    Routine,
-    VehicleInfo,
-)
-from workshop.controller.iso14229 import ObdService
-from workshop.controller.iso14229 import Service as Number
-from workshop.controller.pdx.elements import (
+from tests.tools.pdx.elements import (
     Dictionary,
     Part,
     Parts,
@@ -31,6 +18,19 @@ from workshop.controller.pdx.elements import (
     value,
     worded,
 )
+from workshop.controller import descriptions, iso14229, memory
+from workshop.controller.descriptions import (
+    AccessRule,
+    Coding,
+    DataIdentifier,
+    DatumField,
+    ObdProfile,
+    Pid,
+    Routine,
+    VehicleInfo,
+)
+from workshop.controller.iso14229 import ObdService
+from workshop.controller.iso14229 import Service as Number
 from workshop.controller.services import data, obd, sessions, trouble
 from workshop.controller.table import PERIODIC_PAGE, DiagnosticTable
 

@@ -1,8 +1,12 @@
-"""A controller as a PDX package (ODX 2.2, ISO 22901-1), written by odxtools: the same bytes for the same table."""
+"""Writes a controller as a PDX package (ODX 2.2, ISO 22901-1): ``python -m tests.tools.pdx.package [TABLE PACKAGE]``.
+
+Without words it is the package of the emulated controller, which ships. The same table gives the same bytes.
+"""
 
 import io
 import re
 import shutil
+import sys
 import tempfile
 import zipfile
 from pathlib import Path
@@ -33,9 +37,7 @@ from odxtools.statetransition import StateTransition
 from odxtools.statetransitionref import StateTransitionRef
 from odxtools.writepdxfile import write_pdx_file
 
-from workshop.controller.descriptions import AccessRule, ObdProfile
-from workshop.controller.iso14229 import DEFAULT_SESSION, NEGATIVE, POSITIVE, SUPPRESS, Nrc
-from workshop.controller.pdx.elements import (
+from tests.tools.pdx.elements import (
     Dictionary,
     Document,
     Names,
@@ -47,9 +49,12 @@ from workshop.controller.pdx.elements import (
     worded,
     xml_text,
 )
-from workshop.controller.pdx.services import ObdServices, OdxService, UdsServices
-from workshop.controller.table import DiagnosticTable
+from tests.tools.pdx.services import ObdServices, OdxService, UdsServices
+from workshop.controller.descriptions import AccessRule, ObdProfile
+from workshop.controller.iso14229 import DEFAULT_SESSION, NEGATIVE, POSITIVE, SUPPRESS, Nrc
+from workshop.controller.table import DiagnosticTable, load_table, shipped_table
 
+FILE: Final = Path(__file__).parents[3] / "workshop/src/workshop/controller/tcu.pdx"
 _STACK: Final = "ISO_15765_3_on_ISO_15765_2"
 _TRANSPORT: Final = "ISO_15765_2"
 _APPLICATION: Final = "ISO_15765_3"
@@ -309,3 +314,8 @@ def _negative(number: int) -> str:
 def _response_names(name: str, service: OdxService) -> list[str]:
     places = range(2, len(service.responses) + 1)
     return [f"{name}_response", *(f"{name}_response_{place}" for place in places)]
+
+
+if __name__ == "__main__":
+    table, package = (load_table(Path(sys.argv[1])), Path(sys.argv[2])) if sys.argv[1:] else (shipped_table(), FILE)
+    package.write_bytes(pdx_package(table))

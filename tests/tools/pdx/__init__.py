@@ -1,0 +1,1 @@
+"""Makes a PDX package (ODX 2.2) of a controller's table."""
