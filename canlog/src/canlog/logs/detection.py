@@ -15,7 +15,7 @@ from canlog.logs.asc import FIRST_LINE, AscLog, is_asc_header
 from canlog.logs.blf import MAGIC as BLF_MAGIC
 from canlog.logs.candump import CandumpLog
 from canlog.logs.captures import CAPTURE_MAGICS, capture_of
-from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, guessed, is_list, is_traffic, programs, proposed
+from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, is_list, programs
 from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.programs import CLX000_HEADER, Busmaster, Clx000, Trc
 from canlog.logs.console import ConsoleLog
@@ -207,8 +207,12 @@ def _by_named_columns(text: bytes) -> Detected | None:
 
     Raises SourceError if it lists identifiers and notes on them.
     """
-    log = proposed(text)
-    if log is None or not _has_frames(log, text):
+    log = ColumnsLog()
+    try:
+        log.look_ahead(text)
+    except SourceError:
+        return None
+    if not _has_frames(log, text):
         return None
     if is_list(frames_of(log, text), log.layout.columns):
         raise SourceError(f"{ONLY_LISTED}; if it is one, say --columns {shlex.quote(log.taken_for)}")
@@ -258,17 +262,12 @@ def _not_known(probe: bytes, hint: str) -> str:
 
 def _as_table(probe: bytes) -> str:
     """Return what one may do about what looks like a table; nothing if it does not."""
-    seen, text = columns_seen(probe), probe.removeprefix(BYTE_ORDER_MARK)
+    seen = columns_seen(probe)
+    if not seen:
+        return ""
     names = ", ".join(seen[:MOST_NAMED]) + (f" and {len(seen) - MOST_NAMED} more" if len(seen) > MOST_NAMED else "")
-    choice = guessed(text)
-    log = proposed(text, choice) if choice else None
-    if log is None or not _has_frames(log, text) or not is_traffic(frames_of(log, text)):
-        return (
-            f"a table with the columns {names}; --columns time=...,id=...,data=... says which are which; a table of "
-            "signals has a column of times that rise (numbers, hh:mm:ss, ISO dates) and one of numbers, "
-            f"in {LEAST_ROWS} rows and more"
-            if names
-            else ""
-        )
-    named = f" with the columns {names}" if names else ""
-    return f"a table{named}; perhaps --columns {shlex.quote(choice)}"
+    return (
+        f"a table with the columns {names}; --columns time=...,id=...,data=... says which are which; a table of "
+        "signals has a column of times that rise (numbers, hh:mm:ss, ISO dates) and one of numbers, "
+        f"in {LEAST_ROWS} rows and more"
+    )

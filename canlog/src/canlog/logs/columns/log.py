@@ -150,16 +150,6 @@ class ColumnsLog(TableLog):
             self.notes.append("dates are taken as local time: they have no UTC offset")
 
 
-def proposed(text: bytes, choice: str = "") -> ColumnsLog | None:
-    """Return the reader of a text whose header, or ``choice``, names its columns; None if that does not do so."""
-    log = ColumnsLog(choice)
-    try:
-        log.look_ahead(text)
-    except SourceError:
-        return None
-    return log
-
-
 def columns_seen(text: bytes) -> tuple[str, ...]:
     """Return the names of the columns of what looks like a table; none if it does not."""
     for line in text.splitlines()[:HEADER_LINES_LOOKED_AT]:
