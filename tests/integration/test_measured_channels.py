@@ -10,7 +10,7 @@ from canlog.database.signal_columns import column_id
 from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG
 from canlog.logs import LogFormat, LogReader, read_log
-from canlog.logs.mf4_channels import one_each
+from canlog.logs.mf4 import one_each
 from ecu_emulator.log_formats import LogHeader, Mf4Writer
 from tests.support.measurements import START, Measured, written
 from tests.support.mf4_layouts import Layout, laid_out

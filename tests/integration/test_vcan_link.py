@@ -9,7 +9,7 @@ import pytest
 
 from canlog.frames import ERROR_FLAG, BusTrouble
 from canlog.live import BusOpener, BusSilence, BusState, LinkBreak, SupervisedSource, supervise
-from canlog.live.raw_socket import Seen, index_of, present_name, restart_controller
+from canlog.live.socketcan import Seen, index_of, present_name, restart_controller
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from tests.support.link_cycles import run_cycles

@@ -18,8 +18,15 @@ import can
 from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 
 from canlog.errors import SourceError
-from canlog.live.raw_socket import SO_TIMESTAMPNS, Seen, grow_receive_buffer, index_of, present_name, restart_controller
-from canlog.live.socketcan import SocketCanSource
+from canlog.live.socketcan import (
+    SO_TIMESTAMPNS,
+    Seen,
+    SocketCanSource,
+    grow_receive_buffer,
+    index_of,
+    present_name,
+    restart_controller,
+)
 from canlog.live.sources import FrameSource, ReadSchedule
 
 UDP_MULTICAST: Final = "udp_multicast"

@@ -24,7 +24,6 @@ from canlog.frames import (
 )
 from canlog.jit import kernel, part
 from canlog.logs.dates import US_PER_S, date_us, decoded
-from canlog.logs.frame_buffer import FrameRows
 from canlog.logs.text_kernels import (
     BLANK,
     FRAME,
@@ -42,6 +41,7 @@ from canlog.logs.text_kernels import (
     SLASH,
     STOP,
     TOO_LONG,
+    FrameRows,
     clear,
     count_line,
     decimal,

@@ -28,9 +28,8 @@ from canlog.frames import (
     FrameBatch,
 )
 from canlog.jit import kernel, part
-from canlog.logs.frame_buffer import FrameBuffer, FrameRows
 from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.text_kernels import LENGTH_OF_CODE, clear, half, lower, word
+from canlog.logs.text_kernels import LENGTH_OF_CODE, FrameBuffer, FrameRows, clear, half, lower, word
 
 # What has been done, and how it goes on.
 POSITION, ROWS, OBJECTS, IS_LOST, SKIPPED, DAMAGED, FIRST_DAMAGED, IS_TOO_WIDE, REPORT_FIELDS = range(9)

@@ -7,7 +7,6 @@ are counted with the number of the first one, and reading goes on.
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.jit import kernel, part
-from canlog.logs.frame_buffer import ChannelNames, FrameRows, NameWords, channel_number
 from canlog.logs.text_kernels import (
     FRAME,
     HEX_VALUE,
@@ -21,6 +20,10 @@ from canlog.logs.text_kernels import (
     SKIPPED,
     STOP,
     TOO_LONG,
+    ChannelNames,
+    FrameRows,
+    NameWords,
+    channel_number,
     clear,
     count_line,
     decimal,

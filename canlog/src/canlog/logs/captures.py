@@ -28,9 +28,8 @@ from canlog.frames import (
 )
 from canlog.jit import kernel, part
 from canlog.logs import text_kernels as outcomes
-from canlog.logs.frame_buffer import FrameBuffer, FrameRows
 from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.text_kernels import lower, reversed_bytes
+from canlog.logs.text_kernels import FrameBuffer, FrameRows, lower, reversed_bytes
 
 # What has been done, and how it goes on.
 POSITION, ROWS, PACKETS, SKIPPED, MALFORMED, FIRST_MALFORMED, DAMAGED, FIRST_DAMAGED = range(8)

@@ -19,7 +19,6 @@ from canlog.frames import (
     FrameBatch,
 )
 from canlog.logs.dates import date_us
-from canlog.logs.frame_buffer import ChannelNames, FrameRows
 from canlog.logs.text_kernels import (
     FRAME,
     IS_LENGTH,
@@ -27,6 +26,8 @@ from canlog.logs.text_kernels import (
     OTHER,
     SKIPPED,
     TOO_LONG,
+    ChannelNames,
+    FrameRows,
     day_number,
 )
 from canlog.logs.text_log import LineLog, frames_of

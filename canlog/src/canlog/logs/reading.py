@@ -26,8 +26,7 @@ from canlog.logs.log_counts import (
     is_plausible,
     longest_step_ns,
 )
-from canlog.logs.mf4 import read_mf4
-from canlog.logs.mf4_channels import measured_channels
+from canlog.logs.mf4 import measured_channels, read_mf4
 from canlog.logs.signal_tables import read_signal_table
 from canlog.logs.sqlite import check_messages, read_sqlite
 from canlog.logs.streams import (

@@ -19,8 +19,8 @@ from canlog.arrays import FloatArray, Int64Array, UInt32Array
 from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
-from canlog.logs.columns.header import SYNONYMS, UNITS
-from canlog.logs.columns.roles import Role
+from canlog.logs.columns.lines import Role
+from canlog.logs.columns.log import SYNONYMS, UNITS
 from canlog.logs.log_counts import LogCounts, LogReject
 
 BLOCK_BYTES: Final = 1024 * 1024

@@ -9,7 +9,6 @@ import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array
 from canlog.frames import FrameBatch
-from canlog.logs.frame_buffer import FrameBuffer, FrameRows
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_kernels import (
     FIRST_MALFORMED,
@@ -25,6 +24,8 @@ from canlog.logs.text_kernels import (
     SKIPPED_LINES,
     STOP,
     TOO_LONG,
+    FrameBuffer,
+    FrameRows,
     count_line,
 )
 

@@ -8,9 +8,7 @@ from datetime import UTC, datetime
 from decimal import Decimal, InvalidOperation
 from typing import Final
 
-from canlog.logs.columns.header import in_unit, names_in
-from canlog.logs.columns.log import TableLog
-from canlog.logs.columns.roles import (
+from canlog.logs.columns.lines import (
     BLANKS,
     COMMA,
     DAY_US,
@@ -22,6 +20,7 @@ from canlog.logs.columns.roles import (
     Meaning,
     Role,
 )
+from canlog.logs.columns.log import TableLog, in_unit, names_in
 from canlog.logs.dates import date_us, local_midnight_us
 from canlog.logs.log_counts import MICROSECONDS, MILLISECONDS, SECONDS, likely_unit
 from canlog.logs.text_log import frames_of
