@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -98,6 +98,33 @@ def empty_batch() -> FrameBatch:
         can_id=np.empty(0, np.uint32),
         length=np.empty(0, np.uint8),
         data=np.empty((0, PAYLOAD_BYTES), np.uint8),
+    )
+
+
+class Frame(NamedTuple):
+    """One frame, for readers that go through a source one by one."""
+
+    t_ns: int
+    can_id: int  # with the flags above
+    length: int
+    data: bytes  # up to the length
+    flags: int = 0
+    channel: int = 0
+
+
+def batch_of(frames: Sequence[Frame]) -> FrameBatch:
+    """Return some frames as columns."""
+    if not frames:
+        return empty_batch()
+    t_ns, can_id, length, data, flags, channel = zip(*frames, strict=True)
+    width = FD_PAYLOAD_BYTES if any(frame.flags & FD_FLAG for frame in frames) else PAYLOAD_BYTES
+    return FrameBatch(
+        t_ns=np.array(t_ns, np.int64),
+        can_id=np.array(can_id, np.uint32),
+        length=np.array(length, np.uint8),
+        data=np.frombuffer(b"".join(one.ljust(width, b"\0") for one in data), np.uint8).reshape(-1, width),
+        flags=np.array(flags, np.uint8),
+        channel=np.array(channel, np.uint8),
     )
 
 

@@ -8,7 +8,6 @@ from collections.abc import AsyncIterator, Mapping, Sequence
 from typing import Any, Final, Self
 
 import can
-import numpy as np
 
 from canlog.errors import SourceError
 from canlog.frames import (
@@ -20,7 +19,9 @@ from canlog.frames import (
     FD_PAYLOAD_BYTES,
     PAYLOAD_BYTES,
     REMOTE_FLAG,
+    Frame,
     FrameBatch,
+    batch_of,
 )
 from canlog.live import opening
 from canlog.live.sources import SILENCE_S, BusSilence, FrameQueue, SourceCounts
@@ -144,17 +145,17 @@ def _is_of_now(message: can.Message) -> bool:
 
 
 def to_batch(messages: Sequence[can.Message]) -> FrameBatch:
-    width = FD_PAYLOAD_BYTES if any(message.is_fd for message in messages) else PAYLOAD_BYTES
-    t_us = np.rint(np.array([message.timestamp for message in messages]) * US_PER_S).astype(np.int64)
-    capacity = np.array([FD_PAYLOAD_BYTES if message.is_fd else PAYLOAD_BYTES for message in messages], np.uint8)
-    length = np.array([message.dlc for message in messages], np.uint8)
-    payload = b"".join(bytes(message.data).ljust(width, b"\0") for message in messages)
-    return FrameBatch(
-        t_ns=t_us * NS_PER_US,
-        can_id=np.array([flagged_id(message) for message in messages], np.uint32),
-        length=np.minimum(length, capacity),
-        data=np.frombuffer(payload, np.uint8).reshape(-1, width),
-        flags=np.array([frame_flags(message) for message in messages], np.uint8),
+    return batch_of(
+        [
+            Frame(
+                t_ns=round(message.timestamp * US_PER_S) * NS_PER_US,
+                can_id=flagged_id(message),
+                length=min(message.dlc, FD_PAYLOAD_BYTES if message.is_fd else PAYLOAD_BYTES),
+                data=bytes(message.data),
+                flags=frame_flags(message),
+            )
+            for message in messages
+        ]
     )
 
 

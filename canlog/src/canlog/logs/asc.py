@@ -52,7 +52,7 @@ from canlog.logs.text_kernels import (
     skip_word,
     whole_number,
 )
-from canlog.logs.text_log import TextLog
+from canlog.logs.text_log import KernelLog
 
 HEXADECIMAL, DECIMAL = 16, 10
 MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
@@ -358,7 +358,7 @@ FIRST_LINE = re.compile(rb"base\s+(?:hex|dec)|(?:date|begin\s+triggerblock)\s+\S
 WHOLE_BYTE_AT_END = re.compile(rb"\s[0-9a-f]{2}\s*$", re.IGNORECASE)
 
 
-class AscLog(TextLog):
+class AscLog(KernelLog):
     """A log of Vector's tools; its header says in which base numbers are, and what times count from."""
 
     shortest_line_bytes = 13  # "0.0 1 1 Rx r"

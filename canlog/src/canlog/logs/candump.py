@@ -34,7 +34,7 @@ from canlog.logs.text_kernels import (
     skip_line,
     skip_word,
 )
-from canlog.logs.text_log import MAX_LINE_BYTES, TextLog
+from canlog.logs.text_log import MAX_LINE_BYTES, KernelLog
 
 STANDARD_DIGITS, EXTENDED_DIGITS = 3, 8
 MAX_STANDARD_ID, MAX_ID = 0x7FF, 0x3FFF_FFFF
@@ -146,7 +146,7 @@ def _parse_tail(text: UInt8Array, at: int) -> tuple[bool, int]:
     return is_sent, behind + 1 if text[behind] == NEWLINE else -behind
 
 
-class CandumpLog(TextLog):
+class CandumpLog(KernelLog):
     shortest_line_bytes = 12  # "(0.0)c 123#"
 
     def __init__(self) -> None:

@@ -8,12 +8,10 @@ most identifiers can only stand in the other one, as some writers leave them, al
 import os
 import re
 import struct
-from collections.abc import Iterator
-from typing import BinaryIO, Final
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import BinaryIO, Final, NamedTuple
 
-import numpy as np
-
-from canlog.arrays import Int64Array, UInt8Array
 from canlog.errors import SourceError
 from canlog.frames import (
     BRS_FLAG,
@@ -21,207 +19,39 @@ from canlog.frames import (
     ESI_FLAG,
     EXTENDED_FLAG,
     FD_FLAG,
+    FD_PAYLOAD_BYTES,
+    NS_PER_US,
     PAYLOAD_BYTES,
     REMOTE_FLAG,
     TX_FLAG,
+    Frame,
     FrameBatch,
+    batch_of,
 )
-from canlog.jit import kernel, part
-from canlog.logs import text_kernels as outcomes
 from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.text_kernels import FrameBuffer, FrameRows, lower, reversed_bytes
-
-# What has been done, and how it goes on.
-POSITION, ROWS, PACKETS, SKIPPED, MALFORMED, FIRST_MALFORMED, DAMAGED, FIRST_DAMAGED = range(8)
-IS_LOST, TOO_WIDE, BLOCK, IS_BIG, IS_BLOCKS, INTERFACES, LAST_S = range(8, 15)
-IS_SWAPPED, ODD, ODD_SWAPPED, REPORT_FIELDS = range(15, 19)  # identifiers that cannot be, in either order
-# What is known of an interface: its kind of link, ticks a second, what is to be added to its times, its number.
-LINK, TICKS, OFFSET_S, CHANNEL, INTERFACE_FIELDS = range(5)
+from canlog.logs.text_kernels import IS_LENGTH
 
 SOCKETCAN, COOKED, COOKED_2 = LINKS = 227, 113, 276
 # Where a cooked header has hardware, protocol, whether the packet was sent; its length.
-COOKED_OFFSETS, COOKED_2_PLACES, COOKED_2_INTERFACE = (2, 14, 1, 16), (8, 0, 10, 20), 4
+COOKED_PLACES: Final = {COOKED: (2, 14, 1, 16), COOKED_2: (8, 0, 10, 20)}
+COOKED_2_INTERFACE: Final = 4
 CAN_HARDWARE, FD_PROTOCOL, XL_PROTOCOL, OUTGOING = 280, 0x000D, 0x000E, 4  # of if_arp.h and if_ether.h
-SECTION_HEADER, INTERFACE, SIMPLE_PACKET, PACKET = 0x0A0D_0D0A, 1, 3, 6
+INTERFACE, SIMPLE_PACKET, PACKET = 1, 3, 6  # kinds of blocks in pcapng
 HEADER_BYTES, PACKET_BYTES, LEAST_BLOCK_BYTES = 16, 28, 12  # of a packet in pcap; in pcapng up to its data
-LEAST_RECORD_BYTES = 24  # with the header of a frame
 FRAME_HEADER_BYTES, FD_FRAME_BYTES = 8, 72
 LONGEST_PACKET, LONGEST_FRAME_PACKET, LONGEST_BLOCK = 262_144, 92, 16 * 1024 * 1024
 MOST_STEP_S = 86_400  # from packet to packet, where the place of a packet has to be guessed
 LAST_TIME_S = 9_200_000_000
-NS_PER_US, NS_PER_S = 1_000, 1_000_000_000
-FD_BIT, BRS_BIT, ESI_BIT, XL_BIT = 0x04, 0x01, 0x02, 0x80  # of a frame's flags; the last one of its length
+NS_PER_S = 1_000_000_000
+FD_BIT, XL_BIT = 0x04, 0x80  # of a frame's flags, of its length
 STANDARD_ID, EXTENDED_ID, LAST_CLASS = 0x7FF, 0x1FFF_FFFF, 0xFFF  # the last one of errors
-
-
-@kernel
-def parse_records(
-    raw: UInt8Array,
-    interfaces: Int64Array,
-    rows: FrameRows,
-    report: Int64Array,
-    goes_on: bool,  # noqa: FBT001 - of a kernel
-) -> None:
-    """Go through the records of a buffer, up to the first that it does not hold whole, or that tells of the others.
-
-    Where a record cannot be, the next place where one can be is looked for; that is counted as damage.
-    """
-    at = report[POSITION]
-    report[TOO_WIDE] = report[BLOCK] = 0
-    while True:
-        size = _record_bytes(raw, at, interfaces, report)
-        if size < 0:
-            report[FIRST_DAMAGED] = report[FIRST_DAMAGED] if report[DAMAGED] else report[PACKETS] + 1
-            report[DAMAGED] += not report[IS_LOST]
-            report[IS_LOST] = 1
-            at += 1
-            continue
-        if size == 0 or at + size > raw.size:
-            at = raw.size if report[IS_LOST] and not goes_on else at  # nothing more to be found
-            break
-        report[IS_LOST] = 0
-        kind = _long(raw, at, report[IS_BIG]) if report[IS_BLOCKS] else PACKET
-        if kind == INTERFACE or kind == SECTION_HEADER:  # noqa: PLR1714, SIM109 - no tuple in a kernel
-            report[BLOCK] = 1
-            break
-        outcome = outcomes.MALFORMED if kind == SIMPLE_PACKET else outcomes.SKIPPED  # that has no time
-        if kind == PACKET:
-            outcome = _packet(raw, at, size, interfaces, rows, report)
-        if outcome == outcomes.TOO_LONG:
-            report[TOO_WIDE] = 1
-            break
-        report[PACKETS] += 1
-        report[ROWS] += outcome == outcomes.FRAME
-        report[SKIPPED] += outcome == outcomes.SKIPPED
-        if outcome == outcomes.MALFORMED:
-            report[FIRST_MALFORMED] = report[FIRST_MALFORMED] if report[MALFORMED] else report[PACKETS]
-            report[MALFORMED] += 1
-        at += size
-    report[POSITION] = at
-
-
-@part
-def _long(raw: UInt8Array, at: int, is_big: int) -> int:
-    value = lower(raw, at)
-    return reversed_bytes(value) if is_big else value
-
-
-@part
-def _short(raw: UInt8Array, at: int) -> int:
-    """Return two bytes in network byte order."""
-    return int(raw[at]) << 8 | int(raw[at + 1])
-
-
-@part
-def _record_bytes(raw: UInt8Array, at: int, interfaces: Int64Array, report: Int64Array) -> int:
-    """Return how long a record is, 0 if the buffer does not tell, -1 if there can be none."""
-    is_big, is_lost = report[IS_BIG], report[IS_LOST] != 0
-    if at + (LEAST_BLOCK_BYTES if report[IS_BLOCKS] else HEADER_BYTES) > raw.size:
-        return 0
-    if not report[IS_BLOCKS]:
-        seconds, part, size = _long(raw, at, is_big), _long(raw, at + 4, is_big), _long(raw, at + 8, is_big)
-        is_sound = size <= LONGEST_PACKET and part < interfaces[0, TICKS]
-        if is_lost:
-            is_sound = is_sound and FRAME_HEADER_BYTES <= size <= LONGEST_FRAME_PACKET
-            is_sound = is_sound and size == _long(raw, at + 12, is_big)
-            is_sound = is_sound and abs(seconds - report[LAST_S]) <= MOST_STEP_S
-        return HEADER_BYTES + size if is_sound else -1
-    if lower(raw, at) == SECTION_HEADER:  # the same in either order; what follows says which it is
-        is_big = int(raw[at + 8] == 0x1A)
-    kind, size = _long(raw, at, is_big), _long(raw, at + 4, is_big)
-    least_bytes = PACKET_BYTES + 4 if kind == PACKET else LEAST_BLOCK_BYTES
-    is_sound = size % 4 == 0 and least_bytes <= size <= LONGEST_BLOCK
-    is_known = 0 < kind <= PACKET or kind == SECTION_HEADER
-    if not is_sound or (is_lost and (size > LONGEST_PACKET or not is_known)):
-        return -1
-    return size if at + size > raw.size or _long(raw, at + size - 4, is_big) == size else -1
-
-
-@part
-def _packet(  # noqa: PLR0911 - one for each reason
-    raw: UInt8Array, at: int, size: int, interfaces: Int64Array, rows: FrameRows, report: Int64Array
-) -> int:
-    """Write the frame of a packet into a row; return FRAME, or what else it is."""
-    is_big, number = report[IS_BIG], 0
-    if report[IS_BLOCKS]:
-        number, length = _long(raw, at + 8, is_big), _long(raw, at + 20, is_big)
-        if number >= report[INTERFACES] or length > size - PACKET_BYTES - 4:
-            return outcomes.MALFORMED
-        ticks = _long(raw, at + 12, is_big) << 32 | _long(raw, at + 16, is_big)
-        seconds, part = ticks // interfaces[number, TICKS], ticks % interfaces[number, TICKS]
-        at += PACKET_BYTES
-    else:
-        seconds, part, length = _long(raw, at, is_big), _long(raw, at + 4, is_big), size - HEADER_BYTES
-        at += HEADER_BYTES
-    seconds += interfaces[number, OFFSET_S]
-    if not 0 <= seconds < LAST_TIME_S:
-        return outcomes.MALFORMED
-    report[LAST_S], row = seconds, report[ROWS]
-    time_ns = seconds * NS_PER_S + part * NS_PER_S // interfaces[number, TICKS]
-    rows.t_ns[row] = (time_ns + NS_PER_US // 2) // NS_PER_US * NS_PER_US
-    rows.channel[row], rows.flags[row] = interfaces[number, CHANNEL], 0
-    if interfaces[number, LINK] == SOCKETCAN:
-        return _frame(raw, at, length, rows, row, 0, 1, report)
-    if interfaces[number, LINK] == COOKED_2 and length >= HEADER_BYTES:
-        rows.channel[row] = min(_long(raw, at + COOKED_2_INTERFACE, 1), 255)
-    elif interfaces[number, LINK] != COOKED:
-        return outcomes.SKIPPED
-    hardware, protocol, sent, header = COOKED_OFFSETS if interfaces[number, LINK] == COOKED else COOKED_2_PLACES
-    if length < header:
-        return outcomes.MALFORMED
-    if _short(raw, at + hardware) != CAN_HARDWARE:
-        return outcomes.SKIPPED
-    rows.flags[row] = TX_FLAG * (raw[at + sent] == OUTGOING)
-    return _frame(raw, at + header, length - header, rows, row, _short(raw, at + protocol), is_big, report)
-
-
-@part
-def _is_odd(said: int) -> bool:
-    """Return whether nobody numbers a frame so: too large, an error of no class, 29 bits that end with 16 zeros."""
-    if said & ERROR_FLAG:
-        return bool(said & ~ERROR_FLAG > LAST_CLASS)
-    return bool(said & 0xFFFF == 0 if said & EXTENDED_FLAG else said & ~REMOTE_FLAG > STANDARD_ID)
-
-
-@part
-def _frame(
-    raw: UInt8Array, at: int, size: int, rows: FrameRows, row: int, protocol: int, is_big: int, report: Int64Array
-) -> int:
-    """Write a frame as SocketCAN has them into a row; return as ``_packet``."""
-    if size < FRAME_HEADER_BYTES or protocol == XL_PROTOCOL or raw[at + 4] & XL_BIT:
-        return outcomes.MALFORMED
-    said, other = _long(raw, at, is_big != report[IS_SWAPPED]), _long(raw, at, is_big == report[IS_SWAPPED])
-    count, bits = int(raw[at + 4]), int(raw[at + 5])
-    report[ODD] += _is_odd(said)
-    report[ODD_SWAPPED] += _is_odd(other)
-    is_remote = said & (REMOTE_FLAG | ERROR_FLAG) == REMOTE_FLAG
-    is_fd = protocol == FD_PROTOCOL or bits & FD_BIT != 0 or size == FD_FRAME_BYTES or count > PAYLOAD_BYTES
-    can_id = said & ~REMOTE_FLAG
-    if said & ERROR_FLAG:
-        can_id = said & EXTENDED_ID | ERROR_FLAG
-    elif not said & EXTENDED_FLAG and can_id > STANDARD_ID:
-        return outcomes.MALFORMED
-    stored = 0 if is_remote else count
-    if (is_fd and said & (REMOTE_FLAG | ERROR_FLAG)) or size < FRAME_HEADER_BYTES + stored:
-        return outcomes.MALFORMED
-    if count >= len(outcomes.IS_LENGTH) or not outcomes.IS_LENGTH[count]:
-        return outcomes.MALFORMED
-    if count > rows.data.shape[1]:
-        return outcomes.TOO_LONG
-    if is_fd:
-        rows.flags[row] |= FD_FLAG | (BRS_FLAG if bits & BRS_BIT else 0) | (ESI_FLAG if bits & ESI_BIT else 0)
-    rows.can_id[row], rows.length[row] = np.uint32(can_id | (REMOTE_FLAG if is_remote else 0)), count
-    for index in range(rows.data.shape[1]):
-        rows.data[row, index] = raw[at + FRAME_HEADER_BYTES + index] if index < stored else 0
-    return outcomes.FRAME
-
 
 MAGICS: Final = {
     struct.pack(order + "L", magic): (order, ticks)
     for order in "<>"
     for magic, ticks in ((0xA1B2C3D4, 1_000_000), (0xA1B23C4D, 1_000_000_000))
 }  # the byte order of the file, and into how many parts seconds are divided
-SECTION_MAGIC: Final = SECTION_HEADER.to_bytes(4, "big")
+SECTION_MAGIC: Final = b"\n\r\r\n"
 CAPTURE_MAGICS: Final = (*MAGICS, SECTION_MAGIC)
 BIG_ORDER_MAGIC: Final = bytes.fromhex("1A2B3C4D")
 FILE_HEADER, FILE_HEADER_BYTES = "4s16xL", 24  # of pcap
@@ -234,6 +64,13 @@ LEAST_PACKETS: Final = 10  # that tell a byte order
 MOST_ODD: Final = 0.1  # of packets whose identifiers stand in the right byte order
 SWAPPED: Final = "the identifiers stand in the other byte order than this kind of capture has: they are read swapped"
 DIGITS_AT_END: Final = re.compile(rb"(\d{1,3})\0*$")
+# Where a record may begin behind damage, in pcap and in pcapng: the small numbers that it has at known places.
+RECORDS: Final = {
+    ("<", False): re.compile(rb"(?=.{8}([\x08-\x5c]\0\0\0)\1)", re.DOTALL),
+    (">", False): re.compile(rb"(?=.{8}(\0\0\0[\x08-\x5c])\1)", re.DOTALL),
+    ("<", True): re.compile(rb"\n\r\r\n|(?=[\x01-\x06]\0\0\0..[\0-\4]\0)", re.DOTALL),
+    (">", True): re.compile(rb"\n\r\r\n|(?=\0\0\0[\x01-\x06]\0[\0-\4])", re.DOTALL),
+}
 
 
 def capture_of(probe: bytes) -> str:
@@ -249,89 +86,243 @@ def capture_of(probe: bytes) -> str:
 def read_capture(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
     """Yield the frames of a capture, a batch for each MiB of it; raises SourceError if it ends inside its header."""
     size_bytes, read_bytes = stream.seek(0, os.SEEK_END), stream.seek(0)
-    report, interfaces = _beginning(stream)
-    frames, tail = FrameBuffer(0), b""
+    capture, tail, is_first = _opened(stream, counts), b"", True
     while True:
         piece = stream.read(PIECE_BYTES)
-        raw = np.frombuffer(tail + piece, np.uint8)
-        frames.reserve(len(raw) // LEAST_RECORD_BYTES + 1, 0)
-        report[[POSITION, ROWS, SKIPPED, MALFORMED, DAMAGED]] = 0
-        before = report.copy()
-        _parse(raw, interfaces, frames, report, goes_on=bool(piece))
-        if not before[PACKETS] and _is_swapped(report):
-            report[:] = before
-            report[IS_SWAPPED] = 1
-            _parse(raw, interfaces, frames, report, goes_on=bool(piece))
+        packets, tail = capture.packets(tail + piece, goes_on=bool(piece))
+        if is_first and _is_swapped(packets):
+            capture.is_swapped = True
             counts.note(SWAPPED)
-        tail, count = raw[report[POSITION] :].tobytes(), int(report[ROWS])
+        is_first = is_first and not packets
+        frames = capture.frames(packets)
         read_bytes = stream.seek(0, os.SEEK_CUR)
-        counts.skipped += int(report[SKIPPED])
-        counts.reject(LogReject.DAMAGED, f"packet {report[FIRST_DAMAGED]}", int(report[DAMAGED]))
-        counts.reject(LogReject.MALFORMED, f"packet {report[FIRST_MALFORMED]}", int(report[MALFORMED]))
-        if count:
-            counts.frames += count
-            yield frames.batch(count)
+        if frames:
+            counts.frames += len(frames)
+            yield batch_of(frames)
         if not piece:
             break
     if tail or read_bytes < size_bytes:
         counts.cut_off(f"byte {read_bytes - len(tail)}")
 
 
-def _parse(raw: UInt8Array, interfaces: Int64Array, frames: FrameBuffer, report: Int64Array, *, goes_on: bool) -> None:
-    """Go through the records of a buffer, taking up what they tell of the others."""
-    while True:
-        parse_records(raw, interfaces, frames.rows, report, goes_on)
-        if report[TOO_WIDE]:
-            frames.widen(int(report[ROWS]))
-        elif report[BLOCK]:
-            _read_block(raw[report[POSITION] :].tobytes(), interfaces, report)
+class _Interface(NamedTuple):
+    link: int
+    ticks: int  # a second
+    offset_s: int = 0  # to be added to its times
+    channel: int = 0
+
+
+class _Packet(NamedTuple):
+    """A packet of CAN."""
+
+    number: int
+    t_ns: int
+    channel: int
+    flags: int
+    protocol: int
+    order: str  # of its identifier
+    frame: bytes  # as SocketCAN has them
+
+
+class _MalformedError(ValueError):
+    """A packet is no frame, though meant to be one."""
+
+
+@dataclass(slots=True)
+class _Capture:
+    """What is known of a capture at a packet."""
+
+    counts: LogCounts
+    order: str
+    is_blocks: bool  # pcapng
+    interfaces: list[_Interface] = field(default_factory=list)
+    number: int = 0  # of packets until now
+    last_s: int = 0
+    is_lost: bool = False  # where the next record begins is not known
+    is_swapped: bool = False
+
+    def packets(self, raw: bytes, *, goes_on: bool) -> tuple[list[_Packet], bytes]:
+        """Return the packets of CAN in a piece, and the beginning of a record that it does not hold whole.
+
+        Where a record cannot be, the next place where one can be is looked for; that is counted as damage.
+        """
+        found, at = list[_Packet](), 0
+        while True:
+            if self.is_lost:
+                place = RECORDS[self.order, self.is_blocks].search(raw, at)
+                at = place.start() if place else max(at, len(raw) - HEADER_BYTES + 1)
+            size = self._record_bytes(raw, at)
+            if size < 0:
+                if not self.is_lost:
+                    self.counts.reject(LogReject.DAMAGED, f"packet {self.number + 1}")
+                self.is_lost, at = True, at + 1
+            elif size == 0 or at + size > len(raw):
+                is_over = self.is_lost and not goes_on  # nothing more to be found
+                return found, b"" if is_over else raw[at:]
+            else:
+                self.is_lost, record, at = False, raw[at : at + size], at + size
+                try:
+                    packet = self._packet(record)
+                except _MalformedError:
+                    self.counts.reject(LogReject.MALFORMED, f"packet {self.number}")
+                else:
+                    found += [] if packet is None else [packet]
+
+    def frames(self, packets: Sequence[_Packet]) -> list[Frame]:
+        """Return the frames that packets hold; those that hold none are counted."""
+        found = list[Frame]()
+        for packet in packets:
+            try:
+                found.append(self._frame(packet))
+            except _MalformedError:
+                self.counts.reject(LogReject.MALFORMED, f"packet {packet.number}")
+        return found
+
+    def _record_bytes(self, raw: bytes, at: int) -> int:
+        """Return how long a record is, 0 if the piece does not tell, -1 if there can be none."""
+        if at + (LEAST_BLOCK_BYTES if self.is_blocks else HEADER_BYTES) > len(raw):
+            return 0
+        if not self.is_blocks:
+            seconds, part, size, whole = struct.unpack_from(f"{self.order}4L", raw, at)
+            is_sound = size <= LONGEST_PACKET and part < self.interfaces[0].ticks
+            if self.is_lost:
+                is_sound &= FRAME_HEADER_BYTES <= size <= LONGEST_FRAME_PACKET and size == whole
+                is_sound &= abs(seconds - self.last_s) <= MOST_STEP_S
+            return HEADER_BYTES + size if is_sound else -1
+        is_section = raw.startswith(SECTION_MAGIC, at)
+        order = _section_order(raw, at) if is_section else self.order
+        kind, size = struct.unpack_from(f"{order}2L", raw, at)
+        least_bytes = PACKET_BYTES + 4 if kind == PACKET else LEAST_BLOCK_BYTES
+        is_sound = size % 4 == 0 and least_bytes <= size <= LONGEST_BLOCK
+        if self.is_lost:
+            is_sound &= size <= LONGEST_PACKET and (is_section or 0 < kind <= PACKET)
+        if not is_sound or at + size > len(raw):
+            return size if is_sound else -1
+        return size if struct.unpack_from(f"{order}L", raw, at + size - 4)[0] == size else -1
+
+    def _packet(self, record: bytes) -> _Packet | None:
+        """Return the packet of CAN that a record is, None if it is something else."""
+        if self.is_blocks:
+            kind = struct.unpack_from(f"{self.order}L", record)[0]
+            if record.startswith(SECTION_MAGIC) or kind == INTERFACE:
+                self._read_block(record)
+                return None
+            self.number += 1
+            if kind == SIMPLE_PACKET:
+                raise _MalformedError  # it has no time
+            if kind != PACKET:
+                self.counts.skipped += 1
+                return None
+            number, high, low, length = struct.unpack_from(f"{self.order}8x4L", record)
+            if number >= len(self.interfaces) or length > len(record) - PACKET_BYTES - 4:
+                raise _MalformedError
+            interface = self.interfaces[number]
+            seconds, part = divmod(high << 32 | low, interface.ticks)
+            data = record[PACKET_BYTES : PACKET_BYTES + length]
         else:
+            self.number += 1
+            interface, data = self.interfaces[0], record[HEADER_BYTES:]
+            seconds, part = struct.unpack_from(f"{self.order}2L", record)
+        seconds += interface.offset_s
+        if not 0 <= seconds < LAST_TIME_S:
+            raise _MalformedError
+        self.last_s = seconds
+        time_ns = seconds * NS_PER_S + part * NS_PER_S // interface.ticks
+        t_ns = (time_ns + NS_PER_US // 2) // NS_PER_US * NS_PER_US
+        return self._of_link(interface, t_ns, data)
+
+    def _of_link(self, interface: _Interface, t_ns: int, data: bytes) -> _Packet | None:
+        """Return the packet of CAN that a link carried, None if it carried something else."""
+        if interface.link == SOCKETCAN:
+            return _Packet(self.number, t_ns, interface.channel, 0, 0, ">", data)
+        hardware, protocol, sent, header = COOKED_PLACES.get(interface.link, (0, 0, 0, 0))
+        if len(data) < header:
+            raise _MalformedError
+        if not header or struct.unpack_from(">H", data, hardware)[0] != CAN_HARDWARE:
+            self.counts.skipped += 1
+            return None
+        channel = interface.channel
+        if interface.link == COOKED_2:
+            channel = min(struct.unpack_from(">L", data, COOKED_2_INTERFACE)[0], MOST_CHANNEL)
+        flags, protocol = TX_FLAG * (data[sent] == OUTGOING), struct.unpack_from(">H", data, protocol)[0]
+        return _Packet(self.number, t_ns, channel, flags, protocol, self.order, data[header:])
+
+    def _frame(self, packet: _Packet) -> Frame:
+        """Return the frame of a packet as SocketCAN has them."""
+        data, flags = packet.frame, packet.flags
+        if len(data) < FRAME_HEADER_BYTES or packet.protocol == XL_PROTOCOL or data[4] & XL_BIT:
+            raise _MalformedError
+        said, count, bits = _identifier(packet, is_swapped=self.is_swapped), data[4], data[5]
+        is_remote = said & (REMOTE_FLAG | ERROR_FLAG) == REMOTE_FLAG
+        is_fd = packet.protocol == FD_PROTOCOL or bits & FD_BIT or len(data) == FD_FRAME_BYTES or count > PAYLOAD_BYTES
+        can_id = said & EXTENDED_ID | ERROR_FLAG if said & ERROR_FLAG else said
+        if not said & (ERROR_FLAG | EXTENDED_FLAG) and can_id & ~REMOTE_FLAG > STANDARD_ID:
+            raise _MalformedError
+        stored = 0 if is_remote else count
+        is_odd = is_fd and said & (REMOTE_FLAG | ERROR_FLAG)
+        if is_odd or len(data) < FRAME_HEADER_BYTES + stored or count > FD_PAYLOAD_BYTES or not IS_LENGTH[count]:
+            raise _MalformedError
+        if is_fd:
+            flags |= FD_FLAG | bits & (BRS_FLAG | ESI_FLAG)
+        payload = data[FRAME_HEADER_BYTES : FRAME_HEADER_BYTES + stored]
+        return Frame(packet.t_ns, can_id, count, payload, flags, packet.channel)
+
+    def _read_block(self, block: bytes) -> None:
+        """Take up a section's header or the description of an interface."""
+        if block.startswith(SECTION_MAGIC):
+            self.order, self.interfaces = _section_order(block, 0), []
             return
+        if len(self.interfaces) >= MOST_INTERFACES:
+            return
+        (link,) = struct.unpack_from(f"{self.order}8xH", block)
+        options = dict(_options(block[16:-4], self.order))
+        resolution = options.get(RESOLUTION_OPTION, b"\6")[0]
+        ticks = 2 ** (resolution & 0x7F) if resolution & 0x80 else 10**resolution
+        name = DIGITS_AT_END.search(options.get(NAME_OPTION, b""))
+        offset_s = struct.unpack_from(f"{self.order}q", options.get(OFFSET_OPTION, b"").ljust(8, b"\0"))[0]
+        channel = min(int(name[1]) if name else len(self.interfaces), MOST_CHANNEL)
+        is_known = ticks <= MOST_TICKS
+        self.interfaces.append(_Interface(link, ticks, offset_s, channel) if is_known else _Interface(0, 1))
 
 
-def _is_swapped(report: Int64Array) -> bool:
-    """Return whether most identifiers cannot be in their byte order, and all but a few can in the other one."""
-    packets = int(report[ROWS] + report[MALFORMED])
-    is_odd = packets >= LEAST_PACKETS and report[ODD] > packets / 2
-    return bool(is_odd and report[ODD_SWAPPED] <= MOST_ODD * packets)
-
-
-def _beginning(stream: BinaryIO) -> tuple[Int64Array, Int64Array]:
-    """Return what is known at the first packet: how it goes on, and of pcap the only interface."""
-    report = np.zeros(REPORT_FIELDS, np.int64)
-    interfaces = np.zeros((MOST_INTERFACES, INTERFACE_FIELDS), np.int64)
+def _opened(stream: BinaryIO, counts: LogCounts) -> _Capture:
+    """Return what is known at the first packet."""
     header = stream.read(FILE_HEADER_BYTES)
     order, ticks = MAGICS.get(header[:4], ("", 0))
     if not order:
         stream.seek(0)
-        report[IS_BLOCKS] = 1
-        return report, interfaces
+        return _Capture(counts, "<", is_blocks=True)
     if len(header) < FILE_HEADER_BYTES:
         raise SourceError("the capture ends inside its header")
-    report[[IS_BIG, INTERFACES]] = order == ">", 1
     link = struct.unpack(order + FILE_HEADER, header)[1] & LINK_MASK
-    interfaces[0, [LINK, TICKS]] = link, ticks
-    return report, interfaces
+    return _Capture(counts, order, is_blocks=False, interfaces=[_Interface(link, ticks)])
 
 
-def _read_block(block: bytes, interfaces: Int64Array, report: Int64Array) -> None:
-    """Take up a section's header or the description of an interface, and go on behind it."""
-    is_section = block.startswith(SECTION_MAGIC)
-    if is_section:
-        report[[IS_BIG, INTERFACES]] = block[8:12] == BIG_ORDER_MAGIC, 0
-    order, number = ">" if report[IS_BIG] else "<", int(report[INTERFACES])
-    size, link = struct.unpack_from(f"{order}4xLH", block)
-    report[POSITION] += size
-    if is_section or number >= MOST_INTERFACES:
-        return
-    options = dict(_options(block[16 : size - 4], order))
-    resolution = options.get(RESOLUTION_OPTION, b"\6")[0]
-    ticks = 2 ** (resolution & 0x7F) if resolution & 0x80 else 10**resolution
-    name = DIGITS_AT_END.search(options.get(NAME_OPTION, b""))
-    offset_s = struct.unpack_from(f"{order}q", options.get(OFFSET_OPTION, b"").ljust(8, b"\0"))[0]
-    channel = min(int(name[1]) if name else number, MOST_CHANNEL)
-    interfaces[number] = (link, ticks, offset_s, channel) if ticks <= MOST_TICKS else (0, 1, 0, 0)
-    report[INTERFACES] += 1
+def _section_order(raw: bytes, at: int) -> str:
+    """Return the byte order of the section whose header stands here."""
+    return ">" if raw.startswith(BIG_ORDER_MAGIC, at + 8) else "<"
+
+
+def _identifier(packet: _Packet, *, is_swapped: bool) -> int:
+    """Return an identifier with its flags, in the byte order that it should have or in the other one."""
+    order = "<>"[packet.order == "<"] if is_swapped else packet.order
+    return int(struct.unpack_from(f"{order}L", packet.frame)[0])
+
+
+def _is_swapped(packets: Sequence[_Packet]) -> bool:
+    """Return whether most identifiers cannot be in their byte order, and all but a few can in the other one."""
+    whole = [packet for packet in packets if len(packet.frame) >= FRAME_HEADER_BYTES]
+    odd, odd_swapped = (
+        sum(_is_odd(_identifier(packet, is_swapped=is_swapped)) for packet in whole) for is_swapped in (False, True)
+    )
+    return len(packets) >= LEAST_PACKETS and odd > len(packets) / 2 and odd_swapped <= MOST_ODD * len(packets)
+
+
+def _is_odd(said: int) -> bool:
+    """Return whether nobody numbers a frame so: too large, an error of no class, 29 bits that end with 16 zeros."""
+    if said & ERROR_FLAG:
+        return said & ~ERROR_FLAG > LAST_CLASS
+    return said & 0xFFFF == 0 if said & EXTENDED_FLAG else said & ~REMOTE_FLAG > STANDARD_ID
 
 
 def _options(block: bytes, order: str) -> Iterator[tuple[int, bytes]]:

@@ -16,18 +16,16 @@ from canlog.frames import (
     PAYLOAD_BYTES,
     REMOTE_FLAG,
     TX_FLAG,
+    Frame,
     FrameBatch,
 )
 from canlog.logs.dates import date_us
 from canlog.logs.text_kernels import (
-    FRAME,
     IS_LENGTH,
     MALFORMED,
     OTHER,
     SKIPPED,
-    TOO_LONG,
     ChannelNames,
-    FrameRows,
     day_number,
 )
 from canlog.logs.text_log import LineLog, frames_of
@@ -109,8 +107,6 @@ NO_TIMES = "the log has no times (candump -t): every frame gets the time 1970-01
 class ConsoleLog(LineLog):
     """A log as candump prints it without ``-L``."""
 
-    shortest_line_bytes = 9  # "c 123 [0]"
-
     def __init__(self) -> None:
         super().__init__()
         self._channels = ChannelNames()
@@ -135,8 +131,8 @@ class ConsoleLog(LineLog):
             kind = "frame before (candump -t d)" if self._is_delta else "start (candump -t z)"
             self.notes.append(f"times are taken as those since the {kind}, and count from 1970")
 
-    def read_line(self, line: bytes, rows: FrameRows, row: int) -> int:  # noqa: PLR0911 - one for each outcome
-        """Read one line into one row; return the outcome."""
+    def read_line(self, line: bytes) -> Frame | int:
+        """Return the frame of a line, or what else it is."""
         begin = _BEGINNING.match(line)
         rest = line[begin.end() :] if begin else line
         if not rest or line.startswith(b"\t"):  # behind a tabulator -e says what an error frame means
@@ -149,8 +145,6 @@ class ConsoleLog(LineLog):
         t_ns, can_id, length = _time_ns(found), _identifier(found["id"]), _length(found)
         if min(t_ns, can_id, length) < 0:
             return MALFORMED
-        if length > rows.data.shape[1]:
-            return TOO_LONG
         data = bytes(length) if found["remote"] else _payload(found, length)
         now_ns = t_ns + (self._now_ns if self._is_delta else self._base_ns)
         if data is None or (found["error"] and not can_id & ERROR_FLAG) or not 0 <= now_ns <= LAST_S * NS_PER_S:
@@ -160,11 +154,9 @@ class ConsoleLog(LineLog):
             marks = line[found.start("direction") :] if found["direction"] else b""
             is_fast, is_passive = marks[BRS_PLACE:][:1] == b"B", marks[ESI_PLACE:][:1] == b"E"
             flags |= FD_FLAG | BRS * is_fast | ESI * is_passive
-        self._now_ns = rows.t_ns[row] = now_ns
-        rows.can_id[row] = can_id | (REMOTE_FLAG if found["remote"] else 0)
-        rows.length[row], rows.flags[row], rows.channel[row] = length, flags, self._channels.number(found["name"])
-        rows.data[row] = np.frombuffer(data.ljust(rows.data.shape[1], b"\0"), np.uint8)
-        return FRAME
+        self._now_ns = now_ns
+        can_id |= REMOTE_FLAG if found["remote"] else 0
+        return Frame(now_ns, can_id, length, data, flags, self._channels.number(found["name"]))
 
     def read_comment(self, line: bytes) -> bool:
         """Take up that candump says it lost frames."""

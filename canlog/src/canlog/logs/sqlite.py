@@ -8,12 +8,20 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import BinaryIO, cast
-
-import numpy as np
+from typing import BinaryIO
 
 from canlog.errors import SourceError
-from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
+from canlog.frames import (
+    ERROR_FLAG,
+    EXTENDED_FLAG,
+    FD_FLAG,
+    FD_PAYLOAD_BYTES,
+    PAYLOAD_BYTES,
+    REMOTE_FLAG,
+    Frame,
+    FrameBatch,
+    batch_of,
+)
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_kernels import IS_LENGTH
 
@@ -27,7 +35,6 @@ MAX_STANDARD_ID, MAX_EXTENDED_ID = 0x7FF, 0x1FFF_FFFF
 QUERY = "SELECT ts, arbitration_id, extended, remote, error, dlc, data FROM messages"
 
 Row = tuple[object, ...]
-Frame = tuple[int, int, int, int, bytes]  # time [ns], identifier with flags, length, flags, payload
 
 
 def read_sqlite(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
@@ -91,19 +98,18 @@ def frame_of(row: Row) -> Frame | None:
     time_s, can_id, is_extended, is_remote, is_error, length, data = row
     t_ns = time_ns(time_s)
     if t_ns is None or is_error:
-        return None if t_ns is None else (t_ns, ERROR_FLAG, 0, 0, b"")
+        return None if t_ns is None else Frame(t_ns, ERROR_FLAG, 0, b"")
     if not isinstance(can_id, int) or not 0 <= can_id <= (MAX_EXTENDED_ID if is_extended else MAX_STANDARD_ID):
         return None
     if not isinstance(length, int) or not 0 <= length <= FD_PAYLOAD_BYTES or not IS_LENGTH[length]:
         return None
     flagged = can_id | (EXTENDED_FLAG if is_extended else 0)
     if is_remote:
-        return (t_ns, flagged | REMOTE_FLAG, length, 0, b"") if length <= PAYLOAD_BYTES else None
+        return Frame(t_ns, flagged | REMOTE_FLAG, length, b"") if length <= PAYLOAD_BYTES else None
     payload = b"" if data is None else data
-    is_whole = isinstance(payload, bytes) and len(payload) == length
-    return (
-        (t_ns, flagged, length, FD_FLAG if length > PAYLOAD_BYTES else 0, cast("bytes", payload)) if is_whole else None
-    )
+    if not isinstance(payload, bytes) or len(payload) != length:
+        return None
+    return Frame(t_ns, flagged, length, payload, FD_FLAG if length > PAYLOAD_BYTES else 0)
 
 
 def time_ns(time_s: object) -> int | None:
@@ -111,15 +117,3 @@ def time_ns(time_s: object) -> int | None:
     if not isinstance(time_s, float | int) or not math.isfinite(time_s) or not 0 <= time_s < LAST_S:
         return None
     return round(time_s * US_PER_S) * NS_PER_US
-
-
-def batch_of(frames: list[Frame]) -> FrameBatch:
-    t_ns, can_id, length, flags, payload = zip(*frames, strict=True)
-    width = FD_PAYLOAD_BYTES if any(flags) else PAYLOAD_BYTES
-    return FrameBatch(
-        t_ns=np.array(t_ns, np.int64),
-        can_id=np.array(can_id, np.uint32),
-        length=np.array(length, np.uint8),
-        data=np.frombuffer(b"".join(part.ljust(width, b"\0") for part in payload), np.uint8).reshape(-1, width),
-        flags=np.array(flags, np.uint8),
-    )

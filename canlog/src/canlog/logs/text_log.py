@@ -3,12 +3,12 @@
 import codecs
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from typing import BinaryIO
+from typing import BinaryIO, cast
 
 import numpy as np
 
 from canlog.arrays import Int64Array, UInt8Array
-from canlog.frames import FrameBatch
+from canlog.frames import Frame, FrameBatch, batch_of
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_kernels import (
     FIRST_MALFORMED,
@@ -41,14 +41,8 @@ class TextLog(ABC):
     ``notes`` is what had to be assumed, for people.
     """
 
-    shortest_line_bytes = 7  # of all with a frame, its newline included: "0 DT 1", in a TRC of three columns
-
     def __init__(self) -> None:
         self.notes: list[str] = []
-
-    @abstractmethod
-    def parse(self, text: UInt8Array, rows: FrameRows, progress: Int64Array) -> None:
-        """Read lines from where the progress says, until one stops the compiled reader; the progress then says why."""
 
     @abstractmethod
     def is_whole(self, line: bytes, frame: FrameBatch) -> bool:
@@ -62,23 +56,22 @@ class TextLog(ABC):
         """Find out what single lines do not tell, from the beginning of the log."""
 
 
+class KernelLog(TextLog):
+    """A format whose lines a compiled reader goes through."""
+
+    shortest_line_bytes: int  # of all with a frame, its newline included
+
+    @abstractmethod
+    def parse(self, text: UInt8Array, rows: FrameRows, progress: Int64Array) -> None:
+        """Read lines from where the progress says, until one stops the compiled reader; the progress then says why."""
+
+
 class LineLog(TextLog):
     """A format whose lines are read one by one."""
 
     @abstractmethod
-    def read_line(self, line: bytes, rows: FrameRows, row: int) -> int:
-        """Read a line into a row; return the outcome, of which TOO_LONG and OTHER stop the reader."""
-
-    def parse(self, text: UInt8Array, rows: FrameRows, progress: Int64Array) -> None:
-        at, number, row = (int(progress[one]) for one in (POSITION, LINES, ROWS))
-        for line in text[at:].tobytes().split(b"\n")[:-1]:
-            outcome = self.read_line(line, rows, row)
-            if outcome >= TOO_LONG:
-                progress[STOP] = outcome
-                break
-            at, number, row = at + len(line) + 1, number + 1, row + (outcome == FRAME)
-            count_line(progress, outcome, number)
-        progress[POSITION], progress[LINES], progress[ROWS] = at, number, row
+    def read_line(self, line: bytes) -> Frame | int:
+        """Return the frame of a line, or what else it is: SKIPPED, MALFORMED, or OTHER, for ``read_comment``."""
 
 
 class TextReader:
@@ -87,25 +80,15 @@ class TextReader:
     def __init__(self, log: TextLog, counts: LogCounts, block_bytes: int) -> None:
         self._log = log
         self._counts = counts
-        self._buffer = FrameBuffer(block_bytes // log.shortest_line_bytes + 1)
+        self._buffer = FrameBuffer(block_bytes // log.shortest_line_bytes + 1 if isinstance(log, KernelLog) else 0)
         self._lines = 0
         self._comments = 0
 
     def read(self, text: UInt8Array) -> FrameBatch:
         """Return the frames of whole lines; count what is not a frame."""
-        progress = np.zeros(PROGRESS_FIELDS, np.int64)
-        while progress[POSITION] < len(text):
-            progress[STOP] = FRAME
-            self._log.parse(text, self._buffer.rows, progress)
-            if progress[STOP] == TOO_LONG:
-                self._buffer.widen(int(progress[ROWS]))
-            elif progress[STOP] == OTHER:
-                self._read_comment(text, progress)
-        self._counts.skipped += int(progress[SKIPPED_LINES])
-        place = f"line {self._lines + int(progress[FIRST_MALFORMED])}"
-        self._counts.reject(LogReject.MALFORMED, place, int(progress[MALFORMED_LINES]))
-        self._lines += int(progress[LINES])
-        return self._buffer.batch(int(progress[ROWS]))
+        if isinstance(self._log, KernelLog):
+            return self._read_by_kernel(self._log, text)
+        return self._read_lines(cast("LineLog", self._log), text)
 
     def read_last(self, text: UInt8Array) -> FrameBatch:
         """Return the frame of a last line without its end, if no byte of it can be missing."""
@@ -119,13 +102,41 @@ class TextReader:
             counts.cut_off(f"line {self._lines}")
         return frame[:0]
 
-    def _read_comment(self, text: UInt8Array, progress: Int64Array) -> None:
-        start = int(progress[POSITION])
-        progress[POSITION] = end_of_line(text, start)
-        progress[LINES] += 1
-        is_known = self._log.read_comment(text[start : progress[POSITION]].tobytes().strip())
+    def _read_lines(self, log: LineLog, text: UInt8Array) -> FrameBatch:
+        frames = list[Frame]()
+        for line in text.tobytes().split(b"\n")[:-1]:
+            self._lines += 1
+            found = log.read_line(line)
+            if isinstance(found, Frame):
+                frames.append(found)
+            elif found == SKIPPED or (found == OTHER and self._comment(line) == SKIPPED):
+                self._counts.skipped += 1
+            else:
+                self._counts.reject(LogReject.MALFORMED, f"line {self._lines}")
+        return batch_of(frames)
+
+    def _read_by_kernel(self, log: KernelLog, text: UInt8Array) -> FrameBatch:
+        progress = np.zeros(PROGRESS_FIELDS, np.int64)
+        while progress[POSITION] < len(text):
+            progress[STOP] = FRAME
+            log.parse(text, self._buffer.rows, progress)
+            if progress[STOP] == TOO_LONG:
+                self._buffer.widen(int(progress[ROWS]))
+            elif progress[STOP] == OTHER:
+                start = int(progress[POSITION])
+                progress[POSITION] = end_of_line(text, start)
+                progress[LINES] += 1
+                count_line(progress, self._comment(text[start : progress[POSITION]].tobytes()), progress[LINES])
+        self._counts.skipped += int(progress[SKIPPED_LINES])
+        place = f"line {self._lines + int(progress[FIRST_MALFORMED])}"
+        self._counts.reject(LogReject.MALFORMED, place, int(progress[MALFORMED_LINES]))
+        self._lines += int(progress[LINES])
+        return self._buffer.batch(int(progress[ROWS]))
+
+    def _comment(self, line: bytes) -> int:
+        is_known = self._log.read_comment(line.strip())
         self._comments += is_known
-        count_line(progress, SKIPPED if is_known else MALFORMED, progress[LINES])
+        return SKIPPED if is_known else MALFORMED
 
 
 def reader_of(new_log: Callable[[], TextLog]) -> Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]:

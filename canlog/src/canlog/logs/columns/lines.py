@@ -8,8 +8,6 @@ from datetime import UTC, datetime
 from decimal import ROUND_HALF_UP, Decimal
 from enum import IntEnum, IntFlag
 
-import numpy as np
-
 from canlog.frames import (
     BRS_FLAG,
     ERROR_FLAG,
@@ -20,8 +18,9 @@ from canlog.frames import (
     PAYLOAD_BYTES,
     REMOTE_FLAG,
     TX_FLAG,
+    Frame,
 )
-from canlog.logs.text_kernels import FRAME, IS_LENGTH, LENGTH_OF_CODE, MALFORMED, OTHER, SKIPPED, TOO_LONG, FrameRows
+from canlog.logs.text_kernels import IS_LENGTH, LENGTH_OF_CODE, MALFORMED, OTHER, SKIPPED
 
 
 class Role(IntEnum):
@@ -206,8 +205,8 @@ class LineReader:
         self._words = {word.encode(): int(meaning) for word, meaning in layout.words.items()}
         self._separator = None if layout.separator == BLANKS else bytes([layout.separator])
 
-    def read(self, text: bytes, clock: FileClock, rows: FrameRows, row: int) -> int:
-        """Read one line into a row; return the outcome."""
+    def read(self, text: bytes, clock: FileClock) -> Frame | int:
+        """Return the frame of a line, or what else it is."""
         stripped = text.strip(_MARGIN)
         if not stripped:
             return SKIPPED
@@ -220,7 +219,7 @@ class LineReader:
                 clock.now_us += line.time_us if clock.is_relative else 0
                 return SKIPPED
             self._settle_length(line)
-            return self._store(line, clock, rows, row)
+            return self._frame(line, clock)
         except (_MalformedError, ValueError):
             return MALFORMED
 
@@ -454,8 +453,8 @@ class LineReader:
         line.length = length
         line.data = line.data[:length] if has_payload else bytearray()
 
-    def _store(self, line: _Line, clock: FileClock, rows: FrameRows, row: int) -> int:
-        """Write what was read into a row, and let the clock go on."""
+    def _frame(self, line: _Line, clock: FileClock) -> Frame | int:
+        """Return the frame that was read, and let the clock go on."""
         meaning, identifier, length, is_exact = line.meaning, line.identifier, line.length or 0, self._layout.is_exact
         if meaning & ERROR_FLAG:
             identifier, length, meaning = ERROR_FLAG, 0, meaning & ~(EXTENDED_FLAG | REMOTE_FLAG)
@@ -465,20 +464,15 @@ class LineReader:
             if is_exact and not meaning & EXTENDED_FLAG:
                 return MALFORMED
             meaning |= EXTENDED_FLAG
-        if length > rows.data.shape[1]:
-            return TOO_LONG
         if is_exact and clock.wrap_us and line.time_us >= clock.wrap_us:
             return MALFORMED
         time_us = clock.advance(line.time_us, is_exact=is_exact)
         if not -LAST_US <= time_us <= LAST_US:
             return MALFORMED
         is_fd = (meaning & FD_FLAG or length > PAYLOAD_BYTES) and not meaning & (REMOTE_FLAG | ERROR_FLAG)
-        rows.t_ns[row] = time_us * NS_PER_US
-        rows.can_id[row] = identifier | meaning & (EXTENDED_FLAG | REMOTE_FLAG)
-        rows.length[row], rows.channel[row] = length, line.channel
-        rows.flags[row] = FD_FLAG | meaning & (BRS_FLAG | ESI_FLAG | TX_FLAG) if is_fd else meaning & TX_FLAG
-        rows.data[row] = np.frombuffer(line.data[:length].ljust(rows.data.shape[1], b"\0"), np.uint8)
-        return FRAME
+        flags = FD_FLAG | meaning & (BRS_FLAG | ESI_FLAG | TX_FLAG) if is_fd else meaning & TX_FLAG
+        can_id = identifier | meaning & (EXTENDED_FLAG | REMOTE_FLAG)
+        return Frame(time_us * NS_PER_US, can_id, length, bytes(line.data[:length]), flags, line.channel)
 
 
 def _whole(text: bytes, base: int) -> int:

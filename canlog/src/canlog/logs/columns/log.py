@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 
 from canlog.errors import SourceError
-from canlog.frames import FrameBatch
+from canlog.frames import Frame, FrameBatch
 from canlog.logs.columns.lines import DAY_US, DECIMAL, HEXADECIMAL, Column, FileClock, Layout, LineReader, Role
 from canlog.logs.dates import date_us
 from canlog.logs.log_counts import MICROSECONDS, MILLISECONDS, SECONDS, UNIT_NAMES, likely_unit
-from canlog.logs.text_kernels import MOST_CHANNELS, SKIPPED, FrameRows
+from canlog.logs.text_kernels import MOST_CHANNELS, SKIPPED
 from canlog.logs.text_log import LineLog, frames_of
 
 SEPARATORS: Final = b",;\t|"
@@ -352,19 +352,18 @@ class TableLog(LineLog):
     def set_layout(self, layout: Layout) -> None:
         """Read the lines that follow by a layout."""
         self.layout, self._reader, self._header_lines = layout, LineReader(layout), layout.header_lines
-        self.shortest_line_bytes = 7 if layout.is_exact else 3  # "0 DT 1" and "1,2", each with its newline
         self._clock.wrap_us = layout.wrap_us
 
     def set_base(self, base_us: int, now_us: int = 0, *, is_relative: bool = False) -> None:
         """Count times from here, of which so much has passed; each from the one before if ``is_relative``."""
         self._clock = FileClock(base_us=base_us, now_us=now_us, wrap_us=self.layout.wrap_us, is_relative=is_relative)
 
-    def read_line(self, line: bytes, rows: FrameRows, row: int) -> int:
+    def read_line(self, line: bytes) -> Frame | int:
         """Read a line; a comment of an exact layout is for ``read_comment``."""
         if self._header_lines > 0:
             self._header_lines -= 1
             return SKIPPED
-        return self._reader.read(line, self._clock, rows, row)
+        return self._reader.read(line, self._clock)
 
     def is_whole(self, line: bytes, frame: FrameBatch) -> bool:
         """Return whether no byte can be missing, and no digit of the last one."""
