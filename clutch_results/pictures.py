@@ -3,14 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from markupsafe import Markup
 
 from canlog.arrays import FloatArray
-from clutch_model.calibration import Calibration, FrictionCurve
-from clutch_model.units import degc_from_k, rad_s_from_rpm, rpm_from_rad_s
+from clutch_model.calibration import FrictionCurve
+from clutch_model.units import rad_s_from_rpm, rpm_from_rad_s
 from clutch_results.curves import (
     CALIBRATED_RATIO,
     CHANGE_LEVEL_RATIO,
@@ -20,17 +20,14 @@ from clutch_results.curves import (
     margin_left,
     new_curve,
 )
-from clutch_results.loads import ENERGY_BOUNDS_J, Load
 from clutch_results.prognosis import Prognosis, forecast, history_of
 from clutch_results.prognosis.history import UNSEEN_M
 from clutch_results.prognosis.prognosis import M_PER_KM
 from clutch_results.prognosis.sentence import soonest
-from clutch_results.records import Causes, Condition, FluidFill, FrictionEstimate, ShiftResult, utc_from_bus_ns
-from clutch_results.shift_course import COURSE_COUNT, ShiftCourse, change_words, part_words
-from clutchdiag_io.pages.content import Cell, Section, Table, number
+from clutch_results.records import Condition, FluidFill, FrictionEstimate, ShiftResult, utc_from_bus_ns
 from clutchdiag_io.pages.plot import HEIGHT, WIDTH, Axis, Plot, broken
-from clutchdiag_io.people import PLUS_MINUS, STDS
-from fleet_contract.orders import cause_words, title_of
+from clutchdiag_io.people import STDS
+from fleet_contract.orders import Action, title_of
 
 MOST_POINTS: Final = 600  # of a trend; a screen shows no more
 MOST_MOMENTS: Final = 8  # names of moments do not overlap too much
@@ -46,6 +43,7 @@ LEAST_KM: Final = 20.0  # on fewer kilometres events are told apart by their num
 MOST_AHEAD_M: Final = 1.5e8
 SHOWN_PERCENT: Final = (-120.0, 160.0)  # a margin that is little known may be anywhere
 FAN_SIZE: Final = (640, 280)
+UNFORETOLD: Final = (Action.CHANGE_NOW, Action.FIND_CAUSE, Action.NEW_FLUID)
 MOMENT_ROWS: Final = 3  # in which names of moments stand, so that neighbours do not overlap
 
 
@@ -58,6 +56,7 @@ class Past:
     along: FloatArray  # (n,) places on the axis
     left: FloatArray  # (n,)
     std: FloatArray  # (n,)
+    events: tuple[tuple[str, int], ...]  # stream and position of each
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,23 +70,38 @@ class Fan:
     quantiles: FloatArray  # (3, d) less than this is left with 10, 50 and 90 % probability [%]
 
     def drawn(self, past: Past) -> list[FloatArray]:
-        """Return places, margins and two of their deviations as they are drawn: thinned, with gaps at new fluid."""
+        """Return places, margins, two of their deviations and numbers of events as they are drawn.
+
+        They are thinned, with gaps at new fluid.
+        """
         fills = [place for place, kind, _ in self.moments if kind == "fill"]
-        starts = np.searchsorted(past.along, fills).tolist()
-        left, along, wide = broken(starts, MOST_POINTS, past.left, past.along, STDS * past.std)
-        return [along, left, wide]
+        starts, numbers = np.searchsorted(past.along, fills).tolist(), np.arange(len(past.left), dtype=np.float64)
+        left, along, wide, number = broken(starts, MOST_POINTS, past.left, past.along, STDS * past.std, numbers)
+        return [along, left, wide, number]
+
+    @property
+    def axes(self) -> tuple[Axis, Axis]:
+        """The axes on which all of it has room."""
+        spread = [one + sign * wide for _, one, wide, _ in map(self.drawn, self.pasts) for sign in (-1.0, 1.0)]
+        shown = [np.clip(one, *SHOWN_PERCENT) for one in spread]
+        y = Axis.around("friction margin [%]", [-12.0, 112.0], *shown, margin_ratio=0.0)
+        return Axis.around(self.label, *(one.along for one in self.pasts), self.ahead, margin_ratio=0.02), y
 
 
 def fan_of(
     results: Sequence[ShiftResult],
     fills: Sequence[FluidFill],
-    calibration: Calibration,
+    new_friction: Sequence[FrictionCurve],
     prognoses: Sequence[Prognosis] = (),
     *,
     is_foretold: bool = False,
+    alarms: Sequence[tuple[str, str]] = (),
 ) -> Fan | None:
-    """Return the fan of results in their order, all of one calibration; None where no margin is known."""
-    curves = {number: one.friction for number, one in enumerate(calibration.clutches, 1)}
+    """Return the fan of results in their order, all of one calibration; None where no margin is known.
+
+    ``new_friction`` is that of each clutch with new fluid, ``alarms`` are moments (ISO 8601 UTC) and texts.
+    """
+    curves = dict(enumerate(new_friction, 1))
     reach = soonest(prognoses)
     soon = [one.clutch for one in prognoses if reach is not None and one.change_fluid is reach]
     pasts = [one for one in (_past(clutch, results, new) for clutch, new in curves.items()) if len(one.left)]
@@ -106,7 +120,7 @@ def fan_of(
     return Fan(
         pasts=tuple(replace(one, along=along[one.along.astype(np.int64)]) for one in pasts),
         label="odometer [km]" if has_km else "event",
-        moments=tuple(_moments(first, results, along, fills)),
+        moments=tuple(_moments(first, results, along, fills, alarms)),
         ahead=ahead,
         quantiles=quantiles,
     )
@@ -120,7 +134,8 @@ def _past(clutch: int, results: Sequence[ShiftResult], new: FrictionCurve) -> Pa
         places, known = [], known[:0]
     title = title_of(clutch, results[places[-1]].verdict.element if places else None)
     left, std = 100.0 * known.T
-    return Past(clutch=clutch, title=title, along=np.array(places, np.float64), left=left, std=std)
+    events = tuple((results[place].stream, results[place].seq) for place in places)
+    return Past(clutch=clutch, title=title, along=np.array(places, np.float64), left=left, std=std, events=events)
 
 
 def _odometer_km(results: Sequence[ShiftResult]) -> FloatArray:
@@ -139,35 +154,35 @@ def _odometer_km(results: Sequence[ShiftResult]) -> FloatArray:
 
 
 def _moments(
-    clutch: int, results: Sequence[ShiftResult], along: FloatArray, fills: Sequence[FluidFill]
+    clutch: int,
+    results: Sequence[ShiftResult],
+    along: FloatArray,
+    fills: Sequence[FluidFill],
+    alarms: Sequence[tuple[str, str]],
 ) -> list[tuple[float, str, str]]:
     """Return where fluid was filled, a baseline frozen, the vehicle calibrated and the verdict on a clutch worse."""
     starts = [utc_from_bus_ns(one.estimate.start_ns) for one in results]
-    firsts = [sum(start < fill.filled_at for start in starts) for fill in fills]
-    moments = [(float(along[min(first, len(along) - 1)]), "fill", "new fluid") for first in firsts]
+    happened = [(one.filled_at, "fill", "new fluid") for one in fills] + [(at, "alarm", text) for at, text in alarms]
+    firsts = [(sum(start < at for start in starts), kind, text) for at, kind, text in happened]
+    moments = [(float(along[min(first, len(along) - 1)]), kind, text) for first, kind, text in firsts]
     own = [
         (place, one.verdict) for place, one in zip(along.tolist(), results, strict=True) if one.verdict.clutch == clutch
     ]
     for (_, before), (place, now) in pairwise(own):
         told = [(one.calibration_ratio or 0.0) >= CALIBRATED_RATIO for one in (before, now)]
         word = now.condition.name.lower()
-        happened = (
+        changes = (
             (before.trend is None and now.trend is not None, "base", "baseline"),
             (told == [False, True], "base", "calibrated"),
             (before.condition < now.condition > Condition.GOOD, word, word.replace("_", " ")),
         )
-        moments += [(place, kind, text) for is_so, kind, text in happened if is_so]
+        moments += [(place, kind, text) for is_so, kind, text in changes if is_so]
     return sorted(moments)[-MOST_MOMENTS:]
 
 
 def fan_picture(fan: Fan) -> Markup:
     """Return the fan as SVG; its text says what can be seen."""
-    first = fan.pasts[0]
-    spread = [one + sign * wide for _, one, wide in map(fan.drawn, fan.pasts) for sign in (-1.0, 1.0)]
-    y = Axis.around(
-        "friction margin [%]", [-12.0, 112.0], *(np.clip(one, *SHOWN_PERCENT) for one in spread), margin_ratio=0.0
-    )
-    x = Axis.around(fan.label, *(one.along for one in fan.pasts), fan.ahead, margin_ratio=0.02)
+    first, (x, y) = fan.pasts[0], fan.axes
     now = f"{first.title}: {first.left[-1]:.0f} ± {STDS * first.std[-1]:.0f} % left"
     plot = Plot(f"Friction margin over {fan.label}; {now}", x, y, width=FAN_SIZE[0], height=FAN_SIZE[1])
     across = np.array([x.low, x.high])
@@ -178,7 +193,7 @@ def fan_picture(fan: Fan) -> Markup:
         plot.line(fan.ahead, np.where(fan.quantiles[1] > y.low, fan.quantiles[1], np.nan), "line dashed ahead")
         plot.moment(float(fan.ahead[0]), "today", "today", row=MOMENT_ROWS)
     for past in reversed(fan.pasts):
-        along, left, wide = fan.drawn(past)
+        along, left, wide, _ = fan.drawn(past)
         if past is first:
             plot.band(along, left - wide, left + wide, f"band clutch{past.clutch}")
         plot.line(along, left, f"line {'strong ' if past is first else ''}clutch{past.clutch}")
@@ -187,6 +202,41 @@ def fan_picture(fan: Fan) -> Markup:
     for turn, (place, kind, text) in enumerate(fan.moments):
         plot.moment(place, kind, text, row=turn % MOMENT_ROWS)
     return plot.markup()
+
+
+def fan_record(fan: Fan) -> dict[str, Any]:
+    """Return what a script draws the fan from; a margin that is not known, as at new fluid, is null."""
+    streams = sorted({stream for past in fan.pasts for stream, _ in past.events})
+    pasts = []
+    for past in fan.pasts:
+        along, left, wide, number = (one[:-1] for one in fan.drawn(past))
+        along = np.where(np.isnan(along), np.roll(along, 1) + 1e-3, along)
+        rising = np.diff(np.maximum.accumulate(along), prepend=-np.inf) > 0.0  # as a chart needs it
+        told = [past.events[int(one)] if one == one else None for one in number[rising]]  # noqa: PLR0124 - NaN
+        pasts.append(
+            {
+                "clutch": past.clutch,
+                "title": past.title,
+                "x": along[rising].tolist(),
+                **{
+                    name: [None if np.isnan(one) else round(one, 2) for one in values[rising].tolist()]
+                    for name, values in (("left", left), ("low", left - wide), ("high", left + wide))
+                },
+                "events": [None if one is None else [streams.index(one[0]), one[1]] for one in told],
+            }
+        )
+    low, high = fan.axes[1].low, fan.axes[1].high
+    quantiles = np.where(fan.quantiles < low, low, fan.quantiles)
+    return {
+        "label": fan.label,
+        "watch": WATCH_PERCENT,
+        "range": [low, high],
+        "pasts": pasts,
+        "streams": streams,
+        "moments": fan.moments,
+        "ahead": fan.ahead.tolist(),
+        "quantiles": quantiles.round(2).tolist(),
+    }
 
 
 def curve_picture(
@@ -216,58 +266,3 @@ def curve_picture(
 def _draw_thresholds(plot: Plot, new_mu_c: float) -> None:
     for ratio, style in _THRESHOLDS:
         plot.level(ratio * new_mu_c, style, f"{style}: {100.0 * ratio:.0f} %")
-
-
-def causes_section(causes: Causes) -> Section:
-    """Return why a vehicle is as it is."""
-    rows = tuple(
-        (cause_words(one.cause, one.clutch), number(one.probability, "{:.1%}"), one.evidence) for one in causes.likely
-    )
-    table = Table(
-        caption=f"Causes, by {causes.event_count} events", head=("cause", "probability", "evidence"), rows=rows
-    )
-    texts = (causes.advice, *([] if causes.test is None else [causes.test]))
-    moved = Table(
-        caption="What moved most, and what the likeliest cause would move",
-        head=("quantity", "moved", PLUS_MINUS, "expected", "unit"),
-        rows=tuple(
-            (one.quantity, *(number(value, "{:.3g}") for value in (one.change, STDS * one.std, one.expected)), one.unit)
-            for one in causes.moved
-        ),
-    )
-    return Section(name="causes", title="Why", texts=texts, tables=(table, moved) if moved.rows else (table,))
-
-
-def course_tables(found: Sequence[ShiftCourse], loaded: Sequence[Load]) -> tuple[Table, ...]:
-    """Return how well gear changes went, and what the clutches had to bear."""
-    rows = tuple(
-        (
-            change_words(one),
-            str(one.count),
-            *(number(score, "{:.0f}") for score in (one.first, one.last, *one.by_oil)),
-            part_words(one.reason),
-        )
-        for one in found
-    )
-    ends = (f"first {COURSE_COUNT}", f"last {COURSE_COUNT}")
-    head = ("change", "count", *ends, "cold oil", "warm", "hot", "mostly costs")
-    scores = Table(caption="Score of the gear changes, 100 is faultless", head=head, rows=rows)
-    bounds = [f"{bound_j / 1e3:g}" for bound_j in ENERGY_BOUNDS_J]
-    names = (f"up to {bounds[0]} kJ", *(f"to {bound}" for bound in bounds[1:]), "more")
-    load_rows = tuple(map(_load_row, loaded))
-    load_head = ("clutch", *names, "all [MJ]", "hottest [°C]", "launches", "lining consumed")
-    load = Table(caption="Events by slip energy, and what they sum up to", head=load_head, rows=load_rows)
-    return tuple(table for table in (scores, load) if table.rows)
-
-
-def _load_row(load: Load) -> tuple[Cell, ...]:
-    is_told = any(load.counts)  # by pressures
-    energy_mj, peak_k = load.energy_j / 1e6, load.peak_k
-    return (
-        str(load.clutch),
-        *(number(count if is_told else None, "{}") for count in load.counts),
-        number(energy_mj if is_told else None, "{:.2f}"),
-        number(None if peak_k is None else degc_from_k(peak_k), "{:.0f}"),
-        str(load.launch_count),
-        number(load.life_ratio if is_told else None, "{:.4%}"),
-    )

@@ -70,6 +70,18 @@ def courses(estimates: Iterable[ShiftEstimate]) -> list[ShiftCourse]:
     return found
 
 
+COURSE_HEAD: Final = (
+    *("change", "count", f"first {COURSE_COUNT}", f"last {COURSE_COUNT}"),
+    *("cold oil", "warm", "hot", "mostly costs"),
+)
+
+
+def course_row(one: ShiftCourse) -> tuple[str, ...]:
+    """Return how changes of one kind went, as texts under their heads: scores, 100 is faultless."""
+    scores = ("–" if score is None else f"{score:.0f}" for score in (one.first, one.last, *one.by_oil))
+    return change_words(one), str(one.count), *scores, part_words(one.reason)
+
+
 def part_words(name: str) -> str:
     """Return the name of a part of a score for people: without its unit."""
     return _UNIT.sub("", name).replace("_", " ")

@@ -124,7 +124,7 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
 
 def bus_picture(outcome: Outcome) -> "Figure":
     """Return the picture of the shifts that the table of single shifts tells."""
-    fan = fan_of(outcome.shifts, (), nominal_calibration())
+    fan = fan_of(outcome.shifts, (), [one.friction for one in nominal_calibration().clutches])
     return picture.draw(fan, f"{len(outcome.shifts)} shifts on the bus")
 
 

@@ -86,12 +86,6 @@ class Plot:
             parts.append(f"{there}L{back[1:]}Z")
         self._path("".join(parts), style)
 
-    def dots(self, x: FloatArray, y: FloatArray, style: str) -> None:
-        """Draw points, shape (n,) each; those that are not known are left out."""
-        known = np.isfinite(x) & np.isfinite(y)
-        points = zip(_texts(self._pixels_x(x[known])), _texts(self._pixels_y(y[known])), strict=True)
-        self._path("".join(f"M{px} {py}h0" for px, py in points), f"dots {style}")
-
     def level(self, y: float, style: str, text: str, *, is_left: bool = False) -> None:
         """Draw a horizontal line across the picture, with its name at the right end, or at the left one."""
         if not self.y.low <= y <= self.y.high:

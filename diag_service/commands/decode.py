@@ -20,8 +20,9 @@ from canlog.tables.account import DecodeAccount, account_record, frame_texts, lo
 from canlog.tables.decoding import DecodedLogs, Plan, TableChoice, TableShape, decode_logs, default_shape
 from canlog.tables.table_folder import message_files, tables_there
 from clutchdiag_io.command_line import STANDARD_STREAM
+from clutchdiag_io.console import PeopleConsole
 from clutchdiag_io.program import replacement_refusal
-from diag_service.console import PeopleConsole, ReadingLine
+from diag_service.console import ReadingLine
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.mapping.interpretation import open_database
 from diag_service.service.stopping import Controls

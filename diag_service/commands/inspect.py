@@ -14,10 +14,11 @@ from canlog.logs import STANDARD_INPUT
 from canlog.logs.log_counts import assumed_texts, lost_texts
 from canlog.traffic import MAX_IDS, NS_PER_S, IdTraffic, TrafficReport
 from clutch_results.records import dump, utc_from_bus_ns
+from clutchdiag_io.console import PeopleConsole
 from clutchdiag_io.people import SHORT_PLUS_MINUS, STDS, digits
 from diag_service.api.logs import Inspection, LinkErrors, TableValues, inspect_log
 from diag_service.batch.drives import LeftOut, left_out_record, sorted_out
-from diag_service.console import PeopleConsole, ReadingLine
+from diag_service.console import ReadingLine
 from diag_service.errors import StoppedError
 from diag_service.mapping.interpretation import open_database
 from diag_service.mapping.learning import proposed_profile

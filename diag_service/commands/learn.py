@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from clutch_model.calibration import nominal_calibration, read_calibration
 from clutch_model.units import bar_from_pa, pa_from_bar, rpm_from_rad_s
 from clutch_results.records import dump
+from clutchdiag_io.console import PeopleConsole
 from clutchdiag_io.people import PLUS_MINUS, digits, plus_minus
 from clutchdiag_io.program import replacement_refusal
 from diag_service.api.choices import diagnosis_config
@@ -21,7 +22,7 @@ from diag_service.api.learning import (
     scores,
     write_description,
 )
-from diag_service.console import PeopleConsole, ReadingLine, write_record
+from diag_service.console import ReadingLine, write_record
 from diag_service.diagnosis.prediction import LEAST_EVENTS
 from diag_service.errors import ConfigError
 from diag_service.service import calibrate_run

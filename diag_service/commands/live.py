@@ -25,9 +25,10 @@ from canlog.live import BusState
 from clutch_model.calibration import Calibration
 from clutch_results.curves import WATCH_MARGIN_RATIO, margin_left
 from clutch_results.records import ShiftResult
+from clutchdiag_io.console import PeopleConsole
 from clutchdiag_io.program import legible
 from diag_service.api.choices import diagnosis_config
-from diag_service.console import PeopleConsole, ending_key
+from diag_service.console import ending_key
 from diag_service.delivery import News
 from diag_service.delivery.console import order_lines, shift_head, shift_line, short_shift_head, short_shift_line
 from diag_service.diagnosis.summary import frames_line, shifts_line

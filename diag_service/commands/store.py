@@ -13,11 +13,12 @@ from clutch_model.calibration import nominal_calibration, read_calibration
 from clutch_model.units import for_people, reading_of
 from clutch_results.prognosis import Population, population_from
 from clutch_results.records import dump
+from clutchdiag_io.console import PeopleConsole
 from clutchdiag_io.people import PLUS_MINUS, STDS, digits
 from clutchdiag_io.program import legible, replacement_refusal
 from diag_service.api.choices import diagnosis_config
 from diag_service.api.stores import check_name, findings_of, moment_of, note_fluid
-from diag_service.console import PeopleConsole, ReadingLine, write_record
+from diag_service.console import ReadingLine, write_record
 from diag_service.errors import ConfigError
 from diag_service.report.findings import findings_of_store
 from diag_service.report.history import history_lines, history_records

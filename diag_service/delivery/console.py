@@ -7,8 +7,8 @@ from rich.text import Text
 from clutch_model.units import degc_from_k
 from clutch_results.records import LEAST_SLIP_ROWS, Condition, Reason, ShiftEstimate, ShiftResult, Status
 from clutch_results.shift_course import load_line
+from clutchdiag_io.console import plain_table
 from clutchdiag_io.people import PLUS_MINUS, SHORT_PLUS_MINUS, half_width, plus_minus
-from diag_service.console import plain_table
 from diag_service.delivery.reporters import ControllerNews, News
 from diag_service.diagnosis.summary import (
     Summary,

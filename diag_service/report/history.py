@@ -10,12 +10,11 @@ from rich.text import Text
 
 from clutch_results import records, shift_course
 from clutch_results.event_kinds import events_text
-from clutch_results.pictures import course_tables
 from clutch_results.prognosis import Peers, Population, Prognosis, history_of, prognose, without
 from clutch_results.prognosis.sentence import outlook_line
-from clutchdiag_io.pages.content import Number, spread
+from clutchdiag_io.console import plain_table
+from clutchdiag_io.pages.content import spread
 from clutchdiag_io.people import PLUS_MINUS, plus_minus
-from diag_service.console import plain_table
 from diag_service.delivery.console import condition_words, order_lines
 from diag_service.diagnosis.summary import cause_lines, latest_of, newest_causes
 from diag_service.report.findings import Findings, moment_words
@@ -120,10 +119,10 @@ def _course(found: Findings) -> Iterator[Text | Table]:
     known = shift_course.courses(estimates)
     if not known:
         return
-    (scores,) = course_tables(known, ())
-    table = plain_table(tuple(map(str, scores.head)), {"change", "mostly costs"}, scores.caption)
-    for row in scores.rows:
-        table.add_row(*(cell.text if isinstance(cell, Number) else str(cell) or _NONE for cell in row))
+    head, caption = shift_course.COURSE_HEAD, "Score of the gear changes, 100 is faultless"
+    table = plain_table(head, {"change", "mostly costs"}, caption)
+    for one in known:
+        table.add_row(*shift_course.course_row(one))
     yield table
     yield from map(Text, shift_course.course_lines(known))
     yield from (Text(shift_course.load_line(load)) for load in shift_course.loads(estimates))

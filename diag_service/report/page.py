@@ -14,17 +14,16 @@ from clutch_model.units import NS_PER_S, bar_from_pa, rpm_from_rad_s
 from clutch_results import records
 from clutch_results.event_kinds import DATED_NS, events_text
 from clutch_results.pictures import (
+    UNFORETOLD,
     Fan,
-    causes_section,
-    course_tables,
     curve_picture,
     fan_of,
     fan_picture,
 )
 from clutch_results.prognosis import Prognosis
 from clutch_results.prognosis.sentence import distance_left
-from clutch_results.shift_course import course_lines, courses, loads
-from clutchdiag_io.pages.content import Section, templates_of
+from clutch_results.shift_course import COURSE_HEAD, course_lines, course_row, courses, load_line, loads
+from clutchdiag_io.pages.content import templates_of
 from clutchdiag_io.pages.plot import Axis, Plot, thinned
 from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT
 from clutchdiag_io.program import legible, legible_record
@@ -45,13 +44,12 @@ from diag_service.errors import StoreError
 from diag_service.report.findings import Findings, moment_words
 from diag_service.report.history import outlook_of, prognoses_of
 from fleet_contract import JsonObject
-from fleet_contract.orders import SHOWN_AS, Action, cause_words, title_of
+from fleet_contract.orders import SHOWN_AS, cause_words, title_of
 
 REPORT_SCHEMA: Final = "clutchdiag/report/v1"
 MOST_ROWS: Final = 100  # of the table of events
 MOST_SAMPLES: Final = 400  # of one signal of a shift
 CURVE_SIZE: Final = (400, 240)
-UNFORETOLD: Final = (Action.CHANGE_NOW, Action.FIND_CAUSE, Action.NEW_FLUID)
 PANELS: Final = (("_rad_s", "rpm", rpm_from_rad_s(1.0)), ("_pa", "bar", bar_from_pa(1.0)), ("_nm", "Nm", 1.0))
 UNSHOWN: Final = (Signal.OUTPUT_SPEED, Signal.BRAKE_PRESSURE)  # they say nothing of a clutch
 
@@ -74,6 +72,9 @@ def html_of(found: Findings, made_at: str, *, is_full: bool = False) -> str:
     environment.filters |= {
         "cause": cause_words,
         "likely": likely,
+        "course_lines": course_lines,
+        "course_row": course_row,
+        "load_line": load_line,
         "title": title_of,
         "kind": kind_words,
         "gears": gear_words,
@@ -132,7 +133,8 @@ def fan_for(found: Findings, prognoses: Sequence[Prognosis] | None = None) -> Fa
         return None
     prognoses = prognoses_of(found) if prognoses is None else prognoses
     is_foretold = found.order.action not in UNFORETOLD
-    return fan_of(found.results, found.fills, found.calibration, prognoses, is_foretold=is_foretold)
+    new = [one.friction for one in found.calibration.clutches]
+    return fan_of(found.results, found.fills, new, prognoses, is_foretold=is_foretold)
 
 
 def notebook_of(name: str, said: str, order: str, notices: Sequence[str], fan: Fan | None) -> str:
@@ -178,13 +180,6 @@ def _unseen(found: Findings) -> Iterator[str]:
 def _details(found: Findings) -> dict[str, Any]:
     """Return what a full report has beyond its sheet."""
     estimates = [one.estimate for one in found.results]
-    known, causes = courses(estimates), newest_causes(found.latest)
-    sections = [] if causes is None else [causes_section(causes)]
-    if known:
-        tables = course_tables(known, loads(estimates))
-        sections.append(
-            Section(name="course", title="How well it shifts", texts=tuple(course_lines(known)), tables=tables)
-        )
     quality = [one.data_quality for one in estimates if one.data_quality is not None]
     scores = {"all": [one.score for one in quality]}
     scores |= {part.value: [one.parts[part] for one in quality if part in one.parts] for part in records.QualityPart}
@@ -192,7 +187,9 @@ def _details(found: Findings) -> dict[str, Any]:
     by_status = Counter(one.status.value for one in estimates)
     return {
         "full": True,
-        "sections": sections,
+        "course_head": COURSE_HEAD,
+        "courses": courses(estimates),
+        "loads": loads(estimates),
         "panels": _panels,
         "shares": [("Events by the quality of their data", by_status), ("Why events were not used", reasons)],
         "quality": {name: one for name, one in scores.items() if one},

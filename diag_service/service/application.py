@@ -16,9 +16,9 @@ from typing import Final, TypeVar
 from rich.console import Console
 
 from clutch_results.records import ServiceStatus, status_record
+from clutchdiag_io.console import PeopleConsole
 from clutchdiag_io.program import discard, legible
 from diag_service import delivery
-from diag_service.console import PeopleConsole
 from diag_service.delivery.outbox import MetricsMessage
 from diag_service.errors import StoreError
 from diag_service.service.session import Session, utc_now, versions_for

@@ -13,8 +13,9 @@ from canlog.files import replacing
 from clutch_model.calibration import Calibration, TorqueSource, calibration_toml
 from clutch_model.units import NS_PER_S, bar_from_pa
 from clutch_results.records import dump
+from clutchdiag_io.console import PeopleConsole, plain_table
 from clutchdiag_io.people import PLUS_MINUS, half_width, plus_minus
-from diag_service.console import PeopleConsole, ReadingLine, plain_table
+from diag_service.console import ReadingLine
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.evidence import NUISANCE_NAMES, STATE_COUNT, Considered, State, prior_covariance
 from diag_service.diagnosis.friction.posterior import friction as friction_of

@@ -9,7 +9,8 @@ from rich.table import Table
 
 from canlog.logs.reading import Watch
 from clutch_results.records import dump
-from diag_service.console import PeopleConsole, ReadingLine, plain_table
+from clutchdiag_io.console import PeopleConsole, plain_table
+from diag_service.console import ReadingLine
 from diag_service.diagnosis.friction.paper import (
     PaperCollection,
     PaperEstimate,

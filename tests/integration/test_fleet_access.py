@@ -20,7 +20,7 @@ WORDS = {"shift": {"stream": "stream-1", "seq": "59"}, "alarm": ALARM_WORDS}
 NOBODY, STRANGER, VIEWER, WORKSHOP = "", "mallory", "eve", "ann"
 ROUTES = {  # what each may do: nobody logged in, somebody without a role, viewer, workshop
     **dict.fromkeys(
-        ("vehicles", "clutches", "vehicle", "shift", "alarms", "alarm", "maintenance", "changes", "quarantine"),
+        ("vehicles", "vehicle", "shift", "alarms", "alarm", "maintenance", "quarantine"),
         (401, 403, 200, 200),
     ),
     **dict.fromkeys((OPENAPI_PATH, "/events", "/static/page.css"), (401, 403, 200, 200)),

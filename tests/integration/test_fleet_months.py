@@ -1,5 +1,6 @@
 """Results by months: they gain months ahead, and go when they are old."""
 
+import io
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, date, datetime
@@ -7,6 +8,7 @@ from datetime import UTC, date, datetime
 import pytest
 from sqlalchemy import Engine, select, text, update
 
+from clutchdiag_io.console import PeopleConsole
 from fleet_backend import queries, report
 from fleet_backend.choices import Quotas, TrendAxis
 from fleet_backend.cli import main
@@ -18,7 +20,6 @@ from fleet_backend.office.retention import retain
 from fleet_backend.office_tables import AUDIT
 from fleet_backend.page.queries import DatabaseSource, results_of
 from fleet_backend.quotas import QuotaGate
-from fleet_backend.report import lines_of
 from fleet_backend.rows import Row
 from fleet_backend.schema import REVISION, SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
@@ -99,7 +100,9 @@ def test_results_of_a_clock_that_was_not_set_age_by_when_they_were_stored(engine
     assert [one["seq"] for one in queries.worst_first(engine)] == [5]
     assert [row["seq"] for row in results_of(engine, "car1", 2)] == [1, 2, 3, 4, 5]
     page = report.trend_table("car1", queries.trend(engine, "car1", 2, TrendAxis.SHIFT))
-    text_of_it = "\n".join(line.plain for line in lines_of(page, 200))
+    out = io.StringIO()
+    PeopleConsole(file=out).print(page)
+    text_of_it = out.getvalue()
     assert text_of_it.count("clock not set") == 3
     assert "1970" not in text_of_it
     done = retain(engine, 2, now=NOW, by="ann")

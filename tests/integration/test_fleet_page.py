@@ -18,7 +18,7 @@ from clutch_results.records import Condition
 from fleet_backend.database import open_database
 from fleet_backend.intake import batch_of, take
 from fleet_backend.page import server
-from fleet_backend.page.routes import ENDPOINTS, OPENAPI_PATH
+from fleet_backend.page.routes import ENDPOINTS, LEFT, OPENAPI_PATH
 from fleet_backend.page.site import SAFE_HEADERS as HEADERS
 from fleet_backend.schema import SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
@@ -30,13 +30,11 @@ from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 
 SHIFT = "/vehicles/car1/shift?stream=stream-1&seq=59"
-LISTS = ("/", "/clutches", "/changes?since=2020-01-01", "/quarantine", "/alarms?state=all", "/maintenance")
+LISTS = ("/", "/quarantine", "/alarms?state=all", "/maintenance")
 EMPTY = {
     "/": "No vehicle has been heard from yet.",
-    "/clutches": "No vehicle has been heard from yet.",
     "/alarms": "No alarms.",
     "/maintenance": "No vehicle has been heard from yet.",
-    "/changes": "Nothing changed.",
     "/quarantine": "Every message could be used.",
 }
 PAGES = (*LISTS, "/vehicles/car1", "/vehicles/worn", SHIFT, "/vehicles/nobody")
@@ -45,13 +43,11 @@ ALARM = "vehicle=worn&clutch=2&rule=verdict&number=1"
 OTHER_ALARM = "vehicle=worn&clutch=0&rule=silence&number=1"
 ADDRESSES = {
     "vehicles": "/api/v1/vehicles",
-    "clutches": "/api/v1/clutches",
     "vehicle": "/api/v1/vehicles/car1",
     "shift": f"/api/v1{SHIFT}",
     "alarms": "/api/v1/alarms?state=all",
     "alarm": f"/api/v1/alarm?{ALARM}",
     "maintenance": "/api/v1/maintenance",
-    "changes": "/api/v1/changes?since=2020-01-01",
     "quarantine": "/api/v1/quarantine",
 }
 FRICTION = ("mu_c", "std_mu_c", "mu_s", "std_mu_s")
@@ -221,10 +217,11 @@ def test_the_same_numbers_are_in_message_database_interface_file_page_and_report
         shown = {stds_of(name) * own, stds_of(name) * running}
         assert shown <= values_in(page)
         assert stds_of(name) * running in report
-    (now,) = [each for each in told(reader, "/api/v1/clutches?q=car1")["clutches"] if each["clutch"] == 1]
+    now = told(reader, "/api/v1/vehicles/car1")["clutches"][0]["now"]
     assert now["mu_c"] in report
-    shown = {stds_of(name) * now[name] for name in ("mu_c", "std_mu_c", "level_ratio")}
-    assert shown <= values_in(reader.get("/clutches?q=car1").text)
+    assert {now["mu_c"], stds_of("std_mu_c") * now["std_mu_c"]} <= values_in(reader.get("/vehicles/car1").text)
+    (listed,) = told(reader, "/api/v1/vehicles?q=car1")["vehicles"]
+    assert listed["level_ratio"] in values_in(reader.get("/?q=car1").text)
 
 
 def test_no_markup_comes_from_outside(reader: httpx.Client) -> None:
@@ -244,13 +241,12 @@ def test_no_markup_comes_from_outside(reader: httpx.Client) -> None:
         ("/vehicles/car1/shift?stream=stream-1", 400, "Object missing required field `seq`"),
         ("/vehicles/..%2f..%2fetc", 404, ""),
         ("/?limit=0", 400, "Expected `int` >= 1 - at `limit`"),
-        ("/?after=x", 404, "after: not a position in a list"),
+        ("/?after=x", 400, "Object contains unknown field `after`"),
         ("/?q=%00", 400, "'q': holds characters that are not text"),
         ("/?colour=red", 400, "Object contains unknown field `colour`"),
         ("/?limit=1&limit=2", 400, "a word of this address is given twice"),
         ("/?q=a%E2%80%AEb", 400, "'q': holds characters that are not text"),
         ("/?condition=bad", 400, "Invalid enum value 'bad' - at `condition`"),
-        ("/changes?since=yesterday", 400, "no date, such as 2026-01-31"),
         ("/static/..%2fsite.py", 404, ""),
         ("/static/page.html", 404, ""),
         ("/nowhere", 404, ""),
@@ -269,7 +265,7 @@ def test_what_cannot_be_answered_is_said_to_people_and_programs(
 
 
 def test_every_answer_says_what_a_browser_may_do(reader: httpx.Client) -> None:
-    for path in (*PAGES, "/static/page.css", OPENAPI_PATH, "/api/v1/clutches", "/?limit=x"):
+    for path in (*PAGES, "/static/page.css", OPENAPI_PATH, "/api/v1/vehicles", "/?limit=x"):
         headers = reader.get(path).headers
         assert {name: headers.get(name) for name, _ in HEADERS} == dict(HEADERS), path
         assert "unsafe" not in headers["content-security-policy"]
@@ -290,6 +286,13 @@ def test_the_description_fits_what_is_answered(reader: httpx.Client) -> None:
         checked = Draft202012Validator({**schema, "components": description["components"]})
         assert [error.message for error in checked.iter_errors(told(reader, ADDRESSES[one.handler.__name__]))] == []
         assert {"200", "400", "401", "403", "404", "503"} <= set(answers)
+
+
+def test_pages_that_left_say_where_to_go(reader: httpx.Client) -> None:
+    for path in LEFT:
+        assert reader.get(path).headers["location"] == "/"
+        problem = reader.get(f"/api/v1{path}")
+        assert (problem.status_code, "/api/v1/vehicles" in problem.json()["title"]) == (410, True)
 
 
 def test_a_page_links_to_the_same_for_programs(reader: httpx.Client) -> None:

@@ -1,4 +1,4 @@
-"""What the page reads from each database: what changed and why, lists in parts, plans that read no whole table."""
+"""What the page reads from each database: lists in parts, plans that read no whole table."""
 
 import json
 import re
@@ -25,61 +25,22 @@ from fleet_backend.office.watching import Watch as WatchOfOffice
 from fleet_backend.page.fleet import Keeper
 from fleet_backend.page.queries import DatabaseSource, results_of, shift_of
 from fleet_backend.page.site import Sources
-from fleet_backend.rows import moment
 from fleet_backend.writer import Batch, Writer
 from fleet_contract.orders import Action
 from tests.support.fleet import NOW, fleet_result, message_of, row_of
 from tests.support.fleet_page import asked, sources_of, told
 from tests.support.histories import CALIBRATION, history
 
-BEFORE, AFTER = datetime(2026, 2, 1, tzinfo=UTC), datetime(2026, 3, 1, tzinfo=UTC)
-
 
 def parts_of(sources: Sources, path: str, name: str) -> list[Any]:
     """Return the rows of all parts of a list of programs, three at a time."""
     found: list[Any] = []
-    after: str | None = ""
-    while after is not None:
-        part = told(sources, f"{path}{'&' if '?' in path else '?'}limit=3&after={after}")
+    offset: int | None = 0
+    while offset is not None:
+        part = told(sources, f"{path}?limit=3&offset={offset}")
         found += part[name]
-        after = part["next"]
+        offset = part["next"]
     return found
-
-
-def store(engine: Engine, rows: list[Any], at: datetime) -> None:
-    """Store results as if it were then."""
-    Writer(engine).store(Batch(shifts=rows))
-    with transaction(engine) as connection:
-        new = "UPDATE shift_result SET stored_at = :at WHERE stored_at > '2026-06-01'"
-        moment = at.strftime("%Y-%m-%d %H:%M:%S.%f") if engine.dialect.name == "sqlite" else at
-        connection.execute(text(new), {"at": moment})
-
-
-def test_what_became_different_is_told_with_its_reasons(engine: Engine) -> None:
-    first = [
-        row_of(fleet_result(seq, vehicle=name)) for name in ("aged", "again", "quiet", "refilled") for seq in (1, 2)
-    ]
-    store(engine, first, BEFORE)
-    second = [row_of(fleet_result(seq, vehicle="aged", condition=Condition.WATCH)) for seq in (3, 4)]
-    second += [row_of(fleet_result(2, vehicle="again", algorithm="algorithm-2"))]
-    second += [row_of(fleet_result(3, vehicle="refilled")), row_of(fleet_result(1, vehicle="new"))]
-    store(engine, second, AFTER)
-    filled_at = moment(second[3]["end_at"]) - timedelta(microseconds=1)
-    queries.note_fill(engine, "refilled", "DCTF", at=filled_at, odometer_m=None, note=None)
-    sources = sources_of(engine)
-    found = told(sources, "/changes?since=2026-02-15")["changes"]
-    changes = {one["vehicle"]: one for one in found}
-    assert {name: one["why"] for name, one in changes.items()} == {
-        "aged": ["new data: 2 results"],
-        "again": ["new algorithm: algorithm-1 before, algorithm-2 now", "new data: 1 result"],
-        "refilled": ["new fluid: DCTF", "new data: 1 result"],
-        "new": ["first results of this clutch"],
-    }
-    assert (changes["aged"]["condition_before"], changes["aged"]["condition"]) == ("good", "watch")
-    assert changes["new"]["condition_before"] is None
-    assert told(sources, "/changes?since=2026-02-15&q=GAIN")["changes"] == [changes["again"]]
-    assert found[0]["vehicle"] == "aged"  # the worst first
-    assert parts_of(sources, "/changes?since=2026-02-15", "changes") == found
 
 
 def scored(seq: int, score: float, touch_error_pa: float = 0.0) -> ShiftResult:
@@ -303,12 +264,11 @@ def test_no_question_reads_all_results(large: Engine) -> None:
     watch = Watch(large)
     keeper.refresh()
     assert len(keeper.snapshot.clutches) == 302
-    since = (datetime.now(UTC) - timedelta(minutes=90)).isoformat().replace("+", "%2B")
     with transaction(large) as connection:
         connection.execute(text("UPDATE shift_result SET stored_at = now() WHERE vehicle = 'v9' AND seq = 9"))
     keeper.refresh()
-    paths = [f"/{name}" for name in ("", "clutches", "vehicles/v7", "maintenance", "alarms", "quarantine")]
-    paths += ["/vehicles/v7/shift?stream=stream-1&seq=9", f"/changes?since={since}"]
+    paths = [f"/{name}" for name in ("", "vehicles/v7", "maintenance", "alarms", "quarantine")]
+    paths += ["/vehicles/v7/shift?stream=stream-1&seq=9"]
     answers = asked(Sources(engine=large, keeper=keeper), *paths)
     assert [one.status_code for one in answers] == [200] * len(paths)
     plans = {}

@@ -41,7 +41,7 @@ def test_a_pipe_gets_a_line_per_record_in_columns(
     monkeypatch.setenv("COLUMNS", "20")
     assert main([*question, "--database", database]) == 0
     told = capsys.readouterr()
-    _title, head, *rows = told.out.splitlines()
+    _title, head, _rule, *rows = filter(None, map(str.strip, told.out.splitlines()))
     assert ("\x1b" in told.out, told.err) == (False, "")
     assert main([*question, "--json", "--database", database]) == 0
     records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]

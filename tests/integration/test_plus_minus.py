@@ -14,6 +14,7 @@ from rich.console import Console, RenderableType
 
 from canlog.traffic import TrafficMeter
 from clutch_results.records import shift_record
+from clutchdiag_io.console import PeopleConsole
 from demo.outcome import live_line, tables
 from diag_service.api.learning import said
 from diag_service.api.picture import draw
@@ -80,7 +81,7 @@ def fleet() -> str:
     row |= {"running_mu_c": FRICTION.mu_c, "running_std_mu_c": FRICTION.std_mu_c, "end_at": None, "fluid": None}
     row |= {"random_std_mu_c": FRICTION.std_mu_c, "running_mu_s": FRICTION.mu_s, "running_std_mu_s": FRICTION.std_mu_s}
     out = io.StringIO()
-    report.show(report.trend_table("car1", [row]), out)
+    PeopleConsole(file=out).print(report.trend_table("car1", [row]))
     return out.getvalue().replace("±0", "± 0")
 
 
@@ -91,7 +92,7 @@ def table() -> str:
     words = dict.fromkeys(("condition", "action", "order"), "nothing") | {"vehicle": "car1"}
     nothing = dict.fromkeys(("element", "clutch", "end_at", "fluid", "odometer_m", "shift_count"))
     out = io.StringIO()
-    report.show(report.fleet_table([words | nothing | row | {"probability_negative_slope": 0.001}]), out)
+    PeopleConsole(file=out).print(report.fleet_table([words | nothing | row | {"probability_negative_slope": 0.001}]))
     return out.getvalue()
 
 
@@ -115,7 +116,7 @@ FACES: dict[str, Callable[[], str]] = {
     "fleet-backend follow": follow,
     "fleet-backend trend": fleet,
     "fleet-backend table": table,
-    **{f"fleet page {path}": partial(page, path) for path in ("/clutches", SHIFT, "/changes?since=2020-01-01")},
+    **{f"fleet page {path}": partial(page, path) for path in (SHIFT, "/vehicles/car1")},
 }
 
 

@@ -30,7 +30,6 @@ METRICS: Final = Option("--metrics ADDRESS", "serve metrics for Prometheus at HO
 QUESTION: Final = (
     *COMMON,
     Option("--json", "one JSON object per line"),
-    Option("--width N", "columns to fit a table into (default: the terminal's, in a pipe any)", COUNT),
 )
 VEHICLE: Final = click.Argument(["vehicle"], metavar="VEHICLE", help="vehicle id")
 CLUTCH: Final = Choice([1, 2])

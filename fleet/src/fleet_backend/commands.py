@@ -9,8 +9,10 @@ from datetime import UTC, datetime, timedelta
 from types import MappingProxyType, SimpleNamespace
 from typing import Final
 
+from rich.table import Table
 from sqlalchemy import Engine
 
+from clutchdiag_io.console import PeopleConsole
 from fleet_backend import config, queries, report
 from fleet_backend.application import run_ingest
 from fleet_backend.arguments import BROKER_VARIABLE
@@ -19,7 +21,6 @@ from fleet_backend.database import default_database, open_database, place_of
 from fleet_backend.errors import BackendConfigError
 from fleet_backend.migrate import make_ready, migrate, newest_revision
 from fleet_backend.months import keep_months, partitions
-from fleet_backend.report import Sheet
 from fleet_link import BrokerAddress
 
 Command = Callable[[SimpleNamespace, Engine], None]
@@ -145,11 +146,11 @@ def _hash(_options: SimpleNamespace, engine: Engine) -> None:
     sys.stdout.write(f"{found.sha256}  {found.row_count} results\n")
 
 
-def tell(options: SimpleNamespace, records: Sequence[report.Record], sheet: Callable[[], Sheet]) -> None:
+def tell(options: SimpleNamespace, records: Sequence[report.Record], sheet: Callable[[], Table]) -> None:
     if options.json:
         report.write_json(records, sys.stdout)
     else:
-        report.show(sheet(), sys.stdout, options.width)
+        PeopleConsole().print(sheet())
 
 
 _READY_BY_THEMSELVES: Final = frozenset({"ingest", "migrate"})  # the schema is their own affair

@@ -47,19 +47,20 @@ FROM (
 ) AS h
 """
 
-_RUNNING_CONDITION: Final = """
-CREATE VIEW running_condition AS
-SELECT
+RUNNING_COLUMNS: Final = """
   s.vehicle, s.clutch, s.condition, s.condition_reason, s.level_ratio, s.advice, s.running_shift_count AS shift_count,
   s.running_mu_c AS mu_c, s.running_mu_s AS mu_s, s.running_std_mu_c AS std_mu_c, s.running_std_mu_s AS std_mu_s,
-  s.running_correlation AS correlation,
-  s.running_correlation * s.running_std_mu_c * s.running_std_mu_s AS covariance_mu_c_mu_s,
-  s.running_slope_s_rad AS slope_s_rad, s.running_std_slope_s_rad AS std_slope_s_rad,
-  s.running_probability_negative_slope AS probability_negative_slope,
-  s.odometer_m, s.end_at, s.produced_at, s.stream, s.seq, s.algorithm_version, s.calibration_version,
-  {happened_at} AS happened_at, {fluid_since} AS fluid_since
-FROM {last_results}
+  s.running_correlation AS correlation, s.running_slope_s_rad AS slope_s_rad,
+  s.running_std_slope_s_rad AS std_slope_s_rad, s.running_probability_negative_slope AS probability_negative_slope,
+  s.odometer_m, s.end_at, s.produced_at, s.stream, s.seq, s.algorithm_version, s.calibration_version
 """
+_RUNNING_CONDITION: Final = f"""
+CREATE VIEW running_condition AS
+SELECT {RUNNING_COLUMNS},
+  s.running_correlation * s.running_std_mu_c * s.running_std_mu_s AS covariance_mu_c_mu_s,
+  {{happened_at}} AS happened_at, {{fluid_since}} AS fluid_since
+FROM {{last_results}}
+"""  # noqa: S608 - of our own texts
 # One index look-up per clutch; CROSS JOIN keeps SQLite from reading all shifts first.
 LAST_RESULTS: Final = """(
   SELECT q.vehicle, q.clutch, q.stream, (
@@ -79,7 +80,7 @@ LAST_RESULTS: Final = """(
 CROSS JOIN current_shift AS s
 WHERE s.vehicle = p.vehicle AND s.stream = p.stream AND s.seq = p.seq"""
 # LIMIT keeps PostgreSQL from joining all months at once: one look into one part per clutch, however many there are.
-_LAST_BY_MONTH: Final = """clutch AS k
+LAST_BY_MONTH: Final = """clutch AS k
 CROSS JOIN LATERAL (
   SELECT * FROM clutch_stream AS e WHERE e.vehicle = k.vehicle AND e.clutch = k.clutch
   ORDER BY e.last_at DESC, e.stream DESC LIMIT 1
@@ -89,7 +90,7 @@ CROSS JOIN LATERAL (
   WHERE r.vehicle = k.vehicle AND r.stream = p.stream AND r.seq = p.last_seq
     AND r.version_rank = p.last_version_rank AND r.produced_at = p.last_produced_at
   LIMIT 1
-) AS s"""
+) AS s {where}"""
 
 _FLEET: Final = """
 CREATE VIEW fleet_worst_first AS
@@ -144,7 +145,7 @@ _BY_MONTH: Final = {
     # Of two contents under one key, which nobody should send, in two months: the one that wins inside a month.
     "is_newer": "newer.version_rank >= s.version_rank"
     " AND (newer.version_rank > s.version_rank OR newer.content_digest < s.content_digest)",
-    "last_results": _LAST_BY_MONTH,
+    "last_results": LAST_BY_MONTH,
     "seen_last": "SELECT max(e.last_at) FROM clutch_stream AS e WHERE e.vehicle = v.vehicle",
     "running_since": "to_timestamp(h.running_since_bus_ns / 1e9)",
 }

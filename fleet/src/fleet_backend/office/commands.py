@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from sqlalchemy import Engine
 
+from clutchdiag_io.console import PeopleConsole
 from fleet_backend import queries, report
 from fleet_backend.alarms import book
 from fleet_backend.alarms.rules import Limits, parse_service_km, parse_silence
@@ -64,7 +65,7 @@ def peers(options: SimpleNamespace, engine: Engine) -> None:
         kept_as = [] if version is None else [{"record": "population", "version": version}]
         report.write_json([*found.usual, *kept_as], sys.stdout)
         return
-    report.show(report.usual_table(found.usual, found.clutch_count, found.left_out_count), sys.stdout, options.width)
+    PeopleConsole().print(report.usual_table(found.usual, found.clutch_count, found.left_out_count))
     if version is not None:
         sys.stdout.write(f"kept as population {version}\n")
 

@@ -5,13 +5,12 @@ import contextlib
 import logging
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from types import MappingProxyType
 from typing import Final
 
-import numpy as np
 from prometheus_client.core import Metric
 
 from clutchdiag_io.metrics import gauge
@@ -19,7 +18,7 @@ from fleet_backend.errors import DatabaseError
 from fleet_backend.page.calibrations import type_of
 from fleet_backend.page.prognosis import foretold_now
 from fleet_backend.page.queries import DatabaseSource, levels_of
-from fleet_backend.page.records import ClutchNow, PeerRange, Severity
+from fleet_backend.page.records import ClutchNow, Severity
 from fleet_backend.queries import PresentFluid, Row
 from fleet_contract.orders import Action
 
@@ -28,15 +27,11 @@ REST_RATIO: Final = 19.0  # of the time that reading takes: a twentieth of a pro
 LONGEST_REST_S: Final = 30.0  # however long it took: what arrives meanwhile has to be read, too
 OVERLAP: Final = timedelta(seconds=10)  # a transaction that began before one looked may have ended after
 WHOLE_AFTER: Final = timedelta(minutes=15)  # what nobody foresaw is put right by then
-USUAL_FOR: Final = timedelta(minutes=1)  # what is usual changes slowly, and every vehicle's page shows it
-LEAST_CLUTCHES: Final = 20  # fewer say little of what is usual
-_SHARES: Final = (0.1, 0.5, 0.9)
 SOON: Final = timedelta(days=30)
 SILENT_AFTER: Final = timedelta(days=14)
 AHEAD_S: Final = 0.5  # at a time
 SEVERITY: Final = {Severity.CHANGE_FLUID: 0, Severity.WATCH: 1, Severity.GOOD: 2, Severity.NO_VERDICT: 3}
 _NO_LEVEL: Final = 9.0  # of the view fleet_worst_first
-ClutchGroup = tuple[str, int, str | None]  # type, clutch, fluid
 ByVehicle = Mapping[str, tuple[ClutchNow, ...]]
 _NEVER: Final = datetime.min.replace(tzinfo=UTC)
 _LOG: Final = logging.getLogger(__name__)
@@ -51,10 +46,6 @@ def place_of(now: ClutchNow) -> tuple[int, float, float, str, int]:
 
 def vehicle_type(now: ClutchNow) -> str:
     return type_of(now.vehicle, now.calibration_version)
-
-
-def group_of(now: ClutchNow) -> ClutchGroup:
-    return vehicle_type(now), now.clutch, now.fluid
 
 
 def worse_clutch(clutches: Sequence[ClutchNow]) -> ClutchNow:
@@ -73,8 +64,6 @@ class FleetSnapshot:
     read_at: datetime = _NEVER
     number: int = 0  # grows whenever something became different
     vehicles: ByVehicle = field(default_factory=lambda: MappingProxyType({}))
-    usual: Mapping[ClutchGroup, PeerRange] = field(default_factory=lambda: MappingProxyType({}))
-    usual_at: datetime = _NEVER
     fluids: tuple[str, ...] = ()
     types: tuple[str, ...] = ()
     strips: Mapping[str, Mapping[str, int]] = field(default_factory=lambda: MappingProxyType({}))  # verdicts by type
@@ -125,7 +114,7 @@ class Keeper:
         alarmed = self._source.alarmed()
         self._fills_mark, self._fluids, self._whole_at = mark, fluids, now if is_whole else self._whole_at
         if changed or is_whole:
-            self.snapshot = self._changed(fresh, changed, now, is_whole=is_whole)
+            self.snapshot = self._changed(fresh, changed, is_whole=is_whole)
         self.snapshot = replace(
             self.snapshot,
             read_at=now,
@@ -139,7 +128,7 @@ class Keeper:
         heard = {one.vehicle for one in self.snapshot.clutches if one.stored_at >= now - SILENT_AFTER}
         return frozenset(self.snapshot.vehicles.keys() - heard)
 
-    def _changed(self, fresh: ByVehicle, changed: set[str], now: datetime, *, is_whole: bool) -> FleetSnapshot:
+    def _changed(self, fresh: ByVehicle, changed: set[str], *, is_whole: bool) -> FleetSnapshot:
         """Return the fleet with what was read of it: of changed vehicles, or of all."""
         last = FleetSnapshot() if is_whole else self.snapshot
         read = [one for name, own in fresh.items() if is_whole or name in changed for one in own]
@@ -150,15 +139,12 @@ class Keeper:
         strips: dict[str, Counter[str]] = {}
         for one in worst:
             strips.setdefault(vehicle_type(one), Counter())[one.condition] += 1
-        is_usual_old = now - self.snapshot.usual_at >= USUAL_FOR
         return replace(
             self.snapshot,
             clutches=tuple(clutches),
             worst=tuple(sorted(worst, key=place_of)),
             number=self.snapshot.number + (1 if changed else 0),
             vehicles=vehicles,
-            usual=usual_of(clutches) if is_usual_old else self.snapshot.usual,
-            usual_at=now if is_usual_old else self.snapshot.usual_at,
             # Those of which nothing is left go when all is read.
             fluids=tuple(sorted({*last.fluids, *(one.fluid for one in read if one.fluid is not None)})),
             types=tuple(sorted(strips)),
@@ -249,16 +235,3 @@ def _by_vehicle(clutches: Sequence[ClutchNow]) -> ByVehicle:
     for one in clutches:
         found.setdefault(one.vehicle, []).append(one)
     return {name: tuple(sorted(some, key=lambda one: one.clutch)) for name, some in found.items()}
-
-
-def usual_of(clutches: Iterable[ClutchNow]) -> Mapping[ClutchGroup, PeerRange]:
-    levels: dict[ClutchGroup, list[float]] = {}
-    for now in clutches:
-        if now.mu_c is not None:
-            levels.setdefault(group_of(now), []).append(now.mu_c)
-    usual: dict[ClutchGroup, PeerRange] = {}
-    for kind, some in levels.items():
-        if len(some) >= LEAST_CLUTCHES:
-            low, middle, high = np.quantile(some, _SHARES).tolist()
-            usual[kind] = PeerRange(clutch_count=len(some), low_mu_c=low, middle_mu_c=middle, high_mu_c=high)
-    return MappingProxyType(usual)

@@ -1,21 +1,26 @@
 """Where the fleet meets the pure diagnosis: rows of the database become results again, and those a prognosis."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from datetime import date, datetime, timedelta
-from typing import Any, Final
+from typing import Final
 
+import msgspec
 from sqlalchemy import Engine
 
 from clutch_results.event_kinds import EventKind
+from clutch_results.pictures import UNFORETOLD, Fan, fan_of
 from clutch_results.prognosis import Prognosis, history_of_estimates, prognose, without
 from clutch_results.prognosis.sentence import outlook_line, soonest
 from clutch_results.records import (
+    ClutchVerdict,
+    Condition,
     FluidFill,
     FrictionEstimate,
     ScaleFreeFriction,
     ShiftEstimate,
     ShiftQuality,
+    ShiftResult,
     Status,
     iso_utc,
 )
@@ -23,8 +28,8 @@ from clutch_results.shift_course import fall_of
 from clutchdiag_io.people import is_dated
 from fleet_backend.page.calibrations import reference_of, type_of
 from fleet_backend.page.populations import StoredPopulation, latest
-from fleet_backend.page.queries import fills_of, friction_in, record_in, results_of, words_in
-from fleet_backend.page.records import ClutchNow, Due, Fill, OutlookAnswer, ReachAnswer, TrendPoint
+from fleet_backend.page.queries import fills_of, friction_in, in_order, record_in, results_of, words_in
+from fleet_backend.page.records import Alarm, ClutchNow, Due, Fill, OutlookAnswer, TrendPoint
 from fleet_backend.queries import Row
 from fleet_backend.schema import RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
 from fleet_contract.orders import Action
@@ -47,10 +52,6 @@ _NOTHING: Final = dict.fromkeys(("half_by", "most_by", "distance_a_day_m")) | {"
 BEYOND_NUMBERS: Final = (ArithmeticError, ValueError)
 
 
-def friction_of(values: Mapping[str, float] | None) -> FrictionEstimate | None:
-    return None if values is None else FrictionEstimate(**values)
-
-
 def estimate_of(row: Row) -> ShiftEstimate:
     """Return what one event said of the friction; what no prognosis asks for is left out."""
     return ShiftEstimate(
@@ -59,7 +60,7 @@ def estimate_of(row: Row) -> ShiftEstimate:
         end_ns=row["end_bus_ns"],
         status=Status(row["status"]),
         reasons=(),
-        friction=friction_of(friction_in(row, "")),
+        friction=_friction(row, ""),
         scale_free=_scale_free(row),
         kind=EventKind(row["kind"]) if row["kind"] in _KINDS else EventKind.SHIFT,  # newer programs may know more
         shift_quality=record_in(row, "shift_quality", ShiftQuality),
@@ -79,6 +80,27 @@ def _scale_free(row: Row) -> ScaleFreeFriction | None:
         std_mu_s=row["random_std_mu_s"],
         correlation=row["correlation"],
     )
+
+
+def _friction(row: Row, prefix: str) -> FrictionEstimate | None:
+    told = friction_in(row, prefix)
+    return None if told is None else FrictionEstimate(**told)
+
+
+def _result_of(row: Row, estimate: ShiftEstimate) -> ShiftResult:
+    """Return a row as the service had it, as far as the fan chart asks for it."""
+    verdict = ClutchVerdict(
+        clutch=row["clutch"],
+        condition=Condition[row["condition"].upper()],
+        reason="",
+        level_ratio=row["level_ratio"],
+        friction=_friction(row, RUNNING),
+        shift_count=0,
+        element=row["element"],
+    )
+    names = ("vehicle", "stream", "seq", "algorithm_version", "calibration_version")
+    told = {name: row[name] for name in names}
+    return ShiftResult(estimate=estimate, verdict=verdict, produced_at=iso_utc(row["produced_at"]), **told)
 
 
 def score_fall_of(rows: Sequence[Row]) -> float | None:
@@ -133,61 +155,66 @@ def chance_of(found: Prognosis) -> float | None:
     return None if first is None else first.probability_before_service
 
 
-_POINT_NAMES: Final = (
-    *("vehicle", "clutch", "end_at", "odometer_m", "kind", "status", "mu_c", "std_mu_c", "random_std_mu_c", "mu_s"),
-    *("std_mu_s", "level_ratio", "condition", "stream", "seq", "algorithm_version", "calibration_version"),
-)
-_RUNNING_NAMES: Final = ("mu_c", "std_mu_c", "mu_s", "std_mu_s", "correlation")
+_POINT_NAMES: Final = tuple(field.name for field in fields(TrendPoint))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClutchPast:
-    """The past of a clutch, and what follows from it."""
+    """The past of a clutch, the oldest event first, and what follows from it."""
 
-    trend: tuple[TrendPoint, ...]
-    prognosis: Prognosis | None
-    outlook: OutlookAnswer | None  # the same, as it is told
+    rows: Sequence[Row]
     estimates: tuple[ShiftEstimate, ...]
+    prognosis: Prognosis | None
+
+    @property
+    def trend(self) -> tuple[TrendPoint, ...]:
+        return tuple(map(_point_of, self.rows, self.estimates))
 
 
 def read_past(engine: Engine, now: ClutchNow, fills: Sequence[Fill], service_distance_m: float) -> ClutchPast:
     """Read the past of a clutch, and work out how far its fluid will go."""
     rows = results_of(engine, now.vehicle, now.clutch)
     found = outlook_of(now.clutch, rows, fills, service_distance_m, latest(engine)) if rows else None
-    estimates = list(map(estimate_of, rows))
-    return ClutchPast(
-        trend=tuple(map(_point_of, rows, estimates)),
-        prognosis=found,
-        outlook=None if found is None else _outlook_answer(found, rows),
-        estimates=tuple(estimates),
-    )
+    return ClutchPast(rows=rows, prognosis=found, estimates=tuple(map(estimate_of, rows)))
 
 
 def _point_of(row: Row, estimate: ShiftEstimate) -> TrendPoint:
-    made: dict[str, Any] = {name: row[name] for name in _POINT_NAMES}
     quality = estimate.shift_quality
-    made["score"] = None if quality is None else quality.score
-    made |= {f"running_{name}": row[RUNNING + name] for name in _RUNNING_NAMES}
-    return TrendPoint(reasons=words_in(row), **made)
+    told = {**row, "reasons": words_in(row), "score": None if quality is None else quality.score}
+    return TrendPoint(**{name: told[name] for name in _POINT_NAMES})
 
 
-def _outlook_answer(found: Prognosis, rows: Sequence[Row]) -> OutlookAnswer:
-    """Return a prognosis as pages and programs read it; ``rows`` are all results, those of no use included."""
-    return OutlookAnswer(
-        clutch=found.clutch,
-        outlook=found.outlook.value,
-        row_count=found.row_count,
-        left_out_count=found.left_out_count,
-        service_distance_m=found.service_distance_m,
-        watch=_reach(found.watch),
-        change_fluid=_reach(found.change_fluid),
-        assumptions=(*found.assumptions, *_left_out(rows)),
-    )
+def outlook_answer(past: ClutchPast) -> OutlookAnswer | None:
+    """Return the prognosis of a clutch as pages and programs read it; of all its results, those of no use included."""
+    if past.prognosis is None:
+        return None
+    found = replace(past.prognosis, assumptions=(*past.prognosis.assumptions, *_left_out(past.rows)))
+    return msgspec.convert(found, OutlookAnswer, from_attributes=True)
 
 
-def _reach(when: Any) -> ReachAnswer | None:  # noqa: ANN401 - a Reach, which the package of prognoses does not name
-    names = ("p10_m", "p50_m", "p90_m", "probability_before_service")
-    return None if when is None else ReachAnswer(**{name: getattr(when, name) for name in names})
+def fan_of_vehicle(
+    clutches: Sequence[ClutchNow], pasts: Sequence[ClutchPast], fills: Sequence[Fill], alarms: Sequence[Alarm]
+) -> Fan | None:
+    """Return the fan chart of a vehicle as its report has it; None where no margin is known."""
+    now = clutches[0]
+    told = {id(row): estimate for past in pasts for row, estimate in zip(past.rows, past.estimates, strict=True)}
+    rows = [row for past in pasts for row in past.rows if row["calibration_version"] == now.calibration_version]
+    results = [_result_of(row, told[id(row)]) for row in in_order(rows)]
+    numbers = range(1, 1 + max(one.clutch for one in clutches))
+    new = [reference_of(now.vehicle, now.calibration_version, clutch) for clutch in numbers]
+    if not results or None in new:
+        return None
+    try:
+        return fan_of(
+            results,
+            [fluid_fill(now.vehicle, one) for one in fills],
+            [one for one in new if one is not None],
+            [past.prognosis for past in pasts if past.prognosis is not None],
+            is_foretold=now.action not in UNFORETOLD,
+            alarms=[(iso_utc(one.raised_at), f"alarm: {one.rule}") for one in alarms],
+        )
+    except BEYOND_NUMBERS:
+        return None
 
 
 def _left_out(rows: Sequence[Row]) -> Iterator[str]:
@@ -204,7 +231,7 @@ def foretold_now(engine: Engine, clutches: Sequence[ClutchNow]) -> list[Row]:
     fills = fills_of(engine, clutches[0].vehicle)
     pasts = [read_past(engine, now, fills, SERVICE_M) for now in clutches]
     founds = [past.prognosis for past in pasts]
-    readings = [[(point.end_at, point.odometer_m) for point in past.trend] for past in pasts]
+    readings = [[(row["end_at"], row["odometer_m"]) for row in past.rows] for past in pasts]
     return [foretold(now, founds, own) for now, own in zip(clutches, readings, strict=True)]
 
 

@@ -2,9 +2,9 @@
 
 import gc
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
@@ -14,7 +14,6 @@ from sqlalchemy import (
     Engine,
     Interval,
     Select,
-    Table,
     TextualSelect,
     and_,
     bindparam,
@@ -38,8 +37,7 @@ from fleet_backend.errors import NotFoundError
 from fleet_backend.months import CLUTCH_STREAM, has_partitions
 from fleet_backend.office_tables import ALARM, FLUID_DUE
 from fleet_backend.page.calibrations import remember
-from fleet_backend.page.parts import NO_PLACE, read_place
-from fleet_backend.page.records import Alarm, ClutchChange, ClutchNow, Fill, Quarantined, ShiftAnswer
+from fleet_backend.page.records import Alarm, ClutchNow, Fill, Quarantined, ShiftAnswer
 from fleet_backend.queries import PresentFluid, Row, clutch_names, present_fluids, since_of, with_orders
 from fleet_backend.schema import (
     FLUID_FILL,
@@ -52,7 +50,7 @@ from fleet_backend.schema import (
     WITHDRAWN_FILL,
     UtcDateTime,
 )
-from fleet_backend.views import LAST_RESULTS
+from fleet_backend.views import LAST_BY_MONTH, LAST_RESULTS, RUNNING_COLUMNS
 from fleet_contract.orders import EARLIEST, NO_VERDICT, distinct, is_of_earlier_fluid
 
 RecordT = TypeVar("RecordT")
@@ -60,36 +58,18 @@ _MOST_NAMES: Final = 500  # of vehicles in one statement
 
 
 # The view running_condition for some vehicles alone: a database does not carry a list of names into a view by itself.
-_RUNNING: Final = """
-SELECT s.vehicle, s.clutch, s.condition, s.condition_reason, s.advice, s.level_ratio,
-  s.running_shift_count AS shift_count, s.running_mu_c AS mu_c, s.running_mu_s AS mu_s,
-  s.running_std_mu_c AS std_mu_c, s.running_std_mu_s AS std_mu_s, s.running_correlation AS correlation,
-  s.running_slope_s_rad AS slope_s_rad, s.running_std_slope_s_rad AS std_slope_s_rad,
-  s.running_probability_negative_slope AS probability_negative_slope,
-  s.odometer_m, s.end_at, s.stored_at, {happened_at} AS happened_at, s.stream, s.seq,
-  s.algorithm_version, s.calibration_version, NULL AS fluid,
-  s.causes, s.running_since_bus_ns, {score} AS score
-FROM {source}
-"""
-# LIMIT keeps PostgreSQL from joining all months at once: one look into one part per clutch, however many there are.
-_BY_MONTH: Final = """(
-  SELECT DISTINCT ON (k.vehicle, k.clutch) k.* FROM clutch_stream AS k {where}
-  ORDER BY k.vehicle, k.clutch, k.last_at DESC, k.stream DESC
-) AS p
-CROSS JOIN LATERAL (
-  SELECT * FROM shift_result AS r
-  WHERE r.vehicle = p.vehicle AND r.stream = p.stream AND r.seq = p.last_seq
-    AND r.version_rank = p.last_version_rank AND r.produced_at = p.last_produced_at
-  LIMIT 1
-) AS s
-"""
+_RUNNING: Final = f"""
+SELECT {RUNNING_COLUMNS}, s.stored_at, s.causes, s.running_since_bus_ns, NULL AS fluid,
+  {{happened_at}} AS happened_at, {{score}} AS score
+FROM {{source}}
+"""  # noqa: S608 - of our own texts
 _SCORE_OF_JSON: Final = "CAST(CAST(s.shift_quality AS json) ->> 'score' AS double precision)"
 _CLUTCH_NAMES: Final = tuple(field.name for field in fields(ClutchNow))
 
 
 def _statements(where: str) -> Mapping[bool, TextualSelect]:
     """Return the statement for databases that keep results by months, and for others."""
-    sources = {True: (_BY_MONTH, _SCORE_OF_JSON), False: (LAST_RESULTS, "json_extract(s.shift_quality, '$.score')")}
+    sources = {True: (LAST_BY_MONTH, _SCORE_OF_JSON), False: (LAST_RESULTS, "json_extract(s.shift_quality, '$.score')")}
     found: dict[bool, TextualSelect] = {}
     for kind, (form, score) in sources.items():
         source = form.format(where=where, l_at=RANKED_AT["sqlite"].format("l."))
@@ -252,9 +232,9 @@ _TREND_COLUMNS: Final = (
     *("from_gear", "to_gear", "status", "reasons", "sample_count", "window_s", "chi_square_ratio", "quality"),
     *("sump_temperature_k", "clutch_temperature_k", "slip_energy_j", "duration_s", "odometer_m", "level_ratio"),
     *("condition", "algorithm_version", "calibration_version", *schema.FRICTION_COLUMNS),
-    *(schema.RUNNING + name for name in ("mu_c", "std_mu_c", "mu_s", "std_mu_s", "correlation")),
+    *(schema.RUNNING + name for name in schema.FRICTION_COLUMNS),
     *(schema.SCALE_FREE + name for name in schema.SCALE_FREE_COLUMNS),
-    *("shift_quality", "running_since_bus_ns"),
+    *("shift_quality", "running_since_bus_ns", "element"),
 )
 _UNKNOWN: Final = {  # of a clutch of whose fluid nothing is known
     "condition": NO_VERDICT,
@@ -292,21 +272,23 @@ def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_b
 
 
 def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
-    """Return the newest results of a clutch, the oldest first; inside a stream only ``seq`` tells the order.
-
-    What was seen live and in a log counts once.
-    """
+    """Return the newest results of a clutch, the oldest first; what was seen live and in a log counts once."""
     with transaction(engine) as connection:
         statement = current_results(vehicle, clutch, is_by_month=has_partitions(engine))
         found = connection.execute(statement)
         rows = _revised(connection, [dict(zip(_TREND_COLUMNS, row, strict=True)) for row in found])
         rows = _of_own_fluid(rows, [fill.filled_at for fill in _fills(connection, vehicle)])
         remember(connection, {(row["vehicle"], row["calibration_version"]) for row in rows})
+    return in_order(_once(rows))
+
+
+def in_order(rows: Sequence[Row]) -> list[Row]:
+    """Return results of one vehicle, the oldest first; inside a stream only ``seq`` tells the order."""
     last: dict[str, datetime] = {}
     for row in rows:  # as databases rank
         at = min(at for at in (row["stored_at"], row["produced_at"], row["end_at"]) if is_dated(at))
         last[row["stream"]] = max(at, last.get(row["stream"], at))
-    return sorted(_once(rows), key=lambda row: (last[row["stream"]], row["stream"], row["seq"]))
+    return sorted(rows, key=lambda row: (last[row["stream"]], row["stream"], row["seq"]))
 
 
 def _revised(connection: Connection, rows: list[Row]) -> list[Row]:
@@ -391,77 +373,26 @@ def words_in(row: Row) -> tuple[str, ...]:
     return tuple(str(row["reasons"]).split(",")) if row["reasons"] else ()
 
 
-_BEFORE: Final = ("condition", "running_mu_c", "running_std_mu_c", "algorithm_version", "calibration_version", "end_at")
-
-
-def changes_of(engine: Engine, clutches: Iterable[ClutchNow], since: datetime) -> list[ClutchChange]:
-    """Return what became different of clutches since a moment, and why; of those of which anything did."""
-    with transaction(engine) as connection:
-        return [change for now in clutches if (change := _change(connection, now, since)).why]
-
-
-def _change(connection: Connection, now: ClutchNow, since: datetime) -> ClutchChange:
-    result, fill = SHIFT_RESULT.c, FLUID_FILL.c
-    own = (result.vehicle == now.vehicle, result.clutch == now.clutch)
-    order = (result.vehicle, result.clutch, result.produced_at, result.stream, result.seq, result.version_rank)
-    last = select(*(result[name] for name in _BEFORE)).where(*own, result.stored_at < since).limit(1)
-    before = connection.execute(last.order_by(*(column.desc() for column in order))).mappings().first()
-    fresh = select(func.count()).select_from(SHIFT_RESULT).where(*own, result.stored_at >= since)
-    count = int(connection.execute(fresh).scalar_one())
-    fills: Sequence[str] = ()
-    if before is not None:
-        between = (fill.vehicle == now.vehicle, fill.filled_at > before["end_at"], fill.filled_at <= now.end_at)
-        fills = connection.execute(select(fill.product).where(*between).order_by(fill.filled_at)).scalars().all()
-    return ClutchChange(
-        vehicle=now.vehicle,
-        clutch=now.clutch,
-        condition_before=None if before is None else before["condition"],
-        condition=now.condition,
-        mu_c_before=None if before is None else before["running_mu_c"],
-        std_mu_c_before=None if before is None else before["running_std_mu_c"],
-        mu_c=now.mu_c,
-        std_mu_c=now.std_mu_c,
-        new_result_count=count,
-        why=tuple(_reasons(before, now, count, fills)),
-    )
-
-
-def _reasons(before: Row | None, now: ClutchNow, count: int, fills: Sequence[str]) -> Iterator[str]:
-    """Yield why a clutch is told to be another than before, what explains most first."""
-    if before is None:
-        yield "first results of this clutch"
-        return
-    for name, word in (("algorithm_version", "algorithm"), ("calibration_version", "calibration")):
-        was, is_now = before[name], getattr(now, name)
-        if was != is_now:
-            yield f"new {word}: {was} before, {is_now} now"
-    for product in fills:
-        yield f"new fluid: {product}"
-    if count:
-        yield f"new data: {count} result{'' if count == 1 else 's'}"
-
-
-_ALARM_KEY: Final = ("vehicle", "clutch", "rule", "number")
 _ALARM_NAMES: Final = tuple(field.name for field in fields(Alarm) if field.name != "element")
 
 
 def alarms_of(
-    engine: Engine, *, state: str | None, rule: str | None, after: str | None, limit: int
-) -> tuple[list[Alarm], list[object] | None]:
-    """Return some alarms, the latest first, and the place of the last where more are behind it."""
-    statement = _latest_first(ALARM, "raised_at", _ALARM_KEY, after, limit)
+    engine: Engine, offset: int, limit: int, *, state: str | None, rule: str | None
+) -> tuple[tuple[Alarm, ...], int | None]:
+    """Return some alarms, the latest first, and the offset of those behind them."""
+    table = ALARM.c
+    statement = select(ALARM).order_by(table.raised_at.desc(), table.vehicle, table.clutch, table.rule, table.number)
     if state != "all":
-        statement = statement.where(ALARM.c.cleared_at.is_(None))
+        statement = statement.where(table.cleared_at.is_(None))
     if state == "waiting":
-        statement = statement.where(ALARM.c.acknowledged_at.is_(None))
+        statement = statement.where(table.acknowledged_at.is_(None))
     if rule is not None:
-        statement = statement.where(ALARM.c.rule == rule)
+        statement = statement.where(table.rule == rule)
     with transaction(engine) as connection:
         names = clutch_names(connection)
-        found = [_alarm(row, names) for row in connection.execute(statement).mappings()]
-    last = found[limit - 1] if len(found) > limit else None
-    place = None if last is None else [last.raised_at, last.vehicle, last.clutch or 0, last.rule, last.number]
-    return found[:limit], place
+        rows = connection.execute(statement.offset(offset).limit(limit + 1)).mappings()
+        found = tuple(_alarm(row, names) for row in rows)
+    return found[:limit], offset + limit if len(found) > limit else None
 
 
 def alarm_of(engine: Engine, **key: str | int) -> Alarm:
@@ -479,34 +410,10 @@ def _alarm(row: Row, names: Mapping[tuple[str, int], str]) -> Alarm:
     return Alarm(**values, element=names.get((row["vehicle"], row["clutch"])))
 
 
-def quarantined(engine: Engine, after: str | None, limit: int) -> tuple[list[Quarantined], list[object] | None]:
-    """Return some messages that were kept aside, the latest first, and the place of the last if more are behind it."""
+def quarantined(engine: Engine, offset: int, limit: int) -> tuple[tuple[Quarantined, ...], int | None]:
+    """Return some messages that were kept aside, the latest first, and the offset of those behind them."""
+    statement = select(QUARANTINE).order_by(QUARANTINE.c.received_at.desc(), QUARANTINE.c.digest)
     with transaction(engine) as connection:
-        rows = connection.execute(_latest_first(QUARANTINE, "received_at", ("digest",), after, limit)).mappings()
-        found = [Quarantined(**row) for row in rows]
-    last = found[limit - 1] if len(found) > limit else None
-    return found[:limit], None if last is None else [last.received_at, last.digest]
-
-
-def _latest_first(table: Table, time: str, key: Sequence[str], after: str | None, limit: int) -> Select[Any]:
-    """Return the statement for the next rows, the latest first, and one more; a key tells apart what came at a time.
-
-    Raises
-    ------
-    NotFoundError
-        If ``after`` is nothing that an earlier part named: the time of its last row, and the values of its key.
-    """
-    at, columns = table.c[time], [table.c[name] for name in key]
-    statement = select(table).order_by(at.desc(), *columns).limit(limit + 1)
-    if after is None:
-        return statement
-    last_at, *values = read_place(after, (datetime, *(column.type.python_type for column in columns)))
-    if last_at.tzinfo is None:
-        raise NotFoundError(NO_PLACE)
-    pairs = list(zip(columns, values, strict=True))
-    # The first column that differs tells.
-    behind = (
-        and_(*(one == value for one, value in pairs[:place]), column > last)
-        for place, (column, last) in enumerate(pairs)
-    )
-    return statement.where(at <= last_at.astimezone(UTC), or_(at < last_at.astimezone(UTC), *behind))
+        rows = connection.execute(statement.offset(offset).limit(limit + 1)).mappings()
+        found = tuple(Quarantined(**row) for row in rows)
+    return found[:limit], offset + limit if len(found) > limit else None

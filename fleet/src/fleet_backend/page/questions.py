@@ -26,22 +26,8 @@ class Asking(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class ListQuery(Asking, frozen=True, kw_only=True):
     """What may be asked of every list."""
 
-    after: (
-        Annotated[
-            str, Meta(pattern="^[A-Za-z0-9_-]{0,400}$", description="the part behind it: `next` of the part before")
-        ]
-        | None
-    ) = None
+    offset: Annotated[int, Meta(ge=0, le=2**31, description="rows before it: `next` of the part before")] = 0
     limit: Annotated[int, Meta(ge=1, le=50_000, description="how many at most; on pages no more than 1,000")] = 50
-
-
-class FleetQuery(ListQuery, frozen=True, kw_only=True):
-    """What may be asked of clutches."""
-
-    q: Annotated[str, Meta(max_length=64, description="a part of the vehicle's name")] | None = None
-    condition: Annotated[Severity, Meta(description="verdict")] | None = None
-    fluid: Annotated[str, Meta(max_length=200, description="fluid that is in, as it was noted")] | None = None
-    calibration: Annotated[str, Meta(max_length=200, description="of the results: version, or its type")] | None = None
 
 
 ORDERS: Final[Mapping[str, Callable[[ClutchNow], Any]]] = MappingProxyType({
@@ -55,9 +41,13 @@ ORDERS: Final[Mapping[str, Callable[[ClutchNow], Any]]] = MappingProxyType({
 SORTS: Final = (*ORDERS, *(f"-{name}" for name in ORDERS))
 
 
-class VehiclesQuery(FleetQuery, frozen=True, kw_only=True):
+class VehiclesQuery(ListQuery, frozen=True, kw_only=True):
     """What may be asked of vehicles."""
 
+    q: Annotated[str, Meta(max_length=64, description="a part of the vehicle's name")] | None = None
+    condition: Annotated[Severity, Meta(description="verdict")] | None = None
+    fluid: Annotated[str, Meta(max_length=200, description="fluid that is in, as it was noted")] | None = None
+    calibration: Annotated[str, Meta(max_length=200, description="of the results: version, or its type")] | None = None
     sort: Annotated[Literal[SORTS], Meta(description="column, - for downwards; else worst first")] | None = None  # type: ignore[valid-type]
     only: Annotated[Literal["due", "silent", "alarm"], Meta(description="due within 30 days, silent, alarm")] | None = (
         None
@@ -93,13 +83,6 @@ class AlarmQuery(Asking, frozen=True, kw_only=True):
     clutch: ClutchWord
     rule: AlarmRule
     number: Count
-
-
-class ChangesQuery(ListQuery, frozen=True, kw_only=True):
-    """What may be asked of changes."""
-
-    q: Annotated[str, Meta(max_length=64, description="a part of the vehicle's name")] | None = None
-    since: Annotated[str, Meta(max_length=40, description="a date (default: a week ago)")] | None = None
 
 
 class Acknowledgement(AlarmQuery, frozen=True, kw_only=True):

@@ -6,6 +6,7 @@ from datetime import date, datetime
 from enum import StrEnum
 
 from clutch_results.loads import Load
+from clutch_results.prognosis import Outlook
 from clutch_results.records import Causes, ShiftQuality
 from clutch_results.shift_course import ShiftCourse
 
@@ -54,28 +55,17 @@ class ClutchNow:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FleetAnswer:
-    """A part of the fleet, worst first; ``next`` continues it."""
-
-    clutches: tuple[ClutchNow, ...]
-    matching_count: int
-    clutch_count: int
-    next: str | None
-    read_at: datetime
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class VehiclesAnswer:
-    """A part of the vehicles, each by its worse clutch; ``counts`` of all by verdict; ``next`` continues it."""
+    """A part of the vehicles, each by its worse clutch; ``next`` is the offset of what follows."""
 
     vehicles: tuple[ClutchNow, ...]
     matching_count: int
     vehicle_count: int
-    counts: Mapping[str, int]
+    counts: Mapping[str, int]  # of all by verdict
     due_count: int  # within 30 days, more probably than not
     silent_count: int  # no result came for 14 days
     alarm_count: int  # with an open alarm
-    next: str | None
+    next: int | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,23 +140,13 @@ class OutlookAnswer:
     """How far the fluid of a clutch will go."""
 
     clutch: int
-    outlook: str
+    outlook: Outlook
     row_count: int
     left_out_count: int
     service_distance_m: float
     watch: ReachAnswer | None
     change_fluid: ReachAnswer | None
     assumptions: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PeerRange:
-    """Where the clutches of one type and fluid stand now: one in ten is below the low, one in ten above the high."""
-
-    clutch_count: int
-    low_mu_c: float
-    middle_mu_c: float
-    high_mu_c: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,7 +158,6 @@ class ClutchHistory:
     why_no_outlook: str | None
     trend: tuple[TrendPoint, ...]
     result_count: int  # those that are not in the trend counted too
-    usual: PeerRange | None  # in the fleet; null where there are too few clutches of its type and fluid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -261,44 +240,18 @@ class Quarantined:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QuarantineAnswer:
-    """A part of the quarantine, the latest first; ``next`` continues it."""
+    """A part of the quarantine, the latest first; ``next`` is the offset of what follows."""
 
     messages: tuple[Quarantined, ...]
-    next: str | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClutchChange:
-    """What became different of a clutch, and why."""
-
-    vehicle: str
-    clutch: int
-    condition_before: str | None  # null: nothing was known of the clutch
-    condition: str
-    mu_c_before: float | None
-    std_mu_c_before: float | None
-    mu_c: float | None
-    std_mu_c: float | None
-    new_result_count: int
-    why: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChangesAnswer:
-    """A part of what became different since a moment, the worst first; ``next`` continues it."""
-
-    since: datetime
-    changes: tuple[ClutchChange, ...]
-    clutch_count: int  # with results that arrived since then
-    next: str | None
+    next: int | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlarmsAnswer:
-    """A part of the alarms, the latest first; ``next`` continues it."""
+    """A part of the alarms, the latest first; ``next`` is the offset of what follows."""
 
     alarms: tuple[Alarm, ...]
-    next: str | None
+    next: int | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -320,8 +273,8 @@ class Due:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MaintenanceAnswer:
-    """When the fluids of a part of the fleet are due, by day; ``next`` continues it."""
+    """When the fluids of a part of the fleet are due, by day; ``next`` is the offset of what follows."""
 
     clutches: tuple[Due, ...]
     clutch_count: int
-    next: str | None
+    next: int | None

@@ -7,17 +7,21 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
 from datetime import UTC, date, datetime, timedelta
 from importlib.metadata import version
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import msgspec
 from sqlalchemy import Engine
 from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
-from starlette.routing import BaseRoute, Route
+from starlette.routing import BaseRoute, Mount, Route
+from starlette.staticfiles import StaticFiles
 
 from clutch_model.units import reading_of
-from clutch_results.records import Causes
+from clutch_results.pictures import THRESHOLD_KEYS, UNFORETOLD, curve_picture, fan_picture
+from clutch_results.prognosis.assumptions import HORIZON_M
+from clutch_results.records import Causes, FrictionEstimate
 from clutch_results.shift_course import course_lines, courses, loads
 from clutchdiag_io.people import PER_1000_RPM, SLOPE_UNIT, STDS, digits
 from fleet_backend import queries as common
@@ -26,20 +30,25 @@ from fleet_backend.alarms.book import Note
 from fleet_backend.alarms.rules import AlarmRule, Subject
 from fleet_backend.errors import AskError, BackendConfigError, NotFoundError, UnknownVehicleError
 from fleet_backend.office_tables import ALARM
-from fleet_backend.page import pictures, queries
+from fleet_backend.page import queries
 from fleet_backend.page.access import UserRole
 from fleet_backend.page.calibrations import reference_of
-from fleet_backend.page.fleet import SEVERITY, FleetSnapshot, group_of, place_of, vehicle_type
+from fleet_backend.page.fleet import SEVERITY, FleetSnapshot, vehicle_type
 from fleet_backend.page.news import News
-from fleet_backend.page.parts import part_of, word_of
-from fleet_backend.page.prognosis import NO_PROGNOSIS, days_of, due_of, outlook_text, read_past
+from fleet_backend.page.prognosis import (
+    NO_PROGNOSIS,
+    days_of,
+    due_of,
+    fan_of_vehicle,
+    outlook_answer,
+    outlook_text,
+    read_past,
+)
 from fleet_backend.page.questions import (
     ORDERS,
     Acknowledgement,
     AlarmQuery,
     AlarmsQuery,
-    ChangesQuery,
-    FleetQuery,
     ListQuery,
     NewFluid,
     ShiftQuery,
@@ -49,11 +58,9 @@ from fleet_backend.page.questions import (
 from fleet_backend.page.records import (
     Alarm,
     AlarmsAnswer,
-    ChangesAnswer,
     ClutchHistory,
     ClutchNow,
     Due,
-    FleetAnswer,
     MaintenanceAnswer,
     QuarantineAnswer,
     Severity,
@@ -70,14 +77,13 @@ from fleet_backend.page.site import (
     is_api,
     page,
     sources_of,
-    static_files,
     viewer_of,
 )
 from fleet_backend.page.wording import M_PER_KM, STEPS, address
 from fleet_contract.orders import UNKNOWN_FLUID, Action, name_of
 
+RowT = TypeVar("RowT")
 MOST_FOR_PEOPLE: Final = 1000  # rows of a page
-USUAL: Final = timedelta(days=7)
 
 
 def vehicles(request: Request) -> Response:
@@ -87,15 +93,12 @@ def vehicles(request: Request) -> Response:
     groups = {"due": snapshot.due, "silent": snapshot.silent, "alarm": snapshot.alarmed}
     found: Sequence[ClutchNow] = _matching(snapshot.worst, query)
     found = found if query.only is None else [one for one in found if one.vehicle in groups[query.only]]
-    of = None if query.sort is None else ORDERS[query.sort.removeprefix("-")]
-    place: Callable[[ClutchNow], tuple[Any, ...]] = place_of if of is None else lambda one: (of(one), one.vehicle)
-    ordered = found if of is None else sorted(found, key=place)
-    is_down = query.sort is not None and query.sort.startswith("-")
-    is_table = request.url.path == CSV_PATH
-    limit = query.limit if is_table else _limit(request, query)
-    some, following = part_of(ordered, place, query.after, limit, is_down=is_down)
-    if is_table:
-        return _csv(some)
+    if query.sort is not None:
+        of = ORDERS[query.sort.removeprefix("-")]
+        found = sorted(found, key=lambda one: (of(one), one.vehicle), reverse=query.sort.startswith("-"))
+    if request.url.path == CSV_PATH:
+        return _csv(found[query.offset : query.offset + query.limit])
+    some, following = _part(request, query, found)
     counts = Counter(one.condition for one in snapshot.worst)
     answer = VehiclesAnswer(
         vehicles=some,
@@ -115,7 +118,7 @@ def vehicles(request: Request) -> Response:
         "orders": _ORDERS,
         "strips": _strips(snapshot),
         "tiles": [(name, len(groups[name]), text) for name, text in _TILES.items()],
-        "sparks": {one.vehicle: pictures.spark(keeper.curve(one)) for one in some},
+        "sparks": {one.vehicle: keeper.curve(one) for one in some},
         "types": {one.vehicle: vehicle_type(one) for one in some},
         "dues": {one.vehicle: due_of(one, keeper.foretold(one), sources.now().date()) for one in some},
     }
@@ -173,28 +176,11 @@ def _strips(snapshot: FleetSnapshot) -> list[tuple[str, list[tuple[str, int, int
     return found
 
 
-def clutches(request: Request) -> Response:
-    """Tell the running condition of every clutch, the worst first."""
-    query, snapshot = asked(request, FleetQuery), sources_of(request).keeper.snapshot
-    found = _matching(snapshot.clutches, query)
-    some, following = part_of(found, place_of, query.after, _limit(request, query))
-    answer = FleetAnswer(
-        clutches=some,
-        matching_count=len(found),
-        clutch_count=len(snapshot.clutches),
-        next=following,
-        read_at=snapshot.read_at,
-    )
-    return encoded(answer) if is_api(request) else page(request, "clutches.html", _list(request, query, answer))
-
-
-def _matching(clutches: Sequence[ClutchNow], query: FleetQuery | ChangesQuery) -> Sequence[ClutchNow]:
+def _matching(clutches: Sequence[ClutchNow], query: VehiclesQuery) -> Sequence[ClutchNow]:
     """Return the clutches that are looked for, in the order in which they come."""
     if query.q:
         part = query.q.casefold()
         clutches = [now for now in clutches if part in now.vehicle.casefold()]
-    if isinstance(query, ChangesQuery):
-        return clutches
     for name in ("condition", "fluid"):
         if (wanted := getattr(query, name)) is not None:
             clutches = [now for now in clutches if getattr(now, name) == wanted]
@@ -207,14 +193,20 @@ def _limit(request: Request, query: ListQuery) -> int:
     return query.limit if is_api(request) else min(query.limit, MOST_FOR_PEOPLE)
 
 
+def _part(request: Request, query: ListQuery, found: Sequence[RowT]) -> tuple[tuple[RowT, ...], int | None]:
+    """Return the rows of a list that are asked for, and the offset of those behind them."""
+    end = query.offset + _limit(request, query)
+    return tuple(found[query.offset : end]), end if len(found) > end else None
+
+
 def _list(request: Request, query: ListQuery, answer: Any) -> dict[str, Any]:  # noqa: ANN401 - a part of any list
     """Return what the page of a list shows: the part, its filters, and where it goes on."""
-    following = None if answer.next is None else address(request.url.path, **_said(query), after=answer.next)
+    following = None if answer.next is None else address(request.url.path, **_said(query), offset=answer.next)
     return {"answer": answer, "query": query, "following": following}
 
 
 def _said(query: ListQuery) -> dict[str, Any]:
-    return {name: value for name, value in msgspec.to_builtins(query).items() if name != "after"}
+    return {name: value for name, value in msgspec.to_builtins(query).items() if name != "offset"}
 
 
 def vehicle(request: Request) -> Response:
@@ -245,11 +237,10 @@ def vehicle(request: Request) -> Response:
         clutches=tuple(
             ClutchHistory(
                 now=now,
-                outlook=past.outlook,
-                why_no_outlook=NO_PROGNOSIS if past.outlook is None else None,
+                outlook=outlook_answer(past),
+                why_no_outlook=NO_PROGNOSIS if past.prognosis is None else None,
                 trend=past.trend,
                 result_count=stored.get(now.clutch, (0, None))[0],
-                usual=snapshot.usual.get(group_of(now)),
             )
             for now, past in zip(own, pasts, strict=True)
         ),
@@ -259,10 +250,12 @@ def vehicle(request: Request) -> Response:
     )
     if is_api(request):
         return encoded(answer)
+    fan = fan_of_vehicle(own, pasts, fills, answer.alarms) if own else None
     shown = {
         "answer": answer,
-        "figures": pictures.of_vehicle(answer),
-        "bar": pictures.fluid_bar(answer),
+        "fan": fan,
+        "fan_picture": "" if fan is None else fan_picture(fan),
+        "left": _left(answer),
         "steps": STEPS.get(Action(answer.action), ()) if answer.action else (),
         "happened": sorted(_happened(answer), key=lambda one: one[0], reverse=True),
         "lines": course_lines(answer.changes),
@@ -272,6 +265,28 @@ def vehicle(request: Request) -> Response:
         "now": sources.now(),
     }
     return page(request, "vehicle.html", shown)
+
+
+def _left(answer: VehicleAnswer) -> dict[str, Any] | None:
+    """Return how far the fluid has gone and how far it will go, in words and as parts of 1000; None: not known."""
+    reaches = [one.outlook.change_fluid for one in answer.clutches if one.outlook and one.outlook.change_fluid]
+    known = [one for one in reaches if one.p50_m is not None]
+    driven = [one.now.odometer_m for one in answer.clutches if one.now.odometer_m is not None]
+    if not known or not driven or answer.action in UNFORETOLD:
+        return None
+    first = min(known, key=lambda one: one.p50_m or 0.0)
+    filled_m = answer.fills[-1].odometer_m if answer.fills else None
+    age_km = 0.0 if filled_m is None else max(max(driven) - filled_m, 0.0) / M_PER_KM
+    low, middle, high = (
+        float(f"{(HORIZON_M if one is None else one) / M_PER_KM:.2g}")
+        for one in (first.p10_m, first.p50_m, first.p90_m)
+    )
+    age = "" if filled_m is None else f"Fluid: {age_km:,.0f} km old. "
+    text = f"{age}Left: {low:,.0f} to {high:,.0f} km (80 % sure), as likely more as less than {middle:,.0f} km."
+    text = text if middle > 0.0 else f"{age}Left: at most {high:,.0f} km (90 % sure), probably nothing."
+    per_mille = 1000.0 / max(age_km + high, 1.0)
+    places = (age_km + one for one in (0.0, low, middle, high))
+    return {"text": text, "parts": [round(per_mille * one, 1) for one in places]}
 
 
 def _happened(answer: VehicleAnswer) -> Iterator[tuple[datetime, str, float | None, str | None]]:
@@ -305,10 +320,15 @@ def shift(request: Request) -> Response:
     if is_api(request):
         return encoded(answer)
     reference = reference_of(answer.vehicle, answer.calibration_version, answer.clutch)
-    figures = [] if reference is None else pictures.of_shift(answer, reference)
+    told = ((answer.friction, "this event alone"), (answer.running, "all events so far"))
     shown = {
         "answer": answer,
-        "figures": figures,
+        "figures": [
+            (what, curve_picture(answer.clutch, FrictionEstimate(**values), reference, answer.element))
+            for values, what in told
+            if values is not None and reference is not None
+        ],
+        "thresholds": THRESHOLD_KEYS,
         "has_reference": reference is not None,
         "quantities": _QUANTITIES,
         "parts": list(_parts(asdict(answer.shift_quality))) if answer.shift_quality is not None else [],
@@ -334,11 +354,9 @@ def _parts(told: Mapping[str, Any]) -> Iterator[tuple[str, float, str, str, str]
 def alarms(request: Request) -> Response:
     """Tell the alarms that rules raised, the latest first."""
     query = asked(request, AlarmsQuery)
-    limit = _limit(request, query)
-    found, place = queries.alarms_of(
-        sources_of(request).engine, state=query.state, rule=query.rule, after=query.after, limit=limit
-    )
-    answer = AlarmsAnswer(alarms=tuple(found), next=word_of(place))
+    asked_for = query.offset, _limit(request, query)
+    some, following = queries.alarms_of(sources_of(request).engine, *asked_for, state=query.state, rule=query.rule)
+    answer = AlarmsAnswer(alarms=some, next=following)
     shown = {"rules": [rule.value for rule in AlarmRule]}
     return encoded(answer) if is_api(request) else page(request, "alarms.html", _list(request, query, answer) | shown)
 
@@ -360,7 +378,7 @@ def maintenance(request: Request) -> Response:
         return not is_overdue, (day or date.max).isoformat(), SEVERITY[Severity(now.condition)], now.vehicle, now.clutch
 
     found = sorted(keeper.snapshot.clutches, key=place)
-    some, following = part_of(found, place, query.after, _limit(request, query))
+    some, following = _part(request, query, found)
     dues = tuple(due_of(now, keeper.foretold(now), today) for now in some)
     answer = MaintenanceAnswer(clutches=dues, clutch_count=len(found), next=following)
     if is_api(request):
@@ -387,17 +405,6 @@ def _weeks(dues: Sequence[Due], today: date) -> list[tuple[str, list[Due]]]:
     return list(found.items())
 
 
-def changes(request: Request) -> Response:
-    """Tell what changed since a given time, and why: new data, another algorithm or calibration, new fluid."""
-    query, sources = asked(request, ChangesQuery), sources_of(request)
-    since = sources.now() - USUAL if query.since is None else _moment(query.since)
-    touched = [now for now in _matching(sources.keeper.snapshot.clutches, query) if now.stored_at >= since]
-    some, following = part_of(touched, place_of, query.after, _limit(request, query))
-    found = queries.changes_of(sources.engine, some, since)
-    answer = ChangesAnswer(since=since, changes=tuple(found), clutch_count=len(touched), next=following)
-    return encoded(answer) if is_api(request) else page(request, "changes.html", _list(request, query, answer))
-
-
 def _moment(word: str) -> datetime:
     try:
         moment = datetime.fromisoformat(word)
@@ -409,8 +416,8 @@ def _moment(word: str) -> datetime:
 def quarantine(request: Request) -> Response:
     """Tell which messages could not be used, the latest first."""
     query = asked(request, ListQuery)
-    found, place = queries.quarantined(sources_of(request).engine, query.after, _limit(request, query))
-    answer = QuarantineAnswer(messages=tuple(found), next=word_of(place))
+    some, following = queries.quarantined(sources_of(request).engine, query.offset, _limit(request, query))
+    answer = QuarantineAnswer(messages=some, next=following)
     return encoded(answer) if is_api(request) else page(request, "quarantine.html", _list(request, query, answer))
 
 
@@ -475,15 +482,14 @@ class Endpoint(NamedTuple):
 
 ENDPOINTS: Final = (
     Endpoint("/", f"{API}/vehicles", vehicles, VehiclesQuery, VehiclesAnswer),
-    Endpoint("/clutches", f"{API}/clutches", clutches, FleetQuery, FleetAnswer),
     Endpoint("/vehicles/{vehicle}", f"{API}/vehicles/{{vehicle}}", vehicle, VehicleQuery, VehicleAnswer),
     Endpoint("/vehicles/{vehicle}/shift", f"{API}/vehicles/{{vehicle}}/shift", shift, ShiftQuery, ShiftAnswer),
     Endpoint("/alarms", f"{API}/alarms", alarms, AlarmsQuery, AlarmsAnswer),
     Endpoint("/alarm", f"{API}/alarm", alarm, AlarmQuery, Alarm),
     Endpoint("/maintenance", f"{API}/maintenance", maintenance, ListQuery, MaintenanceAnswer),
-    Endpoint("/changes", f"{API}/changes", changes, ChangesQuery, ChangesAnswer),
     Endpoint("/quarantine", f"{API}/quarantine", quarantine, ListQuery, QuarantineAnswer),
 )
+LEFT: Final = ("/clutches", "/changes")  # pages of earlier releases; the list of vehicles stands for them
 OPENAPI_PATH: Final = f"{API}/openapi.json"
 
 
@@ -496,9 +502,17 @@ def routes_of(news: News) -> list[BaseRoute]:
         Route("/vehicles/{vehicle}/fluid", change_fluid, methods=["POST"]),
         Route(OPENAPI_PATH, lambda _: Response(content, media_type="application/json")),
         Route("/events", news.answer),
+        *(Route(path, lambda _: RedirectResponse("/", status_code=301)) for path in LEFT),
+        *(Route(API + path, _left_for) for path in LEFT),
         Route(CSV_PATH, vehicles),
-        Route("/static/{name}", static_files()),
+        Mount(
+            "/static", StaticFiles(packages=[("fleet_backend.page", "static"), ("clutchdiag_io.pages", "templates")])
+        ),
     ]
+
+
+def _left_for(_: Request) -> Response:
+    raise HTTPException(410, f"this left: use {API}/vehicles and {API}/vehicles/NAME")
 
 
 def openapi() -> dict[str, Any]:

@@ -5,12 +5,11 @@ from collections.abc import AsyncIterator, Callable, Collection, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib import resources
 from typing import Any, Final, TypeVar
 from urllib.parse import parse_qsl, urlencode, urlsplit
 
 import msgspec
-from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment
 from sqlalchemy import Engine
 from starlette.applications import Starlette
 from starlette.authentication import AuthCredentials, AuthenticationBackend, AuthenticationError
@@ -24,6 +23,7 @@ from starlette.routing import BaseRoute
 from starlette.templating import Jinja2Templates
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from clutchdiag_io.pages.content import templates_of
 from fleet_backend.errors import AskError, DatabaseError, FleetBackendError, ForbiddenError, LoginError, PageError
 from fleet_backend.page import wording
 from fleet_backend.page.access import NOBODY, Access, UserRole, Viewer, check_role, check_token
@@ -35,14 +35,11 @@ NAVIGATION: Final = (
     ("/", "Fleet"),
     ("/maintenance", "Maintenance"),
     ("/alarms", "Alarms"),
-    ("/clutches", "Clutches"),
-    ("/changes", "Changes"),
     ("/quarantine", "Quarantine"),
 )
 _FORM: Final = "application/x-www-form-urlencoded"
 _LONGEST_FORM: Final = 16_384  # bytes
 _TOKEN: Final = "token"  # noqa: S105 - the name of a field
-_STATIC_TYPES: Final = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 _LOG: Final = logging.getLogger(__name__)
 QueryT = TypeVar("QueryT")
 Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
@@ -107,7 +104,8 @@ class Guard:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 headers.update(dict(SAFE_HEADERS))
-                headers.setdefault("cache-control", "no-store")  # of what says something of vehicles
+                is_static = scope["path"].startswith("/static/")
+                headers["cache-control"] = "max-age=3600" if is_static else "no-store"  # of what tells of vehicles
             await send(message)
 
         app = self._app
@@ -229,29 +227,13 @@ def _everywhere(request: HTTPConnection) -> dict[str, Any]:
 
 
 def _environment() -> Environment:
-    loader = ChoiceLoader([PackageLoader("fleet_backend.page"), PackageLoader("clutchdiag_io.pages")])
-    made = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    made = templates_of("fleet_backend.page")
     made.filters |= wording.FILTERS
     made.globals |= wording.GLOBALS
     return made
 
 
 _TEMPLATES: Final = Jinja2Templates(env=_environment(), context_processors=[_everywhere])
-
-
-def static_files() -> Callable[[Request], Response]:
-    """Return what answers with style sheets, scripts and the icon."""
-    folders = (resources.files("fleet_backend.page") / "static", resources.files("clutchdiag_io.pages") / "templates")
-    files = {one.name: one.read_bytes() for folder in folders for one in folder.iterdir() if one.is_file()}
-
-    def answer(request: Request) -> Response:
-        name = request.path_params["name"]
-        kind = _STATIC_TYPES.get(name.rpartition(".")[2])
-        if name not in files or kind is None:
-            raise HTTPException(404)
-        return Response(files[name], media_type=kind, headers={"cache-control": "max-age=3600"})
-
-    return answer
 
 
 async def _tell(request: Request, exc: Exception) -> Response:

@@ -9,26 +9,13 @@ from urllib.parse import quote, urlencode
 from markupsafe import Markup, escape
 
 from clutch_model.units import degc_from_k
-from clutch_results.shift_course import change_words, load_line, part_words
-from clutchdiag_io.people import PLUS_MINUS, STDS, digits, moment_words
+from clutch_results.shift_course import COURSE_HEAD, course_row, load_line
+from clutchdiag_io.pages.content import NONE, number
+from clutchdiag_io.people import PLUS_MINUS, STDS, moment_words
 from fleet_backend.page.records import Severity
 from fleet_contract.orders import SHOWN_AS, Action, cause_words, title_of
 
 M_PER_KM: Final = 1000.0
-NONE: Final = "–"
-
-
-def number(value: float | None, form: str = "{:.4f}", scale: float = 1.0) -> Markup | str:
-    """Return a number as people read it, times a scale, and all digits for programs; a dash where there is none.
-
-    Without a form it has the digits that tell something.
-    """
-    if value is None or value != value:  # noqa: PLR0124 - NaN alone differs from itself
-        return NONE
-    text = form.format(value * scale) if form else digits(value * scale)
-    text = text.replace("%", " %").replace("100.0 %", "100 %")
-    text = text if any(digit in text for digit in "123456789") else text.lstrip("-")
-    return Markup('<data value="{}">{}</data>').format(float(value), text)
 
 
 def half_width(std: float | None, scale: float = 1.0) -> Markup | str:
@@ -92,6 +79,7 @@ NOTHING_YET: Final = "No vehicle has been heard from yet. fleet-backend ingest b
 GLOBALS: Final[Mapping[str, object]] = MappingProxyType({
     "address": address,
     "pairs": lambda words_of: [(one, one) for one in words_of],
+    "course_head": COURSE_HEAD,
     "plus_minus": PLUS_MINUS,
     "conditions": [(one.value, words(one.value)) for one in Severity],
     "nothing_yet": NOTHING_YET,
@@ -108,8 +96,7 @@ FILTERS: Final[Mapping[str, Callable[..., Any]]] = MappingProxyType({
     "shown_as": shown_as,
     "clutch": lambda one: title_of(one.clutch, one.element),
     "cause": lambda one: cause_words(one.cause, one.clutch),
-    "change": change_words,
-    "part": part_words,
+    "course_row": course_row,
     "load_line": load_line,
     "degc": degc,
     "some": lambda text: escape(text) if text not in (None, "") else NONE,

@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from clutchdiag_io.pages.content import NONE, Number, rows_markup
+from clutchdiag_io.pages.content import NONE, templates_of
 from clutchdiag_io.pages.plot import WIDTH, Axis, Plot, thinned
 
 UNIT = Axis(low=0.0, high=1.0, label="x")
@@ -75,15 +75,7 @@ EVIL = "<img src=x onerror=alert(1)>\"'&"
 SAFE = "&lt;img src=x onerror=alert(1)&gt;&#34;&#39;&amp;"
 
 
-def test_every_part_of_a_cell_is_escaped() -> None:
-    cells = (
-        EVIL,
-        Number(value=0.1 + 0.2, text=EVIL),
-        NONE,
-    )
-    assert rows_markup([cells, cells[:1]]) == (
-        f'<tr><th scope="row">{SAFE}</th>'
-        f'<td><data value="0.30000000000000004">{SAFE}</data></td>'
-        f"<td>{NONE}</td></tr>\n"
-        f'<tr><th scope="row">{SAFE}</th></tr>\n'
-    )
+def test_every_text_of_a_template_is_escaped_and_a_number_has_all_digits() -> None:
+    template = templates_of("clutchdiag_io.pages").from_string("{{ text }}{{ value | number }}{{ nothing | number }}")
+    shown = template.render(text=EVIL, value=0.1 + 0.2, nothing=None)
+    assert shown == f'{SAFE}<data value="0.30000000000000004">0.3000</data>{NONE}'

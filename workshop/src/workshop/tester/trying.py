@@ -21,12 +21,12 @@ from cantools.database.can import Database
 from canlog.errors import OutputError, SourceError
 from clutch_model.units import for_people
 from clutch_results.records import Tier
+from clutchdiag_io.console import PeopleConsole
 from clutchdiag_io.people import digits
 from clutchdiag_io.program import replacement_refusal
 from dbc.contract import load_contract
 from diag_service.cli import execute_of
 from diag_service.commands.arguments import COMMAND_LINE
-from diag_service.console import PeopleConsole
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError, ControllerError
 from diag_service.mapping.asked_signals import NEGATIVE, data_in, sizes_of
