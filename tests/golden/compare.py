@@ -11,12 +11,11 @@ import json
 import lzma
 import re
 import sqlite3
-import subprocess
 import sys
 import tempfile
 import urllib.request
 from collections.abc import Iterable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import chdir, closing, contextmanager
 from pathlib import Path
 
 from fleet_backend.database import open_database
@@ -29,6 +28,7 @@ from tests.golden.differences import arithmetic, differences
 from tests.plugins.broker import Mosquitto
 from tests.support.fleet import NOW
 from tests.support.fleet_page import served
+from tests.support.in_process import ended
 from tests.support.subscriber import Subscriber
 
 FOLDER = Path(__file__).parent
@@ -129,8 +129,11 @@ def _json_lines(records: Iterable[JsonObject]) -> str:
 
 
 def _service(*words: str) -> str:
-    command = [sys.executable, "-m", "diag_service", *words]
-    return subprocess.run(command, cwd=RECORDINGS, check=True, capture_output=True, text=True).stdout
+    with chdir(RECORDINGS):
+        found = ended(*words)
+    if found.status:
+        raise RuntimeError(found.err)
+    return found.out
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """The outbox, a real Mosquitto and a backend: kills of each, and nothing is forgotten before the backend has it."""
 
 import asyncio
+import json
 import signal
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from fleet_contract import Receipt, ack_messages
 from fleet_link import BrokerAddress
 from tests.plugins.broker import Mosquitto
 from tests.support.acknowledger import Acknowledger
-from tests.support.doomed_edge import Step
+from tests.support.doomed_edge import NEW_COUNT, Step
 from tests.support.outboxes import NOW, STATUS, put, sending, until
 from tests.support.patience import HANG_S
 
@@ -83,18 +84,11 @@ async def test_acknowledgements_wait_for_a_vehicle_that_is_away(store: ResultSto
 
 def test_kill_9_around_every_step_loses_and_doubles_nothing(tmp_path: Path, broker: Mosquitto) -> None:
     """One store, one edge after the other, each dead at another step with more to send than the last."""
-    steps = [step for step in Step if step is not Step.NONE]
-
-    def run(last_seq: int, step: Step) -> int:
-        arguments = (str(tmp_path / "car1.sqlite"), str(broker.port), str(last_seq), step.value)
-        return subprocess.run(
-            [sys.executable, "-m", "tests.support.doomed_edge", *arguments], check=False, timeout=HANG_S
-        ).returncode
-
+    command = [sys.executable, "-m", "tests.support.doomed_edge", str(tmp_path / "car1.sqlite"), str(broker.port)]
     with Acknowledger(broker.port) as backend:
-        ends = {step.value: run(5 * number, step) for number, step in enumerate(steps, start=1)}
-        assert ends == {step.value: -signal.SIGKILL for step in steps}
-        assert run(5 * len(steps), Step.NONE) == 0
-    assert sorted(key.seq for key in backend.keys) == list(range(1, 5 * len(steps) + 1))
+        done = subprocess.run(command, check=True, timeout=HANG_S, stdout=subprocess.PIPE)
+    assert json.loads(done.stdout) == dict.fromkeys(Step, -signal.SIGKILL) | {Step.NONE: 0}
+    seqs = list(range(1, NEW_COUNT * len(Step) + 1))
+    assert sorted(key.seq for key in backend.keys) == seqs
     with closing(ResultStore.open(tmp_path / "car1.sqlite")) as store:
-        assert [result.seq for result in store.results("car1")] == list(range(1, 5 * len(steps) + 1))
+        assert [result.seq for result in store.results("car1")] == seqs

@@ -17,7 +17,7 @@ from fleet_backend.page.queries import DatabaseSource, fills_of, results_of
 from tests.integration.test_fluid_changed import LATER_S, recording
 from tests.plugins.broker import Mosquitto
 from tests.support.fleet_page import ACCESS, headers_of, served
-from tests.support.fleet_worker import worker
+from tests.support.fleet_worker import worker_here
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 from tests.support.service import Ended
@@ -78,7 +78,7 @@ class World:
 
 @pytest.fixture(name="world")
 def _world(tmp_path: Path, broker: Mosquitto, sqlite_url: str) -> Iterator[World]:
-    with worker(tmp_path, broker.url, sqlite_url):
+    with worker_here(broker.url, sqlite_url):
         yield World(folder=tmp_path, store=tmp_path / "car1.sqlite", broker=broker, database=sqlite_url)
 
 

@@ -26,7 +26,7 @@ from fleet_contract import Outgoing, shift_message
 from tests.plugins.broker import Mosquitto
 from tests.plugins.drives import SHIFT_COUNT
 from tests.support.fleet import fleet_result, row_of
-from tests.support.fleet_worker import Step, worker
+from tests.support.fleet_worker import Step, worker, worker_here
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 from tests.support.poison import poison_messages
@@ -82,27 +82,31 @@ def _engine(postgres_url: str) -> Iterator[Engine]:
 def test_tripled_shuffled_and_a_day_late_is_the_same_table(
     tmp_path: Path, broker: Mosquitto, postgres_url: str, engine: Engine
 ) -> None:
-    sent = messages(150) + messages(150, algorithm="algorithm-2")
+    sent = messages(50) + messages(50, algorithm="algorithm-2")
     late = sent * 3
     np.random.default_rng(7).shuffle(late)  # nothing in a row tells when it arrived, so late is like now
     with worker(tmp_path, broker.url, postgres_url), ResendingEdge(broker.port) as edge:
-        for first in range(0, len(late), 90):
-            edge.keep(late[first : first + 90])
+        for first in range(0, len(late), 60):
+            edge.keep(late[first : first + 60])
             edge.deliver()
     assert queries.table_hash(engine) == clean_hash(tmp_path, sent)
 
 
-@pytest.mark.parametrize("step", list(Step))
 def test_a_worker_killed_at_any_step_loses_and_doubles_nothing(
-    tmp_path: Path, broker: Mosquitto, sqlite_url: str, step: Step
+    tmp_path: Path, broker: Mosquitto, sqlite_url: str
 ) -> None:
-    sent = messages(60)
-    doomed = ("--step", step.value, "--number", "2")
+    """One worker after the other, each dead at another step with more to store than the last."""
+    sent, begun = messages(60 * len(Step)), 0
     with ResendingEdge(broker.port) as edge:
-        edge.keep(sent)
-        with worker(tmp_path, broker.url, sqlite_url, *doomed, module="tests.support.fleet_worker") as pid:
-            _wait_until(edge.send_once)
-            _wait_until(lambda: _is_dead(pid))
+        with worker(tmp_path, broker.url, sqlite_url, module="tests.support.fleet_worker") as dying:
+            deadline_s = time.monotonic() + HANG_S
+            while not _is_dead(dying):
+                assert time.monotonic() < deadline_s
+                before, begun = begun, (tmp_path / "worker-0.log").read_text(encoding="utf-8").count("listening")
+                edge.keep(sent[60 * before : 60 * begun])
+                edge.send_once()
+                time.sleep(0.3)
+        assert begun == len(Step)
         assert edge.waiting_count > 0
         with worker(tmp_path, broker.url, sqlite_url):
             edge.deliver()
@@ -112,20 +116,17 @@ def test_a_worker_killed_at_any_step_loses_and_doubles_nothing(
 
 
 def test_a_database_that_is_paused_costs_time_and_bounded_memory(
-    tmp_path: Path, broker: Mosquitto, own_postgres: PostgresServer
+    tmp_path: Path, broker: Mosquitto, postgres_server: PostgresServer, postgres_url: str, engine: Engine
 ) -> None:
-    database = own_postgres.create("fleet")
-    engine = open_database(database)
-    migrate(engine)
     sent = messages(200)
     with (
-        worker(tmp_path, broker.url, database, "--batch", "50") as pid,
+        worker(tmp_path, broker.url, postgres_url, "--batch", "50") as pid,
         ResendingEdge(broker.port) as edge,
     ):
         edge.keep(sent[:100])
         edge.deliver()
         before = psutil.Process(pid).memory_info().rss
-        with paused(own_postgres.pid):
+        with paused(postgres_server.pid):
             edge.keep(sent)
             with pytest.raises(AssertionError, match="without a receipt"):
                 edge.deliver(timeout_s=3.0)
@@ -134,14 +135,13 @@ def test_a_database_that_is_paused_costs_time_and_bounded_memory(
     assert edge.sent_count > len(sent)  # more was on its way than the worker takes
     assert grown < 16 * 2**20
     assert queries.table_hash(engine) == clean_hash(tmp_path, sent)
-    engine.dispose()
 
 
 def test_poison_is_kept_aside_and_does_not_delay_the_good(
     tmp_path: Path, broker: Mosquitto, postgres_url: str, engine: Engine
 ) -> None:
-    sent, poison = messages(100), poison_messages(1000)
-    with worker(tmp_path, broker.url, postgres_url), ResendingEdge(broker.port) as edge:
+    sent, poison = messages(50), poison_messages(240)
+    with worker_here(broker.url, postgres_url), ResendingEdge(broker.port) as edge:
         client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id="attacker", protocol=mqtt.MQTTv5)
         client.connect("127.0.0.1", broker.port)
         client.loop_start()
@@ -171,12 +171,12 @@ def _wait_until(is_done: Callable[[], bool], timeout_s: float = HANG_S) -> None:
 
 
 def test_results_of_logs_tell_their_calibration_and_nothing_of_a_connection(
-    drive_log: Path, tmp_path: Path, broker: Mosquitto, engine: Engine
+    drive_log: Path, broker: Mosquitto, engine: Engine
 ) -> None:
     at = datetime(2026, 1, 5, tzinfo=UTC)
     live = {"service_version": "1", "algorithm_version": "a", "calibration_version": "live"}
     Writer(engine).store(Batch(statuses=[{"vehicle": "car1", "is_online": True, "connected_at": at, **live}]))
-    with worker(tmp_path, broker.url, engine.url.render_as_string(hide_password=False)):
+    with worker_here(broker.url, engine.url.render_as_string(hide_password=False)):
         for name in ("car1", "car2"):
             assert ended("analyze", drive_log, "--json", "--vehicle", name, "--broker", broker.url).status == 0
         told = select(CALIBRATION.c.vehicle, CALIBRATION.c.content)

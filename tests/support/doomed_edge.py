@@ -1,9 +1,11 @@
-"""An edge that kills itself with SIGKILL at a step: ``python -m tests.support.doomed_edge STORE PORT LAST_SEQ [STEP]``.
+"""Edges of one store that kill themselves with SIGKILL, each at another step: ``doomed_edge STORE PORT``.
 
-It stores live results up to a number, sends what waits, and ends when a backend has acknowledged all.
+Each stores ``NEW_COUNT`` more live results than the one before and sends what waits; the last one ends when a backend
+has acknowledged all. How each ended is printed. Forks of one process, which saves the starts of seven.
 """
 
 import asyncio
+import json
 import os
 import signal
 import sys
@@ -20,6 +22,7 @@ from fleet_link import BrokerAddress, Connection
 from tests.support.builders import shift_result
 from tests.support.patience import HANG_S
 
+NEW_COUNT = 5
 STATE = VehicleState(filter_state={}, condition={}, versions=Versions(algorithm="a", calibration="c"))
 NOW = "2026-01-01T00:00:00.000000Z"
 
@@ -86,15 +89,31 @@ async def send(store: ResultStore, port: int) -> int:
     return await outbox.close(asyncio.create_task(outbox.run()), timeout_s=HANG_S)
 
 
-def main(path: str, port: str, last_seq: str, step: str = Step.NONE) -> int:
-    DoomedConnection.step = Step(step)
+def edge(path: Path, port: int, last_seq: int, step: Step) -> int:
+    DoomedConnection.step = step
     vars(mqtt)["Connection"] = DoomedConnection
-    with closing(DoomedStore.open(Path(path))) as store:
-        store.step = Step(step)
-        while (seq := store.next_seq()) <= int(last_seq):
+    with closing(DoomedStore.open(path)) as store:
+        store.step = step
+        while (seq := store.next_seq()) <= last_seq:
             store.add(shift_result(seq, stream=store.stream), STATE)
-        return asyncio.run(send(store, int(port)))
+        return asyncio.run(send(store, port))
+
+
+def end_of(path: Path, port: int, last_seq: int, step: Step) -> int:
+    """Return the exit status of an edge, negative if a signal ended it."""
+    if child := os.fork():
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    status = 1
+    try:
+        status = edge(path, port, last_seq, step)
+    finally:
+        os._exit(status)
+
+
+def main(path: str, port: str) -> None:
+    ends = {step: end_of(Path(path), int(port), NEW_COUNT * number, step) for number, step in enumerate(Step, start=1)}
+    print(json.dumps(ends))
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    main(*sys.argv[1:])

@@ -1,4 +1,7 @@
-"""A folder of logs, analysed by several processes, killed half-way and started again: no file twice, none missing."""
+"""A folder of logs, analysed by several processes, killed half-way and started again: no file twice, none missing.
+
+The second run is this process: what it has to go on from is on the disk.
+"""
 
 import json
 import signal
@@ -11,6 +14,7 @@ from typing import Any
 
 import psutil
 
+from tests.support.in_process import ended
 from tests.support.patience import HANG_S
 from tests.support.service import PROGRAM, environment
 
@@ -51,8 +55,10 @@ def fill_folder(folder: Path, log: Path, count: int) -> list[Path]:
 def kill_and_resume(folder: Path, output: Path, *, jobs: int, kill_after: int) -> KilledRun:
     """Analyse a folder, kill the run when so many drives are done, start it again and return what came of it."""
     journal = output.with_name(f"{output.name}.journal")
-    command = [*PROGRAM, "analyze", str(folder), "--output", str(output), "--jobs", str(jobs)]
-    first = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment())
+    words = ["analyze", str(folder), "--output", str(output), "--jobs", str(jobs)]
+    first = subprocess.Popen(
+        [*PROGRAM, *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment()
+    )
     while _line_count(journal) < kill_after:
         if first.poll() is not None:
             raise RuntimeError(f"the run ended by itself with status {first.returncode}")
@@ -64,9 +70,10 @@ def kill_and_resume(folder: Path, output: Path, *, jobs: int, kill_after: int) -
     done_before = _line_count(journal)
     with journal.open("ab") as file:
         file.write(b'{"schema":"clutchdiag/journal/v1","key":"cut off in the mid')  # as a kill while writing leaves it
-    second = subprocess.run(command, capture_output=True, text=True, check=True, env=environment())
+    second = ended(*words)
+    assert second.status == 0, second.err
     records = tuple(json.loads(line) for line in output.read_text(encoding="utf-8").splitlines())
-    return KilledRun(done_before=done_before, outlived=len(alive), records=records, second_stderr=second.stderr)
+    return KilledRun(done_before=done_before, outlived=len(alive), records=records, second_stderr=second.err)
 
 
 def _line_count(path: Path) -> int:

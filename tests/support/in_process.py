@@ -5,9 +5,16 @@ import io
 import logging
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
 from pathlib import Path
+from typing import Any
 
+import pytest
+
+import diag_service.batch.worker
+import diag_service.commands.decode
+import diag_service.lake.run
 from diag_service.cli import main
 from diag_service.console import OWN
 from tests.support.service import Ended
@@ -18,7 +25,7 @@ def ended(*words: str | Path) -> Ended:
     out, err = io.StringIO(), io.StringIO()
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)}
     try:
-        with never_a_program(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        with never_a_program(), workers_here(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             status = main([str(word) for word in words])
     except SystemExit as exc:  # argparse's way to end: --version, a word it does not know
         status = int(exc.code or 0)
@@ -28,6 +35,37 @@ def ended(*words: str | Path) -> Ended:
         if sys.modules.get("asammdf", ...) is None:  # what the program keeps from itself, other tests may want
             del sys.modules["asammdf"]
     return Ended(status=status, out=out.getvalue(), err=err.getvalue())
+
+
+class Here(Executor):
+    """In place of a pool of processes: this one does a task as soon as it is handed over."""
+
+    def __init__(
+        self, _width: int, _context: object, begin: Callable[..., None], arguments: tuple[object, ...]
+    ) -> None:
+        diag_service.batch.worker._ANALYSTS.clear()  # of the pool before
+        diag_service.commands.decode._WRITERS.clear()
+        begin(*arguments)
+
+    def submit(self, work: Callable[..., Any], /, *tasks: object, **words: object) -> Future[Any]:
+        done = Future[Any]()
+        try:
+            done.set_result(work(*tasks, **words))
+        except Exception as exc:  # noqa: BLE001 - whatever it is, it is raised where the result is asked for
+            done.set_exception(exc)
+        return done
+
+
+@contextlib.contextmanager
+def workers_here() -> Iterator[None]:
+    """Let no pool start a process; tests of killed ones run the program as one."""
+    worker = diag_service.batch.worker
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(worker, "ProcessPoolExecutor", Here)
+        patch.setattr(worker, "follow_parent", lambda: None)
+        for module in (worker, diag_service.lake.run):
+            patch.setattr(module, "leave_to_parent", lambda _: None)
+        yield
 
 
 @contextlib.contextmanager
