@@ -19,9 +19,9 @@ from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.faults import BusFault, SensorFault
-from ecu_emulator.scenario.scenario import Scenario, WorkshopRoutine
+from ecu_emulator.scenario.scenario import Scenario
 from ecu_emulator.sensing import MS_PER_S, SensorSuite
-from ecu_emulator.shift_control.touch_points import PressureSteps, nominal_touch_pressures_pa
+from ecu_emulator.shift_control.touch_points import nominal_touch_pressures_pa
 from ecu_emulator.truth import (
     EventTruth,
     EventWatcher,
@@ -145,20 +145,10 @@ class Drive:
         """Whether the car waits for somebody to ask for the workshop routine."""
         return isinstance(self._plant, Powertrain) and self._plant.is_waiting
 
-    def begin_routine(self, request: WorkshopRoutine) -> None:
-        """Have the workshop routine begin with the next stretch, if the car waits for it. Any thread may call."""
+    def order(self, action: Callable[[Powertrain], None]) -> None:
+        """Have a car on its shift cycles do something before the next stretch. Any thread may call."""
         if isinstance(plant := self._plant, Powertrain):
-            self._asked.put(lambda: plant.begin_routine(request.open_revs, request.closed_revs))
-
-    def begin_steps(self, steps: PressureSteps) -> None:
-        """Have pressure steps begin with the next stretch, if the car waits. Any thread may call."""
-        if isinstance(plant := self._plant, Powertrain):
-            self._asked.put(lambda: plant.begin_steps(steps))
-
-    def stop_steps(self) -> None:
-        """Have pressure steps broken off with the next stretch. Any thread may call."""
-        if isinstance(plant := self._plant, Powertrain):
-            self._asked.put(plant.stop_steps)
+            self._asked.put(lambda: action(plant))
 
     @property
     def transmission(self) -> str:

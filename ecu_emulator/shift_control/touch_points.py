@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from statistics import fmean, median, stdev
+from statistics import fmean, linear_regression, median, stdev
 from typing import Final
 
 from clutch_model.calibration import nominal_calibration, shipped_calibration
@@ -211,11 +211,5 @@ def _engine_load_nm(samples: Sequence[Sample]) -> float:
         return math.nan
     side = nominal_calibration().input_side
     inertia_kg_m2 = side.engine_inertia_kg_m2 + side.hub_inertia_kg_m2
-    return fmean(one.engine_torque_nm for one in window) - inertia_kg_m2 * _slope_rad_s2(window)
-
-
-def _slope_rad_s2(window: Sequence[Sample]) -> float:
-    """Return the slope of the line through the engine's speed."""
-    middle_s, middle_rad_s = fmean(one.t_s for one in window), fmean(one.engine_speed_rad_s for one in window)
-    moment = sum((one.t_s - middle_s) * (one.engine_speed_rad_s - middle_rad_s) for one in window)
-    return moment / sum((one.t_s - middle_s) ** 2 for one in window)
+    faster_rad_s2 = linear_regression([one.t_s for one in window], [one.engine_speed_rad_s for one in window]).slope
+    return fmean(one.engine_torque_nm for one in window) - inertia_kg_m2 * faster_rad_s2

@@ -120,7 +120,7 @@ def test_a_car_that_drives_does_not_take_up_the_routine(table: Path) -> None:
             bench.go_on()
         bench.unlock()
         assert bench.ask("31 01 03 01 01 02")[:2] == b"\x7f\x31"
-        bench.drive.begin_routine(WorkshopRoutine(open_revs=1))  # nor if somebody insists
+        bench.drive.order(lambda plant: plant.begin_routine(1, 0))  # nor if somebody insists
         while not bench.count(ShiftTruth):
             bench.go_on()
     assert not bench.count(RevTruth)

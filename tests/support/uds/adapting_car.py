@@ -97,7 +97,7 @@ class AdaptingCar:
     def drive_off(self, to_gear: int) -> None:
         """Start and drive until a gear's clutch is filled; ``fills_pa`` has at what it is held then."""
         self._is_driving = True
-        self.drive.begin_routine(WorkshopRoutine(open_revs=1))
+        self.drive.order(lambda plant: plant.begin_routine(1, 0))
         while to_gear not in self.fills_pa or self._sent.now({}).get("current_gear") != to_gear:
             self.go_on()
 

@@ -8,11 +8,11 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from ipaddress import ip_address
+from socketserver import BaseRequestHandler, ThreadingTCPServer
 from typing import Final, Self
 
 import can
@@ -54,7 +54,6 @@ class Client:
         counts: ElmCounts,
         patience_s: float,
         idle_s: float,
-        leave: Callable[["Client"], None],
     ) -> None:
         self.number = number  # by which the controller knows it
         self._connection = connection
@@ -62,23 +61,17 @@ class Client:
         self._counts = counts
         self._patience_s = patience_s
         self._idle_s = idle_s
-        self._leave = leave
         self._heard = b""
         self._frames: queue.Queue[can.Message] = queue.Queue(MOST_MONITORED)
         self._responses: queue.Queue[bytes] = queue.Queue(MOST_MONITORED)
         self._monitors = threading.Event()
         self._waits = threading.Event()
         self._is_full = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="ELM327 client", daemon=True)
-
-    def start(self) -> None:
-        self._thread.start()
 
     def end(self) -> None:
-        """Hang up, and wait until that is done."""
+        """Hang up."""
         with suppress(OSError):
             self._connection.shutdown(socket.SHUT_RDWR)
-        self._thread.join()
 
     def hear_frame(self, message: can.Message) -> None:
         """Keep a frame for the client if it wants any."""
@@ -95,16 +88,10 @@ class Client:
             with suppress(queue.Full):
                 self._responses.put_nowait(payload)
 
-    def _run(self) -> None:
-        try:
-            with self._connection, suppress(OSError):  # whoever goes away is no concern of the drive
-                self._connection.settimeout(SEND_TIMEOUT_S)
-                self._connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._converse()
-        finally:
-            self._leave(self)
-
-    def _converse(self) -> None:
+    def converse(self) -> None:
+        """Answer the client until it has gone; raises OSError if it goes in the middle of something."""
+        self._connection.settimeout(SEND_TIMEOUT_S)
+        self._connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         while (text := self._line()) is not None:
             self._counts.lines += 1
             if len(text) > MOST_LINE_BYTES:
@@ -207,7 +194,7 @@ MOST_CLIENTS: Final = 8
 IDLE_S: Final = 300.0  # a client that says nothing for so long has gone, as DoIP has it
 
 
-class ElmServer:
+class ElmServer(ThreadingTCPServer):
     """Serves clients while the ``with`` block runs.
 
     Parameters
@@ -229,25 +216,40 @@ class ElmServer:
         If it cannot listen there.
     """
 
+    allow_reuse_address = True
+    request_queue_size = MOST_CLIENTS
+
     def __init__(
         self, controller: Controller, place: tuple[str, int], bitrate: int | None = None, *, idle_s: float = IDLE_S
     ) -> None:
         if controller.table.transport.own_address is not None:
             raise EmulatorConfigError("an ELM327 does not reach a controller with extended addresses")
+        serve = self._serve
+
+        class Caller(BaseRequestHandler):
+            def handle(self) -> None:
+                serve(self.request)
+
         self._controller = controller
         self._bitrate = bitrate
         self._idle_s = idle_s
         self._is_over = threading.Event()
         self._clients: list[Client] = []
         self._lock = threading.Lock()
-        self._listener = _listening(*place)
-        self._thread = threading.Thread(target=self._accept, name="ELM327", daemon=True)
+        self._places = threading.Semaphore(MOST_CLIENTS)
+        self._thread = threading.Thread(target=self.serve_forever, args=(POLL_S,), name="ELM327", daemon=True)
         self._ticker = threading.Thread(target=self._tick, name="ELM327 ticks", daemon=True)
         self.counts = ElmCounts()
+        host, port = place
+        try:
+            self.address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0][0]
+            super().__init__((host, port), Caller)
+        except OSError as exc:
+            raise BusError(f"ELM327 cannot listen at {host}:{port}: {exc.strerror or exc}") from exc
 
     @property
     def address(self) -> tuple[str, int]:
-        host, port, *_ = self._listener.getsockname()
+        host, port, *_ = self.socket.getsockname()
         return str(host), int(port)
 
     @property
@@ -268,15 +270,15 @@ class ElmServer:
 
     def __exit__(self, *_: object) -> None:
         self._is_over.set()
-        self._thread.join()
-        self._listener.close()
+        self.shutdown()
         for client in self._present():
             client.end()
+        self.server_close()
         self._ticker.join()
 
     def close(self) -> None:
         """Listen no more, as it does after its block; one that is never entered needs it."""
-        self._listener.close()
+        self.server_close()
 
     def hear_frame(self, message: can.Message) -> None:
         """Show a frame of the bus to clients that monitor it; never waits."""
@@ -304,52 +306,31 @@ class ElmServer:
         with self._lock:
             return list(self._clients)
 
-    def _accept(self) -> None:
-        while not self._is_over.is_set():
-            try:
-                connection, _ = self._listener.accept()
-            except TimeoutError:
-                continue
-            except OSError:  # no descriptor is left, or the caller has gone already
-                self._is_over.wait(POLL_S)
-                continue
-            self._take(connection)
+    def verify_request(self, request: object, client_address: object) -> bool:
+        """Return whether there is room for one more client."""
+        del request, client_address
+        has_room = self._places.acquire(blocking=False)
+        self.counts.refused_clients += not has_room
+        return has_room
 
-    def _take(self, connection: socket.socket) -> None:
+    def _serve(self, connection: socket.socket) -> None:
         with self._lock:
-            if len(self._clients) >= MOST_CLIENTS:
-                self.counts.refused_clients += 1
-                connection.close()
-                return
             self.counts.clients += 1
             table, number = self._controller.table, -self.counts.clients  # testers over IP have positive numbers
-            ask = partial(self._ask, number)
-            interpreter = Interpreter(table.addressing, table.transport, ask, self._bitrate)
-            patience_s = table.timing.p2_star_s
-            client = Client(number, connection, interpreter, self.counts, patience_s, self._idle_s, self._leave)
+            interpreter = Interpreter(table.addressing, table.transport, partial(self._ask, number), self._bitrate)
+            client = Client(number, connection, interpreter, self.counts, table.timing.p2_star_s, self._idle_s)
             self._clients = [*self._clients, client]
-        client.start()
+        if self._is_over.is_set():  # too late to be ended with the others
+            client.end()
+        try:
+            with suppress(OSError):  # whoever goes away is no concern of the drive
+                client.converse()
+        finally:
+            with self._lock:
+                self._clients = [other for other in self._clients if other is not client]
+            self._places.release()
+            with suppress(RecordError):  # what is kept is not about sessions
+                self._controller.leave(number)
 
     def _ask(self, number: int, payload: bytes, is_functional: bool) -> bytes | None:  # noqa: FBT001 - a callable's
         return self._controller.ask(payload, is_functional=is_functional, client=number)
-
-    def _leave(self, client: Client) -> None:
-        with self._lock:
-            self._clients = [other for other in self._clients if other is not client]
-        with suppress(RecordError):  # what is kept is not about sessions
-            self._controller.leave(client.number)
-
-
-def _listening(host: str, port: int) -> socket.socket:
-    with ExitStack() as stack:
-        try:
-            family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
-            listener = stack.enter_context(socket.socket(family, socket.SOCK_STREAM))
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listener.bind(address)
-            listener.listen(MOST_CLIENTS)
-            listener.settimeout(POLL_S)
-        except OSError as exc:
-            raise BusError(f"ELM327 cannot listen at {host}:{port}: {exc.strerror or exc}") from exc
-        stack.pop_all()
-    return listener

@@ -17,9 +17,8 @@ import isotp
 from ecu_emulator.errors import EmulatorConfigError
 from workshop.controller.controller import TICK_S, Controller
 from workshop.controller.iso14229 import NEGATIVE, Nrc, Service
-from workshop.controller.isotp_frames import single_payload, usable
 from workshop.controller.server import AGAIN_RATIO, KEEP_ALIVE, PENDING_RATIO
-from workshop.controller.table import Addressing, Transport
+from workshop.isotp_frames import LARGEST_STANDARD_ID, isotp_address, single_payload, usable
 
 if TYPE_CHECKING:
     from workshop.controller.state import Reply
@@ -29,7 +28,6 @@ MOST_REQUESTS: Final = 32  # that wait for the response before them to go out
 LONGEST_MESSAGE: Final = 4095
 TIMEOUT_MS: Final = 1000  # N_Bs and N_Cr
 MOST_WAIT_FRAMES: Final = 1 << 31  # a sender waits for as long as it is asked to: only a receiver gives up (N_WFT_OVRN)
-LARGEST_STANDARD_ID: Final = 0x7FF
 FULL_FD_BYTES: Final = 64
 _PERIODIC: Final = bytes([Service.READ_PERIODICALLY])
 _LOGGER: Final = "ecu_emulator.isotp"  # the library warns of every odd frame; they are counted instead
@@ -91,7 +89,12 @@ class DiagnosticLink:
             return isotp.TransportLayerLogic(
                 rxfn=self._taken,
                 txfn=self._sent,
-                address=_address(self._ids, transport),
+                address=isotp_address(
+                    self._ids.response_id,
+                    self._ids.request_id,
+                    transport.own_address or 0,
+                    None if transport.own_address is None else transport.tester_address,
+                ),
                 error_handler=self._broken,
                 params={
                     "stmin": transport.separation_time,
@@ -272,18 +275,3 @@ class DiagnosticLink:
 
     def _broken(self, _error: Exception) -> None:
         self.counts.broken_messages += 1
-
-
-def _address(ids: Addressing, transport: Transport) -> isotp.Address:
-    is_extended_id = ids.request_id > LARGEST_STANDARD_ID
-    if transport.own_address is None:
-        mode = isotp.AddressingMode.Normal_29bits if is_extended_id else isotp.AddressingMode.Normal_11bits
-        return isotp.Address(mode, txid=ids.response_id, rxid=ids.request_id)
-    mode = isotp.AddressingMode.Extended_29bits if is_extended_id else isotp.AddressingMode.Extended_11bits
-    return isotp.Address(
-        mode,
-        txid=ids.response_id,
-        rxid=ids.request_id,
-        source_address=transport.own_address,
-        target_address=transport.tester_address,
-    )

@@ -7,7 +7,6 @@ from typing import Final
 
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import RecordError
-from ecu_emulator.scenario.scenario import WorkshopRoutine
 from ecu_emulator.shift_control.touch_points import (
     PressureSteps,
     Result,
@@ -66,7 +65,7 @@ class RequestedRoutine:
             return
         number, run = found
         if self._shifts_before is None:
-            self._performer.begin_routine(WorkshopRoutine(open_revs=run.options[0], closed_revs=run.options[1]))
+            self._performer.order(lambda plant: plant.begin_routine(*run.options[:2]))
             self._shifts_before = driven.shift_count
         if driven.shift_count > self._shifts_before and driven.gear == FIRST_GEAR:  # is back in it
             self._controller.finish(number)
@@ -173,7 +172,7 @@ class RequestedAdaptation:
 
     def _break_off(self) -> None:
         if self._work is not None:
-            self._car.stop_steps()
+            self._car.order(lambda plant: plant.stop_steps())
             self._work = None
 
     def _unkept(self, number: int, values: Values) -> int | None:
@@ -190,8 +189,8 @@ class RequestedAdaptation:
     def _ask(self, work: _Work) -> None:
         """Have the car hold the next steps, once it has let go of what it held before."""
         self._heard.clear()
-        if work.steps is not None and self._car.is_waiting:
-            self._car.begin_steps(work.steps)
+        if (steps := work.steps) is not None and self._car.is_waiting:
+            self._car.order(lambda plant: plant.begin_steps(steps))
             work.is_asked = True
 
     def _listen(self, work: _Work) -> None:

@@ -17,7 +17,7 @@ from diag_service.errors import (
     SilentError,
     StoppedError,
 )
-from workshop.tester.addresses import CanAddress, is_extended
+from workshop.tester.addresses import CanAddress
 from workshop.tester.answers import (
     BUSY,
     DEFAULT_SESSION,
@@ -85,6 +85,8 @@ try:
         UnexpectedResponseException,
     )
     from udsoncan.Request import Request
+
+    from workshop.isotp_frames import isotp_address
 except ImportError as exc:
     raise extra_missing("asking controllers needs udsoncan and can-isotp", "uds", "./workshop") from exc
 
@@ -133,7 +135,7 @@ class CanConnection(BaseConnection):
         self._layer = isotp.TransportLayerLogic(
             rxfn=self._taken,
             txfn=self._put,
-            address=_isotp_address(address),
+            address=isotp_address(address.request_id, address.response_id, address.tester_byte, address.target_byte),
             error_handler=self._note,
             params={
                 "stmin": 0,
@@ -246,21 +248,6 @@ class CanConnection(BaseConnection):
     def _note(self, error: Exception) -> None:
         self._is_sent_in_part = True
         self._is_broken_off |= isinstance(error, _BREAKS)
-
-
-def _isotp_address(address: CanAddress) -> isotp.Address:
-    has_29_bits = is_extended(address.request_id)
-    if address.target_byte is None:
-        mode = isotp.AddressingMode.Normal_29bits if has_29_bits else isotp.AddressingMode.Normal_11bits
-        return isotp.Address(mode, txid=address.request_id, rxid=address.response_id)
-    mode = isotp.AddressingMode.Extended_29bits if has_29_bits else isotp.AddressingMode.Extended_11bits
-    return isotp.Address(
-        mode,
-        txid=address.request_id,
-        rxid=address.response_id,
-        source_address=address.tester_byte,
-        target_address=address.target_byte,
-    )
 
 
 LOOK_S: Final = 0.1  # how soon it notices that it shall stop

@@ -2,7 +2,7 @@
 
 import pytest
 
-from workshop.controller.isotp_frames import single_payload, usable
+from workshop.isotp_frames import single_payload, usable
 
 
 @pytest.mark.parametrize(

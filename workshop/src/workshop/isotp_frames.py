@@ -1,4 +1,4 @@
-"""Frames of ISO 15765-2 as they arrive: what the standard says to ignore, and what it says to read as something else.
+"""ISO 15765-2 for both ends: addresses, and frames as they arrive, which the standard says to ignore or to read anew.
 
 The transport library gives up a message in progress for a frame that it does not know; the standard lets it pass.
 """
@@ -6,6 +6,9 @@ The transport library gives up a message in progress for a frame that it does no
 from enum import IntEnum
 from typing import Final
 
+import isotp
+
+LARGEST_STANDARD_ID: Final = 0x7FF
 SHORT: Final = 8  # bytes of a classic frame
 LONGEST_SHORT_LENGTH: Final = 0xFFF  # of a message whose length has 12 bits
 LONGEST_PAUSE: Final = 0x7F  # 127 ms: what a reserved separation time means
@@ -19,6 +22,15 @@ class FrameType(IntEnum):
     FIRST = 1
     CONSECUTIVE = 2
     FLOW_CONTROL = 3
+
+
+def isotp_address(sent_id: int, heard_id: int, own_byte: int, other_byte: int | None) -> isotp.Address:
+    """Return who sends and hears on which identifiers; with extended addressing a first byte names the other end."""
+    bits = 29 if sent_id > LARGEST_STANDARD_ID else 11
+    if other_byte is None:
+        return isotp.Address(isotp.AddressingMode[f"Normal_{bits}bits"], txid=sent_id, rxid=heard_id)
+    mode = isotp.AddressingMode[f"Extended_{bits}bits"]
+    return isotp.Address(mode, txid=sent_id, rxid=heard_id, source_address=own_byte, target_address=other_byte)
 
 
 def usable(data: bytes, prefix_bytes: int, missing_bytes: int) -> bytes | None:
