@@ -5,10 +5,12 @@ import logging
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Final
+
+import numpy as np
 
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import SourceError
@@ -16,7 +18,6 @@ from canlog.files import open_plain_file
 from canlog.frames import FrameBatch
 from canlog.logs import STANDARD_INPUT, LogReader, merged_by_time, read_log
 from canlog.logs.log_counts import assumed_texts, lost_texts, odd_texts
-from canlog.logs.merging import SourceMarks
 from canlog.logs.reading import Watch
 from canlog.logs.streams import never
 from diag_service.diagnosis.summary import ChannelShare, Contributions, Gap, LogShare, gaps_line, idle_lines
@@ -127,6 +128,52 @@ def warn_of_faults(logs: Sequence[OpenLog], contributions: Contributions) -> Non
             _LOG.warning("%s: %s", name, text)
     for text in contributions.idle:
         _LOG.warning("%s", text)
+
+
+MOST_SOURCES: Final = 256
+_UNKNOWN: Final = -1  # the mark of a channel of which no frame came yet
+
+
+class SourceMarks:
+    """The marks of the channels of some logs: their own numbers, or what is free if those are taken.
+
+    Every format numbers channels in its own way, so a number says something within its log only.
+
+    Parameters
+    ----------
+    names :
+        Of the logs, for people.
+    begin :
+        Called with the place of a log, a channel of it and its mark, when the first frame of it comes.
+    """
+
+    def __init__(self, names: Sequence[str], begin: Callable[[int, int, int], object]) -> None:
+        self._names = names
+        self._begin = begin
+        self._marks = [np.full(MOST_SOURCES, _UNKNOWN, np.int64) for _ in names]  # by channel
+        self._free = set(range(MOST_SOURCES))
+
+    def marked(self, number: int, batch: FrameBatch) -> FrameBatch:
+        """Return frames of a log with the marks of their sources; raises SourceError if there are too many."""
+        marks = self._marks[number]
+        present = np.flatnonzero(np.bincount(batch.channel, minlength=MOST_SOURCES))
+        for channel in present[marks[present] == _UNKNOWN].tolist():
+            if not self._free:
+                raise SourceError(f"{self._names[number]}: more than {MOST_SOURCES} channels of logs at the same time")
+            marks[channel] = mark = channel if channel in self._free else min(self._free)
+            self._free.remove(mark)
+            self._begin(number, channel, mark)
+        if np.array_equal(marks[present], present):
+            return batch
+        return replace(batch, channel=marks[batch.channel].astype(np.uint8))
+
+    def of_log(self, number: int) -> dict[int, int]:
+        marks = self._marks[number]
+        return {channel: int(marks[channel]) for channel in np.flatnonzero(marks != _UNKNOWN).tolist()}
+
+    def release(self, number: int) -> None:
+        """Give the marks of a log that has ended to others."""
+        self._free |= set(self.of_log(number).values())
 
 
 class DriveFrames:

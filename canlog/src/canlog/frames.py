@@ -1,7 +1,7 @@
-"""FrameBatch: the one columnar type that every source yields."""
+"""FrameBatch: the one columnar type that every source yields, and how several become one."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Final, NamedTuple
@@ -138,6 +138,53 @@ def join(batches: Sequence[FrameBatch]) -> FrameBatch:
     width = max(batch.width for batch in batches)
     batches = [batch.widened(width) for batch in batches]
     return FrameBatch(**{name: np.concatenate([getattr(batch, name) for batch in batches]) for name in COLUMNS})
+
+
+def merged_by_time(
+    streams: Iterable[Iterator[FrameBatch]], marked: Callable[[int, FrameBatch], FrameBatch] = lambda _, batch: batch
+) -> Iterator[FrameBatch]:
+    """Yield the frames of all streams; of frames with the same time those of an earlier stream come first.
+
+    Each stream is held one batch ahead. Where its time jumps back its frames stay in their order. A stream that ends
+    is asked for more before another begins with frames of the same time.
+
+    Parameters
+    ----------
+    marked :
+        Returns frames of a stream, by its place, as they shall leave; called as they are due.
+    """
+    waiting = [(number, stream, batch) for number, stream in enumerate(streams) if (batch := _next(stream)) is not None]
+    begun: set[int] = set()
+    while len(waiting) > 1:
+        horizon_ns, first = min((int(batch.t_ns[-1]), place) for place, (*_, batch) in enumerate(waiting))
+        due = [
+            0 if place > first and number not in begun and batch.t_ns[0] == horizon_ns else _due(batch, horizon_ns)
+            for place, (number, _, batch) in enumerate(waiting)
+        ]
+        if not any(due):  # the time of every stream jumps back: the one that is behind goes on as it is
+            behind = min(range(len(waiting)), key=lambda place: int(waiting[place][2].t_ns[0]))
+            due[behind] = len(waiting[behind][2])
+        parts = list(zip(waiting, due, strict=True))
+        begun.update(number for (number, *_), count in parts if count)
+        leaving = [marked(number, batch[:count]) for (number, _, batch), count in parts if count]
+        together = join(leaving)
+        yield together if len(leaving) == 1 else together[np.argsort(together.t_ns, kind="stable")]
+        left = [(number, stream, batch[count:]) for (number, stream, batch), count in parts]
+        refilled = [(number, stream, batch if len(batch) else _next(stream)) for number, stream, batch in left]
+        waiting = [(number, stream, batch) for number, stream, batch in refilled if batch is not None]
+    for number, stream, batch in waiting:
+        yield marked(number, batch)
+        yield from (marked(number, rest) for rest in stream if len(rest))
+
+
+def _next(stream: Iterator[FrameBatch]) -> FrameBatch | None:
+    return next((batch for batch in stream if len(batch)), None)
+
+
+def _due(batch: FrameBatch, horizon_ns: int) -> int:
+    """Return how many frames from the first come no later."""
+    later = np.flatnonzero(batch.t_ns > horizon_ns)
+    return int(later[0]) if len(later) else len(batch)
 
 
 def clear_padding(data: UInt8Array, length: UInt8Array | Int64Array) -> UInt8Array:

@@ -18,7 +18,7 @@ from canlog.extras import load_extra
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch, join
 from canlog.logs import LogCounts, LogFormat, LogReader, merged_by_time, read_log
 from canlog.tables.account import DecodeAccount, losses
-from canlog.tables.decoding import MAX_CELLS, Plan, TableShape, columns_of, groups, message_columns, stretches
+from canlog.tables.decoding import MAX_CELLS, Plan, TableShape, columns_of, groups, message_columns
 from canlog.tables.frame_groups import FrameGroup, log_paths
 from canlog.tables.layouts import BARE_ID, TableShapeName, Values, ValuesName, WideLayout, column_of
 
@@ -137,8 +137,8 @@ class Log:
                     if plan.is_measured and decoded.is_good is not None:
                         value = np.where(decoded.is_good, value, np.nan)
                     values.setdefault((one.slot, name), []).append(value[kept])
-            times.append(group.frames.t_ns)
-            start += len(group)
+            times.append(group.batch.t_ns)
+            start += len(group.batch)
         t_ns = np.concatenate(times) if times else np.empty(0, np.int64)
         signals: dict[str, Samples] = {}
         for (slot, name), column in self._plan.names.columns.items():
@@ -183,7 +183,7 @@ class Log:
         arrow, account = load_pyarrow(), DecodeAccount(codec=plan.codec, names=plan.names)
         layouts: dict[int, WideLayout] = {}
         batches: dict[int, list[Any]] = {}
-        for group in groups(stretches(self._streamed(), account), plan.codec, plan.size()):
+        for group in groups(plan.grouped(self._streamed()), account):
             for slot, columns in message_columns(group, account, layouts, values, is_measured=plan.is_measured):
                 schema = arrow_schema(layouts[slot].kinds, layouts[slot].metadata)
                 batches.setdefault(slot, []).append(arrow.record_batch(list(columns.values()), schema=schema))
@@ -253,8 +253,7 @@ class Log:
         layout = plan.layout(plan.span.part(self._streamed(), account.leave_out))
         schema = arrow_schema(layout.kinds, layout.metadata)
         frames = plan.span.part(self._streamed(), account.leave_out)
-        found = groups(stretches(frames, account), plan.codec, plan.size(layout))
-        tables = (columns_of(group, account, layout) for group in found)
+        tables = (columns_of(group, account, layout) for group in groups(plan.grouped(frames, layout), account))
         rows = (arrow.record_batch(list(columns.values()), schema=schema) for columns in tables if columns)
         return arrow.RecordBatchReader.from_batches(schema, rows)
 
@@ -306,7 +305,7 @@ class Log:
         return DecodeAccount(codec=plan.codec, names=plan.names, log=self.counts)
 
     def _groups(self, account: DecodeAccount) -> Iterator[FrameGroup]:
-        return groups(stretches([self.frames], account), account.codec, self._plan.size())
+        return groups(self._plan.grouped([self.frames]), account)
 
 
 def read(

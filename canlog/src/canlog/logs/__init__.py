@@ -1,8 +1,8 @@
 """Logs of every format, read whatever is damaged and counted."""
 
+from canlog.frames import merged_by_time
 from canlog.logs.detection import LogFormat
 from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.merging import merged_by_time
 from canlog.logs.reading import LogReader, Looked, looked_at, read_log, table_columns
 from canlog.logs.streams import STANDARD_INPUT, shown_name
 

@@ -125,8 +125,21 @@ class Detected:
     columns: tuple[SignalColumn, ...] = ()  # of a table of signals
 
 
-def detect(probe: bytes) -> Detected:
-    """Return the format of a file that begins so; raises SourceError if the file is empty or of no known format."""
+def detect(probe: bytes, choice: str = "") -> Detected:
+    """Return the format of a file that begins so; raises SourceError if the file is empty or of no known format.
+
+    Parameters
+    ----------
+    probe
+        The beginning.
+    choice
+        What somebody says of its columns. It is a table if that fits, else whatever it is taken for without; if it is
+        neither, the complaint is about the columns.
+    """
+    return _detect_as_columns(probe, choice) if choice else _detect(probe)
+
+
+def _detect(probe: bytes) -> Detected:
     if not probe.strip():
         raise SourceError("the file is empty")
     _refuse_archive(probe)
@@ -152,12 +165,7 @@ def _refuse_archive(probe: bytes) -> None:
         raise SourceError(f"a {kind} archive: unpack it first")
 
 
-def detect_as_columns(probe: bytes, choice: str) -> Detected:
-    """Return the format of a file of which somebody says what its columns are.
-
-    A table if that fits; else whatever it is taken for without. Raises SourceError if it is neither; then the complaint
-    is about the columns.
-    """
+def _detect_as_columns(probe: bytes, choice: str) -> Detected:
     _refuse_archive(probe)
     text, complaint = probe.removeprefix(BYTE_ORDER_MARK), SourceError("--columns: no line of it is a frame by that")
     try:
@@ -168,7 +176,7 @@ def detect_as_columns(probe: bytes, choice: str) -> Detected:
     except SourceError as exc:
         complaint = exc
     try:
-        return detect(probe)
+        return _detect(probe)
     except SourceError as exc:
         raise (exc if str(complaint) == NO_HEADER else complaint) from None
 

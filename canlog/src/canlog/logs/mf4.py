@@ -40,10 +40,10 @@ from canlog.frames import (
     TX_FLAG,
     FrameBatch,
     clear_padding,
+    merged_by_time,
     rounded_to_us,
 )
 from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.merging import merged_by_time
 from canlog.logs.signal_tables import checked_rows, signal_columns
 from canlog.logs.streams import FREE_BYTES, MOST_RATIO
 from canlog.logs.text_kernels import IS_LENGTH

@@ -16,7 +16,7 @@ from canlog.logs.arrow_tables import arrow_columns, read_arrow_table
 from canlog.logs.blf import read_blf
 from canlog.logs.captures import read_capture
 from canlog.logs.columns import ColumnsLog
-from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect, detect_as_columns
+from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect
 from canlog.logs.log_counts import (
     BoundedStream,
     LogCounts,
@@ -81,7 +81,7 @@ def contents_of(stream: BinaryIO, columns: str = "") -> Contents:
     stream.seek(0)
     compression = compression_of(probe)
     if compression is None:
-        detected = detect_as_columns(probe, columns) if columns else detect(probe)
+        detected = detect(probe, columns)
         return Contents(stream=stream, detected=detected, counts=LogCounts(), is_packed=False, columns=columns)
     return _unpacked(partial(InflatedStream, stream, compression), columns)
 
@@ -106,7 +106,7 @@ def _packed_format(packed: InflatedStream, columns: str) -> Detected:
         raise SourceError(f"{packed.name} holds nothing")
     if inner := compression_of(beginning):
         raise SourceError(f"it is packed twice: {inner} inside {packed.name}; unpack it once")
-    return detect_as_columns(beginning, columns) if columns else detect(beginning)
+    return detect(beginning, columns)
 
 
 def _reader_of(contents: Contents) -> Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]:
@@ -354,7 +354,7 @@ def _looked_into(stream: PipeStream, columns: str) -> Detected | None:
     stream.give_back(probe)
     if compression_of(probe) is not None:
         return None
-    return detect_as_columns(probe, columns) if columns else detect(probe)
+    return detect(probe, columns)
 
 
 def _piped_reader(is_stopped: Callable[[], bool], columns: str, *, is_strict: bool) -> LogReader:

@@ -13,7 +13,7 @@ from canlog.decode.codec import HAS_VALUES, Codec, FrameFate, MessageTable, Mess
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from canlog.logs import LogCounts
 from canlog.logs.log_counts import assumed_texts, lost_texts, odd_texts
-from canlog.tables.frame_groups import FrameGroup, FrameStretch
+from canlog.tables.frame_groups import FrameGroup
 from canlog.tables.layouts import BARE_ID, Place, TableNames, flagged_id, identifier_text
 from canlog.transport import TransferCounts
 
@@ -62,12 +62,12 @@ class DecodeAccount:
     def __post_init__(self) -> None:
         self.counts = np.zeros((len(self.codec.tables) + 1, len(FrameFate)), np.int64)
 
-    def add(self, stretch: FrameStretch) -> None:
+    def add(self, group: FrameGroup) -> None:
         """Count the frames of a batch."""
-        self.counts += stretch.match.counts
-        sent = stretch.batch.can_id
-        if stretch.long is not None:
-            sent = np.delete(sent, stretch.long.rows)
+        self.counts += group.match.counts
+        sent = group.batch.can_id
+        if group.long is not None:
+            sent = np.delete(sent, group.long.rows)
         can_ids, counts = np.unique(sent[(sent & _NO_DATA) == 0], return_counts=True)
         seen = zip(can_ids.tolist(), counts.tolist(), self.codec.slots_of(can_ids.tolist()), strict=True)
         for can_id, count, slot in seen:
@@ -78,7 +78,7 @@ class DecodeAccount:
 
     def values_of(self, group: FrameGroup) -> list[MessageValues]:
         """Return what the signals of a group say, message by message; it enters the account."""
-        found = list(self.codec.decode_slots(group.frames, group.slot_in_frames, group.has_short))
+        found = group.values(self.codec)
         if group.long is not None:
             found += (longer := list(group.long.values(self.codec)))
             self.short_long_count += sum(len(one.rows) for one in longer if one.cut_off)

@@ -23,7 +23,7 @@ from canlog.logs import STANDARD_INPUT, LogReader
 from canlog.logs.reading import Watch
 from canlog.logs.streams import never
 from canlog.tables.account import DecodeAccount, losses
-from canlog.tables.frame_groups import ChannelOrigins, FrameGroup, FrameStock, FrameStretch, LogSet, LongRows, log_paths
+from canlog.tables.frame_groups import FrameGroup, LogSet, LongRows, grouped, log_paths
 from canlog.tables.layouts import (
     Place,
     TableNames,
@@ -133,33 +133,13 @@ class Span:
 EVERYTHING: Final = Span()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GroupSize:
-    """How much a group of rows holds at most."""
-
-    frames: int
-    values: int
-    is_live: bool = False  # somebody waits for the rows: what came together is a group, however few frames that are
-
-
-def stretches(batches: Iterable[FrameBatch], account: DecodeAccount) -> Iterator[FrameStretch]:
+def groups(batches: Iterable[FrameBatch], account: DecodeAccount) -> Iterator[FrameGroup]:
     """Yield frames with their messages, and with those messages that several frames are; all enter the account."""
     together = LongRows(account.codec)
     account.transfers, account.long_counts = together.counts, together.counts_of
-    for stretch in together.stretches(batches):
-        account.add(stretch)
-        yield stretch
-
-
-def groups(
-    found: Iterable[FrameStretch], codec: Codec, size: GroupSize, origins: ChannelOrigins | None = None
-) -> Iterator[FrameGroup]:
-    stock = FrameStock(codec, origins, size.frames, size.values)
-    for stretch in found:
-        yield from stock.add(stretch)
-        if size.is_live:
-            yield from stock.rest()
-    yield from stock.rest()
+    for group in together.groups(batches):
+        account.add(group)
+        yield group
 
 
 def columns_of(group: FrameGroup, account: DecodeAccount, layout: WideLayout) -> Mapping[str, Any]:
@@ -207,7 +187,7 @@ def message_columns(
     account: DecodeAccount,
     layouts: dict[int, WideLayout],
     values: Values,
-    origins: ChannelOrigins | None = None,
+    logs: Sequence[str] = (),
     *,
     is_measured: bool = False,
 ) -> Iterator[tuple[int, Mapping[str, Any]]]:
@@ -218,8 +198,8 @@ def message_columns(
     found = sorted(account.values_of(group), key=lambda one: one.slot)
     for slot, parts in groupby(found, key=lambda one: one.slot):
         if slot not in layouts:
-            names = account.names.of_message(slot, frame_kinds(origins))
-            layouts[slot] = WideLayout(account.codec.tables, names, values, [slot], origins, is_measured=is_measured)
+            names = account.names.of_message(slot, frame_kinds(logs))
+            layouts[slot] = WideLayout(account.codec.tables, names, values, [slot], logs, is_measured=is_measured)
         count, columns = layouts[slot].columns(group, list(parts))
         account.row_count += count
         yield slot, columns
@@ -233,12 +213,12 @@ class MessageRows:
     table_format: TableFormat
     account: DecodeAccount
     values: Values
-    origins: ChannelOrigins | None
+    logs: Sequence[str]  # the names of several logs
     _layouts: dict[int, WideLayout] = field(default_factory=dict)
     _open: dict[int, ColumnSink] = field(default_factory=dict)
 
     def write_group(self, group: FrameGroup) -> None:
-        for slot, columns in message_columns(group, self.account, self._layouts, self.values, self.origins):
+        for slot, columns in message_columns(group, self.account, self._layouts, self.values, self.logs):
             if slot not in self._open:
                 file, layout = self.tables.file(slot), self._layouts[slot]
                 self._open[slot] = open_columns(file, self.table_format, layout.kinds, layout.metadata)
@@ -305,26 +285,25 @@ class Plan:
             return replace(self, span=span)
         return replace(self, span=span, codec=self.codec.only(chosen_places(self.names.columns, signals)))
 
-    def layout(self, batches: Iterable[FrameBatch], origins: ChannelOrigins | None = None) -> WideLayout:
+    def layout(self, batches: Iterable[FrameBatch], logs: Sequence[str] = ()) -> WideLayout:
         """Return the columns: all frames are looked at, for the messages that occur are the columns."""
         seen: set[int] = set()
         together = LongRows(self.codec)
-        for stretch in together.stretches(batches):
-            counts = stretch.match.counts[:-1, list(HAS_VALUES)]
+        for group in together.groups(batches):
+            counts = group.match.counts[:-1, list(HAS_VALUES)]
             seen.update(np.flatnonzero(counts.sum(axis=1)).tolist())
         seen.update(together.counts_of)
         slots = sorted(seen)
-        return WideLayout(self.codec.tables, self.names, self.values, slots, origins, is_measured=self.is_measured)
+        return WideLayout(self.codec.tables, self.names, self.values, slots, logs, is_measured=self.is_measured)
 
-    def size(self, layout: WideLayout | None = None, *, is_live: bool = False) -> GroupSize:
-        """Return how much a group of rows holds whose columns are all in memory.
-
-        ``layout`` are these columns; None: of one message only.
-        """
-        if layout is None:
-            return GroupSize(frames=self.max_frames, values=self.max_cells, is_live=is_live)
-        frames = max(1, min(self.max_frames, self.max_cells // len(layout.kinds)))
-        return GroupSize(frames=frames, values=self.max_values, is_live=is_live)
+    def grouped(
+        self, batches: Iterable[FrameBatch], layout: WideLayout | None = None, *, is_live: bool = False
+    ) -> Iterator[FrameBatch]:
+        """Yield frames in groups that fit the memory as rows of a layout; None: of one message only."""
+        most_values = max((len(table.signals) for table in self.codec.tables), default=1) or 1
+        most_cells = most_values if layout is None else len(layout.kinds)
+        count = min(self.max_frames, self.max_cells // most_cells, self.max_values // most_values)
+        return grouped(batches, max(1, count), is_live=is_live)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -393,11 +372,10 @@ class _Writing:
 
     def _into(self, output: BinaryIO | TableFolder) -> DecodedLogs:
         logs, account = self.logs, DecodeAccount(codec=self.plan.codec, names=self.plan.names)
-        sink, size = self._sink(output, account)
-        found = stretches(self._frames(account.leave_out), account)
+        sink, batches = self._sink(output, account)
         is_whole = False
         try:
-            for group in groups(found, self.plan.codec, size, logs.origins):
+            for group in groups(batches, account):
                 sink.write_group(group)
             if is_whole := not self.is_stopped():
                 sink.close()
@@ -408,14 +386,15 @@ class _Writing:
         account.leave_out(max(0, account.log.frames - sum(account.fates.values())))  # behind the end that was asked for
         return DecodedLogs(account=account, readers=tuple(logs.readers), is_whole=is_whole)
 
-    def _sink(self, output: BinaryIO | TableFolder, account: DecodeAccount) -> tuple[TableSink, GroupSize]:
-        """Return what takes the frames, and how many at a time."""
-        plan, origins = self.plan, self.logs.origins
+    def _sink(self, output: BinaryIO | TableFolder, account: DecodeAccount) -> tuple[TableSink, Iterator[FrameBatch]]:
+        """Return what takes the frames, and these, in groups."""
+        plan, logs = self.plan, self.logs
         if isinstance(output, TableFolder):
-            return MessageRows(output, self.table_format, account, plan.values, origins), plan.size()
-        layout = plan.layout(self._frames(lambda _: None), origins)  # another pass counts
-        is_live = STANDARD_INPUT in self.logs.paths
-        return ColumnRows(output, self.table_format, layout, account), plan.size(layout, is_live=is_live)
+            sink = MessageRows(output, self.table_format, account, plan.values, logs.names)
+            return sink, plan.grouped(self._frames(account.leave_out))
+        layout = plan.layout(self._frames(lambda _: None), logs.names)  # another pass counts
+        frames = plan.grouped(self._frames(account.leave_out), layout, is_live=STANDARD_INPUT in logs.paths)
+        return ColumnRows(output, self.table_format, layout, account), frames
 
     def _frames(self, left_out: Callable[[int], object]) -> Iterator[FrameBatch]:
         return self.plan.span.part(_until(self.is_stopped, self.logs.frames()), left_out)

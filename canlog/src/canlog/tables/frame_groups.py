@@ -2,36 +2,25 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
-from typing import Final, Self
+from typing import Final, Self, cast
 
 import numpy as np
 
-from canlog.arrays import BoolArray, Int64Array, UInt8Array
+from canlog.arrays import Int64Array, UInt8Array
 from canlog.database.addressing import NOBODY
 from canlog.decode.codec import Codec, FrameFate, FrameMatch, MessageValues
 from canlog.decode.signals import PayloadWords
 from canlog.errors import SourceError
-from canlog.frames import COLUMNS, PAYLOAD_BYTES, FrameBatch, empty_batch, join
+from canlog.frames import COLUMNS, FrameBatch, empty_batch, join
 from canlog.logs import STANDARD_INPUT, LogCounts, LogReader, merged_by_time, read_log, shown_name
-from canlog.logs.merging import MOST_SOURCES, SourceMarks
 from canlog.logs.reading import Watch, named_error
 from canlog.logs.streams import kept, never, open_standard_input
 from canlog.transport import Reassembler, Transfer, TransferCounts
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChannelOrigins:
-    """Where frames of several logs come from, by the mark that stands for their channel; changes as they are read."""
-
-    names: tuple[str, ...]  # of the logs
-    log: Int64Array = field(default_factory=lambda: np.zeros(MOST_SOURCES, np.int64))  # place in ``names``
-    channel: Int64Array = field(default_factory=lambda: np.arange(MOST_SOURCES))
-
-    def begin(self, number: int, channel: int, mark: int) -> None:
-        """Let a mark stand for a channel of a log from now on."""
-        self.log[mark], self.channel[mark] = number, channel
+LOG_SHIFT: Final = 8  # of the channels of several logs: above them stands the place of the log
 
 
 class LogSet:
@@ -40,7 +29,7 @@ class LogSet:
     Parameters
     ----------
     paths :
-        The logs; with several of them ``origins`` tells where a frame came from.
+        The logs; with several of them ``names`` are theirs, and channels say of which one, too (``LOG_SHIFT``).
     is_stopped :
         Whether to wait no longer for standard input.
     watch :
@@ -69,7 +58,7 @@ class LogSet:
         self.readers: list[LogReader] = []  # of the last reading
         # Bytes that are no text become escapes.
         names = (shown_name(one).encode(errors="surrogateescape").decode(errors="backslashreplace") for one in paths)
-        self.origins = ChannelOrigins(names=tuple(names)) if len(paths) > 1 else None
+        self.names = tuple(names) if len(paths) > 1 else ()
         self._is_stopped = is_stopped
         self._watch = watch
         self._columns = columns
@@ -98,31 +87,32 @@ class LogSet:
         for path in self.paths:
             source, name = self._kept_path if path == STANDARD_INPUT else path, shown_name(path)
             self.readers.append(read_log(source, is_stopped=is_stopped, watch=watch, name=name, columns=columns))
-        origins = self.origins
-        if origins is None:
+        if self.names:
+            yield from merged_by_time(map(_with_place, count(), self.readers))
+        else:
             yield from self.readers[0]
-            return
-        marks = SourceMarks(origins.names, origins.begin)
-        yield from merged_by_time([self._of(number, marks) for number in range(len(self.readers))], marks.marked)
 
     @property
     def counts(self) -> LogCounts:
         """What the logs held, those of several added up."""
-        if self.origins is None:
+        if not self.names:
             return self.readers[0].counts
         total = LogCounts()
         for reader in self.readers:
             total.add(_with_name(reader.counts, reader.name))
         return total
 
-    def _of(self, number: int, marks: SourceMarks) -> Iterator[FrameBatch]:
-        yield from self.readers[number]
-        marks.release(number)
-
     def _close_readers(self) -> None:
         for reader in self.readers:
             reader.close()
         self.readers.clear()
+
+
+def _with_place(place: int, reader: LogReader) -> Iterator[FrameBatch]:
+    """Yield the frames of one of several logs, with its place above their channels."""
+    for batch in reader:
+        channel = batch.channel.astype(np.int64) | place << LOG_SHIFT
+        yield replace(batch, channel=cast("UInt8Array", channel))  # wider than elsewhere; layouts take it apart
 
 
 def _with_name(counts: LogCounts, name: str) -> LogCounts:
@@ -163,25 +153,38 @@ class LongPayloads:
                 rows = own[sizes == size]
                 yield codec.values(slot, self.rows[rows], PayloadWords(self.data, rows), size)
 
-    def between(self, start: int, stop: int) -> "LongPayloads | None":
-        """Return those in some rows, which are counted from ``start`` on; None if there are none."""
-        first, last = np.searchsorted(self.rows, (start, stop)).tolist()
-        if first == last:
-            return None
-        kept = slice(first, last)
-        return LongPayloads(
-            rows=self.rows[kept] - start, slot=self.slot[kept], length=self.length[kept], data=self.data[kept]
-        )
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FrameStretch:
+class FrameGroup:
     """Frames, and among them a row without a payload for each message that is whole by a frame before it."""
 
     batch: FrameBatch
     slot: Int64Array  # (n,) message of each frame; NOBODY in a row of a long message
     match: FrameMatch  # of the frames alone
     long: LongPayloads | None = None
+
+    def values(self, codec: Codec) -> list[MessageValues]:
+        """Return what the signals of the frames say, message by message; not that of the longer messages."""
+        has_short = self.match.counts[:-1, FrameFate.SHORT] > 0
+        return list(codec.decode_slots(self.batch, self.slot, has_short))
+
+
+def grouped(batches: Iterable[FrameBatch], most_frames: int, *, is_live: bool = False) -> Iterator[FrameBatch]:
+    """Yield frames in larger batches, of no more than so many frames; ``is_live``: what comes together is a batch."""
+    waiting, size = list[FrameBatch](), 0
+    for batch in batches:
+        for start in range(0, len(batch), most_frames):
+            part = batch[start : start + most_frames]
+            if size + len(part) > most_frames or (is_live and waiting):
+                yield join(waiting)
+                waiting, size = [], 0
+            waiting.append(part)
+            size += len(part)
+        if is_live and waiting:
+            yield join(waiting)
+            waiting, size = [], 0
+    if waiting:
+        yield join(waiting)
 
 
 class LongRows:
@@ -198,17 +201,15 @@ class LongRows:
         """What became of all messages until now."""
         return self._reassembler.counts if self._reassembler else TransferCounts()
 
-    def stretches(self, batches: Iterable[FrameBatch]) -> Iterator[FrameStretch]:
+    def groups(self, batches: Iterable[FrameBatch]) -> Iterator[FrameGroup]:
         """Yield batches with the messages that are whole by them."""
         for batch in batches:
             match = self._codec.match(batch)
             found = self._known(self._reassembler.feed(batch)) if self._reassembler else []
-            yield (
-                self._stretch(batch, match, found) if found else FrameStretch(batch=batch, slot=match.slot, match=match)
-            )
+            yield self._group(batch, match, found) if found else FrameGroup(batch=batch, slot=match.slot, match=match)
         if self._reassembler and (found := self._known(self._reassembler.close())):
             rest = empty_batch()
-            yield self._stretch(rest, self._codec.match(rest), found)
+            yield self._group(rest, self._codec.match(rest), found)
 
     def _known(self, transfers: Sequence[Transfer]) -> list[tuple[int, Transfer]]:
         """Return the messages that the database calls longer than a frame, with their slots."""
@@ -220,7 +221,7 @@ class LongRows:
                 self.counts_of[slot] = self.counts_of.get(slot, 0) + 1
         return found
 
-    def _stretch(self, batch: FrameBatch, match: FrameMatch, found: Sequence[tuple[int, Transfer]]) -> FrameStretch:
+    def _group(self, batch: FrameBatch, match: FrameMatch, found: Sequence[tuple[int, Transfer]]) -> FrameGroup:
         found = sorted(found, key=lambda one: one[1].last_ns)
         transfers = [one for _, one in found]
         t_ns = np.array([one.last_ns for one in transfers], np.int64)
@@ -230,7 +231,7 @@ class LongRows:
             can_id=np.array([one.can_id for one in transfers], np.uint32),
             length=np.zeros(len(found), np.uint8),
             data=np.zeros((len(found), batch.width), np.uint8),
-            channel=np.array([one.channel for one in transfers], np.uint8),
+            channel=cast("UInt8Array", np.array([one.channel for one in transfers], batch.channel.dtype)),
         )
         whole = FrameBatch(
             **{name: np.insert(getattr(batch, name), places, getattr(added, name), axis=0) for name in COLUMNS}
@@ -245,109 +246,4 @@ class LongRows:
             length=length,
             data=data,
         )
-        return FrameStretch(batch=whole, slot=np.insert(match.slot, places, NOBODY), match=match, long=payloads)
-
-
-def joined(parts: Sequence[LongPayloads | None], row_counts: Sequence[int]) -> LongPayloads | None:
-    """Return the payloads of batches that become one; None if there are none."""
-    starts = np.cumsum([0, *row_counts[:-1]]).tolist()
-    found = [(start, part) for start, part in zip(starts, parts, strict=True) if part is not None]
-    if not found:
-        return None
-    width = max(part.data.shape[1] for _, part in found)
-    data = [np.pad(part.data, ((0, 0), (0, width - part.data.shape[1]))) for _, part in found]
-    return LongPayloads(
-        rows=np.concatenate([part.rows + start for start, part in found]),
-        slot=np.concatenate([part.slot for _, part in found]),
-        length=np.concatenate([part.length for _, part in found]),
-        data=np.concatenate(data),
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrameGroup:
-    """Frames that have signals, in their order."""
-
-    frames: FrameBatch
-    slot: Int64Array  # (n,) message of each in the codec
-    channel: Int64Array  # (n,) in its log
-    log: Int64Array | None  # (n,) place of its log among several
-    has_short: BoolArray  # (messages,) frames of it may be among these that are shorter than it
-    long: LongPayloads | None = None  # of messages that are longer than a frame
-
-    def __len__(self) -> int:
-        return len(self.slot)
-
-    @property
-    def slot_in_frames(self) -> Int64Array:
-        """The message of each frame that is one by itself, NOBODY in rows of longer ones."""
-        if self.long is None:
-            return self.slot
-        slot = self.slot.copy()
-        slot[self.long.rows] = NOBODY
-        return slot
-
-
-class FrameStock:
-    """Frames of several batches, of the messages of a codec.
-
-    Parameters
-    ----------
-    origins
-        Where frames of several logs come from; asked when they are added, since it changes.
-    most_frames, most_values
-        After how many frames, or values, a group is complete.
-    """
-
-    def __init__(self, codec: Codec, origins: ChannelOrigins | None, most_frames: int, most_values: int) -> None:
-        self._values_of = np.array([len(table.signals) for table in codec.tables], np.int64)  # in a frame, at most
-        self._origins, self._most_frames, self._most_values = origins, most_frames, most_values
-        self._has_short = np.zeros(len(codec.tables), np.bool_)
-        self._parts: list[FrameGroup] = []
-        self._frame_count = self._value_count = 0
-
-    def add(self, stretch: FrameStretch) -> Iterator[FrameGroup]:
-        """Take frames with their messages; yield the groups that are complete by them."""
-        batch, slot, long = stretch.batch, stretch.slot, stretch.long
-        self._has_short |= stretch.match.counts[:-1, FrameFate.SHORT] > 0
-        size = max(1, min(self._most_frames, self._most_values // max(1, int(self._values_of.max(initial=1)))))
-        for start in range(0, len(batch), size):
-            part = slice(start, start + size)
-            self._add(batch[part], slot[part], None if long is None else long.between(start, start + size))
-            if self._frame_count >= self._most_frames or self._value_count >= self._most_values:
-                yield self._taken()
-
-    def rest(self) -> Iterator[FrameGroup]:
-        if self._frame_count:
-            yield self._taken()
-
-    def _add(self, batch: FrameBatch, slot: Int64Array, long: LongPayloads | None) -> None:
-        if long is not None:
-            slot = slot.copy()
-            slot[long.rows] = long.slot
-        is_kept = slot != NOBODY
-        if not is_kept.all():
-            batch, slot = batch[is_kept], slot[is_kept]
-            if long is not None:
-                long = replace(long, rows=(np.cumsum(is_kept) - 1)[long.rows])
-        channel, log = batch.channel.astype(np.int64), None
-        if self._origins is not None:
-            log, channel = self._origins.log[channel], self._origins.channel[channel]
-        one = FrameGroup(frames=batch, slot=slot, channel=channel, log=log, has_short=self._has_short, long=long)
-        self._parts.append(one)
-        self._frame_count += len(slot) if batch.width <= PAYLOAD_BYTES else 2 * len(slot)  # CAN FD takes more memory
-        self._value_count += int(self._values_of[slot].sum())
-
-    def _taken(self) -> FrameGroup:
-        parts = self._parts
-        logs = [part.log for part in parts if part.log is not None]
-        whole = FrameGroup(
-            frames=join([part.frames for part in parts]),
-            slot=np.concatenate([part.slot for part in parts]),
-            channel=np.concatenate([part.channel for part in parts]),
-            log=np.concatenate(logs) if logs else None,
-            has_short=self._has_short.copy(),
-            long=joined([part.long for part in parts], [len(part) for part in parts]),
-        )
-        self._parts, self._frame_count, self._value_count = [], 0, 0
-        return whole
+        return FrameGroup(batch=whole, slot=np.insert(match.slot, places, NOBODY), match=match, long=payloads)

@@ -22,7 +22,7 @@ from canlog.column_files import BOOL_TYPE, NAME_TYPE, TIME_TYPE, load_pyarrow
 from canlog.decode.codec import MessageTable, MessageValues
 from canlog.decode.signals import FloatCode, PayloadWords, SignalTable
 from canlog.frames import EXTENDED_FLAG
-from canlog.tables.frame_groups import ChannelOrigins, FrameGroup
+from canlog.tables.frame_groups import LOG_SHIFT, FrameGroup
 
 TEXT_SUFFIX: Final = ".text"  # of the column that names the states beside the numbers
 BARE_ID: Final = 0x1FFF_FFFF
@@ -140,9 +140,9 @@ class Values(StrEnum):
     BOTH = "both"
 
 
-def frame_kinds(origins: ChannelOrigins | None) -> dict[str, str]:
+def frame_kinds(logs: Sequence[str]) -> dict[str, str]:
     """Return names and types of the columns that say what is known of frames besides their signals."""
-    return FRAME_KINDS if origins is None else {LOG: NAME_TYPE, **FRAME_KINDS}
+    return {LOG: NAME_TYPE, **FRAME_KINDS} if logs else FRAME_KINDS
 
 
 class WideLayout:
@@ -154,7 +154,7 @@ class WideLayout:
         names: TableNames,
         values: Values,
         slots: Sequence[int],
-        origins: ChannelOrigins | None = None,
+        logs: Sequence[str] = (),
         *,
         is_measured: bool = False,
     ) -> None:
@@ -162,8 +162,8 @@ class WideLayout:
         self._is_measured = is_measured  # null is what the codec says is no measurement, too
         self.names = names
         self.values = values
-        self._origins = origins
-        self.frame_kinds = frame_kinds(origins)
+        self._logs = logs  # the names of several logs
+        self.frame_kinds = frame_kinds(logs)
         self._places = [(slot, name) for slot in slots for name in tables[slot].signals]
         self.texts: dict[Place, ValueTexts] = {}
         if values is not Values.NUMBERS:
@@ -177,14 +177,15 @@ class WideLayout:
     def _frame_columns(self, group: FrameGroup, rows: Int64Array) -> dict[str, Column]:
         """Return what is known of frames besides their signals."""
         arrow = import_module("pyarrow")
-        can_id: UInt32Array = group.frames.can_id[rows]
+        can_id: UInt32Array = group.batch.can_id[rows]
+        channel: Int64Array = group.batch.channel[rows].astype(np.int64)
         log: dict[str, Column] = {}
-        if self._origins is not None and group.log is not None:
-            log = {LOG: _name_column(self._origins.names, group.log[rows].astype(np.int32))}
+        if self._logs:
+            log = {LOG: _name_column(self._logs, (channel >> LOG_SHIFT).astype(np.int32))}
         return {
             **log,
-            TIME: column_of(group.frames.t_ns[rows], kind=arrow.timestamp("ns", "UTC")),
-            CHANNEL: column_of(group.channel[rows]),
+            TIME: column_of(group.batch.t_ns[rows], kind=arrow.timestamp("ns", "UTC")),
+            CHANNEL: column_of(channel & 0xFF),
             ID: column_of((can_id & np.uint32(BARE_ID)).astype(np.int32)),
             IS_EXTENDED: column_of((can_id & np.uint32(EXTENDED_FLAG)) != 0),
         }
@@ -208,7 +209,7 @@ class WideLayout:
         frames = np.concatenate([one.rows for one in found])
         which = np.repeat(np.arange(len(found), dtype=np.int32), [len(one.rows) for one in found])
         order = np.argsort(frames, kind="stable")
-        row_of = np.empty(len(group), np.int64)
+        row_of = np.empty(len(group.batch), np.int64)
         row_of[frames[order]] = np.arange(len(frames))
         cells = _Cells(len(frames))
         for one in found:

@@ -69,12 +69,11 @@ def rows_of(*frames: tuple[int, str]) -> tuple[dict[str, int], dict[str, int], d
     together = LongRows(codec)
     sent = [Sent(t_ns=n * 1_000_000, can_id=id_, data=bytes.fromhex(d), message=n) for n, (id_, d) in enumerate(frames)]
     values, cut_off, fates = dict[str, int](), dict[str, int](), dict[FrameFate, int]()
-    for stretch in together.stretches([batch_of(sent)]):
-        found = [*codec.decode_slots(stretch.batch, stretch.slot, stretch.match.counts[:-1, FrameFate.SHORT] > 0)]
-        for one in found + ([*stretch.long.values(codec)] if stretch.long else []):
+    for group in together.groups([batch_of(sent)]):
+        for one in group.values(codec) + ([*group.long.values(codec)] if group.long else []):
             values |= {name: int(decoded.value[0]) for name, decoded in one.signals.items()}
             cut_off |= one.cut_off
-        fates |= {fate: int(count) for fate in FrameFate if (count := stretch.match.counts[:, fate].sum())}
+        fates |= {fate: int(count) for fate in FrameFate if (count := group.match.counts[:, fate].sum())}
     return values, cut_off, fates, together.counts.incomplete_count
 
 
