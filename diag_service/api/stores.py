@@ -169,5 +169,5 @@ def findings_of(
 
 def check_name(path: Path) -> None:
     """Raise ConfigError unless a file is called as a page is."""
-    if path.suffix.lower() not in {".html", ".htm"}:
-        raise ConfigError(f"{path}: a report is written as .html")
+    if path.suffix.lower() not in {".html", ".htm", ".pdf"}:
+        raise ConfigError(f"{path}: a report is written as .html or .pdf")

@@ -323,7 +323,7 @@ _REPORT: Final = Command(
         metavar="LOG...|STORE",
         help="logs of a drive, - is standard input; or a store",
     ),
-    _output("HTML file to write", required=True),
+    _output("HTML file to write; PDF where its name ends so", required=True),
     Option("--full", "after the sheet everything else: numbers, single shifts, data quality, events"),
     FORCE,
     *(*MEANING, CONFIG, _COLUMNS, VERBOSE),

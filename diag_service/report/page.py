@@ -1,9 +1,13 @@
 """A report as one HTML file: written whole or not at all, it loads nothing and runs nothing."""
 
+import os
+import shutil
+import subprocess
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import numpy as np
@@ -40,7 +44,7 @@ from diag_service.diagnosis.summary import (
     summary_record,
     values_line,
 )
-from diag_service.errors import StoreError
+from diag_service.errors import ConfigError, StoreError
 from diag_service.report.findings import Findings, moment_words
 from diag_service.report.history import outlook_of, prognoses_of
 from fleet_contract import JsonObject
@@ -49,6 +53,8 @@ from fleet_contract.orders import SHOWN_AS, cause_words, title_of
 REPORT_SCHEMA: Final = "clutchdiag/report/v1"
 MOST_ROWS: Final = 100  # of the table of events
 MOST_SAMPLES: Final = 400  # of one signal of a shift
+BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
+PRINTING_S: Final = 120.0
 CURVE_SIZE: Final = (400, 240)
 PANELS: Final = (("_rad_s", "rpm", rpm_from_rad_s(1.0)), ("_pa", "bar", bar_from_pa(1.0)), ("_nm", "Nm", 1.0))
 UNSHOWN: Final = (Signal.OUTPUT_SPEED, Signal.BRAKE_PRESSURE)  # they say nothing of a clutch
@@ -106,12 +112,34 @@ def html_of(found: Findings, made_at: str, *, is_full: bool = False) -> str:
 
 
 def write_page(path: Path, page: str) -> int:
-    """Write a page and return its size in bytes; raises StoreError if the disk does not take it."""
+    """Write a page, as PDF where the file is called so, and return its size in bytes.
+
+    Raises StoreError if the disk does not take it, ConfigError if nothing here makes a PDF.
+    """
     content = page.encode("utf-8", "backslashreplace")
+    if path.suffix.casefold() == ".pdf":
+        content = pdf_of(content)
     with replacing(path, StoreError) as part:
         part.write_bytes(content)
         part.replace(path)
     return len(content)
+
+
+def pdf_of(page: bytes) -> bytes:
+    """Return a page as a browser of this machine prints it; raises ConfigError if there is none, or it fails."""
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        raise ConfigError(f"a PDF takes one of {', '.join(BROWSERS)}; or write .html and print that")
+    with TemporaryDirectory() as folder:
+        source, target = Path(folder, "page.html"), Path(folder, "page.pdf")
+        source.write_bytes(page)
+        options = ["--headless", "--disable-gpu", "--no-pdf-header-footer", f"--user-data-dir={folder}/profile"]
+        options += ["--no-sandbox"] if os.geteuid() == 0 else []  # which refuses root; the page has no scripts
+        command = [browser, *options, f"--print-to-pdf={target}", source.as_uri()]
+        done = subprocess.run(command, capture_output=True, check=False, timeout=PRINTING_S)  # noqa: S603 - ours
+        if not target.exists():
+            raise ConfigError(f"{browser} printed no PDF: {done.stderr.decode(errors='replace').strip()[-200:]}")
+        return target.read_bytes()
 
 
 def _subtitle(found: Findings) -> str:

@@ -4,12 +4,15 @@ import csv
 import io
 import re
 from collections.abc import Iterator
+from functools import partial
+from hashlib import sha256
 from html import unescape
+from importlib import resources
 from pathlib import Path
 
 import httpx
 import pytest
-from playwright.sync_api import Browser
+from playwright.sync_api import Browser, ConsoleMessage
 
 from fleet_backend.database import open_database
 from tests.support.browsing import chromium, new_page
@@ -93,4 +96,64 @@ def test_the_first_screen_tells_who_is_worst_what_to_do_and_how_far_it_goes(addr
         for width_px in (390, 768, 1280):
             vehicle = seen_at_once(browser, f"{address}/vehicles/car1", width_px)
             assert "WATCH Have the fluid changed at the next service." in vehicle
-            assert "Left: " in vehicle
+            assert re.search(r"[0-9,]+ km left \([89]0 % sure\)", vehicle)
+
+
+def heard(said: list[str], message: ConsoleMessage) -> None:
+    said.append(message.text)
+
+
+def test_a_click_in_the_chart_leads_to_an_event_and_without_scripts_its_picture_stays(address: str) -> None:
+    with chromium() as browser:
+        for width_px in (390, 768, 1280):
+            page, refused = new_page(browser, width_px), list[str]()
+            page.on("console", partial(heard, refused))
+            page.goto(f"{address}/vehicles/car1")
+            page.locator(".chart .u-over").hover()
+            page.get_by_text("A click opens the event.").wait_for()
+            page.locator(".chart .u-over").click()
+            page.wait_for_url("**/vehicles/car1/shift?stream=*")
+            assert str(page.locator("h1").text_content()).endswith(" of car1")
+            assert refused == []  # by the policy for contents
+        plain = browser.new_context(java_script_enabled=False).new_page()
+        plain.goto(f"{address}/vehicles/car1")
+        assert plain.locator("figure.fan svg.plot").is_visible()
+        assert plain.locator(".chart").count() == 0
+
+
+def test_the_chart_library_is_the_one_that_its_note_names() -> None:
+    folder = resources.files("fleet_backend.page") / "static" / "uplot"
+    told = re.findall(r"^sha256 (\w{64})  (\S+)$", (folder / "VERSION.txt").read_text(encoding="utf-8"), re.MULTILINE)
+    assert {name: sha256((folder / name).read_bytes()).hexdigest() for _, name in told} == {one: at for at, one in told}
+    assert {one.name for one in folder.iterdir()} == {"LICENSE", "VERSION.txt", *(name for _, name in told)}
+
+
+def test_the_list_can_be_of_a_range_of_time(address: str) -> None:
+    with chromium() as browser:
+        page = new_page(browser)
+        page.goto(address)
+        page.get_by_text("Filters").click()
+        page.get_by_label("Last event from").fill("2026-01-02")
+        page.get_by_role("button", name="Show").click()
+        page.wait_for_url("**since=2026-01-02**")
+        page.get_by_text("No vehicle matches these filters.").wait_for()
+        page.goto(f"{address}/?since=2026-01-01&until=2026-01-01")
+        assert page.locator("tbody th").all_text_contents() == ["worn", "car1", "good.1"]
+        page.get_by_text("Filters").click()
+        assert page.get_by_label("Last event to").input_value() == "2026-01-01"
+    with httpx.Client(base_url=address, trust_env=False) as client:
+        wrong = client.get("/api/v1/vehicles?until=yesterday")
+        assert (wrong.status_code, "until" in wrong.json()["detail"]) == (400, True)
+
+
+def test_maintenance_has_a_lane_a_type_with_the_weeks_to_come(address: str) -> None:
+    with chromium() as browser:
+        page = new_page(browser)
+        page.goto(f"{address}/maintenance")
+        table = page.get_by_role("region", name="Table: Vehicles due, a lane a type: in which week")
+        heads = table.locator("thead th").all_text_contents()
+        assert (heads[:3], heads[-2:], len(heads)) == (["type", "now", "this week"], ["later", "no day"], 12)
+        lanes = [row.locator("td").all_text_contents() for row in table.locator("tbody tr").all()]
+        counts = [[int(text) if text != "–" else 0 for text in lane] for lane in lanes]
+        assert [sum(lane) for lane in counts] == [2, 1]  # the largest type first
+        assert counts[0][0] == 1  # the worn one is due now

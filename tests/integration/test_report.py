@@ -79,7 +79,7 @@ def test_single_shifts_of_a_log_are_shown_where_all_is_asked_for(log_report: Pat
 @pytest.mark.parametrize(
     ("words", "status", "complaint"),
     [
-        (("report", "drive.log", "-o", "page.pdf"), 2, "a report is written as .html"),
+        (("report", "drive.log", "-o", "page.txt"), 2, "a report is written as .html or .pdf"),
         (("report", "nowhere.log", "-o", "page.html"), 3, "nowhere.log"),
         (("report", "car1.sqlite", "-o", "there.htm"), 2, "there.htm is there already; --force writes over it"),
         (("report", "car1.sqlite", "drive.log", "-o", "page.html"), 2, "is a store"),
@@ -180,6 +180,20 @@ def test_a_sheet_of_paper_is_enough_unless_all_is_asked_for(drive_log: Path, tmp
     assert counts == {drive_log.stem: [1] * 4, "car1": [1] * 4, "causes": counts["causes"]}
     assert counts["causes"][0] == 1
     assert max(counts["causes"]) <= 2
+
+
+def test_a_sheet_is_a_pdf_where_a_browser_is_and_is_refused_where_none_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fill_store(tmp_path / "car1.sqlite", history(60))
+    made = ended("report", tmp_path / "car1.sqlite", "-o", tmp_path / "car1.pdf")
+    assert made.status == 0, made.err
+    sheet = (tmp_path / "car1.pdf").read_bytes()
+    assert (sheet[:5], len(re.findall(rb"/Type */Page\b", sheet))) == (b"%PDF-", 1)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    refused = ended("report", tmp_path / "car1.sqlite", "-o", tmp_path / "other.pdf")
+    assert (refused.status, (tmp_path / "other.pdf").exists()) == (2, False)
+    assert "write .html and print that" in refused.err
 
 
 _FIRST_SCREEN = """() => [...document.querySelectorAll("body *")].filter(one => {

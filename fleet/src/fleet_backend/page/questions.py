@@ -1,6 +1,7 @@
 """What may be asked: the words of each address and form as records, by which they are checked and described."""
 
 from collections.abc import Callable, Mapping
+from datetime import date
 from types import MappingProxyType
 from typing import Annotated, Any, Final, Literal
 
@@ -47,6 +48,8 @@ class VehiclesQuery(ListQuery, frozen=True, kw_only=True):
     q: Annotated[str, Meta(max_length=64, description="a part of the vehicle's name")] | None = None
     condition: Annotated[Severity, Meta(description="verdict")] | None = None
     fluid: Annotated[str, Meta(max_length=200, description="fluid that is in, as it was noted")] | None = None
+    since: Annotated[date, Meta(description="first day (UTC) of the last event")] | None = None
+    until: Annotated[date, Meta(description="last day of it")] | None = None
     calibration: Annotated[str, Meta(max_length=200, description="of the results: version, or its type")] | None = None
     sort: Annotated[Literal[SORTS], Meta(description="column, - for downwards; else worst first")] | None = None  # type: ignore[valid-type]
     only: Annotated[Literal["due", "silent", "alarm"], Meta(description="due within 30 days, silent, alarm")] | None = (

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
 from datetime import UTC, date, datetime, timedelta
 from importlib.metadata import version
+from operator import attrgetter
 from typing import Any, Final, NamedTuple, TypeVar
 
 import msgspec
@@ -19,8 +20,10 @@ from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from clutch_model.units import reading_of
-from clutch_results.pictures import THRESHOLD_KEYS, UNFORETOLD, curve_picture, fan_picture
+from clutch_results.pictures import THRESHOLD_KEYS, UNFORETOLD, curve_picture, fan_picture, fan_record
+from clutch_results.prognosis import Prognosis
 from clutch_results.prognosis.assumptions import HORIZON_M
+from clutch_results.prognosis.sentence import distance_left, soonest
 from clutch_results.records import Causes, FrictionEstimate
 from clutch_results.shift_course import course_lines, courses, loads
 from clutchdiag_io.people import PER_1000_RPM, SLOPE_UNIT, STDS, digits
@@ -33,7 +36,7 @@ from fleet_backend.office_tables import ALARM
 from fleet_backend.page import queries
 from fleet_backend.page.access import UserRole
 from fleet_backend.page.calibrations import reference_of
-from fleet_backend.page.fleet import SEVERITY, FleetSnapshot, vehicle_type
+from fleet_backend.page.fleet import SEVERITY, FleetSnapshot, Keeper, vehicle_type
 from fleet_backend.page.news import News
 from fleet_backend.page.prognosis import (
     NO_PROGNOSIS,
@@ -83,6 +86,7 @@ from fleet_backend.page.wording import M_PER_KM, STEPS, address
 from fleet_contract.orders import UNKNOWN_FLUID, Action, name_of
 
 RowT = TypeVar("RowT")
+WEEKS: Final = 8  # of the calendar
 MOST_FOR_PEOPLE: Final = 1000  # rows of a page
 
 
@@ -126,10 +130,10 @@ def vehicles(request: Request) -> Response:
 
 
 def _csv(rows: Sequence[ClutchNow]) -> Response:
-    out = io.StringIO()
-    table = csv.DictWriter(out, [field.name for field in fields(ClutchNow)])
-    table.writeheader()
-    table.writerows(map(asdict, rows))
+    out, names = io.StringIO(), [field.name for field in fields(ClutchNow)]
+    table = csv.writer(out)
+    table.writerow(names)
+    table.writerows(map(attrgetter(*names), rows))
     return Response(out.getvalue(), media_type="text/csv")
 
 
@@ -184,6 +188,9 @@ def _matching(clutches: Sequence[ClutchNow], query: VehiclesQuery) -> Sequence[C
     for name in ("condition", "fluid"):
         if (wanted := getattr(query, name)) is not None:
             clutches = [now for now in clutches if getattr(now, name) == wanted]
+    if query.since is not None or query.until is not None:
+        since, until = query.since or date.min, query.until or date.max
+        clutches = [now for now in clutches if since <= now.end_at.date() <= until]
     if query.calibration is not None:
         clutches = [now for now in clutches if query.calibration in {now.calibration_version, vehicle_type(now)}]
     return clutches
@@ -255,7 +262,8 @@ def vehicle(request: Request) -> Response:
         "answer": answer,
         "fan": fan,
         "fan_picture": "" if fan is None else fan_picture(fan),
-        "left": _left(answer),
+        "fan_record": None if fan is None else fan_record(fan),
+        "left": _left(answer, [past.prognosis for past in pasts if past.prognosis is not None]),
         "steps": STEPS.get(Action(answer.action), ()) if answer.action else (),
         "happened": sorted(_happened(answer), key=lambda one: one[0], reverse=True),
         "lines": course_lines(answer.changes),
@@ -267,26 +275,21 @@ def vehicle(request: Request) -> Response:
     return page(request, "vehicle.html", shown)
 
 
-def _left(answer: VehicleAnswer) -> dict[str, Any] | None:
+def _left(answer: VehicleAnswer, foretold: Sequence[Prognosis]) -> dict[str, Any] | None:
     """Return how far the fluid has gone and how far it will go, in words and as parts of 1000; None: not known."""
-    reaches = [one.outlook.change_fluid for one in answer.clutches if one.outlook and one.outlook.change_fluid]
-    known = [one for one in reaches if one.p50_m is not None]
+    first = soonest(foretold) or next((one.change_fluid for one in foretold if one.change_fluid is not None), None)
     driven = [one.now.odometer_m for one in answer.clutches if one.now.odometer_m is not None]
-    if not known or not driven or answer.action in UNFORETOLD:
+    if first is None or not driven or answer.action in UNFORETOLD:
         return None
-    first = min(known, key=lambda one: one.p50_m or 0.0)
     filled_m = answer.fills[-1].odometer_m if answer.fills else None
-    age_km = 0.0 if filled_m is None else max(max(driven) - filled_m, 0.0) / M_PER_KM
-    low, middle, high = (
-        float(f"{(HORIZON_M if one is None else one) / M_PER_KM:.2g}")
-        for one in (first.p10_m, first.p50_m, first.p90_m)
-    )
-    age = "" if filled_m is None else f"Fluid: {age_km:,.0f} km old. "
-    text = f"{age}Left: {low:,.0f} to {high:,.0f} km (80 % sure), as likely more as less than {middle:,.0f} km."
-    text = text if middle > 0.0 else f"{age}Left: at most {high:,.0f} km (90 % sure), probably nothing."
-    per_mille = 1000.0 / max(age_km + high, 1.0)
-    places = (age_km + one for one in (0.0, low, middle, high))
-    return {"text": text, "parts": [round(per_mille * one, 1) for one in places]}
+    age_m = 0.0 if filled_m is None else max(max(driven) - filled_m, 0.0)
+    text = "" if filled_m is None else f"Fluid: {age_m / M_PER_KM:,.0f} km old. "
+    ends = [age_m + (HORIZON_M if one is None else one) for one in (0.0, first.p10_m, first.p50_m, first.p90_m)]
+    parts = [round(1000.0 * one / max(ends[-1], M_PER_KM), 1) for one in ends]
+    return {
+        "text": text + distance_left(foretold, Action(answer.action or Action.NOTHING)).capitalize(),
+        "parts": parts,
+    }
 
 
 def _happened(answer: VehicleAnswer) -> Iterator[tuple[datetime, str, float | None, str | None]]:
@@ -383,7 +386,22 @@ def maintenance(request: Request) -> Response:
     answer = MaintenanceAnswer(clutches=dues, clutch_count=len(found), next=following)
     if is_api(request):
         return encoded(answer)
-    return page(request, "maintenance.html", _list(request, query, answer) | {"weeks": _weeks(dues, today)})
+    shown = {"weeks": _weeks(dues, today), "lanes": _lanes(keeper, today)}
+    return page(request, "maintenance.html", _list(request, query, answer) | shown)
+
+
+def _lanes(keeper: Keeper, today: date) -> tuple[list[str], list[tuple[str, list[int]]]]:
+    """Return the weeks to come, and for each type how many vehicles are due in which; the largest type first."""
+    monday = today - timedelta(days=today.weekday())
+    mondays = (monday + timedelta(weeks=week) for week in range(1, WEEKS))
+    heads = ["now", "this week", *(f"{day:%d %b}" for day in mondays), "later", "no day"]
+    lanes: dict[str, list[int]] = {}
+    for one in keeper.snapshot.worst:
+        is_overdue, day = days_of(one, keeper.foretold(one), today)
+        week = WEEKS + 1 if day is None else min((day - monday).days // 7, WEEKS)
+        column = 0 if is_overdue or (day is not None and day <= today) else 1 + week
+        lanes.setdefault(vehicle_type(one), [0] * len(heads))[column] += 1
+    return heads, sorted(lanes.items(), key=lambda lane: (-sum(lane[1]), lane[0]))
 
 
 def _weeks(dues: Sequence[Due], today: date) -> list[tuple[str, list[Due]]]:
