@@ -1,4 +1,4 @@
-"""The story of a vehicle's own calibration in docs/usage.md, played with its own commands."""
+"""The story of a vehicle's own calibration in docs/usage.md, played with its own commands; and another vehicle's."""
 
 import json
 import re
@@ -14,6 +14,7 @@ import diag_service.cli
 import ecu_emulator.cli
 from clutch_model.calibration import read_calibration
 from ecu_emulator.truth import DriveTruth, read_truth, truth_path
+from tests.support.in_process import ended
 
 ROOT = Path(__file__).parents[2]
 SECTION = re.compile(r"^## One vehicle's own calibration\n(.*?)^## ", re.MULTILINE | re.DOTALL)
@@ -115,3 +116,43 @@ def test_its_own_calibration_is_surer_than_that_of_its_type(played: Played) -> N
     assert all(mine[1] < 0.7 * typical[1] for mine, typical in zip(own, nominal, strict=True))
     assert all(abs(error) < 0.7 * 2.0 * std for (error, _), (_, std) in zip(own, nominal, strict=True))
     assert [clutch["condition"] for clutch in played.own["clutches"]] == ["good", "good"]
+
+
+def test_a_calibration_names_its_vehicle(played: Played, tmp_path: Path) -> None:
+    with (played.folder / "later.log").open(encoding="ascii") as log:
+        piece = [line for line, _ in zip(log, range(3_000), strict=False)]
+    (tmp_path / "piece.log").write_text("".join(piece), encoding="ascii")
+    words = ["diag-service", "analyze", str(tmp_path / "piece.log"), "--calibration", str(played.folder / "car7.toml")]
+    assert summary(tmp_path / "piece.jsonl", words)["vehicle"] == "car7"
+
+
+def test_another_vehicles_calibration_gives_no_verdict(played: Played, tmp_path: Path) -> None:
+    """However good the friction looks."""
+    log, own, anonymous = tmp_path / "first.log", tmp_path / "car10.toml", tmp_path / "anonymous.toml"
+    routine = ["--routine", "2,2", "--vehicle-seed", "10", "--drive-seed", "1"]
+    play(["ecu-emulator", "record", str(log), "--scenario", "ideal", *routine])
+    play(["diag-service", "calibrate", str(log), "-o", str(own), "--vehicle", "car10"])
+    lines = own.read_text(encoding="utf-8").splitlines(keepends=True)
+    anonymous.write_text("".join(line for line in lines if not line.startswith("vehicle =")), encoding="utf-8")
+    assert read_calibration(anonymous).vehicle is None
+    words = ["diag-service", "analyze", str(played.folder / "later.log"), "--calibration", str(anonymous)]
+    found = summary(tmp_path / "other.jsonl", words)
+    assert [clutch["condition"] for clutch in found["clutches"]] == ["no_verdict", "no_verdict"]
+    for clutch in found["clutches"]:
+        assert clutch["reason"].startswith("calibration does not fit: ")
+        assert "diag-service calibrate" in clutch["reason"]
+
+
+@pytest.mark.parametrize("command", ["analyze", "calibrate", "run", "config"])
+def test_a_calibration_is_refused_for_a_vehicle_that_it_does_not_name(
+    command: str, played: Played, tmp_path: Path
+) -> None:
+    later = str(played.folder / "later.log")
+    words = {
+        "analyze": ["analyze", later],
+        "calibrate": ["calibrate", later, "-o", str(tmp_path / "again.toml")],
+        "run": ["run", "-i", "virtual", "-c", "nobody", "--duration", "1"],
+        "config": ["config", "check"],
+    }[command]
+    run = ended(*words, "--calibration", played.folder / "car7.toml", "--vehicle", "car8")
+    run.assert_one_line(2, "the calibration is of vehicle car7, not of car8")
