@@ -2,6 +2,7 @@
 
 import math
 from datetime import UTC, datetime
+from functools import cache
 from typing import Any
 
 import pytest
@@ -22,6 +23,7 @@ PAGES = ("/", "/maintenance", "/alarms", "/quarantine")
 OFFICE = ("/api/v1/vehicles", "/api/v1/maintenance", "/api/v1/alarms")
 
 
+@cache
 def extremes(described: Schema) -> list[tuple[Taken, bool]]:
     """Return what becomes of messages, one number of each at its bounds or beyond, and whether it may be."""
     found = []

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 import diag_service
+from clutch_results.records import shift_record
 from ecu_emulator import Emulator
 from tests.support.in_process import ended
 
@@ -37,6 +38,11 @@ def test_old_fluid_is_told_by_slip_and_by_shudder(log: Path) -> None:
     assert abs(micro.mu - at_slip["40"]) < 3.0 * micro.std_mu
     assert abs(micro.scale_free_mu - shown) < 3.0 * micro.std_scale_free_mu
     assert micro.slope_s_rad < 0.0
+    records = [shift_record(one) for one in found.results]
+    assert {one["element"] for one in records} == {"lock-up clutch"}
+    assert any(one["kind"] == "shudder" for one in told(log))
+    swings = [one.estimate.micro_slip.shudder for one in found.results if one.estimate.micro_slip is not None]
+    assert max(one.seen_count for one in swings if one is not None) >= 3
     assert "lock-up clutch change fluid" in repr(found)
     assert found.plot().axes[0].lines[0].get_label() == "Lock-up clutch"
 
@@ -46,12 +52,6 @@ def test_store_history_and_report_call_it_by_its_name(log: Path, tmp_path: Path)
     words = ("--profile", "lockup", "--calibration", "lockup", "--vehicle", "at8")
     run = ended("analyze", str(log), *words, "--store", str(store))
     assert "Lock-up clutch: it can shudder" in run.out
-    again = ended("analyze", str(log), *words, "--store", str(store), "--json")
-    records = [json.loads(line) for line in again.out.splitlines()]
-    assert {one["element"] for one in records if one["schema"] == "clutchdiag/shift/v1"} == {"lock-up clutch"}
-    assert any(one["kind"] == "shudder" for one in told(log))
-    swings = [one["micro_slip"]["shudder"] for one in records if one.get("micro_slip")]
-    assert max(one["seen_count"] for one in swings) >= 3
     history = ended("history", str(store), "--calibration", "lockup").out
     assert "Lock-up clutch, fluid by fluid" in history
     assert "lutch 2" not in history
