@@ -5,6 +5,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -37,6 +38,11 @@ def test_the_fleet_works(image: PlainImage) -> None:
     for words in (("fleet-backend", "migrate", "--database", url), ("fleet-backend", "table", "--database", url)):
         done = image.run(*words)
         assert done.returncode == 0, done.stderr
+
+
+def test_what_is_compiled_stands_where_programs_look_for_it(image: PlainImage) -> None:
+    (sources,) = Path(image.environment["NUMBA_CACHE_DIR"]).iterdir()
+    assert len(sources.name) == 64  # a digest of the sources, and nothing beside it
 
 
 def imported_names() -> Iterator[str]:

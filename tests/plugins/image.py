@@ -13,7 +13,7 @@ from tests.support.image.plain import PlainImage
 @pytest.fixture(scope="session")
 def image(shared_folder: Path) -> PlainImage:
     """Return the image in a plain folder, made once per run, for all of its workers."""
-    kernels = Path(os.environ["NUMBA_CACHE_DIR"]).parent
+    kernels = Path(os.environ["NUMBA_CACHE_DIR"])
     with (shared_folder / "image.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         return PlainImage(ROOT, shared_folder / "image", kernels)

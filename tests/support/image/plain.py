@@ -13,9 +13,12 @@ import sys
 from collections.abc import Iterable
 from importlib.metadata import Distribution, distribution, distributions
 from pathlib import Path
+from typing import Any
 
+from numba.core.caching import UserProvidedCacheLocator
 from packaging.requirements import Requirement
 
+from tests.support.distributions import PACKAGES, modules_of
 from tests.support.image.context import context_files
 from tests.support.image.dockerfile import Copy, Instruction, Stage, read_stages
 
@@ -51,8 +54,9 @@ class PlainImage:
     """A folder in which the stages of a Dockerfile were carried out."""
 
     def __init__(self, source: Path, root: Path, kernels: Path) -> None:
-        """Carry out the stages of ``source``, if ``root`` has not got them; ``kernels`` keeps machine code for all."""
+        """Carry out the stages of ``source``, if ``root`` has not got them; ``kernels``: numba's cache of them."""
         self.root = root
+        self.kernels = kernels
         self.stages = read_stages(source / "Dockerfile")
         self._source = source
         self._folder = root
@@ -63,8 +67,7 @@ class PlainImage:
         self._is_made = (root / "made").exists()
         if not self._is_made:
             (root / "tmp").mkdir(parents=True)
-            self.path("/var/cache").mkdir(parents=True)
-            self.path(f"/var/cache/{PROJECT}").symlink_to(kernels, target_is_directory=True)
+            self.path(f"/var/cache/{PROJECT}").mkdir(parents=True)
             self._make_stand_ins()
         for stage in self.stages:
             self._carry_out(stage)
@@ -144,6 +147,19 @@ class PlainImage:
             (own,) = distributions(name=name, path=[str(site)])
             for found in _needed(own, extras):
                 _link(found, site)
+        self._share_kernels(site)
+
+    def _share_kernels(self, site: Path) -> None:
+        """Let numba find here the machine code of the same sources in the checkout, and leave there what it adds."""
+        name_of: Any = UserProvidedCacheLocator  # numba says nothing of types
+        cache = self.path(f"/var/cache/{PROJECT}/{self.kernels.name}")
+        cache.mkdir()
+        for package, folder in PACKAGES.items():
+            for module in {path.parent: path for path in modules_of(package)}.values():
+                shared = self.kernels / name_of.get_suitable_cache_subpath(str(module))
+                shared.mkdir(exist_ok=True)
+                here = name_of.get_suitable_cache_subpath(str(site / package / module.relative_to(folder)))
+                (cache / here).symlink_to(shared, target_is_directory=True)
 
     @property
     def installed(self) -> dict[str, tuple[str, ...]]:
