@@ -124,13 +124,14 @@ async def program(
     stdin: int = asyncio.subprocess.DEVNULL,
     stdout: int | None = None,
     stop_s: float = STOP_S,
+    wrapper: Sequence[str] = (),
 ) -> AsyncIterator[Program]:
     """Start a module as a program, with ends of pipes where they are given; it does not outlive the block."""
     inherited = {name: value for name, value in os.environ.items() if not name.startswith(_OWN_VARIABLES)}
     out_file, log_file = output_files(module, folder)
     with out_file.open("wb") as out, log_file.open("wb") as log:
         process = await asyncio.create_subprocess_exec(
-            sys.executable, "-m", module, *map(str, arguments),
+            *wrapper, sys.executable, "-m", module, *map(str, arguments),
             stdin=stdin, stdout=out if stdout is None else stdout, stderr=log,
             env={**inherited, **(environment or {})},
         )  # fmt: skip

@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -98,12 +99,15 @@ def test_an_interrupt_ends_all_children(tmp_path: Path) -> None:
     with demo(tmp_path) as process:
         assert process.stdout is not None
         for line in process.stdout:
-            if "clutch 2" in line:  # the first shift: everything runs
+            if line.startswith("driving "):  # the service is on the bus and the broker, the others begin
                 break
+        driver = tmp_path / "ecu-emulator.log"
+        while not driver.exists() or "sending on" not in driver.read_text(encoding="utf-8"):
+            assert process.poll() is None
+            time.sleep(0.05)
         children = psutil.Process(process.pid).children(recursive=True)
-        assert (
-            3 <= len(children) <= 5
-        )  # emulator, service, subscriber, and the two of the fluid that ages, until it has
+        # Emulator, service, subscriber, and the two of the fluid that ages, until it has.
+        assert 3 <= len(children) <= 5
         process.send_signal(signal.SIGINT)
         assert process.wait(HANG_S) == INTERRUPTED
         _, alive = psutil.wait_procs(children, timeout=HANG_S)
