@@ -8,7 +8,7 @@ import pytest
 from tests.e2e.test_vcan_drive import emulator, listening, of_the_drive
 from tests.plugins.asked_services import SentByUs
 from tests.support.bus_end import candump
-from tests.support.service import run_service
+from tests.support.in_process import ended as run
 
 SHIFT_COUNT = 4
 
@@ -31,7 +31,7 @@ def test_a_candump_of_a_car_that_is_asked_says_the_same_to_the_bit(
             assert car.wait().status == 0
         live.send(signal.SIGTERM)
         ended = live.wait()
-    replayed = run_service(tmp_path / "replayed", "analyze", log, *words, "--json")
+    replayed = run("analyze", log, *words, "--json")
     assert (ended.status, replayed.status) == (0, 0), (ended.err, replayed.err)
     assert len(ended.shifts) >= SHIFT_COUNT
     assert [of_the_drive(one) for one in replayed.shifts] == [of_the_drive(one) for one in ended.shifts]

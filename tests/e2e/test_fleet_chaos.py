@@ -11,10 +11,10 @@ pytestmark = [pytest.mark.broker, pytest.mark.slow]
 SHORT = StormPlan(
     edges=2,
     results_per_edge=300,
-    storm_s=8.0,
-    broker_every_s=2.5,
-    worker_every_s=3.0,
-    edge_every_s=3.5,
+    storm_s=5.0,
+    broker_every_s=2.0,
+    worker_every_s=2.5,
+    edge_every_s=3.0,
     calm_s=180.0,
     disk=BrokerDisk.DELETED,
 )

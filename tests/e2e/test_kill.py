@@ -41,12 +41,21 @@ def has_printed(count: int) -> Callable[[Service], bool]:
     return lambda running: running.out.count("\n") >= count
 
 
-KILLS = (
-    Kill("while it starts", lambda running: running.process.poll() is None, 0.5),
-    Kill("as soon as it listens", lambda running: "listening" in running.err),
-    Kill("while the broker hears of a shift", has_printed(1), 0.01),
-    Kill("some shifts later", has_printed(1), 0.8),
-)
+def is_online(subscriber: Subscriber) -> Callable[[Service], bool]:
+    return lambda running: has_printed(1)(running) and statuses_of(subscriber)[-1:] == ["online"]
+
+
+def kills(subscriber: Subscriber) -> tuple[Kill, ...]:
+    return (
+        Kill("while it starts", lambda running: running.process.poll() is None, 0.5),
+        Kill("as soon as it listens", lambda running: "listening" in running.err),
+        Kill("while the broker hears of a shift", has_printed(1), 0.01),
+        Kill("some shifts later", is_online(subscriber), 0.8),
+    )
+
+
+def statuses_of(subscriber: Subscriber) -> list[str]:
+    return [str(payload["status"]) for payload in subscriber.payloads("/status")]
 
 
 def stored(store: Path) -> list[Record]:
@@ -101,14 +110,19 @@ def test_kill_9_at_several_moments_of_a_drive(cycle_log: Path, tmp_path: Path, b
     whole_store, store = tmp_path / "whole.sqlite", tmp_path / "car.sqlite"
     whole = run(tmp_path / "whole", cycle_log, whole_store, broker, stop_after_the_drive(whole_store))
     with Subscriber(broker.port) as subscriber:
-        runs = [run(tmp_path / kill.name, cycle_log, store, broker, killed(kill, store)) for kill in KILLS]
+        runs = [run(tmp_path / kill.name, cycle_log, store, broker, killed(kill, store)) for kill in kills(subscriber)]
         runs.append(run(tmp_path / "last", cycle_log, store, broker, stop_after_the_drive(store)))
         results = stored(store)
         subscriber.wait(lambda heard: {key(one) for one in heard.payloads("/shift")} >= set(map(key, results)))
         heard = subscriber.payloads("/shift")
+        subscriber.wait(lambda heard: statuses_of(heard)[-1] == "offline")
+        statuses = statuses_of(subscriber)
 
-    assert [ended.status for ended in runs] == [-signal.SIGKILL] * len(KILLS) + [0]
+    assert [ended.status for ended in runs] == [-signal.SIGKILL] * (len(runs) - 1) + [0]
     assert [ended.err.count("error") + ended.err.count("warning") for ended in runs] == [0] * len(runs)
+    # Each that came also went, which the broker says for those that are killed; the first one went before we heard.
+    assert statuses == ["offline", *["online", "offline"] * (len(statuses) // 2)]
+    assert len(statuses) >= 5
     # Everything that anyone was told is in the store as it was told, and was told by one run only.
     by_key = {key(result): result for result in results}
     printed = [record for ended in runs for record in ended.records if record["schema"] == "clutchdiag/shift/v1"]

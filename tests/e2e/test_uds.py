@@ -11,8 +11,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import pytest
-
 from tests.support.patience import HANG_S
 from tests.support.replay import free_bus
 
@@ -48,10 +46,8 @@ def udp_bus() -> Bus:
     return ["-i", "udp_multicast", "-c", place.group], place.variables
 
 
-@pytest.mark.parametrize("kind", ["udp_multicast", pytest.param("socketcan", marks=pytest.mark.vcan)])
-def test_a_workshop_tester_asks_a_car_that_drives(kind: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
-    memory = tmp_path / "tcu.json"
-    bus: Bus = (["-i", kind, "-c", str(request.getfixturevalue("vcan"))], {}) if kind == "socketcan" else udp_bus()
+def test_a_workshop_tester_asks_a_car_that_drives(tmp_path: Path) -> None:
+    memory, bus = tmp_path / "tcu.json", udp_bus()
     with emulator(*bus, "--diagnostic-memory", str(memory)) as program:
         told = asked(*bus)
         program.send_signal(signal.SIGINT)

@@ -84,8 +84,10 @@ def asked(fields: Mapping[Signal, AskedField], bus: can.BusABC, *, define: bool 
 
 
 @pytest.mark.asks(may_define=True)
-@pytest.mark.parametrize("kind", ["virtual", "this machine", pytest.param("socketcan", marks=pytest.mark.vcan)])
-@pytest.mark.parametrize("define", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "define"),
+    [("virtual", False), ("this machine", True), pytest.param("socketcan", True, marks=pytest.mark.vcan)],
+)
 def test_a_car_of_can_isotp_and_udsoncan_is_asked(request: pytest.FixtureRequest, kind: str, *, define: bool) -> None:
     channel = str(request.getfixturevalue("vcan")) if kind == "socketcan" else f"foreign {next(NUMBERS)}"
     with two_ends(kind, channel) as (car, tester), car_of_udsoncan(car), asked(ASKED, tester, define=define) as asker:

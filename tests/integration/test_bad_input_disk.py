@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.plugins.disk import Mount
-from tests.support.service import run_service
+from tests.support.in_process import ended
 
 pytestmark = pytest.mark.vcan
 
@@ -23,9 +23,9 @@ def stored(store: Path) -> list[object]:
         return [json.loads(text) for (text,) in connection.execute("SELECT json FROM result ORDER BY position")]
 
 
-def test_a_store_on_a_disk_that_fills_up(mount: Mount, drive_log: Path, tmp_path: Path) -> None:
+def test_a_store_on_a_disk_that_fills_up(mount: Mount, drive_log: Path) -> None:
     store = mount(f"size={STORE_BYTES}") / "car.sqlite"
-    ended = run_service(tmp_path, "analyze", drive_log, "--json", "--store", store)
-    ended.assert_one_line(4, f"cannot use store {store}: database or disk is full")
-    assert 0 < len(ended.records) < 3
-    assert ended.records == stored(store)[: len(ended.records)]
+    run = ended("analyze", drive_log, "--json", "--store", store)
+    run.assert_one_line(4, f"cannot use store {store}: database or disk is full")
+    assert 0 < len(run.records) < 3
+    assert run.records == stored(store)[: len(run.records)]

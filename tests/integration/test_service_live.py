@@ -1,4 +1,4 @@
-"""``diag-service run`` as a process on a bus of UDP datagrams: signals, crashes, brokers, every frame accounted for."""
+"""``diag-service run`` as a process on a bus of UDP datagrams: signals, and every frame accounted for."""
 
 import signal
 import sqlite3
@@ -9,13 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.plugins.broker import Mosquitto
 from tests.support.replay import INTERFACE, Replay, UdpBus, free_bus
 from tests.support.service import Record, Service, service
-from tests.support.subscriber import Subscriber
 
 SECOND_SHIFT_OPEN_S = 4.2
-ALL_DONE_S = 12.0
 
 
 @pytest.fixture(name="bus")
@@ -80,35 +77,3 @@ def test_stopping_reports_the_open_shift_and_every_frame(tmp_path: Path, bus: Ud
     assert (finished["from_gear"], finished["to_gear"]) == (1, 2)
     assert (cut["status"], cut["reasons"]) == ("rejected", ["interrupted"])
     assert stored_keys(store) == [key(finished), key(cut)]
-
-
-@pytest.mark.broker
-def test_kill_9_in_the_middle_loses_no_report_and_repeats_none(
-    tmp_path: Path, bus: UdpBus, replay: Replay, broker: Mosquitto
-) -> None:
-    store = tmp_path / "car.sqlite"
-    arguments = ("run", "-i", INTERFACE, "-c", bus.group, "--store", store, "--json")
-    to_broker = ("--vehicle", "car1", "--broker", broker.url)
-    with Subscriber(broker.port) as subscriber:
-        with service(tmp_path / "first", *arguments, *to_broker, variables=bus.variables) as first:
-            first.wait_for(lambda: "listening" in first.err)
-            replay.send_until(SECOND_SHIFT_OPEN_S)
-            first.wait_for(lambda: first.out.count("\n") >= 1)
-            first.send(signal.SIGKILL)
-            killed = first.wait()
-        subscriber.wait(lambda heard: [status["status"] for status in heard.payloads("/status")][-1:] == ["offline"])
-        with service(tmp_path / "second", *arguments, *to_broker, variables=bus.variables) as second:
-            second.wait_for(lambda: "listening" in second.err)
-            replay.send_until(ALL_DONE_S)
-            second.wait_for(lambda: second.out.count("\n") >= 2)
-            second.send(signal.SIGINT)
-            stopped = second.wait()
-        reported = [key(record) for record in (*killed.shifts, *stopped.shifts)]
-        subscriber.wait(lambda heard: {key(record) for record in heard.payloads("/shift")} == set(reported))
-        subscriber.wait(lambda heard: heard.payloads("/status")[-1]["status"] == "offline")
-        statuses = [status["status"] for status in subscriber.payloads("/status")]
-    assert (killed.status, stopped.status) == (-signal.SIGKILL, 0)
-    assert stored_keys(store) == reported
-    assert [seq for _, seq in reported] == list(range(1, len(reported) + 1))
-    assert statuses == ["online", "offline", "online", "offline"]
-    assert stopped.summary["shifts"]["unpublished"] == 0

@@ -16,7 +16,7 @@ from tests.plugins.drives import SHIFT_COUNT
 from tests.support.in_process import ended as run
 from tests.support.ports import free_port
 from tests.support.replay import INTERFACE, free_bus
-from tests.support.service import run_service, service
+from tests.support.service import service
 from tests.support.subscriber import Subscriber
 
 NOMINAL = Path(__file__).parents[2] / "clutch_model" / "calibrations" / "nominal.toml"
@@ -27,8 +27,8 @@ def stored_keys(store: Path) -> list[tuple[str, int]]:
         return connection.execute("SELECT stream, seq FROM result ORDER BY position").fetchall()
 
 
-def test_json_lines_are_the_public_records(drive_log: Path, tmp_path: Path) -> None:
-    ended = run_service(tmp_path, "analyze", drive_log, "--json", "--vehicle", "car1")
+def test_json_lines_are_the_public_records(drive_log: Path) -> None:
+    ended = run("analyze", drive_log, "--json", "--vehicle", "car1")
     assert (ended.status, ended.err) == (0, "")
     assert (ended.summary["complete"], ended.summary["incomplete"]) == (True, [])
     for record in ended.shifts:

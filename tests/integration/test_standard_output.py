@@ -14,7 +14,6 @@ COMMANDS = (
     ("diag_service", "analyze", "{log}"),
     ("ecu_emulator", "scenarios"),
 )
-JSON = ("diag_service", "inspect", "--json", "{log}")
 FOLDER = ("diag_service", "analyze", "--jobs", "1", "{folder}")
 
 
@@ -42,7 +41,7 @@ def test_a_terminal_breaks_no_word_and_loses_none(
     assert [line for line in shown.lines if len(line) > width and len(line.split()) > 1] == []
 
 
-@pytest.mark.parametrize("command", [COMMANDS[1], JSON, FOLDER], ids=" ".join)
+@pytest.mark.parametrize("command", [COMMANDS[1], FOLDER], ids=" ".join)
 def test_a_reader_who_hangs_up_is_no_error(log: Path, command: tuple[str, ...]) -> None:
     broken = in_broken_pipe(*words(command, log))
     assert (broken.status, re.findall(rb"Traceback|rror|ignored", broken.err)) == (0, [])

@@ -13,7 +13,8 @@ from canlog.logs.log_counts import WHOLE_SECONDS
 from clutch_results.records import ShiftStatistics
 from dbc.contract import DBC_PATH
 from diag_service.diagnosis.summary import FrameCounts, Summary, capability_line
-from tests.support.service import Ended, run_service
+from tests.support.in_process import ended as run
+from tests.support.service import Ended
 
 FRAMES = 1_500
 IDS = range(0x300, 0x332)
@@ -43,7 +44,7 @@ def said(ended: Ended) -> str:
 @pytest.mark.parametrize("command", ["signals", "inspect", "decode"])
 def test_a_database_of_another_bus_is_called_probably_wrong(car: SimpleNamespace, command: str) -> None:
     words = ("-o", car.folder / "car.csv") if command == "decode" else ()
-    ended = run_service(car.folder, command, car.log, "--dbc", car.dbc, *words)
+    ended = run(command, car.log, "--dbc", car.dbc, *words)
     assert ended.status == 0, ended.err
     text = (
         "probably the wrong database: 2 of 50 identifiers of the log are in it, and 2 of its 18 messages are in the log"
@@ -57,13 +58,13 @@ def test_an_analysis_that_uses_next_to_nothing_says_so(car: SimpleNamespace) -> 
     lines = car.log.read_text("ascii").splitlines()
     few = [line for number, line in enumerate(lines) if " 300#" not in line or number % 1_000 == 0]
     car.log.write_text("\n".join(few) + "\n", encoding="ascii")
-    ended = run_service(car.folder, "analyze", car.log, "--dbc", car.dbc, "--profile", profile)
+    ended = run("analyze", car.log, "--dbc", car.dbc, "--profile", profile)
     assert "2 of 1472 frames are of messages of the profile" in said(ended), said(ended)
     assert "probably wrong" in said(ended)
 
 
 def test_the_database_of_the_emulated_vehicle_is_not_taken_in_silence(car: SimpleNamespace) -> None:
-    ended = run_service(car.folder, "decode", car.log, "-o", car.folder / "car.csv")
+    ended = run("decode", car.log, "-o", car.folder / "car.csv")
     assert ended.status == 2
     assert "used without --dbc: name that of this bus with --dbc FILE" in said(ended)
 
@@ -72,30 +73,29 @@ def test_in_a_folder_it_is_not_taken_in_silence_either(car: SimpleNamespace, dri
     logs = car.folder / "logs"
     logs.mkdir()
     (logs / "drive.log").write_bytes(drive_log.read_bytes())
-    assert run_service(car.folder, "decode", logs, "-o", car.folder / "first").status == 0
     car.log.rename(logs / "car.log")
-    ended = run_service(car.folder, "decode", logs, "-o", car.folder / "second")
+    ended = run("decode", logs, "--jobs", "1", "-o", car.folder / "refused")
     assert ended.status == 2, said(ended)
     assert "car.log: the log is not of the emulated vehicle, whose database is used without --dbc" in said(ended)
-    assert run_service(car.folder, "decode", logs, "--dbc", car.dbc, "-o", car.folder / "third").status == 0
+    assert run("decode", logs, "--jobs", "1", "--dbc", car.dbc, "-o", car.folder / "read").status == 0
 
 
 def test_friction_is_refused_shift_by_shift_where_times_are_whole_seconds(drive_log: Path, tmp_path: Path) -> None:
     coarse = tmp_path / "coarse.log"
     coarse.write_text(re.sub(r"^\((\d+)\.\d+\)", r"(\1.000000)", drive_log.read_text("ascii"), flags=re.MULTILINE))
-    analysed = run_service(tmp_path, "analyze", coarse, "--json")
+    analysed = run("analyze", coarse, "--json")
     assert analysed.status == 0, analysed.err
     *shifts, summary = map(json.loads, analysed.out.splitlines())
     assert shifts
     assert {(one["status"], *one["reasons"]) for one in shifts} == {("rejected", "times_in_whole_seconds")}
     assert {one["friction"] for one in shifts} == {None}
     assert summary["shifts"]["by_reason"] == {"times_in_whole_seconds": len(shifts)}
-    assert "[times in whole seconds]" in said(run_service(tmp_path, "analyze", coarse))
-    predicted = said(run_service(tmp_path, "predict", coarse))
+    assert "[times in whole seconds]" in said(run("analyze", coarse))
+    predicted = said(run("predict", coarse))
     assert "predicted from others" not in predicted
     changes = [one for one in shifts if one["from_gear"] != one["to_gear"] and min(one["from_gear"], one["to_gear"])]
     assert predicted.count("not used: times in whole seconds") == len(changes) == 3
-    assert WHOLE_SECONDS in said(run_service(tmp_path, "signals", coarse, "--dbc", DBC_PATH)).replace("# ", "")
+    assert WHOLE_SECONDS in said(run("signals", coarse, "--dbc", DBC_PATH)).replace("# ", "")
 
 
 def test_a_database_that_knows_most_of_a_bus_or_is_there_for_the_most_part_is_not_doubted() -> None:

@@ -79,6 +79,12 @@ def found(shifts: Sequence[Event], run_ups: Sequence[Event]) -> SelfCalibration:
     return result
 
 
+@lru_cache
+def calibrated() -> SelfCalibration:
+    """Return what that vehicle says of itself."""
+    return found(*unlike_its_type())
+
+
 def test_driving_tells_latencies_offset_and_inertia_over_gain() -> None:
     shifts, _ = unlike_its_type()
     result = found(shifts, ())
@@ -93,7 +99,7 @@ def test_driving_tells_latencies_offset_and_inertia_over_gain() -> None:
 
 
 def test_revs_with_open_and_closed_clutches_tell_the_gain() -> None:
-    result = found(*unlike_its_type())
+    result = calibrated()
     assert result.run_up_counts == (4, 4)
     assert result.std("torque_gain") < 0.015
     assert result.calibration.bias.torque_gain == pytest.approx(GAIN, abs=4.0 * result.std("torque_gain"))
@@ -104,7 +110,7 @@ def test_revs_with_open_and_closed_clutches_tell_the_gain() -> None:
 
 
 def test_the_found_calibration_holds_its_own_uncertainty_and_starts_a_state_with_it() -> None:
-    result = found(*unlike_its_type())
+    result = calibrated()
     fresh = Posterior.fresh(result.calibration).known
     for name, state in (("torque_offset", State.TORQUE_OFFSET), ("touch1", State.TOUCH1)):
         assert fresh.std()[state] == pytest.approx(result.std(name), rel=1e-6)
@@ -113,7 +119,7 @@ def test_the_found_calibration_holds_its_own_uncertainty_and_starts_a_state_with
 
 def test_a_vehicle_is_calibrated_from_its_type_only() -> None:
     shifts, run_ups = unlike_its_type()
-    again = self_calibrate(shifts, run_ups, found(shifts, run_ups).calibration, "again")
+    again = self_calibrate(shifts, run_ups, calibrated().calibration, "again")
     assert isinstance(again, str)
     assert "start from its type" in again
 
