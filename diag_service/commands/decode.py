@@ -12,7 +12,7 @@ from typing import BinaryIO, Final
 
 from cantools.database.can import Message
 
-from canlog.column_files import FORMAT_OF_SUFFIX, STREAMED, SUFFIX_OF_FORMAT, TableFormat, check_libraries
+from canlog.column_files import FORMAT_OF_SUFFIX, STREAMED, SUFFIX_OF_FORMAT, TableFormat, load_pyarrow
 from canlog.database.signal_columns import SignalColumn, columns_database
 from canlog.errors import NOTICE, OutputError, SourceError
 from canlog.logs import STANDARD_INPUT, shown_name, table_columns
@@ -112,7 +112,7 @@ def _check(options: SimpleNamespace, table_format: TableFormat) -> None:
         check_distinct(options.logs)
     if not is_piped and not is_of_messages and (text := replacement_refusal(options.output, is_forced=options.force)):
         raise ConfigError(text)
-    check_libraries(table_format, options.logs)
+    load_pyarrow()
 
 
 def _print_record(record: JsonObject) -> None:

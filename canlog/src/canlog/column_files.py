@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime
 from enum import StrEnum
 from importlib import import_module
-from importlib.machinery import PathFinder
-from pathlib import Path
 from typing import Any, BinaryIO, Final, Self
 
-from canlog.extras import extra_missing, load_extra
+from canlog.extras import load_extra
 
 TIME_TYPE = "timestamp[ns, UTC]"
 BOOL_TYPE = "bool"
@@ -20,7 +18,7 @@ NAME_TYPE = "name"  # a text of few different values
 
 def load_pyarrow() -> Any:  # noqa: ANN401 - an untyped library
     """Return pyarrow; raises ExtraMissingError if it is not installed."""
-    load_extra("pyarrow.parquet", "Parquet needs pyarrow", "parquet")
+    load_extra("pyarrow.parquet", "tables need pyarrow", "parquet")
     return import_module("pyarrow")
 
 
@@ -134,24 +132,6 @@ ARROW_COMPRESSION: Final = (
     "lz4"  # most cells of a wide table are empty, and take longer to be written than to be packed
 )
 _TEXT: Final = "string"
-
-
-def check_libraries(table_format: TableFormat, logs: Sequence[Path]) -> None:
-    """Raise ExtraMissingError if a library is missing that writes a format, or that logs need, as their names say."""
-    needs = [("pyarrow", "parquet")]
-    if PathFinder.find_spec("pyarrow") is not None:
-        return  # what a log needs in spite of its name, its contents say
-    words = [f"{table_format} needs pyarrow"]
-    suffixes = {suffix.lower() for log in logs for suffix in log.suffixes}
-    if suffixes & {".mf4", ".mdf"}:
-        needs.append(("asammdf", "mf4"))
-        words.append("MF4 logs need asammdf")
-    if suffixes & {".zst", ".zstd"}:
-        needs.append(("zstandard", "zstd"))
-        words.append("logs inside zstd need zstandard")
-    missing = [number for number, (module, _) in enumerate(needs) if PathFinder.find_spec(module) is None]
-    extras = sorted({needs[number][1] for number in missing})
-    raise extra_missing(", ".join(words[number] for number in missing), ",".join(extras))
 
 
 def open_columns(

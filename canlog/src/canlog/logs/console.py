@@ -5,6 +5,7 @@ since the frame before. The last two look alike: times that keep falling are tho
 """
 
 import re
+from datetime import date
 
 import numpy as np
 
@@ -26,7 +27,6 @@ from canlog.logs.text_kernels import (
     OTHER,
     SKIPPED,
     ChannelNames,
-    day_number,
 )
 from canlog.logs.text_log import LineLog, frames_of
 
@@ -38,7 +38,7 @@ MAX_STANDARD_ID, MAX_ID = 0x7FF, 0x3FFF_FFFF
 BRS, ESI = 1, 2  # as ``flags`` has them
 BRS_PLACE, ESI_PLACE = 3, 5  # from the direction on
 BINARY_DIGITS = 8
-LARGEST = (9999, 12, 31, 23, 59, 60)  # of the parts of a date
+EPOCH = date(1970, 1, 1)
 FIRST_SHOWN, LAST_SHOWN = 0x20, 0x7E  # bytes that -a shows as they are; a point stands for the others
 
 _SHOWN = rb"(?:[ \t\r]|\x1b[^m]*(?:m|\Z))*+"  # blanks and colours
@@ -62,10 +62,14 @@ def _time_ns(found: re.Match[bytes]) -> int:
     """Return the time of a line [ns], whole microseconds; a date as if it were UTC; -1 if there is no such time."""
     seconds = int(found["seconds"] or 0)
     if found["date"]:
-        year, month, day, hour, minute, second = parts = [int(one) for one in re.split(rb"[- :]", found["date"])]
-        if not (month and day) or any(one > most for one, most in zip(parts, LARGEST, strict=True)):
+        year, month, day, hour, minute, second = (int(one) for one in re.split(rb"[- :]", found["date"]))
+        if hour > 23 or minute > 59 or second > 60:
             return -1
-        seconds = day_number(year, month, day) * DAY_S + hour * 3600 + minute * 60 + second
+        try:
+            days = (date(year, month, day) - EPOCH).days
+        except ValueError:
+            return -1
+        seconds = days * DAY_S + hour * 3600 + minute * 60 + second
     if not 0 <= seconds <= LAST_S:
         return -1
     return seconds * NS_PER_S + int((found["fraction"] or b"").ljust(NS_DIGITS, b"0")) // NS_PER_US * NS_PER_US
@@ -118,9 +122,9 @@ class ConsoleLog(LineLog):
         found = list(TIME.finditer(COLOUR.sub(b"", text)))
         if not found:
             self.notes.append(NO_TIMES)
-        elif date := found[0]["date"]:
+        elif shown := found[0]["date"]:
             # Dates are local time, all with the offset of the first.
-            as_utc, local_us = frames_of(ConsoleLog(), b"(" + date + b") c 000 [0]").t_ns, date_us(date)
+            as_utc, local_us = frames_of(ConsoleLog(), b"(" + shown + b") c 000 [0]").t_ns, date_us(shown)
             if local_us is not None and len(as_utc):
                 self._base_ns = local_us * NS_PER_US - int(as_utc[0])
         elif len(found[0]["count"].partition(b".")[0]) < EPOCH_DIGITS:

@@ -22,7 +22,6 @@ POSITION, LINES, ROWS, STOP, SKIPPED_LINES, MALFORMED_LINES, FIRST_MALFORMED, PR
 
 NEWLINE, TAB, RETURN, BLANK, SLASH = 10, 9, 13, 32, 47
 LONGEST_NUMBER = 18  # digits that 64 bits surely hold
-DAYS_OF_400_YEARS, DAYS_TO_EPOCH = 146_097, 719_468  # of the Gregorian calendar, counted from March
 
 HEX_VALUE: npt.NDArray[np.int8] = np.full(256, -1, np.int8)
 UInt64Array = npt.NDArray[np.uint64]
@@ -55,12 +54,6 @@ def lower(raw: UInt8Array, at: int) -> int:
     place = np.uint64(at)
     low = np.uint64(raw[place]) | np.uint64(raw[place + _1]) << _8
     return int(np.int64(low | np.uint64(raw[place + _2]) << _16 | np.uint64(raw[place + _3]) << _24))
-
-
-@part
-def reversed_bytes(value: int) -> int:
-    """Return four bytes in the other order."""
-    return (value & 0xFF) << 24 | (value & 0xFF00) << 8 | (value >> 8) & 0xFF00 | (value >> 24) & 0xFF
 
 
 for _digit in range(16):
@@ -162,15 +155,6 @@ def hex_bytes(text: UInt8Array, at: int, row: int, data: UInt8Array, limit: int,
             at += 1
     clear(data, row, count)
     return count, at
-
-
-@part
-def day_number(year: int, month: int, day: int) -> int:
-    """Return how many days a date is behind the epoch."""
-    shifted = year - (month <= 2)
-    day_of_year = (153 * (month + (-3 if month > 2 else 9)) + 2) // 5 + day - 1
-    days = shifted // 400 * DAYS_OF_400_YEARS + shifted % 400 * 365 + shifted % 400 // 4 - shifted % 400 // 100
-    return int(days + day_of_year - DAYS_TO_EPOCH)
 
 
 @part

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, Final, Literal, Protocol
 import numpy as np
 from cantools.database.can import Database, Message
 
-from canlog.column_files import FORMAT_OF_SUFFIX, ColumnSink, TableFormat, check_libraries, open_columns
+from canlog.column_files import FORMAT_OF_SUFFIX, ColumnSink, TableFormat, load_pyarrow, open_columns
 from canlog.database.loading import database_of
 from canlog.decode.codec import HAS_VALUES, Codec
 from canlog.errors import DefinitionError, OutputError, SourceError
@@ -339,7 +339,7 @@ def decode_logs(
     ExtraMissingError
         If the library that writes the format is not installed.
     """
-    check_libraries(table_format, paths)
+    load_pyarrow()
     is_read_twice = plan.shape is TableShape.WIDE  # columns depend on all frames
     with LogSet(paths, is_stopped, is_read_twice=is_read_twice, watch=watch, columns=columns) as logs:
         return _Writing(logs, plan, table_format, is_stopped).write(output)

@@ -1,6 +1,7 @@
 """The lines of tables: what columns can hold, and how a line is split at its separators and read by their roles."""
 
 import base64
+import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -220,31 +221,17 @@ class LineReader:
                 return SKIPPED
             self._settle_length(line)
             return self._frame(line, clock)
-        except (_MalformedError, ValueError):
+        except (_MalformedError, ValueError, csv.Error):
             return MALFORMED
 
     def _split(self, text: bytes) -> list[bytes]:
         """Return the fields of a line, without quotes and blanks around them."""
         if self._separator is None:
             return text.split()
-        margin = _MARGIN.replace(self._separator, b"")
         if b'"' not in text:
             return [one.strip(_MARGIN) for one in text.split(self._separator)]
-        fields, at = list[bytes](), 0
-        while at <= len(text):
-            rest = text[at:].lstrip(margin)
-            end = (rest + b'"').find(b'"', 1) if rest.startswith(b'"') else 0
-            behind = rest[end + 1 :].lstrip(margin)
-            if end and (not behind or behind.startswith(self._separator)):
-                fields.append(rest[1:end])
-                at = len(text) - len(behind)
-            else:
-                stop = text.find(self._separator, at)
-                stop = len(text) if stop < 0 else stop
-                fields.append(text[at:stop].strip(_MARGIN).removeprefix(b'"'))
-                at = stop
-            at += 1
-        return fields
+        quoted = csv.reader([text.decode("latin-1")], delimiter=self._separator.decode(), skipinitialspace=True)
+        return [one.strip().encode("latin-1") for one in next(quoted, [])]
 
     def _read_fields(self, fields: Sequence[bytes], line: _Line) -> None:
         """Read all fields, or those up to a word of an event."""
