@@ -75,6 +75,12 @@ def without(batch: FrameBatch, rows: Int64Array) -> FrameBatch:
     return batch[is_kept]
 
 
+@cache
+def outcome_without(log: Path, name: str) -> Outcome:
+    """Return what is diagnosed if the victims had never been sent."""
+    return diagnosed([without(clean_frames(log), victims(log, name))])
+
+
 def bad_crc(log: Path, name: str, rows: Int64Array) -> FrameBatch:
     payloads = lies(log, name, rows)
     payloads[:, 0] ^= 0x01
@@ -119,7 +125,7 @@ FAULTS: dict[str, Callable[[Path, str, Int64Array], FrameBatch]] = {
 def test_a_bad_frame_counts_and_is_as_good_as_none(drive_log: Path, name: str, reason: str) -> None:
     rows = victims(drive_log, name)
     assert rows.size
-    absent = diagnosed([without(clean_frames(drive_log), rows)])
+    absent = outcome_without(drive_log, name)
     spoilt = diagnosed([FAULTS[reason](drive_log, name, rows)])
     assert told(spoilt) == told(absent)
     assert spoilt.diagnoses[SHIFT].estimate.quality <= absent.diagnoses[SHIFT].estimate.quality
@@ -137,7 +143,7 @@ def test_values_that_are_not_available_are_as_good_as_none(drive_log: Path, name
     payloads = np.full((rows.size, 8), 0xFF, np.uint8)  # the highest raw value of every signal
     counter = counter_of(clean_frames(drive_log).data[rows])
     spoilt = diagnosed([with_payloads(clean_frames(drive_log), rows, protected(name, payloads, counter))])
-    absent = diagnosed([without(clean_frames(drive_log), rows)])
+    absent = outcome_without(drive_log, name)
     assert told(spoilt) == told(absent)
     assert spoilt.counts.rejected == {}
     assert spoilt.counts.missing == 0

@@ -26,6 +26,7 @@ from diag_service.settings.config import DiagnosisConfig
 from tests.plugins.drives import SHIFT_COUNT
 from tests.support.documents import page_text
 from tests.support.folders import fill_folder
+from tests.support.in_process import workers_here
 from tests.support.s3 import BUCKET, in_environment, s3_environment, s3_server, store
 
 CONFIG = DiagnosisConfig(vehicle="vehicle", calibration=nominal_calibration())
@@ -73,10 +74,11 @@ def shifts_of(address: Path) -> list[tuple[str, int]]:
 
 @pytest.fixture(name="filled", scope="module")
 def _filled(logs: Path) -> Path:
-    """Return a lake that a process of its own has made."""
+    """Return a lake that the command has made."""
     place = logs.parent / "lake"
     words = ("--lake", str(place), "--vehicle-from", "path", "--signals", SIGNALS, "--jobs", "1")
-    analyze.execute(COMMAND_LINE.parse(["analyze", str(logs), *words]), Controls())
+    with workers_here():
+        analyze.execute(COMMAND_LINE.parse(["analyze", str(logs), *words]), Controls())
     return place
 
 
