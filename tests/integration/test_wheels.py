@@ -91,7 +91,7 @@ def test_a_wheel_works_with_what_it_requires_and_nothing_else(
     linked_environment(tmp_path / "env", distributions_of(requirements(name, *EXTRAS.get(name, ()))))
     python = tmp_path / "env" / "bin" / "python"
     done = subprocess.run(
-        [sys.executable, "-m", "pip", "--python", str(python), "install", "-q", "--no-deps", "--no-index"]
+        [sys.executable, "-m", "uv", "pip", "install", "--python", str(python), "-q", "--no-deps", "--offline"]
         + [str(wheels[one]) for one in needed],
         capture_output=True,
         text=True,

@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import time
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -84,13 +85,18 @@ STAGES = read_stages(ROOT / "Dockerfile")
 COPIES = [copy for stage in STAGES for copy in stage.copies if copy.stage is None]
 
 
+@cache
+def context() -> list[str]:
+    """Return the files of the build context."""
+    return list(context_files(ROOT))
+
+
 @pytest.mark.parametrize("copy", COPIES, ids=lambda copy: copy.target)
 def test_what_the_dockerfile_copies_is_in_the_context(copy: Copy) -> None:
-    files = list(context_files(ROOT))
-    missing = [name for name in copy.sources if not any(f"{file}/".startswith(f"{name}/") for file in files)]
+    missing = [name for name in copy.sources if not any(f"{file}/".startswith(f"{name}/") for file in context())]
     assert missing == []
 
 
 def test_the_context_has_nothing_that_the_dockerfile_does_not_copy() -> None:
     wanted = [name for copy in COPIES for name in copy.sources]
-    assert [file for file in context_files(ROOT) if not any(f"{file}/".startswith(f"{name}/") for name in wanted)] == []
+    assert [file for file in context() if not any(f"{file}/".startswith(f"{name}/") for name in wanted)] == []
