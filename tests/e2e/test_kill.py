@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 
 from tests.plugins.broker import Mosquitto
+from tests.support.in_process import ended
 from tests.support.service import Ended, Record, Service, service
 from tests.support.subscriber import Subscriber
 
@@ -108,7 +109,8 @@ def killed(kill: Kill, store: Path) -> Callable[[Service], None]:
 
 def test_kill_9_at_several_moments_of_a_drive(cycle_log: Path, tmp_path: Path, broker: Mosquitto) -> None:
     whole_store, store = tmp_path / "whole.sqlite", tmp_path / "car.sqlite"
-    whole = run(tmp_path / "whole", cycle_log, whole_store, broker, stop_after_the_drive(whole_store))
+    whole = ended("analyze", cycle_log, "--json", "--vehicle", "car1", "--store", whole_store)
+    assert whole.status == 0, whole.err
     with Subscriber(broker.port) as subscriber:
         runs = [run(tmp_path / kill.name, cycle_log, store, broker, killed(kill, store)) for kill in kills(subscriber)]
         runs.append(run(tmp_path / "last", cycle_log, store, broker, stop_after_the_drive(store)))
@@ -118,14 +120,14 @@ def test_kill_9_at_several_moments_of_a_drive(cycle_log: Path, tmp_path: Path, b
         subscriber.wait(lambda heard: statuses_of(heard)[-1] == "offline")
         statuses = statuses_of(subscriber)
 
-    assert [ended.status for ended in runs] == [-signal.SIGKILL] * (len(runs) - 1) + [0]
-    assert [ended.err.count("error") + ended.err.count("warning") for ended in runs] == [0] * len(runs)
-    # Each that came also went, which the broker says for those that are killed; the first one went before we heard.
-    assert statuses == ["offline", *["online", "offline"] * (len(statuses) // 2)]
-    assert len(statuses) >= 5
+    assert [one.status for one in runs] == [-signal.SIGKILL] * (len(runs) - 1) + [0]
+    assert [one.err.count("error") + one.err.count("warning") for one in runs] == [0] * len(runs)
+    # Each that came also went, which the broker says for those that are killed: at least one, and the last.
+    assert statuses == ["online", "offline"] * (len(statuses) // 2)
+    assert len(statuses) >= 4
     # Everything that anyone was told is in the store as it was told, and was told by one run only.
     by_key = {key(result): result for result in results}
-    printed = [record for ended in runs for record in ended.records if record["schema"] == "clutchdiag/shift/v1"]
+    printed = [record for one in runs for record in one.records if record["schema"] == "clutchdiag/shift/v1"]
     assert len({key(record) for record in printed}) == len(printed)
     assert all(by_key[key(record)] == record for record in printed)
     assert all(by_key[key(record)] == record for record in heard)
@@ -133,7 +135,7 @@ def test_kill_9_at_several_moments_of_a_drive(cycle_log: Path, tmp_path: Path, b
     assert len({result["stream"] for result in results}) == 1
     assert [result["seq"] for result in results] == list(range(1, SHIFT_COUNT + 1))
     assert runs[-1].summary["shifts"]["unpublished"] == 0
-    # And the numbers are those of a service that nobody killed.
+    # And the numbers are those of a drive that nobody interrupted.
     assert [without_run(result) for result in results] == [without_run(record) for record in whole.shifts]
     assert [result["verdict"] for result in results] == [record["verdict"] for record in whole.shifts]
     assert running_states(store) == running_states(whole_store)
