@@ -12,7 +12,7 @@ import pytest
 from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.page.calibrations import remember
-from fleet_backend.page.prognosis import outlook_of, outlook_text
+from fleet_backend.page.prognosis import estimate_of, outlook_of, outlook_text
 from fleet_backend.page.queries import DatabaseSource, fills_of, results_of
 from tests.integration.test_fluid_changed import LATER_S, recording
 from tests.plugins.broker import Mosquitto
@@ -65,7 +65,7 @@ class World:
         with engine.connect() as connection:
             remember(connection, [("car1", clutches[0].calibration_version)])
         founds = [
-            outlook_of(one.clutch, own, fills_of(engine, "car1"), 1.5e7, None)
+            outlook_of(one.clutch, own, [estimate_of(row) for row in own], fills_of(engine, "car1"), 1.5e7, None)
             for one, own in zip(clutches, rows, strict=True)
         ]
         engine.dispose()

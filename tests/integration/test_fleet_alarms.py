@@ -7,25 +7,28 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import Engine, select
+from sqlalchemy import Connection, Engine, event, select
 
 from clutch_results.records import Condition
+from fleet_backend import queries
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter, Note
 from fleet_backend.alarms.rules import AlarmRule, Subject
 from fleet_backend.cli import main
 from fleet_backend.database import transaction
-from fleet_backend.errors import CarrierError
+from fleet_backend.errors import CarrierError, DatabaseAwayError
 from fleet_backend.office.watching import Orders, Watch, read_carrier
 from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, AUDIT
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import NOW, fleet_result, row_of
+from tests.support.histories import history
 from tests.support.patience import HANG_S
 
 BAD = Condition.CHANGE_FLUID
@@ -152,6 +155,66 @@ def test_an_alarm_is_acknowledged_once_and_that_is_audited(engine: Engine) -> No
     assert (alarm.acknowledged_by, alarm.note) == ("ann", "fluid is on order")
     assert (entry.who, entry.role, entry.action) == ("ann", "workshop", "acknowledge alarm")
     assert entry.subject == "car1/2/verdict/1: fluid is on order"
+
+
+class Asked:
+    """Counts the vehicles whose past is read over a connection; an alarm cannot be written ``while_away``."""
+
+    def __init__(self, engine: Engine) -> None:
+        self.vehicles: list[str] = []
+        self.is_away = False
+        event.listen(engine, "before_cursor_execute", self._hear)
+
+    def _hear(self, _connection: Connection, _cursor: object, statement: str, values: Any, *_: object) -> None:  # noqa: ANN401
+        if "sump_temperature_k" in statement and "LIMIT" in statement:
+            self.vehicles += [
+                one for one in (values.values() if isinstance(values, dict) else values) if str(one)[:3] == "car"
+            ][:1]
+        if self.is_away and statement.startswith("INSERT INTO alarm "):
+            raise DatabaseAwayError("away")
+
+    def read(self) -> set[str]:
+        """Return which vehicles were read since it was asked last."""
+        told, self.vehicles = set(self.vehicles), []
+        return told
+
+
+def test_what_one_process_has_judged_no_other_judges_again_without_news(engine: Engine) -> None:
+    for number in range(3):
+        store(engine, 1, BAD, f"car{number}")
+    asked, clock = Asked(engine), Clock()
+    everyone = {"car0", "car1", "car2"}
+
+    def news(**orders: Any) -> set[str]:  # noqa: ANN401 - fields of the orders
+        Watch(engine, Orders(**orders), clock).round(judging_s=float("inf"))
+        return asked.read()
+
+    assert news() == everyone
+    assert news() == set()
+    store(engine, 2, BAD, "car1")
+    assert news() == {"car1"}
+    late = row_of(fleet_result(1, vehicle="car2", stream="a log of the year before"))
+    times = {name: datetime(2025, 1, 1, tzinfo=UTC) for name in ("produced_at", "start_at", "end_at")}
+    Writer(engine).store(
+        Batch(shifts=[late | times | {"start_bus_ns": 1735689600 * 10**9, "end_bus_ns": 1735689601 * 10**9}])
+    )
+    assert news() == {"car2"}  # whose last result is the same
+    queries.note_fill(engine, "car0", "DCTF", at=NOW, odometer_m=None, note=None)
+    assert news() == {"car0"}
+    assert news(service_distance_m=3.0e7) == everyone
+    assert news(service_distance_m=3.0e7) == set()
+    assert news() == everyone  # of other orders nothing is kept
+
+
+def test_a_vehicle_whose_alarm_could_not_be_written_is_judged_again(engine: Engine) -> None:
+    Writer(engine).store(Batch(shifts=[row_of(one) | {"odometer_m": 1e9 * (one.seq % 4 > 1)} for one in history(30)]))
+    asked, clock = Asked(engine), Clock()
+    watch = Watch(engine, Orders(), clock)
+    asked.is_away = True
+    with pytest.raises(DatabaseAwayError):
+        watch.round()
+    asked.is_away = False
+    assert AlarmRule.ODOMETER in {step.subject.rule for step in watch.round()}
 
 
 class Received(BaseHTTPRequestHandler):

@@ -15,7 +15,7 @@ from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
 from fleet_backend.office_tables import AUDIT
 from fleet_backend.page.populations import latest
-from fleet_backend.page.prognosis import outlook_of
+from fleet_backend.page.prognosis import estimate_of, outlook_of
 from fleet_backend.page.queries import results_of
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
@@ -74,7 +74,8 @@ def test_what_is_usual_is_learned_kept_and_used(
     assert [tuple(one) for one in audit] == [("keep population", "population 1, from 35 clutches")]
     assert kept.population == population_from(json.loads(written.read_text(encoding="utf-8")))
     rows = results_of(engine, "car0", 2)
-    among, alone = (outlook_of(2, rows, (), 1.5e7, one) for one in (kept, None))
+    estimates = [estimate_of(row) for row in rows]
+    among, alone = (outlook_of(2, rows, estimates, (), 1.5e7, one) for one in (kept, None))
     engine.dispose()
     assert among is not None
     assert alone is not None

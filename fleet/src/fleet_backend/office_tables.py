@@ -82,6 +82,7 @@ FLUID_DUE: Final = Table(  # what the watch foretold last; of another action or 
     Column("most_by", Date),
     Column("distance_a_day_m", Double),
     Column("outlook", Text, nullable=False),
+    Column("mark", Text),  # of all that it was judged by; null: of programs that did not tell
 )
 
 POPULATION: Final = Table(

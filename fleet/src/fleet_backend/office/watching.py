@@ -4,10 +4,12 @@ import asyncio
 import logging
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Container, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
+from hashlib import sha256
+from importlib.metadata import version
 from itertools import chain
 from pathlib import Path
 from typing import Final, Protocol
@@ -16,6 +18,7 @@ from apprise import Apprise, AppriseAsset, NotifyFormat, NotifyType
 from prometheus_client.core import Metric
 from sqlalchemy import Engine, func, select
 
+from clutch_results.shift_course import fall_of
 from clutchdiag_io.metrics import gauge
 from fleet_backend import queries
 from fleet_backend.alarms import book, rules
@@ -26,13 +29,21 @@ from fleet_backend.database import transaction
 from fleet_backend.errors import BackendConfigError, CarrierError, DatabaseError
 from fleet_backend.months import month_of, partitions
 from fleet_backend.office_tables import ALARM_MESSAGE, INTAKE
+from fleet_backend.page.calibrations import reference_of
 from fleet_backend.page.fleet import Keeper, fleet_families
 from fleet_backend.page.populations import StoredPopulation, latest
-from fleet_backend.page.prognosis import chance_of, foretold, outlook_of, outlook_text, score_fall_of
-from fleet_backend.page.queries import DatabaseSource, fills_of, keep_due, last_arrivals, results_of
+from fleet_backend.page.prognosis import chance_of, estimate_of, foretold, outlook_of, outlook_text
+from fleet_backend.page.queries import (
+    DatabaseSource,
+    arrivals_of,
+    fills_of,
+    keep_dues,
+    marks_of_judged,
+    results_of,
+)
 from fleet_backend.page.records import ClutchNow, Severity
 from fleet_backend.programs import shown_at, until_stopped
-from fleet_backend.queries import is_alarming_since
+from fleet_backend.queries import Row, is_alarming_since
 from fleet_backend.schema import QUARANTINE
 from fleet_contract.orders import name_of
 from fleet_link import AddressError, read_secret
@@ -82,6 +93,8 @@ ONCE_S: Final = 60.0  # the same where nothing waits for the round; what was fou
 DELIVERY_S: Final = 2.0
 TURN_S: Final = 15.0  # of a carrier, for what waits for it
 _LOG: Final = logging.getLogger(__name__)
+Arrivals = tuple[datetime, int]  # when a result of a vehicle was stored last, and how many are
+KnownVehicle = tuple[tuple[ClutchNow, ...], Arrivals | None]
 
 
 class Carrier(Protocol):
@@ -118,7 +131,8 @@ class Watch:
         self.is_over = False  # then no other message is taken
         self.waiting_count = 0  # vehicles with news that the last round did not get to
         self._told: tuple[Metric, ...] = ()  # of the last round
-        self._judged: dict[str, tuple[ClutchNow, ...]] = {}  # as they were then, those of the longest ago first
+        self._judged: dict[str, KnownVehicle] = {}  # as they were then, those of the longest ago first
+        self._is_reminded = False  # of what other processes have judged
 
     @property
     def has_judged_all(self) -> bool:
@@ -143,12 +157,19 @@ class Watch:
         is_open = book.open_alarms(self._engine)
         quotas = rules.quota_findings(self._withheld(now), is_open)
         retired = rules.retired_findings(is_open)
-        findings = chain(quotas, retired, self._findings(now, is_open), self._pasts(judging_s))
+        arrivals, dues = arrivals_of(self._engine), dict[str, list[Row]]()
+        known = {name: (own, arrivals.get(name)) for name, own in self._keeper.snapshot.vehicles.items()}
+        pasts = self._pasts(known, judging_s, dues)
+        findings = chain(quotas, retired, self._findings(now, is_open, arrivals), pasts)
         steps = list(rules.transitions(findings, is_open, now))
         written = book.write(self._engine, steps, names)
+        keep_dues(self._engine, dues, self._now())  # only now: what is marked as judged is not judged again
+        for name in dues:
+            self._judged.pop(name, None)
+            self._judged[name] = known[name]
         for step in written:
             _LOG.info("%s: %s of %s", step.event, step.subject.rule, step.subject)
-        self._told = tuple(self._round_families(now, began_s))
+        self._told = tuple(self._round_families(now, arrivals, began_s))
         return written
 
     def families(self) -> Iterator[Metric]:
@@ -156,7 +177,7 @@ class Watch:
         yield from fleet_families(self._keeper)
         yield from self._told
 
-    def _round_families(self, now: datetime, began_s: float) -> Iterator[Metric]:
+    def _round_families(self, now: datetime, arrivals: Mapping[str, Arrivals], began_s: float) -> Iterator[Metric]:
         open_counts = dict.fromkeys((rule.value for rule in rules.AlarmRule), 0)
         open_counts |= Counter(subject.rule.value for subject in book.open_alarms(self._engine))
         yield gauge("fleet_open_alarms", "Alarms that are not cleared, by their rule.", open_counts, "rule")
@@ -169,9 +190,9 @@ class Watch:
             aside_counts = {str(key): count for key, count in connection.execute(aside)}
         yield gauge("watch_undelivered_messages", "Messages of alarms that wait for a carrier.", waiting_count)
         yield gauge("fleet_quarantined_messages", "Messages kept aside, not acknowledged.", aside_counts, "reason")
-        heard = last_arrivals(self._engine).values()
-        if heard:
-            yield gauge("fleet_last_result_timestamp_seconds", "When a result was stored last.", max(heard).timestamp())
+        if arrivals:
+            at, _ = max(arrivals.values())
+            yield gauge("fleet_last_result_timestamp_seconds", "When a result was stored last.", at.timestamp())
         parts = partitions(self._engine)
         if months := [one.month for one in parts if one.month is not None]:
             ahead = sum(month > month_of(now) for month in months)
@@ -211,36 +232,51 @@ class Watch:
         with transaction(self._engine) as connection:
             return {str(vehicle): count for vehicle, count in connection.execute(told)}
 
-    def _findings(self, now: datetime, is_open: Container[rules.Subject]) -> Iterator[rules.RuleFinding]:
+    def _findings(
+        self, now: datetime, is_open: Container[rules.Subject], arrivals: Mapping[str, Arrivals]
+    ) -> Iterator[rules.RuleFinding]:
         for one in self._keeper.snapshot.clutches:
             subject = rules.Subject(vehicle=one.vehicle, clutch=one.clutch, rule=rules.AlarmRule.VERDICT)
             is_old = subject in is_open and self._speaks_of_old_fluid(one)
             yield rules.verdict_finding(_whose(one), one.condition, one.order, is_old_fluid=is_old)
-        arrivals = last_arrivals(self._engine)
         for record in queries.last_seen(self._engine):
             vehicle = str(record["vehicle"])
-            told = (record["last_result_at"] or record["connected_at"], arrivals.get(vehicle))
+            told = (record["last_result_at"] or record["connected_at"], *arrivals.get(vehicle, ()))
             heard_at = rules.heard_last(told, now)
             if heard_at is not None:
                 yield rules.silence_finding(vehicle, heard_at, now, self._orders.limits)
 
-    def _pasts(self, judging_s: float) -> Iterator[rules.RuleFinding]:
+    def _pasts(
+        self, known: Mapping[str, KnownVehicle], judging_s: float, dues: dict[str, list[Row]]
+    ) -> Iterator[rules.RuleFinding]:
         """Judge vehicles with news: those that never were, the worst first, then those of the longest ago.
 
-        Thus the worst, which may have news in each round, keep none of the others waiting for ever.
+        Thus the worst, which may have news in each round, keep none of the others waiting for ever. When the fluids of
+        who was judged are due is added to ``dues``.
         """
-        snapshot, kept, end_s = self._keeper.snapshot, latest(self._engine), time.monotonic() + judging_s
-        never = dict.fromkeys(one.vehicle for one in snapshot.clutches if one.vehicle not in self._judged)
-        again = (name for name, own in self._judged.items() if snapshot.vehicles.get(name, own) != own)
+        kept, end_s = latest(self._engine), time.monotonic() + judging_s
+        if not self._is_reminded:
+            marks = marks_of_judged(self._engine).items()
+            same = (name for name, mark in marks if name in known and mark == self._mark(known[name], kept))
+            self._judged, self._is_reminded = {name: known[name] for name in same}, True
+        worst = dict.fromkeys(one.vehicle for one in self._keeper.snapshot.clutches)
+        never = (name for name in worst if name in known and name not in self._judged)
+        again = (name for name, own in self._judged.items() if known.get(name, own) != own)
         names = deque((*never, *again))
         while names:
             vehicle = names.popleft()
-            yield from self._judge(vehicle, snapshot.vehicles[vehicle], kept)
-            self._judged.pop(vehicle, None)
-            self._judged[vehicle] = snapshot.vehicles[vehicle]
+            mark = self._mark(known[vehicle], kept)
+            rows = yield from self._judge(vehicle, known[vehicle][0], kept)
+            dues[vehicle] = [{**row, "mark": mark} for row in rows]
             if time.monotonic() >= end_s:
                 break
         self.waiting_count = len(names)
+
+    def _mark(self, vehicle: KnownVehicle, kept: StoredPopulation | None) -> str:
+        """Return what differs once a vehicle is to be judged again: by other results, calibrations or orders."""
+        new = [reference_of(one.vehicle, one.calibration_version, one.clutch) for one in vehicle[0]]
+        orders = (self._orders.limits, self._orders.service_distance_m, kept and kept.version, version("clutchdiag"))
+        return sha256(repr((vehicle, new, orders)).encode()).hexdigest()
 
     def _speaks_of_old_fluid(self, one: ClutchNow) -> bool:
         """Return whether a clutch has no verdict, and no alarming one since its fluid was changed."""
@@ -251,25 +287,28 @@ class Watch:
 
     def _judge(
         self, vehicle: str, clutches: Sequence[ClutchNow], kept: StoredPopulation | None
-    ) -> Iterator[rules.RuleFinding]:
+    ) -> Generator[rules.RuleFinding, None, list[Row]]:
+        """Yield what the past of a vehicle says; return when its fluids are due, a row per clutch."""
         limits, fills, founds, readings = self._orders.limits, fills_of(self._engine, vehicle), [], []
         for one in clutches:
             rows = results_of(self._engine, vehicle, one.clutch)
+            estimates = [estimate_of(row) for row in rows]
             last = rows[-limits.unused_events :]
             unused = sum(row["status"] == "rejected" for row in last)
             yield rules.quality_finding(_whose(one), unused, len(last), limits)
-            yield rules.score_finding(_whose(one), score_fall_of(rows), limits)
+            yield rules.score_finding(_whose(one), fall_of(estimates), limits)
             readings_m = [row["odometer_m"] for row in last if row["odometer_m"] is not None]
             yield rules.odometer_finding(_whose(one), readings_m, limits)
             readings.append([(row["end_at"], row["odometer_m"]) for row in rows])
-            founds.append(outlook_of(one.clutch, rows, fills, self._orders.service_distance_m, kept) if rows else None)
+            distance_m = self._orders.service_distance_m
+            founds.append(outlook_of(one.clutch, rows, estimates, fills, distance_m, kept))
         yield rules.cause_finding(vehicle, clutches[0].action, clutches[0].order)
-        rows = [foretold(one, founds, own) for one, own in zip(clutches, readings, strict=True)]
-        keep_due(self._engine, rows, self._now())
+        dues = [foretold(one, founds, own) for one, own in zip(clutches, readings, strict=True)]
         text = f"{clutches[0].order} {outlook_text(founds, clutches[0])}"
         for one, found in zip(clutches, founds, strict=True):
             if found is not None:
                 yield rules.due_finding(_whose(one), chance_of(found), text, limits)
+        return dues
 
 
 def _whose(one: ClutchNow) -> rules.Whose:

@@ -24,7 +24,6 @@ from clutch_results.records import (
     Status,
     iso_utc,
 )
-from clutch_results.shift_course import fall_of
 from clutchdiag_io.people import is_dated
 from fleet_backend.page.calibrations import reference_of, type_of
 from fleet_backend.page.populations import StoredPopulation, latest
@@ -103,23 +102,26 @@ def _result_of(row: Row, estimate: ShiftEstimate) -> ShiftResult:
     return ShiftResult(estimate=estimate, verdict=verdict, produced_at=iso_utc(row["produced_at"]), **told)
 
 
-def score_fall_of(rows: Sequence[Row]) -> float | None:
-    """Return by how much the score of gear changes fell; None: too few."""
-    return fall_of(map(estimate_of, rows))
-
-
 def outlook_of(
-    clutch: int, rows: Sequence[Row], fills: Sequence[Fill], service_distance_m: float, kept: StoredPopulation | None
+    clutch: int,
+    rows: Sequence[Row],
+    estimates: Sequence[ShiftEstimate],
+    fills: Sequence[Fill],
+    service_distance_m: float,
+    kept: StoredPopulation | None,
 ) -> Prognosis | None:
-    """Return how far the fluid of a clutch will go by its results, the oldest first; None: that cannot be told.
+    """Return how far the fluid of a clutch will go; None: that cannot be told.
 
-    It begins with the population that was kept last.
+    ``rows`` are its results, the oldest first, and ``estimates`` what they say. It begins with the population that was
+    kept last.
     """
+    if not rows:
+        return None
     vehicle, calibration = rows[-1]["vehicle"], rows[-1]["calibration_version"]
     reference, vehicle_type = reference_of(vehicle, calibration, clutch), type_of(vehicle, calibration)
     if reference is None:
         return None
-    same = [estimate_of(row) for row in rows if row["calibration_version"] == calibration]
+    same = [one for row, one in zip(rows, estimates, strict=True) if row["calibration_version"] == calibration]
     try:
         past = history_of_estimates(same, [fluid_fill(vehicle, one) for one in fills], clutch)
         peers = None
@@ -174,8 +176,9 @@ class ClutchPast:
 def read_past(engine: Engine, now: ClutchNow, fills: Sequence[Fill], service_distance_m: float) -> ClutchPast:
     """Read the past of a clutch, and work out how far its fluid will go."""
     rows = results_of(engine, now.vehicle, now.clutch)
-    found = outlook_of(now.clutch, rows, fills, service_distance_m, latest(engine)) if rows else None
-    return ClutchPast(rows=rows, prognosis=found, estimates=tuple(map(estimate_of, rows)))
+    estimates = tuple(map(estimate_of, rows))
+    found = outlook_of(now.clutch, rows, estimates, fills, service_distance_m, latest(engine))
+    return ClutchPast(rows=rows, prognosis=found, estimates=estimates)
 
 
 def _point_of(row: Row, estimate: ShiftEstimate) -> TrendPoint:

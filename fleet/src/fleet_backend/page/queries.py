@@ -156,25 +156,37 @@ def _clutches(connection: Connection, rows: Iterable[Row], fluids: Mapping[str, 
     return found
 
 
-def last_arrivals(engine: Engine) -> dict[str, datetime]:
-    """Return when a result of each vehicle was stored last, by the database's clock."""
-    table, stored_at = (
-        (CLUTCH_STREAM, CLUTCH_STREAM.c.last_stored_at)
+def arrivals_of(engine: Engine) -> dict[str, tuple[datetime, int]]:
+    """Return when a result of each vehicle was stored last, by the database's clock, and how many are stored."""
+    table, stored_at, count = (
+        (CLUTCH_STREAM, CLUTCH_STREAM.c.last_stored_at, cast(func.sum(CLUTCH_STREAM.c.result_count), BigInteger))
         if has_partitions(engine)
-        else (SHIFT_RESULT, SHIFT_RESULT.c.stored_at)
+        else (SHIFT_RESULT, SHIFT_RESULT.c.stored_at, func.count())
     )
     with transaction(engine) as connection:
-        rows = connection.execute(select(table.c.vehicle, func.max(stored_at)).group_by(table.c.vehicle))
-        return {str(vehicle): at for vehicle, at in rows if at is not None}
+        rows = connection.execute(select(table.c.vehicle, func.max(stored_at), count).group_by(table.c.vehicle))
+        return {str(vehicle): (at, results) for vehicle, at, results in rows if at is not None}
 
 
-def keep_due(engine: Engine, rows: Sequence[Row], at: datetime) -> None:
-    """Keep when the fluids of one vehicle are due, a row per clutch, in the place of what was kept before."""
-    own = rows[0]["vehicle"]
+def keep_dues(engine: Engine, dues: Mapping[str, Sequence[Row]], at: datetime) -> None:
+    """Keep when the fluids of vehicles are due, a row per clutch, in the place of what was kept before."""
+    waiting = list(dues)
+    for first in range(0, len(waiting), _MOST_NAMES):
+        names = waiting[first : first + _MOST_NAMES]
+        with transaction(engine) as connection:
+            connection.execute(delete(FLUID_DUE).where(FLUID_DUE.c.vehicle.in_(names)))
+            known = connection.scalars(select(VEHICLE.c.vehicle).where(VEHICLE.c.vehicle.in_(names)))  # not forgotten
+            rows = [{**row, "judged_at": at} for name in known for row in dues[name]]
+            if rows:
+                connection.execute(insert(FLUID_DUE), rows)
+
+
+def marks_of_judged(engine: Engine) -> dict[str, str]:
+    """Return by what each vehicle was judged last, those of the longest ago first."""
+    table = FLUID_DUE.c
+    statement = select(table.vehicle, table.mark).where(table.mark.is_not(None)).order_by(table.judged_at)
     with transaction(engine) as connection:
-        connection.execute(delete(FLUID_DUE).where(FLUID_DUE.c.vehicle == own))
-        if connection.execute(select(VEHICLE.c.vehicle).where(VEHICLE.c.vehicle == own)).first():
-            connection.execute(insert(FLUID_DUE), [{**row, "judged_at": at} for row in rows])  # else it was forgotten
+        return {str(vehicle): mark for vehicle, mark in connection.execute(statement)}
 
 
 def levels_of(engine: Engine, vehicle: str, clutch: int, most: int = 240, every: int = 10) -> tuple[float, ...]:
