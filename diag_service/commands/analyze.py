@@ -12,7 +12,6 @@ from diag_service.console import ReadingLine, collected_notices
 from diag_service.delivery import AllReporters, MemoryReporter
 from diag_service.diagnosis.summary import Gap
 from diag_service.errors import ConfigError
-from diag_service.service import paper_run
 from diag_service.service.application import reporter_of
 from diag_service.service.drive import insist
 from diag_service.service.drive_survey import DriveSurvey
@@ -42,6 +41,8 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
         return
     if options.store is not None or diagnosis.broker is not None or options.output is not None:
         raise ConfigError("the paper's method states no uncertainty: its results are shown, not stored or published")
+    from diag_service.service import paper_run  # noqa: PLC0415 - the other method needs none of it
+
     paper_run.show_paper(diagnosis, options.logs, controls, as_json=options.json)
 
 

@@ -12,7 +12,6 @@ from canlog.logs import STANDARD_INPUT, table_columns
 from canlog.logs.streams import never
 from clutchdiag_io.program import legible
 from diag_service.mapping.interpretation import Interpretation, interpret
-from diag_service.mapping.learning import proposed_profile
 from diag_service.mapping.mapped_messages import PURPOSE, tier_of
 from diag_service.mapping.profile import Profile, profile_of
 from diag_service.settings.config import DiagnosisConfig, as_profiled
@@ -46,6 +45,8 @@ def _proposed(
     log = next(iter(logs), STANDARD_INPUT)
     if log == STANDARD_INPUT or log.is_dir() or not table_columns(log, is_stopped=is_stopped, columns=columns):
         return None
+    from diag_service.mapping.learning import proposed_profile  # noqa: PLC0415 - of most logs is known what they are
+
     text = proposed_profile(log, is_stopped=is_stopped, columns=columns)
     proposed = replace(profile_of(tomllib.loads(text), log), name=PROPOSED)
     tier = tier_of(proposed.sources.keys(), knows_gears=proposed.gears is not None)
