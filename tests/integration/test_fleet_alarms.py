@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
 from sqlalchemy import Connection, Engine, event, select
 
@@ -25,7 +26,7 @@ from fleet_backend.cli import main
 from fleet_backend.database import transaction
 from fleet_backend.errors import CarrierError, DatabaseAwayError
 from fleet_backend.office.watching import Orders, Watch, read_carrier
-from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, AUDIT
+from fleet_backend.office_tables import ALARM, ALARM_MESSAGE, AUDIT, FLUID_DUE
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import NOW, fleet_result, row_of
 from tests.support.histories import history
@@ -204,6 +205,30 @@ def test_what_one_process_has_judged_no_other_judges_again_without_news(engine: 
     assert news(service_distance_m=3.0e7) == everyone
     assert news(service_distance_m=3.0e7) == set()
     assert news() == everyone  # of other orders nothing is kept
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_who_judges_all_anew_finds_the_alarms_of_those_who_remember(engine: Engine, seed: int) -> None:
+    rng, clock = np.random.default_rng(seed), Clock()
+    rows = {name: [row_of(one) | {"vehicle": name} for one in history(40)] for name in ("car0", "car1", "car2", "car3")}
+    for own in rows.values():
+        worn, leap_m, unused = rng.uniform(0.0, 0.3), 2e8 * rng.integers(2), rng.uniform()
+        for place, row in enumerate(own):
+            row["odometer_m"] = 4.0e5 * place + leap_m * (place > 30)
+            row["status"] = "rejected" if rng.uniform() < unused else row["status"]
+            if row["mu_c"] is not None:
+                row["mu_c"] -= 0.01 * worn * place * row["mu_c"] / 4.0
+    for step in range(4):
+        for own in rows.values():
+            if step == 0 or rng.uniform() < 0.5:
+                Writer(engine).store(Batch(shifts=own[10 * step : 10 * step + 10]))
+        Watch(engine, Orders(), clock).round(judging_s=float("inf"))
+    raised = book.open_alarms(engine)
+    assert len({subject.rule for subject in raised}) >= 3
+    with transaction(engine) as connection:
+        connection.execute(FLUID_DUE.update().values(mark=None))
+    assert Watch(engine, Orders(), clock).round(judging_s=float("inf")) == []
+    assert book.open_alarms(engine) == raised
 
 
 def test_a_vehicle_whose_alarm_could_not_be_written_is_judged_again(engine: Engine) -> None:
