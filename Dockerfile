@@ -37,7 +37,7 @@ USER 10001:10001
 # cache's folder begins with what is in the image, and keeps what such a host has compiled.
 RUN ecu-emulator record /tmp/warm.log --scenario noise_only --cycles 1 \
  && diag-service analyze /tmp/warm.log --json > /dev/null \
- && python -c 'from clutchdiag_io.starting import choose_kernel_cache as choose; choose(); \
+ && python -c 'from clutchdiag_io.program import choose_kernel_cache as choose; choose(); \
       from diag_service.service.bus_run import warm_up; warm_up()' \
  && rm /tmp/warm*
 CMD ["diag-service", "--help"]

@@ -180,7 +180,7 @@ warm: setup-all
 	  $(PY) -m pytest --collect-only -qq && \
 	  $(PY) -m ecu_emulator record "$$folder/warm.log" --scenario noise_only --cycles 1 && \
 	  $(PY) -m diag_service analyze "$$folder/warm.log" --json && \
-	  $(PY) -c 'from clutchdiag_io.starting import choose_kernel_cache as choose; choose(); \
+	  $(PY) -c 'from clutchdiag_io.program import choose_kernel_cache as choose; choose(); \
 	    from ecu_emulator.drive.recording import Drive; from ecu_emulator.scenario.scenario_file import load_scenario; \
 	    next(iter(Drive(load_scenario("lockup")).stretches(10.0))); \
 	    from diag_service.service.bus_run import warm_up; warm_up()'; } >"$$folder/said" 2>&1 || { \

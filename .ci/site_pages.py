@@ -17,7 +17,7 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 ROOT: Final = Path(__file__).parents[1]
-PROGRAMS: Final = ("ecu_emulator.arguments", "diag_service.commands.arguments", "fleet_backend.arguments")
+PROGRAMS: Final = ("ecu_emulator.cli", "diag_service.cli", "fleet_backend.cli")
 PACKAGES: Final = ("diag_service", "canlog", "ecu_emulator", "workshop")
 LINK: Final = re.compile(r"\[([^\]]*)\]\((?!\w+:|#)([^)#]+)(#[^)]*)?\)")
 
@@ -77,7 +77,7 @@ def _parameters() -> str:
 def _commands() -> str:
     parts = ["# Commands", "", "What `--help` says, program by program."]
     for module in PROGRAMS:
-        program: click.Command = import_module(module).COMMAND_LINE
+        program: click.Command = import_module(module).command_line
         for path, text in _helps(program, program.name or "", None):
             parts += ["", f"{'##' if path == program.name else '###'} {path}", "", "```text", text, "```"]
     return "\n".join(parts) + "\n"

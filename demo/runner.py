@@ -38,7 +38,7 @@ from demo.outcome import (
 )
 from demo.programs import BACKEND, EMULATOR, HOST, LOOK_S, SERVICE, DemoError, Program, free_port, program, run
 from demo.scan_tool import ScanTool
-from diag_service.api import picture
+from diag_service.api.analysis import draw_fan, save_figure
 from diag_service.service.application import first_error
 from ecu_emulator.truth import read_truth
 from fleet_contract import Channel
@@ -110,7 +110,7 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
             console.print(table)
         console.print("drawing the pictures: about 3 s")
         (folder / ageing.PICTURE).write_text(draw(points), encoding="utf-8")
-        picture.save(bus_picture(outcome), folder / PICTURE)
+        save_figure(bus_picture(outcome), folder / PICTURE)
         parts.end("pictures")
     found = [*ageing.course_complaints(points), *complaints(outcome)]
     lines: list[str | Text] = [*frame_lines(outcome.frames), f"pictures: {folder / PICTURE}, {folder / ageing.PICTURE}"]
@@ -125,7 +125,7 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
 def bus_picture(outcome: Outcome) -> "Figure":
     """Return the picture of the shifts that the table of single shifts tells."""
     fan = fan_of(outcome.shifts, (), [one.friction for one in nominal_calibration().clutches])
-    return picture.draw(fan, f"{len(outcome.shifts)} shifts on the bus")
+    return draw_fan(fan, f"{len(outcome.shifts)} shifts on the bus")
 
 
 class Parts:

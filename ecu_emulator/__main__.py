@@ -3,7 +3,7 @@
 import sys
 from functools import partial
 
-from clutchdiag_io.starting import run_program
+from clutchdiag_io.program import run_program
 
 main = partial(run_program, "ecu_emulator.cli")
 

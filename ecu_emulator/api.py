@@ -13,9 +13,9 @@ from typing import Any, Final, Self
 
 import can
 
-from ecu_emulator import arguments
+from ecu_emulator import scenario as scenarios
 from ecu_emulator.bus.sender import open_bus
-from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_scenario, save_dbc, write_log
+from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_scenario, ns_of, save_dbc, write_log
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.live import AnswersTesters, BusChoice, SentTruth, answering_of, send
@@ -142,10 +142,10 @@ class Emulator:
         start_delay_s: float = 0.0,
         parked_s: float | None = None,
     ) -> None:
-        check_range("oil_degc", oil_degc, arguments.OIL_RANGE_DEGC)
-        check_range("mass_kg", mass_kg, arguments.MASS_RANGE_KG)
-        check_range("start_delay_s", start_delay_s, arguments.DELAY_RANGE_S)
-        check_range("parked_s", parked_s, arguments.PARKED_RANGE_S)
+        check_range("oil_degc", oil_degc, scenarios.OIL_RANGE_DEGC)
+        check_range("mass_kg", mass_kg, scenarios.MASS_RANGE_KG)
+        check_range("start_delay_s", start_delay_s, scenarios.DELAY_RANGE_S)
+        check_range("parked_s", parked_s, scenarios.PARKED_RANGE_S)
         check_word("fluid", fluid, [one.value for one in FluidCondition])
         check_word("drive", drive, [one.value for one in DriveName])
         driven = DriveOptions(
@@ -210,17 +210,17 @@ class Emulator:
         log = LogOptions(
             path=Path(path),
             log_format=log_format,
-            start_ns=DEFAULT_START_NS if start_time is None else arguments.ns_of(start_time),
+            start_ns=DEFAULT_START_NS if start_time is None else ns_of(start_time),
             channel=channel,
             truth=self._truth_path,
-            longest_stay_s=arguments.MOST_PARKED_S if self._parked_s is None else self._parked_s,
+            longest_stay_s=scenarios.MOST_PARKED_S if self._parked_s is None else self._parked_s,
         )
         return write_log(self.scenario, log, Event())  # that of the bus is set when the drive there is over
 
     def __enter__(self) -> Self:
         if self._thread is not None:
             raise EmulatorConfigError("an emulator drives only once; make another one")
-        self._drive = Drive(self.scenario, arguments.LIVE_PARKED_S if self._parked_s is None else self._parked_s)
+        self._drive = Drive(self.scenario, scenarios.LIVE_PARKED_S if self._parked_s is None else self._parked_s)
         bus = self.open_bus()
         try:
             if self._truth_path is not None:

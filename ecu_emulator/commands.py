@@ -5,20 +5,19 @@ import shutil
 import sys
 import textwrap
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from threading import Event
-from types import SimpleNamespace
-from typing import Any, Final
+from typing import Any
 
-from clutch_model.units import k_from_degc
-from clutchdiag_io.command_line import STANDARD_STREAM
+from clutch_model.units import NS_PER_S, k_from_degc
+from clutchdiag_io.command_line import STANDARD_STREAM, record_of
 from clutchdiag_io.files import until_whole
 from clutchdiag_io.program import refusal
 from dbc.contract import dbc_path
-from ecu_emulator.arguments import MOST_PARKED_S
 from ecu_emulator.drive.recording import LONG_STRETCH_S, Drive
 from ecu_emulator.errors import EmulatorConfigError, EmulatorStoppedError, RecordError
 from ecu_emulator.log_formats import (
@@ -29,16 +28,11 @@ from ecu_emulator.log_formats import (
     open_log_stream,
 )
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
-from ecu_emulator.scenario import DriveName
+from ecu_emulator.scenario import MOST_PARKED_S, DriveName
 from ecu_emulator.scenario.faults import CauseKind, Degradation
 from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Scenario, WorkshopRoutine
 from ecu_emulator.scenario.scenario_file import load_scenario, shipped_scenarios
 from ecu_emulator.truth import Totals, TruthWriter, read_truth, truth_path
-
-_SAME_IN_WORDS: Final = (  # of a drive
-    *("scenario", "fluid", "cause", "seed", "vehicle_seed", "drive_seed", "drive", "cycles"),
-    *("oil_degc", "mass_kg", "routine"),
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +51,7 @@ class DriveOptions:
     oil_degc: float | None = None  # colder oil makes coolant and air as cold: the car has stood there
     mass_kg: float | None = None
     odometer_m: float | None = None
+    odometer: str | None = None  # the same, as ``odometer_from`` takes it
     routine: tuple[int, int] | None = None  # revs with open and with closed clutches
     is_in_workshop: bool = False  # the car waits for a tester to start the routine
 
@@ -73,19 +68,25 @@ class LogOptions:
     longest_stay_s: float = MOST_PARKED_S
 
 
-def drive_options(options: SimpleNamespace) -> DriveOptions:
-    """Return what a command line says of a drive; raises what ``odometer_from`` raises."""
-    return DriveOptions(
-        **{name: getattr(options, name) for name in _SAME_IN_WORDS},
-        is_endless=options.endless,
-        odometer_m=odometer_from(options.odometer),
-        is_in_workshop=vars(options).get("workshop", False),  # an option of those who let testers ask
-    )
+def log_options(words: Mapping[str, Any]) -> LogOptions:
+    """Return what a command line says of a log."""
+    return replace(record_of(LogOptions, words), start_ns=ns_of(words["start_time"]))
+
+
+def ns_of(instant: datetime) -> int:
+    """Return nanoseconds since the epoch, whole microseconds; UTC unless it has a zone."""
+    aware = instant if instant.tzinfo is not None else instant.replace(tzinfo=UTC)
+    return int(aware.replace(microsecond=0).timestamp()) * NS_PER_S + aware.microsecond * 1000
 
 
 def choose_scenario(options: DriveOptions) -> Scenario:
-    """Return the scenario with what is overridden; raises ConfigError if it or an override cannot be used."""
+    """Return the scenario with what is overridden; raises ConfigError if it or an override cannot be used.
+
+    Raises what ``odometer_from`` raises, too.
+    """
     named = options.scenario
+    if options.odometer is not None:
+        options = replace(options, odometer_m=odometer_from(options.odometer))
     scenario = named if isinstance(named, Scenario) else load_scenario(named)
     given: dict[str, Any] = {
         name: value
@@ -124,13 +125,11 @@ def _cause(said: str) -> Degradation:
         raise EmulatorConfigError(f"no cause {said!r}: strength and clutch must be numbers") from exc
 
 
-def odometer_from(said: str | None) -> float | None:
+def odometer_from(said: str) -> float:
     """Return the odometer at the start [m]: from kilometres, or from the end of the drive before by its truth file.
 
     Raises ConfigError, RecordError if the drive before did not end in order; if there is no such file.
     """
-    if said is None:
-        return None
     with suppress(ValueError):
         return 1000.0 * float(said)
     totals = read_truth(Path(said)).totals

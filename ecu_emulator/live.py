@@ -337,19 +337,21 @@ class AnswersTesters(Protocol):
         """Return the controller, which answers while it is entered."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SendOptions:
+    """What is written beside a drive on a bus, and how it begins and pauses."""
+
+    truth: Path | None
+    summary: Path | None
+    control: Path | None
+    alive: Path | None
+    start_delay_s: float
+    longest_stay_s: float
+    is_json: bool
+
+
 def run(
-    scenario: Scenario,
-    *,
-    choice: BusChoice,
-    truth: Path | None,
-    summary: Path | None,
-    control: Path | None,
-    alive: Path | None,
-    answers: AnswersTesters | None,
-    start_delay_s: float,
-    longest_stay_s: float,
-    is_json: bool,
-    stop: Event,
+    scenario: Scenario, choice: BusChoice, options: SendOptions, answers: AnswersTesters | None, stop: Event
 ) -> None:
     """Stream a drive onto a bus in real time and report how punctual it was; a request to stop ends it in order.
 
@@ -358,18 +360,20 @@ def run(
     """
     logging.getLogger("can").setLevel(logging.CRITICAL)  # python-can logs what it raises, and more when a bus goes
     console = people()
-    drive = Drive(scenario, longest_stay_s)
+    drive = Drive(scenario, options.longest_stay_s)
     most_bytes = ROTATED_BYTES if scenario.endless else None
     with (
         open_bus(choice.interface, choice.channel, choice.bitrate, fd=choice.is_fd) as bus,
         answering_of(answers, bus, choice, scenario, drive) as answering,
-        ControlSocket(control, drive.add_fault) if control is not None else nullcontext(),
+        ControlSocket(options.control, drive.add_fault) if options.control is not None else nullcontext(),
         ExitStack() as begun,
     ):
-        with until_whole(summary) if summary is not None else nullcontext() as report_file:
+        with until_whole(options.summary) if options.summary is not None else nullcontext() as report_file:
             _write_summary(report_file, {})
-            life = SignOfLife(alive) if alive is not None else None
-            writer = begun.enter_context(TruthWriter(truth, most_bytes=most_bytes)) if truth is not None else None
+            life = SignOfLife(options.alive) if options.alive is not None else None
+            writer = None
+            if options.truth is not None:
+                writer = begun.enter_context(TruthWriter(options.truth, most_bytes=most_bytes))
         progress = begun.enter_context(ProgressLine(console, "preparing the plant"))
         sent = SentTruth(drive, writer)
 
@@ -381,11 +385,11 @@ def run(
             )
 
         result = send(
-            scenario, sent, bus, choice=choice, answering=answering, start_delay_s=start_delay_s, stop=stop,
+            scenario, sent, bus, choice=choice, answering=answering, start_delay_s=options.start_delay_s, stop=stop,
             say=lambda line: console.print(line, markup=False), show=show,
         )  # fmt: skip
-    _write_summary(summary, result)
-    if is_json:
+    _write_summary(options.summary, result)
+    if options.is_json:
         print_json(result)
 
 

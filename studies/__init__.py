@@ -1,7 +1,6 @@
 """What makes the figures of speed, size and accuracy: ``python -m studies.NAME``, with ``--short`` in two minutes."""
 
-from clutchdiag_io.program import reckon_in_one_thread
-from clutchdiag_io.starting import choose_kernel_cache
+from clutchdiag_io.program import choose_kernel_cache, reckon_in_one_thread
 
 reckon_in_one_thread()  # as the programs do
 choose_kernel_cache()

@@ -34,7 +34,6 @@ from canlog.live import FrameSource, SourceCounts
 from canlog.logs import read_log
 from dbc.contract import load_contract
 from diag_service import cli
-from diag_service.commands import arguments
 from studies.run import parsed, study_parser
 
 TARGET_MB = 300.0
@@ -139,7 +138,7 @@ def run_service(source: LoopedDrive) -> dict[str, object]:
         patch("diag_service.service.bus_run.BusOpener", partial(DriveOpener, source)),
     ):
         status = cli.main(["run", "--store", "results.sqlite", "--json"])
-    if status != arguments.EXIT_OK:
+    if status != cli.EXIT_OK:
         raise SystemExit(f"diag-service ended with status {status}")
     last = Path("out.jsonl").read_text(encoding="utf-8").splitlines()[-1]
     record: dict[str, object] = json.loads(last)

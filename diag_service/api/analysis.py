@@ -4,13 +4,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, Unpack
+from typing import TYPE_CHECKING, Any, Final, Self, Unpack
 
 from canlog.column_files import arrow_schema, row_table
+from canlog.errors import OutputError
 from canlog.extras import load_extra
 from clutch_model.calibration import Calibration
+from clutch_results.pictures import LIMITS, MOMENT_ROWS, Fan
 from clutch_results.records import ClutchVerdict, ShiftResult, dump, shift_record, verdict_from
-from clutchdiag_io.people import digits
+from clutchdiag_io.people import PLUS_MINUS, digits
 from clutchdiag_io.program import legible
 from diag_service.api.choices import AnyPath, AnyPaths, Delivery, LogMeaning, configuration, optional_path, path_list
 from diag_service.batch.tables import columns, drive_rows, flattened, record_columns
@@ -21,18 +23,15 @@ from diag_service.diagnosis.friction.paper import PaperShift, PooledClutch
 from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged, with_revisions
 from diag_service.errors import ConfigError
 from diag_service.service.drive import insist
-from diag_service.service.drive_survey import DriveSurvey
 from diag_service.service.paper_run import run_paper
-from diag_service.service.recorded import run_recorded
+from diag_service.service.recorded import DriveSurvey, run_recorded
 from diag_service.service.stopping import Trigger
-from diag_service.settings.proposed import as_proposed
+from diag_service.settings.config import as_proposed
 from fleet_contract import Channel
 from fleet_contract.orders import name_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from clutch_results.pictures import Fan
 
 Row = Mapping[str, object]
 SHOWN_ROWS = 20  # in a notebook
@@ -215,11 +214,9 @@ class Analysis:
         OutputError
             If the file cannot be written.
         """
-        from diag_service.api.picture import draw, save  # noqa: PLC0415 - matplotlib, an extra
-
-        figure = draw(self._fan, legible(", ".join(one.name for one in self.paths) or self.vehicle))
+        figure = draw_fan(self._fan, legible(", ".join(one.name for one in self.paths) or self.vehicle))
         if path is not None:
-            save(figure, Path(path))
+            save_figure(figure, Path(path))
         return figure
 
     def __repr__(self) -> str:
@@ -238,7 +235,7 @@ class Analysis:
         return [unjudged(result, gaps) for result in with_revisions(self.results)]
 
     @property
-    def _fan(self) -> "Fan | None":
+    def _fan(self) -> Fan | None:
         """The fan chart, as a report of the same logs has it."""
         from diag_service.report.findings import findings_of_results  # noqa: PLC0415 - only pictures need a report
         from diag_service.report.page import fan_for  # noqa: PLC0415 - likewise
@@ -347,3 +344,65 @@ def analyze_by_paper(
     return PaperAnalysis(
         shifts=tuple(shifts), clutches=run.clutches, is_complete=not run.account.gaps, notices=tuple(notices)
     )
+
+
+SIZE_INCH: Final = (9.0, 4.5)
+CLUTCH_COLOUR: Final = {1: "#b83a0a", 2: "#0b5cab"}
+KIND_COLOUR: Final = {"watch": "#8f4a00", "change": "#a81c1c", "change_fluid": "#a81c1c"}  # of limits and moments
+INK: Final = "#22303c"
+MUTED: Final = "#526170"
+ZONE_OPACITY: Final = 0.1
+BAND_OPACITY: Final = 0.2
+
+
+def draw_fan(fan: Fan | None, name: str) -> "Figure":
+    """Return the figure, under the name of what was analysed; ExtraMissingError if matplotlib is not installed."""
+    load_extra("matplotlib", "plot() needs matplotlib")
+    from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
+
+    figure = Figure(figsize=SIZE_INCH, layout="constrained")
+    axes = figure.subplots()
+    axes.set_title(name, loc="right")
+    axes.set_ylabel("friction margin [%], 100: new fluid")
+    if fan is None:
+        axes.set_title("no friction is known", loc="left")
+        return figure
+    first = fan.pasts[0]
+    for past in reversed(fan.pasts):
+        along, left, wide, _ = fan.drawn(past)
+        colour = CLUTCH_COLOUR[past.clutch]
+        axes.plot(along, left, color=colour, lw=2.2 if past is first else 1.2, label=past.title)
+        if past is first:
+            axes.fill_between(
+                along, left - wide, left + wide, color=colour, alpha=BAND_OPACITY, lw=0.0, label=PLUS_MINUS
+            )
+    bottom, top = min(-12.0, axes.get_ylim()[0]), max(112.0, axes.get_ylim()[1])
+    if len(fan.ahead):
+        low, middle, high = fan.quantiles
+        axes.fill_between(
+            fan.ahead, low, high, color=INK, alpha=BAND_OPACITY, lw=0.0, label="forecast: 8 of 10 courses"
+        )
+        axes.plot(fan.ahead, middle, color=INK, lw=1.2, ls="--", label="its middle")
+    for (limit, kind, text), base in zip(LIMITS, (0.0, bottom), strict=True):
+        axes.axhspan(base, limit, color=KIND_COLOUR[kind], alpha=ZONE_OPACITY, lw=0.0)
+        axes.axhline(limit, color=KIND_COLOUR[kind], lw=1.0, ls="--")
+        axes.annotate(
+            text, (0.0, limit), (4.0, 3.0), axes.get_yaxis_transform(), "offset points", color=KIND_COLOUR[kind]
+        )
+    for turn, (place, kind, text) in enumerate(fan.moments):
+        colour, at = KIND_COLOUR.get(kind, MUTED), (3.0, -12.0 - 11.0 * (turn % MOMENT_ROWS))
+        axes.axvline(place, color=colour, lw=1.0, ls="--")
+        axes.annotate(text, (place, 1.0), at, axes.get_xaxis_transform(), "offset points", color=colour, fontsize=8.0)
+    axes.set_ylim(bottom, top)
+    axes.set_xlabel(fan.label)
+    figure.legend(loc="outside upper left", ncols=5, frameon=False, fontsize=8.0)
+    return figure
+
+
+def save_figure(figure: "Figure", path: Path) -> None:
+    """Write a figure; raises OutputError if the file cannot be written, or its suffix is of no picture."""
+    try:
+        figure.savefig(path)
+    except (OSError, ValueError) as exc:
+        reason = exc.strerror if isinstance(exc, OSError) else None
+        raise OutputError(f"cannot write {path}: {reason or exc}") from exc

@@ -4,13 +4,21 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Literal, TypedDict
 
 from clutch_model.calibration import Calibration
 from diag_service.delivery import Acknowledge
 from diag_service.errors import ConfigError
-from diag_service.settings.config import DiagnosisConfig, PollConfig, as_profiled, broker_of, described_by, vehicle_of
+from diag_service.settings.config import (
+    DeliveryOptions,
+    DiagnosisConfig,
+    MeaningOptions,
+    PollConfig,
+    as_profiled,
+    broker_of,
+    described_by,
+    vehicle_of,
+)
 
 if TYPE_CHECKING:
     import can
@@ -114,23 +122,30 @@ def configuration(
     )
 
 
-def diagnosis_config(options: SimpleNamespace) -> DiagnosisConfig:
+def diagnosis_config(options: MeaningOptions) -> DiagnosisConfig:
     """Return what the words of a command line stand for; raises as ``configuration``."""
     if options.vehicle_file is not None and options.calibration is not None:
         raise ConfigError("a vehicle file holds a calibration: give either --vehicle-file or --calibration")
-    delivery = None
-    if is_delivering := hasattr(options, "broker"):
-        members = ("ca", "cert", "key", "password_file", "acknowledge")
-        delivery = Delivery(broker=options.broker or "", **{name: getattr(options, name) for name in members})
+    delivery, budget_mib = None, None
+    if isinstance(options, DeliveryOptions):
+        budget_mib = options.store_budget
+        delivery = Delivery(
+            broker=options.broker or "",
+            ca=options.ca,
+            cert=options.cert,
+            key=options.key,
+            password_file=options.password_file,
+            acknowledge=options.acknowledge,
+        )
     return configuration(
         vehicle=options.vehicle,
         dbc=options.dbc,
         profile=options.profile,
         calibration=options.vehicle_file or options.calibration,
-        is_strict=getattr(options, "strict", False),
-        columns=getattr(options, "columns", None) or "",
+        is_strict=options.strict,
+        columns=options.columns,
         delivery=delivery,
-        store_budget_mib=options.store_budget if is_delivering else None,
+        store_budget_mib=budget_mib,
     )
 
 

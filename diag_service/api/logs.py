@@ -27,8 +27,8 @@ from diag_service.console import collected_notices
 from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import open_database
 from diag_service.mapping.learning import proposed_profile
+from diag_service.service.snapshot import DEFAULT_BITRATE
 from diag_service.service.stopping import Trigger
-from diag_service.settings.options import DEFAULT_BITRATE
 
 INSPECT_SCHEMA: Final = "clutchdiag/inspect/v1"
 MOST_DISTINCT: Final = 4096  # values of a column that are kept to find its step

@@ -31,8 +31,7 @@ from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.service.drive import stream_of
 from diag_service.service.session import versions_for
 from diag_service.service.stopping import Trigger
-from diag_service.settings.config import DiagnosisConfig
-from diag_service.settings.proposed import PROPOSED
+from diag_service.settings.config import PROPOSED, DiagnosisConfig
 
 ACCOUNT_VERSION = "4"  # of what a journal keeps of a drive; entries of an older one are made anew
 _LOG = logging.getLogger(__name__)

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, Literal
 
 from cantools.database.can import Message
 
@@ -37,25 +36,46 @@ BUILT_IN_FITS_NOT: Final = (
 )
 
 
-def execute(options: SimpleNamespace, controls: Controls) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DecodeOptions:
+    """What of which logs becomes which tables."""
+
+    logs: tuple[Path, ...]
+    output: Path
+    force: bool
+    table_format: str | None
+    dbc: Path | None
+    match: str
+    columns: str
+    layout: Literal["messages", "wide"] | None
+    values: Literal["numbers", "texts", "both"]
+    signals: str
+    begin: str | None
+    end: str | None
+    jobs: int | None
+    strict: bool
+    json: bool
+
+
+def decode(options: DecodeOptions, controls: Controls) -> None:
     """Decode logs; a file appears when it is complete. Raises StoppedError if that was stopped."""
     has_folders = any(path.is_dir() for path in options.logs if path != STANDARD_INPUT)
     layout = options.layout or default_shape(options.output, is_folder=has_folders)
-    options = SimpleNamespace(**{**vars(options), "layout": layout})
-    is_of_messages = layout == TableShape.MESSAGES
+    options = replace(options, layout=layout)
+    is_of_messages = layout == "messages"
     if has_folders or (options.output.is_dir() and not is_of_messages):
         _decode_folders(options, controls)
         return
     if options.jobs is not None:
         raise ConfigError("--jobs is for folders: the logs that were named are one table")
-    table_format = table_format_of(options.output, options.format, is_folder=is_of_messages)
+    table_format = table_format_of(options.output, options.table_format, is_folder=is_of_messages)
     _check(options, table_format)
     messages = open_database(
         options.dbc,
         options.logs,
         is_j1939=options.match == "group",
         is_stopped=lambda: controls.stop.is_set,
-        columns=options.columns or "",
+        columns=options.columns,
     ).messages
     plan = _planned(_choice_of(options), messages)
     _check_messages(options.output, plan, table_format, is_forced=options.force)
@@ -63,7 +83,7 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
     output: Path | BinaryIO = sys.stdout.buffer if is_piped else options.output
     with ReadingLine() as line:
         decoded = decode_logs(
-            options.logs, plan, output, table_format, lambda: controls.stop.is_set, line.watch, options.columns or ""
+            options.logs, plan, output, table_format, lambda: controls.stop.is_set, line.watch, options.columns
         )
     if not decoded.is_whole:
         raise StoppedError(f"stopped early: {'a part was written' if is_piped else 'no file was written'}")
@@ -96,14 +116,14 @@ def table_format_of(output: Path, named: str | None, *, is_folder: bool = False)
         raise ConfigError(f"{output}: the signals are written as {known}, or as --format says") from None
 
 
-def _check(options: SimpleNamespace, table_format: TableFormat) -> None:
+def _check(options: DecodeOptions, table_format: TableFormat) -> None:
     """Raise ConfigError if the words contradict each other, ExtraMissingError if the format needs what is missing."""
     is_piped = options.output == STANDARD_STREAM
     if is_piped and table_format not in STREAMED:
         raise ConfigError(f"{table_format} does not go to standard output; csv, jsonl and arrow do")
     if is_piped and options.json:
         raise ConfigError("the table goes to standard output: --json cannot be used")
-    is_of_messages = options.layout == TableShape.MESSAGES
+    is_of_messages = options.layout == "messages"
     if is_piped and is_of_messages:
         raise ConfigError("tables of messages are a folder, and do not go to standard output")
     if len(options.logs) > 1:
@@ -121,11 +141,11 @@ def _print_record(record: JsonObject) -> None:
     sys.stdout.write(dump(record) + "\n")
 
 
-def _place(options: SimpleNamespace) -> str:
+def _place(options: DecodeOptions) -> str:
     return "standard output" if options.output == STANDARD_STREAM else str(options.output)
 
 
-def _record(options: SimpleNamespace, decoded: DecodedLogs) -> JsonObject:
+def _record(options: DecodeOptions, decoded: DecodedLogs) -> JsonObject:
     """Return everything that is to be said as one JSON object."""
     logs: list[JsonObject] = [
         {
@@ -150,7 +170,7 @@ def _record(options: SimpleNamespace, decoded: DecodedLogs) -> JsonObject:
     }
 
 
-def _show(options: SimpleNamespace, decoded: DecodedLogs, console: PeopleConsole) -> None:
+def _show(options: DecodeOptions, decoded: DecodedLogs, console: PeopleConsole) -> None:
     account = decoded.account
     fates = ", ".join(frame_texts(account))
     lines = list[str]()
@@ -165,15 +185,15 @@ def _show(options: SimpleNamespace, decoded: DecodedLogs, console: PeopleConsole
         console.print(line)
 
 
-def _choice_of(options: SimpleNamespace) -> TableChoice:
+def _choice_of(options: DecodeOptions) -> TableChoice:
     """Return what is asked for."""
     return TableChoice(
         shape=options.layout,
         values=options.values,
-        signals=tuple(name.strip() for name in (options.signals or "").split(",") if name.strip()),
-        begin=vars(options)["from"],
-        end=options.to,
-        columns=options.columns or "",
+        signals=tuple(name.strip() for name in options.signals.split(",") if name.strip()),
+        begin=options.begin,
+        end=options.end,
+        columns=options.columns,
     )
 
 
@@ -286,11 +306,11 @@ def write_own_table(task: TableTask) -> TableDone:
     return _WRITERS[0].write(task)
 
 
-def _decode_folders(options: SimpleNamespace, controls: Controls) -> None:
+def _decode_folders(options: DecodeOptions, controls: Controls) -> None:
     """Decode logs into tables of their own; raises StoppedError if that was stopped before all were written."""
     from diag_service.batch.worker import DEADLY, job_count, shared_out  # noqa: PLC0415 - one table needs none of it
 
-    table_format = TableFormat(options.format or TableFormat.PARQUET)
+    table_format = TableFormat(options.table_format or TableFormat.PARQUET)
     choice = replace(_choice_of(options), table_format=table_format.value)
     try:
         choice.format_of(options.output)
@@ -298,7 +318,7 @@ def _decode_folders(options: SimpleNamespace, controls: Controls) -> None:
         raise ConfigError(str(exc)) from exc
     jobs = job_count(options.jobs)
     messages = open_database(options.dbc, is_j1939=options.match == "group").messages
-    tasks = _tasks(options, "" if options.layout == TableShape.MESSAGES else SUFFIX_OF_FORMAT[table_format])
+    tasks = _tasks(options, "" if options.layout == "messages" else SUFFIX_OF_FORMAT[table_format])
     plans = {task.columns: _planned(choice, task.messages(messages)) for task in tasks}  # complains of what is none
     for task in tasks:
         _check_messages(task.output, plans[task.columns], table_format, is_forced=options.force)
@@ -325,7 +345,7 @@ def _decode_folders(options: SimpleNamespace, controls: Controls) -> None:
         raise IncompleteError(f"not all of {len(losing)} logs is in their tables: {losing[0]}")
 
 
-def _tasks(options: SimpleNamespace, suffix: str) -> list[TableTask]:
+def _tasks(options: DecodeOptions, suffix: str) -> list[TableTask]:
     """Return the logs with their tables, or folders of tables if these have no suffix.
 
     Raises ConfigError if a table is there already, two would be one, or a table would be among the logs.
@@ -340,7 +360,7 @@ def _tasks(options: SimpleNamespace, suffix: str) -> list[TableTask]:
     for path in options.logs:
         if path.is_dir() and options.output.resolve().is_relative_to(path.resolve()):
             raise ConfigError(f"{options.output} lies in {path}: the next run would take tables for logs")
-        found = find_drives([path], columns=options.columns or "")
+        found = find_drives([path], columns=options.columns)
         for left in found.left_out:
             _LOG.log(NOTICE, "left out: %s: %s", left.path, left.reason)
             if options.json:
@@ -348,7 +368,7 @@ def _tasks(options: SimpleNamespace, suffix: str) -> list[TableTask]:
         home = path if path.is_dir() else path.parent
         for log in (log for drive in found.drives for log in drive.paths):
             own = log.relative_to(home)
-            columns = () if options.dbc is not None else table_columns(log, columns=options.columns or "")
+            columns = () if options.dbc is not None else table_columns(log, columns=options.columns)
             output = options.output / own.with_name(f"{own.name}{suffix}")
             tasks.append(TableTask(log=log, output=output, columns=columns))
     _check_outputs([task.output for task in tasks], are_files=bool(suffix), is_forced=options.force)
@@ -364,7 +384,7 @@ def _check_outputs(outputs: Sequence[Path], *, are_files: bool, is_forced: bool)
             raise ConfigError(text)
 
 
-def _show_done(done: TableDone, options: SimpleNamespace, console: PeopleConsole) -> None:
+def _show_done(done: TableDone, options: DecodeOptions, console: PeopleConsole) -> None:
     if options.json:
         _print_record({**done.record, "layout": options.layout, "values": options.values})
         sys.stdout.flush()

@@ -2,8 +2,8 @@
 
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 
 from cantools.database.can import Message
 
@@ -31,21 +31,32 @@ _VALUE_HEAD = ("unit", "values", "rate Hz", "period ms", SHORT_PLUS_MINUS, "chan
 _HEAD = ("frames", "bytes", "rate Hz", "period ms", SHORT_PLUS_MINUS, "gaps", "longest s")
 
 
-def execute(options: SimpleNamespace, controls: Controls) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InspectOptions:
+    """Which logs are inspected, and how."""
+
+    logs: tuple[Path, ...]
+    dbc: Path | None
+    match: str
+    columns: str
+    bitrate: int
+    json: bool
+
+
+def inspect(options: InspectOptions, controls: Controls) -> None:
     """Inspect one log after the other; raises StoppedError if that was stopped."""
-    columns = options.columns or ""
     messages = open_database(
         options.dbc,
         options.logs,
         is_j1939=options.match == "group",
         is_stopped=lambda: controls.stop.is_set,
-        columns=columns,
+        columns=options.columns,
     ).messages
     console = PeopleConsole()
-    for path, is_found in _files(options, columns, console):
+    for path, is_found in _files(options, console):
         try:
             with ReadingLine() as line:
-                inspection = inspect_log(path, messages, options.bitrate, controls.stop, line.watch, columns)
+                inspection = inspect_log(path, messages, options.bitrate, controls.stop, line.watch, options.columns)
         except SourceError as exc:
             if not is_found:
                 raise
@@ -61,13 +72,13 @@ def execute(options: SimpleNamespace, controls: Controls) -> None:
             raise StoppedError("stopped early: the last table covers only a part of the log")
 
 
-def _files(options: SimpleNamespace, columns: str, console: PeopleConsole) -> Iterator[tuple[Path, bool]]:
+def _files(options: InspectOptions, console: PeopleConsole) -> Iterator[tuple[Path, bool]]:
     """Yield the logs that are named, and those found in folders; before them is told what a folder holds."""
     for path in options.logs:
         if path == STANDARD_INPUT or not path.is_dir():
             yield path, False
             continue
-        found, others = sorted_out(path, columns)
+        found, others = sorted_out(path, options.columns)
         if options.json:
             for left in others:
                 _show_left_out(left, options, console)
@@ -79,7 +90,7 @@ def _files(options: SimpleNamespace, columns: str, console: PeopleConsole) -> It
         yield from ((one.path, True) for one in found)
 
 
-def _show_left_out(left: LeftOut, options: SimpleNamespace, console: PeopleConsole) -> None:
+def _show_left_out(left: LeftOut, options: InspectOptions, console: PeopleConsole) -> None:
     if options.json:
         sys.stdout.write(dump(left_out_record(left)) + "\n")
     else:
@@ -185,14 +196,8 @@ def _protection_lines(links: dict[str, LinkErrors]) -> Sequence[str]:
     return lines
 
 
-def propose(options: SimpleNamespace, controls: Controls) -> None:
+def propose(controls: Controls, log: Path, dbc: Path | None, columns: str) -> None:
     """Survey a log and write a profile whose comments say what there is."""
     with ReadingLine() as line:
-        text = proposed_profile(
-            options.log,
-            options.dbc,
-            lambda: controls.stop.is_set,
-            watch=line.watch,
-            columns=options.columns or "",
-        )
+        text = proposed_profile(log, dbc, lambda: controls.stop.is_set, watch=line.watch, columns=columns)
     sys.stdout.write(text)

@@ -4,8 +4,8 @@ import logging
 import sys
 from dataclasses import asdict, replace
 from difflib import get_close_matches
-from types import SimpleNamespace
-from typing import Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 from canlog.errors import NOTICE, SourceError
 from canlog.logs import STANDARD_INPUT
@@ -19,6 +19,9 @@ from diag_service.service.stopping import Controls
 from diag_service.settings.config import check_vehicle
 from fleet_link import AddressError, TlsFiles
 
+if TYPE_CHECKING:
+    from diag_service.commands.analyze import AnalyzeOptions
+
 FORGOTTEN_SCHEMA: Final = "clutchdiag/forgotten/v1"
 SHOWN: Final = 5  # of what is wrong, of vehicles that are there
 LOCAL: Final = "local"
@@ -26,24 +29,16 @@ _NOT_FOR_LAKES: Final = ("output", "store", "broker", "json", "force")
 _LOG = logging.getLogger(__name__)
 
 
-def execute(options: SimpleNamespace, controls: Controls) -> None:
-    del controls
-    lake = Place(str(options.lake))
-    if options.action == "forget":
-        _forget(options, lake)
-    else:
-        _check(options, lake)
-
-
-def _forget(options: SimpleNamespace, lake: Place) -> None:
+def forget_vehicle(place: Path | str, vehicle: str, *, json: bool) -> None:
     """Forget a vehicle; raises StoreError if the lake had nothing of it."""
-    gone = forget(lake, check_vehicle(options.vehicle))
+    lake = Place(str(place))
+    gone = forget(lake, check_vehicle(vehicle))
     if not gone.parts and not gone.rows:
         known = sorted({row.vehicle for row in Manifest(lake).rows})
         shown = get_close_matches(gone.vehicle, known, n=SHOWN) or known[:SHOWN]
         others = f"; it has {', '.join(shown)}{'' if len(shown) == len(known) else ' and others'}" if known else ""
         raise StoreError(f"lake {lake.address} has nothing of {gone.vehicle}{others}")
-    if options.json:
+    if json:
         sys.stdout.write(dump({"schema": FORGOTTEN_SCHEMA, "lake": lake.address, **asdict(gone)}) + "\n")
         return
     sys.stdout.writelines(f"removed {part}\n" for part in gone.parts)
@@ -53,10 +48,11 @@ def _forget(options: SimpleNamespace, lake: Place) -> None:
     )
 
 
-def _check(options: SimpleNamespace, lake: Place) -> None:
+def check(place: Path | str, *, repair: bool) -> None:
     """Show what is in a lake; raises IncompleteError if manifest and parts disagree."""
+    lake = Place(str(place))
     found = disagreement(lake)
-    if options.repair:
+    if repair:
         mend(lake, found.missing)
         every = (part.name for part in parts_of(lake, with_unfinished=True))
         lake.remove([*disagreement(lake).unknown, *(name for name in every if name.endswith(UNFINISHED))])
@@ -72,7 +68,7 @@ def _check(options: SimpleNamespace, lake: Place) -> None:
         )
 
 
-def fill(options: SimpleNamespace, controls: Controls) -> None:
+def fill(options: "AnalyzeOptions", controls: Controls) -> None:
     """Bring a lake up to date.
 
     Raises ConfigError if the words contradict each other, SourceError if no log could be analysed, now or before, and
@@ -83,8 +79,8 @@ def fill(options: SimpleNamespace, controls: Controls) -> None:
     if options.scheduler != LOCAL:
         tls = tls_files(options)
         scheduler = trusted_scheduler(options.scheduler, tls), tls
-    options.ca = options.cert = options.key = options.broker = None  # the scheduler's, and nothing is published
-    config = replace(diagnosis_config(options), budget_bytes=None)
+    # The certificates are the scheduler's, and nothing is published.
+    config = diagnosis_config(replace(options, ca=None, cert=None, key=None, broker=None, store_budget=None))
     lake = Place(str(options.lake))
     has_vehicles = options.vehicle_from is not None
     logs = find_logs([str(log) for log in options.logs], lake, config.vehicle, has_vehicles=has_vehicles)
@@ -109,7 +105,7 @@ def fill(options: SimpleNamespace, controls: Controls) -> None:
     _LOG.log(NOTICE, "the lake is %s", lake.address)
 
 
-def _check_words(options: SimpleNamespace) -> None:
+def _check_words(options: "AnalyzeOptions") -> None:
     if given := [name for name in _NOT_FOR_LAKES if name in options.given]:
         raise ConfigError(f"--{given[0]} does not go with --lake: the results are in the lake")
     if options.estimator == "paper":
@@ -125,7 +121,7 @@ def _check_words(options: SimpleNamespace) -> None:
         raise ConfigError("--ca, --cert and --key are for a scheduler: --scheduler tls://HOST:PORT")
 
 
-def tls_files(options: SimpleNamespace) -> TlsFiles:
+def tls_files(options: "AnalyzeOptions") -> TlsFiles:
     """Return the certificates of the command line; raises ConfigError if one of a pair is missing."""
     try:
         return TlsFiles(authority=options.ca, certificate=options.cert, key=options.key)

@@ -1,10 +1,15 @@
-"""``diag-service learn``, ``calibrate`` and ``predict``: what logs tell of a vehicle, as files and for people."""
+"""``diag-service learn``, ``calibrate``, ``predict`` and ``transmission``: what is known of a vehicle, for people."""
 
 import sys
 from collections.abc import Iterator, Sequence
-from types import SimpleNamespace
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
 
 from clutch_model.calibration import nominal_calibration, read_calibration
+from clutch_model.transmission import Transmission, read_transmission
 from clutch_model.units import bar_from_pa, pa_from_bar, rpm_from_rad_s
 from clutch_results.records import dump
 from clutchdiag_io.console import PeopleConsole
@@ -27,9 +32,35 @@ from diag_service.diagnosis.prediction import LEAST_EVENTS
 from diag_service.errors import ConfigError
 from diag_service.service import calibrate_run
 from diag_service.service.stopping import Controls
+from diag_service.settings.config import MeaningOptions
+from fleet_contract import JsonObject
+
+SCHEMA: Final = "clutchdiag/transmission/v1"
 
 
-def learn(options: SimpleNamespace, controls: Controls) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LearnOptions(MeaningOptions):
+    """From which logs a file about their vehicle is made."""
+
+    logs: tuple[Path, ...]
+    output: Path
+    force: bool
+    json: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PredictOptions:
+    """Which shifts are predicted, and from what."""
+
+    logs: tuple[Path, ...]
+    dbc: Path | None
+    profile: Path | None
+    touch: float | None  # [bar]
+    halves: bool
+    json: bool
+
+
+def learn(options: LearnOptions, controls: Controls) -> None:
     """Learn a vehicle, and write and show its description."""
     if text := replacement_refusal(options.output, is_forced=options.force):
         raise ConfigError(text)
@@ -39,7 +70,7 @@ def learn(options: SimpleNamespace, controls: Controls) -> None:
             options.logs,
             options.profile,
             options.dbc,
-            columns=options.columns or "",
+            columns=options.columns,
             stop=controls.stop,
             watch=line.watch,
         )
@@ -49,14 +80,14 @@ def learn(options: SimpleNamespace, controls: Controls) -> None:
     write_record(told, (*said(learned), last), as_json=options.json)
 
 
-def calibrate(options: SimpleNamespace, controls: Controls) -> None:
+def calibrate(options: LearnOptions, controls: Controls) -> None:
     if text := replacement_refusal(options.output, is_forced=options.force):
         raise ConfigError(text)
     config = diagnosis_config(options)
     calibrate_run.run_calibrate(config, options.logs, options.output, controls.stop, as_json=options.json)
 
 
-def predict(options: SimpleNamespace, controls: Controls) -> None:
+def predict(options: PredictOptions, controls: Controls) -> None:
     """Predict the shifts of logs from each other and show how well it went."""
     touch_pa = None if options.touch is None else pa_from_bar(options.touch)
     with ReadingLine() as line:
@@ -107,3 +138,49 @@ def _lines(title: str, shown: Sequence[PredictedShift]) -> Iterator[str]:
             f"{100 * score['inside_50']:>6.0f} % {100 * score['inside_90']:>6.0f} %   "
             f"{100 * score['samples_inside_50']:.0f} % and {100 * score['samples_inside_90']:.0f} %"
         )
+
+
+def show_transmission(file: Path, *, json: bool) -> None:
+    transmission = read_transmission(file)
+    write_record(transmission_record(transmission), transmission_lines(transmission), as_json=json)
+
+
+def transmission_record(transmission: Transmission) -> JsonObject:
+    """Return ratios, levers and slips of all gears, and what each change of one element tells."""
+    gears: list[JsonObject] = [
+        {
+            "number": one.number,
+            "ratio": transmission.ratio(one),
+            "levers": transmission.levers(one),
+            "slips": {name: slip for name, slip in transmission.slips(one).items() if np.isfinite(slip)},
+        }
+        for one in transmission.gears
+    ]
+    changes: list[JsonObject] = [
+        {
+            "lower": one.lower,
+            "upper": one.upper,
+            "elements": {
+                name: {"slip_by_input": slip.by_input, "slip_by_output": slip.by_output}
+                for name, slip in zip((one.coming, one.going), one.slips, strict=True)
+            },
+            "told": [name for name, *_ in one.told],
+        }
+        for one in transmission.changes()
+    ]
+    return {"schema": SCHEMA, "name": transmission.name, "gears": gears, "changes": changes}
+
+
+def transmission_lines(transmission: Transmission) -> Iterator[str]:
+    """Yield the same for people, a line each."""
+    yield transmission.name
+    for one in transmission.gears:
+        levers = ", ".join(f"{name} {lever:+.2f}" for name, lever in transmission.levers(one).items())
+        gear = "reverse" if one.number < 0 else f"gear {one.number}"
+        yield f"{gear}: ratio {transmission.ratio(one):.3f}; torque over the input's: {levers}"
+    told: dict[str, list[str]] = {one.name: [] for one in transmission.elements}
+    for change in transmission.changes():
+        for name, gears, slip in change.told:
+            told[name].append(f"{gears[0]}-{gears[1]} (lever {slip.by_input:+.2f})")
+    for name, changes in told.items():
+        yield f"{name} can be told from {', '.join(changes)}" if changes else f"{name}: no change of gears tells it"

@@ -7,10 +7,9 @@ import textwrap
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import asdict, replace
 from math import isnan
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Self
 from urllib.parse import urlsplit
 
@@ -28,7 +27,7 @@ from clutch_results.records import ShiftResult
 from clutchdiag_io.console import PeopleConsole
 from clutchdiag_io.program import legible
 from diag_service.api.choices import diagnosis_config
-from diag_service.console import ending_key
+from diag_service.commands.options import SETTINGS
 from diag_service.delivery import News
 from diag_service.delivery.console import order_lines, shift_head, shift_line, short_shift_head, short_shift_line
 from diag_service.diagnosis.summary import frames_line, shifts_line
@@ -36,30 +35,26 @@ from diag_service.service import bus_run
 from diag_service.service.session import Session
 from diag_service.service.snapshot import Snapshot
 from diag_service.service.stopping import Controls
-from diag_service.settings.config import bus_config, default_store
-from diag_service.settings.options import SETTINGS
+from diag_service.settings.config import LiveOptions, bus_config, default_store
 from diag_service.store import ResultStore
 from fleet_contract.orders import name_of
 
-QUIT_KEY = "q"
 
-
-def run(options: SimpleNamespace, controls: Controls) -> None:
+def run(options: LiveOptions, controls: Controls) -> None:
     """Diagnose the bus until it is told to stop."""
     diagnosis = diagnosis_config(options)
     bus = bus_config(options)
     store = options.store or default_store(diagnosis.vehicle)
-    bus_run.run_bus(diagnosis, bus, store, controls, as_json=options.json, is_detailed=options.verbose > 0)
+    bus_run.run_bus(diagnosis, bus, store, controls, as_json=options.json, is_detailed=controls.verbosity > 0)
 
 
-def monitor(options: SimpleNamespace, controls: Controls) -> None:
+def monitor(options: LiveOptions, controls: Controls) -> None:
     """Show the bus until it is told to stop; nothing is stored or published."""
     config, bus = diagnosis_config(options), bus_config(options)
     decoder = config.interpretation().decoder()
     with (
         closing(ResultStore.in_memory()) as store,
-        ending_key(QUIT_KEY, controls.stop.set) as has_keyboard,
-        Monitor(PeopleConsole(), config.calibration, f"{QUIT_KEY} ends this" if has_keyboard else "") as onlooker,
+        Monitor(PeopleConsole(), config.calibration) as onlooker,
     ):
         session = Session(config, decoder, store, None, onlooker)
         asyncio.run(bus_run.serve_bus(replace(config, broker=None), bus, store, session, controls, onlooker.show))
@@ -87,9 +82,8 @@ class Monitor:
     It remembers what each clutch had left of its friction margin after each of its last events.
     """
 
-    def __init__(self, console: Console, calibration: Calibration, hint: str = "") -> None:
+    def __init__(self, console: Console, calibration: Calibration) -> None:
         self._console = console
-        self._hint = hint
         self._calibration = calibration
         self._left: dict[str, deque[float]] = {}
         self._live = Live(console=console, auto_refresh=False, transient=False)
@@ -112,7 +106,7 @@ class Monitor:
     def show(self, snapshot: Snapshot) -> None:
         size = (self._console.width, self._console.height) if self._console.is_terminal else None
         sparks = [spark_line(name, list(left)) for name, left in sorted(self._left.items())]
-        self._live.update(screen(snapshot, size, self._hint, sparks), refresh=True)
+        self._live.update(screen(snapshot, size, sparks), refresh=True)
 
 
 def spark_line(name: str, left: Sequence[float]) -> Text:
@@ -124,9 +118,7 @@ def spark_line(name: str, left: Sequence[float]) -> Text:
     return Text.assemble(f"{name:<8} friction margin ", (marks, style), f" {now}")
 
 
-def screen(
-    snapshot: Snapshot, size: tuple[int, int] | None = None, hint: str = "", sparks: Sequence[Text] = ()
-) -> RenderableType:
+def screen(snapshot: Snapshot, size: tuple[int, int] | None = None, sparks: Sequence[Text] = ()) -> RenderableType:
     """Return everything as one picture, within the columns and lines of ``size``; None: as large as it is.
 
     Where lines are short, what each clutch says gives way first, then the shifts.
@@ -134,7 +126,7 @@ def screen(
     width, height = size or (WHOLE_WIDTH, sys.maxsize)
     head = _head(snapshot)
     below = [Text(frames_line(snapshot.summary.frames)), Text(shifts_line(snapshot.summary))]
-    free = height - _folded_count([head, *sparks, *below, Text(hint)], width) - len(snapshot.messages) - TABLE_HEADS
+    free = height - _folded_count([head, *sparks, *below], width) - len(snapshot.messages) - TABLE_HEADS
     sentences = order_lines(snapshot.summary.order)
     if free - _folded_count(sentences, width) < FEW_SHIFTS:
         sentences = sentences[:1]
@@ -149,7 +141,6 @@ def screen(
         _message_table(snapshot),
         *below,
         *([shift_heading(), *(line(result) for result in reversed(recent))] if recent else []),
-        *([Text(hint, "dim")] if hint else []),
     )
 
 
@@ -201,15 +192,15 @@ def _words(name: str) -> str:
 _LOG = logging.getLogger(__name__)
 
 
-def config(options: SimpleNamespace, controls: Controls) -> None:
-    del controls
+def check(options: LiveOptions) -> None:
+    """Check the settings and print what a run would use."""
     diagnosis = diagnosis_config(options)
     bus_config(options)
     diagnosis.interpretation()
     broker = diagnosis.broker
     if broker is not None and broker.exposure:
         _LOG.warning("%s", broker.exposure)
-    sys.stdout.write(describe({**vars(options), "vehicle": diagnosis.vehicle}))
+    sys.stdout.write(describe({**asdict(options), "vehicle": diagnosis.vehicle}))
 
 
 def describe(values: Mapping[str, Any]) -> str:

@@ -3,8 +3,8 @@
 import json
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Final
 
 from rich.text import Text
@@ -26,15 +26,52 @@ from diag_service.report.page import html_of, write_page
 from diag_service.service.drive import insist
 from diag_service.service.session import utc_now
 from diag_service.service.stopping import Controls
+from diag_service.settings.config import MeaningOptions
 from diag_service.store import StoreReader, withdraw_fill
 from fleet_contract import JsonObject
 
 NONE: Final = "-"
 
 
-def history(options: SimpleNamespace, controls: Controls) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HistoryOptions:
+    """Whose history is shown, and how."""
+
+    store: Path
+    vehicle: str | None
+    clutch: int | None
+    rows: int
+    calibration: Path | None
+    peers: Path | None
+    json: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FluidOptions:
+    """Which fill of fluid is noted, or taken back."""
+
+    store: Path
+    vehicle: str | None
+    at: str | None
+    odometer: float | None  # [km]
+    product: str | None
+    note: str | None
+    insist: bool
+    undo: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportOptions(MeaningOptions):
+    """What a report is of, and where it goes."""
+
+    logs: tuple[Path, ...]  # or a store
+    output: Path
+    full: bool
+    force: bool
+
+
+def history(options: HistoryOptions) -> None:
     """Tell the history of one vehicle, on the clutches that are asked for."""
-    del controls
     if options.rows < 1:
         raise ConfigError(f"--rows must be 1 or more, got {options.rows}")
     population = None if options.peers is None else _population(options.peers)
@@ -56,16 +93,14 @@ def _population(path: Path) -> Population:
         raise ConfigError(f"{path}: {exc}") from exc
 
 
-def show(options: SimpleNamespace, controls: Controls) -> None:
-    del controls
-    with StoreReader.open(options.store) as store:
-        record = store.record(options.shift)
-    write_record(record, shift_lines(record), as_json=options.json)
+def show(store: Path, shift: int, *, json: bool) -> None:
+    with StoreReader.open(store) as reader:
+        record = reader.record(shift)
+    write_record(record, shift_lines(record), as_json=json)
 
 
-def fluid_changed(options: SimpleNamespace, controls: Controls) -> None:
+def fluid_changed(options: FluidOptions) -> None:
     """Note the fill in the store; a service that is running takes it up before its next shift."""
-    del controls
     if options.undo:
         with StoreReader.open(options.store) as store:
             vehicle = store.vehicle(options.vehicle)
@@ -87,7 +122,7 @@ def fluid_changed(options: SimpleNamespace, controls: Controls) -> None:
     )
 
 
-def report(options: SimpleNamespace, controls: Controls) -> None:
+def report(options: ReportOptions, controls: Controls) -> None:
     """Write the report, and say where and how large it is."""
     check_name(options.output)
     if text := replacement_refusal(options.output, is_forced=options.force):

@@ -80,10 +80,11 @@ class PatientTrigger(Trigger):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Controls:
-    """What the operating system's signals set."""
+    """What a command is controlled by: what the operating system's signals set, and how much it is to say."""
 
     stop: Trigger = field(default_factory=Trigger)
     counts_wanted: Trigger = field(default_factory=Trigger)
+    verbosity: int = 0  # 1: more; 2: of libraries, too
 
 
 def ignore(*numbers: signal.Signals) -> None:

@@ -1,18 +1,28 @@
-"""What a run is to do, checked once: the command line's words become values, or a ConfigError."""
+"""What a run is to do, checked once: the command line's words become values, or a ConfigError.
 
+Tables of signals of which nobody says what their columns mean are read as is proposed for them.
+"""
+
+import logging
 import os
+import tomllib
 import uuid
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
+from canlog.errors import NOTICE
+from canlog.logs import STANDARD_INPUT, table_columns
+from canlog.logs.streams import never
 from clutch_model.calibration import Calibration, TorqueSource, nominal_calibration
+from clutchdiag_io.program import legible
 from diag_service.delivery import Acknowledge
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import Interpretation, interpret
-from diag_service.mapping.profile import Profile, find_profile
+from diag_service.mapping.mapped_messages import PURPOSE, tier_of
+from diag_service.mapping.profile import Profile, find_profile, profile_of
 from diag_service.mapping.vehicle_file import Described, read_description
 from fleet_contract import is_vehicle
 from fleet_link import AddressError, BrokerAddress, TlsFiles, parse_broker
@@ -25,6 +35,8 @@ SMALLEST_BUDGET_BYTES = 1 << 20
 SHORTEST_POLL_S = 1.0
 _LOCKUP = Path("lockup")  # profile and description of an automatic
 _LOOPBACK = "127.0.0.1"
+PROPOSED = "proposed"  # what a profile is called that nobody named and that is proposed for a table
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,10 +149,57 @@ def adapter_bus() -> tuple[str, str]:
     return "virtual", f"adapter {uuid.uuid4()}"
 
 
-def bus_config(options: SimpleNamespace) -> BusConfig:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeaningOptions:
+    """What frames mean and whose they are, as a command line says it."""
+
+    vehicle: str | None = None
+    dbc: Path | None = None
+    profile: Path | None = None
+    calibration: Path | None = None
+    vehicle_file: Path | None = None
+    columns: str = ""
+    strict: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeliveryOptions(MeaningOptions):
+    """The same, and where results are kept and sent."""
+
+    store: Path | None = None
+    store_budget: int | None = None
+    broker: str | None = None
+    ca: Path | None = None
+    cert: Path | None = None
+    key: Path | None = None
+    password_file: Path | None = None
+    acknowledge: Literal["broker", "backend"] = "broker"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LiveOptions(DeliveryOptions):
+    """The same of a bus: which one is listened to, and what is asked on it."""
+
+    interface: str | None = None
+    channel: str | None = None
+    bitrate: int | None = None
+    fd: bool = False
+    only_mapped: bool = False
+    duration: float | None = None
+    metrics: str | None = None
+    poll: float | None = None
+    adapter: str | None = None
+    active: bool = False
+    ecu: str | None = None
+    reply: str | None = None
+    description: Path | None = None
+    json: bool = False
+
+
+def bus_config(options: LiveOptions) -> BusConfig:
     """Return which bus to listen to; raises ConfigError."""
-    interface, channel, adapter = options.interface, options.channel, getattr(options, "adapter", None)
-    if adapter is not None:
+    interface, channel = options.interface, options.channel
+    if options.adapter is not None:
         if interface is not None or channel is not None:
             raise ConfigError("give either --adapter or --interface and --channel: through an adapter no bus is heard")
         if not options.active:
@@ -155,21 +214,20 @@ def bus_config(options: SimpleNamespace) -> BusConfig:
         is_filtered=options.only_mapped,
         metrics=parse_listen_address(options.metrics) if options.metrics else None,
         poll=_poll(options),
-        asks=getattr(options, "active", False),
-        adapter=adapter,
+        asks=options.active,
+        adapter=options.adapter,
     )
 
 
-def _poll(options: SimpleNamespace) -> PollConfig | None:
+def _poll(options: LiveOptions) -> PollConfig | None:
     """Return whether and how a controller is asked; raises ConfigError if that was not allowed, or for nothing."""
-    period_s = getattr(options, "poll", None)  # commands that only listen have no such option
-    if period_s is None:
-        if getattr(options, "ecu", None) or getattr(options, "reply", None) or getattr(options, "description", None):
+    if options.poll is None:
+        if options.ecu or options.reply or options.description:
             raise ConfigError("--ecu, --reply and --description need --poll")
         return None
     if not options.active:
         raise ConfigError("--poll needs --active: the service sends nothing on a bus unless it is asked to")
-    return PollConfig(period_s=period_s, ecu=options.ecu, reply=options.reply, description=options.description)
+    return PollConfig(period_s=options.poll, ecu=options.ecu, reply=options.reply, description=options.description)
 
 
 def vehicle_of(named: str | None, calibration: Calibration) -> str:
@@ -216,3 +274,59 @@ def default_store(vehicle: str) -> Path:
     except RuntimeError:  # a container's user may have no home
         raise ConfigError("this user has no home folder to keep results in: name a file with --store") from None
     return state / "clutchdiag" / f"{vehicle}.sqlite"
+
+
+def as_proposed(
+    config: DiagnosisConfig, logs: Sequence[Path], is_stopped: Callable[[], bool] = never
+) -> DiagnosisConfig:
+    """Return a configuration for some logs: the same, or with the profile proposed for the table that they are.
+
+    Raises SourceError if a log cannot be read, StoppedError.
+    """
+    proposed = _proposed(logs, config.dbc, config.profile, is_stopped, config.columns)
+    if proposed is None:
+        return config
+    return replace(config, profile=proposed, calibration=as_profiled(config.calibration, proposed))
+
+
+def _proposed(
+    logs: Sequence[Path], dbc: Path | None, profile: Path | Profile | None, is_stopped: Callable[[], bool], columns: str
+) -> Profile | None:
+    """Return the profile proposed for the first of some logs, and tell of it; None if it is no table, or explained.
+
+    What comes through a pipe is read once, so nothing is proposed for it.
+    """
+    if dbc is not None or profile is not None:
+        return None
+    log = next(iter(logs), STANDARD_INPUT)
+    if log == STANDARD_INPUT or log.is_dir() or not table_columns(log, is_stopped=is_stopped, columns=columns):
+        return None
+    from diag_service.mapping.learning import proposed_profile  # noqa: PLC0415 - of most logs is known what they are
+
+    text = proposed_profile(log, is_stopped=is_stopped, columns=columns)
+    proposed = replace(profile_of(tomllib.loads(text), log), name=PROPOSED)
+    tier = tier_of(proposed.sources.keys(), knows_gears=proposed.gears is not None)
+    _LOG.log(
+        NOTICE,
+        "%s is a table of signals, read with the profile proposed for it, which reaches %s; 'diag-service signals' "
+        "writes that profile, for you to check and name with --profile",
+        legible(log.name),
+        f"tier {tier:d} ({PURPOSE[tier]})" if tier else "no tier",
+    )
+    return proposed
+
+
+def interpret_logs(
+    logs: Sequence[Path],
+    dbc: Path | None,
+    profile: Path | Profile | None,
+    *,
+    is_stopped: Callable[[], bool] = never,
+    columns: str = "",
+) -> Interpretation:
+    """Return what `interpret` does; where the user named neither file, tables of signals are read as is proposed.
+
+    Raises what `as_proposed` and `interpret` raise.
+    """
+    named = profile or _proposed(logs, dbc, profile, is_stopped, columns)
+    return interpret(dbc, named)

@@ -1,8 +1,14 @@
-"""Scenarios: everything that decides what one drive puts on the bus; here what can be driven, by name."""
+"""Scenarios: everything that decides what a drive puts on the bus; here what can be driven, and within which limits."""
 
 import enum
+from typing import Final
 
-__all__ = ["DriveName"]
+OIL_RANGE_DEGC: Final = (-15.0, 130.0)
+MASS_RANGE_KG: Final = (900.0, 3500.0)
+DELAY_RANGE_S: Final = (0.0, 3600.0)
+MOST_PARKED_S: Final = 86_400.0
+PARKED_RANGE_S: Final = (0.0, MOST_PARKED_S)
+LIVE_PARKED_S: Final = 10.0
 
 
 class DriveName(enum.StrEnum):

@@ -6,14 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.commands import analyze
-from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import ConfigError
-from diag_service.service.stopping import Controls
 from tests.plugins.drives import SHIFT_COUNT
 from tests.support.certificates import certify, tls_words
 from tests.support.cluster import Cluster
 from tests.support.folders import fill_folder
+from tests.support.in_process import command
 from tests.support.patience import HANG_S
 from tests.support.s3 import BUCKET, in_environment, s3_environment, s3_server, store
 
@@ -22,8 +20,7 @@ ONE_DEATH = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}  # of a worke
 
 def fill(*words: str) -> None:
     logs, lake = f"s3://{BUCKET}/logs", f"s3://{BUCKET}/lake"
-    arguments = ["analyze", logs, "--lake", lake, "--vehicle-from", "path", *words]
-    analyze.execute(COMMAND_LINE.parse(arguments), Controls())
+    command("analyze", logs, "--lake", lake, "--vehicle-from", "path", *words)
 
 
 @pytest.mark.slow

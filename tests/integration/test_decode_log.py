@@ -2,16 +2,15 @@
 
 import json
 import signal
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
 
-from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import IncompleteError
-from diag_service.service.stopping import Controls, Trigger
+from diag_service.service.stopping import Trigger
+from tests.support.in_process import command
 from tests.support.in_process import ended as run
 from tests.support.service import service
 
@@ -55,8 +54,7 @@ what is this
 
 def execute(*words: str | Path, stop: Trigger | None = None) -> None:
     """Run the command in this process."""
-    options = COMMAND_LINE.parse(["decode", *(str(word) for word in words)])
-    import_module("diag_service.commands.decode").execute(options, Controls(stop=stop or Trigger()))
+    command("decode", *words, stop=stop)
 
 
 def decoded(tmp_path: Path, database: str, log: str, *words: str) -> list[Row]:

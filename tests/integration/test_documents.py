@@ -4,7 +4,7 @@ import importlib
 import importlib.util
 import io
 import re
-from contextlib import redirect_stdout, suppress
+from contextlib import redirect_stdout
 from functools import cache
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def options_in(words: list[str]) -> set[str]:
 def help_text(*words: str) -> str:
     module, *inner = words
     out = io.StringIO()
-    with redirect_stdout(out), suppress(SystemExit):
+    with redirect_stdout(out):
         importlib.import_module(f"{module}.cli").main([*inner, "--help"])
     return out.getvalue()
 

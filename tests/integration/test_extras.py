@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.commands.arguments import COMMAND_LINE as DIAG_SERVICE
-from ecu_emulator.arguments import COMMAND_LINE as ECU_EMULATOR
-from fleet_backend.arguments import COMMAND_LINE as FLEET_BACKEND
+from diag_service.cli import command_line as diag_service_line
+from ecu_emulator.cli import command_line as ecu_emulator_line
+from fleet_backend.cli import command_line as fleet_backend_line
 from tests.support.documents import MODULES
 from tests.support.plain_install import Outcome, PlainInstall, extra_modules, plain_install
 
-COMMANDS = {str(one.name): list(one.commands) for one in (ECU_EMULATOR, DIAG_SERVICE, FLEET_BACKEND)}
+COMMANDS = {str(one.name): list(one.commands) for one in (ecu_emulator_line, diag_service_line, fleet_backend_line)}
 CANDUMP = "(1767225600.000000) vcan0 123#0011223344556677\n" * 4
 MDF = b"MDF     4.10    asammdf ".ljust(512, b"\0")
 FLEET = "--database sqlite:///fleet.sqlite"

@@ -210,7 +210,10 @@ def test_what_one_process_has_judged_no_other_judges_again_without_news(engine: 
 @pytest.mark.parametrize("seed", range(2))
 def test_who_judges_all_anew_finds_the_alarms_of_those_who_remember(engine: Engine, seed: int) -> None:
     rng, clock = np.random.default_rng(seed), Clock()
-    rows = {name: [row_of(one) | {"vehicle": name} for one in history(40)] for name in ("car0", "car1", "car2", "car3")}
+    names = ("car0", "car1", "car2", "car3")
+    rows: dict[str, list[dict[str, Any]]] = {
+        name: [row_of(one) | {"vehicle": name} for one in history(40)] for name in names
+    }
     for own in rows.values():
         worn, leap_m, unused = rng.uniform(0.0, 0.3), 2e8 * rng.integers(2), rng.uniform()
         for place, row in enumerate(own):

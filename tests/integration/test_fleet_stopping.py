@@ -12,7 +12,7 @@ from fleet_backend.database import open_database
 from tests.plugins.broker import Mosquitto
 from tests.support.patience import HANG_S
 
-BEFORE, LOADED = "fleet_backend.arguments", "fleet_backend.programs"  # modules; the first is loaded first
+BEFORE, LOADED = "fleet_backend.choices", "fleet_backend.programs"  # modules; the first is loaded first
 AGAIN_S = 1.0e-3
 
 

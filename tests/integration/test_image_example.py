@@ -19,7 +19,7 @@ EXAMPLE = ROOT / "examples" / "gateway"
 # One interpreter for all runs, which saves most of their cost; the gateway itself is a process each time.
 RUNS = """
 import contextlib, io, json, os, sys
-from clutchdiag_io.starting import choose_kernel_cache
+from clutchdiag_io.program import choose_kernel_cache
 choose_kernel_cache()  # what the image has compiled
 sys.modules.setdefault("asammdf", None)  # python-can loads it where it is installed, and that pandas
 import pytest

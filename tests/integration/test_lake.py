@@ -16,17 +16,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.commands import analyze, lake
-from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.errors import IncompleteError, StoreError
 from diag_service.lake.parts import DONE, FAILED, Disagreement, LogRow, Manifest, Place, disagreement
 from diag_service.lake.run import Job, LakeLog, Maker, find_logs, to_do
-from diag_service.service.stopping import Controls
 from diag_service.settings.config import DiagnosisConfig
 from tests.plugins.drives import SHIFT_COUNT
 from tests.support.documents import page_text
 from tests.support.folders import fill_folder
-from tests.support.in_process import workers_here
+from tests.support.in_process import command, workers_here
 from tests.support.s3 import BUCKET, in_environment, s3_environment, s3_server, store
 
 CONFIG = DiagnosisConfig(vehicle="vehicle", calibration=nominal_calibration())
@@ -78,7 +75,7 @@ def _filled(logs: Path) -> Path:
     place = logs.parent / "lake"
     words = ("--lake", str(place), "--vehicle-from", "path", "--signals", SIGNALS, "--jobs", "1")
     with workers_here():
-        analyze.execute(COMMAND_LINE.parse(["analyze", str(logs), *words]), Controls())
+        command("analyze", str(logs), *words)
     return place
 
 
@@ -160,7 +157,7 @@ def test_a_log_that_was_moved_is_in_the_lake_once_whatever_the_version(logs: Pat
     Manifest(place).add([replace(aside, settings="s", parts=("shifts/date=2026-01-01/vehicle=car1/0.parquet",))])
     (address / "shifts" / "date=2026-01-01" / "vehicle=car1" / "0.parquet").write_bytes(b"PAR1")
     assert len(disagreement(place).twice) == 1
-    lake.execute(COMMAND_LINE.parse(["lake", "check", str(address), "--repair"]), Controls())
+    command("lake", "check", str(address), "--repair")
 
 
 def test_the_questions_of_page_and_example_have_answers(filled: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -197,14 +194,14 @@ def test_one_vehicle_is_forgotten_in_a_store(port: int, logs: Path, capsys: pyte
     assert table.metadata.num_rows == SHIFT_COUNT
     assert table.metadata.row_group(0).column(table.schema_arrow.get_field_index("start_bus_ns")).statistics.has_min_max
     assert fill(Job.of(CONFIG, address, None, 60.0), f"s3://{BUCKET}/logs") == []
-    lake.execute(COMMAND_LINE.parse(["lake", "forget", address, "car1", "--json"]), Controls())
+    command("lake", "forget", address, "car1", "--json")
     gone = json.loads(capsys.readouterr().out)
     assert (len(gone["parts"]), gone["rows"], gone["shifts"]) == (2, 4, 3 * SHIFT_COUNT)
     assert files.glob(f"{BUCKET}/lake/*/*/vehicle=car1/*") == []
     assert all(b"car1" not in files.cat_file(path) for path in files.glob(f"{BUCKET}/lake/manifest/*"))
     with pytest.raises(StoreError, match="has nothing of car1; it has "):
-        lake.execute(COMMAND_LINE.parse(["lake", "forget", address, "car1"]), Controls())
-    lake.execute(COMMAND_LINE.parse(["lake", "check", address]), Controls())
+        command("lake", "forget", address, "car1")
+    command("lake", "check", address)
     assert f"3 logs, 2 of them not analysed, {SHIFT_COUNT} shifts of 1 vehicles in 1 parts" in capsys.readouterr().out
 
 
@@ -216,16 +213,16 @@ def test_what_a_killed_run_left_is_told_and_can_be_removed(logs: Path, filled: P
     unfinished = part.with_name(f".{part.name}.1-1.part")
     unfinished.write_bytes(b"PAR1")
     with pytest.raises(IncompleteError, match="disagree"):
-        lake.execute(COMMAND_LINE.parse(["lake", "check", str(address)]), Controls())
-    lake.execute(COMMAND_LINE.parse(["lake", "check", str(address), "--repair"]), Controls())
+        command("lake", "check", str(address))
+    command("lake", "check", str(address), "--repair")
     assert not orphan.exists()
     assert not unfinished.exists()
     part.unlink()
     with pytest.raises(IncompleteError, match="--repair, and then another run"):
-        lake.execute(COMMAND_LINE.parse(["lake", "check", str(address), "--repair"]), Controls())
+        command("lake", "check", str(address), "--repair")
     rows = fill(Job.of(CONFIG, str(address), SIGNALS, 60.0), str(logs))
     assert [row.parts for row in rows] == [tuple(one for one in rows[0].parts if "vehicle=car2" in one)]
-    lake.execute(COMMAND_LINE.parse(["lake", "check", str(address)]), Controls())
+    command("lake", "check", str(address))
 
 
 def test_a_log_that_does_not_heed_its_limit_ends_its_worker() -> None:

@@ -5,21 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from diag_service.commands import decode, inspect
-from diag_service.commands.arguments import COMMAND_LINE
 from diag_service.diagnosis.columns import Signal
 from diag_service.mapping.mapped_messages import tier_of
 from diag_service.mapping.profile import load_profile
-from diag_service.service.stopping import Controls
+from tests.support.in_process import command
 
 FRAME_COUNT = 1000
-
-
-def execute(*words: str | Path) -> None:
-    """Run a command in this process."""
-    options = COMMAND_LINE.parse([str(word) for word in words])
-    functions = {"decode": decode.execute, "inspect": inspect.execute, "signals": inspect.propose}
-    functions[options.command](options, Controls())
 
 
 @pytest.fixture
@@ -36,14 +27,14 @@ def test_inspect_tells_what_is_on_the_bus_and_what_is_wrong(
     lines = short_log.read_text(encoding="ascii").splitlines()
     spoilt = lines[500][:-1] + ("0" if lines[500][-1] != "0" else "1")
     short_log.write_text("\n".join([*lines[:500], spoilt, "what is this", *lines[501:]]) + "\n", encoding="ascii")
-    execute("inspect", short_log)
+    command("inspect", short_log)
     out = capsys.readouterr().out
     assert f"candump, {FRAME_COUNT} frames, 10 ids" in out
     assert "1 pieces of the log are not frames (1 malformed), the first: line 502" in out
     assert "no jump of time" in out
     assert f"end-to-end protection: {FRAME_COUNT - 1} good frames of 10 messages, 1 messages with errors" in out
     assert "1 bad crc, 0 missing" in out
-    execute("inspect", short_log, "--json", "-b", "250000")
+    command("inspect", short_log, "--json", "-b", "250000")
     record = json.loads(capsys.readouterr().out)
     assert record["frames"] == FRAME_COUNT
     assert record["unreadable"] == {"malformed": 1}
@@ -56,7 +47,7 @@ def test_inspect_tells_what_is_on_the_bus_and_what_is_wrong(
 def test_signals_proposes_a_profile_that_works(
     drive_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    execute("signals", drive_log)
+    command("signals", drive_log)
     out = capsys.readouterr().out
     assert "# As it stands it reaches tier 1 (friction)." in out
     assert "# TCU_Pressures (0xb1): " in out

@@ -16,8 +16,8 @@ from canlog.traffic import TrafficMeter
 from clutch_results.records import shift_record
 from clutchdiag_io.console import PeopleConsole
 from demo.outcome import live_line, tables
+from diag_service.api.analysis import draw_fan
 from diag_service.api.learning import said
-from diag_service.api.picture import draw
 from diag_service.commands import inspect, learn
 from diag_service.delivery import ConsoleReporter
 from diag_service.diagnosis.columns import Signal
@@ -174,7 +174,7 @@ def test_what_is_calibrated_or_learned_shows_the_same(monkeypatch: pytest.Monkey
 def test_bands_of_a_picture_are_two_deviations_wide() -> None:
     fan = fan_for(findings(4))
     assert fan is not None
-    figure = draw(fan, "car1")
+    figure = draw_fan(fan, "car1")
     band, *_ = figure.axes[0].collections
     assert band.get_label() == SAID
     first = fan.pasts[0]

@@ -15,8 +15,10 @@ import pytest
 import diag_service.batch.worker
 import diag_service.commands.decode
 import diag_service.lake.run
-from diag_service.cli import main
+from diag_service.cli import command_line, main
+from diag_service.commands.options import PROGRAM
 from diag_service.console import OWN
+from diag_service.service.stopping import Controls, Trigger
 from tests.support.service import Ended
 
 
@@ -27,13 +29,9 @@ def ended(*words: str | Path) -> Ended:
     try:
         with never_a_program(), workers_here(), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             status = main([str(word) for word in words])
-    except SystemExit as exc:  # argparse's way to end: --version, a word it does not know
-        status = int(exc.code or 0)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        if sys.modules.get("asammdf", ...) is None:  # what the program keeps from itself, other tests may want
-            del sys.modules["asammdf"]
     return Ended(status=status, out=out.getvalue(), err=err.getvalue())
 
 
@@ -68,6 +66,13 @@ def workers_here() -> Iterator[None]:
         yield
 
 
+def command(*words: str | Path, stop: Trigger | None = None) -> None:
+    """Run a command in this process; what it raises passes, what it prints is the test's."""
+    with never_a_program():
+        controls = Controls(stop=stop or Trigger())
+        command_line.main([str(word) for word in words], PROGRAM, standalone_mode=False, obj=controls)
+
+
 @contextlib.contextmanager
 def never_a_program() -> Iterator[None]:
     """Let our loggers be as in a process in which no command line has run."""
@@ -82,3 +87,5 @@ def never_a_program() -> Iterator[None]:
         for logger, (handlers, level, propagate) in zip(loggers, before, strict=True):
             logger.handlers, logger.propagate = handlers, propagate
             logger.setLevel(level)
+        if sys.modules.get("asammdf", ...) is None:  # what the program keeps from itself, other tests may want
+            del sys.modules["asammdf"]

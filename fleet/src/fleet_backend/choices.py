@@ -2,6 +2,11 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Final
+
+BROKER_VARIABLE: Final = "CLUTCHDIAG_BROKER"  # these keep passwords out of the process list
+GROUP_VARIABLE: Final = "CLUTCHDIAG_GROUP"
+DATABASE_VARIABLE: Final = "CLUTCHDIAG_DATABASE"
 
 
 class TrendAxis(StrEnum):

@@ -7,13 +7,13 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from types import SimpleNamespace
+from pathlib import Path
 from typing import Final
 
 import aiomqtt
 
 from clutchdiag_io.people import PLUS_MINUS, plus_minus
-from fleet_backend.arguments import BROKER_VARIABLE
+from fleet_backend.choices import BROKER_VARIABLE
 from fleet_backend.config import parse_broker
 from fleet_backend.errors import BackendConfigError, BrokerError
 from fleet_backend.programs import until_stopped
@@ -38,15 +38,17 @@ LONGEST_PAUSE_S: Final = 30.0
 _LOG: Final = logging.getLogger(__name__)
 
 
-def execute(options: SimpleNamespace) -> None:
+def follow(
+    *, broker: str, vehicles: Sequence[str], ca: Path | None, cert: Path | None, key: Path | None, is_json: bool
+) -> None:
     """Follow a broker until SIGINT or SIGTERM; raises ConfigError, and BrokerError if it cannot be reached at first."""
-    url = os.environ.get(BROKER_VARIABLE, "") if options.broker == "-" else options.broker
+    url = os.environ.get(BROKER_VARIABLE, "") if broker == "-" else broker
     if not url:
         raise BackendConfigError(f"no broker: name one, or set {BROKER_VARIABLE}")
-    address = parse_broker(url, ca=options.ca, certificate=options.cert, key=options.key)
-    if strangers := [name for name in options.vehicles if not is_vehicle(name)]:
+    address = parse_broker(url, ca=ca, certificate=cert, key=key)
+    if strangers := [name for name in vehicles if not is_vehicle(name)]:
         raise BackendConfigError(f"{strangers[0]!r} is not a vehicle id")
-    follower = Follower(address, options.vehicles, is_json=options.json)
+    follower = Follower(address, vehicles, is_json=is_json)
     try:
         asyncio.run(until_stopped(follower.run()))
     finally:

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from clutchdiag_io.starting import KEPT_FOLDERS, PACKAGES, choose_kernel_cache
+from clutchdiag_io.program import KEPT_FOLDERS, PACKAGES, choose_kernel_cache
 
 ROOT = Path(__file__).parents[3]
 USE_LAWS = """
-from clutchdiag_io.starting import choose_kernel_cache
+from clutchdiag_io.program import choose_kernel_cache
 choose_kernel_cache()
 from canlog.jit import on_compiling
 compiled = []
@@ -50,7 +50,7 @@ def test_an_edited_law_of_another_file_is_compiled_and_an_unedited_one_is_not(tm
         (tmp_path / package).mkdir()
         (tmp_path / package / "__init__.py").touch()
     shutil.copy(ROOT / "canlog" / "src" / "canlog" / "jit.py", tmp_path / "canlog")
-    shutil.copy(ROOT / "clutchdiag_io" / "starting.py", tmp_path / "clutchdiag_io")
+    shutil.copy(ROOT / "clutchdiag_io" / "program.py", tmp_path / "clutchdiag_io")
     (tmp_path / "ecu_emulator" / "caller.py").write_text(CALLER)
     law, cache = tmp_path / "clutch_model" / "law.py", tmp_path / "cache"
     law.write_text(LAW)

@@ -4,15 +4,17 @@ from pathlib import Path
 
 import pytest
 
-from ecu_emulator.arguments import COMMAND_LINE
-from ecu_emulator.commands import choose_scenario, drive_options
+from clutchdiag_io.command_line import record_of
+from ecu_emulator.cli import command_line
+from ecu_emulator.commands import DriveOptions, choose_scenario
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.scenario import Scenario
 
 
 def chosen(*words: str) -> Scenario:
-    return choose_scenario(drive_options(COMMAND_LINE.parse(["record", "x.log", *words])))
+    context = command_line.commands["record"].make_context("record", ["x.log", *words])
+    return choose_scenario(record_of(DriveOptions, context.params))
 
 
 def test_the_shift_cycle_is_driven_unless_something_else_is_named() -> None:

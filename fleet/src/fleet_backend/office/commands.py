@@ -1,49 +1,94 @@
-"""What the commands of the fleet office do."""
+"""The commands of the fleet office: alarms, peers, the pages, the watch, and what is forgotten."""
 
 import sys
 from collections import Counter
-from collections.abc import Callable, Coroutine, Iterator, Mapping
+from collections.abc import Callable, Coroutine, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from functools import partial
-from types import SimpleNamespace
+from pathlib import Path
 from typing import Any, Final
 
+import click
 from sqlalchemy import Engine
 
+from clutchdiag_io.command_line import FILE, examples, together
 from clutchdiag_io.console import PeopleConsole
 from fleet_backend import queries, report
 from fleet_backend.alarms import book
 from fleet_backend.alarms.rules import Limits, parse_service_km, parse_silence
-from fleet_backend.commands import Command, metrics_of, tell, user_name
+from fleet_backend.commands import (
+    COUNT,
+    PROGRAM,
+    address_of,
+    json_option,
+    metrics_at,
+    metrics_option,
+    of_database,
+    tell,
+    user_name,
+    vehicle_argument,
+)
 from fleet_backend.config import parse_listen
-from fleet_backend.database import default_database, open_database
+from fleet_backend.database import open_database
 from fleet_backend.errors import BackendConfigError, BackendExtraError
 from fleet_backend.office.retention import forget_vehicle
 from fleet_backend.office.retention import retain as retain_months
 from fleet_backend.office_tables import ALARM, COMMAND_LINE
 from fleet_backend.page.access import Access, read_access
 
+DEFAULT_LISTEN: Final = "127.0.0.1:8090"
+_access_option = click.option(
+    "--access", type=FILE, help="who may read and change what, behind a proxy that logs people in (docs/fleet.md)"
+)
 
-def alarms(options: SimpleNamespace, engine: Engine) -> None:
-    if options.acknowledge is not None:
-        _acknowledge(options, engine)
+
+@click.command(
+    epilog=examples(
+        f"{PROGRAM} alarms --all --json", f"{PROGRAM} alarms --acknowledge car1 --clutch 2 --note 'fluid is on order'"
+    )
+)
+@json_option
+@click.option("--all", "has_cleared", is_flag=True, help="include cleared alarms")
+@click.option(
+    "--acknowledge",
+    metavar="VEHICLE",
+    help="acknowledge the open alarms of its --clutch, or without --clutch what was kept aside on its topics",
+)
+@click.option(
+    "--clutch", type=click.Choice([0, 1, 2]), help="whose alarms are acknowledged; 0: those of the vehicle as a whole"
+)
+@click.option("--by", metavar="WHO", help="who acknowledges (default: the user)")
+@click.option("--note", help="a note to keep with it")
+@of_database()
+def alarms(
+    engine: Engine,
+    *,
+    has_cleared: bool,
+    acknowledge: str | None,
+    clutch: int | None,
+    by: str | None,
+    note: str | None,
+    is_json: bool,
+) -> None:
+    """Show or acknowledge alarms that the watch raised."""
+    if acknowledge is not None:
+        _acknowledge(engine, acknowledge, clutch, by or user_name(), note)
         return
-    raised = book.alarms(engine, *(() if options.all else (ALARM.c.cleared_at.is_(None),)))
+    raised = book.alarms(engine, *(() if has_cleared else (ALARM.c.cleared_at.is_(None),)))
     identities = queries.identity_alarms(engine)
     records = [*raised, *({"rule": "identity", **record} for record in identities)]
-    tell(options, records, lambda: report.alarm_table(raised, identities))
+    tell(records, lambda: report.alarm_table(raised, identities), is_json=is_json)
 
 
-def _acknowledge(options: SimpleNamespace, engine: Engine) -> None:
-    vehicle, clutch = options.acknowledge, options.clutch
-    by, now = options.by or user_name(), datetime.now(UTC)
+def _acknowledge(engine: Engine, vehicle: str, clutch: int | None, by: str, text: str | None) -> None:
+    now = datetime.now(UTC)
     queries.check_vehicle(engine, vehicle)
     if clutch is None:
         count = queries.acknowledge_quarantine(engine, vehicle, by=by, at=now)
         sys.stdout.write(f"{count} messages on the topics of {vehicle} acknowledged\n")
     else:
-        note = book.Note(by=by, role=COMMAND_LINE, at=now, text=options.note)
+        note = book.Note(by=by, role=COMMAND_LINE, at=now, text=text)
         whose = f"clutch {clutch} of {vehicle}" if clutch else vehicle
         count = book.acknowledge_open(engine, vehicle, clutch, note)
         if not count:
@@ -51,17 +96,23 @@ def _acknowledge(options: SimpleNamespace, engine: Engine) -> None:
         sys.stdout.write(f"{count} alarms of {whose} acknowledged\n")
 
 
-def peers(options: SimpleNamespace, engine: Engine) -> None:
+@click.command(epilog=examples(f"{PROGRAM} peers", f"{PROGRAM} peers --keep --write peers.json"))
+@json_option
+@click.option("--keep", is_flag=True, help="keep what was learned as the next version: prognoses begin with it")
+@click.option("--write", type=FILE, help="write what was learned as JSON, for diag-service history --peers")
+@of_database()
+def peers(engine: Engine, *, keep: bool, write: Path | None, is_json: bool) -> None:
+    """Learn how fluids of each type usually age."""
     with _of_the_page():
         from fleet_backend.page import populations
         from fleet_backend.page.peers import fleet_ageing
     found = fleet_ageing(engine)
     version = None
-    if options.keep:
+    if keep:
         version = populations.keep(engine, found.population, found.clutch_count, at=datetime.now(UTC), by=user_name())
-    if options.write is not None:
-        populations.write(options.write, found.population, version)
-    if options.json:
+    if write is not None:
+        populations.write(write, found.population, version)
+    if is_json:
         kept_as = [] if version is None else [{"record": "population", "version": version}]
         report.write_json([*found.usual, *kept_as], sys.stdout)
         return
@@ -70,40 +121,97 @@ def peers(options: SimpleNamespace, engine: Engine) -> None:
         sys.stdout.write(f"kept as population {version}\n")
 
 
-def serve(
-    options: SimpleNamespace, engine: Engine, beside: Callable[[Any], Coroutine[None, None, None]] | None = None
-) -> None:
-    metrics = metrics_of(options)
-    place = parse_listen(options.listen, has_login=options.access is not None)
+@click.command(epilog=examples(f"{PROGRAM} serve", f"{PROGRAM} serve --listen 127.0.0.1:8090"))
+@click.option(
+    "--listen",
+    metavar="ADDRESS",
+    default=DEFAULT_LISTEN,
+    help="HOST:PORT to listen at, a loopback address unless --access is given; port 0 takes any free one",
+)
+@together(_access_option, metrics_option)
+@of_database()
+def serve(engine: Engine, *, listen: str, access: Path | None, metrics: str | None) -> None:
+    """Show the fleet to browsers and programs, until stopped."""
+    place = metrics_at(metrics)
     with _of_the_page():
         from fleet_backend.page import server
-    access = read_access(options.access) if options.access is not None else Access()
-    readers = open_database(options.database or default_database(), must_exist=True, is_read_only=True)
+    _serve(engine, listen, access, partial(server.show, place))
+
+
+def _serve(
+    engine: Engine, listen: str, access: Path | None, beside: Callable[[Any], Coroutine[None, None, None]]
+) -> None:
+    """Serve the pages while something else is done beside."""
+    place = parse_listen(listen, has_login=access is not None)
+    with _of_the_page():
+        from fleet_backend.page import server
+    permitted = read_access(access) if access is not None else Access()
+    readers = open_database(address_of(), must_exist=True, is_read_only=True)
     try:
-        server.run_server(readers, engine, place.host, place.port, access, beside or partial(server.show, metrics))
+        server.run_server(readers, engine, place.host, place.port, permitted, beside)
     finally:
         readers.dispose()
 
 
-def watch(options: SimpleNamespace, engine: Engine) -> None:
-    limits = Limits(silence_from=parse_silence(options.silence_days))
-    distance_m = parse_service_km(options.service_km)
+@click.command(
+    epilog=examples(
+        f"{PROGRAM} watch --notify workshop.url", f"{PROGRAM} watch --notify workshop.url --notify hook.url --once"
+    )
+)
+@click.option(
+    "--notify",
+    type=FILE,
+    multiple=True,
+    help="tell each alarm at the address in this file, as apprise has it: mail, chat, webhook, MQTT; may be repeated",
+)
+@click.option("--service-km", metavar="KM", type=float, default=15_000.0, help="distance to the next service")
+@click.option(
+    "--silence-days",
+    metavar="D",
+    type=float,
+    default=14.0,
+    help="days without a result until an alarm is raised",
+)
+@click.option(
+    "--listen", metavar="ADDRESS", help="show the pages of serve there, too: both share one view of the fleet"
+)
+@together(_access_option, metrics_option)
+@click.option("--once", is_flag=True, help="judge each vehicle once, however long that takes, deliver, and end")
+@of_database()
+def watch(
+    engine: Engine,
+    *,
+    notify: Sequence[Path],
+    service_km: float,
+    silence_days: float,
+    listen: str | None,
+    access: Path | None,
+    metrics: str | None,
+    once: bool,
+) -> None:
+    """Raise alarms by rules and deliver them, until stopped."""
+    limits = Limits(silence_from=parse_silence(silence_days))
+    distance_m = parse_service_km(service_km)
     with _of_the_page():
         from fleet_backend.office import watching
         from fleet_backend.office.watching import read_carrier
-    carriers = [read_carrier(path) for path in options.notify]
+    carriers = [read_carrier(path) for path in notify]
     for name, count in Counter(one.name for one in carriers).items():
         if count > 1:
             raise BackendConfigError(
                 f"--notify: two files are called {name}, by which alarms remember whom they reached"
             )
     orders = watching.Orders(carriers=carriers, limits=limits, service_distance_m=distance_m)
-    if options.listen is not None:
-        if options.once:
+    if listen is not None:
+        if once:
             raise BackendConfigError("--once ends, --listen does not: give one of them")
-        serve(options, engine, lambda keeper: watching.watch_for_ever(engine, orders, metrics_of(options), keeper))
+
+        def beside(keeper: Any) -> Coroutine[None, None, None]:  # noqa: ANN401 - of the page, an extra
+            return watching.watch_for_ever(engine, orders, metrics_at(metrics), keeper)
+
+        _serve(engine, listen, access, beside)
         return
-    watching.run_watch(engine, orders, metrics_of(options), is_once=options.once)
+    watching.run_watch(engine, orders, metrics_at(metrics), is_once=once)
 
 
 @contextmanager
@@ -117,25 +225,29 @@ def _of_the_page() -> Iterator[None]:
         raise BackendExtraError(exc.name, extra="page") from exc
 
 
-def retain(options: SimpleNamespace, engine: Engine) -> None:
-    done = retain_months(engine, options.months, now=datetime.now(UTC), by=user_name())
+@click.command(epilog=examples(f"{PROGRAM} retain --months 24"))
+@click.option("--months", type=COUNT, required=True, help="whole months to keep besides this one")
+@of_database()
+def retain(engine: Engine, months: int) -> None:
+    """Forget old results; the last of each clutch stays."""
+    done = retain_months(engine, months, now=datetime.now(UTC), by=user_name())
     kept = f"; {done.kept_count} earlier ones stay, as they are the last of their clutches" if done.kept_count else ""
     sys.stdout.write(f"{done.gone_count} results from before {done.before:%Y-%m} forgotten{kept}\n")
 
 
-def forget(options: SimpleNamespace, engine: Engine) -> None:
-    done = forget_vehicle(engine, options.vehicle, now=datetime.now(UTC), by=user_name())
-    if options.json:
+@click.command(epilog=examples(f"{PROGRAM} forget car2", f"{PROGRAM} forget car2 --json"))
+@vehicle_argument
+@json_option
+@of_database()
+def forget(engine: Engine, *, vehicle: str, is_json: bool) -> None:
+    """Delete all that is stored of a vehicle, and prove it by a second look."""
+    done = forget_vehicle(engine, vehicle, now=datetime.now(UTC), by=user_name())
+    if is_json:
         record = {"schema": "clutchdiag/fleet-forgotten/v1", "vehicle_sha256": done.digest}
         report.write_json([{**record, "gone": done.gone, "left": done.left}], sys.stdout)
         return
     sys.stdout.writelines(f"{name}: {count} rows\n" for name, count in done.gone.items() if count)
     sys.stdout.write(
-        f"{options.vehicle} is forgotten: {sum(done.gone.values())} rows; a second look found none left. What it still "
+        f"{vehicle} is forgotten: {sum(done.gone.values())} rows; a second look found none left. What it still "
         "sends is stored anew; retained messages are the broker's\n"
     )
-
-
-COMMANDS: Final[Mapping[str, Command]] = {
-    "alarms": alarms, "forget": forget, "peers": peers, "retain": retain, "serve": serve, "watch": watch,
-}  # fmt: skip

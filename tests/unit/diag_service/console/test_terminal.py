@@ -1,10 +1,9 @@
-"""What people read and say: lines, how far a reading is, a key that ends a program, yes or no."""
+"""What people read and say: lines, how far a reading is, yes or no."""
 
 import io
 import os
 import pty
 import select
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from canlog.logs import LogReader, read_log
-from diag_service.console import ReadingLine, ending_key, is_confirmed
+from diag_service.console import ReadingLine, is_confirmed
 from tests.support.patience import HANG_S
 
 LINES = "".join(f"({1767225600 + number}.000000) can0 100#00\n" for number in range(90_000))
@@ -43,25 +42,6 @@ def test_a_terminal_sees_the_share_from_the_third_second_on(tmp_path: Path) -> N
     told = len(terminal.getvalue())
     assert not list(reader)  # the end
     assert len(terminal.getvalue()) == told
-
-
-@pytest.fixture(name="keyboard")
-def _keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """Return where a test types; standard input is the terminal that hears it."""
-    ours, theirs = pty.openpty()
-    with os.fdopen(theirs) as terminal, os.fdopen(ours, "wb", buffering=0):
-        monkeypatch.setattr("sys.stdin", terminal)
-        yield ours
-
-
-def test_the_key_ends_it_and_no_other_does(keyboard: int) -> None:
-    ended = threading.Event()
-    with ending_key("q", ended.set) as has_keyboard:
-        assert has_keyboard
-        os.write(keyboard, b"x")
-        assert not ended.is_set()
-        os.write(keyboard, b"q")
-        assert ended.wait(HANG_S)
 
 
 @contextmanager

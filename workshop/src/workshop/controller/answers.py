@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace, TracebackType
+from types import TracebackType
 from typing import Final, Self
 
 import can
@@ -382,7 +382,21 @@ class Answers:
         return None
 
 
-def chosen(options: SimpleNamespace) -> Answers | None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AnswerOptions:
+    """Whether and where testers are answered, as a command line says it."""
+
+    diagnostics: str | None
+    answers_like: str | None
+    diagnostic_memory: Path | None
+    doip: str | None
+    doip_certificate: Path | None
+    doip_key: Path | None
+    doip_tls_port: int
+    elm327: str | None
+
+
+def chosen(options: AnswerOptions) -> Answers | None:
     """Return what a command line says of it, None if nobody is to answer.
 
     Raises ConfigError if there is a memory or an address and nobody who uses it, or the address is none.

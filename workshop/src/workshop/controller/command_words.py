@@ -1,51 +1,63 @@
 """What lets the emulator answer testers: options of ``run``; who works imports what does the work."""
 
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Final
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
 
-from clutchdiag_io.command_line import FILE, INT, Choice, Option
+import click
+
+from clutchdiag_io.command_line import FILE, record_of
 from workshop.controller.iso14229 import DOIP_TLS_PORT
 
 if TYPE_CHECKING:
     from ecu_emulator.live import AnswersTesters
 
 DEFAULT_ELM_PORT: Final = "35000"
-
-
-def answers(options: SimpleNamespace) -> "AnswersTesters | None":
-    """Return what a command line says of answering, None if nobody is to answer."""
-    from workshop.controller.answers import chosen  # noqa: PLC0415 - compiled libraries
-
-    return chosen(options)
-
-
-RUN_OPTIONS: Final = (
-    Option(
+run_options: Final = (
+    click.option(
         "--workshop",
-        "stand in neutral until a tester starts the workshop routine (routine 0301); needs --diagnostics",
+        "is_in_workshop",
+        is_flag=True,
+        help="stand in neutral until a tester starts the workshop routine (routine 0301); needs --diagnostics",
     ),
-    Option(
-        "--diagnostics [TABLE]",
-        "answer UDS requests of testers (7E1, 7DF); TABLE: a controller of your own instead of the one that ships",
+    click.option(
+        "--diagnostics",
+        metavar="[TABLE]",
+        is_flag=False,
         flag_value="",
+        help="answer UDS requests of testers (7E1, 7DF); TABLE: a controller of your own instead of the one that ships",
     ),
-    Option(
+    click.option(
         "--answers-like",
-        "answer as a controller of a real car does: its data, scales and times to answer, besides the own ones",
-        Choice(["bmw_dkg", "vw_dsg"]),
+        type=click.Choice(["bmw_dkg", "vw_dsg"]),
+        help="answer as a controller of a real car does: its data, scales and times to answer, besides the own ones",
     ),
-    Option(
-        "--doip [HOST:]PORT",
-        "answer testers on an IP network as well (ISO 13400-2; its port is 13400); only on this machine unless HOST "
-        "says otherwise",
+    click.option(
+        "--doip",
+        metavar="[HOST:]PORT",
+        help="answer testers on an IP network, too (ISO 13400-2, port 13400); on this machine alone without HOST",
     ),
-    Option("--doip-certificate FILE", "answer over IP by TLS as well, with this certificate (PEM)", FILE),
-    Option("--doip-key FILE", "its key, unless that is in the same file", FILE),
-    Option("--doip-tls-port PORT", f"port for TLS (default: {DOIP_TLS_PORT})", INT, default=DOIP_TLS_PORT),
-    Option("--diagnostic-memory FILE", "keep trouble codes in this file, over restarts", FILE),
-    Option(
-        "--elm327 [[HOST:]PORT]",
-        "serve OBD apps on this TCP port as an ELM327 adapter does (127.0.0.1:35000)",
+    click.option("--doip-certificate", type=FILE, help="answer over IP by TLS as well, with this certificate (PEM)"),
+    click.option("--doip-key", type=FILE, help="its key, unless that is in the same file"),
+    click.option(
+        "--doip-tls-port",
+        metavar="PORT",
+        type=int,
+        default=DOIP_TLS_PORT,
+        help="port for TLS",
+    ),
+    click.option("--diagnostic-memory", type=FILE, help="keep trouble codes in this file, over restarts"),
+    click.option(
+        "--elm327",
+        metavar="[[HOST:]PORT]",
+        is_flag=False,
         flag_value=DEFAULT_ELM_PORT,
+        help="serve OBD apps on this TCP port as an ELM327 adapter does (127.0.0.1:35000)",
     ),
 )
+
+
+def answers(words: Mapping[str, Any]) -> "AnswersTesters | None":
+    """Return what a command line says of answering, None if nobody is to answer."""
+    from workshop.controller.answers import AnswerOptions, chosen
+
+    return chosen(record_of(AnswerOptions, words))

@@ -2,8 +2,8 @@
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
-from types import SimpleNamespace
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Final, TypeVar
 
 import can
@@ -31,9 +31,77 @@ MOST_NAMED: Final = 3  # in the line that says what was not told
 _AnswerT = TypeVar("_AnswerT")
 
 
-def dtc(options: SimpleNamespace, controls: Controls) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AskedOptions:
+    """Where controllers are asked, and how long that may take."""
+
+    interface: str | None
+    channel: str | None
+    bitrate: int | None
+    fd: bool
+    doip: str | None
+    doip_authority: Path | None
+    ecu: str | None
+    reply: str | None = None
+    address: str | None = None
+    active: bool
+    listen: float
+    timeout: float
+    json: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OneControllerOptions(AskedOptions):
+    """The same of one controller, and what it has."""
+
+    description: Path | None
+    session: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TroubleOptions(OneControllerOptions):
+    """Which trouble codes are read or cleared."""
+
+    mask: str
+    has_all: bool
+    readiness: str | None
+    record: str | None
+    brief: bool
+    clear: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataOptions(OneControllerOptions):
+    """Which data are read."""
+
+    data: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RoutineOptions(OneControllerOptions):
+    """What is to be done with which routine."""
+
+    routine: str
+    action: str
+    start_options: str
+    patience: float
+    unlock: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanOptions(AskedOptions):
+    """Where controllers are looked for."""
+
+    first: str | None
+    last: str | None
+    extended: bool
+    wait: float
+    all_data: bool
+
+
+def dtc(options: TroubleOptions, controls: Controls) -> None:
     """Read trouble codes and show them, or clear them and show what is left. ControllerError: not all was told."""
-    mask = 0 if options.all else hexadecimal(options.mask, "--mask", 0xFF)
+    mask = 0 if options.has_all else hexadecimal(options.mask, "--mask", 0xFF)
     if options.clear is None:
         group = number_of(options.readiness, "--readiness", LARGEST_GROUP)
         record = number_of(options.record, "--record", LARGEST_GROUP)
@@ -42,18 +110,24 @@ def dtc(options: SimpleNamespace, controls: Controls) -> None:
         def told(codes: Sequence[TroubleCode]) -> tuple[Record, Iterable[str]]:
             return {"codes": [trouble_record(code) for code in codes]}, trouble_lines(codes)
 
-        codes = ask_one(options, question, told, controls.stop) or ()
+        codes = ask_one("dtc", options, question, told, controls.stop) or ()
         if faults := [code.fault for code in codes if code.fault]:
             raise ControllerError(f"what was kept of {len(faults)} of {len(codes)} codes was not told: {faults[0]}")
     elif (options.readiness, options.record) != (None, None):
         raise ConfigError("--readiness and --record read trouble codes: they do not go with --clear")
     else:
-        ask_one(options, _clear_question(options, controls, mask), _shown_clearing, controls.stop)
+        ask_one(
+            "dtc",
+            options,
+            _clear_question(options.clear, options.session, controls, mask),
+            _shown_clearing,
+            controls.stop,
+        )
 
 
-def _clear_question(options: SimpleNamespace, controls: Controls, mask: int) -> questions.ClearQuestion:
-    session = hexadecimal(options.session, "--session", questions.LARGEST_SESSION)
-    group = questions.parse_group(options.clear)
+def _clear_question(word: str, session_text: str, controls: Controls, mask: int) -> questions.ClearQuestion:
+    session = hexadecimal(session_text, "--session", questions.LARGEST_SESSION)
+    group = questions.parse_group(word)
 
     def is_agreed(where: str, codes: Sequence[TroubleCode]) -> bool:
         told = ", ".join(map(code_words, codes)) or "no trouble codes"
@@ -71,7 +145,7 @@ def _shown_clearing(cleared: questions.Clearing) -> tuple[Record, Iterable[str]]
     return {"codes": left, "cleared": {"groups": groups, **told}}, cleared_lines(cleared)
 
 
-def did(options: SimpleNamespace, controls: Controls) -> None:
+def did(options: DataOptions, controls: Controls) -> None:
     """Read data and show them; without names, all that the description has. ControllerError: not all was told."""
     session = hexadecimal(options.session, "--session", questions.LARGEST_SESSION)
     question = questions.DataQuestion(words=tuple(options.data), session=session)
@@ -79,7 +153,7 @@ def did(options: SimpleNamespace, controls: Controls) -> None:
     def told(found: Sequence[questions.DataAnswer]) -> tuple[Record, Iterable[str]]:
         return {"data": [data_record(one) for one in found]}, data_lines(found)
 
-    answers = ask_one(options, question, told, controls.stop) or ()
+    answers = ask_one("did", options, question, told, controls.stop) or ()
     missing = [one for one in answers if one.values is None]
     if any(one.fault for one in missing) or (missing and (options.data or len(missing) == len(answers))):
         named = [f"{one.number:04X}: {one.trouble}" for one in missing[:MOST_NAMED]]
@@ -87,18 +161,20 @@ def did(options: SimpleNamespace, controls: Controls) -> None:
         raise ControllerError(f"{len(missing)} of {len(answers)} data were not told: {'; '.join(named + more)}")
 
 
-def routine(options: SimpleNamespace, controls: Controls) -> None:
+def routine(options: RoutineOptions, controls: Controls) -> None:
     """Do what was asked, in a session of its own and unlocked if need be."""
     check_time("patience", options.patience, least_s=SHORTEST_ANSWER_S)
     question = questions.RoutineQuestion(
         routine=options.routine,
         action=options.action,
-        options=hex_bytes(options.options, "--options"),
+        options=hex_bytes(options.start_options, "--options"),
         session=hexadecimal(options.session, "--session", questions.LARGEST_SESSION),
         lock=None if options.unlock is None else _lock(options.unlock),
         patience_s=options.patience,
     )
-    ask_one(options, question, lambda one: ({"routine": routine_record(one)}, routine_lines(one)), controls.stop)
+    ask_one(
+        "routine", options, question, lambda one: ({"routine": routine_record(one)}, routine_lines(one)), controls.stop
+    )
 
 
 def _lock(text: str) -> questions.Lock:
@@ -110,7 +186,7 @@ def _lock(text: str) -> questions.Lock:
     return questions.Lock(level=number, mask=hex_bytes(mask, "--unlock MASK"))
 
 
-def scan(options: SimpleNamespace, controls: Controls) -> None:
+def scan(options: ScanOptions, controls: Controls) -> None:
     """Look for controllers and ask each what it can be asked; raises StoppedError if that was stopped."""
     plan = scanning.ScanPlan(
         place=_place(options),
@@ -140,7 +216,7 @@ def scan(options: SimpleNamespace, controls: Controls) -> None:
         raise StoppedError("stopped early: what was shown is a part of what is there")
 
 
-def _place(options: SimpleNamespace) -> BusConfig | can.BusABC | DoipPlace:
+def _place(options: AskedOptions) -> BusConfig | can.BusABC | DoipPlace:
     ecu = None if options.doip is None else number_of(options.ecu, "--ecu", LARGEST_LOGICAL)
     return place_of(
         None, options.interface, options.channel, options.bitrate, options.doip, ecu,
@@ -149,7 +225,8 @@ def _place(options: SimpleNamespace) -> BusConfig | can.BusABC | DoipPlace:
 
 
 def ask_one(
-    options: SimpleNamespace,
+    command: str,
+    options: OneControllerOptions,
     question: questions.Question[_AnswerT],
     told: Callable[[_AnswerT], tuple[Record, Iterable[str]]],
     stop: Trigger,
@@ -161,6 +238,8 @@ def ask_one(
 
     Parameters
     ----------
+    command
+        Its name, which the schema of the outcome bears.
     told
         Returns an answer as JSON, and as lines for people.
     stop
@@ -185,7 +264,7 @@ def ask_one(
     tester.goes_on = lambda: not stop.is_set
     if not options.active:
         with tester:
-            show_wish(options.command, wanted, tester.traffic, is_json=options.json)
+            show_wish(command, wanted, tester.traffic, is_json=options.json)
         return None
     with ReadingLine() as line:
         tester.goes_on = waiting(line, "waiting for the controller", stop)
@@ -195,7 +274,7 @@ def ask_one(
             line.clear()
             head: Record = {"controller": tester.controller, "description": tester.description}
             more: Record = {"dialogue": asdict(tester.counts)}
-            write_record(outcome(options.command, is_asked=True, **head, **record, **more), lines, as_json=options.json)
+            write_record(outcome(command, is_asked=True, **head, **record, **more), lines, as_json=options.json)
             return answer
 
 

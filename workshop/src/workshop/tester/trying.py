@@ -6,12 +6,12 @@ import time
 import uuid
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from enum import IntEnum
 from heapq import heappop, heappush
 from itertools import count
 from operator import itemgetter
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Final
 
 import can
@@ -25,8 +25,8 @@ from clutchdiag_io.console import PeopleConsole
 from clutchdiag_io.people import digits
 from clutchdiag_io.program import replacement_refusal
 from dbc.contract import load_contract
-from diag_service.cli import execute_of
-from diag_service.commands.arguments import COMMAND_LINE
+from diag_service.cli import command_line
+from diag_service.commands.options import PROGRAM
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError, ControllerError
 from diag_service.mapping.asked_signals import NEGATIVE, data_in, sizes_of
@@ -35,7 +35,6 @@ from diag_service.mapping.mapped_messages import PURPOSE, fitting, missing_for_n
 from diag_service.mapping.profile import AskingRules, Profile, find_profile, load_shipped, shipped_profiles, to_si
 from diag_service.service.stopping import Controls
 from diag_service.settings.config import BusConfig
-from diag_service.settings.options import PROGRAM
 from workshop.tester.adapters import Line, line_through, parse_adapter, rules_through
 from workshop.tester.addresses import CanAddress, id_text, is_extended
 from workshop.tester.answers import refusal_text
@@ -60,7 +59,25 @@ LOGS: Final = (".log", ".asc", ".blf")  # python-can writes them, and they are r
 Show = Callable[[str], object]
 
 
-def try_car(options: SimpleNamespace, controls: Controls) -> None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TryOptions:
+    """Which car is tried, and how far that goes."""
+
+    interface: str | None
+    channel: str | None
+    bitrate: int | None
+    fd: bool
+    adapter: str | None
+    profile: Path | None
+    dbc: Path | None
+    active: bool
+    dry_run: bool
+    listen: float
+    record: Path | None
+    duration: float | None
+
+
+def try_car(options: TryOptions, controls: Controls) -> None:
     """Listen, try the profiles that ask, and say what was found; sends nothing without ``--active``, or dry."""
     show: Show = PeopleConsole().print
     check_time("listen", options.listen, least_s=0.0)
@@ -150,11 +167,11 @@ def _show_requests(profile: Profile, rules: AskingRules, show: Show) -> None:
         show(f"  {id_text(can_id)}: {request.hex(' ').upper()}")
 
 
-def _rules(options: SimpleNamespace, profile: Profile) -> AskingRules:
+def _rules(options: TryOptions, profile: Profile) -> AskingRules:
     return profile.asking if options.adapter is None else rules_through(options.adapter, profile.asking)
 
 
-def _check_recording(options: SimpleNamespace) -> None:
+def _check_recording(options: TryOptions) -> None:
     if options.record is None:
         if options.duration is not None:
             raise ConfigError("--duration is for --record")
@@ -195,7 +212,7 @@ class InOrder(can.Listener):
         self._log.stop()
 
 
-def _record(asker: SignalAsker, bus: BusConfig, options: SimpleNamespace, controls: Controls, show: Show) -> None:
+def _record(asker: SignalAsker, bus: BusConfig, options: TryOptions, controls: Controls, show: Show) -> None:
     """Write what is said on a bus into a log while a car is driven and asked; raises OutputError, SourceError."""
     path, end_s = options.record, time.monotonic() + (options.duration or float("inf"))
     until = "until Ctrl-C" if options.duration is None else f"for {options.duration:g} s"
@@ -235,11 +252,10 @@ def _judged(log: Path, words: list[str], controls: Controls, show: Show) -> list
 
 def _typed(words: list[str], controls: Controls, show: Show) -> None:
     show(f"$ {PROGRAM} {shlex.join(words)}")
-    options = COMMAND_LINE.parse(words)
-    execute_of(options.command)(options, controls)
+    command_line.main(words, PROGRAM, standalone_mode=False, obj=controls)
 
 
-def _check_adapter(options: SimpleNamespace) -> None:
+def _check_adapter(options: TryOptions) -> None:
     if options.adapter is None:
         return
     parse_adapter(options.adapter)
@@ -247,7 +263,7 @@ def _check_adapter(options: SimpleNamespace) -> None:
         raise ConfigError("give either --adapter or --interface and --channel")
 
 
-def _place_words(options: SimpleNamespace) -> list[str]:
+def _place_words(options: TryOptions) -> list[str]:
     words = ["--adapter", options.adapter] if options.adapter is not None else []
     for option, value in (("-i", options.interface), ("-c", options.channel), ("-b", options.bitrate)):
         words += [] if value is None else [option, str(value)]
