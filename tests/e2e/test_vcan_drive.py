@@ -23,7 +23,7 @@ from tests.support.starvation import is_starved, stalls, undisturbed, without_cu
 from tests.support.subscriber import Payload, Subscriber
 from tests.uml.vcan import ip_link
 
-SHIFT_COUNT = 10
+SHIFT_COUNT = 6  # five up, one down
 EMULATOR = (sys.executable, "-m", "ecu_emulator")
 LARGEST_ERROR = 4.0  # in stated standard deviations
 UNTOLD_NS = (COUNTER_PERIOD - 1) * 10_000_000  # a sender so late looks as if a whole period of the counter were lost
@@ -60,7 +60,7 @@ def rejected(frames: Record) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveDrive:
-    """A whole cycle, heard by everyone."""
+    """A drive, heard by everyone."""
 
     emulated: Ended
     live: Ended
@@ -85,12 +85,12 @@ class LiveDrive:
 
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory: pytest.TempPathFactory) -> LiveDrive:
-    """Return what one cycle in real time left: about 45 s, again where the machine was too busy for all of it."""
+    """Return what a drive in real time left: about 25 s, again where the machine was too busy for all of it."""
     return undisturbed(lambda _: drive_live(tmp_path_factory.mktemp("live")), lambda found: found.is_starved)
 
 
 def drive_live(folder: Path) -> LiveDrive:
-    """Drive one cycle, heard by everyone."""
+    """Drive until some shifts were told, heard by everyone."""
     log, truth, data = folder / "bus.log", folder / "truth.jsonl", folder / "mosquitto"
     data.mkdir()
     broker = Mosquitto(data)
@@ -106,6 +106,8 @@ def drive_live(folder: Path) -> LiveDrive:
                 emulator(folder / "emulator", vcan, "--scenario", "case1", "--truth", truth) as driving,
                 Stranger(vcan, 0.1) as stranger,
             ):
+                live.wait_for(lambda: len(live.out.splitlines()) >= SHIFT_COUNT)
+                driving.send(signal.SIGTERM)
                 emulated = driving.wait()
             live.send(signal.SIGTERM)
             ended = live.wait()
@@ -127,7 +129,7 @@ def drive_live(folder: Path) -> LiveDrive:
 
 def test_both_programs_end_well(drive: LiveDrive) -> None:
     assert (drive.emulated.status, drive.live.status, drive.replayed.status) == (0, 0, 0)
-    assert drive.emulated.records[0]["is_complete"]
+    assert drive.emulated.records[0]["shifts"] == len(drive.truth.shifts) >= SHIFT_COUNT
     assert "warning" not in drive.live.err
     assert "error" not in drive.live.err
 
@@ -135,7 +137,7 @@ def test_both_programs_end_well(drive: LiveDrive) -> None:
 def test_every_frame_sent_is_accounted_for(drive: LiveDrive) -> None:
     report, frames = drive.emulated.records[0], drive.live.summary["frames"]
     assert report["frames_given_up"] == 0
-    assert report["frames_sent"] > 20_000
+    assert report["frames_sent"] > 10_000
     assert frames["on_bus"] == accounted(frames) == report["frames_sent"] + sum(drive.strangers.values())
     assert (frames["kernel_dropped"], frames["queue_dropped"]) == (0, 0)
     assert frames["missing"] == 0 or drive.longest_stall_ns > UNTOLD_NS
@@ -145,7 +147,7 @@ def test_every_frame_sent_is_accounted_for(drive: LiveDrive) -> None:
 
 
 def test_a_candump_analysed_afterwards_says_the_same_to_the_bit(drive: LiveDrive) -> None:
-    assert len(without_cut_parts(drive.live.shifts, drive.stalls)) == SHIFT_COUNT
+    assert len(without_cut_parts(drive.live.shifts, drive.stalls)) >= SHIFT_COUNT
     assert [of_the_drive(shift) for shift in drive.replayed.shifts] == [of_the_drive(one) for one in drive.live.shifts]
     live, replayed = drive.live.summary, drive.replayed.summary
     assert [of_the_drive(clutch) for clutch in replayed["clutches"]] == [of_the_drive(one) for one in live["clutches"]]
@@ -161,7 +163,10 @@ def test_what_a_subscriber_heard_lies_within_its_own_uncertainty_of_the_truth(dr
     assert [shift["seq"] for shift in drive.shifts] == list(range(1, len(drive.shifts) + 1))
     errors = []
     excuses = 0  # a shift whose frames came late may be left out, and two more until three agree that it was wrong
-    for shift, truth in zip(without_cut_parts(drive.shifts, drive.stalls), drive.truth.shifts, strict=True):
+    shifts = without_cut_parts(drive.shifts, drive.stalls)
+    if len(shifts) > len(drive.truth.shifts) and shifts[-1]["reasons"] == ["interrupted"]:
+        shifts.pop()  # the emulator was stopped within it
+    for shift, truth in zip(shifts, drive.truth.shifts, strict=True):
         told = (shift["from_gear"], shift["to_gear"], shift["clutch"])
         assert told == (truth.from_gear, truth.to_gear, truth.clutch)
         is_late = is_starved(shift, drive.stalls)
