@@ -13,12 +13,11 @@ from canlog.errors import SourceError
 from canlog.logs import sqlite
 from canlog.logs.asc import FIRST_LINE, AscLog, is_asc_header
 from canlog.logs.blf import MAGIC as BLF_MAGIC
-from canlog.logs.candump import CandumpLog
+from canlog.logs.candump import CandumpLog, ConsoleLog
 from canlog.logs.captures import CAPTURE_MAGICS, capture_of
 from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, is_list, programs
 from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.programs import CLX000_HEADER, Busmaster, Clx000, Trc
-from canlog.logs.console import ConsoleLog
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.signal_tables import LEAST_ROWS, table_header
 from canlog.logs.text_log import BYTE_ORDER_MARK, TextLog, frames_of

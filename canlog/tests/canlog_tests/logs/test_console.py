@@ -3,7 +3,7 @@
 import pytest
 
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
-from canlog.logs.console import ConsoleLog
+from canlog.logs.candump import ConsoleLog
 from canlog.logs.log_counts import LogCounts
 from canlog.logs.text_log import frames_of
 
