@@ -1,6 +1,6 @@
 """Pictures and tables of a clutch: friction over slip, the margin that is left of it, causes and loads."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Final
@@ -20,7 +20,7 @@ from clutch_results.curves import (
     margin_left,
     new_curve,
 )
-from clutch_results.prognosis import Prognosis, forecast, history_of
+from clutch_results.prognosis import Forecast, Prognosis
 from clutch_results.prognosis.history import UNSEEN_M
 from clutch_results.prognosis.prognosis import M_PER_KM
 from clutch_results.prognosis.sentence import soonest
@@ -94,12 +94,13 @@ def fan_of(
     new_friction: Sequence[FrictionCurve],
     prognoses: Sequence[Prognosis] = (),
     *,
-    is_foretold: bool = False,
+    foretell: Callable[[int], Forecast | None] | None = None,
     alarms: Sequence[tuple[str, str]] = (),
 ) -> Fan | None:
     """Return the fan of results in their order, all of one calibration; None where no margin is known.
 
-    ``new_friction`` is that of each clutch with new fluid, ``alarms`` are moments (ISO 8601 UTC) and texts.
+    ``new_friction`` is that of each clutch with new fluid; ``foretell`` is asked for the clutch that decides;
+    ``alarms`` are moments (ISO 8601 UTC) and texts.
     """
     curves = dict(enumerate(new_friction, 1))
     reach = soonest(prognoses)
@@ -109,7 +110,7 @@ def fan_of(
         return None
     pasts.sort(key=lambda one: (one.clutch not in soon, one.left[-1]))
     first = pasts[0].clutch
-    foretold = forecast(history_of(results, fills, first), curves[first]) if is_foretold else None
+    foretold = None if foretell is None else foretell(first)
     km, ahead, quantiles = _odometer_km(results), np.empty(0), np.empty((3, 0))
     if foretold is not None:
         _, likely_m, sure_m = (np.interp(0.0, -one, foretold.distance_m) for one in foretold.quantiles)

@@ -5,9 +5,11 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
-from sqlalchemy import select
+from sqlalchemy import Engine, select
 
+from clutch_results.pictures import Fan
 from clutch_results.prognosis import population_from
 from clutch_results.records import ShiftResult
 from fleet_backend.cli import main
@@ -15,8 +17,8 @@ from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
 from fleet_backend.office_tables import AUDIT
 from fleet_backend.page.populations import latest
-from fleet_backend.page.prognosis import estimate_of, outlook_of
-from fleet_backend.page.queries import results_of
+from fleet_backend.page.prognosis import estimate_of, fan_of_vehicle, outlook_of, read_past
+from fleet_backend.page.queries import DatabaseSource, results_of
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
 from tests.support.histories import history
@@ -54,6 +56,15 @@ def _address(fleet: Path, tmp_path: Path) -> str:
     return f"sqlite:///{shutil.copy(fleet, tmp_path)}"
 
 
+def fan_of_car0(engine: Engine) -> Fan:
+    """Return the chart of a vehicle whose second clutch decides."""
+    clutches = DatabaseSource(engine).clutches_of(["car0"])
+    pasts = [read_past(engine, now, (), 1.5e7) for now in clutches if now.clutch == 2]
+    fan = fan_of_vehicle([now for now in clutches if now.clutch == 2], pasts, (), ())
+    assert fan is not None
+    return fan
+
+
 def test_what_is_usual_is_learned_kept_and_used(
     address: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -76,9 +87,15 @@ def test_what_is_usual_is_learned_kept_and_used(
     rows = results_of(engine, "car0", 2)
     estimates = [estimate_of(row) for row in rows]
     among, alone = (outlook_of(2, rows, estimates, (), 1.5e7, one) for one in (kept, None))
+    chart = fan_of_car0(engine)
     engine.dispose()
     assert among is not None
     assert alone is not None
     assert any("(population 1)" in line for line in among.assumptions)
     assert not any("population" in line for line in alone.assumptions)
     assert among.change_fluid != alone.change_fluid
+    reach = among.change_fluid
+    assert reach is not None
+    assert reach.p50_m is not None
+    ends_km = float(np.interp(0.0, -chart.quantiles[1], chart.ahead)) - chart.ahead[0]
+    assert ends_km == pytest.approx(reach.p50_m / 1000.0, rel=0.05)  # chart and sentence agree

@@ -8,9 +8,19 @@ from typing import Final
 import msgspec
 from sqlalchemy import Engine
 
+from clutch_model.calibration import FrictionCurve
 from clutch_results.event_kinds import EventKind
 from clutch_results.pictures import UNFORETOLD, Fan, fan_of
-from clutch_results.prognosis import Prognosis, history_of_estimates, prognose, without
+from clutch_results.prognosis import (
+    Forecast,
+    History,
+    Peers,
+    Prognosis,
+    forecast,
+    history_of_estimates,
+    prognose,
+    without,
+)
 from clutch_results.prognosis.sentence import outlook_line, soonest
 from clutch_results.records import (
     ClutchVerdict,
@@ -102,6 +112,49 @@ def _result_of(row: Row, estimate: ShiftEstimate) -> ShiftResult:
     return ShiftResult(estimate=estimate, verdict=verdict, produced_at=iso_utc(row["produced_at"]), **told)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Basis:
+    """What a prognosis of one clutch rests on."""
+
+    history: History
+    reference: FrictionCurve
+    peers: Peers | None
+
+
+def _basis(
+    clutch: int,
+    rows: Sequence[Row],
+    estimates: Sequence[ShiftEstimate],
+    fills: Sequence[Fill],
+    kept: StoredPopulation | None,
+) -> Basis | None:
+    vehicle, calibration = rows[-1]["vehicle"], rows[-1]["calibration_version"]
+    reference, vehicle_type = reference_of(vehicle, calibration, clutch), type_of(vehicle, calibration)
+    if reference is None:
+        return None
+    same = [one for row, one in zip(rows, estimates, strict=True) if row["calibration_version"] == calibration]
+    try:
+        past = history_of_estimates(same, [fluid_fill(vehicle, one) for one in fills], clutch)
+        if kept is None:
+            return Basis(history=past, reference=reference, peers=None)
+        past = without(past, kept.population.common.get(vehicle_type))
+    except BEYOND_NUMBERS:
+        return None
+    peers = kept.population.of(vehicle_type, fills[-1].product if fills else None)
+    return Basis(history=past, reference=reference, peers=peers)
+
+
+def _prognosis(clutch: int, basis: Basis | None, service_distance_m: float) -> Prognosis | None:
+    if basis is None:
+        return None
+    try:
+        return prognose(
+            clutch, basis.history, basis.reference, service_distance_m=service_distance_m, peers=basis.peers
+        )
+    except BEYOND_NUMBERS:
+        return None
+
+
 def outlook_of(
     clutch: int,
     rows: Sequence[Row],
@@ -115,23 +168,8 @@ def outlook_of(
     ``rows`` are its results, the oldest first, and ``estimates`` what they say. It begins with the population that was
     kept last.
     """
-    if not rows:
-        return None
-    vehicle, calibration = rows[-1]["vehicle"], rows[-1]["calibration_version"]
-    reference, vehicle_type = reference_of(vehicle, calibration, clutch), type_of(vehicle, calibration)
-    if reference is None:
-        return None
-    same = [one for row, one in zip(rows, estimates, strict=True) if row["calibration_version"] == calibration]
-    try:
-        past = history_of_estimates(same, [fluid_fill(vehicle, one) for one in fills], clutch)
-        peers = None
-        if kept is not None:
-            fluid = fills[-1].product if fills else None
-            past = without(past, kept.population.common.get(vehicle_type))
-            peers = kept.population.of(vehicle_type, fluid)
-        return prognose(clutch, past, reference, service_distance_m=service_distance_m, peers=peers)
-    except BEYOND_NUMBERS:
-        return None
+    basis = _basis(clutch, rows, estimates, fills, kept) if rows else None
+    return _prognosis(clutch, basis, service_distance_m)
 
 
 def fluid_fill(vehicle: str, fill: Fill) -> FluidFill:
@@ -166,6 +204,7 @@ class ClutchPast:
 
     rows: Sequence[Row]
     estimates: tuple[ShiftEstimate, ...]
+    basis: Basis | None
     prognosis: Prognosis | None
 
     @property
@@ -177,8 +216,9 @@ def read_past(engine: Engine, now: ClutchNow, fills: Sequence[Fill], service_dis
     """Read the past of a clutch, and work out how far its fluid will go."""
     rows = results_of(engine, now.vehicle, now.clutch)
     estimates = tuple(map(estimate_of, rows))
-    found = outlook_of(now.clutch, rows, estimates, fills, service_distance_m, latest(engine))
-    return ClutchPast(rows=rows, prognosis=found, estimates=estimates)
+    basis = _basis(now.clutch, rows, estimates, fills, latest(engine)) if rows else None
+    found = _prognosis(now.clutch, basis, service_distance_m)
+    return ClutchPast(rows=rows, estimates=estimates, basis=basis, prognosis=found)
 
 
 def _point_of(row: Row, estimate: ShiftEstimate) -> TrendPoint:
@@ -203,7 +243,13 @@ def fan_of_vehicle(
     told = {id(row): estimate for past in pasts for row, estimate in zip(past.rows, past.estimates, strict=True)}
     rows = [row for past in pasts for row in past.rows if row["calibration_version"] == now.calibration_version]
     results = [_result_of(row, told[id(row)]) for row in in_order(rows)]
-    numbers = range(1, 1 + max(one.clutch for one in clutches))
+    known = {one.clutch: past.basis for one, past in zip(clutches, pasts, strict=True)}
+
+    def foretell(clutch: int) -> Forecast | None:
+        basis = known[clutch]
+        return None if basis is None else forecast(basis.history, basis.reference, peers=basis.peers)
+
+    numbers = range(1, 1 + max(known))
     new = [reference_of(now.vehicle, now.calibration_version, clutch) for clutch in numbers]
     if not results or None in new:
         return None
@@ -213,7 +259,7 @@ def fan_of_vehicle(
             [fluid_fill(now.vehicle, one) for one in fills],
             [one for one in new if one is not None],
             [past.prognosis for past in pasts if past.prognosis is not None],
-            is_foretold=now.action not in UNFORETOLD,
+            foretell=None if now.action in UNFORETOLD else foretell,
             alarms=[(iso_utc(one.raised_at), f"alarm: {one.rule}") for one in alarms],
         )
     except BEYOND_NUMBERS:

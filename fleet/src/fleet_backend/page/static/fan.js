@@ -3,6 +3,7 @@
 (() => {
   const colour = (name) => getComputedStyle(document.body).getPropertyValue(`--${name}`).trim();
   const paths = { spanGaps: false, points: { show: false } };
+  const LEAST_PX = 280;
   let chart = null;
 
   const seriesOf = (told) => told.pasts.flatMap((past, place) => {
@@ -67,9 +68,11 @@
       said.textContent = `${Math.round(first.x[one]).toLocaleString("en")}: ${first.title} ${Math.round(first.left[one])} % left. A click opens the event.`;
     };
     const { width, height } = picture.getBoundingClientRect();
+    const room = Math.max(height, LEAST_PX); // of a telephone the picture is low
+    picture.style.marginBottom = `${room - height}px`;
     chart = new uPlot({
       width,
-      height: height - 24,
+      height: room - 24,
       series,
       bands,
       legend: { show: false },
