@@ -226,7 +226,7 @@ class ElmServer(ThreadingTCPServer):
             raise EmulatorConfigError("an ELM327 does not reach a controller with extended addresses")
         serve = self._serve
 
-        class Caller(BaseRequestHandler):
+        class ElmCaller(BaseRequestHandler):
             def handle(self) -> None:
                 serve(self.request)
 
@@ -243,7 +243,7 @@ class ElmServer(ThreadingTCPServer):
         host, port = place
         try:
             self.address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0][0]
-            super().__init__((host, port), Caller)
+            super().__init__((host, port), ElmCaller)
         except OSError as exc:
             raise BusError(f"ELM327 cannot listen at {host}:{port}: {exc.strerror or exc}") from exc
 
