@@ -24,8 +24,8 @@ def reckon_in_one_thread() -> None:
     """Have numpy reckon in one thread, in this process and those it starts, unless the environment says otherwise.
 
     Its matrices are so small here that threads only wait for each other. It is of use only before numpy is imported.
-    Results are the same bit by bit; on a machine with many cores, or with several processes at work, threads take
-    processor time and gain none.
+    On a machine with many cores, or with several processes at work, threads take processor time and gain none; and
+    sums that they share differ in their last bit from one machine to the next.
     """
     for name in _THREAD_VARIABLES:
         os.environ.setdefault(name, "1")
