@@ -23,10 +23,11 @@ from diag_service.diagnosis.friction.paper import PaperShift, PooledClutch
 from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged, with_revisions
 from diag_service.errors import ConfigError
 from diag_service.service.drive import insist
+from diag_service.service.drive_survey import DriveSurvey
 from diag_service.service.paper_run import run_paper
-from diag_service.service.recorded import DriveSurvey, run_recorded
+from diag_service.service.recorded import run_recorded
 from diag_service.service.stopping import Trigger
-from diag_service.settings.config import as_proposed
+from diag_service.settings.proposed import as_proposed
 from fleet_contract import Channel
 from fleet_contract.orders import name_of
 

@@ -40,7 +40,7 @@ from diag_service.mapping.mapped_messages import missing_for_next
 from diag_service.mapping.vehicle_file import description_toml
 from diag_service.service.calibrate_run import calibrated, write_calibration
 from diag_service.service.stopping import Trigger
-from diag_service.settings.config import interpret_logs
+from diag_service.settings.proposed import interpret_logs
 
 if TYPE_CHECKING:
     from diag_service.diagnosis.events import Event

@@ -29,7 +29,8 @@ from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.service.recorded import RecordedRun, run_recorded
 from diag_service.service.stopping import Trigger, ignore
-from diag_service.settings.config import DiagnosisConfig, as_proposed
+from diag_service.settings.config import DiagnosisConfig
+from diag_service.settings.proposed import as_proposed
 
 POLL_S: Final = 0.2  # how soon a request to stop is heard
 WAITING_PER_JOB: Final = 2  # tasks handed out ahead: a worker never waits, a stop never takes long

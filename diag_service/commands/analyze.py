@@ -15,9 +15,11 @@ from diag_service.diagnosis.summary import Gap
 from diag_service.errors import ConfigError
 from diag_service.service.application import reporter_of
 from diag_service.service.drive import insist
-from diag_service.service.recorded import DriveSurvey, run_recorded
+from diag_service.service.drive_survey import DriveSurvey
+from diag_service.service.recorded import run_recorded
 from diag_service.service.stopping import Controls
-from diag_service.settings.config import DeliveryOptions, DiagnosisConfig, as_proposed
+from diag_service.settings.config import DeliveryOptions, DiagnosisConfig
+from diag_service.settings.proposed import as_proposed
 
 _LOG = logging.getLogger(__name__)
 

@@ -24,10 +24,12 @@ from diag_service.diagnosis.summary import (
 )
 from diag_service.errors import StoppedError
 from diag_service.service.drive import open_drive, stream_of_drive
-from diag_service.service.recorded import STOPPED_TEXT, DriveSurvey, replay, warn_of_slow_messages
+from diag_service.service.drive_survey import DriveSurvey
+from diag_service.service.recorded import STOPPED_TEXT, replay, warn_of_slow_messages
 from diag_service.service.session import Session, versions_for
 from diag_service.service.stopping import Trigger
-from diag_service.settings.config import DiagnosisConfig, as_proposed
+from diag_service.settings.config import DiagnosisConfig
+from diag_service.settings.proposed import as_proposed
 from diag_service.store import NoStore, Row, StoreReader, Versions
 from fleet_contract import CLUTCHES
 from fleet_contract.orders import Order, title_of

@@ -27,7 +27,8 @@ from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.decoder import Decoder
 from diag_service.service.drive import DriveFrames, OpenLog, gaps_in, open_drive, warn_of_faults
 from diag_service.service.stopping import Trigger
-from diag_service.settings.config import UNNAMED_VEHICLE, DiagnosisConfig, as_proposed
+from diag_service.settings.config import UNNAMED_VEHICLE, DiagnosisConfig
+from diag_service.settings.proposed import as_proposed
 from fleet_contract import JsonObject
 
 CALIBRATION_SCHEMA = "clutchdiag/self-calibration/v1"

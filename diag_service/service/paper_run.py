@@ -23,7 +23,8 @@ from diag_service.service.drive import insist, open_drive
 from diag_service.service.recorded import Account, replay
 from diag_service.service.stages import Stages
 from diag_service.service.stopping import Controls, Trigger
-from diag_service.settings.config import DiagnosisConfig, as_proposed
+from diag_service.settings.config import DiagnosisConfig
+from diag_service.settings.proposed import as_proposed
 from fleet_contract import JsonObject
 
 PAPER_SCHEMA = "clutchdiag/paper/v1"

@@ -6,16 +6,15 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from canlog.errors import InputLeftError
 from canlog.logs.reading import Watch
 from diag_service.delivery import Outbox, Reporter
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.prediction import RelativeFriction, RelativeSurvey
 from diag_service.diagnosis.summary import Contributions, FrameCounts, Gap, Summary
 from diag_service.errors import StoppedError
 from diag_service.mapping.interpretation import Interpretation
-from diag_service.mapping.proposal import Ranges
 from diag_service.service.application import first_error, opened_store, outbox_of, run_to_end
 from diag_service.service.drive import DriveFrames, OpenLog, gaps_in, open_drive, stream_of_drive, warn_of_faults
 from diag_service.service.session import SenderWatch, Session
@@ -26,6 +25,9 @@ from diag_service.store import NoStore
 
 NS_PER_MS = 1_000_000
 STOPPED_TEXT = "stopped early"
+if TYPE_CHECKING:
+    from diag_service.service.drive_survey import DriveSurvey
+
 _LOG = logging.getLogger(__name__)
 
 
@@ -132,29 +134,6 @@ def warn_of_slow_messages(stages: Stages) -> None:
         _LOG.warning("frames every %d ms instead of %d ms: %s", own_ms, nominal_ms, ", ".join(names))
 
 
-class DriveSurvey:
-    """What only all events of a log together tell: friction up to a scale, and units that cannot be right.
-
-    No live bus waits for it.
-    """
-
-    def __init__(self, stages: Stages) -> None:
-        self._ranges = Ranges(stages.decoder.profile_sources)
-        self._relative = RelativeSurvey() if stages.reach.is_relative else None
-        self._gears = stages.decoder.gears
-
-    def add(self, event: Event) -> None:
-        self._ranges.add(event)
-        if self._relative is not None:
-            self._relative.add(event, self._gears)
-
-    def relative_frictions(self) -> tuple[RelativeFriction, ...]:
-        """Return what they tell of friction up to a scale, and warn of units."""
-        for text in self._ranges.doubts():
-            _LOG.warning("%s", text)
-        return () if self._relative is None else self._relative.frictions()
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedRun:
     """A drive that was diagnosed; the summary says whether it was all of it."""
@@ -171,7 +150,7 @@ def run_recorded(
     stop: Trigger,
     *,
     watch: Watch | None = None,  # of how far the reading is
-    survey: type[DriveSurvey] | None = None,
+    survey: "type[DriveSurvey] | None" = None,
     meaning: Interpretation | None = None,  # of the frames, where it is at hand: that of the configuration
 ) -> RecordedRun:
     """Diagnose the logs of a drive.

@@ -40,7 +40,7 @@ from diag_service.store import SessionStore, VehicleState, Versions
 from fleet_contract.errors import ResultError
 
 if TYPE_CHECKING:  # a live service has none
-    from diag_service.service.recorded import DriveSurvey
+    from diag_service.service.drive_survey import DriveSurvey
 
 STUCK_AFTER_S = 30.0  # a shift takes a fraction of a second, a slow disk a few
 

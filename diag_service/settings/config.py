@@ -3,26 +3,18 @@
 Tables of signals of which nobody says what their columns mean are read as is proposed for them.
 """
 
-import logging
 import os
-import tomllib
 import uuid
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from canlog.errors import NOTICE
-from canlog.logs import STANDARD_INPUT, table_columns
-from canlog.logs.streams import never
 from clutch_model.calibration import Calibration, TorqueSource, nominal_calibration
-from clutchdiag_io.program import legible
 from diag_service.delivery import Acknowledge
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import Interpretation, interpret
-from diag_service.mapping.mapped_messages import PURPOSE, tier_of
-from diag_service.mapping.profile import Profile, find_profile, profile_of
+from diag_service.mapping.profile import Profile, find_profile
 from diag_service.mapping.vehicle_file import Described, read_description
 from fleet_contract import is_vehicle
 from fleet_link import AddressError, BrokerAddress, TlsFiles, parse_broker
@@ -36,7 +28,6 @@ SHORTEST_POLL_S = 1.0
 _LOCKUP = Path("lockup")  # profile and description of an automatic
 _LOOPBACK = "127.0.0.1"
 PROPOSED = "proposed"  # what a profile is called that nobody named and that is proposed for a table
-_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -274,59 +265,3 @@ def default_store(vehicle: str) -> Path:
     except RuntimeError:  # a container's user may have no home
         raise ConfigError("this user has no home folder to keep results in: name a file with --store") from None
     return state / "clutchdiag" / f"{vehicle}.sqlite"
-
-
-def as_proposed(
-    config: DiagnosisConfig, logs: Sequence[Path], is_stopped: Callable[[], bool] = never
-) -> DiagnosisConfig:
-    """Return a configuration for some logs: the same, or with the profile proposed for the table that they are.
-
-    Raises SourceError if a log cannot be read, StoppedError.
-    """
-    proposed = _proposed(logs, config.dbc, config.profile, is_stopped, config.columns)
-    if proposed is None:
-        return config
-    return replace(config, profile=proposed, calibration=as_profiled(config.calibration, proposed))
-
-
-def _proposed(
-    logs: Sequence[Path], dbc: Path | None, profile: Path | Profile | None, is_stopped: Callable[[], bool], columns: str
-) -> Profile | None:
-    """Return the profile proposed for the first of some logs, and tell of it; None if it is no table, or explained.
-
-    What comes through a pipe is read once, so nothing is proposed for it.
-    """
-    if dbc is not None or profile is not None:
-        return None
-    log = next(iter(logs), STANDARD_INPUT)
-    if log == STANDARD_INPUT or log.is_dir() or not table_columns(log, is_stopped=is_stopped, columns=columns):
-        return None
-    from diag_service.mapping.learning import proposed_profile  # noqa: PLC0415 - of most logs is known what they are
-
-    text = proposed_profile(log, is_stopped=is_stopped, columns=columns)
-    proposed = replace(profile_of(tomllib.loads(text), log), name=PROPOSED)
-    tier = tier_of(proposed.sources.keys(), knows_gears=proposed.gears is not None)
-    _LOG.log(
-        NOTICE,
-        "%s is a table of signals, read with the profile proposed for it, which reaches %s; 'diag-service signals' "
-        "writes that profile, for you to check and name with --profile",
-        legible(log.name),
-        f"tier {tier:d} ({PURPOSE[tier]})" if tier else "no tier",
-    )
-    return proposed
-
-
-def interpret_logs(
-    logs: Sequence[Path],
-    dbc: Path | None,
-    profile: Path | Profile | None,
-    *,
-    is_stopped: Callable[[], bool] = never,
-    columns: str = "",
-) -> Interpretation:
-    """Return what `interpret` does; where the user named neither file, tables of signals are read as is proposed.
-
-    Raises what `as_proposed` and `interpret` raise.
-    """
-    named = profile or _proposed(logs, dbc, profile, is_stopped, columns)
-    return interpret(dbc, named)

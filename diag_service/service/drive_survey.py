@@ -1,0 +1,30 @@
+"""What only all events of a log together tell: friction up to a scale, and units that cannot be right."""
+
+import logging
+
+from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.prediction import RelativeFriction, RelativeSurvey
+from diag_service.mapping.proposal import Ranges
+from diag_service.service.stages import Stages
+
+_LOG = logging.getLogger(__name__)
+
+
+class DriveSurvey:
+    """The survey of the commands: no live bus waits for it."""
+
+    def __init__(self, stages: Stages) -> None:
+        self._ranges = Ranges(stages.decoder.profile_sources)
+        self._relative = RelativeSurvey() if stages.reach.is_relative else None
+        self._gears = stages.decoder.gears
+
+    def add(self, event: Event) -> None:
+        self._ranges.add(event)
+        if self._relative is not None:
+            self._relative.add(event, self._gears)
+
+    def relative_frictions(self) -> tuple[RelativeFriction, ...]:
+        """Return what they tell of friction up to a scale, and warn of units."""
+        for text in self._ranges.doubts():
+            _LOG.warning("%s", text)
+        return () if self._relative is None else self._relative.frictions()
