@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
+from click.core import ParameterSource
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -78,9 +79,21 @@ def run(program: click.Group, words: Sequence[str] | None, state: object = None)
     try:
         return program.main(words, name, standalone_mode=False, obj=state) or 0
     except click.UsageError as exc:
-        text = " ".join(exc.format_message().split()).removesuffix(".")
+        text = " ".join(_message(exc).split()).removesuffix(".")
         path = name if exc.ctx is None else exc.ctx.command_path
         sys.stderr.write(f"{name}: error: {text[:1].lower()}{text[1:]} (see {path} --help)\n")
     except click.ClickException as exc:
         sys.stderr.write(f"{name}: error: {exc.format_message()}\n")
     return EXIT_USAGE
+
+
+def _message(error: click.UsageError) -> str:
+    """Return what is wrong; a value that was set elsewhere is not repeated: it may be a secret in the wrong place."""
+    if not isinstance(error, click.BadParameter) or error.ctx is None or error.param is None:
+        return error.format_message()
+    name = error.param.name or ""
+    source = error.ctx.get_parameter_source(name)
+    if source not in {ParameterSource.ENVIRONMENT, ParameterSource.DEFAULT_MAP}:
+        return error.format_message()
+    place = "the environment" if source is ParameterSource.ENVIRONMENT else "the settings file"
+    return f"{name}: what {place} says is not a valid {error.param.type.name}"

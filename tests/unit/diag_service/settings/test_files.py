@@ -8,7 +8,7 @@ import click
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from diag_service.cli import check
+from diag_service.cli import check, main
 from diag_service.commands.live import describe
 from diag_service.commands.options import SETTINGS, read_settings
 from diag_service.errors import ConfigError
@@ -109,6 +109,20 @@ def test_a_file_that_is_wrong_is_refused(text: str, message: str, tmp_path: Path
     with pytest.raises(click.ClickException) as caught:
         settings(file)
     assert message in caught.value.format_message()
+
+
+def test_what_is_wrong_is_not_repeated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "car.toml"
+    file.write_text("store_budget = 'hunter2'", encoding="utf-8")
+    assert main(["config", "check", "--config", str(file)]) == 2
+    monkeypatch.setenv("CLUTCHDIAG_STORE_BUDGET", "hunter2")
+    assert main(["config", "check"]) == 2
+    told = capsys.readouterr().err
+    assert "store_budget: what the settings file says is not a valid integer" in told
+    assert "store_budget: what the environment says is not a valid integer" in told
+    assert "hunter2" not in told
 
 
 def test_a_password_in_a_file_that_others_may_read_is_refused(tmp_path: Path) -> None:
