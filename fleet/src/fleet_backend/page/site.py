@@ -141,6 +141,8 @@ def application(sources: Sources, routes: list[BaseRoute], lifespan: Lifespan | 
     )
     inside = Starlette(routes=routes, exception_handlers=handlers, middleware=[login], lifespan=lifespan)
     inside.state.sources = sources
+    for name in _TEMPLATES.env.list_templates(["html"]):
+        _TEMPLATES.env.get_template(name)  # the first reader does not wait until it is compiled
     return Guard(inside, names)  # around everything, what goes wrong included
 
 
