@@ -6,7 +6,7 @@ from dataclasses import replace
 from functools import cache
 from io import StringIO
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -97,13 +97,9 @@ def shift_result(seq: int = 1, *, vehicle: str = "car1", stream: str | None = No
     return replace(result, vehicle=vehicle, stream=stream or result.stream, seq=seq, estimate=estimate)
 
 
-def written(
-    log: Path, table: Path, rng: np.random.Generator, *, rate_hz: float = 27.0, jitter_s: float = 0.01,
-    skew_ratio: float = 1.0, left_out: frozenset[str] = OUTPUT,
-) -> None:  # fmt: skip
-    """Write a table of a log; what the arguments mean is said by `TableOptions`."""
-    options = TableOptions(path=table, rate_hz=rate_hz, jitter_s=jitter_s, skew_ratio=skew_ratio, left_out=left_out)
-    write_table(log, options, rng)
+def written(log: Path, table: Path, rng: np.random.Generator, **how: Any) -> None:  # noqa: ANN401 - of all kinds
+    """Write a table of a log without what a tool need not ask; how else is said by `TableOptions`."""
+    write_table(log, TableOptions(**{"path": table, "left_out": OUTPUT, **how}), rng)
 
 
 def with_fuel(table: Path, rng: np.random.Generator) -> None:
