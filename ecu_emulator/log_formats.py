@@ -17,8 +17,8 @@ from typing import Any, BinaryIO, Final, Protocol, Self
 import numpy as np
 
 from canlog.arrays import Int64Array
+from canlog.files import replacing
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, PAYLOAD_BYTES
-from clutchdiag_io.files import until_whole
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.errors import LogFormatExtraError, RecordError
 
@@ -416,13 +416,12 @@ def open_log(
     if path.exists() and not path.is_file():
         raise RecordError(f"cannot write {path}: not a regular file")
     header = _header(start_ns, channel)
-    try:
-        with until_whole(path) as place, place.open("wb") as stream:
+    with replacing(path, RecordError) as part:
+        with part.open("wb") as stream:
             with LogStream(stream, log_format, header, str(path)) as log:
                 yield log
             os.fsync(stream.fileno())
-    except OSError as exc:
-        raise RecordError(f"cannot write {path}: {exc.strerror or exc}") from exc
+        part.replace(path)
 
 
 def open_log_stream(

@@ -20,14 +20,13 @@ from canlog.errors import InputLeftError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 from canlog.logs import LogReader, read_log
 from canlog.logs.reading import Watch
-from canlog.traffic import NS_PER_S, TrafficMeter, TrafficReport
+from canlog.traffic import DEFAULT_BITRATE, NS_PER_S, TrafficMeter, TrafficReport
 from clutch_results.records import dump
 from diag_service.api.choices import AnyPath, AnyPaths, optional_path, path_list
 from diag_service.console import collected_notices
 from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import open_database
 from diag_service.mapping.learning import proposed_profile
-from diag_service.service.snapshot import DEFAULT_BITRATE
 from diag_service.service.stopping import Trigger
 
 INSPECT_SCHEMA: Final = "clutchdiag/inspect/v1"

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from canlog.live import BusState, BusStatus, LiveSource
+from canlog.traffic import DEFAULT_BITRATE
 from clutch_model.units import NS_PER_S
 from clutch_results.records import FluidFill, ShiftResult
 from diag_service.diagnosis.summary import FrameCounts, Summary
@@ -13,7 +14,6 @@ from diag_service.mapping.decoder import MessageCounts
 from diag_service.service.session import Session, Stuck
 from diag_service.service.stages import Stages
 
-DEFAULT_BITRATE = 500_000
 STALE_S = 5.0  # a service that has not looked up for this long does not live
 READY_STATES = frozenset({BusState.UP, BusState.DEGRADED})
 RATE_SPAN_S = 1.0

@@ -19,6 +19,25 @@ SCHEMA_VERSION: Final = 6
 
 WAITING, DELIVERED, QUARANTINED = range(3)  # values of result.published
 
+_CONTROLLER: Final = """
+CREATE TABLE controller (
+  position INTEGER PRIMARY KEY AUTOINCREMENT,
+  vehicle TEXT NOT NULL,
+  controller TEXT NOT NULL,
+  said TEXT NOT NULL,
+  json TEXT NOT NULL
+);
+"""
+_CREATE_FILL: Final = """
+CREATE TABLE fill (
+  vehicle TEXT NOT NULL,
+  filled_at TEXT NOT NULL,
+  odometer_m REAL,
+  product TEXT,
+  note TEXT,
+  PRIMARY KEY (vehicle, filled_at)
+);
+"""
 # What goes for the disk budget, oldest first within each class; signals and metrics are never kept at its cost.
 GIVEN_UP: Final = {
     "delivered": f"published != {WAITING}",
@@ -26,8 +45,9 @@ GIVEN_UP: Final = {
     "undelivered": f"published = {WAITING}",
 }
 _FOUND_BY: Final = "".join(  # the last in the order of the table; else all of a store is read for the few that go
-    f"CREATE INDEX {name} ON result (position) WHERE {GIVEN_UP[name]};" for name in ("delivered", "empty")
+    f"CREATE INDEX IF NOT EXISTS {name} ON result (position) WHERE {GIVEN_UP[name]};" for name in ("delivered", "empty")
 )
+_WITHDRAWN: Final = "ALTER TABLE fill ADD COLUMN is_withdrawn INTEGER NOT NULL DEFAULT 0;"
 _CREATE: Final = f"""
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE result (
@@ -53,30 +73,32 @@ CREATE TABLE state (
   algorithm_version TEXT NOT NULL,
   calibration_version TEXT NOT NULL
 );
-CREATE TABLE controller (
-  position INTEGER PRIMARY KEY AUTOINCREMENT,
-  vehicle TEXT NOT NULL,
-  controller TEXT NOT NULL,
-  said TEXT NOT NULL,
-  json TEXT NOT NULL
-);
-CREATE TABLE fill (
-  vehicle TEXT NOT NULL,
-  filled_at TEXT NOT NULL,
-  odometer_m REAL,
-  product TEXT,
-  note TEXT,
-  is_withdrawn INTEGER NOT NULL DEFAULT 0,
-  PRIMARY KEY (vehicle, filled_at)
-);
+{_CONTROLLER}
+{_CREATE_FILL}
+{_WITHDRAWN}
 PRAGMA application_id = {APPLICATION_ID};
 PRAGMA user_version = {SCHEMA_VERSION};
 """
+
+# From the version that is the key to the next; a store goes through all that are behind its own.
+_STEPS: Final = {
+    1: "ALTER TABLE result ADD COLUMN refusal TEXT; PRAGMA user_version = 2;",  # why a backend cannot use a result
+    2: f"{_CONTROLLER} PRAGMA user_version = 3;",  # what a controller says of its trouble codes
+    3: f"{_CREATE_FILL} PRAGMA user_version = 4;",  # which fluid since when
+    4: f"{_WITHDRAWN} PRAGMA user_version = 5;",  # which fills were noted by mistake
+    5: f"{_FOUND_BY} PRAGMA user_version = 6;",  # what goes for the disk budget
+}
 
 
 def create_tables(connection: sqlite3.Connection) -> None:
     """Make an empty database a store, in one transaction."""
     connection.executescript(f"BEGIN IMMEDIATE; {_CREATE} COMMIT;")
+
+
+def migrate(connection: sqlite3.Connection, version: int) -> None:
+    """Bring a store to the present form; each step is a transaction, so a power cut between two does no harm."""
+    for step in range(version, SCHEMA_VERSION):
+        connection.executescript(f"BEGIN IMMEDIATE; {_STEPS[step]} COMMIT;")
 
 
 _BUSY_TIMEOUT_S: Final = 5.0  # for a person who reads the store with another program
@@ -141,7 +163,7 @@ def _mark_of(descriptor: int, stream: str) -> str:
 
 
 def connect(path: Path) -> sqlite3.Connection:
-    """Open or create the database of a store, on a full disk as well if it is there already."""
+    """Open or create the database of a store, in its present form, on a full disk as well if it is there already."""
     is_new = not path.exists()
     try:
         create_private(path)
@@ -198,23 +220,20 @@ def _prepare(connection: sqlite3.Connection, path: Path) -> None:
     (table_count,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     if application_id != APPLICATION_ID and (table_count or application_id):
         raise StoreError(f"{path} is an SQLite file of another program, not a result store")
-    if table_count:
-        refuse_others(version, path)
+    refuse_newer(version, path)
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("PRAGMA synchronous = FULL")
     if not table_count:
         create_tables(connection)
+    elif version < SCHEMA_VERSION:
+        migrate(connection, version)
 
 
-def refuse_others(version: int, path: Path) -> None:
-    """Raise StoreError for a store of a form that a later or an earlier program made."""
-    if version != SCHEMA_VERSION:
-        age = "a newer" if version > SCHEMA_VERSION else "an older"
-        hint = (
-            "" if version > SCHEMA_VERSION else "; move it away: a new one begins, from which logs can be analysed anew"
-        )
+def refuse_newer(version: int, path: Path) -> None:
+    """Raise StoreError for a store of a form that a later program made."""
+    if version > SCHEMA_VERSION:
         raise StoreError(
-            f"store {path} was written by {age} diag-service (schema {version}, this one knows {SCHEMA_VERSION}){hint}"
+            f"store {path} was written by a newer diag-service (schema {version}, this one knows {SCHEMA_VERSION})"
         )
 
 

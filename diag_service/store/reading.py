@@ -15,7 +15,7 @@ from canlog.files import open_plain_file
 from clutch_results.event_kinds import DATED_NS
 from clutch_results.records import FluidFill, ShiftResult, iso_utc
 from diag_service.errors import ConfigError, StoreError
-from diag_service.store.file import APPLICATION_ID, connect, parsed, refuse_others, translated
+from diag_service.store.file import APPLICATION_ID, connect, parsed, refuse_newer, translated
 from fleet_contract import JsonObject
 from fleet_contract.orders import SAME_WITHIN, distinct, fill_meant, odometer_complaint
 
@@ -58,7 +58,7 @@ class StoreReader:
             raise StoreError(f"{path} is not a result store")
         with closing(_connect(path)) as connection, translated(str(path)):
             (version,) = connection.execute("PRAGMA user_version").fetchone()
-            refuse_others(version, path)
+            refuse_newer(version, path)
             yield cls(connection, str(path))
 
     def vehicle(self, named: str | None) -> str:
@@ -149,11 +149,13 @@ def add_fills(sql: sqlite3.Connection, fills: Iterable[FluidFill]) -> int:
 
 
 def all_fills(sql: sqlite3.Connection, vehicle: str) -> list[FluidFill]:
-    """Return all fills of a vehicle, withdrawn ones too, the earliest first."""
+    """Return all fills of a vehicle, withdrawn ones too, the earliest first; none in a store of an earlier program."""
+    if not sql.execute("SELECT 1 FROM sqlite_master WHERE name = 'fill'").fetchone():
+        return []
     cursor = sql.execute("SELECT * FROM fill WHERE vehicle = ? ORDER BY filled_at", (vehicle,))
     names = [column for column, *_ in cursor.description]
     rows = (dict(zip(names, row, strict=True)) for row in cursor)
-    fills = [FluidFill(**{**row, "is_withdrawn": bool(row["is_withdrawn"])}) for row in rows]
+    fills = [FluidFill(**{**row, "is_withdrawn": bool(row.get("is_withdrawn"))}) for row in rows]
     for fill in fills:
         _moment(fill)
         if not isinstance(fill.odometer_m, float | int | None):

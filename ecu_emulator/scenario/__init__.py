@@ -1,14 +1,24 @@
 """Scenarios: everything that decides what a drive puts on the bus; here what can be driven, and within which limits."""
 
 import enum
-from typing import Final
+import typing
 
-OIL_RANGE_DEGC: Final = (-15.0, 130.0)
-MASS_RANGE_KG: Final = (900.0, 3500.0)
-DELAY_RANGE_S: Final = (0.0, 3600.0)
-MOST_PARKED_S: Final = 86_400.0
-PARKED_RANGE_S: Final = (0.0, MOST_PARKED_S)
-LIVE_PARKED_S: Final = 10.0
+__all__ = [
+    "DELAY_RANGE_S",
+    "LIVE_PARKED_S",
+    "MASS_RANGE_KG",
+    "MOST_PARKED_S",
+    "OIL_RANGE_DEGC",
+    "PARKED_RANGE_S",
+    "DriveName",
+]
+
+OIL_RANGE_DEGC: typing.Final = (-15.0, 130.0)
+MASS_RANGE_KG: typing.Final = (900.0, 3500.0)
+DELAY_RANGE_S: typing.Final = (0.0, 3600.0)
+MOST_PARKED_S: typing.Final = 86_400.0
+PARKED_RANGE_S: typing.Final = (0.0, MOST_PARKED_S)
+LIVE_PARKED_S: typing.Final = 10.0
 
 
 class DriveName(enum.StrEnum):

@@ -130,10 +130,12 @@ class World:
         told |= {f"fleet table, clutch {row['clutch']}": row["order"] for row in rows}
         sources = sources_of(self.engine)
         sources.keeper.work_ahead(HANG_S)
-        shown = told_by_page(sources, "/clutches")["clutches"]
-        told |= {f"fleet page, clutch {one['clutch']}": one["order"] for one in shown}
-        assert {one["condition"] for one in shown} == {row["condition"] for row in rows}
+        told |= {
+            f"fleet page, clutch {one['clutch']}": one["order"]
+            for one in told_by_page(sources, "/vehicles")["vehicles"]
+        }
         vehicle = told_by_page(sources, "/vehicles/car1")
+        assert {one["now"]["condition"] for one in vehicle["clutches"]} == {row["condition"] for row in rows}
         told["vehicle page"] = vehicle["order"]
         assert vehicle["outlook"] == history[3]
         for one in told_by_page(sources, "/maintenance")["clutches"]:

@@ -13,7 +13,11 @@ from tests.support.distributions import FOLDERS, PACKAGES, ROOT, modules_of, pyp
 from tests.support.image.plain import PlainImage
 
 PROGRAMS = sorted(program for name in FOLDERS for program in pyproject(name)["project"].get("scripts", ()))
-NOT_OF_PROGRAMS = {"matplotlib", "pytest"}  # pictures and fixtures, for notebooks and test benches
+NOT_OF_PROGRAMS = {
+    "_typeshed",
+    "matplotlib",
+    "pytest",
+}  # for type checkers; pictures and fixtures of notebooks and tests
 
 
 @pytest.mark.parametrize("program", PROGRAMS)

@@ -16,7 +16,6 @@ from diag_service.errors import StoreError
 from diag_service.store import (
     SCHEMA_VERSION,
     ResultStore,
-    StoreReader,
     VehicleState,
     Versions,
 )
@@ -122,16 +121,12 @@ def test_what_is_no_store(path: Path, spoil: Callable[[Path], object], message: 
         ResultStore.open(path)
 
 
-@pytest.mark.parametrize(("step", "message"), [(1, "by a newer diag-service"), (-1, "by an older diag-service")])
-@pytest.mark.parametrize("opened", [ResultStore.open, lambda path: StoreReader.open(path).__enter__()])
-def test_a_store_of_another_version_is_left_alone(
-    path: Path, step: int, message: str, opened: Callable[[Path], object]
-) -> None:
+def test_a_store_of_a_newer_version_is_left_alone(path: Path) -> None:
     fill(path, 1)
-    edit(path, f"PRAGMA user_version = {SCHEMA_VERSION + step}")
+    edit(path, f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
     before = path.read_bytes()
-    with pytest.raises(StoreError, match=f"was written {message} .*this one knows {SCHEMA_VERSION}"):
-        opened(path)
+    with pytest.raises(StoreError, match="written by a newer diag-service"):
+        ResultStore.open(path)
     assert path.read_bytes() == before
 
 

@@ -19,6 +19,7 @@ JUMP_NS = NS_PER_S  # bus time that stands still for longer, or goes back, start
 CHANNELS = 256
 MAX_JUMPS = 20  # that are listed; all are counted
 MAX_IDS = 8192  # likewise, with their channels: no bus has as many, a log of noise has
+DEFAULT_BITRATE: Final = 500_000  # [bit/s] of most powertrain buses
 # Bits of a frame (ISO 11898-1) in which five of a kind are followed by a stuff bit, payload apart.
 CLASSIC_BITS: Final = 34.0  # start of frame, 11-bit identifier, control field, checksum
 FD_BITS: Final = 22.0  # the same without the checksum, which has stuff bits of its own at fixed places
