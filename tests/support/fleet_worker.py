@@ -140,6 +140,7 @@ def worker_here(broker: str, database: str) -> Iterator[None]:
     def run() -> None:
         with suppress(asyncio.CancelledError):
             loop.run_until_complete(work)
+        loop.run_until_complete(loop.shutdown_default_executor())  # whoever asks the database still has a connection
 
     thread = threading.Thread(target=run, name="worker")
     thread.start()
