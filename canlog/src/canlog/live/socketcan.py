@@ -2,14 +2,15 @@
 
 import asyncio
 import errno
+import os
 import socket
 import struct
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from canlog.errors import SourceError
 from canlog.frames import (
     BRS_FLAG,
     ESI_FLAG,
@@ -22,12 +23,6 @@ from canlog.frames import (
 )
 from canlog.live.bus_clock import BusClock, clock_alarm
 from canlog.live.sources import RELAXED_S, SILENCE_S, URGENT_S, BusSilence, FrameQueue, ReadSchedule, SourceCounts
-
-if TYPE_CHECKING:
-    from canlog.errors import SourceError
-import os
-
-from canlog.errors import SourceError
 
 RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024  # about ten thousand frames: some seconds of a full bus
 SO_RCVBUFFORCE = 33  # linux/socket.h
