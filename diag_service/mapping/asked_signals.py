@@ -25,7 +25,7 @@ from canlog.frames import (
     empty_batch,
     join,
 )
-from canlog.transport import Reassembler, Transfer
+from canlog.isotp import Reassembler, Transfer
 from diag_service.errors import ConfigError
 
 READ_DATA, READ_PID, READ_LOCAL = 0x22, 0x01, 0x21  # UDS, OBD (SAE J1979), KWP2000

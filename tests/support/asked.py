@@ -9,7 +9,7 @@ import numpy as np
 
 from canlog.arrays import Series
 from canlog.frames import EXTENDED_FLAG, FrameBatch, join
-from canlog.transport.isotp import segments
+from canlog.isotp import segments
 from diag_service.diagnosis.columns import Signal
 from diag_service.mapping.asked_signals import READ_DATA, DatumId, flagged, sizes_of
 from diag_service.mapping.profile import AskedSource, Profile, load_profile, to_si

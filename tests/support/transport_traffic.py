@@ -1,8 +1,8 @@
-"""Messages longer than a frame, cut into frames by nothing of ours: can-isotp, and encoders after the standards."""
+"""Messages longer than a frame, cut into frames by nothing of ours: can-isotp."""
 
 import random
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import isotp
@@ -12,6 +12,7 @@ from canlog.frames import EXTENDED_FLAG, FD_FLAG, FrameBatch
 
 MS = 1_000_000
 NEVER_MS = 3_600_000
+PAIRS = (0x18DA10F1 | EXTENDED_FLAG, 0x18DAF110 | EXTENDED_FLAG), (0x7E0, 0x7E8)  # of requests and answers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,7 +62,7 @@ def contents(rng: random.Random, number: int, shortest: int, longest: int) -> by
 
 def iso_tp(rng: random.Random, count: int, *, block: int = 0, is_fd: bool = False) -> Traffic:
     """Return a tester's requests and a controller's answers, each cut by can-isotp, flow control included."""
-    ids = (0x18DA10F1 | EXTENDED_FLAG, 0x18DAF110 | EXTENDED_FLAG) if rng.random() < 0.5 else (0x7E0, 0x7E8)
+    ids = rng.choice(PAIRS)
     bus: deque[tuple[int, bytes]] = deque()
     waiting: tuple[deque[bytes], deque[bytes]] = (deque(), deque())
     options = {"blocksize": block, "stmin": 0, "tx_data_length": 64 if is_fd else 8, "can_fd": is_fd}
@@ -113,59 +114,8 @@ def iso_tp(rng: random.Random, count: int, *, block: int = 0, is_fd: bool = Fals
     return Traffic(frames=tuple(frames), messages=tuple(messages))
 
 
-def j1939(rng: random.Random, count: int) -> Traffic:
-    """Return messages for all (BAM) and between two (RTS, CTS, end of message), some with packets sent twice."""
-    frames, messages, t_ns = list[Sent](), list[tuple[int, bytes]](), 0
-    for number in range(count):
-        data, source, is_for_all = contents(rng, number, 9, 60), rng.choice([0x00, 0x03, 0x21]), rng.random() < 0.6
-        group = rng.choice([0xFECA, 0xFEEB, 0xEF00])
-        destination = 0xFF if is_for_all else 0xF9
-        specific = destination if group == 0xEF00 else group & 0xFF
-        can_id = EXTENDED_FLAG | 7 << 26 | (group & 0x3FF00) << 8 | specific << 8 | source
-        messages.append((can_id, data))
-        t_ns += rng.randint(20, 400) * MS
-        for gap_ms, kind, body in _for_all(group, data) if is_for_all else _between_two(rng, group, data):
-            t_ns += gap_ms * MS
-            is_answer = kind == "answer"
-            form = 0xEB if kind == "data" else 0xEC
-            ends = (source, destination) if is_answer else (destination, source)
-            frame_id = EXTENDED_FLAG | 7 << 26 | form << 16 | ends[0] << 8 | ends[1]
-            frames.append(Sent(t_ns=t_ns, can_id=frame_id, data=body, message=number, is_answer=is_answer))
-    return Traffic(frames=tuple(frames), messages=tuple(messages))
-
-
-def _packets(data: bytes) -> list[bytes]:
-    pieces = [data[start : start + 7] for start in range(0, len(data), 7)]
-    return [bytes([number]) + piece.ljust(7, b"\xff") for number, piece in enumerate(pieces, 1)]
-
-
-def _for_all(group: int, data: bytes) -> Iterator[tuple[int, str, bytes]]:
-    packets = _packets(data)
-    yield (
-        0,
-        "cm",
-        bytes([32]) + len(data).to_bytes(2, "little") + bytes([len(packets), 0xFF]) + group.to_bytes(3, "little"),
-    )
-    for packet in packets:
-        yield 60, "data", packet
-
-
-def _between_two(rng: random.Random, group: int, data: bytes) -> Iterator[tuple[int, str, bytes]]:
-    packets, suffix = _packets(data), group.to_bytes(3, "little")
-    yield 0, "cm", bytes([16]) + len(data).to_bytes(2, "little") + bytes([len(packets), 0xFF]) + suffix
-    number = 1
-    while number <= len(packets):
-        some = min(rng.randint(1, 4), len(packets) - number + 1)
-        yield 3, "answer", bytes([17, some, number, 0xFF, 0xFF]) + suffix
-        for packet in packets[number - 1 : number - 1 + some]:
-            yield 4, "data", packet
-        number += some if rng.random() < 0.9 or some < 2 else some - 1  # the last one again
-    yield 3, "answer", bytes([19]) + len(data).to_bytes(2, "little") + bytes([len(packets), 0xFF]) + suffix
-
-
 MAKERS: dict[str, Callable[[random.Random, int], Traffic]] = {
     "iso-tp": iso_tp,
     "iso-tp in blocks": lambda rng, count: iso_tp(rng, count, block=3),
     "iso-tp over CAN FD": lambda rng, count: iso_tp(rng, count, is_fd=True),
-    "j1939": j1939,
 }

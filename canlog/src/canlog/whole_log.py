@@ -18,8 +18,8 @@ from canlog.extras import load_extra
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch, join
 from canlog.logs import LogCounts, LogFormat, LogReader, merged_by_time, read_log
 from canlog.tables.account import DecodeAccount, losses
-from canlog.tables.decoding import MAX_CELLS, Plan, TableShape, columns_of, groups, message_columns
-from canlog.tables.frame_groups import FrameGroup, log_paths
+from canlog.tables.decoding import MAX_CELLS, Plan, TableShape, columns_of, message_columns
+from canlog.tables.frame_groups import log_paths
 from canlog.tables.layouts import BARE_ID, TableShapeName, Values, ValuesName, WideLayout, column_of
 
 WARNED_CELLS: Final = 50_000_000  # of a wide table: 0.4 GB
@@ -108,8 +108,8 @@ class Log:
     def account(self) -> DecodeAccount:
         """What became of every frame and every signal when they were decoded."""
         account = self._new_account()
-        for group in self._groups(account):
-            account.values_of(group)
+        for batch in self._grouped():
+            account.decode(batch)
         return account
 
     @property
@@ -128,17 +128,17 @@ class Log:
         values: dict[tuple[int, str], list[FloatArray]] = {}
         times: list[Int64Array] = []
         start, account = 0, self._new_account(plan)
-        for group in self._groups(account):
-            for one in account.values_of(group):
-                for name, decoded in one.signals.items():
-                    kept = slice(None) if decoded.is_present is None else decoded.is_present
-                    rows.setdefault((one.slot, name), []).append(one.rows[kept] + start)
+        for batch in self._grouped():
+            for message in account.decode(batch):
+                for name, decoded in message.signals.items():
+                    present = slice(None) if decoded.is_present is None else decoded.is_present
+                    rows.setdefault((message.slot, name), []).append(message.rows[present] + start)
                     value = decoded.value
                     if plan.is_measured and decoded.is_good is not None:
                         value = np.where(decoded.is_good, value, np.nan)
-                    values.setdefault((one.slot, name), []).append(value[kept])
-            times.append(group.batch.t_ns)
-            start += len(group.batch)
+                    values.setdefault((message.slot, name), []).append(value[present])
+            times.append(batch.t_ns)
+            start += len(batch)
         t_ns = np.concatenate(times) if times else np.empty(0, np.int64)
         signals: dict[str, Samples] = {}
         for (slot, name), column in self._plan.names.columns.items():
@@ -183,8 +183,8 @@ class Log:
         arrow, account = load_pyarrow(), DecodeAccount(codec=plan.codec, names=plan.names)
         layouts: dict[int, WideLayout] = {}
         batches: dict[int, list[Any]] = {}
-        for group in groups(plan.grouped(self._streamed()), account):
-            for slot, columns in message_columns(group, account, layouts, values, is_measured=plan.is_measured):
+        for batch in plan.grouped(self._streamed()):
+            for slot, columns in message_columns(batch, account, layouts, values, is_measured=plan.is_measured):
                 schema = arrow_schema(layouts[slot].kinds, layouts[slot].metadata)
                 batches.setdefault(slot, []).append(arrow.record_batch(list(columns.values()), schema=schema))
         return {
@@ -253,7 +253,7 @@ class Log:
         layout = plan.layout(plan.span.part(self._streamed(), account.leave_out))
         schema = arrow_schema(layout.kinds, layout.metadata)
         frames = plan.span.part(self._streamed(), account.leave_out)
-        tables = (columns_of(group, account, layout) for group in groups(plan.grouped(frames, layout), account))
+        tables = (columns_of(batch, account, layout) for batch in plan.grouped(frames, layout))
         rows = (arrow.record_batch(list(columns.values()), schema=schema) for columns in tables if columns)
         return arrow.RecordBatchReader.from_batches(schema, rows)
 
@@ -304,8 +304,8 @@ class Log:
         plan = plan or self._plan
         return DecodeAccount(codec=plan.codec, names=plan.names, log=self.counts)
 
-    def _groups(self, account: DecodeAccount) -> Iterator[FrameGroup]:
-        return groups(self._plan.grouped([self.frames]), account)
+    def _grouped(self) -> Iterator[FrameBatch]:
+        return self._plan.grouped([self.frames])
 
 
 def read(

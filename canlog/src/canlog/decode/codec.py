@@ -214,7 +214,7 @@ class FrameFate(IntEnum):
 
     DECODED = 0
     SHORT = 1  # shorter than its message: the signals that fit are decoded
-    TRANSPORTED = 2  # a piece of a message that is longer than the frame can be: it needs ISO-TP or J1939 transport
+    TRANSPORTED = 2  # a piece of a message that is longer than the frame can be, sent by a transport protocol
     WITHOUT_SIGNALS = 3  # of a message of which no signal can be decoded
     UNKNOWN = 4  # not in the database
     REMOTE = 5
@@ -240,7 +240,7 @@ class MessageTable:
     signals: Mapping[str, SignalTable]
     refused: Mapping[str, str]
     definitions: Mapping[str, Signal]  # of all signals, decoded or refused
-    needed_bytes: int  # what a frame must have room for to hold it at once; 0: frames of it do, says the database
+    needed_bytes: int  # what a frame must have room for to hold the message; 0: its frames do, as the database says
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -276,25 +276,16 @@ class Codec:
 
     Of messages with one identifier the last one counts, as in cantools; ``overwritten`` has the others and the last.
     Values outside a signal's [min|max] are invalid if ``check_range``, codes that say "not available" by their place in
-    the scale if ``check_codes``. Of messages that no frame holds, all signals are there if they are put together
-    (``has_long``).
+    the scale if ``check_codes``.
     """
 
-    def __init__(
-        self,
-        messages: Sequence[Message],
-        *,
-        check_range: bool = True,
-        check_codes: bool = False,
-        has_long: bool = False,
-    ) -> None:
+    def __init__(self, messages: Sequence[Message], *, check_range: bool = True, check_codes: bool = False) -> None:
         addresses = [message_address(message) for message in messages]
         later = overwritten(addresses)
         self.overwritten = tuple((messages[old], messages[new]) for old, new in later.items())
         kept = [slot for slot in range(len(messages)) if slot not in later]
         self.tables = tuple(
-            message_table(messages[slot], check_range=check_range, check_codes=check_codes, has_long=has_long)
-            for slot in kept
+            message_table(messages[slot], check_range=check_range, check_codes=check_codes) for slot in kept
         )
         self._blocks: dict[tuple[int, int], SignalBlock] = {}  # by slot and bytes of the frame
         self._book = address_book([addresses[slot] for slot in kept])
@@ -336,26 +327,21 @@ class Codec:
         """Return the message that each identifier, with its flags, is of; NOBODY if of none."""
         return find_slots(self._book, np.array(can_ids, np.uint32))
 
-    def decode(self, batch: FrameBatch) -> Iterator[MessageValues]:
+    def decode(self, batch: FrameBatch, match: FrameMatch | None = None) -> Iterator[MessageValues]:
         """Yield the messages that are in a batch, in the order of the codec."""
-        match = self.match(batch)
-        return self.decode_slots(batch, match.slot, match.counts[:-1, _SHORT] > 0)
-
-    def decode_slots(self, batch: FrameBatch, slots: Int64Array, has_short: BoolArray) -> Iterator[MessageValues]:
-        """Yield the same of frames whose messages are known, NOBODY for none; ``has_short``: some may be too short."""
-        lengths, may_be_short = self._rules.min_length.tolist(), has_short.tolist()
-        for slot, rows in rows_by_slot(slots, len(self.tables)):
-            if not may_be_short[slot]:
-                yield self.values(slot, rows, PayloadWords(batch.data, rows), lengths[slot])
+        match = match or self.match(batch)
+        lengths, short_counts = self._rules.min_length.tolist(), match.counts[:-1, _SHORT].tolist()
+        for slot, rows in rows_by_slot(match.slot, len(self.tables)):
+            if not short_counts[slot]:
+                yield self._values(batch, slot, rows, lengths[slot])
                 continue
             sizes = np.minimum(batch.length[rows], lengths[slot])
             for size in sorted(set(sizes.tolist()), key=lambda size: (size < lengths[slot], size)):
-                short = rows[sizes == size]
-                yield self.values(slot, short, PayloadWords(batch.data, short), size)
+                yield self._values(batch, slot, rows[sizes == size], size)
 
-    def values(self, slot: int, rows: Int64Array, words: PayloadWords, size: int) -> MessageValues:
+    def _values(self, batch: FrameBatch, slot: int, rows: Int64Array, size: int) -> MessageValues:
         """Return the signals that lie in payloads of some size, and how many values lie behind their end."""
-        tables = self.tables[slot].signals
+        tables, words = self.tables[slot].signals, PayloadWords(batch.data, rows)
         if (slot, size) not in self._blocks:
             self._blocks[slot, size] = SignalBlock(
                 {name: one for name, one in tables.items() if one.needed_bytes <= size}
@@ -377,18 +363,15 @@ def _slot_rules(tables: Sequence[MessageTable], book: AddressBook) -> SlotRules:
     return SlotRules(min_length, needed_bytes, is_empty, is_plain)
 
 
-def message_table(
-    message: Message, *, check_range: bool = True, check_codes: bool = False, has_long: bool = False
-) -> MessageTable:
-    """Return a message with all its signals compiled that can be; if ``has_long``, in payloads of any length."""
-    most_bytes = max(FD_PAYLOAD_BYTES, message.length) if has_long else FD_PAYLOAD_BYTES
+def message_table(message: Message, *, check_range: bool = True, check_codes: bool = False) -> MessageTable:
+    """Return a message with all its signals compiled that can be."""
     signals: dict[str, SignalTable] = {}
     refused: dict[str, str] = {}
     definitions = _labelled(message.signals)
     for name, signal in definitions.items():
         codes = no_value_codes(message, signal) if check_codes else ()
         try:
-            signals[name] = compile_signal(message, signal, check_range=check_range, codes=codes, most_bytes=most_bytes)
+            signals[name] = compile_signal(message, signal, check_range=check_range, codes=codes)
         except DefinitionError as error:
             refused[name] = str(error)
     return MessageTable(

@@ -125,10 +125,10 @@ class BitField:
         return (word >> np.uint64(self.spill)) | (ninth << np.uint64(WORD_BITS - self.spill))
 
 
-def place_signal(message: Message, signal: Signal, most_bytes: int = FD_PAYLOAD_BYTES) -> BitField:
-    """Return where a signal of a message lies; a payload has ``most_bytes`` at most.
+def place_signal(message: Message, signal: Signal) -> BitField:
+    """Return where a signal of a message lies.
 
-    Raises DefinitionError if it lies outside its message or outside the payload, or has more than 64 bits.
+    Raises DefinitionError if it lies outside its message or a frame's payload, or has more than 64 bits.
     """
     where = f"{message.name}.{signal.name}"
     is_big = signal.byte_order == "big_endian"
@@ -138,7 +138,7 @@ def place_signal(message: Message, signal: Signal, most_bytes: int = FD_PAYLOAD_
         raise DefinitionError(f"{where} has {signal.length} bits; up to {WORD_BITS} are understood")
     if not (signal.length >= 1 and first >= 0 and first + signal.length <= 8 * message.length):
         raise DefinitionError(f"{where} lies outside its message")
-    if first + signal.length > 8 * most_bytes:
+    if first + signal.length > 8 * FD_PAYLOAD_BYTES:
         raise DefinitionError(f"{where} lies outside the {FD_PAYLOAD_BYTES} bytes of a CAN FD frame")
     # Words at multiples of eight bytes serve many signals; one that crosses their borders gets a word of its own.
     in_one_word = first // WORD_BITS == (first + signal.length - 1) // WORD_BITS
@@ -374,7 +374,6 @@ def compile_signal(
     *,
     check_range: bool = True,
     codes: tuple[CodeRange, ...] = (),
-    most_bytes: int = FD_PAYLOAD_BYTES,
 ) -> SignalTable:
     """Return the table of one signal.
 
@@ -391,11 +390,9 @@ def compile_signal(
         Whether values outside the signal's [min|max] are invalid; some databases have junk there.
     codes : tuple of CodeRange
         Raw values of an integer that are no measurements, as ranges that do not overlap.
-    most_bytes : int
-        Of a payload: those of a CAN FD frame, more for messages that are put together.
     """
     where = f"{message.name}.{signal.name}"
-    field = place_signal(message, signal, most_bytes)
+    field = place_signal(message, signal)
     factors = (signal.scale, signal.offset)
     if signal.scale == 0 or not all(abs(factor) <= MAX_FACTOR for factor in factors):
         raise DefinitionError(f"{where}: scale {signal.scale} and offset {signal.offset} are not usable")
@@ -407,7 +404,7 @@ def compile_signal(
         code = FloatCode(signal.length, signal.scale, signal.offset, value_range)
     else:
         code = integer_code(signal, field, codes, check_range=check_range)
-    selectors = _selectors(message, signal, where, most_bytes) if signal.multiplexer_ids is not None else ()
+    selectors = _selectors(message, signal, where) if signal.multiplexer_ids is not None else ()
     return SignalTable(
         field=field,
         code=code,
@@ -417,14 +414,14 @@ def compile_signal(
     )
 
 
-def _selectors(message: Message, signal: Signal, where: str, most_bytes: int) -> tuple[Selector, ...]:
+def _selectors(message: Message, signal: Signal, where: str) -> tuple[Selector, ...]:
     """Return the multiplexers that decide whether a signal is in a frame, innermost first."""
     selectors: list[Selector] = []
     while signal.multiplexer_ids is not None:
         multiplexer = {s.name: s for s in message.signals if s.is_multiplexer}.get(signal.multiplexer_signal or "")
         if multiplexer is None or len(selectors) == MAX_MULTIPLEX_DEPTH:
             raise DefinitionError(f"{where} is multiplexed, but its message has no proper multiplexer for it")
-        selectors.append(_selector(place_signal(message, multiplexer, most_bytes), signal.multiplexer_ids))
+        selectors.append(_selector(place_signal(message, multiplexer), signal.multiplexer_ids))
         signal = multiplexer
     return tuple(selectors)
 

@@ -10,12 +10,10 @@ import numpy as np
 from canlog.arrays import Int64Array
 from canlog.database.addressing import NOBODY, parameter_group, why_wrong
 from canlog.decode.codec import HAS_VALUES, Codec, FrameFate, MessageTable, MessageValues
-from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 from canlog.logs import LogCounts
 from canlog.logs.log_counts import assumed_texts, lost_texts, odd_texts
-from canlog.tables.frame_groups import FrameGroup
 from canlog.tables.layouts import BARE_ID, Place, TableNames, flagged_id, identifier_text
-from canlog.transport import TransferCounts
 
 MAX_IDS: Final = 65_536  # that are counted one by one: no bus has as many, a log of noise has
 NEAREST_COUNT: Final = 3
@@ -51,9 +49,6 @@ class DecodeAccount:
     names: TableNames
     log: LogCounts = field(default_factory=LogCounts)
     row_count: int = 0
-    transfers: TransferCounts = field(default_factory=TransferCounts)  # messages longer than a frame
-    long_counts: dict[int, int] = field(default_factory=dict)  # of these the ones with signals, by slot
-    short_long_count: int = 0  # of these the ones that end before their last signal
     counts: Int64Array = field(init=False)  # (messages + 1, fates)
     signals: defaultdict[Place, SignalCounts] = field(default_factory=lambda: defaultdict(SignalCounts))
     frames_of_id: Counter[int] = field(default_factory=Counter)  # data frames by identifier with its flags
@@ -62,35 +57,30 @@ class DecodeAccount:
     def __post_init__(self) -> None:
         self.counts = np.zeros((len(self.codec.tables) + 1, len(FrameFate)), np.int64)
 
-    def add(self, group: FrameGroup) -> None:
-        """Count the frames of a batch."""
-        self.counts += group.match.counts
-        sent = group.batch.can_id
-        if group.long is not None:
-            sent = np.delete(sent, group.long.rows)
-        can_ids, counts = np.unique(sent[(sent & _NO_DATA) == 0], return_counts=True)
-        seen = zip(can_ids.tolist(), counts.tolist(), self.codec.slots_of(can_ids.tolist()), strict=True)
-        for can_id, count, slot in seen:
+    def decode(self, batch: FrameBatch) -> list[MessageValues]:
+        """Return the signals of some frames, message by message; frames and values enter the account."""
+        match = self.codec.match(batch)
+        self.counts += match.counts
+        self._count_ids(batch)
+        messages = list(self.codec.decode(batch, match))
+        for message in messages:
+            for name, decoded in message.signals.items():
+                counts, present = self.signals[message.slot, name], decoded.is_present
+                counts.values += len(message.rows) if present is None else int(np.count_nonzero(present))
+                counts.out_of_range += decoded.invalid.out_of_range
+                counts.not_a_number += decoded.invalid.not_available
+            for name, count in message.cut_off.items():
+                self.signals[message.slot, name].cut_off += count
+        return messages
+
+    def _count_ids(self, batch: FrameBatch) -> None:
+        can_ids, counts = np.unique(batch.can_id[(batch.can_id & _NO_DATA) == 0], return_counts=True)
+        slots = self.codec.slots_of(can_ids.tolist())
+        for can_id, count, slot in zip(can_ids.tolist(), counts.tolist(), slots, strict=True):
             if can_id in self.frames_of_id or len(self.frames_of_id) < MAX_IDS or slot != NOBODY:
                 self.frames_of_id[can_id] += count
             else:
                 self.unlisted_count += count
-
-    def values_of(self, group: FrameGroup) -> list[MessageValues]:
-        """Return what the signals of a group say, message by message; it enters the account."""
-        found = group.values(self.codec)
-        if group.long is not None:
-            found += (longer := list(group.long.values(self.codec)))
-            self.short_long_count += sum(len(one.rows) for one in longer if one.cut_off)
-        for one in found:
-            for name, decoded in one.signals.items():
-                counts, present = self.signals[one.slot, name], decoded.is_present
-                counts.values += len(one.rows) if present is None else int(np.count_nonzero(present))
-                counts.out_of_range += decoded.invalid.out_of_range
-                counts.not_a_number += decoded.invalid.not_available
-            for name, count in one.cut_off.items():
-                self.signals[one.slot, name].cut_off += count
-        return found
 
     def leave_out(self, count: int) -> None:
         self.counts[-1, FrameFate.LEFT_OUT] += count
@@ -106,7 +96,7 @@ class DecodeAccount:
     @property
     def seen_slots(self) -> list[int]:
         """The messages that came, in the order of the database."""
-        return [slot for slot, row in enumerate(self.counts[:-1].tolist()) if any(row) or slot in self.long_counts]
+        return np.flatnonzero(self.counts[:-1].any(axis=1)).tolist()
 
     @property
     def refused(self) -> dict[str, str]:
@@ -119,11 +109,11 @@ class DecodeAccount:
 
     @property
     def transported(self) -> dict[str, tuple[int, int]]:
-        """Messages that no frame holds and that no protocol put together: their bytes, and how many frames came."""
+        """Messages that no frame holds: their bytes, and how many frames came."""
         return {
             self.names.messages[slot]: (self.codec.tables[slot].message.length, count)
             for slot in self.seen_slots
-            if (count := int(self.counts[slot, FrameFate.TRANSPORTED])) and slot not in self.long_counts
+            if (count := int(self.counts[slot, FrameFate.TRANSPORTED]))
         }
 
     @property
@@ -164,8 +154,8 @@ class DecodeAccount:
 
     @property
     def knows_nothing(self) -> bool:
-        """Whether there are data frames, and none is of the database, not even as a piece of a longer message."""
-        return bool(self.frames_of_id) and not self.known_count and not self.long_counts
+        """Whether there are data frames, and none is of the database."""
+        return bool(self.frames_of_id) and not self.known_count
 
     def nearest(self) -> list[Nearest]:
         """Return the most frequent unknown identifiers, each with the message that comes nearest."""
@@ -212,17 +202,14 @@ def losses(account: DecodeAccount) -> Iterator[str]:
             "--match group decodes them"
         )
     if cut_off := sum(counts.cut_off for counts in account.signals.values()):
-        counts = {"frames": account.fates[FrameFate.SHORT], "messages of several frames": account.short_long_count}
-        short = " and ".join(f"{count} {what}" for what, count in counts.items() if count)
-        yield f"{short} are shorter than the database says: {cut_off} values are not in them"
+        short_count = account.fates[FrameFate.SHORT]
+        yield f"{short_count} frames are shorter than the database says: {cut_off} values are not in them"
     if transported := account.transported:
         sizes = {f"{name} ({size} bytes)": frames for name, (size, frames) in transported.items()}
         yield (
-            f"{sum(sizes.values())} frames are pieces of messages longer than a frame, that could not be put together: "
+            f"{sum(sizes.values())} frames are pieces of messages longer than a frame, which are not put together: "
             f"{listing(sizes)}"
         )
-    if count := account.transfers.incomplete_count:
-        yield f"{count} messages longer than a frame are incomplete: {'; '.join(account.transfers.in_words())}"
     if refused := list(account.refused.values()):
         more = f"; and {len(refused) - SHOWN_COUNT} more" if len(refused) > SHOWN_COUNT else ""
         yield f"{len(refused)} signals cannot be decoded: {'; '.join(refused[:SHOWN_COUNT])}{more}"
@@ -288,8 +275,8 @@ def frame_texts(account: DecodeAccount) -> Iterator[str]:
 def values_text(account: DecodeAccount) -> str:
     """Return how many values there are, in words."""
     values = [counts.values for counts in account.signals.values() if counts.values]
-    in_frames = np.flatnonzero(account.counts[:-1, list(HAS_VALUES)].sum(axis=1)).tolist()
-    return f"{sum(values)} values of {len(values)} signals in {len({*in_frames, *account.long_counts})} messages"
+    message_count = np.count_nonzero(account.counts[:-1, list(HAS_VALUES)].any(axis=1))
+    return f"{sum(values)} values of {len(values)} signals in {message_count} messages"
 
 
 def account_record(account: DecodeAccount) -> JsonObject:
@@ -318,13 +305,6 @@ def account_record(account: DecodeAccount) -> JsonObject:
                 for one in (account.nearest() if account.knows_nothing else ())
             ],
         },
-        "long_messages": {
-            "whole": {protocol.value: count for protocol, count in account.transfers.whole.items()},
-            "incomplete": {
-                f"{protocol.value}.{fault.value}": count
-                for (protocol, fault), count in account.transfers.incomplete.items()
-            },
-        },
         "messages": [_message(account, slot) for slot in account.seen_slots],
         "refused": account.refused,
         "overwritten": [{"message": old, "by": new} for old, new in account.overwritten],
@@ -341,7 +321,6 @@ def _message(account: DecodeAccount, slot: int) -> JsonObject:
         "is_extended": message.is_extended_frame,
         "bytes": message.length,
         "frames": {fate.name.lower(): int(count) for fate in FrameFate if (count := account.counts[slot, fate])},
-        "put_together": account.long_counts.get(slot, 0),
         "signals": {
             name: {"column": account.names.columns[slot, name], **asdict(account.signals[slot, name])}
             for name in account.codec.tables[slot].signals

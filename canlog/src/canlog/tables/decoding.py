@@ -23,7 +23,7 @@ from canlog.logs import STANDARD_INPUT, LogReader
 from canlog.logs.reading import Watch
 from canlog.logs.streams import never
 from canlog.tables.account import DecodeAccount, losses
-from canlog.tables.frame_groups import FrameGroup, LogSet, LongRows, grouped, log_paths
+from canlog.tables.frame_groups import LogSet, grouped, log_paths
 from canlog.tables.layouts import (
     Place,
     TableNames,
@@ -133,19 +133,10 @@ class Span:
 EVERYTHING: Final = Span()
 
 
-def groups(batches: Iterable[FrameBatch], account: DecodeAccount) -> Iterator[FrameGroup]:
-    """Yield frames with their messages, and with those messages that several frames are; all enter the account."""
-    together = LongRows(account.codec)
-    account.transfers, account.long_counts = together.counts, together.counts_of
-    for group in together.groups(batches):
-        account.add(group)
-        yield group
-
-
-def columns_of(group: FrameGroup, account: DecodeAccount, layout: WideLayout) -> Mapping[str, Any]:
-    """Return the columns of a group, empty if it has no rows; values and rows enter the account."""
-    found = account.values_of(group)
-    count, columns = layout.columns(group, found) if found else (0, {})
+def columns_of(batch: FrameBatch, account: DecodeAccount, layout: WideLayout) -> Mapping[str, Any]:
+    """Return the columns of some frames, empty if they have no rows; frames, values and rows enter the account."""
+    messages = account.decode(batch)
+    count, columns = layout.columns(batch, messages) if messages else (0, {})
     account.row_count += count
     return columns if count else {}
 
@@ -153,8 +144,8 @@ def columns_of(group: FrameGroup, account: DecodeAccount, layout: WideLayout) ->
 class TableSink(Protocol):
     """What takes groups of frames."""
 
-    def write_group(self, group: FrameGroup) -> None:
-        """Write some frames; values and rows enter the account."""
+    def write(self, batch: FrameBatch) -> None:
+        """Write some frames; they, their values and rows enter the account."""
 
     def close(self) -> None:
         """Write what the format needs at its end."""
@@ -171,8 +162,8 @@ class ColumnRows:
         self._account = account
         self._columns = open_columns(output, table_format, layout.kinds, layout.metadata)
 
-    def write_group(self, group: FrameGroup) -> None:
-        if columns := columns_of(group, self._account, self._layout):
+    def write(self, batch: FrameBatch) -> None:
+        if columns := columns_of(batch, self._account, self._layout):
             self._columns.write_columns(columns)
 
     def close(self) -> None:
@@ -183,7 +174,7 @@ class ColumnRows:
 
 
 def message_columns(
-    group: FrameGroup,
+    batch: FrameBatch,
     account: DecodeAccount,
     layouts: dict[int, WideLayout],
     values: Values,
@@ -191,16 +182,15 @@ def message_columns(
     *,
     is_measured: bool = False,
 ) -> Iterator[tuple[int, Mapping[str, Any]]]:
-    """Yield the columns of each message in a group, called as its signals are; values and rows enter the account.
+    """Yield the columns of each message in a group, called as its signals are; all enters the account.
 
     ``layouts`` are those of the messages that came until now, by slot.
     """
-    found = sorted(account.values_of(group), key=lambda one: one.slot)
-    for slot, parts in groupby(found, key=lambda one: one.slot):
+    for slot, parts in groupby(account.decode(batch), key=lambda message: message.slot):
         if slot not in layouts:
             names = account.names.of_message(slot, frame_kinds(logs))
             layouts[slot] = WideLayout(account.codec.tables, names, values, [slot], logs, is_measured=is_measured)
-        count, columns = layouts[slot].columns(group, list(parts))
+        count, columns = layouts[slot].columns(batch, list(parts))
         account.row_count += count
         yield slot, columns
 
@@ -217,8 +207,8 @@ class MessageRows:
     _layouts: dict[int, WideLayout] = field(default_factory=dict)
     _open: dict[int, ColumnSink] = field(default_factory=dict)
 
-    def write_group(self, group: FrameGroup) -> None:
-        for slot, columns in message_columns(group, self.account, self._layouts, self.values, self.logs):
+    def write(self, batch: FrameBatch) -> None:
+        for slot, columns in message_columns(batch, self.account, self._layouts, self.values, self.logs):
             if slot not in self._open:
                 file, layout = self.tables.file(slot), self._layouts[slot]
                 self._open[slot] = open_columns(file, self.table_format, layout.kinds, layout.metadata)
@@ -266,13 +256,13 @@ class Plan:
         shape: TableShape = TableShape.WIDE,
         values: Values = Values.NUMBERS,
     ) -> "Plan":
-        codec = Codec(messages, has_long=True)
+        codec = Codec(messages)
         return cls(codec=codec, names=table_names(codec.tables), shape=shape, values=values)
 
     def measured(self) -> "Plan":
         """Return the plan for the same messages in which codes that say "not available" are no values."""
         messages = [table.message for table in self.codec.tables]
-        codec = Codec(messages, check_range=False, check_codes=True, has_long=True)
+        codec = Codec(messages, check_range=False, check_codes=True)
         return replace(self, codec=codec, is_measured=True)
 
     def part(self, signals: Sequence[str], begin: str | float | None, end: str | float | None) -> "Plan":
@@ -287,13 +277,10 @@ class Plan:
 
     def layout(self, batches: Iterable[FrameBatch], logs: Sequence[str] = ()) -> WideLayout:
         """Return the columns: all frames are looked at, for the messages that occur are the columns."""
-        seen: set[int] = set()
-        together = LongRows(self.codec)
-        for group in together.groups(batches):
-            counts = group.match.counts[:-1, list(HAS_VALUES)]
-            seen.update(np.flatnonzero(counts.sum(axis=1)).tolist())
-        seen.update(together.counts_of)
-        slots = sorted(seen)
+        has_values = np.zeros(len(self.codec.tables), np.bool_)
+        for batch in batches:
+            has_values |= self.codec.match(batch).counts[:-1, list(HAS_VALUES)].any(axis=1)
+        slots = np.flatnonzero(has_values).tolist()
         return WideLayout(self.codec.tables, self.names, self.values, slots, logs, is_measured=self.is_measured)
 
     def grouped(
@@ -375,8 +362,8 @@ class _Writing:
         sink, batches = self._sink(output, account)
         is_whole = False
         try:
-            for group in groups(batches, account):
-                sink.write_group(group)
+            for batch in batches:
+                sink.write(batch)
             if is_whole := not self.is_stopped():
                 sink.close()
         finally:

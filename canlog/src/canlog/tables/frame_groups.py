@@ -1,24 +1,22 @@
-"""The frames that tables are made of: of one log or several, messages longer than a frame among them, in groups."""
+"""The frames that tables are made of: of one log or several, in groups."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
-from typing import Final, Self, cast
+from typing import TYPE_CHECKING, Final, Self, cast
 
 import numpy as np
 
-from canlog.arrays import Int64Array, UInt8Array
-from canlog.database.addressing import NOBODY
-from canlog.decode.codec import Codec, FrameFate, FrameMatch, MessageValues
-from canlog.decode.signals import PayloadWords
 from canlog.errors import SourceError
-from canlog.frames import COLUMNS, FrameBatch, empty_batch, join
+from canlog.frames import FrameBatch, join
 from canlog.logs import STANDARD_INPUT, LogCounts, LogReader, merged_by_time, read_log, shown_name
 from canlog.logs.reading import Watch, named_error
 from canlog.logs.streams import kept, never, open_standard_input
-from canlog.transport import Reassembler, Transfer, TransferCounts
+
+if TYPE_CHECKING:
+    from canlog.arrays import UInt8Array
 
 LOG_SHIFT: Final = 8  # of the channels of several logs: above them stands the place of the log
 
@@ -132,43 +130,6 @@ def log_paths(path: Path | str | Sequence[Path | str]) -> list[Path]:
     return paths
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LongPayloads:
-    """Payloads of messages that were put together, and which rows of a batch they are."""
-
-    rows: Int64Array  # (n,) rising
-    slot: Int64Array  # (n,) message of each in the codec
-    length: Int64Array  # (n,) bytes
-    data: UInt8Array  # (n, width), zeros behind the length
-
-    def __len__(self) -> int:
-        return len(self.rows)
-
-    def values(self, codec: Codec) -> Iterator[MessageValues]:
-        """Yield what their signals say, short ones apart, by their length."""
-        for slot in np.unique(self.slot).tolist():
-            own = np.flatnonzero(self.slot == slot)
-            sizes = np.minimum(self.length[own], codec.tables[slot].message.length)
-            for size in np.unique(sizes)[::-1].tolist():
-                rows = own[sizes == size]
-                yield codec.values(slot, self.rows[rows], PayloadWords(self.data, rows), size)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrameGroup:
-    """Frames, and among them a row without a payload for each message that is whole by a frame before it."""
-
-    batch: FrameBatch
-    slot: Int64Array  # (n,) message of each frame; NOBODY in a row of a long message
-    match: FrameMatch  # of the frames alone
-    long: LongPayloads | None = None
-
-    def values(self, codec: Codec) -> list[MessageValues]:
-        """Return what the signals of the frames say, message by message; not that of the longer messages."""
-        has_short = self.match.counts[:-1, FrameFate.SHORT] > 0
-        return list(codec.decode_slots(self.batch, self.slot, has_short))
-
-
 def grouped(batches: Iterable[FrameBatch], most_frames: int, *, is_live: bool = False) -> Iterator[FrameBatch]:
     """Yield frames in larger batches, of no more than so many frames; ``is_live``: what comes together is a batch."""
     waiting, size = list[FrameBatch](), 0
@@ -185,65 +146,3 @@ def grouped(batches: Iterable[FrameBatch], most_frames: int, *, is_live: bool = 
             waiting, size = [], 0
     if waiting:
         yield join(waiting)
-
-
-class LongRows:
-    """Puts the messages of a stream together that the database calls longer than a frame."""
-
-    def __init__(self, codec: Codec) -> None:
-        self._codec = codec
-        self._lengths = [table.needed_bytes if table.signals else 0 for table in codec.tables]
-        self._reassembler: Final = Reassembler() if any(self._lengths) else None
-        self.counts_of: dict[int, int] = {}  # messages that are whole, by slot
-
-    @property
-    def counts(self) -> TransferCounts:
-        """What became of all messages until now."""
-        return self._reassembler.counts if self._reassembler else TransferCounts()
-
-    def groups(self, batches: Iterable[FrameBatch]) -> Iterator[FrameGroup]:
-        """Yield batches with the messages that are whole by them."""
-        for batch in batches:
-            match = self._codec.match(batch)
-            found = self._known(self._reassembler.feed(batch)) if self._reassembler else []
-            yield self._group(batch, match, found) if found else FrameGroup(batch=batch, slot=match.slot, match=match)
-        if self._reassembler and (found := self._known(self._reassembler.close())):
-            rest = empty_batch()
-            yield self._group(rest, self._codec.match(rest), found)
-
-    def _known(self, transfers: Sequence[Transfer]) -> list[tuple[int, Transfer]]:
-        """Return the messages that the database calls longer than a frame, with their slots."""
-        found = []
-        slots = self._codec.slots_of([one.can_id for one in transfers])
-        for one, slot in zip(transfers, slots.tolist(), strict=True):
-            if slot != NOBODY and self._lengths[slot]:
-                found.append((slot, one))
-                self.counts_of[slot] = self.counts_of.get(slot, 0) + 1
-        return found
-
-    def _group(self, batch: FrameBatch, match: FrameMatch, found: Sequence[tuple[int, Transfer]]) -> FrameGroup:
-        found = sorted(found, key=lambda one: one[1].last_ns)
-        transfers = [one for _, one in found]
-        t_ns = np.array([one.last_ns for one in transfers], np.int64)
-        places = np.searchsorted(batch.t_ns, t_ns, side="right")
-        added = FrameBatch(
-            t_ns=t_ns,
-            can_id=np.array([one.can_id for one in transfers], np.uint32),
-            length=np.zeros(len(found), np.uint8),
-            data=np.zeros((len(found), batch.width), np.uint8),
-            channel=cast("UInt8Array", np.array([one.channel for one in transfers], batch.channel.dtype)),
-        )
-        whole = FrameBatch(
-            **{name: np.insert(getattr(batch, name), places, getattr(added, name), axis=0) for name in COLUMNS}
-        )
-        length = np.array([len(one.data) for one in transfers], np.int64)
-        data = np.zeros((len(found), int(length.max())), np.uint8)
-        for row, one in enumerate(transfers):
-            data[row, : len(one.data)] = np.frombuffer(one.data, np.uint8)
-        payloads = LongPayloads(
-            rows=places + np.arange(len(places)),
-            slot=np.array([slot for slot, _ in found], np.int64),
-            length=length,
-            data=data,
-        )
-        return FrameGroup(batch=whole, slot=np.insert(match.slot, places, NOBODY), match=match, long=payloads)

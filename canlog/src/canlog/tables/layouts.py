@@ -21,8 +21,8 @@ from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt32Array
 from canlog.column_files import BOOL_TYPE, NAME_TYPE, TIME_TYPE, load_pyarrow
 from canlog.decode.codec import MessageTable, MessageValues
 from canlog.decode.signals import FloatCode, PayloadWords, SignalTable
-from canlog.frames import EXTENDED_FLAG
-from canlog.tables.frame_groups import LOG_SHIFT, FrameGroup
+from canlog.frames import EXTENDED_FLAG, FrameBatch
+from canlog.tables.frame_groups import LOG_SHIFT
 
 TEXT_SUFFIX: Final = ".text"  # of the column that names the states beside the numbers
 BARE_ID: Final = 0x1FFF_FFFF
@@ -174,17 +174,17 @@ class WideLayout:
                 if tables[slot].definitions[name].choices
             }
 
-    def _frame_columns(self, group: FrameGroup, rows: Int64Array) -> dict[str, Column]:
+    def _frame_columns(self, batch: FrameBatch, rows: Int64Array) -> dict[str, Column]:
         """Return what is known of frames besides their signals."""
         arrow = import_module("pyarrow")
-        can_id: UInt32Array = group.batch.can_id[rows]
-        channel: Int64Array = group.batch.channel[rows].astype(np.int64)
+        can_id: UInt32Array = batch.can_id[rows]
+        channel: Int64Array = batch.channel[rows].astype(np.int64)
         log: dict[str, Column] = {}
         if self._logs:
             log = {LOG: _name_column(self._logs, (channel >> LOG_SHIFT).astype(np.int32))}
         return {
             **log,
-            TIME: column_of(group.batch.t_ns[rows], kind=arrow.timestamp("ns", "UTC")),
+            TIME: column_of(batch.t_ns[rows], kind=arrow.timestamp("ns", "UTC")),
             CHANNEL: column_of(channel & 0xFF),
             ID: column_of((can_id & np.uint32(BARE_ID)).astype(np.int32)),
             IS_EXTENDED: column_of((can_id & np.uint32(EXTENDED_FLAG)) != 0),
@@ -204,18 +204,18 @@ class WideLayout:
         units = ((place, self._tables[place[0]].definitions[place[1]].unit) for place in self._places)
         return {self.names.columns[place]: {UNIT: unit} for place, unit in units if unit}
 
-    def columns(self, group: FrameGroup, found: Sequence[MessageValues]) -> tuple[int, dict[str, Column]]:
+    def columns(self, batch: FrameBatch, messages: Sequence[MessageValues]) -> tuple[int, dict[str, Column]]:
         """Return the number of rows and the columns of one row group, in their order."""
-        frames = np.concatenate([one.rows for one in found])
-        which = np.repeat(np.arange(len(found), dtype=np.int32), [len(one.rows) for one in found])
+        frames = np.concatenate([message.rows for message in messages])
+        number = np.repeat(np.arange(len(messages), dtype=np.int32), [len(message.rows) for message in messages])
         order = np.argsort(frames, kind="stable")
-        row_of = np.empty(len(group.batch), np.int64)
+        row_of = np.empty(len(batch), np.int64)
         row_of[frames[order]] = np.arange(len(frames))
         cells = _Cells(len(frames))
-        for one in found:
-            self._fill(cells, one, row_of[one.rows])
-        columns = self._frame_columns(group, frames[order])
-        columns[MESSAGE] = _name_column([self.names.messages[one.slot] for one in found], which[order])
+        for message in messages:
+            self._fill(cells, message, row_of[message.rows])
+        columns = self._frame_columns(batch, frames[order])
+        columns[MESSAGE] = _name_column([self.names.messages[message.slot] for message in messages], number[order])
         numbers = cells.numbers(self._places)
         for place in self._places:
             columns[self.names.columns[place]] = numbers[place]

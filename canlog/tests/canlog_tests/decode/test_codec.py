@@ -112,3 +112,16 @@ def test_messages_longer_than_their_frames_need_a_transport_protocol(
     codec = Codec([message])
     assert np.flatnonzero(codec.match(batch).counts[0]).tolist() == [fate]
     assert len(list(codec.decode(batch))) == (fate is not FrameFate.TRANSPORTED)
+
+
+@pytest.mark.parametrize(
+    ("can_id", "fate"),
+    [
+        (0x18FECA03, FrameFate.SHORT),  # packets of a longer message have an identifier of their own
+        (0x09F80501, FrameFate.TRANSPORTED),  # in data page 1, NMEA 2000 has fast packets
+    ],
+)
+def test_a_frame_of_a_group_that_is_longer_is_short_or_a_piece_by_its_page(can_id: int, fate: FrameFate) -> None:
+    message = Message(can_id, "M", 14, [Signal("A", start=0, length=8)], is_extended_frame=True, protocol="j1939")
+    batch = frames_at([0], can_id | EXTENDED_FLAG, 8, np.ones(64))
+    assert np.flatnonzero(Codec([message]).match(batch).counts[0]).tolist() == [fate]

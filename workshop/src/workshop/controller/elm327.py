@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final
 
-from canlog.transport.isotp import segments
+from canlog.isotp import segments
 from workshop.controller.iso14229 import NEGATIVE, Nrc
 from workshop.controller.table import Addressing, Transport
 

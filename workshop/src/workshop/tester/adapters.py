@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 
 import can
 
-from canlog.transport.isotp import segments
+from canlog.isotp import segments
 from diag_service.errors import ConfigError, ControllerError, RefusedError, SilentError, StoppedError
 from diag_service.mapping.profile import AskingRules
 from workshop.tester.addresses import CanAddress, hexadecimal, is_extended
