@@ -68,7 +68,7 @@ def test_every_file_is_listed_with_what_it_was_taken_for(folder: Path, capsys: p
     }
     assert "packed twice: gzip inside the gzip file" in listed["packed twice.gz"]
     assert listed["archive.zip"] == "no log: a zip archive: unpack it first"
-    assert "a picture (PNG)" in listed["picture.png"]
+    assert "not a log of a known format" in listed["picture.png"]
     assert "a message database (DBC): it belongs behind --dbc" in listed["car.dbc"]
     assert (listed["empty.log"], listed["gone.log"]) == (
         "no log: the file is empty",

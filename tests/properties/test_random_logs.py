@@ -3,7 +3,6 @@
 And such logs changed anywhere: reading ends in frames by the columns' rules, in counts of every line, or in one error.
 """
 
-import io
 import struct
 import tempfile
 import zlib
@@ -14,8 +13,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
@@ -132,7 +129,7 @@ def test_gaps_between_frames_are_added_up(drawn: list[Frame]) -> None:
 
 CONTAINER = struct.Struct("<4sHHLLH6xL4x")
 FORMATS = sorted({name.split(maxsplit=1)[0] for name in ALL_GRAMMARS})
-PARTS = ("blf objects", *(name for name in PACKERS if name != "plain"), "signals", "parquet", "measured")
+PARTS = ("blf objects", *(name for name in PACKERS if name != "plain"), "signals", "measured")
 SIGNALS = (
     b"Time [ms],Speed [rpm],Cut,Note\n" + b"".join(b"%d,%d.5,on,ok\n" % (37 * row, 900 + row) for row in range(30)),
     b"a recorder\nZeit;Druck\ns;kPa\n" + b"".join(b"%d,5;%d,86\n" % (row, row) for row in range(30)),
@@ -166,10 +163,6 @@ def sounds(name: str) -> tuple[bytes, ...]:
         objects = zlib.decompress(log[144 + CONTAINER.size : 144 + CONTAINER.unpack_from(log, 144)[3]])
         head = CONTAINER.pack(b"LOBJ", 16, 1, CONTAINER.size + len(objects), 10, 0, len(objects))
         return (log[:144] + head + objects,)
-    if name == "parquet":
-        out = io.BytesIO()
-        pq.write_table(pa.table({"t_s": np.arange(40) / 50.0, "Speed": np.arange(40.0)}), out)
-        return (out.getvalue(),)
     if name == "measured":
         times_s = np.arange(10) / 10.0
         with tempfile.NamedTemporaryFile(suffix=".mf4") as file:

@@ -20,10 +20,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from canlog.errors import SourceError
 from canlog.logs import read_log
 from tests.support.patience import HANG_S
@@ -84,31 +80,6 @@ TABLE_HEAD = b"Time [s],Engine Speed [rpm],Pressure [kPa]\n"
 TABLE_ROWS = b"".join(b"%d.0,1000,%d\n" % (second, second % 7) for second in range(100))
 
 
-def parquet_bomb() -> bytes:
-    """Return a table of few bytes and many rows: one value, said once for all."""
-    group, groups = 1 << 20, 47
-    same = pa.DictionaryArray.from_arrays(pa.array(np.zeros(group, np.int8)), pa.array([1.5]))
-    written = pa.BufferOutputStream()
-    table = pa.table([same] * 2, names=["time", "Signal"])
-    with pq.ParquetWriter(written, table.schema, compression="zstd") as writer:
-        for _ in range(groups):
-            writer.write_table(table)
-    found: bytes = written.getvalue().to_pybytes()
-    return found
-
-
-def arrow_bomb() -> bytes:
-    """Return a stream whose one batch unpacks to gigabytes."""
-    written = pa.BufferOutputStream()
-    zeros = pa.array(np.zeros(1 << 26))
-    table = pa.table([zeros] * 3, names=["time", "Engine Speed", "Pressure"])
-    options = pa.ipc.IpcWriteOptions(compression="zstd")
-    with pa.ipc.new_stream(written, table.schema, options=options) as writer:
-        writer.write_table(table)
-    found: bytes = written.getvalue().to_pybytes()
-    return found
-
-
 def xz_bomb() -> bytes:
     packer = lzma.LZMACompressor(preset=0)
     block = LINE * 60_000
@@ -139,8 +110,6 @@ HUGE_CELL: Final = "INSERT INTO messages VALUES (1.0, 1, 0, 0, 0, 8, zeroblob(50
 HOSTILE: Final[Mapping[str, Callable[[Path], object]]] = MappingProxyType({
     "row.csv": written(lambda: TABLE_HEAD + TABLE_ROWS + b"101.0," + b"1," * (32 << 20) + b"\n" + TABLE_ROWS),
     "quotes.csv": written(lambda: TABLE_HEAD + TABLE_ROWS + b'"' * (16 << 20)),
-    "bomb.parquet": written(parquet_bomb),
-    "bomb.arrows": written(arrow_bomb),
     "bomb.log.xz": written(xz_bomb),
     "line.log": written(lambda: LINE + b"x" * (64 << 20)),
     "loop.mf4": written(mf4_loop),

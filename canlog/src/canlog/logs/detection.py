@@ -28,7 +28,6 @@ LINES_LOOKED_AT = 100  # where no line names a format, most of these must be fra
 COMMENTS = (b"#", b"//")
 UTF_16_BYTES = 64
 MDF_MAGICS = (b"MDF     ", b"UnFinMF ")
-ARROW_MAGICS = (b"PAR1", b"ARROW1", b"\xff\xff\xff\xff")
 MDF_VERSION = slice(8, 9)
 
 
@@ -102,13 +101,8 @@ ARCHIVES: Mapping[bytes, str] = {
 OTHER_FORMATS: Mapping[bytes, str] = {
     b"\x04\x22\x4d\x18": "a file compressed by lz4",
     b"\x1f\x9d": "a file compressed by compress",
-    b"\x89PNG": "a picture (PNG)",
-    b"\xff\xd8\xff": "a picture (JPEG)",
-    b"GIF8": "a picture (GIF)",
-    b"%PDF-": "a PDF document",
-    b"\x7fELF": "a program",
-    b"\xd0\xcf\x11\xe0": "a document of Microsoft Office",
-    b"\x89HDF": "an HDF5 file",
+    b"PAR1": "a Parquet table: convert it to CSV, for example by pandas",
+    b"ARROW1": "an Arrow table: convert it to CSV, for example by pandas",
     b'VERSION "': "a message database (DBC): it belongs behind --dbc",
     b"FormatVersion=": "a message database (SYM): it belongs behind --dbc",
     b"<?xml": "an XML text",
@@ -146,8 +140,6 @@ def _detect(probe: bytes) -> Detected:
         return Detected(format=LogFormat.BLF, evidence="it begins with LOGG")
     if probe.startswith(sqlite.MAGIC):
         return Detected(format=LogFormat.SQLITE, evidence="it begins with SQLite format 3")
-    if probe.startswith(ARROW_MAGICS):
-        return Detected(format=LogFormat.SIGNALS, evidence="it begins as a Parquet or Arrow table does")
     if probe.startswith(CAPTURE_MAGICS):
         capture = capture_of(probe)
         return Detected(format=LogFormat(capture), evidence=f"it begins with the number of {capture}")

@@ -12,7 +12,6 @@ from canlog.database.signal_columns import SignalColumn
 from canlog.errors import SourceError
 from canlog.files import open_plain_file
 from canlog.frames import FrameBatch
-from canlog.logs.arrow_tables import arrow_columns, read_arrow_table
 from canlog.logs.blf import read_blf
 from canlog.logs.captures import read_capture
 from canlog.logs.columns import ColumnsLog
@@ -110,8 +109,6 @@ def _packed_format(packed: InflatedStream, columns: str) -> Detected:
 
 
 def _reader_of(contents: Contents) -> Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]:
-    if contents.detected.format is LogFormat.SIGNALS and not contents.detected.columns:
-        return read_arrow_table
     if contents.columns and contents.detected.format is LogFormat.COLUMNS:
         return reader_of(partial(ColumnsLog, contents.columns))
     return READERS[contents.detected.format]
@@ -137,8 +134,6 @@ class LogReader(Iterator[FrameBatch]):
         self._bounded = BoundedStream(self._stream, self._counts)
         if self.format is LogFormat.SQLITE:
             check_messages(self._stream)
-        if self.format is LogFormat.SIGNALS and not self.columns:
-            self.columns = arrow_columns(self._stream)
         if self.format is LogFormat.MF4:
             _, self.columns, notes = measured_channels(self._stream)
             self.evidence += f"; {len(self.columns)} measured channels, no frames of a bus" * bool(self.columns)
