@@ -9,7 +9,7 @@ import pytest
 
 from canlog.frames import ERROR_FLAG, BusTrouble
 from canlog.live import BusOpener, BusSilence, BusState, LinkBreak, SupervisedSource, supervise
-from canlog.live.socketcan import Seen, index_of, present_name, restart_controller
+from canlog.live.socketcan import restart_controller
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from tests.support.link_cycles import run_cycles
@@ -85,27 +85,6 @@ async def test_an_interface_removed_and_made_again_is_read_again(vcan: str) -> N
     assert await bus.close() == ["break", 3]
 
 
-async def test_an_interface_with_another_name_is_followed_unless_its_name_is_taken(vcan: str) -> None:
-    bus = await listener(vcan)
-    other, last = f"{vcan}x", Seen(name=vcan, index=index_of(vcan))
-    assert ip_link("set", vcan, "down")
-    assert ip_link("set", vcan, "name", other)
-    assert present_name(vcan, last) == other
-    assert ip_link("set", other, "up")
-    await bus.until(BusState.RESTARTED)
-    assert ip_link("delete", other)
-    await bus.until(BusState.DOWN)
-    assert create_vcan(other)
-    await bus.until(BusState.RESTARTED)
-    send(other, 3)
-    await bus.until(BusState.UP)
-    assert await bus.close() == ["break", "break", 3]
-    assert bus.source.description == f"socketcan {other}"
-    assert create_vcan(vcan)
-    assert present_name(vcan, last) == vcan
-    assert ip_link("delete", other)
-
-
 async def test_error_frames_are_counted_and_bus_off_asks_for_a_restart(vcan: str) -> None:
     bus = await listener(vcan)
     send(vcan, 1, ERROR_FLAG | 0x02, ERROR_FLAG | 0x08, ERROR_FLAG | 0x40)
@@ -133,7 +112,7 @@ async def test_the_kernel_lets_through_what_is_mapped_and_error_frames(vcan: str
 
 def test_a_vcan_has_no_controller_to_restart(vcan: str) -> None:
     assert restart_controller(vcan) is not None
-    assert restart_controller("vcan99") == "No such device"
+    assert "vcan99" in str(restart_controller("vcan99"))
 
 
 def test_a_service_outlives_its_interface_and_marks_the_open_shift(vcan: str, tmp_path: Path) -> None:

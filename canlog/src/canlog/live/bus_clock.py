@@ -1,4 +1,4 @@
-"""Bus time that knows nothing of the wall clock: kernel time stamps, freed of the steps that the clock makes.
+"""Bus time: kernel time stamps without the steps of the wall clock.
 
 The kernel stamps frames with the wall clock, which users and time servers set. Its distance to the time since boot
 tells steps from the clock's own slow correction: a step is taken out, the correction is left in. Without a step the
@@ -104,8 +104,7 @@ class BusClock:
     stamped before it if that puts it between the newest frame known and the look. A step while frames are being read
     is seen too late for them; their time jumps, which ends the segment.
 
-    Who is told when the clock is set need not look for every frame: frames that are stamped far from the last look
-    ask for another one by themselves.
+    With a `ClockAlarm` not every batch needs a look: `look_if_stale` looks for frames stamped far from the last one.
     """
 
     def __init__(self, read: Callable[[], ClockReading | None] = read_clocks) -> None:
@@ -117,7 +116,7 @@ class BusClock:
         self._before: tuple[int, int, int] | None = None  # offset before a step, and the two looks around it, bus time
 
     def look(self) -> None:
-        """Compare the clocks; on a machine too busy to read both at one moment, the next look tells."""
+        """Compare the clocks; does nothing on a machine too busy to read both at one moment."""
         now, last = self._read(), self._last
         self._before = None
         if now is None:

@@ -2,9 +2,7 @@
 
 import json
 import os
-import shutil
 import socket
-import subprocess
 import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -13,14 +11,13 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from canlog.errors import SourceError
+from canlog.live.socketcan import run_program
 
 if TYPE_CHECKING:
     import can
 
 MULTICAST_GROUP = "239.74.163.2"  # administratively scoped, python-can's own choice
 MULTICAST, SOCKETCAN, VIRTUAL = "udp_multicast", "socketcan", "virtual"
-_PATIENCE_S = 10.0
-_SYSTEM_FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +63,7 @@ class Medium:
 
         Raises SourceError if it cannot be opened.
         """
-        from canlog.live import pythoncan  # noqa: PLC0415 - python-can, which whoever only asks for a name does not need
+        from canlog.live import pythoncan  # noqa: PLC0415 - heavy, and not needed for a name
 
         return pythoncan.open_bus(self.interface, self.channel, None, fd=False, options=self.options)
 
@@ -79,20 +76,20 @@ def open_medium() -> Iterator[Medium]:
     if not _has_can_sockets():
         yield multicast("this kernel has no CAN")
         return
-    own = f"vc{uuid.uuid4().hex[:8]}"  # names of interfaces end at 15 characters
-    if _run("ip", "link", "add", own, "type", "vcan") is not None:
+    name = f"vc{uuid.uuid4().hex[:8]}"  # names of interfaces end at 15 characters
+    if _run("ip", "link", "add", name, "type", "vcan") is not None:
         try:
-            _run("ip", "link", "set", own, "up")
-            yield _vcan(own, "made for this run", is_shared=False)
+            _run("ip", "link", "set", name, "up")
+            yield _vcan(name, "made for this run", is_shared=False)
         finally:
-            _run("ip", "link", "delete", own)
+            _run("ip", "link", "delete", name)
         return
     answer = _run("ip", "-json", "link", "show", "up", "type", "vcan")  # never real hardware, on which a car may hang
-    found = next((str(link["ifname"]) for link in json.loads(answer or "[]") if "ifname" in link), None)
-    if found is None:
+    present = next((str(link["ifname"]) for link in json.loads(answer or "[]") if "ifname" in link), None)
+    if present is None:
         yield multicast("no vcan interface is up, and making one takes root")
     else:
-        yield _vcan(found, "which is up already; making one of our own takes root", is_shared=True)
+        yield _vcan(present, "which is up already; making one of our own takes root", is_shared=True)
 
 
 @contextmanager
@@ -108,7 +105,7 @@ def open_vcan() -> Iterator[Medium]:
 
 
 def multicast(why: str) -> Medium:
-    """Return multicast UDP inside this machine, on a port of its own: by it the kernel tells buses apart."""
+    """Return multicast UDP inside this machine, on a port of its own, which separates it from other buses."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))
         port = int(probe.getsockname()[1])
@@ -143,19 +140,8 @@ def _has_can_sockets() -> bool:
 
 
 def _run(program: str, *arguments: str) -> str | None:
-    """Return what a program of the system says, or None if it is missing or fails."""
-    path = shutil.which(program, path=os.pathsep.join((os.environ.get("PATH", os.defpath), *_SYSTEM_FOLDERS)))
-    if path is None:
-        return None
+    """Return what a program of the system prints, or None if it is missing or fails."""
     try:
-        answer = subprocess.run(  # noqa: S603 - constant programs, no shell
-            [path, *arguments],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=_PATIENCE_S,
-        )
-    except (OSError, subprocess.SubprocessError):
+        return run_program(program, *arguments)
+    except OSError:
         return None
-    return answer.stdout

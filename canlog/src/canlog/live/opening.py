@@ -20,11 +20,8 @@ from can.interfaces.udp_multicast.utils import pack_message, unpack_message
 from canlog.errors import SourceError
 from canlog.live.socketcan import (
     SO_TIMESTAMPNS,
-    Seen,
     SocketCanSource,
     grow_receive_buffer,
-    index_of,
-    present_name,
     restart_controller,
 )
 from canlog.live.sources import FrameSource, ReadSchedule
@@ -71,13 +68,13 @@ def open_bus(
     if bitrate is not None:
         wanted["bitrate"] = bitrate
     named = {"interface": interface, "channel": channel}
-    found = can.util.load_config(config={**{key: name for key, name in named.items() if name}, **wanted})
-    if found["interface"] == UDP_MULTICAST:
-        options = {key: value for key, value in found.items() if key not in _HANDLED}
+    config = can.util.load_config(config={**{key: name for key, name in named.items() if name}, **wanted})
+    if config["interface"] == UDP_MULTICAST:
+        options = {key: value for key, value in config.items() if key not in _HANDLED}
         if type(options.get("hop_limit", 0)) is not int:  # nor a bool, which is an int
             raise TypeError(f"hop_limit must be a whole number, got {options['hop_limit']!r}")
-        return MulticastBus(str(found.get("channel") or DEFAULT_GROUP), **options)
-    if found.get("receive_own_messages"):
+        return MulticastBus(str(config.get("channel") or DEFAULT_GROUP), **options)
+    if config.get("receive_own_messages"):
         wanted["receive_own_messages"] = False
     return can.Bus(channel, interface, **wanted)
 
@@ -194,8 +191,8 @@ def is_own_address(family: socket.AddressFamily, address: SocketAddress) -> bool
 
 def _resolved(group: str, port: int) -> tuple[socket.AddressFamily, SocketAddress]:
     try:
-        found = socket.getaddrinfo(group, port, type=socket.SOCK_DGRAM, flags=socket.AI_NUMERICHOST)
-        family, address = found[0][0], found[0][4]
+        addresses = socket.getaddrinfo(group, port, type=socket.SOCK_DGRAM, flags=socket.AI_NUMERICHOST)
+        family, address = addresses[0][0], addresses[0][4]
         digits = socket.inet_pton(family, str(address[0]).partition("%")[0])
     except (OSError, UnicodeError):
         raise ValueError(f"{group} is not a multicast address") from None
@@ -232,7 +229,7 @@ def _join(receiver: socket.socket, group: SocketAddress, *, is_local: bool) -> N
 
 
 def _time_s(ancillary: list[tuple[int, int, bytes]]) -> float:
-    """Return the kernel's receive time [s], or now if it tells none."""
+    """Return the kernel's receive time [s], or now without one."""
     for level, kind, content in ancillary:
         if (level, kind) == (socket.SOL_SOCKET, SO_TIMESTAMPNS):
             seconds, nanoseconds = TIMESPEC.unpack(content)
@@ -280,7 +277,6 @@ class BusOpener:
         self._given = (interface, channel, bitrate, fd)
         self._filters = filters
         self._settings: BusSettings | None = None
-        self._last: Seen | None = None  # a SocketCAN interface, to find it under another name
 
     async def open(self) -> FrameSource:
         """Open the bus; when this returns, it receives.
@@ -304,17 +300,14 @@ class BusOpener:
             return pythoncan.PythonCanSource(bus, settings.description)
         if not settings.channel:
             raise SourceError("no CAN channel given: name the interface, for example -i socketcan -c vcan0")
-        name = present_name(settings.channel, self._last)
-        source = SocketCanSource(name, fd=settings.fd, filters=self._filters, schedule=self._schedule)
-        self._last = Seen(name=name, index=index_of(name))
-        return source
+        return SocketCanSource(settings.channel, fd=settings.fd, filters=self._filters, schedule=self._schedule)
 
     async def restart(self) -> str | None:
         """Ask the controller to leave bus-off; return why that cannot be, None if it was accepted."""
         settings = self._settings
         if settings is None or settings.interface != SOCKETCAN or settings.channel is None:
             return "only SocketCAN offers it"
-        return await asyncio.to_thread(restart_controller, present_name(settings.channel, self._last))
+        return await asyncio.to_thread(restart_controller, settings.channel)
 
 
 def complete_settings(interface: str | None, channel: str | None, bitrate: int | None, *, fd: bool) -> BusSettings:
@@ -328,7 +321,7 @@ def complete_settings(interface: str | None, channel: str | None, bitrate: int |
 
     given = {"interface": interface, "channel": channel, "bitrate": bitrate}
     try:
-        found = can.util.load_config(config={key: value for key, value in given.items() if value is not None})
+        config = can.util.load_config(config={key: value for key, value in given.items() if value is not None})
     except can.CanInterfaceNotImplementedError as exc:
         hint = "-i INTERFACE -c CHANNEL, CAN_INTERFACE and CAN_CHANNEL, or ~/can.conf"
         if interface is None:
@@ -337,10 +330,10 @@ def complete_settings(interface: str | None, channel: str | None, bitrate: int |
         raise SourceError(f"unknown CAN interface {interface!r}: choose one of {known}") from exc
     except (OSError, ValueError, TypeError) as exc:
         raise SourceError(f"the configuration of python-can cannot be used: {exc}") from exc
-    name, rate = found.get("channel"), found.get("bitrate")
+    name, rate = config.get("channel"), config.get("bitrate")
     return BusSettings(
-        interface=str(found["interface"]),
+        interface=str(config["interface"]),
         channel=None if name is None else str(name),
         bitrate=None if rate is None else int(rate),
-        fd=fd or bool(found.get("fd")),
+        fd=fd or bool(config.get("fd")),
     )

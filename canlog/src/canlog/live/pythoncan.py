@@ -74,10 +74,10 @@ class PythonCanSource:
             self._queue.close(SourceError(f"{self.description} does not answer"))
 
     def _read(self) -> None:
-        """Read until told to stop; whatever ends this thread, the consumer learns of it."""
+        """Read until `aclose`; the queue is closed however this thread ends."""
         error: SourceError | None = SourceError(f"{self.description}: the reader ended unexpectedly")
         try:
-            heard_s: float | None = None  # when the bus said something last; None once its silence was told
+            heard_s: float | None = None  # time of the last frame; None once the silence was marked
             while not self._is_stopping.is_set():
                 asked_s = time.monotonic()
                 messages = self._receive(POLL_S)
@@ -119,12 +119,12 @@ class PythonCanSource:
         if not messages:
             return
         batch = to_batch(messages)
-        self._look_at_times(batch)
+        self._check_times(batch)
         self._received += len(batch)
         self._queue.offer(batch)
 
-    def _look_at_times(self, batch: FrameBatch) -> None:
-        """Say so, once, if the times of the first frames do not go on."""
+    def _check_times(self, batch: FrameBatch) -> None:
+        """Warn once if the first frames all have the same time."""
         if self._received == 0:
             self._still_ns = int(batch.t_ns[0])
         if self._still_ns is None:
@@ -195,7 +195,7 @@ def open_bus(
 
 
 def one_line(error: BaseException) -> str:
-    """Return what a third-party error says, its cause included, as one line."""
+    """Return the text of a third-party error and of its cause as one line."""
     cause = error.__cause__
     texts = [str(error) or type(error).__name__] + ([str(cause)] if cause is not None else [])
     return " ".join("; ".join(texts).split())
@@ -204,7 +204,7 @@ def one_line(error: BaseException) -> str:
 WAIT_S: Final = 0.01
 
 
-class FrameRecorder:
+class FrameRecorder(can.Listener):
     """Keeps the frames of an open bus, in the order in which they come, while the ``with`` block runs.
 
     Parameters
@@ -216,17 +216,22 @@ class FrameRecorder:
     def __init__(self, bus: can.BusABC) -> None:
         self._bus = bus
         self._messages: list[can.Message] = []
-        self._is_over = threading.Event()
         self._error: Exception | None = None
-        self._thread = threading.Thread(target=self._read, name="frame recorder", daemon=True)
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        self._notifier = can.Notifier(self._bus, [self], timeout=POLL_S)
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._is_over.set()
-        self._thread.join()
+        self._notifier.stop()
+        while self._error is None and (message := self._bus.recv(timeout=0.0)) is not None:
+            self._messages.append(message)
+
+    def on_message_received(self, msg: can.Message) -> None:
+        self._messages.append(msg)
+
+    def on_error(self, exc: Exception) -> None:
+        self._error = exc
 
     @property
     def messages(self) -> tuple[can.Message, ...]:
@@ -255,16 +260,3 @@ class FrameRecorder:
             if len(self.messages) != count:
                 count, since_s = len(self._messages), time.monotonic()
         return self.messages
-
-    def _read(self) -> None:
-        try:
-            while not self._is_over.is_set():
-                self._take(self._bus.recv(timeout=POLL_S))
-            while (message := self._bus.recv(timeout=0.0)) is not None:
-                self._take(message)
-        except (can.CanError, OSError, ValueError) as exc:
-            self._error = exc
-
-    def _take(self, message: can.Message | None) -> None:
-        if message is not None:
-            self._messages.append(message)

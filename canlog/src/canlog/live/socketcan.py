@@ -3,8 +3,10 @@
 import asyncio
 import errno
 import os
+import shutil
 import socket
 import struct
+import subprocess
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -49,7 +51,7 @@ def open_socket(
         raw.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
         raw.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, ALL_ERROR_CLASSES)
         if filters:
-            packed = b"".join(struct.pack("=II", *one) for one in filters)
+            packed = b"".join(struct.pack("=II", *can_filter) for can_filter in filters)
             raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, packed)
         if fd:
             raw.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
@@ -79,7 +81,7 @@ def let_nothing_in(raw: socket.socket) -> None:
 
 def granted_share(raw: socket.socket) -> float:
     """Return how much of the receive buffer that the schedule counts on the system has granted."""
-    granted_bytes = raw.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # it tells twice what was asked for
+    granted_bytes = raw.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # the kernel reports twice the size
     return min(1.0, granted_bytes / RECEIVE_BUFFER_BYTES)
 
 
@@ -120,45 +122,25 @@ def reading_failed(channel: str, error: OSError) -> SourceError:
             return SourceError(f"CAN interface {channel!r} cannot be read: {error.strerror or error}")
 
 
-_RTM_NEWLINK = 16
-_NLMSG_ERROR = 2
-_REQUEST_WITH_ANSWER = 0x1 | 0x4  # NLM_F_REQUEST, NLM_F_ACK
-_NESTED = 0x8000
-_IFLA_LINKINFO, _INFO_KIND, _INFO_DATA, _CAN_RESTART = 18, 1, 2, 7
-_HEADER = struct.Struct("=IHHII")
-_INTERFACE = struct.Struct("=BxHiII")
-_ANSWER_BYTES = 4096
-_ANSWER_S = 0.5
+_SYSTEM_FOLDERS = ("/usr/local/sbin", "/usr/sbin", "/sbin")
+_PATIENCE_S = 10.0
 
 
-def index_of(name: str) -> int | None:
-    """Return the kernel's number of an interface, None if there is none of that name."""
+def run_program(program: str, *arguments: str) -> str:
+    """Return what a program of the system prints; raises OSError with the reason if it is missing or fails."""
+    path = shutil.which(program, path=os.pathsep.join((os.environ.get("PATH", os.defpath), *_SYSTEM_FOLDERS)))
+    if path is None:
+        raise FileNotFoundError(errno.ENOENT, f"{program} is not installed")
     try:
-        return socket.if_nametoindex(name)
-    except OSError:
-        return None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Seen:
-    """An interface as it was when it was last opened."""
-
-    name: str
-    index: int | None
-
-
-def present_name(name: str, last: Seen | None) -> str:
-    """Return the name under which an interface called ``name`` is to be looked for now.
-
-    The name counts. Only if nobody has it any more, the interface last opened is followed: by its number, which it
-    keeps when it is renamed, else by the name it had, under which it may be made again.
-    """
-    if last is None or last.index is None or index_of(name) is not None:
-        return name
-    try:
-        return socket.if_indextoname(last.index)
-    except OSError:
-        return last.name
+        ended = subprocess.run(  # noqa: S603 - constant programs, no shell
+            [path, *arguments], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
+            timeout=_PATIENCE_S,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        raise TimeoutError(errno.ETIMEDOUT, f"{program} does not answer") from None
+    if ended.returncode:
+        raise OSError(errno.EIO, " ".join(ended.stderr.split()) or f"{program} ended with status {ended.returncode}")
+    return ended.stdout
 
 
 def restart_controller(name: str) -> str | None:
@@ -167,28 +149,11 @@ def restart_controller(name: str) -> str | None:
     The kernel permits this to the administrator of the network only, for hardware only, and not where it restarts
     controllers by itself (restart-ms).
     """
-    index = index_of(name)
-    if index is None:
-        return os.strerror(errno.ENODEV)
-    info = _attribute(_INFO_KIND, b"can\0") + _attribute(
-        _INFO_DATA | _NESTED, _attribute(_CAN_RESTART, struct.pack("=I", 1))
-    )
-    body = _INTERFACE.pack(socket.AF_UNSPEC, 0, index, 0, 0) + _attribute(_IFLA_LINKINFO | _NESTED, info)
     try:
-        with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as netlink:
-            netlink.settimeout(_ANSWER_S)
-            netlink.bind((0, 0))
-            netlink.send(_HEADER.pack(_HEADER.size + len(body), _RTM_NEWLINK, _REQUEST_WITH_ANSWER, 1, 0) + body)
-            answer = netlink.recv(_ANSWER_BYTES)
+        run_program("ip", "link", "set", name, "type", "can", "restart")
     except OSError as exc:
         return exc.strerror or str(exc)
-    kind, code = _HEADER.unpack_from(answer)[1], struct.unpack_from("=i", answer, _HEADER.size)[0]
-    return None if kind == _NLMSG_ERROR and code == 0 else os.strerror(-code)
-
-
-def _attribute(kind: int, value: bytes) -> bytes:
-    """Return one netlink attribute, padded to four bytes."""
-    return struct.pack("=HH", 4 + len(value), kind) + value + b"\0" * (-len(value) % 4)
+    return None
 
 
 SLOTS = 512  # frames that are read at once
@@ -357,7 +322,7 @@ class SocketCanSource:
             self._drain(is_last=True)
 
     def _wake(self) -> None:
-        """Begin to empty the socket at regular times; runs when a bus that was silent says something."""
+        """Begin to empty the socket at regular times; runs at the first frame after a silence."""
         if self._socket is not None:
             self._loop.remove_reader(self._socket)
             self._gather()

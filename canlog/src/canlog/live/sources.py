@@ -1,4 +1,4 @@
-"""What every live source of frames offers, whatever bus it listens to, and the queue through which it does."""
+"""The protocol of live sources of frames, and the queue between a receiver and its consumer."""
 
 import asyncio
 import threading
@@ -10,7 +10,7 @@ from typing import Final, Protocol, TypeVar
 from canlog.errors import SourceError
 from canlog.frames import MAX_GAP_NS, FrameBatch, empty_batch, join
 
-SILENCE_S: Final = 1.5e-9 * MAX_GAP_NS  # whatever comes after it, its time begins another stretch
+SILENCE_S: Final = 1.5e-9 * MAX_GAP_NS  # frames after it begin another segment
 NS_PER_S: Final = 1_000_000_000
 RELAXED_S: Final = 0.5  # 2,200 frames of a full bus of 500 kbit/s, a quarter of what the receive buffer holds
 EXPECTING_S: Final = 0.1  # no longer than what a shift needs after its end: its end is known before that is over
@@ -40,12 +40,12 @@ class SourceCounts:
 
 @dataclass(frozen=True, slots=True)
 class BusSilence:
-    """The bus has said nothing for ``SILENCE_S``: nothing that comes can belong to the stretch before any more."""
+    """No frame came for ``SILENCE_S``: the next one begins another segment."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkBreak:
-    """The bus was away: what comes after is another stretch, whatever its times say."""
+    """The bus was away: frames after it begin another segment, whatever their times."""
 
     problem: str
 
@@ -80,19 +80,18 @@ LiveSource = Source[FrameBatch | BusSilence | LinkBreak]  # what a live run read
 
 
 class ReadSchedule:
-    """What a source and its consumer agree on: the consumer tells what it waits for.
+    """For how long a source lets frames gather, by what its consumer waits for.
 
-    Nothing hurries while nothing can come of it. Once it is known at which bus time a result will be there, the
-    frames are looked at just then.
+    Frames gather longest while no result is near, and until its bus time once that of the next result is known.
     """
 
     def __init__(self) -> None:
         self._is_expecting = False
         self._due_ns: int | None = None
-        self.on_change: Listener = lambda: None  # the source's, to think again about a time it has set
+        self.on_change: Listener = lambda: None  # called when the source should set its timer anew
 
     def wait_for(self, *, is_expecting: bool, due_ns: int | None) -> None:
-        """Tell what is waited for.
+        """Set what the consumer waits for.
 
         Parameters
         ----------
@@ -208,7 +207,7 @@ class FrameQueue:
         return None if self._is_closed else empty_batch()
 
     def _raise_error(self) -> None:
-        """Raise the error and let go of it: through its traceback it holds the queue, and all that reads it."""
+        """Raise the error without keeping it: its traceback refers to the queue and its readers."""
         error, self._error = self._error, None
         try:
             if error is not None:

@@ -34,7 +34,7 @@ class BusStatus:
     """State of a bus and what has happened to it."""
 
     state: BusState
-    errors: Mapping[BusTrouble, int]  # error frames by what they tell
+    errors: Mapping[BusTrouble, int]  # error frames by kind
     interruption_count: int  # times that the interface was lost
     restart_count: int  # restarts asked of the controller
     last_problem: str | None
@@ -62,12 +62,12 @@ class BusWatch:
         if dropped > self._dropped:
             self._dropped = dropped
             self._trouble_s = now_s
-        found = count_errors(batch)
-        if not found:
+        errors = count_errors(batch)
+        if not errors:
             self._state = BusState.UP
             return
-        self._errors.update(found)
-        if found.keys() - GOOD_NEWS:
+        self._errors.update(errors)
+        if errors.keys() - GOOD_NEWS:
             self._trouble_s = now_s
         self._state = self._latest(batch)
         if self._state is BusState.BUS_OFF:
@@ -93,13 +93,13 @@ class BusWatch:
         )
 
     def _latest(self, batch: FrameBatch) -> BusState:
-        """Return the state that the last telling frame of a batch with error frames leaves."""
+        """Return the state after the last frame of a batch that changes it."""
         news = {
             BusState.UP: ~is_error(batch),
             BusState.BUS_OFF: reports(batch, BusTrouble.BUS_OFF),
             BusState.RESTARTED: reports(batch, BusTrouble.RESTARTED),
         }
-        rows = {state: int(np.flatnonzero(told)[-1]) for state, told in news.items() if told.any()}
+        rows = {state: int(np.flatnonzero(is_telling)[-1]) for state, is_telling in news.items() if is_telling.any()}
         return max(rows, key=lambda state: rows[state], default=self._state)
 
 
@@ -238,7 +238,7 @@ async def supervise(opener: Opener) -> SupervisedSource:
     Raises
     ------
     SourceError
-        If it cannot be opened now: a service that never heard its bus was most likely told the wrong one.
+        If it cannot be opened now: most likely the wrong bus was named.
     """
     return SupervisedSource(opener, await opener.open())
 
