@@ -15,7 +15,7 @@ import numpy.typing as npt
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt8Array, UInt32Array
+from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.database.addressing import (
     FIRST_FAST_GROUP,
     NOBODY,
@@ -79,19 +79,19 @@ def signal_rules(messages: Sequence[Sequence[SignalTable]]) -> SignalRules:
     codes: list[tuple[int, int]] = []
     begin, word_begin = [0], [0]
     for tables in messages:
-        own = list(dict.fromkeys((table.field.first_byte, table.field.is_big) for table in tables))
+        places = list(dict.fromkeys((table.field.first_byte, table.field.is_big) for table in tables))
         for table in tables:
             field, code = table.field, table.code
             if not isinstance(code, IntegerCode):
                 raise DefinitionError("only integers are read by rules")
-            word = own.index((field.first_byte, field.is_big))
+            word = places.index((field.first_byte, field.is_big))
             shifts = WORD_BITS - field.shift - field.length, WORD_BITS - field.length
             is_checked = code.raw_range != code.raw_limits or len(code.not_available) > 0
-            places = len(codes), len(codes) + len(code.not_available)
+            code_rows = len(codes), len(codes) + len(code.not_available)
             sign = 1 << field.length - 1 if field.is_signed else 0
-            signals.append((word, *shifts, sign, is_checked, *code.raw_range, *places, code.scale, code.offset))
+            signals.append((word, *shifts, sign, is_checked, *code.raw_range, *code_rows, code.scale, code.offset))
             codes += code.not_available
-        words += own
+        words += places
         begin.append(len(signals))
         word_begin.append(len(words))
     return SignalRules(
@@ -125,25 +125,25 @@ class SignalBlock:
             _decode_rows(words.words(self._rules.word), self._rules, value, good, bad_count)
         values, bad_counts = list(value), bad_count.tolist()
         present: dict[tuple[Selector, ...], BoolArray] = {}
-        found: dict[str, Decoded] = {}
+        signals: dict[str, Decoded] = {}
         for name, row, table in self._signals:
             if row < 0:
-                found[name] = table.decode(words)
+                signals[name] = table.decode(words)
                 continue
             codes, outside = bad_counts[row]
             is_bad = codes or outside  # rarely: what is the same for all signals is made once
             invalid = InvalidCounts(codes, outside) if is_bad else NO_INVALID
             is_good = good[row] if is_bad else None
             if not table.selectors:
-                found[name] = Decoded(values[row], is_good, invalid)
+                signals[name] = Decoded(values[row], is_good, invalid)
                 continue
             if table.selectors not in present:
                 present[table.selectors] = table.presence(words)
             if codes and outside:  # which of them are present, the table tells
-                found[name] = table.decode(words)
+                signals[name] = table.decode(words)
             else:
-                found[name] = _selected(values[row], present[table.selectors], is_good, invalid)
-        return found
+                signals[name] = _selected(values[row], present[table.selectors], is_good, invalid)
+        return signals
 
 
 def _selected(value: FloatArray, present: BoolArray, is_good: BoolArray | None, invalid: InvalidCounts) -> Decoded:
@@ -223,10 +223,6 @@ class FrameFate(IntEnum):
 
 
 HAS_VALUES: Final = (FrameFate.DECODED, FrameFate.SHORT)
-_DECODED, _SHORT, _TRANSPORTED = int(FrameFate.DECODED), int(FrameFate.SHORT), int(FrameFate.TRANSPORTED)
-_WITHOUT_SIGNALS, _UNKNOWN = int(FrameFate.WITHOUT_SIGNALS), int(FrameFate.UNKNOWN)
-_REMOTE, _ERROR = int(FrameFate.REMOTE), int(FrameFate.ERROR)
-_NO_DATA, _ERROR_FLAG, _FD_FLAG = int(REMOTE_FLAG | ERROR_FLAG), int(ERROR_FLAG), int(FD_FLAG)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -263,12 +259,11 @@ class FrameMatch:
 
 
 class SlotRules(NamedTuple):
-    """Which frames of each message can be decoded, arrays of shape (messages,)."""
+    """Which frames of each message can be decoded, arrays of shape (messages + 1,); the last is for no message."""
 
     min_length: Int64Array
     needed_bytes: Int64Array  # as of MessageTable
-    is_empty: BoolArray  # no signal can be decoded
-    is_plain: BoolArray  # any frame that is long enough can be
+    fate: Int64Array  # of frames that are long enough
 
 
 class Codec:
@@ -283,12 +278,12 @@ class Codec:
         addresses = [message_address(message) for message in messages]
         later = overwritten(addresses)
         self.overwritten = tuple((messages[old], messages[new]) for old, new in later.items())
-        kept = [slot for slot in range(len(messages)) if slot not in later]
+        effective = [slot for slot in range(len(messages)) if slot not in later]
         self.tables = tuple(
-            message_table(messages[slot], check_range=check_range, check_codes=check_codes) for slot in kept
+            message_table(messages[slot], check_range=check_range, check_codes=check_codes) for slot in effective
         )
         self._blocks: dict[tuple[int, int], SignalBlock] = {}  # by slot and bytes of the frame
-        self._book = address_book([addresses[slot] for slot in kept])
+        self._book = address_book([addresses[slot] for slot in effective])
         self._rules = _slot_rules(self.tables, self._book)
         self._is_left_out: BoolArray | None = None  # (messages,) none of its signals was asked for
 
@@ -298,7 +293,7 @@ class Codec:
         chosen.tables = tuple(
             replace(
                 table,
-                signals={name: one for name, one in table.signals.items() if (slot, name) in places},
+                signals={name: signal for name, signal in table.signals.items() if (slot, name) in places},
                 refused={name: why for name, why in table.refused.items() if (slot, name) in places},
             )
             for slot, table in enumerate(self.tables)
@@ -309,18 +304,21 @@ class Codec:
         )
         chosen._blocks = {}  # noqa: SLF001 - of the copy
         chosen._rules = _slot_rules(chosen.tables, self._book)  # noqa: SLF001 - likewise
-        chosen._rules.needed_bytes[is_left_out] = 0  # noqa: SLF001 - pieces of what is not asked for are no loss
+        chosen._rules.needed_bytes[:-1][is_left_out] = 0  # noqa: SLF001 - pieces of what is not asked for are no loss
         chosen._is_left_out = is_left_out  # noqa: SLF001 - likewise
         return chosen
 
     def match(self, batch: FrameBatch) -> FrameMatch:
-        counts = np.zeros((len(self.tables) + 1, len(FrameFate)), np.int64)
-        plain = batch.plain()
-        slot = find_slots(self._book, plain.can_id)
-        _count_fates(self._rules, plain.can_id, plain.length, plain.flags, slot, counts)
+        """Return the message of each frame, NOBODY where no signal can be decoded, and the fates of frames."""
+        slot = find_slots(self._book, batch.plain().can_id)
+        fate = _fates(self._rules, batch, slot)
+        shape = len(self.tables) + 1, len(FrameFate)
+        place = np.where(slot == NOBODY, len(self.tables), slot) * len(FrameFate) + fate
+        counts = np.bincount(place, minlength=shape[0] * shape[1]).reshape(shape)
         if self._is_left_out is not None:
             counts[:-1][self._is_left_out] = 0
             counts[-1, FrameFate.LEFT_OUT] = len(batch) - counts.sum()
+        slot[fate > FrameFate.SHORT] = NOBODY
         return FrameMatch(slot=slot, counts=counts)
 
     def slots_of(self, can_ids: Sequence[int]) -> Int64Array:
@@ -330,7 +328,7 @@ class Codec:
     def decode(self, batch: FrameBatch, match: FrameMatch | None = None) -> Iterator[MessageValues]:
         """Yield the messages that are in a batch, in the order of the codec."""
         match = match or self.match(batch)
-        lengths, short_counts = self._rules.min_length.tolist(), match.counts[:-1, _SHORT].tolist()
+        lengths, short_counts = self._rules.min_length.tolist(), match.counts[:-1, FrameFate.SHORT].tolist()
         for slot, rows in rows_by_slot(match.slot, len(self.tables)):
             if not short_counts[slot]:
                 yield self._values(batch, slot, rows, lengths[slot])
@@ -344,7 +342,7 @@ class Codec:
         tables, words = self.tables[slot].signals, PayloadWords(batch.data, rows)
         if (slot, size) not in self._blocks:
             self._blocks[slot, size] = SignalBlock(
-                {name: one for name, one in tables.items() if one.needed_bytes <= size}
+                {name: signal for name, signal in tables.items() if signal.needed_bytes <= size}
             )
         signals = self._blocks[slot, size].decode(words)
         cut_off: dict[str, int] = {}
@@ -354,13 +352,25 @@ class Codec:
 
 
 def _slot_rules(tables: Sequence[MessageTable], book: AddressBook) -> SlotRules:
-    min_length = np.array([min(table.message.length, FD_PAYLOAD_BYTES) for table in tables], np.int64)
-    needed_bytes = np.array([table.needed_bytes for table in tables], np.int64)
+    min_length = np.array([*(min(table.message.length, FD_PAYLOAD_BYTES) for table in tables), 0], np.int64)
+    needed_bytes = np.array([*(table.needed_bytes for table in tables), 0], np.int64)
     groups = np.array([parameter_group(table.message.frame_id) for table in tables], np.int64)
-    needed_bytes[(book.is_group != 0) & (groups < FIRST_FAST_GROUP)] = 0  # pieces come as J1939 transport
-    is_empty = np.array([not table.signals for table in tables], np.bool_)
-    is_plain = ~is_empty & (needed_bytes == 0)  # of nearly all frames
-    return SlotRules(min_length, needed_bytes, is_empty, is_plain)
+    needed_bytes[:-1][(book.is_group != 0) & (groups < FIRST_FAST_GROUP)] = 0  # pieces have another identifier
+    fates = [FrameFate.DECODED if table.signals else FrameFate.WITHOUT_SIGNALS for table in tables]
+    return SlotRules(min_length, needed_bytes, np.array([*fates, FrameFate.UNKNOWN], np.int64))
+
+
+def _fates(rules: SlotRules, batch: FrameBatch, slot: Int64Array) -> Int64Array:
+    """Return what becomes of frames, shape (n,), whose messages are known, NOBODY for none."""
+    fate = rules.fate[slot]
+    fate[(fate == FrameFate.DECODED) & (batch.length < rules.min_length[slot])] = FrameFate.SHORT
+    if rules.needed_bytes.any():
+        is_long = (batch.flags & np.uint8(FD_FLAG) != 0) | (batch.length > PAYLOAD_BYTES)  # not every log tells CAN FD
+        room = np.where(is_long, FD_PAYLOAD_BYTES, PAYLOAD_BYTES)
+        fate[rules.needed_bytes[slot] > room] = FrameFate.TRANSPORTED
+    fate[batch.can_id & np.uint32(REMOTE_FLAG) != 0] = FrameFate.REMOTE
+    fate[batch.can_id & np.uint32(ERROR_FLAG) != 0] = FrameFate.ERROR
+    return fate
 
 
 def message_table(message: Message, *, check_range: bool = True, check_codes: bool = False) -> MessageTable:
@@ -384,45 +394,12 @@ def message_table(message: Message, *, check_range: bool = True, check_codes: bo
 
 
 def _labelled(signals: Sequence[Signal]) -> dict[str, Signal]:
-    taken = {signal.name for signal in signals}
-    found: dict[str, Signal] = {}
+    names = {signal.name for signal in signals}
+    labelled: dict[str, Signal] = {}
     for signal in signals:
         name, number = signal.name, 1
-        while name in found or (number > 1 and name in taken):
+        while name in labelled or (number > 1 and name in names):
             number += 1
             name = f"{signal.name}#{number}"
-        found[name] = signal
-    return found
-
-
-@part
-def frame_room(flags: int, length: int) -> int:
-    """Return how many bytes frames of this kind have room for; not every log says which are of CAN FD."""
-    return FD_PAYLOAD_BYTES if flags & _FD_FLAG or length > PAYLOAD_BYTES else PAYLOAD_BYTES
-
-
-@kernel
-def _count_fates(
-    rules: SlotRules, can_id: UInt32Array, length: UInt8Array, flags: UInt8Array, slot: Int64Array, counts: Int64Array
-) -> None:
-    """Count what becomes of frames; those of which no signal can be decoded get the slot NOBODY."""
-    nobody = counts.shape[0] - 1
-    unknown = 0
-    for row in range(can_id.size):
-        found, slot[row] = slot[row], NOBODY
-        if can_id[row] & _NO_DATA:
-            counts[nobody, _ERROR if can_id[row] & _ERROR_FLAG else _REMOTE] += 1
-            continue
-        if found == NOBODY:
-            unknown += 1
-        elif rules.is_plain[found] and length[row] >= rules.min_length[found]:
-            slot[row] = found
-            counts[found, _DECODED] += 1
-        elif rules.needed_bytes[found] > frame_room(flags[row], length[row]):
-            counts[found, _TRANSPORTED] += 1
-        elif rules.is_empty[found]:
-            counts[found, _WITHOUT_SIGNALS] += 1
-        else:
-            slot[row] = found
-            counts[found, _DECODED if length[row] >= rules.min_length[found] else _SHORT] += 1
-    counts[nobody, _UNKNOWN] = unknown
+        labelled[name] = signal
+    return labelled
