@@ -25,10 +25,9 @@ def load_pyarrow() -> Any:  # noqa: ANN401 - an untyped library
 def arrow_schema(columns: Mapping[str, str], metadata: Mapping[str, Mapping[str, str]] | None = None) -> Any:  # noqa: ANN401 - an untyped library
     """Return names, types and metadata of columns, as of ``ParquetTable``, for pyarrow."""
     arrow = load_pyarrow()
-    own = {TIME_TYPE: arrow.timestamp("ns", "UTC"), NAME_TYPE: arrow.dictionary(arrow.int32(), arrow.string())}
-    return arrow.schema(
-        [arrow.field(name, own.get(kind, kind), metadata=(metadata or {}).get(name)) for name, kind in columns.items()]
-    )
+    special = {TIME_TYPE: arrow.timestamp("ns", "UTC"), NAME_TYPE: arrow.dictionary(arrow.int32(), arrow.string())}
+    types = {name: special.get(kind, kind) for name, kind in columns.items()}
+    return arrow.schema([arrow.field(name, kind, metadata=(metadata or {}).get(name)) for name, kind in types.items()])
 
 
 def row_table(rows: Sequence[Mapping[str, object]], schema: Any) -> Any:  # noqa: ANN401 - an untyped library
@@ -92,7 +91,7 @@ class ParquetTable(ColumnSink):
             output,
             schema,
             compression="zstd",
-            # Times hardly repeat, so differences are smaller; nobody looks for the least of some names.
+            # Times hardly repeat, so differences are smaller; minima of names and booleans serve no query.
             use_dictionary=[name for name, kind in columns.items() if kind != TIME_TYPE],
             write_statistics=[name for name, kind in columns.items() if kind not in {NAME_TYPE, BOOL_TYPE}],
             column_encoding={name: TIME_ENCODING for name, kind in columns.items() if kind == TIME_TYPE},

@@ -18,7 +18,7 @@ class ExtraMissingError(SourceError):
 
 
 class InputLeftError(SourceError):
-    """A stream was left before its end because somebody asked to stop: say so."""
+    """A stream was left before its end because a stop was requested: say so."""
 
 
 class OutputError(CanlogError):

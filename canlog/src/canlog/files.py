@@ -11,7 +11,7 @@ from itertools import count
 from pathlib import Path
 from typing import Final
 
-# So a file is opened without waiting for whoever may write into it; names of POSIX.
+# Opens a named pipe without waiting for its writer (POSIX).
 _AT_ONCE: Final = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
 MAX_FILE_BYTES: Final = 4 * 2**20  # far above any description of a bus, settings file or scenario
 
@@ -80,7 +80,7 @@ def replacing(path: Path, error: Callable[[str], Exception]) -> Iterator[Path]:
     path
         The file.
     error
-        Makes the error that is raised in place of an OSError, from what is to be told.
+        Makes the error that is raised in place of an OSError, from its text.
     """
     part = path.parent / f".{path.name[:_LONGEST_NAME]}.{os.getpid()}-{next(_NUMBERS)}.part"
     try:
@@ -96,7 +96,7 @@ WIDE_BYTES: Final = 1024 * 1024  # as a rule a system lets a pipe grow so far
 
 
 def widen(descriptor: int) -> None:
-    """Let a pipe hold more, and its two ends hand over less often; Linux knows how, anything else stays as it is."""
+    """Let a pipe hold `WIDE_BYTES`, where the system is Linux, so that its ends hand over less often."""
     with suppress(ImportError, AttributeError, OSError):
         import fcntl  # noqa: PLC0415 - of POSIX
 

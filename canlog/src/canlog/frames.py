@@ -18,7 +18,7 @@ ERROR_FLAG = 0x2000_0000
 BRS_FLAG = 0x01  # bits of ``flags``, as Linux numbers them: the payload was sent at the faster bit rate
 ESI_FLAG = 0x02  # the sender was error passive
 FD_FLAG = 0x04  # a CAN FD frame
-TX_FLAG = 0x08  # our own bit: the log says that its recorder sent the frame itself
+TX_FLAG = 0x08  # not of Linux: sent by the recorder itself
 
 PAYLOAD_BYTES = 8  # of a classic frame
 FD_PAYLOAD_BYTES = 64  # of a CAN FD frame
@@ -80,7 +80,8 @@ class FrameBatch:
         for name, kind in _KINDS.items():
             column: npt.NDArray[Any] = getattr(self, name)
             if not column.flags.carray or column.dtype != kind:
-                return FrameBatch(**{one: np.require(getattr(self, one), _KINDS[one], ("C", "W")) for one in COLUMNS})
+                whole = {name: np.require(getattr(self, name), kind, ("C", "W")) for name, kind in _KINDS.items()}
+                return FrameBatch(**whole)
         return self
 
     def widened(self, width: int) -> "FrameBatch":
@@ -122,7 +123,7 @@ def batch_of(frames: Sequence[Frame]) -> FrameBatch:
         t_ns=np.array(t_ns, np.int64),
         can_id=np.array(can_id, np.uint32),
         length=np.array(length, np.uint8),
-        data=np.frombuffer(b"".join(one.ljust(width, b"\0") for one in data), np.uint8).reshape(-1, width),
+        data=np.frombuffer(b"".join(payload.ljust(width, b"\0") for payload in data), np.uint8).reshape(-1, width),
         flags=np.array(flags, np.uint8),
         channel=np.array(channel, np.uint8),
     )
@@ -198,7 +199,7 @@ def rounded_to_us(t_ns: Int64Array) -> Int64Array:
 
 
 class BusTrouble(StrEnum):
-    """A kind of trouble on the bus; one error frame may tell of several."""
+    """A kind of trouble on the bus; one error frame may report several."""
 
     BUS_OFF = "bus_off"
     RESTARTED = "restarted"
@@ -214,7 +215,7 @@ class BusTrouble(StrEnum):
     OTHER = "other"
 
 
-_CONTROLLER: Final = 0x04  # class "controller": byte 1 says what about it
+_CONTROLLER: Final = 0x04  # class "controller", detailed in byte 1
 _CLASSES: Final = {
     BusTrouble.TRANSMIT_TIMEOUT: 0x01,
     BusTrouble.ARBITRATION_LOST: 0x02,
@@ -235,26 +236,26 @@ GOOD_NEWS: Final = frozenset({BusTrouble.RESTARTED, BusTrouble.ERROR_ACTIVE})
 
 def is_error(batch: FrameBatch) -> BoolArray:
     """Return which frames are error frames, shape (n,)."""
-    found: BoolArray = (batch.can_id & np.uint32(ERROR_FLAG)) != 0
-    return found
+    is_error_frame: BoolArray = (batch.can_id & np.uint32(ERROR_FLAG)) != 0
+    return is_error_frame
 
 
 def reports(batch: FrameBatch, error: BusTrouble) -> BoolArray:
-    """Return which frames are error frames that tell of ``error``, shape (n,)."""
-    found = is_error(batch)
+    """Return which frames are error frames that report ``error``, shape (n,)."""
+    is_report = is_error(batch)
     if error in _CLASSES:
-        found &= (batch.can_id & np.uint32(_CLASSES[error])) != 0
+        is_report &= (batch.can_id & np.uint32(_CLASSES[error])) != 0
     elif error in _CONTROLLER_STATES:
-        found &= (batch.can_id & np.uint32(_CONTROLLER)) != 0
-        found &= (batch.data[:, 1] & np.uint8(_CONTROLLER_STATES[error])) != 0
+        is_report &= (batch.can_id & np.uint32(_CONTROLLER)) != 0
+        is_report &= (batch.data[:, 1] & np.uint8(_CONTROLLER_STATES[error])) != 0
     else:
         for known in (*_CLASSES, *_CONTROLLER_STATES):
-            found &= ~reports(batch, known)
-    return found
+            is_report &= ~reports(batch, known)
+    return is_report
 
 
 def count_errors(batch: FrameBatch) -> Counter[BusTrouble]:
-    """Return how many error frames of a batch tell of each kind of trouble; kinds that do not occur are left out."""
+    """Return how many error frames of a batch report each kind of trouble; kinds that do not occur are left out."""
     if not is_error(batch).any():
         return Counter()
     return Counter({error: count for error in BusTrouble if (count := int(reports(batch, error).sum()))})

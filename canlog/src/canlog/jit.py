@@ -85,4 +85,4 @@ class _Listener(numba_event.Listener):
         self._listener(f"{function.__module__}.{function.__qualname__}")
 
     def on_end(self, event: object) -> None:
-        """Nothing is said of it."""
+        """Do nothing: only the start is announced."""

@@ -1,4 +1,4 @@
-"""What traffic a log holds, one pass, bounded memory: rates, jitter, gaps and load, whatever the frames mean."""
+"""Rates, jitter, gaps and bus load of a log, without a database, in one pass and bounded memory."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -91,7 +91,7 @@ class TrafficReport:
 
 
 class TrafficMeter:
-    """Counts frames as they come; ``bitrate`` is what the load is told for [bit/s]."""
+    """Counts frames as they come; the load is relative to ``bitrate`` [bit/s]."""
 
     def __init__(self, bitrate: int) -> None:
         self._bitrate = bitrate
@@ -169,7 +169,7 @@ class TrafficMeter:
         """Count the intervals between frames of one identifier."""
         key = segment.channel.astype(np.int64) << 32 | segment.can_id
         unique, inverse = np.unique(key, return_inverse=True)
-        rows = np.array([self._row(one) for one in unique.tolist()], np.int64)[inverse]
+        rows = np.array([self._row(key) for key in unique.tolist()], np.int64)[inverse]
         order = np.argsort(rows, kind="stable")[: np.count_nonzero(rows < MAX_IDS)]
         self._unlisted += len(rows) - len(order)
         if not len(order):

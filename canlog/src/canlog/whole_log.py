@@ -18,7 +18,7 @@ from canlog.extras import load_extra
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch, join
 from canlog.logs import LogCounts, LogFormat, LogReader, merged_by_time, read_log
 from canlog.tables.account import DecodeAccount, losses
-from canlog.tables.decoding import MAX_CELLS, Plan, TableShape, columns_of, message_columns
+from canlog.tables.decoding import Plan, TableShape, columns_of, message_columns
 from canlog.tables.frame_groups import log_paths
 from canlog.tables.layouts import BARE_ID, TableShapeName, Values, ValuesName, WideLayout, column_of
 
@@ -56,22 +56,12 @@ class Log:
         What it was taken for, by its contents.
     """
 
-    def __init__(
-        self,
-        paths: Sequence[Path],
-        database: Database,
-        *,
-        is_strict: bool = False,
-        max_cells: int = MAX_CELLS,
-        warned_cells: int = WARNED_CELLS,
-        columns: str = "",
-    ) -> None:
+    def __init__(self, paths: Sequence[Path], database: Database, *, is_strict: bool, columns: str) -> None:
         self.paths = tuple(paths)
         self.path = self.paths[0]
         self._is_strict = is_strict
-        self._warned_cells = warned_cells
         self._columns = columns
-        self._plan = replace(Plan.of(database.messages), max_cells=max_cells)
+        self._plan = Plan.of(database.messages)
         with ExitStack() as stack:
             self.format: LogFormat = self._opened(stack)[0].format
         if is_strict:
@@ -198,11 +188,11 @@ class Log:
         is_told = False
         for batch in reader:
             row_count += len(batch)
-            if not is_told and row_count * column_count > self._warned_cells:
+            if not is_told and row_count * column_count > WARNED_CELLS:
                 is_told = True
                 size = f"{row_count} rows and {column_count} columns takes {8e-9 * row_count * column_count:.1f} GB"
-                told = f"a table of {size} and is not complete; the shape messages has no empty cells"
-                warnings.warn(told, stacklevel=4)
+                warning = f"a table of {size} and is not complete; the shape messages has no empty cells"
+                warnings.warn(warning, stacklevel=4)
             yield batch
 
     def frames_to_arrow(self) -> Any:  # noqa: ANN401 - untyped
@@ -335,7 +325,7 @@ def read(
     Raises
     ------
     SourceError
-        If the log cannot be read; that it holds no frame, or cannot be read on, is told when it is read.
+        If the log cannot be opened; when it is read, also if it holds no frame or is damaged.
     DefinitionError
         If the database cannot be used.
     """

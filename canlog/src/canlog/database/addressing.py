@@ -23,7 +23,7 @@ PDU2_FORMATS: Final = 240
 FIRST_FAST_GROUP: Final = (
     0x1_0000  # from here on, in data page 1, a frame may be a piece of a longer message of NMEA 2000
 )
-NULL_ADDRESS: Final = 0xFE  # what databases write where any sender is meant
+NULL_ADDRESS: Final = 0xFE  # written in databases for any sender
 STANDARD_IDS: Final = 0x800
 ANY: Final = -1  # sender or channel: the first one that is heard
 NOBODY: Final = -1
@@ -35,7 +35,7 @@ _STANDARD_TABLE, _EXTENDED_TABLE, _GROUP_TABLE = range(3)  # in which messages a
 _SENDER_BITS: Final = 9
 _ANY_SENDER: Final = 0x100  # beside the 256 source addresses
 _EVERYBODY: Final = 0xFF  # the address of all; in a key of PDU 1 any destination
-LEAST_FIT: Final = 0.2  # a share: a right database knows most of a bus, or most of what it knows is there
+LEAST_FIT: Final = 0.2  # least share of identifiers known, or of messages present, with the right database
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,7 +48,7 @@ class MessageAddress:
     is_group: bool  # by its J1939 parameter group; else by the whole identifier
     sender: int = ANY  # J1939 source address
     channel: int = ANY
-    is_for_one: bool = False  # of J1939: what its sender tells others is another message of the database
+    is_for_one: bool = False  # of J1939: to other destinations its sender has another message
 
 
 class AddressBook(NamedTuple):
@@ -75,8 +75,9 @@ def message_address(
     With ``is_j1939`` a message with a 29-bit identifier is taken for one of J1939, whatever the database says. Frames
     to destinations for which ``others`` of its group and sender are there are none of its own.
     """
-    group, own = parameter_group(message.frame_id), message.frame_id
-    rivals = (one.frame_id for one in others if one.is_extended_frame and parameter_group(one.frame_id) == group)
+    group, can_id = parameter_group(message.frame_id), message.frame_id
+    ids = [other.frame_id for other in others if other.is_extended_frame]
+    rivals = [rival for rival in ids if parameter_group(rival) == group]
     return MessageAddress(
         name=message.name,
         can_id=message.frame_id,
@@ -84,14 +85,16 @@ def message_address(
         is_group=message.is_extended_frame and (is_j1939 or message.protocol == J1939),
         sender=ANY if sender is None else sender,
         channel=ANY if channel is None else channel,
-        is_for_one=any((rival ^ own) & 0xFF00 and not (rival ^ own) & 0xFF for rival in rivals),
+        is_for_one=any((rival ^ can_id) & 0xFF00 and not (rival ^ can_id) & 0xFF for rival in rivals),
     )
 
 
 def is_of_groups(messages: Sequence[Message], protocol: str) -> bool:
     """Return whether messages of 29 bits that do not say so are of J1939: by all their senders, or their database."""
-    is_said = protocol.startswith(("J1939", "NMEA")) or all(one.frame_id & 0xFF == NULL_ADDRESS for one in messages)
-    return is_said and bool(messages) and all(message.protocol is None for message in messages)
+    is_stated = protocol.startswith(("J1939", "NMEA")) or all(
+        message.frame_id & 0xFF == NULL_ADDRESS for message in messages
+    )
+    return is_stated and bool(messages) and all(message.protocol is None for message in messages)
 
 
 def parameter_group(can_id: int) -> int:

@@ -44,7 +44,7 @@ _ITEM: Final = re.compile(
 
 def bare(text: str) -> str:
     """Return a DBC text without its texts; what remains keeps its line."""
-    return _STRING.sub(lambda found: '"' + "\n" * found[0].count("\n") + '"', text)
+    return _STRING.sub(lambda match: '"' + "\n" * match[0].count("\n") + '"', text)
 
 
 def line_of(text: str, position: int) -> str:
@@ -53,12 +53,12 @@ def line_of(text: str, position: int) -> str:
 
 def check_sizes(text: str, database_format: str) -> None:
     """Raise DefinitionError for sizes that would make the parser fill the memory, before it sees them."""
-    for found in _SIZES[database_format].finditer(text):
-        size = {name: _number(digits) for name, digits in found.groupdict(default="0").items()}
+    for match in _SIZES[database_format].finditer(text):
+        size = {name: _number(digits) for name, digits in match.groupdict(default="0").items()}
         if max(8 * size.get("bytes", 0), size.get("start", 0) + size["bits"]) > MAX_BITS:
-            raise DefinitionError(f"{line_of(text, found.start())}: {found[0][:60]}: no CAN message is so long")
+            raise DefinitionError(f"{line_of(text, match.start())}: {match[0][:60]}: no CAN message is so long")
     ranges = [_RANGE.findall(item["ranges"] or "") for item in _ITEM.finditer(text)] if database_format == "dbc" else []
-    if sum(_number(last) - _number(first) for some in ranges for first, last in some) > MAX_MULTIPLEXED:
+    if sum(_number(last) - _number(first) for pairs in ranges for first, last in pairs) > MAX_MULTIPLEXED:
         raise DefinitionError("the ranges of SG_MUL_VAL_ are wider than those of any multiplexer")
 
 
@@ -72,22 +72,22 @@ def misreadings(text: str, database: Database) -> Iterator[str]:
     signals: dict[int, dict[str, Signal]] = {}
     for message in database.messages:
         number = message.frame_id | (_EXTENDED if message.is_extended_frame else 0)
-        signals.setdefault(number, {}).update((one.name, one) for one in message.signals)
+        signals.setdefault(number, {}).update((signal.name, signal) for signal in message.signals)
         yield from _of_message(message)
     number = 0
-    for found in _ITEM.finditer(text):
-        number, mark, cause = int(found["message"] or number), found["mark"] or "M", ""
-        signal = signals.get(int(found["paged"] or number), {}).get(found["signal"] or found["page"] or "")
+    for match in _ITEM.finditer(text):
+        number, mark, cause = int(match["message"] or number), match["mark"] or "M", ""
+        signal = signals.get(int(match["paged"] or number), {}).get(match["signal"] or match["page"] or "")
         if not re.fullmatch(r"M|m\d+M?", mark):
-            cause = f"signal {found['signal']}: {mark} is not a multiplexer's mark (M, or m and a number)"
+            cause = f"signal {match['signal']}: {mark} is not a multiplexer's mark (M, or m and a number)"
         elif signal is not None and mark != "M" and not signal.multiplexer_ids:
             cause = f"signal {signal.name}: nothing says which multiplexer (M) of its message selects it"
-        elif signal is not None and found["page"] and signal.multiplexer_signal != found["multiplexer"]:
-            cause = f"SG_MUL_VAL_ of {signal.name}: its message has no multiplexer {found['multiplexer']}"
-        elif found["type"] not in {None, "0", "1", "2"}:
-            cause = f"SIG_VALTYPE_ {found['typed']}: there is no type {found['type']}"
+        elif signal is not None and match["page"] and signal.multiplexer_signal != match["multiplexer"]:
+            cause = f"SG_MUL_VAL_ of {signal.name}: its message has no multiplexer {match['multiplexer']}"
+        elif match["type"] not in {None, "0", "1", "2"}:
+            cause = f"SIG_VALTYPE_ {match['typed']}: there is no type {match['type']}"
         if cause:
-            yield f"{line_of(text, found.start())}: {cause}"
+            yield f"{line_of(text, match.start())}: {cause}"
 
 
 def _of_message(message: Message) -> Iterator[str]:
@@ -103,13 +103,13 @@ def _of_message(message: Message) -> Iterator[str]:
 
 MAX_FILE_BYTES: Final = 16 * 2**20  # the largest public ones have 5 MB; parsing takes up to 70 times the memory
 MAX_WARNINGS: Final = 20
-HEAD_CHARACTERS: Final = 65_536  # a file says what it is in its beginning
+HEAD_CHARACTERS: Final = 65_536  # from the first on, that tell the format
 
 _LOG: Final = logging.getLogger(__name__)
 _SYM: Final = re.compile(r"((?:\s|//[^\n]*\n)*)FormatVersion\s*=")  # comments may stand before it
 _ROOT: Final = re.compile(r"<(?:[\w.-]+:)?([A-Za-z_][\w.-]*)[\s/>]")
 _BUS_MARK: Final = "#"
-_NARROW_BYTES: Final = 64  # that tell whether a text without a mark has two bytes for each letter
+_NARROW_BYTES: Final = 64  # looked at for UTF-16 without a byte-order mark
 _BYTE_ORDER_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")  # of UTF-16
 _UNUSED: Final = re.compile(r"\b(VAL_|SIG_VALTYPE_) (\d+) (\w+)")  # as cantools names those of no signal
 _VALUE: Final = re.compile(r"'[^']{1,80}'$")
@@ -169,9 +169,9 @@ def load_database(path: Path | str, *, is_j1939: bool = False) -> Database:
     if wrong:
         more = f"; {len(wrong) - 1} more like this" if len(wrong) > 1 else ""
         raise DefinitionError(f"{file} would be misread: {wrong[0]}{more}")
-    _warn_each(file, [f"{one} names no signal (left out)" for one in unused])
-    complaints = [said for message in database.messages for said in _complaints_of(message)]
-    _warn_each(file, [f"does not load strictly: {said}" for said in complaints])
+    _warn_each(file, [f"{statement} names no signal (left out)" for statement in unused])
+    complaints = [complaint for message in database.messages for complaint in _complaints_of(message)]
+    _warn_each(file, [f"does not load strictly: {complaint}" for complaint in complaints])
     chosen = _chosen_messages(database, bus, file)
     long = [message for message in chosen.messages if message.is_extended_frame]
     protocol = chosen.dbc.attributes.get("ProtocolType") if chosen.dbc else None
@@ -193,13 +193,13 @@ def _parsed(text: str, database_format: str) -> tuple[Database, list[str]]:
             database = cantools.database.load_string(text, database_format=database_format, strict=False)
             break
         except cantools.Error as error:
-            found = _UNUSED.findall(str(error)) if "unused VAL_" in str(error) else []
+            statements = _UNUSED.findall(str(error)) if "unused VAL_" in str(error) else []
             before = text
-            for _, number, signal in found:
+            for _, number, signal in statements:
                 statement = rf'^[ \t]*VAL_\s+{number}\s+{signal}(?:\s+-?\d+\s+"(?:[^"\\]|\\.)*+")*\s*;'
-                for one in re.finditer(statement, text, re.MULTILINE):
-                    unused.append(f"{line_of(text, one.start())}: VAL_ {number} {signal}")
-                    text = text[: one.start()] + re.sub(r"[^\n]", " ", one[0]) + text[one.end() :]
+                for match in re.finditer(statement, text, re.MULTILINE):
+                    unused.append(f"{line_of(text, match.start())}: VAL_ {number} {signal}")
+                    text = text[: match.start()] + re.sub(r"[^\n]", " ", match[0]) + text[match.end() :]
             if text == before:
                 raise
     if not isinstance(database, Database):
@@ -208,27 +208,27 @@ def _parsed(text: str, database_format: str) -> tuple[Database, list[str]]:
 
 
 def _reason(error: Exception, text: str) -> str:
-    """Return what is wrong and, where it can be told, in which line; on one line of bearable length."""
+    """Return what is wrong, with its line where that is known, in at most 160 characters."""
     cause = error.__cause__ or error
-    said, place = " ".join(str(cause).split()) or type(cause).__name__, ""
+    reason, place = " ".join(str(cause).split()) or type(cause).__name__, ""
     if isinstance(cause, KeyError):
-        said, place = f"{said} is not defined", f'"{re.escape(str(cause.args[0]))}"'
-    elif unused := _UNUSED.search(said):
-        said, place = f"{unused[0]} names no signal", r"\s+".join(unused.groups())
-    elif message := _MESSAGE.search(said):
+        reason, place = f"{reason} is not defined", f'"{re.escape(str(cause.args[0]))}"'
+    elif unused := _UNUSED.search(reason):
+        reason, place = f"{unused[0]} names no signal", r"\s+".join(unused.groups())
+    elif message := _MESSAGE.search(reason):
         place = rf"\bBO_\s+\d+\s+{message[1]}\s*:"
-    elif isinstance(cause, ValueError) and (value := _VALUE.search(said)):
-        said, place = f"{value[0]} stands where a number has to be", re.escape(value[0][1:-1])
+    elif isinstance(cause, ValueError) and (value := _VALUE.search(reason)):
+        reason, place = f"{value[0]} stands where a number has to be", re.escape(value[0][1:-1])
     elif isinstance(cause, AttributeError | LookupError | TypeError):  # of cantools, at something unforeseen
-        said = "something that it needs is missing"
-    found = list(re.finditer(place, text)) if place else []
-    if found and (len(found) == 1 or not isinstance(cause, ValueError)):
-        said = f"{line_of(text, found[0].start())}: {said}"
-    return said if len(said) <= 160 else f"{said[:157]}..."
+        reason = "something that it needs is missing"
+    matches = list(re.finditer(place, text)) if place else []
+    if matches and (len(matches) == 1 or not isinstance(cause, ValueError)):
+        reason = f"{line_of(text, matches[0].start())}: {reason}"
+    return reason if len(reason) <= 160 else f"{reason[:157]}..."
 
 
 def _complaints_of(message: Message) -> list[str]:
-    """Return what the strict check says of a message and those it contains."""
+    """Return what the strict check complains of in a message and those it contains."""
     complaints = []
     try:
         message.refresh(strict=True)
@@ -239,12 +239,12 @@ def _complaints_of(message: Message) -> list[str]:
     return complaints
 
 
-def _warn_each(path: Path, said: Sequence[str]) -> None:
+def _warn_each(path: Path, texts: Sequence[str]) -> None:
     """Warn of the first of many things, and say how many more there are."""
-    for text in said[:MAX_WARNINGS]:
+    for text in texts[:MAX_WARNINGS]:
         _LOG.warning("%s: %s", path, text)
-    if len(said) > MAX_WARNINGS:
-        _LOG.warning("%s: and %d more like these", path, len(said) - MAX_WARNINGS)
+    if len(texts) > MAX_WARNINGS:
+        _LOG.warning("%s: and %d more like these", path, len(texts) - MAX_WARNINGS)
 
 
 def _read_text(path: Path) -> str:
@@ -269,7 +269,7 @@ def _decoded(content: bytes) -> str:
 
 
 def _format_of(text: str, path: Path) -> DatabaseFormat:
-    """Return the format of a text; whatever is nothing else is taken for a DBC file."""
+    """Return the format of a text: DBC unless it begins as another format does."""
     head = text[:HEAD_CHARACTERS].lstrip()
     if _SYM.match(text):
         return DatabaseFormat.SYM
@@ -304,11 +304,13 @@ def _chosen_messages(database: Database, bus: str, path: Path) -> Database:
     for message in wanted:
         other = first.setdefault((message.frame_id, message.is_extended_frame), message)
         if other is not message:
-            places = (f"{one.name} of {one.bus_name}" if one.bus_name else one.name for one in (other, message))
-            said = f"the identifier {message.frame_id:#x} belongs to {' and to '.join(places)}"
+            places = (
+                f"{owner.name} of {owner.bus_name}" if owner.bus_name else owner.name for owner in (other, message)
+            )
+            conflict = f"the identifier {message.frame_id:#x} belongs to {' and to '.join(places)}"
             if other.bus_name != message.bus_name:
-                raise DefinitionError(f"{path}: {said}; name one of them: {path}{_BUS_MARK}{message.bus_name}")
-            _LOG.warning("%s: %s", path, said)
+                raise DefinitionError(f"{path}: {conflict}; name one of them: {path}{_BUS_MARK}{message.bus_name}")
+            _LOG.warning("%s: %s", path, conflict)
     for name, count in Counter(message.name for message in wanted).items():
         if count > 1:
             _LOG.warning("%s: %d messages are called %s", path, count, name)

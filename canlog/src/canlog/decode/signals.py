@@ -54,9 +54,9 @@ class PayloadWords:
 
     def words(self, starts: Int64Array) -> UInt64Array:
         """Return several words by their first bytes and whether they are big-endian, shape (words, n)."""
-        found = np.empty((len(starts), len(self)), np.uint64)
-        pick_words(self._payloads, self._rows, starts, found)
-        return found
+        words = np.empty((len(starts), len(self)), np.uint64)
+        pick_words(self._payloads, self._rows, starts, words)
+        return words
 
 
 @kernel
@@ -194,12 +194,12 @@ class IntegerCode:
 
     def is_code(self, raw: UInt64Array | Int64Array) -> BoolArray | None:
         """Return which raw values say that there is no measurement, shape (n,); None: none can."""
-        found: BoolArray | None = None
+        is_code: BoolArray | None = None
         kind = raw.dtype.type
         for first, last in self.not_available:
             inside = (raw >= kind(first)) & (raw <= kind(last))
-            found = inside if found is None else found | inside
-        return found
+            is_code = inside if is_code is None else is_code | inside
+        return is_code
 
     def is_outside(self, raw: UInt64Array | Int64Array) -> BoolArray | None:
         """Return which raw values lie outside the range, shape (n,); None: none can."""
@@ -278,7 +278,7 @@ class InvalidCounts(NamedTuple):
 
     def plus(self, more: "InvalidCounts") -> "InvalidCounts":
         """Return the sums, reason by reason."""
-        return InvalidCounts(*(one + other for one, other in zip(self, more, strict=True)))
+        return InvalidCounts(*(count + added for count, added in zip(self, more, strict=True)))
 
 
 NO_INVALID: Final = InvalidCounts()
@@ -409,7 +409,7 @@ def compile_signal(
         field=field,
         code=code,
         selectors=selectors,
-        needed_bytes=1 + max(field.last_byte, *(one.field.last_byte for one in selectors), 0),
+        needed_bytes=1 + max(field.last_byte, *(selector.field.last_byte for selector in selectors), 0),
         is_plain=isinstance(code, IntegerCode) and code.is_exact_in_float and not field.spill,
     )
 

@@ -32,10 +32,10 @@ BURST_CYCLES: Final = 0.5  # frames closer than this were held back, not sent on
 AHEAD_CYCLES: Final = 2.0  # frames that come so much sooner than frames counted by time permit: those were late
 SILENT_CYCLES: Final = 8.0 * COUNTER_PERIOD  # of which nothing came: by chance one counter in five would fit any pause
 
-IN_SEQUENCE, REPEATED, WRONG_SEQUENCE = range(3)  # what is said of one frame
+IN_SEQUENCE, REPEATED, WRONG_SEQUENCE = range(3)  # verdicts on one frame
 
 _NONE: Final = -1
-SLOWEST: Final = 5  # cycles of the database: what comes less often is not believed to be meant so
+SLOWEST: Final = 5  # cycles of the database; a message that comes less often has gaps, not another cycle
 SLOWER_RATIO: Final = 1.25  # below it the database is believed: jitter is no other cycle
 LEAST_STEPS: Final = 8
 LEARNING_STEPS: Final = 16  # over which the own cycle of a message forgets; one gap moves it by a sixteenth at most
@@ -191,7 +191,7 @@ def judge(link: LinkState, counter: int, t_ns: int, cycle_ns: int) -> tuple[int,
         stray_cycles = elapsed_cycles(t_ns - link.stray_ns, cycle_ns)
         restarted = permitted_advance(counter, link.stray_counter, stray_cycles, 0)
         if restarted > 0:
-            # How many were sent around the restart nobody knows: time numbers them, only the counter proves a loss.
+            # How many were sent around the restart is unknown: time numbers them, only the counter proves a loss.
             missing = max(0, restarted - 1 - link.rejected_after_stray)
             by_time = max(1, int(np.rint(cycles))) if cycle_ns > 0 else restarted + link.rejected
             accept(link, counter, t_ns, by_time, by_time, -1.0)
@@ -260,8 +260,8 @@ def own_period_ns(series: Series) -> int:
 
 def came_in_bursts(columns: Iterable[Series]) -> bool:
     """Return whether samples came closer than their sender sends them: it, or whoever received them, was late."""
-    for one in columns:  # noqa: SIM110 - a generator is many calls
-        if (np.diff(one.t_ns) < BURST_CYCLES * one.period_ns).any():
+    for series in columns:  # noqa: SIM110 - a generator is many calls
+        if (np.diff(series.t_ns) < BURST_CYCLES * series.period_ns).any():
             return True
     return False
 
@@ -274,9 +274,9 @@ def row_period_ns(columns: Sequence[Series]) -> int:
 
 def share_rows(columns: Sequence[Series]) -> bool:
     """Return whether columns have the times of the rows of one table; messages of a bus have their own, or counters."""
-    if any(one.period_ns or not len(one.t_ns) or one.sequence[0] >= 0 for one in columns):
+    if any(series.period_ns or not len(series.t_ns) or series.sequence[0] >= 0 for series in columns):
         return False
-    return all(np.isin(one.t_ns, columns[0].t_ns).mean() >= LEAST_SHARED for one in columns[1:])
+    return all(np.isin(series.t_ns, columns[0].t_ns).mean() >= LEAST_SHARED for series in columns[1:])
 
 
 def most_are_shorter(t_ns: Int64Array, sequence: Int64Array, limit_ns: float) -> bool:

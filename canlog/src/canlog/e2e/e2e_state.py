@@ -27,7 +27,7 @@ from canlog.jit import kernel, part
 
 
 class E2eState(IntEnum):
-    """What a message as a whole is worth, in the words of AUTOSAR's E2E state machine."""
+    """Whether a message as a whole may be believed, in the words of AUTOSAR's E2E state machine."""
 
     NO_DATA = 0  # never heard in this segment
     INIT = 1  # heard, not yet often enough
@@ -48,13 +48,13 @@ WINDOW: Final = 10  # checks
 MIN_OK: Final = 4  # of a full window: six lost frames are tolerated; what came is checked one by one
 MAX_ERRORS: Final = 1  # frames with a wrong CRC or length
 TIMEOUT_CYCLES: Final = 5
-MIN_TIMEOUT_NS: Final = 200_000_000  # a listener's machine may be busy: this much lateness says nothing of the sender
+MIN_TIMEOUT_NS: Final = 200_000_000  # a busy receiver may be as late; that is no fault of the sender
 
 _MASK: Final = (1 << WINDOW) - 1
 _OK: Final = int(FrameReason.OK)
 _SHORT: Final = int(FrameReason.SHORT)
 _BAD_CRC: Final = int(FrameReason.BAD_CRC)
-_OTHER_CHANNEL: Final = int(FrameReason.OTHER_CHANNEL)  # from here on, frames of somebody else
+_OTHER_CHANNEL: Final = int(FrameReason.OTHER_CHANNEL)  # from here on, frames of another origin
 _NO_DATA, _INIT, _VALID, _INVALID = (
     int(state) for state in (E2eState.NO_DATA, E2eState.INIT, E2eState.VALID, E2eState.INVALID)
 )
@@ -150,7 +150,7 @@ def take_back_silence(memory: E2eMemory, slot: int, sequence: int, changes: Int6
     """If the frame after a silence is the very next one, it was late: write that there was no lapse, at its time."""
     before, state = memory.sequence, memory.lapse_state
     memory.lapse_state, memory.sequence = _NO_DATA, sequence
-    # Whole periods of the counter are told missing by time alone, and time is what is late.
+    # Modulo the period: whole periods are counted by time alone, which is unreliable here.
     if state == _NO_DATA or sequence < 0 or before < 0 or (sequence - before) % COUNTER_PERIOD != 1:
         return count
     memory.ok_bits = memory.lapse_ok_bits

@@ -1,4 +1,4 @@
-"""Frames that were received late, by a busy machine or one that looks now and then: counters tell when they were sent.
+"""Frames that a busy or polling machine received late: alive counters give the times at which they were sent.
 
 After a silence of the whole bus some frames are held until they say what it was. It was lateness if every counter goes
 on where it stood, and the frames come faster than they were sent or are on time soon. Until all are on time again, each
@@ -22,7 +22,7 @@ from canlog.jit import kernel, part
 SILENT_CYCLES: Final = 1.2  # of the quickest message: the whole bus is never as quiet while its messages come in time
 HELD_FRAMES, HELD_NS = 96, 150_000_000  # held until either is full
 FASTER_RATIO: Final = 0.9  # of the time in which frames came to the time in which they were sent
-LEAST_COUNTED: Final = 6  # frames with a counter, to tell anything
+LEAST_COUNTED: Final = 6  # frames with a counter that are needed
 SETTLED_FRAMES: Final = 300  # without having caught up by a cycle: the least late of them is on time
 _NO_CYCLE_NS: Final = 2**60
 
@@ -80,14 +80,14 @@ def silence_ns(cadences: Records) -> float:
 
 @part
 def hear(cadence: Cadence, t_ns: int, counter: int) -> None:
-    """Learn from one frame how often its message comes; its counter tells how many between are missing."""
+    """Learn from one frame how often its message comes; its counter shows how many are missing before it."""
     learn_cycle(cadence, t_ns, (counter - cadence.counter) % COUNTER_PERIOD - 1)
     cadence.heard_ns, cadence.counter = t_ns, counter
 
 
 @kernel
 def learn_cadences(cadences: Records, t_ns: Int64Array, slot: Int64Array, data: UInt8Array) -> None:
-    """Learn from frames in their order, whatever is between them."""
+    """Learn from frames in their order."""
     for row in range(t_ns.size):
         if slot[row] != NOBODY and cadences[slot[row]].cycle_ns > 0:
             hear(cadences[slot[row]], t_ns[row], int(data[row, COUNTER_BYTE] & COUNTER_MASK))
@@ -106,7 +106,7 @@ def rows_on_time(cadences: Records, before_ns: int, t_ns: Int64Array, slot: Int6
 
 
 def held_rows(t_ns: Int64Array) -> int:
-    """Return how many frames tell what the silence before them was."""
+    """Return how many frames decide whether the silence before them was lateness."""
     since_ns = t_ns[:HELD_FRAMES] - t_ns[0]
     is_other = (since_ns < 0) | (since_ns > HELD_NS)
     return int(is_other.argmax()) if is_other.any() else len(since_ns)
@@ -230,7 +230,7 @@ class LateFrames:
     def _begin(self, held: FrameBatch, before_ns: int) -> FrameBatch:
         """Return what is late of the frames behind a silence."""
         if held.t_ns[0] - before_ns > MAX_GAP_NS:
-            self._cadences["heard_ns"] = BEFORE_ALL_NS  # who speaks behind a jump of bus time is seen anew
+            self._cadences["heard_ns"] = BEFORE_ALL_NS  # after a jump of bus time every message is new
         self._schedules = self._schedules_of()
         begun = CatchingUp(before_ns, int(held.t_ns[0]), 2**62, 0, 0, 0, 0, 0, False)
         part, burst = self._resent(held, begun)

@@ -12,7 +12,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-UInt8Array = npt.NDArray[np.uint8]
+from canlog.arrays import UInt8Array
+
 IntegerArray = npt.NDArray[np.integer]
 
 PAYLOAD_BYTES: Final = 8

@@ -53,7 +53,7 @@ class FrameReason(IntEnum):
 _OK, _UNKNOWN_ID, _REMOTE_OR_ERROR, _SHORT, _BAD_CRC, _REPEATED, _WRONG_SEQUENCE, _OTHER_CHANNEL, _OTHER_SENDER = (
     int(reason) for reason in FrameReason
 )
-_SEQUENCE_REASONS: Final = (_OK, _REPEATED, _WRONG_SEQUENCE)  # by what is said of the counter
+_SEQUENCE_REASONS: Final = (_OK, _REPEATED, _WRONG_SEQUENCE)  # by the verdict on the counter
 
 
 class Rule:
@@ -91,7 +91,7 @@ class FrameColumns(NamedTuple):
 
 
 class FrameVerdicts(NamedTuple):
-    """What is said of each frame, arrays of shape (n,)."""
+    """The verdict on each frame, arrays of shape (n,)."""
 
     reason: UInt8Array  # of FrameReason
     slot: Int64Array  # index of the message, NOBODY if the frame belongs to none

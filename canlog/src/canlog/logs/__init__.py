@@ -1,4 +1,4 @@
-"""Logs of every format, read whatever is damaged and counted."""
+"""Logs of every format; damage is counted and passed over."""
 
 from canlog.frames import merged_by_time
 from canlog.logs.detection import LogFormat

@@ -158,7 +158,7 @@ IS_CONTROL: BoolArray = np.isin(np.arange(256), [*range(9), *range(14, 32), 127,
 
 @kernel
 def parse_lines(text: UInt8Array, rows: FrameRows, clock: Int64Array, progress: Int64Array) -> None:
-    """Parse lines from where the progress says up to the first that does not begin with a time."""
+    """Parse lines from the position in ``progress`` up to the first that does not begin with a time."""
     at, line, row = progress[POSITION], progress[LINES], progress[ROWS]
     while at < len(text):
         time_us, event = _time_us(text, skip_blanks(text, at))
@@ -272,7 +272,7 @@ def _frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> i
 def _long_payload(text: UInt8Array, begin: int, rows: FrameRows, row: int, base: int) -> tuple[int, int]:
     """Read a length beyond eight and its bytes; return their number and the position behind, or as ``_fd_frame``.
 
-    The bytes tell what the length is: a code of CAN FD, one of a classic frame, which has eight, or their number.
+    The number of bytes decides what the length is: a code of CAN FD, a code of a classic frame, or that number.
     """
     code, at = whole_number(text, begin, base, 2)
     number, _ = whole_number(text, begin, DECIMAL, 2)
@@ -301,7 +301,7 @@ def _long_payload(text: UInt8Array, begin: int, rows: FrameRows, row: int, base:
 def _fd_frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> int:
     """Read ``Rx 123 [name] 1 0 9 12 11 22 ... duration length flags ...``; return the position behind, or NONE.
 
-    What is below NONE says that the rows are too short.
+    A value below NONE: the rows are too short.
     """
     direction, at = read_direction(text, at)
     identifier, at = read_identifier(text, at, base)
@@ -316,8 +316,8 @@ def _fd_frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -
     if count > rows.data.shape[1]:
         return NONE if count > FD_PAYLOAD_BYTES else NONE - 1
     behind = payload(text, behind, rows.data, row, count, base, 1)
-    said, end = _said_flags(text, behind) if behind >= 0 else (NONE, NONE)
-    is_fd, is_remote = said & SAID_FD != 0, said & SAID_REMOTE != 0
+    flags, end = _said_flags(text, behind) if behind >= 0 else (NONE, NONE)
+    is_fd, is_remote = flags & SAID_FD != 0, flags & SAID_REMOTE != 0
     length = LENGTH_OF_CODE[code] if is_fd else min(code, PAYLOAD_BYTES)
     if end < 0 or (is_remote and is_fd) or (count != length and not (is_remote and count == 0)):
         return NONE
@@ -333,7 +333,7 @@ def _fd_frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -
 def _said_flags(text: UInt8Array, at: int) -> tuple[int, int]:
     """Read the flags among the numbers behind a payload; return them and the position behind the line, or NONE.
 
-    A line without flags speaks of CAN FD.
+    A line without flags is of CAN FD.
     """
     for place in range(FLAGS_PLACE + 1):
         begin = skip_blanks(text, at)
@@ -359,7 +359,7 @@ WHOLE_BYTE_AT_END = re.compile(rb"\s[0-9a-f]{2}\s*$", re.IGNORECASE)
 
 
 class AscLog(KernelLog):
-    """A log of Vector's tools; its header says in which base numbers are, and what times count from."""
+    """A log of Vector's tools; its header has the base of numbers and the start of times."""
 
     shortest_line_bytes = 13  # "0.0 1 1 Rx r"
 

@@ -1,4 +1,4 @@
-"""Vector BLF files: from containers on disk to one stream of objects, whatever is damaged.
+"""Vector BLF files: from containers on disk to one stream of objects; damage is counted.
 
 The layout follows the structures that python-can documents; the start of measurement counts as UTC, as it does there.
 No size in the file is trusted: every step makes progress or gives up, and what is damaged is counted and stepped over.
@@ -101,22 +101,22 @@ def _count_damage(report: Int64Array) -> None:
 def _locate(raw: UInt8Array, at: int, report: Int64Array) -> tuple[int, int]:
     """Return where the next object is and its size, -1 if the buffer does not hold all of it; count what is damaged."""
     while True:
-        found = at
-        while found + 4 <= len(raw) and lower(raw, found) != MAGIC_WORD:
-            found += 1
-        if found + 4 > len(raw):
+        start = at
+        while start + 4 <= len(raw) and lower(raw, start) != MAGIC_WORD:
+            start += 1
+        if start + 4 > len(raw):
             return max(at, len(raw) - 3), -1
-        if found - at > LONGEST_PADDING and not report[IS_LOST]:
+        if start - at > LONGEST_PADDING and not report[IS_LOST]:
             _count_damage(report)
         report[IS_LOST] = 0
-        if found + HEADER_BYTES > len(raw):
-            return found, -1
-        size = lower(raw, found + SIZE_OFFSET)
+        if start + HEADER_BYTES > len(raw):
+            return start, -1
+        size = lower(raw, start + SIZE_OFFSET)
         if HEADER_BYTES <= size <= MAX_OBJECT_BYTES:
-            return (found, size) if found + size <= len(raw) else (found, -1)
+            return (start, size) if start + size <= len(raw) else (start, -1)
         _count_damage(report)
         report[IS_LOST] = 1
-        at = found + 4
+        at = start + 4
 
 
 @part
@@ -140,8 +140,8 @@ def _frame(raw: UInt8Array, at: int, size: int, layout: Int64Array, rows: FrameR
     if identifier > limit:
         return BROKEN
     is_remote = raw[body + layout[REMOTE]] & layout[REMOTE_MASK] != 0
-    said = raw[body + layout[FD]] if layout[FD] >= 0 else 0
-    is_fd = said & layout[FD_MASK] != 0
+    fd_bits = raw[body + layout[FD]] if layout[FD] >= 0 else 0
+    is_fd = fd_bits & layout[FD_MASK] != 0
     count = LENGTH_OF_CODE[raw[body + layout[LENGTH]] & 15]
     count = count if is_fd else min(count, PAYLOAD_BYTES)
     if count > rows.data.shape[1]:
@@ -150,7 +150,7 @@ def _frame(raw: UInt8Array, at: int, size: int, layout: Int64Array, rows: FrameR
     rows.length[row] = count
     rows.flags[row] = TX_FLAG * (raw[body + layout[SENT]] & SENT_BIT)
     if is_fd:
-        is_fast, is_passive = said & layout[BRS_MASK] != 0, said & layout[ESI_MASK] != 0
+        is_fast, is_passive = fd_bits & layout[BRS_MASK] != 0, fd_bits & layout[ESI_MASK] != 0
         rows.flags[row] |= FD_FLAG | (BRS_FLAG if is_fast else 0) | (ESI_FLAG if is_passive else 0)
     end = raw[body + layout[EXTENSION]] if layout[EXTENSION] >= 0 else 0
     stored = 0 if is_remote else (min(end, size) if end else size) - header - layout[DATA]
@@ -260,12 +260,12 @@ class ObjectStream:
 
         Then an object that it begins is forgotten; the next one that can be found goes on.
         """
-        raw, report, kept = np.frombuffer(data, np.uint8), self._report, len(self._tail)
-        if kept:
-            if len(self._buffer) < kept + len(raw):
-                self._buffer = np.empty(kept + len(raw), np.uint8)
-            joined = self._buffer[: kept + len(raw)]
-            joined[:kept], joined[kept:] = self._tail, raw
+        raw, report, kept_bytes = np.frombuffer(data, np.uint8), self._report, len(self._tail)
+        if kept_bytes:
+            if len(self._buffer) < kept_bytes + len(raw):
+                self._buffer = np.empty(kept_bytes + len(raw), np.uint8)
+            joined = self._buffer[: kept_bytes + len(raw)]
+            joined[:kept_bytes], joined[kept_bytes:] = self._tail, raw
             raw = joined
         report[POSITION] = report[SKIPPED] = report[DAMAGED] = 0
         self._frames.reserve(len(self) + len(raw) // STAMPED_HEADER_BYTES + 1, len(self))
@@ -285,7 +285,7 @@ class ObjectStream:
 
     def hand_over(self) -> FrameBatch:
         """Return the frames added since the last time."""
-        batch = self._frames.handed_over(len(self))
+        batch = self._frames.batch(len(self))
         self._counts.frames += len(self)
         self._report[ROWS] = 0
         return batch
@@ -352,7 +352,7 @@ def containers(
             continue
         body = stream.read(object_bytes - OBJECT_HEADER.size)
         is_whole = len(body) == object_bytes - OBJECT_HEADER.size
-        # A container whose type or header size is damaged still inflates to what its checksum says.
+        # A container whose type or header size is damaged may still inflate to what its checksum confirms.
         is_container = object_type == LOG_CONTAINER or header_bytes == CONTAINER_OBJECT_BYTES
         is_sound = (object_type == LOG_CONTAINER) == (header_bytes == CONTAINER_OBJECT_BYTES)
         if is_container:
@@ -375,12 +375,12 @@ def next_object(stream: BinaryIO, position: int, size_bytes: int, counts: LogCou
     while True:
         stream.seek(position)
         block = stream.read(block_bytes)
-        found = block.find(OBJECT_MAGIC)
-        if found >= 0 or len(block) <= len(OBJECT_MAGIC):  # the end, perhaps earlier than it was
+        offset = block.find(OBJECT_MAGIC)
+        if offset >= 0 or len(block) <= len(OBJECT_MAGIC):  # the end, perhaps earlier than it was
             break
         position += len(block) - len(OBJECT_MAGIC) + 1
         block_bytes = SEARCH_BYTES
-    position = position + found if found >= 0 else size_bytes
+    position = position + offset if offset >= 0 else size_bytes
     if counts is not None and position - start > LONGEST_PADDING:
         counts.reject(LogReject.DAMAGED, f"byte {start}")
     return position

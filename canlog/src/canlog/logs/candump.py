@@ -73,7 +73,7 @@ LETTER_R, LETTER_T, SMALL_R = ord("R"), ord("T"), ord("r")
 
 @kernel
 def parse_lines(text: UInt8Array, rows: FrameRows, names: NameWords, known: int, progress: Int64Array) -> None:
-    """Parse lines from where the progress says; ``known`` channels have a number."""
+    """Parse lines from the position in ``progress`` on; ``known`` channels have a number."""
     at, line, row = progress[POSITION], progress[LINES], progress[ROWS]
     while at < len(text):
         outcome, behind = _parse_line(text, at, rows, row, names, known)
@@ -213,11 +213,11 @@ _LINE = re.compile(
 _BEGINNING = re.compile(_SHOWN)
 
 
-def _time_ns(found: re.Match[bytes]) -> int:
+def _time_ns(match: re.Match[bytes]) -> int:
     """Return the time of a line [ns], whole microseconds; a date as if it were UTC; -1 if there is no such time."""
-    seconds = int(found["seconds"] or 0)
-    if found["date"]:
-        year, month, day, hour, minute, second = (int(one) for one in re.split(rb"[- :]", found["date"]))
+    seconds = int(match["seconds"] or 0)
+    if match["date"]:
+        year, month, day, hour, minute, second = (int(part) for part in re.split(rb"[- :]", match["date"]))
         if hour > 23 or minute > 59 or second > 60:
             return -1
         try:
@@ -227,7 +227,7 @@ def _time_ns(found: re.Match[bytes]) -> int:
         seconds = days * DAY_S + hour * 3600 + minute * 60 + second
     if not 0 <= seconds <= LAST_S:
         return -1
-    return seconds * NS_PER_S + int((found["fraction"] or b"").ljust(NS_DIGITS, b"0")) // NS_PER_US * NS_PER_US
+    return seconds * NS_PER_S + int((match["fraction"] or b"").ljust(NS_DIGITS, b"0")) // NS_PER_US * NS_PER_US
 
 
 def _identifier(digits: bytes) -> int:
@@ -238,21 +238,21 @@ def _identifier(digits: bytes) -> int:
     return -1 if value > MAX_ID else value if value & ERROR_FLAG else value | EXTENDED_FLAG
 
 
-def _length(found: re.Match[bytes]) -> int:
+def _length(match: re.Match[bytes]) -> int:
     """Return the length of a frame, -1 if there is none such."""
-    if found["code"]:
-        return min(int(found["code"], 16), PAYLOAD_BYTES)
-    value, most = int(found["length"]), FD_PAYLOAD_BYTES if len(found["length"]) == FD_LENGTH_DIGITS else PAYLOAD_BYTES
+    if match["code"]:
+        return min(int(match["code"], 16), PAYLOAD_BYTES)
+    value, most = int(match["length"]), FD_PAYLOAD_BYTES if len(match["length"]) == FD_LENGTH_DIGITS else PAYLOAD_BYTES
     return value if value <= most and IS_LENGTH[value] else -1
 
 
-def _payload(found: re.Match[bytes], length: int) -> bytes | None:
+def _payload(match: re.Match[bytes], length: int) -> bytes | None:
     """Return the bytes of a frame, None if they are not so many or others are shown behind them."""
-    words = re.findall(_BYTE, found["bytes"] or b"")
-    data = bytes(int(one, 2 if len(one) == BINARY_DIGITS else 16) for one in words)
-    data = data[::-1] if found["between"] == b"`" else data
-    shown = bytes(one if FIRST_SHOWN <= one <= LAST_SHOWN else ord(".") for one in data)
-    is_shown = found["mark"] is None or found["shown"] == (shown if found["mark"] == b"'" else shown[::-1])
+    words = re.findall(_BYTE, match["bytes"] or b"")
+    data = bytes(int(word, 2 if len(word) == BINARY_DIGITS else 16) for word in words)
+    data = data[::-1] if match["between"] == b"`" else data
+    shown = bytes(byte if FIRST_SHOWN <= byte <= LAST_SHOWN else ord(".") for byte in data)
+    is_shown = match["mark"] is None or match["shown"] == (shown if match["mark"] == b"'" else shown[::-1])
     return data if len(data) == length and is_shown else None
 
 
@@ -274,16 +274,16 @@ class ConsoleLog(LineLog):
 
     def look_ahead(self, text: bytes) -> None:
         """Find out what the times are."""
-        found = list(TIME.finditer(COLOUR.sub(b"", text)))
-        if not found:
+        times = list(TIME.finditer(COLOUR.sub(b"", text)))
+        if not times:
             self.notes.append(NO_TIMES)
-        elif shown := found[0]["date"]:
+        elif shown := times[0]["date"]:
             # Dates are local time, all with the offset of the first.
             as_utc, local_us = frames_of(ConsoleLog(), b"(" + shown + b") c 000 [0]").t_ns, date_us(shown)
             if local_us is not None and len(as_utc):
                 self._base_ns = local_us * NS_PER_US - int(as_utc[0])
-        elif len(found[0]["count"].partition(b".")[0]) < EPOCH_DIGITS:
-            times_s = np.array([float(one["count"]) for one in found if one["count"]])
+        elif len(times[0]["count"].partition(b".")[0]) < EPOCH_DIGITS:
+            times_s = np.array([float(time["count"]) for time in times if time["count"]])
             steps_s = np.diff(times_s)  # of times since the frame before some fall, or all are the same above zero
             is_constant = len(times_s) > 2 and times_s[1] > 0.0 and not steps_s[1:].any()
             self._is_delta = bool(is_constant or np.count_nonzero(steps_s < 0.0) > LEAST_FALLS * len(steps_s))
@@ -298,32 +298,32 @@ class ConsoleLog(LineLog):
             return SKIPPED
         if rest.startswith(b"DROPCOUNT:"):
             return OTHER
-        found = _LINE.fullmatch(line)
-        if found is None:
+        match = _LINE.fullmatch(line)
+        if match is None:
             return MALFORMED
-        t_ns, can_id, length = _time_ns(found), _identifier(found["id"]), _length(found)
+        t_ns, can_id, length = _time_ns(match), _identifier(match["id"]), _length(match)
         if min(t_ns, can_id, length) < 0:
             return MALFORMED
-        data = bytes(length) if found["remote"] else _payload(found, length)
+        data = bytes(length) if match["remote"] else _payload(match, length)
         now_ns = t_ns + (self._now_ns if self._is_delta else self._base_ns)
-        if data is None or (found["error"] and not can_id & ERROR_FLAG) or not 0 <= now_ns <= LAST_S * NS_PER_S:
+        if data is None or (match["error"] and not can_id & ERROR_FLAG) or not 0 <= now_ns <= LAST_S * NS_PER_S:
             return MALFORMED
-        flags = TX_FLAG if found["direction"] == b"TX" else 0
-        if found["length"] and len(found["length"]) == FD_LENGTH_DIGITS:
-            marks = line[found.start("direction") :] if found["direction"] else b""
+        flags = TX_FLAG if match["direction"] == b"TX" else 0
+        if match["length"] and len(match["length"]) == FD_LENGTH_DIGITS:
+            marks = line[match.start("direction") :] if match["direction"] else b""
             is_fast, is_passive = marks[BRS_PLACE:][:1] == b"B", marks[ESI_PLACE:][:1] == b"E"
             flags |= FD_FLAG | BRS_FLAG * is_fast | ESI_FLAG * is_passive
         self._now_ns = now_ns
-        can_id |= REMOTE_FLAG if found["remote"] else 0
-        return Frame(now_ns, can_id, length, data, flags, self._channels.number(found["name"]))
+        can_id |= REMOTE_FLAG if match["remote"] else 0
+        return Frame(now_ns, can_id, length, data, flags, self._channels.number(match["name"]))
 
     def read_comment(self, line: bytes) -> bool:
-        """Take up that candump says it lost frames."""
+        """Note that candump lost frames."""
         is_known = line.startswith(b"DROPCOUNT: ")
         if is_known:
             self.notes.append("candump lost frames before it could print them: its lines DROPCOUNT say how many")
         return is_known
 
     def is_whole(self, line: bytes, frame: FrameBatch) -> bool:  # noqa: ARG002 - the grammar's length decides
-        """Return whether all is there that the length speaks of; without bytes "remote request" might be missing."""
+        """Return whether as many bytes are there as the length; of none, "remote request" might be missing."""
         return bool(frame.length[0]) or bool(frame.can_id[0] & np.uint32(REMOTE_FLAG))

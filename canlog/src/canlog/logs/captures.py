@@ -58,9 +58,9 @@ FILE_HEADER, FILE_HEADER_BYTES = "4s16xL", 24  # of pcap
 LINK_MASK: Final = 0x0FFF_FFFF  # above it stands how long checksums are
 PIECE_BYTES: Final = 1024 * 1024
 MOST_INTERFACES, MOST_CHANNEL = 256, 255
-MOST_TICKS: Final = 9_000_000_000  # a second's, from which nanoseconds can be told
+MOST_TICKS: Final = 9_000_000_000  # in a second; finer ones overflow
 NAME_OPTION, RESOLUTION_OPTION, OFFSET_OPTION = 2, 9, 14
-LEAST_PACKETS: Final = 10  # that tell a byte order
+LEAST_PACKETS: Final = 10  # needed to judge a byte order
 MOST_ODD: Final = 0.1  # of packets whose identifiers stand in the right byte order
 SWAPPED: Final = "the identifiers stand in the other byte order than this kind of capture has: they are read swapped"
 DIGITS_AT_END: Final = re.compile(rb"(\d{1,3})\0*$")
@@ -125,7 +125,7 @@ class _Packet(NamedTuple):
 
 
 class _MalformedError(ValueError):
-    """A packet is no frame, though meant to be one."""
+    """A packet of CAN holds no valid frame."""
 
 
 @dataclass(slots=True)
@@ -146,7 +146,7 @@ class _Capture:
 
         Where a record cannot be, the next place where one can be is looked for; that is counted as damage.
         """
-        found, at = list[_Packet](), 0
+        packets, at = list[_Packet](), 0
         while True:
             if self.is_lost:
                 place = RECORDS[self.order, self.is_blocks].search(raw, at)
@@ -158,7 +158,7 @@ class _Capture:
                 self.is_lost, at = True, at + 1
             elif size == 0 or at + size > len(raw):
                 is_over = self.is_lost and not goes_on  # nothing more to be found
-                return found, b"" if is_over else raw[at:]
+                return packets, b"" if is_over else raw[at:]
             else:
                 self.is_lost, record, at = False, raw[at : at + size], at + size
                 try:
@@ -166,20 +166,20 @@ class _Capture:
                 except _MalformedError:
                     self.counts.reject(LogReject.MALFORMED, f"packet {self.number}")
                 else:
-                    found += [] if packet is None else [packet]
+                    packets += [] if packet is None else [packet]
 
     def frames(self, packets: Sequence[_Packet]) -> list[Frame]:
         """Return the frames that packets hold; those that hold none are counted."""
-        found = list[Frame]()
+        frames = list[Frame]()
         for packet in packets:
             try:
-                found.append(self._frame(packet))
+                frames.append(self._frame(packet))
             except _MalformedError:
                 self.counts.reject(LogReject.MALFORMED, f"packet {packet.number}")
-        return found
+        return frames
 
     def _record_bytes(self, raw: bytes, at: int) -> int:
-        """Return how long a record is, 0 if the piece does not tell, -1 if there can be none."""
+        """Return how long a record is, 0 if the piece ends before that, -1 if there can be none."""
         if at + (LEAST_BLOCK_BYTES if self.is_blocks else HEADER_BYTES) > len(raw):
             return 0
         if not self.is_blocks:
@@ -252,14 +252,14 @@ class _Capture:
         data, flags = packet.frame, packet.flags
         if len(data) < FRAME_HEADER_BYTES or packet.protocol == XL_PROTOCOL or data[4] & XL_BIT:
             raise _MalformedError
-        said, count, bits = _identifier(packet, is_swapped=self.is_swapped), data[4], data[5]
-        is_remote = said & (REMOTE_FLAG | ERROR_FLAG) == REMOTE_FLAG
+        identifier, count, bits = _identifier(packet, is_swapped=self.is_swapped), data[4], data[5]
+        is_remote = identifier & (REMOTE_FLAG | ERROR_FLAG) == REMOTE_FLAG
         is_fd = packet.protocol == FD_PROTOCOL or bits & FD_BIT or len(data) == FD_FRAME_BYTES or count > PAYLOAD_BYTES
-        can_id = said & EXTENDED_ID | ERROR_FLAG if said & ERROR_FLAG else said
-        if not said & (ERROR_FLAG | EXTENDED_FLAG) and can_id & ~REMOTE_FLAG > STANDARD_ID:
+        can_id = identifier & EXTENDED_ID | ERROR_FLAG if identifier & ERROR_FLAG else identifier
+        if not identifier & (ERROR_FLAG | EXTENDED_FLAG) and can_id & ~REMOTE_FLAG > STANDARD_ID:
             raise _MalformedError
         stored = 0 if is_remote else count
-        is_odd = is_fd and said & (REMOTE_FLAG | ERROR_FLAG)
+        is_odd = is_fd and identifier & (REMOTE_FLAG | ERROR_FLAG)
         if is_odd or len(data) < FRAME_HEADER_BYTES + stored or count > FD_PAYLOAD_BYTES or not IS_LENGTH[count]:
             raise _MalformedError
         if is_fd:
@@ -268,7 +268,7 @@ class _Capture:
         return Frame(packet.t_ns, can_id, count, payload, flags, packet.channel)
 
     def _read_block(self, block: bytes) -> None:
-        """Take up a section's header or the description of an interface."""
+        """Read a section's header or the description of an interface."""
         if block.startswith(SECTION_MAGIC):
             self.order, self.interfaces = _section_order(block, 0), []
             return
@@ -318,11 +318,11 @@ def _is_swapped(packets: Sequence[_Packet]) -> bool:
     return len(packets) >= LEAST_PACKETS and odd > len(packets) / 2 and odd_swapped <= MOST_ODD * len(packets)
 
 
-def _is_odd(said: int) -> bool:
-    """Return whether nobody numbers a frame so: too large, an error of no class, 29 bits that end with 16 zeros."""
-    if said & ERROR_FLAG:
-        return said & ~ERROR_FLAG > LAST_CLASS
-    return said & 0xFFFF == 0 if said & EXTENDED_FLAG else said & ~REMOTE_FLAG > STANDARD_ID
+def _is_odd(identifier: int) -> bool:
+    """Return whether an identifier is implausible: too large, an error of no class, 29 bits that end with 16 zeros."""
+    if identifier & ERROR_FLAG:
+        return identifier & ~ERROR_FLAG > LAST_CLASS
+    return identifier & 0xFFFF == 0 if identifier & EXTENDED_FLAG else identifier & ~REMOTE_FLAG > STANDARD_ID
 
 
 def _options(block: bytes, order: str) -> Iterator[tuple[int, bytes]]:

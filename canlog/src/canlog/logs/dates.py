@@ -52,7 +52,7 @@ def date_us(text: bytes) -> int | None:
     folded = _folded(text)
     without_day = folded  # in numbers, whose colons are not those of a time
     for pattern in (DAY_FIRST, YEAR_FIRST):
-        without_day = pattern.sub(lambda found: " " * len(found[0]), without_day)
+        without_day = pattern.sub(lambda date: " " * len(date[0]), without_day)
     clock = CLOCK.search(without_day)
     if clock is None or len(text) > LONGEST_DATE:
         return None
@@ -102,9 +102,9 @@ def _folded(text: bytes) -> str:
 
 
 def _numbered_day(rest: str) -> Day | None:
-    found = YEAR_FIRST.search(rest) or DAY_FIRST.search(rest)
-    if found:
-        return int(found["year"]), int(found["month"]), int(found["day"])
+    match = YEAR_FIRST.search(rest) or DAY_FIRST.search(rest)
+    if match:
+        return int(match["year"]), int(match["month"]), int(match["day"])
     slashed = SLASHED.search(rest)
     month, day = sorted(map(int, slashed.group("first", "second"))) if slashed else (0, 0)
     return (int(slashed["year"]), month, day) if slashed and (day > MOST_MONTHS or day == month) else None
@@ -137,6 +137,6 @@ def _epoch_s(day: Day, hour: int, minute: int, second: int, zone: timezone | Non
     """Return seconds since the epoch, None if there is no such time or it lies before."""
     try:
         start_s = int(datetime(*day, hour, minute, second, tzinfo=zone).timestamp())
-    except (ValueError, OverflowError, OSError):  # the last two: what the C library says of the year 1
+    except (ValueError, OverflowError, OSError):  # the last two: of the C library, in the year 1
         return None
     return start_s if start_s >= 0 else None

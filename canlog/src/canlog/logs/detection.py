@@ -1,4 +1,4 @@
-"""Which format the first bytes of a log speak of, whatever its name."""
+"""The format of a log, by its first bytes; its name does not matter."""
 
 import codecs
 import re
@@ -15,7 +15,7 @@ from canlog.logs.asc import FIRST_LINE, AscLog, is_asc_header
 from canlog.logs.blf import MAGIC as BLF_MAGIC
 from canlog.logs.candump import CandumpLog, ConsoleLog
 from canlog.logs.captures import CAPTURE_MAGICS, capture_of
-from canlog.logs.columns import NO_HEADER, ColumnsLog, columns_seen, is_list, programs
+from canlog.logs.columns import NO_HEADER, ColumnsLog, header_names, is_list, programs
 from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.programs import CLX000_HEADER, Busmaster, Clx000, Trc
 from canlog.logs.log_counts import LogCounts
@@ -126,8 +126,8 @@ def detect(probe: bytes, choice: str = "") -> Detected:
     probe
         The beginning.
     choice
-        What somebody says of its columns. It is a table if that fits, else whatever it is taken for without; if it is
-        neither, the complaint is about the columns.
+        What its columns are, as ``--columns`` has it. If that fits, the file is a table, else it is detected without;
+        if that fails as well, the error is about the columns.
     """
     return _detect_as_columns(probe, choice) if choice else _detect(probe)
 
@@ -163,7 +163,7 @@ def _detect_as_columns(probe: bytes, choice: str) -> Detected:
         log = ColumnsLog(choice)
         log.look_ahead(text)
         if _has_frames(log, text):
-            return Detected(format=LogFormat.COLUMNS, evidence=f"its columns are {log.taken_for}")
+            return Detected(format=LogFormat.COLUMNS, evidence=f"its columns are {log.columns_text}")
     except SourceError as exc:
         complaint = exc
     try:
@@ -214,10 +214,10 @@ def _by_named_columns(text: bytes) -> Detected | None:
     if not _has_frames(log, text):
         return None
     if is_list(frames_of(log, text), log.layout.columns):
-        raise SourceError(f"{ONLY_LISTED}; if it is one, say --columns {shlex.quote(log.taken_for)}")
+        raise SourceError(f"{ONLY_LISTED}; if it is one, say --columns {shlex.quote(log.columns_text)}")
     number = log.layout.header_lines
     what = f"line {number} names its columns" if number else "its lines are those of HCRL's car hacking data set"
-    return Detected(format=LogFormat.COLUMNS, evidence=f"{what}: {log.taken_for}")
+    return Detected(format=LogFormat.COLUMNS, evidence=f"{what}: {log.columns_text}")
 
 
 def _has_frames(log: ColumnsLog, text: bytes) -> bool:
@@ -254,17 +254,18 @@ def _counted(log_format: LogFormat, lines: Sequence[bytes]) -> tuple[int, int]:
 def _not_known(probe: bytes, hint: str) -> str:
     other = next((name for magic, name in OTHER_FORMATS.items() if probe.startswith(magic)), "")
     known = f"not a log of a known format ({', '.join(LogFormat)})"
-    if not other and (seen := _as_table(probe)):
-        return f"{known}: {seen}"
+    if not other and (advice := _as_table(probe)):
+        return f"{known}: {advice}"
     return f"{known}: {other or f'only {hint}'}" if other or hint else known
 
 
 def _as_table(probe: bytes) -> str:
     """Return what one may do about what looks like a table; nothing if it does not."""
-    seen = columns_seen(probe)
-    if not seen:
+    header = header_names(probe)
+    if not header:
         return ""
-    names = ", ".join(seen[:MOST_NAMED]) + (f" and {len(seen) - MOST_NAMED} more" if len(seen) > MOST_NAMED else "")
+    more = f" and {len(header) - MOST_NAMED} more" if len(header) > MOST_NAMED else ""
+    names = ", ".join(header[:MOST_NAMED]) + more
     return (
         f"a table with the columns {names}; --columns time=...,id=...,data=... says which are which; a table of "
         "signals has a column of times that rise (numbers, hh:mm:ss, ISO dates) and one of numbers, "

@@ -1,4 +1,4 @@
-"""What was found in a log besides its frames: counts of what could not be read, and odd times."""
+"""Counts of what a log holds besides frames: what could not be read, and odd times."""
 
 import os
 from collections.abc import Iterator
@@ -41,12 +41,12 @@ class LogCounts:
     jumps_ahead: int = 0  # frames after a silence that ends a segment
     first_jump: str = ""  # where and how far, for people
     repeated: int = 0  # frames that equal the one before, time and all
-    unfinished: bool = False  # its writer did not close it: what is missing at the end cannot be told
+    unfinished: bool = False  # its writer did not close it: frames may be missing at its end
     notes: tuple[str, ...] = ()  # what had to be assumed, for people: a unit, a date that is not understood
 
     @property
     def first_fault(self) -> str:
-        """What is wrong with the log, so that nobody has to look further; empty if nothing is."""
+        """The first thing that is wrong with the log; empty if nothing is."""
         end = "the file is cut off" if self.truncated else ""
         return self.first_rejected or self.first_jump or end
 
@@ -184,7 +184,7 @@ def is_plausible(load_ratio: float) -> bool:
 
 
 def likely_unit(batch: FrameBatch) -> tuple[int, list[str]]:
-    """Return the unit of times that were read as microseconds, and what is to be said of it.
+    """Return the unit of times that were read as microseconds, and notes on it.
 
     The finest unit with which the load is plausible; where it is with none, they stay microseconds.
     """
@@ -214,7 +214,7 @@ def _load_ratio(batch: FrameBatch) -> float:
 
 
 WATCHED_FRAMES = 1_000  # from the first on
-LEAST_PER_S = 10  # of a bus, which a log of whole seconds does not tell apart
+LEAST_PER_S = 10  # frames; a slower bus may well have times in whole seconds
 WHOLE_SECONDS = "times are whole seconds, with many frames in each: too coarse for friction, which needs milliseconds"
 
 USUAL_STEPS = 3  # that a silence in a table of signals lasts at least: two rows are missing
@@ -235,28 +235,28 @@ class TimeWatch:
         self.longest_step_ns = MAX_GAP_NS
         self._last: FrameBatch | None = None
         self._first_ns: int | None = None  # None: not known, or times are finer than seconds
-        self._seen = 0
+        self._frame_count = 0
 
     def look(self, batch: FrameBatch) -> None:
         if self._last is not None and not 0 < int(batch.t_ns[0]) - int(self._last.t_ns[0]) <= self.longest_step_ns:
-            self._look_inside(join([self._last, batch[:1]]), self._seen)
-        self._look_inside(batch, self._seen + 1)
-        self._look_for_seconds(batch[: max(WATCHED_FRAMES - self._seen, 0)])
+            self._count_jumps(join([self._last, batch[:1]]), self._frame_count)
+        self._count_jumps(batch, self._frame_count + 1)
+        self._check_seconds(batch[: max(WATCHED_FRAMES - self._frame_count, 0)])
         self._last = batch[-1:]
-        self._seen += len(batch)
+        self._frame_count += len(batch)
 
-    def _look_for_seconds(self, batch: FrameBatch) -> None:
-        if len(batch) and self._seen == 0:
+    def _check_seconds(self, batch: FrameBatch) -> None:
+        if len(batch) and self._frame_count == 0:
             self._first_ns = int(batch.t_ns[0])
         if not len(batch) or self._first_ns is None:
             return
         is_crowded = (int(batch.t_ns[-1]) - self._first_ns) * LEAST_PER_S < WATCHED_FRAMES * NS_PER_S
         if (batch.t_ns % NS_PER_S).any():
             self._first_ns = None
-        elif self._seen + len(batch) == WATCHED_FRAMES and is_crowded:
+        elif self._frame_count + len(batch) == WATCHED_FRAMES and is_crowded:
             self._counts.note(WHOLE_SECONDS)
 
-    def _look_inside(self, batch: FrameBatch, number: int) -> None:
+    def _count_jumps(self, batch: FrameBatch, number: int) -> None:
         counts, steps_ns = self._counts, np.diff(batch.t_ns)
         is_back, is_ahead = steps_ns < 0, steps_ns > self.longest_step_ns
         jumps, stills = np.flatnonzero(is_back | is_ahead), np.flatnonzero(steps_ns == 0)

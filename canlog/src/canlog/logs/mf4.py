@@ -23,7 +23,7 @@ from typing import Any, BinaryIO, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from canlog.arrays import FloatArray, UInt8Array, UInt32Array
+from canlog.arrays import FloatArray, Records, UInt8Array, UInt32Array
 from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.errors import SourceError
 from canlog.extras import load_asammdf
@@ -117,7 +117,7 @@ class Mf4File:
 
     def measured_groups(self) -> list[MeasuredGroup]:
         """Return all groups that have records, with their channels; raises UnknownStructureError."""
-        found, count = list[MeasuredGroup](), 0
+        groups, count = list[MeasuredGroup](), 0
         for data in self._chain(self._need(FIRST_BLOCK, b"##HD").links[0], b"##DG", MOST_CHANNELS):
             count += 1
             for group in self._chain(data.links[1], CHANNEL_GROUP, MOST_CHANNELS - count):
@@ -125,8 +125,8 @@ class Mf4File:
                 blocks = list(self._chain(group.links[1], CHANNEL, MOST_CHANNELS - count))
                 count += 1 + len(blocks)
                 if (cycles or self._is_unfinished) and not flags & VARIABLE_LENGTH:
-                    found.append(self._measured(group, flags, blocks))
-        return found
+                    groups.append(self._measured(group, flags, blocks))
+        return groups
 
     def _measured(self, group: Block, flags: int, blocks: list[Block]) -> MeasuredGroup:
         channels, others, has_times = list[Mf4Channel](), list[str](), False
@@ -142,7 +142,7 @@ class Mf4File:
                 if not unit and at:
                     unit = self._text(self._need(at, b"##CC").links[UNIT_OF_CONVERSION])
                 channels.append(Mf4Channel(block.at, name, unit))
-        is_bus = bool(flags & PLAIN_BUS_EVENTS) or any(BUS_FRAMES.fullmatch(one) for one in others)
+        is_bus = bool(flags & PLAIN_BUS_EVENTS) or any(BUS_FRAMES.fullmatch(name) for name in others)
         return MeasuredGroup(group.at, tuple(channels), has_times, is_bus, tuple(others))
 
     def _is_number(self, conversion_at: int) -> bool:
@@ -162,8 +162,8 @@ class Mf4File:
         length = min(block.length - HEADER.size, LONGEST_TEXT, self.size_bytes - block.body_at)
         text = self._bytes(block.body_at, max(length, 0)).partition(b"\0")[0].decode("utf-8", "replace")
         if block.kind == b"##MD":
-            found = TEXT_IN_XML.search(text)
-            text = unescape(found[1]) if found else ""
+            match = TEXT_IN_XML.search(text)
+            text = unescape(match[1]) if match else ""
         return text.strip()
 
     def _chain(self, at: int, kind: bytes, most: int = MOST_BLOCKS) -> Iterator[Block]:
@@ -180,12 +180,14 @@ class Mf4File:
             raise UnknownStructureError("more blocks than are looked at")
 
     def _need(self, at: int, kind: bytes | None = None) -> Block:
-        found, length, links = HEADER.unpack(self._bytes(at, HEADER.size))
-        is_block = found[:2] == b"##" and found[2:].isalpha() and links <= MOST_LINKS
-        if not is_block or (kind is not None and found != kind):
+        block_kind, length, links = HEADER.unpack(self._bytes(at, HEADER.size))
+        is_block = block_kind[:2] == b"##" and block_kind[2:].isalpha() and links <= MOST_LINKS
+        if not is_block or (kind is not None and block_kind != kind):
             raise UnknownStructureError(f"no block at byte {at}")
         addresses = self._bytes(at + HEADER.size, LINK.size * links)
-        return Block(kind=found, at=at, length=length, links=tuple(one for (one,) in LINK.iter_unpack(addresses)))
+        return Block(
+            kind=block_kind, at=at, length=length, links=tuple(address for (address,) in LINK.iter_unpack(addresses))
+        )
 
     def _bytes(self, at: int, count: int) -> bytes:
         if at < 0 or at + count > self.size_bytes:
@@ -199,7 +201,7 @@ Untyped = Any  # asammdf's own objects
 
 
 class Measured(NamedTuple):
-    """The groups of a file that are a table, the columns of all of them, and what is to be said of it."""
+    """The groups of a file that are tables, the columns of all of them, and notes for people."""
 
     groups: tuple[MeasuredGroup, ...] = ()
     columns: tuple[SignalColumn, ...] = ()
@@ -215,14 +217,14 @@ def measured_channels(stream: BinaryIO) -> Measured:
         return Measured()
     finally:
         stream.seek(0)
-    tables = tuple(one for one in groups if one.channels and one.has_times and not one.is_bus)
-    count = sum(len(one.channels) for one in tables)
-    if any(one.is_bus for one in groups):
+    tables = tuple(group for group in groups if group.channels and group.has_times and not group.is_bus)
+    count = sum(len(group.channels) for group in tables)
+    if any(group.is_bus for group in groups):
         return Measured(notes=(f"{count} measured channels beside the frames of buses are left out",) * bool(count))
-    channels = [channel for one in tables for channel in one.channels]
-    columns, notes = signal_columns([one.name for one in channels], [one.unit for one in channels])
-    others = [name for one in groups for name in one.others]
-    others += [channel.name for one in groups if not one.has_times for channel in one.channels]
+    channels = [channel for group in tables for channel in group.channels]
+    columns, notes = signal_columns([channel.name for channel in channels], [channel.unit for channel in channels])
+    others = [name for group in groups for name in group.others]
+    others += [channel.name for group in groups if not group.has_times for channel in group.channels]
     notes += [f"channels without numbers or without times are left out: {', '.join(others)}"] * bool(others)
     return Measured(tables, tuple(columns), tuple(notes))
 
@@ -234,16 +236,18 @@ def channel_batches(
 
     Raises SourceError if they are packed as no measurement is.
     """
-    places = {one.channel_group.address: number for number, one in enumerate(mdf.groups)}
-    heads = [mdf.groups[places[one.at]].channel_group for one in measured.groups]
-    if sum(one.cycles_nr * one.samples_byte_nr for one in heads) > FREE_BYTES + MOST_RATIO * size_bytes:
+    places = {group.channel_group.address: number for number, group in enumerate(mdf.groups)}
+    heads = [mdf.groups[places[group.at]].channel_group for group in measured.groups]
+    if sum(head.cycles_nr * head.samples_byte_nr for head in heads) > FREE_BYTES + MOST_RATIO * size_bytes:
         raise SourceError(f"the MF4 file holds more than {MOST_RATIO} times its size: no measurement does")
-    ids = np.array([column_id(one.name) | EXTENDED_FLAG for one in measured.columns], np.uint32)
+    ids = np.array([column_id(signal_column.name) | EXTENDED_FLAG for signal_column in measured.columns], np.uint32)
     streams, first = list[Iterator[FrameBatch]](), 0
     for group in measured.groups:
-        own = ids[first : first + len(group.channels)]
+        group_ids = ids[first : first + len(group.channels)]
         first += len(group.channels)
-        streams.append(_group(mdf, places[group.at], [one.at for one in group.channels], own, start_ns, counts))
+        streams.append(
+            _group(mdf, places[group.at], [channel.at for channel in group.channels], group_ids, start_ns, counts)
+        )
     return streams
 
 
@@ -252,22 +256,22 @@ def _group(
 ) -> Iterator[FrameBatch]:
     group, done = mdf.groups[number], 0
     index = {channel.address: place for place, channel in enumerate(group.channels)}
-    wanted, stated = [(None, number, index[one]) for one in addresses], int(group.channel_group.cycles_nr)
-    coded = [place for place, one in enumerate(addresses) if _has_codes(group.channels[index[one]].conversion)]
+    wanted, stated = [(None, number, index[address]) for address in addresses], int(group.channel_group.cycles_nr)
+    coded = [place for place, address in enumerate(addresses) if _has_codes(group.channels[index[address]].conversion)]
     while done < stated:
         count = min(max(1, CELLS // len(wanted)), stated - done)
-        found = mdf.select(
+        signals = mdf.select(
             wanted, record_offset=done, record_count=count, copy_master=False, ignore_value2text_conversions=True
         )
         for place in coded:  # else a code were a number in the unit of the others, and the others were not scaled
-            found[place] = mdf.select([wanted[place]], record_offset=done, record_count=count, copy_master=False)[0]
-        elapsed_us = np.asarray(found[0].timestamps, np.float64) * 1e6
+            signals[place] = mdf.select([wanted[place]], record_offset=done, record_count=count, copy_master=False)[0]
+        elapsed_us = np.asarray(signals[0].timestamps, np.float64) * 1e6
         time_us = start_ns // NS_PER_US + np.rint(elapsed_us + start_ns % NS_PER_US / NS_PER_US)
         if not len(time_us):
             counts.cut_off(f"record {done + 1} of group {number}", stated - done)
             return
         done += len(time_us)
-        numbers = [_numbers(one, f"group {number}, channel {one.name!r}") for one in found]
+        numbers = [_numbers(signal, f"group {number}, channel {signal.name!r}") for signal in signals]
         yield checked_rows(time_us, np.column_stack(numbers), ids, counts)
 
 
@@ -275,7 +279,7 @@ def _has_codes(conversion: Untyped) -> bool:
     """Return whether some values of a channel are words, and the others are scaled by a formula."""
     blocks = getattr(conversion, "referenced_blocks", None) or {}
     scale = getattr(blocks.get("default_addr"), "convert", None)
-    if scale is None or not any(isinstance(one, bytes) for one in blocks.values()):
+    if scale is None or not any(isinstance(block, bytes) for block in blocks.values()):
         return False
     return bool(scale(np.array([1.0, 2.0])).tolist() != [1.0, 2.0])  # else a state, whose codes are its numbers
 
@@ -296,13 +300,11 @@ def one_each(values: Untyped, kinds: str, place: str) -> npt.NDArray[Any]:
 
     Raises SourceError, which names the place, if they are anything else.
     """
-    found = np.asarray(values)
-    if found.dtype.kind not in kinds or found.size != len(found):
-        raise SourceError(f"{place}: not one number for each record, but {found.dtype} of shape {found.shape[1:]}")
-    return found.reshape(-1)
+    array = np.asarray(values)
+    if array.dtype.kind not in kinds or array.size != len(array):
+        raise SourceError(f"{place}: not one number for each record, but {array.dtype} of shape {array.shape[1:]}")
+    return array.reshape(-1)
 
-
-Records = npt.NDArray[np.void]  # one row per frame, fields named "CAN_DataFrame.ID" and so on
 
 IntegerArray = npt.NDArray[np.integer[Any]]
 
@@ -416,6 +418,7 @@ def read_group(mdf: Untyped, number: int, kind: str, start_ns: int, counts: LogC
 def frames_of(
     samples: Records, elapsed_s: npt.NDArray[np.float64], kind: str, start_ns: int
 ) -> tuple[FrameBatch, npt.NDArray[np.bool_]]:
+    """Return records, with fields such as ``CAN_DataFrame.ID``, as frames, and which of them are frames, shape (n,)."""
     if kind != ERROR and f"{kind}.ID" not in (samples.dtype.names or ()):
         raise SourceError("no channel holds the identifiers")
     number = column(samples, kind, "ID").astype(np.uint32) & np.uint32(MAX_ID)

@@ -33,15 +33,15 @@ from canlog.logs.streams import (
     InflatedStream,
     PipeStream,
     compression_of,
-    kept,
     never,
     open_standard_input,
     shown_name,
+    temporary_log,
     wait_for_reader,
 )
 from canlog.logs.text_log import reader_of
 
-LOAD_FRAMES = 2_000  # the first ones, from which a load is told
+LOAD_FRAMES = 2_000  # the first ones, whose load is checked
 READERS: Mapping[LogFormat, Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]] = {
     LogFormat.BLF: read_blf,
     LogFormat.MF4: read_mf4,
@@ -62,8 +62,8 @@ class Contents:
     stream: BinaryIO
     detected: Detected
     counts: LogCounts
-    is_packed: bool  # the size of the file says nothing about that of its contents
-    columns: str = ""  # what somebody says of them
+    is_packed: bool  # the size of its contents is unknown
+    columns: str = ""  # as ``--columns`` has it
 
 
 def contents_of(stream: BinaryIO, columns: str = "") -> Contents:
@@ -92,7 +92,7 @@ def _unpacked(opened: Callable[..., InflatedStream], columns: str) -> Contents:
     stream = cast("BinaryIO", packed)
     if detected.format not in TEXT_LOGS:
         with packed:
-            stream = cast("BinaryIO", kept(iter(lambda: packed.read(COPY_BYTES), b"")))
+            stream = cast("BinaryIO", temporary_log(iter(lambda: packed.read(COPY_BYTES), b"")))
     return Contents(stream=stream, detected=detected, counts=counts, is_packed=True, columns=columns)
 
 
@@ -153,7 +153,7 @@ class LogReader(Iterator[FrameBatch]):
 
     @property
     def longest_step_ns(self) -> int:
-        """After how long a silence a jump of time is told; of a table of signals once its first batch is there."""
+        """Longest silence that is no jump of time [ns]; of a table of signals known with its first batch."""
         return self._watch.longest_step_ns
 
     @property
@@ -180,25 +180,25 @@ class LogReader(Iterator[FrameBatch]):
         try:
             batch = next(self._batches)
         except StopIteration:
-            self._look_at_size()
+            self._check_size()
             self.close()
             if isinstance(self._stream, PipeStream):
                 self._stream.check_not_left()
-            self._be_strict()
+            self._raise_if_strict()
             if self._counts.frames == 0:
                 raise SourceError(f"{self.name}: {self._nothing_found()}") from None
             raise
         except (OSError, SourceError) as exc:
-            self._look_at_size()
+            self._check_size()
             self.close()
             raise named_error(self.name, exc) from exc
         if self._is_first and self.columns:
             self._watch.longest_step_ns = longest_step_ns(batch)
         elif self._is_first:  # values of a row all have its time
-            self._look_at_load(batch[:LOAD_FRAMES])
+            self._check_load(batch[:LOAD_FRAMES])
         self._is_first = False
         self._watch.look(batch)
-        self._be_strict()
+        self._raise_if_strict()
         self.watch(self)
         return batch
 
@@ -215,7 +215,7 @@ class LogReader(Iterator[FrameBatch]):
             self.has_ended = True
             self.watch(self)
 
-    def _look_at_load(self, batch: FrameBatch) -> None:
+    def _check_load(self, batch: FrameBatch) -> None:
         """Say so if the first frames come faster than any bus carries them."""
         load_ratio = bus_load_ratio(batch)
         if load_ratio == float("inf"):
@@ -226,7 +226,7 @@ class LogReader(Iterator[FrameBatch]):
                 f"{100 * load_ratio:.0f} %"
             )
 
-    def _look_at_size(self) -> None:
+    def _check_size(self) -> None:
         """Count it as cut if the file has become shorter since it was opened."""
         if self._opened is None:
             return
@@ -235,7 +235,7 @@ class LogReader(Iterator[FrameBatch]):
             if now.st_ino == opened.st_ino and now.st_size < opened.st_size:
                 self._counts.cut_off(f"byte {now.st_size}, where the file shrank while it was read")
 
-    def _be_strict(self) -> None:
+    def _raise_if_strict(self) -> None:
         if self._is_strict and (fault := self.counts.first_fault):
             self.close()
             raise SourceError(f"{self.name}: {fault}")
@@ -312,11 +312,11 @@ def table_columns(
             return reader.columns
     try:
         stream = open_standard_input(is_stopped)
-        detected = _looked_into(stream, columns)
+        detected = _peek(stream, columns)
         if detected is not None and detected.format in TEXT_LOGS:
             wait_for_reader(stream)
             return ()
-        file = kept(stream.pieces(is_stopped))
+        file = temporary_log(stream.pieces(is_stopped))
         wait_for_reader(PipeStream(file.fileno(), is_stopped, file=file))
         with (
             BufferedReader(open_plain_file(Path(str(file.name)))) as again,
@@ -338,8 +338,8 @@ def named_error(name: str, error: OSError | SourceError) -> SourceError:
     return kind(f"{name}: {reason}")
 
 
-def _looked_into(stream: PipeStream, columns: str) -> Detected | None:
-    """Return what the beginning of a pipe speaks of, None if it is packed; the pipe is at its beginning again."""
+def _peek(stream: PipeStream, columns: str) -> Detected | None:
+    """Return what a pipe is taken for by its beginning, None if it is packed; rewind it."""
     probe = b""
     while len(probe) < PROBE_BYTES and (piece := stream.read(PROBE_BYTES - len(probe))):
         probe += piece
@@ -355,20 +355,20 @@ def _looked_into(stream: PipeStream, columns: str) -> Detected | None:
 def _piped_reader(is_stopped: Callable[[], bool], columns: str, *, is_strict: bool) -> LogReader:
     """Return the reader of standard input: of a text as it comes, of anything else when all of it is there."""
     stream = open_standard_input(is_stopped)
-    detected = _looked_into(stream, columns)
+    detected = _peek(stream, columns)
     if detected is not None and detected.format in TEXT_LOGS:
         pipe = cast("BinaryIO", stream)
         live = Contents(stream=pipe, detected=detected, counts=LogCounts(), is_packed=False, columns=columns)
         return LogReader(STANDARD_INPUT, live, is_strict=is_strict)
     with ExitStack() as opened:
-        file = opened.enter_context(kept(stream.pieces(is_stopped)))
+        file = opened.enter_context(temporary_log(stream.pieces(is_stopped)))
         reader = LogReader(STANDARD_INPUT, contents_of(file, columns), is_strict=is_strict)
         opened.pop_all()
         return reader
 
 
 def _detected(probe: bytes) -> Detected | None:
-    """Return what a beginning speaks of, None if it does not suffice."""
+    """Return what a file is taken for by its beginning, None if that does not suffice."""
     try:
         return detect(probe)
     except SourceError:

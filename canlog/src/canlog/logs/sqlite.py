@@ -54,7 +54,7 @@ def read_sqlite(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
 
 
 def check_messages(stream: BinaryIO) -> None:
-    """Raise SourceError if a database is sound and no log; of what is damaged, reading it tells."""
+    """Raise SourceError if a database is sound and no log; damage is found when it is read."""
     with suppress(sqlite3.Error), closing(_opened(stream)) as database:
         database.text_factory = bytes
         _messages(database)

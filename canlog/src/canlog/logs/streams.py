@@ -46,7 +46,7 @@ MAGICS: Mapping[bytes, Compression] = {
 }
 LONGEST_MAGIC = max(len(magic) for magic in MAGICS)
 XZ_MEMORY_BYTES = 192 * 1024 * 1024  # the highest preset asks for 65 MiB
-ZSTD_WINDOW_BYTES = 128 * 1024 * 1024  # what zstd itself takes without being told to take more
+ZSTD_WINDOW_BYTES = 128 * 1024 * 1024  # the default limit of the program zstd
 GZIP_WINDOW = 31  # zlib's number for its largest window and a gzip header
 ZSTD_PIECE_BYTES = 256  # inflate to no more than 8 MiB: four bytes can stand for 128 KiB
 
@@ -60,14 +60,14 @@ class Inflater(Protocol):
 
     @property
     def unused_data(self) -> bytes:
-        """What it was given of whatever follows the stream."""
+        """The bytes it was given that follow the stream."""
 
     def decompress(self, data: bytes, max_length: int = -1) -> bytes:
         """Take more of the stream; return no more than so many bytes of its contents."""
 
 
 class DamagedStreamError(Exception):
-    """What is compressed is damaged, whichever library says so."""
+    """A compressed stream is damaged."""
 
 
 class _Gzip:
@@ -322,7 +322,7 @@ class PipeStream(io.RawIOBase):
             raise InputLeftError(f"stopped early: {INPUT_NAME} was left before its end")
 
     def _has_more(self, deadline_s: float) -> bool:
-        """Wait until there is something to read, the end included; False if the time is over or nobody wants it."""
+        """Wait for bytes or the end of the pipe; return False at the deadline, or if a stop was requested."""
         while not self._has_ended:
             wait_s = min(LOOK_S, deadline_s - time.monotonic())
             if wait_s <= 0.0:
@@ -330,7 +330,7 @@ class PipeStream(io.RawIOBase):
             try:
                 if select.select([self._descriptor], [], [], wait_s)[0]:
                     return True
-            except (OSError, ValueError):  # a system whose select knows nothing but sockets: reading itself waits
+            except (OSError, ValueError):  # select takes sockets only on this system: reading itself waits
                 return True
             if self._is_stopped():
                 self._has_ended = self.was_left = True
@@ -358,7 +358,7 @@ def open_standard_input(is_stopped: Callable[[], bool] = never) -> PipeStream:
     return PipeStream(descriptor, is_stopped)
 
 
-class KeptFile(io.BufferedReader):
+class TemporaryLog(io.BufferedReader):
     """A file that is gone when it is closed, with the folder in which it lies."""
 
     def __init__(self, folder: "TemporaryDirectory[str]", path: Path) -> None:
@@ -370,14 +370,14 @@ class KeptFile(io.BufferedReader):
         self._folder.cleanup()
 
 
-def kept(pieces: Iterable[bytes]) -> KeptFile:
+def temporary_log(pieces: Iterable[bytes]) -> TemporaryLog:
     """Return a file with all pieces; raises OSError if the disk does not take them."""
     folder = TemporaryDirectory(prefix="clutchdiag-")
     try:
         path = Path(folder.name) / "log"
         with path.open("wb") as file:
             file.writelines(pieces)
-        return KeptFile(folder, path)
+        return TemporaryLog(folder, path)
     except BaseException:
         folder.cleanup()
         raise

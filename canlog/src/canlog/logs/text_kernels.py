@@ -24,7 +24,6 @@ NEWLINE, TAB, RETURN, BLANK, SLASH = 10, 9, 13, 32, 47
 LONGEST_NUMBER = 18  # digits that 64 bits surely hold
 
 HEX_VALUE: npt.NDArray[np.int8] = np.full(256, -1, np.int8)
-UInt64Array = npt.NDArray[np.uint64]
 
 _1, _2, _3, _4, _5, _6, _7 = (np.uint64(number) for number in range(1, 8))
 _8, _16, _24, _32, _40, _48, _56 = (np.uint64(8 * number) for number in range(1, 8))
@@ -102,7 +101,7 @@ def decimal(text: UInt8Array, at: int, most_digits: int) -> tuple[int, int]:
 
 @part
 def decimal_parts(text: UInt8Array, at: int, whole: int, most_digits: int) -> tuple[int, int]:
-    """Read digits behind a decimal point as parts of a whole, a power of ten; further ones are worth nothing."""
+    """Read digits behind a decimal point as parts of a whole, a power of ten; further digits are ignored."""
     value, begin = 0, at
     while 48 <= text[at] <= 57 and at - begin < most_digits:
         whole //= 10
@@ -199,10 +198,12 @@ class ChannelNames:
     def add(self, name: bytes) -> None:
         """Give a new name a number."""
         index = min(self._count, MOST_CHANNELS - 1)
-        found = DIGITS_AT_END.search(name)
-        taken = set(self.words.numbers[:index].tolist())
-        wanted = int(found[0]) if found else 0
-        free = (number for number in (wanted, *range(MOST_CHANNELS)) if number < MOST_CHANNELS and number not in taken)
+        digits_at_end = DIGITS_AT_END.search(name)
+        numbers = set(self.words.numbers[:index].tolist())
+        wanted = int(digits_at_end[0]) if digits_at_end else 0
+        free = (
+            number for number in (wanted, *range(MOST_CHANNELS)) if number < MOST_CHANNELS and number not in numbers
+        )
         self.words.hashes[index] = name_hash(np.frombuffer(name, np.uint8), 0, len(name))
         self.words.numbers[index] = next(free, MOST_CHANNELS - 1)
         self._count = index + 1
@@ -222,9 +223,6 @@ def name_hash(text: UInt8Array, begin: int, stop: int) -> int:
     for at in range(begin, stop):
         value = ((value ^ int(text[at])) * FNV_FACTOR) & HASH_MASK
     return value
-
-
-LEAST_HANDED_OVER = 0.75  # of a buffer: what is not used of it is kept as long as the batch
 
 
 class FrameRows(NamedTuple):
@@ -271,26 +269,18 @@ class FrameBuffer:
         data[:used, : self.rows.data.shape[1]] = self.rows.data[:used]
         self.rows = self.rows._replace(data=data)
 
-    def handed_over(self, count: int) -> FrameBatch:
-        """Return the first rows as ``batch`` does, without a copy if they are most of the buffer: it gets new ones."""
-        if count < LEAST_HANDED_OVER * len(self.rows.t_ns):
-            return self.batch(count)
-        batch = self.batch(count, is_copied=False)
-        self.rows = new_rows(*self.rows.data.shape)
-        return batch
-
-    def batch(self, count: int, *, is_copied: bool = True) -> FrameBatch:
+    def batch(self, count: int) -> FrameBatch:
         """Return the first rows, no wider than they need."""
         rows, width = self.rows, self.rows.data.shape[1]
         if width > PAYLOAD_BYTES and not (rows.flags[:count] & np.uint8(FD_FLAG)).any():
             width = PAYLOAD_BYTES
         return FrameBatch(
-            t_ns=np.array(rows.t_ns[:count], copy=is_copied),
-            can_id=np.array(rows.can_id[:count], copy=is_copied),
-            length=np.array(rows.length[:count], copy=is_copied),
-            data=np.array(rows.data[:count, :width], copy=is_copied or width < rows.data.shape[1]),
-            flags=np.array(rows.flags[:count], copy=is_copied),
-            channel=np.array(rows.channel[:count], copy=is_copied),
+            t_ns=rows.t_ns[:count].copy(),
+            can_id=rows.can_id[:count].copy(),
+            length=rows.length[:count].copy(),
+            data=rows.data[:count, :width].copy(),
+            flags=rows.flags[:count].copy(),
+            channel=rows.channel[:count].copy(),
         )
 
 

@@ -30,7 +30,7 @@ from canlog.logs.text_kernels import (
 )
 
 BLOCK_BYTES = 2 * 1024 * 1024
-MAX_LINE_BYTES = 4096  # whatever is longer is not text
+MAX_LINE_BYTES = 4096  # longer lines are no text
 LOOK_AHEAD_BYTES = 64 * 1024
 BYTE_ORDER_MARK = codecs.BOM_UTF8  # some editors and converters put it before a text
 
@@ -49,11 +49,11 @@ class TextLog(ABC):
         """Return whether no byte can be missing of a last line to which its newline was added."""
 
     def read_comment(self, line: bytes) -> bool:
-        """Take up what a line without a frame says; return whether it belongs to the format."""
+        """Read a line without a frame; return whether it belongs to the format."""
         return not line
 
     def look_ahead(self, text: bytes) -> None:  # noqa: B027 - most formats need not
-        """Find out what single lines do not tell, from the beginning of the log."""
+        """Find out from the beginning of the log what single lines do not show."""
 
 
 class KernelLog(TextLog):
@@ -63,7 +63,7 @@ class KernelLog(TextLog):
 
     @abstractmethod
     def parse(self, text: UInt8Array, rows: FrameRows, progress: Int64Array) -> None:
-        """Read lines from where the progress says, until one stops the compiled reader; the progress then says why."""
+        """Read lines from the position in ``progress`` until one stops the compiled reader; write why into it."""
 
 
 class LineLog(TextLog):
@@ -106,10 +106,10 @@ class TextReader:
         frames = list[Frame]()
         for line in text.tobytes().split(b"\n")[:-1]:
             self._lines += 1
-            found = log.read_line(line)
-            if isinstance(found, Frame):
-                frames.append(found)
-            elif found == SKIPPED or (found == OTHER and self._comment(line) == SKIPPED):
+            outcome = log.read_line(line)
+            if isinstance(outcome, Frame):
+                frames.append(outcome)
+            elif outcome == SKIPPED or (outcome == OTHER and self._comment(line) == SKIPPED):
                 self._counts.skipped += 1
             else:
                 self._counts.reject(LogReject.MALFORMED, f"line {self._lines}")
@@ -176,26 +176,26 @@ def lines_of(stream: BinaryIO, least_bytes: int = len(BYTE_ORDER_MARK)) -> Itera
     alone are lines, too, if those at the beginning do.
     """
     buffer = bytearray(BLOCK_BYTES + MAX_LINE_BYTES)
-    kept, is_first, has_returns = 0, True, False
-    while got := _fill(stream, memoryview(buffer)[kept:], least_bytes if is_first else 1):
-        stop = kept + got
+    kept_bytes, is_first, has_returns = 0, True, False
+    while got := _fill(stream, memoryview(buffer)[kept_bytes:], least_bytes if is_first else 1):
+        stop = kept_bytes + got
         if is_first and buffer.startswith(BYTE_ORDER_MARK):
             stop -= len(BYTE_ORDER_MARK)
             buffer[:stop] = buffer[len(BYTE_ORDER_MARK) : stop + len(BYTE_ORDER_MARK)]
         has_returns = ends_by_returns(buffer[: min(stop, LOOK_AHEAD_BYTES)]) if is_first else has_returns
         if has_returns:
-            buffer[kept:stop] = buffer[kept:stop].replace(b"\r", b"\n")
+            buffer[kept_bytes:stop] = buffer[kept_bytes:stop].replace(b"\r", b"\n")
         is_first = False
-        end = buffer.rfind(b"\n", kept, stop) + 1
+        end = buffer.rfind(b"\n", kept_bytes, stop) + 1
         if end:
             yield np.frombuffer(memoryview(buffer).toreadonly(), np.uint8, end), True
         rest = buffer[end:stop]
         if len(rest) > MAX_LINE_BYTES:
             rest = bytearray(b"\0")
-        kept = len(rest)
-        buffer[:kept] = rest
-    if buffer[:kept].strip():
-        yield np.frombuffer(bytes(buffer[:kept]) + b"\n", np.uint8), False
+        kept_bytes = len(rest)
+        buffer[:kept_bytes] = rest
+    if buffer[:kept_bytes].strip():
+        yield np.frombuffer(bytes(buffer[:kept_bytes]) + b"\n", np.uint8), False
 
 
 def ends_by_returns(beginning: bytes | bytearray) -> bool:
@@ -206,9 +206,9 @@ def ends_by_returns(beginning: bytes | bytearray) -> bool:
 def end_of_line(text: UInt8Array, at: int) -> int:
     """Return the position behind the newline that ends a line."""
     step = 128
-    while (found := text[at : at + step].tobytes().find(b"\n")) < 0:
+    while (offset := text[at : at + step].tobytes().find(b"\n")) < 0:
         at, step = at + step, MAX_LINE_BYTES
-    return at + found + 1
+    return at + offset + 1
 
 
 def _fill(stream: BinaryIO, view: memoryview, least_bytes: int) -> int:

@@ -1,4 +1,4 @@
-"""What became of a log that was decoded, to the frame; and how that is told."""
+"""The account of a decoded log: the fate of every frame and signal, in words and as a JSON object."""
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
@@ -38,7 +38,7 @@ class Nearest:
     can_id: int  # with its flags
     message: str
     message_id: int  # likewise
-    remark: str  # why it is not that message, if that can be told
+    remark: str  # why it is not that message; empty if unknown
 
 
 @dataclass(slots=True, kw_only=True)
@@ -94,42 +94,44 @@ class DecodeAccount:
         return sum(self.fates.values()) == self.log.frames
 
     @property
-    def seen_slots(self) -> list[int]:
+    def present_slots(self) -> list[int]:
         """The messages that came, in the order of the database."""
         return np.flatnonzero(self.counts[:-1].any(axis=1)).tolist()
 
     @property
     def refused(self) -> dict[str, str]:
-        """Why signals of messages that came cannot be decoded; a message without any tells of each of its signals."""
-        found: dict[str, str] = {}
-        for slot in self.seen_slots:
+        """Why signals of messages that came cannot be decoded, by their names."""
+        reasons: dict[str, str] = {}
+        for slot in self.present_slots:
             table = self.codec.tables[slot]
-            found |= {f"{self.names.messages[slot]}.{name}": why for name, why in table.refused.items()}
-        return found
+            reasons |= {f"{self.names.messages[slot]}.{name}": why for name, why in table.refused.items()}
+        return reasons
 
     @property
     def transported(self) -> dict[str, tuple[int, int]]:
         """Messages that no frame holds: their bytes, and how many frames came."""
         return {
             self.names.messages[slot]: (self.codec.tables[slot].message.length, count)
-            for slot in self.seen_slots
+            for slot in self.present_slots
             if (count := int(self.counts[slot, FrameFate.TRANSPORTED]))
         }
 
     @property
     def overwritten(self) -> list[tuple[str, str]]:
         """Messages that came, but gave way to a later one of the same identifier."""
-        seen = {id(self.codec.tables[slot].message): slot for slot in self.seen_slots}
+        slot_of = {id(self.codec.tables[slot].message): slot for slot in self.present_slots}
         return [
-            (old.name, self.names.messages[seen[id(new)]]) for old, new in self.codec.overwritten if id(new) in seen
+            (old.name, self.names.messages[slot_of[id(new)]])
+            for old, new in self.codec.overwritten
+            if id(new) in slot_of
         ]
 
     @property
     def unknown_ids(self) -> list[tuple[int, int]]:
         """Identifiers of no message, with flags, and how often they came; the most frequent first."""
         slots = self.codec.slots_of([*self.frames_of_id])
-        unknown = [one for one, slot in zip(self.frames_of_id.items(), slots, strict=True) if slot == NOBODY]
-        return sorted(unknown, key=lambda one: (-one[1], one[0]))
+        unknown = [item for item, slot in zip(self.frames_of_id.items(), slots, strict=True) if slot == NOBODY]
+        return sorted(unknown, key=lambda item: (-item[1], item[0]))
 
     @property
     def of_group_count(self) -> int:
@@ -149,7 +151,7 @@ class DecodeAccount:
     @property
     def why_wrong(self) -> str:
         """Why the database is probably that of another bus; empty if it may be the right one."""
-        messages = {self.names.messages[slot] for slot in self.seen_slots}
+        messages = {self.names.messages[slot] for slot in self.present_slots}
         return why_wrong(self.known_count, len(self.frames_of_id), len(messages), len(self.codec.tables))
 
     @property
@@ -219,16 +221,16 @@ def losses(account: DecodeAccount) -> Iterator[str]:
 
 def _why_nothing(account: DecodeAccount) -> str:
     near = [
-        f"{identifier_text(one.can_id)} of the log to {identifier_text(one.message_id)} {one.message}"
-        + (f" ({one.remark})" if one.remark else "")
-        for one in account.nearest()
+        f"{identifier_text(near.can_id)} of the log to {identifier_text(near.message_id)} {near.message}"
+        + (f" ({near.remark})" if near.remark else "")
+        for near in account.nearest()
     ]
     head = f"0 of {len(account.frames_of_id)} identifiers are in this database"
     return f"{head}; nearest: {'; '.join(near)}" if near else head
 
 
 def remarks(account: DecodeAccount) -> Iterator[str]:
-    """Yield for people what is in the table, or is missing by right, but may be worth a look."""
+    """Yield for people what is no loss but unusual: assumptions, unknown identifiers, values out of range."""
     yield from assumed_texts(account.log)
     yield from odd_texts(account.log)
     short_count, unknown = account.fates[FrameFate.SHORT], account.unknown_ids
@@ -242,15 +244,15 @@ def remarks(account: DecodeAccount) -> Iterator[str]:
     if account.unlisted_count:
         yield f"{account.unlisted_count} frames have identifiers beyond the first {MAX_IDS}, not listed one by one"
     for attribute, text in (("out_of_range", "outside [min|max]"), ("not_a_number", "that are not numbers")):
-        counts = {account.names.columns[place]: getattr(one, attribute) for place, one in account.signals.items()}
-        found = {name: count for name, count in counts.items() if count}
-        if found:
-            yield f"{sum(found.values())} values {text}, written as sent: " + listing(found)
+        counts = {account.names.columns[place]: getattr(signal, attribute) for place, signal in account.signals.items()}
+        counts = {name: count for name, count in counts.items() if count}
+        if counts:
+            yield f"{sum(counts.values())} values {text}, written as sent: " + listing(counts)
 
 
 def listing(counts: Mapping[str, int]) -> str:
     """Return the largest counts by name, and how many more there are."""
-    largest = sorted(counts.items(), key=lambda one: (-one[1], one[0]))
+    largest = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
     parts = [f"{name} {count}" for name, count in largest[:SHOWN_COUNT]]
     return ", ".join(parts + ([f"and {len(largest) - SHOWN_COUNT} more"] if len(largest) > SHOWN_COUNT else []))
 
@@ -301,11 +303,11 @@ def account_record(account: DecodeAccount) -> JsonObject:
             "unlisted_frames": account.unlisted_count,
             "unknown": [{**_identifier(can_id), "frames": count} for can_id, count in account.unknown_ids],
             "nearest": [
-                {**_identifier(one.can_id), "message": one.message, "message_id": identifier_text(one.message_id)}
-                for one in (account.nearest() if account.knows_nothing else ())
+                {**_identifier(near.can_id), "message": near.message, "message_id": identifier_text(near.message_id)}
+                for near in (account.nearest() if account.knows_nothing else ())
             ],
         },
-        "messages": [_message(account, slot) for slot in account.seen_slots],
+        "messages": [_message(account, slot) for slot in account.present_slots],
         "refused": account.refused,
         "overwritten": [{"message": old, "by": new} for old, new in account.overwritten],
         "losses": list(losses(account)),

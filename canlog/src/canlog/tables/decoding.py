@@ -47,16 +47,16 @@ def chosen_places(columns: Mapping[Place, str], patterns: Sequence[str]) -> froz
 
     Raises DefinitionError if a pattern names none.
     """
-    found: set[Place] = set()
+    chosen: set[Place] = set()
     for pattern in patterns:
-        own = {place for place, column in columns.items() if fnmatchcase(column, pattern) or place[1] == pattern}
-        own |= {place for place in columns if "." not in pattern and fnmatchcase(place[1], pattern)}
-        if not own:
+        places = {place for place, column in columns.items() if fnmatchcase(column, pattern) or place[1] == pattern}
+        places |= {place for place in columns if "." not in pattern and fnmatchcase(place[1], pattern)}
+        if not places:
             names = [*columns.values(), *(name for _, name in columns)]
             near = ", ".join(dict.fromkeys(get_close_matches(pattern, names)))
             raise DefinitionError(f"no signal is called {pattern}" + (f"; there is {near}" if near else ""))
-        found |= own
-    return frozenset(found)
+        chosen |= places
+    return frozenset(chosen)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +100,7 @@ class Span:
     @classmethod
     def of(cls, begin: str | float | None, end: str | float | None) -> "Span":
         """Return the stretch between two moments, or without a limit; raises SourceError if it can be none."""
-        first, last = (None if one is None else TimeLimit.of(str(one)) for one in (begin, end))
+        first, last = (None if limit is None else TimeLimit.of(str(limit)) for limit in (begin, end))
         if first and last and first.is_elapsed is last.is_elapsed and first.ns >= last.ns:
             raise SourceError(f"nothing lies between {begin} and {end}: the first time must be before the second")
         return cls(first, last)
@@ -122,10 +122,10 @@ class Span:
             if begin_ns is None or end_ns is None:
                 continue
             is_inside = (batch.t_ns >= begin_ns) & (batch.t_ns < end_ns)
-            kept = batch if is_inside.all() else batch[is_inside]
-            left_out(len(batch) - len(kept))
-            if len(kept):
-                yield kept
+            inside = batch if is_inside.all() else batch[is_inside]
+            left_out(len(batch) - len(inside))
+            if len(inside):
+                yield inside
             elif int(np.min(batch.t_ns)) - JUMP_NS >= end_ns:
                 return
 
@@ -243,9 +243,6 @@ class Plan:
     names: TableNames
     shape: TableShape = TableShape.WIDE
     values: Values = Values.NUMBERS
-    max_cells: int = MAX_CELLS  # of a row group
-    max_frames: int = GROUP_FRAMES  # likewise
-    max_values: int = GROUP_VALUES  # likewise
     span: Span = EVERYTHING
     is_measured: bool = False  # whether codes that say "not available" are no values
 
@@ -289,7 +286,7 @@ class Plan:
         """Yield frames in groups that fit the memory as rows of a layout; None: of one message only."""
         most_values = max((len(table.signals) for table in self.codec.tables), default=1) or 1
         most_cells = most_values if layout is None else len(layout.kinds)
-        count = min(self.max_frames, self.max_cells // most_cells, self.max_values // most_values)
+        count = min(GROUP_FRAMES, MAX_CELLS // most_cells, GROUP_VALUES // most_values)
         return grouped(batches, max(1, count), is_live=is_live)
 
 
@@ -446,7 +443,7 @@ EVERY_SIGNAL: Final = TableChoice()
 
 
 def default_shape(output: Path, *, is_folder: bool = False) -> TableShapeName:
-    """Return the shape where nobody said it: in a folder each message has a table, and one table is wide.
+    """Return the default shape: a folder has a table for each message, a file is one wide table.
 
     ``is_folder``: whatever the output is called, since each of several logs gets a folder of its own there.
     """

@@ -13,7 +13,7 @@ from canlog.errors import SourceError
 from canlog.frames import FrameBatch, join
 from canlog.logs import STANDARD_INPUT, LogCounts, LogReader, merged_by_time, read_log, shown_name
 from canlog.logs.reading import Watch, named_error
-from canlog.logs.streams import kept, never, open_standard_input
+from canlog.logs.streams import never, open_standard_input, temporary_log
 
 if TYPE_CHECKING:
     from canlog.arrays import UInt8Array
@@ -55,7 +55,7 @@ class LogSet:
         self.paths = tuple(paths)
         self.readers: list[LogReader] = []  # of the last reading
         # Bytes that are no text become escapes.
-        names = (shown_name(one).encode(errors="surrogateescape").decode(errors="backslashreplace") for one in paths)
+        names = (shown_name(path).encode(errors="surrogateescape").decode(errors="backslashreplace") for path in paths)
         self.names = tuple(names) if len(paths) > 1 else ()
         self._is_stopped = is_stopped
         self._watch = watch
@@ -68,7 +68,7 @@ class LogSet:
         if self._is_kept:
             try:
                 pieces = open_standard_input(self._is_stopped).pieces(self._is_stopped)
-                file = self._opened.enter_context(kept(pieces))
+                file = self._opened.enter_context(temporary_log(pieces))
             except (OSError, SourceError) as exc:
                 raise named_error(shown_name(STANDARD_INPUT), exc) from exc
             self._kept_path = Path(str(file.name))
@@ -124,7 +124,7 @@ def _with_name(counts: LogCounts, name: str) -> LogCounts:
 
 def log_paths(path: Path | str | Sequence[Path | str]) -> list[Path]:
     """Return one log or several as a list; raises SourceError if there is none."""
-    paths = [Path(path)] if isinstance(path, str | Path) else [Path(one) for one in path]
+    paths = [Path(path)] if isinstance(path, str | Path) else [Path(name) for name in path]
     if not paths:
         raise SourceError("no log is named")
     return paths

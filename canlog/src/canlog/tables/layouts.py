@@ -67,11 +67,11 @@ def table_names(tables: Sequence[MessageTable]) -> TableNames:
         _with_identifier(table.message) if count[table.message.name] > 1 else table.message.name for table in tables
     ]
     wanted = {(slot, name): f"{messages[slot]}.{name}" for slot, table in enumerate(tables) for name in table.signals}
-    taken = Counter(name for column in wanted.values() for name in (column, column + TEXT_SUFFIX))
+    uses = Counter(name for column in wanted.values() for name in (column, column + TEXT_SUFFIX))
     columns: dict[Place, str] = {}
     used: set[str] = set()
     for (slot, signal), column in wanted.items():
-        is_ambiguous = taken[column] > 1 or taken[column + TEXT_SUFFIX] > 1
+        is_ambiguous = uses[column] > 1 or uses[column + TEXT_SUFFIX] > 1
         name = f"{_with_identifier(tables[slot].message)}.{signal}" if is_ambiguous else column
         if name in used or name + TEXT_SUFFIX in used:
             name = _unused(name, used)
@@ -90,11 +90,11 @@ def _with_identifier(message: Message) -> str:
 
 def _unused(name: str, used: Container[str]) -> str:
     """Return a name, with a number if it or its text column is taken."""
-    found, number = name, 1
-    while found in used or found + TEXT_SUFFIX in used:
+    unused, number = name, 1
+    while unused in used or unused + TEXT_SUFFIX in used:
         number += 1
-        found = f"{name}#{number}"
-    return found
+        unused = f"{name}#{number}"
+    return unused
 
 
 Int32Array = npt.NDArray[np.int32]
@@ -159,7 +159,7 @@ class WideLayout:
         is_measured: bool = False,
     ) -> None:
         self._tables = tables
-        self._is_measured = is_measured  # null is what the codec says is no measurement, too
+        self._is_measured = is_measured  # values that are no measurement are null, too
         self.names = names
         self.values = values
         self._logs = logs  # the names of several logs
@@ -223,12 +223,12 @@ class WideLayout:
                 columns[self.names.columns[place] + TEXT_SUFFIX] = cells.texts(place, self.texts[place].names)
         return len(frames), columns
 
-    def _fill(self, cells: "_Cells", one: MessageValues, rows: Int64Array) -> None:
+    def _fill(self, cells: "_Cells", message: MessageValues, rows: Int64Array) -> None:
         """Fill in the values of some frames of one message, and the texts of those that have any."""
-        for name, decoded in one.signals.items():
-            place, is_there = (one.slot, name), decoded.is_present
+        for name, decoded in message.signals.items():
+            place, is_there = (message.slot, name), decoded.is_present
             if place in self.texts:
-                codes = self.texts[place].codes(one.words)
+                codes = self.texts[place].codes(message.words)
                 if is_there is not None:
                     codes = np.where(is_there, codes, np.int32(NAMELESS))
                 cells.put_codes(place, rows, codes)
@@ -240,7 +240,7 @@ class WideLayout:
 
 
 class _Cells:
-    """Columns of a wide row group that are being filled; what nobody fills stays null."""
+    """Columns of a wide row group that are being filled; cells that are not filled stay null."""
 
     def __init__(self, row_count: int) -> None:
         self._count = row_count
@@ -249,7 +249,7 @@ class _Cells:
         self._codes: dict[Place, Int32Array] = {}
 
     def put(self, place: Place, rows: Int64Array, value: FloatArray, is_there: BoolArray | None) -> None:
-        """Fill in some rows of a signal; ``is_there`` tells in which of them it is, None: in all."""
+        """Fill in some rows of a signal; ``is_there`` marks those that carry it, None: all do."""
         if place not in self._value:
             self._value[place] = np.zeros(self._count)
             self._is_there[place] = np.zeros(self._count, np.bool_)
@@ -263,15 +263,15 @@ class _Cells:
     def numbers(self, places: Sequence[Place]) -> dict[Place, Column]:
         """Return the numbers of signals; they are not copied, and the bits of what is there are packed fast."""
         arrow = load_pyarrow()
-        found: dict[Place, Column] = {}
+        columns: dict[Place, Column] = {}
         for place in places:
             value = self._value.get(place)
             if value is None:
-                found[place] = arrow.nulls(self._count, "float64")
+                columns[place] = arrow.nulls(self._count, "float64")
                 continue
             bits = arrow.py_buffer(np.packbits(self._is_there[place], bitorder="little"))
-            found[place] = arrow.Array.from_buffers(arrow.float64(), len(value), [bits, arrow.py_buffer(value)])
-        return found
+            columns[place] = arrow.Array.from_buffers(arrow.float64(), len(value), [bits, arrow.py_buffer(value)])
+        return columns
 
     def texts(self, place: Place, names: Sequence[str]) -> Column:
         return _name_column(names, self._codes.get(place, np.full(self._count, NAMELESS, np.int32)))
@@ -285,8 +285,8 @@ def _name_column(names: Sequence[str], which: Int32Array) -> Column:
     indices = column_of(np.maximum(codes, 0), codes != NAMELESS)  # readers check the codes of what is null as well
     texts = [name.encode() for name in known]
     ends = np.cumsum([0, *map(len, texts)], dtype=np.int32)
-    found = arrow.StringArray.from_buffers(len(texts), arrow.py_buffer(ends), arrow.py_buffer(b"".join(texts)))
-    return arrow.DictionaryArray.from_arrays(indices, found)
+    dictionary = arrow.StringArray.from_buffers(len(texts), arrow.py_buffer(ends), arrow.py_buffer(b"".join(texts)))
+    return arrow.DictionaryArray.from_arrays(indices, dictionary)
 
 
 def column_of(values: npt.NDArray[Any], is_there: BoolArray | None = None, kind: Any = None) -> Column:  # noqa: ANN401 - a type of pyarrow
@@ -294,7 +294,7 @@ def column_of(values: npt.NDArray[Any], is_there: BoolArray | None = None, kind:
 
     pyarrow's own way takes longer, and loads pandas where it is installed.
     """
-    arrow = import_module("pyarrow")  # whoever has columns to write has loaded it
+    arrow = import_module("pyarrow")  # loaded by `load_pyarrow` before
     packed = np.packbits(values, bitorder="little") if values.dtype == np.bool_ else values
     bits = None if is_there is None else arrow.py_buffer(np.packbits(is_there, bitorder="little"))
     return arrow.Array.from_buffers(

@@ -28,24 +28,24 @@ def file_names(names: Iterable[str]) -> tuple[str, ...]:
     Letters and digits of any script stay, what a system or a shell might take for something else becomes ``_``. Names
     that differ in nothing but case, or become alike, get a number.
     """
-    found: list[str] = []
-    taken: set[str] = set()
+    safe_names: list[str] = []
+    folded: set[str] = set()
     for name in names:
-        safe = own = _safe(name)
+        safe = base = _safe(name)
         number = 1
-        while safe.casefold() in taken:
+        while safe.casefold() in folded:
             number += 1
-            safe = f"{own}-{number}"
-        taken.add(safe.casefold())
-        found.append(safe)
-    return tuple(found)
+            safe = f"{base}-{number}"
+        folded.add(safe.casefold())
+        safe_names.append(safe)
+    return tuple(safe_names)
 
 
 def _safe(name: str) -> str:
     composed = unicodedata.normalize("NFC", name)
-    kept = "".join(one if one.isalnum() or one in _KEPT else _NAMELESS for one in composed)
-    kept = kept.encode(errors="replace")[:LONGEST_BYTES].decode(errors="ignore").strip(".") or _NAMELESS
-    return f"{_NAMELESS}{kept}" if kept.split(".")[0].casefold() in _DEVICES else kept
+    safe = "".join(letter if letter.isalnum() or letter in _KEPT else _NAMELESS for letter in composed)
+    safe = safe.encode(errors="replace")[:LONGEST_BYTES].decode(errors="ignore").strip(".") or _NAMELESS
+    return f"{_NAMELESS}{safe}" if safe.split(".")[0].casefold() in _DEVICES else safe
 
 
 HELD_BYTES: Final = 65_536  # of each file, until it is opened and written to: no system lets hundreds be open at once

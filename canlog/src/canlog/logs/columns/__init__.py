@@ -1,5 +1,5 @@
-"""Text logs of separated columns in any order, as their header names them or as one says oneself."""
+"""Text logs of separated columns in any order, named by their header or by ``--columns``."""
 
-from canlog.logs.columns.log import NO_HEADER, ColumnsLog, columns_seen, is_list
+from canlog.logs.columns.log import NO_HEADER, ColumnsLog, header_names, is_list
 
-__all__ = ["NO_HEADER", "ColumnsLog", "columns_seen", "is_list"]
+__all__ = ["NO_HEADER", "ColumnsLog", "header_names", "is_list"]

@@ -41,7 +41,7 @@ class Role(IntEnum):
     BIT_RATE_SWITCH = 11
     ERROR_STATE = 12
     DIRECTION = 13  # Tx or anything else
-    FLAGS = 14  # hexadecimal bits, as CLX000 loggers have them [the one that says that the recorder sent the frame]
+    FLAGS = 14  # hexadecimal bits, as CLX000 loggers have them [the bit of a frame that the recorder sent]
     STAMP = 15  # digits of a time to the millisecond, without its larger parts [year of those without]
     WORD = 16  # a word of the layout, behind it a channel's digit [first of three letters of words for events]
     BASE64 = 17  # all bytes
@@ -50,7 +50,7 @@ class Role(IntEnum):
 
 
 class Meaning(IntFlag):
-    """What a word or a switch says about a frame: the flags of its identifier and its own, and one of ours."""
+    """What a word or a switch means for a frame: flags of its identifier, flags of its own, or no frame at all."""
 
     NOTHING = 0
     EXTENDED = EXTENDED_FLAG
@@ -59,7 +59,7 @@ class Meaning(IntFlag):
     FD = FD_FLAG
     BIT_RATE_SWITCH = BRS_FLAG
     ERROR_STATE = ESI_FLAG
-    EVENT = 0x100  # the line holds no frame and is not meant to
+    EVENT = 0x100  # the line is an event, no frame
     SENT = TX_FLAG  # by the recorder itself
 
 
@@ -113,14 +113,14 @@ CODES = len(LENGTH_OF_CODE)
 BUS_CHANGE_ID = 0xFFFF_FFFF  # how PCAN writes one
 EVENT_LETTERS = 3
 EXTENDED_BIT = 0x1  # of the type of a frame, as CLX000 loggers write it
-EXTENDED_BITS, STANDARD_BITS = 29, 11  # of an identifier: a number that says yes, and one that says no
+EXTENDED_BITS, STANDARD_BITS = 29, 11  # of an identifier: a number that means yes, and one that means no
 UNKNOWN = b"-"  # in an exact layout
 REMOTE_WORD = b"remote"  # "Remote request DLC = 8", as IXXAT writes it
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 HOUR_DIGITS, DAY_DIGITS, MONTH_DIGITS, YEAR_DIGITS = 9, 11, 13, 17  # of a stamp in milliseconds up to these parts
 
-# First letters of fields that say yes, by the role of their column: true, yes, x, and what names it, such as Ext or Tx;
-# and what yes says about a frame: flags of its identifier and its own.
+# First letters of fields that mean yes, by the role of their column: true, yes, x, and its name, such as Ext or Tx;
+# and the flag that yes sets.
 SWITCHES = {
     Role.EXTENDED: (b"tyxe", EXTENDED_FLAG),
     Role.REMOTE: (b"tyxr", REMOTE_FLAG),
@@ -146,7 +146,7 @@ _BYTE = {
     HEXADECIMAL: rb"(?:0[xX](?=.))?(?:[0-9A-Fa-f]{2}|[0-9A-Fa-f](?![^\x00-\x20,:\-._\[\]]))",
     10: rb"(?:0[xX][0-9A-Fa-f]{1,2}|\d{1,3})(?![^\x00-\x20,:\-._\[\]])",
 }
-_BYTES = {base: re.compile(rb"%s*(?:%s%s*)*" % (_BETWEEN, one, _BETWEEN), re.DOTALL) for base, one in _BYTE.items()}
+_BYTES = {base: re.compile(rb"%s*(?:%s%s*)*" % (_BETWEEN, byte, _BETWEEN), re.DOTALL) for base, byte in _BYTE.items()}
 
 
 class _MalformedError(ValueError):
@@ -219,7 +219,7 @@ class LineReader:
             if line.meaning & EVENT:
                 clock.now_us += line.time_us if clock.is_relative else 0
                 return SKIPPED
-            self._settle_length(line)
+            self._check_length(line)
             return self._frame(line, clock)
         except (_MalformedError, ValueError, csv.Error):
             return MALFORMED
@@ -229,9 +229,9 @@ class LineReader:
         if self._separator is None:
             return text.split()
         if b'"' not in text:
-            return [one.strip(_MARGIN) for one in text.split(self._separator)]
+            return [field.strip(_MARGIN) for field in text.split(self._separator)]
         quoted = csv.reader([text.decode("latin-1")], delimiter=self._separator.decode(), skipinitialspace=True)
-        return [one.strip().encode("latin-1") for one in next(quoted, [])]
+        return [field.strip().encode("latin-1") for field in next(quoted, [])]
 
     def _read_fields(self, fields: Sequence[bytes], line: _Line) -> None:
         """Read all fields, or those up to a word of an event."""
@@ -401,9 +401,9 @@ class LineReader:
             return
         if not _BYTES[base].fullmatch(text):
             raise _MalformedError
-        found = [one.lower() for one in re.findall(_BYTE[base], text, re.DOTALL)]
-        line.data += bytes(int(one, 16 if one.startswith(b"0x") else base) for one in found)
-        if role is Role.BYTE and len(found) > 1:
+        words = [word.lower() for word in re.findall(_BYTE[base], text, re.DOTALL)]
+        line.data += bytes(int(word, 16 if word.startswith(b"0x") else base) for word in words)
+        if role is Role.BYTE and len(words) > 1:
             raise _MalformedError
 
     def _channel(self, text: bytes) -> int:
@@ -417,16 +417,16 @@ class LineReader:
 
         A date is taken as if it were UTC unless an offset stands behind it.
         """
-        if found := _DATE.fullmatch(text):
-            return _date_us(found)
+        if match := _DATE.fullmatch(text):
+            return _date_us(match)
         if b":" in text:
             return _clock_us(text)
         if self._layout.has_decimal_comma:
             text = text.replace(b",", b".", 1)
         return _decimal_us(text, power)
 
-    def _settle_length(self, line: _Line) -> None:
-        """Compare the bytes that were found with those that the line speaks of."""
+    def _check_length(self, line: _Line) -> None:
+        """Compare the number of bytes with the length in the line."""
         count, length, is_exact = len(line.data), line.length, self._layout.is_exact
         if not is_exact and length and PAYLOAD_BYTES < length < CODES and count == LENGTH_OF_CODE[length]:
             length = count  # it was the code for so many
@@ -477,12 +477,12 @@ def _small_number(text: bytes) -> int:
 
 
 def _number_at_end(text: bytes) -> int:
-    found = _CHANNEL.search(text)
-    return value if found and (value := int(found[0])) <= MOST_CHANNEL else 0
+    digits = _CHANNEL.search(text)
+    return value if digits and (value := int(digits[0])) <= MOST_CHANNEL else 0
 
 
 def _switched(text: bytes, role: Role) -> int:
-    """Return what a field that says yes says of a frame: 1, true, yes, x, or the name of what it stands for."""
+    """Return the flag of a column if a field means yes: 1, true, yes, x, or the name of the flag."""
     letters, flag = SWITCHES[role]
     if text[:1].isdigit():
         return flag if _SMALL.fullmatch(text) and 0 < int(text) <= MOST_LENGTH and int(text) != STANDARD_BITS else 0
@@ -501,28 +501,28 @@ def _decimal_us(text: bytes, power: int) -> int:
 
 def _clock_us(text: bytes) -> int:
     """Return ``hours:minutes:seconds.fraction`` in microseconds."""
-    found = _CLOCK.fullmatch(text)
-    hours, minutes, seconds = map(int, found.groups()[:3]) if found else (0, 60, 0)
-    if not found or max(minutes, seconds) >= 60:
+    match = _CLOCK.fullmatch(text)
+    hours, minutes, seconds = map(int, match.groups()[:3]) if match else (0, 60, 0)
+    if not match or max(minutes, seconds) >= 60:
         raise _MalformedError
-    return ((hours * 60 + minutes) * 60 + seconds) * SECOND_US + int((found[4] or b"").ljust(6, b"0")[:6])
+    return ((hours * 60 + minutes) * 60 + seconds) * SECOND_US + int((match[4] or b"").ljust(6, b"0")[:6])
 
 
 def _counted_clock_us(text: bytes, unit_us: int) -> int:
     """Return ``hours:minutes:seconds:count``, a count of so many microseconds, padded with zeros or not."""
-    found = _COUNTED_CLOCK.fullmatch(text)
-    hours, minutes, seconds, count = map(int, found.groups()) if found else (0, 60, 0, 0)
+    match = _COUNTED_CLOCK.fullmatch(text)
+    hours, minutes, seconds, count = map(int, match.groups()) if match else (0, 60, 0, 0)
     if max(minutes, seconds) >= 60 or count * unit_us >= SECOND_US:
         raise _MalformedError
     return ((hours * 60 + minutes) * 60 + seconds) * SECOND_US + count * unit_us
 
 
-def _date_us(found: re.Match[bytes]) -> int:
+def _date_us(match: re.Match[bytes]) -> int:
     """Return ``2026-01-31T23:59:59.5+01:00``, or with a blank and without an offset, in microseconds."""
-    year, month, day = (int(found[number]) for number in (1, 3, 4))
-    offset_s = (int(found[7]) * 60 + int(found[8])) * 60 * (-1 if found[6] == b"-" else 1) if found[6] else 0
+    year, month, day = (int(match[number]) for number in (1, 3, 4))
+    offset_s = (int(match[7]) * 60 + int(match[8])) * 60 * (-1 if match[6] == b"-" else 1) if match[6] else 0
     days = (datetime(year, month, day, tzinfo=UTC) - EPOCH).days
-    return days * 86_400 * SECOND_US + _clock_us(found[5]) - offset_s * SECOND_US
+    return days * 86_400 * SECOND_US + _clock_us(match[5]) - offset_s * SECOND_US
 
 
 def _stamp_us(text: bytes, year: int) -> int:

@@ -1,4 +1,4 @@
-"""Tables whose columns a header names, or somebody: what names say of columns; what they are taken for is said."""
+"""Tables of frames whose columns are named by a header or by ``--columns``; assumptions become notes."""
 
 import csv
 import re
@@ -78,7 +78,7 @@ SYNONYMS: Final[Mapping[Role, tuple[str, ...]]] = {
 }  # fmt: skip
 BYTE_NAME: Final = re.compile(r"(?:d|b|db|data|byte|databyte|datab)(\d{1,2})")
 NUMBER_IN_BRACKETS: Final = re.compile(r"[\[(](\d+)[)\]]")
-NO_BASE: Final = 0  # of identifiers: they tell it themselves
+NO_BASE: Final = 0  # of identifiers: found out by their digits
 UNIT_IN_BRACKETS: Final = re.compile(r"[\[(](?P<unit>[^)\]]*)[)\]]")
 MARKS: Final = re.compile(r"[\W_]+")
 LARGEST_ID: Final = 0x1FFF_FFFF
@@ -92,7 +92,7 @@ PANDA: Final = frozenset({"bus", "messageid", "message"})
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Proposal:
-    """What columns are taken for, in their order; ``has_unit`` is whether the header says in what times are."""
+    """What columns are taken for, in their order; ``has_unit``: the header has the unit of times."""
 
     columns: tuple[Column, ...]
     names: tuple[str, ...]
@@ -161,21 +161,21 @@ def chosen(choice: str, names: Sequence[str]) -> Proposal:
     Raises SourceError if a role or a column is not known, or the identifier or the bytes are missing.
     """
     most = max((int(word) for word in re.findall(r"\d+", choice) if int(word) <= MOST_COLUMNS), default=0)  # no header
-    columns, has_unit = [Column()] * max(len(names), most), False
+    columns, has_unit, folded = [Column()] * max(len(names), most), False, {name.casefold() for name in names}
     for part in filter(None, map(str.strip, choice.split(","))):
         word, _, rest = part.partition("=")
         role = ROLE_OF_NAME.get(word.strip().lower())
         if role is None or not rest.strip():
             raise SourceError(f"--columns {part!r}: say what is what as {'|'.join(ROLE_OF_NAME)}=COLUMN")
         name, mark, option = rest.strip().rpartition(":")
-        if not mark or rest.strip().casefold() in {one.casefold() for one in names}:  # a colon that is part of a name
+        if not mark or rest.strip().casefold() in folded:  # a colon that is part of a name
             name, option = rest.strip(), ""
         option, places = option.strip().lower(), _places(name, names)
-        own = Role.BYTE if role is Role.DATA and len(places) > 1 else role
+        column_role = Role.BYTE if role is Role.DATA and len(places) > 1 else role
         if role is not Role.DATA and len(places) > 1:
             raise SourceError(f"--columns {part!r}: only data may be several columns")
         for place in places:
-            columns[place] = Column(own, _chosen_parameter(own, option, _name_at(names, place), part))
+            columns[place] = Column(column_role, _chosen_parameter(column_role, option, _name_at(names, place), part))
         has_unit |= role is Role.TIME and (bool(option) or _unit_in(_name_at(names, places[0])) is not None)
     roles = {column.role for column in columns}
     if Role.ID not in roles or roles.isdisjoint({Role.DATA, Role.BYTE}):
@@ -185,7 +185,7 @@ def chosen(choice: str, names: Sequence[str]) -> Proposal:
 
 
 def base_of(values: Iterable[str], names: Sequence[str]) -> tuple[int, str]:
-    """Return the base of identifiers under a header, and what tells it if that is to be said."""
+    """Return the base of identifiers under a header, and the reason if that is worth a note."""
     bare = sorted({value for value in values if BARE.fullmatch(value)})
     plain = [value for value in bare if value.isdigit()]
     lettered = len(bare) - len(plain)
@@ -194,7 +194,7 @@ def base_of(values: Iterable[str], names: Sequence[str]) -> tuple[int, str]:
     between = (
         []
         if tells_kind
-        else [one for one in plain if int(one, 16) > LARGEST_STANDARD_ID and len(one) < FEWEST_LONG_DIGITS]
+        else [digits for digits in plain if int(digits, 16) > LARGEST_STANDARD_ID and len(digits) < FEWEST_LONG_DIGITS]
     )
     base, why = HEXADECIMAL, "nothing shows that they are decimal (--columns id=...:dec says so)"
     if not plain or lettered >= LEAST_LETTERED * len(bare):
@@ -215,7 +215,7 @@ def base_of(values: Iterable[str], names: Sequence[str]) -> tuple[int, str]:
 def are_numbers(choice: str) -> bool:
     """Return whether columns are named by nothing but their numbers."""
     named = [part.partition("=")[2].partition(":")[0].strip() for part in choice.split(",") if part.strip()]
-    return bool(named) and all(re.fullmatch(r"\d+(?:(?:-|\.\.)\d+)?", one) for one in named)
+    return bool(named) and all(re.fullmatch(r"\d+(?:(?:-|\.\.)\d+)?", column) for column in named)
 
 
 def in_unit(columns: Sequence[Column], unit: int) -> tuple[Column, ...]:
@@ -236,7 +236,7 @@ def _unit_behind(name: str) -> str:
 
 
 def _unit_in(name: str) -> int | None:
-    """Return the unit that a name speaks of, as a power of ten in microseconds."""
+    """Return the unit in a name, as a power of ten in microseconds."""
     bracketed = UNIT_IN_BRACKETS.search(name)
     word = bracketed["unit"].strip().casefold() if bracketed else _unit_behind(name)
     return UNITS.get(word)
@@ -268,11 +268,11 @@ def _chosen_parameter(role: Role, option: str, name: str, part: str) -> int:
 
 def _byte_places(plain: Sequence[str]) -> list[int]:
     """Return where the columns of single bytes stand: as many as there are in a row, from number 0 or 1."""
-    found = {int(match[1]): place for place, name in enumerate(plain) if (match := BYTE_NAME.fullmatch(name))}
-    number = min(found, default=2)
+    place_of = {int(match[1]): place for place, name in enumerate(plain) if (match := BYTE_NAME.fullmatch(name))}
+    number = min(place_of, default=2)
     places = list[int]()
-    while number <= 1 + len(places) and number in found:
-        places.append(found[number])
+    while number <= 1 + len(places) and number in place_of:
+        places.append(place_of[number])
         number += 1
     return places if places == sorted(places) else []
 
@@ -282,8 +282,8 @@ def _places(text: str, names: Sequence[str]) -> list[int]:
     place = _place(text, names)
     if place is not None:
         return [place]
-    for found in re.finditer(r"\.\.|-", text):
-        first, last = _place(text[: found.start()], names), _place(text[found.end() :], names)
+    for dash in re.finditer(r"\.\.|-", text):
+        first, last = _place(text[: dash.start()], names), _place(text[dash.end() :], names)
         if first is not None and last is not None and first <= last:
             return list(range(first, last + 1))
     raise SourceError(f"--columns: there is no column {text!r}; {_seen(names)}")
@@ -342,7 +342,7 @@ NO_LAYOUT = Layout(columns=(Column(),), separator=ord(","))
 
 
 class TableLog(LineLog):
-    """A table of a known layout; ``set_layout`` says another, before the first line or by what one says."""
+    """A table of a known layout; `set_layout` changes it, before the first line or because of a line."""
 
     def __init__(self, layout: Layout = NO_LAYOUT) -> None:
         super().__init__()
@@ -385,16 +385,16 @@ class ColumnsLog(TableLog):
     def __init__(self, choice: str = "") -> None:
         super().__init__()
         self._choice = choice
-        self.taken_for = ""
+        self.columns_text = ""
 
     def look_ahead(self, text: bytes) -> None:
         """Find the header, and out of the first lines what it leaves open; raises SourceError if it cannot be used."""
         lines = text.splitlines()
-        number, separator, found = _header_of(lines, self._choice)
+        number, separator, header = _header_of(lines, self._choice)
         body = lines[number : number + SAMPLE_LINES]
         rows = [names_in(line, separator) for line in body if line.strip() and not line.startswith(COMMENTS)]
-        self.taken_for = found.in_words()
-        columns = tuple(self._based(column, place, rows, found.names) for place, column in enumerate(found.columns))
+        self.columns_text = header.in_words()
+        columns = tuple(self._based(column, place, rows, header.names) for place, column in enumerate(header.columns))
         id_digits = {len(value.lower().removeprefix("0x")) for value in _values(columns, Role.ID, rows)}
         self.set_layout(
             Layout(
@@ -404,11 +404,11 @@ class ColumnsLog(TableLog):
                 header_lines=number,
                 extended_digits=8 if 8 in id_digits and id_digits & {3, 4} else 0,  # where others have 3, or 4
                 has_decimal_comma=separator != ord(","),
-                names=found.names,
+                names=header.names,
                 channel_names=self._channel_names(_values(columns, Role.CHANNEL, rows)),
             )
         )
-        self._set_time_unit(found, rows, b"\n".join(body))
+        self._set_time_unit(header, rows, b"\n".join(body))
 
     def _based(self, column: Column, place: int, rows: Sequence[tuple[str, ...]], names: Sequence[str]) -> Column:
         """Return a column with its numbers in the base that they must have."""
@@ -420,14 +420,16 @@ class ColumnsLog(TableLog):
         return replace(column, parameter=base)
 
     def _channel_names(self, names: Sequence[str]) -> tuple[str, ...]:
-        """Return the names of channels whose numbers at their ends do not tell them apart, in the order they came."""
-        seen = tuple(dict.fromkeys(names))[:MOST_CHANNELS]
-        if len({(re.search(r"\d*$", name) or [""])[0] for name in seen}) == len(seen):
+        """Return the names of channels in the order they came, none if the numbers at their ends tell them apart."""
+        first_names = tuple(dict.fromkeys(names))[:MOST_CHANNELS]
+        if len({(re.search(r"\d*$", name) or [""])[0] for name in first_names}) == len(first_names):
             return ()
-        self.notes.append(f"channels are numbered by name: {', '.join(f'{n} {name}' for n, name in enumerate(seen))}")
-        return seen
+        self.notes.append(
+            f"channels are numbered by name: {', '.join(f'{n} {name}' for n, name in enumerate(first_names))}"
+        )
+        return first_names
 
-    def _set_time_unit(self, found: Proposal, rows: Sequence[tuple[str, ...]], body: bytes) -> None:
+    def _set_time_unit(self, header: Proposal, rows: Sequence[tuple[str, ...]], body: bytes) -> None:
         """Find out what the times count, and from when."""
         layout = self.layout
         times = _values(layout.columns, Role.TIME, rows)
@@ -439,7 +441,7 @@ class ColumnsLog(TableLog):
         elif times and CLOCK.match(times[0]):
             self.set_layout(replace(layout, wrap_us=DAY_US))
             self.notes.append("times are times of day, taken as those of 1970-01-01")
-        elif times and not found.has_unit:
+        elif times and not header.has_unit:
             unit = SECONDS  # where they have fractions; else what a bus can carry
             if not any("." in time or "," in time for time in times):
                 counted = replace(layout, columns=in_unit(layout.columns, MICROSECONDS), header_lines=0)
@@ -457,7 +459,7 @@ class ColumnsLog(TableLog):
             self.notes.append("dates are taken as local time: they have no UTC offset")
 
 
-def columns_seen(text: bytes) -> tuple[str, ...]:
+def header_names(text: bytes) -> tuple[str, ...]:
     """Return the names of the columns of what looks like a table; none if it does not."""
     for line in text.splitlines()[:HEADER_LINES_LOOKED_AT]:
         separator = separator_of(line)
@@ -478,12 +480,12 @@ def _header_of(lines: Sequence[bytes], choice: str) -> tuple[int, int, Proposal]
         if len(names) < LEAST_COLUMNS or all(_is_number(name) for name in names):
             continue
         if not choice:
-            if found := proposal(names):
-                return _behind_headers(lines, number, separator, names), separator, found
+            if header := proposal(names):
+                return _behind_headers(lines, number, separator, names), separator, header
             continue
         try:
-            found = chosen(choice, names)
-            return _behind_headers(lines, number, separator, names), separator, found
+            header = chosen(choice, names)
+            return _behind_headers(lines, number, separator, names), separator, header
         except SourceError as exc:
             complaint = complaint or exc
     sample = [line for line in lines if line.strip()][:HEADER_LINES_LOOKED_AT]
@@ -500,15 +502,17 @@ def _behind_headers(lines: Sequence[bytes], number: int, separator: int, names: 
 
 
 def _numbered(lines: Sequence[bytes], choice: str) -> tuple[int, int, Proposal]:
-    """Return the same of columns that are named by their numbers: the header ends where the first frame is."""
+    """Return the same for columns that are named by their numbers: the header ends before the first frame."""
     first_line = next((line for line in lines if line.strip() and not line.startswith(COMMENTS)), b"")
     separator = separator_of(first_line)
-    found = chosen(choice, ())
-    columns = tuple(replace(one, parameter=HEXADECIMAL) if one.role is Role.ID else one for one in found.columns)
+    header = chosen(choice, ())
+    columns = tuple(
+        replace(column, parameter=HEXADECIMAL) if column.role is Role.ID else column for column in header.columns
+    )
     reader = TableLog(Layout(columns=columns, separator=separator, has_decimal_comma=separator != ord(",")))
     numbers = range(min(len(lines), HEADER_LINES_LOOKED_AT))
     first = next((number for number in numbers if len(frames_of(reader, lines[number]))), 0)
-    return first, separator, found
+    return first, separator, header
 
 
 def _is_number(text: str) -> bool:

@@ -153,7 +153,7 @@ NEEDED_LETTERS, MOST_LETTERS = set("OTI"), 15
 
 def trc_layout(letters: str, words: Mapping[str, Meaning]) -> Layout:
     return Layout(
-        columns=tuple(COLUMN_OF_LETTER[one] for one in letters),
+        columns=tuple(COLUMN_OF_LETTER[letter] for letter in letters),
         separator=BLANKS,
         extended_digits=STANDARD_DIGITS + 1,
         words=words,
@@ -218,14 +218,14 @@ def _days_us(text: bytes) -> int | None:
     return round((days - DAYS_TO_EPOCH) * DAY_US)
 
 
-def _date_us(found: re.Match[bytes]) -> int | None:
+def _date_us(match: re.Match[bytes]) -> int | None:
     """Return ``11.09.2002 16:00:20.682`` in microseconds since the epoch; None if there is no such time."""
-    day, month, year, hour, minute, second = (int(found[number]) for number in range(1, 7))
+    day, month, year, hour, minute, second = (int(match[number]) for number in range(1, 7))
     try:
         start = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
     except ValueError:
         return None
-    return int(start.timestamp()) * 1_000_000 + int((found[7] or b"0").ljust(3, b"0")) * 1_000
+    return int(start.timestamp()) * 1_000_000 + int((match[7] or b"0").ljust(3, b"0")) * 1_000
 
 
 BUSMASTER_START = re.compile(rb"\*\*\*START DATE AND TIME\s+(?P<date>[^*]*)")
@@ -295,24 +295,24 @@ class Busmaster(TableLog):
     def read_comment(self, line: bytes) -> bool:
         if not line.startswith(b"***"):
             return False
-        if found := BUSMASTER_START.match(line):
-            self._start_us = date_us(found["date"])
+        if match := BUSMASTER_START.match(line):
+            self._start_us = date_us(match["date"])
             if self._start_us is None:
                 self.notes.append("the start of the log is not understood: times count from 1970")
             self._set_clock()
-        elif found := MODE.match(line):
-            self._mode = found[1]
+        elif match := MODE.match(line):
+            self._mode = match[1]
             self._set_clock()
         elif line in BASES:
             self._is_decimal = BASES[line]
             self._set_layout()
-        elif found := PROTOCOL.match(line):
-            self._is_j1939 = found[1].upper() == b"J1939"
+        elif match := PROTOCOL.match(line):
+            self._is_j1939 = match[1].upper() == b"J1939"
             self._set_layout()
         return True
 
     def _set_layout(self) -> None:
-        """Take up what the header said; without a start, times count from 1970."""
+        """Apply what the header said; without a start, times count from 1970."""
         is_daytime = self._mode == b"SYSTEM"
         layout = busmaster_layout(self._unit_us, is_decimal=self._is_decimal, is_j1939=self._is_j1939)
         self.set_layout(replace(layout, wrap_us=DAY_US if is_daytime else 0))
@@ -370,7 +370,7 @@ class Clx000(TableLog):
 
     def _set_time_unit(self, stamp: str, start: str) -> None:
         """Find out from when times count of which the first has these digits, and when they begin again."""
-        parts = [int(part) for part in found.groups()] if (found := CLX000_START.match(start)) else []
+        parts = [int(part) for part in match.groups()] if (match := CLX000_START.match(start)) else []
         is_date = bool(parts) and 1 <= parts[1] <= 12
         if not is_date:
             self.notes.append(NO_START)
@@ -387,10 +387,10 @@ class Clx000(TableLog):
             return
         lap_us = LAPS_US.get(digits, 0) or calendar.monthrange(year, month)[1] * DAY_US
         # What the times have not, is that of the header; what they have, begins at its least.
-        kept = [day, *clock][: (DAYS - digits) // 2]
-        least = [1, 0, 0, 0][len(kept) :]
+        stated = [day, *clock][: (DAYS - digits) // 2]
+        least = [1, 0, 0, 0][len(stated) :]
         self.set_layout(replace(self.layout, wrap_us=lap_us))
-        self.set_base(_local_us(year, month, *kept, *least) or 0)
+        self.set_base(_local_us(year, month, *stated, *least) or 0)
 
 
 def _local_us(year: int, month: int, day: int, hour: int, minute: int, second: int) -> int | None:
