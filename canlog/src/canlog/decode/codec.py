@@ -1,7 +1,4 @@
-"""All signals of a database: frames in, one table of columns per message out, in the units of the database.
-
-The plain signals of a message are decoded in one compiled pass; their values are those of each signal's own table.
-"""
+"""All signals of a database: frames in, one table of columns per message out, in the units of the database."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from copy import copy
@@ -29,13 +26,11 @@ from canlog.database.addressing import (
 )
 from canlog.database.not_available import no_value_codes
 from canlog.decode.signals import (
-    NO_INVALID,
     WORD_BITS,
     Decoded,
     IntegerCode,
     InvalidCounts,
     PayloadWords,
-    Selector,
     SignalTable,
     UInt64Array,
     compile_signal,
@@ -106,53 +101,32 @@ def signal_rules(messages: Sequence[Sequence[SignalTable]]) -> SignalRules:
 class SignalBlock:
     """The signals of a message, compiled.
 
-    Plain signals go through one kernel; floats and wider integers keep to their own tables. Signals of one page of a
-    multiplexer share the mask that says where they are.
+    Plain signals that are in every frame go through one kernel; all others are decoded by their own tables.
     """
 
     def __init__(self, tables: Mapping[str, SignalTable]) -> None:
-        plain = {name: table for name, table in tables.items() if table.is_plain}
-        row_of = {name: row for row, name in enumerate(plain)}
-        self._signals = [(name, row_of.get(name, -1), table) for name, table in tables.items()]  # -1: by itself
+        plain = {name: table for name, table in tables.items() if table.is_plain and not table.selectors}
+        self._tables = tables
+        self._row_of = {name: row for row, name in enumerate(plain)}
         self._rules = signal_rules([list(plain.values())])
         self._has_checks = bool(self._rules.signal["is_checked"].any())
 
     def decode(self, words: PayloadWords) -> dict[str, Decoded]:
-        value = np.empty((len(self._rules.signal), len(words)))
+        value = np.empty((len(self._row_of), len(words)))
         good = np.empty((len(value), len(words) if self._has_checks else 0), np.bool_)
         bad_count = np.zeros((len(value), 2), np.int64)
         if len(value):
             _decode_rows(words.words(self._rules.word), self._rules, value, good, bad_count)
         values, bad_counts = list(value), bad_count.tolist()
-        present: dict[tuple[Selector, ...], BoolArray] = {}
         signals: dict[str, Decoded] = {}
-        for name, row, table in self._signals:
-            if row < 0:
+        for name, table in self._tables.items():
+            if (row := self._row_of.get(name)) is None:
                 signals[name] = table.decode(words)
-                continue
-            codes, outside = bad_counts[row]
-            is_bad = codes or outside  # rarely: what is the same for all signals is made once
-            invalid = InvalidCounts(codes, outside) if is_bad else NO_INVALID
-            is_good = good[row] if is_bad else None
-            if not table.selectors:
-                signals[name] = Decoded(values[row], is_good, invalid)
-                continue
-            if table.selectors not in present:
-                present[table.selectors] = table.presence(words)
-            if codes and outside:  # which of them are present, the table tells
-                signals[name] = table.decode(words)
+            elif any(bad_counts[row]):
+                signals[name] = Decoded(values[row], good[row], InvalidCounts(*bad_counts[row]))
             else:
-                signals[name] = _selected(values[row], present[table.selectors], is_good, invalid)
+                signals[name] = Decoded(values[row], None)
         return signals
-
-
-def _selected(value: FloatArray, present: BoolArray, is_good: BoolArray | None, invalid: InvalidCounts) -> Decoded:
-    """Return a signal with the frames that do not carry it masked out; what is invalid, is so for one reason."""
-    if is_good is None:
-        return Decoded(value, present, NO_INVALID, present)
-    good = present & is_good
-    bad_count = int(np.count_nonzero(present) - np.count_nonzero(good))
-    return Decoded(value, good, InvalidCounts(*(bad_count if count else 0 for count in invalid)), present)
 
 
 @kernel

@@ -317,8 +317,6 @@ def complete_settings(interface: str | None, channel: str | None, bitrate: int |
     """
     if interface == SOCKETCAN and channel is not None:
         return BusSettings(interface=interface, channel=channel, bitrate=bitrate, fd=fd)
-    import can  # noqa: PLC0415 - heavy, and not needed for a SocketCAN interface named in full
-
     given = {"interface": interface, "channel": channel, "bitrate": bitrate}
     try:
         config = can.util.load_config(config={key: value for key, value in given.items() if value is not None})
