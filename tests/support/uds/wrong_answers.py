@@ -34,9 +34,6 @@ QUESTIONS: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "19 02 codes": ("1902", ("dtc",)),
     "19 04 snapshots": ("1904", ("dtc",)),
     "19 06 extended data": ("1906", ("dtc",)),
-    "19 06 record 91": ("190608110791", ("dtc", "--record", "91")),
-    "19 1A record": ("191A", ("dtc", "--record", "91", "--brief")),
-    "19 56 readiness": ("1956", ("dtc", "--readiness", "01", "--brief")),
     "22 data": ("220102", ("did", "0102")),
     "27 seed": ("2701", (*_ROUTINE, "start", "--unlock", "1=01020304")),
     "27 key": ("2702", (*_ROUTINE, "start", "--unlock", "1=01020304")),
@@ -51,7 +48,6 @@ HARMLESS: Final = {  # valid answers: the truth said more than once, and other v
 DETAILS: Final = {
     "19 04 snapshots": "snapshots",
     "19 06 extended data": "extended_data",
-    "19 06 record 91": "extended_data",
 }
 UNREAD: Final = {("31 start", way) for way in ("a byte short", "a byte long")}  # valid: maker's own bytes
 
@@ -86,7 +82,7 @@ def _claims(run: Ended) -> object:
         return [
             (one["trouble_codes"], {s["number"]: s["remark"] for s in one["services"]}) for one in record["controllers"]
         ]
-    return {name: record[name] for name in ("codes", "cleared", "routine", "readiness", "regulated") if name in record}
+    return {name: record[name] for name in ("codes", "cleared", "routine") if name in record}
 
 
 def told(name: str, way: str, folder: Path) -> Told:

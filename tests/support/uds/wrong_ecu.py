@@ -21,9 +21,6 @@ RIGHT: Mapping[str, str] = {
     "1902": "5902FF 081107 2F",
     "1904": "5904 081107 2F 01 01 0102 1234",
     "1906081107FF": "5906 081107 2F 01 05",
-    "190608110791": "5906 081107 2F 91 0005 0010",
-    "191A": "591AFF 91 081107 2F",
-    "1956": "5956 33 FF 04 01 081107 2F",
     "2701": "6701 12345678",
     "2702": "6702",
     "3101": "71010301 11",
@@ -50,7 +47,7 @@ def frames_of(message: bytes) -> Frames:
     return [first, *(bytes([0x20 | number & 0x0F]) + piece for number, piece in enumerate(following, 1))]
 
 
-_IDENTIFIER = {"5904": 4, "5906": 4, "591a": 3, "5956": 5}  # where an answer names what it is about; others at byte 2
+_IDENTIFIER = {"5904": 4, "5906": 4}  # where an answer names what it is about; others at byte 2
 
 
 def _flipped(message: bytes, place: int) -> bytes:

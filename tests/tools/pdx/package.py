@@ -50,7 +50,7 @@ from tests.tools.pdx.elements import (
     xml_text,
 )
 from tests.tools.pdx.services import ObdServices, OdxService, UdsServices
-from workshop.controller.descriptions import AccessRule, ObdProfile
+from workshop.controller.descriptions import AccessRule
 from workshop.controller.iso14229 import DEFAULT_SESSION, NEGATIVE, POSITIVE, SUPPRESS, Nrc
 from workshop.controller.table import DiagnosticTable, load_table, shipped_table
 
@@ -142,7 +142,7 @@ def pdx_package(table: DiagnosticTable) -> bytes:
     database = Database(use_weakrefs=False)
     database.short_name = short_name(table.name)
     database.diag_layer_containers.append(_container(table, database.short_name, "UDS_on_CAN"))
-    if table.obd is not None and table.has_obd(ObdProfile.CLASSIC):
+    if table.obd is not None:
         name = f"{database.short_name}_OBD"
         database.diag_layer_containers.append(_container(table, name, "OBD_on_CAN"))
     for name in _BASE:

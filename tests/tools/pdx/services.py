@@ -24,7 +24,6 @@ from workshop.controller.descriptions import (
     Coding,
     DataIdentifier,
     DatumField,
-    ObdProfile,
     Pid,
     Routine,
     VehicleInfo,
@@ -133,12 +132,6 @@ class UdsServices(_Services):
         }  # fmt: skip
         for number, make in makers.items():
             yield from make(number) if number in self.table.services else ()
-        if (
-            self.table.obd is not None
-            and self.table.has_obd(ObdProfile.UDS)
-            and Number.READ_DATA in self.table.services
-        ):
-            yield from ObdServices(self.table, self.table.obd, self.dictionary).by_identifier()
 
     def _sessions(self, number: int) -> Iterator[OdxService]:
         times = tuple(
@@ -254,8 +247,6 @@ class UdsServices(_Services):
 
     def _clearing(self, number: int) -> Iterator[OdxService]:
         groups = {"Clear all trouble codes": constant("group", iso14229.ALL_CODES, 3)}
-        if self.table.has_obd(ObdProfile.UDS):
-            groups["Clear trouble codes of OBD"] = constant("group", memory.ALL_EMISSION_CODES, 3)
         if self.table.troubles:
             groups["Clear trouble code"] = self._code
         for name, group in groups.items():
@@ -280,33 +271,11 @@ class UdsServices(_Services):
         if self.table.troubles:
             yield self._snapshots()
             yield self._extended()
-            choices = {record.number: record.name for record in self.table.extended.values()}
-            record = self.number("record", "record of extended data", meanings=choices)
-            yield self._report("Read trouble codes with extended data", 0x1A, (record,), available, record, codes)
         yield self._report("Read supported trouble codes", 0x0A, (), available, codes)
         coding = described(DatumField(name="counter", kind=Coding.SIGNED, size_bytes=1))
         counter = value("counter", self.dictionary.simple("fault detection counter", coding), 1)
         counters = self._list("counters", "fault detection counters", "trouble code with counter", self._code, counter)
         yield self._report("Read fault detection counters", 0x14, (), counters)
-        if self.table.has_obd(ObdProfile.UDS):
-            yield from self._emission_reports(codes)
-
-    def _emission_reports(self, codes: Part) -> Iterator[OdxService]:
-        """Yield the reports of SAE J1979-2: codes by masks, and those that no client can clear."""
-        available, group = self._availability, constant("group", trouble.EMISSION_GROUP)
-        byte = self.hexadecimal("status_mask", "mask of status and severity")
-        form = self.number(
-            "format", "format of trouble codes of OBD", meanings={trouble.CODE_FORMAT_J2012: "SAE J2012-DA"}
-        )
-        severity = self.hexadecimal("severity", "severity")
-        what = "trouble codes with severity", "trouble code with severity"
-        found = self._list("trouble_codes", *what, severity, self._code, self._status)
-        every, masks = constant("severity_availability", trouble.ALL_SEVERITIES), (byte, renamed(byte, "severity_mask"))
-        yield self._report("Read trouble codes of OBD", 0x42, (group, *masks), group, available, every, form, found)
-        readiness = constant("readiness_group", 0 if self.table.obd is None else self.table.obd.readiness_group)
-        name = "Read trouble codes of a readiness group"
-        yield self._report(name, 0x56, (group, readiness), group, available, form, readiness, codes)
-        yield self._report("Read permanent trouble codes", 0x55, (group,), group, available, form, codes)
 
     def _snapshots(self) -> OdxService:
         table, dictionary = self.table, self.dictionary
@@ -324,8 +293,6 @@ class UdsServices(_Services):
     def _extended(self) -> OdxService:
         dictionary, extended = self.dictionary, self.table.extended
         choices = {record.number: record.name for record in extended.values()} | {trouble.ALL_RECORDS: "all"}
-        if max(extended, default=0) >= trouble.FIRST_REGULATED:
-            choices[trouble.ALL_REGULATED_RECORDS] = "all regulated"
         cases = {entry.number: dictionary.fields(f"record {entry.name}", entry.fields) for entry in extended.values()}
         switch = dictionary.switched("extended data by number", self.number("", "number of extended data"), cases)
         record = dictionary.structure("extended record", (value("record", switch),))
@@ -349,7 +316,7 @@ def _routine_states(routine: Routine, sub: int) -> tuple[int, ...]:
 
 
 class ObdServices(_Services):
-    """Services 01 to 0A of SAE J1979, or the data of SAE J1979-2, which UDS reads."""
+    """Services 01 to 0A of SAE J1979."""
 
     def __init__(self, table: DiagnosticTable, known: descriptions.Obd, dictionary: Dictionary) -> None:
         super().__init__(table, dictionary)
@@ -368,17 +335,6 @@ class ObdServices(_Services):
         is_text = bool(info.text) or kind is Coding.TEXT
         content = DatumField(name=info.name, kind=Coding.TEXT if is_text else Coding.BYTES, size_bytes=info.size_bytes)
         return value(info.name, self.dictionary.simple(f"OBD {info.name}", described(content)), info.size_bytes)
-
-    def by_identifier(self) -> Iterator[OdxService]:
-        """Yield a service for each datum of SAE J1979-2: parameters F4xx, vehicle information F8xx."""
-        known = self._obd
-        found = {data.PID_DATA | pid.number: (pid.name, self._pids[pid.number]) for pid in known.pids.values()}
-        found |= {data.INFO_DATA | info.number: (info.name, self._infos[info.number]) for info in known.infos.values()}
-        for page, numbers in ((data.PID_DATA, known.pids), (data.INFO_DATA, known.infos)):
-            found |= {page | first: (f"supported {page | first:04X}", self._bitmap) for first in _bitmaps(numbers)}
-        for number, (name, content) in found.items():
-            begin = constant("identifier", number, 2, "ID")
-            yield self.service(f"Read OBD {name}", Number.READ_DATA, "CURRENTDATA", (begin,), (begin, content))
 
     def __iter__(self) -> Iterator[OdxService]:
         yield from self._parameters()

@@ -288,10 +288,6 @@ class Controller:
         """Note that the vehicle has become warm in this operation cycle; raises RecordError as ``report``."""
         self._change(server.warmed_up)
 
-    def drive(self) -> None:
-        """Note that this operation cycle was driven for long enough to count; raises RecordError as ``report``."""
-        self._change(server.driven)
-
     def cycle(self) -> None:
         """Begin a new operation cycle; raises RecordError as ``report``."""
         self._change(lambda state: server.cycled(self.table, state))

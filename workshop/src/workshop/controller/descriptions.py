@@ -324,24 +324,12 @@ def size_of(fields: Iterable[DatumField]) -> int:
 BLOCK: Final = 0x20  # so many numbers does one bitmap of supported ones cover
 _LONGEST_PID: Final = 64  # bytes; those of J1979-DA have 41 at most
 _LONGEST_INFO: Final = 0xFF
-IN_USE: Final = ExtendedRecord(
-    number=0x91,
-    name="in-use performance",
-    fields=(
-        DatumField(name="completions", kind=Coding.UNSIGNED, size_bytes=2, source=f"{OF_MEMORY}ran_cycles"),
-        DatumField(
-            name="conditions encountered", kind=Coding.UNSIGNED, size_bytes=2, source=f"{OF_MEMORY}driven_cycles"
-        ),
-    ),
-)
-"""Extended data of SAE J1979-2: in how many operation cycles a test has run, and in how many it should have."""
 
 
 class ObdProfile(StrEnum):
-    """How OBD is spoken: by services 01 to 0A (SAE J1979), or by those of UDS (SAE J1979-2)."""
+    """How OBD is spoken: by services 01 to 0A (SAE J1979)."""
 
     CLASSIC = "classic"
-    UDS = "uds"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -415,12 +403,10 @@ class MonitorTest:
 class Obd:
     """OBD as one controller speaks it."""
 
-    profile: ObdProfile
     clear_conditions: tuple[str, ...]  # of the vehicle, before codes are cleared by service 04
     pids: Mapping[int, Pid]
     infos: Mapping[int, VehicleInfo]
     monitors: Mapping[int, MonitorTest]
-    readiness_group: int = 0x03  # SAE J1979-2: comprehensive components
 
 
 def supported(numbers: Mapping[int, object], first: int) -> bytes | None:

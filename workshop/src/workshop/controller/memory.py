@@ -6,7 +6,7 @@ as bytes; a code belongs to OBD if it lights the lamp.
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
 
@@ -191,9 +191,6 @@ def _after_a_good_cycle(record: TroubleRecord, trouble: Trouble, *, is_warmed_up
     return replace(record, status=status, failed_cycles=0, passed_cycles=passed, aged_cycles=aged)
 
 
-ALL_EMISSION_CODES: Final = 0xFFFF33  # the group of SAE J1979-2
-MOST_CYCLES: Final = 0xFFFF  # counters of monitors' use stay there
-
 NOT_YET_M: Final = -1.0  # what no odometer reads
 
 FrozenPids = tuple[tuple[int, bytes], ...]
@@ -216,9 +213,6 @@ class Emissions:
     warm_ups: int = 0  # since codes were cleared
     cleared_at_m: float | None = None  # odometer; None: never, NOT_YET_M: it was not known then nor since
     lamp_at_m: float | None = None  # odometer when the lamp went on; None: it is out, or that was not known
-    is_driven: bool = False  # this operation cycle was driven as one that counts for the use of monitors
-    driven_cycles: int = 0  # such cycles; no client clears them, nor the next
-    ran_cycles: Mapping[int, int] = field(default_factory=dict)  # in which a code's test has run
 
 
 def after_test(
@@ -272,13 +266,8 @@ def after_cycle(emissions: Emissions, before: TroubleMemory, after: TroubleMemor
     )
     frame = emissions.frame
     is_forgotten = frame is not None and not after.records[frame.code].has_data
-    ran = {number for number, one in before.records.items() if not one.status & DtcStatus.NOT_TESTED_THIS_CYCLE}
-    counts = emissions.ran_cycles
     return replace(
         emissions,
-        is_driven=False,
-        driven_cycles=min(MOST_CYCLES, emissions.driven_cycles + emissions.is_driven),
-        ran_cycles={**counts, **{number: min(MOST_CYCLES, counts.get(number, 0) + 1) for number in ran}},
         permanent=permanent,
         frame=None if is_forgotten else frame,
         lamp_at_m=emissions.lamp_at_m if is_lamp_on(after) else None,
@@ -287,7 +276,7 @@ def after_cycle(emissions: Emissions, before: TroubleMemory, after: TroubleMemor
 
 def after_clear(emissions: Emissions, after: TroubleMemory, group: int, odometer_m: float | None) -> Emissions:
     """Return the record after a client has cleared codes: what is permanent stays."""
-    is_whole = group in {ALL_CODES, ALL_EMISSION_CODES}
+    is_whole = group == ALL_CODES
     frame = emissions.frame
     if frame is not None and not after.records[frame.code].has_data:
         frame = None

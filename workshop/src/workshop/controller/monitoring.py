@@ -53,7 +53,7 @@ class Monitoring:
     def look(self, values: Values, t_s: float) -> None:
         """Let the monitors judge what the controllers say at this moment of the drive, about ten times a second."""
         self._watch, samples = judge(self._watch, values, t_s, self._limits)
-        self._report(dict(samples), has_warmed_up=is_warm(self._watch, values), is_driven=self._watch.driven.is_enough)
+        self._report(dict(samples), has_warmed_up=is_warm(self._watch, values))
 
     def restart(self, *, is_new_cycle: bool) -> None:
         """Forget what was sensed, as when the controller is switched on; a new operation cycle may begin with it."""
@@ -83,9 +83,7 @@ class Monitoring:
         records, number = self._controller.state.memory.records, self._numbers.get(code)
         return number is not None and bool(records[number].status & DtcStatus.NOT_TESTED_THIS_CYCLE)
 
-    def _report(
-        self, results: Mapping[str, TestResult], *, has_warmed_up: bool = False, is_driven: bool = False
-    ) -> None:
+    def _report(self, results: Mapping[str, TestResult], *, has_warmed_up: bool = False) -> None:
         """Hand results on; what the disk does not take is tried again with the next sample, and the drive goes on."""
         for number, result in (
             (self._numbers[code], result) for code, result in results.items() if code in self._numbers
@@ -93,8 +91,6 @@ class Monitoring:
             self._keep(partial(self._controller.report, number, result))
         if has_warmed_up:
             self._keep(self._controller.warm_up)
-        if is_driven:
-            self._keep(self._controller.drive)
 
     def _keep(self, change: Callable[[], None]) -> None:
         """Let the controller keep something; the drive goes on if it cannot."""

@@ -4,7 +4,6 @@ A monitor says nothing where its test cannot tell: while a gear changes, in a la
 missing that is not its own matter. Whether samples make a failure is the trouble memory's business.
 """
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -51,34 +50,6 @@ class MonitorLimits:
     most_led_slip_rad_s: float = 30.0  # of one that shall slip by 20 to 60 rpm; one that shudders stays below 20
     least_open_slip_rad_s: float = 1.0  # of a converter that passes the tested torque
     most_clutch_k: float = 423.15  # 150 degC, of a pack as the controller computes it
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CycleDuration:
-    """For how long a cycle was driven: what regulations ask of one in which monitors should have run."""
-
-    running_s: float = 0.0
-    fast_s: float = 0.0
-    idle_s: float = 0.0  # without a break
-    has_idled: bool = False
-
-    def later(self, known: Mapping[str, float], duration_s: float) -> "CycleDuration":
-        """Return the same after so much more time of this."""
-        is_running = known.get("engine_speed_rad_s", 0.0) >= 30.0
-        speed_m_s, pedal_ratio = known.get("vehicle_speed_m_s", math.inf), known.get("pedal_ratio", math.inf)
-        is_idle = is_running and speed_m_s <= 0.447 and pedal_ratio <= 0.0
-        idle_s = self.idle_s + duration_s if is_idle else 0.0
-        return CycleDuration(
-            running_s=self.running_s + is_running * duration_s,
-            fast_s=self.fast_s + (11.1 <= speed_m_s < math.inf) * duration_s,
-            idle_s=idle_s,
-            has_idled=self.has_idled or idle_s >= 30.0,
-        )
-
-    @property
-    def is_enough(self) -> bool:
-        """Whether it was ten minutes, five of them at 40 km/h or more, with half a minute of idling at a stretch."""
-        return self.running_s >= 600.0 and self.fast_s >= 300.0 and self.has_idled
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,7 +106,6 @@ class MonitorState:
     lockup_since_s: float = 0.0  # when it became so
     clutches_k: tuple[float, float] | None = None  # as the controller computes them
     pressures: Mapping[str, PressureLooks] = field(default_factory=dict)  # by clutch
-    driven: CycleDuration = field(default_factory=CycleDuration)
 
 
 SENSED: Final = (
@@ -210,7 +180,6 @@ def judge(
         lockup_since_s=lockup_since_s,
         clutches_k=clutches_k,
         pressures=pressures,
-        driven=watch.driven.later(known, since_look_s),
     )
     return after, (*samples, *(_heat_samples(clutches_k, samples, limits) if is_oil_believed else ()))
 

@@ -9,7 +9,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Final
 
-from workshop.controller.descriptions import ObdProfile
 from workshop.controller.iso14229 import (
     DEFAULT_SESSION,
     NEGATIVE,
@@ -33,7 +32,7 @@ from workshop.controller.memory import (
 )
 from workshop.controller.services import data, sessions
 from workshop.controller.services.obd import OBD_HANDLERS
-from workshop.controller.services.trouble import EMISSION_REPORTS, REPORTS, capture, clear_codes, read_codes
+from workshop.controller.services.trouble import REPORTS, capture, clear_codes, read_codes
 from workshop.controller.state import (
     Call,
     Instant,
@@ -194,11 +193,6 @@ def warmed_up(state: ServerState) -> ServerState:
     return replace(state, memory=memory, emissions=after_warm_up(state.emissions, state.memory, memory))
 
 
-def driven(state: ServerState) -> ServerState:
-    """Return the state in an operation cycle that counts for the use of monitors."""
-    return state if state.emissions.is_driven else replace(state, emissions=replace(state.emissions, is_driven=True))
-
-
 def cycled(table: DiagnosticTable, state: ServerState) -> ServerState:
     """Return the state after the ignition went off and on without the controller losing its current."""
     memory = begin_cycle(state.memory, table.troubles)
@@ -227,7 +221,7 @@ def refusal(table: DiagnosticTable, state: ServerState, request: Request) -> Rep
 
 
 def _is_obd(call: Call) -> bool:
-    return call.payload[0] in OBD_HANDLERS and call.table.has_obd(ObdProfile.CLASSIC)
+    return call.payload[0] in OBD_HANDLERS and call.table.obd is not None
 
 
 def _refusal(call: Call) -> Nrc | None:
@@ -263,10 +257,7 @@ def _sessions_of_sub_function(call: Call) -> tuple[int, ...]:
     if number == Service.SECURITY_ACCESS:
         level = table.levels.get(call.sub_function - (call.sub_function % 2 == 0))
         return level.sessions if level is not None else ()
-    known = _SUB_FUNCTIONS[number]
-    if number == Service.READ_CODES and table.has_obd(ObdProfile.UDS):
-        known |= EMISSION_REPORTS
-    return table.services[number].sessions if call.sub_function in known else ()
+    return table.services[number].sessions if call.sub_function in _SUB_FUNCTIONS[number] else ()
 
 
 def _replied(request: Request, response: bytes | Nrc, state: ServerState) -> Reply:

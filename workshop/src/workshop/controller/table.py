@@ -228,20 +228,13 @@ class DiagnosticTable:
                     f"data {datum.name}: what is sent periodically has at most {self.most_periodic_bytes} bytes",
                 )
 
-    def has_obd(self, profile: descriptions.ObdProfile) -> bool:
-        """Return whether OBD is spoken in this way."""
-        return self.obd is not None and self.obd.profile is profile
-
     def snapshot_of(self, trouble: descriptions.Trouble) -> tuple[int, ...]:
         """Return the data identifiers of a trouble code's snapshots."""
         return self.snapshot if trouble.snapshot is None else trouble.snapshot
 
     def extended_of(self, trouble: descriptions.Trouble) -> tuple[int, ...]:
         """Return the numbers of a trouble code's extended records."""
-        numbers = tuple(self.extended) if trouble.extended is None else trouble.extended
-        return tuple(
-            number for number in numbers if trouble.lights_lamp or self.extended.get(number) is not descriptions.IN_USE
-        )
+        return tuple(self.extended) if trouble.extended is None else trouble.extended
 
     def _accesses(self) -> Iterable[tuple[descriptions.AccessRule | descriptions.ServiceAccess, str]]:
         for service in self.services.values():
@@ -398,9 +391,6 @@ def _table(document: dict[str, Any]) -> DiagnosticTable:
         name: record_from(AccessRule, one, f"access.{name}: ", error=EmulatorConfigError) for name, one in told.items()
     }
     file = record_from(TableFile, _with_access(document, access), error=EmulatorConfigError)
-    extended = _numbered(file.extended, "extended")
-    if file.obd is ObdProfile.UDS:
-        extended.setdefault(descriptions.IN_USE.number, descriptions.IN_USE)
     return DiagnosticTable(
         **{name: getattr(file, name) for name in _SAME_IN_FILES},
         sessions=_numbered(file.session, "session"),
@@ -410,7 +400,7 @@ def _table(document: dict[str, Any]) -> DiagnosticTable:
         data=_numbered(file.data, "data"),
         routines=_numbered(file.routine, "routine"),
         troubles=_numbered(file.trouble, "trouble"),
-        extended=extended,
+        extended=_numbered(file.extended, "extended"),
         obd=_obd(file),
     )
 
@@ -421,7 +411,6 @@ def _obd(file: TableFile) -> descriptions.Obd | None:
             raise EmulatorConfigError(f"{unused[0]} is there, but key obd is missing: it says how OBD is spoken")
         return None
     return descriptions.Obd(
-        profile=file.obd,
         clear_conditions=file.obd_clear_conditions,
         pids=_numbered(file.pid, "pid"),
         infos=_numbered(file.vehicle_info, "vehicle_info"),

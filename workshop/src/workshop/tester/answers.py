@@ -1,7 +1,7 @@
 """What an answer says and how long it may take: whether it belongs to a request, what a refusal means (ISO 14229-1)."""
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -40,15 +40,10 @@ _LENGTHS: Final[Mapping[int, tuple[int, int | None]]] = {
     SESSION: (6, 6), CLEAR: (1, 1), READ_DATA: (4, None), ROUTINE: (4, None), TESTER_PRESENT: (2, 2),
 }  # fmt: skip
 COUNT_BY_MASK, BY_MASK, SNAPSHOTS, EXTENDED, SUPPORTED = 0x01, 0x02, 0x04, 0x06, 0x0A  # sub-functions of service 19
-WITH_RECORD, READINESS = 0x1A, 0x56
 HEAD_BYTES: Final[Mapping[int, int]] = {  # of service 19, by its sub-function: what comes before codes and records
-    COUNT_BY_MASK: 6, BY_MASK: 3, SNAPSHOTS: 6, EXTENDED: 6, SUPPORTED: 3, WITH_RECORD: 4, READINESS: 6,
+    COUNT_BY_MASK: 6, BY_MASK: 3, SNAPSHOTS: 6, EXTENDED: 6, SUPPORTED: 3,
 }  # fmt: skip
 ROW_BYTES: Final = 4  # a trouble code and its status
-_ABOUT: Final[Mapping[int, Sequence[tuple[int, int, int]]]] = {  # repeated: place, place asked, length
-    SNAPSHOTS: ((2, 2, 3),), EXTENDED: ((2, 2, 3),), WITH_RECORD: ((3, 2, 1),), READINESS: ((2, 2, 1), (5, 3, 1)),
-}  # fmt: skip
-_FORMAT_PLACES: Final[Mapping[int, int]] = {COUNT_BY_MASK: 3, READINESS: 4}
 _FORMATS: Final = range(5)  # of trouble codes: what is more is reserved
 _NEGATIVE_BYTES: Final = 3
 _UNTIMED_BYTES: Final = 2  # of an answer about a session by the edition of 2006, which need not tell times
@@ -136,19 +131,15 @@ def _length_fault(response: bytes, least: int, most: int | None) -> str:
 def _trouble_fault(request: bytes, response: bytes) -> str:
     kind = response[1]
     head = HEAD_BYTES.get(kind, 2)
-    if kind == WITH_RECORD and len(response) == head - 1:  # no code has that record
-        return ""
     if length_fault := _length_fault(response, head, head if kind == COUNT_BY_MASK else None):
         return length_fault
-    for place, asked_place, count in _ABOUT.get(kind, ()):
-        told, asked = response[place : place + count], request[asked_place : asked_place + count]
-        if told != asked:
-            return f"it is about {request_text(told)}, not about {request_text(asked)}"
-    if kind in _FORMAT_PLACES and (number := response[_FORMAT_PLACES[kind]]) not in _FORMATS:
-        return f"its trouble codes have the unknown format {number:02X}"
+    if kind in {SNAPSHOTS, EXTENDED} and response[2:5] != request[2:5]:
+        return f"it is about {request_text(response[2:5])}, not about {request_text(request[2:5])}"
+    if kind == COUNT_BY_MASK and response[3] not in _FORMATS:
+        return f"its trouble codes have the unknown format {response[3]:02X}"
     if kind == BY_MASK and not response[2] & request[2]:
         return f"the controller keeps none of the status bits that were asked for, only {response[2]:02X}"
-    return _rows_fault(response[head:]) if kind in {BY_MASK, SUPPORTED, WITH_RECORD, READINESS} else ""
+    return _rows_fault(response[head:]) if kind in {BY_MASK, SUPPORTED} else ""
 
 
 def _rows_fault(rows: bytes) -> str:

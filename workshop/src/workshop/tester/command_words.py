@@ -70,16 +70,6 @@ def _session_option(text: str, default: str) -> Callable[[FunctionT], FunctionT]
 @click.option(
     "--all", "has_all", is_flag=True, help="all codes that the controller knows, also those that never failed"
 )
-@click.option(
-    "--readiness",
-    metavar="GROUP",
-    help="the codes of OBD in a readiness group (SAE J1979-2), hexadecimal, in place of --mask",
-)
-@click.option(
-    "--record",
-    metavar="N",
-    help="the codes that have a record of extended data, such as 91, hexadecimal, in place of --mask",
-)
 @click.option("--brief", is_flag=True, help="without snapshots and extended data")
 @click.option(
     "--clear",

@@ -26,7 +26,6 @@ from workshop.tester.trouble import (
 )
 from workshop.tester.uds_tester import UdsTester, place_of
 
-LARGEST_GROUP: Final = 0xFE  # of readiness, and of the records of extended data: FF is all
 MOST_NAMED: Final = 3  # in the line that says what was not told
 _AnswerT = TypeVar("_AnswerT")
 
@@ -64,8 +63,6 @@ class TroubleOptions(OneControllerOptions):
 
     mask: str
     has_all: bool
-    readiness: str | None
-    record: str | None
     brief: bool
     clear: str | None
 
@@ -103,9 +100,7 @@ def dtc(options: TroubleOptions, controls: Controls) -> None:
     """Read trouble codes and show them, or clear them and show what is left. ControllerError: not all was told."""
     mask = 0 if options.has_all else hexadecimal(options.mask, "--mask", 0xFF)
     if options.clear is None:
-        group = number_of(options.readiness, "--readiness", LARGEST_GROUP)
-        record = number_of(options.record, "--record", LARGEST_GROUP)
-        question = questions.TroubleQuestion(mask=mask, has_details=not options.brief, group=group, record=record)
+        question = questions.TroubleQuestion(mask=mask, has_details=not options.brief)
 
         def told(codes: Sequence[TroubleCode]) -> tuple[Record, Iterable[str]]:
             return {"codes": [trouble_record(code) for code in codes]}, trouble_lines(codes)
@@ -113,8 +108,6 @@ def dtc(options: TroubleOptions, controls: Controls) -> None:
         codes = ask_one("dtc", options, question, told, controls.stop) or ()
         if faults := [code.fault for code in codes if code.fault]:
             raise ControllerError(f"what was kept of {len(faults)} of {len(codes)} codes was not told: {faults[0]}")
-    elif (options.readiness, options.record) != (None, None):
-        raise ConfigError("--readiness and --record read trouble codes: they do not go with --clear")
     else:
         ask_one(
             "dtc",

@@ -444,5 +444,4 @@ def _or_none(find: Any) -> int | None:  # noqa: ANN401 - a method of the library
 _TABLE: Final = read_table(Path(__file__).parent / "standard.toml", "the description", ConfigError)
 _STANDARD: Final = record_from(DescriptionFile, _TABLE, error=ConfigError)
 STANDARD_DATA: Final = _numbered(_STANDARD.data, "data")  # that controllers of all makers give
-STANDARD_EXTENDED: Final = _numbered(_STANDARD.extended, "extended")  # records that they keep of a trouble code of OBD
 UNKNOWN: Final = Description(name=_STANDARD.name, data=STANDARD_DATA)

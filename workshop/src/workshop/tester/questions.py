@@ -21,13 +21,11 @@ from workshop.tester.answers import (
     EXTENDED,
     READ_DATA,
     READ_TROUBLE,
-    READINESS,
     ROUTINE,
     SECURITY,
     SESSION,
     SNAPSHOTS,
     SUPPORTED,
-    WITH_RECORD,
     refusal_text,
     request_text,
     shown,
@@ -61,7 +59,6 @@ def recognised(tester: "Dialogue", description: Description = UNKNOWN) -> Descri
 
 
 ALL_RECORDS: Final = 0xFF
-EMISSIONS: Final = 0x33  # functional group (ISO 14229-1, annex D)
 FAILED_MASK: Final = 0xAF  # all bits but those that tell of a test that did not run
 FAILED: Final = bytes([READ_TROUBLE, BY_MASK, FAILED_MASK])  # the question for them
 START, STOP, RESULTS = 0x01, 0x02, 0x03
@@ -101,16 +98,8 @@ class RoutineAnswer:
     values: Values
 
 
-def trouble_request(mask: int, *, group: int | None = None, record: int | None = None) -> bytes:
-    """Return the question for codes with a status bit of the mask; 0: for all that the controller knows.
-
-    With a group or a record it is that for the codes of OBD of a readiness group, or for those with a record of
-    extended data, whatever their status (SAE J1979-2).
-    """
-    if group is not None:
-        return bytes([READ_TROUBLE, READINESS, EMISSIONS, group])
-    if record is not None:
-        return bytes([READ_TROUBLE, WITH_RECORD, record])
+def trouble_request(mask: int) -> bytes:
+    """Return the request for codes with a status bit of the mask; 0: for all that the controller knows."""
     return bytes([READ_TROUBLE, BY_MASK, mask]) if mask else bytes([READ_TROUBLE, SUPPORTED])
 
 
@@ -124,9 +113,8 @@ def read_troubles(
     codes = read_codes(tester.ask(request), description)
     if not has_details:
         return codes
-    record = request[2] if request[1] == WITH_RECORD else ALL_RECORDS
     details = _Details(tester, description)
-    return tuple(details.added(code, record) for code in codes)
+    return tuple(map(details.added, codes))
 
 
 _Read = Callable[[bytes, Description], tuple[FailureRecord, ...]]
@@ -139,16 +127,18 @@ class _Details:
         self._tester, self._description = tester, description
         self._silent: dict[int, str] = {}  # what is not asked any more, and why
 
-    def added(self, code: TroubleCode, record: int) -> TroubleCode:
-        snapshots, fault = self._told(SNAPSHOTS, code.number, ALL_RECORDS, read_snapshots)
-        extended, other = self._told(EXTENDED, code.number, record, read_extended)
+    def added(self, code: TroubleCode) -> TroubleCode:
+        snapshots, fault = self._told(SNAPSHOTS, code.number, read_snapshots)
+        extended, other = self._told(EXTENDED, code.number, read_extended)
         return replace(code, snapshots=snapshots, extended=extended, fault=fault or other)
 
-    def _told(self, kind: int, number: int, record: int, read: _Read) -> tuple[tuple[FailureRecord, ...], str]:
+    def _told(self, kind: int, number: int, read: _Read) -> tuple[tuple[FailureRecord, ...], str]:
         if kind in self._silent:
             return (), self._silent[kind]
         try:
-            answer = self._tester.may_ask(bytes([READ_TROUBLE, kind]) + number.to_bytes(3, "big") + bytes([record]))
+            answer = self._tester.may_ask(
+                bytes([READ_TROUBLE, kind]) + number.to_bytes(3, "big") + bytes([ALL_RECORDS])
+            )
             return () if isinstance(answer, RefusedError) else read(answer, self._description), ""
         except MalformedAnswerError as exc:
             return (), str(exc)
@@ -257,25 +247,17 @@ class TroubleQuestion:
 
     mask: int = FAILED_MASK
     has_details: bool = True  # snapshots and extended data
-    group: int | None = None  # a readiness group, in place of the mask
-    record: int | None = None  # of extended data: codes that have it, in place of the mask
 
     def __post_init__(self) -> None:
         check_number("mask", self.mask, 0xFF)
-        if self.group is not None and self.record is not None:
-            raise ConfigError("ask for a readiness group or for a record, not for both")
 
     def requests(self, description: Description) -> list[str]:
         del description
         details = ["19 04 and 19 06: what was kept of each code"] if self.has_details else []
-        return [f"{request_text(self._request)}: the codes", *details]
+        return [f"{request_text(trouble_request(self.mask))}: the codes", *details]
 
     def ask(self, tester: "Dialogue", description: Description) -> tuple[TroubleCode, ...]:
-        return read_troubles(tester, description, self._request, has_details=self.has_details)
-
-    @property
-    def _request(self) -> bytes:
-        return trouble_request(self.mask, group=self.group, record=self.record)
+        return read_troubles(tester, description, trouble_request(self.mask), has_details=self.has_details)
 
 
 def agreed(where: str, codes: Sequence[TroubleCode]) -> bool:

@@ -7,7 +7,7 @@ from typing import Final
 from clutchdiag_io.people import digits
 from diag_service.errors import MalformedAnswerError
 from workshop.tester.answers import EXTENDED, HEAD_BYTES, ROW_BYTES, SNAPSHOTS, shown
-from workshop.tester.description import STANDARD_EXTENDED, Description, Values, code_text, read_fields
+from workshop.tester.description import Description, Values, code_text, read_fields
 
 CODE_BYTES: Final = ROW_BYTES - 1
 STATUS_BITS: Final = (
@@ -117,7 +117,7 @@ def read_extended(response: bytes, description: Description) -> tuple[FailureRec
     content = response[HEAD_BYTES[EXTENDED] :]
     found = []
     while any(content):
-        record = description.extended.get(content[0]) or STANDARD_EXTENDED.get(content[0])
+        record = description.extended.get(content[0])
         size = None if record is None else record.size_bytes
         _check_whole(response, content, 1 + (size or 1))
         number, content = content[0], content[1:]

@@ -232,13 +232,7 @@ class UdsTester:
         self._stack.close()
 
     def trouble_codes(
-        self,
-        mask: int = questions.FAILED_MASK,
-        *,
-        is_all: bool = False,
-        has_details: bool = True,
-        readiness: int | None = None,
-        record: int | None = None,
+        self, mask: int = questions.FAILED_MASK, *, is_all: bool = False, has_details: bool = True
     ) -> tuple[TroubleCode, ...]:
         """Return the trouble codes: ``diag-service dtc``.
 
@@ -250,11 +244,8 @@ class UdsTester:
             Whether to return all that the controller knows instead, also those that never failed.
         has_details
             Whether to ask for snapshots and extended data of each.
-        readiness, record
-            A readiness group, or a record of extended data, whose codes are wanted instead (SAE J1979-2).
         """
-        mask = 0 if is_all else mask
-        return self.ask(questions.TroubleQuestion(mask=mask, has_details=has_details, group=readiness, record=record))
+        return self.ask(questions.TroubleQuestion(mask=0 if is_all else mask, has_details=has_details))
 
     def clear_trouble_codes(
         self,

@@ -74,25 +74,6 @@ def test_each_fault_fails_its_own_code(code: str, change: dict[str, float]) -> N
     assert failing(faulty, faulty) == {code}
 
 
-def test_a_cycle_counts_once_it_was_driven_fast_and_slow_for_long_enough() -> None:
-    idling = {"engine_speed_rad_s": 85.0, "vehicle_speed_m_s": 0.0, "pedal_ratio": 0.0}
-    fast = {"engine_speed_rad_s": 200.0, "vehicle_speed_m_s": 12.0, "pedal_ratio": 0.3}
-
-    def driven(*parts: tuple[dict[str, float], int]) -> bool:
-        watch, t_s = MonitorState(), 0.0
-        for values, duration_s in parts:
-            for _ in range(duration_s):
-                watch, _ = judge(watch, values, t_s)
-                t_s += 1.0
-        return watch.driven.is_enough
-
-    assert driven((fast, 310), (idling, 31), (fast, 270))
-    assert not driven((fast, 310), (idling, 31), (fast, 240))  # not yet ten minutes
-    assert not driven((fast, 290), (idling, 330))  # not fast for long enough
-    assert not driven((fast, 310), (idling, 20), (fast, 270), (idling, 20))  # never idle for long enough
-    assert not driven((idling | {"engine_speed_rad_s": 0.0}, 700))
-
-
 def driven(fluid: str, *faults: SensorFault) -> Iterator[dict[str, float]]:
     """Yield what the controller senses ten times a second on a drive."""
     scenario = replace(load_scenario(fluid), cycles=1, sensor_faults=faults)

@@ -1,4 +1,4 @@
-"""OBD in both of its profiles, answer by answer as SAE J1979, J1979-2 and ISO 15765-4 have them."""
+"""OBD, answer by answer as SAE J1979 and ISO 15765-4 have it."""
 
 from collections.abc import Iterable
 

@@ -8,14 +8,12 @@ from workshop.controller.descriptions import (
     AccessRule,
     DataIdentifier,
     DatumField,
-    ObdProfile,
     Pid,
     Value,
     Values,
     VehicleInfo,
     are_valid,
     encode,
-    supported,
 )
 from workshop.controller.iso14229 import DtcStatus, Nrc, Service
 from workshop.controller.memory import FrozenPids, emission_codes, is_lamp_on, located
@@ -64,11 +62,6 @@ def read_data(call: Call) -> Result:
         name = names[place : place + _NAME_BYTES]
         sources = readable(call.table, call.state, int.from_bytes(name, "big"))
         if not sources:
-            if name[0] == PID_DATA >> 8 and is_pid_awaited(call, name[1]):
-                return Nrc.BUSY_REPEAT_REQUEST
-            emission = emission_data(call.table, call.state, call.moment, int.from_bytes(name, "big"))
-            is_any |= emission is not None
-            response += b"" if emission is None else name + emission
             continue
         is_any = True
         if refusal := read_refusal(call, sources):
@@ -318,8 +311,6 @@ def _can_be_sent(table: DiagnosticTable, state: ServerState, number: int) -> boo
 _LAMP: Final = 0x80
 _MOST_CODES: Final = 0x7F
 _COMPONENTS: Final = 0x04  # monitored all the time, and therefore always ready
-PID_DATA: Final = 0xF400  # data identifiers of SAE J1979-2
-INFO_DATA: Final = 0xF800
 
 
 def odometer_m(moment: Instant) -> float | None:
@@ -348,18 +339,6 @@ def info_data(info: VehicleInfo, table: DiagnosticTable, state: ServerState) -> 
         datum = table.data[info.data]
         data = state.written.get(info.data, datum.initial_bytes)
     return data[: info.size_bytes].ljust(info.size_bytes, b"\0")
-
-
-def emission_data(table: DiagnosticTable, state: ServerState, moment: Instant, number: int) -> bytes | None:
-    """Return what a data identifier of SAE J1979-2 holds; None if it is none, or OBD is not spoken in that way."""
-    obd, page, place = table.obd, number & 0xFF00, number & 0xFF
-    if obd is None or obd.profile is not ObdProfile.UDS or page not in {PID_DATA, INFO_DATA}:
-        return None
-    if page == PID_DATA and place in obd.pids:
-        return pid_data(obd.pids[place], table, state, moment)
-    if page == INFO_DATA and place in obd.infos:
-        return info_data(obd.infos[place], table, state)
-    return supported(obd.pids if page == PID_DATA else obd.infos, place)
 
 
 def _with_obd(table: DiagnosticTable, state: ServerState, moment: Instant) -> Values:

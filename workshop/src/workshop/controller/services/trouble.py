@@ -4,10 +4,9 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Final
 
-from workshop.controller.descriptions import IN_USE, OF_MEMORY, ExtendedRecord, ObdProfile, Trouble, encode
+from workshop.controller.descriptions import OF_MEMORY, ExtendedRecord, Trouble, encode
 from workshop.controller.iso14229 import ALL_BITS, ALL_CODES, Nrc
 from workshop.controller.memory import (
-    ALL_EMISSION_CODES,
     FAILED_COUNTER,
     FIRST_RECORD,
     LATEST_RECORD,
@@ -15,7 +14,6 @@ from workshop.controller.memory import (
     TroubleRecord,
     after_clear,
     clear,
-    emission_codes,
 )
 from workshop.controller.services.data import data_of, odometer_m
 from workshop.controller.state import Call, Instant, Result, ServerState, unmet_by_service
@@ -23,11 +21,6 @@ from workshop.controller.table import DiagnosticTable
 
 CODE_FORMAT: Final = 0x00  # SAE J2012-DA: a code of two bytes and a failure type
 ALL_RECORDS: Final = 0xFF
-ALL_REGULATED_RECORDS: Final = 0xFE  # those from 0x90 on
-FIRST_REGULATED: Final = 0x90
-EMISSION_GROUP: Final = 0x33  # functional group of SAE J1979-2
-CODE_FORMAT_J2012: Final = 0x04
-ALL_SEVERITIES: Final = 0xE0
 _CODE_BYTES: Final = 3
 
 
@@ -45,8 +38,7 @@ def clear_codes(call: Call) -> Result:
     if len(call.payload) != 1 + _CODE_BYTES:
         return Nrc.INCORRECT_LENGTH
     group = int.from_bytes(call.payload[1:], "big")
-    has_emission_group = call.table.has_obd(ObdProfile.UDS) and group == ALL_EMISSION_CODES
-    if group != ALL_CODES and group not in call.table.troubles and not has_emission_group:
+    if group != ALL_CODES and group not in call.table.troubles:
         return Nrc.REQUEST_OUT_OF_RANGE
     if refusal := unmet_by_service(call):
         return refusal
@@ -54,11 +46,8 @@ def clear_codes(call: Call) -> Result:
 
 
 def cleared(call: Call, group: int) -> ServerState:
-    """Return the state without what was known of one code, of all, or of those of OBD."""
-    memory = call.state.memory
-    emission_codes_alone = [number for number, trouble in call.table.troubles.items() if trouble.lights_lamp]
-    for number in emission_codes_alone if group == ALL_EMISSION_CODES else [group]:
-        memory = clear(memory, number)
+    """Return the state without what was known of one code, or of all."""
+    memory = clear(call.state.memory, group)
     emissions = after_clear(call.state.emissions, memory, group, odometer_m(call.moment))
     return replace(call.state, memory=memory, emissions=emissions)
 
@@ -91,10 +80,7 @@ def _snapshot_names(call: Call) -> bytes:
 
 
 def _extended_by_code(call: Call) -> bytes | Nrc:
-    names = {ALL_RECORDS, *call.table.extended}
-    if max(call.table.extended, default=0) >= FIRST_REGULATED:
-        names.add(ALL_REGULATED_RECORDS)
-    return _kept_by_code(call, names, _extended_records)
+    return _kept_by_code(call, {ALL_RECORDS, *call.table.extended}, _extended_records)
 
 
 def _kept_by_code(
@@ -123,19 +109,18 @@ def _snapshot_records(_call: Call, _trouble: Trouble, record: TroubleRecord, wan
 
 
 def _extended_records(call: Call, trouble: Trouble, record: TroubleRecord, wanted: int) -> bytes:
-    captured = {} if record.latest is None else dict(record.latest.extended)
-    least = {ALL_RECORDS: 0, ALL_REGULATED_RECORDS: FIRST_REGULATED}
+    if record.latest is None:
+        return b""
+    captured, extended = dict(record.latest.extended), call.table.extended
     return b"".join(
         bytes([number])
-        + (_counters(call, described, trouble, record) if described.has_counters else captured.get(number, b""))
+        + (_counters(extended[number], record) if extended[number].has_counters else captured.get(number, b""))
         for number in call.table.extended_of(trouble)
-        if (described := call.table.extended[number]) is IN_USE or record.has_data
-        if number == wanted or (wanted in least and number >= least[wanted])
+        if wanted in {number, ALL_RECORDS}
     )
 
 
-def _counters(call: Call, described: ExtendedRecord, trouble: Trouble, record: TroubleRecord) -> bytes:
-    emissions = call.state.emissions
+def _counters(described: ExtendedRecord, record: TroubleRecord) -> bytes:
     return encode(
         described.fields,
         {
@@ -144,8 +129,6 @@ def _counters(call: Call, described: ExtendedRecord, trouble: Trouble, record: T
             f"{OF_MEMORY}passed_cycles": record.passed_cycles,
             f"{OF_MEMORY}aged_cycles": record.aged_cycles,
             f"{OF_MEMORY}detection_counter": record.detection_counter,
-            f"{OF_MEMORY}ran_cycles": emissions.ran_cycles.get(trouble.number, 0),
-            f"{OF_MEMORY}driven_cycles": emissions.driven_cycles,
         },
     )
 
@@ -157,44 +140,6 @@ def _detection_counters(call: Call) -> bytes:
         for number, record in call.state.memory.records.items()
         if 0 < record.detection_counter < FAILED_COUNTER
     )
-
-
-def _emission_codes_by_mask(call: Call) -> bytes | Nrc:
-    """Return severity, code and status of the codes of OBD that have a bit of each mask."""
-    group, status_mask, severity_mask = call.payload[2:5]
-    if group != EMISSION_GROUP:
-        return Nrc.REQUEST_OUT_OF_RANGE
-    troubles, memory = call.table.troubles, call.state.memory
-    found = emission_codes(troubles, memory, status_mask)
-    return bytes([EMISSION_GROUP, ALL_BITS, ALL_SEVERITIES, CODE_FORMAT_J2012]) + b"".join(
-        bytes([troubles[number].severity]) + _code(number) + bytes([memory.records[number].status])
-        for number in found
-        if troubles[number].severity & severity_mask
-    )
-
-
-def _permanent_codes(call: Call) -> bytes | Nrc:
-    if call.payload[2] != EMISSION_GROUP:
-        return Nrc.REQUEST_OUT_OF_RANGE
-    permanent = sorted(call.state.emissions.permanent)
-    return bytes([EMISSION_GROUP, ALL_BITS, CODE_FORMAT_J2012]) + _listed(call, permanent)
-
-
-def _codes_by_record(call: Call) -> bytes | Nrc:
-    """Return the codes that can have an extended record."""
-    name, table = call.payload[2], call.table
-    numbers = [number for number, trouble in table.troubles.items() if name in table.extended_of(trouble)]
-    return bytes([ALL_BITS, name]) + _listed(call, numbers) if numbers else Nrc.REQUEST_OUT_OF_RANGE
-
-
-def _codes_by_readiness(call: Call) -> bytes | Nrc:
-    """Return the codes of OBD of a readiness group; there is one, to which all belong."""
-    obd = call.table.obd
-    if obd is None or call.payload[2:] != bytes([EMISSION_GROUP, obd.readiness_group]):
-        return Nrc.REQUEST_OUT_OF_RANGE
-    numbers = [number for number, trouble in call.table.troubles.items() if trouble.lights_lamp]
-    head = bytes([EMISSION_GROUP, ALL_BITS, CODE_FORMAT_J2012, obd.readiness_group])
-    return head + _listed(call, numbers)
 
 
 def _code(number: int) -> bytes:
@@ -210,10 +155,5 @@ _REPORTS: Final[Mapping[int, tuple[int, _Report]]] = {  # with the length of the
     0x06: (6, _extended_by_code),
     0x0A: (2, lambda call: bytes([ALL_BITS]) + _listed(call, call.state.memory.records)),  # all that are supported
     0x14: (2, _detection_counters),
-    0x1A: (3, _codes_by_record),
-    0x42: (5, _emission_codes_by_mask),
-    0x55: (3, _permanent_codes),
-    0x56: (4, _codes_by_readiness),
 }
-EMISSION_REPORTS: Final = frozenset({0x42, 0x55, 0x56})  # of SAE J1979-2
-REPORTS: Final = frozenset(_REPORTS) - EMISSION_REPORTS
+REPORTS: Final = frozenset(_REPORTS)
