@@ -50,8 +50,8 @@ def _access(access: AccessRule | None) -> str:
 
 def _data(table: DiagnosticTable) -> str:
     return _rows(
-        ("data", "name", "bytes", "read", "write", "control"),
-        ((f"{entry.number:04X}", entry.name, _layout(entry), *map(_access, (entry.read, entry.write, entry.control)))
+        ("data", "name", "bytes", "read", "write"),
+        ((f"{entry.number:04X}", entry.name, _layout(entry), *map(_access, (entry.read, entry.write)))
          for entry in table.data.values()),
     )  # fmt: skip
 

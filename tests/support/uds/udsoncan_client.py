@@ -56,7 +56,6 @@ CONFIG: Any = {
         0x0105: Number(">H"),
         0x0206: Number(">B"),
     },
-    "input_output": {0x0206: Number(">B")},
     "security_algo": key_of,
     "request_timeout": SILENCE_S,
     "p2_timeout": SILENCE_S,

@@ -39,7 +39,6 @@ _TRAFFIC: Final = ("enable receiving and sending", "enable receiving, disable se
 _MESSAGES: Final = {1: "normal messages", 2: "network management", 3: "normal messages and network management"}
 _SETTINGS: Final = {sessions.CODES_ON: "trouble codes on", sessions.CODES_OFF: "trouble codes off"}
 _RATES: Final = {data.SLOW: "Slow", data.MEDIUM: "Medium", data.FAST: "Fast", data.STOP: "Stop"}
-_CONTROLS: Final = {data.RETURN_CONTROL: "Return", data.FREEZE: "Freeze", data.ADJUST: "Adjust"}
 _ACTIONS: Final = {sessions.START: "Start", sessions.STOP: "Stop", sessions.RESULTS: "Results of"}
 _STATUS_BITS: Final = (
     "test failed", "test failed this operation cycle", "pending", "confirmed", "test not completed since last clear",
@@ -126,9 +125,8 @@ class UdsServices(_Services):
             Number.READ_CODES: self._trouble_codes, Number.READ_DATA: self._reading,
             Number.SECURITY_ACCESS: self._security, Number.COMMUNICATION_CONTROL: self._communication,
             Number.READ_PERIODICALLY: self._periodic, Number.DEFINE_DATA: self._defining,
-            Number.WRITE_DATA: self._writing, Number.CONTROL_DATA: self._controlling,
-            Number.ROUTINE_CONTROL: self._routines, Number.TESTER_PRESENT: self._presence,
-            Number.CONTROL_CODE_SETTING: self._settings,
+            Number.WRITE_DATA: self._writing, Number.ROUTINE_CONTROL: self._routines,
+            Number.TESTER_PRESENT: self._presence, Number.CONTROL_CODE_SETTING: self._settings,
         }  # fmt: skip
         for number, make in makers.items():
             yield from make(number) if number in self.table.services else ()
@@ -222,14 +220,6 @@ class UdsServices(_Services):
                 begin = (constant("identifier", datum.number, 2, "ID"),)
                 whole = (*begin, *self._content(datum))
                 yield self.service(f"Write {datum.name}", number, "STOREDDATA", whole, begin, access=datum.write)
-
-    def _controlling(self, number: int) -> Iterator[OdxService]:
-        for datum in self.table.data.values():
-            for action, verb in _CONTROLS.items() if datum.control is not None else ():
-                begin = constant("identifier", datum.number, 2, "ID"), constant("action", action)
-                whole = (*begin, *self._content(datum))
-                asked = whole if action == data.ADJUST else begin
-                yield self.service(f"{verb} {datum.name}", number, "CONTROL", asked, whole, access=datum.control)
 
     def _routines(self, number: int) -> Iterator[OdxService]:
         for routine in self.table.routines.values():

@@ -22,7 +22,7 @@ from workshop.controller.iso14229 import NEGATIVE, Nrc
 from workshop.controller.memory import TestResult, empty_memory
 from workshop.controller.services.data import data_of
 from workshop.controller.services.sessions import failed, finished
-from workshop.controller.state import Instant, KeptState, Reply, Request, ServerState, under_control
+from workshop.controller.state import Instant, KeptState, Reply, Request, ServerState
 from workshop.controller.table import DiagnosticTable
 
 FORMAT: Final = 2
@@ -258,7 +258,7 @@ class Controller:
 
     def leave(self, client: int) -> None:
         """Note that a client has gone, and with it the session that it held; raises RecordError as ``report``."""
-        self._change(lambda state: server.left(self.table, state, client))
+        self._change(lambda state: server.left(state, client))
 
     def broadcast(self, client: int = 0) -> tuple[bytes, ...]:
         """Return what is to be sent now to the client who holds the session, without being asked again; as ``tick``."""
@@ -294,9 +294,7 @@ class Controller:
 
     def finish(self, routine: int) -> None:
         """Note that the vehicle has done what a routine asked for."""
-        self._change(
-            lambda state: finished(state, self.table, routine, under_control(self.table, state, self._moment()))
-        )
+        self._change(lambda state: finished(state, self.table, routine, self._moment()))
 
     def fail(self, routine: int, nrc: int = Nrc.PROGRAMMING_FAILURE) -> None:
         """Note that the vehicle could not do what a routine asked for, and why, for who awaits it."""

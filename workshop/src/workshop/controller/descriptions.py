@@ -17,16 +17,16 @@ FLOAT_BYTES: Final = frozenset({4, 8})
 _SYSTEMS: Final = "PCBU"  # powertrain, chassis, body, network: the two upper bits of a code
 _CODE: Final = re.compile(r"[PCBU][0-3][0-9A-F]{3}")
 
-Conversion = tuple[Callable[[float], float], Callable[[float], float]]
-_CONVERSIONS: Final[Mapping[tuple[str, str], Conversion]] = {
-    ("rad_s", "rpm"): (units.rpm_from_rad_s, units.rad_s_from_rpm),
-    ("pa", "bar"): (units.bar_from_pa, units.pa_from_bar),
-    ("pa", "kPa"): (lambda pressure_pa: pressure_pa / 1e3, lambda pressure_kpa: pressure_kpa * 1e3),
-    ("k", "degC"): (units.degc_from_k, units.k_from_degc),
-    ("m_s", "km/h"): (units.km_h_from_m_s, units.m_s_from_km_h),
-    ("m", "km"): (lambda length_m: length_m / 1e3, lambda length_km: length_km * 1e3),
-    ("ratio", "%"): (lambda ratio: ratio * 1e2, lambda percent: percent / 1e2),
-}  # from SI, to SI
+Conversion = Callable[[float], float]
+_CONVERSIONS: Final[Mapping[tuple[str, str], Conversion]] = {  # from SI
+    ("rad_s", "rpm"): units.rpm_from_rad_s,
+    ("pa", "bar"): units.bar_from_pa,
+    ("pa", "kPa"): lambda pressure_pa: pressure_pa / 1e3,
+    ("k", "degC"): units.degc_from_k,
+    ("m_s", "km/h"): units.km_h_from_m_s,
+    ("m", "km"): lambda length_m: length_m / 1e3,
+    ("ratio", "%"): lambda ratio: ratio * 1e2,
+}
 _SI_UNITS: Final = {"rad_s": "rad/s", "m_s": "m/s", "s": "s", "pa": "Pa", "k": "K", "nm": "Nm", "m": "m", "ratio": ""}
 
 
@@ -96,8 +96,8 @@ class DatumField:
 
     @property
     def conversion(self) -> Conversion:
-        """How its source's value becomes one in the unit on the wire, and the other way round."""
-        return _CONVERSIONS.get((self.dimension, self.unit), (float, float))
+        """How its source's value [SI] becomes one in the unit on the wire."""
+        return _CONVERSIONS.get((self.dimension, self.unit), float)
 
     @property
     def numbered_meanings(self) -> dict[int, str]:
@@ -197,7 +197,6 @@ class DataIdentifier:
     read: AccessRule
     initial: str | None = None  # text, or hexadecimal digits of all its bytes
     write: AccessRule | None = None
-    control: AccessRule | None = None  # by service 2F
 
     def __post_init__(self) -> None:
         are_live = [bool(entry.source) for entry in self.fields]
@@ -207,9 +206,6 @@ class DataIdentifier:
             )
         if self.write is not None and self.initial is None:
             raise EmulatorConfigError(f"data {self.name}: what is live cannot be written")
-        if self.control is not None and self.initial is not None:
-            raise EmulatorConfigError(f"data {self.name}: what is stored cannot be controlled")
-
         if self.initial is not None and len(self.initial_bytes) != self.size_bytes:
             raise EmulatorConfigError(
                 f"data {self.name}: initial must have {self.size_bytes} bytes, got {self.initial!r}"
@@ -477,7 +473,7 @@ def _encoded(entry: DatumField, value: Value | None, *, keeps_code: bool) -> byt
 
 def _float_bytes(entry: DatumField, value: float) -> bytes:
     """Return a number as IEEE 754 has it; one that is too large for four bytes is infinite."""
-    number = entry.conversion[0](value)
+    number = entry.conversion(value)
     try:
         return struct.pack(_FORMATS[entry.size_bytes], number)
     except OverflowError:
@@ -494,7 +490,7 @@ def _number(entry: DatumField, value: float, *, keeps_code: bool) -> int:
         if entry.kind is Coding.SIGNED
         else (0, (1 << bits) - 1 - keeps_code)
     )
-    steps = (entry.conversion[0](value) - entry.offset) / entry.resolution
+    steps = (entry.conversion(value) - entry.offset) / entry.resolution
     return high if steps >= high else low if steps <= low else round(steps)
 
 
@@ -504,18 +500,6 @@ def _pieces(fields: tuple[DatumField, ...], raw: bytes) -> Iterator[tuple[DatumF
     for entry in fields:
         yield entry, raw[place : place + entry.size_bytes]
         place += entry.size_bytes
-
-
-def decoded(fields: tuple[DatumField, ...], raw: bytes) -> dict[str, float]:
-    """Return the numbers in bytes by source, in SI; those that are not available are missing."""
-    available = ((entry, piece) for entry, piece in _pieces(fields, raw) if _is_available(entry, piece))
-    return {entry.source: entry.conversion[1](decode_number(entry, piece)) for entry, piece in available}
-
-
-def _is_available(entry: DatumField, raw: bytes) -> bool:
-    if entry.kind is Coding.FLOAT:
-        return not math.isnan(decode_number(entry, raw))
-    return int.from_bytes(raw, "big", signed=entry.kind is Coding.SIGNED) != not_available(entry)
 
 
 def decode_number(entry: DatumField, raw: bytes) -> float:

@@ -44,7 +44,6 @@ from workshop.controller.state import (
     ServiceOutcome,
     Waiting,
     is_unlocked,
-    under_control,
 )
 from workshop.controller.table import DiagnosticTable
 
@@ -63,7 +62,6 @@ _HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {
     Service.READ_PERIODICALLY: data.read_periodically,
     Service.DEFINE_DATA: data.define_data,
     Service.WRITE_DATA: data.write_data,
-    Service.CONTROL_DATA: data.control_data,
     Service.ROUTINE_CONTROL: sessions.routine_control,
     Service.TESTER_PRESENT: sessions.tester_present,
     Service.CONTROL_CODE_SETTING: sessions.control_code_setting,
@@ -103,12 +101,11 @@ def answer(table: DiagnosticTable, state: ServerState, request: Request, moment:
     """
     if moment.t_s < state.asleep_until_s or not request.payload:
         return Reply(payload=None, state=state)
-    sensed, moment = moment, under_control(table, state, moment)
     state = _settled(table, state, moment)
     if state.waiting is not None:  # all is refused but what only keeps the session alive
         busy = None if request.payload == KEEP_ALIVE else _negative(request, Nrc.BUSY_REPEAT_REQUEST)
         return Reply(payload=busy, state=state)
-    result = _outcome(Call(table=table, state=state, moment=moment, sensed=sensed, request=request))
+    result = _outcome(Call(table=table, state=state, moment=moment, request=request))
     if not result.is_final:
         waiting = Waiting(
             request=request,
@@ -133,7 +130,6 @@ def _outcome(call: Call) -> ServiceOutcome:
 
 def advance(table: DiagnosticTable, state: ServerState, moment: Instant) -> Reply:
     """Return what a controller does because time has passed: a response that was awaited, or 78 once more."""
-    sensed, moment = moment, under_control(table, state, moment)
     state = _settled(table, state, moment)
     waiting = state.waiting
     if waiting is None:
@@ -147,37 +143,36 @@ def advance(table: DiagnosticTable, state: ServerState, moment: Instant) -> Repl
     state = replace(state, waiting=None, heard_s=moment.t_s)
     if run.failed_nrc:
         return Reply(payload=_negative(waiting.request, Nrc(run.failed_nrc)), state=state)
-    call = Call(table=table, state=state, moment=moment, sensed=sensed, request=waiting.request)
+    call = Call(table=table, state=state, moment=moment, request=waiting.request)
     response = sessions.answered(call, table.routines[waiting.routine], run).response
     return Reply(payload=response if isinstance(response, bytes) else None, state=state)
 
 
 def broadcast(table: DiagnosticTable, state: ServerState, moment: Instant) -> tuple[tuple[bytes, ...], ServerState]:
     """Return what is sent now because a client asked to have it again and again (2A), and the state after it."""
-    moment = under_control(table, state, moment)
     return data.due(table, _settled(table, state, moment), moment)
 
 
 def held(table: DiagnosticTable, state: ServerState, moment: Instant) -> ServerState:
     """Return the state while a message is on its way: a session that has not ended by now goes on for another S3."""
-    return replace(_settled(table, state, under_control(table, state, moment)), heard_s=moment.t_s)
+    return replace(_settled(table, state, moment), heard_s=moment.t_s)
 
 
-def left(table: DiagnosticTable, state: ServerState, client: int) -> ServerState:
+def left(state: ServerState, client: int) -> ServerState:
     """Return the state once a client has gone: nobody awaits its response, its session and its own data are no more."""
     if state.waiting is not None and state.waiting.request.client == client:
         state = replace(state, waiting=None)
     kept = {number: pieces for number, pieces in state.defined.items() if pieces[0].client != client}
     state = replace(state, defined=kept)
     is_held = state.session != DEFAULT_SESSION and state.holder == client
-    return sessions.in_session(state, table, DEFAULT_SESSION) if is_held else state
+    return sessions.in_session(state, DEFAULT_SESSION) if is_held else state
 
 
 def tested(table: DiagnosticTable, state: ServerState, number: int, result: TestResult, moment: Instant) -> ServerState:
     """Return the state after a monitor has spoken; nothing changes while a client has switched that off (85)."""
     if not state.are_codes_updated:
         return state
-    trouble, moment = table.troubles[number], under_control(table, state, moment)
+    trouble = table.troubles[number]
     is_new = needs_capture(state.memory, trouble, result)
     captured = capture(table, trouble, state, moment) if is_new else NOTHING_CAPTURED
     memory = report(state.memory, trouble, result, captured)
@@ -206,7 +201,7 @@ def _settled(table: DiagnosticTable, state: ServerState, moment: Instant) -> Ser
         state = sessions.delay_over(state, level, moment.t_s)
     is_over = moment.t_s - state.heard_s >= table.timing.s3_s
     if state.session != DEFAULT_SESSION and state.waiting is None and is_over:
-        return sessions.in_session(state, table, DEFAULT_SESSION)
+        return sessions.in_session(state, DEFAULT_SESSION)
     return data.only_allowed(state, table)
 
 
@@ -215,7 +210,7 @@ def refusal(table: DiagnosticTable, state: ServerState, request: Request) -> Rep
     is_guest = state.session != DEFAULT_SESSION and request.client != state.holder
     nowhere = Instant(t_s=0.0, values={})
     seen = sessions.as_guest(state) if is_guest else state
-    call = Call(table=table, state=seen, moment=nowhere, sensed=nowhere, request=request, is_guest=is_guest)
+    call = Call(table=table, state=seen, moment=nowhere, request=request, is_guest=is_guest)
     nrc = None if not request.payload or _is_obd(call) else _refusal(call)
     return None if nrc is None else _replied(request, nrc, state)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from workshop.controller.clutches import Adaptation
-from workshop.controller.descriptions import AccessRule, Values, decoded, holds
+from workshop.controller.descriptions import AccessRule, Values, holds
 from workshop.controller.iso14229 import DEFAULT_SESSION, POSITIVE, SUPPRESS, Nrc
 from workshop.controller.memory import Emissions, TroubleMemory
 from workshop.controller.table import DiagnosticTable
@@ -105,7 +105,6 @@ class ServerState(KeptState):
     locked_until_s: Mapping[int, float] = field(default_factory=dict)
     are_codes_updated: bool = True
     communication: Communication = field(default_factory=Communication)
-    controlled: Mapping[int, bytes] = field(default_factory=dict)
     defined: Mapping[int, tuple[Piece, ...]] = field(default_factory=dict)
     periodic: Mapping[int, PeriodicRun] = field(default_factory=dict)  # by data identifier
     routines: Mapping[int, RoutineRun] = field(default_factory=dict)
@@ -143,8 +142,7 @@ class Call:
 
     table: DiagnosticTable
     state: ServerState
-    moment: Instant  # as the controller takes it to be
-    sensed: Instant  # as it is, whatever a client has put in its place
+    moment: Instant
     request: Request
     is_guest: bool = False  # another client holds a session; this one is answered as in the default session
 
@@ -203,22 +201,6 @@ def unmet_by_service(call: Call) -> Nrc | None:
     return unmet(call, call.table.services[call.payload[0]].conditions)
 
 
-def locked(state: ServerState, table: DiagnosticTable) -> ServerState:
-    """Return the state with security locked and without what needed it."""
-    controlled = {
-        number: data
-        for number, data in state.controlled.items()
-        if (control := table.data[number].control) is not None and not control.levels
-    }
-    return replace(state, unlocked=0, seed_level=0, seed=b"", controlled=controlled)
-
-
-def under_control(table: DiagnosticTable, state: ServerState, moment: Instant) -> Instant:
-    """Return a moment as the controller takes it to be: with the values that a client has put in place of its own."""
-    if not state.controlled:
-        return moment
-    held = {entry.source for number in state.controlled for entry in table.data[number].fields}
-    own = {source: value for source, value in moment.values.items() if source not in held}
-    for number, data in state.controlled.items():
-        own |= decoded(table.data[number].fields, data)
-    return replace(moment, values=own)
+def locked(state: ServerState) -> ServerState:
+    """Return the state with security locked."""
+    return replace(state, unlocked=0, seed_level=0, seed=b"")

@@ -240,7 +240,7 @@ class DiagnosticTable:
         for service in self.services.values():
             yield service, f"service {service.name}"
         for datum in self.data.values():
-            for access in (datum.read, datum.write, datum.control):
+            for access in (datum.read, datum.write):
                 if access is not None:
                     yield access, f"data {datum.name}"
         for routine in self.routines.values():
@@ -266,7 +266,7 @@ _LIKE: Final = "like_"
 _SAME_IN_FILES: Final = (  # of a table
     *("name", "snapshot", "addressing", "transport", "timing", "limits", "doip", "periodic", "clutches"),
 )
-_ACCESSES: Final = ("access", "read", "write", "control")  # members that name one of the table [access]
+_ACCESSES: Final = ("access", "read", "write")  # members that name one of the table [access]
 _MAY_BE_NEGATIVE: Final = frozenset({"offset", "minimum", "maximum"})
 
 

@@ -5,7 +5,7 @@ from workshop.controller.descriptions import Value
 from workshop.controller.memory import TestResult
 from workshop.controller.server import advance, answer, broadcast, left, switched_on, tested
 from workshop.controller.services.sessions import failed, finished
-from workshop.controller.state import Instant, Request, ServerState, under_control
+from workshop.controller.state import Instant, Request, ServerState
 from workshop.controller.table import DiagnosticTable
 
 SEED = bytes(range(1, 17))
@@ -39,7 +39,7 @@ class Bench:
         return (reply.payload or b"").hex(" ")
 
     def leave(self, client: int) -> None:
-        self.state = left(self.table, self.state, client)
+        self.state = left(self.state, client)
 
     def sent(self, duration_s: float) -> list[str]:
         """Return what is sent unasked in the next so many seconds, looked at a hundred times a second."""
@@ -60,7 +60,7 @@ class Bench:
             self.state,
             self.table,
             routine,
-            under_control(self.table, self.state, Instant(t_s=self.t_s, values=self.values)),
+            Instant(t_s=self.t_s, values=self.values),
         )
 
     def fail(self, routine: int) -> None:

@@ -68,7 +68,6 @@ def test_a_routine_that_is_awaited_is_answered_when_it_has_ended(bench: Bench) -
         ("10 40", "7f 10 7e"),
         ("27 01", "7f 27 7f"),
         ("2e f1 98 43 4c 55 54 43 48 53 48 4f 50", "7f 2e 7f"),
-        ("2f 02 06 03 70", "7f 2f 7f"),
     ],
 )
 def test_a_session_and_its_security_belong_to_the_client_who_entered_it(

@@ -49,7 +49,7 @@ TEXT = (Path(__file__).parents[4] / "workshop/src/workshop/controller/tcu.toml")
         ("size_bytes = 17", "size_bytes = 18", "initial must have 18 bytes"),
         ('initial = "EA60"', 'initial = "EA6"', "initial is neither ASCII text nor hexadecimal"),
         ('pattern = "[0-9A-Z]{10}"', 'pattern = "["', "pattern is not a regular expression"),
-        ('write = "maker"', 'write = "anyone"', "write must be one of actuator, adapting, clearing, extended"),
+        ('write = "maker"', 'write = "anyone"', "write must be one of adapting, clearing, extended"),
         ('read = "open"\ninitial = "0100"', 'read = "open"', "either every field has a source, or there is an initial"),
         ("maximum = 0.5, nrc = 0x88", "maximum = 0.5, nrc = 0x99", "nrc 0x99 is unknown"),
         ('conditions = ["standstill"]', 'conditions = ["flying"]', "condition flying is not"),

@@ -1,6 +1,6 @@
-"""Data by identifier: services 22 (read), 2C (define), 2E (write) and 2F (control)."""
+"""Data by identifier: services 22 (read), 2A (read periodically), 2C (define) and 2E (write)."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Final
 
@@ -26,7 +26,6 @@ from workshop.controller.state import (
     ServerState,
     is_in_session,
     is_unlocked,
-    under_control,
     unmet,
     unmet_by_service,
 )
@@ -36,17 +35,12 @@ STARTING: Final = "is_starting"  # a value: the vehicle has said nothing yet, as
 DEFINE_BY_IDENTIFIER: Final = 0x01
 CLEAR_DEFINITION: Final = 0x03
 DEFINABLE_PAGE: Final = 0xF3  # annex C: upper byte of what clients may define, beside what is sent periodically
-RETURN_CONTROL: Final = 0x00
-FREEZE: Final = 0x02
-ADJUST: Final = 0x03
 _NAME_BYTES: Final = 2
 _PIECE_BYTES: Final = 4
 
 
 def data_of(datum: DataIdentifier, state: ServerState, moment: Instant) -> bytes:
-    """Return what a datum holds now: what was written, or what the vehicle says, as far as a client let it."""
-    if datum.number in state.controlled:
-        return state.controlled[datum.number]
+    """Return what a datum holds now: what was written, or what the vehicle says."""
     if datum.initial is not None:
         return state.written.get(datum.number, datum.initial_bytes)
     return encode(datum.fields, {**moment.values, "active_session": state.session})
@@ -89,7 +83,7 @@ def read_refusal(call: Call, pieces: Iterable[Piece]) -> Nrc | None:
     for datum in (call.table.data[piece.source] for piece in pieces):
         if not is_unlocked(call.state, datum.read.levels):
             return Nrc.SECURITY_ACCESS_DENIED
-        if datum.initial is None and datum.number not in call.state.controlled and _are_awaited(datum.fields, call):
+        if datum.initial is None and _are_awaited(datum.fields, call):
             return Nrc.BUSY_REPEAT_REQUEST
         if refusal := unmet(call, datum.read.conditions):
             return refusal
@@ -124,64 +118,25 @@ def is_definable(table: DiagnosticTable, number: int) -> bool:
 
 def write_data(call: Call) -> Result:
     """Write a stored datum; it is kept over a restart."""
-    target = _target(call, lambda datum: datum.write)
-    if isinstance(target, Nrc):
-        return target
-    datum, access = target
-    data = call.payload[3:]
+    if len(call.payload) < 1 + _NAME_BYTES + 1:
+        return Nrc.INCORRECT_LENGTH
+    datum, data = call.table.data.get(int.from_bytes(call.payload[1:3], "big")), call.payload[3:]
+    if datum is None or datum.write is None or not is_in_session(call, datum.write):
+        return Nrc.REQUEST_OUT_OF_RANGE
+    if refusal := _write_refusal(call, datum, datum.write, data):
+        return refusal
+    state = replace(call.state, written={**call.state.written, datum.number: data})
+    return call.positive(call.payload[1:3], state)
+
+
+def _write_refusal(call: Call, datum: DataIdentifier, access: AccessRule, data: bytes) -> Nrc | None:
     if len(data) != datum.size_bytes:
         return Nrc.INCORRECT_LENGTH
     if not is_unlocked(call.state, access.levels):
         return Nrc.SECURITY_ACCESS_DENIED
     if not are_valid(datum.fields, data):
         return Nrc.REQUEST_OUT_OF_RANGE
-    if refusal := unmet_by_service(call) or unmet(call, access.conditions):
-        return refusal
-    state = replace(call.state, written={**call.state.written, datum.number: data})
-    return call.positive(call.payload[1:3], state)
-
-
-def _target(
-    call: Call, access_of: Callable[[DataIdentifier], AccessRule | None]
-) -> tuple[DataIdentifier, AccessRule] | Nrc:
-    """Return the datum that a request with more than its name is about, and who may do this with it."""
-    if len(call.payload) < 1 + _NAME_BYTES + 1:
-        return Nrc.INCORRECT_LENGTH
-    datum = call.table.data.get(int.from_bytes(call.payload[1:3], "big"))
-    access = None if datum is None else access_of(datum)
-    if datum is None or access is None or not is_in_session(call, access):
-        return Nrc.REQUEST_OUT_OF_RANGE
-    return datum, access
-
-
-def control_data(call: Call) -> Result:
-    """Take a live value out of the controller's hands, or give it back."""
-    target = _target(call, lambda datum: datum.control)
-    if isinstance(target, Nrc):
-        return target
-    datum, access = target
-    if not is_unlocked(call.state, access.levels):
-        return Nrc.SECURITY_ACCESS_DENIED
-    if refusal := _control_refusal(call, datum) or unmet_by_service(call) or unmet(call, access.conditions):
-        return refusal
-    action = call.payload[3]
-    controlled = {number: data for number, data in call.state.controlled.items() if number != datum.number}
-    if action == ADJUST:
-        controlled[datum.number] = call.payload[4:]
-    elif action == FREEZE:
-        controlled[datum.number] = data_of(datum, call.state, call.moment)
-    state = replace(call.state, controlled=controlled)
-    after = under_control(call.table, state, call.sensed)
-    return call.positive(call.payload[1:4] + data_of(datum, state, after), state)
-
-
-def _control_refusal(call: Call, datum: DataIdentifier) -> Nrc | None:
-    action, wanted = call.payload[3], call.payload[4:]
-    if action not in {RETURN_CONTROL, FREEZE, ADJUST}:
-        return Nrc.REQUEST_OUT_OF_RANGE
-    if len(wanted) != (datum.size_bytes if action == ADJUST else 0):
-        return Nrc.INCORRECT_LENGTH
-    return None if not wanted or are_valid(datum.fields, wanted) else Nrc.REQUEST_OUT_OF_RANGE
+    return unmet_by_service(call) or unmet(call, access.conditions)
 
 
 def define_data(call: Call) -> Result:

@@ -51,13 +51,13 @@ def session_control(call: Call) -> Result:
     p2_star = round(timing.p2_star_s / _P2_STAR_STEP_S).to_bytes(2, "big")
     if call.is_guest:
         return call.echoed(p2 + p2_star)
-    state = replace(in_session(call.state, call.table, call.sub_function), holder=call.request.client)
+    state = replace(in_session(call.state, call.sub_function), holder=call.request.client)
     return call.echoed(p2 + p2_star, state)
 
 
-def in_session(state: ServerState, table: DiagnosticTable, session: int) -> ServerState:
+def in_session(state: ServerState, session: int) -> ServerState:
     """Return the state after a session was entered: security is locked, and the default session ends the rest."""
-    state = replace(locked(state, table), session=session)
+    state = replace(locked(state), session=session)
     if session != DEFAULT_SESSION:
         return state
     routines = {
@@ -66,7 +66,6 @@ def in_session(state: ServerState, table: DiagnosticTable, session: int) -> Serv
     }
     return replace(
         state,
-        controlled={},
         communication=Communication(),
         are_codes_updated=True,
         periodic={},
@@ -77,7 +76,7 @@ def in_session(state: ServerState, table: DiagnosticTable, session: int) -> Serv
 
 def as_guest(state: ServerState) -> ServerState:
     """Return the state as a client sees it while another one holds a session: the default session, all locked."""
-    return replace(state, session=DEFAULT_SESSION, unlocked=0, seed_level=0, seed=b"")
+    return replace(locked(state), session=DEFAULT_SESSION)
 
 
 def after_guest(before: ServerState, after: ServerState) -> ServerState:
