@@ -15,7 +15,7 @@ from tests.support.ports import free_port
 from tests.support.uds.full_table import full_table
 from tests.support.uds.wire import PARKED
 from workshop.controller.controller import Controller, MemoryFile
-from workshop.controller.doip_server import DoipAddress, DoipServer, TlsNode
+from workshop.controller.doip_server import DoipAddress, DoipServer
 
 MASK = 0x5AA5C33C
 
@@ -26,7 +26,6 @@ def entity(
     store: MemoryFile | None = None,
     port: int = 0,
     host: str = "127.0.0.1",
-    tls: TlsNode | None = None,
     reset_s: float = 0.3,
     **settings: float,
 ) -> Iterator[tuple[Controller, DoipServer]]:
@@ -35,7 +34,7 @@ def entity(
     quick: dict[str, Any] = {"announce_wait_s": 0.0, "announce_count": 0, **settings}
     table = replace(table, doip=replace(table.doip, **quick), timing=replace(table.timing, reset_s=reset_s))
     controller = Controller(table, values=lambda: PARKED, clock=time.monotonic, chance=secrets.token_bytes, store=store)
-    with DoipServer(controller, DoipAddress(host=host, port=port or free_port(), tls=tls)) as server:
+    with DoipServer(controller, DoipAddress(host=host, port=port or free_port())) as server:
         yield controller, server
 
 

@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import can
 
@@ -25,9 +25,9 @@ from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import EmulatorConfigError, LogFormatExtraError
 from ecu_emulator.live import BusChoice
 from workshop.controller.controller import Controller, MemoryFile
-from workshop.controller.doip_server import DoipAddress, DoipServer, parse_place, tls_node
+from workshop.controller.doip_server import DoipAddress, DoipServer, parse_place
 from workshop.controller.elm327_server import ElmServer
-from workshop.controller.iso14229 import DOIP_TLS_PORT, DtcStatus
+from workshop.controller.iso14229 import DtcStatus
 from workshop.controller.monitoring import MONITOR_PERIOD_S, Monitoring
 from workshop.controller.monitors import SENSED, SENSED_OF_CONVERTER
 from workshop.controller.requested_tasks import (
@@ -133,7 +133,7 @@ class Answering:
             self._routine = None if performer is None else RequestedRoutine(performer, self.controller)
             self._adaptation = None if performer is None else RequestedAdaptation(performer, self.controller)
             self.link = DiagnosticLink(self.controller, bus.send, is_fd=is_fd)
-            doip = how.place
+            doip = how.doip_address
             self.doip = None if doip is None else self._stack.enter_context(closing(DoipServer(self.controller, doip)))
             there = None if how.elm327 is None else parse_place(how.elm327, "--elm327", least_port=0)
             adapter = None if there is None else ElmServer(self.controller, (there.host, there.port), bitrate)
@@ -200,10 +200,7 @@ class Answering:
         """Where else than on the bus it can be asked, for people; each with a warning if others can reach it."""
         said = []
         if self.doip is not None:
-            place = self.doip.place
-            said.append(place_text("DoIP on", str(place), is_exposed=self.doip.is_exposed))
-            if place.tls is not None:
-                said.append(f"DoIP by TLS on port {place.tls.port}")
+            said.append(place_text("DoIP on", str(self.doip.place), is_exposed=self.doip.is_exposed))
         if self.elm327 is not None:
             said.append(place_text("ELM327 adapter at", self.elm327.place, is_exposed=self.elm327.is_exposed))
         return said
@@ -329,10 +326,6 @@ class Answers:
         A file that keeps trouble codes over restarts.
     doip, elm327 : str, optional
         ``[HOST:]PORT`` at which it answers over IP, and as an ELM327 adapter.
-    doip_certificate, doip_key : path, optional
-        With a certificate it answers over IP by TLS as well; the key may be in the same file.
-    doip_tls_port : int
-        Where it does.
 
     Raises
     ------
@@ -345,16 +338,13 @@ class Answers:
     memory: AnyPath | None = None
     doip: str | None = None
     elm327: str | None = None
-    doip_certificate: AnyPath | None = None
-    doip_key: AnyPath | None = None
-    doip_tls_port: int = DOIP_TLS_PORT
 
     def __post_init__(self) -> None:
         if self.table is not None and self.like is not None:
             raise EmulatorConfigError("a controller answers by a table of its own, or like another one, not both")
         if self.like is not None:
             table_like(self.like)
-        _ = self.place
+        _ = self.doip_address
 
     def opened(self, bus: can.BusABC, choice: BusChoice, drive: Drive) -> Answering:
         """Return the controller that answers while it is entered.
@@ -369,56 +359,22 @@ class Answers:
         )
 
     @property
-    def place(self) -> DoipAddress | None:
+    def doip_address(self) -> DoipAddress | None:
         """Where it answers on an IP network, None if it does not."""
-        certificate, key = (None if one is None else Path(one) for one in (self.doip_certificate, self.doip_key))
-        if certificate is None and self.doip_tls_port != DOIP_TLS_PORT:
-            raise EmulatorConfigError("--doip-tls-port needs --doip-certificate")
-        tls = tls_node(certificate, key, self.doip_tls_port)
-        if self.doip is not None:
-            return replace(parse_place(self.doip), tls=tls)
-        if tls is not None:
-            raise EmulatorConfigError("--doip-certificate needs --doip")
-        return None
+        return None if self.doip is None else parse_place(self.doip)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AnswerOptions:
-    """Whether and where testers are answered, as a command line says it."""
-
-    diagnostics: str | None
-    answers_like: str | None
-    diagnostic_memory: Path | None
-    doip: str | None
-    doip_certificate: Path | None
-    doip_key: Path | None
-    doip_tls_port: int
-    elm327: str | None
-
-
-def chosen(options: AnswerOptions) -> Answers | None:
-    """Return what a command line says of it, None if nobody is to answer.
+def chosen(words: Mapping[str, Any]) -> Answers | None:
+    """Return how a command line has testers answered, None if nobody answers.
 
     Raises ConfigError if there is a memory or an address and nobody who uses it, or the address is none.
     """
-    given = {
-        "--diagnostic-memory": options.diagnostic_memory, "--doip": options.doip, "--elm327": options.elm327,
-        "--doip-certificate": options.doip_certificate,
-        "--doip-key": options.doip_key,
-        "--doip-tls-port": None if options.doip_tls_port == DOIP_TLS_PORT else options.doip_tls_port,
-    }  # fmt: skip
-    if options.diagnostics is None and options.answers_like is None:
-        for option, value in given.items():
-            if value is not None:
-                raise EmulatorConfigError(f"{option} needs --diagnostics")
+    table, like = words["diagnostics"], words["answers_like"]
+    if table is None and like is None:
+        for name in ("diagnostic_memory", "doip", "elm327"):
+            if words[name] is not None:
+                raise EmulatorConfigError(f"--{name.replace('_', '-')} needs --diagnostics")
         return None
     return Answers(
-        table=options.diagnostics or None,
-        like=options.answers_like,
-        memory=options.diagnostic_memory,
-        doip=options.doip,
-        elm327=options.elm327,
-        doip_certificate=options.doip_certificate,
-        doip_key=options.doip_key,
-        doip_tls_port=options.doip_tls_port,
+        table=table or None, like=like, memory=words["diagnostic_memory"], doip=words["doip"], elm327=words["elm327"]
     )

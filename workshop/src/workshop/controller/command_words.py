@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from clutchdiag_io.command_line import FILE, record_of
-from workshop.controller.iso14229 import DOIP_TLS_PORT
+from clutchdiag_io.command_line import FILE
 
 if TYPE_CHECKING:
     from ecu_emulator.live import AnswersTesters
@@ -36,15 +35,6 @@ run_options: Final = (
         metavar="[HOST:]PORT",
         help="answer testers on an IP network, too (ISO 13400-2, port 13400); on this machine alone without HOST",
     ),
-    click.option("--doip-certificate", type=FILE, help="answer over IP by TLS as well, with this certificate (PEM)"),
-    click.option("--doip-key", type=FILE, help="its key, unless that is in the same file"),
-    click.option(
-        "--doip-tls-port",
-        metavar="PORT",
-        type=int,
-        default=DOIP_TLS_PORT,
-        help="port for TLS",
-    ),
     click.option("--diagnostic-memory", type=FILE, help="keep trouble codes in this file, over restarts"),
     click.option(
         "--elm327",
@@ -58,6 +48,6 @@ run_options: Final = (
 
 def answers(words: Mapping[str, Any]) -> "AnswersTesters | None":
     """Return what a command line says of answering, None if nobody is to answer."""
-    from workshop.controller.answers import AnswerOptions, chosen
+    from workshop.controller.answers import chosen
 
-    return chosen(record_of(AnswerOptions, words))
+    return chosen(words)

@@ -3,7 +3,6 @@
 import asyncio
 import random
 import socket
-import ssl
 import threading
 import time
 from collections.abc import Callable, Coroutine
@@ -12,10 +11,8 @@ from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from ipaddress import IPv4Address, IPv6Address
-from pathlib import Path
 from typing import Final, Self
 
-from clutchdiag_io.files import check_plain_file
 from ecu_emulator.errors import BusError, EmulatorConfigError
 from workshop.controller import doip
 from workshop.controller.controller import TICK_S, Controller
@@ -25,50 +22,6 @@ from workshop.controller.server import AGAIN_RATIO, KEEP_ALIVE, PENDING_RATIO
 from workshop.controller.table import DoipEntity
 
 LARGEST_PORT: Final = 65535
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TlsNode:
-    """Where an entity speaks TLS, and the files (PEM) by which testers know it."""
-
-    certificate: Path
-    key: Path | None  # None: it is in the file of the certificate
-    port: int
-
-    def context(self) -> ssl.SSLContext:
-        """Return what connections are made with: TLS 1.2 or newer, as the standard has it.
-
-        Raises ConfigError if a file cannot be read, or is no certificate or the wrong key.
-        """
-        files = ", ".join(str(path) for path in (self.certificate, self.key) if path is not None)
-        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        context.minimum_version = ssl.TLSVersion.TLSv1_2
-        try:
-            for path in (self.certificate, self.key):
-                if path is not None:
-                    check_plain_file(path)
-            context.load_cert_chain(self.certificate, self.key, password="")  # or a terminal would be asked
-        except ssl.SSLError as exc:
-            raise EmulatorConfigError(f"certificate or key cannot be used: {exc.reason or exc} ({files})") from exc
-        except OSError as exc:
-            raise EmulatorConfigError(f"certificate or key cannot be read: {exc.strerror or exc} ({files})") from exc
-        return context
-
-
-def tls_node(certificate: Path | None, key: Path | None, port: int) -> TlsNode | None:
-    """Return how TLS is spoken, as the command line says; None if it is not.
-
-    Raises ConfigError if there is a key without a certificate, or the port is none.
-    """
-    if certificate is None:
-        if key is not None:
-            raise EmulatorConfigError("--doip-key needs --doip-certificate")
-        return None
-    if not 1 <= port <= LARGEST_PORT:
-        raise EmulatorConfigError(f"--doip-tls-port must be 1..{LARGEST_PORT}, got {port}")
-    return TlsNode(certificate=certificate, key=key, port=port)
-
-
 PORT: Final = 13400  # registered for DoIP, both TCP and UDP
 LOOPBACK: Final = "127.0.0.1"
 LOCAL_BROADCAST: Final = "127.255.255.255"
@@ -86,7 +39,6 @@ class DoipAddress:
 
     host: str
     port: int
-    tls: TlsNode | None = None  # likewise by TLS, on a port of its own
 
     def __str__(self) -> str:
         return f"{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
@@ -97,14 +49,13 @@ class Listening:
     """Open sockets of one address."""
 
     tcp: socket.socket
-    tls: socket.socket | None
     udp: tuple[socket.socket, ...]  # the first one also says what is said
     everybody: tuple[str, int]  # who hears announcements
     is_exposed: bool  # whether others than this machine can reach it
 
     def close(self) -> None:
-        for one in (self.tcp, *([] if self.tls is None else [self.tls]), *self.udp):
-            one.close()
+        for opened in (self.tcp, *self.udp):
+            opened.close()
 
 
 def parse_place(text: str, option: str = "--doip", *, least_port: int = 1) -> DoipAddress:
@@ -133,14 +84,13 @@ def listen(place: DoipAddress) -> Listening:
             address = _address(place.host)
             everybody = _everybody(address)
             tcp = _connections(stack, address, place.port)
-            tls = None if place.tls is None else _connections(stack, address, place.tls.port)
             is_broadcast = isinstance(address, IPv4Address) and not address.is_unspecified
             hosts = [str(address), everybody] if is_broadcast else [str(address)]
             udp = tuple(_datagrams(stack, _family(address), host, place.port) for host in hosts)
         except OSError as exc:
             raise BusError(f"DoIP cannot listen on {place}: {exc.strerror or exc}") from exc
         stack.pop_all()
-    return Listening(tcp=tcp, tls=tls, udp=udp, everybody=(everybody, place.port), is_exposed=not address.is_loopback)
+    return Listening(tcp=tcp, udp=udp, everybody=(everybody, place.port), is_exposed=not address.is_loopback)
 
 
 def _address(host: str) -> Address:
@@ -298,8 +248,8 @@ class DoipServer:
 
     Raises
     ------
-    BusError, ConfigError
-        If it cannot listen there, or its certificate cannot be used.
+    BusError
+        If it cannot listen there.
     """
 
     def __init__(self, controller: Controller, place: DoipAddress) -> None:
@@ -320,7 +270,6 @@ class DoipServer:
         self._is_ready = threading.Event()
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="DoIP", daemon=True)
-        self._tls = None if place.tls is None else place.tls.context()
         self._sockets = listen(place)
         self.place = place
 
@@ -363,7 +312,7 @@ class DoipServer:
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
         async with asyncio.TaskGroup() as group:
-            servers = await self._listen(partial(self._accept, group))
+            server = await asyncio.start_server(partial(self._accept, group), sock=self._sockets.tcp, limit=READ_BYTES)
             await self._datagrams.start(self._sockets)
             self._start(group, self._datagrams.announce(self._sockets.everybody))
             self._start(group, self._advance(group))
@@ -371,31 +320,12 @@ class DoipServer:
             try:
                 await self._is_over.wait()
             finally:
-                for server in servers:
-                    server.close()
+                server.close()
                 self._datagrams.close()
                 for writer in self._writers.values():
                     writer.transport.abort()
                 for task in self._tasks:
                     task.cancel()
-
-    async def _listen(
-        self, accept: Callable[[asyncio.StreamReader, asyncio.StreamWriter], None]
-    ) -> list[asyncio.Server]:
-        servers = [await asyncio.start_server(accept, sock=self._sockets.tcp, limit=READ_BYTES)]
-        if self._sockets.tls is not None:
-            patience_s = self._entity.initial_inactivity_s
-            servers.append(
-                await asyncio.start_server(
-                    accept,
-                    sock=self._sockets.tls,
-                    limit=READ_BYTES,
-                    ssl=self._tls,
-                    ssl_handshake_timeout=patience_s,
-                    ssl_shutdown_timeout=LINGER_S,
-                )
-            )
-        return servers
 
     def _start(self, group: asyncio.TaskGroup, work: Coroutine[None, None, None]) -> asyncio.Task[None]:
         task = group.create_task(work)
@@ -448,9 +378,6 @@ class DoipServer:
 
     def _close(self, writer: asyncio.StreamWriter) -> None:
         """End what is said to a tester, and the connection once it has closed its side or takes too long."""
-        if not writer.can_write_eof():  # TLS ends both ways at once
-            writer.close()
-            return
         with suppress(OSError):
             writer.write_eof()
         asyncio.get_running_loop().call_later(LINGER_S, writer.transport.abort)

@@ -1,4 +1,4 @@
-"""Numbers of ISO 14229-1: services, negative response codes, bits of a trouble code's status; a port of ISO 13400-2."""
+"""Numbers of ISO 14229-1: services, negative response codes, bits of a trouble code's status."""
 
 from enum import IntEnum, IntFlag
 from typing import Final
@@ -7,7 +7,6 @@ POSITIVE: Final = 0x40  # added to a service's number in a positive response
 NEGATIVE: Final = 0x7F  # begins a negative response
 SUPPRESS: Final = 0x80  # bit of a sub-function: a positive response is not wanted
 DEFAULT_SESSION: Final = 0x01
-DOIP_TLS_PORT: Final = 3496  # registered for DoIP by TLS, as 13400 is without
 ALL_CODES: Final = 0xFFFFFF  # the group of trouble codes that holds all
 
 

@@ -3,7 +3,6 @@
 import contextvars
 import ipaddress
 import socket
-import ssl
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -11,14 +10,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
 
 import can
 
 from canlog.live.opening import complete_settings
 from canlog.live.pythoncan import one_line, open_bus
-from clutchdiag_io.files import check_plain_file
 from diag_service.errors import ConfigError, ControllerError, StoppedError
 from diag_service.settings.config import BusConfig
 from workshop.tester.addresses import TRANSMISSION, CanAddress, id_text, is_extended, is_request, usual_response_id
@@ -103,7 +100,6 @@ def check_alone(traffic: HeardTraffic, address: CanAddress | None = None) -> Non
 
 
 DOIP_PORT: Final = 13400
-DOIP_TLS_PORT: Final = 3496
 CONNECT_S: Final = 5.0
 LARGEST_LOGICAL: Final = 0xFFFF
 MOST_WAITING: Final = 100_000  # frames on a bus that was handed over, from before anybody listened
@@ -119,7 +115,6 @@ class DoipPlace:
 
     host: str
     port: int = DOIP_PORT
-    authority: Path | None = None  # TLS, with nodes whose certificate it has signed
     logical_address: int
 
     def __str__(self) -> str:
@@ -127,11 +122,8 @@ class DoipPlace:
         return f"{self.logical_address:04X} at DoIP {host}:{self.port}"
 
 
-def parse_doip(text: str, logical_address: int, authority: Path | None = None) -> DoipPlace:
-    """Return the place that ``HOST[:PORT]`` names, an address of IPv4 or, in brackets, of IPv6.
-
-    With an authority it is asked by TLS. Raises ConfigError if it is none.
-    """
+def parse_doip(text: str, logical_address: int) -> DoipPlace:
+    """Return the place that ``HOST[:PORT]`` names, an address of IPv4 or, in brackets, of IPv6; raises ConfigError."""
     host, colon, port = text, "", ""
     if not text.startswith("[") or "]:" in text:
         host, colon, port = text.rpartition(":") if ":" in text else (text, "", "")
@@ -142,10 +134,7 @@ def parse_doip(text: str, logical_address: int, authority: Path | None = None) -
         raise ConfigError(f"--doip must be an IP address with or without :PORT, got {text!r}") from exc
     if colon and not (port.isdecimal() and 0 < int(port) <= _LARGEST_PORT):
         raise ConfigError(f"--doip: the port must be 1..{_LARGEST_PORT}, got {port!r}")
-    usual = DOIP_PORT if authority is None else DOIP_TLS_PORT
-    return DoipPlace(
-        host=host, port=int(port) if colon else usual, logical_address=logical_address, authority=authority
-    )
+    return DoipPlace(host=host, port=int(port) if colon else DOIP_PORT, logical_address=logical_address)
 
 
 def address_for(named: CanAddress | None, description: Description) -> CanAddress:
@@ -221,8 +210,8 @@ def dialogue_over_ip(
 
     Raises
     ------
-    ConfigError, ControllerError
-        If the authority cannot be used; if it is not there, is another or refuses.
+    ControllerError
+        If it is not there, is another or refuses.
     ExtraMissingError
         If doipclient is not installed.
     """
@@ -233,11 +222,9 @@ def dialogue_over_ip(
     )
 
     try:
-        context = None if place.authority is None else _tls_context(place.authority)
-        _find(place, context)
-        node = DoipNode(
-            place.host, place.logical_address, tcp_port=place.port, udp_port=place.port, use_secure=context or False
-        )
+        with socket.create_connection((place.host, place.port), timeout=CONNECT_S):
+            pass  # the library would leave sockets open if nobody listens there
+        node = DoipNode(place.host, place.logical_address, tcp_port=place.port, udp_port=place.port)
     except (OSError, ValueError) as exc:
         raise ControllerError(f"{place}: {' '.join(str(exc).split())}") from exc
     try:
@@ -245,28 +232,6 @@ def dialogue_over_ip(
             yield tester
     finally:
         node.close()
-
-
-def _tls_context(authority: Path) -> ssl.SSLContext:
-    """Return what a connection is made with; names are not compared: nodes have addresses, not names."""
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    context.check_hostname = False
-    context.minimum_version = ssl.TLSVersion.TLSv1_2
-    try:
-        check_plain_file(authority)
-        context.load_verify_locations(authority)
-    except ssl.SSLError as exc:
-        raise ConfigError(f"authority {authority} is no certificate: {exc.reason or exc}") from exc
-    except OSError as exc:
-        raise ConfigError(f"cannot read authority {authority}: {exc.strerror or exc}") from exc
-    return context
-
-
-def _find(place: DoipPlace, context: ssl.SSLContext | None) -> None:
-    """Raise OSError if nobody listens there, or is another; the library would leave sockets open."""
-    with socket.create_connection((place.host, place.port), timeout=CONNECT_S) as connection:
-        if context is not None:
-            context.wrap_socket(connection).close()
 
 
 class AskingThread(ABC):

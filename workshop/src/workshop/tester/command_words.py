@@ -20,11 +20,6 @@ _asked_options = together(
     click.option(
         "--doip", metavar="HOST[:PORT]", help="ask over IP (DoIP) instead of a bus; --ecu is the logical address then"
     ),
-    click.option(
-        "--doip-authority",
-        type=FILE,
-        help="ask over IP by TLS (port 3496 unless --doip names one) one whose certificate this authority (PEM) signed",
-    ),
     click.option("--ecu", metavar="ID", help="identifier of requests, hexadecimal (default: as described, or 7E1)"),
     _active_option,
     _listen_option,

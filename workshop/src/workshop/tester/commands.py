@@ -39,7 +39,6 @@ class AskedOptions:
     bitrate: int | None
     fd: bool
     doip: str | None
-    doip_authority: Path | None
     ecu: str | None
     reply: str | None = None
     address: str | None = None
@@ -213,7 +212,7 @@ def _place(options: AskedOptions) -> BusConfig | can.BusABC | DoipPlace:
     ecu = None if options.doip is None else number_of(options.ecu, "--ecu", LARGEST_LOGICAL)
     return place_of(
         None, options.interface, options.channel, options.bitrate, options.doip, ecu,
-        is_fd=options.fd, doip_authority=options.doip_authority,
+        is_fd=options.fd,
     )  # fmt: skip
 
 
@@ -244,7 +243,6 @@ def ask_one(
         bitrate=options.bitrate,
         is_fd=options.fd,
         doip=options.doip,
-        doip_authority=options.doip_authority,
         ecu=number_of(options.ecu, "--ecu", LARGEST_ID if options.doip is None else LARGEST_LOGICAL),
         reply=number_of(options.reply, "--reply", LARGEST_ID),
         address=number_of(options.address, "--address", 0xFF),

@@ -48,7 +48,6 @@ def place_of(
     ecu: int | None,
     *,
     is_fd: bool,
-    doip_authority: AnyPath | None = None,
 ) -> "BusConfig | can.BusABC | DoipPlace":
     """Return where to ask; raises ConfigError."""
     check_one_bus(bus, interface, channel, bitrate, doip)
@@ -56,9 +55,7 @@ def place_of(
         if ecu is None:
             raise ConfigError("--doip needs --ecu: the logical address of the controller, such as 1011 in hexadecimal")
         check_number("ecu", ecu, LARGEST_LOGICAL)
-        return parse_doip(doip, ecu, optional_path(doip_authority))
-    if doip_authority is not None:
-        raise ConfigError("--doip-authority needs --doip")
+        return parse_doip(doip, ecu)
     return bus if bus is not None else BusConfig(interface=interface, channel=channel, bitrate=bitrate, is_fd=is_fd)
 
 
@@ -70,7 +67,6 @@ def scan_controllers(
     bitrate: int | None = None,
     is_fd: bool = False,
     doip: str | None = None,
-    doip_authority: AnyPath | None = None,
     ecu: int | None = None,
     first: int | None = None,
     last: int | None = None,
@@ -85,7 +81,7 @@ def scan_controllers(
 
     Parameters
     ----------
-    bus, interface, channel, bitrate, is_fd, doip, doip_authority, ecu, listen_s, timeout_s
+    bus, interface, channel, bitrate, is_fd, doip, ecu, listen_s, timeout_s
         As of ``UdsTester``.
     first, last
         Identifiers from which and up to which to try, by default 700 to 7FF; with ``is_extended`` addresses, 00 to FF.
@@ -109,7 +105,7 @@ def scan_controllers(
         If an argument or the bus cannot be used, another tester is at work, or a node is not there.
     """
     plan = scanning.ScanPlan(
-        place=place_of(bus, interface, channel, bitrate, doip, ecu, is_fd=is_fd, doip_authority=doip_authority),
+        place=place_of(bus, interface, channel, bitrate, doip, ecu, is_fd=is_fd),
         first=first,
         last=last,
         is_extended=is_extended,
@@ -140,8 +136,6 @@ class UdsTester:
         Whether requests go out in CAN FD frames.
     doip
         ``HOST[:PORT]`` of a node that is asked over IP in place of a bus; ``ecu`` is its logical address then.
-    doip_authority
-        A certificate (PEM): the node is asked by TLS, and must have one that this authority signed.
     ecu, reply
         Identifier of requests, and of answers; by default as described, or 7E1 and what the standard has for it.
     address
@@ -172,7 +166,6 @@ class UdsTester:
         bitrate: int | None = None,
         is_fd: bool = False,
         doip: str | None = None,
-        doip_authority: AnyPath | None = None,
         ecu: int | None = None,
         reply: int | None = None,
         address: int | None = None,
@@ -184,7 +177,7 @@ class UdsTester:
         self._timing = timing_of(listen_s, timeout_s)
         self.described = find_description(optional_path(description))
         self._listen_s = listen_s
-        self._place = place_of(bus, interface, channel, bitrate, doip, ecu, is_fd=is_fd, doip_authority=doip_authority)
+        self._place = place_of(bus, interface, channel, bitrate, doip, ecu, is_fd=is_fd)
         self._target: BusTarget | DoipPlace
         if isinstance(self._place, DoipPlace):
             if reply is not None or address is not None:
