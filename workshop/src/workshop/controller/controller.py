@@ -216,22 +216,11 @@ class Controller:
     def consider(self, payload: bytes, *, is_functional: bool = False, client: int = 0) -> Reply:
         """Return the same as ``ask`` with what was kept back, for a transport that has told the client to wait."""
         request = Request(payload=payload, is_functional=is_functional, client=client)
-        if not self._lock.acquire(blocking=False):  # a disk that takes its time is no reason to wait for a refusal
-            refused = None if self.is_asleep else server.refusal(self.table, self._state, request)
-            if refused is not None:
-                return refused
-            self._lock.acquire()
-        try:
+        with self._lock:
             self._work()
             reply = self._kept(server.answer(self.table, self._state, request, self._moment()), payload)
             self._work()
             return reply
-        finally:
-            self._lock.release()
-
-    def refuses(self, payload: bytes, client: int = 0) -> bool:
-        """Return whether a request is not supported at all, so that nobody is told to wait for its answer."""
-        return server.refusal(self.table, self._state, Request(payload=payload, client=client)) is not None
 
     def tick(self, client: int = 0) -> bytes | None:
         """Return a client's response that has become due; to be called about every 10 ms, never waits."""

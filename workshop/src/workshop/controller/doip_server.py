@@ -436,7 +436,7 @@ class DoipServer:
         patience_s, was_promised = PENDING_RATIO * timing.p2_s, False
         while not (await asyncio.wait([asking], timeout=patience_s))[0]:
             patience_s = AGAIN_RATIO * timing.p2_star_s
-            if ask.payload != KEEP_ALIVE and not self._controller.refuses(ask.payload, number):
+            if ask.payload != KEEP_ALIVE:
                 was_promised = True
                 self._respond(number, bytes([NEGATIVE, ask.payload[0], Nrc.RESPONSE_PENDING]), is_final=False)
         self._respond(number, asking.result().response(was_promised=was_promised), is_final=True)

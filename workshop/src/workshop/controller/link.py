@@ -225,7 +225,7 @@ class DiagnosticLink:
         if self._asking.done():
             reply, self._asking = self._asking.result(), None
             self._respond(reply.response(was_promised=self._has_promised))
-        elif now_s >= self._pending_s and self._asked != KEEP_ALIVE and not self._controller.refuses(self._asked):
+        elif now_s >= self._pending_s and self._asked != KEEP_ALIVE:
             self._pending_s, self._has_promised = now_s + AGAIN_RATIO * self._controller.table.timing.p2_star_s, True
             self._respond(bytes([NEGATIVE, self._asked[0], Nrc.RESPONSE_PENDING]))
 

@@ -205,16 +205,6 @@ def _settled(table: DiagnosticTable, state: ServerState, moment: Instant) -> Ser
     return data.only_allowed(state, table)
 
 
-def refusal(table: DiagnosticTable, state: ServerState, request: Request) -> Reply | None:
-    """Return the refusal of what is not supported at all, for which nobody is to wait; None if it is."""
-    is_guest = state.session != DEFAULT_SESSION and request.client != state.holder
-    nowhere = Instant(t_s=0.0, values={})
-    seen = sessions.as_guest(state) if is_guest else state
-    call = Call(table=table, state=seen, moment=nowhere, request=request, is_guest=is_guest)
-    nrc = None if not request.payload or _is_obd(call) else _refusal(call)
-    return None if nrc is None else _replied(request, nrc, state)
-
-
 def _is_obd(call: Call) -> bool:
     return call.payload[0] in OBD_HANDLERS and call.table.obd is not None
 
