@@ -252,14 +252,6 @@ class Shown:
     awaited: int | None = None  # a service whose response comes later
 
 
-@dataclass(slots=True)
-class _Parts:
-    """A message of several frames that a client sends frame by frame."""
-
-    length: int
-    data: bytes
-
-
 class Interpreter:
     """What one client sees of an adapter.
 
@@ -282,7 +274,6 @@ class Interpreter:
         slow, fast = (CAN_11_250, CAN_11_500) if self._is_standard else (CAN_29_250, CAN_29_500)
         self._protocol = slow if bitrate == HALF_BITRATE else fast
         self._last = ""
-        self._parts: _Parts | None = None
         self._held: list[bytes] = []  # frames that wait for the client to let them go on
 
     def take(self, text: str) -> Shown:
@@ -327,30 +318,10 @@ class Interpreter:
         kind = data[0] >> 4
         if kind == 0:
             return self._asked(data[1 : 1 + data[0]]) if 0 < data[0] < len(data) else Shown(lines=(NO_DATA,))
-        if kind == 1 and len(data) == MOST_RAW_BYTES:
-            return self._begun(data)
-        if kind == 2 and self._parts is not None:
-            return self._continued(self._parts, data[1:])
         if kind == 3 and self._held and data[0] == 0x30:
             held, self._held = self._held, []
             return Shown(lines=tuple(shown(held, self._ids.response_id, self.settings)))
         return Shown(lines=(NO_DATA,))
-
-    def _begun(self, data: bytes) -> Shown:
-        """Take the first of several frames; the controller says how it wants the others."""
-        if self._header() != self._ids.request_id:
-            return Shown(lines=(NO_DATA,))
-        length = int.from_bytes(data[:2], "big") & 0xFFF
-        self._parts = _Parts(length=length, data=data[2:])
-        flow = bytes([0x30, 0, self._transport.separation_time])
-        return Shown(lines=self._taken([_filled(flow, self._transport.padding)]))
-
-    def _continued(self, parts: _Parts, data: bytes) -> Shown:
-        parts.data += data
-        if len(parts.data) < parts.length:
-            return Shown(lines=(NO_DATA,))
-        self._parts = None
-        return self._asked(parts.data[: parts.length])
 
     def _header(self) -> int:
         own = self.settings.wire_id(self.settings.header, is_standard=self._is_standard)
