@@ -7,7 +7,7 @@ from demo.programs import HOST, free_port
 from diag_service.errors import ControllerError
 from workshop.tester.answers import TesterTiming
 from workshop.tester.asking import DoipPlace, dialogue_over_ip
-from workshop.tester.questions import read_troubles, recognised
+from workshop.tester.questions import read_troubles, recognise
 from workshop.tester.trouble import code_words
 
 LOGICAL_ADDRESS: Final = 0x1011  # of the emulated controller
@@ -50,7 +50,7 @@ class ScanTool:
 
     def _ask(self) -> None:
         with dialogue_over_ip(self._place, TesterTiming()) as dialogue:
-            description = recognised(dialogue)
+            description = recognise(dialogue)
             while not self._is_over.wait(PERIOD_S):
                 codes = read_troubles(dialogue, description, has_details=False)
                 self._told = ", ".join(map(code_words, codes)) or "no trouble codes"

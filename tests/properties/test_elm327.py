@@ -35,7 +35,7 @@ def test_every_line_is_answered(lines: list[str]) -> None:
     )
     has_begun = False
     for text in lines:
-        shown = adapter.take(text)
+        shown = adapter.execute(text)
         has_begun = has_begun or bool(text.strip())
         assert shown.lines or shown.monitors or not has_begun
         assert all(line and line.isascii() and line.isprintable() for line in shown.lines)

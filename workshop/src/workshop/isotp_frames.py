@@ -1,6 +1,6 @@
-"""ISO 15765-2 for both ends: addresses, and frames as they arrive, which the standard says to ignore or to read anew.
+"""ISO 15765-2 for both ends: addresses, and the frames that the standard ignores or reads in another way.
 
-The transport library gives up a message in progress for a frame that it does not know; the standard lets it pass.
+The transport library breaks off a message in progress at an unknown frame; the standard ignores that frame.
 """
 
 from enum import IntEnum
@@ -25,7 +25,7 @@ class FrameType(IntEnum):
 
 
 def isotp_address(sent_id: int, heard_id: int, own_byte: int, other_byte: int | None) -> isotp.Address:
-    """Return who sends and hears on which identifiers; with extended addressing a first byte names the other end."""
+    """Return the address of one end; with extended addressing the first byte of a frame names the receiver."""
     bits = 29 if sent_id > LARGEST_STANDARD_ID else 11
     if other_byte is None:
         return isotp.Address(isotp.AddressingMode[f"Normal_{bits}bits"], txid=sent_id, rxid=heard_id)
@@ -34,16 +34,16 @@ def isotp_address(sent_id: int, heard_id: int, own_byte: int, other_byte: int | 
 
 
 def usable(data: bytes, prefix_bytes: int, missing_bytes: int) -> bytes | None:
-    """Return a frame as the transport layer shall see it, None if it is to be ignored.
+    """Return the frame for the transport layer, None if the standard ignores it.
 
     Parameters
     ----------
     data
         All bytes of the frame.
     prefix_bytes
-        1 if an address comes first (extended and mixed addressing).
+        1 with extended or mixed addressing, whose first byte is an address, else 0.
     missing_bytes
-        What the message being received still lacks.
+        Bytes that the message in progress still lacks.
     """
     body = data[prefix_bytes:]
     if not body or body[0] >> 4 not in set(FrameType):
@@ -61,7 +61,7 @@ def usable(data: bytes, prefix_bytes: int, missing_bytes: int) -> bytes | None:
 
 
 def single_payload(data: bytes, prefix_bytes: int) -> bytes | None:
-    """Return the message that a single frame holds, None if it is no valid one."""
+    """Return the message in a single frame, None if the frame is invalid."""
     body = data[prefix_bytes:]
     if len(body) < 2 or body[0] >> 4 != FrameType.SINGLE:
         return None

@@ -1,4 +1,4 @@
-"""The emulated transmission answers testers while it drives: what attaches to a drive by its entry point."""
+"""The emulated transmission answers testers while it drives; attached to a drive by an entry point."""
 
 import math
 import os
@@ -39,30 +39,29 @@ from workshop.controller.requested_tasks import (
 from workshop.controller.services.data import STARTING
 from workshop.controller.table import load_table, table_like, table_of
 
-RUNNING_RAD_S: Final = 30.0  # engine speed that no starter reaches
-LEAST_LOOK_S: Final = 0.8 * MONITOR_PERIOD_S  # of the drive between two looks of the monitors, which count them
+RUNNING_RAD_S: Final = 30.0  # engine speed above that of a starter
+LEAST_LOOK_S: Final = 0.8 * MONITOR_PERIOD_S  # time of the drive between two samples of the monitors
 
 
 class Answering:
-    """A tester may ask while this is entered; frames that are to go out go through ``send``.
+    """Answers testers while it is entered; all frames of the drive go through ``send``.
 
     Parameters
     ----------
     bus
-        Where responses go, and the frames that ``send`` is given.
-    how
-        Its table, its memory, and where else it answers.
+        Gets responses and the frames of ``send``.
+    options
+        Table, memory, and further places to answer.
     is_fd
         Whether responses are CAN FD frames.
     bitrate
-        Of the bus [bit/s], if it is known; the adapter names its protocol by it.
+        Of the bus [bit/s], None if unknown; it decides the protocol of the ELM327 adapter.
     performer
-        The car that performs the routines of the workshop when a tester starts them; None: it cannot.
+        The car that performs routines; None: it performs none.
     ignition
-        Gets times of the drive [s], ahead of the frames: of the first frame, then of each time that a parked car is
-        switched on. They are taken out.
+        Times of the drive [s] at which the ignition is switched on, the first frame included; consumed here.
     clock
-        Returns a time [s] that never goes back.
+        Returns monotonic time [s].
 
     Raises
     ------
@@ -73,7 +72,7 @@ class Answering:
     def __init__(
         self,
         bus: FrameSender,
-        how: "Answers",
+        options: "Answers",
         *,
         is_fd: bool = False,
         bitrate: int | None = None,
@@ -92,9 +91,9 @@ class Answering:
         self._ignition: deque[float] = deque() if ignition is None else ignition
         self._switched_on_s = math.inf  # next, time of the bus
         self._epoch_s: float | None = None  # time 0 of the drive, time of the bus
-        self._is_new_cycle = self._is_restarted = False  # what the monitors have not been told yet
-        self._reset_s = 0.0  # until when a tester's last reset takes, time of the clock
-        self._counted_from: dict[int, int] | None = None  # alive counters as they went on after that reset
+        self._is_new_cycle = self._is_restarted = False  # for the next call of `watch`
+        self._reset_s = 0.0  # end of the last reset by a tester, time of the clock
+        self._counted_from: dict[int, int] | None = None  # alive counters since that reset
         transmission = "nominal" if performer is None else performer.transmission
         database = load_contract(transmission)
         self._sent = SentValues(database, clock)
@@ -103,19 +102,23 @@ class Answering:
         self._shift_id = database.get_message_by_name("TCU_Gear" if is_converter else "TCU_Shift").frame_id
         self._pressure_id = database.get_message_by_name("TCU_LockUp" if is_converter else "TCU_Pressures").frame_id
         contracts = message_contracts(database).values()
-        self._own_ids = {one.can_id: one.data_id or 0 for one in contracts if one.sender == OWN_NODE}
+        self._own_ids = {
+            contract.can_id: contract.data_id or 0 for contract in contracts if contract.sender == OWN_NODE
+        }
         self._driven = Driven()
-        self._driven_s = -math.inf  # when the newest frame was due: the drive's time, also where sending lags behind
-        self._looked_s = -math.inf  # at which moment of that the monitors looked last
+        self._driven_s = -math.inf  # drive time of the newest frame, also where sending lags behind
+        self._looked_s = -math.inf  # drive time of the last sample of the monitors
         self._engine_ran_s = 0.0  # since the controller was switched on
         self._is_over = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="monitors", daemon=True)
         self._error: BaseException | None = None
-        shipped = table_of(transmission) if how.like is None else table_like(how.like, transmission)
-        described = shipped if how.table is None else load_table(Path(how.table))
+        shipped = table_of(transmission) if options.like is None else table_like(options.like, transmission)
+        described = shipped if options.table is None else load_table(Path(options.table))
         least_s, most_s = described.timing.least_answer_s, described.timing.most_answer_s
         times = random.Random()  # noqa: S311 - no secret: how long an answer takes
-        store = None if how.memory is None else self._stack.enter_context(MemoryFile(Path(how.memory), described))
+        store = (
+            None if options.memory is None else self._stack.enter_context(MemoryFile(Path(options.memory), described))
+        )
         try:
             self.controller = Controller(
                 described,
@@ -133,9 +136,9 @@ class Answering:
             self._routine = None if performer is None else RequestedRoutine(performer, self.controller)
             self._adaptation = None if performer is None else RequestedAdaptation(performer, self.controller)
             self.link = DiagnosticLink(self.controller, bus.send, is_fd=is_fd)
-            doip = how.doip_address
+            doip = options.doip_address
             self.doip = None if doip is None else self._stack.enter_context(closing(DoipServer(self.controller, doip)))
-            there = None if how.elm327 is None else parse_place(how.elm327, "--elm327", least_port=0)
+            there = None if options.elm327 is None else parse_place(options.elm327, "--elm327", least_port=0)
             adapter = None if there is None else ElmServer(self.controller, (there.host, there.port), bitrate)
             self.elm327 = None if adapter is None else self._stack.enter_context(closing(adapter))
         except BaseException:
@@ -187,7 +190,7 @@ class Answering:
 
     @property
     def outcome(self) -> dict[str, object]:
-        """What was asked, and the trouble codes that are confirmed now."""
+        """Counts of requests, and the trouble codes that are confirmed now."""
         records, troubles = self.controller.state.memory.records, self.controller.table.troubles
         confirmed = [troubles[number].code for number, record in records.items() if record.status & DtcStatus.CONFIRMED]
         over_ip = {} if self.doip is None else {"doip": self.doip.counts}
@@ -197,19 +200,19 @@ class Answering:
 
     @property
     def places(self) -> list[str]:
-        """Where else than on the bus it can be asked, for people; each with a warning if others can reach it."""
-        said = []
+        """Places other than the bus, for people; with a warning if other machines can reach them."""
+        lines = []
         if self.doip is not None:
-            said.append(place_text("DoIP on", str(self.doip.place), is_exposed=self.doip.is_exposed))
+            lines.append(place_text("DoIP on", str(self.doip.place), is_exposed=self.doip.is_exposed))
         if self.elm327 is not None:
-            said.append(place_text("ELM327 adapter at", self.elm327.place, is_exposed=self.elm327.is_exposed))
-        return said
+            lines.append(place_text("ELM327 adapter at", self.elm327.place, is_exposed=self.elm327.is_exposed))
+        return lines
 
     @property
     def summary(self) -> str:
-        """What was asked and which codes are confirmed, for people."""
-        told = self.outcome["confirmed"]
-        codes = ", ".join(told) if isinstance(told, list) and told else "none"
+        """Counts of requests and the confirmed codes, for people."""
+        confirmed = self.outcome["confirmed"]
+        codes = ", ".join(confirmed) if isinstance(confirmed, list) and confirmed else "none"
         unkept = self._monitoring.problem or (self._adaptation.problem if self._adaptation is not None else None)
         problem = f"\nwarning: trouble codes could not be kept: {unkept}" if unkept else ""
         asked = f"{self.link.counts.requests} requests, {self.link.counts.responses} responses"
@@ -223,7 +226,7 @@ class Answering:
         return f"diagnostics: {asked}; confirmed trouble codes: {codes}{problem}"
 
     def watch(self) -> None:
-        """Let the monitors judge what was sent, from when what they need has been; ten times a second if entered."""
+        """Run the monitors once all of their values were sent; ten times a second while entered."""
         if self._is_restarted:
             self._is_restarted, is_new_cycle, self._is_new_cycle = False, self._is_new_cycle, False
             self._engine_ran_s, self._looked_s = 0.0, -math.inf
@@ -233,7 +236,7 @@ class Answering:
             self._monitoring.judge_adaptation()
 
     def _look(self) -> None:
-        """Judge the newest frames: a sender that the machine keeps waiting makes neither shift nor failure longer."""
+        """Judge the newest frames in time of the drive: late sending lengthens neither shift nor failure."""
         driven_s, looked_s = self._driven_s, self._looked_s
         if driven_s - looked_s >= LEAST_LOOK_S:
             self._looked_s = driven_s
@@ -243,7 +246,7 @@ class Answering:
             self._monitoring.look(values, driven_s)
 
     def _watch(self) -> None:
-        """Look after monitors and routines until the end."""
+        """Run monitors and routines until the end."""
         try:
             while not self._is_over.wait(MONITOR_PERIOD_S):
                 self.watch()
@@ -274,7 +277,7 @@ class Answering:
             self._restart(None)
 
     def _restart(self, counted_from: dict[int, int] | None) -> None:
-        """Know nothing of the time before."""
+        """Reset sent values, clock and monitors."""
         self._sent.restart()
         self._began_s = max(self._clock(), self._reset_s)
         self._counted_from = counted_from
@@ -304,7 +307,7 @@ class Answering:
 
 
 def place_text(what: str, place: str, *, is_exposed: bool) -> str:
-    """Return what people are told of a server for testers, with a warning if others than this machine can reach it."""
+    """Return a line about a server for testers, with a warning if other machines can reach it."""
     warning = f"\nwarning: anyone who can reach {place} can ask this controller and change what testers can change"
     return f"{what} {place}{warning if is_exposed else ''}"
 

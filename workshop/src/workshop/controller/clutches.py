@@ -1,4 +1,4 @@
-"""What a controller knows of its clutches: what was adapted, heat."""
+"""Adaptation and computed temperature of the clutches."""
 
 import math
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ CLUTCHES: Final = (1, 2)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Adaptation:
-    """The touch points that were found, by clutch; without one a clutch is worked by that of its type."""
+    """Adapted touch points by clutch; a clutch without one uses that of its type."""
 
     touch_points: Mapping[int, TouchPoint] = field(default_factory=dict)
 
@@ -25,7 +25,7 @@ class Adaptation:
         return set(self.touch_points) == set(CLUTCHES)
 
     def pressures_pa(self, nominal_pa: tuple[float, float]) -> tuple[float, float]:
-        """Return by which touch points the clutches are worked [Pa]."""
+        """Return the touch points in use [Pa]."""
         first, second = (
             point.pressure_pa if (point := self.touch_points.get(clutch)) is not None else nominal_pa[clutch - 1]
             for clutch in CLUTCHES
@@ -34,7 +34,7 @@ class Adaptation:
 
     @property
     def stds_pa(self) -> dict[str, float]:
-        """The deviations of what was found, as values of the controller by source [Pa]."""
+        """Standard deviations of the touch points, as values of the controller by source [Pa]."""
         return {
             f"clutch{clutch}_touch_std_pa": point.std_pa
             for clutch, point in self.touch_points.items()
@@ -47,7 +47,7 @@ LIMIT_CODE: Final = "P2788"
 
 
 def limit_test(adaptation: Adaptation | None) -> TestResult | None:
-    """Return the result of the test whether what is adapted is within its limits; None if nothing is."""
+    """Return whether the adapted touch points are within their limits; None if there are none."""
     if adaptation is None or not adaptation.touch_points:
         return None
     is_at_limit = any(point.is_at_limit for point in adaptation.touch_points.values())
@@ -55,21 +55,21 @@ def limit_test(adaptation: Adaptation | None) -> TestResult | None:
 
 
 def adaptation_test(adaptation: Adaptation | None, *, was_adapted: bool) -> TestResult:
-    """Return the result of the test whether the clutches are known.
+    """Return the result of the test whether both clutches are adapted.
 
     Parameters
     ----------
     adaptation
-        What the controller has adapted or cleared itself; None: nothing, it works as at its start.
+        Adaptation of the controller; None: it was neither adapted nor cleared since its start.
     was_adapted
-        Whether it knew the touch points at its start.
+        Whether the touch points were known at its start.
     """
     is_adapted = was_adapted if adaptation is None else adaptation.is_done
     return TestResult.PASSED if is_adapted else TestResult.FAILED
 
 
 ASSUMED_FRICTION: Final = 0.13  # docs/model.md (S1)
-LEAST_SLIP_RAD_S: Final = 1.5  # below it a clutch may be locked, and carries less than it could
+LEAST_SLIP_RAD_S: Final = 1.5  # below it a clutch may be locked, with less torque than its capacity
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,11 +111,11 @@ def heated_k(
     Parameters
     ----------
     before_k
-        So warm they were; None: as warm as the oil.
+        Temperatures before [K]; None: that of the oil.
     known
-        What the controller senses now, in SI.
+        Sensed values, in SI.
     duration_s
-        Since ``before_k`` [s], any: the balance is solved exactly for constant power.
+        Time since ``before_k`` [s], of any length: the balance is solved exactly for constant power.
     packs
         The clutches.
     """
@@ -132,7 +132,7 @@ def heated_k(
 
 
 def slip_power_w(known: Mapping[str, float], clutch: int, pack: Pack) -> float:
-    """Return what a slipping clutch turns into heat [W]; a sensor that says nothing makes no heat."""
+    """Return the friction power of a slipping clutch [W]; 0 without slip or pressure values."""
     slip_rad_s, pressure_pa = known.get(f"clutch{clutch}_slip_rad_s"), known.get(f"clutch{clutch}_pressure_pa")
     if slip_rad_s is None or pressure_pa is None or abs(slip_rad_s) < LEAST_SLIP_RAD_S:
         return 0.0

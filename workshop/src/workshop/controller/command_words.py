@@ -1,4 +1,4 @@
-"""What lets the emulator answer testers: options of ``run``; who works imports what does the work."""
+"""Options of ``ecu-emulator run`` that let it answer testers."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
@@ -47,7 +47,7 @@ run_options: Final = (
 
 
 def answers(words: Mapping[str, Any]) -> "AnswersTesters | None":
-    """Return what a command line says of answering, None if nobody is to answer."""
+    """Return how testers are answered by a command line, None if they are not."""
     from workshop.controller.answers import chosen
 
     return chosen(words)

@@ -1,4 +1,4 @@
-"""One controller that runs: it keeps the state between requests and has it on the disk before anything is answered."""
+"""One running controller: it holds the state between requests and saves it before it answers."""
 
 import hashlib
 import json
@@ -36,7 +36,7 @@ class MemoryFile:
     path
         Where it is, or shall be.
     table
-        What the controller knows: the file may hold nothing else.
+        Description of the controller; other codes or data in the file are an error.
 
     Raises
     ------
@@ -65,9 +65,9 @@ class MemoryFile:
         os.close(self._lock)
 
     def load(self) -> KeptState | None:
-        """Return what was kept, None if there is no file yet.
+        """Return the saved state, None if there is no file yet.
 
-        Raises RecordError if the file cannot be read, is damaged, or holds what the table does not describe.
+        Raises RecordError if the file cannot be read, is damaged, or holds codes or data that the table lacks.
         """
         try:
             document = json.loads(read_small_file(self._path))
@@ -91,12 +91,12 @@ class MemoryFile:
             raise RecordError(f"{self._path}: {exc}") from exc
 
     def save(self, state: ServerState) -> None:
-        """Write what is to be kept, if it has changed; it is on the disk when this returns.
+        """Save the state if it has changed; it is on the disk when this returns.
 
         Raises RecordError if the disk is full or cannot be written; the file is as it was before.
         """
-        kept = msgspec.to_builtins(state.kept, str_keys=True, order="deterministic")
-        document = {"format": FORMAT, "kept": kept}
+        content = msgspec.to_builtins(state.kept, str_keys=True, order="deterministic")
+        document = {"format": FORMAT, "kept": content}
         if (digest := _digest(document)) == self._saved:
             return
         temporary = self._beside("part")
@@ -135,43 +135,43 @@ def _digest(document: object) -> str:
     return hashlib.sha256(json.dumps(document, sort_keys=True).encode("utf-8")).hexdigest()
 
 
-def _checked(kept: KeptState, table: DiagnosticTable) -> KeptState:
-    """Return what was kept, with an empty record for each code that is new; RecordError: the table is of another."""
-    emissions = kept.emissions
-    codes = {*kept.memory.records, *emissions.permanent, *([emissions.frame.code] if emissions.frame else [])}
+def _checked(state: KeptState, table: DiagnosticTable) -> KeptState:
+    """Return the saved state with empty records for new codes; raises RecordError if the table lacks something."""
+    emissions = state.emissions
+    codes = {*state.memory.records, *emissions.permanent, *([emissions.frame.code] if emissions.frame else [])}
     if unknown := sorted(codes - table.troubles.keys()):
         raise RecordError(f"trouble code {unknown[0]:06X} is not in the table {table.name}")
-    for number, data in kept.written.items():
+    for number, data in state.written.items():
         datum = table.data.get(number)
         if datum is None or datum.write is None or len(data) != datum.size_bytes:
             raise RecordError(f"data {number:04X} of {len(data)} bytes cannot be written by the table {table.name}")
-    if unknown := sorted(kept.wrong_keys.keys() - table.levels.keys()):
+    if unknown := sorted(state.wrong_keys.keys() - table.levels.keys()):
         raise RecordError(f"security level {unknown[0]} is not in the table {table.name}")
-    records = {**empty_memory(table.troubles).records, **kept.memory.records}
-    return replace(kept, memory=replace(kept.memory, records=records))
+    records = {**empty_memory(table.troubles).records, **state.memory.records}
+    return replace(state, memory=replace(state.memory, records=records))
 
 
 LONGEST_SEED_BYTES: Final = 16
-TICK_S: Final = 0.01  # about so often a transport calls `tick`
+TICK_S: Final = 0.01  # period at which transports call `tick`
 
 
 class Controller:
-    """A diagnostic server that several threads may use: one that answers, one that drives and monitors.
+    """A diagnostic server, safe for several threads: transports ask it, the drive reports test results.
 
     Parameters
     ----------
     table
-        What it can be asked.
+        Description of the controller.
     values
-        Returns the values of the vehicle now, by source.
+        Returns the present values of the vehicle, by source.
     clock
-        Returns a time [s] that never goes back.
+        Returns monotonic time [s].
     chance
         Returns so many random bytes.
     store
-        The file that keeps what outlives a restart; without one, nothing does.
+        The memory file; without one nothing survives a restart.
     work
-        Takes a part of the time that an answer takes: called before the values for it are read, and after.
+        Sleeps for half of the time to answer: called before and after the values are read.
 
     Raises
     ------
@@ -206,24 +206,24 @@ class Controller:
 
     @property
     def is_asleep(self) -> bool:
-        """Whether it starts again after a reset, and neither hears nor says anything."""
+        """Whether it restarts after a reset and ignores requests."""
         return self._clock() < self._state.asleep_until_s
 
     def ask(self, payload: bytes, *, is_functional: bool = False, client: int = 0) -> bytes | None:
-        """Return the response to a client's request, None if there is none; what it changed is on the disk by then."""
-        return self.consider(payload, is_functional=is_functional, client=client).payload
+        """Return the response to a client's request, None if there is none; the new state has been saved."""
+        return self.reply_to(payload, is_functional=is_functional, client=client).payload
 
-    def consider(self, payload: bytes, *, is_functional: bool = False, client: int = 0) -> Reply:
-        """Return the same as ``ask`` with what was kept back, for a transport that has told the client to wait."""
+    def reply_to(self, payload: bytes, *, is_functional: bool = False, client: int = 0) -> Reply:
+        """Return the reply with a suppressed response, which a transport that has sent 78 needs."""
         request = Request(payload=payload, is_functional=is_functional, client=client)
         with self._lock:
             self._work()
-            reply = self._kept(server.answer(self.table, self._state, request, self._moment()), payload)
+            reply = self._saved(server.answer(self.table, self._state, request, self._moment()), payload)
             self._work()
             return reply
 
     def tick(self, client: int = 0) -> bytes | None:
-        """Return a client's response that has become due; to be called about every 10 ms, never waits."""
+        """Return a client's response that has become due; does not block; call it every ``TICK_S``."""
         if not self._lock.acquire(blocking=False):
             return None
         try:
@@ -231,26 +231,26 @@ class Controller:
             if waiting is not None and waiting.request.client != client:
                 return None
             payload = waiting.request.payload if waiting is not None else b""
-            return self._kept(server.advance(self.table, self._state, self._moment()), payload).payload
+            return self._saved(server.advance(self.table, self._state, self._moment()), payload).payload
         finally:
             self._lock.release()
 
     def datum(self, number: int) -> bytes:
-        """Return what a datum holds now, nothing if there is none."""
+        """Return the present bytes of a datum, empty if it is unknown."""
         described = self.table.data.get(number)
         return b"" if described is None else data_of(described, self._state, self._moment())
 
     def awaits(self, client: int) -> bool:
-        """Return whether a response for a client comes later."""
+        """Return whether a response for a client is pending."""
         waiting = self._state.waiting
         return waiting is not None and waiting.request.client == client
 
     def leave(self, client: int) -> None:
-        """Note that a client has gone, and with it the session that it held; raises RecordError as ``report``."""
-        self._change(lambda state: server.left(state, client))
+        """End a client's session and pending response; raises RecordError as ``report``."""
+        self._change(lambda state: server.disconnect(state, client))
 
     def broadcast(self, client: int = 0) -> tuple[bytes, ...]:
-        """Return what is to be sent now to the client who holds the session, without being asked again; as ``tick``."""
+        """Return the periodic messages that are due for the holder of the session; does not block."""
         if not self._state.periodic or self._state.holder != client or not self._lock.acquire(blocking=False):
             return ()
         try:
@@ -260,21 +260,21 @@ class Controller:
             self._lock.release()
 
     def hold_session(self) -> None:
-        """Begin S3 anew: a message comes in or goes out, and that is not silence; to be called often, never waits."""
+        """Restart S3 while a message is being transferred; does not block."""
         if not self._lock.acquire(blocking=False):
             return
         try:
-            if self._state.holder == 0:  # CAN's own: other transports have no messages of many frames
-                self._state = server.held(self.table, self._state, self._moment())
+            if self._state.holder == 0:  # CAN: other transports do not segment messages
+                self._state = server.extend_session(self.table, self._state, self._moment())
         finally:
             self._lock.release()
 
     def report(self, number: int, result: TestResult) -> None:
-        """Take the result of a monitor; raises RecordError if it cannot be kept."""
+        """Record the result of a monitor; raises RecordError if it cannot be saved."""
         self._change(lambda state: server.tested(self.table, state, number, result, self._moment()))
 
     def warm_up(self) -> None:
-        """Note that the vehicle has become warm in this operation cycle; raises RecordError as ``report``."""
+        """Mark this operation cycle as a warm-up cycle; raises RecordError as ``report``."""
         self._change(server.warmed_up)
 
     def cycle(self) -> None:
@@ -282,15 +282,15 @@ class Controller:
         self._change(lambda state: server.cycled(self.table, state))
 
     def finish(self, routine: int) -> None:
-        """Note that the vehicle has done what a routine asked for."""
+        """End a routine that the vehicle has completed."""
         self._change(lambda state: finished(state, self.table, routine, self._moment()))
 
     def fail(self, routine: int, nrc: int = Nrc.PROGRAMMING_FAILURE) -> None:
-        """Note that the vehicle could not do what a routine asked for, and why, for who awaits it."""
+        """End a routine that the vehicle could not complete, with the response code for the waiting client."""
         self._change(lambda state: failed(state, routine, nrc))
 
     def adapt(self, adaptation: Adaptation) -> None:
-        """Keep what was adapted, or cleared; raises RecordError as ``report``."""
+        """Save an adaptation, or its clearing; raises RecordError as ``report``."""
         self._change(lambda state: replace(state, adaptation=adaptation))
 
     def _change(self, change: Callable[[ServerState], ServerState]) -> None:
@@ -299,8 +299,8 @@ class Controller:
             self._save(state)
             self._state = state
 
-    def _kept(self, reply: Reply, payload: bytes) -> Reply:
-        """Return a reply once its state is on the disk; what cannot be kept is refused and forgotten."""
+    def _saved(self, reply: Reply, payload: bytes) -> Reply:
+        """Save the state of a reply and return it; if that fails, refuse the request and drop its state."""
         try:
             self._save(reply.state)
         except RecordError:
@@ -311,7 +311,7 @@ class Controller:
         return reply
 
     def _save(self, state: ServerState) -> None:
-        if self._store is not None and not state.keeps_as(self._state):
+        if self._store is not None and not state.keeps_same_as(self._state):
             self._store.save(state)
 
     def _moment(self) -> Instant:

@@ -1,4 +1,4 @@
-"""What a table describes, a record of each kind: data, routines, trouble codes, locks; and values as bytes."""
+"""Records of a table: data, routines, trouble codes, security levels; and the coding of values as bytes."""
 
 import math
 import re
@@ -12,7 +12,7 @@ from clutch_model import units
 from ecu_emulator.errors import EmulatorConfigError
 from workshop.controller.iso14229 import Nrc
 
-OF_MEMORY: Final = "memory."  # begins the source of a counter of a trouble code
+OF_MEMORY: Final = "memory."  # prefix of sources that are counters of a trouble code
 FLOAT_BYTES: Final = frozenset({4, 8})
 _SYSTEMS: Final = "PCBU"  # powertrain, chassis, body, network: the two upper bits of a code
 _CODE: Final = re.compile(r"[PCBU][0-3][0-9A-F]{3}")
@@ -31,7 +31,7 @@ _SI_UNITS: Final = {"rad_s": "rad/s", "m_s": "m/s", "s": "s", "pa": "Pa", "k": "
 
 
 class Coding(StrEnum):
-    """How a value is written into bytes, big-endian."""
+    """Coding of a value, big-endian."""
 
     UNSIGNED = "unsigned"
     SIGNED = "signed"
@@ -41,11 +41,11 @@ class Coding(StrEnum):
 
 
 class Task(StrEnum):
-    """What the vehicle does while a routine runs."""
+    """Action of the vehicle while a routine runs."""
 
-    NOTHING = "nothing"  # but let time pass
-    REVS = "revs"  # the workshop routine: as many revs with open, then closed clutches as the two options say; a drive
-    NEW_FLUID = "new_fluid"  # touch points are those of the type again
+    NOTHING = "nothing"
+    REVS = "revs"  # workshop routine: revs with open, then closed clutches, numbers as options; then a drive
+    NEW_FLUID = "new_fluid"  # return to the touch points of the type
     TOUCH_POINTS = "touch_points"  # both clutches are adapted
 
 
@@ -56,13 +56,13 @@ class DatumField:
     name: str
     kind: Coding
     size_bytes: int
-    source: str = ""  # which value of the controller it shows, in SI
+    source: str = ""  # value of the controller, in SI
     unit: str = ""  # as it is on the wire
     resolution: float = 1.0  # of one bit, in that unit
     offset: float = 0.0
-    minimum: float | None = None  # what may be written, in that unit
+    minimum: float | None = None  # limits of a written value, in that unit
     maximum: float | None = None
-    pattern: str = ""  # what a text, or the digits of bytes, may be, as a regular expression
+    pattern: str = ""  # regular expression of a valid text, or of the digits of bytes
     meanings: Mapping[str, str] = field(default_factory=dict)  # of numbers
 
     def __post_init__(self) -> None:
@@ -76,7 +76,10 @@ class DatumField:
         if not (math.isfinite(self.resolution) and math.isfinite(self.offset) and self.resolution > 0.0):
             raise EmulatorConfigError(f"{self.name}: resolution must be > 0, and it and the offset finite")
         _check_limits(self)
-        known = [_SI_UNITS.get(self.dimension, ""), *(unit for one, unit in _CONVERSIONS if one == self.dimension)]
+        known = [
+            _SI_UNITS.get(self.dimension, ""),
+            *(unit for dimension, unit in _CONVERSIONS if dimension == self.dimension),
+        ]
         if self.dimension and self.unit not in {"", *known}:
             raise EmulatorConfigError(
                 f"{self.name}: the unit of {self.source} is one of {', '.join(known)}, not {self.unit}"
@@ -91,17 +94,17 @@ class DatumField:
 
     @property
     def dimension(self) -> str:
-        """The end of the source's name that tells its unit, empty if it tells none."""
-        return next((one for one in _SI_UNITS if self.source.endswith(f"_{one}")), "")
+        """Unit suffix of the source, empty without one."""
+        return next((dimension for dimension in _SI_UNITS if self.source.endswith(f"_{dimension}")), "")
 
     @property
     def conversion(self) -> Conversion:
-        """How its source's value [SI] becomes one in the unit on the wire."""
+        """Conversion of a value from SI to the unit on the wire."""
         return _CONVERSIONS.get((self.dimension, self.unit), float)
 
     @property
     def numbered_meanings(self) -> dict[int, str]:
-        """The texts that numbers on the wire stand for."""
+        """Texts by number on the wire."""
         try:
             return {int(number, 0): text for number, text in self.meanings.items()}
         except ValueError as exc:
@@ -112,16 +115,16 @@ class DatumField:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AccessRule:
-    """Who may do something, and in which condition of the vehicle."""
+    """Sessions, security levels and conditions that something needs."""
 
     sessions: tuple[int, ...]
-    levels: tuple[int, ...] = ()  # one of these must be unlocked; none is needed if there is none
+    levels: tuple[int, ...] = ()  # one of these must be unlocked; empty: no security
     conditions: tuple[str, ...] = ()  # checked in this order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Precondition:
-    """What must hold of a value of the controller, and the response if it does not."""
+    """A range of a value of the controller, and the response code outside of it."""
 
     name: str
     source: str
@@ -136,7 +139,7 @@ class Precondition:
 
 
 def _check_limits(entry: DatumField | Precondition) -> None:
-    """Raise ConfigError unless the limits that are given can be kept."""
+    """Raise ConfigError unless the limits are finite and in order."""
     given = [limit for limit in (entry.minimum, entry.maximum) if limit is not None]
     if not all(map(math.isfinite, given)) or given != sorted(given):
         raise EmulatorConfigError(
@@ -146,7 +149,7 @@ def _check_limits(entry: DatumField | Precondition) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiagnosticSession:
-    """A diagnostic session, and from which others it can be entered."""
+    """A diagnostic session, and the sessions from which it can be entered."""
 
     number: int
     name: str
@@ -155,7 +158,7 @@ class DiagnosticSession:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SecurityLevel:
-    """A lock: the number that asks for its seed; key = seed XOR mask."""
+    """A security level by the sub-function of its seed; key = seed XOR mask."""
 
     number: int
     name: str
@@ -163,7 +166,7 @@ class SecurityLevel:
     seed_bytes: int
     key_mask: int
     most_attempts: int
-    delay_s: float  # after so many wrong keys
+    delay_s: float  # after `most_attempts` wrong keys
 
     def __post_init__(self) -> None:
         if self.number % 2 == 0 or not 0x01 <= self.number <= 0x41:
@@ -178,7 +181,7 @@ class SecurityLevel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServiceAccess:
-    """In which sessions a service is there, and in which condition of the vehicle it changes something."""
+    """Sessions and security levels of a service, and the conditions under which it changes something."""
 
     number: int
     name: str
@@ -218,7 +221,7 @@ class DataIdentifier:
 
     @property
     def initial_bytes(self) -> bytes:
-        """What it holds before it was ever written, if it is stored."""
+        """Initial bytes of a stored datum."""
         text = self.initial or ""
         try:
             return text.encode("ascii") if self.fields[0].kind is Coding.TEXT else bytes.fromhex(text)
@@ -230,17 +233,17 @@ class DataIdentifier:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Routine:
-    """A routine: ends by itself after a time, or is ended by the vehicle, within the time at most."""
+    """A routine that ends by itself after its duration, or is ended by the vehicle before."""
 
     number: int
     name: str
     access: AccessRule
     duration_s: float
     ends_by_itself: bool = True
-    is_awaited: bool = False  # the positive response to its start comes when it has ended
+    is_awaited: bool = False  # whether the response to its start comes at its end
     can_be_stopped: bool = True
     task: Task = Task.NOTHING
-    held_conditions: tuple[str, ...] = ()  # that must hold until it ends; the vehicle is watched while it adapts
+    held_conditions: tuple[str, ...] = ()  # that must hold until an adaptation ends
     options: tuple[DatumField, ...] = ()
     results: tuple[DatumField, ...] = ()
 
@@ -257,19 +260,19 @@ class Routine:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trouble:
-    """A diagnostic trouble code: a code as scan tools show it and a failure type (ISO 15031-6, SAE J2012-DA)."""
+    """A diagnostic trouble code and its failure type (ISO 15031-6, SAE J2012-DA)."""
 
     code: str  # P0811
     failure_type: int
     text: str
     severity: int
     lights_lamp: bool
-    confirm_cycles: int = 1  # operation cycles with a failure, without a passed one between them
+    confirm_cycles: int = 1  # consecutive operation cycles with a failure
     heal_cycles: int = 3  # passed cycles until the lamp goes out
-    age_cycles: int = 40  # passed warm-up cycles until the code is forgotten
+    age_cycles: int = 40  # passed warm-up cycles until the code is removed
     failed_step: int = 127  # of the fault detection counter
     passed_step: int = 128
-    snapshot: tuple[int, ...] | None = None  # data identifiers; those of the table if there are none
+    snapshot: tuple[int, ...] | None = None  # data identifiers; None: those of the table
     extended: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
@@ -285,14 +288,14 @@ class Trouble:
 
     @property
     def number(self) -> int:
-        """The three bytes that stand for it on the wire."""
+        """Its three bytes on the wire."""
         upper = _SYSTEMS.index(self.code[0]) << 14 | int(self.code[1:], 16)
         return upper << 8 | self.failure_type
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExtendedRecord:
-    """A record of extended data: counters of the trouble code, or values kept at the moment of failure."""
+    """A record of extended data: counters of the trouble code, or values at the failure."""
 
     number: int
     name: str
@@ -308,7 +311,7 @@ class ExtendedRecord:
 
     @property
     def has_counters(self) -> bool:
-        """Whether it shows counters of the trouble code, not values of the moment of failure."""
+        """Whether it holds counters of the trouble code, not values at the failure."""
         return self.fields[0].source.startswith(OF_MEMORY)
 
 
@@ -317,7 +320,7 @@ def size_of(fields: Iterable[DatumField]) -> int:
     return sum(entry.size_bytes for entry in fields)
 
 
-BLOCK: Final = 0x20  # so many numbers does one bitmap of supported ones cover
+BLOCK: Final = 0x20  # numbers in one bitmap of supported ones
 _LONGEST_PID: Final = 64  # bytes; those of J1979-DA have 41 at most
 _LONGEST_INFO: Final = 0xFF
 
@@ -330,13 +333,13 @@ class ObdProfile(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pid:
-    """A parameter: its fields have sources, or it has an initial value and never another one."""
+    """A PID: its fields have sources, or it has a constant value."""
 
     number: int
     name: str
     fields: tuple[DatumField, ...]
     initial: str = ""  # hexadecimal digits of all its bytes
-    is_frozen: bool = False  # kept in the freeze frame
+    is_frozen: bool = False  # part of the freeze frame
 
     def __post_init__(self) -> None:
         _check_number("PID", self.name, self.number)
@@ -351,17 +354,17 @@ class Pid:
 
     @property
     def initial_bytes(self) -> bytes:
-        """What it always is, empty if it has sources."""
+        """Its constant bytes, empty if it has sources."""
         return _from_hex(self.name, self.initial)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleInfo:
-    """A piece of service 09: what a data identifier holds, a text, or hexadecimal digits."""
+    """A piece of service 09: a data identifier, a text, or hexadecimal digits."""
 
     number: int
     name: str
-    size_bytes: int  # filled up with zeros
+    size_bytes: int  # padded with zeros
     data: int | None = None
     text: str = ""
     digits: str = ""
@@ -377,7 +380,7 @@ class VehicleInfo:
 
     @property
     def fixed_bytes(self) -> bytes:
-        """What it always is, empty if it is a data identifier's."""
+        """Its constant bytes, empty if it is a data identifier."""
         try:
             return self.text.encode("ascii") or _from_hex(self.name, self.digits)
         except UnicodeEncodeError as exc:
@@ -399,16 +402,16 @@ class MonitorTest:
 class Obd:
     """OBD as one controller speaks it."""
 
-    clear_conditions: tuple[str, ...]  # of the vehicle, before codes are cleared by service 04
+    clear_conditions: tuple[str, ...]  # conditions of service 04
     pids: Mapping[int, Pid]
     infos: Mapping[int, VehicleInfo]
     monitors: Mapping[int, MonitorTest]
 
 
 def supported(numbers: Mapping[int, object], first: int) -> bytes | None:
-    """Return the bitmap of what is there of the 32 numbers after ``first``; None if it has nothing to say.
+    """Return the bitmap of supported numbers among the 32 after ``first``; None if there is no such bitmap.
 
-    Its last bit says that the next bitmap is there.
+    Its last bit says whether the next bitmap exists.
     """
     if first % BLOCK or (first and not any(number > first for number in numbers)):
         return None
@@ -439,17 +442,17 @@ _FORMATS: Final = {4: ">f", 8: ">d"}  # of IEEE 754, by bytes
 
 
 def encode(fields: tuple[DatumField, ...], values: Values, *, keeps_code: bool = True) -> bytes:
-    """Return the bytes of fields; a value that is missing or not a number becomes the code for not available.
+    """Return the bytes of fields; a missing or invalid value becomes the code for not available.
 
-    Unless ``keeps_code``, that code also stands for the highest value, as OBD has it.
+    Without ``keeps_code`` that code is also the highest value, as in OBD.
     """
     return b"".join(_encoded(entry, values.get(entry.source), keeps_code=keeps_code) for entry in fields)
 
 
 def not_available(entry: DatumField) -> int:
-    """Return the number that says that a value is not known: all bits set, the most negative one if signed.
+    """Return the code for not available: all bits set, or the most negative number if signed.
 
-    A float has no such number: it is not a number then.
+    Floats use NaN instead.
     """
     bits = 8 * entry.size_bytes
     return -(1 << (bits - 1)) if entry.kind is Coding.SIGNED else (1 << bits) - 1
@@ -472,7 +475,7 @@ def _encoded(entry: DatumField, value: Value | None, *, keeps_code: bool) -> byt
 
 
 def _float_bytes(entry: DatumField, value: float) -> bytes:
-    """Return a number as IEEE 754 has it; one that is too large for four bytes is infinite."""
+    """Return a number by IEEE 754; one that is too large for four bytes becomes infinite."""
     number = entry.conversion(value)
     try:
         return struct.pack(_FORMATS[entry.size_bytes], number)
@@ -481,7 +484,7 @@ def _float_bytes(entry: DatumField, value: float) -> bytes:
 
 
 def _number(entry: DatumField, value: float, *, keeps_code: bool) -> int:
-    """Return what stands for a value: the nearest step, or the last one before the code for not available."""
+    """Return the nearest step of a value, limited to the range without the code for not available."""
     if math.isnan(value):
         return not_available(entry)
     bits = 8 * entry.size_bytes
@@ -510,7 +513,7 @@ def decode_number(entry: DatumField, raw: bytes) -> float:
 
 
 def are_valid(fields: tuple[DatumField, ...], raw: bytes) -> bool:
-    """Return whether bytes, which are as long as the fields, are within what the fields allow."""
+    """Return whether bytes of the right length are valid for the fields."""
     return all(_is_valid(entry, piece) for entry, piece in _pieces(fields, raw))
 
 
@@ -524,7 +527,7 @@ def _is_valid(entry: DatumField, raw: bytes) -> bool:
 
 
 def holds(condition: Precondition, values: Values) -> bool:
-    """Return whether a condition holds; it does not if its value is not known."""
+    """Return whether a condition holds; not if its value is unknown."""
     value = values.get(condition.source)
     if not isinstance(value, int | float) or math.isnan(value):
         return False

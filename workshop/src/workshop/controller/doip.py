@@ -1,4 +1,4 @@
-"""ISO 13400-2 as pure functions: messages as bytes; bytes or a moment in, and what is to be done out."""
+"""ISO 13400-2 as pure functions: from received bytes or the time to a new state and actions."""
 
 import struct
 from collections.abc import Mapping
@@ -11,10 +11,10 @@ from workshop.controller.table import DoipEntity
 HEADER_BYTES: Final = 8
 VERSION_2012: Final = 0x02
 VERSION_2019: Final = 0x03
-ANY_VERSION: Final = 0xFF  # of a tester that asks who is there and does not know yet
-MOST_PAYLOAD_BYTES: Final = 0x10000  # of a message, whatever it is; what is longer is passed over
+ANY_VERSION: Final = 0xFF  # of an identification request whose tester does not know the version
+MOST_PAYLOAD_BYTES: Final = 0x10000  # longer messages are skipped
 ADDRESSES_BYTES: Final = 4  # source and target before the data of a diagnostic message
-MOST_ECHO_BYTES: Final = 64  # of a diagnostic message that its acknowledgement repeats
+MOST_ECHO_BYTES: Final = 64  # bytes of a diagnostic message that its acknowledgement repeats
 _HEADER: Final = struct.Struct(">BBHL")
 
 
@@ -23,22 +23,22 @@ class PayloadType(IntEnum):
     IDENTIFY = 0x0001
     IDENTIFY_BY_EID = 0x0002
     IDENTIFY_BY_VIN = 0x0003
-    ANNOUNCEMENT = 0x0004  # also the answer to the three before it
+    ANNOUNCEMENT = 0x0004  # also the answer to the three identification requests
     ACTIVATE = 0x0005
     ACTIVATED = 0x0006
     ALIVE_CHECK = 0x0007
     ALIVE = 0x0008
     ENTITY_STATUS = 0x4001
-    ENTITY_STATUS_TOLD = 0x4002
+    ENTITY_STATUS_RESPONSE = 0x4002
     POWER_MODE = 0x4003
-    POWER_MODE_TOLD = 0x4004
+    POWER_MODE_RESPONSE = 0x4004
     DIAGNOSTIC = 0x8001
     DIAGNOSTIC_ACK = 0x8002
     DIAGNOSTIC_NACK = 0x8003
 
 
 class HeaderNack(IntEnum):
-    """Why a header is refused."""
+    """Codes of the generic negative acknowledge."""
 
     INCORRECT_PATTERN = 0x00
     UNKNOWN_PAYLOAD_TYPE = 0x01
@@ -48,7 +48,7 @@ class HeaderNack(IntEnum):
 
 
 class DiagnosticNack(IntEnum):
-    """Why a diagnostic message does not reach the controller."""
+    """Codes of the diagnostic message negative acknowledge."""
 
     INVALID_SOURCE = 0x02
     UNKNOWN_TARGET = 0x03
@@ -57,18 +57,18 @@ class DiagnosticNack(IntEnum):
 
 
 class Activation(IntEnum):
-    """What becomes of a routing activation."""
+    """Response codes of a routing activation."""
 
     UNKNOWN_SOURCE = 0x00
     NO_SOCKET_LEFT = 0x01
-    OTHER_SOURCE = 0x02  # than the one this socket was activated for
-    SOURCE_IN_USE = 0x03  # on another socket, whose tester is alive
+    OTHER_SOURCE = 0x02  # this socket was activated for another tester
+    SOURCE_IN_USE = 0x03  # another socket with this address is alive
     UNSUPPORTED_TYPE = 0x06
     ACTIVATED = 0x10
 
 
 CLOSING_NACKS: Final = frozenset({HeaderNack.INCORRECT_PATTERN, HeaderNack.INVALID_LENGTH})
-"""After these a stream cannot be trusted any more: its socket is closed."""
+"""After these the socket is closed: the stream has lost its framing."""
 
 ON_SOCKETS: Final[Mapping[int, range]] = {
     PayloadType.ACTIVATE: range(7, 12, 4),
@@ -76,7 +76,7 @@ ON_SOCKETS: Final[Mapping[int, range]] = {
     PayloadType.ALIVE: range(2, 3),
     PayloadType.DIAGNOSTIC: range(ADDRESSES_BYTES + 1, MOST_PAYLOAD_BYTES + 1),
 }
-"""What a tester may send over TCP, with the lengths of its payload."""
+"""Messages that a tester may send over TCP, with the lengths of their payload [byte]."""
 
 IN_DATAGRAMS: Final[Mapping[int, range]] = {
     PayloadType.IDENTIFY: range(1),
@@ -85,23 +85,23 @@ IN_DATAGRAMS: Final[Mapping[int, range]] = {
     PayloadType.ENTITY_STATUS: range(1),
     PayloadType.POWER_MODE: range(1),
 }
-"""What a tester may send over UDP, likewise."""
+"""Messages that a tester may send over UDP, likewise."""
 
 IDENTIFICATIONS: Final = frozenset({PayloadType.IDENTIFY, PayloadType.IDENTIFY_BY_EID, PayloadType.IDENTIFY_BY_VIN})
-"""Requests of testers that do not know yet who is there, nor which version they speak."""
+"""Identification requests; their tester may not know the version yet."""
 
 ANSWERS: Final = frozenset(
     {
         PayloadType.HEADER_NACK,
         PayloadType.ANNOUNCEMENT,
         PayloadType.ACTIVATED,
-        PayloadType.ENTITY_STATUS_TOLD,
-        PayloadType.POWER_MODE_TOLD,
+        PayloadType.ENTITY_STATUS_RESPONSE,
+        PayloadType.POWER_MODE_RESPONSE,
         PayloadType.DIAGNOSTIC_ACK,
         PayloadType.DIAGNOSTIC_NACK,
     }
 )
-"""What entities and testers answer: never refused, or two of them would refuse each other's refusals for ever."""
+"""Answers: they get no negative acknowledge, or two ends would exchange those for ever."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,9 +128,9 @@ def refusal_of(header: Header, known: Mapping[int, range]) -> HeaderNack | None:
     Parameters
     ----------
     header
-        What came.
+        The header received.
     known
-        The types that may come this way, with the lengths of their payload.
+        Allowed payload types, with the lengths of their payload [byte].
     """
     if not _has_pattern(header, known):
         return HeaderNack.INCORRECT_PATTERN
@@ -146,7 +146,7 @@ def refusal_of(header: Header, known: Mapping[int, range]) -> HeaderNack | None:
 
 
 def _has_pattern(header: Header, known: Mapping[int, range]) -> bool:
-    """Return whether a message says which version it is of, twice, and the version is known."""
+    """Return whether version and inverse version match, and the version is known."""
     is_asking = header.payload_type in IDENTIFICATIONS and header.payload_type in known
     versions = {VERSION_2012, VERSION_2019, *((ANY_VERSION,) if is_asking else ())}
     return header.version in versions and header.inverse == header.version ^ 0xFF
@@ -157,12 +157,12 @@ def message(version: int, payload_type: PayloadType, payload: bytes = b"") -> by
 
 
 def header_nack(version: int, code: HeaderNack) -> bytes:
-    """Return what is said to a header that is refused."""
+    """Return a generic negative acknowledge."""
     return message(version, PayloadType.HEADER_NACK, bytes([code]))
 
 
 def activation_response(version: int, tester: int, entity: int, code: Activation) -> bytes:
-    """Return what is said to a routing activation; the last four bytes are reserved by the standard."""
+    """Return a routing activation response; its last four bytes are reserved."""
     return message(version, PayloadType.ACTIVATED, struct.pack(">HHBL", tester, entity, code, 0))
 
 
@@ -171,7 +171,7 @@ def diagnostic(version: int, source: int, target: int, data: bytes) -> bytes:
 
 
 def acknowledgement(version: int, source: int, target: int, code: DiagnosticNack | None, data: bytes) -> bytes:
-    """Return what is said to a diagnostic message from ``target``: it has been taken if there is no code."""
+    """Return the acknowledgement of a diagnostic message from ``target``; negative if there is a code."""
     kind = PayloadType.DIAGNOSTIC_ACK if code is None else PayloadType.DIAGNOSTIC_NACK
     return message(version, kind, struct.pack(">HHB", source, target, code or 0) + data[:MOST_ECHO_BYTES])
 
@@ -186,14 +186,14 @@ IS_NOT_SYNCHRONISED: Final = 0x10  # VIN and group are not known yet
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DatagramReply:
-    """What is sent back; an identification after a random pause, since all entities are asked at once."""
+    """An answer by UDP; an identification is sent after a random pause, since all entities are asked at once."""
 
     data: bytes
     is_identification: bool
 
 
 def announcement(entity: DoipEntity, vin: bytes, version: int) -> bytes:
-    """Return what an entity says of itself when it starts and when it is asked; a VIN that is none is all zeros."""
+    """Return a vehicle announcement, also the answer to an identification request; an invalid VIN becomes zeros."""
     is_known = len(vin) == VIN_BYTES
     payload = struct.pack(
         ">17sH6s6sBB",
@@ -208,16 +208,16 @@ def announcement(entity: DoipEntity, vin: bytes, version: int) -> bytes:
 
 
 def datagram_reply(entity: DoipEntity, vin: bytes, open_sockets: int, data: bytes) -> DatagramReply | None:
-    """Return what a datagram is answered with; None if it asks for another vehicle or is an answer itself.
+    """Return the answer to a datagram; None if it asks for another vehicle or is an answer itself.
 
     Parameters
     ----------
     entity, vin
-        Who is asked.
+        The entity and its vehicle.
     open_sockets
-        How many TCP connections there are now.
+        Number of TCP connections now.
     data
-        One datagram, which holds one message.
+        One datagram with one message.
     """
     header = header_of(data)
     refusal = HeaderNack.INCORRECT_PATTERN if header is None else refusal_of(header, IN_DATAGRAMS)
@@ -231,31 +231,31 @@ def datagram_reply(entity: DoipEntity, vin: bytes, open_sockets: int, data: byte
         refusal = HeaderNack.INVALID_LENGTH
     if refusal is not None:
         return _immediate(header_nack(version, refusal))
-    return _told(entity, vin, open_sockets, PayloadType(header.payload_type), payload, version)
+    return _datagram_answer(entity, vin, open_sockets, PayloadType(header.payload_type), payload, version)
 
 
-def _told(
+def _datagram_answer(
     entity: DoipEntity, vin: bytes, open_sockets: int, kind: PayloadType, payload: bytes, version: int
 ) -> DatagramReply | None:
     if kind in IDENTIFICATIONS:
         is_meant = kind is PayloadType.IDENTIFY or payload in {entity.eid.to_bytes(6, "big"), vin}
         return DatagramReply(data=announcement(entity, vin, version), is_identification=True) if is_meant else None
     if kind is PayloadType.POWER_MODE:
-        return _immediate(message(version, PayloadType.POWER_MODE_TOLD, bytes([READY])))
+        return _immediate(message(version, PayloadType.POWER_MODE_RESPONSE, bytes([READY])))
     status = struct.pack(">BBBL", NODE, entity.most_sockets, min(open_sockets, 0xFF), entity.most_request_bytes)
-    return _immediate(message(version, PayloadType.ENTITY_STATUS_TOLD, status))
+    return _immediate(message(version, PayloadType.ENTITY_STATUS_RESPONSE, status))
 
 
 def _immediate(data: bytes) -> DatagramReply:
     return DatagramReply(data=data, is_identification=False)
 
 
-MORE_CONNECTIONS: Final = 8  # beside those that may be activated: each is told that it may not, or closed in 2 s
+MORE_CONNECTIONS: Final = 8  # connections beyond the activated ones; each is refused or closed within 2 s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wish:
-    """A routing activation that waits for other testers to say that they are alive."""
+class WaitingActivation:
+    """A routing activation that waits for the alive checks of other testers."""
 
     tester: int
     version: int
@@ -266,14 +266,14 @@ class Socket:
     """One TCP connection."""
 
     opened_s: float
-    used_s: float  # when data came or went
-    received: bytes = b""  # not yet a whole message
-    skip_bytes: int = 0  # of a message that is passed over
-    version: int = 0  # that its tester speaks
+    used_s: float  # time of the last data in either direction
+    received: bytes = b""  # incomplete message
+    skip_bytes: int = 0  # bytes to skip of a refused message
+    version: int = 0  # protocol version of its tester
     tester: int | None = None  # its address, once routing is activated
-    alive_until_s: float | None = None  # its tester was asked whether it is alive; closed then
-    wish: Wish | None = None
-    waiting_count: int = 0  # requests that the controller has not answered
+    alive_until_s: float | None = None  # end of an alive check: without an answer it is closed then
+    activation: WaitingActivation | None = None
+    waiting_count: int = 0  # requests without a final response
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -286,7 +286,7 @@ class Send:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Close:
-    """A connection that ends once what was said before has gone out."""
+    """Close a connection once all data were sent."""
 
     number: int
 
@@ -305,7 +305,7 @@ Action = Send | Close | Ask
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """All connections, and what is to be done since the step before."""
+    """All connections, and the actions since the last step."""
 
     sockets: Mapping[int, Socket]
     actions: tuple[Action, ...] = ()
@@ -314,11 +314,11 @@ class Step:
         return replace(self, sockets={**self.sockets, number: replace(self.sockets[number], **values)})
 
     def sending(self, number: int, data: bytes, t_s: float) -> "Step":
-        """Return the step with something said to one tester."""
+        """Return the step with data to send to one tester."""
         return replace(self.changed(number, used_s=t_s), actions=(*self.actions, Send(number=number, data=data)))
 
     def asking(self, ask: Ask) -> "Step":
-        """Return the step with a request handed to the controller."""
+        """Return the step with a request for the controller."""
         more = self.sockets[ask.number].waiting_count + 1
         return replace(self.changed(ask.number, waiting_count=more), actions=(*self.actions, ask))
 
@@ -326,61 +326,61 @@ class Step:
         return replace(self.forgetting(number), actions=(*self.actions, Close(number=number)))
 
     def forgetting(self, number: int) -> "Step":
-        """Return the step without a connection that its tester has closed."""
+        """Return the step without a connection."""
         return replace(self, sockets={key: socket for key, socket in self.sockets.items() if key != number})
 
     def done(self) -> "Step":
-        """Return the step with nothing left to do."""
+        """Return the step without actions."""
         return replace(self, actions=())
 
 
-MOST_WAITING: Final = 32  # requests of one tester that wait for the controller
+MOST_WAITING: Final = 32  # waiting requests of one tester
 
 
-def wished(entity: DoipEntity, step: Step, number: int, payload: bytes, version: int, t_s: float) -> Step:
-    """Return what follows from a routing activation request; the order of checks is that of the standard's handler."""
+def activate(entity: DoipEntity, step: Step, number: int, payload: bytes, version: int, t_s: float) -> Step:
+    """Return the step after a routing activation request, checked in the order of the standard."""
     tester, kind = struct.unpack_from(">HB", payload)
-    wish = Wish(tester=tester, version=version)
-    own = step.sockets[number]
+    activation = WaitingActivation(tester=tester, version=version)
+    socket = step.sockets[number]
     if not entity.first_tester <= tester <= entity.last_tester:
-        return _refused(entity, step, number, wish, Activation.UNKNOWN_SOURCE, t_s)
+        return _refused(entity, step, number, activation, Activation.UNKNOWN_SOURCE, t_s)
     if kind not in entity.activation_types:
-        return _refused(entity, step, number, wish, Activation.UNSUPPORTED_TYPE, t_s)
-    if own.tester is not None and own.tester != tester:
-        return _refused(entity, step, number, wish, Activation.OTHER_SOURCE, t_s)
-    if own.tester == tester:
-        return _said(entity, step, number, wish, Activation.ACTIVATED, t_s)
+        return _refused(entity, step, number, activation, Activation.UNSUPPORTED_TYPE, t_s)
+    if socket.tester is not None and socket.tester != tester:
+        return _refused(entity, step, number, activation, Activation.OTHER_SOURCE, t_s)
+    if socket.tester == tester:
+        return _respond_activation(entity, step, number, activation, Activation.ACTIVATED, t_s)
     for rival in _rivals(entity, step, number, tester):
         if step.sockets[rival].alive_until_s is None:
             check = message(step.sockets[rival].version, PayloadType.ALIVE_CHECK)
-            used_s = step.sockets[rival].used_s  # being asked is no use
+            used_s = step.sockets[rival].used_s  # an alive check does not count as use
             step = step.sending(rival, check, used_s).changed(rival, alive_until_s=t_s + entity.alive_check_s)
-    return settled(entity, step.changed(number, wish=wish), t_s)
+    return decide_activations(entity, step.changed(number, activation=activation), t_s)
 
 
-def settled(entity: DoipEntity, step: Step, t_s: float) -> Step:
-    """Return what follows for activations that wait: granted once there is room, refused once all others are alive."""
+def decide_activations(entity: DoipEntity, step: Step, t_s: float) -> Step:
+    """Return the step with waiting activations granted if there is room, refused if all rivals are alive."""
     for number in list(step.sockets):
         socket = step.sockets.get(number)
-        if socket is not None and socket.wish is not None:
-            step = _judged(entity, step, number, socket.wish, t_s)
+        if socket is not None and socket.activation is not None:
+            step = _decide(entity, step, number, socket.activation, t_s)
     return step
 
 
-def _judged(entity: DoipEntity, step: Step, number: int, wish: Wish, t_s: float) -> Step:
-    rivals = _rivals(entity, step, number, wish.tester)
+def _decide(entity: DoipEntity, step: Step, number: int, activation: WaitingActivation, t_s: float) -> Step:
+    rivals = _rivals(entity, step, number, activation.tester)
     if not rivals:
-        step = step.changed(number, wish=None, tester=wish.tester, version=wish.version)
-        return _said(entity, step, number, wish, Activation.ACTIVATED, t_s)
+        step = step.changed(number, activation=None, tester=activation.tester, version=activation.version)
+        return _respond_activation(entity, step, number, activation, Activation.ACTIVATED, t_s)
     if any(step.sockets[rival].alive_until_s is not None for rival in rivals):
         return step
-    is_in_use = any(step.sockets[rival].tester == wish.tester for rival in rivals)
+    is_in_use = any(step.sockets[rival].tester == activation.tester for rival in rivals)
     code = Activation.SOURCE_IN_USE if is_in_use else Activation.NO_SOCKET_LEFT
-    return _refused(entity, step, number, wish, code, t_s)
+    return _refused(entity, step, number, activation, code, t_s)
 
 
 def _rivals(entity: DoipEntity, step: Step, number: int, tester: int) -> list[int]:
-    """Return the connections of which one must end first: the same tester's, or all if no more may be activated."""
+    """Return the connections that block an activation: those of the same tester, or all if no socket is left."""
     others = {key: socket for key, socket in step.sockets.items() if key != number and socket.tester is not None}
     same = [key for key, socket in others.items() if socket.tester == tester]
     if same:
@@ -389,12 +389,16 @@ def _rivals(entity: DoipEntity, step: Step, number: int, tester: int) -> list[in
     return list(others) if active_count >= entity.most_sockets else []
 
 
-def _refused(entity: DoipEntity, step: Step, number: int, wish: Wish, code: Activation, t_s: float) -> Step:
-    return _said(entity, step, number, wish, code, t_s).closing(number)
+def _refused(
+    entity: DoipEntity, step: Step, number: int, activation: WaitingActivation, code: Activation, t_s: float
+) -> Step:
+    return _respond_activation(entity, step, number, activation, code, t_s).closing(number)
 
 
-def _said(entity: DoipEntity, step: Step, number: int, wish: Wish, code: Activation, t_s: float) -> Step:
-    response = activation_response(wish.version, wish.tester, entity.logical_address, code)
+def _respond_activation(
+    entity: DoipEntity, step: Step, number: int, activation: WaitingActivation, code: Activation, t_s: float
+) -> Step:
+    response = activation_response(activation.version, activation.tester, entity.logical_address, code)
     return step.sending(number, response, t_s)
 
 
@@ -403,21 +407,21 @@ def opened(step: Step, number: int, t_s: float) -> Step:
 
 
 def closed(entity: DoipEntity, step: Step, number: int, t_s: float) -> Step:
-    """Return the step after a tester has closed its connection; another may have waited for that."""
-    return settled(entity, step.forgetting(number), t_s)
+    """Return the step after a tester has closed its connection, which may free an activation."""
+    return decide_activations(entity, step.forgetting(number), t_s)
 
 
 def received(entity: DoipEntity, step: Step, number: int, data: bytes, t_s: float) -> Step:
-    """Return what follows from bytes of one connection, however the stream was cut.
+    """Return the step after bytes of one connection; the result does not depend on how the stream was cut.
 
     Parameters
     ----------
     entity, step
-        Who is asked, and its connections.
+        The entity and its connections.
     number, data
-        The connection, and what came.
+        The connection and its bytes.
     t_s
-        The time, of a clock that never goes back.
+        Monotonic time [s].
     """
     if number not in step.sockets:
         return step
@@ -434,7 +438,7 @@ def received(entity: DoipEntity, step: Step, number: int, data: bytes, t_s: floa
 
 
 def _next_message(entity: DoipEntity, step: Step, number: int, socket: Socket, t_s: float) -> Step | None:
-    """Return what follows from the message that the stream begins with, None if it is not all there."""
+    """Return the step after the first message of the stream, None if it is incomplete."""
     header = header_of(socket.received)
     if header is None:
         return None
@@ -443,7 +447,7 @@ def _next_message(entity: DoipEntity, step: Step, number: int, socket: Socket, t
         version = entity.version if refusal is HeaderNack.INCORRECT_PATTERN else header.version
         step = step.sending(number, header_nack(version, refusal), t_s)
         if refusal in CLOSING_NACKS:
-            return settled(entity, step.closing(number), t_s)
+            return decide_activations(entity, step.closing(number), t_s)
     if refusal is not None or header.payload_type in ANSWERS:
         return step.changed(number, received=socket.received[HEADER_BYTES:], skip_bytes=header.payload_bytes)
     end = HEADER_BYTES + header.payload_bytes
@@ -451,40 +455,40 @@ def _next_message(entity: DoipEntity, step: Step, number: int, socket: Socket, t
         return None
     payload = socket.received[HEADER_BYTES:end]
     step = step.changed(number, received=socket.received[end:], version=header.version)
-    return _done(entity, step, number, PayloadType(header.payload_type), payload, t_s)
+    return _handle(entity, step, number, PayloadType(header.payload_type), payload, t_s)
 
 
-def _done(entity: DoipEntity, step: Step, number: int, kind: PayloadType, payload: bytes, t_s: float) -> Step:
+def _handle(entity: DoipEntity, step: Step, number: int, kind: PayloadType, payload: bytes, t_s: float) -> Step:
     socket = step.sockets[number]
     match kind:
         case PayloadType.ACTIVATE:
-            return wished(entity, step, number, payload, socket.version, t_s)
+            return activate(entity, step, number, payload, socket.version, t_s)
         case PayloadType.ALIVE:
             is_alive = int.from_bytes(payload, "big") == socket.tester
-            return settled(entity, step.changed(number, alive_until_s=None), t_s) if is_alive else step
-        case PayloadType.ALIVE_CHECK:  # meant for testers; one that asks is told
+            return decide_activations(entity, step.changed(number, alive_until_s=None), t_s) if is_alive else step
+        case PayloadType.ALIVE_CHECK:  # meant for testers, but answered
             alive = message(socket.version, PayloadType.ALIVE, entity.logical_address.to_bytes(2, "big"))
             return step.sending(number, alive, t_s)
         case _:
-            return _diagnosed(entity, step, number, payload, t_s)
+            return _handle_diagnostic(entity, step, number, payload, t_s)
 
 
-def _diagnosed(entity: DoipEntity, step: Step, number: int, payload: bytes, t_s: float) -> Step:
-    """Return what follows from a diagnostic message: an acknowledgement and, if it is positive, a request."""
+def _handle_diagnostic(entity: DoipEntity, step: Step, number: int, payload: bytes, t_s: float) -> Step:
+    """Return the step after a diagnostic message: an acknowledgement and, if positive, a request."""
     socket = step.sockets[number]
     source, target = struct.unpack_from(">HH", payload)
     data = payload[ADDRESSES_BYTES:]
     code = _nack(entity, socket, source, target, len(data))
     step = step.sending(number, acknowledgement(socket.version, target, source, code, data), t_s)
     if code is DiagnosticNack.INVALID_SOURCE:
-        return settled(entity, step.closing(number), t_s)
+        return decide_activations(entity, step.closing(number), t_s)
     if code is not None:
         return step
     return step.asking(Ask(number=number, payload=data, is_functional=target == entity.functional_address))
 
 
 def _nack(entity: DoipEntity, socket: Socket, source: int, target: int, data_bytes: int) -> DiagnosticNack | None:
-    """Return why a diagnostic message is not taken, in the order of the standard's handler."""
+    """Return why a diagnostic message is refused, checked in the order of the standard; None if it is accepted."""
     if socket.tester is None or source != socket.tester:
         return DiagnosticNack.INVALID_SOURCE
     if target not in {entity.logical_address, entity.functional_address}:
@@ -497,12 +501,12 @@ def _nack(entity: DoipEntity, socket: Socket, source: int, target: int, data_byt
 def responded(
     entity: DoipEntity, step: Step, number: int, response: bytes | None, t_s: float, *, is_final: bool
 ) -> Step:
-    """Return what follows from the controller's response to a request of one connection, which may be none.
+    """Return the step after the controller's response, or none, to a request of one connection.
 
     Parameters
     ----------
     response, is_final
-        What it says, and whether it is done with the request: 78 is followed by another response.
+        The response, and whether it is the last: another one follows 78.
     """
     socket = step.sockets.get(number)
     if socket is None:
@@ -513,16 +517,16 @@ def responded(
 
 
 def advanced(entity: DoipEntity, step: Step, t_s: float) -> Step:
-    """Return what time alone does: connections that say nothing are closed, activations that waited are decided."""
+    """Return the step after time has passed: inactive connections are closed, waiting activations decided."""
     for number, socket in step.sockets.items():
         if _is_over(entity, socket, t_s):
             step = step.closing(number)
-    return settled(entity, step, t_s)
+    return decide_activations(entity, step, t_s)
 
 
 def _is_over(entity: DoipEntity, socket: Socket, t_s: float) -> bool:
     if socket.alive_until_s is not None and t_s >= socket.alive_until_s:
         return True
-    if socket.tester is None and socket.wish is None:
+    if socket.tester is None and socket.activation is None:
         return t_s - socket.opened_s >= entity.initial_inactivity_s
     return t_s - socket.used_s >= entity.general_inactivity_s

@@ -1,4 +1,4 @@
-"""A controller on an IP network: sockets, connections and datagrams around the pure part, in an event loop."""
+"""A controller on an IP network: sockets around the pure functions of `doip`, in an event loop."""
 
 import asyncio
 import random
@@ -26,16 +26,16 @@ PORT: Final = 13400  # registered for DoIP, both TCP and UDP
 LOOPBACK: Final = "127.0.0.1"
 LOCAL_BROADCAST: Final = "127.255.255.255"
 BROADCAST: Final = "255.255.255.255"
-ALL_NODES: Final = "ff02::1"  # on one link; what IPv6 has in place of a broadcast
+ALL_NODES: Final = "ff02::1"  # multicast address of all nodes of a link, IPv6
 BACKLOG: Final = 16
-SEND_BYTES: Final = 1 << 16  # that one tester may leave unread before nothing more is read from it
+SEND_BYTES: Final = 1 << 16  # send buffer of a connection; while it is full nothing is read from its tester
 
 Address = IPv4Address | IPv6Address
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DoipAddress:
-    """Where to listen, and what people call it."""
+    """Host and port to listen on."""
 
     host: str
     port: int
@@ -49,9 +49,9 @@ class Listening:
     """Open sockets of one address."""
 
     tcp: socket.socket
-    udp: tuple[socket.socket, ...]  # the first one also says what is said
-    everybody: tuple[str, int]  # who hears announcements
-    is_exposed: bool  # whether others than this machine can reach it
+    udp: tuple[socket.socket, ...]  # the first one also sends
+    broadcast: tuple[str, int]  # receivers of announcements
+    is_exposed: bool  # whether other machines can reach it
 
     def close(self) -> None:
         for opened in (self.tcp, *self.udp):
@@ -59,9 +59,9 @@ class Listening:
 
 
 def parse_place(text: str, option: str = "--doip", *, least_port: int = 1) -> DoipAddress:
-    """Return what ``[HOST:]PORT`` says; without a host this machine alone is meant. IPv6 stands in brackets.
+    """Return the address that ``[HOST:]PORT`` names; without a host the loopback. IPv6 stands in brackets.
 
-    Raises ConfigError if it says no such thing.
+    Raises ConfigError if it is invalid.
     """
     host, _, port = text.rpartition(":")
     is_bracketed = host.startswith("[") and host.endswith("]")
@@ -74,27 +74,26 @@ def parse_place(text: str, option: str = "--doip", *, least_port: int = 1) -> Do
 
 
 def listen(place: DoipAddress) -> Listening:
-    """Return the sockets of a place; requests to everybody on its network come in as well.
+    """Return open sockets of an address, which also receive broadcasts of its network.
 
-    By IPv6 they come in only where all addresses are listened on (``::``). Raises BusError if it is no address of this
-    machine, or somebody else listens there.
+    IPv6 receives multicasts on ``::`` only. Raises BusError if the address is not of this machine, or is in use.
     """
     with ExitStack() as stack:
         try:
             address = _address(place.host)
-            everybody = _everybody(address)
+            broadcast = _broadcast_host(address)
             tcp = _connections(stack, address, place.port)
             is_broadcast = isinstance(address, IPv4Address) and not address.is_unspecified
-            hosts = [str(address), everybody] if is_broadcast else [str(address)]
+            hosts = [str(address), broadcast] if is_broadcast else [str(address)]
             udp = tuple(_datagrams(stack, _family(address), host, place.port) for host in hosts)
         except OSError as exc:
             raise BusError(f"DoIP cannot listen on {place}: {exc.strerror or exc}") from exc
         stack.pop_all()
-    return Listening(tcp=tcp, udp=udp, everybody=(everybody, place.port), is_exposed=not address.is_loopback)
+    return Listening(tcp=tcp, udp=udp, broadcast=(broadcast, place.port), is_exposed=not address.is_loopback)
 
 
 def _address(host: str) -> Address:
-    """Return the address of a host, that of IPv4 if it has both."""
+    """Return the address of a host, IPv4 if it has both."""
     try:
         return IPv4Address(socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM)[0][4][0])
     except socket.gaierror:
@@ -105,43 +104,43 @@ def _family(address: Address) -> socket.AddressFamily:
     return socket.AF_INET if isinstance(address, IPv4Address) else socket.AF_INET6
 
 
-def _everybody(address: Address) -> str:
-    """Return who is reached by what is said to everybody; this machine alone if nobody else can reach the address."""
+def _broadcast_host(address: Address) -> str:
+    """Return the broadcast or multicast host of an address; that of the loopback stays on this machine."""
     if isinstance(address, IPv4Address):
         return LOCAL_BROADCAST if address.is_loopback else BROADCAST
     return str(address) if address.is_loopback else ALL_NODES
 
 
 def _connections(stack: ExitStack, address: Address, port: int) -> socket.socket:
-    one = stack.enter_context(socket.socket(_family(address), socket.SOCK_STREAM))
-    one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # its connections inherit that: no 40 ms each
-    one.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
-    one.bind((str(address), port))
-    one.listen(BACKLOG)
-    return one
+    listener = stack.enter_context(socket.socket(_family(address), socket.SOCK_STREAM))
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # inherited by connections: no delay of 40 ms
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
+    listener.bind((str(address), port))
+    listener.listen(BACKLOG)
+    return listener
 
 
 def _datagrams(stack: ExitStack, family: socket.AddressFamily, host: str, port: int) -> socket.socket:
-    one = stack.enter_context(socket.socket(family, socket.SOCK_DGRAM))
-    one.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-    one.setblocking(False)
-    one.bind((host, port))
-    return one
+    receiver = stack.enter_context(socket.socket(family, socket.SOCK_DGRAM))
+    receiver.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+    receiver.setblocking(False)
+    receiver.bind((host, port))
+    return receiver
 
 
 VIN = 0xF190
-MOST_DELAYED = 64  # identifications that wait for their random pause
+MOST_DELAYED = 64  # identification answers that wait for their random pause
 
 
 @dataclass(slots=True)
 class DatagramCounts:
-    """What came and went by datagrams."""
+    """Counts of datagrams."""
 
     datagrams: int = 0
     answered_datagrams: int = 0
-    dropped_datagrams: int = 0  # came faster than they may be answered
-    unsent_datagrams: int = 0  # the network did not take them
+    dropped_datagrams: int = 0  # more than `MOST_DELAYED` were waiting
+    unsent_datagrams: int = 0  # the network refused them
 
 
 class DatagramServer(asyncio.DatagramProtocol):
@@ -150,11 +149,11 @@ class DatagramServer(asyncio.DatagramProtocol):
     Parameters
     ----------
     entity
-        Who is asked.
+        Description of the entity.
     controller
-        Who knows the vehicle's identification number, and whether it hears anybody now.
+        Knows the VIN, and whether it sleeps after a reset.
     open_sockets
-        Returns how many connections there are, now.
+        Returns the present number of connections.
     """
 
     def __init__(self, entity: DoipEntity, controller: Controller, *, open_sockets: Callable[[], int]) -> None:
@@ -167,26 +166,26 @@ class DatagramServer(asyncio.DatagramProtocol):
 
     async def start(self, sockets: Listening) -> None:
         loop = asyncio.get_running_loop()
-        for one in sockets.udp:
-            end, _ = await loop.create_datagram_endpoint(lambda: self, sock=one)
+        for opened in sockets.udp:
+            end, _ = await loop.create_datagram_endpoint(lambda: self, sock=opened)
             self._ends.append(end)
 
     def close(self) -> None:
-        """Say nothing any more."""
+        """Stop answering."""
         for timer in self._delayed:
             timer.cancel()
         for end in self._ends:
             end.close()
 
-    async def announce(self, everybody: tuple[str, int], delay_s: float = 0.0) -> None:
-        """Say who one is, as often as a controller that starts does, which takes so long [s]."""
+    async def announce(self, broadcast: tuple[str, int], delay_s: float = 0.0) -> None:
+        """Send the announcements of a start, after a delay [s]."""
         await asyncio.sleep(delay_s + self._pause_s())
         for _ in range(self._entity.announce_count):
-            self._say(announcement(self._entity, self._controller.datum(VIN), self._entity.version), everybody)
+            self._send(announcement(self._entity, self._controller.datum(VIN), self._entity.version), broadcast)
             await asyncio.sleep(self._entity.announce_interval_s)
 
     def datagram_received(self, data: bytes, sender: tuple[str, int]) -> None:
-        """Answer one datagram, an identification after a random pause."""
+        """Answer a datagram, an identification after a random pause."""
         self.counts.datagrams += 1
         reply = datagram_reply(self._entity, self._controller.datum(VIN), self._open_sockets(), data)
         if reply is None or self._controller.is_asleep:
@@ -206,32 +205,32 @@ class DatagramServer(asyncio.DatagramProtocol):
             self._delayed.add(timer)
 
     def error_received(self, _error: Exception) -> None:
-        """Count a datagram that the network did not take."""
+        """Count a datagram that the network refused."""
         self.counts.unsent_datagrams += 1
 
     def _answer(self, data: bytes, receiver: tuple[str, int]) -> None:
         self.counts.answered_datagrams += 1
-        self._say(data, receiver)
+        self._send(data, receiver)
 
-    def _say(self, data: bytes, receiver: tuple[str, int]) -> None:
-        with suppress(OSError):  # a receiver that cannot be; others are told through error_received
+    def _send(self, data: bytes, receiver: tuple[str, int]) -> None:
+        with suppress(OSError):  # invalid receiver; other errors come to error_received
             self._ends[0].sendto(data, receiver)
 
     def _pause_s(self) -> float:
-        return random.uniform(0.0, self._entity.announce_wait_s)  # noqa: S311 - so that not all speak at once
+        return random.uniform(0.0, self._entity.announce_wait_s)  # noqa: S311 - so that entities do not answer at once
 
 
 READ_BYTES: Final = 4096
-LINGER_S: Final = 1.0  # in which a tester may take what was said before its connection was closed
+LINGER_S: Final = 1.0  # time for a tester to read the last data before its connection is aborted
 _PERIODIC: Final = bytes([Service.READ_PERIODICALLY])
 
 
 @dataclass(slots=True)
 class DoipCounts:
-    """What came and went by connections."""
+    """Counts of connections."""
 
     connections: int = 0
-    refused_connections: int = 0  # more than are accepted at all
+    refused_connections: int = 0  # beyond the accepted number, or during a reset
     requests: int = 0
     responses: int = 0
 
@@ -242,7 +241,7 @@ class DoipServer:
     Parameters
     ----------
     controller
-        Who answers.
+        The controller that answers.
     place
         Where it listens.
 
@@ -258,9 +257,9 @@ class DoipServer:
         self._step = doip.Step(sockets={})
         self._writers: dict[int, asyncio.StreamWriter] = {}
         self._asks: dict[int, asyncio.Queue[doip.Ask]] = {}
-        self._reset_s = controller.state.asleep_until_s  # until when the last reset takes
+        self._reset_s = controller.state.asleep_until_s  # end of the last reset
         self._asking_count = 0
-        self._silent: set[int] = set()  # connections whose periodic data wait for the response that announces them
+        self._silent: set[int] = set()  # connections whose periodic data wait for the response that starts them
         self._tasks: set[asyncio.Task[None]] = set()
         self._pool = ThreadPoolExecutor(1, "DoIP asks")
         self._datagrams = DatagramServer(self._entity, controller, open_sockets=lambda: len(self._step.sockets))
@@ -275,7 +274,7 @@ class DoipServer:
 
     @property
     def is_exposed(self) -> bool:
-        """Whether others than this machine can reach it."""
+        """Whether other machines can reach it."""
         return self._sockets.is_exposed
 
     @property
@@ -296,7 +295,7 @@ class DoipServer:
             raise self._error
 
     def close(self) -> None:
-        """Listen no more, as it does after its block; one that is never entered needs it."""
+        """Close the sockets, as the end of the block does; needed if it is never entered."""
         self._sockets.close()
 
     def _run(self) -> None:
@@ -314,7 +313,7 @@ class DoipServer:
         async with asyncio.TaskGroup() as group:
             server = await asyncio.start_server(partial(self._accept, group), sock=self._sockets.tcp, limit=READ_BYTES)
             await self._datagrams.start(self._sockets)
-            self._start(group, self._datagrams.announce(self._sockets.everybody))
+            self._start(group, self._datagrams.announce(self._sockets.broadcast))
             self._start(group, self._advance(group))
             self._is_ready.set()
             try:
@@ -346,30 +345,30 @@ class DoipServer:
         self._start(group, self._converse(group, number, reader))
 
     async def _converse(self, group: asyncio.TaskGroup, number: int, reader: asyncio.StreamReader) -> None:
-        """Read from one connection until its tester closes it; what comes after it was closed here is passed over."""
+        """Read from one connection until its tester closes it; data after a close from here are ignored."""
         answering = self._start(group, self._answer(number))
         writer = self._writers[number]
         try:
             while data := await reader.read(READ_BYTES):
-                self._do(doip.received(self._entity, self._step, number, data, time.monotonic()))
+                self._apply(doip.received(self._entity, self._step, number, data, time.monotonic()))
                 if number in self._step.sockets:
                     await writer.drain()
-        except OSError:  # the tester has gone without saying so
+        except OSError:  # the connection broke
             pass
         finally:
             answering.cancel()
             writer.transport.abort() if reader.exception() else writer.close()
             del self._writers[number], self._asks[number]
             self._silent.discard(number)
-            self._do(doip.closed(self._entity, self._step, number, time.monotonic()))
+            self._apply(doip.closed(self._entity, self._step, number, time.monotonic()))
             self._pool.submit(self._controller.leave, number)
 
-    def _do(self, step: doip.Step) -> None:
+    def _apply(self, step: doip.Step) -> None:
         self._step = step.done()
         for action in step.actions:
             match action:
                 case doip.Send(number=number, data=data):
-                    if not self._writers[number].is_closing():  # it may have gone a moment ago
+                    if not self._writers[number].is_closing():  # it may have closed a moment ago
                         self._writers[number].write(data)
                 case doip.Ask(number=number):
                     self._asks[number].put_nowait(action)
@@ -377,7 +376,7 @@ class DoipServer:
                     self._close(self._writers[number])
 
     def _close(self, writer: asyncio.StreamWriter) -> None:
-        """End what is said to a tester, and the connection once it has closed its side or takes too long."""
+        """End sending to a tester, and abort the connection after `LINGER_S`."""
         with suppress(OSError):
             writer.write_eof()
         asyncio.get_running_loop().call_later(LINGER_S, writer.transport.abort)
@@ -386,26 +385,26 @@ class DoipServer:
         while True:
             await asyncio.sleep(TICK_S)
             self._note_reset(group)
-            self._do(doip.advanced(self._entity, self._step, time.monotonic()))
+            self._apply(doip.advanced(self._entity, self._step, time.monotonic()))
             for number in self._writers.keys() - self._silent:
                 for message in self._controller.broadcast(number):
                     self._respond(number, message, is_final=False)
 
     def _note_reset(self, group: asyncio.TaskGroup) -> None:
-        """End all connections once a reset of the controller has been answered; it says who it is as at its start."""
+        """Close all connections once a reset has been answered, and send the announcements of a start."""
         reset_s = self._controller.state.asleep_until_s
         if reset_s == self._reset_s or self._asking_count:
             return
         self._reset_s, step = reset_s, self._step
         for number in step.sockets:
             step = step.closing(number)
-        self._do(step)
-        self._start(group, self._datagrams.announce(self._sockets.everybody, self._controller.table.timing.reset_s))
+        self._apply(step)
+        self._start(group, self._datagrams.announce(self._sockets.broadcast, self._controller.table.timing.reset_s))
 
     # --- the controller -----------------------------------------------------------------------------------------------
 
     async def _answer(self, number: int) -> None:
-        """Hand one tester's requests to the controller, one after the other, and its responses to the tester."""
+        """Pass one tester's requests to the controller, one at a time, and the responses back."""
         asks, writer = self._asks[number], self._writers[number]
         loop = asyncio.get_running_loop()
         try:
@@ -422,14 +421,14 @@ class DoipServer:
                     response = await loop.run_in_executor(self._pool, self._controller.tick, number)
                     self._respond(number, response, is_final=False)
                 await writer.drain()
-        except OSError:  # the tester has gone; who reads from it finds out as well
+        except OSError:  # the connection broke; the reader notices, too
             return
 
     async def _ask(self, number: int, ask: doip.Ask) -> None:
-        """Answer one request, with 78 first if the disk takes its time."""
+        """Answer one request; 78 comes first if saving takes long."""
         self._counts.requests += 1
         timing = self._controller.table.timing
-        work = partial(self._controller.consider, ask.payload, is_functional=ask.is_functional, client=number)
+        work = partial(self._controller.reply_to, ask.payload, is_functional=ask.is_functional, client=number)
         if ask.payload[:1] == _PERIODIC:
             self._silent.add(number)
         asking = asyncio.get_running_loop().run_in_executor(self._pool, work)
@@ -444,4 +443,4 @@ class DoipServer:
 
     def _respond(self, number: int, response: bytes | None, *, is_final: bool) -> None:
         self._counts.responses += response is not None
-        self._do(doip.responded(self._entity, self._step, number, response, time.monotonic(), is_final=is_final))
+        self._apply(doip.responded(self._entity, self._step, number, response, time.monotonic(), is_final=is_final))

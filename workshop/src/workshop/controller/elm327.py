@@ -1,4 +1,4 @@
-"""One ELM327: what it has been told, and a line that somebody typed in, lines that are shown out."""
+"""An ELM327 adapter without I/O: settings and a typed line in, output lines out."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +12,7 @@ from workshop.controller.table import Addressing, Transport
 
 VERSION: Final = "ELM327 v1.5"
 DESCRIPTION: Final = "OBDII to RS232 Interpreter"
-VOLTAGE: Final = "12.6V"  # nothing in the vehicle says how high it is
+VOLTAGE: Final = "12.6V"  # no signal of the vehicle has it
 OK: Final = "OK"
 UNKNOWN: Final = "?"
 MONITOR: Final = "MA"
@@ -45,23 +45,23 @@ _HEADER_BITS: Final = 0xFFFFFF  # of three bytes, behind the priority
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """What an adapter has been told since it was switched on."""
+    """Settings of an adapter since its start."""
 
     echoes: bool = True
     has_line_feeds: bool = False
     has_spaces: bool = True
     shows_headers: bool = False
     shows_length: bool = False
-    is_formatted: bool = True  # it makes and reads the first bytes of ISO-TP itself
+    is_formatted: bool = True  # the adapter handles the protocol bytes of ISO-TP
     shows_responses: bool = True
     controls_flow: bool = True
-    flow_mode: int = 0  # 0 as usual; 1 header and data below; 2 data below
+    flow_mode: int = 0  # 0 automatic; 1 header and data of the client; 2 data of the client
     flow_header: int | None = None
     flow_data: bytes = b""
-    header: int | None = None  # of requests, three bytes; none: to all controllers
+    header: int | None = None  # of requests, three bytes; None: functional
     priority: int = _DEFAULT_PRIORITY  # the first byte of a header of 29 bits
     extended_address: int | None = None  # the byte before those of ISO-TP
-    receive_id: int | None = None  # none: responses of OBD
+    receive_id: int | None = None  # None: identifiers of OBD responses
     receive_mask: int = ALL_ID_BITS
     protocol: int = AUTOMATIC
     is_automatic: bool = True
@@ -73,9 +73,9 @@ class Settings:
         return 0x7E8 <= can_id <= 0x7EF or can_id & 0x1FFFFF00 == 0x18DAF100
 
     def wire_id(self, header: int | None, *, is_standard: bool) -> int | None:
-        """Return what becomes of a header, if there is one, on a bus of 11 or of 29 bits.
+        """Return the identifier of a header on a bus of 11 or of 29 bits, None without a header.
 
-        Which protocol it is for is known when it is used, not when it is set.
+        The protocol is known when the header is used, not when it is set.
         """
         if header is None or is_standard:
             return None if header is None else header & LARGEST_STANDARD_ID
@@ -101,7 +101,7 @@ _NO_MATTER: Final = re.compile(
     r"AL|NL|AT[012]|ST[0-9A-F]{2}|CTM[15]|M[01]|V[01]|CSM[01]|LP|SS|BI|FE|STPX|JE|JS|JHF[01]|JTM[15]|PP[0-9A-F]{2}OFF"
     r"|IB(10|12|15|48|96)|IIA[0-9A-F]{2}|KW[01]|SW[0-9A-F]{2}|WM([0-9A-F]{2}){1,6}|(TA|RA|SR)[0-9A-F]{2}"
 )
-"""Commands that are taken and change nothing: answers are there at once, other buses not; no parameter is ever on."""
+"""Commands that are accepted without effect: time limits, other buses, display modes."""
 
 
 _Changed = dict[str, Any] | None  # settings with their new values; None: there is no such command
@@ -110,48 +110,48 @@ _LINES: Final[Mapping[str, str]] = {
 }  # fmt: skip
 
 
-def told(settings: Settings, command: str) -> tuple[Settings, str]:
-    """Return the settings after a command, and the line that is shown.
+def apply_command(settings: Settings, command: str) -> tuple[Settings, str]:
+    """Return the settings after a command, and its output line.
 
-    It comes in capitals, without blanks and without its ``AT``.
+    The command is in capitals, without blanks and without ``AT``.
     """
     lines = {**_LINES, "DP": settings.protocol_name, "DPN": settings.protocol_number}
     if command in lines:
         return settings, lines[command]
     if command in {"Z", "WS"}:
         return Settings(), VERSION
-    if command == "D":  # forget everything but which protocol was found
+    if command == "D":  # defaults, but for the protocol
         return Settings(protocol=settings.protocol, is_automatic=settings.is_automatic), OK
     if _NO_MATTER.fullmatch(command):
         return settings, OK
     for pattern, change in _CHANGES:
-        if found := re.fullmatch(pattern, command):
-            changed = change(settings, found)
+        if match := re.fullmatch(pattern, command):
+            changed = change(settings, match)
             return (settings, UNKNOWN) if changed is None else (replace(settings, **changed), OK)
     return settings, UNKNOWN
 
 
-def _protocol(_settings: Settings, found: re.Match[str]) -> _Changed:
-    """Choose a protocol; with an A before it, another one is looked for if it is the wrong one."""
-    if found[1] == "A" and not found[2]:  # protocol A, not automatic
+def _protocol(_settings: Settings, match: re.Match[str]) -> _Changed:
+    """Choose a protocol; with an A before it the adapter searches for another one if it is wrong."""
+    if match[1] == "A" and not match[2]:  # protocol A, not automatic
         return {"protocol": 0xA, "is_automatic": False}
-    if not found[2]:
+    if not match[2]:
         return None
-    number = int(found[2], 16)
-    is_automatic = bool(found[1]) or number == AUTOMATIC
+    number = int(match[2], 16)
+    is_automatic = bool(match[1]) or number == AUTOMATIC
     return {"protocol": AUTOMATIC if is_automatic else number, "is_automatic": is_automatic}
 
 
-def _header(settings: Settings, found: re.Match[str]) -> _Changed:
+def _header(settings: Settings, match: re.Match[str]) -> _Changed:
     """Set the header of requests: three digits, or six; of eight the first two are the priority."""
-    number = int(found[1], 16)
-    priority = number >> 24 & _PRIORITY_BITS if len(found[1]) == 8 else settings.priority
+    number = int(match[1], 16)
+    priority = number >> 24 & _PRIORITY_BITS if len(match[1]) == 8 else settings.priority
     return {"header": number & _HEADER_BITS, "priority": priority}
 
 
-def _receive_address(_settings: Settings, found: re.Match[str]) -> _Changed:
-    """Show responses with this identifier only; X stands for any digit, no digits for the usual ones."""
-    digits = found[1]
+def _receive_address(_settings: Settings, match: re.Match[str]) -> _Changed:
+    """Show responses with this identifier only; X is any digit; without digits those of OBD."""
+    digits = match[1]
     if not digits:
         return {"receive_id": None, "receive_mask": ALL_ID_BITS}
     mask = int("".join("0" if digit == "X" else "F" for digit in digits), 16)
@@ -159,31 +159,31 @@ def _receive_address(_settings: Settings, found: re.Match[str]) -> _Changed:
     return {"receive_id": number, "receive_mask": mask | ~((1 << 4 * len(digits)) - 1)}
 
 
-def _flow_mode(settings: Settings, found: re.Match[str]) -> _Changed:
-    mode = int(found[1])
+def _flow_mode(settings: Settings, match: re.Match[str]) -> _Changed:
+    mode = int(match[1])
     lacks_header = mode == 1 and settings.flow_header is None
     return None if lacks_header or (mode in {1, 2} and not settings.flow_data) else {"flow_mode": mode}
 
 
 _CHANGES: Final[tuple[tuple[str, Callable[[Settings, re.Match[str]], _Changed]], ...]] = (
-    (r"(E|L|S|H|D|R|CAF|CFC)([01])", lambda _, found: {_SWITCHES[found[1]]: found[2] == "1"}),
+    (r"(E|L|S|H|D|R|CAF|CFC)([01])", lambda _, match: {_SWITCHES[match[1]]: match[2] == "1"}),
     (r"[ST]P(A?)(00|[0-9A-C]|)", _protocol),
     (r"PC", lambda settings, _: {"protocol": AUTOMATIC} if settings.is_automatic else {}),
     (r"SH([0-9A-F]{3}|[0-9A-F]{6}|[0-9A-F]{8})", _header),
-    (r"CP([0-9A-F]{2})", lambda _, found: {"priority": int(found[1], 16) & _PRIORITY_BITS}),
-    (r"CEA([0-9A-F]{2}|)", lambda _, found: {"extended_address": int(found[1], 16) if found[1] else None}),
+    (r"CP([0-9A-F]{2})", lambda _, match: {"priority": int(match[1], 16) & _PRIORITY_BITS}),
+    (r"CEA([0-9A-F]{2}|)", lambda _, match: {"extended_address": int(match[1], 16) if match[1] else None}),
     (r"(?:CRA|AR)([0-9A-FX]{3}|[0-9A-FX]{8}|)", _receive_address),
-    (r"CF([0-9A-F]{3}|[0-9A-F]{8})", lambda _, found: {"receive_id": int(found[1], 16)}),
+    (r"CF([0-9A-F]{3}|[0-9A-F]{8})", lambda _, match: {"receive_id": int(match[1], 16)}),
     (
         r"CM([0-9A-F]{3}|[0-9A-F]{8})",
-        lambda settings, found: {"receive_mask": int(found[1], 16), "receive_id": settings.receive_id or 0},
+        lambda settings, match: {"receive_mask": int(match[1], 16), "receive_id": settings.receive_id or 0},
     ),
     (r"FCSM([012])", _flow_mode),
     (
         r"FCSH([0-9A-F]{3}|[0-9A-F]{6}|[0-9A-F]{8})",
-        lambda _, found: {"flow_header": int(found[1], 16) & ALL_ID_BITS},
+        lambda _, match: {"flow_header": int(match[1], 16) & ALL_ID_BITS},
     ),
-    (r"FCSD((?:[0-9A-F]{2}){1,5})", lambda _, found: {"flow_data": bytes.fromhex(found[1])}),
+    (r"FCSD((?:[0-9A-F]{2}){1,5})", lambda _, match: {"flow_data": bytes.fromhex(match[1])}),
 )
 
 
@@ -196,24 +196,25 @@ _IS_ANYBODY_THERE: Final = b"\x01\x00"
 _ON_CAN: Final = range(0x6, 0x10)
 _ON_K_LINE: Final = range(0x3, 0x6)
 
-Ask = Callable[[bytes, bool], bytes | None]  # a request, whether to all; the response
+Ask = Callable[[bytes, bool], bytes | None]  # request, is functional; response
 MOST_SINGLE_BYTES: Final = 7
 
 
 def _filled(frame: bytes, padding: int | None) -> bytes:
-    """Return a frame filled up, if anything is to fill it."""
+    """Return a padded frame; unchanged without padding."""
     return frame if padding is None else frame.ljust(MOST_RAW_BYTES, bytes([padding]))
 
 
-def shown(frames: Sequence[bytes], can_id: int, settings: Settings) -> list[str]:
-    """Return frames as lines of an adapter, as its settings want them."""
+def format_frames(frames: Sequence[bytes], can_id: int, settings: Settings) -> list[str]:
+    """Return frames as output lines, by the settings."""
     if settings.shows_headers or not settings.is_formatted:
         return [
-            line(can_id, _meant(frame) if settings.is_formatted else frame, settings, len(frame)) for frame in frames
+            format_frame(can_id, _unpadded(frame) if settings.is_formatted else frame, settings, len(frame))
+            for frame in frames
         ]
     head = frames[0]
     if head[0] >> 4 == 0:
-        return [_spaced(_meant(head)[1:], settings)]
+        return [_spaced(_unpadded(head)[1:], settings)]
     colon = ": " if settings.has_spaces else ":"
     pieces = [head[2:], *(frame[1:] for frame in frames[1:])]
     length = int.from_bytes(head[:2], "big") & 0xFFF
@@ -222,8 +223,8 @@ def shown(frames: Sequence[bytes], can_id: int, settings: Settings) -> list[str]
     ]
 
 
-def line(can_id: int, data: bytes, settings: Settings, length: int) -> str:
-    """Return one frame as a line; ``length`` is that of the whole frame, if not all of it is shown."""
+def format_frame(can_id: int, data: bytes, settings: Settings, length: int) -> str:
+    """Return a frame as an output line; ``length`` is that of the frame with its padding [byte]."""
     if not settings.shows_headers:
         return _spaced(data, settings)
     is_standard = can_id <= LARGEST_STANDARD_ID
@@ -233,36 +234,36 @@ def line(can_id: int, data: bytes, settings: Settings, length: int) -> str:
     return blank.join([*parts, _spaced(data, settings)])
 
 
-def _meant(frame: bytes) -> bytes:
-    """Return a frame without what only fills it up, as far as it says how long it is itself."""
+def _unpadded(frame: bytes) -> bytes:
+    """Return a single frame without padding; other frames unchanged."""
     return frame[: 1 + frame[0]] if frame[0] >> 4 == 0 else frame
 
 
 def _spaced(data: bytes, settings: Settings) -> str:
-    """Return bytes as digits; each is followed by a blank, the last one too."""
+    """Return bytes as digits, each followed by a blank, the last one too, unless blanks are off."""
     return "".join(f"{byte:02X} " for byte in data) if settings.has_spaces else data.hex().upper()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shown:
-    """What an adapter does with a line."""
+class ElmReply:
+    """The reply to a line."""
 
     lines: tuple[str, ...] = ()
-    monitors: bool = False  # frames of the bus are shown from now on
-    awaited: int | None = None  # a service whose response comes later
+    monitors: bool = False  # whether frames of the bus follow
+    awaited: int | None = None  # service whose final response follows
 
 
 class Interpreter:
-    """What one client sees of an adapter.
+    """The adapter of one client.
 
     Parameters
     ----------
     addressing, transport
-        How the controller is reached on CAN.
+        CAN identifiers and ISO-TP of the controller.
     ask
-        Asks it.
+        Asks the controller.
     bitrate
-        Of the bus [bit/s]; None: the usual one.
+        Of the bus [bit/s]; None: 500,000.
     """
 
     def __init__(self, addressing: Addressing, transport: Transport, ask: Ask, bitrate: int | None = None) -> None:
@@ -274,91 +275,93 @@ class Interpreter:
         slow, fast = (CAN_11_250, CAN_11_500) if self._is_standard else (CAN_29_250, CAN_29_500)
         self._protocol = slow if bitrate == HALF_BITRATE else fast
         self._last = ""
-        self._held: list[bytes] = []  # frames that wait for the client to let them go on
+        self._held: list[bytes] = []  # frames that wait for flow control by the client
 
-    def take(self, text: str) -> Shown:
-        """Return what is shown of a line; an empty one repeats the last."""
+    def execute(self, text: str) -> ElmReply:
+        """Return the reply to a line; an empty line repeats the last one."""
         words = re.sub(r"\s", "", text).upper() or self._last
         self._last = words
         if not words:
-            return Shown()
+            return ElmReply()
         if words.startswith("AT"):
-            self.settings, line = told(self.settings, words[2:])
-            return Shown(monitors=True) if line == MONITOR else Shown(lines=(line,))
+            self.settings, line = apply_command(self.settings, words[2:])
+            return ElmReply(monitors=True) if line == MONITOR else ElmReply(lines=(line,))
         if re.fullmatch(r"[0-9A-F]{2,}", words):
-            return self._requested(bytes.fromhex(words[: len(words) & ~1]))  # an odd digit: how many may answer
-        return Shown(lines=(UNKNOWN,))
+            return self._execute_request(
+                bytes.fromhex(words[: len(words) & ~1])
+            )  # an odd last digit is the expected number of answers
+        return ElmReply(lines=(UNKNOWN,))
 
-    def _requested(self, data: bytes) -> Shown:
+    def _execute_request(self, data: bytes) -> ElmReply:
         if len(data) > (MOST_SINGLE_BYTES if self.settings.is_formatted else MOST_RAW_BYTES):
-            return Shown(lines=(UNKNOWN,))
+            return ElmReply(lines=(UNKNOWN,))
         if self.settings.protocol == AUTOMATIC:
-            return self._searched(data)
+            return self._search_protocol(data)
         if self.settings.protocol != self._protocol:
-            return Shown(lines=(self._wrong_bus(),))
-        return self._sent(data)
+            return ElmReply(lines=(self._wrong_bus(),))
+        return self._send(data)
 
-    def _searched(self, data: bytes) -> Shown:
-        """Look for the vehicle's protocol, then send."""
-        answer = self._sent(data)
+    def _search_protocol(self, data: bytes) -> ElmReply:
+        """Search the protocol of the vehicle and send."""
+        answer = self._send(data)
         if answer.lines == (NO_DATA,) and self._ask(_IS_ANYBODY_THERE, True) is None:
-            return Shown(lines=(SEARCHING, UNABLE))
+            return ElmReply(lines=(SEARCHING, UNABLE))
         self.settings = replace(self.settings, protocol=self._protocol)
         return replace(answer, lines=(SEARCHING, *answer.lines))
 
     def _wrong_bus(self) -> str:
-        """Return what is seen of a vehicle on a protocol that it does not speak."""
+        """Return the output on a protocol that the vehicle does not speak."""
         if self.settings.protocol in _ON_CAN:
             return "CAN ERROR"
         return "BUS INIT: ...ERROR" if self.settings.protocol in _ON_K_LINE else NO_DATA
 
-    def _sent(self, data: bytes) -> Shown:
+    def _send(self, data: bytes) -> ElmReply:
         if self.settings.is_formatted:
-            return self._asked(data)
+            return self._request(data)
         kind = data[0] >> 4
         if kind == 0:
-            return self._asked(data[1 : 1 + data[0]]) if 0 < data[0] < len(data) else Shown(lines=(NO_DATA,))
+            return self._request(data[1 : 1 + data[0]]) if 0 < data[0] < len(data) else ElmReply(lines=(NO_DATA,))
         if kind == 3 and self._held and data[0] == 0x30:
             held, self._held = self._held, []
-            return Shown(lines=tuple(shown(held, self._ids.response_id, self.settings)))
-        return Shown(lines=(NO_DATA,))
+            return ElmReply(lines=tuple(format_frames(held, self._ids.response_id, self.settings)))
+        return ElmReply(lines=(NO_DATA,))
 
     def _header(self) -> int:
-        own = self.settings.wire_id(self.settings.header, is_standard=self._is_standard)
-        return self._ids.functional_id if own is None else own
+        can_id = self.settings.wire_id(self.settings.header, is_standard=self._is_standard)
+        return self._ids.functional_id if can_id is None else can_id
 
-    def _asked(self, payload: bytes) -> Shown:
+    def _request(self, payload: bytes) -> ElmReply:
         self._held = []
         header = self._header()
         is_heard = self.settings.extended_address is None and header in {self._ids.functional_id, self._ids.request_id}
         if not payload or not is_heard:
-            return Shown(lines=(NO_DATA,))
+            return ElmReply(lines=(NO_DATA,))
         response = self._ask(payload, header == self._ids.functional_id)
         if not self.settings.shows_responses:
-            return Shown()
+            return ElmReply()
         if response is None:
-            return Shown(lines=(NO_DATA,))
+            return ElmReply(lines=(NO_DATA,))
         is_pending = len(response) == 3 and response[0] == NEGATIVE and response[2] == Nrc.RESPONSE_PENDING
-        return Shown(lines=self.lines(response), awaited=payload[0] if is_pending else None)
+        return ElmReply(lines=self.lines(response), awaited=payload[0] if is_pending else None)
 
     def lines(self, response: bytes) -> tuple[str, ...]:
         frames = [_filled(frame, self._transport.padding) for frame in segments(response)]
-        if len(frames) > 1 and not self._lets_go_on():
+        if len(frames) > 1 and not self._grants_flow():
             self._held = frames[1:]
             frames = frames[:1]
-        return self._taken(frames)
+        return self._format_received(frames)
 
-    def _taken(self, frames: list[bytes]) -> tuple[str, ...]:
+    def _format_received(self, frames: list[bytes]) -> tuple[str, ...]:
         if not self.settings.takes(self._ids.response_id):
             return (NO_DATA,)
-        return tuple(shown(frames, self._ids.response_id, self.settings))
+        return tuple(format_frames(frames, self._ids.response_id, self.settings))
 
-    def _lets_go_on(self) -> bool:
-        """Return whether the adapter itself asks for the rest of a message, and the controller understands it."""
+    def _grants_flow(self) -> bool:
+        """Return whether the adapter sends valid flow control for the rest of a message."""
         settings = self.settings
         if not settings.controls_flow:
             return False
-        own = settings.wire_id(settings.flow_header, is_standard=self._is_standard)
-        if settings.flow_mode == 1 and own != self._ids.request_id:
+        can_id = settings.wire_id(settings.flow_header, is_standard=self._is_standard)
+        if settings.flow_mode == 1 and can_id != self._ids.request_id:
             return False
         return settings.flow_mode == 0 or (settings.flow_data[0] == 0x30 and len(settings.flow_data) >= 3)

@@ -1,6 +1,6 @@
-"""The adapter's TCP port: a thread for each client with its lines and its prompt, all in front of the one controller.
+"""ELM327 adapters on a TCP port, one for each client, with a thread each, in front of one controller.
 
-It asks the controller's core, not the bus. What it monitors (``AT MA``) are the frames that the emulator sends.
+Requests go to the controller directly, not over the bus. ``AT MA`` shows the frames that the emulator sends.
 """
 
 import queue
@@ -19,15 +19,14 @@ import can
 
 from ecu_emulator.errors import BusError, EmulatorConfigError, RecordError
 from workshop.controller.controller import TICK_S, Controller
-from workshop.controller.elm327 import LARGEST_STANDARD_ID, Interpreter, Shown
-from workshop.controller.elm327 import line as frame_line
+from workshop.controller.elm327 import LARGEST_STANDARD_ID, ElmReply, Interpreter, format_frame
 from workshop.controller.iso14229 import NEGATIVE, Nrc
 
 MOST_LINE_BYTES: Final = 512
-MOST_MONITORED: Final = 512  # frames that a client has not taken yet
+MOST_MONITORED: Final = 512  # waiting frames of a client
 STOPPED: Final = "STOPPED"
 BUFFER_FULL: Final = "BUFFER FULL"
-SEND_TIMEOUT_S: Final = 10.0  # a client that takes nothing for so long has gone
+SEND_TIMEOUT_S: Final = 10.0  # a client that reads nothing for so long is disconnected
 POLL_S: Final = 0.2
 _READ_BYTES: Final = 4096
 _IGNORED: Final = b"\0\n"
@@ -35,7 +34,7 @@ _IGNORED: Final = b"\0\n"
 
 @dataclass(slots=True)
 class ElmCounts:
-    """What came and went."""
+    """Counts of clients and lines."""
 
     clients: int = 0
     refused_clients: int = 0
@@ -44,7 +43,7 @@ class ElmCounts:
 
 
 class Client:
-    """One connection and the adapter as it sees it."""
+    """One connection and its adapter."""
 
     def __init__(
         self,
@@ -55,7 +54,7 @@ class Client:
         patience_s: float,
         idle_s: float,
     ) -> None:
-        self.number = number  # by which the controller knows it
+        self.number = number  # client number for the controller
         self._connection = connection
         self._interpreter = interpreter
         self._counts = counts
@@ -69,12 +68,12 @@ class Client:
         self._is_full = threading.Event()
 
     def end(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         with suppress(OSError):
             self._connection.shutdown(socket.SHUT_RDWR)
 
     def hear_frame(self, message: can.Message) -> None:
-        """Keep a frame for the client if it wants any."""
+        """Queue a frame if the client monitors the bus."""
         if not self._monitors.is_set() or message.is_error_frame:
             return
         try:
@@ -83,40 +82,40 @@ class Client:
             self._is_full.set()
 
     def hear_response(self, payload: bytes) -> None:
-        """Keep a response for the client if it waits for one."""
+        """Queue a response if the client waits for one."""
         if self._waits.is_set():
             with suppress(queue.Full):
                 self._responses.put_nowait(payload)
 
     def converse(self) -> None:
-        """Answer the client until it has gone; raises OSError if it goes in the middle of something."""
+        """Answer the client until it disconnects; raises OSError if the connection breaks."""
         self._connection.settimeout(SEND_TIMEOUT_S)
         self._connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         while (text := self._line()) is not None:
             self._counts.lines += 1
             if len(text) > MOST_LINE_BYTES:
                 self._counts.overlong_lines += 1
-                self._say([text[:MOST_LINE_BYTES]] if self._interpreter.settings.echoes else [])
+                self._send_lines([text[:MOST_LINE_BYTES]] if self._interpreter.settings.echoes else [])
                 self._prompt(["?"])
                 continue
-            self._say([text] if self._interpreter.settings.echoes else [])
-            self._waits.set()  # before the question: its answer may be there at once
-            shown = self._interpreter.take(text)
-            self._say(shown.lines)
-            self._prompt(self._more(shown))
+            self._send_lines([text] if self._interpreter.settings.echoes else [])
+            self._waits.set()  # before the request: its response may come at once
+            reply = self._interpreter.execute(text)
+            self._send_lines(reply.lines)
+            self._prompt(self._later_lines(reply))
 
-    def _more(self, shown: Shown) -> list[str]:
-        """Return what there is to say before the prompt, after what takes its time."""
+    def _later_lines(self, reply: ElmReply) -> list[str]:
+        """Return the lines before the prompt, after monitoring or a pending response."""
         try:
-            if shown.monitors:
-                return self._monitored()
-            return [] if shown.awaited is None else self._awaited(shown.awaited)
+            if reply.monitors:
+                return self._monitor()
+            return [] if reply.awaited is None else self._await_response(reply.awaited)
         finally:
             self._waits.clear()
             _emptied(self._responses)
 
     def _line(self) -> str | None:
-        """Return the next line, None at the end; of one that is too long no more than tells that it is."""
+        """Return the next line, None at the end; a too long one is cut off just above the limit."""
         while b"\r" not in self._heard:
             if not self._read():
                 return None
@@ -126,7 +125,7 @@ class Client:
         return text.decode("ascii", "replace").replace("\ufffd", "?")
 
     def _read(self) -> bool:
-        """Return whether more has come; waits for it, but not for ever: a silent client makes room for others."""
+        """Wait for data and return whether there are any; raises OSError if a client is idle for too long."""
         self._connection.settimeout(self._idle_s)
         received = self._connection.recv(_READ_BYTES)
         self._connection.settimeout(SEND_TIMEOUT_S)
@@ -134,7 +133,7 @@ class Client:
         return bool(received)
 
     def _is_interrupted(self, patience_s: float) -> bool:
-        """Return whether the client says anything, which ends what the adapter does and means nothing else."""
+        """Return whether the client has sent a character, which interrupts the adapter and is dropped."""
         if not self._heard:
             if not select.select([self._connection], [], [], patience_s)[0]:
                 return False
@@ -143,7 +142,7 @@ class Client:
         self._heard = self._heard[1:]
         return True
 
-    def _monitored(self) -> list[str]:
+    def _monitor(self) -> list[str]:
         _emptied(self._frames)
         self._is_full.clear()
         self._monitors.set()
@@ -154,13 +153,13 @@ class Client:
                 with suppress(queue.Empty):
                     message = self._frames.get(timeout=POLL_S)
                     settings, data = self._interpreter.settings, bytes(message.data)
-                    self._say([frame_line(message.arbitration_id, data, settings, len(data))])
+                    self._send_lines([format_frame(message.arbitration_id, data, settings, len(data))])
             return [BUFFER_FULL]
         finally:
             self._monitors.clear()
 
-    def _awaited(self, service: int) -> list[str]:
-        """Say the response that was announced (78), when it comes."""
+    def _await_response(self, service: int) -> list[str]:
+        """Send the final response after 78."""
         until_s = time.monotonic() + self._patience_s
         while time.monotonic() < until_s:
             if self._is_interrupted(0.01):
@@ -169,18 +168,18 @@ class Client:
                 response = self._responses.get_nowait()
                 if service not in {response[0] - 0x40, response[1] if response[0] == NEGATIVE else None}:
                     continue
-                self._say(self._interpreter.lines(response))
+                self._send_lines(self._interpreter.lines(response))
                 if response[0] != NEGATIVE or response[2] != Nrc.RESPONSE_PENDING:
                     return []
                 until_s = time.monotonic() + self._patience_s
         return []
 
-    def _say(self, lines: "list[str] | tuple[str, ...]") -> None:
+    def _send_lines(self, lines: "list[str] | tuple[str, ...]") -> None:
         end = "\r\n" if self._interpreter.settings.has_line_feeds else "\r"
         self._connection.sendall("".join(f"{text}{end}" for text in lines).encode("ascii"))
 
     def _prompt(self, lines: list[str]) -> None:
-        self._say([*lines, ""])
+        self._send_lines([*lines, ""])
         self._connection.sendall(b">")
 
 
@@ -191,7 +190,7 @@ def _emptied(waiting: "queue.Queue[can.Message] | queue.Queue[bytes]") -> None:
 
 
 MOST_CLIENTS: Final = 8
-IDLE_S: Final = 300.0  # a client that says nothing for so long has gone, as DoIP has it
+IDLE_S: Final = 300.0  # an idle client is disconnected, as by DoIP
 
 
 class ElmServer(ThreadingTCPServer):
@@ -200,18 +199,18 @@ class ElmServer(ThreadingTCPServer):
     Parameters
     ----------
     controller
-        Who is asked.
+        The controller that answers.
     place
-        Host and port; port 0: any that is free.
+        Host and port; port 0: any free one.
     bitrate
-        Of the bus [bit/s], which decides what the protocol is called; None: the usual one.
+        Of the bus [bit/s], which decides the protocol; None: 500,000.
     idle_s
-        A client that says nothing for so long is hung up on.
+        Time after which an idle client is disconnected [s].
 
     Raises
     ------
     ConfigError
-        If the controller has extended addresses, which such an adapter does not know.
+        If the controller has extended addressing, which the adapter does not support.
     BusError
         If it cannot listen there.
     """
@@ -254,13 +253,13 @@ class ElmServer(ThreadingTCPServer):
 
     @property
     def place(self) -> str:
-        """Where it listens, as people write it."""
+        """Host and port for people."""
         host, port = self.address
         return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
     @property
     def is_exposed(self) -> bool:
-        """Whether others than this machine can reach it."""
+        """Whether other machines can reach it."""
         return not ip_address(self.address[0]).is_loopback
 
     def __enter__(self) -> Self:
@@ -271,24 +270,24 @@ class ElmServer(ThreadingTCPServer):
     def __exit__(self, *_: object) -> None:
         self._is_over.set()
         self.shutdown()
-        for client in self._present():
+        for client in self._current_clients():
             client.end()
         self.server_close()
         self._ticker.join()
 
     def close(self) -> None:
-        """Listen no more, as it does after its block; one that is never entered needs it."""
+        """Close the socket, as the end of the block does; needed if it is never entered."""
         self.server_close()
 
     def hear_frame(self, message: can.Message) -> None:
-        """Show a frame of the bus to clients that monitor it; never waits."""
+        """Queue a frame for clients that monitor the bus; does not block."""
         for client in self._clients:
             client.hear_frame(message)
 
     def _tick(self) -> None:
-        """Hand clients what the controller has for them without being asked again, until the end."""
+        """Pass pending responses and periodic data to clients, until the end."""
         while not self._is_over.wait(TICK_S):
-            for client in self._present():
+            for client in self._current_clients():
                 if self._controller.awaits(client.number):
                     response = self._controller.tick(client.number)
                     if response is not None:
@@ -297,17 +296,17 @@ class ElmServer(ThreadingTCPServer):
                     client.hear_frame(self._periodic(payload))
 
     def _periodic(self, payload: bytes) -> can.Message:
-        """Return data of service 2A as the frame that it would be on the bus."""
+        """Return data of service 2A as a CAN frame."""
         periodic = self._controller.table.periodic
         can_id = 0 if periodic is None else periodic.response_id
         return can.Message(arbitration_id=can_id, is_extended_id=can_id > LARGEST_STANDARD_ID, data=payload)
 
-    def _present(self) -> list[Client]:
+    def _current_clients(self) -> list[Client]:
         with self._lock:
             return list(self._clients)
 
     def verify_request(self, request: object, client_address: object) -> bool:
-        """Return whether there is room for one more client."""
+        """Return whether one more client may connect."""
         del request, client_address
         has_room = self._places.acquire(blocking=False)
         self.counts.refused_clients += not has_room
@@ -316,20 +315,20 @@ class ElmServer(ThreadingTCPServer):
     def _serve(self, connection: socket.socket) -> None:
         with self._lock:
             self.counts.clients += 1
-            table, number = self._controller.table, -self.counts.clients  # testers over IP have positive numbers
+            table, number = self._controller.table, -self.counts.clients  # DoIP connections have positive numbers
             interpreter = Interpreter(table.addressing, table.transport, partial(self._ask, number), self._bitrate)
             client = Client(number, connection, interpreter, self.counts, table.timing.p2_star_s, self._idle_s)
             self._clients = [*self._clients, client]
-        if self._is_over.is_set():  # too late to be ended with the others
+        if self._is_over.is_set():  # connected during the end
             client.end()
         try:
-            with suppress(OSError):  # whoever goes away is no concern of the drive
+            with suppress(OSError):  # a broken connection does not concern the drive
                 client.converse()
         finally:
             with self._lock:
                 self._clients = [other for other in self._clients if other is not client]
             self._places.release()
-            with suppress(RecordError):  # what is kept is not about sessions
+            with suppress(RecordError):  # the saved state has no sessions
                 self._controller.leave(number)
 
     def _ask(self, number: int, payload: bytes, is_functional: bool) -> bytes | None:  # noqa: FBT001 - a callable's

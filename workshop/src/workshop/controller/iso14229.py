@@ -5,9 +5,9 @@ from typing import Final
 
 POSITIVE: Final = 0x40  # added to a service's number in a positive response
 NEGATIVE: Final = 0x7F  # begins a negative response
-SUPPRESS: Final = 0x80  # bit of a sub-function: a positive response is not wanted
+SUPPRESS: Final = 0x80  # suppressPosRspMsgIndicationBit of a sub-function
 DEFAULT_SESSION: Final = 0x01
-ALL_CODES: Final = 0xFFFFFF  # the group of trouble codes that holds all
+ALL_CODES: Final = 0xFFFFFF  # group of all trouble codes
 
 
 class Service(IntEnum):
@@ -42,7 +42,7 @@ class ObdService(IntEnum):
 
 
 class Nrc(IntEnum):
-    """Negative response codes, annex A; those from 0x81 on say which condition is not met."""
+    """Negative response codes, annex A; those from 0x81 on name the violated condition."""
 
     SERVICE_NOT_SUPPORTED = 0x11
     SUB_FUNCTION_NOT_SUPPORTED = 0x12
@@ -89,7 +89,7 @@ SILENT_WHEN_FUNCTIONAL: Final = frozenset(
         Nrc.SERVICE_NOT_SUPPORTED_IN_SESSION,
     }
 )
-"""What a server keeps to itself when all servers were asked: that it is not the one who was meant."""
+"""Negative responses that are not sent to functional requests."""
 
 
 class DtcStatus(IntFlag):
@@ -106,4 +106,4 @@ class DtcStatus(IntFlag):
 
 
 CLEARED: Final = DtcStatus.NOT_TESTED_SINCE_CLEAR | DtcStatus.NOT_TESTED_THIS_CYCLE
-ALL_BITS: Final = 0xFF  # the status availability mask: every bit is kept
+ALL_BITS: Final = 0xFF  # status availability mask: all bits are supported

@@ -1,4 +1,4 @@
-"""A controller on a bus: ISO-TP (ISO 15765-2) by can-isotp, beside whatever else is sent there."""
+"""A controller on a bus: ISO-TP (ISO 15765-2) by can-isotp, beside other traffic."""
 
 import logging
 import queue
@@ -23,14 +23,14 @@ from workshop.isotp_frames import LARGEST_STANDARD_ID, isotp_address, single_pay
 if TYPE_CHECKING:
     from workshop.controller.state import Reply
 
-MOST_FRAMES: Final = 4096  # that wait; what comes on top is dropped and counted
-MOST_REQUESTS: Final = 32  # that wait for the response before them to go out
+MOST_FRAMES: Final = 4096  # waiting frames; further ones are dropped and counted
+MOST_REQUESTS: Final = 32  # waiting requests
 LONGEST_MESSAGE: Final = 4095
 TIMEOUT_MS: Final = 1000  # N_Bs and N_Cr
-MOST_WAIT_FRAMES: Final = 1 << 31  # a sender waits for as long as it is asked to: only a receiver gives up (N_WFT_OVRN)
+MOST_WAIT_FRAMES: Final = 1 << 31  # N_WFT_OVRN is an error of the receiver: a sender waits without limit
 FULL_FD_BYTES: Final = 64
 _PERIODIC: Final = bytes([Service.READ_PERIODICALLY])
-_LOGGER: Final = "ecu_emulator.isotp"  # the library warns of every odd frame; they are counted instead
+_LOGGER: Final = "ecu_emulator.isotp"  # invalid frames are counted instead of logged
 logging.getLogger(_LOGGER).setLevel(logging.CRITICAL + 1)
 
 
@@ -39,20 +39,20 @@ class LinkCounts:
     requests: int = 0
     responses: int = 0
     periodic: int = 0  # messages of service 2A
-    ignored_frames: int = 0  # not frames of ISO-TP, or not in place
-    broken_messages: int = 0  # reassembled or sent in part only
-    dropped_frames: int = 0  # came faster than they could be looked at
+    ignored_frames: int = 0  # invalid or out of sequence
+    broken_messages: int = 0  # received or sent incompletely
+    dropped_frames: int = 0  # queue was full
     dropped_requests: int = 0
-    unsent_frames: int = 0  # the bus did not take them
+    unsent_frames: int = 0  # the bus refused them
 
 
 class DiagnosticLink:
-    """Answers while the ``with`` block runs, in a thread of its own, which alone uses the transport layer.
+    """Answers while the ``with`` block runs, in its own thread, the only user of the transport layer.
 
     Parameters
     ----------
     controller
-        Who answers.
+        The controller that answers.
     send
         Puts a frame on the bus; may raise ``can.CanError``.
     is_fd
@@ -61,7 +61,7 @@ class DiagnosticLink:
     Raises
     ------
     ConfigError
-        If the transport cannot be as the controller's table has it.
+        If the transport layer refuses the settings of the table.
     """
 
     def __init__(self, controller: Controller, send: Callable[[can.Message], None], *, is_fd: bool = False) -> None:
@@ -87,15 +87,15 @@ class DiagnosticLink:
         transport = self._transport
         try:
             return isotp.TransportLayerLogic(
-                rxfn=self._taken,
-                txfn=self._sent,
+                rxfn=self._take_frame,
+                txfn=self._send_frame,
                 address=isotp_address(
                     self._ids.response_id,
                     self._ids.request_id,
                     transport.own_address or 0,
                     None if transport.own_address is None else transport.tester_address,
                 ),
-                error_handler=self._broken,
+                error_handler=self._count_broken,
                 params={
                     "stmin": transport.separation_time,
                     "blocksize": transport.block_size,
@@ -130,7 +130,7 @@ class DiagnosticLink:
             raise self._error
 
     def feed(self, message: can.Message) -> None:
-        """Take a frame from the bus, of any thread; what is not for this controller is passed over."""
+        """Queue a frame from the bus; safe for any thread; frames for others are ignored."""
         if message.is_error_frame or message.is_remote_frame or message.arbitration_id not in self.can_ids:
             return
         if message.is_extended_id != (message.arbitration_id > LARGEST_STANDARD_ID):
@@ -151,13 +151,13 @@ class DiagnosticLink:
     def _serve(self) -> None:
         next_tick_s = time.monotonic()
         while not self._is_over.is_set():
-            self._take_one(self._patience_s())
+            self._process_next(self._patience_s())
             self._layer.process()
             while (received := self._layer.recv()) is not None:
-                self._hold(bytes(received), is_functional=False)
+                self._enqueue(bytes(received), is_functional=False)
             now_s = time.monotonic()
-            self._go_on_asking(now_s)
-            self._layer.process()  # a response is out before the periodic data that it announces
+            self._process_requests(now_s)
+            self._layer.process()  # the response goes out before the periodic data that it starts
             if now_s >= next_tick_s:
                 next_tick_s = now_s + TICK_S
                 if self._layer.transmitting() or self._layer.is_rx_active():
@@ -168,12 +168,12 @@ class DiagnosticLink:
             self._layer.process()
 
     def _patience_s(self) -> float:
-        """Return how long a frame may be waited for [s]: until the next frame of a response is due, if one goes out."""
+        """Return how long to wait for a frame [s]: until the next frame of a response is due."""
         due_s = self._layer.next_cf_delay()
         return TICK_S if due_s is None else min(TICK_S, due_s)
 
-    def _take_one(self, patience_s: float) -> None:
-        """Let the transport layer see the next frame, or answer it if it is a request to all."""
+    def _process_next(self, patience_s: float) -> None:
+        """Pass the next frame to the transport layer, or queue it if it is a functional request."""
         try:
             message = self._frames.get(timeout=patience_s) if patience_s > 0.0 else self._frames.get_nowait()
         except queue.Empty:
@@ -182,7 +182,7 @@ class DiagnosticLink:
             return
         data = bytes(message.data)
         if message.arbitration_id == self._ids.functional_id:
-            self._take_functional(data)
+            self._process_functional(data)
             return
         usable_data = usable(data, self._prefix_bytes, self._layer.rx_frame_length - len(self._layer.rx_buffer))
         if usable_data is None:
@@ -195,16 +195,16 @@ class DiagnosticLink:
             is_fd=message.is_fd,
         )
 
-    def _take_functional(self, data: bytes) -> None:
-        """Answer a request to all, which is a single frame: nobody can control the flow to many."""
+    def _process_functional(self, data: bytes) -> None:
+        """Queue a functional request, which is a single frame: there is no flow control to many."""
         payload = single_payload(data, self._prefix_bytes)
         if payload is None or (self._prefix_bytes and data[0] != self._transport.all_address):
             self.counts.ignored_frames += 1
             return
-        self._hold(payload, is_functional=True)
+        self._enqueue(payload, is_functional=True)
 
-    def _hold(self, payload: bytes, *, is_functional: bool) -> None:
-        """Keep a request until the response before it is out; while one goes out, the session is kept alive anyway."""
+    def _enqueue(self, payload: bytes, *, is_functional: bool) -> None:
+        """Queue a request until the last response is sent; a KEEP_ALIVE meanwhile is only counted."""
         if payload == KEEP_ALIVE and self._layer.transmitting():
             self.counts.requests += 1
         elif len(self._requests) >= MOST_REQUESTS:
@@ -212,13 +212,13 @@ class DiagnosticLink:
         else:
             self._requests.append((payload, is_functional))
 
-    def _go_on_asking(self, now_s: float) -> None:
-        """Hand the next request to the controller, its response to the client, and 78 if the disk takes its time."""
+    def _process_requests(self, now_s: float) -> None:
+        """Pass the next request to the controller and its response to the client; send 78 if saving takes long."""
         if self._asking is None and self._requests and not self._layer.transmitting():
             self._asked, is_functional = self._requests.popleft()
             self.counts.requests += 1
             self._pending_s, self._has_promised = now_s + PENDING_RATIO * self._controller.table.timing.p2_s, False
-            self._asking = self._pool.submit(self._controller.consider, self._asked, is_functional=is_functional)
+            self._asking = self._pool.submit(self._controller.reply_to, self._asked, is_functional=is_functional)
             self._asking.add_done_callback(lambda _: self._wake())
         if self._asking is None:
             return
@@ -239,14 +239,14 @@ class DiagnosticLink:
             self._layer.send(payload)
 
     def _broadcast(self) -> None:
-        """Send what a client wants again and again: frames of their own, beside the transport layer."""
+        """Send periodic data, in frames beside the transport layer."""
         periodic, transport = self._controller.table.periodic, self._transport
         if periodic is None:
             return
         prefix = b"" if transport.own_address is None else bytes([transport.tester_address])
         for payload in self._controller.broadcast():
             self.counts.periodic += 1
-            self._sent(
+            self._send_frame(
                 isotp.CanMessage(
                     arbitration_id=periodic.response_id,
                     extended_id=periodic.response_id > LARGEST_STANDARD_ID,
@@ -256,11 +256,11 @@ class DiagnosticLink:
                 )
             )
 
-    def _taken(self, _timeout_s: float) -> isotp.CanMessage | None:
+    def _take_frame(self, _timeout_s: float) -> isotp.CanMessage | None:
         message, self._next = self._next, None
         return message
 
-    def _sent(self, frame: isotp.CanMessage) -> None:
+    def _send_frame(self, frame: isotp.CanMessage) -> None:
         message = can.Message(
             arbitration_id=frame.arbitration_id,
             is_extended_id=frame.is_extended_id,
@@ -273,5 +273,5 @@ class DiagnosticLink:
         except can.CanError:
             self.counts.unsent_frames += 1
 
-    def _broken(self, _error: Exception) -> None:
+    def _count_broken(self, _error: Exception) -> None:
         self.counts.broken_messages += 1

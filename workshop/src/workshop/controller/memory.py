@@ -1,8 +1,8 @@
 """The memory of trouble codes, after ISO 14229-1 annex D, and what OBD keeps beside it.
 
-Status bits, fault detection counters, healing and ageing; permanent codes, the freeze frame, what happened since a
-clear. Every function returns a new memory or record. What the vehicle was like at a failure is handed in by the caller,
-as bytes; a code belongs to OBD if it lights the lamp.
+Status bits, fault detection counters, healing and ageing; permanent codes, the freeze frame, counts since a clear.
+Every function returns a new memory or record. The caller passes the data of a failure as bytes. Codes that light the
+lamp belong to OBD.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -21,7 +21,7 @@ LATEST_RECORD: Final = 2
 
 
 class TestResult(StrEnum):
-    """What a monitor says: a test that has ended, or one sample on the way to it."""
+    """The result of a monitor: a completed test, or one sample."""
 
     __test__ = False  # not for pytest
 
@@ -44,7 +44,7 @@ NOTHING_CAPTURED: Final = Capture()
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TroubleRecord:
-    """What is known of one trouble code."""
+    """The stored state of one trouble code."""
 
     status: DtcStatus = CLEARED
     detection_counter: int = 0  # -128..127; forgotten when an operation cycle begins
@@ -63,11 +63,11 @@ class TroubleRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TroubleMemory:
-    """The trouble codes of a controller, by number, and the operation cycle that they are in."""
+    """The trouble codes of a controller, by number, and its operation cycle."""
 
     records: Mapping[int, TroubleRecord]
-    is_warmed_up: bool = False  # the vehicle, in this operation cycle
-    has_begun: bool = False  # an operation cycle, ever
+    is_warmed_up: bool = False  # in this operation cycle
+    has_begun: bool = False  # whether there was any operation cycle
 
 
 def empty_memory(numbers: Iterable[int]) -> TroubleMemory:
@@ -75,7 +75,7 @@ def empty_memory(numbers: Iterable[int]) -> TroubleMemory:
 
 
 def begin_cycle(memory: TroubleMemory, troubles: Mapping[int, Trouble]) -> TroubleMemory:
-    """Return the memory after one operation cycle has ended, however it did, and the next one has begun."""
+    """Return the memory at the begin of the next operation cycle."""
     if not memory.has_begun:
         return replace(memory, has_begun=True)
     records = {
@@ -86,28 +86,28 @@ def begin_cycle(memory: TroubleMemory, troubles: Mapping[int, Trouble]) -> Troub
 
 
 def note_warm_up(memory: TroubleMemory) -> TroubleMemory:
-    """Return the memory in a cycle in which the vehicle has become warm: only such cycles count for ageing."""
+    """Return the memory with a warm-up cycle marked: only such cycles count for ageing."""
     return memory if memory.is_warmed_up else replace(memory, is_warmed_up=True)
 
 
 def needs_capture(memory: TroubleMemory, trouble: Trouble, result: TestResult) -> bool:
-    """Return whether a result makes a failure of which the vehicle's values are kept; ``report`` asks for them then."""
+    """Return whether a result is a failure for which ``report`` needs the data of the vehicle."""
     record = memory.records[trouble.number]
     is_failure = _counted(record.detection_counter, trouble, result) == FAILED_COUNTER
     return is_failure and (not record.status & DtcStatus.TEST_FAILED or None in (record.first, record.latest))
 
 
 def report(memory: TroubleMemory, trouble: Trouble, result: TestResult, capture: Capture) -> TroubleMemory:
-    """Return the memory after a monitor has spoken.
+    """Return the memory after a result of a monitor.
 
     Parameters
     ----------
     memory, trouble
         The memory and the code that is tested.
     result
-        A whole test, or a sample that moves the fault detection counter; at 127 the test has failed, at -128 passed.
+        A completed test, or a sample that moves the fault detection counter: 127 is failed, -128 passed.
     capture
-        The vehicle at this moment; kept if the test fails that did not before.
+        Present data of the vehicle; stored if the test fails now and had not failed before.
     """
     record = memory.records[trouble.number]
     counter = _counted(record.detection_counter, trouble, result)
@@ -123,7 +123,7 @@ def report(memory: TroubleMemory, trouble: Trouble, result: TestResult, capture:
 
 
 def clear(memory: TroubleMemory, group: int) -> TroubleMemory:
-    """Return the memory without what was known of one code, or of all."""
+    """Return the memory with one code, or all, cleared."""
     cleared = {number: TroubleRecord() for number in memory.records if group in {number, ALL_CODES}}
     return replace(memory, records={**memory.records, **cleared})
 
@@ -168,7 +168,7 @@ def _failed(record: TroubleRecord, trouble: Trouble, capture: Capture) -> Troubl
 
 
 def _cycled(record: TroubleRecord, trouble: Trouble, *, is_warmed_up: bool) -> TroubleRecord:
-    """Return a record after its cycle: one in which the test ran and never failed is a step towards forgetting."""
+    """Return a record after its operation cycle; one with passed tests only counts towards healing and ageing."""
     is_good = not record.status & (DtcStatus.FAILED_THIS_CYCLE | DtcStatus.NOT_TESTED_THIS_CYCLE)
     if is_good:
         record = _after_a_good_cycle(record, trouble, is_warmed_up=is_warmed_up)
@@ -187,18 +187,18 @@ def _after_a_good_cycle(record: TroubleRecord, trouble: Trouble, *, is_warmed_up
         if aged >= trouble.age_cycles:
             status &= ~DtcStatus.CONFIRMED
     if not status & DtcStatus.CONFIRMED:
-        return TroubleRecord(status=status)  # nothing is kept of what is forgotten, or was never confirmed
+        return TroubleRecord(status=status)  # aged or never confirmed: its data are dropped
     return replace(record, status=status, failed_cycles=0, passed_cycles=passed, aged_cycles=aged)
 
 
-NOT_YET_M: Final = -1.0  # what no odometer reads
+NOT_YET_M: Final = -1.0  # no odometer value has been read since the clear
 
 FrozenPids = tuple[tuple[int, bytes], ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FreezeFrame:
-    """The vehicle when the first code of OBD failed; it stays until that code is forgotten."""
+    """PIDs at the first failure of an OBD code; it stays until that code is cleared or aged."""
 
     code: int
     pids: FrozenPids
@@ -206,13 +206,13 @@ class FreezeFrame:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Emissions:
-    """What is kept for OBD."""
+    """The stored state of OBD."""
 
-    permanent: frozenset[int] = frozenset()  # codes that only the controller itself takes back
+    permanent: frozenset[int] = frozenset()  # codes that only the controller itself removes
     frame: FreezeFrame | None = None
     warm_ups: int = 0  # since codes were cleared
-    cleared_at_m: float | None = None  # odometer; None: never, NOT_YET_M: it was not known then nor since
-    lamp_at_m: float | None = None  # odometer when the lamp went on; None: it is out, or that was not known
+    cleared_at_m: float | None = None  # odometer at the clear; None: never cleared; NOT_YET_M: unknown then and since
+    lamp_at_m: float | None = None  # odometer when the lamp went on; None: the lamp is off, or it was unknown
 
 
 def after_test(
@@ -223,7 +223,7 @@ def after_test(
     odometer_m: float | None,
     freeze: Callable[[], FrozenPids],
 ) -> Emissions:
-    """Return the record after a result of a monitor has changed the memory; ``freeze`` is asked only if it must be."""
+    """Return the record after a result of a monitor; ``freeze`` is called only for a new freeze frame."""
     if not trouble.lights_lamp or before is after:
         return emissions
     record = after.records[trouble.number]
@@ -237,7 +237,7 @@ def after_test(
 
 
 def located(emissions: Emissions, memory: TroubleMemory, odometer_m: float | None) -> Emissions:
-    """Return the record with the first odometer known where there was none at a clear or as the lamp went on."""
+    """Return the record with the odometer filled in where it was unknown at a clear or when the lamp went on."""
     if odometer_m is None:
         return emissions
     if emissions.cleared_at_m == NOT_YET_M:
@@ -247,16 +247,16 @@ def located(emissions: Emissions, memory: TroubleMemory, odometer_m: float | Non
 
 
 def after_warm_up(emissions: Emissions, before: TroubleMemory, after: TroubleMemory) -> Emissions:
-    """Return the record after the vehicle became warm, once in an operation cycle."""
+    """Return the record with the warm-up counted, once per operation cycle."""
     if before.is_warmed_up or not after.is_warmed_up:
         return emissions
     return replace(emissions, warm_ups=min(MOST_COUNT, emissions.warm_ups + 1))
 
 
 def after_cycle(emissions: Emissions, before: TroubleMemory, after: TroubleMemory) -> Emissions:
-    """Return the record after an operation cycle: a permanent code goes after a good one, if its lamp is out by then.
+    """Return the record after an operation cycle, in which permanent codes may be removed.
 
-    That is so when it has healed, and, after a clear, as soon as its test has run in a cycle and never failed there.
+    One is removed after a cycle in which its test ran and never failed, if its lamp is off: healed, or cleared.
     """
     unproven = DtcStatus.FAILED_THIS_CYCLE | DtcStatus.NOT_TESTED_THIS_CYCLE
     permanent = frozenset(
@@ -275,7 +275,7 @@ def after_cycle(emissions: Emissions, before: TroubleMemory, after: TroubleMemor
 
 
 def after_clear(emissions: Emissions, after: TroubleMemory, group: int, odometer_m: float | None) -> Emissions:
-    """Return the record after a client has cleared codes: what is permanent stays."""
+    """Return the record after a client has cleared codes; permanent codes stay."""
     is_whole = group == ALL_CODES
     frame = emissions.frame
     if frame is not None and not after.records[frame.code].has_data:
@@ -290,7 +290,7 @@ def after_clear(emissions: Emissions, after: TroubleMemory, group: int, odometer
 
 
 def emission_codes(troubles: Mapping[int, Trouble], memory: TroubleMemory, bits: int) -> list[int]:
-    """Return the codes of OBD whose status has one of these bits."""
+    """Return the OBD codes with one of these status bits."""
     return [
         number for number, record in memory.records.items() if troubles[number].lights_lamp and record.status & bits
     ]

@@ -1,4 +1,4 @@
-"""What monitors say of the vehicle becomes results of tests in the controller's memory."""
+"""Samples of the monitors become test results in the controller's memory."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -23,7 +23,7 @@ class Monitoring:
     Parameters
     ----------
     controller
-        Who keeps the results; codes that its table does not have are not tested.
+        Stores the results; codes that its table lacks are not tested.
     was_adapted
         Whether it knew its clutches' touch points at its start.
     transmission
@@ -46,23 +46,23 @@ class Monitoring:
 
     @property
     def temperatures(self) -> dict[str, float]:
-        """How warm the clutches are as the controller computes it, by source [K]."""
+        """Computed temperatures of the clutches by source [K]."""
         found_k = self._watch.clutches_k
         return {} if found_k is None else {"clutch1_temperature_k": found_k[0], "clutch2_temperature_k": found_k[1]}
 
     def look(self, values: Values, t_s: float) -> None:
-        """Let the monitors judge what the controllers say at this moment of the drive, about ten times a second."""
+        """Judge the values at this moment of the drive; called about ten times a second."""
         self._watch, samples = judge(self._watch, values, t_s, self._limits)
         self._report(dict(samples), has_warmed_up=is_warm(self._watch, values))
 
     def restart(self, *, is_new_cycle: bool) -> None:
-        """Forget what was sensed, as when the controller is switched on; a new operation cycle may begin with it."""
+        """Reset the monitors, as at power-on; a new operation cycle may begin with it."""
         self._watch = MonitorState()
         if is_new_cycle:
             self._keep(self._controller.cycle)
 
     def judge_adaptation(self) -> None:
-        """Test what is adapted, when it has changed, and once in every operation cycle."""
+        """Test the adaptation when it has changed, and once in every operation cycle."""
         adaptation = self._controller.state.adaptation
         is_changed = adaptation is not self._adaptation
         self._adaptation = adaptation
@@ -84,7 +84,7 @@ class Monitoring:
         return number is not None and bool(records[number].status & DtcStatus.NOT_TESTED_THIS_CYCLE)
 
     def _report(self, results: Mapping[str, TestResult], *, has_warmed_up: bool = False) -> None:
-        """Hand results on; what the disk does not take is tried again with the next sample, and the drive goes on."""
+        """Report results; one that cannot be saved is tried again with the next sample."""
         for number, result in (
             (self._numbers[code], result) for code, result in results.items() if code in self._numbers
         ):
@@ -93,7 +93,7 @@ class Monitoring:
             self._keep(self._controller.warm_up)
 
     def _keep(self, change: Callable[[], None]) -> None:
-        """Let the controller keep something; the drive goes on if it cannot."""
+        """Call a change of the controller; the drive goes on if it cannot be saved."""
         try:
             change()
         except RecordError as exc:

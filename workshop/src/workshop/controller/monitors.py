@@ -1,7 +1,7 @@
 """Monitors: what the controller senses becomes results of tests, one sample of each at a time.
 
-A monitor says nothing where its test cannot tell: while a gear changes, in a launch, at low torque, or where a value is
-missing that is not its own matter. Whether samples make a failure is the trouble memory's business.
+A monitor yields no sample where its test is not valid: while a gear changes, in a launch, at low torque, or without a
+value that it needs. The trouble memory turns samples into failures.
 """
 
 from collections.abc import Iterator, Mapping
@@ -19,7 +19,7 @@ Sample = tuple[str, TestResult]  # a trouble code as scan tools show it, and the
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MonitorLimits:
-    """When a sample counts as failed; a sound drive stays well within (tests hold it)."""
+    """When a sample counts as failed; a sound drive stays well within, as tests hold."""
 
     settled_s: float = 0.3  # since the last change of gear
     tested_torque_nm: float = 40.0  # slip is judged above
@@ -32,14 +32,14 @@ class MonitorLimits:
     least_pressure_ratio: float = 0.7  # of what is commanded
     stuck_off_ratio: float = 0.2  # of what is commanded: the solenoid does nothing
     most_pressure_excess_pa: float = 1.5e5  # of the clutch that shall be open
-    most_held_excess_pa: float = 0.75e5  # of one that shall hold: what its sensor adds when open, it adds then as well
+    most_held_excess_pa: float = 0.75e5  # of a closed clutch; a biased sensor adds as much as when open
     least_zero_pa: float = -0.4e5  # of one without command; noise stays above -0.2 bar
-    believed_looks: int = 5  # in a row that find a pressure wrong: no transient lasts so long
+    believed_looks: int = 5  # consecutive wrong pressures that count: transients are shorter
     pressures_pa: tuple[float, float] = (-0.5e5, 35.0e5)  # the sensor's range
     most_fluid_k: float = 393.15  # 120 degC
     fluid_range_k: tuple[float, float] = (233.15, 443.15)
     most_fluid_rate_k_s: float = 3.0
-    warming_coolant_k: float = 30.0  # so much warmer since the start, and the fluid must have changed
+    warming_coolant_k: float = 30.0  # rise of the coolant since the start after which the fluid must have changed
     least_fluid_change_k: float = 2.0
     most_speed_error_rad_s: float = 10.0  # between sensors of shafts that turn together
     longest_shift_s: float = 3.0
@@ -47,43 +47,43 @@ class MonitorLimits:
     lockup_settled_s: float = 0.7  # since gear, state of the lock-up clutch, and engine that pulls or not are the same
     tested_lockup_pa: float = 1.0e5
     most_held_slip_rad_s: float = 15.0  # of one that shall be locked
-    most_led_slip_rad_s: float = 30.0  # of one that shall slip by 20 to 60 rpm; one that shudders stays below 20
+    most_led_slip_rad_s: float = 30.0  # of one with a target of 20 to 60 rpm; shudder stays below 20 rad/s
     least_open_slip_rad_s: float = 1.0  # of a converter that passes the tested torque
     most_clutch_k: float = 423.15  # 150 degC, of a pack as the controller computes it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PressureLooks:
-    """What was read of one clutch's pressure when it was last held and last open: error, and looks that found it.
+    """Last errors of one clutch's pressure, closed and open, each with the number of consecutive samples.
 
-    Errors are -2, next to nothing; -1, too little; 0, right; 1, too much; None: not looked at.
+    Errors are -2, almost no pressure; -1, too little; 0, right; 1, too much; None: no sample.
     """
 
     held: tuple[int | None, int] = (None, 0)
     open: tuple[int | None, int] = (None, 0)
 
     def noted(self, error: int, *, is_held: bool) -> "PressureLooks":
-        """Return the same after one more look."""
+        """Return the same after one more sample."""
         was, looks = self.held if is_held else self.open
         look = (error, looks + 1 if error == was else 1)
         return replace(self, held=look) if is_held else replace(self, open=look)
 
     def believed(self, limits: MonitorLimits) -> tuple[int | None, int | None]:
-        """Return the errors of the held and of the open clutch; what is not yet believed is as right."""
+        """Return the errors of the closed and the open clutch; 0 while a wrong pressure is not believed yet."""
         held, opened = (
             0 if error and looks < limits.believed_looks else error for error, looks in (self.held, self.open)
         )
         return held, opened
 
     def is_sensor_biased(self, limits: MonitorLimits) -> bool:
-        """Whether it reads what cannot be without command, or something wrong with command and without."""
+        """Whether it reads an impossible pressure when open, or wrong ones both closed and open."""
         held, opened = self.believed(limits)
         return opened == -1 or bool(held and opened)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PressureCodes:
-    """What is blamed for a wrong pressure of one clutch."""
+    """Trouble codes of one clutch's pressure."""
 
     sensor: str
     stuck_off: str
@@ -93,17 +93,17 @@ class PressureCodes:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MonitorState:
-    """What monitors remember from sample to sample."""
+    """The state of all monitors between samples."""
 
     t_s: float | None = None
     gears: tuple[float, float] = (0.0, 0.0)  # current, target
-    since_s: float = 0.0  # when they became so
+    since_s: float = 0.0  # time of their last change
     fluid_k: float | None = None
     fluid_s: float = 0.0
     fluids_k: tuple[float, float] | None = None  # coldest and warmest in this operation cycle
     start_coolant_k: float | None = None  # as this operation cycle began
     lockup_state: tuple[float | None, bool] = (None, False)  # and whether the engine pulls
-    lockup_since_s: float = 0.0  # when it became so
+    lockup_since_s: float = 0.0  # time of its last change
     clutches_k: tuple[float, float] | None = None  # as the controller computes them
     pressures: Mapping[str, PressureLooks] = field(default_factory=dict)  # by clutch
 
@@ -112,13 +112,13 @@ SENSED: Final = (
     "current_gear", "sump_temperature_k", "clutch1_pressure_pa", "hub_speed_rad_s", "output_speed_rad_s",
 )  # fmt: skip
 SENSED_OF_CONVERTER: Final = ("current_gear", "sump_temperature_k", "lockup_pressure_pa", "turbine_speed_rad_s")
-"""One quantity of every message of the controller's own sensors: before all have come, missing is no fault."""
+"""One quantity of every message of the controller's sensors: until all were sent, a missing value is no fault."""
 
 NOMINAL_LIMITS: Final = MonitorLimits()
 LOCKUP_OPEN, LOCKUP_SLIPPING, LOCKUP_LOCKED = 0.0, 2.0, 3.0  # of the states of a lock-up clutch
 IN_GEAR: Final = 0.0  # of the drive states
 WARM_COOLANT_K: Final = 344.15  # 71 degC, where a warm-up cycle of OBD ends
-WARMED_BY_K: Final = 22.2  # 40 degF, that it has become warmer in it at least
+WARMED_BY_K: Final = 22.2  # 40 degF, least rise in a warm-up cycle of OBD
 PRESSURE_CODES: Final = {  # by clutch
     "clutch1": PressureCodes(sensor="P0841", stuck_off="P0746", stuck_on="P0747", low="P0868"),
     "clutch2": PressureCodes(sensor="P0846", stuck_off="P0776", stuck_on="P0777", low="P0868"),
@@ -132,16 +132,16 @@ _SHAFT_SPEEDS: Final = ("hub_speed_rad_s", "input1_speed_rad_s", "input2_speed_r
 def judge(
     watch: MonitorState, values: Values, t_s: float, limits: MonitorLimits = NOMINAL_LIMITS
 ) -> tuple[MonitorState, tuple[Sample, ...]]:
-    """Return what the monitors remember and say at this moment, about ten times a second.
+    """Return the state of the monitors and their samples at this moment; called about ten times a second.
 
     Parameters
     ----------
     watch
-        What they remembered.
+        State before.
     values
-        What the controller senses, in SI; values that are not available are missing.
+        Sensed values, in SI; those that are not available are missing.
     t_s
-        Time that never goes back [s].
+        Monotonic time [s].
     limits
         When a sample fails.
     """
@@ -185,7 +185,7 @@ def judge(
 
 
 def is_warm(watch: MonitorState, values: Values) -> bool:
-    """Return whether the engine has become warm in this operation cycle, as OBD has it: the cycle counts for ageing."""
+    """Return whether this is a warm-up cycle of OBD, which counts for ageing."""
     coolant_k = values.get("coolant_temperature_k")
     if not isinstance(coolant_k, int | float) or watch.start_coolant_k is None:
         return False
@@ -213,7 +213,7 @@ def _lost_samples(known: Mapping[str, float]) -> Iterator[Sample]:
 def _fluid_samples(
     watch: MonitorState, known: Mapping[str, float], t_s: float, limits: MonitorLimits
 ) -> Iterator[Sample]:
-    """Judge the fluid's temperature, and first its sensor: who says nonsense says nothing about heat."""
+    """Judge the sensor of the fluid's temperature, then, if it is plausible, the temperature."""
     fluid_k = known.get("sump_temperature_k")
     low_k, high_k = limits.fluid_range_k
     is_odd = fluid_k is None or not low_k <= fluid_k <= high_k
@@ -227,7 +227,7 @@ def _fluid_samples(
 
 
 def _is_frozen(watch: MonitorState, known: Mapping[str, float], limits: MonitorLimits) -> bool:
-    """Return whether the fluid has stayed as it was while the engine became warm around it."""
+    """Return whether the fluid's temperature has stayed the same while the engine warmed up."""
     coolant_k, fluids_k = known.get("coolant_temperature_k"), _widened(watch.fluids_k, known.get("sump_temperature_k"))
     if coolant_k is None or watch.start_coolant_k is None or fluids_k is None:
         return False
@@ -246,7 +246,7 @@ def _clutch_samples(
 def _converter_samples(
     gears: tuple[float, float], known: Mapping[str, float], last_s: tuple[float, float], limits: MonitorLimits
 ) -> Iterator[Sample]:
-    """Judge a lock-up clutch, and the ratio behind its converter; ``last_s`` tells how long gear and clutch are so."""
+    """Judge a lock-up clutch and the ratio behind its converter; ``last_s``: time since gear and clutch changed [s]."""
     state = known.get("lockup_state")
     yield _sample("P0715", is_failed=known.get("turbine_speed_rad_s") is None)
     slip, torque = known.get("lockup_slip_rad_s"), known.get("engine_torque_nm", 0.0)
@@ -264,7 +264,7 @@ def _converter_samples(
 
 
 def _pressure_pa(known: Mapping[str, float], clutch: str, limits: MonitorLimits) -> float | None:
-    """Return a clutch pressure [Pa], None if its sensor says nothing or what it cannot measure."""
+    """Return a clutch pressure [Pa], None if it is missing or outside the sensor's range."""
     pressure_pa, (low_pa, high_pa) = known.get(f"{clutch}_pressure_pa"), limits.pressures_pa
     return pressure_pa if pressure_pa is not None and low_pa <= pressure_pa <= high_pa else None
 
@@ -276,7 +276,7 @@ def _looks(
     lasts_s: tuple[float, float],
     limits: MonitorLimits,
 ) -> Iterator[tuple[str, PressureLooks]]:
-    """Yield the clutches whose pressure was looked at now, since what is commanded of it has settled."""
+    """Yield the clutches whose command has settled, with their pressure sampled."""
     held = None if limits.has_converter else f"clutch{clutch_of_gear(int(gears[0]))}"
     least_pa = limits.tested_lockup_pa if limits.has_converter else limits.tested_pressure_pa
     if limits.has_converter:
@@ -284,14 +284,14 @@ def _looks(
     else:
         is_settled = _is_held(gears, known, lasts_s[0], limits)
     for clutch in _clutches(limits) if is_settled else ():
-        wanted, present = known.get(f"{clutch}_pressure_command_pa"), known.get(f"{clutch}_pressure_pa")
-        if wanted is None or present is None:
+        command, sensed = known.get(f"{clutch}_pressure_command_pa"), known.get(f"{clutch}_pressure_pa")
+        if command is None or sensed is None:
             continue
-        if is_held := wanted > least_pa and held in {None, clutch}:
-            is_low, is_off = present < limits.least_pressure_ratio * wanted, present < limits.stuck_off_ratio * wanted
-            error = -is_low - is_off or int(present > wanted + limits.most_held_excess_pa)
+        if is_held := command > least_pa and held in {None, clutch}:
+            is_low, is_off = sensed < limits.least_pressure_ratio * command, sensed < limits.stuck_off_ratio * command
+            error = -is_low - is_off or int(sensed > command + limits.most_held_excess_pa)
         elif clutch != held:
-            error = int(present > wanted + limits.most_pressure_excess_pa) - (present < limits.least_zero_pa)
+            error = int(sensed > command + limits.most_pressure_excess_pa) - (sensed < limits.least_zero_pa)
         else:
             continue
         yield clutch, before.get(clutch, PressureLooks()).noted(error, is_held=is_held)
@@ -303,9 +303,9 @@ def _pressure_samples(
     known: Mapping[str, float],
     limits: MonitorLimits,
 ) -> Iterator[Sample]:
-    """Judge sensors and pressures: what is wrong only with command, or only without, is the pressure itself.
+    """Judge sensors and pressures: an error in only one of the states, closed or open, is one of the pressure.
 
-    A wrong one is judged when the clutch is next in the other state, as its sensor then shows itself.
+    It is judged in the next other state, where a biased sensor would show an error, too.
     """
     for clutch in _clutches(limits):
         codes, looks = PRESSURE_CODES[clutch], after.get(clutch, PressureLooks())
@@ -336,7 +336,7 @@ def _clutches(limits: MonitorLimits) -> tuple[str, ...]:
 def _heat_samples(
     clutches_k: tuple[float, float] | None, samples: tuple[Sample, ...], limits: MonitorLimits
 ) -> Iterator[Sample]:
-    """Judge the clutches' temperature while pressures can be believed."""
+    """Judge the clutches' temperature while the pressure sensors are plausible."""
     sensors = {codes.sensor for codes in PRESSURE_CODES.values()}
     if clutches_k is not None and not any((code, TestResult.PREFAILED) in samples for code in sensors):
         yield _sample("P2787", is_failed=max(clutches_k) > limits.most_clutch_k)
@@ -351,20 +351,20 @@ def _shift_samples(gears: tuple[float, float], lasts_s: float, limits: MonitorLi
 
 
 def _is_held(gears: tuple[float, float], known: Mapping[str, float], lasts_s: float, limits: MonitorLimits) -> bool:
-    """Return whether a gear is held for long enough to be judged."""
-    is_driven = known.get("drive_state", IN_GEAR) == IN_GEAR  # the shift cycle does not say: it always is
+    """Return whether a gear has been engaged for long enough to be judged."""
+    is_driven = known.get("drive_state", IN_GEAR) == IN_GEAR  # the shift cycle sends no drive state
     is_steady = gears[0] == gears[1] and known.get("shift_phase") == 0.0 and lasts_s >= limits.settled_s
     return is_steady and is_driven and 1 <= gears[0] < len(limits.input_output_ratios) + 1
 
 
 def _gear_samples(gear: int, known: Mapping[str, float], limits: MonitorLimits) -> Iterator[Sample]:
-    """Judge clutch and ratio of a gear that is held."""
+    """Judge clutch and ratio of an engaged gear."""
     clutch = clutch_of_gear(gear)
     shaft_rad_s = known.get("output_speed_rad_s", 0.0) * limits.input_output_ratios[gear - 1]
     is_speed_odd = _is_speed_odd(clutch, shaft_rad_s, known, limits)
     if is_speed_odd is not None:
         yield _sample("P0716", is_failed=is_speed_odd)
-    if is_speed_odd:  # slip and ratio are made of it
+    if is_speed_odd:  # slip and ratio depend on it
         return
     slip, torque = known.get(f"clutch{clutch}_slip_rad_s"), known.get("engine_torque_nm")
     if slip is not None and torque is not None and abs(torque) > limits.tested_torque_nm:
@@ -373,7 +373,7 @@ def _gear_samples(gear: int, known: Mapping[str, float], limits: MonitorLimits) 
 
 
 def _is_speed_odd(clutch: int, expected_rad_s: float, known: Mapping[str, float], limits: MonitorLimits) -> bool | None:
-    """Return whether hub or shaft is contradicted by all around it: engine, the other one, output; None: unknown."""
+    """Return whether hub or shaft speed contradicts all of engine, the other one and output; None: unknown."""
     engine, hub = known.get("engine_speed_rad_s"), known.get("hub_speed_rad_s")
     shaft, output = known.get(f"input{clutch}_speed_rad_s"), known.get("output_speed_rad_s")
     if engine is None or hub is None or shaft is None or output is None or output < limits.tested_output_rad_s:

@@ -1,7 +1,7 @@
 """A diagnostic server as a function: a request and the state before it in, a response or none and the new state out.
 
-The order of checks is that of ISO 14229-1, general server response behaviour: the service, the session it is in, its
-security; then length, sub-function, the session that one is in; then what each service checks itself.
+Checks follow the general server response behaviour of ISO 14229-1: service, session and security of the service;
+length, sub-function, session of the sub-function; then the checks of each service.
 """
 
 from collections.abc import Callable, Mapping
@@ -47,9 +47,9 @@ from workshop.controller.state import (
 )
 from workshop.controller.table import DiagnosticTable
 
-AGAIN_RATIO: Final = 0.7  # of P2*, after which 78 is sent again
-PENDING_RATIO: Final = 0.6  # of P2, after which a client is told to wait
-KEEP_ALIVE: Final = bytes([Service.TESTER_PRESENT, SUPPRESS])  # wants no answer, not even 78: nothing is done
+AGAIN_RATIO: Final = 0.7  # fraction of P2* after which 78 is repeated
+PENDING_RATIO: Final = 0.6  # fraction of P2 after which 78 is sent
+KEEP_ALIVE: Final = bytes([Service.TESTER_PRESENT, SUPPRESS])  # TesterPresent without response: not even 78 is sent
 
 _HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {
     Service.SESSION_CONTROL: sessions.session_control,
@@ -74,35 +74,35 @@ _SUB_FUNCTIONS: Final[Mapping[int, frozenset[int]]] = {
     Service.ROUTINE_CONTROL: frozenset({sessions.START, sessions.STOP, sessions.RESULTS}),
     Service.TESTER_PRESENT: frozenset({0x00}),
     Service.CONTROL_CODE_SETTING: frozenset({sessions.CODES_ON, sessions.CODES_OFF}),
-}  # those of 10 and 27 are in the table
+}  # sub-functions of services 10 and 27 are in the table
 
 
 def switched_on(table: DiagnosticTable, kept: KeptState | None, t_s: float) -> ServerState:
-    """Return the state of a controller that gets its current at this moment; ``kept`` is what its file holds."""
+    """Return the state at power-on; ``kept`` is the content of the memory file."""
     return sessions.started(kept or KeptState(memory=empty_memory(table.troubles)), table, t_s)
 
 
 def answer(table: DiagnosticTable, state: ServerState, request: Request, moment: Instant) -> Reply:
-    """Return what a controller does with a request.
+    """Return the reply to a request.
 
     Parameters
     ----------
     table, state
-        What it can be asked, and what it remembers.
+        Description and state of the controller.
     request
-        A whole request, reassembled.
+        The reassembled request.
     moment
-        The time, the vehicle, and fresh random bytes for a seed.
+        Time, values of the vehicle, and random bytes for a seed.
 
     Returns
     -------
     Reply
-        The response or none, and the state after it. A response 78 is followed by the final one of ``advance``.
+        The response or none, and the state after it. After 78 the final response comes from ``advance``.
     """
     if moment.t_s < state.asleep_until_s or not request.payload:
         return Reply(payload=None, state=state)
-    state = _settled(table, state, moment)
-    if state.waiting is not None:  # all is refused but what only keeps the session alive
+    state = _after_time(table, state, moment)
+    if state.waiting is not None:  # everything but KEEP_ALIVE is refused
         busy = None if request.payload == KEEP_ALIVE else _negative(request, Nrc.BUSY_REPEAT_REQUEST)
         return Reply(payload=busy, state=state)
     result = _outcome(Call(table=table, state=state, moment=moment, request=request))
@@ -117,11 +117,11 @@ def answer(table: DiagnosticTable, state: ServerState, request: Request, moment:
 
 
 def _outcome(call: Call) -> ServiceOutcome:
-    """Return what a service does for the client who holds the session, or for a guest of it."""
+    """Return the outcome of a service for the holder of the session or for a guest."""
     before, number = call.state, call.payload[0]
     is_guest = before.session != DEFAULT_SESSION and call.request.client != before.holder
-    seen = sessions.as_guest(before) if is_guest else replace(before, heard_s=call.moment.t_s)
-    call = replace(call, state=seen, is_guest=is_guest)
+    visible = sessions.as_guest(before) if is_guest else replace(before, heard_s=call.moment.t_s)
+    call = replace(call, state=visible, is_guest=is_guest)
     result = OBD_HANDLERS[number](call) if _is_obd(call) else _refusal(call) or _HANDLERS[number](call)
     if isinstance(result, Nrc):
         result = ServiceOutcome(response=result, state=call.state)
@@ -129,8 +129,8 @@ def _outcome(call: Call) -> ServiceOutcome:
 
 
 def advance(table: DiagnosticTable, state: ServerState, moment: Instant) -> Reply:
-    """Return what a controller does because time has passed: a response that was awaited, or 78 once more."""
-    state = _settled(table, state, moment)
+    """Return the final response of an awaited routine, or 78 again, once it is due."""
+    state = _after_time(table, state, moment)
     waiting = state.waiting
     if waiting is None:
         return Reply(payload=None, state=state)
@@ -138,38 +138,38 @@ def advance(table: DiagnosticTable, state: ServerState, moment: Instant) -> Repl
     if run.is_running and moment.t_s < waiting.again_s:
         return Reply(payload=None, state=state)
     if run.is_running:
-        again = replace(waiting, again_s=moment.t_s + AGAIN_RATIO * table.timing.p2_star_s)
-        return Reply(payload=_negative(waiting.request, Nrc.RESPONSE_PENDING), state=replace(state, waiting=again))
+        waiting = replace(waiting, again_s=moment.t_s + AGAIN_RATIO * table.timing.p2_star_s)
+        return Reply(payload=_negative(waiting.request, Nrc.RESPONSE_PENDING), state=replace(state, waiting=waiting))
     state = replace(state, waiting=None, heard_s=moment.t_s)
     if run.failed_nrc:
         return Reply(payload=_negative(waiting.request, Nrc(run.failed_nrc)), state=state)
     call = Call(table=table, state=state, moment=moment, request=waiting.request)
-    response = sessions.answered(call, table.routines[waiting.routine], run).response
+    response = sessions.routine_response(call, table.routines[waiting.routine], run).response
     return Reply(payload=response if isinstance(response, bytes) else None, state=state)
 
 
 def broadcast(table: DiagnosticTable, state: ServerState, moment: Instant) -> tuple[tuple[bytes, ...], ServerState]:
-    """Return what is sent now because a client asked to have it again and again (2A), and the state after it."""
-    return data.due(table, _settled(table, state, moment), moment)
+    """Return the periodic messages (service 2A) that are due, and the state after them."""
+    return data.due(table, _after_time(table, state, moment), moment)
 
 
-def held(table: DiagnosticTable, state: ServerState, moment: Instant) -> ServerState:
-    """Return the state while a message is on its way: a session that has not ended by now goes on for another S3."""
-    return replace(_settled(table, state, moment), heard_s=moment.t_s)
+def extend_session(table: DiagnosticTable, state: ServerState, moment: Instant) -> ServerState:
+    """Return the state with S3 restarted, as while a message is being transferred."""
+    return replace(_after_time(table, state, moment), heard_s=moment.t_s)
 
 
-def left(state: ServerState, client: int) -> ServerState:
-    """Return the state once a client has gone: nobody awaits its response, its session and its own data are no more."""
+def disconnect(state: ServerState, client: int) -> ServerState:
+    """Return the state without a client's pending response, session and defined data."""
     if state.waiting is not None and state.waiting.request.client == client:
         state = replace(state, waiting=None)
-    kept = {number: pieces for number, pieces in state.defined.items() if pieces[0].client != client}
-    state = replace(state, defined=kept)
+    defined = {number: pieces for number, pieces in state.defined.items() if pieces[0].client != client}
+    state = replace(state, defined=defined)
     is_held = state.session != DEFAULT_SESSION and state.holder == client
     return sessions.in_session(state, DEFAULT_SESSION) if is_held else state
 
 
 def tested(table: DiagnosticTable, state: ServerState, number: int, result: TestResult, moment: Instant) -> ServerState:
-    """Return the state after a monitor has spoken; nothing changes while a client has switched that off (85)."""
+    """Return the state after a test result; service 85 can switch its recording off."""
     if not state.are_codes_updated:
         return state
     trouble = table.troubles[number]
@@ -183,19 +183,19 @@ def tested(table: DiagnosticTable, state: ServerState, number: int, result: Test
 
 
 def warmed_up(state: ServerState) -> ServerState:
-    """Return the state in an operation cycle that counts for ageing."""
+    """Return the state with the operation cycle marked as a warm-up cycle, which counts for ageing."""
     memory = note_warm_up(state.memory)
     return replace(state, memory=memory, emissions=after_warm_up(state.emissions, state.memory, memory))
 
 
 def cycled(table: DiagnosticTable, state: ServerState) -> ServerState:
-    """Return the state after the ignition went off and on without the controller losing its current."""
+    """Return the state after the ignition was switched off and on while the controller stayed powered."""
     memory = begin_cycle(state.memory, table.troubles)
     return replace(state, memory=memory, emissions=after_cycle(state.emissions, state.memory, memory))
 
 
-def _settled(table: DiagnosticTable, state: ServerState, moment: Instant) -> ServerState:
-    """Return the state with everything done that time alone does."""
+def _after_time(table: DiagnosticTable, state: ServerState, moment: Instant) -> ServerState:
+    """Return the state with expired routines, delays and sessions ended."""
     state = sessions.timed_out(state, table, moment)
     for level in table.levels.values():
         state = sessions.delay_over(state, level, moment.t_s)
@@ -234,7 +234,7 @@ def _has_sub_function(service: int) -> bool:
 
 
 def _sessions_of_sub_function(call: Call) -> tuple[int, ...]:
-    """Return in which sessions a sub-function is there; in none if it is not known."""
+    """Return the sessions that allow a sub-function; empty if it is unknown."""
     number, table = call.payload[0], call.table
     if number == Service.SESSION_CONTROL:
         session = table.sessions.get(call.sub_function)
@@ -246,13 +246,13 @@ def _sessions_of_sub_function(call: Call) -> tuple[int, ...]:
 
 
 def _replied(request: Request, response: bytes | Nrc, state: ServerState) -> Reply:
-    """Return a response as it goes out; it stays off the bus if its client did not want it, or others were meant."""
+    """Return the reply; a suppressed positive response, or a refusal of a functional request, is withheld."""
     if isinstance(response, Nrc):
-        said, is_kept_back = _negative(request, response), request.is_functional and response in SILENT_WHEN_FUNCTIONAL
+        sent, is_kept_back = _negative(request, response), request.is_functional and response in SILENT_WHEN_FUNCTIONAL
     else:
-        said, payload = response, request.payload
+        sent, payload = response, request.payload
         is_kept_back = len(payload) > 1 and _has_sub_function(payload[0]) and bool(payload[1] & SUPPRESS)
-    return Reply(payload=None, state=state, withheld=said) if is_kept_back else Reply(payload=said, state=state)
+    return Reply(payload=None, state=state, withheld=sent) if is_kept_back else Reply(payload=sent, state=state)
 
 
 def _negative(request: Request, nrc: Nrc) -> bytes:

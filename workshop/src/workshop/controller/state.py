@@ -1,4 +1,4 @@
-"""What a controller remembers of its clients, what a service is given and gives back; nothing is changed in place."""
+"""The state of a controller, requests, and outcomes of services; all records are frozen."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -13,16 +13,16 @@ from workshop.controller.table import DiagnosticTable
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """One request as the transport heard it."""
+    """One request from a transport."""
 
     payload: bytes
     is_functional: bool = False  # to all controllers
-    client: int = 0  # who asks: 0 whoever is on the CAN bus, others as their transport numbers them
+    client: int = 0  # 0: the CAN bus; DoIP connections have positive numbers, ELM327 clients negative ones
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Instant:
-    """What the server may know of the world at one instant: the time, the vehicle, and some chance for a seed."""
+    """Time, values of the vehicle and random bytes at one instant."""
 
     t_s: float  # of a clock that never goes back
     values: Values
@@ -70,7 +70,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PeriodicRun:
-    """A datum that is sent again and again."""
+    """A datum that service 2A sends repeatedly."""
 
     period_s: float
     due_s: float
@@ -78,7 +78,7 @@ class PeriodicRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeptState:
-    """What outlives a restart; whether an operation cycle's test is under way does not."""
+    """The part of the state that survives a restart; fault detection counters do not."""
 
     memory: TroubleMemory
     emissions: Emissions = field(default_factory=Emissions)
@@ -88,8 +88,8 @@ class KeptState:
 
     @property
     def members(self) -> dict[str, Any]:
-        """All of it by name."""
-        return {one.name: getattr(self, one.name) for one in fields(KeptState)}
+        """Its members by name."""
+        return {member.name: getattr(self, member.name) for member in fields(KeptState)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,10 +97,10 @@ class ServerState(KeptState):
     """One controller between two requests."""
 
     session: int = DEFAULT_SESSION
-    holder: int = 0  # the client who entered it, if it is not the default session
-    heard_s: float = 0.0  # when S3 began
+    holder: int = 0  # client who entered the session, unless it is the default one
+    heard_s: float = 0.0  # time of the last request, at which S3 began
     unlocked: int = 0  # security level; 0 none
-    seed_level: int = 0  # for which a seed was given and no key yet
+    seed_level: int = 0  # security level of the seed that waits for its key
     seed: bytes = b""
     locked_until_s: Mapping[int, float] = field(default_factory=dict)
     are_codes_updated: bool = True
@@ -113,38 +113,38 @@ class ServerState(KeptState):
 
     @property
     def kept(self) -> KeptState:
-        """What is kept of it."""
+        """The part that is saved."""
         records = {code: replace(record, detection_counter=0) for code, record in self.memory.records.items()}
         return KeptState(**{**self.members, "memory": replace(self.memory, records=records)})
 
-    def keeps_as(self, other: KeptState) -> bool:
-        """Return whether the same is kept of another one, at a glance."""
+    def keeps_same_as(self, other: KeptState) -> bool:
+        """Return whether the saved members are identical objects: a cheap test for "nothing to save"."""
         theirs = other.members
         return all(mine is theirs[name] for name, mine in self.members.items())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply:
-    """What a server does with a request or with time: a response or none, and its state after it."""
+    """A response or none, and the state after it."""
 
     payload: bytes | None
     state: ServerState
-    withheld: bytes | None = None  # kept back; who was told to wait (78) by the transport hears it all the same
+    withheld: bytes | None = None  # suppressed response; it is sent if the transport has sent 78 before
 
     def response(self, *, was_promised: bool) -> bytes | None:
-        """Return what is sent, if the transport has said or not that a response comes later (78)."""
+        """Return the response to send; after a 78 that includes a suppressed one (ISO 14229-1)."""
         return self.withheld if was_promised and self.payload is None else self.payload
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Call:
-    """One request that the server has taken up."""
+    """One request in progress."""
 
     table: DiagnosticTable
     state: ServerState
     moment: Instant
     request: Request
-    is_guest: bool = False  # another client holds a session; this one is answered as in the default session
+    is_guest: bool = False  # another client holds the session; this one is answered as in the default session
 
     @property
     def payload(self) -> bytes:
@@ -167,7 +167,7 @@ class Call:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServiceOutcome:
-    """A response and the state after it; while it is not final, 78 is sent and the response comes later."""
+    """A response and the state after it; 78 is sent in place of one that is not final."""
 
     response: bytes | Nrc
     state: ServerState
@@ -178,17 +178,17 @@ Result = ServiceOutcome | Nrc
 
 
 def is_in_session(call: Call, access: AccessRule) -> bool:
-    """Return whether something may be done in the active session."""
+    """Return whether the active session allows it."""
     return call.state.session in access.sessions
 
 
 def is_unlocked(state: ServerState, levels: tuple[int, ...]) -> bool:
-    """Return whether no security is needed, or the right one is unlocked."""
+    """Return whether no security level is needed, or one of these is unlocked."""
     return not levels or state.unlocked in levels
 
 
 def unmet(call: Call, conditions: Iterable[str]) -> Nrc | None:
-    """Return what is wrong with the vehicle: the response of the first condition that does not hold."""
+    """Return the response code of the first condition that the vehicle violates, None if there is none."""
     for name in conditions:
         condition = call.table.conditions[name]
         if not holds(condition, call.moment.values):
@@ -197,7 +197,7 @@ def unmet(call: Call, conditions: Iterable[str]) -> Nrc | None:
 
 
 def unmet_by_service(call: Call) -> Nrc | None:
-    """Return what is wrong with the vehicle for this service."""
+    """Return the response code of the first violated condition of this service, None if there is none."""
     return unmet(call, call.table.services[call.payload[0]].conditions)
 
 

@@ -1,4 +1,4 @@
-"""What a controller can be asked, from a TOML file: everything that it answers follows from this table."""
+"""The table of a controller, from a TOML file: all of its answers follow from it."""
 
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -37,14 +37,14 @@ class Addressing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transport:
-    """How ISO-TP behaves where the standard leaves a choice."""
+    """Choices that ISO-TP leaves open."""
 
-    padding: int | None = None  # every frame is filled up to eight bytes with it; without it short ones are sent
-    block_size: int = 8  # frames that a client may send before it asks again; 0 all
-    separation_time: int = 0  # STmin that is asked of clients, as coded on the wire
-    own_address: int | None = None  # extended addressing: the byte before everything that is sent to this controller
-    tester_address: int = 0xF1  # likewise in responses
-    all_address: int = 0xFE  # likewise in requests to all
+    padding: int | None = None  # byte that pads frames to eight bytes; None: no padding
+    block_size: int = 8  # frames between two flow controls; 0: all
+    separation_time: int = 0  # STmin for clients, as coded on the wire
+    own_address: int | None = None  # extended addressing: first byte of frames to this controller
+    tester_address: int = 0xF1  # first byte of responses
+    all_address: int = 0xFE  # first byte of functional requests
 
     def __post_init__(self) -> None:
         for name in ("padding", "block_size", "separation_time", "own_address", "tester_address", "all_address"):
@@ -55,22 +55,22 @@ class Transport:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DoipEntity:
-    """What a controller is on an IP network (ISO 13400-2); addresses and times as the standard has them."""
+    """The DoIP entity of a controller; addresses and times as ISO 13400-2 has them."""
 
     logical_address: int = 0x1011
-    functional_address: int = 0xE400  # of requests to all controllers
-    first_tester: int = 0x0E00  # addresses that testers may have
+    functional_address: int = 0xE400  # of functional requests
+    first_tester: int = 0x0E00  # range of tester addresses
     last_tester: int = 0x0FFF
-    activation_types: tuple[int, ...] = (0x00, 0x01)  # default, and that of legislated diagnosis
-    eid: int = 0x020000001011  # of the entity; a MAC address that is administered locally
-    gid: int = 0x020000001011  # of its group
-    version: int = 0x03  # said where the tester has not said which it speaks
+    activation_types: tuple[int, ...] = (0x00, 0x01)  # default and WWH-OBD
+    eid: int = 0x020000001011  # entity identification: a locally administered MAC address
+    gid: int = 0x020000001011  # group identification
+    version: int = 0x03  # protocol version for testers whose version is unknown
     most_sockets: int = 4
     most_request_bytes: int = 4095
     initial_inactivity_s: float = 2.0  # T_TCP_Initial_Inactivity: until routing is activated
     general_inactivity_s: float = 300.0  # T_TCP_General_Inactivity
     alive_check_s: float = 0.5  # T_TCP_Alive_Check
-    announce_wait_s: float = 0.5  # A_DoIP_Announce_Wait: the longest random pause before one says who one is
+    announce_wait_s: float = 0.5  # A_DoIP_Announce_Wait: longest random pause before an announcement
     announce_interval_s: float = 0.5
     announce_count: int = 3
 
@@ -78,9 +78,10 @@ class DoipEntity:
         numbers = (self.logical_address, self.functional_address, self.first_tester, self.last_tester)
         _check(min(numbers) >= 1 and max(numbers) <= 0xFFFF, "addresses must be 1..0xFFFF")
         _check(self.first_tester <= self.last_tester, "first_tester must not be above last_tester")
-        own = (self.logical_address, self.functional_address)
+        addresses = (self.logical_address, self.functional_address)
         _check(
-            own[0] != own[1] and not any(self.first_tester <= number <= self.last_tester for number in own),
+            addresses[0] != addresses[1]
+            and not any(self.first_tester <= number <= self.last_tester for number in addresses),
             "logical_address and functional_address must differ from each other and from those of testers",
         )
         _check(max(self.activation_types, default=0) <= 0xFF, "activation_types must be 0..0xFF")
@@ -101,14 +102,14 @@ class Timing:
     p2_s: float
     p2_star_s: float
     s3_s: float
-    reset_s: float  # from a reset until the controller listens again
-    least_answer_s: float = 0.0  # that an answer takes, drawn evenly up to the next
+    reset_s: float  # duration of a reset
+    least_answer_s: float = 0.0  # time to answer, uniformly distributed up to the next
     most_answer_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Periodic:
-    """How data are sent again and again (service 2A): each in one frame with an identifier of its own."""
+    """Periodic data (service 2A), each datum in one frame with an identifier of its own."""
 
     response_id: int
     slow_s: float
@@ -126,11 +127,11 @@ class Periodic:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RequestLimits:
-    """How much one request may ask for."""
+    """Limits of one request."""
 
     most_data: int  # identifiers in one request
     most_response_bytes: int
-    most_pieces: int  # of data identifiers that the client defined, in all
+    most_pieces: int  # of all defined data identifiers
 
     def __post_init__(self) -> None:
         _check(self.most_data >= 1, "most_data must be at least 1")
@@ -139,10 +140,10 @@ class RequestLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClutchLimits:
-    """What the controller's own monitors and its adaptation allow of a clutch; all [C]."""
+    """Limits of a clutch in monitors and adaptation; all [C]."""
 
-    most_temperature_k: float = 423.15  # 150 degC, of the pack as the controller computes it
-    most_touch_change_pa: float = 0.25e5  # of an adapted touch point from that of the type: five standard deviations
+    most_temperature_k: float = 423.15  # 150 degC, computed temperature of the pack
+    most_touch_change_pa: float = 0.25e5  # from the touch point of the type: five standard deviations
 
     def __post_init__(self) -> None:
         _check(273.15 <= self.most_temperature_k <= 1273.15, "clutches.most_temperature_k must be 273.15..1273.15 K")
@@ -151,7 +152,7 @@ class ClutchLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiagnosticTable:
-    """Everything a controller can be asked, by number."""
+    """Services, data, routines, codes and settings of a controller, by number."""
 
     name: str
     addressing: Addressing
@@ -166,7 +167,7 @@ class DiagnosticTable:
     routines: Mapping[int, descriptions.Routine]
     troubles: Mapping[int, descriptions.Trouble]
     extended: Mapping[int, descriptions.ExtendedRecord]
-    snapshot: tuple[int, ...]  # data kept with every trouble code that names none itself
+    snapshot: tuple[int, ...]  # data of snapshots of codes without data of their own
     obd: descriptions.Obd | None = None
     doip: DoipEntity = field(default_factory=DoipEntity)
     periodic: Periodic | None = None
@@ -266,13 +267,13 @@ _LIKE: Final = "like_"
 _SAME_IN_FILES: Final = (  # of a table
     *("name", "snapshot", "addressing", "transport", "timing", "limits", "doip", "periodic", "clutches"),
 )
-_ACCESSES: Final = ("access", "read", "write")  # members that name one of the table [access]
+_ACCESSES: Final = ("access", "read", "write")  # members that name an entry of [access]
 _MAY_BE_NEGATIVE: Final = frozenset({"offset", "minimum", "maximum"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableFile:
-    """What a TOML file may hold, but for the table that says who may use what."""
+    """The content of a TOML file, without its table [access]."""
 
     name: str
     snapshot: tuple[int, ...]
@@ -306,34 +307,34 @@ def shipped_table() -> DiagnosticTable:
 
 @cache
 def table_of(transmission: str) -> DiagnosticTable:
-    """Return the table of the controller of a transmission: one of a converter has data and codes of its own."""
+    """Return the table of a transmission; one with a converter has further data and codes."""
     shipped = shipped_table()
     if transmission not in CONVERTERS:
         return shipped
     document = tomllib.loads(_shipped_text("converter"))
-    own = _numbered(_records(Trouble, document, "trouble"), "trouble")
-    return replace(_with_data(shipped, document), troubles={**shipped.troubles, **own})
+    troubles = _numbered(_records(Trouble, document, "trouble"), "trouble")
+    return replace(_with_data(shipped, document), troubles={**shipped.troubles, **troubles})
 
 
 def personalities() -> tuple[str, ...]:
-    """Return the names of controllers of real cars that the emulated one can answer like."""
-    found = (one.name for one in files("workshop.controller").iterdir())
-    return tuple(sorted(name[len(_LIKE) : -len(".toml")] for name in found if name.startswith(_LIKE)))
+    """Return the names of the controllers of real cars that can be emulated."""
+    names = (entry.name for entry in files("workshop.controller").iterdir())
+    return tuple(sorted(name[len(_LIKE) : -len(".toml")] for name in names if name.startswith(_LIKE)))
 
 
 @cache
 def table_like(name: str, transmission: str = "nominal") -> DiagnosticTable:
-    """Return the table of a transmission with the data that another controller has besides, and its times to answer.
+    """Return the table of a transmission with the data and answer times of a controller of a real car.
 
     Raises ConfigError if there is no such personality.
     """
     if name not in personalities():
         raise EmulatorConfigError(f"nobody answers like {name}: there are {', '.join(personalities())}")
-    document, own = tomllib.loads(_shipped_text(f"{_LIKE}{name}")), table_of(transmission)
+    document, table = tomllib.loads(_shipped_text(f"{_LIKE}{name}")), table_of(transmission)
     return replace(
-        _with_data(own, document),
-        timing=replace(own.timing, **document["timing"]),
-        limits=replace(own.limits, **document["limits"]),
+        _with_data(table, document),
+        timing=replace(table.timing, **document["timing"]),
+        limits=replace(table.limits, **document["limits"]),
     )
 
 
@@ -342,7 +343,7 @@ def _shipped_text(name: str) -> str:
 
 
 def _with_data(table: DiagnosticTable, document: Mapping[str, Any]) -> DiagnosticTable:
-    """Return a table under another name, with more data that may be read in every session."""
+    """Return a table with another name and further data, readable in every session."""
     access = {"open": AccessRule(sessions=tuple(table.sessions))}
     data = _numbered(_records(DataIdentifier, _with_access(document, access), "data"), "data")
     return replace(table, name=document["name"], data={**table.data, **data})
@@ -384,11 +385,12 @@ def parse_table(text: str, where: str) -> DiagnosticTable:
 
 def _table(document: dict[str, Any]) -> DiagnosticTable:
     _check_signs(document)
-    told = document.pop("access", None)
-    if not isinstance(told, Mapping):
+    access_table = document.pop("access", None)
+    if not isinstance(access_table, Mapping):
         raise EmulatorConfigError("access is missing: a table that says who may use what")
     access = {
-        name: record_from(AccessRule, one, f"access.{name}: ", error=EmulatorConfigError) for name, one in told.items()
+        name: record_from(AccessRule, rule, f"access.{name}: ", error=EmulatorConfigError)
+        for name, rule in access_table.items()
     }
     file = record_from(TableFile, _with_access(document, access), error=EmulatorConfigError)
     return DiagnosticTable(
@@ -407,7 +409,7 @@ def _table(document: dict[str, Any]) -> DiagnosticTable:
 
 def _obd(file: TableFile) -> descriptions.Obd | None:
     if file.obd is None:
-        if unused := [one for one in ("monitor", "obd_clear_conditions", "pid", "vehicle_info") if getattr(file, one)]:
+        if unused := [key for key in ("monitor", "obd_clear_conditions", "pid", "vehicle_info") if getattr(file, key)]:
             raise EmulatorConfigError(f"{unused[0]} is there, but key obd is missing: it says how OBD is spoken")
         return None
     return descriptions.Obd(
@@ -419,11 +421,11 @@ def _obd(file: TableFile) -> descriptions.Obd | None:
 
 
 def _records(record: type[RecordT], document: Mapping[str, Any], key: str) -> tuple[RecordT, ...]:
-    return tuple(record_from(record, one, f"{key}: ", error=EmulatorConfigError) for one in document[key])
+    return tuple(record_from(record, entry, f"{key}: ", error=EmulatorConfigError) for entry in document[key])
 
 
 def _check_signs(value: object, where: str = "") -> None:
-    """Raise ConfigError if a whole number is negative that must not be."""
+    """Raise ConfigError if a whole number is negative, but for offsets and limits."""
     if isinstance(value, Mapping):
         for key, inner in value.items():
             _check_signs(None if key in _MAY_BE_NEGATIVE else inner, f"{where}{key}.")
@@ -435,20 +437,20 @@ def _check_signs(value: object, where: str = "") -> None:
 
 
 def _with_access(document: Mapping[str, Any], access: Mapping[str, AccessRule]) -> dict[str, Any]:
-    """Return a document in which who may use data and routines stands in place of the names for that."""
-    told = {key: _resolved(document[key], key, access) for key in ("data", "routine") if key in document}
-    return {**document, **told}
+    """Return a document with names of access rules in data and routines replaced by the rules."""
+    resolved = {key: _resolved(document[key], key, access) for key in ("data", "routine") if key in document}
+    return {**document, **resolved}
 
 
 def _resolved(entries: object, where: str, access: Mapping[str, AccessRule]) -> object:
-    if not isinstance(entries, list) or not all(isinstance(one, Mapping) for one in entries):
+    if not isinstance(entries, list) or not all(isinstance(entry, Mapping) for entry in entries):
         return entries
     for row, entry in enumerate(entries, 1):
         for key in entry.keys() & set(_ACCESSES):
             if not isinstance(entry[key], str) or entry[key] not in access:
                 names = ", ".join(sorted(access))
                 raise EmulatorConfigError(f"{where} {row}: {key} must be one of {names}, got {entry[key]!r}")
-    return [{key: access[one] if key in _ACCESSES else one for key, one in entry.items()} for entry in entries]
+    return [{key: access[value] if key in _ACCESSES else value for key, value in entry.items()} for entry in entries]
 
 
 def _numbered(records: tuple[RecordT, ...], where: str) -> dict[int, RecordT]:
@@ -456,9 +458,9 @@ def _numbered(records: tuple[RecordT, ...], where: str) -> dict[int, RecordT]:
 
 
 def _unique(pairs: list[tuple[KeyT, RecordT]], where: str) -> dict[KeyT, RecordT]:
-    found: dict[KeyT, RecordT] = {}
+    by_key: dict[KeyT, RecordT] = {}
     for key, record in pairs:
-        if key in found:
+        if key in by_key:
             raise EmulatorConfigError(f"{where} {key if isinstance(key, str) else f'0x{key:02X}'} is there twice")
-        found[key] = record
-    return found
+        by_key[key] = record
+    return by_key

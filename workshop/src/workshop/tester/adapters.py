@@ -1,6 +1,6 @@
-"""Controllers behind what is no bus: an ELM327 adapter (TCP, or a serial port), or a node over IP.
+"""Controllers behind an ELM327 adapter (TCP or serial port) or a DoIP node.
 
-What is asked there is said on a bus of this process as well, where the diagnosis overhears it as on any other.
+Requests and answers are copied to a virtual bus of this process, where the diagnosis reads them as on any bus.
 """
 
 import os
@@ -20,7 +20,15 @@ from canlog.isotp import segments
 from diag_service.errors import ConfigError, ControllerError, RefusedError, SilentError, StoppedError
 from diag_service.mapping.profile import AskingRules
 from workshop.tester.addresses import CanAddress, hexadecimal, is_extended
-from workshop.tester.answers import MOST_PENDING_S, NEGATIVE, PENDING_S, POSITIVE, TesterTiming, is_pending, tells
+from workshop.tester.answers import (
+    MOST_PENDING_S,
+    NEGATIVE,
+    PENDING_S,
+    POSITIVE,
+    TesterTiming,
+    is_data_answer,
+    is_pending,
+)
 from workshop.tester.asking import LARGEST_LOGICAL, dialogue_over_ip, parse_doip
 
 if TYPE_CHECKING:
@@ -28,10 +36,10 @@ if TYPE_CHECKING:
 
 ELM327, DOIP = "elm327", "doip"
 ELM_PORT: Final = 35000
-ELM_TOGETHER: Final = 3  # identifiers that fit into a single frame: the adapter sends no longer request
+ELM_TOGETHER: Final = 3  # identifiers in a single frame, the longest request of the adapter
 CONNECT_S: Final = 5.0
 RESET_S: Final = 3.0  # after ATZ
-ANSWER_S: Final = 1.0  # the adapter itself says NO DATA before
+ANSWER_S: Final = 1.0  # the adapter reports NO DATA earlier
 LOOK_S: Final = 0.1
 _PROTOCOL_11: Final = "ATSP6"
 _SETTINGS: Final = ("ATE0", "ATL0", "ATS0", "ATH0", "ATAL", "ATCAF1", _PROTOCOL_11)  # no echo, no blanks, 500 kbit/s
@@ -41,34 +49,34 @@ _NO_ANSWER: Final = ("NODATA", "?", "STOPPED", "SEARCHING", "BUS", "CANERROR", "
 
 
 class Line(Protocol):
-    """A way to controllers."""
+    """Access to controllers."""
 
     def ask(self, request: bytes, address: CanAddress) -> bytes | None:
         """Return the answer to a request, None if none comes; raises ControllerError."""
 
 
 class ElmLine:
-    """Controllers behind an ELM327, or one that understands its commands (STN).
+    """Controllers behind an ELM327 or compatible adapter (STN).
 
-    Raises ControllerError if the adapter is not there or says nothing.
+    Raises ControllerError if the adapter is missing or silent.
     """
 
     def __init__(self, place: str, stack: ExitStack, goes_on: Callable[[], bool]) -> None:
         self._goes_on = goes_on
         self._place = place
         try:
-            self._descriptor = _opened(place, stack)
+            self._descriptor = _open_port(place, stack)
         except (OSError, termios.error) as exc:
             raise ControllerError(f"adapter {place}: {getattr(exc, 'strerror', None) or exc.args[-1]}") from exc
         self._address: CanAddress | None = None
-        self._is_prompted = True  # it waits for a command
-        self._until_s = 0.0  # when it has not answered
+        self._is_prompted = True  # whether it waits for a command
+        self._until_s = 0.0  # end of its time to answer
         self._command("ATZ", RESET_S)
         for setting in _SETTINGS:
             self._command(setting)
 
-    def turn_to(self, address: CanAddress) -> None:
-        """Wait for the end of the last answer and say who is asked next; raises ControllerError, StoppedError."""
+    def select(self, address: CanAddress) -> None:
+        """Wait for the end of the last answer and set the next controller; raises ControllerError, StoppedError."""
         self._finish()
         if address == self._address:
             return
@@ -80,25 +88,25 @@ class ElmLine:
         self._address = address
 
     def ask(self, request: bytes, address: CanAddress) -> bytes | None:
-        """Return the answer to a request as soon as it is there: the adapter waits for others before its prompt.
+        """Return the answer to a request before the prompt, which comes after a timeout for further answers.
 
-        None: there is none. Raises ControllerError, StoppedError.
+        None: there is no answer. Raises ControllerError, StoppedError.
         """
-        self.turn_to(address)
+        self.select(address)
         text = request.hex().upper()
         self._begin(text, ANSWER_S)
         most_s, count = time.monotonic() + MOST_PENDING_S, 0
         other: bytes | None = None
-        for shown in self._shown():
-            found = messages_in(shown.removeprefix(text))  # some go on echoing what they were told not to
-            for answer in found[count:]:
+        for output in self._read_outputs():
+            messages = messages_in(output.removeprefix(text))  # some adapters echo in spite of ATE0
+            for answer in messages[count:]:
                 if is_pending(request, answer):
                     self._until_s = min(time.monotonic() + PENDING_S, most_s)
-                elif tells(request, answer):
+                elif is_data_answer(request, answer):
                     return answer
                 elif answer[0] == request[0] + POSITIVE:
                     other = answer
-            count = len(found)
+            count = len(messages)
         return other
 
     def _command(self, text: str, wait_s: float = ANSWER_S) -> None:
@@ -108,19 +116,19 @@ class ElmLine:
     def _begin(self, text: str, wait_s: float) -> None:
         try:
             while select.select([self._descriptor], [], [], 0.0)[0] and os.read(self._descriptor, 4096):
-                pass  # what was said before answers nothing
+                pass  # earlier output
             os.write(self._descriptor, text.encode() + b"\r")
         except OSError as exc:
             raise ControllerError(f"adapter {self._place}: {exc.strerror or exc}") from exc
         self._is_prompted, self._until_s = False, time.monotonic() + wait_s
 
     def _finish(self) -> None:
-        for _ in self._shown():
+        for _ in self._read_outputs():
             pass
 
-    def _shown(self) -> Iterator[str]:
-        """Yield all lines that were shown since the command, whenever one is complete, up to the prompt."""
-        found = b""
+    def _read_outputs(self) -> Iterator[str]:
+        """Yield all lines since the command, whenever one more is complete, up to the prompt."""
+        received = b""
         while not self._is_prompted:
             if not self._goes_on():
                 raise StoppedError("stopped early")
@@ -134,16 +142,16 @@ class ElmLine:
                 raise ControllerError(f"adapter {self._place}: {exc.strerror or exc}") from exc
             if not piece:
                 raise ControllerError(f"adapter {self._place} has hung up")
-            found += piece
-            self._is_prompted = _PROMPT in found
-            lines, end, _ = found.rpartition(_PROMPT if self._is_prompted else b"\r")
+            received += piece
+            self._is_prompted = _PROMPT in received
+            lines, end, _ = received.rpartition(_PROMPT if self._is_prompted else b"\r")
             if end:
                 yield lines.decode("ascii", "replace").strip("\r\n ")
 
 
 def messages_in(text: str) -> list[bytes]:
-    """Return the messages in what an ELM327 shows: a line each, or a length and numbered lines; words are none."""
-    found, long, length = list[bytes](), b"", 0
+    """Return the messages in the output of an ELM327: a line each, or a length and numbered lines."""
+    messages, long, length = list[bytes](), b"", 0
     for line in text.replace("\n", "\r").split("\r"):
         words = line.strip().replace(" ", "").upper()
         if not words or words.startswith(_NO_ANSWER):
@@ -153,18 +161,18 @@ def messages_in(text: str) -> list[bytes]:
             if colon:
                 long += bytes.fromhex(rest)
                 if len(long) >= length > 0:
-                    found.append(long[:length])
+                    messages.append(long[:length])
                     long, length = b"", 0
             elif len(words) == 3:
                 long, length = b"", int(words, 16)
             else:
-                found.append(bytes.fromhex(words))
+                messages.append(bytes.fromhex(words))
         except ValueError:
             continue
-    return found
+    return messages
 
 
-def _opened(place: str, stack: ExitStack) -> int:
+def _open_port(place: str, stack: ExitStack) -> int:
     """Return the descriptor of a TCP connection or of a serial port."""
     if place.startswith("/"):
         descriptor = os.open(place, os.O_RDWR | os.O_NOCTTY)
@@ -187,7 +195,7 @@ class DoipLine:
     def __init__(self, tester: "Dialogue") -> None:
         self._tester = tester
 
-    def turn_to(self, address: CanAddress) -> None:
+    def select(self, address: CanAddress) -> None:
         """Do nothing: the node is the controller."""
 
     def ask(self, request: bytes, address: CanAddress) -> bytes | None:
@@ -201,29 +209,29 @@ class DoipLine:
             return None
 
 
-class Said:
-    """Says what is asked and answered on a bus, too."""
+class MirroredLine:
+    """Copies requests and answers to a bus."""
 
     def __init__(self, line: ElmLine | DoipLine, bus: can.BusABC) -> None:
         self._line = line
         self._bus = bus
 
     def ask(self, request: bytes, address: CanAddress) -> bytes | None:
-        """Ask, and say both messages as they come; raises ControllerError, StoppedError."""
-        self._line.turn_to(address)
-        self._say(request, address.request_id)
+        """Ask, and send request and answer on the bus; raises ControllerError, StoppedError."""
+        self._line.select(address)
+        self._mirror(request, address.request_id)
         answer = self._line.ask(request, address)
         if answer is not None:
-            self._say(answer, address.response_id)
+            self._mirror(answer, address.response_id)
         return answer
 
-    def _say(self, payload: bytes, can_id: int) -> None:
+    def _mirror(self, payload: bytes, can_id: int) -> None:
         for frame in segments(payload):
             self._bus.send(can.Message(arbitration_id=can_id, is_extended_id=is_extended(can_id), data=frame))
 
 
 def parse_adapter(text: str) -> tuple[str, str, int]:
-    """Return what kind an adapter is, its place, and the logical address of a node.
+    """Return kind and place of an adapter, and the logical address of a node.
 
     ``elm327://HOST[:PORT]``, ``elm327:/dev/rfcomm0`` or ``doip://HOST[:PORT]/1011``; raises ConfigError.
     """
@@ -247,15 +255,15 @@ def parse_adapter(text: str) -> tuple[str, str, int]:
 
 
 def rules_through(adapter: str, rules: AskingRules) -> AskingRules:
-    """Return what can be asked through an adapter: an ELM327 sends single frames only."""
+    """Return the rules through an adapter: an ELM327 sends single frames only."""
     if parse_adapter(adapter)[0] != ELM327:
         return rules
     return AskingRules(together=min(rules.together, ELM_TOGETHER))
 
 
 @contextmanager
-def line_through(adapter: str, channel: str, goes_on: Callable[[], bool] = lambda: True) -> Iterator[Said]:
-    """Open the way through an adapter; what is said there is said on a virtual bus of this process as well.
+def line_through(adapter: str, channel: str, goes_on: Callable[[], bool] = lambda: True) -> Iterator[MirroredLine]:
+    """Open an adapter, copied to a virtual bus of this process.
 
     Raises ConfigError, ControllerError.
     """
@@ -263,7 +271,7 @@ def line_through(adapter: str, channel: str, goes_on: Callable[[], bool] = lambd
     with ExitStack() as stack:
         bus = stack.enter_context(can.Bus(channel, "virtual"))
         if kind == ELM327:
-            yield Said(ElmLine(place, stack, goes_on), bus)
+            yield MirroredLine(ElmLine(place, stack, goes_on), bus)
         else:
             tester = stack.enter_context(dialogue_over_ip(parse_doip(place, logical), TesterTiming(), goes_on=goes_on))
-            yield Said(DoipLine(tester), bus)
+            yield MirroredLine(DoipLine(tester), bus)

@@ -1,4 +1,4 @@
-"""Identifiers of CAN by which a controller is asked and answers (ISO 15765-4, ISO 15765-2)."""
+"""CAN identifiers of requests and answers (ISO 15765-4, ISO 15765-2)."""
 
 import re
 from dataclasses import dataclass
@@ -23,10 +23,10 @@ _HEXADECIMAL: Final = re.compile(r"(?:0x)?[0-9a-f]{1,8}", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CanAddress:
-    """Where one controller is asked, and where its answers come from.
+    """Identifiers of the requests to and the answers of one controller.
 
-    With ``target_byte`` it has extended addressing: the first byte of every frame names who is meant, and in answers
-    ``tester_byte`` names the tester.
+    With ``target_byte`` it has extended addressing: the first byte of requests is ``target_byte``, that of answers
+    ``tester_byte``.
     """
 
     request_id: int
@@ -54,14 +54,14 @@ def is_extended(can_id: int) -> bool:
 
 
 def id_text(can_id: int) -> str:
-    """Return an identifier as people write it: three digits or eight."""
+    """Return an identifier in hexadecimal, with three digits or eight."""
     return f"{can_id:08X}" if is_extended(can_id) else f"{can_id:03X}"
 
 
 def hexadecimal(text: str, what: str, most: int) -> int:
-    """Return a number that was written in hexadecimal, with or without 0x.
+    """Return a number from hexadecimal text, with or without 0x.
 
-    Raises ConfigError if it is none, or more than ``most``.
+    Raises ConfigError if it is invalid, or more than ``most``.
     """
     if not _HEXADECIMAL.fullmatch(text) or int(text, 16) > most:
         raise ConfigError(f"{what} must be hexadecimal, 0 to {most:X}, got {text!r}")
@@ -69,7 +69,7 @@ def hexadecimal(text: str, what: str, most: int) -> int:
 
 
 def number_of(text: str | None, what: str, most: int) -> int | None:
-    """Return a number that may have been written in hexadecimal; raises ConfigError as ``hexadecimal``."""
+    """Return a number from hexadecimal text, None without text; raises ConfigError as ``hexadecimal``."""
     return None if text is None else hexadecimal(text, what, most)
 
 
@@ -80,10 +80,10 @@ def check_number(name: str, value: int, most: int) -> None:
 
 
 def usual_response_id(request_id: int) -> int:
-    """Return the identifier of the answers to a request, by the rules that most controllers keep.
+    """Return the usual identifier of the answers to a request.
 
-    With 29 bits and normal fixed addressing target and source change places; with 11 bits the answer is 8 above. Raises
-    ConfigError if there is no such rule for this identifier.
+    With 29 bits and normal fixed addressing target and source are swapped; with 11 bits the answer is 8 above. Raises
+    ConfigError if there is no rule for this identifier.
     """
     if is_extended(request_id):
         if request_id >> 16 != FIXED_PHYSICAL >> 16:
@@ -98,9 +98,9 @@ def usual_response_id(request_id: int) -> int:
 
 
 def parse_address(request: str | None, response: str | None, target: str | None = None) -> CanAddress | None:
-    """Return the address that the words of a command line name; None if none does.
+    """Return the address by options of a command line; None without them.
 
-    Raises ConfigError if a word is no identifier, or they do not go together.
+    Raises ConfigError if one is invalid, or they contradict each other.
     """
     return can_address(
         number_of(request, "--ecu", LARGEST_ID),
@@ -110,7 +110,7 @@ def parse_address(request: str | None, response: str | None, target: str | None 
 
 
 def can_address(request_id: int | None, response_id: int | None, target_byte: int | None = None) -> CanAddress | None:
-    """Return who is asked on a bus, None if that was not said; raises ConfigError."""
+    """Return the address of a controller, None without an identifier; raises ConfigError."""
     if request_id is None:
         if response_id is not None or target_byte is not None:
             raise ConfigError("--reply and --address need --ecu")
@@ -122,9 +122,9 @@ def can_address(request_id: int | None, response_id: int | None, target_byte: in
 
 
 def is_request(can_id: int) -> bool:
-    """Return whether an identifier is one that testers use by the standard."""
+    """Return whether an identifier is a request of testers by the standard."""
     if not is_extended(can_id):
         return can_id == FUNCTIONAL_ID or can_id in STANDARD_REQUESTS
     if can_id >> 16 & 0xFF == GROUP_REQUEST:
-        return can_id & 0xFF in TOOLS  # other controllers ask each other, too
+        return can_id & 0xFF in TOOLS  # controllers also send such requests
     return can_id >> 16 in {FIXED_PHYSICAL >> 16, FIXED_FUNCTIONAL >> 16} and can_id & 0xFF == TESTER_ADDRESS

@@ -1,4 +1,4 @@
-"""What an answer says and how long it may take: whether it belongs to a request, what a refusal means (ISO 14229-1)."""
+"""Validity of answers, texts of refusals, timing of the tester (ISO 14229-1, ISO 14229-2)."""
 
 import tomllib
 from collections.abc import Mapping
@@ -8,14 +8,14 @@ from typing import Final
 
 POSITIVE: Final = 0x40  # added to the service in a positive response
 NEGATIVE: Final = 0x7F
-PENDING_S: Final = 5.0  # for what is asked for again and again, after the controller asked for patience
-MOST_PENDING_S: Final = 30.0  # in all: longer it may not answer at all
-SUPPRESS: Final = 0x80  # bit of a sub-function: no positive response is wanted
+PENDING_S: Final = 5.0  # after response pending (78), for data that are polled
+MOST_PENDING_S: Final = 30.0  # total time with response pending
+SUPPRESS: Final = 0x80  # suppressPosRspMsgIndicationBit of a sub-function
 
 BUSY: Final = 0x21
 PENDING: Final = 0x78
 NOT_SUPPORTED: Final = frozenset({0x11})
-ONLY_ELSEWHERE: Final = frozenset({0x7E, 0x7F})  # sub-function or service is there in another session
+ONLY_ELSEWHERE: Final = frozenset({0x7E, 0x7F})  # not supported in the active session
 
 SESSION, CLEAR, READ_TROUBLE, READ_DATA, SECURITY, ROUTINE, TESTER_PRESENT = 0x10, 0x14, 0x19, 0x22, 0x27, 0x31, 0x3E
 
@@ -29,25 +29,25 @@ SERVICE_NAMES: Final[Mapping[int, str]] = {
     TESTER_PRESENT: "TesterPresent",
 }
 
-# How many bytes after the service a positive response repeats; those of a sub-function without its uppermost bit.
+# Number of request bytes after the service that a positive response repeats.
 _REPEATED: Final[Mapping[int, int]] = {
     SESSION: 1, READ_TROUBLE: 1, READ_DATA: 2, SECURITY: 1, ROUTINE: 3, TESTER_PRESENT: 1,
 }  # fmt: skip
 _WITHOUT_SUB_FUNCTION: Final = frozenset({READ_DATA})
 
-# How many bytes a positive response has, at least and at most; None: as many as there are.
+# Least and greatest length of a positive response [byte]; None: unlimited.
 _LENGTHS: Final[Mapping[int, tuple[int, int | None]]] = {
     SESSION: (6, 6), CLEAR: (1, 1), READ_DATA: (4, None), ROUTINE: (4, None), TESTER_PRESENT: (2, 2),
 }  # fmt: skip
 COUNT_BY_MASK, BY_MASK, SNAPSHOTS, EXTENDED, SUPPORTED = 0x01, 0x02, 0x04, 0x06, 0x0A  # sub-functions of service 19
-HEAD_BYTES: Final[Mapping[int, int]] = {  # of service 19, by its sub-function: what comes before codes and records
+HEAD_BYTES: Final[Mapping[int, int]] = {  # of service 19 by sub-function, before codes and records
     COUNT_BY_MASK: 6, BY_MASK: 3, SNAPSHOTS: 6, EXTENDED: 6, SUPPORTED: 3,
 }  # fmt: skip
 ROW_BYTES: Final = 4  # a trouble code and its status
-_FORMATS: Final = range(5)  # of trouble codes: what is more is reserved
+_FORMATS: Final = range(5)  # of trouble codes; others are reserved
 _NEGATIVE_BYTES: Final = 3
-_UNTIMED_BYTES: Final = 2  # of an answer about a session by the edition of 2006, which need not tell times
-_LEAST_DOUBLED: Final = 4  # bytes: the half of a shorter answer may come twice by chance
+_UNTIMED_BYTES: Final = 2  # of a session response without times, edition of 2006
+_LEAST_DOUBLED: Final = 4  # bytes; a shorter half may repeat by chance
 _SHOWN_BYTES: Final = 24
 
 _REFUSALS: Final[Mapping[int, str]] = {
@@ -56,7 +56,7 @@ _REFUSALS: Final[Mapping[int, str]] = {
 
 
 def refusal_text(code: int) -> str:
-    """Return what a negative response code says, with its number."""
+    """Return the text of a negative response code, with its number."""
     return f"{_REFUSALS.get(code, 'unknown reason')} ({code:02X})"
 
 
@@ -64,15 +64,15 @@ def request_text(request: bytes) -> str:
     return request.hex(" ").upper()
 
 
-def shown(response: bytes) -> str:
-    """Return a response as people write it, its beginning if it is long."""
+def hex_text(response: bytes) -> str:
+    """Return a response in hexadecimal, only its beginning if it is long."""
     return request_text(response[:_SHOWN_BYTES]) + (" ..." if len(response) > _SHOWN_BYTES else "")
 
 
 def belongs(request: bytes, response: bytes) -> bool:
-    """Return whether a response is one to this request, not a late one to another.
+    """Return whether a response belongs to this request.
 
-    A positive response repeats how the request began; of several data asked at once, the first.
+    A positive response repeats the beginning of the request; of several data, the first identifier.
     """
     if len(response) >= 3 and response[0] == NEGATIVE:
         return response[1] == request[0]
@@ -86,14 +86,14 @@ def belongs(request: bytes, response: bytes) -> bool:
 
 
 def is_pending(request: bytes, response: bytes) -> bool:
-    """Return whether the controller asks for patience: its answer follows."""
+    """Return whether a response is "response pending" (78)."""
     return response[:3] == bytes([NEGATIVE, request[0], PENDING])
 
 
-def tells(request: bytes, response: bytes) -> bool:
-    """Return whether a response to a request for data is a refusal, or begins with one of those asked for.
+def is_data_answer(request: bytes, response: bytes) -> bool:
+    """Return whether a response is a refusal, or begins with one of the requested data.
 
-    A controller leaves out what it does not have (ISO 14229-1), so it need not be the first.
+    It need not be the first: a controller leaves out unsupported data (ISO 14229-1).
     """
     width = 2 if request[0] == READ_DATA else 1
     asked = {request[at : at + width] for at in range(1, len(request), width)}
@@ -103,7 +103,7 @@ def tells(request: bytes, response: bytes) -> bool:
 
 
 def fault(request: bytes, response: bytes) -> str:
-    """Return what is wrong with a response that belongs to a request, empty if nothing is (ISO 14229-1)."""
+    """Return how a response that belongs to a request violates ISO 14229-1, empty if it does not."""
     if response[0] == NEGATIVE:
         if len(response) == _NEGATIVE_BYTES and not response[2]:
             return "it is negative and gives no reason"
@@ -117,7 +117,7 @@ def fault(request: bytes, response: bytes) -> str:
         return ""
     least, most = _LENGTHS.get(request[0], (1, None))
     if request[0] == SECURITY:
-        least, most = (3, None) if request[1] % 2 else (2, 2)  # a seed; a key was taken
+        least, most = (3, None) if request[1] % 2 else (2, 2)  # a seed; an accepted key
     return _length_fault(response, least, most)
 
 
@@ -146,7 +146,7 @@ def _rows_fault(rows: bytes) -> str:
     if len(rows) % ROW_BYTES:
         return "its last trouble code is cut off"
     codes = [rows[place : place + ROW_BYTES] for place in range(0, len(rows), ROW_BYTES)]
-    numbers = [code[:-1] for code in codes if any(code)]  # some fill up with zeros
+    numbers = [code[:-1] for code in codes if any(code)]  # zeros are padding
     if not all(map(any, numbers)):
         return "it names the trouble code 000000, which is none"
     return "it names a trouble code twice" if len(set(numbers)) < len(numbers) else ""
@@ -160,21 +160,21 @@ STOPPED: Final = "stopped early: not everything was asked"
 class TesterTiming:
     """Times and counts of a tester (ISO 14229-2): how long it waits, how soon and how often it asks again."""
 
-    p2_s: float = 1.0  # until an answer begins; a controller has 0.05 s, what is between them the rest
-    p2_star_s: float = 6.0  # after the controller said that it takes longer (78)
-    longest_s: float = 60.0  # of one question, however often the controller asks for patience
-    gap_s: float = 0.01  # between an answer and the next question: others want to be heard as well
+    p2_s: float = 1.0  # until an answer begins: 0.05 s of the controller, and the way
+    p2_star_s: float = 6.0  # after response pending (78)
+    longest_s: float = 60.0  # of one request, response pending included
+    gap_s: float = 0.01  # between an answer and the next request
     busy_pause_s: float = 0.1  # after 21; doubled each time
     most_busy: int = 6
-    most_silent: int = 2  # times that a question is asked that is not answered
+    most_silent: int = 2  # unanswered attempts of one request
 
 
 @dataclass(slots=True)
 class DialogueCounts:
-    """What a dialogue went through."""
+    """Counts of a dialogue."""
 
     requests: int = 0
     refusals: int = 0
     busy: int = 0  # answered 21
     silent: int = 0  # not answered in time
-    stray: int = 0  # messages that were no answer to what was asked
+    stray: int = 0  # messages that belong to no request

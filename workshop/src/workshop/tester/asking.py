@@ -1,4 +1,4 @@
-"""Listen first who else is asking on a bus, then ask: what commands, polling and Python do with one controller."""
+"""Access to one controller for commands, polling and Python: listen for other testers first, then ask."""
 
 import contextvars
 import ipaddress
@@ -25,20 +25,20 @@ from workshop.tester.description import Description
 if TYPE_CHECKING:
     from workshop.tester.dialogue import Dialogue
 
-LISTEN_S: Final = 5.0  # S3 of a controller (ISO 14229-2): a tester that keeps a session speaks at least so often
+LISTEN_S: Final = 5.0  # S3 of a controller (ISO 14229-2), longest pause of a tester with a session
 CLASSIC_BYTES: Final = 8  # of a frame of a request
-PADDING: Final = 0xCC  # what fills it, ISO 15765-2: the bits stuffed least
+PADDING: Final = 0xCC  # ISO 15765-2: fewest stuff bits
 _PATIENCE_S: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeardTraffic:
-    """What was heard."""
+    """Traffic on a bus before the first request."""
 
     duration_s: float
     frame_count: int
     can_ids: frozenset[int]
-    error_count: int = 0  # frames that tell of trouble on the bus
+    error_count: int = 0  # error frames
 
     def __str__(self) -> str:
         if not self.frame_count:
@@ -47,13 +47,13 @@ class HeardTraffic:
         return f"{self.frame_count} frames of {len(self.can_ids)} identifiers in {self.duration_s:g} s, {rate_hz:.0f}/s"
 
     def other_testers(self, address: CanAddress | None = None) -> tuple[int, ...]:
-        """Return the identifiers by which somebody else asks: those of the standard, and that of an address."""
-        own = set() if address is None else {address.request_id}
-        return tuple(sorted(can_id for can_id in self.can_ids if is_request(can_id) or can_id in own))
+        """Return identifiers of requests by other testers: those of the standard, and that of an address."""
+        addressed = set() if address is None else {address.request_id}
+        return tuple(sorted(can_id for can_id in self.can_ids if is_request(can_id) or can_id in addressed))
 
 
 def send(bus: can.BusABC, message: can.Message) -> None:
-    """Put a frame on a bus; raises ControllerError if the bus does not take it."""
+    """Send a frame; raises ControllerError if the bus refuses it."""
     try:
         bus.send(message, timeout=1.0)
     except (can.CanError, OSError, ValueError) as exc:
@@ -61,7 +61,7 @@ def send(bus: can.BusABC, message: can.Message) -> None:
 
 
 def receive(bus: can.BusABC, patience_s: float) -> can.Message | None:
-    """Return the next frame, None if none comes in time; raises ControllerError if the bus cannot be read."""
+    """Return the next frame, None after the timeout; raises ControllerError if the bus cannot be read."""
     try:
         return bus.recv(patience_s)
     except (can.CanError, OSError, ValueError) as exc:
@@ -69,9 +69,9 @@ def receive(bus: can.BusABC, patience_s: float) -> can.Message | None:
 
 
 def listen(bus: can.BusABC, duration_s: float = LISTEN_S, goes_on: Callable[[], bool] = lambda: True) -> HeardTraffic:
-    """Return what is heard on a bus for so long.
+    """Return the traffic on a bus during a time.
 
-    Raises ControllerError if it cannot be read, StoppedError if it shall not go on.
+    Raises ControllerError if the bus cannot be read, StoppedError if ``goes_on`` returns False.
     """
     until_s = time.monotonic() + duration_s
     frame_count = error_count = 0
@@ -93,7 +93,7 @@ def listen(bus: can.BusABC, duration_s: float = LISTEN_S, goes_on: Callable[[], 
 
 
 def check_alone(traffic: HeardTraffic, address: CanAddress | None = None) -> None:
-    """Raise ControllerError if another tester was heard: two on one bus take each other's answers."""
+    """Raise ControllerError if there is another tester: two on one bus receive each other's answers."""
     if others := traffic.other_testers(address):
         named = ", ".join(map(id_text, others))
         raise ControllerError(f"another tester is asking on this bus (requests on {named}): nothing was asked")
@@ -102,16 +102,16 @@ def check_alone(traffic: HeardTraffic, address: CanAddress | None = None) -> Non
 DOIP_PORT: Final = 13400
 CONNECT_S: Final = 5.0
 LARGEST_LOGICAL: Final = 0xFFFF
-MOST_WAITING: Final = 100_000  # frames on a bus that was handed over, from before anybody listened
+MOST_WAITING: Final = 100_000  # old frames dropped from a bus that was passed in
 _LARGEST_PORT: Final = 0xFFFF
 LONGEST_S: Final = 3600.0
-JOIN_S: Final = 3.0  # how long an ending service waits for a question that is under way
+JOIN_S: Final = 3.0  # time to end a request in progress
 SHORTEST_ANSWER_S: Final = 0.001
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DoipPlace:
-    """Where a node listens, and its logical address."""
+    """Host, port and logical address of a DoIP node."""
 
     host: str
     port: int = DOIP_PORT
@@ -138,7 +138,7 @@ def parse_doip(text: str, logical_address: int) -> DoipPlace:
 
 
 def address_for(named: CanAddress | None, description: Description) -> CanAddress:
-    """Return where to ask: as named, or as described, or where the standard has the transmission."""
+    """Return the given address, or that of the description, or that of the transmission by the standard."""
     if named is not None:
         return named
     request_id = TRANSMISSION if description.request_id is None else description.request_id
@@ -153,25 +153,25 @@ def check_libraries() -> None:
 
 @contextmanager
 def opened_bus(place: BusConfig | can.BusABC) -> Iterator[can.BusABC]:
-    """Open a bus for the time of the block; one that is open is lent, and stays open with the filters that it had.
+    """Open a bus for the block; an open one is used without its filters, which would hide other testers.
 
-    Meanwhile it has none: behind them another tester could not be heard.
+    It stays open, and gets its filters back.
 
     Raises
     ------
     ExtraMissingError
-        If a library that asks is missing.
+        If a library of the tester is missing.
     SourceError
-        If it is not named or cannot be opened.
+        If the bus is not named or cannot be opened.
     ControllerError
-        If one that is open cannot be read.
+        If an open bus cannot be read.
     """
     check_libraries()
     if not isinstance(place, BusConfig):
         filters = place.filters
         try:
             place.set_filters(None)
-            for _ in range(MOST_WAITING):  # from before anybody listened: a tester of long ago disturbs nobody
+            for _ in range(MOST_WAITING):  # old frames, also of testers that have gone
                 if receive(place, 0.0) is None:
                     break
             yield place
@@ -194,7 +194,7 @@ def dialogue_on(
     is_fd: bool = False,
     goes_on: Callable[[], bool] = lambda: True,
 ) -> "Dialogue":
-    """Return a tester for one controller; from now on the bus gives no more than that controller's frames."""
+    """Return a dialogue with one controller; from now on the bus receives its frames only."""
     from workshop.tester.dialogue import CanConnection, Dialogue  # noqa: PLC0415 - libraries of an extra
 
     mask = 0x1FFF_FFFF if is_extended(address.response_id) else 0x7FF
@@ -206,12 +206,12 @@ def dialogue_on(
 def dialogue_over_ip(
     place: DoipPlace, timing: TesterTiming, *, goes_on: Callable[[], bool] = lambda: True
 ) -> Iterator["Dialogue"]:
-    """Connect to a node for the time of the block.
+    """Connect to a node for the block.
 
     Raises
     ------
     ControllerError
-        If it is not there, is another or refuses.
+        If the node is missing, has another address or refuses.
     ExtraMissingError
         If doipclient is not installed.
     """
@@ -235,11 +235,11 @@ def dialogue_over_ip(
 
 
 class AskingThread(ABC):
-    """What asks in a thread of its own while it is entered; ``_run`` is to end soon after ``goes_on`` has."""
+    """A thread of requests while it is entered; ``_run`` must end soon after ``goes_on`` is False."""
 
     def __init__(self, name: str) -> None:
         self._is_over = threading.Event()
-        context = contextvars.copy_context()  # what is said belongs to whoever makes this
+        context = contextvars.copy_context()  # log records belong to the caller
         self._thread = threading.Thread(target=context.run, args=(self._run,), name=name, daemon=True)
 
     @property
@@ -254,13 +254,13 @@ class AskingThread(ABC):
         self.end()
 
     def end(self) -> None:
-        """Ask no more; wait a little for a question that is under way."""
+        """Stop, and wait up to `JOIN_S` for a request in progress."""
         self._is_over.set()
         self._thread.join(JOIN_S)
 
     @abstractmethod
     def _run(self) -> None:
-        """Ask until it is over."""
+        """Send requests until the end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -277,15 +277,15 @@ class BusTarget:
 def asking(
     target: BusTarget | DoipPlace, timing: TesterTiming, *, goes_on: Callable[[], bool] = lambda: True
 ) -> "Iterator[tuple[Dialogue, HeardTraffic | None]]":
-    """Listen, then be ready to ask for the time of the block; yield the tester, and what it heard on a bus before.
+    """Listen, then yield a dialogue, and the traffic on the bus before.
 
-    Raises SourceError, ControllerError if the bus cannot be used, another tester is at work, or a node is not there,
+    Raises SourceError, ControllerError if the bus cannot be used, another tester is active, or a node is missing,
     ExtraMissingError if a library is missing.
 
     Parameters
     ----------
     goes_on
-        Asked while an answer is waited for; False ends that with StoppedError.
+        Called while it waits; False ends that with StoppedError.
     """
     if isinstance(target, DoipPlace):
         with dialogue_over_ip(target, timing, goes_on=goes_on) as tester:
@@ -298,10 +298,10 @@ def asking(
             yield tester, traffic
 
 
-def heard(
+def listen_at(
     place: BusConfig | can.BusABC | DoipPlace, listen_s: float, goes_on: Callable[[], bool] = lambda: True
 ) -> HeardTraffic | None:
-    """Return what is heard where something would be asked; None: over IP there is nothing to hear.
+    """Return the traffic on a bus; None over IP.
 
     Raises SourceError, ControllerError if the bus cannot be used.
     """
@@ -312,13 +312,13 @@ def heard(
 
 
 def check_time(name: str, value_s: float, *, least_s: float) -> None:
-    """Raise ConfigError unless a time is usable [s]."""
+    """Raise ConfigError unless a time is in its range [s]."""
     if not least_s <= value_s <= LONGEST_S:
         raise ConfigError(f"{name} must be {least_s:g} to {LONGEST_S:g} s, got {value_s:g}")
 
 
 def timing_of(listen_s: float, timeout_s: float) -> TesterTiming:
-    """Return how patient the tester is to be; raises ConfigError if a time cannot be."""
+    """Return the timing of the tester; raises ConfigError if a time is out of range."""
     check_time("listen", listen_s, least_s=0.0)
     check_time("timeout", timeout_s, least_s=SHORTEST_ANSWER_S)
     return TesterTiming(p2_s=timeout_s)

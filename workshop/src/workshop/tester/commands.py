@@ -1,4 +1,4 @@
-"""``diag-service dtc``, ``did``, ``routine`` and ``scan``: controllers are asked, what they say is shown."""
+"""``diag-service dtc``, ``did``, ``routine`` and ``scan``: ask controllers and show the answers."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -14,7 +14,7 @@ from diag_service.service.stopping import Controls, Trigger
 from diag_service.settings.config import BusConfig
 from workshop.tester import questions, scanning
 from workshop.tester.addresses import LARGEST_ID, hexadecimal, id_text, number_of
-from workshop.tester.asking import LARGEST_LOGICAL, SHORTEST_ANSWER_S, DoipPlace, HeardTraffic, check_time, heard
+from workshop.tester.asking import LARGEST_LOGICAL, SHORTEST_ANSWER_S, DoipPlace, HeardTraffic, check_time, listen_at
 from workshop.tester.trouble import (
     Record,
     TroubleCode,
@@ -26,13 +26,13 @@ from workshop.tester.trouble import (
 )
 from workshop.tester.uds_tester import UdsTester, place_of
 
-MOST_NAMED: Final = 3  # in the line that says what was not told
+MOST_NAMED: Final = 3  # missing data that an error names
 _AnswerT = TypeVar("_AnswerT")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AskedOptions:
-    """Where controllers are asked, and how long that may take."""
+    """Bus or node, and timeouts."""
 
     interface: str | None
     channel: str | None
@@ -50,7 +50,7 @@ class AskedOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OneControllerOptions(AskedOptions):
-    """The same of one controller, and what it has."""
+    """The same for one controller, with its description."""
 
     description: Path | None
     session: str
@@ -58,7 +58,7 @@ class OneControllerOptions(AskedOptions):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TroubleOptions(OneControllerOptions):
-    """Which trouble codes are read or cleared."""
+    """Options of ``dtc``."""
 
     mask: str
     has_all: bool
@@ -68,14 +68,14 @@ class TroubleOptions(OneControllerOptions):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DataOptions(OneControllerOptions):
-    """Which data are read."""
+    """Options of ``did``."""
 
     data: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoutineOptions(OneControllerOptions):
-    """What is to be done with which routine."""
+    """Options of ``routine``."""
 
     routine: str
     action: str
@@ -86,7 +86,7 @@ class RoutineOptions(OneControllerOptions):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanOptions(AskedOptions):
-    """Where controllers are looked for."""
+    """Options of ``scan``."""
 
     first: str | None
     last: str | None
@@ -96,15 +96,15 @@ class ScanOptions(AskedOptions):
 
 
 def dtc(options: TroubleOptions, controls: Controls) -> None:
-    """Read trouble codes and show them, or clear them and show what is left. ControllerError: not all was told."""
+    """Read trouble codes, or clear them, and show them; raises ControllerError if details are missing."""
     mask = 0 if options.has_all else hexadecimal(options.mask, "--mask", 0xFF)
     if options.clear is None:
         question = questions.TroubleQuestion(mask=mask, has_details=not options.brief)
 
-        def told(codes: Sequence[TroubleCode]) -> tuple[Record, Iterable[str]]:
+        def render(codes: Sequence[TroubleCode]) -> tuple[Record, Iterable[str]]:
             return {"codes": [trouble_record(code) for code in codes]}, trouble_lines(codes)
 
-        codes = ask_one("dtc", options, question, told, controls.stop) or ()
+        codes = ask_one("dtc", options, question, render, controls.stop) or ()
         if faults := [code.fault for code in codes if code.fault]:
             raise ControllerError(f"what was kept of {len(faults)} of {len(codes)} codes was not told: {faults[0]}")
     else:
@@ -122,39 +122,39 @@ def _clear_question(word: str, session_text: str, controls: Controls, mask: int)
     group = questions.parse_group(word)
 
     def is_agreed(where: str, codes: Sequence[TroubleCode]) -> bool:
-        told = ", ".join(map(code_words, codes)) or "no trouble codes"
-        return is_confirmed(f"{where} tells {told}; clear {group.word}?", lambda: not controls.stop.is_set)
+        listed = ", ".join(map(code_words, codes)) or "no trouble codes"
+        return is_confirmed(f"{where} tells {listed}; clear {group.word}?", lambda: not controls.stop.is_set)
 
     return questions.ClearQuestion(group=group, mask=mask, session=session, is_agreed=is_agreed)
 
 
 def _shown_clearing(cleared: questions.Clearing) -> tuple[Record, Iterable[str]]:
-    """Return what was cleared and what is left; nothing was if no group is there."""
+    """Return the cleared and remaining codes as JSON and lines."""
     numbers = {"before": cleared.before, "gone": cleared.gone, "left": cleared.after}
-    told: Record = {name: [f"{code.number:06X}" for code in codes] for name, codes in numbers.items()}
+    hex_numbers: Record = {name: [f"{code.number:06X}" for code in codes] for name, codes in numbers.items()}
     groups = [f"{number:06X}" for number in cleared.groups]
     left = [trouble_record(code) for code in cleared.after]
-    return {"codes": left, "cleared": {"groups": groups, **told}}, cleared_lines(cleared)
+    return {"codes": left, "cleared": {"groups": groups, **hex_numbers}}, cleared_lines(cleared)
 
 
 def did(options: DataOptions, controls: Controls) -> None:
-    """Read data and show them; without names, all that the description has. ControllerError: not all was told."""
+    """Read data and show them; raises ControllerError if some are missing."""
     session = hexadecimal(options.session, "--session", questions.LARGEST_SESSION)
     question = questions.DataQuestion(words=tuple(options.data), session=session)
 
-    def told(found: Sequence[questions.DataAnswer]) -> tuple[Record, Iterable[str]]:
-        return {"data": [data_record(one) for one in found]}, data_lines(found)
+    def render(answers: Sequence[questions.DataAnswer]) -> tuple[Record, Iterable[str]]:
+        return {"data": [data_record(answer) for answer in answers]}, data_lines(answers)
 
-    answers = ask_one("did", options, question, told, controls.stop) or ()
-    missing = [one for one in answers if one.values is None]
-    if any(one.fault for one in missing) or (missing and (options.data or len(missing) == len(answers))):
-        named = [f"{one.number:04X}: {one.trouble}" for one in missing[:MOST_NAMED]]
+    answers = ask_one("did", options, question, render, controls.stop) or ()
+    missing = [answer for answer in answers if answer.values is None]
+    if any(answer.fault for answer in missing) or (missing and (options.data or len(missing) == len(answers))):
+        named = [f"{answer.number:04X}: {answer.trouble}" for answer in missing[:MOST_NAMED]]
         more = [f"and {len(missing) - MOST_NAMED} more"] if len(missing) > MOST_NAMED else []
         raise ControllerError(f"{len(missing)} of {len(answers)} data were not told: {'; '.join(named + more)}")
 
 
 def routine(options: RoutineOptions, controls: Controls) -> None:
-    """Do what was asked, in a session of its own and unlocked if need be."""
+    """Start or stop a routine, or read its results, and show the answer."""
     check_time("patience", options.patience, least_s=SHORTEST_ANSWER_S)
     question = questions.RoutineQuestion(
         routine=options.routine,
@@ -165,7 +165,11 @@ def routine(options: RoutineOptions, controls: Controls) -> None:
         patience_s=options.patience,
     )
     ask_one(
-        "routine", options, question, lambda one: ({"routine": routine_record(one)}, routine_lines(one)), controls.stop
+        "routine",
+        options,
+        question,
+        lambda answer: ({"routine": routine_record(answer)}, routine_lines(answer)),
+        controls.stop,
     )
 
 
@@ -179,7 +183,7 @@ def _lock(text: str) -> questions.Lock:
 
 
 def scan(options: ScanOptions, controls: Controls) -> None:
-    """Look for controllers and ask each what it can be asked; raises StoppedError if that was stopped."""
+    """Scan and show the controllers; raises StoppedError if it was stopped."""
     plan = scanning.ScanPlan(
         place=_place(options),
         first=number_of(options.first, "--first", LARGEST_ID),
@@ -193,17 +197,22 @@ def scan(options: ScanOptions, controls: Controls) -> None:
     )
     stop = controls.stop
     if not options.active:
-        show_wish(
-            "scan", plan.requests, heard(plan.place, plan.listen_s, lambda: not stop.is_set), is_json=options.json
+        show_requests(
+            "scan", plan.requests, listen_at(plan.place, plan.listen_s, lambda: not stop.is_set), is_json=options.json
         )
     else:
         count = len(plan.request_ids)
         text = f"asking {count} identifiers, which takes {count * plan.wait_s:.0f} s or more" if count else "asking"
         with ReadingLine() as line:
-            found = scanning.scan(plan, goes_on=waiting(line, text, stop))
-        traffic = {} if found.traffic is None else {"bus": traffic_record(found.traffic)}
-        record = outcome("scan", is_asked=True, **traffic, controllers=[found_record(one) for one in found.controllers])
-        write_record(record, found_lines(found.controllers), as_json=options.json)
+            result = scanning.scan(plan, goes_on=waiting(line, text, stop))
+        traffic = {} if result.traffic is None else {"bus": traffic_record(result.traffic)}
+        record = outcome(
+            "scan",
+            is_asked=True,
+            **traffic,
+            controllers=[controller_record(controller) for controller in result.controllers],
+        )
+        write_record(record, controller_lines(result.controllers), as_json=options.json)
     if stop.is_set:
         raise StoppedError("stopped early: what was shown is a part of what is there")
 
@@ -220,19 +229,19 @@ def ask_one(
     command: str,
     options: OneControllerOptions,
     question: questions.Question[_AnswerT],
-    told: Callable[[_AnswerT], tuple[Record, Iterable[str]]],
+    render: Callable[[_AnswerT], tuple[Record, Iterable[str]]],
     stop: Trigger,
 ) -> _AnswerT | None:
-    """Listen, ask one controller, show and return the answer; without ``--active`` say what it would be asked.
+    """Listen, ask one controller, show and return the answer; without ``--active`` show the requests only.
 
-    Raises ConfigError, ExtraMissingError, SourceError, ControllerError if something cannot be used, or the controller
-    does not answer or will not, StoppedError if it was stopped.
+    Raises ConfigError, ExtraMissingError, SourceError, ControllerError if something is invalid or missing, or the
+    controller refuses or does not answer, StoppedError if it was stopped.
 
     Parameters
     ----------
     command
-        Its name, which the schema of the outcome bears.
-    told
+        Name, part of the schema of the outcome.
+    render
         Returns an answer as JSON, and as lines for people.
     stop
         Ends it early.
@@ -251,17 +260,17 @@ def ask_one(
         listen_s=options.listen,
         timeout_s=options.timeout,
     )
-    wanted = question.requests(tester.described)
+    requests = question.requests(tester.described)
     tester.goes_on = lambda: not stop.is_set
     if not options.active:
         with tester:
-            show_wish(command, wanted, tester.traffic, is_json=options.json)
+            show_requests(command, requests, tester.traffic, is_json=options.json)
         return None
     with ReadingLine() as line:
         tester.goes_on = waiting(line, "waiting for the controller", stop)
         with tester:
             answer = tester.ask(question)
-            record, lines = told(answer)
+            record, lines = render(answer)
             line.clear()
             head: Record = {"controller": tester.controller, "description": tester.description}
             more: Record = {"dialogue": asdict(tester.counts)}
@@ -270,7 +279,7 @@ def ask_one(
 
 
 def waiting(line: ReadingLine, what: str, stop: Trigger) -> Callable[[], bool]:
-    """Return what is called while answers are waited for: it tells whoever watches, and returns whether to go on."""
+    """Return a function for waits: it shows the elapsed time and returns whether to go on."""
     began_s = time.monotonic()
 
     def goes_on() -> bool:
@@ -280,11 +289,11 @@ def waiting(line: ReadingLine, what: str, stop: Trigger) -> Callable[[], bool]:
     return goes_on
 
 
-def show_wish(schema: str, wanted: Sequence[str], traffic: HeardTraffic | None, *, is_json: bool) -> None:
-    """Say what was heard and what would be asked."""
+def show_requests(schema: str, requests: Sequence[str], traffic: HeardTraffic | None, *, is_json: bool) -> None:
+    """Show the traffic and the requests that would be sent."""
     before: Record = {} if traffic is None else {"bus": traffic_record(traffic)}
-    record = outcome(schema, is_asked=False, **before, would_ask=list(wanted))
-    write_record(record, would_lines(traffic, wanted), as_json=is_json)
+    record = outcome(schema, is_asked=False, **before, would_ask=list(requests))
+    write_record(record, request_lines(traffic, requests), as_json=is_json)
 
 
 def hex_bytes(text: str, what: str) -> bytes:
@@ -296,7 +305,7 @@ def hex_bytes(text: str, what: str) -> bytes:
 
 
 def traffic_record(traffic: HeardTraffic) -> Record:
-    """Return what was heard before anything was asked."""
+    """Return the traffic before the first request as JSON."""
     return {
         "duration_s": traffic.duration_s,
         "frames": traffic.frame_count,
@@ -307,7 +316,7 @@ def traffic_record(traffic: HeardTraffic) -> Record:
 
 
 def data_record(answer: questions.DataAnswer) -> Record:
-    """Return what a controller said of one datum."""
+    """Return one datum as JSON."""
     return {
         "number": f"{answer.number:04X}",
         "name": answer.name,
@@ -339,25 +348,30 @@ def cleared_lines(cleared: questions.Clearing) -> Iterator[str]:
     yield from trouble_lines(cleared.after)
 
 
-def found_record(found: scanning.FoundController) -> Record:
-    """Return a controller and what it can be asked."""
+def controller_record(controller: scanning.FoundController) -> Record:
+    """Return a controller as JSON."""
     return {
-        "where": found.where,
-        "request_id": None if found.address is None else id_text(found.address.request_id),
-        "response_id": None if found.address is None else id_text(found.address.response_id),
+        "where": controller.where,
+        "request_id": None if controller.address is None else id_text(controller.address.request_id),
+        "response_id": None if controller.address is None else id_text(controller.address.response_id),
         "services": [
-            {"number": f"{one.number:02X}", "name": one.name, "there": one.is_there, "remark": one.remark}
-            for one in found.services
+            {
+                "number": f"{service.number:02X}",
+                "name": service.name,
+                "there": service.is_there,
+                "remark": service.remark,
+            }
+            for service in controller.services
         ],
-        "data": [data_record(one) for one in found.data],
-        "trouble_codes": found.code_count,
+        "data": [data_record(answer) for answer in controller.data],
+        "trouble_codes": controller.code_count,
     }
 
 
 def data_lines(answers: Sequence[questions.DataAnswer]) -> Iterator[str]:
     rows = [
-        (f"{one.number:04X}", one.name, one.trouble if one.values is None else values_text(one.values))
-        for one in answers
+        (f"{answer.number:04X}", answer.name, answer.trouble if answer.values is None else values_text(answer.values))
+        for answer in answers
     ]
     yield from columns(("data", "name", "value"), rows)
 
@@ -370,31 +384,31 @@ def routine_lines(answer: questions.RoutineAnswer) -> Iterator[str]:
         yield f"  {values_text(answer.values)}"
 
 
-def found_lines(controllers: Sequence[scanning.FoundController]) -> Iterator[str]:
+def controller_lines(controllers: Sequence[scanning.FoundController]) -> Iterator[str]:
     yield f"{len(controllers)} controllers answer" if len(controllers) != 1 else "1 controller answers"
-    for found in controllers:
-        codes = "" if found.code_count is None else f", trouble codes: {found.code_count}"
-        yield f"{found.where}{codes}"
+    for controller in controllers:
+        codes = "" if controller.code_count is None else f", trouble codes: {controller.code_count}"
+        yield f"{controller.where}{codes}"
         rows = [
             (
-                f"{one.number:02X}",
-                one.name,
-                ("yes" if one.is_there else "no") + (f": {one.remark}" if one.remark else ""),
+                f"{service.number:02X}",
+                service.name,
+                ("yes" if service.is_there else "no") + (f": {service.remark}" if service.remark else ""),
             )
-            for one in found.services
+            for service in controller.services
         ]
         yield from (f"  {line}" for line in columns(("service", "name", "is there"), rows))
-        yield from (f"  {line}" for line in data_lines(found.data) if found.data)
+        yield from (f"  {line}" for line in data_lines(controller.data) if controller.data)
 
 
-def would_lines(traffic: HeardTraffic | None, wishes: Sequence[str]) -> Iterator[str]:
-    """Yield what was heard, and what would be asked."""
+def request_lines(traffic: HeardTraffic | None, requests: Sequence[str]) -> Iterator[str]:
+    """Yield the traffic and the requests that would be sent."""
     if traffic is not None:
         yield f"listened: {traffic}"
         if others := traffic.other_testers():
             yield f"another tester is at work: requests on {', '.join(map(id_text, others))}"
     yield "nothing was sent; with --active this would be asked:"
-    yield from (f"  {wish}" for wish in wishes)
+    yield from (f"  {request}" for request in requests)
 
 
 def outcome(schema: str, *, is_asked: bool, **more: object) -> Mapping[str, object]:

@@ -1,4 +1,4 @@
-"""What a tester knows of a controller: bytes of its data, codes, routines; from TOML or ODX (ISO 22901-1)."""
+"""Descriptions of controllers for the tester: data, codes, routines; from TOML or ODX (ISO 22901-1)."""
 
 import math
 import re
@@ -27,11 +27,11 @@ SYSTEMS: Final = "PCBU"  # powertrain, chassis, body, network: the two upper bit
 _CODE: Final = re.compile(r"[PCBU][0-3][0-9A-F]{3}")
 _LARGEST_DATA: Final = 0xFFFF
 _FLOATS: Final = {4: ">f", 8: ">d"}
-_DIGITS: Final = 12  # significant digits of a scaled number: no more than its steps have
+_DIGITS: Final = 12  # significant digits of a scaled number
 
 
 class CodedType(StrEnum):
-    """How a value is written into bytes, big-endian."""
+    """Coding of a value, big-endian."""
 
     UNSIGNED = "unsigned"
     SIGNED = "signed"
@@ -46,12 +46,12 @@ class Field:
 
     name: str
     kind: CodedType
-    size_bytes: int = 0  # 0: all that is left, for the last field
+    size_bytes: int = 0  # 0: all remaining bytes, for the last field
     unit: str = ""
     resolution: float = 1.0  # of one bit, in that unit
     offset: float = 0.0
-    invalid: int | None = None  # the number, before it is scaled, that says that there is no value
-    meanings: Mapping[str, str] = field(default_factory=dict)  # of numbers before they are scaled
+    invalid: int | None = None  # raw number that means "not available"
+    meanings: Mapping[str, str] = field(default_factory=dict)  # by raw number
 
     def __post_init__(self) -> None:
         if self.size_bytes < 0 or (
@@ -87,22 +87,22 @@ class Datum:
     def __post_init__(self) -> None:
         if not 0 <= self.number <= _LARGEST_DATA:
             raise ConfigError(f"{self.name}: its number must be 0..0xFFFF, got {self.number}")
-        if not self.fields or any(not one.size_bytes for one in self.fields[:-1]):
+        if not self.fields or any(not entry.size_bytes for entry in self.fields[:-1]):
             raise ConfigError(f"{self.name}: it needs fields, all but the last of them with size_bytes")
 
     @property
     def size_bytes(self) -> int | None:
-        """How many bytes it has; None if only the controller knows."""
+        """Its length [byte]; None if it is unknown."""
         return fields_size_bytes(self.fields)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CodeDescription:
-    """A trouble code as scan tools show it, and what it says."""
+    """A trouble code and its text."""
 
     code: str  # P0811
     text: str
-    failure_type: int | None = None  # None: whatever it is
+    failure_type: int | None = None  # None: any
 
     def __post_init__(self) -> None:
         if not _CODE.fullmatch(self.code):
@@ -111,7 +111,7 @@ class CodeDescription:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoutineDescription:
-    """A routine: what it is started with, and what its results hold."""
+    """A routine with its options and results."""
 
     number: int
     name: str
@@ -121,7 +121,7 @@ class RoutineDescription:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Description:
-    """A controller as a tester sees it; a reader stands in for fields where another library knows how."""
+    """A controller for the tester; data from ODX are decoded by readers in place of fields."""
 
     name: str
     data: Mapping[int, Datum] = field(default_factory=dict)
@@ -133,17 +133,17 @@ class Description:
     readers: Mapping[int, Reader] = field(default_factory=dict)
 
     def size_bytes(self, number: int) -> int | None:
-        """Return how many bytes a datum has; None if only the controller knows."""
+        """Return the length of a datum [byte]; None if it is unknown."""
         datum = self.data.get(number)
         return None if datum is None else datum.size_bytes
 
     def data_name(self, number: int) -> str:
-        """Return what a datum is called, empty if it is not known."""
+        """Return the name of a datum, empty if it is unknown."""
         datum = self.data.get(number) or STANDARD_DATA.get(number)
         return "" if datum is None else datum.name
 
     def values(self, number: int, data: bytes) -> Values:
-        """Return what the bytes of a datum mean; those of one that is not known as text or in hexadecimal."""
+        """Return the values in the bytes of a datum; an unknown datum as text or in hexadecimal."""
         if number in self.readers:
             return {name: _finite(value) for name, value in self.readers[number](data).items()}
         datum = self.data.get(number) or STANDARD_DATA.get(number)
@@ -158,15 +158,19 @@ class Description:
         return _find(word, {number: routine.name for number, routine in self.routines.items()}, "routine")
 
     def trouble_text(self, number: int) -> str:
-        """Return what a code of three bytes says, empty if it is not known; one with its failure type goes first."""
+        """Return the text of a code of three bytes, empty if unknown; one with its failure type has priority."""
         code, failure_type = code_text(number), number & 0xFF
-        fitting = [one for one in self.troubles if one.code == code and one.failure_type in {None, failure_type}]
-        return max(fitting, key=lambda one: one.failure_type is not None).text if fitting else ""
+        fitting = [
+            trouble
+            for trouble in self.troubles
+            if trouble.code == code and trouble.failure_type in {None, failure_type}
+        ]
+        return max(fitting, key=lambda trouble: trouble.failure_type is not None).text if fitting else ""
 
 
 def fields_size_bytes(fields: tuple[Field, ...]) -> int | None:
-    """Return how many bytes fields have; None if only the controller knows."""
-    return sum(one.size_bytes for one in fields) if fields and fields[-1].size_bytes else None
+    """Return the length of fields [byte]; None if it is unknown."""
+    return sum(entry.size_bytes for entry in fields) if fields and fields[-1].size_bytes else None
 
 
 def code_text(number: int) -> str:
@@ -176,18 +180,18 @@ def code_text(number: int) -> str:
 
 
 def read_fields(fields: tuple[Field, ...], data: bytes) -> dict[str, Value]:
-    """Return the values in bytes by name and unit; what they do not reach is left out, what is left over is in hex."""
-    found: dict[str, Value] = {}
+    """Return the values in bytes by name and unit; missing fields are left out, surplus bytes are in hexadecimal."""
+    values: dict[str, Value] = {}
     place = 0
     for entry in fields:
         piece = data[place : place + entry.size_bytes] if entry.size_bytes else data[place:]
         if len(piece) < entry.size_bytes:
             break
         place += len(piece)
-        found[entry.label] = _finite(_value(entry, piece))
+        values[entry.label] = _finite(_value(entry, piece))
     if place < len(data):
-        found["more bytes"] = data[place:].hex(" ").upper()
-    return found
+        values["more bytes"] = data[place:].hex(" ").upper()
+    return values
 
 
 def _value(entry: Field, piece: bytes) -> Value:
@@ -196,7 +200,7 @@ def _value(entry: Field, piece: bytes) -> Value:
             return readable(piece)
         case CodedType.BYTES:
             return piece.hex(" ").upper()
-        case CodedType.FLOAT:  # to the last bit, unless it is scaled
+        case CodedType.FLOAT:
             return float(struct.unpack(_FLOATS[entry.size_bytes], piece)[0]) * entry.resolution + entry.offset
     number = int.from_bytes(piece, "big", signed=entry.kind is CodedType.SIGNED)
     if number == entry.invalid:
@@ -207,20 +211,20 @@ def _value(entry: Field, piece: bytes) -> Value:
 
 
 def _finite(value: Value) -> Value:
-    """Return a value; a number that is none, or larger than all numbers, is not available."""
+    """Return a value; NaN and infinity become None, not available."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def readable(data: bytes) -> str:
-    """Return bytes as text without what fills it up; in hexadecimal if they are none."""
+    """Return bytes as text without padding; in hexadecimal if they are not ASCII."""
     text = data.rstrip(b"\0 ")
     return text.decode("ascii") if all(0x20 <= byte < 0x7F for byte in text) else data.hex(" ").upper()
 
 
 def _find(word: str, names: Mapping[int, str], what: str) -> int:
-    found = [number for number, name in names.items() if name.casefold() == word.casefold()]
-    if found:
-        return found[0]
+    numbers = [number for number, name in names.items() if name.casefold() == word.casefold()]
+    if numbers:
+        return numbers[0]
     if re.fullmatch(r"(?:0x)?[0-9A-F]{1,4}", word, re.IGNORECASE):
         return int(word, 16)
     known = "; it has " + ", ".join(sorted(names.values())) if names else ""
@@ -239,7 +243,7 @@ _NumberedT = TypeVar("_NumberedT", Datum, RoutineDescription)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
-    """By which datum a controller is known, and what it says there."""
+    """The datum and text by which a controller is recognised."""
 
     number: int
     text: str
@@ -247,7 +251,7 @@ class Identity:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DescriptionFile:
-    """What a TOML file may hold."""
+    """The content of a TOML file."""
 
     name: str
     request_id: int | None = None
@@ -265,7 +269,7 @@ class DescriptionFile:
 
     @property
     def description(self) -> Description:
-        """The controller that it describes, and what controllers of all makers have besides."""
+        """The description, with the standard data of all controllers."""
         return Description(
             name=self.name,
             data={**STANDARD_DATA, **_numbered(self.data, "data")},
@@ -278,10 +282,9 @@ class DescriptionFile:
 
 
 def find_description(name: Path | None) -> Description:
-    """Return a description by its path or by the name of one that ships; without one, what all controllers have.
+    """Return a description by its path or the name of a shipped one; without a name that of the standard data.
 
-    Raises ConfigError if there is none, or it cannot be used, ExtraMissingError if it is a PDX and odxtools is not
-    installed.
+    Raises ConfigError if it does not exist or is invalid, ExtraMissingError if a PDX needs odxtools.
     """
     if name is None:
         return UNKNOWN
@@ -304,7 +307,7 @@ def shipped() -> list[DescriptionFile]:
 
 
 def load_file(path: Path) -> DescriptionFile:
-    """Return what a TOML file holds; raises ConfigError naming the first key that is wrong."""
+    """Return the content of a TOML file; raises ConfigError naming the first wrong key."""
     table = read_table(path, "the description", ConfigError)
     try:
         described = record_from(DescriptionFile, table, error=ConfigError)
@@ -315,26 +318,25 @@ def load_file(path: Path) -> DescriptionFile:
 
 
 def _numbered(records: Iterable[_NumberedT], what: str) -> Mapping[int, _NumberedT]:
-    found: dict[int, _NumberedT] = {}
+    numbered: dict[int, _NumberedT] = {}
     for record in records:
-        if record.number in found:
+        if record.number in numbered:
             raise ConfigError(f"{what} 0x{record.number:04X} is there twice")
-        found[record.number] = record
-    return found
+        numbered[record.number] = record
+    return numbered
 
 
 def load_odx(path: Path) -> Description:
-    """Return the controller that a PDX package or an ODX file describes: its first base or controller variant.
+    """Return the description of the first controller or base variant in a PDX package or an ODX file.
 
-    Raises ConfigError if the file cannot be read, or describes no controller, ExtraMissingError if odxtools is not
-    installed.
+    Raises ConfigError if the file is invalid or has no controller, ExtraMissingError if odxtools is missing.
     """
     extra = "odx" if find_spec("udsoncan") else "odx,uds"
     odxtools = load_extra("odxtools", "PDX files need odxtools", extra, "./workshop")
     try:
         check_plain_file(path, MOST_BYTES)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what a maker's file does not keep of the standard
+            warnings.simplefilter("ignore")  # of deviations from the standard
             database = odxtools.load_file(str(path), use_weakrefs=False)
     except OSError as exc:
         raise ConfigError(f"cannot read {path}: {exc.strerror or exc}") from exc
@@ -353,7 +355,7 @@ def _description(layer: Any) -> Description:  # noqa: ANN401 - of a library with
         number = int.from_bytes(request[-2:], "big")
         if request[0] == READ_DATA and len(request) == _HEAD_BYTES:
             responses = service.positive_responses
-            bits = responses[0].get_static_bit_length() if responses else None  # None: not always the same
+            bits = responses[0].get_static_bit_length() if responses else None  # None: of variable length
             size_bytes = 0 if bits is None else max(0, bits // 8 - _HEAD_BYTES)
             whole = Field(name="bytes", kind=CodedType.BYTES, size_bytes=size_bytes)
             data[number] = Datum(number=number, name=_name(service), fields=(whole,))
@@ -372,7 +374,7 @@ def _description(layer: Any) -> Description:  # noqa: ANN401 - of a library with
 
 
 def _constant_requests(layer: Any) -> Iterator[tuple[Any, bytes]]:  # noqa: ANN401 - see above
-    """Yield the services of which the beginning of the request is fixed, with that."""
+    """Yield services and the constant beginning of their request."""
     for service in layer.services:
         if getattr(service, "request", None) is not None:
             prefix = bytes(service.request.coded_const_prefix())
@@ -385,11 +387,11 @@ def _reader(service: Any, number: int) -> Reader:  # noqa: ANN401 - see above
 
     def read(data: bytes) -> Values:
         try:
-            found = service.decode_message(head + data).param_dict
+            decoded = service.decode_message(head + data).param_dict
         except Exception:  # noqa: BLE001 - whatever the library makes of bytes that do not fit the file
             return {"": data.hex(" ").upper()}
         fixed = {part.short_name for part in service.positive_responses[0].parameters if part.parameter_type != "VALUE"}
-        values = list(_flat({name: value for name, value in found.items() if name not in fixed}))
+        values = list(_flat({name: value for name, value in decoded.items() if name not in fixed}))
         inner = Counter(path[-1] for path, _ in values)
         return {path[-1] if inner[path[-1]] == 1 else " ".join(path): value for path, value in values}
 
@@ -397,7 +399,7 @@ def _reader(service: Any, number: int) -> Reader:  # noqa: ANN401 - see above
 
 
 def _flat(value: object, path: tuple[str, ...] = ("",)) -> Iterator[tuple[tuple[str, ...], Value]]:
-    """Yield the values within nested ones, each with its names, the innermost last."""
+    """Yield nested values, each with its path of names."""
     if isinstance(value, Mapping):
         for key, inner in value.items():
             yield from _flat(inner, (*filter(None, path), str(key)))
@@ -414,19 +416,19 @@ def _flat(value: object, path: tuple[str, ...] = ("",)) -> Iterator[tuple[tuple[
 
 def _troubles(layer: Any) -> Iterator[CodeDescription]:  # noqa: ANN401 - see above
     dictionary = layer.diag_data_dictionary_spec
-    seen = set[int]()
+    listed = set[int]()
     for dop in () if dictionary is None else dictionary.dtc_dops:
         for dtc in dop.dtcs:
             number = int(dtc.trouble_code)
-            if number in seen:
+            if number in listed:
                 continue
-            seen.add(number)
+            listed.add(number)
             text = str(getattr(dtc.text, "text", dtc.text))
             yield CodeDescription(code=code_text(number), text=text, failure_type=number & 0xFF)
 
 
 def _name(service: Any) -> str:  # noqa: ANN401 - see above
-    """Return what people call a service: its long name, or the short one without what stands for blanks."""
+    """Return the long name of a service, or the short one with blanks for underscores, without its verb."""
     name = service.long_name or service.short_name.replace("_", " ")
     for verb in ("Read ", "Start "):
         name = name.removeprefix(verb)
@@ -435,13 +437,13 @@ def _name(service: Any) -> str:  # noqa: ANN401 - see above
 
 def _or_none(find: Any) -> int | None:  # noqa: ANN401 - a method of the library
     try:
-        found = find()
+        can_id = find()
     except Exception:  # noqa: BLE001 - a file without parameters of communication
         return None
-    return None if found is None else int(found)
+    return None if can_id is None else int(can_id)
 
 
 _TABLE: Final = read_table(Path(__file__).parent / "standard.toml", "the description", ConfigError)
 _STANDARD: Final = record_from(DescriptionFile, _TABLE, error=ConfigError)
-STANDARD_DATA: Final = _numbered(_STANDARD.data, "data")  # that controllers of all makers give
+STANDARD_DATA: Final = _numbered(_STANDARD.data, "data")  # data of all makers
 UNKNOWN: Final = Description(name=_STANDARD.name, data=STANDARD_DATA)

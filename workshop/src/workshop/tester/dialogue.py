@@ -1,4 +1,4 @@
-"""Questions to one controller by udsoncan, can-isotp, doipclient: late answers, those for others, a busy controller."""
+"""Requests to one controller by udsoncan, can-isotp and doipclient, with late answers, busy and silent controllers."""
 
 import logging
 import time
@@ -28,9 +28,9 @@ from workshop.tester.answers import (
     TesterTiming,
     belongs,
     fault,
+    hex_text,
     refusal_text,
     request_text,
-    shown,
 )
 from workshop.tester.asking import CLASSIC_BYTES, PADDING, receive, send
 
@@ -41,14 +41,14 @@ _client, _messages, _connectors = (
 connector: Final = _connectors.DoIPClientUDSConnector
 _PIECE_BYTES: Final = 65_536
 _TCP: Final = _client.DoIPClient.TransportType.TRANSPORT_TCP
-logging.getLogger("doipclient").setLevel(logging.CRITICAL + 1)  # it warns of every message for others
+logging.getLogger("doipclient").setLevel(logging.CRITICAL + 1)  # it warns of every unexpected message
 
 
 class DoipNode(_client.DoIPClient):  # type: ignore[misc, name-defined]  # a library without types
-    """Waits as long as it is told; the library's own waits 2 s, and throws away what came after its time."""
+    """Waits for the given time; the library's class waits 2 s, and drops data that come after the timeout."""
 
     def read_doip(self, timeout: float = 2.0, transport: Any = _TCP) -> Any:  # noqa: ANN401 - messages without a common type
-        """Return the next message; a part of one is kept. Raises OSError if none comes in time [s], or never will."""
+        """Return the next message, parts stay in the parser; raises OSError after the timeout [s] or at the end."""
         if transport != _TCP:
             return super().read_doip(timeout, transport)
         until_s, piece, usual_s = time.monotonic() + timeout, b"", self._tcp_sock.gettimeout()
@@ -94,27 +94,27 @@ __all__ = ["CanConnection", "Dialogue", "TimeoutException"]
 
 LONGEST_MESSAGE: Final = 65_535
 TIMEOUT_MS: Final = 1000  # N_Bs and N_Cr
-MOST_WAIT_FRAMES: Final = 100  # of a controller that is busy receiving
+MOST_WAIT_FRAMES: Final = 100  # flow controls "wait" in a row
 FD_BYTES: Final = 64
-MOST_OLD_FRAMES: Final = 10_000  # thrown away before a request
-LONGEST_RECEPTION_S: Final = 60.0  # of one message, whose frames come within their own timeout
+MOST_OLD_FRAMES: Final = 10_000  # dropped before a request
+LONGEST_RECEPTION_S: Final = 60.0  # of one message; its frames have timeouts of their own
 PATIENCE_S: Final = 0.05
 _BREAKS: Final = (isotp.errors.ConsecutiveFrameTimeoutError, isotp.errors.WrongSequenceNumberError)
-_ISOTP_LOGGER: Final = "diag_service.isotp"  # the library warns of every odd frame
+_ISOTP_LOGGER: Final = "diag_service.isotp"  # the library warns of every invalid frame
 logging.getLogger(_ISOTP_LOGGER).setLevel(logging.CRITICAL + 1)
 
 
 class CanConnection(BaseConnection):
-    """What `udsoncan` asks through; the bus stays its owner's.
+    """A connection of udsoncan over an open bus, which it does not close.
 
     Parameters
     ----------
     bus, address
-        An open bus, and who is asked on it.
+        An open bus, and the controller on it.
     is_fd
         Whether requests go out in CAN FD frames.
     goes_on
-        Asked while a message is on its way; False ends that with StoppedError.
+        Called during a transfer; False ends it with StoppedError.
     """
 
     def __init__(
@@ -133,10 +133,10 @@ class CanConnection(BaseConnection):
         self._goes_on = goes_on
         self._is_sent_in_part = self._is_broken_off = False
         self._layer = isotp.TransportLayerLogic(
-            rxfn=self._taken,
-            txfn=self._put,
+            rxfn=self._take_frame,
+            txfn=self._send_frame,
             address=isotp_address(address.request_id, address.response_id, address.tester_byte, address.target_byte),
-            error_handler=self._note,
+            error_handler=self._note_error,
             params={
                 "stmin": 0,
                 "blocksize": 0,
@@ -158,43 +158,42 @@ class CanConnection(BaseConnection):
         return self
 
     def close(self) -> None:
-        """End; the bus stays open."""
+        """Close the connection, not the bus."""
         self._is_open = False
 
     def is_open(self) -> bool:
         return self._is_open
 
     def empty_rxqueue(self) -> None:
-        """Forget what came before a request."""
+        """Drop frames from before a request."""
         for _ in range(MOST_OLD_FRAMES):
             if self._receive(0.0) is None:
                 break
         self._layer.reset()
 
     def specific_send(self, payload: bytes, timeout: float | None = None) -> None:
-        """Send a request, in as many frames as it takes.
+        """Send a request.
 
-        Raises SilentError if the controller does not say in time that it goes on receiving, ControllerError if the bus
-        does not take it.
+        Raises SilentError without flow control in time, ControllerError if the bus refuses a frame.
         """
         del timeout  # the transport layer has its own
         self._is_sent_in_part = False
         self._layer.send(payload)
         self._layer.process()
         while self._layer.transmitting():
-            self._turn(PATIENCE_S)
+            self._process_next(PATIENCE_S)
         if self._is_sent_in_part:
             raise SilentError(f"{self._address} does not take the whole of the request {request_text(payload)}")
 
     def specific_wait_frame(self, timeout: float | None = None) -> bytes:
-        """Return the next message; one that has begun in time may take its time.
+        """Return the next message, which must begin within the timeout.
 
         Raises
         ------
         TimeoutException
             If none begins in time.
         SilentError
-            If one begins and breaks off.
+            If one is broken off.
         ControllerError
             If the bus cannot be read.
         """
@@ -207,13 +206,13 @@ class CanConnection(BaseConnection):
                 left_s = max(left_s, begun_s + LONGEST_RECEPTION_S - time.monotonic())
             if left_s <= 0.0:
                 raise TimeoutException("no answer")  # type: ignore[no-untyped-call]  # the library has no annotation here
-            self._turn(min(PATIENCE_S, left_s))
+            self._process_next(min(PATIENCE_S, left_s))
             if self._is_broken_off:
                 raise SilentError(f"{self._address} began an answer and broke it off")
         return bytes(message)
 
-    def _turn(self, patience_s: float) -> None:
-        """Let the transport layer see the next frame for it, if one comes, and do what is due."""
+    def _process_next(self, patience_s: float) -> None:
+        """Pass the next frame to the transport layer, and let it send what is due."""
         if not self._goes_on():
             raise StoppedError(STOPPED)
         due_s = self._layer.next_cf_delay()
@@ -231,11 +230,11 @@ class CanConnection(BaseConnection):
             is_fd=message.is_fd,
         )
 
-    def _taken(self, _timeout_s: float) -> isotp.CanMessage | None:
+    def _take_frame(self, _timeout_s: float) -> isotp.CanMessage | None:
         message, self._next = self._next, None
         return message
 
-    def _put(self, frame: isotp.CanMessage) -> None:
+    def _send_frame(self, frame: isotp.CanMessage) -> None:
         message = can.Message(
             arbitration_id=frame.arbitration_id,
             is_extended_id=frame.is_extended_id,
@@ -245,32 +244,32 @@ class CanConnection(BaseConnection):
         )
         send(self._bus, message)
 
-    def _note(self, error: Exception) -> None:
+    def _note_error(self, error: Exception) -> None:
         self._is_sent_in_part = True
         self._is_broken_off |= isinstance(error, _BREAKS)
 
 
-LOOK_S: Final = 0.1  # how soon it notices that it shall stop
+LOOK_S: Final = 0.1  # period at which `goes_on` is called
 _KEY: Final = 1  # added to the level that asked for the seed
-_LOGGER: Final = "diag_service"  # the library adds its own name, and warns there of every refusal
+_LOGGER: Final = "diag_service"  # prefixed by the library, which warns of every refusal
 logging.getLogger(f"UdsClient[{_LOGGER}]").addHandler(logging.NullHandler())
 
 
 class Dialogue:
-    """Asks one controller, one question at a time.
+    """Asks one controller, one request at a time.
 
     Parameters
     ----------
     connection
         To the controller; opened and closed by this object, which is a context manager.
     where
-        Who is asked, for people.
+        The controller, for people.
     timing
-        How patient it is.
+        Timeouts and numbers of repetitions.
     pause
-        Waits for so many seconds; by default it notices when it shall stop.
+        Sleeps for so many seconds; by default in steps between which ``goes_on`` is called.
     goes_on
-        Asked while an answer is waited for; False ends that with StoppedError.
+        Called while it waits; False ends that with StoppedError.
     """
 
     def __init__(
@@ -300,16 +299,16 @@ class Dialogue:
         self._client.close()
 
     def ask(self, request: bytes) -> bytes:
-        """Return the positive response to a request, empty if it asked for none.
+        """Return the positive response to a request, empty if it was suppressed.
 
-        A controller that is busy is asked again after a growing pause, one that says nothing once more.
+        A busy controller is asked again after growing pauses, a silent one once more.
 
         Raises
         ------
         RefusedError, SilentError
-            If it will not, or does not answer.
-        MalformedError
-            If its answer breaks the rules of the standard.
+            If it refuses, or does not answer.
+        MalformedAnswerError
+            If its answer violates the standard.
         ControllerError
             If the connection is broken.
         """
@@ -323,7 +322,7 @@ class Dialogue:
                     raise
                 self.counts.busy += 1
                 self._pause(self.timing.busy_pause_s * 2.0 ** (busy - 1))
-            except PendingError:  # it has the question
+            except PendingError:  # it has received the request
                 raise
             except SilentError:
                 silent += 1
@@ -355,7 +354,7 @@ class Dialogue:
                 )
                 raise PendingError(f"{text} {request_text(request)}") from exc
             stray = self._filter.stray
-            more = f": what came instead, last {shown(stray)}, does not answer it" if stray else ""
+            more = f": what came instead, last {hex_text(stray)}, does not answer it" if stray else ""
             raise SilentError(f"{self.where} does not answer {request_text(request)}{more}") from exc
         except (InvalidResponseException, UnexpectedResponseException, OSError, RuntimeError) as exc:
             raise ControllerError(f"{self.where}: {' '.join(str(exc).split())}") from exc
@@ -367,7 +366,9 @@ class Dialogue:
 
     def _check(self, request: bytes, response: bytes) -> bytes:
         if wrong := fault(request, response):
-            text = f"{self.where} answers {request_text(request)} with {shown(response)}, which is not a valid answer"
+            text = (
+                f"{self.where} answers {request_text(request)} with {hex_text(response)}, which is not a valid answer"
+            )
             raise MalformedAnswerError(f"{text}: {wrong}")
         return response
 
@@ -381,7 +382,7 @@ class Dialogue:
                 raise StoppedError(STOPPED)
             time.sleep(min(LOOK_S, left_s))
 
-    def may_ask(self, request: bytes) -> bytes | RefusedError:
+    def ask_or_refusal(self, request: bytes) -> bytes | RefusedError:
         """Return the positive response, or the refusal; raises as ``ask`` otherwise."""
         try:
             return self.ask(request)
@@ -390,7 +391,7 @@ class Dialogue:
 
     @contextmanager
     def session(self, number: int) -> Iterator[None]:
-        """Enter a session, and leave it in the end; the default one needs neither."""
+        """Enter a session, and return to the default one at the end."""
         if number == DEFAULT_SESSION:
             yield
             return
@@ -398,12 +399,12 @@ class Dialogue:
         try:
             yield
         finally:
-            with suppress(ControllerError):  # it ends by itself after some seconds of silence
+            with suppress(ControllerError):  # it also ends after S3
                 self.ask(bytes([SESSION, DEFAULT_SESSION]))
 
     @contextmanager
     def patience(self, longest_s: float) -> Iterator[None]:
-        """Give each question so much time, however often the controller says that it takes longer."""
+        """Allow each request so much time [s] with response pending (78)."""
         self._client.set_config("request_timeout", max(longest_s, self.timing.p2_s))
         try:
             yield
@@ -411,13 +412,13 @@ class Dialogue:
             self._client.set_config("request_timeout", max(self.timing.longest_s, self.timing.p2_s))
 
     def unlock(self, level: int, mask: bytes) -> None:
-        """Unlock a security level whose key is its seed XOR a mask; one that is unlocked stays so."""
+        """Unlock a security level whose key is its seed XOR a mask, unless it is unlocked already."""
         seed = self.ask(bytes([SECURITY, level]))[2:]
         if not any(seed):
             return
         if len(seed) != len(mask):
             raise ControllerError(f"{self.where} has a seed of {len(seed)} bytes, the mask has {len(mask)}")
-        key = bytes(one ^ other for one, other in zip(seed, mask, strict=True))
+        key = bytes(seed_byte ^ mask_byte for seed_byte, mask_byte in zip(seed, mask, strict=True))
         self.ask(bytes([SECURITY, level + _KEY]) + key)
 
 
@@ -429,12 +430,12 @@ def _client_config(timing: TesterTiming, on_pending: Callable[[], None]) -> Any:
         "p2_star_timeout": timing.p2_star_s,
         "nrc78_callback": on_pending,
         "logger_name": _LOGGER,
-        "use_server_timing": False,  # a controller tells its own time, not that of the bus and of this machine
+        "use_server_timing": False,  # its times do not include the bus and this machine
     }
 
 
 class _Matching(BaseConnection):
-    """A connection that passes on answers to the last request only: late ones to earlier requests are counted."""
+    """A connection that passes on answers to the last request, and counts others."""
 
     def __init__(self, inner: BaseConnection, counts: DialogueCounts, goes_on: Callable[[], bool]) -> None:
         super().__init__("matching")
@@ -444,7 +445,7 @@ class _Matching(BaseConnection):
         self.request = self.stray = b""
 
     def begin(self, request: bytes) -> None:
-        """Wait for answers to this request from now on."""
+        """Set the request whose answers are passed on."""
         self.request, self.stray = request, b""
 
     def open(self) -> "_Matching":

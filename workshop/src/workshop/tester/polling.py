@@ -1,4 +1,4 @@
-"""Now and then the controller's own word: its trouble codes, asked for while its bus is diagnosed."""
+"""Trouble codes of a controller, polled while its bus is diagnosed."""
 
 import asyncio
 import logging
@@ -20,35 +20,35 @@ from workshop.tester.addresses import parse_address
 from workshop.tester.answers import TesterTiming
 from workshop.tester.asking import LISTEN_S, AskingThread, BusTarget, address_for, asking, check_libraries
 from workshop.tester.description import Description, find_description
-from workshop.tester.questions import read_troubles, recognised
+from workshop.tester.questions import read_troubles, recognise
 from workshop.tester.trouble import Record, TroubleCode, code_words, trouble_record
 
-MOST_CODES: Final = 1024  # as the contract has it
+MOST_CODES: Final = 1024  # limit of the contract
 _KEPT: Final = ("snapshots", "extended_data")
 
 
-LONGEST_BACKOFF: Final = 16.0  # times the period, between attempts that fail
+LONGEST_BACKOFF: Final = 16.0  # greatest pause after failures, in periods
 _LOG: Final = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControllerReport(ControllerNews):
-    """What a controller said of its trouble codes."""
+    """The trouble codes of a controller at one time."""
 
     vehicle: str
     read_at: str  # ISO 8601 UTC
-    controller: str  # where it was asked
-    description: str  # what it is taken for
+    controller: str  # its address
+    description: str  # name of its description
     codes: tuple[TroubleCode, ...]
 
     def __str__(self) -> str:
-        """Return it on a line: the codes that matter, the confirmed ones first."""
+        """Return a line with the codes, confirmed ones first."""
         ranked = sorted(self.codes, key=lambda code: not code.is_confirmed)
         return f"controller {self.controller}: {', '.join(map(code_words, ranked)) or 'no trouble codes'}"
 
     @property
     def record(self) -> Record:
-        """The public record that stores and messages hold."""
+        """The public record for stores and messages."""
         return {
             "schema": "clutchdiag/controller/v1",
             "vehicle": self.vehicle,
@@ -62,22 +62,22 @@ class ControllerReport(ControllerNews):
 def publish_controller(
     report: ControllerReport, store: ResultStore, reporter: Reporter, publish: Callable[[Outgoing], object]
 ) -> None:
-    """Store what a controller said and tell it, if it is something new; raises StoreFullError, StoreError.
+    """Store and publish a report, and show it if it is new; raises StoreFullError, StoreError.
 
-    What is new to this run is published in any case: a broker may have forgotten it.
+    It is published even if the store has it: a broker may have lost it.
     """
     record = report.record
-    said = dump({key: value for key, value in record.items() if key != "produced_at"})
-    is_new = store.note_controller(report.vehicle, report.controller, said, dump(record))
+    content = dump({key: value for key, value in record.items() if key != "produced_at"})
+    is_new = store.note_controller(report.vehicle, report.controller, content, dump(record))
     publish(message_of(record))
     if is_new:
         reporter.report(report)
 
 
 def message_of(record: Mapping[str, object]) -> Outgoing:
-    """Return the message of a record; one that would be too long for the contract goes without what was kept."""
-    told = record["codes"]
-    codes = told[:MOST_CODES] if isinstance(told, list) else []
+    """Return the message of a record; one that is too long loses snapshots and extended data."""
+    listed = record["codes"]
+    codes = listed[:MOST_CODES] if isinstance(listed, list) else []
     message = controller_message({**record, "codes": codes})
     if len(message.payload) <= Channel.CONTROLLER.max_bytes:
         return message
@@ -87,24 +87,24 @@ def message_of(record: Mapping[str, object]) -> Outgoing:
 
 
 class Poller(AskingThread):
-    """Asks in a thread of its own while entered; a controller that fails to answer is asked less and less often.
+    """Polls in a thread while entered, less and less often after failures.
 
     Parameters
     ----------
     read
-        Asks once; raises SourceError or ControllerError.
-    tell
-        Takes what was said, in that thread; may raise StoreError.
+        Reads once; raises SourceError or ControllerError.
+    deliver
+        Gets each report, in that thread; may raise StoreError.
     period_s
-        From the end of one round to the beginning of the next.
+        Pause between two rounds [s].
     """
 
     def __init__(
-        self, read: Callable[[], ControllerReport], tell: Callable[[ControllerReport], None], period_s: float
+        self, read: Callable[[], ControllerReport], deliver: Callable[[ControllerReport], None], period_s: float
     ) -> None:
         super().__init__("poller")
         self._read = read
-        self._tell = tell
+        self._deliver = deliver
         self._period_s = period_s
 
     def _run(self) -> None:
@@ -124,18 +124,18 @@ class Poller(AskingThread):
             self._is_over.wait(pause_s(self._period_s, failed_in_a_row))
 
     def _round(self) -> str | None:
-        """Ask once and tell; return what went wrong."""
+        """Read and deliver once; return an error as text, None if there is none."""
         try:
             report = self._read()
             if not self._is_over.is_set():
-                self._tell(report)
-        except (CanlogError, DiagServiceError, ResultError) as exc:  # nothing of what is expected may end the thread
+                self._deliver(report)
+        except (CanlogError, DiagServiceError, ResultError) as exc:  # expected errors do not end the thread
             return str(exc)
         return None
 
 
 def pause_s(period_s: float, failed_in_a_row: int) -> float:
-    """Return how long to leave a controller alone: the period, doubled with each failure in a row, up to a bound."""
+    """Return the pause before the next round [s]: the period, doubled with each failure in a row, up to a limit."""
     return float(period_s * min(2.0 ** min(failed_in_a_row, 10), LONGEST_BACKOFF))
 
 
@@ -146,13 +146,13 @@ def read_once(
     now: Callable[[], str],
     goes_on: Callable[[], bool] = lambda: True,
 ) -> ControllerReport:
-    """Listen, ask one controller for its trouble codes, and return what it said.
+    """Listen, read the trouble codes of one controller, and return them.
 
-    Raises SourceError, ControllerError if the bus cannot be used, another tester is at work, or the controller does not
-    answer or will not, StoppedError if it shall not go on.
+    Raises SourceError, ControllerError if the bus cannot be used, another tester is active, or the controller refuses
+    or does not answer, StoppedError if ``goes_on`` returns False.
     """
     with asking(target, TesterTiming(), goes_on=goes_on) as (tester, _):
-        known = recognised(tester, description)
+        known = recognise(tester, description)
         codes = read_troubles(tester, known)
     return ControllerReport(
         vehicle=vehicle, read_at=now(), controller=tester.where, description=known.name, codes=codes
@@ -160,9 +160,9 @@ def read_once(
 
 
 def poller_for(
-    vehicle: str, bus: BusConfig, poll: PollConfig, now: Callable[[], str], tell: Callable[[ControllerReport], None]
+    vehicle: str, bus: BusConfig, poll: PollConfig, now: Callable[[], str], deliver: Callable[[ControllerReport], None]
 ) -> Poller:
-    """Return a poller as the settings have it; raises ConfigError, ExtraMissingError if they cannot be used."""
+    """Return a poller by the settings; raises ConfigError, ExtraMissingError if they cannot be used."""
     check_libraries()
     description = find_description(poll.description)
     target = BusTarget(
@@ -171,7 +171,9 @@ def poller_for(
         is_fd=bus.is_fd,
         listen_s=LISTEN_S,
     )
-    poller = Poller(lambda: read_once(vehicle, target, description, now, lambda: poller.goes_on), tell, poll.period_s)
+    poller = Poller(
+        lambda: read_once(vehicle, target, description, now, lambda: poller.goes_on), deliver, poll.period_s
+    )
     return poller
 
 
@@ -179,12 +181,12 @@ def poller_for(
 async def polling(
     vehicle: str, bus: BusConfig, poll: PollConfig, store: ResultStore, reporter: Reporter, outbox: Outbox | None
 ) -> AsyncIterator[None]:
-    """Ask a controller now and then until the block ends; in the loop that runs the outbox."""
+    """Poll a controller until the block ends; in the loop that runs the outbox."""
     loop = asyncio.get_running_loop()
 
     def publish(message: Outgoing) -> None:
         if outbox is not None:
-            with suppress(RuntimeError):  # the run has ended meanwhile
+            with suppress(RuntimeError):  # the loop has ended
                 loop.call_soon_threadsafe(outbox.publish_state, message)
 
     poller = poller_for(
@@ -194,4 +196,4 @@ async def polling(
         try:
             yield
         finally:
-            await asyncio.to_thread(poller.end)  # a question that is under way keeps nobody else waiting
+            await asyncio.to_thread(poller.end)  # a request in progress does not block the loop

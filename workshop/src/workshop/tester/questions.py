@@ -1,4 +1,4 @@
-"""What one controller can be asked, as values and answers: trouble codes, that it forgets them, data, routines."""
+"""Questions to one controller and their answers: trouble codes, clearing them, data, routines."""
 
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -26,9 +26,9 @@ from workshop.tester.answers import (
     SESSION,
     SNAPSHOTS,
     SUPPORTED,
+    hex_text,
     refusal_text,
     request_text,
-    shown,
 )
 from workshop.tester.description import SYSTEMS, UNKNOWN, Description, Values, fields_size_bytes, read_fields, shipped
 from workshop.tester.trouble import CODE_BYTES, FailureRecord, TroubleCode, read_codes, read_extended, read_snapshots
@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from workshop.tester.dialogue import Dialogue
 
 
-def recognised(tester: "Dialogue", description: Description = UNKNOWN) -> Description:
-    """Return a description; without one the shipped one that fits, or else what all controllers have.
+def recognise(tester: "Dialogue", description: Description = UNKNOWN) -> Description:
+    """Return the given description, or the shipped one that fits, or that of the standard data.
 
-    Without one it asks for a datum or two.
+    Without a given one it reads the identity of the shipped ones.
     """
     if description is not UNKNOWN:
         return description
@@ -49,9 +49,9 @@ def recognised(tester: "Dialogue", description: Description = UNKNOWN) -> Descri
             continue
         try:
             response = tester.ask(bytes([READ_DATA]) + described.identity.number.to_bytes(2, "big"))
-        except PendingError:  # whoever asks next would wait as long
+        except PendingError:  # the next request would wait as long
             raise
-        except ControllerError:  # it will not tell, or not answer: the question that follows says so
+        except ControllerError:  # the next question reports that
             continue
         if response[3:].rstrip(b"\0 ").decode("latin-1") == described.identity.text:
             return described.description
@@ -59,26 +59,26 @@ def recognised(tester: "Dialogue", description: Description = UNKNOWN) -> Descri
 
 
 ALL_RECORDS: Final = 0xFF
-FAILED_MASK: Final = 0xAF  # all bits but those that tell of a test that did not run
-FAILED: Final = bytes([READ_TROUBLE, BY_MASK, FAILED_MASK])  # the question for them
+FAILED_MASK: Final = 0xAF  # all status bits but those of tests that have not run
+FAILED: Final = bytes([READ_TROUBLE, BY_MASK, FAILED_MASK])
 START, STOP, RESULTS = 0x01, 0x02, 0x03
 ACTIONS: Final = {"start": START, "stop": STOP, "results": RESULTS}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DataAnswer:
-    """What a controller says of one datum: its bytes and what they mean, or why there are none."""
+    """One datum: its bytes and values, or why there are none."""
 
     number: int
     name: str
     data: bytes = b""
     values: Values | None = None
     refusal: int | None = None
-    fault: str = ""  # what is wrong with its answer
+    fault: str = ""  # violation of the standard in the answer
 
     @property
     def refusal_text(self) -> str:
-        """Why it will not tell, empty if it does."""
+        """The refusal in words, empty without one."""
         return "" if self.refusal is None else refusal_text(self.refusal)
 
     @property
@@ -89,7 +89,7 @@ class DataAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoutineAnswer:
-    """What a controller says of a routine."""
+    """The answer of a routine."""
 
     number: int
     name: str
@@ -99,44 +99,44 @@ class RoutineAnswer:
 
 
 def trouble_request(mask: int) -> bytes:
-    """Return the request for codes with a status bit of the mask; 0: for all that the controller knows."""
+    """Return the request for codes with a status bit of the mask; 0: for all supported codes."""
     return bytes([READ_TROUBLE, BY_MASK, mask]) if mask else bytes([READ_TROUBLE, SUPPORTED])
 
 
 def read_troubles(
     tester: "Dialogue", description: Description, request: bytes = FAILED, *, has_details: bool = True
 ) -> tuple[TroubleCode, ...]:
-    """Return the trouble codes for which a `trouble_request` asks.
+    """Return the trouble codes of a `trouble_request`.
 
-    With details each comes with its snapshots and extended data, as far as the controller has them and tells them.
+    With details each has its snapshots and extended data, as far as the controller answers.
     """
     codes = read_codes(tester.ask(request), description)
     if not has_details:
         return codes
     details = _Details(tester, description)
-    return tuple(map(details.added, codes))
+    return tuple(map(details.with_details, codes))
 
 
 _Read = Callable[[bytes, Description], tuple[FailureRecord, ...]]
 
 
 class _Details:
-    """Asks for what was kept of codes; who keeps nothing, or will not tell, is no error, and silence ends one kind."""
+    """Reads snapshots and extended data; a refusal is no error, and after silence a kind is not read any more."""
 
     def __init__(self, tester: "Dialogue", description: Description) -> None:
         self._tester, self._description = tester, description
-        self._silent: dict[int, str] = {}  # what is not asked any more, and why
+        self._silent: dict[int, str] = {}  # by kind: why it is not read any more
 
-    def added(self, code: TroubleCode) -> TroubleCode:
-        snapshots, fault = self._told(SNAPSHOTS, code.number, read_snapshots)
-        extended, other = self._told(EXTENDED, code.number, read_extended)
-        return replace(code, snapshots=snapshots, extended=extended, fault=fault or other)
+    def with_details(self, code: TroubleCode) -> TroubleCode:
+        snapshots, fault = self._read_records(SNAPSHOTS, code.number, read_snapshots)
+        extended, extended_fault = self._read_records(EXTENDED, code.number, read_extended)
+        return replace(code, snapshots=snapshots, extended=extended, fault=fault or extended_fault)
 
-    def _told(self, kind: int, number: int, read: _Read) -> tuple[tuple[FailureRecord, ...], str]:
+    def _read_records(self, kind: int, number: int, read: _Read) -> tuple[tuple[FailureRecord, ...], str]:
         if kind in self._silent:
             return (), self._silent[kind]
         try:
-            answer = self._tester.may_ask(
+            answer = self._tester.ask_or_refusal(
                 bytes([READ_TROUBLE, kind]) + number.to_bytes(3, "big") + bytes([ALL_RECORDS])
             )
             return () if isinstance(answer, RefusedError) else read(answer, self._description), ""
@@ -148,10 +148,10 @@ class _Details:
 
 
 def read_datum(tester: "Dialogue", description: Description, number: int) -> DataAnswer:
-    """Return what a controller says of a datum; each is asked for by itself, so one refusal costs one."""
+    """Read one datum."""
     name = description.data_name(number)
     try:
-        answer = tester.may_ask(bytes([READ_DATA]) + number.to_bytes(2, "big"))
+        answer = tester.ask_or_refusal(bytes([READ_DATA]) + number.to_bytes(2, "big"))
     except MalformedAnswerError as exc:
         return DataAnswer(number=number, name=name, fault=str(exc))
     if isinstance(answer, RefusedError):
@@ -159,7 +159,9 @@ def read_datum(tester: "Dialogue", description: Description, number: int) -> Dat
     data = answer[3:]
     if (size := description.size_bytes(number)) not in {None, len(data)}:
         return DataAnswer(
-            number=number, name=name, fault=f"its length in bytes is described as {size}, and it came as {shown(data)}"
+            number=number,
+            name=name,
+            fault=f"its length in bytes is described as {size}, and it came as {hex_text(data)}",
         )
     return DataAnswer(number=number, name=name, data=data, values=description.values(number, data))
 
@@ -172,30 +174,30 @@ _NUMBER: Final = re.compile(r"(?:0x)?([0-9A-F]{6})", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CodeGroup:
-    """Which trouble codes are meant: a number of three bytes, or a code with whatever failure type."""
+    """Trouble codes to clear: a number of three bytes, or a code with any failure type."""
 
     word: str
-    number: int | None  # None: every one of the codes that are there
+    number: int | None  # None: the stored codes with this word
 
     def numbers(self, codes: Sequence[TroubleCode]) -> tuple[int, ...]:
-        """Return the groups to clear, by the codes that the controller tells.
+        """Return the groups to clear, by the codes of the controller.
 
-        Raises ConfigError if there is no such code.
+        Raises ConfigError if it has no such code.
         """
         if self.number is not None:
             return (self.number,)
-        found = tuple(code.number for code in codes if code.code == self.word)
-        if not found:
+        numbers = tuple(code.number for code in codes if code.code == self.word)
+        if not numbers:
             known = ", ".join(dict.fromkeys(code.code for code in codes)) or "none"
             raise ConfigError(f"{self.word} is not among the trouble codes that the controller reports: {known}")
-        return found
+        return numbers
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Clearing:
-    """What a controller was told to forget, and what it told before and after."""
+    """Cleared groups, and the codes before and after."""
 
-    groups: tuple[int, ...]  # empty: somebody said no
+    groups: tuple[int, ...]  # empty: clearing was not agreed to
     before: tuple[TroubleCode, ...]
     after: tuple[TroubleCode, ...]
 
@@ -206,14 +208,14 @@ class Clearing:
 
 
 def parse_group(text: str, name: str = "--clear") -> CodeGroup:
-    """Return what ``all``, ``obd``, ``P0811``, ``P0811-07`` or ``081107`` means; raises ConfigError."""
+    """Return the group that ``all``, ``obd``, ``P0811``, ``P0811-07`` or ``081107`` names; raises ConfigError."""
     if (number := GROUPS.get(text.casefold())) is not None:
         return CodeGroup(word=text.casefold(), number=number)
-    if found := _NUMBER.fullmatch(text):
-        return CodeGroup(word=found[1].upper(), number=int(found[1], 16))
-    if not (found := _CODE.fullmatch(text)):
+    if match := _NUMBER.fullmatch(text):
+        return CodeGroup(word=match[1].upper(), number=int(match[1], 16))
+    if not (match := _CODE.fullmatch(text)):
         raise ConfigError(f"{name} must be all, obd, a code such as P0811 or P0811-07, or three bytes, got {text!r}")
-    system, digits, failure_type = found[1].upper(), found[2].upper(), found[3]
+    system, digits, failure_type = match[1].upper(), match[2].upper(), match[3]
     if failure_type is None:
         return CodeGroup(word=system + digits, number=None)
     upper = SYSTEMS.index(system) << 14 | int(digits, 16)
@@ -227,15 +229,15 @@ def clear_request(number: int) -> bytes:
 EXTENDED_SESSION: Final = 0x03
 LARGEST_SESSION: Final = 0x7F
 LARGEST_LEVEL: Final = 0x7E
-PATIENCE_S: Final = 600.0  # for a routine: it moves parts, and may wait until they are warm
+PATIENCE_S: Final = 600.0  # for a routine, which moves parts and may wait for warm ones
 AnswerT_co = TypeVar("AnswerT_co", covariant=True)
 
 
 class Question(Protocol[AnswerT_co]):
-    """What one controller is asked."""
+    """A question to one controller."""
 
     def requests(self, description: Description) -> list[str]:
-        """Return what would be sent, for people, by what is known of the controller; raises ConfigError."""
+        """Return the requests, for people; raises ConfigError."""
 
     def ask(self, tester: "Dialogue", description: Description) -> AnswerT_co:
         """Ask and return the answer; raises ConfigError, and what a `Dialogue` raises."""
@@ -243,7 +245,7 @@ class Question(Protocol[AnswerT_co]):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TroubleQuestion:
-    """Trouble codes that have a status bit of the mask; 0: all that the controller knows."""
+    """Trouble codes with a status bit of the mask; 0: all supported codes."""
 
     mask: int = FAILED_MASK
     has_details: bool = True  # snapshots and extended data
@@ -260,20 +262,20 @@ class TroubleQuestion:
         return read_troubles(tester, description, trouble_request(self.mask), has_details=self.has_details)
 
 
-def agreed(where: str, codes: Sequence[TroubleCode]) -> bool:
-    """Agree to whatever is about to be done: whoever asks has decided before."""
+def always_agree(where: str, codes: Sequence[TroubleCode]) -> bool:
+    """Return True: a Python program has decided before."""
     del where, codes
     return True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClearQuestion:
-    """Which trouble codes are to be forgotten; those of the mask (0: all) are read before and after."""
+    """Trouble codes to clear; those of the mask (0: all) are read before and after."""
 
     group: CodeGroup
     mask: int = FAILED_MASK
     session: int = DEFAULT_SESSION
-    is_agreed: Callable[[str, Sequence[TroubleCode]], bool] = agreed  # by who is asked, and the codes that it tells
+    is_agreed: Callable[[str, Sequence[TroubleCode]], bool] = always_agree  # gets the controller and its codes
 
     def __post_init__(self) -> None:
         check_number("mask", self.mask, 0xFF)
@@ -286,7 +288,7 @@ class ClearQuestion:
         return [f"{reading}: the codes", *_entering(self.session), f"{clearing}: clear", f"{reading}: what is left"]
 
     def ask(self, tester: "Dialogue", description: Description) -> Clearing:
-        """Clear them, unless that is not agreed to, which is asked before the session: that ends if nobody speaks."""
+        """Clear the codes if that is agreed to; the question comes before the session, which ends by itself."""
         reading = trouble_request(self.mask)
         before = read_troubles(tester, description, reading, has_details=False)
         groups = self.group.numbers(before)
@@ -302,7 +304,7 @@ class ClearQuestion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DataQuestion:
-    """Data by number in hexadecimal or by name; without any, all that the controller is known to have."""
+    """Data by hexadecimal number or by name; without any, all of the description."""
 
     words: tuple[str, ...] = ()
     session: int = DEFAULT_SESSION
@@ -326,9 +328,9 @@ class DataQuestion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lock:
-    """A security level, and the mask by which the key follows from the seed: seed XOR mask."""
+    """A security level and the mask of its key: seed XOR mask."""
 
-    level: int  # odd: that of the request for the seed
+    level: int  # odd: sub-function of the seed
     mask: bytes
 
     def __post_init__(self) -> None:
@@ -338,14 +340,14 @@ class Lock:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RoutineQuestion:
-    """What a routine, by number in hexadecimal or by name, is to do: start, stop, or tell its results."""
+    """A routine, by hexadecimal number or by name, to start or stop, or whose results to read."""
 
     routine: str
     action: str
-    options: bytes = b""  # what it is started with
+    options: bytes = b""  # of the start
     session: int = EXTENDED_SESSION
-    lock: Lock | None = None  # what is unlocked before
-    patience_s: float = PATIENCE_S  # how long it may say that it takes longer
+    lock: Lock | None = None  # unlocked before
+    patience_s: float = PATIENCE_S  # time with response pending (78)
 
     def __post_init__(self) -> None:
         check_number("session", self.session, LARGEST_SESSION)
@@ -365,7 +367,7 @@ class RoutineQuestion:
         return [*_entering(self.session), *unlocking, question]
 
     def ask(self, tester: "Dialogue", description: Description) -> RoutineAnswer:
-        """Ask, in the session that is wanted, and unlocked if need be."""
+        """Enter the session, unlock if needed, and ask."""
         number = description.find_routine(self.routine)
         with tester.patience(self.patience_s), tester.session(self.session):
             if self.lock is not None:
@@ -379,8 +381,8 @@ class RoutineQuestion:
                 text = (
                     f"{tester.where}: the length in bytes of the results of routine {number:04X} is described as {size}"
                 )
-                raise MalformedAnswerError(f"{text}, and they came as {shown(data) or 'nothing'}")
-            fields = ()  # an answer to a start may hold the results, or something else
+                raise MalformedAnswerError(f"{text}, and they came as {hex_text(data) or 'nothing'}")
+            fields = ()  # the answer to a start may hold other bytes
         name = "" if routine is None else routine.name
         return RoutineAnswer(number=number, name=name, action=self.action, data=data, values=read_fields(fields, data))
 

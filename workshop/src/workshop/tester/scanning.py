@@ -1,4 +1,4 @@
-"""Which controllers answer on a bus, and what each of them can be asked: by questions alone that change nothing."""
+"""Controllers on a bus and the services and data of each, found by requests that change nothing."""
 
 import logging
 import time
@@ -40,7 +40,7 @@ from workshop.tester.answers import (
     request_text,
 )
 from workshop.tester.description import STANDARD_DATA, UNKNOWN, Description
-from workshop.tester.questions import FAILED_MASK, DataAnswer, read_datum, recognised
+from workshop.tester.questions import FAILED_MASK, DataAnswer, read_datum, recognise
 
 if TYPE_CHECKING:
     from workshop.tester.dialogue import Dialogue
@@ -49,17 +49,17 @@ SHORTEST_WAIT_S: Final = 0.001
 FIRST_STANDARD_ID: Final = 0x700
 LARGEST_TARGET: Final = 0xFF  # of normal fixed addressing
 STANDARD_NUMBERS: Final = tuple(STANDARD_DATA)
-ALL_NUMBERS: Final = range(0xF100, 0xF200)  # ISO 14229-1, annex C: data that identify a controller, makers' own too
+ALL_NUMBERS: Final = range(0xF100, 0xF200)  # ISO 14229-1, annex C: identification, by the standard and by makers
 _LOG: Final = logging.getLogger(__name__)
 
 
 WAIT_S: Final = 0.06  # P2 of a controller, and a little for the bus
-SUSPECTS: Final = 4  # addresses whose answer may come so late that it seems to be the next one's
-MOST_SILENT: Final = 3  # questions without an answer after which a controller is left alone
+SUSPECTS: Final = 4  # last requests to which a late answer may belong
+MOST_SILENT: Final = 3  # unanswered requests after which no more data are read
 _PRESENT: Final = bytes([0x02, TESTER_PRESENT, 0x00])  # a single frame: TesterPresent
 _FRAME: Final = _PRESENT.ljust(asking.CLASSIC_BYTES, bytes([asking.PADDING]))
 _ANSWERS: Final = (bytes([0x02, TESTER_PRESENT + POSITIVE, 0x00]), bytes([0x03, NEGATIVE, TESTER_PRESENT]))
-PROBES: Final = (
+PROBES: Final = (  # reading services only, which change neither session nor memory
     (TESTER_PRESENT, bytes([TESTER_PRESENT, 0x00])),
     (READ_DATA, bytes([READ_DATA, 0xF1, 0x90])),
     (READ_TROUBLE, bytes([READ_TROUBLE, COUNT_BY_MASK, FAILED_MASK])),
@@ -68,11 +68,11 @@ PROBES: Final = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServiceAnswer:
-    """What a controller made of a service."""
+    """The answer of a controller to one service."""
 
     number: int
     is_there: bool
-    remark: str  # how it refused, or that it said nothing
+    remark: str  # refusal, silence or a malformed answer
 
     @property
     def name(self) -> str:
@@ -81,28 +81,28 @@ class ServiceAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FoundController:
-    """A controller and what it can be asked."""
+    """A controller with its services and data."""
 
     where: str
     address: CanAddress | None  # None: over IP
     services: tuple[ServiceAnswer, ...]
-    data: tuple[DataAnswer, ...]  # that it has
-    code_count: int | None  # trouble codes that have failed; None: it does not tell
+    data: tuple[DataAnswer, ...]  # without refused ones
+    code_count: int | None  # trouble codes that have failed; None: not answered
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScanPlan:
-    """Where controllers are looked for, and what each is asked."""
+    """Where to look for controllers, and what to ask each."""
 
     place: BusConfig | can.BusABC | asking.DoipPlace
-    first: int | None = None  # identifier to try on a bus, with 29 bits address; None: from the first, to the last
-    last: int | None = None
+    first: int | None = None  # identifier on a bus, or address with 29 bits; None: the lowest
+    last: int | None = None  # None: the highest
     is_extended: bool = False
-    has_all_data: bool = False  # whether all data are tried on each controller, not the standard's alone
+    has_all_data: bool = False  # whether to try F100 to F1FF, not the standard ones alone
     is_fd: bool = False
     listen_s: float
     timeout_s: float
-    wait_s: float  # how long each identifier may take to answer
+    wait_s: float  # time for an answer of each identifier
 
     def __post_init__(self) -> None:
         asking.check_time("wait", self.wait_s, least_s=SHORTEST_WAIT_S)
@@ -119,7 +119,7 @@ class ScanPlan:
 
     @property
     def request_ids(self) -> list[int]:
-        """Identifiers to try on a bus, without the one that all hear; of 29 bits those of normal fixed addressing."""
+        """Identifiers to try on a bus, without the functional one; of 29 bits those of normal fixed addressing."""
         if isinstance(self.place, asking.DoipPlace):
             return []
         lowest = 0 if self.is_extended else FIRST_STANDARD_ID
@@ -141,7 +141,7 @@ class ScanPlan:
 
     @property
     def requests(self) -> list[str]:
-        """What would be sent, for people."""
+        """The requests, for people."""
         asked = [*(request_text(request) for _, request in PROBES), f"22 {min(self.data):04X}-{max(self.data):04X}"]
         if isinstance(self.place, asking.DoipPlace):
             return asked
@@ -160,73 +160,73 @@ def find_addresses(
     wait_s: float = WAIT_S,
     goes_on: Callable[[], bool] = lambda: True,
 ) -> list[CanAddress]:
-    """Return who answers "tester present", by the identifier of the request.
+    """Return the addresses that answer TesterPresent, sorted by the identifier of the request.
 
     Raises ControllerError if the bus cannot be used, or another tester begins to ask.
 
     Parameters
     ----------
     busy_ids
-        What was heard on the bus before: nothing is sent there, and what comes from there is no answer.
+        Identifiers of earlier traffic: they are neither asked nor taken for answers.
     wait_s
-        How long one may take to answer.
+        Time for each answer [s].
     goes_on
         Asked before each request; False ends the search.
     """
-    found: dict[int, CanAddress] = {}  # by the identifier of the answers
+    by_response: dict[int, CanAddress] = {}  # by the identifier of the answers
     recent: deque[int] = deque(maxlen=SUSPECTS)
     for request_id in request_ids:
         if not goes_on():
             break
-        if request_id in busy_ids or request_id in found:
+        if request_id in busy_ids or request_id in by_response:
             continue
         recent.appendleft(request_id)
-        for response_id in _answering(bus, request_id, wait_s) - busy_ids - found.keys():
-            asked = _confirmed(bus, recent, response_id, wait_s)
+        for response_id in _probe(bus, request_id, wait_s) - busy_ids - by_response.keys():
+            asked = _confirm_request(bus, recent, response_id, wait_s)
             if asked is not None:
-                found[response_id] = CanAddress(request_id=asked, response_id=response_id)
-    return sorted(found.values(), key=lambda address: address.request_id)
+                by_response[response_id] = CanAddress(request_id=asked, response_id=response_id)
+    return sorted(by_response.values(), key=lambda address: address.request_id)
 
 
-def _confirmed(bus: can.BusABC, suspects: Iterable[int], response_id: int, wait_s: float) -> int | None:
-    """Return which of the last requests is answered from there: asked again, each with more time."""
+def _confirm_request(bus: can.BusABC, suspects: Iterable[int], response_id: int, wait_s: float) -> int | None:
+    """Repeat the last requests with more time; return the one that this identifier answers."""
     for request_id in suspects:
         if request_id != response_id and is_extended(request_id) == is_extended(response_id):
-            _answering(bus, None, wait_s)  # whatever is still on its way
-            if response_id in _answering(bus, request_id, SUSPECTS * wait_s, response_id):
+            _probe(bus, None, wait_s)  # late answers
+            if response_id in _probe(bus, request_id, SUSPECTS * wait_s, response_id):
                 return request_id
     return None
 
 
-def _answering(bus: can.BusABC, request_id: int | None, wait_s: float, wanted: int | None = None) -> frozenset[int]:
-    """Ask once and return the identifiers of the answers that come in time; the wanted one ends the wait."""
+def _probe(bus: can.BusABC, request_id: int | None, wait_s: float, wanted: int | None = None) -> frozenset[int]:
+    """Ask once and return the identifiers of answers in time; stop at the wanted one."""
     if request_id is not None:
         asking.send(bus, can.Message(arbitration_id=request_id, is_extended_id=is_extended(request_id), data=_FRAME))
     until_s = time.monotonic() + wait_s
-    found = set[int]()
-    while (left_s := until_s - time.monotonic()) > 0.0 and (wanted is None or wanted not in found):
+    response_ids = set[int]()
+    while (left_s := until_s - time.monotonic()) > 0.0 and (wanted is None or wanted not in response_ids):
         message = asking.receive(bus, left_s)
         if message is None or message.is_error_frame:
             continue
-        if is_request(message.arbitration_id) and bytes(message.data) != _FRAME:  # ours may come back
+        if is_request(message.arbitration_id) and bytes(message.data) != _FRAME:  # own frames may be echoed
             asked = id_text(message.arbitration_id)
             raise errors.ControllerError(
                 f"another tester began to ask on this bus (requests on {asked}): the scan gave way to it"
             )
         if bytes(message.data[:3]) in _ANSWERS:
-            found.add(message.arbitration_id)
-    return frozenset(found)
+            response_ids.add(message.arbitration_id)
+    return frozenset(response_ids)
 
 
-def _explored(tester: "Dialogue", plan: ScanPlan, address: CanAddress | None) -> FoundController:
-    """Return what one controller can be asked; its data are tried by number."""
+def _explore(tester: "Dialogue", plan: ScanPlan, address: CanAddress | None) -> FoundController:
+    """Return one controller with its services and data."""
     try:
-        known = recognised(tester)
+        known = recognise(tester)
     except errors.PendingError:
         known = UNKNOWN
-    services = tuple(_tried(tester, number, request) for number, request in PROBES)
-    answered = {one.number for one in services if one.is_there and not one.remark}
-    data = tuple(_data_of(tester, known, plan.data)) if READ_DATA in answered else ()
+    services = tuple(_try_service(tester, number, request) for number, request in PROBES)
+    answered = {service.number for service in services if service.is_there and not service.remark}
+    data = tuple(_read_data(tester, known, plan.data)) if READ_DATA in answered else ()
     code_count = None
     if READ_TROUBLE in answered:
         with suppress(errors.ControllerError):
@@ -241,7 +241,7 @@ def _explored(tester: "Dialogue", plan: ScanPlan, address: CanAddress | None) ->
     )
 
 
-def _tried(tester: "Dialogue", number: int, request: bytes) -> ServiceAnswer:
+def _try_service(tester: "Dialogue", number: int, request: bytes) -> ServiceAnswer:
     try:
         tester.ask(request)
     except errors.RefusedError as exc:
@@ -255,7 +255,7 @@ def _tried(tester: "Dialogue", number: int, request: bytes) -> ServiceAnswer:
     return ServiceAnswer(number=number, is_there=True, remark="")
 
 
-def _data_of(tester: "Dialogue", description: Description, numbers: Iterable[int]) -> Iterable[DataAnswer]:
+def _read_data(tester: "Dialogue", description: Description, numbers: Iterable[int]) -> Iterable[DataAnswer]:
     silent = 0
     for number in numbers:
         try:
@@ -271,21 +271,21 @@ def _data_of(tester: "Dialogue", description: Description, numbers: Iterable[int
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scan:
-    """What a scan heard and found."""
+    """The result of a scan."""
 
-    traffic: asking.HeardTraffic | None  # before anything was sent; None: over IP there is nothing to hear
+    traffic: asking.HeardTraffic | None  # before the first request; None over IP
     controllers: tuple[FoundController, ...]
 
 
 def scan(plan: ScanPlan, *, goes_on: Callable[[], bool] = lambda: True) -> Scan:
-    """Listen, look for controllers and ask each what it can be asked; what was found until it was stopped is returned.
+    """Listen, look for controllers and explore each; if it is stopped, return those found until then.
 
     Raises SourceError, ControllerError if the bus cannot be used, another tester is at work, or a node is not there,
     ExtraMissingError if a library is missing.
     """
     if isinstance(plan.place, asking.DoipPlace):
         with asking.dialogue_over_ip(plan.place, plan.timing, goes_on=goes_on) as tester:
-            return Scan(traffic=None, controllers=(_explored(tester, plan, None),))
+            return Scan(traffic=None, controllers=(_explore(tester, plan, None),))
     with asking.opened_bus(plan.place) as bus:
         traffic = asking.listen(bus, plan.listen_s, goes_on)
         asking.check_alone(traffic)
@@ -302,11 +302,7 @@ def _controllers(
             return
         with asking.dialogue_on(bus, address, plan.timing, is_fd=plan.is_fd, goes_on=goes_on) as tester:
             try:
-                found = _explored(tester, plan, address)
-            except errors.StoppedError:  # what was found before is shown
+                controller = _explore(tester, plan, address)
+            except errors.StoppedError:  # what was found before is hex_text
                 return
-        yield found
-
-
-# What services are tried with. None changes a session, or what a controller keeps or does: neither 10, 11, 14, 2E, 31
-# nor 34-37.
+        yield controller

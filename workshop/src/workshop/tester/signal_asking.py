@@ -1,7 +1,7 @@
-"""What a profile has to be asked for, asked while the bus is diagnosed: who asks only asks, the dialogue is overheard.
+"""Requests for the asked signals of a profile while the bus is diagnosed; the answers are read from the bus.
 
-Sent are the services 22, 01 and 21 alone, 2C where the profile allows it, and requests for parameter groups of J1939:
-nothing that changes what a controller does, no session. Another tester comes first.
+Services 22, 01 and 21 are sent, 2C where the profile allows it, and requests for parameter groups of J1939: nothing
+that changes a controller, no session. Nothing is sent while there is another tester.
 """
 
 import asyncio
@@ -52,39 +52,41 @@ from workshop.tester.addresses import (
     is_extended,
     is_request,
 )
-from workshop.tester.answers import BUSY, MOST_PENDING_S, PENDING_S, is_pending, refusal_text, tells
+from workshop.tester.answers import BUSY, MOST_PENDING_S, PENDING_S, is_data_answer, is_pending, refusal_text
 from workshop.tester.asking import LISTEN_S, AskingThread, opened_bus, receive, send
 from workshop.tester.dialogue import CanConnection, TimeoutException
 
-MOST_LOAD: Final = 0.05  # of the bus, by requests and answers together
+MOST_LOAD: Final = 0.05  # bus load by requests and answers
 USUAL_BITRATE: Final = 500_000
-FIRST_DEFINED: Final = 0xF300  # of the numbers that testers may define (ISO 14229-1, annex C)
-MOST_DEFINITIONS: Final = 3  # attempts between two sets: a controller that was reset has forgotten them
-DEFINE_AGAIN_S: Final = 60.0  # a log that begins later tells nothing until it hears what is made of what
-FRAME_BITS, LONG_FRAME_BITS = 125, 150  # of eight bytes, with stuff bits, whoever sends it; of 29 bits
-FIRST_SLOW: Final = 4  # times that they are asked for without delay: so often a message must come to be believed
-SLOW_S: Final = 1.0  # from question to question for what changes slowly
-GROUP_S: Final = 0.5  # SAE J1939-21 wants a group to be asked for no more than two or three times a second
+FIRST_DEFINED: Final = 0xF300  # first number that testers may define (ISO 14229-1, annex C)
+MOST_DEFINITIONS: Final = 3  # attempts between two sets: a reset deletes them
+DEFINE_AGAIN_S: Final = 60.0  # period at which they are repeated, for logs that begin later
+FRAME_BITS, LONG_FRAME_BITS = 125, 150  # of a frame of eight bytes with stuff bits; with 29 bits
+FIRST_SLOW: Final = 4  # first requests without delay: so many messages are needed for validity
+SLOW_S: Final = 1.0  # period of slow quantities
+GROUP_S: Final = 0.5  # SAE J1939-21: at most two or three requests for a group a second
 GROUP_ANSWER_S: Final = 0.25  # SAE J1939-21: 0.2 s
 REQUEST_PRIORITY: Final = 6
-REST_S: Final = 0.05  # where there is nothing to ask for just now
-ANSWER_S: Final = LATEST_NS / 1e9  # what comes later is no sample
+REST_S: Final = 0.05  # pause while nothing is due
+ANSWER_S: Final = LATEST_NS / 1e9  # a later answer is no sample
 BUSY_PAUSE_S: Final = 0.1
-NOT_NOW: Final = frozenset({0x22, 0x24, 0x26, *range(0x81, 0x94)})  # refused by how the car is just now (ISO 14229-1)
-AGAIN_S: Final = 10.0  # until that is asked for again
-MOST_SILENT: Final = 3  # questions in a row, without an answer or with an odd one
+NOT_NOW: Final = frozenset(
+    {0x22, 0x24, 0x26, *range(0x81, 0x94)}
+)  # refusals by the present state of the car (ISO 14229-1)
+AGAIN_S: Final = 10.0  # until such data are asked for again
+MOST_SILENT: Final = 3  # consecutive requests without an answer, or with an invalid one
 FIRST_PAUSE_S: Final = 1.0
 LONGEST_PAUSE_S: Final = 16.0  # between attempts at a controller that does not answer
-LEAST_ROWS: Final = 5  # of a slip: fewer tell no friction
-RATE_S: Final = 10.0  # over which the rate is told
-TOLD_RATIO: Final = 0.3  # by which it must change to be told again
+LEAST_ROWS: Final = 5  # samples of a slip phase that an estimate needs
+RATE_S: Final = 10.0  # over which the rate is measured
+LOGGED_RATIO: Final = 0.3  # change of the rate that is logged
 NO_GROUPS: Final = "parameter groups of J1939 are asked for on a bus, not through an adapter"
 _SLOW: Final = frozenset({Signal.SUMP_TEMPERATURE, Signal.AMBIENT_TEMPERATURE, Signal.ODOMETER})
 _LOG: Final = logging.getLogger(__name__)
 
 
 class OtherTesterError(ControllerError):
-    """Somebody else asks: nothing more is sent."""
+    """Another tester is active: nothing more is sent."""
 
 
 OpenLine = Callable[[], AbstractContextManager[Line]]
@@ -96,7 +98,7 @@ def address_of(asked: AskedField) -> CanAddress:
 
 @dataclass(frozen=True, slots=True)
 class DataRequest:
-    """Data that are asked for in one request."""
+    """Data of one request."""
 
     address: CanAddress
     data: tuple[DatumId, ...]
@@ -108,7 +110,7 @@ class DataRequest:
     @property
     def request(self) -> bytes:
         width = 2 if self.data[0].service == READ_DATA else 1
-        return bytes([self.data[0].service]) + b"".join(one.number.to_bytes(width) for one in self.data)
+        return bytes([self.data[0].service]) + b"".join(datum.number.to_bytes(width) for datum in self.data)
 
     def __str__(self) -> str:
         return ", ".join(map(str, self.data))
@@ -116,31 +118,31 @@ class DataRequest:
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """A datum that is made of others."""
+    """A datum defined from others (service 2C)."""
 
     address: CanAddress
     parts: tuple[DatumId, ...]
 
     @staticmethod
     def forgetting(number: int) -> bytes:
-        """Return the request that undoes an earlier one, which would stay in front of it."""
+        """Return the request that deletes an earlier definition, to which this one would be appended."""
         return bytes([DEFINE_DATA, FORGET]) + number.to_bytes(2)
 
     def request(self, number: int, sizes: Mapping[DatumId, int]) -> bytes:
-        """Return the request that makes it: all bytes of each part."""
+        """Return the request that defines it from all bytes of each part."""
         parts = (part.number.to_bytes(2) + bytes([1, sizes[part]]) for part in self.parts)
         return bytes([DEFINE_DATA, BY_IDENTIFIER]) + number.to_bytes(2) + b"".join(parts)
 
 
 @dataclass(frozen=True, slots=True)
 class GroupQuestion:
-    """A parameter group of J1939 that is asked of all: whoever has it sends it."""
+    """A request to all controllers for a parameter group of J1939."""
 
     pgn: int
 
     @property
     def address(self) -> "GroupQuestion":
-        """Who is asked: whoever has it."""
+        """Itself: the request goes to all."""
         return self
 
     @property
@@ -157,40 +159,40 @@ class GroupQuestion:
 
 @dataclass(slots=True)
 class PollPlan:
-    """What is asked when: fast quantities in every round, slow ones once in a while, so many at once as are taken."""
+    """The requests of each round: fast quantities always, slow ones by period, bundled as the controller accepts."""
 
     fields: Mapping[Signal, AskedField]
     rules: AskingRules = field(default_factory=AskingRules)
     groups: Sequence[int] = ()
     defined: dict[DatumId, Definition] = field(default_factory=dict)
     refused: set[DatumId] = field(default_factory=set)
-    _fewer: int | None = None  # than the rules say, as a controller wants it
+    _fewer: int | None = None  # identifiers at once, after a refusal
     _for_now: set[DatumId] = field(default_factory=set)  # of those refused
-    _again_s: float = math.inf  # when these are asked for again
+    _again_s: float = math.inf  # time at which these are asked for again
     _slow_s: float = 0.0
     _slow_count: int = 0
     _group_s: float = 0.0
 
     @property
     def addresses(self) -> set[CanAddress | GroupQuestion]:
-        return {GroupQuestion(one) for one in self.groups} | {
-            address_of(one) for one in self.fields.values() if one.data_id not in self.refused
+        return {GroupQuestion(pgn) for pgn in self.groups} | {
+            address_of(asked) for asked in self.fields.values() if asked.data_id not in self.refused
         }
 
     @property
     def fast(self) -> list[DataRequest]:
-        parts = {part for one in self.defined.values() for part in one.parts}
+        parts = {part for definition in self.defined.values() for part in definition.parts}
         return [
-            *(DataRequest(one.address, (datum,)) for datum, one in self.defined.items()),
-            *self._questions([one for one in self._fast_fields() if one.data_id not in parts]),
+            *(DataRequest(definition.address, (datum,)) for datum, definition in self.defined.items()),
+            *self._questions([asked for asked in self._fast_fields() if asked.data_id not in parts]),
         ]
 
     def definitions(self) -> dict[DatumId, Definition]:
-        """Return the data that are to be made of those of a round, one for each controller that tells several."""
+        """Return the definitions of one datum for each controller with several fast data."""
         by_address: dict[CanAddress, dict[DatumId, None]] = {}
-        for one in self._fast_fields():
-            if one.service == READ_DATA and one.data_id not in self.refused:
-                by_address.setdefault(address_of(one), {})[one.data_id] = None
+        for asked in self._fast_fields():
+            if asked.service == READ_DATA and asked.data_id not in self.refused:
+                by_address.setdefault(address_of(asked), {})[asked.data_id] = None
         return {
             DatumId(address.request_id, READ_DATA, FIRST_DEFINED): Definition(address, tuple(parts))
             for address, parts in by_address.items()
@@ -198,7 +200,7 @@ class PollPlan:
         }
 
     def _fast_fields(self) -> list[AskedField]:
-        return [one for signal, one in self.fields.items() if signal not in _SLOW]
+        return [asked for signal, asked in self.fields.items() if signal not in _SLOW]
 
     def due(self, now_s: float) -> list[DataRequest | GroupQuestion]:
         if now_s >= self._again_s:
@@ -212,17 +214,17 @@ class PollPlan:
         if now_s >= self._slow_s:
             self._slow_count += 1
             self._slow_s = now_s + (SLOW_S if self._slow_count > FIRST_SLOW else 0.0)
-            questions += self._questions([one for signal, one in self.fields.items() if signal in _SLOW])
+            questions += self._questions([asked for signal, asked in self.fields.items() if signal in _SLOW])
         return questions
 
     def begin(self) -> None:
-        """Ask for everything again, as many at once as the rules say."""
+        """Reset refusals and bundling."""
         self.refused.clear()
         self._for_now.clear()
         self._fewer, self._again_s = None, math.inf
 
     def refuse(self, question: DataRequest, why: str, *, for_now: bool = False) -> str:
-        """Ask for less at once, or for a single datum no more, or not for now; return what is to be told of that."""
+        """Reduce the bundling, or leave out a single datum, for ever or for now; return a line for the log."""
         if for_now:
             self._again_s = min(self._again_s, time.monotonic() + AGAIN_S)
         if len(question.data) > 1:
@@ -236,32 +238,34 @@ class PollPlan:
         return f"{question} is not told ({why}), and {'asked for again later' if for_now else 'left out'}"
 
     def _questions(self, fields: Sequence[AskedField]) -> list[DataRequest]:
-        addresses = {one.data_id: address_of(one) for one in fields}
-        data = [one for one in addresses if one not in self.refused]
-        found: list[DataRequest] = []
-        for _, group in groupby(data, key=lambda one: (one.request_id, one.service)):
-            own = list(group)
-            width = (self._fewer or self.rules.together) if own[0].service == READ_DATA else 1
-            found += [DataRequest(addresses[own[at]], tuple(own[at : at + width])) for at in range(0, len(own), width)]
-        return found
+        addresses = {asked.data_id: address_of(asked) for asked in fields}
+        data = [datum for datum in addresses if datum not in self.refused]
+        requests: list[DataRequest] = []
+        for _, group in groupby(data, key=lambda datum: (datum.request_id, datum.service)):
+            batch = list(group)
+            width = (self._fewer or self.rules.together) if batch[0].service == READ_DATA else 1
+            requests += [
+                DataRequest(addresses[batch[at]], tuple(batch[at : at + width])) for at in range(0, len(batch), width)
+            ]
+        return requests
 
 
 def frame_count(payload_bytes: int) -> int:
-    """Return how many frames a message and its flow control take."""
+    """Return the number of frames of a message with its flow control."""
     return 1 if payload_bytes <= 7 else 2 + -(-(payload_bytes - 6) // 7)
 
 
 class SignalAsker(AskingThread):
-    """Asks in a thread of its own while entered.
+    """Asks for signals in a thread while entered.
 
     Parameters
     ----------
     fields, rules, groups
-        What is asked for, what the controllers allow, and which parameter groups of J1939 are asked for.
+        Signals, limits of the controllers, and parameter groups of J1939.
     open_line
-        Opens the way to the controllers once nobody else asks there; raises SourceError, ControllerError.
+        Opens the controllers once there is no other tester; raises SourceError, ControllerError.
     bitrate
-        Of the bus; at most ``MOST_LOAD`` of it is used. None: as a usual one.
+        Of the bus [bit/s], of which ``MOST_LOAD`` is used; None: ``USUAL_BITRATE``.
     """
 
     def __init__(
@@ -276,19 +280,19 @@ class SignalAsker(AskingThread):
         self.plan = PollPlan(fields, rules, groups)
         self._definitions_left = 0
         self._define_at_s = 0.0
-        self._odd: Counter[tuple[DatumId, ...]] = Counter()  # answers in a row
-        self.sent: Counter[int] = Counter()  # requests, by service; those for groups by `GROUP_REQUEST`
+        self._odd: Counter[tuple[DatumId, ...]] = Counter()  # consecutive invalid answers
+        self.sent: Counter[int] = Counter()  # requests by service; for groups by `GROUP_REQUEST`
         self.set_count = 0
         self._sizes = sizes_of(fields.values())
         self._open_line = open_line
         self._bits_per_s = MOST_LOAD * (bitrate or USUAL_BITRATE)
-        self._free_s = 0.0  # until when the bus is left alone
-        self._silent: Counter[CanAddress | GroupQuestion] = Counter()  # questions in a row without answer
+        self._free_s = 0.0  # time of the next request
+        self._silent: Counter[CanAddress | GroupQuestion] = Counter()  # consecutive requests without an answer
         self._silent_until_s: dict[CanAddress | GroupQuestion, float] = {}
         self._trouble, self._pause_s = "", FIRST_PAUSE_S
-        self._said: set[str] = set()  # of what is refused: it is tried again whenever the way is opened anew
+        self._logged: set[str] = set()  # lines about refusals, which recur after each opening
         self._sets: deque[float] = deque(maxlen=10_000)
-        self._told_hz: float | None = None
+        self._logged_hz: float | None = None
 
     def _run(self) -> None:
         while self.goes_on:
@@ -323,10 +327,14 @@ class SignalAsker(AskingThread):
             questions = self.plan.due(time.monotonic())
             if not self.plan.addresses:
                 raise ControllerError("everything that the profile asks for is refused")
-            heard = [one for one in questions if self._silent_until_s.get(one.address, 0.0) <= time.monotonic()]
-            if not heard:
+            due = [
+                question
+                for question in questions
+                if self._silent_until_s.get(question.address, 0.0) <= time.monotonic()
+            ]
+            if not due:
                 self._is_over.wait(REST_S)
-            answered = [self._ask(line, one) for one in heard]
+            answered = [self._ask(line, question) for question in due]
             if answered and all(answered):
                 if self._trouble:
                     _LOG.log(NOTICE, "asking goes on")
@@ -343,22 +351,22 @@ class SignalAsker(AskingThread):
         self.plan.defined.clear()
 
     def _define(self, line: Line) -> None:
-        """Let controllers make one datum of those of a round; where one does not, they are asked for by themselves."""
+        """Define one datum of a round per controller; without a definition the data are read one by one."""
         self._definitions_left -= 1
-        for datum, one in self.plan.definitions().items():
-            self._send(line, one.forgetting(datum.number), one.address, 1)  # refused by a controller that has none
-            answer = self._send(line, one.request(datum.number, self._sizes), one.address, 4)
+        for datum, definition in self.plan.definitions().items():
+            self._send(line, definition.forgetting(datum.number), definition.address, 1)  # refused if there is none
+            answer = self._send(line, definition.request(datum.number, self._sizes), definition.address, 4)
             if answer is not None and answer[0] == DEFINE_DATA + POSITIVE:
-                self.plan.defined[datum] = one
-                self._sizes[datum] = sum(self._sizes[part] for part in one.parts)
+                self.plan.defined[datum] = definition
+                self._sizes[datum] = sum(self._sizes[part] for part in definition.parts)
             elif answer is not None and not self._definitions_left:
                 why = refusal_text(answer[2] if len(answer) > 2 else 0)
-                _LOG.log(NOTICE, "%s makes no datum of others: %s", id_text(one.address.request_id), why)
+                _LOG.log(NOTICE, "%s makes no datum of others: %s", id_text(definition.address.request_id), why)
 
     def _send(
         self, line: Line, request: bytes, address: CanAddress | GroupQuestion, expected_bytes: int
     ) -> bytes | None:
-        """Return the answer to a request, sent when the bus is free for it; None: none came, or asking is over."""
+        """Return the answer to a request within the bus load; None: no answer, or it was stopped."""
         self._is_over.wait(max(0.0, self._free_s - time.monotonic()))
         if not self.goes_on:
             return None
@@ -376,10 +384,10 @@ class SignalAsker(AskingThread):
         return answer
 
     def _ask(self, line: Line, question: DataRequest | GroupQuestion) -> bool:
-        """Ask once; return whether it was answered."""
+        """Ask once; return whether the answer has data."""
         request, expected = question.request, 0
         if isinstance(question, DataRequest):
-            expected = 1 + sum(self._sizes[one] + (len(request) - 1) // len(question.data) for one in question.data)
+            expected = 1 + sum(self._sizes[datum] + (len(request) - 1) // len(question.data) for datum in question.data)
         answer = self._send(line, request, question.address, expected)
         if answer is None and not self.goes_on:
             return False
@@ -392,7 +400,7 @@ class SignalAsker(AskingThread):
         if isinstance(question, GroupQuestion):
             return True
         if answer[0] == request[0] + POSITIVE:
-            return self._is_told(question, answer)
+            return self._has_data(question, answer)
         code = answer[2] if answer[0] == NEGATIVE and len(answer) > 2 else 0
         if code == BUSY:
             self._free_s = time.monotonic() + BUSY_PAUSE_S
@@ -400,16 +408,16 @@ class SignalAsker(AskingThread):
             _LOG.log(NOTICE, "%s is not there any more (%s): it is defined anew", question, refusal_text(code))
             self._forget_definitions()
         else:
-            self._say_once(self.plan.refuse(question, refusal_text(code), for_now=code in NOT_NOW))
+            self._log_once(self.plan.refuse(question, refusal_text(code), for_now=code in NOT_NOW))
         return False
 
-    def _say_once(self, text: str) -> None:
-        if text not in self._said:
-            self._said.add(text)
+    def _log_once(self, text: str) -> None:
+        if text not in self._logged:
+            self._logged.add(text)
             _LOG.log(NOTICE, "%s", text)
 
     def _leave_alone(self, address: CanAddress | GroupQuestion) -> None:
-        """Ask a controller that does not answer now and then only; raises ControllerError if none does."""
+        """Pause the requests to a silent controller; raises ControllerError if all are silent."""
         self._silent[address] += 1
         if self._silent[address] < MOST_SILENT:
             return
@@ -422,18 +430,18 @@ class SignalAsker(AskingThread):
         if is_new:
             _LOG.warning("%s does not answer: it is asked now and then", address)
 
-    def _is_told(self, question: DataRequest, answer: bytes) -> bool:
-        """Return whether an answer has what was asked for, in the lengths of the profile."""
-        found = data_in(question.request, answer, question.address.request_id, self._sizes)
-        if isinstance(found, str):
+    def _has_data(self, question: DataRequest, answer: bytes) -> bool:
+        """Return whether an answer has the requested data, with the lengths of the profile."""
+        data = data_in(question.request, answer, question.address.request_id, self._sizes)
+        if isinstance(data, str):
             self._odd[question.data] += 1
-            if self._odd[question.data] >= MOST_SILENT:  # one may have been late, for what was asked before
-                self._say_once(self.plan.refuse(question, found))
+            if self._odd[question.data] >= MOST_SILENT:  # a single one may be a late answer
+                self._log_once(self.plan.refuse(question, data))
             return False
         self._odd.pop(question.data, None)
-        for datum in set(question.data) - dict(found).keys():
-            self._say_once(self.plan.refuse(DataRequest(question.address, (datum,)), "left out"))
-        return bool(found)
+        for datum in set(question.data) - dict(data).keys():
+            self._log_once(self.plan.refuse(DataRequest(question.address, (datum,)), "left out"))
+        return bool(data)
 
     def _log_rate(self) -> None:
         first_s, last_s = self._sets[0], self._sets[-1]
@@ -441,34 +449,36 @@ class SignalAsker(AskingThread):
             return
         rate_hz = (len(self._sets) - 1) / (last_s - first_s)
         self._sets.clear()
-        if self._told_hz is None or abs(rate_hz / self._told_hz - 1.0) > TOLD_RATIO:
-            self._told_hz = rate_hz
+        if self._logged_hz is None or abs(rate_hz / self._logged_hz - 1.0) > LOGGED_RATIO:
+            self._logged_hz = rate_hz
             _LOG.log(
                 NOTICE, "%.0f sets a second: enough for shifts that slip for %.2g s", rate_hz, LEAST_ROWS / rate_hz
             )
 
 
 class WatchedBus:
-    """A bus as one who asks sees it: answers come through, and who else asks is noticed.
+    """A bus that receives answers only.
 
-    It gives no frame but answers; raises OtherTesterError where another tester's request comes.
+    It raises OtherTesterError at a request of another tester.
     """
 
     def __init__(self, bus: can.BusABC, addresses: Sequence[CanAddress], groups: Sequence[int] = ()) -> None:
         self._bus = bus
         self._groups = frozenset(groups)
-        self._answers = {one.response_id for one in addresses}
-        self._requests = {one.request_id for one in addresses}
+        self._answers = {address.response_id for address in addresses}
+        self._requests = {address.request_id for address in addresses}
         wanted = {*self._answers, *self._requests, FUNCTIONAL_ID, *STANDARD_REQUESTS}
-        masks = [(one, LARGEST_ID if is_extended(one) else 0x7FF, is_extended(one)) for one in sorted(wanted)]
+        masks = [
+            (can_id, LARGEST_ID if is_extended(can_id) else 0x7FF, is_extended(can_id)) for can_id in sorted(wanted)
+        ]
         masks += [(fixed | TESTER_ADDRESS, 0x1FFF_00FF, True) for fixed in (FIXED_PHYSICAL, FIXED_FUNCTIONAL & ~0xFFFF)]
         masks += [(GROUP_REQUEST << 16 | tool, 0x00FF_00FF, True) for tool in TOOLS]
         masks += [(pgn << 8, 0x03FF_FF00, True) for pgn in groups]
-        filters = [{"can_id": one, "can_mask": mask, "extended": is_long} for one, mask, is_long in masks]
+        filters = [{"can_id": can_id, "can_mask": mask, "extended": is_long} for can_id, mask, is_long in masks]
         bus.set_filters(filters)  # type: ignore[arg-type]  # as the library documents it
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Return the next answer, None if none comes in time; raises ControllerError if the bus cannot be read."""
+        """Return the next answer, None after the timeout; raises ControllerError if the bus cannot be read."""
         until_s = time.monotonic() + (timeout or 0.0)
         while True:
             message = receive(self._bus, max(0.0, until_s - time.monotonic()))
@@ -484,7 +494,7 @@ class WatchedBus:
         self._bus.send(message, timeout)
 
     def listen(self, duration_s: float, goes_on: Callable[[], bool]) -> None:
-        """Wait until nobody has asked for so long."""
+        """Wait until there was no other tester for so long [s]."""
         until_s = time.monotonic() + duration_s
         while (left_s := until_s - time.monotonic()) > 0.0:
             if not goes_on():
@@ -499,7 +509,7 @@ class CanLine:
     """Controllers on a bus, one request at a time."""
 
     def __init__(self, bus: WatchedBus, *, is_fd: bool, goes_on: Callable[[], bool]) -> None:
-        self._bus = cast("can.BusABC", bus)  # of which a connection uses these two
+        self._bus = cast("can.BusABC", bus)  # a connection uses `recv` and `send` only
         self._is_fd = is_fd
         self._goes_on = goes_on
         self._connections: dict[CanAddress, CanConnection] = {}
@@ -514,7 +524,7 @@ class CanLine:
             connection.specific_send(request)
         except SilentError:
             return None
-        wait_s, until_s, is_said = ANSWER_S, time.monotonic() + MOST_PENDING_S, False
+        wait_s, until_s, is_logged = ANSWER_S, time.monotonic() + MOST_PENDING_S, False
         other: bytes | None = None
         while time.monotonic() < until_s:
             try:
@@ -523,19 +533,19 @@ class CanLine:
                 return other
             if is_pending(request, answer):
                 wait_s = PENDING_S
-                if not is_said:
-                    is_said = True
+                if not is_logged:
+                    is_logged = True
                     _LOG.log(NOTICE, "%s asks for patience (78): its answer comes too late to be a sample", address)
-            elif tells(request, answer):
+            elif is_data_answer(request, answer):
                 return answer
             elif answer[0] == request[0] + POSITIVE:
-                other = answer  # to what was asked before, unless nothing else comes
+                other = answer  # probably to an earlier request; used if nothing else comes
         return other
 
     def ask_group(self, group: GroupQuestion) -> bytes | None:
-        """Ask all for a parameter group; return it once it comes; raises ControllerError, OtherTesterError."""
+        """Request a parameter group of all and return it, None after the timeout; raises ControllerError."""
         while self._bus.recv(0.0) is not None:
-            pass  # what came by itself before answers nothing
+            pass  # frames from before the request
         send(self._bus, can.Message(arbitration_id=group.can_id, is_extended_id=True, data=group.request))
         until_s = time.monotonic() + GROUP_ANSWER_S
         while (left_s := until_s - time.monotonic()) > 0.0:
@@ -555,7 +565,7 @@ def line_on(
     listen_s: float = LISTEN_S,
     goes_on: Callable[[], bool] = lambda: True,
 ) -> Iterator[CanLine]:
-    """Open a bus and wait until nobody else asks on it; raises SourceError, ControllerError, StoppedError."""
+    """Open a bus and wait until there is no other tester; raises SourceError, ControllerError, StoppedError."""
     with opened_bus(name) as bus:
         watched = WatchedBus(bus, addresses, groups)
         watched.listen(listen_s, goes_on)
@@ -567,7 +577,7 @@ async def asking(
     bus: BusConfig, fields: Mapping[Signal, AskedField], rules: AskingRules, groups: Sequence[int] = ()
 ) -> AsyncIterator[None]:
     """Ask for signals until the block ends; raises ConfigError."""
-    addresses = [address_of(one) for one in fields.values()]
+    addresses = [address_of(asked) for asked in fields.values()]
     open_line: OpenLine
     if bus.adapter is not None:
         adapter, channel = bus.adapter, bus.channel or ""

@@ -1,4 +1,4 @@
-"""Trouble codes out of the answers of service 19 (ISO 14229-1, annex D), as JSON and as lines for people."""
+"""Trouble codes from answers of service 19 (ISO 14229-1, annex D), as JSON and as lines for people."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from typing import Final
 
 from clutchdiag_io.people import digits
 from diag_service.errors import MalformedAnswerError
-from workshop.tester.answers import EXTENDED, HEAD_BYTES, ROW_BYTES, SNAPSHOTS, shown
+from workshop.tester.answers import EXTENDED, HEAD_BYTES, ROW_BYTES, SNAPSHOTS, hex_text
 from workshop.tester.description import Description, Values, code_text, read_fields
 
 CODE_BYTES: Final = ROW_BYTES - 1
@@ -26,27 +26,27 @@ CONFIRMED_BIT: Final = 0x08
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailureRecord:
-    """What a controller kept of the moment of a failure: a snapshot, or a record of extended data."""
+    """Data of a failure: a snapshot, or a record of extended data."""
 
     number: int
     data: Mapping[str, Values]  # by the name of the datum
-    rest: bytes = b""  # what could not be taken apart: the description does not say how long it is
+    rest: bytes = b""  # bytes that the description cannot decode
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TroubleCode:
-    """A trouble code, with what was kept of it."""
+    """A trouble code with its snapshots and extended data."""
 
     number: int  # three bytes: the code and its failure type
     status: int
     text: str = ""
     snapshots: tuple[FailureRecord, ...] = field(default=())
     extended: tuple[FailureRecord, ...] = field(default=())
-    fault: str = ""  # why what was kept of it is not told, or not all
+    fault: str = ""  # why snapshots or extended data are missing
 
     @property
     def code(self) -> str:
-        """The code as scan tools show it."""
+        """The code, such as P0811."""
         return code_text(self.number)
 
     @property
@@ -56,7 +56,7 @@ class TroubleCode:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """The bits of the status that are set, in words."""
+        """The set status bits, in words."""
         return tuple(word for bit, word in enumerate(STATUS_BITS) if self.status >> bit & 1)
 
     @property
@@ -65,39 +65,39 @@ class TroubleCode:
 
     @property
     def is_pending(self) -> bool:
-        """Whether a test failed in this operation cycle or the last, and the controller is not sure yet."""
+        """Whether the code is pending and not confirmed."""
         return bool(self.status & PENDING_BIT) and not self.is_confirmed
 
 
 def read_codes(response: bytes, description: Description) -> tuple[TroubleCode, ...]:
-    """Return the codes in a valid response that lists them; zeros at the end, with which some fill up, are none."""
+    """Return the codes in a valid response; zeros at the end are padding."""
     content = response[HEAD_BYTES[response[1]] :]
-    found = []
+    codes = []
     for place in range(0, len(content), ROW_BYTES):
         number = int.from_bytes(content[place : place + CODE_BYTES], "big")
         if number:
             status = content[place + CODE_BYTES]
-            found.append(TroubleCode(number=number, status=status, text=description.trouble_text(number)))
-    return tuple(found)
+            codes.append(TroubleCode(number=number, status=status, text=description.trouble_text(number)))
+    return tuple(codes)
 
 
 def read_snapshots(response: bytes, description: Description) -> tuple[FailureRecord, ...]:
-    """Return the snapshots in a response to 19 04: each with its number and data; MalformedError: cut off."""
+    """Return the snapshots in a response to 19 04; raises MalformedAnswerError if it is cut off."""
     content = response[HEAD_BYTES[SNAPSHOTS] :]
-    found = []
+    snapshots = []
     while any(content):
         _check_whole(response, content, 2)
         number, count = content[0], content[1]
         data, content = _data_of(content[2:], count, description)
-        is_complete = count > 0 and len(data) == count  # 0: they were too many to be counted
-        found.append(FailureRecord(number=number, data=data, rest=b"" if is_complete else content))
+        is_complete = count > 0 and len(data) == count  # 0: too many to be counted
+        snapshots.append(FailureRecord(number=number, data=data, rest=b"" if is_complete else content))
         if not is_complete:
             break
-    return tuple(found)
+    return tuple(snapshots)
 
 
 def _data_of(content: bytes, count: int, description: Description) -> tuple[dict[str, Values], bytes]:
-    """Return so many data by name, fewer if one is of unknown length, and the bytes behind them."""
+    """Return up to ``count`` data by name, fewer if one has unknown length, and the remaining bytes."""
     data: dict[str, Values] = {}
     for _ in range(count):
         _check_whole(content, content, 2)
@@ -113,26 +113,26 @@ def _data_of(content: bytes, count: int, description: Description) -> tuple[dict
 
 
 def read_extended(response: bytes, description: Description) -> tuple[FailureRecord, ...]:
-    """Return the records of extended data in a response to 19 06, each with its number; MalformedError: cut off."""
+    """Return the extended data in a response to 19 06; raises MalformedAnswerError if it is cut off."""
     content = response[HEAD_BYTES[EXTENDED] :]
-    found = []
+    records = []
     while any(content):
         record = description.extended.get(content[0])
         size = None if record is None else record.size_bytes
         _check_whole(response, content, 1 + (size or 1))
         number, content = content[0], content[1:]
         if record is None or size is None:
-            found.append(FailureRecord(number=number, data={}, rest=content))
+            records.append(FailureRecord(number=number, data={}, rest=content))
             break
         values = read_fields(record.fields, content[:size])
-        found.append(FailureRecord(number=number, data={record.name: values}))
+        records.append(FailureRecord(number=number, data={record.name: values}))
         content = content[size:]
-    return tuple(found)
+    return tuple(records)
 
 
 def _check_whole(response: bytes, content: bytes, size_bytes: int) -> None:
     if len(content) < size_bytes:
-        raise MalformedAnswerError(f"what was kept of a trouble code is cut off: {shown(response)}")
+        raise MalformedAnswerError(f"what was kept of a trouble code is cut off: {hex_text(response)}")
 
 
 Record = dict[str, object]
@@ -140,7 +140,7 @@ NOTHING: Final = "not available"
 
 
 def code_words(code: TroubleCode) -> str:
-    """Return a code with what it says and how sure the controller is."""
+    """Return a code with its text and state."""
     state = "confirmed" if code.is_confirmed else "pending" if code.is_pending else "not confirmed"
     return f"{code.code} {code.text} ({state})" if code.text else f"{code.code} ({state})"
 
@@ -153,8 +153,8 @@ def trouble_record(code: TroubleCode) -> Record:
         "text": code.text,
         "status": code.status,
         "states": list(code.states),
-        "snapshots": [_snapshot_record(one) for one in code.snapshots],
-        "extended_data": [_snapshot_record(one) for one in code.extended],
+        "snapshots": [_snapshot_record(record) for record in code.snapshots],
+        "extended_data": [_snapshot_record(record) for record in code.extended],
     }
 
 
@@ -164,7 +164,7 @@ def _snapshot_record(snapshot: FailureRecord) -> Record:
 
 
 def trouble_lines(codes: Sequence[TroubleCode]) -> Iterator[str]:
-    """Yield a line for each code, and under it what was kept."""
+    """Yield a line for each code, followed by its snapshots and extended data."""
     if not codes:
         yield "no trouble codes"
         return
@@ -180,22 +180,22 @@ def trouble_lines(codes: Sequence[TroubleCode]) -> Iterator[str]:
         yield from _kept_lines("extended data", code.extended)
 
 
-def _kept_lines(what: str, kept: Iterable[FailureRecord]) -> Iterator[str]:
-    for one in kept:
-        parts = [f"{name}: {values_text(values)}" for name, values in one.data.items()]
-        if one.rest:
-            parts.append(f"not understood: {one.rest.hex(' ').upper()}")
-        yield f"  {what} {one.number:02X}: {'; '.join(parts)}"
+def _kept_lines(what: str, records: Iterable[FailureRecord]) -> Iterator[str]:
+    for record in records:
+        parts = [f"{name}: {values_text(values)}" for name, values in record.data.items()]
+        if record.rest:
+            parts.append(f"not understood: {record.rest.hex(' ').upper()}")
+        yield f"  {what} {record.number:02X}: {'; '.join(parts)}"
 
 
 def values_text(values: Values) -> str:
-    """Return values for people: name, number, unit; the name of one that is alone says nothing new."""
+    """Return values for people: name, number, unit; a single value without its name."""
     texts = []
     for label, value in values.items():
-        shown = NOTHING if value is None else digits(value) if isinstance(value, float) else str(value)
+        value_text = NOTHING if value is None else digits(value) if isinstance(value, float) else str(value)
         name, bracket, unit = label.partition(" [")
         unit = f" {unit.removesuffix(']')}" if bracket and value is not None else ""
-        texts.append(f"{name if len(values) > 1 else ''} {shown}{unit}".strip())
+        texts.append(f"{name if len(values) > 1 else ''} {value_text}{unit}".strip())
     return ", ".join(texts)
 
 

@@ -38,7 +38,7 @@ from diag_service.settings.config import BusConfig
 from workshop.tester.adapters import Line, line_through, parse_adapter, rules_through
 from workshop.tester.addresses import CanAddress, id_text, is_extended
 from workshop.tester.answers import refusal_text
-from workshop.tester.asking import HeardTraffic, check_time, heard, opened_bus
+from workshop.tester.asking import HeardTraffic, check_time, listen_at, opened_bus
 from workshop.tester.signal_asking import (
     MOST_SILENT,
     NO_GROUPS,
@@ -87,7 +87,7 @@ def try_car(options: TryOptions, controls: Controls) -> None:
     bus = BusConfig(interface=options.interface, channel=options.channel, bitrate=options.bitrate, is_fd=options.fd)
     traffic = None  # through an adapter nothing is heard that was not asked for
     if options.adapter is None:
-        show(str(traffic := heard(bus, options.listen, lambda: not controls.stop.is_set)))
+        show(str(traffic := listen_at(bus, options.listen, lambda: not controls.stop.is_set)))
         if traffic is not None and not any(map(is_extended, traffic.can_ids)) and options.profile is None:
             profiles = [one for one in profiles if not one.groups]  # no J1939 on a bus without any such frame
     else:
@@ -303,8 +303,8 @@ def _told(line: Line, profile: Profile, show: Show) -> frozenset[Signal]:
             told.add(signal)
             continue
         value = float(to_si(signal, profile.sources[signal], None)(np.array([float(raw)]))[0])
-        name, shown, unit = for_people(signal.value, value)
-        show(f"  {name} = {f'{digits(shown)} {unit}'.rstrip()} ({question})")
+        name, amount, unit = for_people(signal.value, value)
+        show(f"  {name} = {f'{digits(amount)} {unit}'.rstrip()} ({question})")
         told.add(signal)
     for signal, pgn in profile.groups.items():
         group = GroupQuestion(pgn)

@@ -19,7 +19,7 @@ from workshop.tester.asking import (
     address_for,
     asking,
     check_time,
-    heard,
+    listen_at,
     parse_doip,
     timing_of,
 )
@@ -49,7 +49,7 @@ def place_of(
     *,
     is_fd: bool,
 ) -> "BusConfig | can.BusABC | DoipPlace":
-    """Return where to ask; raises ConfigError."""
+    """Return the bus or node to ask; raises ConfigError."""
     check_one_bus(bus, interface, channel, bitrate, doip)
     if doip is not None:
         if ecu is None:
@@ -77,7 +77,7 @@ def scan_controllers(
     timeout_s: float = ANSWER_S,
     wait_s: float = scanning.WAIT_S,
 ) -> scanning.Scan:
-    """Find controllers and what each can be asked, by questions that change nothing: ``diag-service scan``.
+    """Find controllers with their services and data, by requests that change nothing: ``diag-service scan``.
 
     Parameters
     ----------
@@ -90,19 +90,19 @@ def scan_controllers(
     has_all_data
         Whether to try all data F100 to F1FF, not only those that the standard names.
     is_active
-        Whether requests are sent; without, ConfigError says what would be.
+        Whether requests are sent; otherwise ConfigError lists them.
     wait_s
-        How long each identifier may take to answer [s].
+        Time for an answer of each identifier [s].
 
     Returns
     -------
     Scan
-        ``.controllers``, each with its services and data; ``.traffic`` is what was heard before.
+        ``.controllers``, each with its services and data; ``.traffic`` is the traffic before.
 
     Raises
     ------
     ConfigError, SourceError, ControllerError
-        If an argument or the bus cannot be used, another tester is at work, or a node is not there.
+        If an argument or the bus cannot be used, another tester is active, or a node is missing.
     """
     plan = scanning.ScanPlan(
         place=place_of(bus, interface, channel, bitrate, doip, ecu, is_fd=is_fd),
@@ -123,38 +123,38 @@ def scan_controllers(
 class UdsTester:
     """A diagnostic tester for one controller (ISO 14229), as ``diag-service dtc``, ``did`` and ``routine`` are.
 
-    ``with UdsTester(bus, is_active=True) as tester:`` listens first, and asks nothing where another tester is heard.
-    Without ``is_active`` it sends nothing: its questions raise ConfigError, which says what they would send.
+    ``with UdsTester(bus, is_active=True) as tester:`` listens first, and sends nothing if there is another tester.
+    Without ``is_active`` it sends nothing: its questions raise ConfigError with the requests.
 
     Parameters
     ----------
     bus
-        An open bus of python-can, which is nobody else's to read meanwhile and is not closed. Or name one by the next.
+        An open bus of python-can, not read by others meanwhile, and not closed. Or name one by the next.
     interface, channel, bitrate
-        As python-can names them; what is not given comes from its environment variables and ``can.conf``.
+        As of python-can; missing ones come from its environment variables and ``can.conf``.
     is_fd
         Whether requests go out in CAN FD frames.
     doip
-        ``HOST[:PORT]`` of a node that is asked over IP in place of a bus; ``ecu`` is its logical address then.
+        ``HOST[:PORT]`` of a DoIP node in place of a bus; ``ecu`` is its logical address then.
     ecu, reply
-        Identifier of requests, and of answers; by default as described, or 7E1 and what the standard has for it.
+        Identifier of requests, and of answers; by default those of the description, or 7E1 and 7E9.
     address
         The controller's address, for extended addressing.
     description
-        What the controller has: TOML, PDX, or the name of a shipped one; by default the shipped one that it says it is.
+        Description of the controller: TOML, PDX, or the name of a shipped one; by default a shipped one that fits.
     is_active
         Whether requests are sent.
     listen_s, timeout_s
-        How long it listens before, and how long an answer may take to begin [s].
+        Time to listen before, and time until an answer must begin [s].
 
     Raises
     ------
     ConfigError
         If an argument cannot be used.
     SourceError, ControllerError
-        At the beginning of the block: if the bus cannot be used, another tester is at work, or a node is not there.
+        At the beginning of the block: if the bus cannot be used, another tester is active, or a node is missing.
     RefusedError, SilentError
-        Of a question: if the controller will not, or does not answer. Both are a ControllerError.
+        Of a question: if the controller refuses or does not answer. Both are a ControllerError.
     """
 
     def __init__(
@@ -193,21 +193,21 @@ class UdsTester:
         self._is_recognised = False
         self._is_at_work = False
         self.traffic: HeardTraffic | None = None
-        self.goes_on: Callable[[], bool] = lambda: True  # asked while something is waited for; False: StoppedError
+        self.goes_on: Callable[[], bool] = lambda: True  # called during waits; False: StoppedError
 
     @property
     def controller(self) -> str:
-        """Who is asked, for people."""
+        """The address of the controller, for people."""
         return str(self._target if isinstance(self._target, DoipPlace) else self._target.address)
 
     @property
     def description(self) -> str:
-        """What the controller is taken for; known after the first question."""
+        """Name of the description in use; known after the first question."""
         return self._known.name
 
     @property
     def counts(self) -> DialogueCounts:
-        """What the questions went through until now: requests, refusals, answers that were late or others'."""
+        """Counts of all questions until now: requests, refusals, silence, stray messages."""
         return DialogueCounts() if self._dialogue is None else self._dialogue.counts
 
     def __enter__(self) -> Self:
@@ -217,7 +217,7 @@ class UdsTester:
             )
             self._is_at_work = True
         else:
-            self.traffic = heard(self._place, self._listen_s, self.goes_on)
+            self.traffic = listen_at(self._place, self._listen_s, self.goes_on)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -234,9 +234,9 @@ class UdsTester:
         mask
             Status bits of which a code must have one; by default all but those of a test that has not run.
         is_all
-            Whether to return all that the controller knows instead, also those that never failed.
+            Whether to return all supported codes instead.
         has_details
-            Whether to ask for snapshots and extended data of each.
+            Whether to read snapshots and extended data of each.
         """
         return self.ask(questions.TroubleQuestion(mask=0 if is_all else mask, has_details=has_details))
 
@@ -248,7 +248,7 @@ class UdsTester:
         is_all: bool = False,
         session: int = DEFAULT_SESSION,
     ) -> questions.Clearing:
-        """Clear trouble codes and return what was told before and after: ``diag-service dtc --clear``. Asks nobody.
+        """Clear trouble codes without a confirmation; return those before and after: ``diag-service dtc --clear``.
 
         Parameters
         ----------
@@ -257,23 +257,23 @@ class UdsTester:
         mask, is_all
             Which codes are read before and after, as of ``trouble_codes``.
         session
-            In which to clear; it is left in the end.
+            Session to clear in; left at the end.
         """
         word = group if isinstance(group, str) else f"{group:06X}"
-        wanted = questions.parse_group(word, "group")
-        return self.ask(questions.ClearQuestion(group=wanted, mask=0 if is_all else mask, session=session))
+        code_group = questions.parse_group(word, "group")
+        return self.ask(questions.ClearQuestion(group=code_group, mask=0 if is_all else mask, session=session))
 
     def data(self, *data: int | str, session: int = DEFAULT_SESSION) -> tuple[questions.DataAnswer, ...]:
-        """Return data by number, as an int or in hexadecimal, or by name: ``diag-service did``.
+        """Read data by number, as an int or in hexadecimal, or by name: ``diag-service did``.
 
         Parameters
         ----------
         data
-            Which; without any, all that the controller is known to have.
+            Identifiers; without any, all of the description.
         session
-            In which to ask; it is left in the end.
+            Session to ask in; left at the end.
         """
-        words = tuple(one if isinstance(one, str) else f"{one:04X}" for one in data)
+        words = tuple(word if isinstance(word, str) else f"{word:04X}" for word in data)
         return self.ask(questions.DataQuestion(words=words, session=session))
 
     def routine(
@@ -286,22 +286,22 @@ class UdsTester:
         unlock: tuple[int, bytes] | None = None,
         patience_s: float = questions.PATIENCE_S,
     ) -> questions.RoutineAnswer:
-        """Start or stop a routine, or ask for its results: ``diag-service routine``.
+        """Start or stop a routine, or read its results: ``diag-service routine``.
 
         Parameters
         ----------
         routine
             Its number, as an int or in hexadecimal, or its name.
         action : {"start", "stop", "results"}
-            What is wanted.
+            The action.
         options
-            What it is started with.
+            Options of the start.
         session
-            In which to ask; it is left in the end.
+            Session to ask in; left at the end.
         unlock
             A security level to unlock before, and the mask: the key is the seed XOR the mask.
         patience_s
-            How long it is given if it says that it takes longer [s].
+            Time with response pending (78) [s].
         """
         word = routine if isinstance(routine, str) else f"{routine:04X}"
         lock = None if unlock is None else questions.Lock(level=unlock[0], mask=unlock[1])
@@ -313,13 +313,13 @@ class UdsTester:
         )
 
     def ask(self, question: questions.Question[_AnswerT]) -> _AnswerT:
-        """Ask and return the answer; raises ConfigError where nothing is to be sent, and what the question raises."""
+        """Ask and return the answer; raises ConfigError without ``is_active``, and what the question raises."""
         if not self._is_active:
-            wanted = "; ".join(question.requests(self.described))
-            raise ConfigError(f"nothing was sent; with is_active=True this would be asked: {wanted}")
+            requests = "; ".join(question.requests(self.described))
+            raise ConfigError(f"nothing was sent; with is_active=True this would be asked: {requests}")
         if self._dialogue is None or not self._is_at_work:
             raise ConfigError("the tester is not at work: use it in a with block")
         if not self._is_recognised:
-            self._known = questions.recognised(self._dialogue, self.described)
+            self._known = questions.recognise(self._dialogue, self.described)
             self._is_recognised = True
         return question.ask(self._dialogue, self._known)

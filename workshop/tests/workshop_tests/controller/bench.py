@@ -3,7 +3,7 @@
 from tests.support.uds.full_table import full_table
 from workshop.controller.descriptions import Value
 from workshop.controller.memory import TestResult
-from workshop.controller.server import advance, answer, broadcast, left, switched_on, tested
+from workshop.controller.server import advance, answer, broadcast, disconnect, switched_on, tested
 from workshop.controller.services.sessions import failed, finished
 from workshop.controller.state import Instant, Request, ServerState
 from workshop.controller.table import DiagnosticTable
@@ -39,7 +39,7 @@ class Bench:
         return (reply.payload or b"").hex(" ")
 
     def leave(self, client: int) -> None:
-        self.state = left(self.state, client)
+        self.state = disconnect(self.state, client)
 
     def sent(self, duration_s: float) -> list[str]:
         """Return what is sent unasked in the next so many seconds, looked at a hundred times a second."""

@@ -31,7 +31,7 @@ from workshop.controller.state import (
 )
 from workshop.controller.table import PERIODIC_PAGE, DiagnosticTable
 
-STARTING: Final = "is_starting"  # a value: the vehicle has said nothing yet, as while its kernels are compiled
+STARTING: Final = "is_starting"  # value that is 1 until the first frame, as while kernels are compiled
 DEFINE_BY_IDENTIFIER: Final = 0x01
 CLEAR_DEFINITION: Final = 0x03
 DEFINABLE_PAGE: Final = 0xF3  # annex C: upper byte of what clients may define, beside what is sent periodically
@@ -40,14 +40,14 @@ _PIECE_BYTES: Final = 4
 
 
 def data_of(datum: DataIdentifier, state: ServerState, moment: Instant) -> bytes:
-    """Return what a datum holds now: what was written, or what the vehicle says."""
+    """Return the present bytes of a datum: written ones, or values of the vehicle."""
     if datum.initial is not None:
         return state.written.get(datum.number, datum.initial_bytes)
     return encode(datum.fields, {**moment.values, "active_session": state.session})
 
 
 def read_data(call: Call) -> Result:
-    """Read data; those that are not there are left out, unless none is."""
+    """Read data; unknown identifiers are left out, and refused if all are unknown."""
     names = call.payload[1:]
     if not names or len(names) % _NAME_BYTES or len(names) > _NAME_BYTES * call.table.limits.most_data:
         return Nrc.INCORRECT_LENGTH
@@ -69,7 +69,7 @@ def read_data(call: Call) -> Result:
 
 
 def readable(table: DiagnosticTable, state: ServerState, number: int) -> tuple[Piece, ...]:
-    """Return what a data identifier consists of; nothing if it is not there in this session."""
+    """Return the pieces of a data identifier; empty if the session does not have it."""
     datum = table.data.get(number)
     if datum is None:
         pieces = state.defined.get(number, ())
@@ -79,7 +79,7 @@ def readable(table: DiagnosticTable, state: ServerState, number: int) -> tuple[P
 
 
 def read_refusal(call: Call, pieces: Iterable[Piece]) -> Nrc | None:
-    """Return why pieces of data cannot be read now: security, or the vehicle."""
+    """Return why pieces of data cannot be read now: security, missing values, or a condition."""
     for datum in (call.table.data[piece.source] for piece in pieces):
         if not is_unlocked(call.state, datum.read.levels):
             return Nrc.SECURITY_ACCESS_DENIED
@@ -91,13 +91,13 @@ def read_refusal(call: Call, pieces: Iterable[Piece]) -> Nrc | None:
 
 
 def _are_awaited(fields: Iterable[DatumField], call: Call) -> bool:
-    """Return whether some value is not known only since the vehicle has said nothing yet."""
+    """Return whether a value is missing because the vehicle has sent no frame yet."""
     known = {*_with_obd(call.table, call.state, call.moment), "active_session"}
     return bool(call.moment.values.get(STARTING)) and any(entry.source not in known for entry in fields)
 
 
 def is_pid_awaited(call: Call, number: int) -> bool:
-    """Return whether a parameter of OBD is not known only since the vehicle has said nothing yet."""
+    """Return whether a PID has no value because the vehicle has sent no frame yet."""
     pid = None if call.table.obd is None else call.table.obd.pids.get(number)
     return pid is not None and not pid.initial and _are_awaited(pid.fields, call)
 
@@ -117,7 +117,7 @@ def is_definable(table: DiagnosticTable, number: int) -> bool:
 
 
 def write_data(call: Call) -> Result:
-    """Write a stored datum; it is kept over a restart."""
+    """Write a stored datum; it survives a restart."""
     if len(call.payload) < 1 + _NAME_BYTES + 1:
         return Nrc.INCORRECT_LENGTH
     datum, data = call.table.data.get(int.from_bytes(call.payload[1:3], "big")), call.payload[3:]
@@ -140,7 +140,7 @@ def _write_refusal(call: Call, datum: DataIdentifier, access: AccessRule, data: 
 
 
 def define_data(call: Call) -> Result:
-    """Make a datum of pieces of others, or forget it."""
+    """Define a datum from pieces of others, or delete a definition."""
     if call.sub_function == CLEAR_DEFINITION:
         return _forgotten(call)
     described = call.payload[2 + _NAME_BYTES :]
@@ -201,7 +201,7 @@ STOP: Final = 0x04
 
 
 def read_periodically(call: Call) -> Result:
-    """Begin to send data at a rate, or stop some or all; those that are not there are left out, unless none is."""
+    """Start periodic data at a rate, or stop some or all; unknown ones are left out, and refused if all are unknown."""
     if len(call.payload) < 2 or (len(call.payload) == 2 and call.payload[1] != STOP):
         return Nrc.INCORRECT_LENGTH
     mode, names = call.payload[1], call.payload[2:]
@@ -231,7 +231,7 @@ def _begun(call: Call, numbers: list[int], mode: int) -> Result:
 
 
 def only_allowed(state: ServerState, table: DiagnosticTable) -> ServerState:
-    """Return the state without the sending of what may not be read any more, or was redefined too long."""
+    """Return the state without periodic data that may not be read any more, or are too long since a redefinition."""
     if not state.periodic:
         return state
     is_there = state.session in table.services[Service.READ_PERIODICALLY].sessions
@@ -239,13 +239,13 @@ def only_allowed(state: ServerState, table: DiagnosticTable) -> ServerState:
         number: run
         for number, run in state.periodic.items()
         if is_there and _can_be_sent(table, state, number)
-        if all(is_unlocked(state, table.data[one.source].read.levels) for one in readable(table, state, number))
+        if all(is_unlocked(state, table.data[piece.source].read.levels) for piece in readable(table, state, number))
     }
     return state if len(left) == len(state.periodic) else replace(state, periodic=left)
 
 
 def due(table: DiagnosticTable, state: ServerState, moment: Instant) -> tuple[tuple[bytes, ...], ServerState]:
-    """Return the messages that are due, and the state after them; what was missed is not made up for."""
+    """Return the messages that are due, and the state after them; missed ones are skipped."""
     messages, runs = list[bytes](), dict[int, PeriodicRun]()
     for number, run in state.periodic.items():
         runs[number] = run
@@ -265,22 +265,22 @@ def _can_be_sent(table: DiagnosticTable, state: ServerState, number: int) -> boo
 
 _LAMP: Final = 0x80
 _MOST_CODES: Final = 0x7F
-_COMPONENTS: Final = 0x04  # monitored all the time, and therefore always ready
+_COMPONENTS: Final = 0x04  # comprehensive components: monitored continuously, always ready
 
 
 def odometer_m(moment: Instant) -> float | None:
-    """Return the distance that the vehicle has driven [m], None if it does not say."""
+    """Return the odometer [m], None if it is unknown."""
     distance_m = moment.values.get("odometer_m")
     return distance_m if isinstance(distance_m, int | float) else None
 
 
 def pid_data(pid: Pid, table: DiagnosticTable, state: ServerState, moment: Instant) -> bytes:
-    """Return what a parameter holds now."""
+    """Return the present bytes of a PID."""
     return pid.initial_bytes or encode(pid.fields, _with_obd(table, state, moment), keeps_code=False)
 
 
 def frozen_pids(table: DiagnosticTable, state: ServerState, moment: Instant) -> FrozenPids:
-    """Return the parameters that a freeze frame keeps."""
+    """Return the PIDs of a freeze frame with their bytes."""
     if table.obd is None:
         return ()
     frozen = (pid for pid in table.obd.pids.values() if pid.is_frozen)
@@ -288,7 +288,7 @@ def frozen_pids(table: DiagnosticTable, state: ServerState, moment: Instant) -> 
 
 
 def info_data(info: VehicleInfo, table: DiagnosticTable, state: ServerState) -> bytes:
-    """Return a piece of vehicle information, filled up with zeros."""
+    """Return a piece of vehicle information, padded with zeros."""
     data = info.fixed_bytes
     if info.data is not None:
         datum = table.data[info.data]

@@ -1,6 +1,6 @@
 """OBD as SAE J1979 (ISO 15031-5) has it on CAN: services 01 to 0A.
 
-What is not there is not answered when all controllers were asked, and refused (12) when this one was.
+A functional request for something unknown gets no response, a physical one is refused (12).
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -29,7 +29,7 @@ EntryT = TypeVar("EntryT")
 
 
 def current_data(call: Call) -> Result:
-    """Read up to six parameters, or bitmaps of those that are there."""
+    """Read up to six PIDs or bitmaps of supported PIDs."""
     obd, numbers = _obd(call), call.payload[1:]
     if not 1 <= len(numbers) <= MOST_PIDS:
         return NOT_THERE
@@ -39,7 +39,7 @@ def current_data(call: Call) -> Result:
 
 
 def _pid(call: Call, obd: Obd, number: int) -> bytes:
-    """Return a parameter behind its number, nothing if it is not there."""
+    """Return the number and bytes of a PID, empty if it is not supported."""
     pid = obd.pids.get(number)
     if pid is None:
         return _bitmap(obd.pids, number)
@@ -47,7 +47,7 @@ def _pid(call: Call, obd: Obd, number: int) -> bytes:
 
 
 def freeze_frame(call: Call) -> Result:
-    """Read up to three parameters of the freeze frame; without one, only that it belongs to no code."""
+    """Read up to three PIDs of the freeze frame; without a frame, PID 02 says that there is no code."""
     pairs = call.payload[1:]
     if not pairs or len(pairs) % 2 or len(pairs) > 2 * MOST_FROZEN_PIDS:
         return NOT_THERE
@@ -57,14 +57,14 @@ def freeze_frame(call: Call) -> Result:
 
 def _frozen_pid(call: Call, number: int) -> bytes:
     frame = call.state.emissions.frame
-    kept = {} if frame is None else dict(frame.pids)
+    frozen = {} if frame is None else dict(frame.pids)
     if number % BLOCK == 0:
         there = {number: b"" for number, pid in _obd(call).pids.items() if pid.is_frozen}
         data = supported({CODE_OF_FRAME: b"", **there}, number)
     elif number == CODE_OF_FRAME:
         data = bytes(_CODE_BYTES) if frame is None else _short_code(frame.code)
     else:
-        data = kept.get(number)
+        data = frozen.get(number)
     return b"" if data is None else bytes([number, FRAME]) + data
 
 
@@ -86,7 +86,7 @@ def _short_code(number: int) -> bytes:
 
 
 def clear_emission_codes(call: Call) -> Result:
-    """Clear all codes, as service 14 does; what is wrong with the vehicle is not told more precisely than 22."""
+    """Clear all codes, as service 14 does; a violated condition is refused with 22."""
     if len(call.payload) != 1:
         return NOT_THERE
     if unmet(call, _obd(call).clear_conditions):
@@ -95,7 +95,7 @@ def clear_emission_codes(call: Call) -> Result:
 
 
 def vehicle_information(call: Call) -> Result:
-    """Read one piece of vehicle information, or what pieces there are."""
+    """Read one piece of vehicle information, or bitmaps of the supported ones."""
 
     def read(info: VehicleInfo) -> bytes:
         return bytes([info.number, ONE_ITEM]) + info_data(info, call.table, call.state)
@@ -104,9 +104,9 @@ def vehicle_information(call: Call) -> Result:
 
 
 def test_results(call: Call) -> Result:
-    """Read the result of one monitor, or what monitors there are.
+    """Read the result of one monitor, or bitmaps of the supported monitors.
 
-    The result is the fault detection counter of the monitor's trouble code; before its test has run, all is zero.
+    The result is the fault detection counter of the monitor's trouble code, and zero before its first test.
     """
 
     def read(monitor: MonitorTest) -> bytes:
@@ -118,14 +118,14 @@ def test_results(call: Call) -> Result:
 
 
 def _test_result(record: TroubleRecord) -> bytes:
-    """Return which test it is, the unit of its result, the result, and its least and its most."""
+    """Return test number, unit, result, lower and upper limit."""
     has_run = not record.status & DtcStatus.NOT_TESTED_SINCE_CLEAR
     numbers = (record.detection_counter, PASSED_COUNTER, FAILED_COUNTER - 1) if has_run else (0, 0, 0)
     return bytes([COUNTER_TEST, SIGNED_COUNT]) + b"".join(number.to_bytes(2, "big", signed=True) for number in numbers)
 
 
 def _one_or_bitmaps(call: Call, known: Mapping[int, EntryT], read: Callable[[EntryT], bytes]) -> Result:
-    """Read one of what a service knows, or up to six bitmaps of what is there."""
+    """Read one entry of a service, or up to six bitmaps of the supported entries."""
     numbers = call.payload[1:]
     if not 1 <= len(numbers) <= MOST_PIDS:
         return NOT_THERE
@@ -136,13 +136,13 @@ def _one_or_bitmaps(call: Call, known: Mapping[int, EntryT], read: Callable[[Ent
 
 
 def _bitmap(known: Mapping[int, object], number: int) -> bytes:
-    """Return the bitmap of what is there behind its number, nothing if it is none."""
+    """Return a bitmap behind its number, empty if the number has none."""
     bitmap = supported(known, number)
     return b"" if bitmap is None else bytes([number]) + bitmap
 
 
 def _found(call: Call, pieces: Iterable[bytes]) -> Result:
-    """Return the pieces that are there; nothing at all is no response."""
+    """Return the joined pieces as a response; a refusal if there are none."""
     data = b"".join(pieces)
     return call.positive(data) if data else NOT_THERE
 
@@ -159,9 +159,9 @@ OBD_HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {
     ObdService.CONFIRMED_CODES: partial(_codes_with, DtcStatus.CONFIRMED),
     ObdService.CLEAR: clear_emission_codes,
     ObdService.TEST_RESULTS: test_results,
-    # Those that failed in this operation cycle or the last that was completed.
+    # failed in this operation cycle or in the last completed one
     ObdService.PENDING_CODES: partial(_codes_with, DtcStatus.PENDING),
     ObdService.VEHICLE_INFORMATION: vehicle_information,
-    # Those that no client can clear.
+    # cannot be cleared by a client
     ObdService.PERMANENT_CODES: lambda call: _codes(call, sorted(call.state.emissions.permanent)),
 }

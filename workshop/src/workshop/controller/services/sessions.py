@@ -1,4 +1,4 @@
-"""Sessions, what belongs to them, and routines: services 10, 11, 28, 31, 3E and 85."""
+"""Sessions, security, communication, reset and routines: services 10, 11, 27, 28, 31, 3E and 85."""
 
 from dataclasses import replace
 from typing import Final
@@ -56,7 +56,7 @@ def session_control(call: Call) -> Result:
 
 
 def in_session(state: ServerState, session: int) -> ServerState:
-    """Return the state after a session was entered: security is locked, and the default session ends the rest."""
+    """Return the state in a session, with security locked; the default session also ends all else of the last one."""
     state = replace(locked(state), session=session)
     if session != DEFAULT_SESSION:
         return state
@@ -75,12 +75,12 @@ def in_session(state: ServerState, session: int) -> ServerState:
 
 
 def as_guest(state: ServerState) -> ServerState:
-    """Return the state as a client sees it while another one holds a session: the default session, all locked."""
+    """Return the state for a client while another one holds a session: default session, security locked."""
     return replace(locked(state), session=DEFAULT_SESSION)
 
 
 def after_guest(before: ServerState, after: ServerState) -> ServerState:
-    """Return the state after a guest's request: the session and its security stay as they were, but for a reset."""
+    """Return the state after a guest's request: session and security are as before, unless the guest reset."""
     if after.asleep_until_s != before.asleep_until_s:
         return after
     return replace(after, **{name: getattr(before, name) for name in _OF_SESSION})
@@ -97,21 +97,21 @@ def ecu_reset(call: Call) -> Result:
 
 
 def started(state: KeptState, table: DiagnosticTable, t_s: float, *, is_new_cycle: bool = True) -> ServerState:
-    """Return the state of a controller that has just started, with what it keeps: codes, written data, wrong keys."""
+    """Return the state at a start, with the saved codes, written data and counts of wrong keys."""
     until_s = {
         number: t_s + level.delay_s
         for number, level in table.levels.items()
         if state.wrong_keys.get(number, 0) >= level.most_attempts
     }
-    kept = state.members
+    members = state.members
     if is_new_cycle:
         memory = begin_cycle(state.memory, table.troubles)
-        kept |= {"memory": memory, "emissions": after_cycle(state.emissions, state.memory, memory)}
-    return ServerState(**kept, locked_until_s=until_s, heard_s=t_s)
+        members |= {"memory": memory, "emissions": after_cycle(state.emissions, state.memory, memory)}
+    return ServerState(**members, locked_until_s=until_s, heard_s=t_s)
 
 
 def tester_present(call: Call) -> Result:
-    """Do nothing: that a request came keeps the session alive."""
+    """Respond; any request restarts S3."""
     return Nrc.INCORRECT_LENGTH if len(call.payload) != 2 else call.echoed()
 
 
@@ -128,10 +128,10 @@ def control_code_setting(call: Call) -> Result:
 
 
 def communication_control(call: Call) -> Result:
-    """Switch sending and receiving of messages on or off: bit 1 of the sub-function for sending, bit 0 for receiving.
+    """Switch messages on or off: sub-function 0 both directions on, 1 receive only, 2 send only, 3 both off.
 
-    0 both on, 1 receiving only, 2 sending only, 3 both off. The type says which messages; its upper half which
-    network, and this controller is on one: all (0) or the one that the request came by (F).
+    The lower half of the communication type selects messages, the upper half the network: all (0) or that of the
+    request (F).
     """
     if len(call.payload) != 3:
         return Nrc.INCORRECT_LENGTH
@@ -148,10 +148,10 @@ def communication_control(call: Call) -> Result:
 
 
 def security_access(call: Call) -> Result:
-    """Give a seed (odd sub-function) or take a key (the even one after it)."""
+    """Send a seed (odd sub-function) or check a key (the next even one)."""
     is_seed_wanted = call.sub_function % 2 == 1
     level = call.table.levels[call.sub_function if is_seed_wanted else call.sub_function - 1]
-    return _give_seed(call, level) if is_seed_wanted else _take_key(call, level)
+    return _send_seed(call, level) if is_seed_wanted else _check_key(call, level)
 
 
 def key_of(level: SecurityLevel, seed: bytes) -> bytes:
@@ -159,7 +159,7 @@ def key_of(level: SecurityLevel, seed: bytes) -> bytes:
 
 
 def delay_over(state: ServerState, level: SecurityLevel, t_s: float) -> ServerState:
-    """Return the state after a delay has run out: one more key may be tried."""
+    """Return the state after a delay: one more key may be tried."""
     until_s = state.locked_until_s.get(level.number)
     if until_s is None or t_s < until_s:
         return state
@@ -170,7 +170,7 @@ def delay_over(state: ServerState, level: SecurityLevel, t_s: float) -> ServerSt
     )
 
 
-def _give_seed(call: Call, level: SecurityLevel) -> Result:
+def _send_seed(call: Call, level: SecurityLevel) -> Result:
     if len(call.payload) != 2:
         return Nrc.INCORRECT_LENGTH
     if call.state.unlocked == level.number:
@@ -183,7 +183,7 @@ def _give_seed(call: Call, level: SecurityLevel) -> Result:
     return call.echoed(seed, replace(call.state, seed_level=level.number, seed=seed))
 
 
-def _take_key(call: Call, level: SecurityLevel) -> Result:
+def _check_key(call: Call, level: SecurityLevel) -> Result:
     if len(call.payload) != 2 + level.seed_bytes:
         return Nrc.INCORRECT_LENGTH
     if call.state.seed_level != level.number:
@@ -220,13 +220,13 @@ def routine_control(call: Call) -> Result:
     if run is None or (call.sub_function == STOP and not is_running):
         return Nrc.REQUEST_SEQUENCE_ERROR
     if call.sub_function == RESULTS:
-        return answered(call, routine, run)
+        return routine_response(call, routine, run)
     stopped = replace(run, is_running=False, was_stopped=True)
-    return answered(call, routine, stopped, _with(call.state, routine.number, stopped))
+    return routine_response(call, routine, stopped, _with_run(call.state, routine.number, stopped))
 
 
 def _routine(call: Call) -> Routine | Nrc:
-    """Return the routine that a request is about, if this may be asked of it."""
+    """Return the routine of a request, or why the request is refused."""
     if len(call.payload) < 4:
         return Nrc.INCORRECT_LENGTH
     routine = call.table.routines.get(int.from_bytes(call.payload[2:4], "big"))
@@ -247,46 +247,46 @@ def _start(call: Call, routine: Routine, options: bytes) -> Result:
     if refusal := unmet_by_service(call) or unmet(call, routine.access.conditions):
         return refusal
     run = RoutineRun(ends_s=call.moment.t_s + routine.duration_s, options=options)
-    state = _with(call.state, routine.number, run)
+    state = _with_run(call.state, routine.number, run)
     if routine.is_awaited:
         return ServiceOutcome(response=b"", state=state, is_final=False)
-    return answered(call, routine, run, state)
+    return routine_response(call, routine, run, state)
 
 
-def answered(call: Call, routine: Routine, run: RoutineRun, state: ServerState | None = None) -> ServiceOutcome:
-    """Return the positive response about a routine: its number, how far it is, and what it found once it has ended."""
+def routine_response(call: Call, routine: Routine, run: RoutineRun, state: ServerState | None = None) -> ServiceOutcome:
+    """Return the positive response of a routine: number, status, and results once it has ended."""
     how_far = RUNNING if run.is_running else STOPPED if run.was_stopped else COMPLETED
     return call.echoed(routine.number.to_bytes(2, "big") + bytes([how_far]) + run.results, state)
 
 
 def finished(state: ServerState, table: DiagnosticTable, number: int, moment: Instant) -> ServerState:
-    """Return the state after the vehicle has done what a routine asked for; its results are what is known now."""
+    """Return the state after the vehicle has completed a routine; the results are the present values."""
     run = state.routines.get(number)
     if run is None or not run.is_running:
         return state
     results = encode(table.routines[number].results, moment.values)
-    return _with(state, number, replace(run, is_running=False, results=results))
+    return _with_run(state, number, replace(run, is_running=False, results=results))
 
 
 def failed(state: ServerState, number: int, nrc: int = Nrc.PROGRAMMING_FAILURE) -> ServerState:
-    """Return the state after the vehicle could not do what a routine asked for, and why."""
+    """Return the state after the vehicle could not complete a routine, with the response code."""
     run = state.routines.get(number)
     if run is None or not run.is_running:
         return state
-    return _with(state, number, replace(run, is_running=False, was_stopped=True, failed_nrc=nrc))
+    return _with_run(state, number, replace(run, is_running=False, was_stopped=True, failed_nrc=nrc))
 
 
 def timed_out(state: ServerState, table: DiagnosticTable, moment: Instant) -> ServerState:
-    """Return the state after time has passed: a routine ends by itself, or is stopped if the vehicle did not end it."""
+    """Return the state with expired routines ended, or stopped where the vehicle should have ended them."""
     for number, run in state.routines.items():
         if not run.is_running or moment.t_s < run.ends_s:
             continue
         if table.routines[number].ends_by_itself:
             state = finished(state, table, number, moment)
         else:
-            state = _with(state, number, replace(run, is_running=False, was_stopped=True))
+            state = _with_run(state, number, replace(run, is_running=False, was_stopped=True))
     return state
 
 
-def _with(state: ServerState, number: int, run: RoutineRun) -> ServerState:
+def _with_run(state: ServerState, number: int, run: RoutineRun) -> ServerState:
     return replace(state, routines={**state.routines, number: run})

@@ -25,7 +25,7 @@ _CODE_BYTES: Final = 3
 
 
 def capture(table: DiagnosticTable, trouble: Trouble, state: ServerState, moment: Instant) -> Capture:
-    """Return what is kept of the vehicle when this code fails now."""
+    """Return the snapshot and extended data of a failure of this code now."""
     values = {**moment.values, "active_session": state.session}
     records = [table.extended[number] for number in table.extended_of(trouble)]
     return Capture(
@@ -46,14 +46,14 @@ def clear_codes(call: Call) -> Result:
 
 
 def cleared(call: Call, group: int) -> ServerState:
-    """Return the state without what was known of one code, or of all."""
+    """Return the state with one code, or all codes, cleared."""
     memory = clear(call.state.memory, group)
     emissions = after_clear(call.state.emissions, memory, group, odometer_m(call.moment))
     return replace(call.state, memory=memory, emissions=emissions)
 
 
 def read_codes(call: Call) -> Result:
-    """Read trouble codes in one of the ways of service 19."""
+    """Read trouble codes: a report of service 19."""
     size_bytes, report = _REPORTS[call.sub_function]
     if len(call.payload) != size_bytes:
         return Nrc.INCORRECT_LENGTH
@@ -66,7 +66,7 @@ def read_codes(call: Call) -> Result:
 
 
 def _masked(call: Call) -> list[int]:
-    """Return the codes that have one of the bits that the client named."""
+    """Return the codes with a status bit of the requested mask."""
     return [number for number, record in call.state.memory.records.items() if record.status & call.payload[2]]
 
 
@@ -84,26 +84,27 @@ def _extended_by_code(call: Call) -> bytes | Nrc:
 
 
 def _kept_by_code(
-    call: Call, names: Collection[int], kept: Callable[[Call, Trouble, TroubleRecord, int], bytes]
+    call: Call, names: Collection[int], read: Callable[[Call, Trouble, TroubleRecord, int], bytes]
 ) -> bytes | Nrc:
-    """Return a code, its status and what is kept of it; no more than the status if nothing is."""
+    """Return a code, its status and its stored records, if there are any."""
     number, name = int.from_bytes(call.payload[2:5], "big"), call.payload[5]
     trouble = call.table.troubles.get(number)
     if trouble is None or name not in names:
         return Nrc.REQUEST_OUT_OF_RANGE
     record = call.state.memory.records[number]
-    return _code(number) + bytes([record.status]) + kept(call, trouble, record, name)
+    return _code(number) + bytes([record.status]) + read(call, trouble, record, name)
 
 
 def _snapshots(record: TroubleRecord) -> list[tuple[int, Capture]]:
     both = ((FIRST_RECORD, record.first), (LATEST_RECORD, record.latest))
-    return [(name, kept) for name, kept in both if kept is not None]
+    return [(name, snapshot) for name, snapshot in both if snapshot is not None]
 
 
 def _snapshot_records(_call: Call, _trouble: Trouble, record: TroubleRecord, wanted: int) -> bytes:
     return b"".join(
-        bytes([name, len(kept.snapshot)]) + b"".join(number.to_bytes(2, "big") + data for number, data in kept.snapshot)
-        for name, kept in _snapshots(record)
+        bytes([name, len(snapshot.snapshot)])
+        + b"".join(number.to_bytes(2, "big") + data for number, data in snapshot.snapshot)
+        for name, snapshot in _snapshots(record)
         if wanted in {name, ALL_RECORDS}
     )
 
@@ -134,7 +135,7 @@ def _counters(described: ExtendedRecord, record: TroubleRecord) -> bytes:
 
 
 def _detection_counters(call: Call) -> bytes:
-    """Return the codes on their way to a failure that are not there yet."""
+    """Return the codes with a positive counter that have not failed yet."""
     return b"".join(
         _code(number) + bytes([record.detection_counter])
         for number, record in call.state.memory.records.items()
@@ -153,7 +154,7 @@ _REPORTS: Final[Mapping[int, tuple[int, _Report]]] = {  # with the length of the
     0x03: (2, _snapshot_names),
     0x04: (6, lambda call: _kept_by_code(call, (FIRST_RECORD, LATEST_RECORD, ALL_RECORDS), _snapshot_records)),
     0x06: (6, _extended_by_code),
-    0x0A: (2, lambda call: bytes([ALL_BITS]) + _listed(call, call.state.memory.records)),  # all that are supported
+    0x0A: (2, lambda call: bytes([ALL_BITS]) + _listed(call, call.state.memory.records)),  # all supported codes
     0x14: (2, _detection_counters),
 }
 REPORTS: Final = frozenset(_REPORTS)

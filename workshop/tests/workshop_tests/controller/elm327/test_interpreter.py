@@ -24,7 +24,7 @@ class Adapter:
         return bytes.fromhex(self.bench.ask(payload.hex(), to_all=is_functional)) or None
 
     def say(self, text: str) -> list[str]:
-        return list(self.interpreter.take(text).lines)
+        return list(self.interpreter.execute(text).lines)
 
 
 @pytest.mark.parametrize(
