@@ -54,10 +54,6 @@ class Settings:
     shows_length: bool = False
     is_formatted: bool = True  # the adapter handles the protocol bytes of ISO-TP
     shows_responses: bool = True
-    controls_flow: bool = True
-    flow_mode: int = 0  # 0 automatic; 1 header and data of the client; 2 data of the client
-    flow_header: int | None = None
-    flow_data: bytes = b""
     header: int | None = None  # of requests, three bytes; None: functional
     priority: int = _DEFAULT_PRIORITY  # the first byte of a header of 29 bits
     extended_address: int | None = None  # the byte before those of ISO-TP
@@ -71,15 +67,6 @@ class Settings:
         if self.receive_id is not None:
             return can_id & self.receive_mask == self.receive_id & self.receive_mask
         return 0x7E8 <= can_id <= 0x7EF or can_id & 0x1FFFFF00 == 0x18DAF100
-
-    def wire_id(self, header: int | None, *, is_standard: bool) -> int | None:
-        """Return the identifier of a header on a bus of 11 or of 29 bits, None without a header.
-
-        The protocol is known when the header is used, not when it is set.
-        """
-        if header is None or is_standard:
-            return None if header is None else header & LARGEST_STANDARD_ID
-        return header if header > _HEADER_BITS else self.priority << 24 | header
 
     @property
     def protocol_name(self) -> str:
@@ -95,13 +82,14 @@ class Settings:
 
 _SWITCHES: Final[Mapping[str, str]] = {
     "E": "echoes", "L": "has_line_feeds", "S": "has_spaces", "H": "shows_headers", "D": "shows_length",
-    "R": "shows_responses", "CAF": "is_formatted", "CFC": "controls_flow",
+    "R": "shows_responses", "CAF": "is_formatted",
 }  # fmt: skip
 _NO_MATTER: Final = re.compile(
     r"AL|NL|AT[012]|ST[0-9A-F]{2}|CTM[15]|M[01]|V[01]|CSM[01]|LP|SS|BI|FE|STPX|JE|JS|JHF[01]|JTM[15]|PP[0-9A-F]{2}OFF"
     r"|IB(10|12|15|48|96)|IIA[0-9A-F]{2}|KW[01]|SW[0-9A-F]{2}|WM([0-9A-F]{2}){1,6}|(TA|RA|SR)[0-9A-F]{2}"
+    r"|CFC[01]|FCSM[012]|FCSH([0-9A-F]{3}|[0-9A-F]{6}|[0-9A-F]{8})|FCSD([0-9A-F]{2}){1,5}"
 )
-"""Commands that are accepted without effect: time limits, other buses, display modes."""
+"""Commands that are accepted without effect: time limits, other buses, flow control, which is always automatic."""
 
 
 _Changed = dict[str, Any] | None  # settings with their new values; None: there is no such command
@@ -159,14 +147,8 @@ def _receive_address(_settings: Settings, match: re.Match[str]) -> _Changed:
     return {"receive_id": number, "receive_mask": mask | ~((1 << 4 * len(digits)) - 1)}
 
 
-def _flow_mode(settings: Settings, match: re.Match[str]) -> _Changed:
-    mode = int(match[1])
-    lacks_header = mode == 1 and settings.flow_header is None
-    return None if lacks_header or (mode in {1, 2} and not settings.flow_data) else {"flow_mode": mode}
-
-
 _CHANGES: Final[tuple[tuple[str, Callable[[Settings, re.Match[str]], _Changed]], ...]] = (
-    (r"(E|L|S|H|D|R|CAF|CFC)([01])", lambda _, match: {_SWITCHES[match[1]]: match[2] == "1"}),
+    (r"(E|L|S|H|D|R|CAF)([01])", lambda _, match: {_SWITCHES[match[1]]: match[2] == "1"}),
     (r"[ST]P(A?)(00|[0-9A-C]|)", _protocol),
     (r"PC", lambda settings, _: {"protocol": AUTOMATIC} if settings.is_automatic else {}),
     (r"SH([0-9A-F]{3}|[0-9A-F]{6}|[0-9A-F]{8})", _header),
@@ -178,12 +160,6 @@ _CHANGES: Final[tuple[tuple[str, Callable[[Settings, re.Match[str]], _Changed]],
         r"CM([0-9A-F]{3}|[0-9A-F]{8})",
         lambda settings, match: {"receive_mask": int(match[1], 16), "receive_id": settings.receive_id or 0},
     ),
-    (r"FCSM([012])", _flow_mode),
-    (
-        r"FCSH([0-9A-F]{3}|[0-9A-F]{6}|[0-9A-F]{8})",
-        lambda _, match: {"flow_header": int(match[1], 16) & ALL_ID_BITS},
-    ),
-    (r"FCSD((?:[0-9A-F]{2}){1,5})", lambda _, match: {"flow_data": bytes.fromhex(match[1])}),
 )
 
 
@@ -275,7 +251,6 @@ class Interpreter:
         slow, fast = (CAN_11_250, CAN_11_500) if self._is_standard else (CAN_29_250, CAN_29_500)
         self._protocol = slow if bitrate == HALF_BITRATE else fast
         self._last = ""
-        self._held: list[bytes] = []  # frames that wait for flow control by the client
 
     def execute(self, text: str) -> ElmReply:
         """Return the reply to a line; an empty line repeats the last one."""
@@ -318,20 +293,17 @@ class Interpreter:
     def _send(self, data: bytes) -> ElmReply:
         if self.settings.is_formatted:
             return self._request(data)
-        kind = data[0] >> 4
-        if kind == 0:
-            return self._request(data[1 : 1 + data[0]]) if 0 < data[0] < len(data) else ElmReply(lines=(NO_DATA,))
-        if kind == 3 and self._held and data[0] == 0x30:
-            held, self._held = self._held, []
-            return ElmReply(lines=tuple(format_frames(held, self._ids.response_id, self.settings)))
-        return ElmReply(lines=(NO_DATA,))
+        is_single = 0 < data[0] < len(data)  # the first byte of a single frame is its length
+        return self._request(data[1 : 1 + data[0]]) if is_single else ElmReply(lines=(NO_DATA,))
 
     def _header(self) -> int:
-        can_id = self.settings.wire_id(self.settings.header, is_standard=self._is_standard)
-        return self._ids.functional_id if can_id is None else can_id
+        """Return the identifier of requests; the protocol is known when the header is used, not when it is set."""
+        header = self.settings.header
+        if header is None:
+            return self._ids.functional_id
+        return header & LARGEST_STANDARD_ID if self._is_standard else self.settings.priority << 24 | header
 
     def _request(self, payload: bytes) -> ElmReply:
-        self._held = []
         header = self._header()
         is_heard = self.settings.extended_address is None and header in {self._ids.functional_id, self._ids.request_id}
         if not payload or not is_heard:
@@ -346,22 +318,6 @@ class Interpreter:
 
     def lines(self, response: bytes) -> tuple[str, ...]:
         frames = [_filled(frame, self._transport.padding) for frame in segments(response)]
-        if len(frames) > 1 and not self._grants_flow():
-            self._held = frames[1:]
-            frames = frames[:1]
-        return self._format_received(frames)
-
-    def _format_received(self, frames: list[bytes]) -> tuple[str, ...]:
         if not self.settings.takes(self._ids.response_id):
             return (NO_DATA,)
         return tuple(format_frames(frames, self._ids.response_id, self.settings))
-
-    def _grants_flow(self) -> bool:
-        """Return whether the adapter sends valid flow control for the rest of a message."""
-        settings = self.settings
-        if not settings.controls_flow:
-            return False
-        can_id = settings.wire_id(settings.flow_header, is_standard=self._is_standard)
-        if settings.flow_mode == 1 and can_id != self._ids.request_id:
-            return False
-        return settings.flow_mode == 0 or (settings.flow_data[0] == 0x30 and len(settings.flow_data) >= 3)

@@ -62,7 +62,7 @@ class Adapter:
         ("ATCRA", "OK"),
         ("ATCRA 7EX", "OK"),
         ("ATCF 7E8", "OK"),
-        ("ATFCSM1", "?"),  # header and data must be known before
+        ("ATFCSM1", "OK"),  # flow control is automatic all the same
         ("ATFCSM0", "OK"),
         ("ATFCSM3", "?"),
         ("ATFCSD", "?"),
