@@ -269,8 +269,7 @@ class UdsServices(_Services):
 
     def _snapshots(self) -> OdxService:
         table, dictionary = self.table, self.dictionary
-        wanted = {number for entry in table.troubles.values() for number in table.snapshot_of(entry)}
-        cases = {number: structure for number, structure in self._structures.items() if number in wanted}
+        cases = {number: structure for number, structure in self._structures.items() if number in table.snapshot}
         switch = dictionary.switched("snapshot by identifier", self._number, cases)
         datum = dictionary.structure("snapshot datum", (value("datum", switch),))
         count = dictionary.simple("number of snapshot data", unsigned(1))

@@ -272,8 +272,6 @@ class Trouble:
     age_cycles: int = 40  # passed warm-up cycles until the code is removed
     failed_step: int = 127  # of the fault detection counter
     passed_step: int = 128
-    snapshot: tuple[int, ...] | None = None  # data identifiers; None: those of the table
-    extended: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         if not _CODE.fullmatch(self.code):

@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
 from functools import partial
-from ipaddress import IPv4Address, IPv6Address
+from ipaddress import IPv4Address
 from typing import Final, Self
 
 from ecu_emulator.errors import BusError, EmulatorConfigError
@@ -22,15 +22,11 @@ from workshop.controller.server import AGAIN_RATIO, KEEP_ALIVE, PENDING_RATIO
 from workshop.controller.table import DoipEntity
 
 LARGEST_PORT: Final = 65535
-PORT: Final = 13400  # registered for DoIP, both TCP and UDP
 LOOPBACK: Final = "127.0.0.1"
 LOCAL_BROADCAST: Final = "127.255.255.255"
 BROADCAST: Final = "255.255.255.255"
-ALL_NODES: Final = "ff02::1"  # multicast address of all nodes of a link, IPv6
 BACKLOG: Final = 16
 SEND_BYTES: Final = 1 << 16  # send buffer of a connection; while it is full nothing is read from its tester
-
-Address = IPv4Address | IPv6Address
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,55 +70,35 @@ def parse_place(text: str, option: str = "--doip", *, least_port: int = 1) -> Do
 
 
 def listen(place: DoipAddress) -> Listening:
-    """Return open sockets of an address, which also receive broadcasts of its network.
+    """Return open sockets of an IPv4 address, which also receive broadcasts of its network.
 
-    IPv6 receives multicasts on ``::`` only. Raises BusError if the address is not of this machine, or is in use.
+    Raises BusError if the address is not of this machine, or is in use.
     """
     with ExitStack() as stack:
         try:
-            address = _address(place.host)
-            broadcast = _broadcast_host(address)
-            tcp = _connections(stack, address, place.port)
-            is_broadcast = isinstance(address, IPv4Address) and not address.is_unspecified
-            hosts = [str(address), broadcast] if is_broadcast else [str(address)]
-            udp = tuple(_datagrams(stack, _family(address), host, place.port) for host in hosts)
+            address = IPv4Address(socket.gethostbyname(place.host))
+            broadcast = LOCAL_BROADCAST if address.is_loopback else BROADCAST
+            tcp = _connections(stack, str(address), place.port)
+            hosts = [str(address)] if address.is_unspecified else [str(address), broadcast]
+            udp = tuple(_datagrams(stack, host, place.port) for host in hosts)
         except OSError as exc:
             raise BusError(f"DoIP cannot listen on {place}: {exc.strerror or exc}") from exc
         stack.pop_all()
     return Listening(tcp=tcp, udp=udp, broadcast=(broadcast, place.port), is_exposed=not address.is_loopback)
 
 
-def _address(host: str) -> Address:
-    """Return the address of a host, IPv4 if it has both."""
-    try:
-        return IPv4Address(socket.getaddrinfo(host, None, socket.AF_INET, socket.SOCK_STREAM)[0][4][0])
-    except socket.gaierror:
-        return IPv6Address(socket.getaddrinfo(host, None, socket.AF_INET6, socket.SOCK_STREAM)[0][4][0])
-
-
-def _family(address: Address) -> socket.AddressFamily:
-    return socket.AF_INET if isinstance(address, IPv4Address) else socket.AF_INET6
-
-
-def _broadcast_host(address: Address) -> str:
-    """Return the broadcast or multicast host of an address; that of the loopback stays on this machine."""
-    if isinstance(address, IPv4Address):
-        return LOCAL_BROADCAST if address.is_loopback else BROADCAST
-    return str(address) if address.is_loopback else ALL_NODES
-
-
-def _connections(stack: ExitStack, address: Address, port: int) -> socket.socket:
-    listener = stack.enter_context(socket.socket(_family(address), socket.SOCK_STREAM))
+def _connections(stack: ExitStack, host: str, port: int) -> socket.socket:
+    listener = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_STREAM))
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # inherited by connections: no delay of 40 ms
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
-    listener.bind((str(address), port))
+    listener.bind((host, port))
     listener.listen(BACKLOG)
     return listener
 
 
-def _datagrams(stack: ExitStack, family: socket.AddressFamily, host: str, port: int) -> socket.socket:
-    receiver = stack.enter_context(socket.socket(family, socket.SOCK_DGRAM))
+def _datagrams(stack: ExitStack, host: str, port: int) -> socket.socket:
+    receiver = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
     receiver.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
     receiver.setblocking(False)
     receiver.bind((host, port))

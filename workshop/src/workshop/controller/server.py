@@ -159,11 +159,9 @@ def extend_session(table: DiagnosticTable, state: ServerState, moment: Instant) 
 
 
 def disconnect(state: ServerState, client: int) -> ServerState:
-    """Return the state without a client's pending response, session and defined data."""
+    """Return the state without a client's pending response and session."""
     if state.waiting is not None and state.waiting.request.client == client:
         state = replace(state, waiting=None)
-    defined = {number: pieces for number, pieces in state.defined.items() if pieces[0].client != client}
-    state = replace(state, defined=defined)
     is_held = state.session != DEFAULT_SESSION and state.holder == client
     return sessions.in_session(state, DEFAULT_SESSION) if is_held else state
 
@@ -174,7 +172,7 @@ def tested(table: DiagnosticTable, state: ServerState, number: int, result: Test
         return state
     trouble = table.troubles[number]
     is_new = needs_capture(state.memory, trouble, result)
-    captured = capture(table, trouble, state, moment) if is_new else NOTHING_CAPTURED
+    captured = capture(table, state, moment) if is_new else NOTHING_CAPTURED
     memory = report(state.memory, trouble, result, captured)
     odometer_m = data.odometer_m(moment)
     frozen = partial(data.frozen_pids, table, state, moment)

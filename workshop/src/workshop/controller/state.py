@@ -60,12 +60,11 @@ class Waiting:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Piece:
-    """A part of a datum, of which a client made a datum of its own."""
+    """A part of a datum within a defined one."""
 
     source: int
     start: int  # from 0
     size_bytes: int
-    client: int = 0  # who made it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -167,7 +167,7 @@ class DiagnosticTable:
     routines: Mapping[int, descriptions.Routine]
     troubles: Mapping[int, descriptions.Trouble]
     extended: Mapping[int, descriptions.ExtendedRecord]
-    snapshot: tuple[int, ...]  # data of snapshots of codes without data of their own
+    snapshot: tuple[int, ...]  # data of the snapshots of trouble codes
     obd: descriptions.Obd | None = None
     doip: DoipEntity = field(default_factory=DoipEntity)
     periodic: Periodic | None = None
@@ -201,9 +201,7 @@ class DiagnosticTable:
                 _check_known(
                     () if info.data is None else (info.data,), self.data, f"vehicle information {info.name}: data"
                 )
-        for trouble in self.troubles.values():
-            _check_known(self.snapshot_of(trouble), self.data, f"trouble code {trouble.code}: data")
-            _check_known(self.extended_of(trouble), self.extended, f"trouble code {trouble.code}: extended record")
+        _check_known(self.snapshot, self.data, "snapshot: data")
         for name, most_s in (("p2_s", 65.0), ("p2_star_s", 600.0), ("s3_s", 600.0)):  # two bytes of ms, and of 10 ms
             time_s = getattr(self.timing, name)
             _check(0.0 < time_s <= most_s, f"timing.{name} must be above 0 and at most {most_s:g} s, got {time_s}")
@@ -228,14 +226,6 @@ class DiagnosticTable:
                     datum.size_bytes <= self.most_periodic_bytes,
                     f"data {datum.name}: what is sent periodically has at most {self.most_periodic_bytes} bytes",
                 )
-
-    def snapshot_of(self, trouble: descriptions.Trouble) -> tuple[int, ...]:
-        """Return the data identifiers of a trouble code's snapshots."""
-        return self.snapshot if trouble.snapshot is None else trouble.snapshot
-
-    def extended_of(self, trouble: descriptions.Trouble) -> tuple[int, ...]:
-        """Return the numbers of a trouble code's extended records."""
-        return tuple(self.extended) if trouble.extended is None else trouble.extended
 
     def _accesses(self) -> Iterable[tuple[descriptions.AccessRule | descriptions.ServiceAccess, str]]:
         for service in self.services.values():

@@ -147,14 +147,13 @@ def define_data(call: Call) -> Result:
     if not described or len(described) % _PIECE_BYTES:
         return Nrc.INCORRECT_LENGTH
     number = int.from_bytes(call.payload[2:4], "big")
-    if not is_definable(call.table, number) or _is_anothers(call, number):
+    if not is_definable(call.table, number):
         return Nrc.REQUEST_OUT_OF_RANGE
     pieces = [
         Piece(
             source=int.from_bytes(described[place : place + 2], "big"),
             start=described[place + 2] - 1,
             size_bytes=described[place + 3],
-            client=call.request.client,
         )
         for place in range(0, len(described), _PIECE_BYTES)
     ]
@@ -180,18 +179,10 @@ def _forgotten(call: Call) -> Result:
     if len(name) not in {0, _NAME_BYTES}:
         return Nrc.INCORRECT_LENGTH
     number = int.from_bytes(name, "big")
-    if name and (not is_definable(call.table, number) or _is_anothers(call, number)):
+    if name and not is_definable(call.table, number):
         return Nrc.REQUEST_OUT_OF_RANGE
-    left = {
-        known: pieces
-        for known, pieces in call.state.defined.items()
-        if (name and known != number) or _is_anothers(call, known)
-    }
+    left = {known: pieces for known, pieces in call.state.defined.items() if name and known != number}
     return call.echoed(name, replace(call.state, defined=left))
-
-
-def _is_anothers(call: Call, number: int) -> bool:
-    return any(piece.client != call.request.client for piece in call.state.defined.get(number, ()))
 
 
 SLOW: Final = 0x01

@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 from typing import Final
 
-from workshop.controller.descriptions import OF_MEMORY, ExtendedRecord, Trouble, encode
+from workshop.controller.descriptions import OF_MEMORY, ExtendedRecord, encode
 from workshop.controller.iso14229 import ALL_BITS, ALL_CODES, Nrc
 from workshop.controller.memory import (
     FAILED_COUNTER,
@@ -24,13 +24,16 @@ ALL_RECORDS: Final = 0xFF
 _CODE_BYTES: Final = 3
 
 
-def capture(table: DiagnosticTable, trouble: Trouble, state: ServerState, moment: Instant) -> Capture:
-    """Return the snapshot and extended data of a failure of this code now."""
+def capture(table: DiagnosticTable, state: ServerState, moment: Instant) -> Capture:
+    """Return the snapshot and extended data of a failure now."""
     values = {**moment.values, "active_session": state.session}
-    records = [table.extended[number] for number in table.extended_of(trouble)]
     return Capture(
-        snapshot=tuple((number, data_of(table.data[number], state, moment)) for number in table.snapshot_of(trouble)),
-        extended=tuple((record.number, encode(record.fields, values)) for record in records if not record.has_counters),
+        snapshot=tuple((number, data_of(table.data[number], state, moment)) for number in table.snapshot),
+        extended=tuple(
+            (record.number, encode(record.fields, values))
+            for record in table.extended.values()
+            if not record.has_counters
+        ),
     )
 
 
@@ -79,44 +82,38 @@ def _snapshot_names(call: Call) -> bytes:
     return b"".join(_code(number) + bytes([name]) for number, record in records for name, _ in _snapshots(record))
 
 
-def _extended_by_code(call: Call) -> bytes | Nrc:
-    return _kept_by_code(call, {ALL_RECORDS, *call.table.extended}, _extended_records)
-
-
-def _kept_by_code(
-    call: Call, names: Collection[int], read: Callable[[Call, Trouble, TroubleRecord, int], bytes]
+def _stored_records(
+    call: Call, names: Collection[int], read: Callable[[Call, TroubleRecord, int], bytes]
 ) -> bytes | Nrc:
     """Return a code, its status and its stored records, if there are any."""
     number, name = int.from_bytes(call.payload[2:5], "big"), call.payload[5]
-    trouble = call.table.troubles.get(number)
-    if trouble is None or name not in names:
+    record = call.state.memory.records.get(number)
+    if record is None or name not in names:
         return Nrc.REQUEST_OUT_OF_RANGE
-    record = call.state.memory.records[number]
-    return _code(number) + bytes([record.status]) + read(call, trouble, record, name)
+    return _code(number) + bytes([record.status]) + read(call, record, name)
 
 
 def _snapshots(record: TroubleRecord) -> list[tuple[int, Capture]]:
     both = ((FIRST_RECORD, record.first), (LATEST_RECORD, record.latest))
-    return [(name, snapshot) for name, snapshot in both if snapshot is not None]
+    return [(name, failure) for name, failure in both if failure is not None]
 
 
-def _snapshot_records(_call: Call, _trouble: Trouble, record: TroubleRecord, wanted: int) -> bytes:
+def _snapshot_records(_call: Call, record: TroubleRecord, wanted: int) -> bytes:
     return b"".join(
-        bytes([name, len(snapshot.snapshot)])
-        + b"".join(number.to_bytes(2, "big") + data for number, data in snapshot.snapshot)
-        for name, snapshot in _snapshots(record)
+        bytes([name, len(failure.snapshot)])
+        + b"".join(number.to_bytes(2, "big") + data for number, data in failure.snapshot)
+        for name, failure in _snapshots(record)
         if wanted in {name, ALL_RECORDS}
     )
 
 
-def _extended_records(call: Call, trouble: Trouble, record: TroubleRecord, wanted: int) -> bytes:
+def _extended_records(call: Call, record: TroubleRecord, wanted: int) -> bytes:
     if record.latest is None:
         return b""
-    captured, extended = dict(record.latest.extended), call.table.extended
+    captured = dict(record.latest.extended)
     return b"".join(
-        bytes([number])
-        + (_counters(extended[number], record) if extended[number].has_counters else captured.get(number, b""))
-        for number in call.table.extended_of(trouble)
+        bytes([number]) + (_counters(described, record) if described.has_counters else captured.get(number, b""))
+        for number, described in call.table.extended.items()
         if wanted in {number, ALL_RECORDS}
     )
 
@@ -152,8 +149,8 @@ _REPORTS: Final[Mapping[int, tuple[int, _Report]]] = {  # with the length of the
     0x01: (3, lambda call: bytes([ALL_BITS, CODE_FORMAT]) + len(_masked(call)).to_bytes(2, "big")),
     0x02: (3, lambda call: bytes([ALL_BITS]) + _listed(call, _masked(call))),
     0x03: (2, _snapshot_names),
-    0x04: (6, lambda call: _kept_by_code(call, (FIRST_RECORD, LATEST_RECORD, ALL_RECORDS), _snapshot_records)),
-    0x06: (6, _extended_by_code),
+    0x04: (6, lambda call: _stored_records(call, (FIRST_RECORD, LATEST_RECORD, ALL_RECORDS), _snapshot_records)),
+    0x06: (6, lambda call: _stored_records(call, {ALL_RECORDS, *call.table.extended}, _extended_records)),
     0x0A: (2, lambda call: bytes([ALL_BITS]) + _listed(call, call.state.memory.records)),  # all supported codes
     0x14: (2, _detection_counters),
 }
