@@ -81,14 +81,6 @@ class Wire:
         assert message.arbitration_id == self.controller.table.addressing.response_id
         return bytes(message.data).hex(" ")
 
-    def get_periodic(self) -> str:
-        """Return the next frame of service 2A."""
-        periodic = self.controller.table.periodic
-        message = self._heard.get(timeout=HANG_S)
-        assert periodic is not None
-        assert message.arbitration_id == periodic.response_id
-        return bytes(message.data).hex(" ")
-
     def get_within(self, duration_s: float) -> str:
         """Return the next frame of the controller, empty if none comes for so long."""
         try:

@@ -93,13 +93,10 @@ def communication_values(table: DiagnosticTable, protocol: str) -> list[Comparam
 
 def _identifiers(table: DiagnosticTable) -> ComplexValue:
     """Return the values of the table of identifiers: format, identifier and address three times, and a name."""
-    ids, transport, periodic = table.addressing, table.transport, table.periodic
+    ids, transport = table.addressing, table.transport
     tester = str(transport.tester_address if transport.own_address is not None else 0)
     way = _format(table, ids.request_id)
     unsegmented = ["", "0", "0"]
-    if periodic is not None:
-        sent = f"normal unsegmented {_id_bits(periodic.response_id)}-bit receive"
-        unsegmented = [sent, str(periodic.response_id), tester]
     asked, answered = [way, str(ids.request_id), str(transport.own_address or 0)], [way, str(ids.response_id), tester]
     return [*asked, *answered, *unsegmented, xml_text(table.name)]
 

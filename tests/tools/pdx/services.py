@@ -31,14 +31,13 @@ from workshop.controller.descriptions import (
 from workshop.controller.iso14229 import ObdService
 from workshop.controller.iso14229 import Service as Number
 from workshop.controller.services import data, obd, sessions, trouble
-from workshop.controller.table import PERIODIC_PAGE, DiagnosticTable
+from workshop.controller.table import DiagnosticTable
 
 _RESETS: Final = {1: "hard reset", 2: "ignition off and on", 3: "soft reset"}
 _TRAFFIC: Final = ("enable receiving and sending", "enable receiving, disable sending",
                    "disable receiving, enable sending", "disable receiving and sending")  # fmt: skip
 _MESSAGES: Final = {1: "normal messages", 2: "network management", 3: "normal messages and network management"}
 _SETTINGS: Final = {sessions.CODES_ON: "trouble codes on", sessions.CODES_OFF: "trouble codes off"}
-_RATES: Final = {data.SLOW: "Slow", data.MEDIUM: "Medium", data.FAST: "Fast", data.STOP: "Stop"}
 _ACTIONS: Final = {sessions.START: "Start", sessions.STOP: "Stop", sessions.RESULTS: "Results of"}
 _STATUS_BITS: Final = (
     "test failed", "test failed this operation cycle", "pending", "confirmed", "test not completed since last clear",
@@ -116,15 +115,14 @@ class UdsServices(_Services):
         flags = dictionary.flags("status of a trouble code", _STATUS_BITS)
         self._status, self._availability = value("status", flags, 1), value("status_availability", flags, 1)
         self._record = self.number("record", "number of a record")
-        self._pages = {data.DEFINABLE_PAGE: "data"}  # upper bytes of data that clients may define
-        self._pages |= {} if table.periodic is None else {PERIODIC_PAGE: "periodic data"}
+        self._page = constant("page", data.DEFINABLE_PAGE, semantic="ID")  # upper byte of data that clients may define
 
     def __iter__(self) -> Iterator[OdxService]:
         makers = {
             Number.SESSION_CONTROL: self._sessions, Number.ECU_RESET: self._resets, Number.CLEAR_CODES: self._clearing,
             Number.READ_CODES: self._trouble_codes, Number.READ_DATA: self._reading,
             Number.SECURITY_ACCESS: self._security, Number.COMMUNICATION_CONTROL: self._communication,
-            Number.READ_PERIODICALLY: self._periodic, Number.DEFINE_DATA: self._defining,
+            Number.DEFINE_DATA: self._defining,
             Number.WRITE_DATA: self._writing, Number.ROUTINE_CONTROL: self._routines,
             Number.TESTER_PRESENT: self._presence, Number.CONTROL_CODE_SETTING: self._settings,
         }  # fmt: skip
@@ -188,17 +186,8 @@ class UdsServices(_Services):
             for name, part in (("asked data", asked), ("read data", found))
         )
         yield self.service("Read several data", number, kind, several, answered)
-        for page, name in self._pages.items():
-            defined = constant("page", page, semantic="ID")
-            answer = (defined, echo("number", 2, 1), left)
-            yield self.service(f"Read defined {name}", number, kind, (defined, self._low), answer)
-
-    def _periodic(self, number: int) -> Iterator[OdxService]:
-        datum = self.dictionary.structure("periodic datum", (self._low,))
-        asked = value("data", self.dictionary.repeated("periodic data", datum, least=1))
-        for mode, verb in _RATES.items():
-            yield self.service(f"{verb} periodic data", number, "PERIODIC", (constant("mode", mode), asked))
-        yield self.service("Stop all periodic data", number, "PERIODIC", (constant("mode", data.STOP),))
+        answer = (self._page, echo("number", 2, 1), left)
+        yield self.service("Read defined data", number, kind, (self._page, self._low), answer)
 
     def _defining(self, number: int) -> Iterator[OdxService]:
         kind, dictionary = "DYN-DEF-MESSAGE", self.dictionary
@@ -206,12 +195,10 @@ class UdsServices(_Services):
         parts = renamed(self._choice, "source"), renamed(size, "first_byte"), size
         piece = dictionary.structure("piece of a datum", parts)
         pieces = value("pieces", dictionary.repeated("pieces of data", piece, self.table.limits.most_pieces, 1))
-        for page, name in self._pages.items():
-            upper = constant("page", page, semantic="ID")
-            asked, response = (upper, self._low), (upper, echo("number", 3, 1))
-            define, clear = data.DEFINE_BY_IDENTIFIER, data.CLEAR_DEFINITION
-            yield self.service(f"Define {name}", number, kind, (*asked, pieces), response, sub=define)
-            yield self.service(f"Forget defined {name}", number, kind, asked, response, sub=clear)
+        asked, response = (self._page, self._low), (self._page, echo("number", 3, 1))
+        define, clear = data.DEFINE_BY_IDENTIFIER, data.CLEAR_DEFINITION
+        yield self.service("Define data", number, kind, (*asked, pieces), response, sub=define)
+        yield self.service("Forget defined data", number, kind, asked, response, sub=clear)
         yield self.service("Forget all defined data", number, kind, sub=data.CLEAR_DEFINITION)
 
     def _writing(self, number: int) -> Iterator[OdxService]:

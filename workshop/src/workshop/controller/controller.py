@@ -249,16 +249,6 @@ class Controller:
         """End a client's session and pending response; raises RecordError as ``report``."""
         self._change(lambda state: server.disconnect(state, client))
 
-    def broadcast(self, client: int = 0) -> tuple[bytes, ...]:
-        """Return the periodic messages that are due for the holder of the session; does not block."""
-        if not self._state.periodic or self._state.holder != client or not self._lock.acquire(blocking=False):
-            return ()
-        try:
-            messages, self._state = server.broadcast(self.table, self._state, self._moment())
-            return messages
-        finally:
-            self._lock.release()
-
     def hold_session(self) -> None:
         """Restart S3 while a message is being transferred; does not block."""
         if not self._lock.acquire(blocking=False):

@@ -17,7 +17,7 @@ from ecu_emulator.errors import BusError, EmulatorConfigError
 from workshop.controller import doip
 from workshop.controller.controller import TICK_S, Controller
 from workshop.controller.doip import announcement, datagram_reply
-from workshop.controller.iso14229 import NEGATIVE, Nrc, Service
+from workshop.controller.iso14229 import NEGATIVE, Nrc
 from workshop.controller.server import AGAIN_RATIO, KEEP_ALIVE, PENDING_RATIO
 from workshop.controller.table import DoipEntity
 
@@ -198,7 +198,6 @@ class DatagramServer(asyncio.DatagramProtocol):
 
 READ_BYTES: Final = 4096
 LINGER_S: Final = 1.0  # time for a tester to read the last data before its connection is aborted
-_PERIODIC: Final = bytes([Service.READ_PERIODICALLY])
 
 
 @dataclass(slots=True)
@@ -235,7 +234,6 @@ class DoipServer:
         self._asks: dict[int, asyncio.Queue[doip.Ask]] = {}
         self._reset_s = controller.state.asleep_until_s  # end of the last reset
         self._asking_count = 0
-        self._silent: set[int] = set()  # connections whose periodic data wait for the response that starts them
         self._tasks: set[asyncio.Task[None]] = set()
         self._pool = ThreadPoolExecutor(1, "DoIP asks")
         self._datagrams = DatagramServer(self._entity, controller, open_sockets=lambda: len(self._step.sockets))
@@ -335,7 +333,6 @@ class DoipServer:
             answering.cancel()
             writer.transport.abort() if reader.exception() else writer.close()
             del self._writers[number], self._asks[number]
-            self._silent.discard(number)
             self._apply(doip.closed(self._entity, self._step, number, time.monotonic()))
             self._pool.submit(self._controller.leave, number)
 
@@ -362,9 +359,6 @@ class DoipServer:
             await asyncio.sleep(TICK_S)
             self._note_reset(group)
             self._apply(doip.advanced(self._entity, self._step, time.monotonic()))
-            for number in self._writers.keys() - self._silent:
-                for message in self._controller.broadcast(number):
-                    self._respond(number, message, is_final=False)
 
     def _note_reset(self, group: asyncio.TaskGroup) -> None:
         """Close all connections once a reset has been answered, and send the announcements of a start."""
@@ -405,8 +399,6 @@ class DoipServer:
         self._counts.requests += 1
         timing = self._controller.table.timing
         work = partial(self._controller.reply_to, ask.payload, is_functional=ask.is_functional, client=number)
-        if ask.payload[:1] == _PERIODIC:
-            self._silent.add(number)
         asking = asyncio.get_running_loop().run_in_executor(self._pool, work)
         patience_s, was_promised = PENDING_RATIO * timing.p2_s, False
         while not (await asyncio.wait([asking], timeout=patience_s))[0]:
@@ -415,7 +407,6 @@ class DoipServer:
                 was_promised = True
                 self._respond(number, bytes([NEGATIVE, ask.payload[0], Nrc.RESPONSE_PENDING]), is_final=False)
         self._respond(number, asking.result().response(was_promised=was_promised), is_final=True)
-        self._silent.discard(number)
 
     def _respond(self, number: int, response: bytes | None, *, is_final: bool) -> None:
         self._counts.responses += response is not None

@@ -19,7 +19,7 @@ import can
 
 from ecu_emulator.errors import BusError, EmulatorConfigError, RecordError
 from workshop.controller.controller import TICK_S, Controller
-from workshop.controller.elm327 import LARGEST_STANDARD_ID, ElmReply, Interpreter, format_frame
+from workshop.controller.elm327 import ElmReply, Interpreter, format_frame
 from workshop.controller.iso14229 import NEGATIVE, Nrc
 
 MOST_LINE_BYTES: Final = 512
@@ -285,21 +285,13 @@ class ElmServer(ThreadingTCPServer):
             client.hear_frame(message)
 
     def _tick(self) -> None:
-        """Pass pending responses and periodic data to clients, until the end."""
+        """Pass pending responses to clients, until the end."""
         while not self._is_over.wait(TICK_S):
             for client in self._current_clients():
                 if self._controller.awaits(client.number):
                     response = self._controller.tick(client.number)
                     if response is not None:
                         client.hear_response(response)
-                for payload in self._controller.broadcast(client.number):
-                    client.hear_frame(self._periodic(payload))
-
-    def _periodic(self, payload: bytes) -> can.Message:
-        """Return data of service 2A as a CAN frame."""
-        periodic = self._controller.table.periodic
-        can_id = 0 if periodic is None else periodic.response_id
-        return can.Message(arbitration_id=can_id, is_extended_id=can_id > LARGEST_STANDARD_ID, data=payload)
 
     def _current_clients(self) -> list[Client]:
         with self._lock:

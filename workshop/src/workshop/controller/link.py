@@ -16,7 +16,7 @@ import isotp
 
 from ecu_emulator.errors import EmulatorConfigError
 from workshop.controller.controller import TICK_S, Controller
-from workshop.controller.iso14229 import NEGATIVE, Nrc, Service
+from workshop.controller.iso14229 import NEGATIVE, Nrc
 from workshop.controller.server import AGAIN_RATIO, KEEP_ALIVE, PENDING_RATIO
 from workshop.isotp_frames import LARGEST_STANDARD_ID, isotp_address, single_payload, usable
 
@@ -29,7 +29,6 @@ LONGEST_MESSAGE: Final = 4095
 TIMEOUT_MS: Final = 1000  # N_Bs and N_Cr
 MOST_WAIT_FRAMES: Final = 1 << 31  # N_WFT_OVRN is an error of the receiver: a sender waits without limit
 FULL_FD_BYTES: Final = 64
-_PERIODIC: Final = bytes([Service.READ_PERIODICALLY])
 _LOGGER: Final = "ecu_emulator.isotp"  # invalid frames are counted instead of logged
 logging.getLogger(_LOGGER).setLevel(logging.CRITICAL + 1)
 
@@ -38,7 +37,6 @@ logging.getLogger(_LOGGER).setLevel(logging.CRITICAL + 1)
 class LinkCounts:
     requests: int = 0
     responses: int = 0
-    periodic: int = 0  # messages of service 2A
     ignored_frames: int = 0  # invalid or out of sequence
     broken_messages: int = 0  # received or sent incompletely
     dropped_frames: int = 0  # queue was full
@@ -157,14 +155,11 @@ class DiagnosticLink:
                 self._enqueue(bytes(received), is_functional=False)
             now_s = time.monotonic()
             self._process_requests(now_s)
-            self._layer.process()  # the response goes out before the periodic data that it starts
             if now_s >= next_tick_s:
                 next_tick_s = now_s + TICK_S
                 if self._layer.transmitting() or self._layer.is_rx_active():
                     self._controller.hold_session()
                 self._respond(self._controller.tick())
-                if self._asked[:1] != _PERIODIC or self._asking is None:
-                    self._broadcast()
             self._layer.process()
 
     def _patience_s(self) -> float:
@@ -237,24 +232,6 @@ class DiagnosticLink:
         if payload is not None:
             self.counts.responses += 1
             self._layer.send(payload)
-
-    def _broadcast(self) -> None:
-        """Send periodic data, in frames beside the transport layer."""
-        periodic, transport = self._controller.table.periodic, self._transport
-        if periodic is None:
-            return
-        prefix = b"" if transport.own_address is None else bytes([transport.tester_address])
-        for payload in self._controller.broadcast():
-            self.counts.periodic += 1
-            self._send_frame(
-                isotp.CanMessage(
-                    arbitration_id=periodic.response_id,
-                    extended_id=periodic.response_id > LARGEST_STANDARD_ID,
-                    is_fd=self._is_fd,
-                    bitrate_switch=self._is_fd,
-                    data=prefix + payload,
-                )
-            )
 
     def _take_frame(self, _timeout_s: float) -> isotp.CanMessage | None:
         message, self._next = self._next, None

@@ -59,7 +59,6 @@ _HANDLERS: Final[Mapping[int, Callable[[Call], Result]]] = {
     Service.READ_DATA: data.read_data,
     Service.SECURITY_ACCESS: sessions.security_access,
     Service.COMMUNICATION_CONTROL: sessions.communication_control,
-    Service.READ_PERIODICALLY: data.read_periodically,
     Service.DEFINE_DATA: data.define_data,
     Service.WRITE_DATA: data.write_data,
     Service.ROUTINE_CONTROL: sessions.routine_control,
@@ -148,11 +147,6 @@ def advance(table: DiagnosticTable, state: ServerState, moment: Instant) -> Repl
     return Reply(payload=response if isinstance(response, bytes) else None, state=state)
 
 
-def broadcast(table: DiagnosticTable, state: ServerState, moment: Instant) -> tuple[tuple[bytes, ...], ServerState]:
-    """Return the periodic messages (service 2A) that are due, and the state after them."""
-    return data.due(table, _after_time(table, state, moment), moment)
-
-
 def extend_session(table: DiagnosticTable, state: ServerState, moment: Instant) -> ServerState:
     """Return the state with S3 restarted, as while a message is being transferred."""
     return replace(_after_time(table, state, moment), heard_s=moment.t_s)
@@ -200,7 +194,7 @@ def _after_time(table: DiagnosticTable, state: ServerState, moment: Instant) -> 
     is_over = moment.t_s - state.heard_s >= table.timing.s3_s
     if state.session != DEFAULT_SESSION and state.waiting is None and is_over:
         return sessions.in_session(state, DEFAULT_SESSION)
-    return data.only_allowed(state, table)
+    return state
 
 
 def _is_obd(call: Call) -> bool:

@@ -68,14 +68,6 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PeriodicRun:
-    """A datum that service 2A sends repeatedly."""
-
-    period_s: float
-    due_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class KeptState:
     """The part of the state that survives a restart; fault detection counters do not."""
 
@@ -105,7 +97,6 @@ class ServerState(KeptState):
     are_codes_updated: bool = True
     communication: Communication = field(default_factory=Communication)
     defined: Mapping[int, tuple[Piece, ...]] = field(default_factory=dict)
-    periodic: Mapping[int, PeriodicRun] = field(default_factory=dict)  # by data identifier
     routines: Mapping[int, RoutineRun] = field(default_factory=dict)
     waiting: Waiting | None = None
     asleep_until_s: float = 0.0  # after a reset

@@ -14,10 +14,7 @@ from clutch_model.tables import record_from
 from ecu_emulator.errors import EmulatorConfigError
 from workshop.controller import descriptions
 from workshop.controller.descriptions import AccessRule, DataIdentifier, ObdProfile, Routine, Trouble
-from workshop.controller.iso14229 import DEFAULT_SESSION, Service
-
-PERIODIC_PAGE: Final = 0xF2  # upper byte of data that can be sent periodically, ISO 14229-1 annex C
-_FRAME_BYTES: Final = 8
+from workshop.controller.iso14229 import DEFAULT_SESSION
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,24 +105,6 @@ class Timing:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Periodic:
-    """Periodic data (service 2A), each datum in one frame with an identifier of its own."""
-
-    response_id: int
-    slow_s: float
-    medium_s: float
-    fast_s: float
-    most: int  # data at once
-
-    def __post_init__(self) -> None:
-        _check(0 <= self.response_id <= 0x1FFFFFFF, "periodic.response_id has 29 bits at most")
-        periods = (self.fast_s, self.medium_s, self.slow_s)
-        _check(self.fast_s >= 0.01 and periods == tuple(sorted(periods)), "0.01 <= fast_s <= medium_s <= slow_s")
-        _check(self.slow_s <= 3600.0, "periodic.slow_s must be at most 3600 s")
-        _check(1 <= self.most <= 0x100, "periodic.most must be 1..256")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RequestLimits:
     """Limits of one request."""
 
@@ -170,11 +149,9 @@ class DiagnosticTable:
     snapshot: tuple[int, ...]  # data of the snapshots of trouble codes
     obd: descriptions.Obd | None = None
     doip: DoipEntity = field(default_factory=DoipEntity)
-    periodic: Periodic | None = None
     clutches: ClutchLimits = field(default_factory=ClutchLimits)
 
     def __post_init__(self) -> None:
-        self._check_periodic()
         _check(DEFAULT_SESSION in self.sessions, "sessions must have number 1, the default session")
         for where, numbers, most in (
             ("session", self.sessions, 0x7E),
@@ -208,25 +185,6 @@ class DiagnosticTable:
         least_s, most_s = self.timing.least_answer_s, self.timing.most_answer_s
         _check(0.0 <= least_s <= most_s < self.timing.p2_s, "0 <= timing.least_answer_s <= most_answer_s < p2_s")
 
-    @property
-    def most_periodic_bytes(self) -> int:
-        """Length of the data of a frame of service 2A, after the identifier's lower byte."""
-        return _FRAME_BYTES - 1 - (self.transport.own_address is not None)
-
-    def _check_periodic(self) -> None:
-        if self.periodic is None:
-            _check(Service.READ_PERIODICALLY not in self.services, "service 0x2A is there, but not [periodic]")
-            return
-        ids = self.addressing
-        others = {ids.request_id, ids.response_id, ids.functional_id}
-        _check(self.periodic.response_id not in others, "periodic.response_id must differ from the other identifiers")
-        for number, datum in self.data.items():
-            if number >> 8 == PERIODIC_PAGE:
-                _check(
-                    datum.size_bytes <= self.most_periodic_bytes,
-                    f"data {datum.name}: what is sent periodically has at most {self.most_periodic_bytes} bytes",
-                )
-
     def _accesses(self) -> Iterable[tuple[descriptions.AccessRule | descriptions.ServiceAccess, str]]:
         for service in self.services.values():
             yield service, f"service {service.name}"
@@ -255,7 +213,7 @@ KeyT = TypeVar("KeyT", int, str)
 
 _LIKE: Final = "like_"
 _SAME_IN_FILES: Final = (  # of a table
-    *("name", "snapshot", "addressing", "transport", "timing", "limits", "doip", "periodic", "clutches"),
+    *("name", "snapshot", "addressing", "transport", "timing", "limits", "doip", "clutches"),
 )
 _ACCESSES: Final = ("access", "read", "write")  # members that name an entry of [access]
 _MAY_BE_NEGATIVE: Final = frozenset({"offset", "minimum", "maximum"})
@@ -285,7 +243,6 @@ class TableFile:
     vehicle_info: tuple[descriptions.VehicleInfo, ...] = ()
     monitor: tuple[descriptions.MonitorTest, ...] = ()
     doip: DoipEntity = field(default_factory=DoipEntity)
-    periodic: Periodic | None = None
     clutches: ClutchLimits = field(default_factory=ClutchLimits)
 
 

@@ -3,7 +3,7 @@
 from tests.support.uds.full_table import full_table
 from workshop.controller.descriptions import Value
 from workshop.controller.memory import TestResult
-from workshop.controller.server import advance, answer, broadcast, disconnect, switched_on, tested
+from workshop.controller.server import advance, answer, disconnect, switched_on, tested
 from workshop.controller.services.sessions import failed, finished
 from workshop.controller.state import Instant, Request, ServerState
 from workshop.controller.table import DiagnosticTable
@@ -40,16 +40,6 @@ class Bench:
 
     def leave(self, client: int) -> None:
         self.state = disconnect(self.state, client)
-
-    def sent(self, duration_s: float) -> list[str]:
-        """Return what is sent unasked in the next so many seconds, looked at a hundred times a second."""
-        messages: list[str] = []
-        for _ in range(round(duration_s * 100)):
-            self.wait(0.01)
-            moment = Instant(t_s=self.t_s, values=self.values)
-            found, self.state = broadcast(self.table, self.state, moment)
-            messages += [message.hex(" ") for message in found]
-        return messages
 
     def monitor(self, code: str, result: TestResult) -> None:
         moment = Instant(t_s=self.t_s, values=self.values)

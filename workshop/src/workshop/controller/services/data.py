@@ -1,4 +1,4 @@
-"""Data by identifier: services 22 (read), 2A (read periodically), 2C (define) and 2E (write)."""
+"""Data by identifier: services 22 (read), 2C (define) and 2E (write)."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -15,12 +15,11 @@ from workshop.controller.descriptions import (
     are_valid,
     encode,
 )
-from workshop.controller.iso14229 import DtcStatus, Nrc, Service
+from workshop.controller.iso14229 import DtcStatus, Nrc
 from workshop.controller.memory import FrozenPids, emission_codes, is_lamp_on, located
 from workshop.controller.state import (
     Call,
     Instant,
-    PeriodicRun,
     Piece,
     Result,
     ServerState,
@@ -29,12 +28,12 @@ from workshop.controller.state import (
     unmet,
     unmet_by_service,
 )
-from workshop.controller.table import PERIODIC_PAGE, DiagnosticTable
+from workshop.controller.table import DiagnosticTable
 
 STARTING: Final = "is_starting"  # value that is 1 until the first frame, as while kernels are compiled
 DEFINE_BY_IDENTIFIER: Final = 0x01
 CLEAR_DEFINITION: Final = 0x03
-DEFINABLE_PAGE: Final = 0xF3  # annex C: upper byte of what clients may define, beside what is sent periodically
+DEFINABLE_PAGE: Final = 0xF3  # annex C: upper byte of data that clients may define
 _NAME_BYTES: Final = 2
 _PIECE_BYTES: Final = 4
 
@@ -109,10 +108,7 @@ def data_in(table: DiagnosticTable, state: ServerState, moment: Instant, pieces:
     )
 
 
-def is_definable(table: DiagnosticTable, number: int) -> bool:
-    """Return whether clients may define this datum."""
-    if number >> 8 == PERIODIC_PAGE:
-        return table.periodic is not None and number not in table.data
+def _is_definable(number: int) -> bool:
     return number >> 8 == DEFINABLE_PAGE
 
 
@@ -147,7 +143,7 @@ def define_data(call: Call) -> Result:
     if not described or len(described) % _PIECE_BYTES:
         return Nrc.INCORRECT_LENGTH
     number = int.from_bytes(call.payload[2:4], "big")
-    if not is_definable(call.table, number):
+    if not _is_definable(number):
         return Nrc.REQUEST_OUT_OF_RANGE
     pieces = [
         Piece(
@@ -179,79 +175,10 @@ def _forgotten(call: Call) -> Result:
     if len(name) not in {0, _NAME_BYTES}:
         return Nrc.INCORRECT_LENGTH
     number = int.from_bytes(name, "big")
-    if name and not is_definable(call.table, number):
+    if name and not _is_definable(number):
         return Nrc.REQUEST_OUT_OF_RANGE
     left = {known: pieces for known, pieces in call.state.defined.items() if name and known != number}
     return call.echoed(name, replace(call.state, defined=left))
-
-
-SLOW: Final = 0x01
-MEDIUM: Final = 0x02
-FAST: Final = 0x03
-STOP: Final = 0x04
-
-
-def read_periodically(call: Call) -> Result:
-    """Start periodic data at a rate, or stop some or all; unknown ones are left out, and refused if all are unknown."""
-    if len(call.payload) < 2 or (len(call.payload) == 2 and call.payload[1] != STOP):
-        return Nrc.INCORRECT_LENGTH
-    mode, names = call.payload[1], call.payload[2:]
-    if mode not in {SLOW, MEDIUM, FAST, STOP}:
-        return Nrc.REQUEST_OUT_OF_RANGE
-    numbers = [number for name in names if _can_be_sent(call.table, call.state, number := PERIODIC_PAGE << 8 | name)]
-    if names and not numbers:
-        return Nrc.REQUEST_OUT_OF_RANGE
-    if mode == STOP:
-        left = {number: run for number, run in call.state.periodic.items() if names and number not in numbers}
-        return call.positive(state=replace(call.state, periodic=left))
-    return _begun(call, numbers, mode)
-
-
-def _begun(call: Call, numbers: list[int], mode: int) -> Result:
-    periodic = call.table.periodic
-    if periodic is None:
-        return Nrc.SERVICE_NOT_SUPPORTED
-    pieces = [piece for number in numbers for piece in readable(call.table, call.state, number)]
-    if refusal := read_refusal(call, pieces):
-        return refusal
-    period_s = {SLOW: periodic.slow_s, MEDIUM: periodic.medium_s, FAST: periodic.fast_s}[mode]
-    runs = {**call.state.periodic, **dict.fromkeys(numbers, PeriodicRun(period_s=period_s, due_s=call.moment.t_s))}
-    if len(runs) > periodic.most:
-        return Nrc.REQUEST_OUT_OF_RANGE
-    return unmet_by_service(call) or call.positive(state=replace(call.state, periodic=runs))
-
-
-def only_allowed(state: ServerState, table: DiagnosticTable) -> ServerState:
-    """Return the state without periodic data that may not be read any more, or are too long since a redefinition."""
-    if not state.periodic:
-        return state
-    is_there = state.session in table.services[Service.READ_PERIODICALLY].sessions
-    left = {
-        number: run
-        for number, run in state.periodic.items()
-        if is_there and _can_be_sent(table, state, number)
-        if all(is_unlocked(state, table.data[piece.source].read.levels) for piece in readable(table, state, number))
-    }
-    return state if len(left) == len(state.periodic) else replace(state, periodic=left)
-
-
-def due(table: DiagnosticTable, state: ServerState, moment: Instant) -> tuple[tuple[bytes, ...], ServerState]:
-    """Return the messages that are due, and the state after them; missed ones are skipped."""
-    messages, runs = list[bytes](), dict[int, PeriodicRun]()
-    for number, run in state.periodic.items():
-        runs[number] = run
-        if moment.t_s < run.due_s:
-            continue
-        data = data_in(table, state, moment, readable(table, state, number))
-        messages.append(bytes([number & 0xFF]) + data)
-        next_s = run.due_s + run.period_s
-        runs[number] = replace(run, due_s=next_s if next_s > moment.t_s else moment.t_s + run.period_s)
-    return tuple(messages), replace(state, periodic=runs) if messages else state
-
-
-def _can_be_sent(table: DiagnosticTable, state: ServerState, number: int) -> bool:
-    size_bytes = sum(piece.size_bytes for piece in readable(table, state, number))
-    return 0 < size_bytes <= table.most_periodic_bytes
 
 
 _LAMP: Final = 0x80

@@ -68,7 +68,6 @@ def in_session(state: ServerState, session: int) -> ServerState:
         state,
         communication=Communication(),
         are_codes_updated=True,
-        periodic={},
         routines=routines,
         waiting=None,
     )
