@@ -89,15 +89,15 @@ def try_car(options: TryOptions, controls: Controls) -> None:
     if options.adapter is None:
         show(str(traffic := listen_at(bus, options.listen, lambda: not controls.stop.is_set)))
         if traffic is not None and not any(map(is_extended, traffic.can_ids)) and options.profile is None:
-            profiles = [one for one in profiles if not one.groups]  # no J1939 on a bus without any such frame
+            profiles = [profile for profile in profiles if not profile.groups]  # no J1939 on a bus of 11-bit frames
     else:
         bus = BusConfig(interface="virtual", channel=f"try-{uuid.uuid4()}", bitrate=None, is_fd=False)
-        if not (profiles := [one for one in profiles if not one.groups]):
+        if not (profiles := [profile for profile in profiles if not profile.groups]):
             raise ConfigError(NO_GROUPS)
     if options.dry_run or not options.active:
         for profile in profiles:
             _show_requests(profile, _rules(options, profile), show)
-        defines = any(_rules(options, one).define for one in profiles)
+        defines = any(_rules(options, profile).define for profile in profiles)
         what = "reading services, and 2C, which makes a datum of others" if defines else "reading services alone"
         show(f"nothing was sent; --active sends these: {what}")
         return
@@ -107,7 +107,7 @@ def try_car(options: TryOptions, controls: Controls) -> None:
             return line_through(options.adapter, str(bus.channel), lambda: not controls.stop.is_set)
         return line_on(
             bus,
-            [address_of(one) for one in profile.asked.values()],
+            [address_of(asked) for asked in profile.asked.values()],
             tuple(profile.groups.values()),
             is_fd=bus.is_fd,
             listen_s=options.listen,
@@ -136,19 +136,19 @@ def _best(
     show: Show,
 ) -> Profile:
     """Return the profile by which most can be diagnosed; raises ControllerError if nothing is told."""
-    found: list[tuple[bool, float, int, int, Profile]] = []
+    ranked: list[tuple[bool, float, int, int, Profile]] = []
     for profile in profiles:
         show(f"profile {profile.name}:")
         with opened(profile) as line:
-            told = _told(line, profile, show)
+            answered = _ask_each(line, profile, show)
         count = len(profile.asked) + len(profile.groups)
-        tier, doubt, words = _reached(profile, told, database, traffic)
-        show(f"  {len(told)} of {count} signals are told; {words}")
-        if told:
-            found.append((doubt is Doubt.NONE_HEARD, tier or math.inf, -len(told), doubt, profile))
-    if not found:
+        tier, doubt, words = _reached(profile, answered, database, traffic)
+        show(f"  {len(answered)} of {count} signals are told; {words}")
+        if answered:
+            ranked.append((doubt is Doubt.NONE_HEARD, tier or math.inf, -len(answered), doubt, profile))
+    if not ranked:
         raise ControllerError("no controller tells what one of the profiles asks for: it may be asleep, or another one")
-    return min(found, key=itemgetter(slice(4)))[-1]
+    return min(ranked, key=itemgetter(slice(4)))[-1]
 
 
 def _show_requests(profile: Profile, rules: AskingRules, show: Show) -> None:
@@ -158,11 +158,11 @@ def _show_requests(profile: Profile, rules: AskingRules, show: Show) -> None:
     plan = PollPlan(profile.asked, rules, plan.groups)
     plan.defined |= plan.definitions() if rules.define else {}
     requests = [
-        (one.address.request_id, request)
-        for datum, one in plan.defined.items()
-        for request in (one.forgetting(datum.number), one.request(datum.number, sizes))
+        (definition.address.request_id, request)
+        for datum, definition in plan.defined.items()
+        for request in (definition.forgetting(datum.number), definition.request(datum.number, sizes))
     ]
-    requests += [(one.can_id, one.request) for one in plan.due(0.0)]
+    requests += [(question.can_id, question.request) for question in plan.due(0.0)]
     for can_id, request in requests:
         show(f"  {id_text(can_id)}: {request.hex(' ').upper()}")
 
@@ -272,20 +272,20 @@ def _place_words(options: TryOptions) -> list[str]:
 
 def _profiles(named: Path | None) -> list[Profile]:
     profiles = [find_profile(named)] if named is not None else [load_shipped(name) for name in shipped_profiles()]
-    if not (asking := [one for one in profiles if one.asked or one.groups]):
+    if not (asking := [profile for profile in profiles if profile.asked or profile.groups]):
         raise ConfigError(f"profile {named} asks for nothing: try is for profiles that do")
     return asking
 
 
-def _told(line: Line, profile: Profile, show: Show) -> frozenset[Signal]:
+def _ask_each(line: Line, profile: Profile, show: Show) -> frozenset[Signal]:
     """Ask for each signal once, and show what is told."""
-    sizes, silent, told = sizes_of(profile.asked.values()), set[CanAddress](), set[Signal]()
+    sizes, silent, answered = sizes_of(profile.asked.values()), set[CanAddress](), set[Signal]()
     for signal, asked in profile.asked.items():
         question = DataRequest(address_of(asked), (asked.data_id,))
         if question.address in silent:
             continue
         answers = (line.ask(question.request, question.address) for _ in range(MOST_SILENT))
-        answer = next((one for one in answers if one is not None), None)
+        answer = next((reply for reply in answers if reply is not None), None)
         if answer is None:
             silent.add(question.address)
             show(f"  {id_text(asked.request_id)} does not answer")
@@ -293,25 +293,25 @@ def _told(line: Line, profile: Profile, show: Show) -> frozenset[Signal]:
         if answer[0] == NEGATIVE:
             show(f"  {signal.value}: {question} is refused, {refusal_text(answer[2] if len(answer) > 2 else 0)}")
             continue
-        found = data_in(question.request, answer, asked.request_id, sizes)
-        if isinstance(found, str) or asked.data_id not in dict(found):
-            show(f"  {signal.value}: {question} is not told: {found if isinstance(found, str) else 'left out'}")
+        data = data_in(question.request, answer, asked.request_id, sizes)
+        if isinstance(data, str) or asked.data_id not in dict(data):
+            show(f"  {signal.value}: {question} is not told: {data if isinstance(data, str) else 'left out'}")
             continue
-        raw = asked.value(dict(found)[asked.data_id])
+        raw = asked.value(dict(data)[asked.data_id])
         if raw in profile.sources[signal].invalid:
             show(f"  {signal.value} has no value now ({question})")
-            told.add(signal)
+            answered.add(signal)
             continue
         value = float(to_si(signal, profile.sources[signal], None)(np.array([float(raw)]))[0])
         name, amount, unit = for_people(signal.value, value)
         show(f"  {name} = {f'{digits(amount)} {unit}'.rstrip()} ({question})")
-        told.add(signal)
+        answered.add(signal)
     for signal, pgn in profile.groups.items():
         group = GroupQuestion(pgn)
         if isinstance(line, CanLine) and line.ask_group(group) is not None:
-            told.add(signal)
-        show(f"  {signal.value}: {group} is {'' if signal in told else 'not '}told")
-    return frozenset(told)
+            answered.add(signal)
+        show(f"  {signal.value}: {group} is {'' if signal in answered else 'not '}told")
+    return frozenset(answered)
 
 
 class Doubt(IntEnum):
@@ -323,7 +323,7 @@ class Doubt(IntEnum):
 
 
 def _reached(
-    profile: Profile, told: frozenset[Signal], database: Database | None, traffic: HeardTraffic | None
+    profile: Profile, answered: frozenset[Signal], database: Database | None, traffic: HeardTraffic | None
 ) -> tuple[Tier | None, Doubt, str]:
     """Return what the signals that are told suffice for, with those that a database says are broadcast."""
     broadcast = frozenset(profile.sources) - profile.asked.keys() - profile.groups.keys()
@@ -332,13 +332,13 @@ def _reached(
     if traffic is None:
         broadcast = frozenset()
     elif messages or database is not None:
-        is_heard = any(one.address.can_id in traffic.can_ids for one in messages)
+        is_heard = any(message.address.can_id in traffic.can_ids for message in messages)
         doubt = Doubt.HEARD if is_heard else Doubt.NONE_HEARD
     if database is not None:
         broadcast &= fit_of(database, profile).signals
     has_gears = profile.gears is not None
-    tier = tier_of(told | broadcast, knows_gears=has_gears)
-    more = missing_for_next(told | broadcast, knows_gears=has_gears)
+    tier = tier_of(answered | broadcast, knows_gears=has_gears)
+    more = missing_for_next(answered | broadcast, knows_gears=has_gears)
     given = f" beside {len(broadcast)} that are broadcast" if broadcast else ""
     given += ", none of which was heard" if given and doubt is Doubt.NONE_HEARD else ""
     return tier, doubt, f"{PURPOSE[tier] if tier is not None else 'nothing yet'}{given}{f'; {more}' if more else ''}"
