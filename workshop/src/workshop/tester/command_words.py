@@ -114,13 +114,6 @@ def did(controls: Controls, **words: Any) -> None:
 )
 @_one_controller_options
 @click.option("--options", "start_options", metavar="BYTES", default="", help="options of the start, hexadecimal")
-@click.option(
-    "--patience",
-    metavar="S",
-    type=float,
-    default=600.0,
-    help="how long a controller is given that says it takes longer, response pending",
-)
 @_session_option("ask", "03")
 @click.option(
     "--unlock", metavar="LEVEL=MASK", help="unlock a security level whose key is the seed XOR this mask, hexadecimal"

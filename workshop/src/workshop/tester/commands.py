@@ -14,7 +14,7 @@ from diag_service.service.stopping import Controls, Trigger
 from diag_service.settings.config import BusConfig
 from workshop.tester import questions, scanning
 from workshop.tester.addresses import LARGEST_ID, hexadecimal, id_text, number_of
-from workshop.tester.asking import LARGEST_LOGICAL, SHORTEST_ANSWER_S, DoipPlace, HeardTraffic, check_time, listen_at
+from workshop.tester.asking import LARGEST_LOGICAL, DoipPlace, HeardTraffic, listen_at
 from workshop.tester.trouble import (
     Record,
     TroubleCode,
@@ -80,7 +80,6 @@ class RoutineOptions(OneControllerOptions):
     routine: str
     action: str
     start_options: str
-    patience: float
     unlock: str | None
 
 
@@ -155,14 +154,12 @@ def did(options: DataOptions, controls: Controls) -> None:
 
 def routine(options: RoutineOptions, controls: Controls) -> None:
     """Start or stop a routine, or read its results, and show the answer."""
-    check_time("patience", options.patience, least_s=SHORTEST_ANSWER_S)
     question = questions.RoutineQuestion(
         routine=options.routine,
         action=options.action,
         options=hex_bytes(options.start_options, "--options"),
         session=hexadecimal(options.session, "--session", questions.LARGEST_SESSION),
         lock=None if options.unlock is None else _lock(options.unlock),
-        patience_s=options.patience,
     )
     ask_one(
         "routine",

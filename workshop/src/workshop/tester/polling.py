@@ -10,7 +10,7 @@ from typing import Final
 from canlog.errors import NOTICE, CanlogError
 from clutch_results.records import dump
 from diag_service.delivery import ControllerNews, Outbox, Reporter
-from diag_service.errors import DiagServiceError
+from diag_service.errors import DiagServiceError, StoppedError
 from diag_service.service.session import utc_now
 from diag_service.settings.config import BusConfig, PollConfig
 from diag_service.store import ResultStore
@@ -18,7 +18,7 @@ from fleet_contract import Channel, Outgoing, controller_message
 from fleet_contract.errors import ResultError
 from workshop.tester.addresses import parse_address
 from workshop.tester.answers import TesterTiming
-from workshop.tester.asking import LISTEN_S, AskingThread, BusTarget, address_for, asking, check_libraries
+from workshop.tester.asking import AskingThread, BusTarget, address_for, asking, check_libraries
 from workshop.tester.description import Description, find_description
 from workshop.tester.questions import read_troubles, recognise
 from workshop.tester.trouble import Record, TroubleCode, code_words, trouble_record
@@ -27,7 +27,6 @@ MOST_CODES: Final = 1024  # limit of the contract
 _KEPT: Final = ("snapshots", "extended_data")
 
 
-LONGEST_BACKOFF: Final = 16.0  # greatest pause after failures, in periods
 _LOG: Final = logging.getLogger(__name__)
 
 
@@ -87,12 +86,12 @@ def message_of(record: Mapping[str, object]) -> Outgoing:
 
 
 class Poller(AskingThread):
-    """Polls in a thread while entered, less and less often after failures.
+    """Polls in a thread while entered; a failure does not end it.
 
     Parameters
     ----------
-    read
-        Reads once; raises SourceError or ControllerError.
+    vehicle, target, description
+        Vehicle of the reports, controller, and its description.
     deliver
         Gets each report, in that thread; may raise StoreError.
     period_s
@@ -100,99 +99,76 @@ class Poller(AskingThread):
     """
 
     def __init__(
-        self, read: Callable[[], ControllerReport], deliver: Callable[[ControllerReport], None], period_s: float
+        self,
+        vehicle: str,
+        target: BusTarget,
+        description: Description,
+        deliver: Callable[[ControllerReport], None],
+        period_s: float,
     ) -> None:
         super().__init__("poller")
-        self._read = read
+        self._vehicle = vehicle
+        self._target = target
+        self._description = description
         self._deliver = deliver
         self._period_s = period_s
 
     def _run(self) -> None:
-        failed_in_a_row = 0
-        while not self._is_over.is_set():
-            problem = self._round()
-            if self._is_over.is_set():
-                return
-            if problem is None:
-                if failed_in_a_row:
-                    _LOG.log(NOTICE, "the controller answers again")
-                failed_in_a_row = 0
-            else:
-                if not failed_in_a_row:
-                    _LOG.warning("the trouble codes were not read: %s; trying again, less and less often", problem)
-                failed_in_a_row += 1
-            self._is_over.wait(pause_s(self._period_s, failed_in_a_row))
-
-    def _round(self) -> str | None:
-        """Read and deliver once; return an error as text, None if there is none."""
-        try:
-            report = self._read()
-            if not self._is_over.is_set():
+        is_failing = False
+        while self.goes_on:
+            try:
+                report = self._read()
+                if not self.goes_on:
+                    return
                 self._deliver(report)
-        except (CanlogError, DiagServiceError, ResultError) as exc:  # expected errors do not end the thread
-            return str(exc)
-        return None
+            except StoppedError:
+                return
+            except (CanlogError, DiagServiceError, ResultError) as exc:
+                if self.goes_on and not is_failing:
+                    _LOG.warning("the trouble codes were not read: %s; trying again", exc)
+                is_failing = True
+            else:
+                if is_failing:
+                    _LOG.log(NOTICE, "the controller answers again")
+                is_failing = False
+            self._is_over.wait(self._period_s)
 
-
-def pause_s(period_s: float, failed_in_a_row: int) -> float:
-    """Return the pause before the next round [s]: the period, doubled with each failure in a row, up to a limit."""
-    return float(period_s * min(2.0 ** min(failed_in_a_row, 10), LONGEST_BACKOFF))
-
-
-def read_once(
-    vehicle: str,
-    target: BusTarget,
-    description: Description,
-    now: Callable[[], str],
-    goes_on: Callable[[], bool] = lambda: True,
-) -> ControllerReport:
-    """Listen, read the trouble codes of one controller, and return them.
-
-    Raises SourceError, ControllerError if the bus cannot be used, another tester is active, or the controller refuses
-    or does not answer, StoppedError if ``goes_on`` returns False.
-    """
-    with asking(target, TesterTiming(), goes_on=goes_on) as (tester, _):
-        known = recognise(tester, description)
-        codes = read_troubles(tester, known)
-    return ControllerReport(
-        vehicle=vehicle, read_at=now(), controller=tester.where, description=known.name, codes=codes
-    )
-
-
-def poller_for(
-    vehicle: str, bus: BusConfig, poll: PollConfig, now: Callable[[], str], deliver: Callable[[ControllerReport], None]
-) -> Poller:
-    """Return a poller by the settings; raises ConfigError, ExtraMissingError if they cannot be used."""
-    check_libraries()
-    description = find_description(poll.description)
-    target = BusTarget(
-        bus=poll.bus or bus,
-        address=address_for(parse_address(poll.ecu, poll.reply), description),
-        is_fd=bus.is_fd,
-        listen_s=LISTEN_S,
-    )
-    poller = Poller(
-        lambda: read_once(vehicle, target, description, now, lambda: poller.goes_on), deliver, poll.period_s
-    )
-    return poller
+    def _read(self) -> ControllerReport:
+        with asking(self._target, TesterTiming(), goes_on=lambda: self.goes_on) as (tester, _):
+            known = recognise(tester, self._description)
+            codes = read_troubles(tester, known)
+        return ControllerReport(
+            vehicle=self._vehicle,
+            read_at=utc_now(),
+            controller=tester.where,
+            description=known.name,
+            codes=codes,
+        )
 
 
 @asynccontextmanager
 async def polling(
     vehicle: str, bus: BusConfig, poll: PollConfig, store: ResultStore, reporter: Reporter, outbox: Outbox | None
 ) -> AsyncIterator[None]:
-    """Poll a controller until the block ends; in the loop that runs the outbox."""
+    """Poll a controller until the block ends, in the loop that runs the outbox.
+
+    Raises ConfigError, ExtraMissingError if the settings cannot be used.
+    """
+    check_libraries()
     loop = asyncio.get_running_loop()
+    description = find_description(poll.description)
+    address = address_for(parse_address(poll.ecu, poll.reply), description)
+    target = BusTarget(bus=poll.bus or bus, address=address, is_fd=bus.is_fd)
 
     def publish(message: Outgoing) -> None:
         if outbox is not None:
             with suppress(RuntimeError):  # the loop has ended
                 loop.call_soon_threadsafe(outbox.publish_state, message)
 
-    poller = poller_for(
-        vehicle, bus, poll, utc_now, lambda report: publish_controller(report, store, reporter, publish)
-    )
-    with poller:
+    def deliver(report: ControllerReport) -> None:
+        publish_controller(report, store, reporter, publish)
+
+    with Poller(vehicle, target, description, deliver, poll.period_s) as poller:
         try:
             yield
         finally:

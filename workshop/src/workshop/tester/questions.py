@@ -229,7 +229,7 @@ def clear_request(number: int) -> bytes:
 EXTENDED_SESSION: Final = 0x03
 LARGEST_SESSION: Final = 0x7F
 LARGEST_LEVEL: Final = 0x7E
-PATIENCE_S: Final = 600.0  # for a routine, which moves parts and may wait for warm ones
+PATIENCE_S: Final = 600.0  # with response pending (78): a routine moves parts and may wait for warm ones
 AnswerT_co = TypeVar("AnswerT_co", covariant=True)
 
 
@@ -347,7 +347,6 @@ class RoutineQuestion:
     options: bytes = b""  # of the start
     session: int = EXTENDED_SESSION
     lock: Lock | None = None  # unlocked before
-    patience_s: float = PATIENCE_S  # time with response pending (78)
 
     def __post_init__(self) -> None:
         check_number("session", self.session, LARGEST_SESSION)
@@ -369,7 +368,7 @@ class RoutineQuestion:
     def ask(self, tester: "Dialogue", description: Description) -> RoutineAnswer:
         """Enter the session, unlock if needed, and ask."""
         number = description.find_routine(self.routine)
-        with tester.patience(self.patience_s), tester.session(self.session):
+        with tester.patience(PATIENCE_S), tester.session(self.session):
             if self.lock is not None:
                 tester.unlock(self.lock.level, self.lock.mask)
             request = bytes([ROUTINE, ACTIONS[self.action]]) + number.to_bytes(2, "big") + self.options

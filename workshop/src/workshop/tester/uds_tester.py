@@ -12,13 +12,11 @@ from workshop.tester.answers import DEFAULT_SESSION, DialogueCounts
 from workshop.tester.asking import (
     LARGEST_LOGICAL,
     LISTEN_S,
-    SHORTEST_ANSWER_S,
     BusTarget,
     DoipPlace,
     HeardTraffic,
     address_for,
     asking,
-    check_time,
     listen_at,
     parse_doip,
     timing_of,
@@ -284,7 +282,6 @@ class UdsTester:
         options: bytes = b"",
         session: int = questions.EXTENDED_SESSION,
         unlock: tuple[int, bytes] | None = None,
-        patience_s: float = questions.PATIENCE_S,
     ) -> questions.RoutineAnswer:
         """Start or stop a routine, or read its results: ``diag-service routine``.
 
@@ -300,16 +297,11 @@ class UdsTester:
             Session to ask in; left at the end.
         unlock
             A security level to unlock before, and the mask: the key is the seed XOR the mask.
-        patience_s
-            Time with response pending (78) [s].
         """
         word = routine if isinstance(routine, str) else f"{routine:04X}"
         lock = None if unlock is None else questions.Lock(level=unlock[0], mask=unlock[1])
-        check_time("patience", patience_s, least_s=SHORTEST_ANSWER_S)
         return self.ask(
-            questions.RoutineQuestion(
-                routine=word, action=action, options=options, session=session, lock=lock, patience_s=patience_s
-            )
+            questions.RoutineQuestion(routine=word, action=action, options=options, session=session, lock=lock)
         )
 
     def ask(self, question: questions.Question[_AnswerT]) -> _AnswerT:
