@@ -266,8 +266,6 @@ class Dialogue:
         The controller, for people.
     timing
         Timeouts and numbers of repetitions.
-    pause
-        Sleeps for so many seconds; by default in steps between which ``goes_on`` is called.
     goes_on
         Called while it waits; False ends that with StoppedError.
     """
@@ -276,16 +274,14 @@ class Dialogue:
         self,
         connection: BaseConnection,
         where: str,
-        timing: TesterTiming | None = None,
+        timing: TesterTiming,
         *,
-        pause: Callable[[float], object] | None = None,
         goes_on: Callable[[], bool] = lambda: True,
     ) -> None:
         self.where = where
-        self.timing = timing or TesterTiming()
+        self.timing = timing
         self.counts = DialogueCounts()
         self._goes_on = goes_on
-        self._pause = pause or self._rest
         self._filter = _Matching(connection, self.counts, goes_on)
         self._pending = 0
         self._client = Client(self._filter, _client_config(self.timing, self._note_pending))
@@ -321,7 +317,7 @@ class Dialogue:
                 if exc.code != BUSY or busy > self.timing.most_busy:
                     raise
                 self.counts.busy += 1
-                self._pause(self.timing.busy_pause_s * 2.0 ** (busy - 1))
+                self._rest(self.timing.busy_pause_s * 2.0 ** (busy - 1))
             except PendingError:  # it has received the request
                 raise
             except SilentError:
@@ -333,7 +329,7 @@ class Dialogue:
     def _ask_once(self, request: bytes) -> bytes:
         gap_s = self._last_s + self.timing.gap_s - time.monotonic()
         if gap_s > 0.0:
-            self._pause(gap_s)
+            self._rest(gap_s)
         self.counts.requests += 1
         self._filter.begin(request)
         self._pending = 0
