@@ -117,8 +117,8 @@ def slope_looks(
             numbers = {"mu_S/mu_C": (100.0 * (slope.mu_s_ratio / ratio - 1.0), 100.0 * slope.std_mu_s_ratio / ratio)}
             if (since := trend(state, clutch)) is not None:
                 numbers["change"] = (100.0 * since.change_mu_c_ratio, 100.0 * since.std_change_mu_c_ratio)
-            both = clutch_ratio(state)
-            if both is not None and clutch == 1:
+            if clutch == 1 and all(state.shift_counts):
+                both = clutch_ratio(state.stated)
                 expected = float(carries[0] / carries[1])
                 error = 100.0 * (both.mu_c_ratio / expected - 1.0)
                 numbers["clutch 1 over 2"] = (error, 100.0 * both.std_mu_c_ratio / expected)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
 from canlog.e2e.alive_counter import row_period_ns
 from canlog.e2e.profile1 import COUNTER_PERIOD
 from canlog.jit import kernel
-from clutch_model.calibration import Calibration, SensorNoise
+from clutch_model.calibration import InputSide, SensorBias, SensorNoise
 from clutch_results.event_kinds import EndReason
 from clutch_results.records import Reason
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, ROW_SIGNALS, Columns, Signal
@@ -19,26 +19,12 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.row_curve import RowCurve
 
 NS_TO_S = 1e-9
-
-
 GRID_S = 2e-3  # five points per CAN sample; a finer grid moves friction by a tenth of its deviation
-
-
 TURNING_RAD_S = 58.0  # 554 rpm: below any idle; there a starter may turn the engine, which no torque reading tells
-
-
 END_COUNT = 30  # samples, of which one is nearly on time; an event is cut that much wider than its slip window
-
-
 COMMAND_LAG_S = 0.025  # from commanded to piston pressure: solenoid and feed orifice; docs/model.md, hydraulics
-
-
 FRAME_AGE_STD_S = 3e-3  # of a value that was sent every 10 ms before it was asked for
-
-
 ANSWER_S = 0.025  # after a request some controller reads a value, nobody knows when
-
-
 GAP_PERIODS: Final = 2.5  # one missing frame is bridged by interpolation; in a longer gap no friction is looked for
 LOST_PERIODS: Final = 8.5  # a longer gap may hide anything: the event is not used
 NOMINAL_PERIOD_S: Final = 0.01  # of signals whose message states no cycle time
@@ -47,19 +33,29 @@ NEAR_ROW_PERIODS: Final = 0.25  # a row that comes so soon after another tells n
 OIL_RANGE_K: Final = (233.15, 443.15)  # -40..170 degC: where the fluid's viscosity law holds
 
 _NO_WEIGHT = 1e-9  # of grid points: a sample at the very end of some rows says nothing there
-
-
 _MOVED = (Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE, Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)  # by latencies
-
-
 AGE_RATIO: Mapping[Signal, float] = {
     **dict.fromkeys(BALANCE_SIGNALS, 0.3),  # of a row: columns are asked one after the other
     **dict.fromkeys((Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE), 0.0),  # the latencies of torque and pressure hold that
     **dict.fromkeys((Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE), 0.15),  # what both do not share
 }
-
-
 """Standard deviation of the age of values within a row, of its length."""
+
+
+class Sensing(Protocol):
+    """What is known of a vehicle's sensors: by its calibration, or displaced from that."""
+
+    @property
+    def input_side(self) -> InputSide:
+        """Crank segment over which the engine speed is a mean."""
+
+    @property
+    def bias(self) -> SensorBias:
+        """Latencies of torque and pressures."""
+
+    @property
+    def noise(self) -> SensorNoise:
+        """White noise of the readings."""
 
 
 def noise_of_signals(noise: SensorNoise) -> dict[Signal, float]:
@@ -74,11 +70,7 @@ def noise_of_signals(noise: SensorNoise) -> dict[Signal, float]:
 
 
 Sums = Sequence[FloatArray]
-
-
 SampleTimes = Mapping[Signal, FloatArray]
-
-
 """When each signal of the balance was sampled [s] after the start of its event."""
 
 
@@ -226,16 +218,19 @@ def segment_centres_s(times_s: FloatArray, speed_rad_s: FloatArray, segment_rad:
 
 def sampling_times(event: Event) -> SampleTimes:
     """Return when the signals of the balance were sampled, as far as they are there, freed of transmission jitter."""
-    return {
-        signal: sample_times_s(series, event.start_ns)
-        for signal in BALANCE_SIGNALS
-        if (series := event.columns.get(signal)) is not None
-    }
+    sampled, by_message = dict[Signal, FloatArray](), dict[tuple[bytes, bytes, int], FloatArray]()
+    for signal in BALANCE_SIGNALS:
+        if (series := event.columns.get(signal)) is not None:
+            message = series.t_ns.tobytes(), series.sequence.tobytes(), series.period_ns
+            if message not in by_message:
+                by_message[message] = sample_times_s(series, event.start_ns)
+            sampled[signal] = by_message[message]
+    return sampled
 
 
-def measured_times(sampled: SampleTimes, event: Event, calibration: Calibration) -> SampleTimes:
+def measured_times(sampled: SampleTimes, event: Event, sensing: Sensing) -> SampleTimes:
     """Return the instants that the samples speak of: a speed of half a crank segment ago, a torque of a latency ago."""
-    bias = calibration.bias
+    bias = sensing.bias
     engine_speed = event.columns[Signal.ENGINE_SPEED].value
     latency_s = {
         Signal.ENGINE_TORQUE: bias.torque_latency_s,
@@ -246,26 +241,24 @@ def measured_times(sampled: SampleTimes, event: Event, calibration: Calibration)
         **sampled,
         **{signal: sampled[signal] - late_s for signal, late_s in latency_s.items()},
         Signal.ENGINE_SPEED: segment_centres_s(
-            sampled[Signal.ENGINE_SPEED], engine_speed, calibration.input_side.crank_segment_rad
+            sampled[Signal.ENGINE_SPEED], engine_speed, sensing.input_side.crank_segment_rad
         ),
     }
 
 
-def aligned(
-    samples: EventSamples, calibration: Calibration, other: AlignedSignals | None = None
-) -> AlignedSignals | Reason:
+def aligned(samples: EventSamples, sensing: Sensing, other: AlignedSignals | None = None) -> AlignedSignals | Reason:
     """Return samples on one clock and on the even grid that all signals reach, or why they cannot be.
 
-    Latencies are as the calibration has them. What no calibration moves is taken over from ``other``: the same samples
-    as another calibration has them.
+    Latencies are those of ``sensing``. What does not depend on them is taken over from ``other``: the same samples with
+    other latencies.
     """
     event = samples.event
-    times = measured_times(samples.times, event, calibration)
+    times = measured_times(samples.times, event, sensing)
     gaps, rows = gaps_s(times, event, samples.row_s), NO_ROWS
     if gaps is None:
         return Reason.TIME_UNSURE  # frames of one message came at one time
     if samples.row_s:
-        noise_std = noise_of_signals(calibration.noise)
+        noise_std = noise_of_signals(sensing.noise)
         if any(np.abs(event.columns[signal].value).max() > MOST_NOISES * noise_std[signal] for signal in times):
             return Reason.OUT_OF_RANGE  # a cell may hold any number
         rows = Rows(
@@ -274,7 +267,7 @@ def aligned(
             own_age_std_s=FRAME_AGE_STD_S if samples.skew_s >= samples.row_s else samples.skew_s / math.sqrt(12.0),
             noise_std=noise_std,
         )
-    history_s = max(times_s[0] for times_s in times.values())
+    history_s = max([times_s[0] for times_s in times.values()])
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     # Whole steps after the shift's start: a latency that is found more exactly must not move the points.
     grid_s = GRID_S * np.arange(math.ceil(history_s / GRID_S), math.ceil(duration_s / GRID_S), dtype=np.float64)
@@ -294,7 +287,7 @@ def aligned(
         return replace(
             other, engine_speed=engine_speed, engine_torque=engine_torque, pressure=pressure, is_seen=is_seen
         )
-    hub, first, second = (on_grid[signal] for signal in (Signal.HUB_SPEED, Signal.INPUT1_SPEED, Signal.INPUT2_SPEED))
+    hub, first, second = on_grid[Signal.HUB_SPEED], on_grid[Signal.INPUT1_SPEED], on_grid[Signal.INPUT2_SPEED]
     is_one = rows.period_s and np.array_equal(hub.value, engine_speed.value)
     if is_one or (hub.curve is not None and engine_speed.curve is not None):
         hub = engine_speed  # nearer to it than two columns are, up to a row apart
@@ -357,18 +350,14 @@ def _lag(values: FloatArray, share: float) -> None:
 
 
 UNSCHEDULED_PERIODS: Final = 1.5  # of the nominal one: what comes more seldom without schedule was asked for
-
-
 MOST_NOISES: Final = 3e4  # of its sensor: no speed, torque or pressure is larger
-
-
 MOST: Final = 1e9  # SI: likewise; a signal of a bus that is a floating-point number may say anything
 
 
-def usable_signals(event: Event, calibration: Calibration) -> AlignedSignals | Reason:
+def usable_signals(event: Event, sensing: Sensing) -> AlignedSignals | Reason:
     """Return the signals of a shift or engine run-up on one clock, or why they cannot be used."""
     samples = usable_samples(event)
-    return samples if isinstance(samples, Reason) else aligned(samples, calibration)
+    return samples if isinstance(samples, Reason) else aligned(samples, sensing)
 
 
 def usable_samples(event: Event) -> EventSamples | Reason:
@@ -390,8 +379,9 @@ def usable_samples(event: Event) -> EventSamples | Reason:
             return Reason.OUT_OF_RANGE
         own_s = series.period_ns * NS_TO_S or NOMINAL_PERIOD_S
         period_s = row_s if row_s and is_of_rows(series) else own_s
-        silence_s = longest_silence_s(times_s, -2.0 * period_s, duration_s)
-        if silence_s > LOST_PERIODS * period_s:
+        inside_s = times_s[(times_s >= -2.0 * period_s) & (times_s <= duration_s)]
+        edges_s = np.concatenate(([0.0], inside_s, [duration_s]))  # the first sample may be earlier than the event
+        if len(inside_s) < 2 or np.diff(edges_s).max() > LOST_PERIODS * period_s:
             return _why_silent(event, sampled) if is_whole else Reason.INTERRUPTED
     oil_k = float(oil.value.mean())
     if not OIL_RANGE_K[0] <= oil_k <= OIL_RANGE_K[1]:
@@ -419,7 +409,7 @@ def _row_s(event: Event) -> float:
     """
     columns = [event.columns[signal] for signal in ROW_SIGNALS if signal in event.columns]
     balance_columns = [event.columns[signal] for signal in BALANCE_SIGNALS if signal in event.columns]
-    if len(columns) < len(ROW_SIGNALS) or all(signal.period_ns for signal in balance_columns):
+    if len(columns) < len(ROW_SIGNALS) or 0 not in [signal.period_ns for signal in balance_columns]:
         return 0.0
     if not (row_ns := row_period_ns(columns)):
         row_ns = max(
@@ -436,26 +426,15 @@ def _without_near_rows(event: Event, least_ns: int) -> Event:
     for signal in BALANCE_SIGNALS:
         if (series := columns.get(signal)) is None or not is_of_rows(series):
             continue
-        kept, last_ns = list[int](), None
+        places, last_ns = list[int](), None
         for place, t_ns in enumerate(series.t_ns.tolist()):
             if last_ns is None or t_ns - last_ns >= least_ns:
-                kept.append(place)
+                places.append(place)
                 last_ns = t_ns
         columns[signal] = replace(
-            series, t_ns=series.t_ns[kept], sequence=series.sequence[kept], value=series.value[kept]
+            series, t_ns=series.t_ns[places], sequence=series.sequence[places], value=series.value[places]
         )
     return replace(event, columns=columns)
-
-
-def longest_silence_s(times_s: FloatArray, from_s: float, duration_s: float) -> float:
-    """Return for how long [s] nothing was sampled between the event's start and its end; inf for fewer than 2 samples.
-
-    Samples before the start count from ``from_s`` on.
-    """
-    seen_s = times_s[(from_s <= times_s) & (times_s <= duration_s)]
-    if len(seen_s) < 2:
-        return math.inf
-    return max(0.0, float(seen_s[0]), float(np.diff(seen_s).max()), duration_s - float(seen_s[-1]))
 
 
 def gaps_s(times: SampleTimes, event: Event, row_s: float = 0.0) -> FloatArray | None:
@@ -464,7 +443,7 @@ def gaps_s(times: SampleTimes, event: Event, row_s: float = 0.0) -> FloatArray |
     None if the times of a signal do not rise.
     """
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
-    gaps = []
+    gaps = [np.empty((0, 2))]
     for signal, times_s in times.items():
         period_s = event.columns[signal].period_ns * NS_TO_S or NOMINAL_PERIOD_S
         is_row = row_s and is_of_rows(event.columns[signal])
@@ -472,7 +451,8 @@ def gaps_s(times: SampleTimes, event: Event, row_s: float = 0.0) -> FloatArray |
         steps_s = np.diff(times_s)
         if steps_s.min(initial=math.inf) <= 0.0:
             return None
-        gaps += [times_s[row : row + 2] for row in np.flatnonzero(steps_s > longest_s)]
+        rows = np.flatnonzero(steps_s > longest_s)
+        gaps.append(np.column_stack((times_s[rows], times_s[rows + 1])))
         if duration_s - times_s[-1] > longest_s:
-            gaps.append(np.array((times_s[-1], duration_s)))
-    return np.array(gaps).reshape(-1, 2)
+            gaps.append(np.array([(times_s[-1], duration_s)]))
+    return np.concatenate(gaps)

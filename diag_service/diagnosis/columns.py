@@ -7,7 +7,7 @@ whatever a log counts from: below zero they are as good as above.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -105,6 +105,7 @@ class GearRatios:
 
 
 Columns = Mapping[Signal, Series]
+NO_SAMPLES: Final = Series(t_ns=np.empty(0, np.int64), sequence=np.empty(0, np.int64), value=np.empty(0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,16 +132,6 @@ class ColumnSamples(NamedTuple):
     value: FloatArray  # (k, n)
 
 
-def empty_rows(count: int, size: int) -> ColumnSamples:
-    """Return empty rows for ``size`` samples each."""
-    return ColumnSamples(
-        filled=np.zeros(count, np.int64),
-        t_ns=np.empty((count, size), np.int64),
-        sequence=np.empty((count, size), np.int64),
-        value=np.empty((count, size)),
-    )
-
-
 class BlockLayout:
     """Which signal is in which row of a block, and how often it comes."""
 
@@ -150,7 +141,14 @@ class BlockLayout:
         self.row = {signal: row for row, signal in enumerate(signals)}
 
     def room(self, size: int) -> ColumnSamples:
-        return empty_rows(len(self.signals), size)
+        """Return empty rows for ``size`` samples of each signal."""
+        shape = len(self.signals), size
+        return ColumnSamples(
+            filled=np.zeros(len(self.signals), np.int64),
+            t_ns=np.empty(shape, np.int64),
+            sequence=np.empty(shape, np.int64),
+            value=np.empty(shape),
+        )
 
 
 class SampleBlock(Mapping[Signal, Series]):
@@ -175,9 +173,8 @@ class SampleBlock(Mapping[Signal, Series]):
         )
 
     def __iter__(self) -> Iterator[Signal]:
-        return (
-            signal for signal, count in zip(self.layout.signals, self.samples.filled.tolist(), strict=True) if count
-        )
+        counts = self.samples.filled.tolist()
+        return iter([signal for signal, count in zip(self.layout.signals, counts, strict=True) if count])
 
     def __len__(self) -> int:
         return int(np.count_nonzero(self.samples.filled))

@@ -23,7 +23,7 @@ from clutch_model.calibration import clutch_of_gear
 from clutch_model.units import NS_PER_S
 from clutch_results.records import Reason
 from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT, plus_minus
-from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
+from diag_service.diagnosis.columns import NO_SAMPLES, ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.events import Event
 
 STEP_S: Final = 0.002  # of the integration
@@ -106,7 +106,7 @@ def slip_phase(event: Event, gears: GearRatios | None = None) -> SlipPhase | NoP
     missing = [
         signal.value
         for signal in (Signal.ENGINE_SPEED, *PRESSURES.values())
-        if not len(columns.get(signal, _NOTHING).t_ns)
+        if not len(columns.get(signal, NO_SAMPLES).t_ns)
     ]
     if event.from_gear == event.to_gear or min(event.from_gear, event.to_gear) < 1:
         return NoPhase(event, "no change from gear to gear")
@@ -149,15 +149,12 @@ def slip_phase(event: Event, gears: GearRatios | None = None) -> SlipPhase | NoP
     )
 
 
-_NOTHING: Final = Series(t_ns=np.empty(0, np.int64), sequence=np.empty(0, np.int64), value=np.empty(0))
-
-
 def _input_speeds(event: Event, t_ns: Int64Array, gears: GearRatios | None) -> tuple[FloatArray, FloatArray] | None:
     """Return the speeds behind the on-coming and the off-going clutch at some times."""
     columns, clutches = event.columns, (clutch_of_gear(event.to_gear), clutch_of_gear(event.from_gear))
-    shafts = [columns.get(INPUTS[clutch], _NOTHING) for clutch in clutches]
+    shafts = [columns.get(INPUTS[clutch], NO_SAMPLES) for clutch in clutches]
     if gears is not None and max(event.from_gear, event.to_gear) <= len(gears.ratios):
-        over = columns.get(gears.over, _NOTHING)
+        over = columns.get(gears.over, NO_SAMPLES)
         if len(over.t_ns):
             speed = np.interp(t_ns, over.t_ns, over.value)
             return gears.ratios[event.to_gear - 1] * speed, gears.ratios[event.from_gear - 1] * speed

@@ -29,7 +29,7 @@ from diag_service.diagnosis.alignment import (
     EventSamples,
     usable_samples,
 )
-from diag_service.diagnosis.columns import BALANCE_SIGNALS, Columns, Signal
+from diag_service.diagnosis.columns import BALANCE_SIGNALS, NO_SAMPLES, Columns, Signal
 from diag_service.diagnosis.events import Event
 
 
@@ -77,29 +77,16 @@ class QualityLimits:
     travel_pa: float = 0.30e5  # so near its touch pressure a piston may still be on its way
     catching_up_s: float = 0.15  # until the pressure behind a piston that has arrived is the commanded one; sound: 0.10
     pressure_window_pa: float = 0.10e5  # the same over the whole slip window; sound: 0.05e5
-    zero_gate: float = 25.0  # squared distance of a measured zero from the known one, in variances: 6e-7 by chance
     least_noise_steps: float = 0.75  # of the resolution; a ramp without noise seems to have up to 0.6
     repeats_chance: float = 1e-6  # that a sound signal repeats a value as often as one that is called frozen
 
 
 LIMITS: Final = QualityLimits()
-
-
 SHAFT_GEARS: Final = (Signal.INPUT1_GEAR, Signal.INPUT2_GEAR)
-
-
 _LAG_NS: Final = round(COMMAND_LAG_S / NS_TO_S)
-
-
 _NEVER: Final = np.empty(0, np.int64)
-
-
 _NO_RATIO: Final = np.empty(0)
-
-
 _WHEELS: Final = (Signal.WHEEL_FL_SPEED, Signal.WHEEL_FR_SPEED, Signal.WHEEL_RL_SPEED, Signal.WHEEL_RR_SPEED)
-
-
 _PRESSURES: Final = (
     (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH1_PRESSURE_COMMAND),
     (Signal.CLUTCH2_PRESSURE, Signal.CLUTCH2_PRESSURE_COMMAND),
@@ -111,65 +98,54 @@ def agreement(event: Event) -> float | None:
     columns = event.columns
     # With both clutches open nothing is asked of them, and a piston that returns holds the pressure of its spring.
     pressures = None if event.kind is EventKind.REGEAR else _pressures(columns)
-    judged = (_wheels(event), _hub(columns), pressures)
-    return min((value for value in judged if value is not None), default=None)
+    judged = (_wheels(columns), _hub(columns), pressures)
+    return min([value for value in judged if value is not None], default=None)
 
 
-def _wheels(event: Event) -> float | None:
+def _wheels(columns: Columns) -> float | None:
     """Compare wheel speeds with the speed of the transmission output: their ratio is one number.
 
     While a shaft rings in its new gear, so does the output: that tells nothing of the sensors.
     """
-    columns = event.columns
-    output = columns.get(Signal.OUTPUT_SPEED)
-    if output is None or not len(output.t_ns):
+    output = columns.get(Signal.OUTPUT_SPEED, NO_SAMPLES)
+    if not len(output.t_ns):
         return None
     gears = [columns[signal] for signal in SHAFT_GEARS if signal in columns]
-    changes_ns = np.concatenate([_NEVER, *(gear.t_ns[1:][np.diff(gear.value) != 0.0] for gear in gears)])
-    wheels = [columns[signal] for signal in _WHEELS if signal in columns]
-    ratios = [_ratios(wheel, output, changes_ns) for wheel in wheels]
+    changes_ns = np.concatenate([_NEVER, *[gear.t_ns[1:][np.diff(gear.value) != 0.0] for gear in gears]])
+    ratios = []
+    for wheel in [columns[signal] for signal in _WHEELS if signal in columns]:
+        turning_rad_s = _reading(output, wheel.t_ns)
+        is_told = (wheel.value > LIMITS.least_wheel_m_s) & (turning_rad_s > 0.0)
+        for change_ns in changes_ns:
+            is_told &= np.abs(wheel.t_ns - change_ns) * NS_TO_S > LIMITS.ringing_s
+        ratios.append(wheel.value[is_told] / turning_rad_s[is_told])
     all_ratios = np.concatenate([_NO_RATIO, *ratios])
     if not len(all_ratios):
         return None
     middle = np.median(all_ratios)
-    return LIMITS.wheel_ratio.score(
-        max(math.sqrt(np.mean((ratio / middle - 1.0) ** 2)) for ratio in ratios if len(ratio))
-    )
-
-
-def _ratios(wheel: Series, output: Series, changes_ns: Int64Array) -> FloatArray:
-    """Return a wheel's speed over that of the output where both turn and no shaft rings."""
-    turning_rad_s = _reading(output, wheel.t_ns)
-    is_told = (wheel.value > LIMITS.least_wheel_m_s) & (turning_rad_s > 0.0)
-    for change_ns in changes_ns:
-        is_told &= np.abs(wheel.t_ns - change_ns) * NS_TO_S > LIMITS.ringing_s
-    return np.asarray(wheel.value[is_told] / turning_rad_s[is_told])
+    apart = [math.sqrt(np.mean((ratio / middle - 1.0) ** 2)) for ratio in ratios if len(ratio)]
+    return LIMITS.wheel_ratio.score(max(apart))
 
 
 def _hub(columns: Columns) -> float | None:
     """Compare engine and clutch hub."""
-    engine, hub = columns.get(Signal.ENGINE_SPEED), columns.get(Signal.HUB_SPEED)
-    if engine is None or hub is None or not len(engine.t_ns) or not len(hub.t_ns):
+    engine, hub = columns.get(Signal.ENGINE_SPEED, NO_SAMPLES), columns.get(Signal.HUB_SPEED, NO_SAMPLES)
+    if not len(engine.t_ns) or not len(hub.t_ns):
         return None
     if engine.sequence[0] < 0 and np.array_equal(engine.t_ns, hub.t_ns):
         return None  # columns of a table, asked one after the other: how far they are apart in time nobody knows
-    return LIMITS.hub_mean_rad_s.score(abs(float(_apart(engine, hub).mean())))
+    return LIMITS.hub_mean_rad_s.score(abs(float((engine.value - _reading(hub, engine.t_ns)).mean())))
 
 
 def _pressures(columns: Columns) -> float | None:
     """Compare clutch pressures with what was commanded a moment before."""
-    differences_pa = [
-        float(np.median(np.abs(_apart(pressure, command, _LAG_NS))))
-        for read, commanded in _PRESSURES
-        for pressure, command in ((columns.get(read), columns.get(commanded)),)
-        if pressure is not None and command is not None and len(pressure.t_ns) and len(command.t_ns)
-    ]
+    differences_pa = []
+    for reading, commanded in _PRESSURES:
+        pressure, command = columns.get(reading, NO_SAMPLES), columns.get(commanded, NO_SAMPLES)
+        if len(pressure.t_ns) and len(command.t_ns):
+            difference_pa = pressure.value - _reading(command, pressure.t_ns - _LAG_NS)
+            differences_pa.append(float(np.median(np.abs(difference_pa))))
     return LIMITS.pressure_median_pa.score(max(differences_pa)) if differences_pa else None
-
-
-def _apart(series: Series, other: Series, lag_ns: int = 0) -> FloatArray:
-    """Return a signal less what another one read at its times, or ``lag_ns`` before them."""
-    return np.asarray(series.value - _reading(other, series.t_ns - lag_ns))
 
 
 def _reading(series: Series, at_ns: Int64Array) -> FloatArray:
@@ -179,11 +155,7 @@ def _reading(series: Series, at_ns: Int64Array) -> FloatArray:
 
 
 _DAYS_PER_YEAR: Final = 365.25
-
-
 _NS_PER_S: Final = 1_000_000_000
-
-
 _REASONS: Final = {
     QualityPart.FRAMES: Reason.FRAMES_MISSING,
     QualityPart.PROTECTION: Reason.E2E_INVALID,
@@ -278,10 +250,10 @@ def _numbered(columns: Columns) -> list[Series]:
 
 def _frames(numbered: Sequence[Series]) -> float | None:
     """Judge the share of frames that never came or could not be used."""
-    sent = sum(int(column.sequence[-1] - column.sequence[0]) + 1 for column in numbered)
+    sent = sum([int(column.sequence[-1] - column.sequence[0]) + 1 for column in numbered])
     if not sent:
         return None
-    return LIMITS.lost_ratio.score(1.0 - sum(len(column.t_ns) for column in numbered) / sent)
+    return LIMITS.lost_ratio.score(1.0 - sum([len(column.t_ns) for column in numbered]) / sent)
 
 
 def _protection(event: Event, mandatory: frozenset[str]) -> float | None:
@@ -303,7 +275,7 @@ def _time(numbered: Sequence[Series]) -> float | None:
     for column in series:  # than the schedule of the sample that came earliest by it
         delays_ns = column.t_ns - column.sequence * column.period_ns
         late += int(np.count_nonzero(delays_ns - delays_ns.min() > LIMITS.late_periods * column.period_ns))
-    return 1.0 - late / sum(len(column.t_ns) for column in series)
+    return 1.0 - late / sum([len(column.t_ns) for column in series])
 
 
 def _saturation(columns: Columns, scale_ends: Mapping[Signal, tuple[float, float]]) -> float | None:
@@ -327,35 +299,12 @@ def _calibration(end_ns: int, made: date | None) -> float | None:
 
 
 _LEAST: Final = 0.0  # what a sensor of pressure or speed cannot show less of: it repeats that with reason
-
-
 _STD_OF_SECOND_DIFFERENCE: Final = 1.4826 / math.sqrt(6.0)  # of white noise, over the median of their sizes
-
-
-_ROUNDING: Final = 1e-6  # of a variance: far above what doubles lose, far below what a measurement tells
-
-
 _WITHOUT_LOCK: Final = frozenset({EventKind.CREEP, EventKind.REGEAR})  # a car may stop first; both clutches are open
-
-
 LEAST_RATIO, MOST_RATIO = 0.7, 1.25  # of the friction that the type has new: no fluid leaves these
-
-
 SURE_STD: Final = 1.0  # that a friction is granted before it is called impossible
-
-
 MOST_MISFITS: Final = 3  # without one event that fits
-
-
 _MISFITS: Final = frozenset({Reason.MISFIT, Reason.SPEEDS_DISAGREE, Reason.IMPLAUSIBLE})
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PressureZeros:
-    """What is known of the zeros of both pressure sensors: reading minus truth on an empty clutch."""
-
-    mean_pa: FloatArray  # (2,)
-    variance_pa2: FloatArray  # (2,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -380,18 +329,6 @@ def plausibility_faults(event: Event, signals: AlignedSignals, clutch: SlippingC
         Reason.PRESSURE_OFF_COMMAND: _misses_command(signals, clutch),
     }
     return tuple(reason for reason, is_found in faults.items() if is_found)
-
-
-def zero_has_jumped(known: PressureZeros, measured: PressureZeros) -> bool:
-    """Return whether the zero of a pressure sensor, measured on an empty clutch, contradicts what was known of it.
-
-    ``measured`` is what is known with the measurement, ``known`` without. A zero moves by its update, and the variance
-    of the update is what the variance of the zero loses.
-    """
-    moved_pa = measured.mean_pa - known.mean_pa
-    # A zero that was not measured moves a little with the other one; rounding must not make that a contradiction.
-    variance = np.maximum(known.variance_pa2 - measured.variance_pa2, _ROUNDING * known.variance_pa2)
-    return bool(np.any(moved_pa**2 > LIMITS.zero_gate * variance))
 
 
 def is_frozen(series: Series, signal: Signal) -> bool:
@@ -477,7 +414,7 @@ def _held(series: Series, origin_ns: int, grid_s: FloatArray) -> FloatArray:
 
 def shaft_gap_rad_s(signals: AlignedSignals, rows: slice) -> float:
     """Return how far both input shafts are apart [rad/s], up to the ratio of their gears."""
-    first, second = (speed.on_grid[rows] for speed in signals.input_speed)
+    first, second = signals.input_speed[0].on_grid[rows], signals.input_speed[1].on_grid[rows]
     does_turn = second > LIMITS.turning_rad_s  # at a standstill there is no ratio
     if not does_turn.any():
         return 0.0

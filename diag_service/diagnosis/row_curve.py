@@ -7,14 +7,8 @@ import numpy as np
 from canlog.arrays import FloatArray
 
 POINT_S, POINTS_PER_ROW = 0.01, 4  # of the curve through rows: as near as frames, or as is of use
-
-
 WALK_RATIO = 2.0  # of what slopes near by say: of four each may be small by chance
-
-
 LEAST_WALK = 1.0  # of what the noise of three rows alone would look like
-
-
 HELD_STEPS, HELD_ROWS, LEAST_RUNS = 2.5, 1.5, 4  # of the resolution, of the rows, of what must agree
 
 

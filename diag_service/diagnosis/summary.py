@@ -335,21 +335,18 @@ def of_own_fluid(results: Iterable[ShiftResult], fills: Sequence[FluidFill]) -> 
 def _of_fluid(result: ShiftResult, filled_at: datetime | None) -> ShiftResult:
     if not orders.is_of_earlier_fluid(_end_at(result), filled_at, _since_at(result)):
         return result
-    return replace(result, verdict=_unknown(result.verdict))
-
-
-def _unknown(verdict: ClutchVerdict) -> ClutchVerdict:
-    return ClutchVerdict(
-        clutch=verdict.clutch,
+    verdict = ClutchVerdict(
+        clutch=result.verdict.clutch,
         condition=Condition.NO_VERDICT,
         reason=orders.UNKNOWN_FLUID,
         level_ratio=None,
         friction=None,
         shift_count=0,
-        advice=orders.unseen_since_new(verdict.clutch, verdict.element),
-        element=verdict.element,
-        running_since_bus_ns=verdict.running_since_bus_ns,
+        advice=orders.unseen_since_new(result.verdict.clutch, result.verdict.element),
+        element=result.verdict.element,
+        running_since_bus_ns=result.verdict.running_since_bus_ns,
     )
+    return replace(result, verdict=verdict)
 
 
 def _end_at(result: ShiftResult) -> datetime:

@@ -206,13 +206,7 @@ class Session:
         self._loads = borne(self._loads, result.estimate)
         self.reporter.report(result)
 
-    def summary(
-        self,
-        frames: FrameCounts,
-        unpublished_count: int | None,
-        gaps: tuple[Gap, ...] = (),
-        contributions: Contributions = NO_LOGS,
-    ) -> Summary:
+    def summary(self, frames: FrameCounts, unpublished_count: int | None) -> Summary:
         """Return the numbers of the run as they stand."""
         return Summary(
             vehicle=self.vehicle,
@@ -220,8 +214,6 @@ class Session:
             shifts=self.statistics,
             unpublished_count=unpublished_count,
             capability=self.stages.capability(),
-            gaps=gaps,
-            contributions=contributions,
             earlier=self._earlier,
             fluid=self.fluid,
             loads=self._loads,
@@ -242,7 +234,7 @@ class Session:
         self.fluid = self._store.fluid_at(self.vehicle, self._utc_now())
         if not frames.is_balanced:
             _LOG.error("frame counts do not add up: %s", frames_line(frames))
-        summary = self.summary(frames, unpublished_count, gaps, contributions)
+        summary = replace(self.summary(frames, unpublished_count), gaps=gaps, contributions=contributions)
         if self.survey is not None:
             summary = replace(summary, relative=self.survey.relative_frictions())
         self.reporter.report(summary)

@@ -318,13 +318,13 @@ class Stages:
 
     def capability(self) -> Capability:
         """Return what the signals that came suffice for."""
-        seen = self.decoder.seen
+        received = self.decoder.seen
         expected = self.decoder.signals - self.decoder.optional_signals
         return Capability(
             profile=self.decoder.profile_name,
-            tier=tier_of(seen, **self.reach.asked),
-            missing=missing_for_next(seen, **self.reach.asked),
+            tier=tier_of(received, **self.reach.asked),
+            missing=missing_for_next(received, **self.reach.asked),
             elements=self._calibration.elements if self.reach.asked["has_converter"] else (),
-            torque=self._calibration.torque if Signal.ENGINE_TORQUE in seen else TorqueSource.UNKNOWN,
-            unseen=tuple(signal.value for signal in Signal if signal in expected - seen),
+            torque=self._calibration.torque if Signal.ENGINE_TORQUE in received else TorqueSource.UNKNOWN,
+            unseen=tuple(signal.value for signal in Signal if signal in expected - received),
         )

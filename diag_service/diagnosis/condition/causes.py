@@ -411,8 +411,6 @@ def _logs(some: Hypotheses, change: Change, early: Change | None) -> FloatArray:
 
 
 _BORDER: Final = 1e12  # above any squared distance: a factor's last row is what is away, whitened
-
-
 _NOTHING: Final = Hypotheses(
     causes=(((SOUND, None),),), means=np.zeros((1, COUNT)), roots=np.zeros((1, COUNT, 2)), spreads=np.zeros((1, COUNT)),
     log_priors=np.zeros(1), is_new_fluid=np.zeros(1, dtype=bool),

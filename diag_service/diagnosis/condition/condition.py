@@ -120,7 +120,7 @@ WARM_K: Final = 343.15  # of a pack: below it parameters move with the oil, by l
 BEGIN_COUNT: Final = 40  # events of the first stretch: a few drives
 LEAST_COUNT: Final = 6.0  # of the last one, before anything is said of causes: of fewer most is wrong
 FILLED_COUNT: Final = 15.0  # of the first ones after a fill
-KEPT: Final = 0.97  # of an event's weight after each later one: some thirty count
+FORGETTING: Final = 0.97  # weight of an event after each later one: some thirty count
 JUDGED_EVERY: Final = 35  # events: a cause does not come within one, and a judgement takes as long as an event
 SENSORS: Final = frozenset({"torque-sensor", "pressure-sensor"})
 SENSOR_SHARE: Final = 0.5  # that a sensor drifts: more, and its clutch is not judged
@@ -137,20 +137,9 @@ class Stretch:
     vector: FloatArray = field(default_factory=lambda: np.zeros(PARAMETER_COUNT))
     sums: FloatArray = field(default_factory=lambda: np.zeros((2, len(MEASURED) + 1, 3)))  # weight, value, square
 
-    def __eq__(self, other: object) -> bool:
-        """Return whether another one holds the same numbers."""
-        if not isinstance(other, Stretch):
-            return NotImplemented
-        mine, others = (
-            np.concatenate((stretch.lower, stretch.vector, stretch.sums), axis=None) for stretch in (self, other)
-        )
-        return self.count == other.count and np.array_equal(mine, others)
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def with_event(self, estimate: ShiftEstimate, evidence: Evidence | None, kept: float) -> Self:
+    def with_event(self, estimate: ShiftEstimate, evidence: Evidence | None, forgetting: float) -> Self:
         """Return it after an event; ``evidence`` is None if nothing is said of the parameters."""
-        sums, quality, alone = kept * self.sums, estimate.shift_quality, estimate.scale_free
+        sums, quality, alone = forgetting * self.sums, estimate.shift_quality, estimate.scale_free
         if quality is not None:
             measured = [getattr(quality, name) for name in MEASURED]
             sums[clutch_of_gear(estimate.to_gear) - 1, :-1] += [
@@ -159,11 +148,11 @@ class Stretch:
         if alone is not None:
             value = log(max(alone.mu_c, 1e-3))
             sums[estimate.clutch - 1, -1] += (1.0, value, value * value)
-        lower, vector = kept * self.lower, kept * self.vector
+        lower, vector = forgetting * self.lower, forgetting * self.vector
         if evidence is not None:
             lower += evidence.matrix[LOWER]
             vector += evidence.vector
-        return type(self)(count=kept * self.count + 1.0, lower=lower, vector=vector, sums=sums)
+        return type(self)(count=forgetting * self.count + 1.0, lower=lower, vector=vector, sums=sums)
 
     @property
     def is_possible(self) -> bool:
@@ -198,7 +187,7 @@ class VehicleCourse:
         filled = self.filled
         if filled is not None and filled.count < FILLED_COUNT:
             filled = filled.with_event(estimate, evidence, 1.0)
-        return replace(self, now=self.now.with_event(estimate, evidence, KEPT), filled=filled, event_count=count)
+        return replace(self, now=self.now.with_event(estimate, evidence, FORGETTING), filled=filled, event_count=count)
 
     @property
     def is_due(self) -> bool:
@@ -260,7 +249,8 @@ class ConditionMemory:
         """
         fits = tuple(fit for fit in self.fits if fit is not Fit.CONTRADICTS)
         linings = both_clutches(
-            kept or (None if old is None else _lining(old, clutch)) for clutch, kept in enumerate(self.linings, start=1)
+            lining or (None if old is None else _lining(old, clutch))
+            for clutch, lining in enumerate(self.linings, start=1)
         )
         return replace(
             self,
@@ -330,7 +320,7 @@ class ConditionMemory:
         if not before.shift_counts[index]:
             return self
         known = self.scatters[index] or RunningScatter.begun(alone)
-        scatter = known.with_shift(alone, both_frictions(before, estimate.clutch)[0])
+        scatter = known.with_shift(alone, both_frictions(before, estimate.clutch, before.stated)[0])
         return replace(self, scatters=with_clutch(self.scatters, estimate.clutch, scatter))
 
     def with_finding(self, clutch: int, finding: Finding) -> Self:
@@ -393,12 +383,13 @@ def judge(
     """
     index = clutch - 1
     reference = calibration.clutches[index].friction
-    shift_count = state.shift_counts[index]
+    shift_counts, stated = state.shift_counts, state.stated
+    shift_count = shift_counts[index]
     known = bool(shift_count)
-    (now, free), since = both_frictions(state, clutch), trend(state, clutch) if known else None
+    (now, free), since = both_frictions(state, clutch, stated), trend(state, clutch) if known else None
     launches = memory.launches[index]
-    first, second = (clutch.friction for clutch in calibration.clutches)
-    common = common_margin(state, (first.mu_c - first.mu_s, second.mu_c - second.mu_s))
+    first, second = calibration.clutches[0].friction, calibration.clutches[1].friction
+    common = common_margin(state, stated, (first.mu_c - first.mu_s, second.mu_c - second.mu_s))
     is_cold = state.packs is not None and state.packs.clutch_k[index] < COLD_K
     slope = None if state.torque is TorqueSource.MEASURED else FrictionSlope.of(free, state.torque)
     rest = since, reference, shift_count, memory.conditions[index], memory.grounds[index], launches
@@ -428,7 +419,7 @@ def judge(
         common_scale_std_ratio=common_scale_std_ratio(state, clutch) if tells_level else None,
         shift_scatter=None if scatter is None else scatter.reported,
         trend=since,
-        clutch_ratio=clutch_ratio(state),
+        clutch_ratio=clutch_ratio(stated) if all(shift_counts) else None,
         lining=lining.change(free) if lining is not None and known else None,
         stick_slip=launches.reported,
         calibration_ratio=progress,
@@ -454,8 +445,8 @@ def judge_lockup(
     now, since, launches = state.friction(), state.trend(), memory.launches[0]
     left = NormalDist(now.mu_c - now.mu_s, now.std_slope_s_rad * reference.stribeck_speed_rad_s)
     margin = left / (reference.mu_c - reference.mu_s)
-    kept = memory.conditions[0], memory.grounds[0]
-    finding = decide(now, since, reference, state.shift_count, *kept, launches, margin, counted=SLIP_MINUTES)
+    previous = memory.conditions[0], memory.grounds[0]
+    finding = decide(now, since, reference, state.shift_count, *previous, launches, margin, counted=SLIP_MINUTES)
     if memory.misfit_text:
         finding = nothing(Silence.CONVERTER_MISFIT, memory.misfit_text.partition(";")[0])
     elif memory.refused[0] >= REFUSED_COUNT:

@@ -302,7 +302,7 @@ def _car_parts(slopes: FloatArray, first: int, stop: int) -> dict[str, float]:
 def _mean_around(values: FloatArray, first: int, stop: int, reach: int) -> FloatArray:
     """Return the mean of each row and those within ``reach`` of it."""
     shifts = range(-reach, reach + 1)
-    return np.asarray(sum(values[first + shift : stop + shift] for shift in shifts) / len(shifts))
+    return np.asarray(sum([values[first + shift : stop + shift] for shift in shifts]) / len(shifts))
 
 
 def _load_parts(rows: _Rows, packs: tuple[_Pack, _Pack], *, is_handover: bool) -> dict[str, float]:
@@ -310,14 +310,12 @@ def _load_parts(rows: _Rows, packs: tuple[_Pack, _Pack], *, is_handover: bool) -
     first, stop = rows.first, rows.stop
     if first == stop or math.isnan(rows.on_pa[first]):
         return {}
-    on_pa, off_pa = (
-        _mean_around(pressure_pa, first, stop, 1) - touch
-        for pressure_pa, touch in zip((rows.on_pa, rows.off_pa), rows.touch_pa, strict=True)
-    )
-    on_nm, off_nm = (np.maximum(pa, 0.0) * pack.torque_nm_pa for pa, pack in zip((on_pa, off_pa), packs, strict=True))
-    on_slip, off_slip = (
-        np.abs(rows.engine_rad_s[first:stop] - shaft[first:stop]) for shaft in (rows.on_rad_s, rows.off_rad_s)
-    )
+    on_pa = _mean_around(rows.on_pa, first, stop, 1) - rows.touch_pa[0]
+    off_pa = _mean_around(rows.off_pa, first, stop, 1) - rows.touch_pa[1]
+    on_nm, off_nm = np.maximum(on_pa, 0.0) * packs[0].torque_nm_pa, np.maximum(off_pa, 0.0) * packs[1].torque_nm_pa
+    engine_rad_s = rows.engine_rad_s[first:stop]
+    on_slip = np.abs(engine_rad_s - rows.on_rad_s[first:stop])
+    off_slip = np.abs(engine_rad_s - rows.off_rad_s[first:stop])
     on_w = np.where(on_slip > LOCKED_RAD_S, on_nm * on_slip, 0.0)
     energy_j, peak_k = packs[0].heated(on_w, rows.start_k[0], rows.oil_k)
     parts = {"energy_on_j": energy_j, "energy_off_j": 0.0, "peak_on_k": peak_k}
@@ -428,10 +426,10 @@ def weighed(parts: Mapping[str, float]) -> tuple[float | None, list[str]]:
             size = abs(parts[part.name]) / (hides if part.is_relative else 1.0)
             beyond = max(size - part.free, 0.0) / (part.felt - part.free)
             costs[part.name] = part.weight * math.log1p((math.e - 1.0) * beyond)
-    weight = sum(part.weight for part in PARTS if part.name in costs)
+    weight = sum([part.weight for part in PARTS if part.name in costs])
     if not weight:
         return None, []
-    dear = sorted((name for name in costs if costs[name] >= 0.01 * weight), key=lambda name: -costs[name])
+    dear = sorted([name for name in costs if costs[name] >= 0.01 * weight], key=costs.__getitem__, reverse=True)
     return 100.0 * math.exp(-sum(costs.values()) / weight), dear
 
 
@@ -591,8 +589,8 @@ def _slopes_at(t_s: FloatArray, value: FloatArray, at_s: FloatArray) -> FloatArr
     places = np.minimum(places, len(t_s) - 1)
     x = (t_s[places] - at_s[:, np.newaxis]) / SMOOTH_S * is_near
     y = value[places] * is_near
-    x1, x2, x3, x4 = (np.sum(x**power, axis=1) for power in range(1, 5))
-    y0, xy, xxy = (np.sum(x**power * y, axis=1) for power in range(3))
+    x1, x2, x3, x4 = [np.sum(x**power, axis=1) for power in range(1, 5)]
+    y0, xy, xxy = [np.sum(x**power * y, axis=1) for power in range(3)]
     whole = count * (x2 * x4 - x3 * x3) - x1 * (x1 * x4 - x2 * x3) + x2 * (x1 * x3 - x2 * x2)  # Cramer's rule
     slope = count * (xy * x4 - x3 * xxy) - y0 * (x1 * x4 - x3 * x2) + x2 * (x1 * xxy - xy * x2)
     rows, slopes = np.flatnonzero((count >= 3) & (whole > LEAST_APART)), np.zeros(len(at_s))

@@ -45,8 +45,6 @@ FIT_WINDOW = 20  # shifts of both clutches: two cycles
 MAX_MISFIT_SHARE = 0.25  # none of the shifts of sound drives misfit; of another vehicle's calibration half do
 MIN_MISFIT_COUNT = 3  # one or two shifts are no share
 NEW_FLUID_CONTRADICTIONS = 6  # it contradicts what is known of each clutch up to three times, then that starts afresh
-
-
 _PERCENT: Final = 100.0  # of a ratio
 _NEARLY_SURE: Final = 0.995  # beyond it a rounded percentage would promise certainty
 _STEP: Final = 0.001  # to which a reason says a probability
@@ -264,13 +262,13 @@ def nothing(silence: Silence, reason: str) -> Finding:
     return Finding(condition=Condition.NO_VERDICT, reason=reason, ground=silence)
 
 
-def decide(
+def decide(  # noqa: PLR0911 - each rule may end it
     friction: FrictionEstimate,
     since: FrictionTrend | None,
     reference: FrictionCurve,
     shift_count: int,
     previous: Condition,
-    kept: Cause | None,
+    previous_cause: Cause | None,
     launches: Launches,
     common: NormalDist,
     *,
@@ -287,8 +285,8 @@ def decide(
         The calibration's.
     shift_count
         Events that the running friction rests on.
-    previous, kept
-        The last verdict, and its cause: until that has become unlikely it is kept.
+    previous, previous_cause
+        The last verdict, which stands until its cause has become unlikely.
     launches
         Which of its launches juddered.
     common
@@ -322,7 +320,7 @@ def decide(
         Cause.LEVEL_LOW: level.cdf(CHANGE_LEVEL_RATIO),
         Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
     }
-    if (bad := _standing(Condition.CHANGE_FLUID, change, change_at, previous, kept, facts)) is not None:
+    if (bad := _standing(Condition.CHANGE_FLUID, change, change_at, previous, previous_cause, facts)) is not None:
         return bad
     if margin.stdev > MAX_MARGIN_STD_RATIO * reference_margin:
         return nothing(Silence.MARGIN_UNSURE, f"mu_C - mu_S known to {margin.stdev:.4f} only: {facts}")
@@ -331,13 +329,16 @@ def decide(
         Cause.LEVEL_FALLING: level.cdf(WATCH_LEVEL_RATIO),
         Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO),
     }
-    if (bad := _standing(Condition.WATCH, watch, watch_at, previous, kept, facts)) is not None:
+    if (bad := _standing(Condition.WATCH, watch, watch_at, previous, previous_cause, facts)) is not None:
         return bad
     is_sure = margin.stdev <= SURE_MARGIN_STD_RATIO * reference_margin
     if not is_sure and _may_be_thin(own_thin, common_thin, previous):
         by_either = max(own_thin, common_thin)
         return nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({likely(by_either)}): {facts}")
-    return _unless_they_judder(launches, 1.0 - max(watch.values()), facts, counted)
+    if launches.speak:
+        why, what = (Silence.LAUNCHES_JUDDER, "launches") if counted == SHIFTS else (Silence.SLIP_SWINGS, counted)
+        return nothing(why, f"its {what} contradict its friction: {facts}")
+    return Finding(condition=Condition.GOOD, reason=facts, ground=None, probability=1.0 - max(watch.values()))
 
 
 def decide_up_to_scale(
@@ -346,7 +347,7 @@ def decide_up_to_scale(
     reference: FrictionCurve,
     shift_count: int,
     previous: Condition,
-    kept: Cause | None,
+    previous_cause: Cause | None,
     launches: Launches,
     *,
     is_cold: bool,
@@ -373,13 +374,13 @@ def decide_up_to_scale(
     margin_ratio = 1.0 - reference.mu_s / reference.mu_c
     if slope.std_mu_s_ratio > EARLY_MARGIN_STD_RATIO * margin_ratio:
         change_at = max(change_at, UNSURE_CHANGE_PROBABILITY)
-    if (bad := _standing(Condition.CHANGE_FLUID, change, change_at, previous, kept, facts)) is not None:
+    if (bad := _standing(Condition.CHANGE_FLUID, change, change_at, previous, previous_cause, facts)) is not None:
         return bad
     watch = {Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO)}
     if slope.std_mu_s_ratio <= MAX_MARGIN_STD_RATIO * margin_ratio:
         margin = NormalDist(1.0 - slope.mu_s_ratio, slope.std_mu_s_ratio)
         watch[Cause.MARGIN_THIN] = margin.cdf(WATCH_MARGIN_RATIO * margin_ratio)
-    if (bad := _standing(Condition.WATCH, watch, watch_at, previous, kept, facts)) is not None:
+    if (bad := _standing(Condition.WATCH, watch, watch_at, previous, previous_cause, facts)) is not None:
         return bad
     return nothing(Silence.LEVEL_UNKNOWN, f"engine torque is {slope.torque.replace('_', ' ')}, not measured: {facts}")
 
@@ -389,13 +390,6 @@ def _may_be_thin(thin: float, common_thin: float, previous: Condition) -> bool:
     if previous is Condition.GOOD:
         return thin > LEAVE_PROBABILITY
     return thin > THIN_PROBABILITY or common_thin > COMMON_THIN_PROBABILITY
-
-
-def _unless_they_judder(launches: Launches, probability: float, facts: str, counted: str) -> Finding:
-    if launches.speak:
-        why, what = (Silence.LAUNCHES_JUDDER, "launches") if counted == SHIFTS else (Silence.SLIP_SWINGS, counted)
-        return nothing(why, f"its {what} contradict its friction: {facts}")
-    return Finding(condition=Condition.GOOD, reason=facts, ground=None, probability=probability)
 
 
 def _facts(friction: FrictionEstimate, level: NormalDist, since: FrictionTrend | None, told_by: str) -> str:
@@ -432,13 +426,13 @@ def _standing(
     causes: Mapping[Cause, float],
     give_at: float,
     previous: Condition,
-    kept: Cause | None,
+    previous_cause: Cause | None,
     facts: str,
 ) -> Finding | None:
     """Return a bad verdict by its likeliest cause, or by that for which it was given; None: no cause is likely."""
     cause = max(causes, key=causes.__getitem__)
     if previous is condition and causes[cause] < give_at:  # earlier programs kept no cause
-        cause, give_at = cause if kept is None else kept, LEAVE_PROBABILITY
+        cause, give_at = cause if previous_cause is None else previous_cause, LEAVE_PROBABILITY
     probability = causes.get(cause, 0.0)
     reason = f"{cause} ({likely(probability)}): {facts}"
     finding = Finding(condition=condition, reason=reason, ground=cause, probability=probability)

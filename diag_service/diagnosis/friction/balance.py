@@ -21,7 +21,7 @@ from typing import Final, NamedTuple, Protocol, Self
 import numpy as np
 
 from canlog.arrays import FloatArray
-from clutch_model.calibration import Calibration, SensorBias, TorqueSource
+from clutch_model.calibration import SensorBias, TorqueSource
 from clutch_model.pack import contact_levers_m3, slower_film
 from clutch_results.records import LEAST_SLIP_ROWS
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals
@@ -54,6 +54,7 @@ from diag_service.diagnosis.friction.film import (
     PackLaw,
     PackLaws,
     PressureDrive,
+    VehicleLaws,
     directions,
     film_tangents,
     heat_w,
@@ -62,7 +63,7 @@ from diag_service.diagnosis.friction.film import (
 
 MAX_MOMENT_COUNT = 24  # beyond it the quadrature, not the noise, limits
 SAMPLES_PER_MOMENT = 2  # of the engine torque: a sine that turns faster than every second sample shows is told by none
-WORKING_K: Final = 353.15  # of a pack: from there on the film is as believed
+WORKING_K: Final = 353.15  # of a pack, 80 degC: colder, films follow laws that differ from car to car; model.md (19b)
 
 
 class ClutchMoments(NamedTuple):
@@ -117,8 +118,8 @@ class Balance:
         The event and its slip window.
     measured
         What drives the film of clutch 1 and 2, pressures corrected by the offsets of these parameters.
-    calibration, laws
-        That of these parameters, and what it says of the clutches.
+    laws
+        Of the vehicle at these parameters.
     at : (PARAMETER_COUNT,) array
         The parameters.
 
@@ -139,13 +140,11 @@ class Balance:
         signals: AlignedSignals,
         window: SlipWindow,
         measured: tuple[PressureDrive, PressureDrive],
-        calibration: Calibration,
-        laws: PackLaws,
+        laws: VehicleLaws,
         at: FloatArray,
     ) -> None:
         self.signals = signals
         self.measured = measured
-        self.calibration = calibration
         self.laws = laws
         self.window = window
         self.at = at
@@ -154,32 +153,34 @@ class Balance:
         edges = np.searchsorted(torque_s, spans_of(window.pieces, signals.grid_s))
         sample_counts = (edges[:, 1] - edges[:, 0]).tolist()
         self.sample_count = sum(
-            count for count, piece in zip(sample_counts, window.pieces, strict=True) if not piece.is_rest
+            [count for count, piece in zip(sample_counts, window.pieces, strict=True) if not piece.is_rest]
         )
         counts = [max(3, min(MAX_MOMENT_COUNT, count // SAMPLES_PER_MOMENT)) for count in sample_counts]
         self.weights = sines(window, counts)
-        self.tracks = integrate_films(measured, laws)
+        self.tracks = integrate_films(measured, laws.packs)
         self.coldness = coldness(self.tracks, window.slip_rows)
         self.film_steps = [FILM_MOBILITY_LOG * cold for cold in self.coldness]
         self.final_clutch_k = self.tracks[0].final_clutch_k, self.tracks[1].final_clutch_k
-        self.torques = Torques.of(measured, self.tracks, self.tracks, laws, self.weights.rows)
+        self.torques = Torques.of(measured, self.tracks, self.tracks, laws.packs, self.weights.rows)
         self._moments = weigh(self.weights, self.torques)
-        side, hub_rad_s = calibration.input_side, signals.hub_speed.on_grid[self.weights.rows]
+        side, hub_rad_s = laws.input_side, signals.hub_speed.on_grid[self.weights.rows]
         self.known_nms = np.asarray(
             side.hub_inertia_kg_m2 * (self.weights.rate @ hub_rad_s)
             - side.hub_damping_nms_rad * (self.weights.value @ hub_rad_s)
-            - sum(moments.viscous for moments in self._moments)
+            - sum([moments.viscous for moments in self._moments])
         )
 
     def residual_nms(self) -> FloatArray:
         """Return by how much the impulses do not balance [N m s], shape (k,)."""
-        side, bias, weights = self.calibration.input_side, self.calibration.bias, self.weights
+        side, bias, weights = self.laws.input_side, self.laws.bias, self.weights
         offset_nm = self.at[State.TORQUE_OFFSET]
         torque_nm, _ = motoring_corrected_nm(self.signals.engine_torque.on_grid[weights.rows], offset_nm, bias)
         by_kelvin = self.at[STATE_COUNT + Considered.FRICTION_TEMPERATURE]
         contact_nms = sum(
-            (moments.by_friction + by_kelvin * moments.by_warm_friction) @ mu
-            for moments, mu in zip(self._moments, self.mu, strict=True)
+            [
+                (moments.by_friction + by_kelvin * moments.by_warm_friction) @ mu
+                for moments, mu in zip(self._moments, self.mu, strict=True)
+            ]
         )
         engine_nms = side.engine_inertia_kg_m2 * (weights.rate @ self.signals.engine_speed.on_grid[weights.rows])
         driving_nms = weights.value @ (torque_nm - offset_nm)
@@ -187,13 +188,13 @@ class Balance:
 
     def slip_energy_j(self, clutch: int, mu: FloatArray) -> float:
         """Return the heat made in a clutch over the whole cut [J], for its ``(mu_c, mu_s)``."""
-        return GRID_S * heat_w(self.measured[clutch - 1], self.tracks[clutch - 1], mu, self.laws[clutch - 1])
+        return GRID_S * heat_w(self.measured[clutch - 1], self.tracks[clutch - 1], mu, self.laws.packs[clutch - 1])
 
 
 def weigh(weights: Weights, torques: Torques) -> tuple[ClutchMoments, ClutchMoments]:
     """Return the weighted torques of both clutches, on the rows of the weights."""
     sums = weights.value @ torques.parts_nm.reshape(12, -1).T
-    first, second = (
+    first, second = [
         ClutchMoments(
             viscous=sums_nms[:, 4],
             opened=sums_nms[:, 5],
@@ -201,7 +202,7 @@ def weigh(weights: Weights, torques: Torques) -> tuple[ClutchMoments, ClutchMome
             by_warm_friction=sums_nms[:, 2:4],
         )
         for sums_nms in (sums[:, :6], sums[:, 6:])
-    )
+    ]
     return first, second
 
 
@@ -212,13 +213,13 @@ def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: Sensor
     return reading_nm - negative_nm + corrected_nm, corrected_nm
 
 
-COLD_SPAN_K: Final = 60.0  # below that temperature, where the deviations are as large as these:
-FILM_MOBILITY_LOG: Final = 1.0
-LEAST_SECANT: Final = 0.2  # of that: below it the tangent is near enough
-COLD_DOUBT_RATIO: Final = 0.8  # of what the slower film changes: no law holds for the course of one that closes
-MIN_EXCESS = 0.05  # keeps exponents below one finite at zero slip
-DOUBT_RATIO = 0.01  # of a clutch's torque: so far no law of friction and film holds moment by moment
-IDLE_RATIO = 0.1  # of the noise: a clutch that weighs less than this in the balance has no say in any derivative
+COLD_SPAN_K: Final = 60.0  # below `WORKING_K` the deviations of a cold pack are those of docs/model.md (19b)
+FILM_MOBILITY_LOG: Final = 1.0  # natural logarithm: there a film may yield more slowly by this; more than one deviation
+LEAST_SECANT: Final = 0.2  # natural logarithm: for a smaller step the tangent of a film is near enough
+COLD_DOUBT_RATIO: Final = 0.8  # standard deviation over the torque that the slower film changes while it closes
+MIN_EXCESS = 0.05  # of slip over Stribeck speed: keeps powers with an exponent below 1 finite at zero slip
+DOUBT_RATIO = 0.01  # standard deviation over a clutch's torque: laws of friction and film hold no better at each moment
+IDLE_RATIO = 0.1  # of the noise: a clutch whose impulses are smaller has no derivatives by film and Stribeck curve
 
 COMMON_CAUSES = {  # what both clutches share
     Considered.VISCOSITY: FilmCause.VISCOSITY,
@@ -261,17 +262,15 @@ def contact_answers(
 
 def coldness(tracks: tuple[FilmTrack, FilmTrack], rows: slice) -> tuple[float, ...]:
     """Return how cold each pack is on some rows: 0 at work, 1 where its oil is 60 K colder."""
-    return tuple(
-        max(0.0, (WORKING_K - float(own_k.sum() / len(own_k))) / COLD_SPAN_K)  # `mean` takes twice as long
-        for own_k in (track.clutch_k[rows] for track in tracks)
-    )
+    means_k = [float(track.clutch_k[rows].sum() / (rows.stop - rows.start)) for track in tracks]
+    return tuple([max(0.0, (WORKING_K - mean_k) / COLD_SPAN_K) for mean_k in means_k])
 
 
 def slower_films(balance: Balance, drives: tuple[PressureDrive, PressureDrive]) -> tuple[FilmTrack, FilmTrack]:
     """Return the films as they are where they yield as slowly as they may in the cold."""
     first, second = (
         law._replace(film=slower_film(law.film, math.exp(step)))
-        for law, step in zip(balance.laws, balance.film_steps, strict=True)
+        for law, step in zip(balance.laws.packs, balance.film_steps, strict=True)
     )
     return integrate_films(drives, (first, second), balance.window.rows.stop, COARSE)
 
@@ -292,10 +291,10 @@ class Sensitivity:
     """
 
     def __init__(self, balance: Balance) -> None:
-        self.balance, laws, rows = balance, balance.laws, balance.weights.rows
+        self.balance, laws, rows = balance, balance.laws.packs, balance.weights.rows
         # The gain of the torque moves the balance as inertia does: all else that would tell both apart, the drag of
         # open packs and the noise of the hub's speed, is known too badly to be a scale.
-        side = balance.calibration.input_side
+        side = balance.laws.input_side
         self.turned_ratio = 1.0 + side.hub_inertia_kg_m2 / side.engine_inertia_kg_m2
         self._planned = planned_drives(balance.signals, balance.measured, balance.window)
         self.spread = Spread.of(balance.signals, balance.weights, side)
@@ -335,10 +334,10 @@ class Sensitivity:
         A residual is ``jacobian @ displacement + noise``; ``std_nms`` of shape (k,) is the deviation of that noise.
         """
         balance, at = self.balance, self.balance.at
-        weights, bias = balance.weights, balance.calibration.bias
+        weights, bias = balance.weights, balance.laws.bias
         torque_nm, motoring_nm = motoring_corrected_nm(self._torque_nm, at[State.TORQUE_OFFSET], bias)
         speed_rad_s = weights.fitted(balance.signals.engine_speed.on_grid[weights.rows], SLIP_DEGREE)
-        engine_nms = balance.calibration.input_side.engine_inertia_kg_m2 * (weights.rate @ speed_rad_s)
+        engine_nms = balance.laws.input_side.engine_inertia_kg_m2 * (weights.rate @ speed_rad_s)
         slope = np.zeros((weights.value.bands[-1].stop, PARAMETER_COUNT))
         considered = slope[:, STATE_COUNT:]
         slope[:, State.TORQUE_OFFSET] = weights.value.sums()
@@ -363,7 +362,7 @@ class Sensitivity:
         balance, drive = self.balance, self._planned[m]
         rows, considered = balance.weights.rows, slope[:, STATE_COUNT:]
         clutch_k, lever_m3 = balance.tracks[m].clutch_k, mu @ self.torques.lever_m3[m]
-        answers = balance.weights.value @ film_tangents(balance.laws[m], drive, clutch_k, rows, lever_m3)
+        answers = balance.weights.value @ film_tangents(balance.laws.packs[m], drive, clutch_k, rows, lever_m3)
         slope[:, State.TOUCH1 + m] = -answers[:, FilmCause.PRESSURE]
         slope[:, State.ZERO1 + m] = -answers[:, FilmCause.PRESSURE]
         considered[:, Considered.PISTON_AREA1 + m] = answers[:, FilmCause.PISTON_AREA]
@@ -374,19 +373,19 @@ class Sensitivity:
             considered[:, Considered.FILM_MOBILITY] += secant - answers[:, FilmCause.FILM_MOBILITY]
 
 
-MODELLED_DOUBT_NM: Final = np.array([10.0, 5.0, 2.0, 1.0, 0.7])  # of a torque's mean in a piece, its slope, its bends
-OPEN_DOUBT_RATIO = 0.5  # of what an open pack drags: how that goes with the slip is another in every pack
-DOUBT_TIME_S = 0.1  # for which what is not known is wrong one way
-DOUBT_STEP = 2  # points of the grid: no test function turns in less than ten times that
-SCALE_RATIO: Final = 0.03  # of gain and inertia where rows are so far apart: what curves leave out, an engine shows
+MODELLED_DOUBT_NM: Final = np.array([10.0, 5.0, 2.0, 1.0, 0.7])  # of a modelled torque in a piece, by polynomial degree
+OPEN_DOUBT_RATIO = 0.5  # standard deviation over the drag of an open pack, whose law of slip differs from pack to pack
+DOUBT_TIME_S = 0.1  # correlation time of what the laws leave out
+DOUBT_STEP = 2  # points of the grid from one step of that noise to the next: test functions turn ten times as slowly
+SCALE_RATIO: Final = 0.03  # deviation of gain and inertia in one event of a table whose rows are `SCALE_ROW_S` apart
 SCALE_ROW_S: Final = 0.06
 
 
 class NoiseModel(Protocol):
     """How the samples of an event err."""
 
-    scale_ratio: float  # by which gain and inertia seem to differ in one event
-    is_alike: bool  # errors that all events, and all pieces of one, have alike: events agree better than they are
+    scale_ratio: float  # deviation of gain and inertia in one event
+    is_alike: bool  # whether all events, and all pieces of one, share errors: they scatter less than they err
 
     least_count: int  # of samples in the slip: fewer say nothing of friction
 
@@ -404,9 +403,9 @@ class BusNoise:
 
     def covariances(self, sensitivity: Sensitivity) -> list[FloatArray]:
         balance, spread = sensitivity.balance, sensitivity.spread
-        calibration, weights = balance.calibration, balance.weights
-        sensors, gain = calibration.noise, calibration.bias.torque_gain
-        engine_std = sensors.engine_speed_rad_s * gain * calibration.input_side.engine_inertia_kg_m2
+        laws, weights = balance.laws, balance.weights
+        sensors, gain = laws.noise, laws.bias.torque_gain
+        engine_std = sensors.engine_speed_rad_s * gain * laws.input_side.engine_inertia_kg_m2
         noises = [
             sensors.engine_torque_nm**2 * torque @ torque.T + engine_std**2 * engine @ engine.T
             for torque, engine in zip(spread.torque_value, spread.engine_rate, strict=True)
@@ -442,8 +441,8 @@ class RowNoise:
 
     def covariances(self, sensitivity: Sensitivity) -> list[FloatArray]:
         balance, signals = sensitivity.balance, self._signals
-        sensors, side = balance.calibration.noise, balance.calibration.input_side
-        gain = balance.calibration.bias.torque_gain
+        sensors, side = balance.laws.noise, balance.laws.input_side
+        gain = balance.laws.bias.torque_gain
         value, rate = balance.weights.value.joined(), balance.weights.rate.joined()
         first, second = sensitivity.answers
         hub = rate * (gain * side.hub_inertia_kg_m2) + value * -(
@@ -471,7 +470,7 @@ class RowNoise:
         balance, rates = sensitivity.balance, sensitivity.spread.engine_rate
         value, (joint,) = balance.weights.value, (np.asarray(np.linalg.inv(noise)) for noise in covariances)
         if self._has_one_speed:
-            inertia_kg_m2 = balance.calibration.input_side.engine_inertia_kg_m2
+            inertia_kg_m2 = balance.laws.input_side.engine_inertia_kg_m2
             rates = tuple(rate + hub / inertia_kg_m2 for rate, hub in zip(rates, sensitivity.spread.hub, strict=True))
         slopes = sensitivity.engine_slopes
         by_speed = self._signals.engine_speed.shared(slopes, rates, value.grid_rows, is_followed=True)
@@ -483,7 +482,7 @@ class RowNoise:
         """Return what the derivatives by friction share with the pressures: those of rows are noise in both."""
         value, shares = sensitivity.balance.weights.value, list[list[FloatArray]]()
         for m, pressure in enumerate(self._signals.pressure):
-            by_pressure_m3, film = sensitivity.answers[m].by_pressure_m3, sensitivity.balance.laws[m].film
+            by_pressure_m3, film = sensitivity.answers[m].by_pressure_m3, sensitivity.balance.laws.packs[m].film
             torque = pressure.to_samples((value * by_pressure_m3).blocks, value.grid_rows)
             ratio = film.piston_area_m2 / film.lining_area_m2 * (by_pressure_m3 != 0.0)
             for lever_m3 in ratio * sensitivity.torques.lever_m3[m]:
@@ -521,9 +520,9 @@ def _overlaps(
     by_friction: Sequence[Sequence[FloatArray]] = (),
 ) -> Iterable[FloatArray]:
     """Yield what the derivatives of each piece by inertia and gains share with its residual."""
-    calibration = sensitivity.balance.calibration
-    sensors, gain = calibration.noise, calibration.bias.torque_gain
-    speed_std = sensors.engine_speed_rad_s * calibration.input_side.engine_inertia_kg_m2
+    laws = sensitivity.balance.laws
+    sensors, gain = laws.noise, laws.bias.torque_gain
+    speed_std = sensors.engine_speed_rad_s * laws.input_side.engine_inertia_kg_m2
     motoring = _motoring_shares(sensitivity)
     for place, precision in enumerate(precisions):
         overlap = np.zeros(PARAMETER_COUNT)
@@ -544,7 +543,7 @@ def _motoring_shares(sensitivity: Sensitivity) -> list[FloatArray] | None:
     balance = sensitivity.balance
     if not sensitivity.is_motoring.any():
         return None
-    value = balance.weights.value * (sensitivity.is_motoring / balance.calibration.bias.motoring_gain)
+    value = balance.weights.value * (sensitivity.is_motoring / balance.laws.bias.motoring_gain)
     torque = balance.signals.engine_torque
     slopes = value.fitted_on_samples(SLIP_DEGREE, torque)
     return torque.shared(slopes, sensitivity.spread.torque_value, value.grid_rows)
@@ -553,35 +552,33 @@ def _motoring_shares(sensitivity: Sensitivity) -> list[FloatArray] | None:
 def _add_clutch_noise(sensitivity: Sensitivity, noises: list[FloatArray]) -> None:
     """Add the noise of input speeds and pressures, that of samples with the same weights as one."""
     balance, spread = sensitivity.balance, sensitivity.spread
-    signals, sensors = balance.signals, balance.calibration.noise
-    value, of_blocks = balance.weights.value, dict[int, tuple[Blocks, list[Blocks]]]()
+    signals, sensors = balance.signals, balance.laws.noise
+    value, of_blocks = balance.weights.value, dict[int, tuple[Blocks, list[list[FloatArray]]]]()
     for m, answers in enumerate(sensitivity.answers):
         for std, by, signal, blocks in (
             (sensors.input_speed_rad_s, answers.by_slip_nms, signals.input_speed[m], spread.input_value[m]),
             (sensors.pressure_pa, answers.by_pressure_m3, signals.pressure[m], spread.pressure_value[m]),
         ):
             if by.any():
-                squares = tuple(
-                    (std * means) ** 2 for means in signal.around_samples(by, value.places, value.grid_rows)
-                )
+                squares = [(std * means) ** 2 for means in signal.around_samples(by, value.places, value.grid_rows)]
                 of_blocks.setdefault(id(blocks), (blocks, []))[1].append(squares)
     for blocks, variances in of_blocks.values():
         for place, weight in enumerate(blocks):
-            scaled = weight * np.sqrt(sum(squares[place] for squares in variances))
+            scaled = weight * np.sqrt(sum([squares[place] for squares in variances]))
             noises[place] += scaled @ scaled.T
 
 
 def add_doubt(sensitivity: Sensitivity, noises: list[FloatArray]) -> None:
     """Add what no law of friction, film and drag holds, wrong one way for a while, and what a modelled torque hides."""
     balance = sensitivity.balance
-    value, gain = balance.weights.value, balance.calibration.bias.torque_gain
-    doubt_nm = np.hypot(*(answers.doubt_nm for answers in sensitivity.answers))
+    value, gain = balance.weights.value, balance.laws.bias.torque_gain
+    doubt_nm = np.hypot(*[answers.doubt_nm for answers in sensitivity.answers])
     doubt_nm *= gain * math.sqrt(DOUBT_TIME_S * DOUBT_STEP / GRID_S)
     opened_nms = OPEN_DOUBT_RATIO * gain * np.stack([moments.opened for moments in sensitivity.nominal], axis=1)
     for place, (rows_of_piece, band, block) in enumerate(zip(value.places, value.bands, value.blocks, strict=True)):
         doubt = block[:, ::DOUBT_STEP] * doubt_nm[rows_of_piece][::DOUBT_STEP]
         noises[place] += doubt @ doubt.T + opened_nms[band] @ opened_nms[band].T
-    if balance.calibration.torque is TorqueSource.MEASURED:
+    if balance.laws.torque is TorqueSource.MEASURED:
         return
     for place, block in enumerate(value.blocks):  # a smooth course of its own in every piece
         rows = block.shape[1]

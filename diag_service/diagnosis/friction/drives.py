@@ -9,7 +9,7 @@ from typing import Final, Self
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
-from clutch_model.calibration import Calibration, InputSide
+from clutch_model.calibration import InputSide
 from clutch_model.pack import clutch_later_k
 from diag_service.diagnosis.alignment import GRID_S, NS_TO_S, TURNING_RAD_S, AlignedSignals, Resampled
 from diag_service.diagnosis.friction.evidence import Evidence, State, open_drag_ratio
@@ -48,7 +48,7 @@ class SlipWindow:
     @classmethod
     def of(cls, pieces: tuple[RowRange, ...]) -> "SlipWindow":
         """Return a window of some pieces, of which one at least slips."""
-        slipping = tuple(piece for piece in pieces if not piece.is_rest)
+        slipping = tuple([piece for piece in pieces if not piece.is_rest])
         return cls(
             pieces=pieces,
             slipping=slipping,
@@ -124,7 +124,7 @@ def _pieces(first: int, stop: int, longest: int) -> list[RowRange]:
 def loaded_clutch(window: SlipWindow, slip_rad_s: FloatArray, over_touch_pa: FloatArray) -> int:
     """Return the clutch that carries most while it slips in a window, 1 or 2; arrays as for `find_window`."""
     carried_pa = np.where(np.abs(slip_rad_s) > SLIP_MIN_RAD_S, np.maximum(over_touch_pa, 0.0), 0.0)
-    first, second = sum(carried_pa[:, piece.first : piece.stop].sum(axis=1) for piece in window.slipping)
+    first, second = sum([carried_pa[:, piece.first : piece.stop].sum(axis=1) for piece in window.slipping])
     return 1 if first >= second else 2
 
 
@@ -134,7 +134,7 @@ Span = tuple[float, float]
 
 def spans_of(pieces: Sequence[RowRange], grid_s: FloatArray) -> tuple[Span, ...]:
     """Return when pieces begin and end."""
-    return tuple((float(grid_s[piece.first]), float(grid_s[piece.stop - 1])) for piece in pieces)
+    return tuple([(float(grid_s[piece.first]), float(grid_s[piece.stop - 1])) for piece in pieces])
 
 
 def on_other_grid(window: SlipWindow, grid_s: FloatArray, other_s: FloatArray) -> SlipWindow:
@@ -142,11 +142,11 @@ def on_other_grid(window: SlipWindow, grid_s: FloatArray, other_s: FloatArray) -
     edges = np.searchsorted(other_s, spans_of(window.pieces, grid_s)).tolist()
     pairs = zip(window.pieces, edges, strict=True)
     return SlipWindow.of(
-        tuple(
+        tuple([
             RowRange(first=first, stop=min(last + 1, len(other_s)), is_rest=piece.is_rest)
             for piece, (first, last) in pairs
-        )
-    )
+        ])
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,7 +168,7 @@ class Functions:
     def __mul__(self, factor: FloatArray | float) -> "Functions":
         """Return each function times a number, or times one of each row, shape (len(rows),)."""
         of_rows = np.broadcast_to(factor, (self.rows.stop - self.rows.start,))
-        blocks = (block * of_rows[place] for block, place in zip(self.blocks, self.places, strict=True))
+        blocks = [block * of_rows[place] for block, place in zip(self.blocks, self.places, strict=True)]
         return replace(self, blocks=tuple(blocks))
 
     def __add__(self, other: "Functions") -> "Functions":
@@ -219,14 +219,15 @@ def sines(window: SlipWindow, counts: Sequence[int]) -> Weights:
     hull = window.rows
     first, ends = hull.start, list(accumulate(counts, initial=0))
     pairs = [_sines(piece.stop - piece.first, count) for piece, count in zip(window.pieces, counts, strict=True)]
+    values, rates = zip(*pairs, strict=True)
     value = Functions(
         rows=hull,
-        grid_rows=tuple(slice(piece.first, piece.stop) for piece in window.pieces),
-        places=tuple(slice(piece.first - first, piece.stop - first) for piece in window.pieces),
-        bands=tuple(slice(*band) for band in pairwise(ends)),
-        blocks=tuple(value for value, _ in pairs),
+        grid_rows=tuple([slice(piece.first, piece.stop) for piece in window.pieces]),
+        places=tuple([slice(piece.first - first, piece.stop - first) for piece in window.pieces]),
+        bands=tuple(map(slice, ends[:-1], ends[1:])),
+        blocks=values,
     )
-    return Weights(value=value, rate=replace(value, blocks=tuple(rate for _, rate in pairs)), rows=hull)
+    return Weights(value=value, rate=replace(value, blocks=rates), rows=hull)
 
 
 @lru_cache(maxsize=32)
@@ -283,16 +284,16 @@ class PackTemperatures:
     def later(self, oil_k: float, now_ns: float, laws: PackLaws) -> tuple[float, float]:
         """Return the temperatures of both packs [K], cooled towards the oil since."""
         elapsed_s = max(0.0, (now_ns - self.at_ns) * NS_TO_S)
-        first_k, second_k = (
+        first_k, second_k = [
             clutch_later_k(then_k, oil_k, 0.0, elapsed_s, law.heat_capacity_j_k, law.convection_w_k)
             for then_k, law in zip(self.clutch_k, laws, strict=True)
-        )
+        ]
         return first_k, second_k
 
 
-def zeros_measured(signals: AlignedSignals, calibration: Calibration) -> Evidence:
+def zeros_measured(signals: AlignedSignals, noise_pa: float) -> Evidence:
     """Return what clutches that are empty before the shift say about the zeros of their pressure sensors."""
-    variance_pa2 = calibration.noise.pressure_pa**2
+    variance_pa2 = noise_pa**2
     rows, zeros_pa, of_mean_pa2 = [], [], []
     for m, pressure in enumerate(signals.pressure):
         early = pressure.value[: pressure.times_s.searchsorted(signals.grid_s[0] + EMPTY_S)].tolist()
@@ -409,14 +410,16 @@ class Spread:
         for instant, signal in zip(instants, sampled, strict=True):
             if instant not in by_instant:
                 by_instant[instant] = signal.to_samples(value.blocks, value.grid_rows)
-        torque, hub, first, second, first_pressure, second_pressure = (by_instant[instant] for instant in instants)
+        torque, hub, first, second, first_pressure, second_pressure = map(by_instant.__getitem__, instants)
         inertia, damping = side.hub_inertia_kg_m2, side.hub_damping_nms_rad
         hub_rate = signals.hub_speed.to_samples(rate.blocks, rate.grid_rows)
         return cls(
             torque_value=torque,
             engine_rate=signals.engine_speed.to_samples(rate.blocks, rate.grid_rows),
             hub_value=hub,
-            hub=tuple(inertia * by_rate - damping * by_value for by_rate, by_value in zip(hub_rate, hub, strict=True)),
+            hub=tuple(
+                [inertia * by_rate - damping * by_value for by_rate, by_value in zip(hub_rate, hub, strict=True)]
+            ),
             input_value=(first, second),
             pressure_value=(first_pressure, second_pressure),
         )

@@ -45,37 +45,36 @@ from diag_service.diagnosis.friction.evidence import (
     Knowledge,
     Measurement,
     State,
-    displaced,
     fuse,
     skew_variance,
 )
-from diag_service.diagnosis.friction.film import pack_laws
+from diag_service.diagnosis.friction.film import VehicleLaws
 from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
-from diag_service.diagnosis.quality import PressureZeros, SlippingClutch, plausibility_faults, zero_has_jumped
+from diag_service.diagnosis.quality import SlippingClutch, plausibility_faults
 
 COLD_STD: Final = {
-    State.TOUCH1: 12e3,
+    State.TOUCH1: 12e3,  # [Pa]
     State.TOUCH2: 12e3,
-    STATE_COUNT + Considered.VISCOSITY: 0.12,
-    STATE_COUNT + Considered.PRESSURE_LATENCY: 0.012,  # a film that closes or opens earlier or later
-    STATE_COUNT + Considered.CONTACT_STIFFNESS: 0.12,
-    STATE_COUNT + Considered.FILM_MOBILITY: 0.6,
-    STATE_COUNT + Considered.OPEN_DRAG: 1.0,
-    STATE_COUNT + Considered.TORQUE_GAIN: 0.02,  # a film whose law is not known is no scale for torques
-    STATE_COUNT + Considered.ENGINE_INERTIA: 0.02,
+    STATE_COUNT + Considered.VISCOSITY: 0.12,  # ratio
+    STATE_COUNT + Considered.PRESSURE_LATENCY: 0.012,  # [s]: a film closes or opens earlier or later
+    STATE_COUNT + Considered.CONTACT_STIFFNESS: 0.12,  # ratio
+    STATE_COUNT + Considered.FILM_MOBILITY: 0.6,  # natural logarithm
+    STATE_COUNT + Considered.OPEN_DRAG: 1.0,  # natural logarithm
+    STATE_COUNT + Considered.TORQUE_GAIN: 0.02,  # ratio: a film whose law is not known is no scale for torques
+    STATE_COUNT + Considered.ENGINE_INERTIA: 0.02,  # ratio
 }
-"""How far the parameters of one event may be off in oil that is colder than at work by the whole span."""
+"""Standard deviations of the parameters of one event `COLD_SPAN_K` below `WORKING_K`; docs/model.md (19b)."""
 _COLD_VARIANCE: Final = np.zeros(PARAMETER_COUNT)
 _COLD_VARIANCE[list(COLD_STD)] = np.square(list(COLD_STD.values()))
-OPEN_DRAG_SPEED_LOG: Final = 0.7  # also at work: twice or half; how drag goes with the slip is another in every pack
-FRICTION_RATIO: Final = 0.01  # of mu, also at work: heat, oil and load are spread over the linings anew each time
-COLD_FRICTION_RATIO: Final = 0.03  # and by this in oil that is 60 K colder: no law of the cold holds in every car
-MOST_FILM_SHARE: Final = 0.4  # of the torque in the slip window: beyond it nothing is said of friction
+OPEN_DRAG_SPEED_LOG: Final = 0.7  # natural logarithm, at any temperature: packs drag twice or half as much
+FRICTION_RATIO: Final = 0.01  # of mu, at any temperature: each event spreads heat, oil and load otherwise
+COLD_FRICTION_RATIO: Final = 0.03  # of mu, added `COLD_SPAN_K` below work: no law of the cold holds in every car
+MOST_FILM_SHARE: Final = 0.4  # of the torque in the slip window: beyond it friction is not estimated
 MOST_SLOW_FILM_SHARE: Final = 0.5  # likewise of a film that yields more slowly
 
 
 def event_variance(balance: Balance, clutch: int, noise: NoiseModel) -> FloatArray:
-    """Return how far the parameters of one event may be from those of the vehicle, shape (PARAMETER_COUNT,)."""
+    """Return the variance of an event's own parameters about those of the vehicle, shape (PARAMETER_COUNT,)."""
     cold = balance.coldness[clutch - 1]
     variance = _COLD_VARIANCE * cold**2
     variance[STATE_COUNT + Considered.OPEN_DRAG] += OPEN_DRAG_SPEED_LOG**2
@@ -108,29 +107,31 @@ def is_carried_by_film(balance: Balance, clutch: int) -> bool:
 
 
 ALGORITHM_VERSION = "torque-impulse-15"
-MAX_PASS_COUNT = 4  # of linearisation: the first events of a vehicle move latencies by more than a line follows
+MAX_PASS_COUNT = 4  # linearisations: the first events of a vehicle move latencies beyond the reach of one
 CONVERGED = 0.2  # of a standard deviation
-NEAR_STEP = 0.5  # standard deviations of the type: up to there derivatives are the same
-LONGEST_STEP = 2.0  # standard deviations of the type: farther off, the balance is not linear
+NEAR_STEP = 0.5  # standard deviations of the type: a shorter step keeps the Jacobian
+LONGEST_STEP = 2.0  # standard deviations of the type: beyond it the balance is not linear
 MAX_MISFIT = 4.0  # chi-square per degree of freedom; a clean shift stays below 2.5
 MAX_EXCESS = 48.0  # of chi-square over its expectation: an error adds as much to few numbers as to many
-SURE_STD, LEAST_FRICTION = 3.0, 0.07  # that no wet lining falls below, in any oil
-SCORE_GATE = 5.5  # standard deviations that one parameter is displaced: of sound drives one event in 340 reaches 4.7
-LEAST_LEARNT = 0.03  # of a standard deviation: what an event tells less of, it cannot contradict
+SURE_STD, LEAST_FRICTION = 3.0, 0.07  # no wet lining has less than 0.07; an estimate must be 3 deviations below it
+SCORE_GATE = 5.5  # displacement of a parameter over its deviation: in sound drives one event in 340 reaches 4.7
+LEAST_LEARNT = 0.03  # of the prior deviation: an event that narrows a parameter less cannot contradict it
 FULL_WINDOW_S = 0.25  # the shortest slip window that every regular shift offers
+ZERO_GATE = 25.0  # squared distance of a measured zero from the known one, in variances: 6e-7 by chance
+LEAST_LOSS = 1e-6  # of the variance of a zero: far above what doubles lose, far below what a measurement tells
 _ZEROS = slice(State.ZERO1, State.ZERO2 + 1)
 _UNKNOWN_FRICTION = np.eye(2) * FRICTION_PRIOR_STD**2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Linearisation:
-    """What an event says, linear about one point of all parameters."""
+    """The evidence of an event, linearised about one point of all parameters."""
 
     clutch: int  # 1 or 2: the one that carries most while it slips
     balance: Balance
     noise: NoiseModel
     measurements: tuple[Measurement, ...]
-    zeros: Evidence  # what empty clutches say of the zeros of their pressure sensors
+    zeros: Evidence  # of empty clutches, on the zeros of their pressure sensors
     evidence: Evidence  # of all of it
 
 
@@ -143,49 +144,49 @@ class NotLinearised(NamedTuple):
 
 def linearise(  # noqa: PLR0911 - each stage may find that it ends there
     samples: EventSamples,
-    calibration: Calibration,
+    laws: VehicleLaws,
     packs: PackTemperatures | None,
     at: FloatArray,
     earlier: Linearisation | None = None,
     *,
     keeps_jacobian: bool = False,
 ) -> Linearisation | NotLinearised:
-    """Return what an event says about ``at``, shape (PARAMETER_COUNT,).
+    """Return an event linearised about ``at``, shape (PARAMETER_COUNT,), or why it cannot be.
 
     Parameters
     ----------
-    calibration
+    laws
         Of the vehicle, without what the parameters say.
     packs
         How warm the clutches were before it.
     earlier, keeps_jacobian
-        The same event about another point, whose clutch stays; near by also its window and derivatives.
+        The same event about another point, whose clutch stays; with ``keeps_jacobian`` also its window and Jacobian.
     """
     try:
-        point = displaced(calibration, at)
+        laws = laws.displaced(at)
     except CalibrationError:  # no vehicle is like that
         return NotLinearised(Reason.MISFIT)
-    signals = aligned(samples, point, earlier.balance.signals if earlier else None)
+    signals = aligned(samples, laws, earlier.balance.signals if earlier else None)
     if isinstance(signals, Reason):
         return NotLinearised(signals)
-    near, laws, noise = earlier if keeps_jacobian else None, pack_laws(point), noise_of(signals)
-    drives = measured_drives(signals, at, packs, samples.event.start_ns, laws)
+    near, noise = earlier if keeps_jacobian else None, noise_of(signals)
+    drives = measured_drives(signals, at, packs, samples.event.start_ns, laws.packs)
     if near is None:
-        window_and_clutch = slip_window(signals, drives, laws)
+        window_and_clutch = slip_window(signals, drives, laws.packs)
     else:
         window_and_clutch = on_other_grid(near.balance.window, near.balance.signals.grid_s, signals.grid_s), near.clutch
     if window_and_clutch is None:
-        row_count = rows_in_slip(signals, drives, laws)
+        row_count = rows_in_slip(signals, drives, laws.packs)
         is_too_few = 0 < row_count < noise.least_count
         return NotLinearised(Reason.FEW_SAMPLES, row_count) if is_too_few else NotLinearised(Reason.NO_SLIP_WINDOW)
     window, clutch = window_and_clutch
-    balance = Balance(signals, window, drives, point, laws, at)
+    balance = Balance(signals, window, drives, laws, at)
     if is_carried_by_film(balance, clutch):
         return NotLinearised(Reason.NO_SLIP_WINDOW)
     if balance.sample_count < noise.least_count:
         return NotLinearised(Reason.FEW_SAMPLES, balance.sample_count)
     measurements = measurements_of(balance, noise, near.measurements if near else ())
-    zeros = zeros_measured(signals, point)
+    zeros = zeros_measured(signals, laws.noise.pressure_pa)
     evidence = Evidence.of(measurements, at, zeros, event_variance(balance, clutch, noise))
     if not np.isfinite(evidence.constant):  # by laws that no lining or oil has
         return NotLinearised(Reason.MISFIT)
@@ -229,10 +230,10 @@ def iterate(
 
 
 class Estimator:
-    """Estimates friction from shifts; holds nothing but the calibration."""
+    """Estimates friction from shifts; holds nothing but what the calibration says."""
 
     def __init__(self, calibration: Calibration) -> None:
-        self._calibration = calibration
+        self._laws = VehicleLaws.of(calibration)
         self._type = Posterior.fresh(calibration).base
 
     def estimate(
@@ -250,14 +251,14 @@ class Estimator:
             return state, without_friction(event, Status.UNOBSERVED if is_untold else Status.REJECTED, samples)
         type_ = self._type.less_sure(skew_variance(samples.skew_s))
         state = _of_skewed(state, type_, samples.skew_s)
-        first = linearise(samples, self._calibration, state.packs, state.fusion.knowledge.mean)
+        first = linearise(samples, self._laws, state.packs, state.fusion.knowledge.mean)
         if isinstance(first, NotLinearised):
             return state, _unobserved(event, first, against)
         slipping = SlippingClutch(
             number=first.clutch,
             rows=first.balance.window.slip_rows,
             pressure_zero_pa=_zero_pa(type_, first.zeros, state.fusion.knowledge, first.clutch),
-            touch_pressure_pa=self._calibration.clutches[first.clutch - 1].touch_pressure_pa,
+            touch_pressure_pa=self._laws.packs[first.clutch - 1].touch_pressure_pa,
         )
         if faults := plausibility_faults(event, first.balance.signals, slipping):
             return state, without_friction(event, Status.REJECTED, *faults)
@@ -302,7 +303,7 @@ class Estimator:
             alone = fuse(known, event.evidence)
             reasons = () if is_used else (_why_left_out(known, alone, event.evidence.count),)
             is_valid = reasons in {(), (Reason.NOT_UPDATED,)}
-            friction, free = both_frictions(state, event.clutch, alone) if is_valid else (None, None)
+            friction, free = both_frictions(state, event.clutch, alone.knowledge) if is_valid else (None, None)
             is_measured = state.torque is TorqueSource.MEASURED
             yield Revision(
                 clutch=event.clutch,
@@ -340,7 +341,7 @@ class Estimator:
         std[:FRICTION_COUNT] = np.inf
 
         def linearised(at: FloatArray, last: Linearisation, keeps_jacobian: bool) -> Linearisation | NotLinearised:  # noqa: FBT001
-            return linearise(samples, self._calibration, state.packs, at, last, keeps_jacobian=keeps_jacobian)
+            return linearise(samples, self._laws, state.packs, at, last, keeps_jacobian=keeps_jacobian)
 
         def posterior_if_it_fits(linearisation: Linearisation) -> Knowledge | None:
             fusion = fuse(earlier.fusion.knowledge, linearisation.evidence)
@@ -361,11 +362,13 @@ class Estimator:
     def _described(self, event: Event, linearisation: Linearisation, state: Posterior, alone: Fusion) -> ShiftEstimate:
         """Describe what an event says alone, with what is known of all but the friction of its clutch."""
         clutch, balance = linearisation.clutch, linearisation.balance
-        window_s = sum(end_s - start_s for start_s, end_s in spans_of(balance.window.slipping, balance.signals.grid_s))
+        window_s = sum(
+            [end_s - start_s for start_s, end_s in spans_of(balance.window.slipping, balance.signals.grid_s)]
+        )
         ratio = alone.chi_square / linearisation.evidence.count
         gate = chi_square_gate(linearisation.evidence.count)
         fit = min(1.0, max(0.0, (gate - ratio) / (gate - 1.0)))
-        with_scale, without_scale = both_frictions(state, clutch, alone)
+        with_scale, without_scale = both_frictions(state, clutch, alone.knowledge)
         is_measured = state.torque is TorqueSource.MEASURED
         return replace(
             without_friction(event, Status.VALID),
@@ -425,7 +428,7 @@ def _unobserved(event: Event, why: NotLinearised, against: tuple[Reason, ...]) -
 
 def _why_left_out(before: Knowledge, alone: Fusion, count: int) -> Reason:
     """Return why an event of ``count`` residuals does not belong with the others, which know ``before``."""
-    if zero_has_jumped(_zeros(before), _zeros(alone.knowledge)):
+    if zero_has_jumped(before, alone.knowledge):
         return Reason.ZERO_JUMPED
     return Reason.MISFIT if _is_misfit(before, alone, count) else Reason.NOT_UPDATED
 
@@ -448,8 +451,16 @@ def chi_square_gate(count: int) -> float:
     return min(MAX_MISFIT, 1.0 + MAX_EXCESS / count)
 
 
-def _zeros(known: Knowledge) -> PressureZeros:
-    return PressureZeros(mean_pa=known.mean[_ZEROS], variance_pa2=known.covariance.diagonal()[_ZEROS])
+def zero_has_jumped(before: Knowledge, after: Knowledge) -> bool:
+    """Return whether the zero of a pressure sensor, measured on an empty clutch, contradicts what was known before.
+
+    A zero moves by its update, and the variance of the update is what the variance of the zero loses.
+    """
+    moved_pa = (after.mean - before.mean)[_ZEROS]
+    variance_pa2 = before.covariance.diagonal()[_ZEROS]
+    # A zero that was not measured moves a little with the other one; rounding must not make that a contradiction.
+    loss_pa2 = np.maximum(variance_pa2 - after.covariance.diagonal()[_ZEROS], LEAST_LOSS * variance_pa2)
+    return bool(np.any(moved_pa**2 > ZERO_GATE * loss_pa2))
 
 
 def without_friction(event: Event, status: Status, *reasons: Reason) -> ShiftEstimate:

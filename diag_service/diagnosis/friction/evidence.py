@@ -1,17 +1,16 @@
-"""Parameters of a vehicle, what is known of them, and what an event says of them.
+"""Parameters of a vehicle, the evidence of events, and the posterior that both give.
 
-Evidence is chi-square as a function of the parameters, a paraboloid: linearised once, then kept as numbers instead of
-samples. Knowledge is a mean with its covariance; docs/model.md, section "Estimator".
+Evidence is chi-square as a quadratic function of the parameters: information matrix, vector and constant instead of
+samples. Knowledge is a mean with its covariance: prior or posterior; docs/model.md, section "Estimator".
 
-The last events are judged together: which of them do not belong, and whether a clutch has changed meanwhile. One event
-is held against all others, those after it included, so a bad first shift is found out by the good ones that follow.
-Leaving an event out costs as much as explaining it badly; so does a step of a clutch's friction. What costs least is
-believed.
+The last events are judged together: which of them do not belong, and whether the friction of a clutch has stepped. Each
+event is compared with all others, later ones included, so good shifts expose a bad first one. Omitting an event costs
+chi-square, and so does a step of friction: the cheapest selection is believed.
 """
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
 from typing import Final, NamedTuple, Self
@@ -19,7 +18,7 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
-from clutch_model.calibration import Calibration, ClutchCalibration, SensorBias, Viscosity
+from clutch_model.calibration import Calibration
 from clutch_model.errors import CalibrationError
 
 FRICTION_PRIOR_STD = 0.05  # a third of any lining's friction: weak against a single shift
@@ -156,61 +155,6 @@ def skew_variance(skew_s: float) -> FloatArray:
     return added
 
 
-def displaced(calibration: Calibration, mean: FloatArray) -> Calibration:
-    """Return a calibration moved to other values of all parameters.
-
-    Parameters
-    ----------
-    mean : (len(NAMES),) array
-        States, which a calibration holds as biases, and displacements of the considered parameters.
-    """
-    by, bias = mean[STATE_COUNT:].tolist(), calibration.bias
-    side, oil, (first, second) = calibration.input_side, calibration.viscosity, calibration.clutches
-    inertias_kg_m2 = side.input_shaft_inertias_kg_m2
-    shafts_ratio = 1.0 + by[Considered.SHAFT_INERTIA]
-    return replace(
-        calibration,
-        clutches=(
-            _moved_clutch(first, by[Considered.PISTON_AREA1], by),
-            _moved_clutch(second, by[Considered.PISTON_AREA2], by),
-        ),
-        viscosity=Viscosity(a_pa_s=oil.a_pa_s * (1.0 + by[Considered.VISCOSITY]), b_k=oil.b_k, pole_k=oil.pole_k),
-        input_side=replace(
-            side,
-            engine_inertia_kg_m2=side.engine_inertia_kg_m2 * (1.0 + by[Considered.ENGINE_INERTIA]),
-            input_shaft_inertias_kg_m2=(inertias_kg_m2[0] * shafts_ratio, inertias_kg_m2[1] * shafts_ratio),
-        ),
-        bias=SensorBias(
-            torque_gain=bias.torque_gain + by[Considered.TORQUE_GAIN],
-            motoring_gain=bias.motoring_gain + by[Considered.MOTORING_GAIN],
-            torque_latency_s=bias.torque_latency_s + by[Considered.TORQUE_LATENCY],
-            pressure_latency_s=bias.pressure_latency_s + by[Considered.PRESSURE_LATENCY],
-            torque_offset_nm=float(mean[State.TORQUE_OFFSET]),
-            touch_offsets_pa=(float(mean[State.TOUCH1]), float(mean[State.TOUCH2])),
-            pressure_zeros_pa=(float(mean[State.ZERO1]), float(mean[State.ZERO2])),
-        ),
-    )
-
-
-def _moved_clutch(clutch: ClutchCalibration, area_ratio: float, by: Sequence[float]) -> ClutchCalibration:
-    """Return a clutch with another piston and lining; its springs stay, so its touch pressure moves with the area."""
-    curve, film, geometry = clutch.friction, clutch.film, clutch.geometry
-    return replace(
-        clutch,
-        friction=replace(
-            curve,
-            stribeck_speed_rad_s=curve.stribeck_speed_rad_s * (1.0 + by[Considered.STRIBECK_SPEED]),
-            stribeck_exponent=curve.stribeck_exponent * math.exp(by[Considered.STRIBECK_EXPONENT]),
-        ),
-        geometry=replace(geometry, piston_area_m2=geometry.piston_area_m2 * (1.0 + area_ratio)),
-        film=replace(
-            film,
-            contact_stiffness_pa=film.contact_stiffness_pa * (1.0 + by[Considered.CONTACT_STIFFNESS]),
-            mobility_ratio=film.mobility_ratio * math.exp(by[Considered.FILM_MOBILITY]),
-        ),
-    )
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
     """A linearised residual: ``residual = jacobian @ dx + noise`` for a displacement ``dx`` of the parameters.
@@ -236,20 +180,20 @@ class Evidence:
 
     @classmethod
     def none(cls) -> Self:
-        """Return what no event says."""
+        """Return the evidence of no event."""
         empty = np.zeros((PARAMETER_COUNT, PARAMETER_COUNT))
         return cls(matrix=empty, vector=np.zeros(PARAMETER_COUNT), constant=0.0, count=0)
 
     @classmethod
     def sum(cls, some: Sequence[Self]) -> Self:
-        """Return what some events say together."""
+        """Return the evidence of some events together."""
         if not some:
             return cls.none()
         return cls(
             matrix=np.add.reduce([evidence.matrix for evidence in some]),
             vector=np.add.reduce([evidence.vector for evidence in some]),
-            constant=sum(evidence.constant for evidence in some),
-            count=sum(evidence.count for evidence in some),
+            constant=sum([evidence.constant for evidence in some]),
+            count=sum([evidence.count for evidence in some]),
         )
 
     @classmethod
@@ -260,16 +204,16 @@ class Evidence:
         readings: "Evidence | None" = None,
         variance: FloatArray | None = None,
     ) -> Self:
-        """Return what an event says: chi-square least over what its own parameters may differ by.
+        """Return the evidence of an event, marginal over the deviations of its own parameters.
 
         Parameters
         ----------
         measurements
             Linearised about ``at``, shape (PARAMETER_COUNT,).
         readings
-            What it says besides.
+            Further evidence of it.
         variance
-            By which each parameter of this event differs, shape (PARAMETER_COUNT,).
+            Of the event's own parameters about the vehicle's, shape (PARAMETER_COUNT,).
         """
         joint, count = np.zeros((PARAMETER_COUNT + 1, PARAMETER_COUNT + 1)), 0
         for measurement in measurements:
@@ -285,17 +229,17 @@ class Evidence:
             matrix += readings.matrix
             vector += readings.vector
             constant, count = constant + readings.constant, count + readings.count
-        if variance is not None:  # inv(inv(matrix) + diag(variance)) by Woodbury's identity: it may have no inverse
+        if variance is not None:  # inv(inv(matrix) + diag(variance)) by Woodbury's identity: matrix may be singular
             std = np.sqrt(variance)
             sides = std[:, None] * np.column_stack([matrix, vector])
-            taken = sides.T @ np.linalg.solve(np.eye(len(std)) + sides[:, :-1] * std, sides)
-            matrix, vector = matrix - 0.5 * (taken + taken.T)[:-1, :-1], vector - taken[:-1, -1]
-            constant -= float(taken[-1, -1])
+            loss = sides.T @ np.linalg.solve(np.eye(len(std)) + sides[:, :-1] * std, sides)
+            matrix, vector = matrix - 0.5 * (loss + loss.T)[:-1, :-1], vector - loss[:-1, -1]
+            constant -= float(loss[-1, -1])
         return cls(matrix=matrix, vector=vector, constant=constant, count=count)
 
     @classmethod
     def of_readings(cls, rows: Sequence[int], reading: Sequence[float], variance: Sequence[float]) -> Self:
-        """Return what independent readings of single parameters say, in these rows, each with a variance."""
+        """Return the evidence of independent readings of single parameters, in these rows, each with a variance."""
         matrix, vector, value = (
             np.zeros((PARAMETER_COUNT, PARAMETER_COUNT)),
             np.zeros(PARAMETER_COUNT),
@@ -312,7 +256,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Knowledge:
-    """What is known of all parameters."""
+    """Mean and covariance of all parameters, before events or after them."""
 
     mean: FloatArray  # (PARAMETER_COUNT,)
     covariance: FloatArray  # (PARAMETER_COUNT, PARAMETER_COUNT)
@@ -327,7 +271,7 @@ class Knowledge:
 
 
 class Prior(NamedTuple):
-    """What was known before the first event."""
+    """The prior before the first event."""
 
     std: FloatArray  # (PARAMETER_COUNT,)
     information: FloatArray  # (PARAMETER_COUNT, PARAMETER_COUNT), in these deviations
@@ -340,27 +284,27 @@ class Prior(NamedTuple):
 
     def stated(self, whole: FloatArray, ratio: float) -> FloatArray:
         """Return a covariance of which what events tell is scaled by a ratio; docs/model.md, equation (38)."""
-        kept = whole / np.maximum(self.std, np.sqrt(whole.diagonal()))  # what drifts was no better known before
-        return ratio * whole + (1.0 - ratio) * (kept @ self.information @ kept.T)
+        scaled = whole / np.maximum(self.std, np.sqrt(whole.diagonal()))  # what drifts was no better known before
+        return ratio * whole + (1.0 - ratio) * (scaled @ self.information @ scaled.T)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fusion:
-    """Earlier knowledge and evidence, put together."""
+    """The posterior of a prior and evidence."""
 
     knowledge: Knowledge
-    chi_square: float  # least of all: of the residuals, and of the distance from what was known before
+    chi_square: float  # at the posterior mean: of the residuals, and of the distance from the prior
     information: FloatArray  # (PARAMETER_COUNT, PARAMETER_COUNT) of the evidence
 
     @property
-    def kept(self) -> FloatArray:
+    def error_transition(self) -> FloatArray:
         """What is left of an error of the earlier mean, shape (PARAMETER_COUNT, PARAMETER_COUNT)."""
         return np.eye(len(self.information)) - self.knowledge.covariance @ self.information
 
 
 def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
-    """Return what earlier knowledge and evidence say together; what was certain stays as it is."""
-    if not evidence.count:  # then all does, to the last digit
+    """Return the posterior of ``earlier`` and evidence; a parameter without variance stays as it is."""
+    if not evidence.count:  # then all parameters stay, to the last digit
         return Fusion(knowledge=earlier, chi_square=0.0, information=evidence.matrix)
     std = np.sqrt(earlier.covariance.diagonal())
     scale = np.outer(std, std)
@@ -377,8 +321,7 @@ def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
     )
 
 
-OMISSION_COST: Final = 25.0  # chi-square beyond its expectation, the count of residuals, that leaves an event out:
-# of two numbers 4e-6 have more by chance
+OMISSION_COST: Final = 25.0  # chi-square over its expectation, the count of residuals; of 2 numbers 4e-6 exceed it
 _LEAST_SAVING: Final = 1e-9  # of chi-square: less is rounding
 _JITTER: Final = 1e-12  # of a variance: what was certain of two parameters together has an inverse too
 
@@ -392,7 +335,7 @@ class Selection(NamedTuple):
 
 def is_cheap(cost: float, evidences: Sequence[Evidence]) -> bool:
     """Return whether a selection costs so little that none is sought from the other end, with no event at first."""
-    return cost <= sum(evidence.count for evidence in evidences) + OMISSION_COST
+    return cost <= sum([evidence.count for evidence in evidences]) + OMISSION_COST
 
 
 def selected(base: Knowledge, evidences: Sequence[Evidence]) -> Selection:
@@ -457,9 +400,9 @@ def _saved(information: FloatArray, gradient: FloatArray) -> FloatArray:
     return np.asarray((gradient * step).sum(axis=-1))
 
 
-STEP_COST: Final = 55.0  # more than two events that are left out, less than three
-SMALL_STEP_COST: Final = 24.0  # of a change for which none is left out: by chance two numbers more save 24 in 6e-6
-LEAST_SCATTER: Final = 0.18  # of the variance that events are granted: they count as differing by no less
+STEP_COST: Final = 55.0  # chi-square: more than leaving two events out, less than three
+SMALL_STEP_COST: Final = 24.0  # of a step for which no event is left out: by chance two more numbers save it in 6e-6
+LEAST_SCATTER: Final = 0.18  # ratio to the variance that events are granted: a smaller one counts as this
 SCATTER_COUNT: Final = 8  # of events that show by how much they differ
 PLAIN_STEP_RATIO: Final = 0.04  # of mu_C: a smaller change, against the scatter of a few events, is none
 STEP_COUNT: Final = 3  # of the newest events of a clutch, which agree that it has changed
@@ -480,7 +423,7 @@ class JudgedEvent:
 MOST_APART: Final = 9.0  # of two numbers 1 % are more by chance: what is beyond is left out, or a change
 LEAST_BY_CHANCE: Final = 1.5  # of two numbers: the first event of a clutch agrees with nothing but what was assumed
 STATED_COUNT: Final = 5.0  # numbers that are as far apart as was stated, before any event: those of three
-SCATTER_KEPT: Final = 0.99  # of what an event says of it after each later one: some hundred count
+SCATTER_FORGETTING: Final = 0.99  # weight of an event after each later one: some hundred count
 
 
 class EventScatter(NamedTuple):
@@ -502,7 +445,7 @@ class EventScatter(NamedTuple):
         if event.is_off_like_others:
             apart = max(apart, by_chance)
         return EventScatter(
-            SCATTER_KEPT * self.apart + min(apart, MOST_APART), SCATTER_KEPT * self.by_chance + by_chance
+            SCATTER_FORGETTING * self.apart + min(apart, MOST_APART), SCATTER_FORGETTING * self.by_chance + by_chance
         )
 
 

@@ -1,15 +1,16 @@
 """The oil film of both packs over an event, and how it answers to all that moves or forms it."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 
 from canlog.arrays import FloatArray
 from canlog.jit import kernel, part
-from clutch_model.calibration import Calibration
+from clutch_model.calibration import Calibration, InputSide, SensorBias, SensorNoise, TorqueSource, both_clutches
+from clutch_model.errors import CalibrationError
 from clutch_model.pack import (
     CONTACT_END,
     FilmLaw,
@@ -26,7 +27,6 @@ from clutch_model.pack import (
     friction_law,
     kinetic_friction,
     piston_pressure_pa,
-    piston_pressures_pa,
     point_motion,
     point_rate_m_s,
     shear_factor_difference,
@@ -35,14 +35,13 @@ from clutch_model.pack import (
     viscosity_pa_s,
 )
 from diag_service.diagnosis.alignment import GRID_S
+from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, State
 
 COARSE = 2  # points of the grid: steps in which a film may be followed whose derivatives alone are wanted
 DRAG_LIMIT_NM = 8.0  # of an open pack: its oil is full of air, so the law of a full film ends there
 _TIMING_S = 0.015  # by how much earlier or later than its pressure says a film may close or open
 _HOVER_PA = 0.12e5  # so near its touch point a piston may press or not: nobody knows the film of an open pack
 _DOUBT_RISE = 10.0  # by openness: how oil drags that fills with air, or gives it off
-
-
 SIGN_WIDTH_RAD_S = 0.5  # near lock the sign of the slip fades with it, and so does its noise
 
 
@@ -62,10 +61,86 @@ class PackLaw(NamedTuple):
     oil: _Oil
     heat_capacity_j_k: float
     convection_w_k: float
-    touch_pressure_pa: float
+    touch_pressure_pa: float  # of the piston, at which the pack just closes
+    squeeze_factor_m2: float  # of its faces; that of ``film`` is divided by the mobility ratio
+    mobility_ratio: float  # of the film's rate to what its surface says
 
 
 PackLaws = tuple[PackLaw, PackLaw]
+
+
+class VehicleLaws(NamedTuple):
+    """What the balance of an event needs to know of a vehicle."""
+
+    packs: PackLaws
+    input_side: InputSide
+    bias: SensorBias
+    noise: SensorNoise
+    torque: TorqueSource
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> Self:
+        """Return the laws of a vehicle as its calibration has them."""
+        return cls(
+            packs=pack_laws(calibration),
+            input_side=calibration.input_side,
+            bias=calibration.bias,
+            noise=calibration.noise,
+            torque=calibration.torque,
+        )
+
+    def displaced(self, mean: FloatArray) -> Self:
+        """Return the laws at other values of all parameters, shape (PARAMETER_COUNT,).
+
+        States are errors of sensors, considered parameters displacements from these laws. Springs stay, so touch
+        pressures move with piston areas. Raises CalibrationError if no vehicle is like that.
+        """
+        by, side, bias, packs = mean[STATE_COUNT:].tolist(), self.input_side, self.bias, []
+        shafts_ratio = 1.0 + by[Considered.SHAFT_INERTIA]
+        for m, law in enumerate(self.packs):
+            film, curve, oil = law.film, law.friction, law.oil
+            area_m2 = film.piston_area_m2 * (1.0 + by[Considered.PISTON_AREA1 + m])
+            stiffness_pa = film.contact_stiffness_pa * (1.0 + by[Considered.CONTACT_STIFFNESS])
+            mobility_ratio = law.mobility_ratio * math.exp(by[Considered.FILM_MOBILITY])
+            speed_rad_s = curve.stribeck_speed_rad_s * (1.0 + by[Considered.STRIBECK_SPEED])
+            exponent = curve.stribeck_exponent * math.exp(by[Considered.STRIBECK_EXPONENT])
+            a_pa_s = oil.a_pa_s * (1.0 + by[Considered.VISCOSITY])
+            positive = area_m2, stiffness_pa, mobility_ratio, speed_rad_s, exponent, a_pa_s
+            if not (min(positive) > 0.0 and math.isfinite(sum(positive))):
+                raise CalibrationError(f"areas, stiffnesses, speeds and viscosities must be > 0 and finite: {positive}")
+            film = film._replace(
+                piston_area_m2=area_m2,
+                contact_stiffness_pa=stiffness_pa,
+                squeeze_factor_m2=law.squeeze_factor_m2 / mobility_ratio,
+            )
+            curve = curve._replace(stribeck_speed_rad_s=speed_rad_s, stribeck_exponent=exponent)
+            packs.append(
+                law._replace(
+                    film=film,
+                    friction=curve,
+                    oil=oil._replace(a_pa_s=a_pa_s),
+                    touch_pressure_pa=film.closed_spring_force_n / area_m2,
+                    mobility_ratio=mobility_ratio,
+                )
+            )
+        inertias_kg_m2 = side.input_shaft_inertias_kg_m2
+        return self._replace(
+            packs=(packs[0], packs[1]),
+            input_side=replace(
+                side,
+                engine_inertia_kg_m2=side.engine_inertia_kg_m2 * (1.0 + by[Considered.ENGINE_INERTIA]),
+                input_shaft_inertias_kg_m2=(inertias_kg_m2[0] * shafts_ratio, inertias_kg_m2[1] * shafts_ratio),
+            ),
+            bias=SensorBias(
+                torque_gain=bias.torque_gain + by[Considered.TORQUE_GAIN],
+                motoring_gain=bias.motoring_gain + by[Considered.MOTORING_GAIN],
+                torque_latency_s=bias.torque_latency_s + by[Considered.TORQUE_LATENCY],
+                pressure_latency_s=bias.pressure_latency_s + by[Considered.PRESSURE_LATENCY],
+                torque_offset_nm=float(mean[State.TORQUE_OFFSET]),
+                touch_offsets_pa=(float(mean[State.TOUCH1]), float(mean[State.TOUCH2])),
+                pressure_zeros_pa=(float(mean[State.ZERO1]), float(mean[State.ZERO2])),
+            ),
+        )
 
 
 class HeatLaw(NamedTuple):
@@ -133,22 +208,21 @@ class _State(NamedTuple):
 
 
 def pack_laws(calibration: Calibration) -> PackLaws:
-    """Return the laws of clutch 1 and 2: made once, and asked wherever a film or a friction is."""
+    """Return the laws of clutch 1 and 2."""
     oil = _Oil(calibration.viscosity.a_pa_s, calibration.viscosity.b_k, calibration.viscosity.pole_k)
-    laws = []
-    for clutch in calibration.clutches:
-        law = film_law(clutch)
-        laws.append(
-            PackLaw(
-                film=law,
-                friction=friction_law(clutch.friction),
-                oil=oil,
-                heat_capacity_j_k=float(clutch.thermal.heat_capacity_j_k),
-                convection_w_k=float(clutch.thermal.convection_w_k),
-                touch_pressure_pa=piston_pressures_pa(0.0, law),
-            )
+    return both_clutches(
+        PackLaw(
+            film=film_law(clutch),
+            friction=friction_law(clutch.friction),
+            oil=oil,
+            heat_capacity_j_k=float(clutch.thermal.heat_capacity_j_k),
+            convection_w_k=float(clutch.thermal.convection_w_k),
+            touch_pressure_pa=float(clutch.touch_pressure_pa),
+            squeeze_factor_m2=float(clutch.geometry.faces.squeeze_factor_m2),
+            mobility_ratio=float(clutch.film.mobility_ratio),
         )
-    return laws[0], laws[1]
+        for clutch in calibration.clutches
+    )
 
 
 def integrate_films(
@@ -193,10 +267,8 @@ def integrate_films(
             places = whole[..., after:count:step]
             places[...] = rows_of_packs[..., : places.shape[-1]]
         rows_of_packs = whole
-    first, second = (
-        FilmTrack(rows[0], rows[1], rows[2], rows[3], rows[4], final_k[m]) for m, rows in enumerate(rows_of_packs)
-    )
-    return first, second
+    first, second = rows_of_packs
+    return FilmTrack(*first, final_k[0]), FilmTrack(*second, final_k[1])
 
 
 @kernel
@@ -443,7 +515,7 @@ def _step(
         return film_m
     rate, slope_1_s = point_motion(point, driving_pa, viscosity, law)
     reach = min(slope_1_s * step_s, _MOST_REACH)
-    kept = math.exp(reach)
+    growth = math.exp(reach)
     stretch = step_s if abs(reach) < 1e-6 else step_s * math.expm1(reach) / reach
     later_m = film_m + rate * stretch
     if later_m < law.min_film_m or later_m > law.open_gap_m:
@@ -454,12 +526,12 @@ def _step(
         pushed = point_rate_m_s(point, driving_pa + _PRESSURE_STEP_PA, viscosity, law)
         by_pa = (pushed - rate) / _PRESSURE_STEP_PA
     for j in range(len(by)):
-        by[j] *= kept
+        by[j] *= growth
     by[_PRESSURE] += stretch * by_pa
     by[_AREA] += stretch * by_pa * driving_pa
     by[_LATENCY] += stretch * by_pa * (after_pa - before_pa) / step_s
     if by_pa != 0.0:
-        faster_m = step_s * kept * rate  # as if the step lasted longer
+        faster_m = step_s * growth * rate  # as if the step lasted longer
         by[_VISCOSITY] -= faster_m
         by[_MOBILITY] += faster_m
         by_applied = by_pa * law.lining_area_m2 / law.piston_area_m2

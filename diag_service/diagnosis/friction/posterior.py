@@ -9,7 +9,7 @@ the gain is gone, and in one clutch the area too: the second half of this module
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import Final, NamedTuple, Self
@@ -74,14 +74,14 @@ class Baseline:
             shift_count=count,
         )
 
-    def after(self, kept: FloatArray) -> Self:
-        """Return the baseline after news of which this part of the earlier error is left."""
-        return replace(self, cross=kept @ self.cross)
+    def after(self, error_transition: FloatArray) -> Self:
+        """Return the baseline after news that leave this of the earlier error."""
+        return replace(self, cross=error_transition @ self.cross)
 
 
 RECENT_COUNT: Final = 12  # events judged together: some six of each clutch
 FRICTION_DRIFT_STD: Final = (
-    2e-5  # per event: 0.15 in the life of a fluid is 1e-6, so this forgets over thousands of shifts
+    2e-5  # of mu per event: a fluid loses 0.15 in its life, 1e-6 per event; older events fade over thousands
 )
 OFFSET_DRIFT_NM: Final = 0.005  # per event: warm-up of the torque model
 PRESSURE_DRIFT_PA: Final = 5.0  # per event: warm-up of the pressure sensors
@@ -89,17 +89,12 @@ VISCOSITY_DRIFT_RATIO: Final = 0.01  # per event: an oil that warms up follows a
 OPEN_DRAG_DRIFT_LOG: Final = 0.05  # per event: likewise
 STATE_FORMAT: Final = 4
 _LOWER: Final = np.tril_indices(PARAMETER_COUNT)
-_STORED: Final = ("base", "folded_counts", "baselines", "packs", "apart", "apart_by_chance")
-
-
-def _drift() -> FloatArray:
-    variance = np.zeros(PARAMETER_COUNT)
-    variance[: State.TORQUE_OFFSET] = FRICTION_DRIFT_STD**2
-    variance[State.TORQUE_OFFSET] = OFFSET_DRIFT_NM**2
-    variance[State.TOUCH1 : STATE_COUNT] = PRESSURE_DRIFT_PA**2
-    variance[STATE_COUNT + Considered.VISCOSITY] = VISCOSITY_DRIFT_RATIO**2
-    variance[STATE_COUNT + Considered.OPEN_DRAG] = OPEN_DRAG_DRIFT_LOG**2
-    return variance
+_DRIFT: Final = np.zeros(PARAMETER_COUNT)  # variance that each event adds
+_DRIFT[: State.TORQUE_OFFSET] = FRICTION_DRIFT_STD**2
+_DRIFT[State.TORQUE_OFFSET] = OFFSET_DRIFT_NM**2
+_DRIFT[State.TOUCH1 : STATE_COUNT] = PRESSURE_DRIFT_PA**2
+_DRIFT[STATE_COUNT + Considered.VISCOSITY] = VISCOSITY_DRIFT_RATIO**2
+_DRIFT[STATE_COUNT + Considered.OPEN_DRAG] = OPEN_DRAG_DRIFT_LOG**2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,12 +142,13 @@ class Posterior:
         return self.fusion.knowledge
 
     @property
-    def covariance(self) -> FloatArray:
-        """How sure the parameters are, shape (PARAMETER_COUNT, PARAMETER_COUNT); docs/model.md, equation (38)."""
-        whole = self.fusion.knowledge.covariance
+    def stated(self) -> Knowledge:
+        """What is known, with its covariance scaled by the scatter of events; docs/model.md, equation (38)."""
+        known = self.fusion.knowledge
         if not self.apart_by_chance:
-            return whole
-        return self.prior.stated(whole, EventScatter(self.apart, self.apart_by_chance).ratio)
+            return known
+        ratio = EventScatter(self.apart, self.apart_by_chance).ratio
+        return Knowledge(mean=known.mean, covariance=self.prior.stated(known.covariance, ratio))
 
     def without(self, place: int) -> Knowledge:
         """Return what is known without one of the recent events."""
@@ -207,13 +203,6 @@ class Posterior:
         base = after_change(after_change(folded.base, 1), 2)
         return _judged(replace(folded, base=base, folded_counts=(0, 0), baselines=(None, None)))
 
-    def cross(self, clutch: int) -> FloatArray:
-        """Return the covariance between what is known now and the baseline of a clutch, which must have one."""
-        baseline = self.baselines[clutch - 1]
-        if baseline is None:
-            raise ValueError(f"clutch {clutch} has no baseline")
-        return self.fusion.kept @ baseline.cross
-
     def to_json(self) -> JsonObject:
         """Return the state as JSON-ready values; floats survive the round trip bit by bit."""
         plain = to_plain(replace(self, recent=(), is_used=()))
@@ -233,22 +222,24 @@ class Posterior:
             raise ValueError(f"running state of format {table.get('format')!r}, expected {STATE_FORMAT}")
         blank = cls.fresh(calibration)
         try:
-            kept = from_plain({name: table[name] for name in _STORED if name in table}, _Stored)
-            recent = tuple(_restored(event) for event in _rows(table["recent"]))
+            stored = from_plain({name: table[name] for name in _STORED if name in table}, _Stored)
+            recent = tuple(map(_restored, from_plain(table["recent"], list[_StoredEvent])))
         except (KeyError, TypeError, ValueError) as exc:
             raise ValueError(f"not a running state: {exc}") from exc
-        if not all(0.0 <= value < math.inf for value in (kept.apart, kept.apart_by_chance)):
+        if len(recent) > RECENT_COUNT:
+            raise ValueError(f"not a running state: more than {RECENT_COUNT} recent events")
+        if not all(0.0 <= value < math.inf for value in (stored.apart, stored.apart_by_chance)):
             raise ValueError("not a running state: bad scatter of events")
         shapes = {"mean": (PARAMETER_COUNT,), "covariance": (PARAMETER_COUNT, PARAMETER_COUNT)}
         for record, expected in (
-            (kept.base, shapes),
-            *((baseline, SHAPES) for baseline in kept.baselines if baseline is not None),
+            (stored.base, shapes),
+            *((baseline, SHAPES) for baseline in stored.baselines if baseline is not None),
         ):
             for name, shape in expected.items():
                 value = getattr(record, name)
                 if value.shape != shape or not np.all(np.isfinite(value)):
                     raise ValueError(f"not a running state: bad {name} of a {type(record).__name__}")
-        return _judged(replace(blank, recent=recent, **{name: getattr(kept, name) for name in _STORED}))
+        return _judged(replace(blank, recent=recent, **{name: getattr(stored, name) for name in _STORED}))
 
 
 def _together(state: Posterior) -> Posterior:
@@ -276,8 +267,8 @@ def _folded(state: Posterior, count: int) -> Posterior:
         if not used:
             continue
         news = fuse(base, event.evidence)
-        base = news.knowledge.less_sure(_drift())
-        baselines = both_clutches(baseline and baseline.after(news.kept) for baseline in baselines)
+        base = news.knowledge.less_sure(_DRIFT)
+        baselines = both_clutches(baseline and baseline.after(news.error_transition) for baseline in baselines)
         counts = with_clutch(counts, event.clutch, counts[event.clutch - 1] + 1)
         shift_count, baseline = counts[event.clutch - 1], baselines[event.clutch - 1]
         if baseline is not None:
@@ -307,6 +298,9 @@ class _Stored:
     apart_by_chance: float = 0.0
 
 
+_STORED: Final = tuple(_Stored.__dataclass_fields__)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _StoredEvent:
     """An event in a store: of the information matrix, which is symmetric, one half."""
@@ -333,14 +327,7 @@ def _stored(event: JudgedEvent) -> JsonObject:
     )
 
 
-def _rows(value: object) -> Iterable[object]:
-    if not isinstance(value, list) or len(value) > RECENT_COUNT:
-        raise ValueError("recent must be a list of at most 12 events")
-    return value
-
-
-def _restored(table: object) -> JudgedEvent:
-    stored = from_plain(table, _StoredEvent)
+def _restored(stored: _StoredEvent) -> JudgedEvent:
     if (
         stored.lower.shape != (len(_LOWER[0]),)
         or stored.vector.shape != (PARAMETER_COUNT,)
@@ -405,17 +392,15 @@ class _Pair(NamedTuple):
 
 def friction(state: Posterior, clutch: int) -> FrictionEstimate:
     """Return the friction of clutch 1 or 2 as now estimated."""
-    return both_frictions(state, clutch)[0]
+    return both_frictions(state, clutch, state.stated)[0]
 
 
-def both_frictions(
-    state: Posterior, clutch: int, alone: Fusion | None = None
-) -> tuple[FrictionEstimate, ScaleFreeFriction]:
-    """Return the friction of clutch 1 or 2 as now estimated, and what `scale_free` says of it.
+def both_frictions(state: Posterior, clutch: int, known: Knowledge) -> tuple[FrictionEstimate, ScaleFreeFriction]:
+    """Return the friction of clutch 1 or 2, and what `scale_free` says of it.
 
-    ``alone`` is what one event says, with what is known of all but its friction: then of that.
+    ``known`` is what is stated of a vehicle, or what one event says with what is known of all but its friction.
     """
-    mean, covariance = (alone or state.fusion).knowledge.mean, alone.knowledge.covariance if alone else state.covariance
+    mean, covariance = known.mean, known.covariance
     area = _AREAS[clutch - 1]
     free = _Pair.of(mean, covariance, clutch, area, 1.0 + float(mean[area]), 1.0)
     if state.torque is not TorqueSource.MEASURED:
@@ -450,22 +435,21 @@ def scale_free(state: Posterior, clutch: int) -> ScaleFreeFriction:
 
     The area counts as a ratio to what the calibration says.
     """
-    return both_frictions(state, clutch)[1]
+    return both_frictions(state, clutch, state.stated)[1]
 
 
-def common_margin(state: Posterior, new_margins: tuple[float, float]) -> NormalDist:
+def common_margin(state: Posterior, known: Knowledge, new_margins: tuple[float, float]) -> NormalDist:
     """Return which part of ``mu_C - mu_S`` of new fluid is left if both clutches, which slip in one oil, lost the same.
 
-    ``new_margins`` are those of new fluid. The better known clutch weighs more, by its variance; what both share is in
-    the deviation.
+    ``known`` is what is stated, ``new_margins`` are those of new fluid. The better known clutch weighs more, by its
+    variance; what both share is in the deviation.
     """
-    known = state.fusion.knowledge
     gain = state.torque_gain + float(known.mean[_GAIN])
     c_1, s_1, c_2, s_2 = known.mean[:FRICTION_COUNT].tolist()
-    by_1, by_2 = (1.0 / (gain * new_margin) for new_margin in new_margins)
+    by_1, by_2 = 1.0 / (gain * new_margins[0]), 1.0 / (gain * new_margins[1])
     left_1, left_2 = by_1 * (c_1 - s_1), by_2 * (c_2 - s_2)
     slope = np.array([[by_1, -by_1, 0.0, 0.0, -left_1 / gain], [0.0, 0.0, by_2, -by_2, -left_2 / gain]])
-    (first, both), (_, second) = (slope @ state.covariance[_FRICTION_AND_GAIN] @ slope.T).tolist()
+    (first, both), (_, second) = (slope @ known.covariance[_FRICTION_AND_GAIN] @ slope.T).tolist()
     first += (MODEL_STD_RATIO * by_1 * math.hypot(c_1, s_1)) ** 2
     second += (MODEL_STD_RATIO * by_2 * math.hypot(c_2, s_2)) ** 2
     weight_1, weight_2 = second / (first + second), first / (first + second)
@@ -496,7 +480,7 @@ def trend(state: Posterior, clutch: int) -> FrictionTrend | None:
     gain = state.torque_gain + float(known.mean[_GAIN])
     now, then = known.mean[rows].tolist(), baseline.mean.tolist()
     doubt = 0.0 if state.torque is TorqueSource.MEASURED else MODELLED_STD_RATIO
-    spread = known.covariance[rows, rows], baseline.covariance, state.cross(clutch)[rows]
+    spread = known.covariance[rows, rows], baseline.covariance, (state.fusion.error_transition @ baseline.cross)[rows]
     mu_c, mu_s = map(
         _Change.of, now, then, zip(*(covariance.diagonal().tolist() for covariance in spread), strict=True)
     )
@@ -540,11 +524,9 @@ def _std_of_difference(by_now: float, by_then: float, spread: tuple[float, float
     return math.sqrt(max(by_now**2 * now + by_then**2 * then - 2.0 * by_now * by_then * both, 0.0))
 
 
-def clutch_ratio(state: Posterior) -> ClutchRatio | None:
-    """Return the friction of clutch 1 over that of clutch 2, or None before both have had a shift."""
-    if not all(state.shift_counts):
-        return None
-    mean, covariance = state.fusion.knowledge.mean.tolist(), state.covariance[:FRICTION_COUNT, :FRICTION_COUNT].tolist()
+def clutch_ratio(known: Knowledge) -> ClutchRatio:
+    """Return the friction of clutch 1 over that of clutch 2, of what is stated."""
+    mean, covariance = known.mean.tolist(), known.covariance[:FRICTION_COUNT, :FRICTION_COUNT].tolist()
     ratios = []
     for first, second in ((State.MU_C1, State.MU_C2), (State.MU_S1, State.MU_S2)):
         ratio, above, below = mean[first] / mean[second], covariance[first][first], covariance[second][second]
@@ -566,6 +548,6 @@ _KNOWN_STDS: Final = (0.8, 2.4e3, 2.4e3, 500.0, 500.0, 0.03, 8e-4, 1.4e-3)  # a 
 def calibration_ratio(state: Posterior, calibration: Calibration) -> float:
     """Return by how much the deviations of sensors, oil and latencies have shrunk from those of the type, 0 to 1."""
     variances, stds = state.fusion.knowledge.covariance[_LEARNT, _LEARNT].tolist(), type_std(calibration)
-    rows = zip(variances, (stds[row] for row in _AMONG_NUISANCES), _KNOWN_STDS, strict=True)
+    rows = zip(variances, [stds[row] for row in _AMONG_NUISANCES], _KNOWN_STDS, strict=True)
     left = [math.sqrt(now) / std if std > known else 0.0 for now, std, known in rows]
-    return sum(1.0 - min(ratio, 1.0) for ratio in left) / len(left)
+    return sum([1.0 - min(ratio, 1.0) for ratio in left]) / len(left)

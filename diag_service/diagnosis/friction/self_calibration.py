@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
-from clutch_model.calibration import Calibration, JointUncertainty, both_clutches
+from clutch_model.calibration import Calibration, JointUncertainty, Viscosity, both_clutches
 from clutch_model.errors import CalibrationError
 from clutch_model.units import degc_from_k
 from clutch_results.records import Reason
@@ -45,12 +45,11 @@ from diag_service.diagnosis.friction.evidence import (
     Measurement,
     Prior,
     State,
-    displaced,
     open_drag_ratio,
     prior_covariance,
     prior_mean,
 )
-from diag_service.diagnosis.friction.film import PackLaws, PressureDrive, integrate_films, pack_laws
+from diag_service.diagnosis.friction.film import PressureDrive, VehicleLaws, integrate_films
 from diag_service.diagnosis.friction.posterior import Posterior
 
 MOMENT_COUNT = 24  # the torque of a run-up has steps; more moments see little but their interpolation
@@ -68,21 +67,17 @@ class _Loads:
 
 
 def run_up_measurement(
-    signals: AlignedSignals, window: SlipWindow, at: FloatArray, calibration: Calibration, *, are_clutches_closed: bool
+    signals: AlignedSignals, window: SlipWindow, at: FloatArray, laws: VehicleLaws, *, are_clutches_closed: bool
 ) -> Measurement:
     """Linearise the balance of a run-up about ``at``, shape (PARAMETER_COUNT,); docs/model.md eqs. (32) and (33)."""
-    side, bias = calibration.input_side, calibration.bias
+    side, bias = laws.input_side, laws.bias
     weights = sines(window, (MOMENT_COUNT,))
     offset_nm = at[State.TORQUE_OFFSET]
     reading_nm = signals.engine_torque.on_grid[weights.rows]
     torque_nm, motoring_nm = motoring_corrected_nm(reading_nm, offset_nm, bias)
     length_s = weights.value.sums()
     engine_nms = side.engine_inertia_kg_m2 * (weights.rate @ signals.engine_speed.on_grid[weights.rows])
-    loads = (
-        _closed_loads(signals, weights, calibration)
-        if are_clutches_closed
-        else _open_loads(signals, weights, at, calibration)
-    )
+    loads = _closed_loads(signals, weights, laws) if are_clutches_closed else _open_loads(signals, weights, at, laws)
 
     by_state = np.zeros((MOMENT_COUNT, len(State)))
     by_state[:, State.TORQUE_OFFSET] = length_s
@@ -93,7 +88,7 @@ def run_up_measurement(
     by_considered[:, Considered.TORQUE_LATENCY] = weights.rate @ reading_nm
     by_considered[:, Considered.MOTORING_GAIN] = weights.value @ motoring_nm
     by_considered[:, Considered.OPEN_DRAG] = bias.torque_gain * loads.opened_nms
-    noise, overlap = _noise_and_overlap(signals, weights, loads, reading_nm < offset_nm, calibration)
+    noise, overlap = _noise_and_overlap(signals, weights, loads, reading_nm < offset_nm, laws)
     return Measurement(
         residual=weights.value @ torque_nm - length_s * offset_nm + bias.torque_gain * (engine_nms + loads.known_nms),
         jacobian=np.hstack((by_state, by_considered)),
@@ -102,17 +97,17 @@ def run_up_measurement(
     )
 
 
-def _hub(signals: AlignedSignals, weights: Weights, calibration: Calibration) -> tuple[FloatArray, FloatArray]:
+def _hub(signals: AlignedSignals, weights: Weights, laws: VehicleLaws) -> tuple[FloatArray, FloatArray]:
     """Return the impulse of the hub and the noise in it."""
-    side = calibration.input_side
+    side = laws.input_side
     weight = weights.rate * side.hub_inertia_kg_m2 + weights.value * -side.hub_damping_nms_rad
     (on_samples,) = signals.hub_speed.to_samples(weight.blocks, weight.grid_rows)
-    return weight @ signals.hub_speed.on_grid[weights.rows], calibration.noise.hub_speed_rad_s * on_samples
+    return weight @ signals.hub_speed.on_grid[weights.rows], laws.noise.hub_speed_rad_s * on_samples
 
 
-def _open_loads(signals: AlignedSignals, weights: Weights, at: FloatArray, calibration: Calibration) -> _Loads:
+def _open_loads(signals: AlignedSignals, weights: Weights, at: FloatArray, laws: VehicleLaws) -> _Loads:
     """Return hub and drag of the open clutches."""
-    known_nms, hub = _hub(signals, weights, calibration)
+    known_nms, hub = _hub(signals, weights, laws)
     opened_nms = np.zeros_like(known_nms)
     drives = both_clutches(
         PressureDrive(
@@ -124,16 +119,16 @@ def _open_loads(signals: AlignedSignals, weights: Weights, at: FloatArray, calib
         )
         for slip_rad_s in signals.slip_rad_s
     )
-    for track in integrate_films(drives, pack_laws(calibration)):
+    for track in integrate_films(drives, laws.packs):
         known_nms = known_nms - weights.value @ track.viscous_nm[weights.rows]
         opened_nms += weights.value @ track.open_nm[weights.rows]
     return _Loads(known_nms=known_nms, shaft_nms=np.zeros_like(known_nms), hub=hub, shafts=(), opened_nms=opened_nms)
 
 
-def _closed_loads(signals: AlignedSignals, weights: Weights, calibration: Calibration) -> _Loads:
+def _closed_loads(signals: AlignedSignals, weights: Weights, laws: VehicleLaws) -> _Loads:
     """Return hub and both input shafts, which turn with it."""
-    side = calibration.input_side
-    known_nms, hub = _hub(signals, weights, calibration)
+    side = laws.input_side
+    known_nms, hub = _hub(signals, weights, laws)
     shaft_nms = np.zeros_like(known_nms)
     shafts = []
     for m, speed in enumerate(signals.input_speed):
@@ -143,15 +138,15 @@ def _closed_loads(signals: AlignedSignals, weights: Weights, calibration: Calibr
         known_nms = known_nms + weight @ speed_rad_s
         shaft_nms = shaft_nms + inertia @ speed_rad_s
         (on_samples,) = speed.to_samples(weight.blocks, weight.grid_rows)
-        shafts.append(calibration.noise.input_speed_rad_s * on_samples)
+        shafts.append(laws.noise.input_speed_rad_s * on_samples)
     return _Loads(known_nms=known_nms, shaft_nms=shaft_nms, hub=hub, shafts=tuple(shafts))
 
 
 def _noise_and_overlap(
-    signals: AlignedSignals, weights: Weights, loads: _Loads, is_motoring: BoolArray, calibration: Calibration
+    signals: AlignedSignals, weights: Weights, loads: _Loads, is_motoring: BoolArray, laws: VehicleLaws
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariance of the residual, shape (k, k), and what the derivatives share with it; eq. (31)."""
-    bias, side, sensors = calibration.bias, calibration.input_side, calibration.noise
+    bias, side, sensors = laws.bias, laws.input_side, laws.noise
     motoring_weights = weights.value * (is_motoring / bias.motoring_gain)
     (torque,) = signals.engine_torque.to_samples(weights.value.blocks, weights.value.grid_rows)
     (motoring,) = signals.engine_torque.to_samples(motoring_weights.blocks, motoring_weights.grid_rows)
@@ -256,23 +251,25 @@ def self_calibrate(
     prior = np.concatenate((prior_mean(start), np.zeros(len(Considered))))
     spread = _loosened(prior_covariance(start))
     weight = np.linalg.inv(spread)
-    mean, point = prior, start
+    mean, type_laws = prior, VehicleLaws.of(start)
+    laws = type_laws
     windows: dict[int, _Linearised] = {}  # chosen anew in every pass while empty
     used: list[_Linearised] = []
     fine_count = 0
     rest = np.inf
     for number in range(MAX_PASS_COUNT):
-        seen = [*_linearised_shifts(shifts, mean, point, windows), *_linearised_run_ups(run_ups, mean, point)]
-        used = [event for event in seen if not fine_count or event.fits]
-        if problem := _shortage(seen, used):
+        linearised = [*_linearised_shifts(shifts, mean, laws, windows), *_linearised_run_ups(run_ups, mean, laws)]
+        used = [event for event in linearised if not fine_count or event.fits]
+        if problem := _shortage(linearised, used):
             return problem
-        information, gradient = _normal_equations(used, mean)
-        covariance = np.asarray(np.linalg.inv(weight + information), np.float64)
+        total = Evidence.sum([part for event in used for part in (event.balance, event.zeros)])
+        gradient = total.vector - total.matrix @ mean  # docs/model.md eqs. (30) and (31)
+        covariance = np.asarray(np.linalg.inv(weight + total.matrix), np.float64)
         step: FloatArray = covariance @ (weight @ (prior - mean) + gradient)
         share = _share(step, spread)
         mean = mean + step * (share if fine_count < FULL_STEP_COUNT else 0.5 * share)
         try:
-            point = displaced(start, mean)
+            laws = type_laws.displaced(mean)
         except CalibrationError as exc:
             return f"no vehicle explains these shifts: {exc}"
         rest = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
@@ -289,7 +286,7 @@ def self_calibrate(
     if problem := _departure(mean - prior, spread):
         return problem
     covariance = Prior.of(spread).stated(covariance, _scatter(Knowledge(mean=mean, covariance=covariance), used).ratio)
-    return _concluded(point, mean, covariance, used, len(shifts), version)
+    return _concluded(_calibrated(start, laws), mean, covariance, used, len(shifts), version)
 
 
 def advice_on_oil(shifts: Sequence[Event]) -> str:
@@ -302,12 +299,6 @@ def advice_on_oil(shifts: Sequence[Event]) -> str:
     if middle_k >= COOL_K:
         return ""
     return f"; half of the shifts were in oil below {degc_from_k(middle_k):.0f} degC: a drive with warm oil mends it"
-
-
-def _normal_equations(used: Sequence[_Linearised], at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return what all balances say: the information matrix and the gradient; docs/model.md eqs. (30) and (31)."""
-    total = Evidence.sum([part for event in used for part in (event.balance, event.zeros)])
-    return total.matrix, total.vector - total.matrix @ at
 
 
 def _share(step: FloatArray, spread: FloatArray) -> float:
@@ -351,31 +342,33 @@ def _loosened(covariance: FloatArray) -> FloatArray:
 
 
 def _linearised_shifts(
-    events: Sequence[Event], at: FloatArray, point: Calibration, windows: Mapping[int, _Linearised]
+    events: Sequence[Event], at: FloatArray, laws: VehicleLaws, windows: Mapping[int, _Linearised]
 ) -> Iterator[_Linearised]:
     """Yield the balances of the shifts, in the windows that are given or else in those that their signals show."""
     packs = None
     for event in events:
         if windows and event.number not in windows:
             continue
-        signals = usable_signals(event, point)
+        signals = usable_signals(event, laws)
         if isinstance(signals, Reason):
             continue
-        laws = pack_laws(point)
-        drives = measured_drives(signals, at, packs, event.start_ns, laws)
-        window_and_clutch = _window(signals, drives, laws, windows.get(event.number))
+        drives = measured_drives(signals, at, packs, event.start_ns, laws.packs)
+        if (before := windows.get(event.number)) is None:
+            window_and_clutch = slip_window(signals, drives, laws.packs)
+        else:
+            window_and_clutch = on_other_grid(before.window, before.grid_s, signals.grid_s), before.clutch
         if window_and_clutch is None:
             continue
         window, clutch = window_and_clutch
-        balance = Balance(signals, window, drives, point, laws, at)
+        balance = Balance(signals, window, drives, laws, at)
         packs = PackTemperatures(clutch_k=balance.final_clutch_k, at_ns=event.end_ns)
         if not is_carried_by_film(balance, clutch):
             noise = noise_of(signals)
-            seen = Evidence.of(measurements_of(balance, noise), at, variance=event_variance(balance, clutch, noise))
+            evidence = Evidence.of(measurements_of(balance, noise), at, variance=event_variance(balance, clutch, noise))
             yield _Linearised(
-                balance=seen,
-                zeros=zeros_measured(signals, point),
-                misfit=seen.chi_square(at) / seen.count,
+                balance=evidence,
+                zeros=zeros_measured(signals, laws.noise.pressure_pa),
+                misfit=evidence.chi_square(at) / evidence.count,
                 clutch=clutch,
                 number=event.number,
                 window=window,
@@ -384,24 +377,15 @@ def _linearised_shifts(
             )
 
 
-def _window(
-    signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], laws: PackLaws, before: _Linearised | None
-) -> tuple[SlipWindow, int] | None:
-    """Return a window and its clutch, those of an earlier pass if there was one."""
-    if before is None:
-        return slip_window(signals, drives, laws)
-    return on_other_grid(before.window, before.grid_s, signals.grid_s), before.clutch
-
-
-def _linearised_run_ups(events: Sequence[Event], at: FloatArray, point: Calibration) -> Iterator[_Linearised]:
+def _linearised_run_ups(events: Sequence[Event], at: FloatArray, laws: VehicleLaws) -> Iterator[_Linearised]:
     for event in events:
-        signals = usable_signals(event, point)
+        signals = usable_signals(event, laws)
         if isinstance(signals, Reason):
             continue
         inside = np.flatnonzero(signals.grid_s >= 0.0)
         window = SlipWindow.between(int(inside[0]), len(signals.grid_s))
-        seen = run_up_measurement(signals, window, at, point, are_clutches_closed=event.are_clutches_closed)
-        balance = Evidence.of([seen], at)
+        measurement = run_up_measurement(signals, window, at, laws, are_clutches_closed=event.are_clutches_closed)
+        balance = Evidence.of([measurement], at)
         yield _Linearised(
             balance=balance,
             zeros=Evidence.none(),
@@ -414,16 +398,39 @@ def _linearised_run_ups(events: Sequence[Event], at: FloatArray, point: Calibrat
         )
 
 
-def _shortage(seen: Sequence[_Linearised], used: Sequence[_Linearised]) -> str:
-    """Return what is missing in the shifts that are left; empty if nothing is."""
+def _shortage(linearised: Sequence[_Linearised], used: Sequence[_Linearised]) -> str:
+    """Return what is missing in the shifts that fit; empty if nothing is."""
     for clutch in (1, 2):
         count = sum(event.clutch == clutch for event in used)
         if count < LEAST_SHIFTS_PER_CLUTCH:
             return f"{count} usable shifts onto clutch {clutch}, needed are {LEAST_SHIFTS_PER_CLUTCH}"
-    seen_count, used_count = (sum(event.clutch > 0 for event in some) for some in (seen, used))
-    if seen_count - used_count > MAX_MISFIT_SHARE * seen_count:
-        return f"{seen_count - used_count} of {seen_count} shifts do not fit: not a vehicle of this type"
+    count, used_count = (sum(event.clutch > 0 for event in events) for events in (linearised, used))
+    if count - used_count > MAX_MISFIT_SHARE * count:
+        return f"{count - used_count} of {count} shifts do not fit: not a vehicle of this type"
     return ""
+
+
+def _calibrated(start: Calibration, laws: VehicleLaws) -> Calibration:
+    """Return a calibration with displaced laws."""
+    clutches = both_clutches(
+        replace(
+            clutch,
+            friction=replace(
+                clutch.friction,
+                stribeck_speed_rad_s=law.friction.stribeck_speed_rad_s,
+                stribeck_exponent=law.friction.stribeck_exponent,
+            ),
+            geometry=replace(clutch.geometry, piston_area_m2=law.film.piston_area_m2),
+            film=replace(
+                clutch.film,
+                contact_stiffness_pa=law.film.contact_stiffness_pa,
+                mobility_ratio=law.mobility_ratio,
+            ),
+        )
+        for clutch, law in zip(start.clutches, laws.packs, strict=True)
+    )
+    oil = Viscosity(**laws.packs[0].oil._asdict())
+    return replace(start, clutches=clutches, viscosity=oil, input_side=laws.input_side, bias=laws.bias)
 
 
 def _concluded(
@@ -452,11 +459,15 @@ def _concluded(
             correlation=tuple(tuple(row) for row in correlation.tolist()),
         ),
     )
+    at = np.concatenate((mean[:STATE_COUNT], np.zeros(len(Considered))))  # about the new calibration
+    rows = [STATE_COUNT + Considered.FRICTION_TEMPERATURE, STATE_COUNT + Considered.OPEN_DRAG]
+    at[rows] = mean[rows]  # no calibration file holds these two
+    state = Posterior.of(Knowledge(mean=at, covariance=covariance), calibration)
     counts = both_clutches(sum(event.clutch == clutch for event in used) for clutch in (1, 2))
     closed_count = sum(event.is_closed_run_up for event in used)
     return SelfCalibration(
         calibration=calibration,
-        state=_as_driven(mean, covariance, calibration, counts),
+        state=replace(state, folded_counts=counts),
         mean=mean,
         covariance=covariance,
         shift_counts=counts,
@@ -464,15 +475,3 @@ def _concluded(
         run_up_counts=(len(used) - sum(counts) - closed_count, closed_count),
         mean_misfit=misfit,
     )
-
-
-def _as_driven(
-    mean: FloatArray, covariance: FloatArray, calibration: Calibration, counts: tuple[int, int]
-) -> Posterior:
-    """Return what the drives left of the vehicle, about the calibration that they led to."""
-    at = np.concatenate((mean[:STATE_COUNT], np.zeros(len(Considered))))
-    held_by_none = [
-        STATE_COUNT + parameter for parameter in (Considered.FRICTION_TEMPERATURE, Considered.OPEN_DRAG)
-    ]  # by no file
-    at[held_by_none] = mean[held_by_none]
-    return replace(Posterior.of(Knowledge(mean=at, covariance=covariance), calibration), folded_counts=counts)

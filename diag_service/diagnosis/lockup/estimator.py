@@ -81,15 +81,15 @@ def shudder(samples: LockupSamples, calibration: Calibration) -> Shudder | None:
     by_engine &= (_power(engine) * on_line).sum(axis=1) > ENGINE_SHARE**2 * (
         _power(engine - slips[held]) * on_line
     ).sum(axis=1)
-    seen = (
+    is_swinging = (
         (line > LEAST_SHARE * total)
         & (amplitude > np.maximum(LEAST_SWING_RATIO * mean, LEAST_SWING_RAD_S))
         & ~by_engine
     )
     return Shudder(
         window_count=len(mean),
-        seen_count=int(np.count_nonzero(seen)),
-        frequency_hz=float(np.median(line_hz[seen])) if seen.any() else None,
+        seen_count=int(np.count_nonzero(is_swinging)),
+        frequency_hz=float(np.median(line_hz[is_swinging])) if is_swinging.any() else None,
         amplitude_rad_s=float(np.sqrt(total.mean())),
     )
 

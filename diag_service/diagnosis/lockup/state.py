@@ -147,10 +147,6 @@ def cut(samples: LockupSamples, calibration: Calibration, converter: Converter) 
         means: FloatArray = np.add.reduceat(values, begins) / sizes
         return means
 
-    def spread(values: FloatArray) -> FloatArray:
-        spreads: FloatArray = np.maximum.reduceat(values, begins) - np.minimum.reduceat(values, begins)
-        return spreads
-
     slip, engine = samples.slip_rad_s, samples.engine_rad_s
     at_s = (samples.t_ns - samples.t_ns[0]) / NS_PER_S
     away_s = at_s - np.repeat(mean(at_s), sizes)
@@ -474,8 +470,8 @@ class LockupState:
 
     def to_json(self) -> JsonObject:
         """Return the state as JSON-ready values; floats survive the round trip bit by bit."""
-        kept = _Stored(**{name: getattr(self, name) for name in _Stored.__dataclass_fields__})
-        return {"format": STATE_FORMAT, **records.to_plain(kept)}
+        stored = _Stored(**{name: getattr(self, name) for name in _Stored.__dataclass_fields__})
+        return {"format": STATE_FORMAT, **records.to_plain(stored)}
 
     @classmethod
     def from_json(cls, table: Mapping[str, object], calibration: Calibration) -> Self:
@@ -484,14 +480,14 @@ class LockupState:
         if table.get("format") != STATE_FORMAT:
             raise ValueError(f"running state of format {table.get('format')!r}, expected {STATE_FORMAT}")
         try:
-            kept = records.from_plain({key: value for key, value in table.items() if key != "format"}, _Stored)
+            stored = records.from_plain({key: value for key, value in table.items() if key != "format"}, _Stored)
         except (TypeError, ValueError) as exc:
             raise ValueError(f"not a running state: {exc}") from exc
         for name in ("mean", "covariance", "lag_sums", "lag_counts"):
-            value = getattr(kept, name)
+            value = getattr(stored, name)
             if value.shape != getattr(blank, name).shape or not np.all(np.isfinite(value)):
                 raise ValueError(f"not a running state: bad {name}")
-        return replace(blank, **{name: getattr(kept, name) for name in _Stored.__dataclass_fields__})
+        return replace(blank, **{name: getattr(stored, name) for name in _Stored.__dataclass_fields__})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

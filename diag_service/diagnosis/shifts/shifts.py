@@ -325,7 +325,7 @@ class EventTracker:
             begin_ns = self._changes[0].start_ns if self._changes else None
             end_ns = None if self._inside is None else self._inside.end_ns
             grip_ns = self._grips[0].t_ns if self._grips else None
-            next_ns = min((t_ns for t_ns in (begin_ns, end_ns, grip_ns) if t_ns is not None), default=None)
+            next_ns = min([t_ns for t_ns in (begin_ns, end_ns, grip_ns) if t_ns is not None], default=None)
             if next_ns is None or next_ns >= until_ns:
                 break
             ended += self._due(history, next_ns)

@@ -1,7 +1,7 @@
 """How events are found: a tracker walks along the samples and says when they begin and end, a finder cuts them out."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import reduce
 from typing import Final, Protocol
 
@@ -12,7 +12,7 @@ from canlog.e2e.alive_counter import came_in_bursts, own_period_ns
 from canlog.e2e.e2e_state import E2eChange, E2eState
 from canlog.frames import BEFORE_ALL_NS
 from clutch_results.event_kinds import EndReason, EventKind
-from diag_service.diagnosis.columns import ColumnBatch, Columns, Signal
+from diag_service.diagnosis.columns import NO_SAMPLES, ColumnBatch, Columns, Signal
 from diag_service.diagnosis.events import Event
 
 FIRST_CAPACITY: Final = 256  # samples of a signal; grows by doubling
@@ -62,66 +62,25 @@ class _Ring:
             getattr(self, name)[: self.stop] = old[held]
 
 
-class SampleRings:
-    """Samples of all signals that grow at their end and are forgotten at their beginning.
+class SampleHistory:
+    """The recent samples of all signals, the times of bad frames and the states of messages, until they are dropped.
 
-    What ``between`` returns is valid until something is appended; who keeps it copies it.
+    Samples that it returns are valid until more are appended; who keeps them copies them.
     """
 
     def __init__(self) -> None:
         self._rings: dict[Signal, _Ring] = {}
+        self._bad_ns: list[Int64Array] = []
+        self._e2e: dict[str, list[E2eChange]] = {}
+        self.watermark_ns = BEFORE_ALL_NS  # all that happened before it has been received
+        self.walked_ns = BEFORE_ALL_NS  # up to where a tracker has looked at the samples
 
-    def append(self, columns: Mapping[Signal, Series]) -> None:
-        for signal, series in columns.items():
+    def append(self, batch: ColumnBatch) -> None:
+        for signal, series in batch.columns.items():
             if len(series.t_ns):
                 if signal not in self._rings:
                     self._rings[signal] = _Ring(series.period_ns)
                 self._rings[signal].append(series)
-
-    def between(self, signal: Signal, start_ns: int, stop_ns: int) -> Series:
-        """Return the samples of a signal with ``start_ns <= t_ns < stop_ns``; none if there is no such signal."""
-        ring = self._rings.get(signal)
-        return _NO_SAMPLES if ring is None else ring.between(start_ns, stop_ns)
-
-    def cut(self, start_ns: int, stop_ns: int) -> dict[Signal, Series]:
-        """Return copies of the samples of all signals that ever had one, with ``start_ns <= t_ns < stop_ns``."""
-        stretches = ((signal, ring.between(start_ns, stop_ns)) for signal, ring in self._rings.items())
-        return {
-            signal: replace(
-                samples, t_ns=samples.t_ns.copy(), sequence=samples.sequence.copy(), value=samples.value.copy()
-            )
-            for signal, samples in stretches
-        }
-
-    def changed_ns(self, signal: Signal) -> int:
-        """Return when a sample of a signal last differed from the one before it, as the first one does."""
-        ring = self._rings.get(signal)
-        return BEFORE_ALL_NS if ring is None else ring.changed_ns
-
-    def drop_before(self, keep_ns: int) -> None:
-        """Forget what lies before ``keep_ns``."""
-        for ring in self._rings.values():
-            ring.first += int(ring.t_ns[ring.first : ring.stop].searchsorted(keep_ns))
-
-    def clear(self) -> None:
-        self._rings.clear()
-
-
-_NO_SAMPLES: Final = Series(t_ns=np.empty(0, np.int64), sequence=np.empty(0, np.int64), value=np.empty(0))
-
-
-class SampleHistory:
-    """The recent samples of all signals, the times of bad frames and the states of messages, until they are dropped."""
-
-    def __init__(self) -> None:
-        self._rings = SampleRings()
-        self._bad_ns: list[Int64Array] = []
-        self._e2e: dict[str, list[E2eChange]] = {}
-        self.watermark_ns = BEFORE_ALL_NS  # all that happened before it has been seen
-        self.walked_ns = BEFORE_ALL_NS  # up to where a tracker has looked at the samples
-
-    def append(self, batch: ColumnBatch) -> None:
-        self._rings.append(batch.columns)
         if len(batch.bad_frame_ns):
             self._bad_ns.append(batch.bad_frame_ns)
         for change in batch.e2e_changes:
@@ -132,26 +91,34 @@ class SampleHistory:
         self.watermark_ns = max(self.watermark_ns, batch.watermark_ns)
 
     def samples(self, signal: Signal, start_ns: int, stop_ns: int) -> Series:
-        """Return the samples of one signal with ``start_ns <= t_ns < stop_ns``; valid until more are appended."""
-        return self._rings.between(signal, start_ns, stop_ns)
+        """Return the samples of one signal with ``start_ns <= t_ns < stop_ns``; none if there is no such signal."""
+        ring = self._rings.get(signal)
+        return NO_SAMPLES if ring is None else ring.between(start_ns, stop_ns)
 
     def ahead(self, signal: Signal, until_ns: int) -> Series:
-        """Return the samples of a signal that the tracker has not walked yet; valid until more are appended."""
-        return self._rings.between(signal, self.walked_ns, until_ns)
+        """Return the samples of a signal that the tracker has not walked yet."""
+        return self.samples(signal, self.walked_ns, until_ns)
 
     def has_change_ahead(self, signal: Signal) -> bool:
         """Return whether a sample that the tracker has not walked yet differs from the one before it."""
-        return self._rings.changed_ns(signal) >= self.walked_ns
+        ring = self._rings.get(signal)
+        return (BEFORE_ALL_NS if ring is None else ring.changed_ns) >= self.walked_ns
 
     def cut(self, start_ns: int, stop_ns: int) -> Columns:
-        """Return the samples of all signals with ``start_ns <= t_ns < stop_ns``, each with the cycle that it keeps."""
-        stretches = sorted(self._rings.cut(start_ns, stop_ns).items())
-        return {
-            signal: series
-            if (kept_ns := own_period_ns(series)) == series.period_ns
-            else replace(series, period_ns=kept_ns)
-            for signal, series in stretches
-        }
+        """Return copies of all signals with ``start_ns <= t_ns < stop_ns``, each with the cycle that it keeps."""
+        columns, cycles_ns = {}, dict[tuple[bytes, bytes, int], int]()
+        for signal in sorted(self._rings):
+            series = self._rings[signal].between(start_ns, stop_ns)
+            message = series.t_ns.tobytes(), series.sequence.tobytes(), series.period_ns
+            if message not in cycles_ns:
+                cycles_ns[message] = own_period_ns(series)
+            columns[signal] = Series(
+                t_ns=series.t_ns.copy(),
+                sequence=series.sequence.copy(),
+                value=series.value.copy(),
+                period_ns=cycles_ns[message],
+            )
+        return columns
 
     def bad_frame_count(self, start_ns: int, stop_ns: int) -> int:
         """Return how many frames were rejected or missing in ``start_ns <= t_ns < stop_ns``."""
@@ -163,7 +130,8 @@ class SampleHistory:
 
     def drop_before(self, keep_ns: int) -> None:
         """Forget what lies before ``keep_ns``, times of bad frames and states a little late."""
-        self._rings.drop_before(keep_ns)
+        for ring in self._rings.values():
+            ring.first += int(ring.t_ns[ring.first : ring.stop].searchsorted(keep_ns))
         if self._bad_ns:
             self._bad_ns = [times for times in self._bad_ns if times.max() >= keep_ns]
         for changes in self._e2e.values():

@@ -8,36 +8,23 @@ need be known.
 import math
 import tomllib
 import warnings
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable
+from dataclasses import dataclass
 from enum import IntEnum
 from importlib.resources import files
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import InputSide
-from clutch_model.errors import CalibrationError
-from clutch_model.tables import record_from, require
+from clutch_results.records import from_plain
 
 SixNumbers = tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Positive:
-    """A record whose numbers are all finite and above zero."""
-
-    def __post_init__(self) -> None:
-        for member in fields(self):
-            value = getattr(self, member.name)
-            for number in value if isinstance(value, tuple) else (value,):
-                if isinstance(number, float | int):
-                    require(0.0 < number < math.inf, f"{member.name} must be > 0 and finite, got {number}")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Compliance(Positive):
+class Compliance:
     """A sprung and damped shaft."""
 
     stiffness_nm_rad: float
@@ -45,7 +32,7 @@ class Compliance(Positive):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shaft(Positive):
+class Shaft:
     """One input shaft: its clutch's gearbox side, its compliance, its gears."""
 
     clutch_inertia_kg_m2: float  # J_L
@@ -57,7 +44,7 @@ class Shaft(Positive):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Gearbox(Positive):
+class Gearbox:
     """Ratios of gears 1..6."""
 
     gear_ratios: SixNumbers
@@ -65,7 +52,7 @@ class Gearbox(Positive):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Output(Positive):
+class Output:
     """Differential and half shafts."""
 
     inertia_kg_m2: float  # J_D
@@ -74,7 +61,7 @@ class Output(Positive):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wheel(Positive):
+class Wheel:
     """The driven wheels."""
 
     radius_m: float  # R_w
@@ -96,26 +83,11 @@ class Driveline:
         pairs = zip(self.gearbox.gear_ratios, self.gearbox.final_drive_ratios, strict=True)
         return tuple(ratio * final for ratio, final in pairs)
 
-    @classmethod
-    def from_mapping(cls, table: Mapping[str, object]) -> Self:
-        """Build a driveline from nested tables.
-
-        Raises
-        ------
-        CalibrationError
-            Naming an unknown, missing or mistyped key or a number that is not positive.
-        """
-        shafts = table.get("shaft")
-        if not isinstance(shafts, list) or len(shafts) != 2:
-            raise CalibrationError("driveline needs exactly 2 [[shaft]] tables")
-        both = tuple(record_from(Shaft, shaft, f"shaft {m}.") for m, shaft in enumerate(shafts, 1))
-        return record_from(cls, {key: value for key, value in table.items() if key != "shaft"}, shafts=both)
-
 
 def nominal_driveline() -> Driveline:
     """Return the driveline that ships with the service."""
     text = files("diag_service").joinpath("diagnosis/friction/paper/driveline.toml").read_text(encoding="utf-8")
-    return Driveline.from_mapping(tomllib.loads(text))
+    return from_plain(tomllib.loads(text), Driveline)
 
 
 TORQUE_WANDER_NM_SQRT_S = 150.0  # friction torque: 15 N m in 10 ms, as in a handover

@@ -581,8 +581,8 @@ class PaperCollection:
         if isinstance(signals, Reason):
             return replace(shift, reason=signals)
         analysis = analyse(signals, self._differentiators, self._tables, self._calibration, self._driveline)
-        for kept, clutch in zip(self._samples, analysis.clutches, strict=True):
-            kept.append(clutch.data)
+        for samples, clutch in zip(self._samples, analysis.clutches, strict=True):
+            samples.append(clutch.data)
         return replace(shift, estimate=self._fitted(shift.clutch, analysis.clutches[shift.clutch - 1].data))
 
     def pooled(self) -> tuple[PooledClutch, PooledClutch]:

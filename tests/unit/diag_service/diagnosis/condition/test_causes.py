@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from clutch_results.records import Causes, Condition, LikelyCause
+from clutch_results.records import Causes, Condition, LikelyCause, to_plain
 from diag_service.diagnosis.condition.causes import ELSE, SOUND, CauseJudge, described
 from diag_service.diagnosis.condition.condition import (
     BEGIN_COUNT,
@@ -135,12 +135,12 @@ def test_what_was_there_before_the_first_event_is_told_by_the_type(
 
 def test_friction_that_changes_in_the_beginning_begins_it_again() -> None:
     early = ConditionMemory(course=VehicleCourse(begun=replace(stretch(), count=BEGIN_COUNT - 1.0), event_count=39))
-    assert early.with_changed_friction(2).course == VehicleCourse()
+    assert to_plain(early.with_changed_friction(2).course) == to_plain(VehicleCourse())
     later = VehicleCourse(begun=stretch(), now=stretch(), event_count=100, found=causes_of(AGED))
-    assert later.with_changed_friction() == replace(later, now=Stretch(), found=None)
+    assert to_plain(later.with_changed_friction()) == to_plain(replace(later, now=Stretch(), found=None))
     drifted = replace(later, found=causes_of(DRIFTED))
     assert drifted.sensor_share(1) > 0.5
-    assert drifted.with_changed_friction() == replace(drifted, now=Stretch())
+    assert to_plain(drifted.with_changed_friction()) == to_plain(replace(drifted, now=Stretch()))
 
 
 def test_what_fits_nothing_is_something_else() -> None:
@@ -165,7 +165,7 @@ def test_a_course_survives_its_store_and_damage_is_found() -> None:
     found = causes_of({name.format(1): size for name, size in GLAZED.items()})
     memory = ConditionMemory(course=VehicleCourse(begun=stretch(), now=stretch(AGED), event_count=90, found=found))
     again = ConditionMemory.from_json(memory.to_json())
-    assert again == memory
+    assert again.to_json() == memory.to_json()
     damaged = memory.to_json()
     course = damaged["course"]
     assert isinstance(course, dict)

@@ -13,7 +13,7 @@ from diag_service.diagnosis.alignment import usable_samples
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
-from diag_service.diagnosis.friction.estimator import FULL_WINDOW_S, without_friction
+from diag_service.diagnosis.friction.estimator import FULL_WINDOW_S, without_friction, zero_has_jumped
 from diag_service.diagnosis.friction.evidence import FRICTION_ROWS, STEP_COUNT, Knowledge, State
 from diag_service.diagnosis.friction.posterior import friction
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts, thinned
@@ -164,3 +164,13 @@ def test_a_shift_that_does_not_fit_warms_its_clutch_and_changes_no_friction() ->
     assert (state.shift_counts, state.recent) == (before.shift_counts, ())
     assert state.packs is not None
     assert state.packs.at_ns == event.end_ns
+
+
+@pytest.mark.parametrize(("moved_std", "has_jumped"), [(4.9, False), (5.1, True), (-5.1, True)])
+def test_a_zero_jumps_when_it_moves_further_than_both_knowledges_allow(moved_std: float, has_jumped: bool) -> None:
+    before = FRESH.known
+    mean, covariance = before.mean.copy(), before.covariance.copy()
+    mean[State.ZERO2] += moved_std * np.sqrt(0.81 * covariance[State.ZERO2, State.ZERO2])
+    covariance[State.ZERO2, State.ZERO2] *= 0.19
+    assert zero_has_jumped(before, Knowledge(mean=mean, covariance=covariance)) is has_jumped
+    assert not zero_has_jumped(before, before)

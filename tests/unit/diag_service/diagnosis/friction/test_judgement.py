@@ -159,7 +159,7 @@ def test_by_how_much_events_differ_is_learned_from_them_and_scales_what_they_tel
         state = state.with_event(event(number, 1 + number % 2, MU, rng))
     learned = scatter_ratio(state)
     assert learned == pytest.approx(ratio**2, abs=0.1 + 0.15 * ratio**2)
-    known, told = state.fusion.knowledge.std(), np.sqrt(state.covariance.diagonal())
+    known, told = state.fusion.knowledge.std(), state.stated.std()
     friction, gain = slice(0, 2), STATE_COUNT + Considered.TORQUE_GAIN
     assert told[friction] == pytest.approx(np.sqrt(learned) * known[friction], rel=0.01)
     assert told[gain] == pytest.approx(known[gain], rel=1e-6)  # of which they tell nothing

@@ -19,7 +19,7 @@ from diag_service.diagnosis.friction.balance import (
     noise_of,
 )
 from diag_service.diagnosis.friction.drives import measured_drives, slip_window
-from diag_service.diagnosis.friction.film import pack_laws
+from diag_service.diagnosis.friction.film import VehicleLaws
 from diag_service.diagnosis.friction.posterior import Posterior
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts
 
@@ -35,11 +35,11 @@ def signals(row_s: float = 0.0) -> AlignedSignals:
 
 
 def balance(of: AlignedSignals, torque: TorqueSource = TorqueSource.MEASURED) -> Balance:
-    laws = pack_laws(CALIBRATION)
-    drives = measured_drives(of, AT, None, EVENT.start_ns, laws)
-    found = slip_window(of, drives, laws)
+    laws = VehicleLaws.of(replace(CALIBRATION, torque=torque))
+    drives = measured_drives(of, AT, None, EVENT.start_ns, laws.packs)
+    found = slip_window(of, drives, laws.packs)
     assert found is not None
-    return Balance(of, found[0], drives, replace(CALIBRATION, torque=torque), laws, AT)
+    return Balance(of, found[0], drives, laws, AT)
 
 
 def test_a_bus_and_a_table_have_models_of_their_own() -> None:

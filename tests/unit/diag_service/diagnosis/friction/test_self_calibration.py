@@ -16,8 +16,8 @@ from diag_service.diagnosis.alignment import Resampled, usable_signals
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.balance import Balance, measurements_of, noise_of
 from diag_service.diagnosis.friction.drives import SlipWindow, measured_drives, slip_window
-from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, Measurement, State, displaced
-from diag_service.diagnosis.friction.film import pack_laws
+from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, Measurement, State
+from diag_service.diagnosis.friction.film import VehicleLaws
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
@@ -155,17 +155,17 @@ def without_noise() -> tuple[tuple[Event, ...], tuple[Event, ...]]:
 
 
 def test_noise_of_one_signal_for_engine_and_hub_is_in_what_both_share_with_the_residual() -> None:
-    event, calibration = without_noise()[0][0], displaced(NOMINAL, AS_DRIVEN)
-    signals = usable_signals(event, calibration)
+    event, laws = without_noise()[0][0], VehicleLaws.of(NOMINAL).displaced(AS_DRIVEN)
+    signals = usable_signals(event, laws)
     assert not isinstance(signals, Reason)
     one = signals.engine_speed
     overlaps = []
     for hub in (one, Resampled(one.times_s, one.value.copy(), signals.grid_s)):
         rows = replace(signals, hub_speed=hub, row_s=0.04)
-        drives = measured_drives(rows, AS_DRIVEN, None, event.start_ns, pack_laws(calibration))
-        found = slip_window(rows, drives, pack_laws(calibration))
+        drives = measured_drives(rows, AS_DRIVEN, None, event.start_ns, laws.packs)
+        found = slip_window(rows, drives, laws.packs)
         assert found is not None
-        there = Balance(rows, found[0], drives, calibration, pack_laws(calibration), AS_DRIVEN)
+        there = Balance(rows, found[0], drives, laws, AS_DRIVEN)
         (seen,) = measurements_of(there, noise_of(rows))
         assert seen.overlap is not None
         overlaps.append(seen.overlap[STATE_COUNT + np.array([Considered.TORQUE_GAIN, Considered.ENGINE_INERTIA])])
@@ -175,14 +175,14 @@ def test_noise_of_one_signal_for_engine_and_hub_is_in_what_both_share_with_the_r
 
 
 def shift_residual(event: Event, at: FloatArray, window: SlipWindow | None) -> tuple[Measurement, SlipWindow]:
-    calibration = displaced(NOMINAL, at)
-    signals = usable_signals(event, calibration)
+    laws = VehicleLaws.of(NOMINAL).displaced(at)
+    signals = usable_signals(event, laws)
     assert not isinstance(signals, Reason)
-    drives = measured_drives(signals, at, None, event.start_ns, pack_laws(calibration))
-    found = slip_window(signals, drives, pack_laws(calibration))
+    drives = measured_drives(signals, at, None, event.start_ns, laws.packs)
+    found = slip_window(signals, drives, laws.packs)
     assert found is not None
     chosen = window or found[0]
-    there = Balance(signals, chosen, drives, calibration, pack_laws(calibration), at)
+    there = Balance(signals, chosen, drives, laws, at)
     (seen,) = measurements_of(there, noise_of(signals))
     return seen, chosen
 
@@ -190,8 +190,9 @@ def shift_residual(event: Event, at: FloatArray, window: SlipWindow | None) -> t
 def test_a_shift_tells_only_the_product_of_torque_gain_and_inertia() -> None:
     seen, _ = shift_residual(without_noise()[0][0], AS_DRIVEN, None)
     assert seen.overlap is not None
-    side, gain = NOMINAL.input_side, displaced(NOMINAL, AS_DRIVEN).bias.torque_gain
-    turned_ratio = 1.0 + side.hub_inertia_kg_m2 / displaced(NOMINAL, AS_DRIVEN).input_side.engine_inertia_kg_m2
+    laws = VehicleLaws.of(NOMINAL).displaced(AS_DRIVEN)
+    gain, side = laws.bias.torque_gain, laws.input_side
+    turned_ratio = 1.0 + side.hub_inertia_kg_m2 / side.engine_inertia_kg_m2
     by_gain, by_inertia = STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA
     assert gain * seen.jacobian[:, by_gain] == pytest.approx(turned_ratio * seen.jacobian[:, by_inertia])
     assert gain * seen.overlap[by_gain] == pytest.approx(turned_ratio * seen.overlap[by_inertia])

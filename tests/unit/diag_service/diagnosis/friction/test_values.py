@@ -8,6 +8,7 @@ import pytest
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
+from diag_service.diagnosis.condition.condition import ConditionMemory, judge
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
     PARAMETER_COUNT,
@@ -85,7 +86,7 @@ def drive(rng: np.random.Generator) -> tuple[Posterior, FloatArray, FloatArray]:
     change_std[:FRICTION_COUNT] = CHANGE_STD
     now = then + change_std * rng.normal(size=PARAMETER_COUNT)
     news = fuse(known.less_sure(np.square(change_std)), shifts(LATER_COUNT, now, rng))
-    first, second = (replace(one.after(news.kept), later_count=LATER_COUNT) for one in baselines)
+    first, second = (replace(one.after(news.error_transition), later_count=LATER_COUNT) for one in baselines)
     return replace(of(news.knowledge), baselines=(first, second)), then, now
 
 
@@ -97,9 +98,8 @@ def errors() -> dict[str, FloatArray]:
     for _ in range(DRAWS):
         state, then, now = drive(rng)
         gain, area = 1.0 + now[GAIN], 1.0 + now[AREAS[0]]
-        since, ratio = trend(state, 2), clutch_ratio(state)
+        since, ratio = trend(state, 2), clutch_ratio(state.stated)
         assert since is not None
-        assert ratio is not None
         model = 1.0 + MODEL_STD_RATIO * rng.normal(size=FRICTION_COUNT)  # what all events of a clutch show alike
         now[:FRICTION_COUNT] *= model
         then[:FRICTION_COUNT] *= model
@@ -136,7 +136,8 @@ def test_the_stated_deviation_is_that_of_the_errors(name: str) -> None:
 
 def test_nothing_is_compared_before_there_is_something_to_compare_with() -> None:
     known = FRESH.known
-    assert clutch_ratio(of(known, (0, 3))) is None
+    _, verdict = judge(ConditionMemory.fresh(), of(known, (0, 3)), 2, CALIBRATION)
+    assert verdict.clutch_ratio is None
     baseline = Baseline.of(2, known, end_ns=1, count=BASELINE_SHIFT_COUNT)
     frozen = replace(of(known, (0, BASELINE_SHIFT_COUNT)), baselines=(None, baseline))
     assert trend(frozen, 1) is None

@@ -14,15 +14,8 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.drives import measured_drives, slip_window
-from diag_service.diagnosis.friction.evidence import State
 from diag_service.diagnosis.friction.film import pack_laws
-from diag_service.diagnosis.quality import (
-    PressureZeros,
-    SlippingClutch,
-    is_frozen,
-    plausibility_faults,
-    zero_has_jumped,
-)
+from diag_service.diagnosis.quality import SlippingClutch, is_frozen, plausibility_faults
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts
 
 CALIBRATION = nominal_calibration()
@@ -55,18 +48,6 @@ def test_sound_signals_are_not_called_frozen(std: float, step: float) -> None:
 def test_a_value_that_stays_is_called_frozen(std: float, step: float, least: int) -> None:
     held = [frozen(noisy(std, step, seed), 60, least) for seed in range(100)]
     assert all(is_frozen(series(value), Signal.HUB_SPEED) for value in held)
-
-
-@pytest.mark.parametrize(("moved_std", "has_jumped"), [(4.9, False), (5.1, True), (-5.1, True)])
-def test_a_zero_jumps_when_it_moves_further_than_both_knowledges_allow(moved_std: float, has_jumped: bool) -> None:
-    fresh = Posterior.fresh(CALIBRATION).known
-    zeros = slice(State.ZERO1, State.ZERO2 + 1)
-    known = PressureZeros(mean_pa=fresh.mean[zeros], variance_pa2=np.diag(fresh.covariance)[zeros])
-    moved_pa = np.array([0.0, moved_std * np.sqrt(0.81 * known.variance_pa2[1])])
-    left = known.variance_pa2 * [1.0, 0.19]
-    measured = PressureZeros(mean_pa=known.mean_pa + moved_pa, variance_pa2=left)
-    assert zero_has_jumped(known, measured) is has_jumped
-    assert not zero_has_jumped(known, known)
 
 
 def of_shift(event: Event) -> tuple[AlignedSignals, SlippingClutch]:
