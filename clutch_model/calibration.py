@@ -327,19 +327,15 @@ _ELSEWHERE: Final = ("clutch", "transmission")  # read above, and by clutch_mode
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Viscosity:
-    """Vogel law ``nu = a * exp(b / (T - T0))`` of the transmission fluid."""
+class Viscosity(Ranged):
+    """Vogel law ``nu = a * exp(b / (T - T0))`` of the transmission fluid: it falls as the oil becomes warmer."""
+
+    ABOVE_ZERO = ("a_pa_s", "b_k", "pole_k")
+    BOUNDS = MappingProxyType({"pole_k": (0.0, 233.0)})  # below any oil temperature
 
     a_pa_s: float
     b_k: float
     pole_k: float  # T0 = 273.15 K - c
-
-    def __post_init__(self) -> None:
-        """Check that the law is a decreasing viscosity."""
-        if not (self.a_pa_s > 0.0 and self.b_k > 0.0):
-            raise CalibrationError("a_pa_s and b_k must be > 0")
-        if not 0.0 < self.pole_k < 233.15:
-            raise CalibrationError("pole_k must be 0..233.15 K (below any oil temperature)")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -406,11 +402,11 @@ class Calibration:
             clutches = clutches * CLUTCH_COUNT  # nobody asks for the second
         if not isinstance(clutches, list) or len(clutches) != CLUTCH_COUNT:
             raise CalibrationError(f"calibration needs exactly {CLUTCH_COUNT} [[clutch]] tables")
-        both = tuple(record_from(ClutchCalibration, one, f"clutch {m} ") for m, one in enumerate(clutches, 1))
+        both = tuple(record_from(ClutchCalibration, clutch, f"clutch {m} ") for m, clutch in enumerate(clutches, 1))
         rest = {key: str(value) if key in _TEXTS else value for key, value in table.items() if key not in _ELSEWHERE}
         if named := table.get("transmission", {}).get("elements"):
             count = 1 if "converter" in table else CLUTCH_COUNT
-            rest["elements"] = [str(one.get("name")) for one in named[:count]]
+            rest["elements"] = [str(element.get("name")) for element in named[:count]]
         return record_from(cls, rest, clutches=both)
 
     def with_torque(self, source: TorqueSource) -> Self:
@@ -451,9 +447,9 @@ def read_calibration(path: Path) -> Calibration:
 def believed_calibration(table: Mapping[str, Any]) -> Calibration:
     """Return the calibration that friction is held against: that of new fluid; raises CalibrationError."""
     calibration = Calibration.from_mapping(table)
-    for clutch, one in enumerate(calibration.clutches, 1):
-        message = f"clutch {clutch} friction.mu_s must be below mu_c: these are of new fluid, which does not shudder"
-        require(one.friction.mu_s < one.friction.mu_c, message)
+    for number, clutch in enumerate(calibration.clutches, 1):
+        message = f"clutch {number} friction.mu_s must be below mu_c: these are of new fluid, which does not shudder"
+        require(clutch.friction.mu_s < clutch.friction.mu_c, message)
     return calibration
 
 
@@ -482,19 +478,19 @@ def shipped_table(name: str = "nominal") -> dict[str, Any]:
 
 def completed(table: Mapping[str, Any]) -> dict[str, Any]:
     """Return a table with all that it does not tell as the shipped one has it that it is ``like``, if any."""
-    told = dict(table)
-    like = told.pop("like", None)
-    completed_table: dict[str, Any] = told if like is None else overlaid(shipped_table(str(like)), told)
-    return completed_table
+    overlay = dict(table)
+    like = overlay.pop("like", None)
+    whole: dict[str, Any] = overlay if like is None else overlaid(shipped_table(str(like)), overlay)
+    return whole
 
 
-def overlaid(base: Any, told: Any) -> Any:  # noqa: ANN401 - parsed TOML
+def overlaid(base: Any, overlay: Any) -> Any:  # noqa: ANN401 - parsed TOML
     """Return nested tables with others laid over them; of a list as long the first over the first, and so on."""
-    if isinstance(base, Mapping) and isinstance(told, Mapping):
-        return {**base, **{key: overlaid(base.get(key), value) for key, value in told.items()}}
-    if isinstance(base, list) and isinstance(told, list) and len(base) == len(told):
-        return [overlaid(one, other) for one, other in zip(base, told, strict=True)]
-    return told
+    if isinstance(base, Mapping) and isinstance(overlay, Mapping):
+        return {**base, **{key: overlaid(base.get(key), value) for key, value in overlay.items()}}
+    if isinstance(base, list) and isinstance(overlay, list) and len(base) == len(overlay):
+        return list(map(overlaid, base, overlay))
+    return overlay
 
 
 def calibration_table(path: Path) -> dict[str, Any]:

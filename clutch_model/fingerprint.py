@@ -12,6 +12,7 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import StrEnum
+from operator import attrgetter
 from typing import Any, Final
 
 from clutch_model.calibration import Calibration
@@ -80,7 +81,7 @@ def _known(record: object, keys: tuple[str, ...]) -> Iterator[str]:
 
 def _later(record: Any, keys: tuple[str, ...]) -> Iterator[str]:  # noqa: ANN401 - a record of any kind
     others = (member for member in fields(record) if member.name not in _NO_NUMBERS.union(keys))
-    for member in sorted(others, key=lambda one: one.name):
+    for member in sorted(others, key=attrgetter("name")):
         value = getattr(record, member.name)
         if value != _default(member):
             yield f"{member.name}={_value(value, member.name)}"
@@ -98,6 +99,4 @@ def _value(value: object, key: str) -> str:
         return f"({', '.join(parts)}{',' if len(parts) == 1 else ''})"
     if isinstance(value, float):
         return float.__repr__(value)
-    return repr(
-        value.value if isinstance(value, StrEnum) else value
-    )  # an integer, a text, or None for what the file does not say
+    return repr(value.value if isinstance(value, StrEnum) else value)  # None for what the file does not state

@@ -5,6 +5,7 @@ A law in the plural takes numbers or whole arrays; its singular is the same law 
 
 import math
 from collections.abc import Callable
+from dataclasses import asdict
 from typing import Final, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
@@ -41,13 +42,7 @@ class FrictionLaw(NamedTuple):
 
 
 def friction_law(curve: FrictionCurve) -> FrictionLaw:
-    return FrictionLaw(
-        mu_c=float(curve.mu_c),
-        mu_s=float(curve.mu_s),
-        stribeck_speed_rad_s=float(curve.stribeck_speed_rad_s),
-        stribeck_exponent=float(curve.stribeck_exponent),
-        lock_band_rad_s=float(curve.lock_band_rad_s),
-    )
+    return FrictionLaw(**{name: float(value) for name, value in asdict(curve).items()})
 
 
 def stribeck_weights(slip_rad_s: Quantity, law: FrictionLaw) -> Quantity:
@@ -158,15 +153,7 @@ def film_law(clutch: ClutchCalibration) -> FilmLaw:
     film, geometry = clutch.film, clutch.geometry
     ring = faces(geometry.outer_radius_m, geometry.inner_radius_m, geometry.interface_count)
     return FilmLaw(
-        roughness_m=float(film.roughness_m),
-        contact_stiffness_pa=float(film.contact_stiffness_pa),
-        permeability_m2=float(film.permeability_m2),
-        lining_thickness_m=float(film.lining_thickness_m),
-        slip_coefficient=float(film.slip_coefficient),
-        open_gap_m=float(film.open_gap_m),
-        separation_time_s=float(film.separation_time_s),
-        separation_pressure_pa=float(film.separation_pressure_pa),
-        min_film_m=float(film.min_film_m),
+        **{name: float(value) for name, value in asdict(film).items() if name != "mobility_ratio"},
         squeeze_factor_m2=float(ring.squeeze_factor_m2 / film.mobility_ratio),
         contact_factor_m3=float(ring.contact_factor_m3),
         viscous_factor_m4=float(ring.viscous_factor_m4),

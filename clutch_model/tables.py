@@ -103,21 +103,21 @@ def record_from(
 def _optional(kind: Any) -> Iterable[str]:  # noqa: ANN401 - a class of records
     if not is_dataclass(kind):
         return kind._field_defaults.keys() if hasattr(kind, "_field_defaults") else ()
-    return [one.name for one in fields(kind) if not one.default is one.default_factory is MISSING]
+    return [member.name for member in fields(kind) if not member.default is member.default_factory is MISSING]
 
 
 def _member(hint: Any, value: object, where: str, error: type[Exception]) -> Any:  # noqa: ANN401 - as annotated
     """Return the value of one member as its annotation wants it; a record, or a table of them, may be there already."""
     if get_origin(hint) is UnionType:  # a file has no null: what is optional is there or not
-        (hint,) = (one for one in get_args(hint) if one is not NoneType)
+        (hint,) = (kind for kind in get_args(hint) if kind is not NoneType)
     if isinstance(hint, type) and (is_dataclass(hint) or hasattr(hint, "_fields")):
         record = cast("type[object]", hint)
         return value if isinstance(value, record) else record_from(record, value, f"{where}.", error=error)
     if get_origin(hint) is tuple and is_dataclass(get_args(hint)[0]):
         kind = get_args(hint)[0]
-        if not isinstance(value, list) or not all(isinstance(one, Mapping) for one in value):
+        if not isinstance(value, list) or not all(isinstance(table, Mapping) for table in value):
             raise error(f"{where} must be an array of tables, got {value!r}")
-        return tuple(record_from(kind, one, f"{where} {row}: ", error=error) for row, one in enumerate(value, 1))
+        return tuple(record_from(kind, table, f"{where} {row}: ", error=error) for row, table in enumerate(value, 1))
     try:
         converted = msgspec.convert(value, hint)
     except msgspec.ValidationError as exc:

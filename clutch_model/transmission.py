@@ -121,18 +121,20 @@ class Transmission:
         """Check that every gear works, and has the ratio that is stated."""
         for name in (self.input, self.output):
             require(name in self.place, f"no part has the shaft {name!r}")
-        for one in self.gears:
-            ratio = self.ratio(one)
-            require(bool(np.isfinite(ratio)), f"gear {one.number}: its parts leave the output free")
-            fits = abs(ratio / one.ratio - 1.0) <= MOST_RATIO_ERROR
-            require(fits, f"gear {one.number}: its parts make {ratio:.4f}, not {one.ratio:.4f}")
+        for gear in self.gears:
+            ratio = self.ratio(gear)
+            require(bool(np.isfinite(ratio)), f"gear {gear.number}: its parts leave the output free")
+            fits = abs(ratio / gear.ratio - 1.0) <= MOST_RATIO_ERROR
+            require(fits, f"gear {gear.number}: its parts make {ratio:.4f}, not {gear.ratio:.4f}")
 
     @property
     def place(self) -> dict[str, int]:
         """Where each shaft stands among the speeds."""
-        ends = (*(one.between for one in self.elements), *(one.between for one in self.gear_pairs))
-        names = [name for both in ends for name in both]
-        names += [name for one in self.planetary_sets for name in (one.sun, one.ring, one.carrier)]
+        parts: tuple[FrictionElement | GearPair, ...] = (*self.elements, *self.gear_pairs)
+        names = [name for part in parts for name in part.between]
+        names += [
+            name for planetary in self.planetary_sets for name in (planetary.sun, planetary.ring, planetary.carrier)
+        ]
         return {name: place for place, name in enumerate(dict.fromkeys(name for name in names if name != HOUSING))}
 
     def ratio(self, gear: Gear) -> float:
@@ -144,18 +146,22 @@ class Transmission:
         place = self.place
         rows = [*self._fixed(gear.gear_pairs), *(self._element(name, gear).row(place) for name in gear.elements)]
         balance = np.column_stack([*rows, _row(place, {self.output: 1.0})])
-        found = np.linalg.lstsq(balance, _row(place, {self.input: 1.0}))[0]
+        torques = np.linalg.lstsq(balance, _row(place, {self.input: 1.0}))[0]
         first = len(rows) - len(gear.elements)
-        return {name: float(found[first + k]) for k, name in enumerate(gear.elements)}
+        return dict(zip(gear.elements, torques[first:].tolist(), strict=False))  # behind them stands the output
 
     def slips(self, gear: Gear) -> dict[str, float]:
         """Return the slip of each open element over the speed of the input; NaN of one at a shaft that is free."""
         speeds, place = self._speeds(gear), self.place
-        return {one.name: _of(one.row(place), speeds) for one in self.elements if one.name not in gear.elements}
+        return {
+            element.name: _of(element.row(place), speeds)
+            for element in self.elements
+            if element.name not in gear.elements
+        }
 
     def changes(self) -> Iterator[GearChange]:
         """Yield the changes between forward gears in which one element comes and one goes."""
-        forward = [one for one in self.gears if one.number > 0]
+        forward = [gear for gear in self.gears if gear.number > 0]
         for lower in forward:
             for upper in forward:
                 coming = set(upper.elements) - set(lower.elements)
@@ -169,7 +175,9 @@ class Transmission:
         pairs = dict.fromkeys((*lower.gear_pairs, *upper.gear_pairs))
         rows = [*self._fixed(pairs), *held, _row(place, {self.input: 1.0}), _row(place, {self.output: 1.0})]
         both = _solved(rows, np.eye(len(rows))[:, -2:], f"change {lower.number}-{upper.number}")
-        slips = [Slip(*(_of(self._element(name, upper).row(place), one) for one in both.T)) for name in (coming, going)]
+        slips = [
+            Slip(*(_of(self._element(name, upper).row(place), speeds) for speeds in both.T)) for name in (coming, going)
+        ]
         return GearChange(lower.number, upper.number, coming, going, (slips[0], slips[1]))
 
     def _speeds(self, gear: Gear) -> FloatArray:
@@ -181,25 +189,24 @@ class Transmission:
 
     def _fixed(self, pairs: Iterable[str]) -> list[FloatArray]:
         """Return the rows of planetary sets and of the gear pairs that are engaged."""
-        known = {one.name: one for one in self.gear_pairs}
+        known, place = {pair.name: pair for pair in self.gear_pairs}, self.place
         for name in pairs:
             require(name in known, f"no gear pair {name!r}")
-        place = self.place
-        return [*(one.row(place) for one in self.planetary_sets), *(known[name].row(place) for name in pairs)]
+        return [planetary.row(place) for planetary in self.planetary_sets] + [known[name].row(place) for name in pairs]
 
     def _element(self, name: str, gear: Gear) -> FrictionElement:
-        found = next((one for one in self.elements if one.name == name), None)
-        if found is None:
-            raise CalibrationError(f"gear {gear.number}: no element {name!r}")
-        return found
+        for element in self.elements:
+            if element.name == name:
+                return element
+        raise CalibrationError(f"gear {gear.number}: no element {name!r}")
 
     @classmethod
     def from_mapping(cls, table: Mapping[str, Any]) -> Self:
         """Build a transmission from the tables of a file; raises CalibrationError, naming the first offending key."""
-        told = dict(table)
-        written = told.pop("format", None)
-        require(written == FORMAT, f"transmission.format must be {FORMAT}, got {written!r}")
-        return record_from(cls, told, "transmission.")
+        description = dict(table)
+        version = description.pop("format", None)
+        require(version == FORMAT, f"transmission.format must be {FORMAT}, got {version!r}")
+        return record_from(cls, description, "transmission.")
 
 
 def read_transmission(path: Path | str) -> Transmission:
@@ -239,10 +246,10 @@ def _solved(rows: Sequence[FloatArray], right: FloatArray, what: str) -> FloatAr
     Raises CalibrationError if the rows contradict each other.
     """
     matrix = np.array(rows)
-    found = np.linalg.lstsq(matrix, right)[0].astype(np.float64)
-    is_solved = np.allclose(matrix @ found, right, atol=_ROUNDING)
+    speeds = np.linalg.lstsq(matrix, right)[0].astype(np.float64)
+    is_solved = np.allclose(matrix @ speeds, right, atol=_ROUNDING)
     require(is_solved, f"{what}: its parts block each other")
     _, values, directions = np.linalg.svd(matrix)
     free = directions[np.count_nonzero(values > _ROUNDING) :]
-    found[np.abs(free).max(axis=0, initial=0.0) > _ROUNDING] = np.nan
-    return found
+    speeds[np.abs(free).max(axis=0, initial=0.0) > _ROUNDING] = np.nan
+    return speeds
