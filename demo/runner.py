@@ -52,13 +52,12 @@ SHIFT_S: Final = 3.9  # what one takes on the road, with the drive from one to t
 CAR_KG: Final = 1300  # light: it is quickly in the next gear
 READY_S: Final = 300.0  # for a program to load and announce itself: only a hang takes so long
 LAST_RESULT_S: Final = 60.0  # from the last frame to the last result, likewise
-RECORDING, TRUTH, TRANSMITTED = "drive.log", "truth.jsonl", "transmitted.json"
+RECORDING, TRUTH = "drive.log", "truth.jsonl"
 SHIFTS_PER_CYCLE: Final = 10  # 1-2-3-4-5-6-5-4-3-2-1
 STORE, PICTURE, AGED = "results.sqlite", "demo.png", "ageing"
 LEFT: Final = (
     RECORDING,
     TRUTH,
-    TRANSMITTED,
     PICTURE,
     ageing.PICTURE,
     *(f"{STORE}{suffix}" for suffix in ("", "-wal", "-shm")),
@@ -175,7 +174,7 @@ async def _drive(
         service = await stack.enter_async_context(listening)
         driving = program(
             EMULATOR, "run", *medium.arguments, *options.drive, *scan_tool.emulator_arguments,
-            "--truth", folder / TRUTH, "--summary", folder / TRANSMITTED, "--force",
+            "--truth", folder / TRUTH, "--force", "--json",
             folder=folder, environment=medium.environment,
         )  # fmt: skip
         async with _watched(heard.listen(results), service):
@@ -207,7 +206,7 @@ async def _drive(
         clutches={int(record["clutch"]): verdict_from(record) for record in summary["clutches"]},
         order=summary["order"],
         truth=truth,
-        frames=frame_account(json.loads((folder / TRANSMITTED).read_text(encoding="utf-8")), summary["frames"]),
+        frames=frame_account(json.loads(driver.output), summary["frames"]),
     )
     return outcome, aged.result()
 

@@ -3,7 +3,7 @@
 import os
 import time
 import uuid
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from datetime import datetime
@@ -24,7 +24,7 @@ from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.faults import BusFault, SensorFault
 from ecu_emulator.scenario.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario.scenario_file import parse_fault
-from ecu_emulator.truth import ROTATED_BYTES, TruthLog, TruthWriter
+from ecu_emulator.truth import TruthLog, TruthWriter
 
 AnyPath = str | os.PathLike[str]
 AnyFault = SensorFault | BusFault | Mapping[str, object]
@@ -35,11 +35,11 @@ POLL_S: Final = 0.01
 
 def with_faults(scenario: Scenario, faults: Iterable[AnyFault]) -> Scenario:
     """Return a scenario with more faults; raises ConfigError if one cannot be."""
-    given = [fault_of(one) for one in faults]
+    more = [fault_of(fault) for fault in faults]
     return replace(
         scenario,
-        sensor_faults=(*scenario.sensor_faults, *(one for one in given if isinstance(one, SensorFault))),
-        bus_faults=(*scenario.bus_faults, *(one for one in given if isinstance(one, BusFault))),
+        sensor_faults=(*scenario.sensor_faults, *(fault for fault in more if isinstance(fault, SensorFault))),
+        bus_faults=(*scenario.bus_faults, *(fault for fault in more if isinstance(fault, BusFault))),
     )
 
 
@@ -55,7 +55,7 @@ def check_range(name: str, value: float | None, limits: tuple[float, float]) -> 
         raise EmulatorConfigError(f"{name} must be {low:g}..{high:g}, got {value:g}")
 
 
-def check_word(name: str, word: str | None, words: list[str]) -> None:
+def check_word(name: str, word: str | None, words: Sequence[str]) -> None:
     """Raise ConfigError unless a word, if it is given, is one of these."""
     if word is not None and word not in words:
         raise EmulatorConfigError(f"{name} must be {', '.join(words[:-1])} or {words[-1]}, got {word!r}")
@@ -142,12 +142,10 @@ class Emulator:
         start_delay_s: float = 0.0,
         parked_s: float | None = None,
     ) -> None:
-        check_range("oil_degc", oil_degc, scenarios.OIL_RANGE_DEGC)
-        check_range("mass_kg", mass_kg, scenarios.MASS_RANGE_KG)
         check_range("start_delay_s", start_delay_s, scenarios.DELAY_RANGE_S)
         check_range("parked_s", parked_s, scenarios.PARKED_RANGE_S)
-        check_word("fluid", fluid, [one.value for one in FluidCondition])
-        check_word("drive", drive, [one.value for one in DriveName])
+        check_word("fluid", fluid, list(FluidCondition))
+        check_word("drive", drive, list(DriveName))
         driven = DriveOptions(
             scenario=scenario if isinstance(scenario, Scenario) else os.fspath(scenario),
             fluid=fluid, cause=cause, seed=seed, vehicle_seed=vehicle_seed, drive_seed=drive_seed, drive=drive,
@@ -164,8 +162,8 @@ class Emulator:
             is_fd=is_fd,
         )
         # On a virtual bus frames have the times of the car, however busy the machine is.
-        own = {"preserve_timestamps": True} if interface == VIRTUAL else {}
-        self._options = {**own, **(options or {})}
+        defaults = {"preserve_timestamps": True} if interface == VIRTUAL else {}
+        self._options = {**defaults, **(options or {})}
         self._truth_path = None if truth is None else Path(truth)
         self._answers = answers
         self._start_delay_s = start_delay_s
@@ -177,7 +175,7 @@ class Emulator:
         self._file: TruthWriter | None = None
         self._result: Mapping[str, Any] | None = None
         self._error: BaseException | None = None
-        self._said: list[str] = []
+        self._notices: list[str] = []
 
     def record(
         self,
@@ -193,7 +191,7 @@ class Emulator:
         ----------
         path
             The log.
-        log_format : {"candump", "blf", "asc", "mf4", "trc", "csv", "gvret"}, optional
+        log_format : {"candump", "blf", "mf4"}, optional
             By default what the suffix says.
         start_time
             Of the first frame, UTC unless it says otherwise; by default the beginning of 2026.
@@ -206,7 +204,7 @@ class Emulator:
             If an argument or the scenario's truth cannot be used, or a file cannot be written. ExtraMissingError, a
             RecordError, if asammdf is not installed for MF4.
         """
-        check_word("log_format", log_format, [one.value for one in RecordFormat])
+        check_word("log_format", log_format, list(RecordFormat))
         log = LogOptions(
             path=Path(path),
             log_format=log_format,
@@ -224,8 +222,7 @@ class Emulator:
         bus = self.open_bus()
         try:
             if self._truth_path is not None:
-                most_bytes = ROTATED_BYTES if self.scenario.endless else None
-                self._file = TruthWriter(self._truth_path, most_bytes=most_bytes)
+                self._file = TruthWriter(self._truth_path)
             self._sent = SentTruth(self._drive, self._file, MOST_KEPT)
         except BaseException:
             bus.shutdown()
@@ -272,7 +269,7 @@ class Emulator:
     @property
     def notices(self) -> tuple[str, ...]:
         """What the program says while it drives: where testers may ask, who else is on the bus, how punctual it was."""
-        return tuple(self._said)
+        return tuple(self._notices)
 
     @property
     def result(self) -> Mapping[str, Any]:
@@ -328,7 +325,7 @@ class Emulator:
             ):
                 self._result = send(
                     self.scenario, sent, bus, choice=self._choice, answering=answering,
-                    start_delay_s=self._start_delay_s, stop=self._stop, say=self._said.append, show=lambda *_: None,
+                    start_delay_s=self._start_delay_s, stop=self._stop, say=self._notices.append, show=lambda *_: None,
                 )  # fmt: skip
         except BaseException as exc:  # noqa: BLE001 - carried to the thread that waits
             self._error = exc

@@ -198,7 +198,6 @@ def command_line() -> None:
 @click.option("--fd", "is_fd", is_flag=True, help="open the interface in CAN FD mode")
 @_drive_options
 @click.option("--truth", type=FILE, help="write the truth about every shift to this file")
-@click.option("--summary", type=FILE, help="write the transmit report to this file as JSON")
 @force_option
 @click.option("--control", metavar="SOCKET", type=FILE, help="take faults at run time on this Unix socket")
 @together(*_ANSWERING.get("options", ()))
@@ -225,9 +224,8 @@ def run(stop: _Stop, words: Mapping[str, Any]) -> None:
     from ecu_emulator import commands, live
 
     scenario = commands.choose_scenario(record_of(commands.DriveOptions, words))
-    written = (words["truth"], words["summary"])
-    kept = (words["control"], words["alive"], words.get("diagnostic_memory"))
-    if text := refusal(*written, is_forced=words["force"]) or refusal(*written, *kept, is_forced=True):
+    truth, others = words["truth"], (words["control"], words["alive"], words.get("diagnostic_memory"))
+    if text := refusal(truth, is_forced=words["force"]) or refusal(truth, *others, is_forced=True):
         raise EmulatorConfigError(text)
     answers = _ANSWERING["chosen"](words) if _ANSWERING else None
     live.run(scenario, record_of(live.BusChoice, words), record_of(live.SendOptions, words), answers, stop)
@@ -246,7 +244,7 @@ def run(stop: _Stop, words: Mapping[str, Any]) -> None:
 @click.option(
     "--format",
     "log_format",
-    type=click.Choice(["candump", "blf", "asc", "mf4", "trc", "csv", "gvret"]),
+    type=click.Choice(["candump", "blf", "mf4"]),
     help="default: by the file's suffix; candump on standard output",
 )
 @click.option("--start-time", metavar="ISO", type=_instant, default=DEFAULT_START, help="of the first frame")

@@ -3,15 +3,16 @@
 import os
 import shutil
 import sys
-import textwrap
 import time
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Event
 from typing import Any
+
+from click.formatting import wrap_text
 
 from clutch_model.units import NS_PER_S, k_from_degc
 from clutchdiag_io.command_line import STANDARD_STREAM, record_of
@@ -20,23 +21,17 @@ from clutchdiag_io.program import refusal
 from dbc.contract import dbc_path
 from ecu_emulator.drive.recording import LONG_STRETCH_S, Drive
 from ecu_emulator.errors import EmulatorConfigError, EmulatorStoppedError, RecordError
-from ecu_emulator.log_formats import (
-    DEFAULT_START_NS,
-    LogStream,
-    RecordFormat,
-    open_log,
-    open_log_stream,
-)
+from ecu_emulator.log_formats import DEFAULT_START_NS, RecordFormat, open_log
 from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
-from ecu_emulator.scenario import MOST_PARKED_S, DriveName
-from ecu_emulator.scenario.faults import CauseKind, Degradation
+from ecu_emulator.scenario import MASS_RANGE_KG, MOST_PARKED_S, OIL_RANGE_DEGC, DriveName
+from ecu_emulator.scenario.faults import CauseKind, CheckedRecord, Degradation, ranged
 from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Scenario, WorkshopRoutine
 from ecu_emulator.scenario.scenario_file import load_scenario, shipped_scenarios
 from ecu_emulator.truth import Totals, TruthWriter, read_truth, truth_path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DriveOptions:
+class DriveOptions(CheckedRecord):
     """What is driven: a scenario, and what of it is overridden; ``None`` is as the scenario has it."""
 
     scenario: str | Scenario  # its name or file, unless it is one
@@ -48,8 +43,10 @@ class DriveOptions:
     drive: str | None = None
     cycles: int | None = None
     is_endless: bool = False
-    oil_degc: float | None = None  # colder oil makes coolant and air as cold: the car has stood there
-    mass_kg: float | None = None
+    oil_degc: float | None = ranged(
+        None, *OIL_RANGE_DEGC
+    )  # colder oil makes coolant and air as cold: the car has stood there
+    mass_kg: float | None = ranged(None, *MASS_RANGE_KG)
     odometer_m: float | None = None
     odometer: str | None = None  # the same, as ``odometer_from`` takes it
     routine: tuple[int, int] | None = None  # revs with open and with closed clutches
@@ -84,27 +81,26 @@ def choose_scenario(options: DriveOptions) -> Scenario:
 
     Raises what ``odometer_from`` raises, too.
     """
-    named = options.scenario
     if options.odometer is not None:
         options = replace(options, odometer_m=odometer_from(options.odometer))
-    scenario = named if isinstance(named, Scenario) else load_scenario(named)
-    given: dict[str, Any] = {
+    scenario = options.scenario if isinstance(options.scenario, Scenario) else load_scenario(options.scenario)
+    overrides: dict[str, Any] = {
         name: value
         for name in ("seed", "vehicle_seed", "drive_seed", "cycles", "odometer_m")
         if (value := getattr(options, name)) is not None
     }
     if options.fluid is not None:
-        given["fluid"] = replace(scenario.fluid, condition=FluidCondition(options.fluid))
+        overrides["fluid"] = replace(scenario.fluid, condition=FluidCondition(options.fluid))
     if options.cause is not None:
-        given["causes"] = (*scenario.causes, *(_cause(one.strip()) for one in options.cause.split(",")))
+        overrides["causes"] = (*scenario.causes, *(_cause(text.strip()) for text in options.cause.split(",")))
     if options.drive is not None:
-        given["drive"] = DriveName(options.drive)
+        overrides["drive"] = DriveName(options.drive)
     if options.oil_degc is not None:
-        given["ambient"] = started_at(scenario.ambient, float(k_from_degc(options.oil_degc)))
+        overrides["ambient"] = started_at(scenario.ambient, float(k_from_degc(options.oil_degc)))
     if options.mass_kg is not None:
         plant = {**scenario.truth.plant, "vehicle.mass_kg": options.mass_kg}
-        given["truth"] = replace(scenario.truth, plant=plant)
-    scenario = replace(scenario, endless=scenario.endless or options.is_endless, **given)
+        overrides["truth"] = replace(scenario.truth, plant=plant)
+    scenario = replace(scenario, endless=scenario.endless or options.is_endless, **overrides)
     if options.routine is not None:
         scenario = replace(
             scenario, routine=WorkshopRoutine(open_revs=options.routine[0], closed_revs=options.routine[1])
@@ -114,27 +110,27 @@ def choose_scenario(options: DriveOptions) -> Scenario:
     return scenario
 
 
-def _cause(said: str) -> Degradation:
+def _cause(text: str) -> Degradation:
     """Return a cause from NAME, NAME:STRENGTH or NAME:STRENGTH:CLUTCH; raises ConfigError."""
-    kind, strength, clutch, *more = [*said.split(":"), "", ""]
+    kind, strength, clutch, *more = [*text.split(":"), "", ""]
     if any(more) or kind not in list(CauseKind):
-        raise EmulatorConfigError(f"no cause {said!r}: NAME[:STRENGTH[:CLUTCH]], NAME one of {', '.join(CauseKind)}")
+        raise EmulatorConfigError(f"no cause {text!r}: NAME[:STRENGTH[:CLUTCH]], NAME one of {', '.join(CauseKind)}")
     try:
         return Degradation(kind=CauseKind(kind), strength=float(strength or 1.0), clutch=int(clutch or 0))
     except ValueError as exc:
-        raise EmulatorConfigError(f"no cause {said!r}: strength and clutch must be numbers") from exc
+        raise EmulatorConfigError(f"no cause {text!r}: strength and clutch must be numbers") from exc
 
 
-def odometer_from(said: str) -> float:
+def odometer_from(text: str) -> float:
     """Return the odometer at the start [m]: from kilometres, or from the end of the drive before by its truth file.
 
     Raises ConfigError, RecordError if the drive before did not end in order; if there is no such file.
     """
     with suppress(ValueError):
-        return 1000.0 * float(said)
-    totals = read_truth(Path(said)).totals
+        return 1000.0 * float(text)
+    totals = read_truth(Path(text)).totals
     if totals is None or totals.odometer_m is None:
-        raise EmulatorConfigError(f"--odometer {said}: that drive does not tell the odometer at its end")
+        raise EmulatorConfigError(f"--odometer {text}: that drive does not tell the odometer at its end")
     return totals.odometer_m
 
 
@@ -150,7 +146,9 @@ def started_at(ambient: Ambient, oil_k: float) -> Ambient:
 def list_scenarios() -> None:
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
     for name in shipped_scenarios():
-        sys.stdout.write(hanging(f"{name:<12} ", load_scenario(name).description, width) + "\n")
+        head, text = f"{name:<12} ", load_scenario(name).description
+        line = head + text if width is None else wrap_text(text, width, head, " " * min(len(head), width // 2))
+        sys.stdout.write(f"{line}\n")
 
 
 def save_dbc(path: Path | None, *, is_forced: bool, transmission: str = "nominal") -> int:
@@ -160,60 +158,26 @@ def save_dbc(path: Path | None, *, is_forced: bool, transmission: str = "nominal
     """
     database = dbc_path(transmission).read_bytes()
     if path is None:
-        sys.stdout.buffer.write(database)
-    else:
-        save(database, path, is_forced=is_forced)
-    return len(database)
-
-
-def save(content: bytes, path: Path, *, is_forced: bool) -> None:
-    """Write a file; raises ConfigError or RecordError if it is there already or cannot be written."""
+        return sys.stdout.buffer.write(database)
     if text := refusal(path, is_forced=is_forced):
         raise EmulatorConfigError(text)
     try:
         with until_whole(path) as place:
-            place.write_bytes(content)
+            return place.write_bytes(database)
     except OSError as exc:
         raise RecordError(f"cannot write {path}: {exc.strerror or exc}") from exc
 
 
-def hanging(head: str, text: str, width: int | None) -> str:
-    """Return a text behind a head, its further lines below its first; without a width there is one line."""
-    if width is None:
-        return f"{head}{text}"
-    indent = min(len(head), width // 2)
-    lines = textwrap.wrap(
-        f"{head}{text}", width, subsequent_indent=" " * indent, break_long_words=False, break_on_hyphens=False
-    )
-    return "\n".join(lines)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
-    """A drive in a log.
+    """A drive in a log; with its seeds the same drive can be recorded again."""
 
-    Attributes
-    ----------
-    path, truth : Path
-        The log, and the file with the truth about it.
-    is_finished : bool
-        Whether it was driven to its end.
-    endless_shift : str
-        What is to be said of a shift that did not end; empty: there was none.
-    totals : Totals
-        Frames, shifts, events, and how long it took on the road [s].
-    took_s : float
-        How long it took to make [s].
-    vehicle_seed, drive_seed : int
-        With them the same drive can be recorded again.
-    """
-
-    path: Path
-    truth: Path  # the null device if there is none
-    is_finished: bool
-    endless_shift: str
+    path: Path  # the log
+    truth: Path  # the truth about it; the null device if there is none
+    is_finished: bool  # whether it was driven to its end
+    endless_shift: str  # what there is to say of a shift that did not end; empty: there was none
     totals: Totals
-    took_s: float
+    took_s: float  # how long it took to make
     vehicle_seed: int
     drive_seed: int
 
@@ -260,19 +224,20 @@ def write_log(
     truth_file = options.truth or (Path(os.devnull) if path == STANDARD_STREAM else truth_path(path))
     if truth_file.absolute() == path.absolute():
         raise EmulatorConfigError(f"log and truth cannot both be {path}")
+    log_format = RecordFormat(options.log_format) if options.log_format else None
     drive = Drive(scenario, options.longest_stay_s)
     began_s = time.perf_counter()
     with (  # nobody needs the truth of a log that is not there, nor loses that of the one before
         nullcontext(truth_file) if path == STANDARD_STREAM else until_whole(truth_file) as place,
-        _open(options) as log,
+        open_log(path, log_format=log_format, start_ns=options.start_ns, channel=options.channel) as log,
         TruthWriter(truth_file, place=place) as writer,
     ):
-        writer.drive(drive.truth)
+        writer.write(drive.truth)
         has_driven = False
         try:
             for stretch in drive.stretches(LONG_STRETCH_S):
                 log.write(stretch.frames)
-                writer.write(stretch.truths)
+                writer.write(*stretch.truths)
                 has_driven = True
                 show(drive.totals, time.perf_counter() - began_s)
                 if stop.is_set():
@@ -280,7 +245,7 @@ def write_log(
         except EmulatorStoppedError:  # while kernels were compiled that the drive had not needed before
             if not has_driven:
                 raise
-        writer.totals(drive.totals)
+        writer.write(drive.totals)
     return Recording(
         path=path,
         truth=truth_file,
@@ -291,13 +256,6 @@ def write_log(
         vehicle_seed=scenario.seed_of_vehicle,
         drive_seed=scenario.seed_of_drive,
     )
-
-
-def _open(options: LogOptions) -> AbstractContextManager[LogStream]:
-    chosen = RecordFormat(options.log_format) if options.log_format else None
-    if options.path == STANDARD_STREAM:
-        return open_log_stream(sys.stdout.buffer, log_format=chosen, start_ns=options.start_ns, channel=options.channel)
-    return open_log(options.path, log_format=chosen, start_ns=options.start_ns, channel=options.channel)
 
 
 def record(scenario: Scenario, options: LogOptions, stop: Event, *, is_json: bool, is_forced: bool = False) -> bool:
@@ -320,15 +278,17 @@ def record(scenario: Scenario, options: LogOptions, stop: Event, *, is_json: boo
         def show(totals: Totals, took_s: float) -> None:
             progress.update(driven_text(totals.driven_s, totals.shifts, totals.events), took_s)
 
-        made = write_log(scenario, options, stop, show)
-    totals = made.totals
-    state = "" if made.is_finished else f"stopped early: {made.endless_shift and made.endless_shift + '; '}"
-    name, beside = ("standard output", truth) if is_piped else (path, made.truth)
+        recording = write_log(scenario, options, stop, show)
+    totals = recording.totals
+    state = (
+        "" if recording.is_finished else f"stopped early: {recording.endless_shift and recording.endless_shift + '; '}"
+    )
+    name, beside = ("standard output", truth) if is_piped else (path, recording.truth)
     console.print(
         f"{state}{name}: {totals.frames} frames, {totals.shifts} shifts, {totals.driven_s:.1f} s of driving "
-        f"in {made.took_s:.1f} s{f'; truth in {beside}' if beside else ''}",
+        f"in {recording.took_s:.1f} s{f'; truth in {beside}' if beside else ''}",
         markup=False,
     )
     if is_json:
-        print_json(made.to_record())
-    return made.is_finished
+        print_json(recording.to_record())
+    return recording.is_finished

@@ -19,7 +19,7 @@ import can
 import can.typechecking
 
 from canlog.e2e.message_contract import message_contracts
-from clutchdiag_io.files import give_sign, make_sign, until_whole
+from clutchdiag_io.files import give_sign, make_sign
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
@@ -31,7 +31,6 @@ from ecu_emulator.scenario.scenario import Scenario
 from ecu_emulator.scenario.scenario_file import parse_fault
 from ecu_emulator.sensing import MS_PER_S
 from ecu_emulator.truth import (
-    ROTATED_BYTES,
     EventTruth,
     Happened,
     ShiftTruth,
@@ -47,7 +46,7 @@ POLL_S: Final = 0.2  # how soon the end of the drive is noticed
 IDLE_S: Final = 30.0  # a caller who says nothing is left
 OWNER_ONLY: Final = 0o177  # umask
 
-Take = Callable[[SensorFault | BusFault], None]
+AddFault = Callable[[SensorFault | BusFault], None]
 
 
 class ControlSocket:
@@ -57,7 +56,7 @@ class ControlSocket:
     ----------
     path
         Where the socket shall be; one that a dead process left there is replaced.
-    take
+    add_fault
         Is handed every fault, in those threads; what it raises as ConfigError is the caller's answer.
 
     Raises
@@ -66,14 +65,14 @@ class ControlSocket:
         If the socket cannot be made, or another process listens there.
     """
 
-    def __init__(self, path: Path, take: Take) -> None:
+    def __init__(self, path: Path, add_fault: AddFault) -> None:
         class Caller(StreamRequestHandler):
             timeout = IDLE_S
 
             def handle(self) -> None:
                 with suppress(OSError):  # a caller that goes away is no concern of the drive
                     while (line := self.rfile.readline(LINE_BYTES)).endswith(b"\n"):
-                        self.wfile.write(f"{_answer(line, take)}\n".encode())
+                        self.wfile.write(f"{_answer(line, add_fault)}\n".encode())
                     if len(line) == LINE_BYTES:
                         self.wfile.write(f"error: a line has less than {LINE_BYTES} bytes\n".encode())
 
@@ -100,9 +99,9 @@ class ControlSocket:
             self._path.unlink()
 
 
-def _answer(line: bytes, take: Take) -> str:
+def _answer(line: bytes, add_fault: AddFault) -> str:
     try:
-        take(parse_fault(json.loads(line)))
+        add_fault(parse_fault(json.loads(line)))
     except (ValueError, RecursionError) as exc:
         return f"error: not JSON: {' '.join(str(exc).split())}"
     except EmulatorConfigError as exc:
@@ -146,7 +145,7 @@ class SentTruth:
         self.event_count = 0
         self.sent_s = 0.0
         if writer is not None:
-            writer.drive(drive.truth)
+            writer.write(drive.truth)
 
     @property
     def log(self) -> TruthLog:
@@ -166,7 +165,7 @@ class SentTruth:
             truth = self._ahead.popleft()
             self._happened.append(truth)
             if self._writer is not None:
-                self._writer.write([truth])
+                self._writer.write(truth)
             self.shift_count += isinstance(truth, ShiftTruth)
             self.event_count += isinstance(truth, EventTruth)
 
@@ -182,7 +181,7 @@ class SentTruth:
             frames=report.frames_sent,
         )
         if self._writer is not None:
-            self._writer.totals(self._totals)
+            self._writer.write(self._totals)
 
 
 WORTH_SAYING: Final = 10  # frames; fewer may be the last ones of an emulator that has just been stopped
@@ -257,30 +256,6 @@ def _filter(can_id: int) -> can.typechecking.CanFilter:
     return {"can_id": can_id, "can_mask": EXTENDED_MASK if is_extended else STANDARD_MASK, "extended": is_extended}
 
 
-class SignOfLife:
-    """Touches a file whenever it is told of more frames than before; until then the file is from 1970.
-
-    Raises
-    ------
-    RecordError
-        If the file cannot be made.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._frame_count = 0
-        try:
-            make_sign(path)
-        except OSError as exc:
-            raise RecordError(f"cannot touch {path}: {exc.strerror}") from exc
-
-    def tell(self, frame_count: int) -> None:
-        """Touch the file if frames were sent since the last time."""
-        if frame_count > self._frame_count:
-            self._frame_count = frame_count
-            give_sign(self._path)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusChoice:
     """Which bus to open; None leaves the choice to python-can's configuration."""
@@ -342,7 +317,6 @@ class SendOptions:
     """What is written beside a drive on a bus, and how it begins and pauses."""
 
     truth: Path | None
-    summary: Path | None
     control: Path | None
     alive: Path | None
     start_delay_s: float
@@ -361,25 +335,24 @@ def run(
     logging.getLogger("can").setLevel(logging.CRITICAL)  # python-can logs what it raises, and more when a bus goes
     console = people()
     drive = Drive(scenario, options.longest_stay_s)
-    most_bytes = ROTATED_BYTES if scenario.endless else None
     with (
         open_bus(choice.interface, choice.channel, choice.bitrate, fd=choice.is_fd) as bus,
         answering_of(answers, bus, choice, scenario, drive) as answering,
         ControlSocket(options.control, drive.add_fault) if options.control is not None else nullcontext(),
         ExitStack() as begun,
     ):
-        with until_whole(options.summary) if options.summary is not None else nullcontext() as report_file:
-            _write_summary(report_file, {})
-            life = SignOfLife(options.alive) if options.alive is not None else None
-            writer = None
-            if options.truth is not None:
-                writer = begun.enter_context(TruthWriter(options.truth, most_bytes=most_bytes))
+        if options.alive is not None:
+            _make_sign(options.alive)
+        shown_count = 0
+        writer = begun.enter_context(TruthWriter(options.truth)) if options.truth is not None else None
         progress = begun.enter_context(ProgressLine(console, "preparing the plant"))
         sent = SentTruth(drive, writer)
 
         def show(sent_s: float, frame_count: int) -> None:
-            if life is not None:
-                life.tell(frame_count)
+            nonlocal shown_count
+            if options.alive is not None and frame_count > shown_count:
+                give_sign(options.alive)
+            shown_count = frame_count
             progress.update(
                 f"{driven_text(sent_s, sent.shift_count, sent.event_count)}, {frame_count} frames sent", sent_s
             )
@@ -388,9 +361,15 @@ def run(
             scenario, sent, bus, choice=choice, answering=answering, start_delay_s=options.start_delay_s, stop=stop,
             say=lambda line: console.print(line, markup=False), show=show,
         )  # fmt: skip
-    _write_summary(options.summary, result)
     if options.is_json:
         print_json(result)
+
+
+def _make_sign(path: Path) -> None:
+    try:
+        make_sign(path)
+    except OSError as exc:
+        raise RecordError(f"cannot touch {path}: {exc.strerror}") from exc
 
 
 def send(
@@ -476,28 +455,13 @@ def _mixed_bus_text(can_id: int) -> str:
 
 def _report_text(report: TransmitReport) -> str:
     state = "complete" if report.is_complete else "stopped early"
-    lateness = ", ".join(
-        f"{name} {value_s * MS_PER_S:.2f}"
-        for name, value_s in (
-            ("p50", report.lateness_p50_s),
-            ("p95", report.lateness_p95_s),
-            ("p99", report.lateness_p99_s),
-            ("max", report.lateness_max_s),
-        )
+    p50, p95, p99, most = (
+        f"{value_s * MS_PER_S:.2f}"
+        for value_s in (report.lateness_p50_s, report.lateness_p95_s, report.lateness_p99_s, report.lateness_max_s)
     )
     return (
         f"{state}: {report.frames_sent} frames sent in {report.duration_s:.1f} s, {report.frames_given_up} given up "
         f"after {report.retries} retries\n"
-        f"lateness [ms] {lateness}; drift {report.drift_ppm:+.1f} ppm; "
+        f"lateness [ms] p50 {p50}, p95 {p95}, p99 {p99}, max {most}; drift {report.drift_ppm:+.1f} ppm; "
         f"{report.overruns} overruns, {report.underruns} underruns"
     )
-
-
-def _write_summary(path: Path | None, result: dict[str, object]) -> None:
-    """Write the report; called with nothing at first, so that a path that cannot be written is found at once."""
-    if path is None:
-        return
-    try:
-        path.write_text(json.dumps(result) + "\n", encoding="utf-8")
-    except OSError as exc:
-        raise RecordError(f"cannot write summary {path}: {exc.strerror}") from exc

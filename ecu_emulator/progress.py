@@ -20,8 +20,8 @@ def people() -> Console:
 
 def print_json(content: Mapping[str, object]) -> None:
     """Print one JSON line on standard output."""
-    told = {name: legible(value) if isinstance(value, str) else value for name, value in content.items()}
-    sys.stdout.write(json.dumps(told) + "\n")
+    texts = {name: legible(value) for name, value in content.items() if isinstance(value, str)}
+    sys.stdout.write(json.dumps({**content, **texts}) + "\n")
 
 
 def driven_text(driven_s: float, shifts: int, events: int) -> str:

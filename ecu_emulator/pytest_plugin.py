@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 AUTO = "auto"
 OPTION = "vcan_bus"
-_SAID = pytest.StashKey[dict[str, list[str]]]()  # kind of bus -> explanations
+_EXPLANATIONS = pytest.StashKey[dict[str, list[str]]]()  # kind of bus -> explanations
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -29,9 +29,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     """Say on which buses the tests ran."""
-    for said in config.stash.get(_SAID, {}).values():
-        more = f" (and {len(said) - 1} more like it)" if len(said) > 1 else ""
-        terminalreporter.write_line(f"vcan_bus: {said[0]}{more}")
+    for texts in config.stash.get(_EXPLANATIONS, {}).values():
+        more = f" (and {len(texts) - 1} more like it)" if len(texts) > 1 else ""
+        terminalreporter.write_line(f"vcan_bus: {texts[0]}{more}")
 
 
 @pytest.fixture
@@ -42,12 +42,12 @@ def make_vcan_bus(request: pytest.FixtureRequest) -> Iterator[Callable[[], "Medi
     another process, ``.explanation`` says which bus it is and why.
     """
     kind = request.config.getoption("--vcan-bus") or request.config.getini(OPTION)
-    said = request.config.stash.setdefault(_SAID, {})
+    explanations = request.config.stash.setdefault(_EXPLANATIONS, {})
     with ExitStack() as stack:
 
         def make() -> "Medium":
             medium = stack.enter_context(_buses()[kind]())
-            said.setdefault(medium.interface, []).append(medium.explanation)
+            explanations.setdefault(medium.interface, []).append(medium.explanation)
             return medium
 
         yield make
@@ -117,9 +117,9 @@ def _best_bus() -> Iterator["Medium"]:
     from canlog.errors import SourceError  # noqa: PLC0415 - not before it is used
     from canlog.live import medium  # noqa: PLC0415 - likewise
 
-    with medium.open_medium() as found:
-        chosen = found
-        if found.is_shared:  # by other tests, and by whoever else is on it
+    with medium.open_medium() as opened:
+        chosen = opened
+        if opened.is_shared:  # by other tests, and by whoever else is on it
             chosen = medium.multicast("making a vcan interface takes root, and others may use the one that is up")
         if chosen.interface == medium.MULTICAST:
             try:

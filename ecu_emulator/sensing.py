@@ -49,14 +49,14 @@ class Onsets(Generic[ScheduledT]):
 
     def feed(self, rows: FloatArray, first_ms: int) -> None:
         """Look for the phases of shifts in the next plant rows, one per millisecond."""
-        seen = np.vstack((self._last, rows[:, (Col.CURRENT_GEAR, Col.TARGET_GEAR, Col.SHIFT_PHASE)]))
-        for row in np.flatnonzero(np.any(np.diff(seen, axis=0), axis=1)).tolist():
-            (was, wanted, before), (gear, _, phase) = seen[row : row + 2].tolist()
+        states = np.vstack((self._last, rows[:, (Col.CURRENT_GEAR, Col.TARGET_GEAR, Col.SHIFT_PHASE)]))
+        for row in np.flatnonzero(np.any(np.diff(states, axis=0), axis=1)).tolist():
+            (was, wanted, before), (gear, _, phase) = states[row : row + 2].tolist()
             self._shift_count += was != gear == wanted and was > 0.0
-            for index, one in enumerate(self.faults if gear and phase != before else ()):
-                if one.shift == self._shift_count + 1 and phase == PhaseCode[one.phase.name]:
-                    self._start_ms[index] = first_ms + row + math.ceil(one.start_s * MS_PER_S)
-        self._last = seen[-1]
+            for index, fault in enumerate(self.faults if gear and phase != before else ()):
+                if fault.shift == self._shift_count + 1 and phase == PhaseCode[fault.phase.name]:
+                    self._start_ms[index] = first_ms + row + math.ceil(fault.start_s * MS_PER_S)
+        self._last = states[-1]
 
     def span_ms(self, index: int) -> tuple[float, float]:
         """Return begin and end [ms] of one of them; what is at the end is outside."""
@@ -316,7 +316,7 @@ class SensorSuite:
     Raises
     ------
     ConfigError
-        If a schedule names a quantity that no sensor measures, or a fault one that no schedule names.
+        If a fault names a quantity that no schedule does.
     """
 
     def __init__(
@@ -329,9 +329,6 @@ class SensorSuite:
         seed: int,
         faults: Sequence[SensorFault] = (),
     ) -> None:
-        unknown = {quantity for schedule in schedules for quantity in schedule.quantities} - QUANTITIES
-        if unknown:
-            raise EmulatorConfigError(f"no sensor measures {', '.join(sorted(unknown))}")
         self._schedules = tuple(schedules)
         self._installation = installation
         self._startup_s = startup_s

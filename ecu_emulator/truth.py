@@ -6,14 +6,13 @@ every completed shift, every rev of a workshop routine, and the totals.
 
 import json
 import math
-import os
-import stat
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, Self, TextIO
+from typing import Any, Final, Generic, NamedTuple, Self, TextIO, TypeVar
 
 import msgspec
 import numpy as np
@@ -26,10 +25,7 @@ from ecu_emulator.errors import RecordError
 from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control.tcu_data import CLOSED_REVS
 
-MAX_TRUTH_BYTES: Final = 64 * 2**20  # a shift or an event takes half a kilobyte
-ROTATED_BYTES: Final = 32 * 2**20  # of an endless drive, some days
-_DRIVE: Final = "drive"
-_TOTALS: Final = "totals"
+MAX_TRUTH_BYTES: Final = 512 * 2**20  # a shift or an event takes half a kilobyte
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,9 +175,10 @@ class TruthLog:
 
 
 Happened = ShiftTruth | RevTruth | EventTruth | TripTruth | ShudderTruth
-_KINDS: Final[Mapping[type[Happened], str]] = {
+_HAPPENED: Final[Mapping[type[Any], str]] = {
     ShiftTruth: "shift", RevTruth: "rev", EventTruth: "event", TripTruth: "trip", ShudderTruth: "shudder",
 }  # fmt: skip
+_KINDS: Final[Mapping[type[Any], str]] = {DriveTruth: "drive", Totals: "totals", **_HAPPENED}
 
 
 def known_at_s(truth: Happened) -> float:
@@ -196,9 +193,6 @@ class TruthWriter:
     ----------
     path
         The file.
-    most_bytes
-        From this size on a new file is begun, with the line of the drive at its head; the one before is kept with
-        ``.1`` behind its name, those before that are gone. None: one file, however long.
     place
         Where it is written instead, until somebody lets that take its place.
 
@@ -208,59 +202,25 @@ class TruthWriter:
         On construction or writing, if the file system refuses.
     """
 
-    def __init__(self, path: Path, *, most_bytes: int | None = None, place: Path | None = None) -> None:
-        self._path, self._place = path, place or path
-        self._drive: DriveTruth | None = None
-        self._open()
-        is_file = stat.S_ISREG(os.fstat(self._file.fileno()).st_mode)  # and no pipe or device, which must stay
-        self._most_bytes = math.inf if most_bytes is None or not is_file else most_bytes
-
-    def _open(self) -> None:
-        self._byte_count = 0
+    def __init__(self, path: Path, *, place: Path | None = None) -> None:
+        self._path = path
         try:
-            self._file: TextIO = self._place.open("w", encoding="utf-8")
+            self._file: TextIO = (place or path).open("w", encoding="utf-8")
         except OSError as exc:
-            raise RecordError(f"cannot write truth {self._path}: {exc.strerror}") from exc
+            raise RecordError(f"cannot write truth {path}: {exc.strerror}") from exc
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def drive(self, drive: DriveTruth) -> None:
-        self._drive = drive
-        self._line(_DRIVE, asdict(drive))
-
-    def write(self, truths: Iterable[Happened]) -> None:
-        """Write one line for each of what has happened."""
-        for truth in truths:
-            if self._byte_count >= self._most_bytes:
-                self._begin_anew()
-            self._line(_KINDS[type(truth)], asdict(truth))
-
-    def totals(self, totals: Totals) -> None:
-        self._line(_TOTALS, asdict(totals))
-
-    def close(self) -> None:
         self._file.close()
 
-    def _begin_anew(self) -> None:
-        self.close()
+    def write(self, *truths: Happened | DriveTruth | Totals) -> None:
+        """Write one line for each."""
         try:
-            self._path.replace(self._path.with_name(f"{self._path.name}.1"))
-        except OSError as exc:
-            raise RecordError(f"cannot write truth {self._path}: {exc.strerror}") from exc
-        self._open()
-        if self._drive is not None:
-            self.drive(self._drive)
-
-    def _line(self, kind: str, content: Mapping[str, object]) -> None:
-        line = json.dumps({"kind": kind, **content}) + "\n"
-        self._byte_count += len(line)
-        try:
-            self._file.write(line)
-            self._file.flush()
+            for truth in truths:
+                self._file.write(json.dumps({"kind": _KINDS[type(truth)], **asdict(truth)}) + "\n")
+                self._file.flush()
         except OSError as exc:
             with suppress(OSError):  # closing flushes once more what the disk has refused
                 self._file.close()
@@ -274,10 +234,10 @@ def truth_path(recording: Path) -> Path:
 
 def truth_log(drive: DriveTruth, truths: Iterable[Happened], totals: Totals | None) -> TruthLog:
     """Return the whole truth of a drive, sorted by what kind of thing happened."""
-    kept: dict[str, list[Any]] = {f"{kind}s": [] for kind in _KINDS.values()}
+    by_kind: dict[str, list[Any]] = {f"{kind}s": [] for kind in _HAPPENED.values()}
     for truth in truths:
-        kept[f"{_KINDS[type(truth)]}s"].append(truth)
-    return TruthLog(drive=drive, totals=totals, **{name: tuple(found) for name, found in kept.items()})
+        by_kind[f"{_HAPPENED[type(truth)]}s"].append(truth)
+    return TruthLog(drive=drive, totals=totals, **{name: tuple(records) for name, records in by_kind.items()})
 
 
 def read_truth(path: Path) -> TruthLog:
@@ -290,12 +250,11 @@ def read_truth(path: Path) -> TruthLog:
     """
     try:
         lines = [json.loads(line) for line in read_small_file(path, MAX_TRUTH_BYTES).decode("utf-8").splitlines()]
-        (drive,) = (line for line in lines if line["kind"] == _DRIVE)
+        (drive,) = (line for line in lines if line["kind"] == "drive")
         seeds = dict.fromkeys(("vehicle_seed", "drive_seed"), drive["seed"])  # older files have one for both
-        totals = [msgspec.convert(line, Totals) for line in lines if line["kind"] == _TOTALS]
-        happened = [
-            msgspec.convert(line, record) for record, kind in _KINDS.items() for line in lines if line["kind"] == kind
-        ]
+        totals = [msgspec.convert(line, Totals) for line in lines if line["kind"] == "totals"]
+        records = _HAPPENED.items()
+        happened = [msgspec.convert(line, record) for record, kind in records for line in lines if line["kind"] == kind]
         return truth_log(msgspec.convert({**seeds, **drive}, DriveTruth), happened, totals[0] if totals else None)
     except OSError as exc:
         raise RecordError(f"cannot read truth {path}: {exc.strerror or exc}") from exc
@@ -303,7 +262,6 @@ def read_truth(path: Path) -> TruthLog:
         raise RecordError(f"{path} is not a truth file: {exc}") from exc
 
 
-_NEUTRAL: Final = 0
 _TEMPERATURE: Final = (Col.CLUTCH1_TEMPERATURE, Col.CLUTCH2_TEMPERATURE)
 _MU_C: Final = (Col.MU_C1, Col.MU_C2)
 _MU_S: Final = (Col.MU_S1, Col.MU_S2)
@@ -315,44 +273,66 @@ _TORQUE: Final = (Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE)
 _DRAG: Final = (Col.VISCOUS1_TORQUE, Col.VISCOUS2_TORQUE)
 _SHAFT_SPEED: Final = (Col.INPUT1_SPEED, Col.INPUT2_SPEED)
 _STICK: Final = (Col.STICK1, Col.STICK2)
+TruthT = TypeVar("TruthT", ShiftTruth, RevTruth, EventTruth)
 
 
-class ShiftWatcher:
-    """Finds the completed shifts in plant rows, however these are cut into chunks."""
+class _SpanWatcher(ABC, Generic[TruthT]):
+    """Finds spans of plant rows, in which a label stays the same and is not 0, however the rows are cut into chunks."""
 
     def __init__(self) -> None:
-        self._open = np.empty((0, len(Col)))  # rows of the shift that has begun
+        self._span: list[FloatArray] = []  # rows of the span that has begun
+        self._label = 0.0
         self._count = 0
 
-    def feed(self, rows: FloatArray) -> list[ShiftTruth]:
-        """Return the shifts that end within these rows, shape (n, len(Col)), which follow those of the call before."""
-        rows = np.concatenate((self._open, rows))
+    def feed(self, rows: FloatArray) -> list[TruthT]:
+        """Return what ends within these rows, shape (n, len(Col)), which follow those of the call before."""
+        labels: FloatArray = self._labels(rows)
+        truths: list[TruthT] = []
+        edges = [*np.flatnonzero(np.diff(labels, prepend=math.nan)).tolist(), len(rows)]
+        for start, stop in pairwise(edges):
+            if self._span and labels[start] != self._label:
+                truths += self._ended(rows[start])
+            self._label = float(labels[start])
+            if self._label != 0.0:
+                self._span.append(rows[start:stop])
+        return truths
+
+    def finish(self) -> list[TruthT]:
+        """Return what the end of a trip cuts off, if that counts."""
+        return self._ended(self._span[-1][-1]) if self._span else []
+
+    def _ended(self, after: FloatArray) -> list[TruthT]:
+        truth = self._truth(self._count + 1, np.concatenate(self._span), after)
+        self._span = []
+        self._count += truth is not None
+        return [] if truth is None else [truth]
+
+    @abstractmethod
+    def _labels(self, rows: FloatArray) -> FloatArray:
+        """Return the label of each row, shape (n,)."""
+
+    @abstractmethod
+    def _truth(self, number: int, during: FloatArray, after: FloatArray) -> TruthT | None:
+        """Return the truth of a span by its rows, shape (n, len(Col)), and the row behind it; None if it is none."""
+
+
+class ShiftWatcher(_SpanWatcher[ShiftTruth]):
+    """Finds the completed shifts."""
+
+    def _labels(self, rows: FloatArray) -> FloatArray:
         current, target = rows[:, Col.CURRENT_GEAR], rows[:, Col.TARGET_GEAR]
-        is_shifting = (target != current) & (current != _NEUTRAL)
-        edges = np.flatnonzero(np.diff(is_shifting, prepend=False))
-        spans = zip(edges[::2], edges[1::2], strict=False)
-        shifts = [
-            self._shift(rows[start:stop], rows[stop])
-            for start, stop in spans
-            if current[stop] not in {_NEUTRAL, current[start]}
-        ]
-        self._open = rows[edges[-1] :] if edges.size % 2 else rows[:0]
-        return shifts
+        return np.where(current != 0.0, target != current, 0.0)
 
-    def finish(self) -> list[ShiftTruth]:
-        """Forget the shift that the end of a trip cuts off."""
-        self._open = self._open[:0]
-        return []
-
-    def _shift(self, during: FloatArray, after: FloatArray) -> ShiftTruth:
-        self._count += 1
-        to_gear = int(after[Col.CURRENT_GEAR])
+    def _truth(self, number: int, during: FloatArray, after: FloatArray) -> ShiftTruth | None:
+        from_gear, to_gear = int(during[0, Col.CURRENT_GEAR]), int(after[Col.CURRENT_GEAR])
+        if to_gear in {0, from_gear}:
+            return None
         index = clutch_of_gear(to_gear) - 1
         return ShiftTruth(
-            number=self._count,
+            number=number,
             t_start_s=round(float(during[0, Col.T_S]), 3),
             t_end_s=round(float(after[Col.T_S]), 3),
-            from_gear=int(during[0, Col.CURRENT_GEAR]),
+            from_gear=from_gear,
             to_gear=to_gear,
             clutch=index + 1,
             mu_c=float(during[-1, _MU_C[index]]),
@@ -361,120 +341,33 @@ class ShiftWatcher:
         )
 
 
-class RevWatcher:
-    """Finds the revs of the workshop routine in plant rows, however these are cut into chunks."""
+class RevWatcher(_SpanWatcher[RevTruth]):
+    """Finds the revs of the workshop routine."""
 
-    def __init__(self) -> None:
-        self._rev = 0.0  # number within its stage of the rev that has begun, 0 if none has
-        self._start_s = 0.0
-        self._is_closed = False
-        self._count = 0
+    def _labels(self, rows: FloatArray) -> FloatArray:
+        return rows[:, Col.REV]
 
-    def feed(self, rows: FloatArray) -> list[RevTruth]:
-        """Return the revs that end within these rows, shape (n, len(Col)), which follow those of the call before."""
-        revs = []
-        for row in rows[np.diff(rows[:, Col.REV], prepend=self._rev) != 0.0]:
-            t_s = round(float(row[Col.T_S]), 3)
-            if self._rev != 0.0:
-                self._count += 1
-                revs.append(
-                    RevTruth(
-                        number=self._count, t_start_s=self._start_s, t_end_s=t_s, are_clutches_closed=self._is_closed
-                    )
-                )
-            self._rev = float(row[Col.REV])
-            self._start_s = t_s
-            self._is_closed = bool(row[Col.ROUTINE] == CLOSED_REVS)
-        return revs
-
-    def finish(self) -> list[RevTruth]:
-        """Return nothing: a rev that is not over is none."""
-        return []
+    def _truth(self, number: int, during: FloatArray, after: FloatArray) -> RevTruth:
+        return RevTruth(
+            number=number,
+            t_start_s=round(float(during[0, Col.T_S]), 3),
+            t_end_s=round(float(after[Col.T_S]), 3),
+            are_clutches_closed=bool(during[0, Col.ROUTINE] == CLOSED_REVS),
+        )
 
 
-@dataclass(slots=True)
-class _Slip:
-    """What one clutch has done in the event that is running."""
+class EventWatcher(_SpanWatcher[EventTruth]):
+    """Finds the events of a drive on the road."""
 
-    peak_rad_s: float = 0.0
-    energy_j: float = 0.0
-    reslip_rad_s: float = 0.0
-    has_begun: bool = False
-    has_ended: bool = False
+    def _labels(self, rows: FloatArray) -> FloatArray:
+        return rows[:, Col.EVENT_NUMBER]
 
-    def feed(self, rows: FloatArray, clutch: int) -> None:
-        slip_rad_s = np.abs(rows[:, Col.HUB_SPEED] - rows[:, _SHAFT_SPEED[clutch]])
-        torque_nm = rows[:, _TORQUE[clutch]]
-        is_pressed = np.abs(torque_nm - rows[:, _DRAG[clutch]]) > PRESSED_NM
-        pressed_rad_s = np.where(is_pressed, slip_rad_s, 0.0)
-        self.peak_rad_s = max(self.peak_rad_s, float(pressed_rad_s.max()))
-        self.energy_j += float(np.abs(torque_nm) @ pressed_rad_s) * _ROW_S
-        self.reslip_rad_s = max(self.reslip_rad_s, float(self._slip_again(pressed_rad_s, is_pressed).max(initial=0.0)))
-
-    def _slip_again(self, pressed_rad_s: FloatArray, is_pressed: BoolArray) -> FloatArray:
-        """Return the slip from when it had begun and ended, none before that."""
-        start = 0
-        if not self.has_begun:
-            begun = pressed_rad_s > BEGUN_SLIP_RAD_S
-            self.has_begun = bool(begun.any())
-            start = int(begun.argmax()) if self.has_begun else len(begun)
-        if not self.has_ended:
-            ended = is_pressed[start:] & (pressed_rad_s[start:] < STOPPED_SLIP_RAD_S)
-            self.has_ended = bool(ended.any())
-            start += int(ended.argmax()) if self.has_ended else len(ended)
-        return pressed_rad_s[start:]
-
-
-@dataclass(slots=True)
-class _Running:
-    first: FloatArray  # its first row
-    last: FloatArray
-    slips: tuple[_Slip, _Slip] = field(default_factory=lambda: (_Slip(), _Slip()))
-
-    def feed(self, rows: FloatArray) -> None:
-        for clutch, slip in enumerate(self.slips):
-            slip.feed(rows, clutch)
-        self.last = rows[-1].copy()
-
-
-class EventWatcher:
-    """Finds the events in plant rows, however these are cut into chunks; memory does not grow with an event."""
-
-    def __init__(self) -> None:
-        self._running: _Running | None = None
-        self._count = 0
-
-    def feed(self, rows: FloatArray) -> list[EventTruth]:
-        """Return the events that end within these rows, shape (n, len(Col)), which follow those of the call before."""
-        if not len(rows):
-            return []
-        numbers = rows[:, Col.EVENT_NUMBER]
-        edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(rows)]
-        ended = []
-        for start, stop in pairwise(edges):
-            stretch = rows[start:stop]
-            if self._running is not None and self._running.first[Col.EVENT_NUMBER] != stretch[0, Col.EVENT_NUMBER]:
-                ended.append(self._finished(self._running, stretch[0]))
-                self._running = None
-            if stretch[0, Col.EVENT_NUMBER] == 0.0:
-                continue
-            if self._running is None:
-                self._running = _Running(first=stretch[0].copy(), last=stretch[-1])
-            self._running.feed(stretch)
-        return ended
-
-    def finish(self) -> list[EventTruth]:
-        """Return the event that a trip's end cuts off, if there is one."""
-        running, self._running = self._running, None
-        return [] if running is None else [self._finished(running, running.last)]
-
-    def _finished(self, running: _Running, after: FloatArray) -> EventTruth:
-        self._count += 1
-        first, last, slips = running.first, running.last, running.slips
+    def _truth(self, number: int, during: FloatArray, after: FloatArray) -> EventTruth:
+        first, last, slips = during[0], during[-1], (_slip(during, 0), _slip(during, 1))
         to_gear = int(after[Col.CURRENT_GEAR])
         index = int(slips[1].energy_j > slips[0].energy_j)
         return EventTruth(
-            number=self._count,
+            number=number,
             event=ManoeuvreKind(int(last[Col.EVENT_KIND])).name.lower(),
             t_start_s=round(float(first[Col.T_S]), 3),
             t_end_s=round(float(after[Col.T_S]), 3),
@@ -493,6 +386,33 @@ class EventWatcher:
             clutch_end_temperature_k=float(last[_TEMPERATURE[index]]),
             oil_temperature_k=float(first[Col.SUMP_TEMPERATURE]),
         )
+
+
+class _Slip(NamedTuple):
+    """What one clutch does in an event."""
+
+    peak_rad_s: float
+    energy_j: float
+    reslip_rad_s: float  # largest slip after it had begun and ended
+
+
+def _slip(rows: FloatArray, clutch: int) -> _Slip:
+    slip_rad_s = np.abs(rows[:, Col.HUB_SPEED] - rows[:, _SHAFT_SPEED[clutch]])
+    torque_nm = rows[:, _TORQUE[clutch]]
+    is_pressed = np.abs(torque_nm - rows[:, _DRAG[clutch]]) > PRESSED_NM
+    pressed_rad_s = np.where(is_pressed, slip_rad_s, 0.0)
+    begin = _first(pressed_rad_s > BEGUN_SLIP_RAD_S)
+    end = begin + _first(is_pressed[begin:] & (pressed_rad_s[begin:] < STOPPED_SLIP_RAD_S))
+    return _Slip(
+        peak_rad_s=float(pressed_rad_s.max()),
+        energy_j=float(np.abs(torque_nm) @ pressed_rad_s) * _ROW_S,
+        reslip_rad_s=float(pressed_rad_s[end:].max(initial=0.0)),
+    )
+
+
+def _first(flags: BoolArray) -> int:
+    """Return the place of the first flag that is set, the number of flags if none is."""
+    return int(flags.argmax()) if flags.any() else len(flags)
 
 
 def _is_locked(row: FloatArray, clutch: int) -> bool:

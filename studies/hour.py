@@ -11,12 +11,11 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
-
-import numpy as np
 
 from canlog.frames import FrameBatch, join
 from canlog.logs import read_log
@@ -26,16 +25,14 @@ from diag_service.batch.tables import Entry
 from diag_service.batch.worker import Analyst
 from diag_service.settings.config import DiagnosisConfig
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.log_formats import BlfWriter, CandumpWriter, FrameWriter, LogHeader
+from ecu_emulator.log_formats import open_log
 from studies import bars
 from studies.builders import new_decoder, new_stages
 from studies.run import machine, parsed, study_parser, took_s
 
-NS_PER_US: Final = 1_000
 NS_PER_S: Final = 1_000_000_000
 HOUR_NS: Final = 3600 * NS_PER_S
-PAUSE_NS: Final = 2 * NS_PER_S  # bus time stands still between the drives: each is a segment of its own
-FORMATS: Final[dict[str, type[FrameWriter]]] = {"candump": CandumpWriter, "BLF": BlfWriter}
+PAUSE_S: Final = 2.0  # bus time stands still between the drives: each is a segment of its own
 SUFFIXES: Final = {"candump": ".log", "BLF": ".blf"}
 
 
@@ -47,20 +44,17 @@ def record_drive(folder: Path, *options: str) -> FrameBatch:
     return join(list(read_log(path)))
 
 
-def write_hour(drive: FrameBatch, count: int, path: Path, kind: type[FrameWriter]) -> float:
+def write_hour(drive: FrameBatch, count: int, path: Path) -> float:
     """Write ``count`` frames of the drive, over and over; return how much bus time that is [s]."""
-    first_us = last_us = int(drive.t_ns[0]) // NS_PER_US
-    round_us = (int(drive.t_ns[-1] - drive.t_ns[0]) + PAUSE_NS) // NS_PER_US
-    frames = EncodedFrames(t_s=np.zeros(len(drive)), can_id=drive.can_id, length=drive.length, data=drive.data)
-    with path.open("wb") as file:
-        writer = kind(file, LogHeader(start_us=first_us, channel="vcan0"))
+    t_s, last_s = (drive.t_ns - drive.t_ns[0]) / NS_PER_S, 0.0
+    frames = EncodedFrames(t_s=t_s, can_id=drive.can_id, length=drive.length, data=drive.data)
+    with open_log(path, start_ns=int(drive.t_ns[0])) as log:
         for first in range(0, count, len(drive)):
-            part = slice(0, min(len(drive), count - first))
-            times_us = drive.t_ns[part] // NS_PER_US + first // len(drive) * round_us
-            writer.write(times_us, frames[part])
-            last_us = int(times_us[-1])
-        writer.close()
-    return (last_us - first_us) / 1e6
+            later_s = first // len(drive) * (t_s[-1] + PAUSE_S)
+            part = frames[: count - first]
+            log.write(replace(part, t_s=part.t_s + later_s))
+            last_s = float(part.t_s[-1] + later_s)
+    return last_s
 
 
 def decode(log: Path) -> None:
@@ -111,10 +105,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(machine())
     with TemporaryDirectory() as name:
         drive = record_drive(Path(name), "--drive", options.drive)
-        count = options.frames or int(len(drive) * HOUR_NS / (drive.t_ns[-1] - drive.t_ns[0] + PAUSE_NS))
-        for shown, kind in FORMATS.items():
-            log = Path(name) / f"hour{SUFFIXES[shown]}"
-            bus_s = write_hour(drive, count, log, kind)
+        count = options.frames or int(len(drive) * HOUR_NS / (drive.t_ns[-1] - drive.t_ns[0] + PAUSE_S * NS_PER_S))
+        for shown, suffix in SUFFIXES.items():
+            log = Path(name) / f"hour{suffix}"
+            bus_s = write_hour(drive, count, log)
             print(f"{count:,} frames of {options.drive}, {bus_s:.0f} s of bus")
             report(shown, log, options.rounds, bus_s)
 

@@ -34,7 +34,7 @@ from studies.wide_bus import database, frames, write_database, write_log
 FRAMES: Final = 2_000_000
 ROUNDS: Final = 3
 FILE_HEADER_BYTES: Final = 144  # of a BLF file
-SUFFIXES: Final = (".log", ".blf", ".asc", ".mf4")
+SUFFIXES: Final = (".log", ".blf", ".mf4")
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,11 @@ def rows(folder: Path, count: int) -> list[ReaderRow]:
     """Return what is measured, on logs that are written into the folder; databases are loaded before."""
     recorded = frames(count)
     logs = {suffix: write_log(folder / f"drive{suffix}", recorded) for suffix in SUFFIXES}
-    text, blf_log, asc, mf4 = (logs[suffix] for suffix in SUFFIXES)
+    text, blf_log, mf4 = (logs[suffix] for suffix in SUFFIXES)
+    asc = folder / "drive.asc"
+    with can.LogReader(text) as reader, can.ASCWriter(asc) as writer:
+        for message in reader:
+            writer.on_message_received(message)
     dbc = write_database(folder / "bus.dbc")
     decoder, decode = new_codec(), database().decode_message
     of_text = Contender("python-can + cantools", lambda: python_can_and_cantools(text, decode))

@@ -194,43 +194,43 @@ class _Injector:
         return self._contracts[can_id].data_id or 0
 
     def _counted_from_zero(self, frames: EncodedFrames, rows: Rows) -> EncodedFrames:
-        for can_id, own in self._by_message(frames, rows):
-            counter = counters(frames, own)
+        for can_id, affected in self._by_message(frames, rows):
+            counter = counters(frames, affected)
             base = self._memory.setdefault(can_id, int(counter[0]))
-            frames = recounted(frames, own, self._data_id(can_id), counter - base)
+            frames = recounted(frames, affected, self._data_id(can_id), counter - base)
         return frames
 
     def stuck(self, frames: EncodedFrames, rows: Rows) -> EncodedFrames:
         """Return the frames, those in ``rows`` with the counter of the first one."""
-        for can_id, own in self._by_message(frames, rows):
+        for can_id, affected in self._by_message(frames, rows):
             if can_id not in self._memory:
-                self._memory[can_id] = int(counters(frames, own[:1])[0])
+                self._memory[can_id] = int(counters(frames, affected[:1])[0])
                 self.count -= 1  # the first one is as it should be
-            counter = np.full(len(own), self._memory[can_id])
-            frames = recounted(frames, own, self._data_id(can_id), counter)
+            counter = np.full(len(affected), self._memory[can_id])
+            frames = recounted(frames, affected, self._data_id(can_id), counter)
         return frames
 
     def skipping(self, frames: EncodedFrames, rows: Rows) -> EncodedFrames:
         """Return the frames, the counters of those in ``rows`` ahead by as many as asked for."""
-        for can_id, own in self._by_message(frames, rows):
-            counter = counters(frames, own) + self._fault.skip
-            frames = recounted(frames, own, self._data_id(can_id), counter)
+        for can_id, affected in self._by_message(frames, rows):
+            counter = counters(frames, affected) + self._fault.skip
+            frames = recounted(frames, affected, self._data_id(can_id), counter)
         return frames
 
     def spoofed(self, frames: EncodedFrames, rows: Rows) -> EncodedFrames:
         """Return the frames and those of a second sender, one for each in ``rows``, which repeats what it once saw."""
         spoofed = frames
-        for can_id, own in self._by_message(frames, rows):
-            pattern = self._payload.setdefault(can_id, frames[int(own[0]) : int(own[0]) + 1])
+        for can_id, affected in self._by_message(frames, rows):
+            pattern = self._payload.setdefault(can_id, frames[int(affected[0]) : int(affected[0]) + 1])
             sent = self._memory.get(can_id, 0)
-            self._memory[can_id] = sent + len(own)
+            self._memory[can_id] = sent + len(affected)
             copies = replace(
-                frames[own],
-                t_s=frames.t_s[own] + SPOOF_CYCLES * self._contracts[can_id].cycle_ms / MS_PER_S,
-                data=np.repeat(pattern.data, len(own), axis=0),
+                frames[affected],
+                t_s=frames.t_s[affected] + SPOOF_CYCLES * self._contracts[can_id].cycle_ms / MS_PER_S,
+                data=np.repeat(pattern.data, len(affected), axis=0),
             )
-            numbers = sent + np.arange(len(own))
-            spoofed = joined(spoofed, recounted(copies, np.arange(len(own)), self._data_id(can_id), numbers))
+            numbers = sent + np.arange(len(affected))
+            spoofed = joined(spoofed, recounted(copies, np.arange(len(affected)), self._data_id(can_id), numbers))
         return spoofed
 
     def delayed(self, frames: EncodedFrames, rows: Rows) -> EncodedFrames:
@@ -238,10 +238,10 @@ class _Injector:
         by_s = self._fault.delay_s + self._fault.jitter_s * self._random.random(len(rows))
         late = postponed(frames, rows, by_s)
         targets = np.flatnonzero(np.isin(frames.can_id, self._targets))
-        for can_id, own in self._by_message(frames, targets):
-            queued_s = np.maximum.accumulate(late.t_s[own])
-            late.t_s[own] = np.maximum(queued_s, self._latest_s.get(can_id, -np.inf))
-            self._latest_s[can_id] = float(late.t_s[own[-1]])
+        for can_id, affected in self._by_message(frames, targets):
+            queued_s = np.maximum.accumulate(late.t_s[affected])
+            late.t_s[affected] = np.maximum(queued_s, self._latest_s.get(can_id, -np.inf))
+            self._latest_s[can_id] = float(late.t_s[affected[-1]])
         return late
 
     def _crowded(self, frames: EncodedFrames, start_s: float, until_s: float) -> EncodedFrames:

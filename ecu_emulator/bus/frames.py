@@ -103,13 +103,10 @@ class _SignalCode:
     raw_limits: tuple[float, float]
     not_available: int
 
-    def raw(self, si: FloatArray) -> tuple[UInt64Array, int]:
-        """Return the raw values and how many of them saturated; NaN becomes the code for not available."""
+    def raw(self, si: FloatArray) -> UInt64Array:
+        """Return the raw values, limited to their range; NaN becomes the code for not available."""
         steps = np.rint((self.from_si(si) - self.offset) / self.scale)
-        limited = np.clip(steps, *self.raw_limits)
-        is_missing = np.isnan(steps)
-        saturated = int(np.count_nonzero((limited != steps) & ~is_missing))
-        return np.where(is_missing, self.not_available, limited).astype(np.uint64), saturated
+        return np.where(np.isnan(steps), self.not_available, np.clip(steps, *self.raw_limits)).astype(np.uint64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,67 +121,40 @@ class FrameEncoder:
 
     def __init__(self, database: Database) -> None:
         self._codes = {message.name: _message_code(message) for message in database.messages}
-        self._sent = dict.fromkeys(self._codes, 0)
-        self._counted_from = dict(self._sent)
-        self._saturated: dict[str, int] = {}
-
-    @property
-    def saturated(self) -> Mapping[str, int]:
-        """How many values did not fit their signal and were limited, by quantity; as a real controller does it."""
-        return dict(self._saturated)
-
-    @property
-    def sent(self) -> Mapping[str, int]:
-        """How many frames were written, by message."""
-        return dict(self._sent)
+        self._next_counter = dict.fromkeys(self._codes, 0)
 
     def restart(self) -> None:
         """Let the alive counters begin at 0, as after the ignition was off."""
-        self._counted_from = dict(self._sent)
+        self._next_counter = dict.fromkeys(self._codes, 0)
 
     def quantities(self, message: str) -> tuple[str, ...]:
         """Return the names of the quantities that a message carries."""
         return tuple(signal.quantity for signal in self._codes[message].signals)
 
     def encode(self, readings: Readings) -> EncodedFrames:
-        """Return the frames of one message, one per reading.
-
-        Raises ValueError if the message is unknown or the quantities are not those that it carries.
-
-        Parameters
-        ----------
-        readings : Readings
-            Exactly the quantities that ``quantities`` names, in SI units; NaN says not available.
-        """
-        code = self._codes.get(readings.message)
-        if code is None:
-            raise ValueError(f"{readings.message} is not a message of the wire contract")
-        if readings.values.keys() != set(self.quantities(readings.message)):
-            odd = sorted(readings.values.keys() ^ set(self.quantities(readings.message)))
-            raise ValueError(f"{readings.message} does not carry, or lacks: {', '.join(odd)}")
+        """Return the frames of one message, one per reading of all quantities it carries [SI]; NaN: not available."""
+        code = self._codes[readings.message]
         count = len(readings.t_s)
-        counter = self._sent[readings.message] - self._counted_from[readings.message] + np.arange(count)
-        self._sent[readings.message] += count
+        counter = self._next_counter[readings.message] + np.arange(count)
+        self._next_counter[readings.message] += count
         return EncodedFrames(
             t_s=np.asarray(readings.t_s, np.float64),
             can_id=np.full(count, code.can_id, np.uint32),
             length=np.full(count, PAYLOAD_BYTES, np.uint8),
-            data=protect(self._pack(code, readings), code.data_id, counter),
+            data=protect(_payloads(code, readings), code.data_id, counter),
         )
 
     def encode_all(self, readings: Iterable[Readings]) -> EncodedFrames:
         """Return the frames of several messages in the order of transmission."""
         return merge([self.encode(of_message) for of_message in readings])
 
-    def _pack(self, code: _MessageCode, readings: Readings) -> UInt8Array:
-        """Return payloads with all signals in place, shape (n, 8)."""
-        word = np.zeros(len(readings.t_s), np.uint64)
-        for signal in code.signals:
-            raw, saturated = signal.raw(readings.values[signal.quantity])
-            word |= raw << np.uint64(signal.start_bit)
-            if saturated:
-                self._saturated[signal.quantity] = self._saturated.get(signal.quantity, 0) + saturated
-        return word.astype("<u8").view(np.uint8).reshape(-1, PAYLOAD_BYTES)
+
+def _payloads(code: _MessageCode, readings: Readings) -> UInt8Array:
+    """Return payloads with all signals in place, shape (n, 8)."""
+    word = np.zeros(len(readings.t_s), np.uint64)
+    for signal in code.signals:
+        word |= signal.raw(readings.values[signal.quantity]) << np.uint64(signal.start_bit)
+    return word.astype("<u8").view(np.uint8).reshape(-1, PAYLOAD_BYTES)
 
 
 _NO_FRAMES: Final = EncodedFrames(
@@ -213,25 +183,19 @@ def merge(parts: Sequence[EncodedFrames]) -> EncodedFrames:
 
 def _message_code(message: Message) -> _MessageCode:
     contract = message_contract(message)
-    if contract.data_id is None or message.length != PAYLOAD_BYTES:
-        raise ValueError(f"{message.name} is not a protected message of {PAYLOAD_BYTES} bytes")
     signals = (message.get_signal_by_name(name) for name in contract.signals)
-    return _MessageCode(contract.can_id, contract.data_id, tuple(_signal_code(signal) for signal in signals))
+    return _MessageCode(contract.can_id, contract.data_id or 0, tuple(_signal_code(signal) for signal in signals))
 
 
 def _signal_code(signal: Signal) -> _SignalCode:
     """Compile one signal: unsigned, little-endian, its highest raw value says not available."""
-    if signal.byte_order != "little_endian" or signal.is_signed or signal.conversion.is_float:
-        raise ValueError(f"{signal.name} is not an unsigned little-endian integer")
-    if signal.minimum is None or signal.maximum is None:
-        raise ValueError(f"{signal.name} has no range")
-    limits = [round((physical - signal.offset) / signal.scale) for physical in (signal.minimum, signal.maximum)]
+    low, high = (float(physical or 0.0) for physical in (signal.minimum, signal.maximum))
     return _SignalCode(
         quantity=_QUANTITY_OF[signal.name],
         start_bit=signal.start,
         from_si=UNITS[signal.unit or ""][0],
         scale=signal.scale,
         offset=signal.offset,
-        raw_limits=(limits[0], limits[1]),
+        raw_limits=(round((low - signal.offset) / signal.scale), round((high - signal.offset) / signal.scale)),
         not_available=2**signal.length - 1,
     )

@@ -1,9 +1,7 @@
 """Frames onto a bus in real time: absolute deadlines, measured lateness, nothing lost in silence."""
 
 import errno
-import os
 import queue
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -14,8 +12,10 @@ from typing import Any, Final, Protocol
 import can
 import numpy as np
 
+from canlog.errors import SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG
 from canlog.live import opening
+from canlog.live.socketcan import RECEIVE_BUFFER_BYTES, open_socket
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.errors import BusError
 
@@ -308,39 +308,18 @@ def open_bus(
     """
     name = " ".join(part for part in (interface, channel) if part) or "from the configuration"
     try:
-        if interface == "socketcan" and channel:
-            probe_socketcan(channel)
+        if interface == "socketcan" and channel:  # where it fails python-can would leave a socket open
+            open_socket(channel, fd=fd, receive_buffer_bytes=RECEIVE_BUFFER_BYTES).close()
         return opening.open_bus(interface, channel, bitrate, fd=fd, options=options)
     except can.CanInterfaceNotImplementedError as exc:
         if interface is None:
             raise BusError("no CAN interface given: use -i and -c, CAN_INTERFACE and CAN_CHANNEL, or can.conf") from exc
         raise BusError(f"CAN interface {interface}: {exc}") from exc
+    except SourceError as exc:
+        raise BusError(str(exc)) from exc
     except (can.CanError, OSError, ValueError, TypeError, ImportError, RuntimeError) as exc:
-        raise BusError(f"CAN bus {name} cannot be opened: {advice(exc, channel)}") from exc
-
-
-def probe_socketcan(channel: str) -> None:
-    """Find out what is wrong with an interface before python-can does, which would leave a socket open.
-
-    Raises OSError if this kernel has no CAN, or the interface is not there, not CAN, or down.
-    """
-    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as raw:
-        raw.bind((channel,))
-        if failure := raw.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
-            raise OSError(failure, os.strerror(failure))
-
-
-def advice(error: BaseException, channel: str | None) -> str:
-    """Return what went wrong and, where it is known, what to do about it."""
-    match error_number(error):
-        case errno.EAFNOSUPPORT | errno.EPROTONOSUPPORT:
-            return "this kernel has no CAN sockets (modprobe can-raw); try -i udp_multicast -c 239.74.163.2"
-        case errno.ENODEV:
-            return f"no such interface (ip link add {channel} type vcan; ip link set {channel} up)"
-        case errno.ENETDOWN:
-            return f"it is down (ip link set {channel} up)"
-        case _:
-            return " ".join(str(error).split()) or type(error).__name__
+        reason = " ".join(str(exc).split()) or type(exc).__name__
+        raise BusError(f"CAN bus {name} cannot be opened: {reason}") from exc
 
 
 def error_number(error: BaseException | None) -> int | None:

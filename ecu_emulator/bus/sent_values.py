@@ -80,8 +80,8 @@ class SentValues:
     def note(self, can_id: int, payload: bytes, due_s: float = 0.0) -> None:
         """Take a frame that goes out, and when it was due [s]."""
         if self._now_s is None:
-            for one in self._others.values():
-                one.due_s, one.heard_s = due_s, self._clock()
+            for sender in self._others.values():
+                sender.due_s, sender.heard_s = due_s, self._clock()
         self._now_s = max(self._now_s or due_s, due_s)
         other = self._others.get(can_id)
         if other is not None:
@@ -114,11 +114,11 @@ class SentValues:
     @property
     def silences(self) -> dict[str, float]:
         """Of every other controller whether it has fallen silent, 1 or 0: any message that it has ever sent counts."""
-        late, found = self._late, dict[str, float]()
+        late, silences = self._late, dict[str, float]()
         for node in {other.node for other in self._others.values()}:
-            own = {can_id for can_id, other in self._others.items() if other.node == node}
-            found[f"{SILENCE}{node}"] = float(bool(late & (own & self._payloads.keys() or own)))
-        return found
+            of_node = {can_id for can_id, other in self._others.items() if other.node == node}
+            silences[f"{SILENCE}{node}"] = float(bool(late & (of_node & self._payloads.keys() or of_node)))
+        return silences
 
     @property
     def _late(self) -> set[int]:

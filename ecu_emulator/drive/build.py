@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 from typing import Any, Final, Self, TypeVar
 
@@ -84,15 +84,15 @@ class CausedChanges:
     def calibration(self, sound: Calibration) -> Calibration:
         """Return clutches and fluid as they are with these causes."""
         clutches = sound.clutches
-        for number, (clutch, own) in enumerate(zip(sound.clutches, self.each, strict=True), start=1):
-            factors = {name: _ratio(own, change) for name, change in _OF_CLUTCH.items()}
-            preload_n = {"piston.spring_preload_n": own.get("spring_preload_n", 0.0)}
+        for number, (clutch, changes) in enumerate(zip(sound.clutches, self.each, strict=True), start=1):
+            factors = {name: _ratio(changes, change) for name, change in _OF_CLUTCH.items()}
+            preload_n = {"piston.spring_preload_n": changes.get("spring_preload_n", 0.0)}
             clutches = with_clutch(clutches, number, changed(clutch, factors, preload_n))
         return changed(replace(sound, clutches=clutches), {"viscosity.a_pa_s": _ratio(self.both, "viscosity")})
 
     def parameters(self, sound: PlantParameters) -> PlantParameters:
         """Return what is around the clutches."""
-        drags = (size * _ratio(own, "open_drag") for size, own in zip(sound.open_drags, self.each, strict=True))
+        drags = (size * _ratio(changes, "open_drag") for size, changes in zip(sound.open_drags, self.each, strict=True))
         erratic_ratio = math.hypot(sound.lining.erratic_ratio, self.both.get("erratic", 0.0))
         return replace(
             changed(sound, {name: _ratio(self.both, change) for name, change in _OF_PLANT.items()}),
@@ -103,12 +103,14 @@ class CausedChanges:
     def sensors(self, sound: Sensors) -> Sensors:
         """Return how the sensors err."""
         drifted = dict(sound)
-        errors = {f"{clutch}_pressure_pa": (own, "pressure") for clutch, own in zip(_EACH, self.each, strict=True)}
+        errors = {
+            f"{clutch}_pressure_pa": (changes, "pressure") for clutch, changes in zip(_EACH, self.each, strict=True)
+        }
         errors |= {"lockup_pressure_pa": (self.each[0], "pressure"), "engine_torque_nm": (self.both, "torque")}
-        for quantity, (own, name) in errors.items():
-            zero = own.get(f"{name}_zero_{'pa' if name == 'pressure' else 'nm'}", 0.0)
+        for quantity, (changes, name) in errors.items():
+            zero = changes.get(f"{name}_zero_{'pa' if name == 'pressure' else 'nm'}", 0.0)
             drifted[quantity] = changed(
-                drifted[quantity], {"gain_ratio": _ratio(own, f"{name}_gain")}, {"offset": zero}
+                drifted[quantity], {"gain_ratio": _ratio(changes, f"{name}_gain")}, {"offset": zero}
             )
         return drifted
 
@@ -118,8 +120,8 @@ def _drawn(cause: Degradation, seed: int) -> tuple[int, dict[str, float]]:
     rng = generator(seed, f"cause {cause.kind}")
     clutch, sign = int(rng.integers(1, 3)), float(rng.choice((-1.0, 1.0)))
     common = float(rng.standard_normal())
-    own = rng.standard_normal(len(PER_STRENGTH[cause.kind]))
-    factors: Sequence[float] = np.exp(SCATTER_LOG * (0.5 * common + 0.75 * own)).tolist()
+    single = rng.standard_normal(len(PER_STRENGTH[cause.kind]))
+    factors: Sequence[float] = np.exp(SCATTER_LOG * (0.5 * common + 0.75 * single)).tolist()
     sign = sign if cause.kind in EITHER_WAY else 1.0
     sizes = PER_STRENGTH[cause.kind].items()
     drawn = {name: sign * size * factor for (name, size), factor in zip(sizes, factors, strict=True)}
@@ -149,7 +151,7 @@ def changed(record: RecordT, times: Mapping[str, float], plus: Mapping[str, floa
 
 _FRESH: Final = (1.0, 1.0)
 _MEASURED_PACKS: Final = {**{f"{name}_pressure_pa": name for name in _EACH}, "lockup_pressure_pa": "clutch1"}
-TOLD_SLIPS_RPM: Final = (10, 20, 40, 60, 100, 200)
+TRUTH_SLIPS_RPM: Final = (10, 20, 40, 60, 100, 200)
 _PER_CLUTCH: Final = frozenset({"piston_area_ratio", "touch_pressure_pa", "pressure_zero_pa"})
 _DELAYED_UNITS: Final = frozenset({"rad_s"})  # the speeds that torque and pressure are compared with
 
@@ -262,9 +264,10 @@ def build_vehicle(scenario: Scenario) -> BuiltVehicle:
 def _draw(scatter: ProductionScatter, seed: int, *, has_converter: bool) -> dict[str, float]:
     """Draw every deviation from a generator of its own, so that one more does not change the others."""
     drawn: dict[str, float] = {}
-    for name in (one.name for one in fields(scatter) if has_converter or not one.name.startswith("converter")):
+    for name, std in asdict(scatter).items():
+        if name.startswith("converter") and not has_converter:
+            continue
         keys = [f"{clutch}_{name}" for clutch in _EACH] if name in _PER_CLUTCH else [name]
-        std = getattr(scatter, name)
         drawn |= {key: 0.0 + std * float(generator(seed, f"scatter {key}").standard_normal()) for key in keys}
     return drawn
 
@@ -424,7 +427,7 @@ def drive_truth(scenario: Scenario, vehicle: BuiltVehicle) -> DriveTruth:
 def _mu_at_slip_rpm(calibration: Calibration) -> dict[int, float]:
     """Return the friction of a lock-up clutch at the slips in which it is driven, as the drive begins."""
     law = friction_law(calibration.clutches[0].friction)
-    return {rpm: float(kinetic_friction(float(rad_s_from_rpm(rpm)), law)) for rpm in TOLD_SLIPS_RPM}
+    return {rpm: float(kinetic_friction(float(rad_s_from_rpm(rpm)), law)) for rpm in TRUTH_SLIPS_RPM}
 
 
 def journey(

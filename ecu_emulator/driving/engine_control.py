@@ -8,6 +8,8 @@ from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.indices import DrivelineState, EngineMode
 from ecu_emulator.driving.laws import DrivingLaw, asked_force_n, idle_rad_s, overrun_nm, pulls_on_wheels
 from ecu_emulator.plant.driveline import (
+    CYCLE_RAD,
+    FLOW_SHARPNESS,
     EngineParameters,
     cylinder_air_kg_rad,
     engine_losses_nm,
@@ -15,8 +17,6 @@ from ecu_emulator.plant.driveline import (
 )
 from ecu_emulator.shift_control import tcu_data
 
-_CYCLE_RAD = 4.0 * math.pi
-_SHARPNESS = 9.0  # as in the plant's throttle flow
 _INTEGRAL_LOW_NM = -10.0
 _INTEGRAL_HIGH_NM = 80.0
 _NEAR_IDLE_RAD_S = 30.0
@@ -48,7 +48,7 @@ def wished_torque_nm(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> 
 @part
 def throttle_for_air(air_kg_rad: float, manifold_pa: float, engine_rad_s: float, p: EngineParameters) -> float:
     """Return the throttle 0..1 that holds an air charge [kg/rad] at a manifold pressure, in the steady state."""
-    share = 1.0 - math.exp(_SHARPNESS * (min(manifold_pa / p.ambient_pressure_pa, 0.999) - 1.0))
+    share = 1.0 - math.exp(FLOW_SHARPNESS * (min(manifold_pa / p.ambient_pressure_pa, 0.999) - 1.0))
     opening = air_kg_rad * engine_rad_s / (p.max_air_flow_kg_s * share)
     angle_rad = math.acos(min(max(1.0 - opening, 0.0), 1.0))
     return min(max((angle_rad - p.closed_throttle_rad) / (0.5 * math.pi - p.closed_throttle_rad), 0.0), 1.0)
@@ -59,7 +59,7 @@ def set_air(commands: FloatArray, sense: FloatArray, torque_nm: float, spark: fl
     """Slow path: the throttle at which the engine settles at a torque, its spark at this factor."""
     engine, air_k = law.drive.plant.engine, law.drive.plant.air_k
     speed_rad_s = max(sense[tcu_data.ENGINE_SPEED], 20.0)
-    pumping_nm_pa = engine.displacement_m3 / _CYCLE_RAD
+    pumping_nm_pa = engine.displacement_m3 / CYCLE_RAD
     air_per_pa = cylinder_air_kg_rad(1.0, air_k, engine)
     friction_nm = engine.friction_nm + engine.friction_nms_rad * speed_rad_s
     needed_nm = torque_nm + friction_nm + pumping_nm_pa * engine.ambient_pressure_pa

@@ -5,7 +5,7 @@ Warm parts cool down while the car is parked; clocks go on.
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from functools import partial
 from itertools import count
 from types import MappingProxyType
@@ -37,8 +37,7 @@ from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters
 from ecu_emulator.plant.powertrain import drive_law
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario import DriveName
-from ecu_emulator.scenario.faults import generator
-from ecu_emulator.scenario.scenario import CheckedRecord, ranged
+from ecu_emulator.scenario.faults import CheckedRecord, generator, ranged
 from ecu_emulator.shift_control import tcu_data
 
 _WHIM_COUNT = 1021  # prime: no pattern of events meets the same whims again and again
@@ -173,9 +172,8 @@ def _whims(ratio: float, rng: np.random.Generator) -> FloatArray:
 
 def _initial_machine(law: DrivingLaw, conditions: DriveConditions, *, is_audited: bool) -> Machine:
     """Return a car that stands on its brakes, the engine idling, both clutches open, gears 1 and 2 engaged."""
-    factors = conditions.friction_factors
     cycles = np.zeros((1, tcu_data.CYCLE_COLUMN_COUNT))
-    cycles[0, tcu_data.CYCLE_MU : tcu_data.CYCLE_UP] = (factors.mu_c1, factors.mu_s1, factors.mu_c2, factors.mu_s2)
+    cycles[0, tcu_data.CYCLE_MU : tcu_data.CYCLE_UP] = astuple(conditions.friction_factors)
     machine = idle_machine(
         cycles,
         law.drive.plant,

@@ -18,7 +18,15 @@ from ecu_emulator.driving.indices import DrivelineState, EngineMode
 from ecu_emulator.driving.laws import DrivingLaw, overrun_nm, pedal_for_force, pulls_on_wheels
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.driveline import ENGAGED, road_load_n
-from ecu_emulator.plant.loop import Machine, advance, hold_car, obey, record_control, record_plant, sense_plant
+from ecu_emulator.plant.loop import (
+    Machine,
+    advance,
+    apply_commands,
+    hold_car,
+    record_control,
+    record_plant,
+    sense_plant,
+)
 from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control import tcu_data
 
@@ -48,7 +56,7 @@ def sense_drive(machine: Machine, road: Road, law: DrivingLaw) -> None:
     sense[indices.TURBINE_TORQUE] = machine.work.slope1[at.T_TURBINE]
     sense[indices.IMPELLER_TORQUE] = machine.work.slope1[at.T_IMPELLER]
     sense[indices.GEAR_RATIO] = y[at.GEAR_RATIO]
-    sense[indices.GRADE] = seen(road.grades, machine.clock[0] * tcu_data.PERIOD_S)
+    sense[indices.GRADE] = trace_value(road.grades, machine.clock[0] * tcu_data.PERIOD_S)
 
 
 @part
@@ -61,10 +69,10 @@ def warm(machine: Machine, law: DrivingLaw) -> None:
 
 
 @part
-def obey_drive(machine: Machine, law: DrivingLaw) -> None:
+def apply_drive_commands(machine: Machine, law: DrivingLaw) -> None:
     """Turn the commands into inputs of the plant."""
     u, coolant_k = machine.u, machine.u[at.COOLANT]
-    obey(machine, law.drive)
+    apply_commands(machine, law.drive)
     u[at.COOLANT] = coolant_k
     u[at.PEDAL] = machine.memory[indices.PEDAL]
     u[at.GRADE] = machine.sense[indices.GRADE]
@@ -95,7 +103,7 @@ def record_drive(machine: Machine, road: Road, row: FloatArray) -> None:
     row[Col.IMPELLER_TORQUE] = machine.work.slope1[at.T_IMPELLER]
     row[Col.TURBINE_TORQUE] = machine.work.slope1[at.T_TURBINE]
     row[Col.LOCKUP_STATE] = memory[indices.LOCKUP_STATE]
-    row[Col.WANTED_SPEED] = seen(road.speeds, machine.clock[0] * tcu_data.PERIOD_S)
+    row[Col.WANTED_SPEED] = trace_value(road.speeds, machine.clock[0] * tcu_data.PERIOD_S)
 
 
 @kernel
@@ -114,7 +122,7 @@ def run(machine: Machine, road: Road, law: DrivingLaw, rows: FloatArray) -> int:
             automatic.control(machine.memory, machine.sense, machine.commands, law)
         control_engine(machine.memory, machine.sense, machine.commands, law)
         warm(machine, law)
-        obey_drive(machine, law)
+        apply_drive_commands(machine, law)
         hold_car(machine, plant, law.driving.surroundings.hold_m_s)
         record_plant(machine, plant, rows[index])
         record_drive(machine, road, rows[index])
@@ -131,7 +139,7 @@ _TURNING_RATIO = 1.05  # mass of the car with all that turns, over its mass
 
 
 @part
-def seen(column: FloatArray, time_s: float) -> float:
+def trace_value(column: FloatArray, time_s: float) -> float:
     """Return what a column of the trace says at a time; its last value beyond its end."""
     place = time_s / GRID_S
     index = int(place)
@@ -144,9 +152,9 @@ def seen(column: FloatArray, time_s: float) -> float:
 def wanted_force_n(memory: FloatArray, sense: FloatArray, speeds: FloatArray, time_s: float, law: DrivingLaw) -> float:
     """Return the force that would bring the car onto the trace [N]: what lies ahead, corrected by the error."""
     p, vehicle = law.driving.driver, law.drive.plant.vehicle
-    ahead_m_s2 = (seen(speeds, time_s + p.far_s) - seen(speeds, time_s + p.near_s)) / (p.far_s - p.near_s)
+    ahead_m_s2 = (trace_value(speeds, time_s + p.far_s) - trace_value(speeds, time_s + p.near_s)) / (p.far_s - p.near_s)
     speed_m_s = sense[indices.VEHICLE_SPEED]
-    error_m_s = seen(speeds, time_s + p.aim_s) - speed_m_s - p.aim_s * ahead_m_s2 * 0.5
+    error_m_s = trace_value(speeds, time_s + p.aim_s) - speed_m_s - p.aim_s * ahead_m_s2 * 0.5
     summed_m = memory[indices.SPEED_INTEGRAL] + error_m_s * tcu_data.PERIOD_S
     memory[indices.SPEED_INTEGRAL] = min(max(summed_m, -p.integral_limit_m), p.integral_limit_m)
     wanted_m_s2 = ahead_m_s2 + p.speed_gain_per_s * error_m_s + p.integral_gain_per_s2 * memory[indices.SPEED_INTEGRAL]
@@ -171,7 +179,7 @@ def move_feet(memory: FloatArray, pedal: float, brake_m_s2: float, law: DrivingL
 @part
 def is_waiting(sense: FloatArray, speeds: FloatArray, time_s: float, law: DrivingLaw) -> bool:
     """Tell whether car and trace stand still, and the trace goes on doing so for a moment."""
-    ahead_m_s = max(seen(speeds, time_s), seen(speeds, time_s + law.driving.driver.departure_s))
+    ahead_m_s = max(trace_value(speeds, time_s), trace_value(speeds, time_s + law.driving.driver.departure_s))
     return bool(ahead_m_s < _ROLLING_M_S and abs(sense[indices.VEHICLE_SPEED]) < _STANDING_M_S)
 
 
@@ -189,7 +197,10 @@ def drive(memory: FloatArray, sense: FloatArray, speeds: FloatArray, time_s: flo
     if not pulls_on_wheels(memory):
         overrun_n = 0.0
     margin_n = p.foot_change_n if memory[indices.BRAKE] == 0.0 else 0.0
-    is_stopping = seen(speeds, time_s + p.aim_s) < _ROLLING_M_S and seen(speeds, time_s + p.departure_s) < _ROLLING_M_S
+    is_stopping = (
+        trace_value(speeds, time_s + p.aim_s) < _ROLLING_M_S
+        and trace_value(speeds, time_s + p.departure_s) < _ROLLING_M_S
+    )
     if force_n < overrun_n - margin_n or is_stopping:
         brake_m_s2 = (overrun_n - force_n) / vehicle.mass_kg
         move_feet(memory, 0.0, max(brake_m_s2, _STOPPING_M_S2 if is_stopping else 0.0), law)

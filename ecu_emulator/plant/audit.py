@@ -64,15 +64,15 @@ class PowerBalance:
 
 
 @part
-def note(account: FloatArray) -> None:
-    """Remember the account, in its second third; the last one is workspace."""
+def save_account(account: FloatArray) -> None:
+    """Save the account in its second third; the last third is workspace."""
     for entry in range(account.size // 3):
         account[ACCOUNT_COUNT + entry] = account[entry]
 
 
 @part
-def undo(account: FloatArray) -> None:
-    """Put the account back to what was remembered."""
+def restore_account(account: FloatArray) -> None:
+    """Put the account back to what was saved."""
     for entry in range(account.size // 3):
         account[entry] = account[ACCOUNT_COUNT + entry]
 

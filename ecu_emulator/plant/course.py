@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import TypeVar, cast
 
 import numpy as np
@@ -19,7 +19,8 @@ from ecu_emulator.plant.driveline import throttle_flow_kg_s
 from ecu_emulator.plant.integration import workspace
 from ecu_emulator.plant.loop import DriveLaw, Machine
 from ecu_emulator.plant.rates import PlantLaw
-from ecu_emulator.scenario.scenario import MAX_REVS, CheckedRecord, check_range, ranged
+from ecu_emulator.scenario.faults import CheckedRecord, ranged
+from ecu_emulator.scenario.scenario import MAX_REVS
 from ecu_emulator.shift_control import tcu_data
 from ecu_emulator.shift_control.tcu_data import ControlParameters
 
@@ -30,13 +31,15 @@ _COLDEST_OIL_K = 313.15
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FrictionFactors:
-    """Factors on the true friction coefficients during one cycle."""
+class FrictionFactors(CheckedRecord):
+    """Factors on the true friction coefficients during one cycle; raises CalibrationError on construction."""
 
-    mu_c1: float = 1.0
-    mu_s1: float = 1.0
-    mu_c2: float = 1.0
-    mu_s2: float = 1.0
+    error = CalibrationError
+
+    mu_c1: float = ranged(1.0, 0.3, 2.0)
+    mu_s1: float = ranged(1.0, 0.3, 2.0)
+    mu_c2: float = ranged(1.0, 0.3, 2.0)
+    mu_s2: float = ranged(1.0, 0.3, 2.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,8 +54,8 @@ class DriveSettings(CheckedRecord):
 
     error = CalibrationError
 
-    cycles: int = 1
-    seed: int = 0
+    cycles: int = ranged(1, 1, math.inf)
+    seed: int = ranged(0, 0, math.inf)
     pedal_ratio: float = ranged(0.45, _MIN_PEDAL_RATIO, 0.9)
     brake_m_s2: float = ranged(0.7, 0.0, 1.0)
     vary_ratio: float = ranged(0.0, 0.0, 0.1)  # relative deviation from cycle to cycle: pedal, brake, shift speeds
@@ -68,14 +71,9 @@ class DriveSettings(CheckedRecord):
 
     def __post_init__(self) -> None:
         """Check every number against the range in which the cycle can be driven."""
-        require(self.cycles >= 1, f"cycles must be >= 1, got {self.cycles}")
-        require(self.seed >= 0, f"seed must be >= 0, got {self.seed}")
         CheckedRecord.__post_init__(self)
         steps = 1.0e-3 / self.dt_s
         require(abs(steps - round(steps)) < 1.0e-6 * steps, f"dt_s must divide 1 ms, got {self.dt_s}")
-        for factors in self.friction_factors:
-            for name in ("mu_c1", "mu_s1", "mu_c2", "mu_s2"):
-                check_range(f"friction_factors {name}", getattr(factors, name), 0.3, 2.0, CalibrationError)
 
     @property
     def has_routine(self) -> bool:
@@ -104,10 +102,8 @@ def cycle_table(drive: DriveSettings, control: ControlParameters) -> npt.NDArray
     columns = [tcu_data.CYCLE_PEDAL, tcu_data.CYCLE_BRAKE, *up, *down]
     table[:, columns] = driver * (1.0 + drive.vary_ratio * draws)
     table[:, tcu_data.CYCLE_PEDAL] = table[:, tcu_data.CYCLE_PEDAL].clip(_MIN_PEDAL_RATIO, 1.0)
-    factors = drive.friction_factors or (FrictionFactors(),)
-    for cycle in range(drive.cycles):
-        now = factors[min(cycle, len(factors) - 1)]
-        table[cycle, tcu_data.CYCLE_MU : tcu_data.CYCLE_UP] = (now.mu_c1, now.mu_s1, now.mu_c2, now.mu_s2)
+    factors = np.array([astuple(factors) for factors in drive.friction_factors or (FrictionFactors(),)])
+    table[:, tcu_data.CYCLE_MU : tcu_data.CYCLE_UP] = factors[np.minimum(np.arange(drive.cycles), len(factors) - 1)]
     return table
 
 
@@ -192,16 +188,12 @@ def fastest_rates_rad_s(law: PlantLaw, overall_ratios: Sequence[float]) -> Mappi
 
 
 def _shaft_rate(stiffness_nm_rad: float, damping_nms_rad: float, first_kg_m2: float, second_kg_m2: float) -> float:
-    compliance = 1.0 / first_kg_m2 + 1.0 / second_kg_m2
-    half_damping = 0.5 * damping_nms_rad * compliance
-    discriminant = half_damping**2 - stiffness_nm_rad * compliance
-    if discriminant <= 0.0:
-        return math.sqrt(stiffness_nm_rad * compliance)
-    return half_damping + math.sqrt(discriminant)
+    mobility = 1.0 / first_kg_m2 + 1.0 / second_kg_m2
+    return float(np.abs(np.roots((1.0, damping_nms_rad * mobility, stiffness_nm_rad * mobility))).max())
 
 
 def _synchroniser_rate(law: PlantLaw, overall_ratios: Sequence[float], gear: int, current: int) -> float:
-    turned, turning = (law.shafts[clutch_of_gear(one) - 1].gear_inertia_kg_m2 for one in (current, gear))
+    turned, turning = (law.shafts[clutch_of_gear(number) - 1].gear_inertia_kg_m2 for number in (current, gear))
     load_kg_m2 = law.output.inertia_kg_m2 + overall_ratios[current] ** 2 * turned
     mobility = 1.0 / turning + overall_ratios[gear] ** 2 / load_kg_m2
     return law.synchroniser.torque_nm / law.synchroniser.full_torque_slip_rad_s * mobility

@@ -9,9 +9,9 @@ from canlog.jit import part
 from clutch_model.calibration import Converter
 
 _AIR_GAS_CONSTANT_J_KG_K = 287.0
-_CYCLE_RAD = 4.0 * math.pi  # one four-stroke cycle
+CYCLE_RAD = 4.0 * math.pi  # one four-stroke cycle
 _STARTING_RAD_S = 1.0  # over which the losses change sign: they end at a standstill
-_SHARPNESS = 9.0  # of the fit to compressible throttle flow, Cho and Hedrick 1989
+FLOW_SHARPNESS = 9.0  # of the fit to compressible throttle flow, Cho and Hedrick 1989
 
 
 class EngineParameters(NamedTuple):
@@ -42,10 +42,7 @@ def throttle_flow_kg_s(throttle: float, p: EngineParameters) -> float:
 def cylinder_air_kg_rad(manifold_pa: float, air_k: float, p: EngineParameters) -> float:
     """Return the air drawn per crank angle [kg/rad], mdot_cyl / w_E."""
     return (
-        p.volumetric_efficiency_ratio
-        * p.displacement_m3
-        * manifold_pa
-        / (_CYCLE_RAD * _AIR_GAS_CONSTANT_J_KG_K * air_k)
+        p.volumetric_efficiency_ratio * p.displacement_m3 * manifold_pa / (CYCLE_RAD * _AIR_GAS_CONSTANT_J_KG_K * air_k)
     )
 
 
@@ -53,7 +50,7 @@ def cylinder_air_kg_rad(manifold_pa: float, air_k: float, p: EngineParameters) -
 def manifold_rate_pa_s(
     manifold_pa: float, throttle_kg_s: float, engine_rad_s: float, air_k: float, p: EngineParameters
 ) -> float:
-    inflow_kg_s = throttle_kg_s * (1.0 - math.exp(_SHARPNESS * (manifold_pa / p.ambient_pressure_pa - 1.0)))
+    inflow_kg_s = throttle_kg_s * (1.0 - math.exp(FLOW_SHARPNESS * (manifold_pa / p.ambient_pressure_pa - 1.0)))
     outflow_kg_s = cylinder_air_kg_rad(manifold_pa, air_k, p) * engine_rad_s
     return _AIR_GAS_CONSTANT_J_KG_K * air_k / p.manifold_volume_m3 * (inflow_kg_s - outflow_kg_s)
 
@@ -76,7 +73,7 @@ def indicated_torque_nm(manifold_pa: float, spark: float, crank_rad: float, air_
 @part
 def engine_losses_nm(manifold_pa: float, engine_rad_s: float, p: EngineParameters) -> float:
     """Return friction and pumping torque [N m]; none at a standstill."""
-    pumping_nm = (p.ambient_pressure_pa - manifold_pa) * p.displacement_m3 / _CYCLE_RAD
+    pumping_nm = (p.ambient_pressure_pa - manifold_pa) * p.displacement_m3 / CYCLE_RAD
     losses_nm = p.friction_nm + p.friction_nms_rad * engine_rad_s + pumping_nm
     return losses_nm * tanh_exact(engine_rad_s / _STARTING_RAD_S)
 

@@ -8,7 +8,14 @@ import numpy as np
 from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import part
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.audit import ACCOUNT_COUNT, SYNCHRONISERS, add_powers, note, stored_energy_j, undo
+from ecu_emulator.plant.audit import (
+    ACCOUNT_COUNT,
+    SYNCHRONISERS,
+    add_powers,
+    restore_account,
+    save_account,
+    stored_energy_j,
+)
 from ecu_emulator.plant.clutch import advance_clutch
 from ecu_emulator.plant.driveline import ENGAGED, SYNCHRONISING, throttle_flow_kg_s
 from ecu_emulator.plant.rates import PlantLaw, evaluate, lock_or_slip
@@ -44,7 +51,7 @@ def workspace(*, is_audited: bool) -> Workspace:
 
 
 @part
-def settle(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> None:
+def resolve_clutch_modes(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray, law: PlantLaw) -> None:
     """Evaluate the plant at ``y`` and bring the clutch modes into agreement with the torques."""
     evaluate(y, u, modes, out, law)
     if lock_or_slip(y, u, modes, out, law):
@@ -82,7 +89,7 @@ def predict(y: FloatArray, before: FloatArray, slope: FloatArray, dt_s: float, i
 
 
 @part
-def gather(y: FloatArray, slope: FloatArray, weight_s: float) -> None:
+def add_stage(y: FloatArray, slope: FloatArray, weight_s: float) -> None:
     """Add one stage of the Runge-Kutta step to the state."""
     for i in range(at.RATE_COUNT):
         y[i] += weight_s * slope[i]
@@ -110,19 +117,19 @@ def step(
     add_powers(account, dt_s / 6.0, before, u, modes, slope1, law)
     advance_fluids(y, u, 0.5 * dt_s, law)
     predict(y, before, slope1, 0.5 * dt_s, predicted)
-    gather(y, slope1, dt_s / 6.0)
+    add_stage(y, slope1, dt_s / 6.0)
     evaluate(predicted, u, modes, slope, law)
     add_powers(account, dt_s / 3.0, predicted, u, modes, slope, law)
     predict(y, before, slope, 0.5 * dt_s, predicted)
-    gather(y, slope, dt_s / 3.0)
+    add_stage(y, slope, dt_s / 3.0)
     evaluate(predicted, u, modes, slope, law)
     add_powers(account, dt_s / 3.0, predicted, u, modes, slope, law)
     advance_fluids(y, u, 0.5 * dt_s, law)
     predict(y, before, slope, dt_s, predicted)
-    gather(y, slope, dt_s / 3.0)
+    add_stage(y, slope, dt_s / 3.0)
     evaluate(predicted, u, modes, slope, law)
     add_powers(account, dt_s / 6.0, predicted, u, modes, slope, law)
-    gather(y, slope, dt_s / 6.0)
+    add_stage(y, slope, dt_s / 6.0)
 
 
 @part
@@ -208,23 +215,23 @@ def advance_to_event(
     law: PlantLaw,
 ) -> float:
     """Take one step of at most ``longest_s`` that ends early where something may lock; return its length [s]."""
-    settle(y, u, modes, work.slope1, law)
+    resolve_clutch_modes(y, u, modes, work.slope1, law)
     copy(y, work.before)
-    note(work.account)
+    save_account(work.account)
     air_flow = u[at.AIR_FLOW]
-    taken_s = longest_s
-    step(y, u, modes, work, taken_s, law)
+    step_s = longest_s
+    step(y, u, modes, work, step_s, law)
     for _ in range(_EVENT_TRIES):
-        fraction = event_fraction(y, u, modes, work.before, work.slope1, taken_s, law)
+        fraction = event_fraction(y, u, modes, work.before, work.slope1, step_s, law)
         if fraction >= 1.0:
             break
-        taken_s = max(fraction * taken_s, min(longest_s, _MIN_STEP_S))
+        step_s = max(fraction * step_s, min(longest_s, _MIN_STEP_S))
         copy(work.before, y)
-        undo(work.account)
+        restore_account(work.account)
         u[at.AIR_FLOW] = air_flow
-        step(y, u, modes, work, taken_s, law)
+        step(y, u, modes, work, step_s, law)
     close_synchronisers(y, u, modes, work.account, law)
-    return taken_s
+    return step_s
 
 
 @part

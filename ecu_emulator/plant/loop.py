@@ -16,7 +16,7 @@ from ecu_emulator.plant.driveline import (
     engine_losses_nm,
     mean_indicated_torque_nm,
 )
-from ecu_emulator.plant.integration import Workspace, advance_millisecond, settle
+from ecu_emulator.plant.integration import Workspace, advance_millisecond, resolve_clutch_modes
 from ecu_emulator.plant.rates import PlantLaw
 from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control import tcu, tcu_data, workshop
@@ -76,7 +76,7 @@ def sense_plant(machine: Machine, law: PlantLaw) -> None:
 
 
 @part
-def obey(machine: Machine, law: DriveLaw) -> None:
+def apply_commands(machine: Machine, law: DriveLaw) -> None:
     """Turn the commands into inputs of the plant and moves of the synchronisers."""
     y, u, modes, commands = machine.y, machine.u, machine.modes, machine.commands
     row = machine.cycles[int(machine.memory[tcu_data.CYCLE])]
@@ -146,7 +146,7 @@ def record_clutches(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
 @part
 def record_plant(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
     """Bring the clutch modes into agreement with the torques, and write what the plant shows of itself."""
-    settle(machine.y, machine.u, machine.modes, machine.work.slope1, law)
+    resolve_clutch_modes(machine.y, machine.u, machine.modes, machine.work.slope1, law)
     record_bodies(machine, law, row)
     record_clutches(machine, law, row)
 
@@ -203,8 +203,8 @@ def advance(machine: Machine, step_count: int, law: PlantLaw) -> None:
 
 
 @part
-def act(machine: Machine, law: DriveLaw) -> None:
-    """Let the control take its step: the workshop routine first, if one was asked for, then the cycles."""
+def step_control(machine: Machine, law: DriveLaw) -> None:
+    """Take one step of 1 ms of the control: the workshop routine first, if one was asked for, then the cycles."""
     memory, sense, commands = machine.memory, machine.sense, machine.commands
     if memory[tcu_data.ROUTINE] >= tcu_data.STEPS_ENGAGING:
         workshop.perform_steps(memory, sense, commands, law.control)
@@ -220,10 +220,10 @@ def run(machine: Machine, law: DriveLaw, rows: FloatArray) -> int:
     """Fill ``rows``, one per millisecond, until they are full or the drive is over; return how many were filled."""
     for index in range(rows.shape[0]):
         sense_plant(machine, law.plant)
-        act(machine, law)
+        step_control(machine, law)
         if machine.memory[tcu_data.IS_FINISHED] != 0.0:
             return index
-        obey(machine, law)
+        apply_commands(machine, law)
         if machine.memory[tcu_data.ROUTINE] >= tcu_data.STEPS_ENGAGING:
             hold_car(machine, law.plant, WORKSHOP_HOLD_M_S)
         else:

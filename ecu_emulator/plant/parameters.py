@@ -144,7 +144,9 @@ class PlantParameters:
         shafts = table.get("shaft")
         if not isinstance(shafts, list) or len(shafts) != 2:
             raise CalibrationError("plant needs exactly 2 [[shaft]] tables")
-        both = tuple(record_from(driveline.ShaftParameters, one, f"shaft {m}.") for m, one in enumerate(shafts, 1))
+        both = tuple(
+            record_from(driveline.ShaftParameters, shaft, f"shaft {number}.") for number, shaft in enumerate(shafts, 1)
+        )
         return record_from(cls, {key: value for key, value in table.items() if key != "shaft"}, shafts=both)
 
 

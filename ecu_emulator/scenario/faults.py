@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from enum import IntEnum, StrEnum
 from types import MappingProxyType
-from typing import Final
+from typing import ClassVar, Final, TypeVar
 from zlib import crc32
 
 import numpy as np
@@ -25,32 +25,41 @@ _TEMPERATURE_NOISE_K: Final = 0.3
 _MANIFOLD_NOISE_PA: Final = 500.0
 
 
+RangedT = TypeVar("RangedT", int, float, None)
+
+
+def ranged(default: RangedT, low: float, high: float) -> RangedT:
+    """Declare a number of a record with its default and its inclusive range; None stays None."""
+    return field(default=default, metadata={"low": low, "high": high})
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sensor:
+class CheckedRecord:
+    """A record that checks the numbers it declares with ``ranged``, in the order in which it does."""
+
+    error: ClassVar[type[Exception]] = EmulatorConfigError
+
+    def __post_init__(self) -> None:
+        for member in fields(self):
+            if "low" in member.metadata and (value := getattr(self, member.name)) is not None:
+                low, high = member.metadata["low"], member.metadata["high"]
+                if not (math.isfinite(value) and low <= value <= high):
+                    raise self.error(f"{member.name} must be {low:g}..{high:g}, got {value}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensor(CheckedRecord):
     """One measuring chain: ``reading(t) = gain * lag(quantity)(t - latency) + offset + noise``.
 
     ``offset`` and ``noise_std`` are in the unit that ends the quantity's name. Resolution is the wire contract's:
     readings are rounded where frames are built.
     """
 
-    gain_ratio: float = 1.0
-    offset: float = 0.0
-    noise_std: float = 0.0  # white and Gaussian
-    latency_s: float = 0.0  # pure delay
-    lag_s: float = 0.0  # time constant of a first-order low-pass, 0: none
-
-    def __post_init__(self) -> None:
-        """Check that the chain can exist: it neither amplifies wildly nor sees the future."""
-        for field in fields(self):
-            if not math.isfinite(getattr(self, field.name)):
-                raise EmulatorConfigError(f"{field.name} must be finite")
-        if not 0.1 <= self.gain_ratio <= 10.0:
-            raise EmulatorConfigError(f"gain_ratio must be 0.1..10, got {self.gain_ratio}")
-        if self.noise_std < 0.0:
-            raise EmulatorConfigError(f"noise_std must be >= 0, got {self.noise_std}")
-        for name in ("latency_s", "lag_s"):
-            if not 0.0 <= getattr(self, name) <= MAX_DELAY_S:
-                raise EmulatorConfigError(f"{name} must be 0..{MAX_DELAY_S}, got {getattr(self, name)}")
+    gain_ratio: float = ranged(1.0, 0.1, 10.0)
+    offset: float = ranged(0.0, -math.inf, math.inf)
+    noise_std: float = ranged(0.0, 0.0, math.inf)  # white and Gaussian
+    latency_s: float = ranged(0.0, 0.0, MAX_DELAY_S)  # pure delay
+    lag_s: float = ranged(0.0, 0.0, MAX_DELAY_S)  # time constant of a first-order low-pass, 0: none
 
 
 Sensors = Mapping[str, Sensor]
@@ -133,23 +142,20 @@ class PhaseCode(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scheduled:
+class Scheduled(CheckedRecord):
     """Something that begins at a time of the drive, or of one of its shifts, and ends a while later.
 
     ``start_s`` counts from the beginning of the drive; if ``shift`` names one (1, 2, ...), from the beginning of a
     phase of that shift, by default of the shift itself.
     """
 
-    start_s: float = 0.0
-    shift: int = 0
+    start_s: float = ranged(0.0, 0.0, math.inf)
+    shift: int = ranged(0, 0, MAX_SHIFT)  # 0: none
     phase: Phase = Phase.PREFILL
     duration_s: float = math.inf
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.start_s) and self.start_s >= 0.0):
-            raise EmulatorConfigError(f"start_s must be >= 0, got {self.start_s}")
-        if not 0 <= self.shift <= MAX_SHIFT:
-            raise EmulatorConfigError(f"shift must be 1..{MAX_SHIFT}, or 0 for none, got {self.shift}")
+        CheckedRecord.__post_init__(self)
         if not self.duration_s > 0.0:
             raise EmulatorConfigError(f"duration_s must be > 0, got {self.duration_s}")
 
@@ -212,25 +218,22 @@ MAX_STRENGTH: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Degradation:
+class Degradation(CheckedRecord):
     """Something that is wrong with a car, and grows from drive to drive by the odometer as a drive begins.
 
     A strength of 1 is the smallest that matters; at ``begins_m`` it is none, ``grows_over_m`` later all of it.
     """
 
     kind: CauseKind
-    strength: float = 1.0
+    strength: float = ranged(1.0, 0.0, MAX_STRENGTH)
     clutch: int = 0  # 1 or 2; 0: drawn with the vehicle
-    begins_m: float = 0.0
-    grows_over_m: float = 0.0
+    begins_m: float = ranged(0.0, 0.0, math.inf)
+    grows_over_m: float = ranged(0.0, 0.0, math.inf)
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.strength <= MAX_STRENGTH:
-            raise EmulatorConfigError(f"strength must be 0..{MAX_STRENGTH:g}, got {self.strength}")
+        CheckedRecord.__post_init__(self)
         if self.clutch not in ((0, 1, 2) if self.kind.is_of_one_clutch else (0,)):
             raise EmulatorConfigError(f"clutch of {self.kind} must be {'0..2' if self.kind.is_of_one_clutch else 0}")
-        if not (0.0 <= self.begins_m < math.inf and 0.0 <= self.grows_over_m < math.inf):
-            raise EmulatorConfigError("begins_m and grows_over_m must be >= 0")
 
     def strength_at(self, odometer_m: float) -> float:
         """Return how strong it is in a drive that begins here."""
@@ -274,8 +277,8 @@ class BusFault(Scheduled):
     kind: BusFaultKind
     message: str = ""
     share: float = 1.0
-    delay_s: float = 0.0
-    jitter_s: float = 0.0  # added to the delay, uniform from zero
+    delay_s: float = ranged(0.0, 0.0, MAX_HOLD_S)
+    jitter_s: float = ranged(0.0, 0.0, MAX_HOLD_S)  # added to the delay, uniform from zero
     skip: int = 0
 
     def __post_init__(self) -> None:
@@ -284,9 +287,6 @@ class BusFault(Scheduled):
             raise EmulatorConfigError(f"share must be above 0, up to 1, got {self.share}")
         if self.kind in _WHOLE and self.share != 1.0:
             raise EmulatorConfigError(f"a fault of kind {self.kind} strikes all frames: no share")
-        for name in ("delay_s", "jitter_s"):
-            if not 0.0 <= getattr(self, name) <= MAX_HOLD_S:
-                raise EmulatorConfigError(f"{name} must be 0..{MAX_HOLD_S:g}, got {getattr(self, name)}")
         if (self.kind is BusFaultKind.DELAY) != (self.delay_s + self.jitter_s > 0.0):
             raise EmulatorConfigError("delay_s or jitter_s belong to a fault of kind delay, which needs one of them")
         if (self.kind is BusFaultKind.SKIPPING_COUNTER) != (self.skip != 0) or not 0 <= self.skip < COUNTER_PERIOD:

@@ -1,22 +1,29 @@
 """Scenarios: everything that decides what one drive puts on the bus, as records that check their own ranges."""
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
-from typing import ClassVar, Final, TypeVar
+from typing import Final
 
 from clutch_model.calibration import CONVERTERS, SHIPPED, nominal_calibration
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.scenario import DriveName
-from ecu_emulator.scenario.faults import NOMINAL_SENSORS, BusFault, Degradation, SensorFault, Sensors
+from ecu_emulator.scenario.faults import (
+    NOMINAL_SENSORS,
+    BusFault,
+    CheckedRecord,
+    Degradation,
+    SensorFault,
+    Sensors,
+    ranged,
+)
 
 Overrides = Mapping[str, object]  # dotted key -> TOML value
-RangedT = TypeVar("RangedT", int, float)
 
 _VEHICLE_ID: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")  # safe in a file name and in an MQTT topic
 _MACHINED: Final = frozenset({"input_shaft_inertia_ratio"})
+_LAST_SEED: Final = 2**63 - 1
 MAX_CYCLES: Final = 100_000  # fifty days of shift cycles
 MAX_REVS: Final = 20  # of the workshop routine, with open and with closed clutches each
 _CASTINGS: Final = {"converter_capacity_ratio": 0.05, "converter_shape_ratio": 0.025}  # castings differ
@@ -32,39 +39,12 @@ class FluidCondition(StrEnum):
     AGEING = "ageing"  # drifts from ideal to case 2 while driving
 
 
-def ranged(default: RangedT, low: float, high: float) -> RangedT:
-    """Declare a number of a record with its default and its inclusive range."""
-    return field(default=default, metadata={"low": low, "high": high})
-
-
-def check_range(name: str, value: float, low: float, high: float, error: type[Exception]) -> None:
-    if not (math.isfinite(value) and low <= value <= high):
-        raise error(f"{name} must be {low:g}..{high:g}, got {value}")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CheckedRecord:
-    """A record that checks the numbers it declares with ``ranged``, in the order in which it does."""
-
-    error: ClassVar[type[Exception]] = EmulatorConfigError
-
-    def __post_init__(self) -> None:
-        for member in fields(self):
-            if "low" in member.metadata:
-                check_range(member.name, getattr(self, member.name), **member.metadata, error=self.error)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Fluid:
+class Fluid(CheckedRecord):
     """Condition of the transmission fluid; with ``ageing`` it reaches case 2 after ``ageing_cycles`` cycles."""
 
     condition: FluidCondition = FluidCondition.IDEAL
-    ageing_cycles: int = 20
-
-    def __post_init__(self) -> None:
-        """Check that ageing takes some time, and ends."""
-        if not 1 <= self.ageing_cycles <= MAX_CYCLES:
-            raise EmulatorConfigError(f"ageing_cycles must be 1..{MAX_CYCLES}, got {self.ageing_cycles}")
+    ageing_cycles: int = ranged(20, 1, MAX_CYCLES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,11 +172,13 @@ class Scenario(CheckedRecord):
     description: str = ""
     vehicle: str = "dct-demo"
     transmission: str = "nominal"  # or another one that ships: clutch_model/calibrations
-    seed: int = 1  # of everything that is drawn, unless one of the next two is given
-    vehicle_seed: int | None = None  # of what stays with the car: production scatter
-    drive_seed: int | None = None  # of what changes from drive to drive: driver, noise, losses on the bus
+    seed: int = ranged(1, 0, _LAST_SEED)  # of everything that is drawn, unless one of the next two is given
+    vehicle_seed: int | None = ranged(None, 0, _LAST_SEED)  # of what stays with the car: production scatter
+    drive_seed: int | None = ranged(None, 0, _LAST_SEED)  # of what changes from drive to drive: driver, noise, losses
     drive: DriveName = DriveName.CYCLE
-    cycles: int = 1  # how often it is driven: shift cycles, public cycles, trips through the city, days
+    cycles: int = ranged(
+        1, 1, MAX_CYCLES
+    )  # how often it is driven: shift cycles, public cycles, trips through the city, days
     endless: bool = False  # drive again and again instead
     odometer_m: float = ranged(12_345_000.0, 0.0, 4.0e9)
     fluid: Fluid = field(default_factory=Fluid)
@@ -223,12 +205,6 @@ class Scenario(CheckedRecord):
             raise EmulatorConfigError("a car with a torque converter is driven on the road: its drive cannot be cycle")
         if self.transmission in CONVERTERS and any(cause.clutch == 2 for cause in self.causes):
             raise EmulatorConfigError("a car with a torque converter has one clutch: that of a cause cannot be 2")
-        for name in ("seed", "vehicle_seed", "drive_seed"):
-            seed = getattr(self, name)
-            if seed is not None and not 0 <= seed < 2**63:
-                raise EmulatorConfigError(f"{name} must be 0..2^63-1, got {seed}")
-        if not 1 <= self.cycles <= MAX_CYCLES:
-            raise EmulatorConfigError(f"cycles must be 1..{MAX_CYCLES}, got {self.cycles}")
         if self.is_on_the_road and self.routine != WorkshopRoutine():
             raise EmulatorConfigError(
                 f"the workshop routine is driven before shift cycles only, not with drive {self.drive}"

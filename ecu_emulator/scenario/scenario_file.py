@@ -2,13 +2,12 @@
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 from typing import Final
 
-from canlog.files import read_small_file
-from clutch_model.tables import record_from
+from clutch_model.tables import read_table, record_from
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.scenario.faults import NOMINAL_SENSORS, BusFault, Sensor, SensorFault, Sensors, split_unit
 from ecu_emulator.scenario.scenario import ProductionScatter, Scenario, Truth, production_scatter
@@ -33,34 +32,29 @@ def load_scenario(name_or_file: str) -> Scenario:
     """
     if name_or_file in shipped_scenarios():
         text = _SHIPPED.joinpath(f"{name_or_file}.toml").read_text(encoding="utf-8")
-        return parse_scenario(text, f"scenario {name_or_file}")
+        return scenario_of(tomllib.loads(text), f"scenario {name_or_file}")
     path = Path(name_or_file)
     if path.suffix != ".toml" and not path.exists():
         known = ", ".join(shipped_scenarios())
         raise EmulatorConfigError(f"no scenario {name_or_file!r}: use a TOML file or one of {known}")
-    try:
-        text = read_small_file(path).decode("utf-8")
-    except OSError as exc:
-        raise EmulatorConfigError(f"cannot read scenario {path}: {exc.strerror or exc}") from exc
-    except UnicodeDecodeError as exc:
-        raise EmulatorConfigError(f"cannot read scenario {path}: {exc}") from exc
-    return parse_scenario(text, str(path))
+    return scenario_of(read_table(path, "scenario", EmulatorConfigError), str(path))
 
 
-def parse_scenario(text: str, origin: str) -> Scenario:
-    """Check the TOML text of a scenario; ``origin`` begins every error message.
+def scenario_of(table: Mapping[str, object], origin: str) -> Scenario:
+    """Return the scenario of nested tables; ``origin`` begins every error message.
 
     Raises
     ------
     ConfigError
         Naming the first key that is unknown, mistyped or out of range.
     """
+    parts = dict(table)
     try:
-        return _scenario(tomllib.loads(text))
-    except tomllib.TOMLDecodeError as exc:
-        raise EmulatorConfigError(f"{origin} is not TOML: {exc}") from exc
-    except RecursionError as exc:
-        raise EmulatorConfigError(f"{origin} is not TOML: its lists or tables are nested too deeply") from exc
+        if "scatter" in parts:
+            parts["scatter"] = _scatter(parts["scatter"])
+        parts["truth"] = _truth(_subtable(parts, "truth"))
+        parts["sensors"] = _sensors(_subtable(parts, "sensors"))
+        return record_from(Scenario, parts, error=EmulatorConfigError)
     except EmulatorConfigError as exc:
         raise EmulatorConfigError(f"{origin}: {exc}") from exc
 
@@ -75,18 +69,8 @@ def parse_fault(table: object) -> SensorFault | BusFault:
     """
     if not isinstance(table, Mapping):
         raise EmulatorConfigError(f"a fault must be a table, got {table!r}")
-    if "quantity" in table:
-        return record_from(SensorFault, table, error=EmulatorConfigError)
-    return record_from(BusFault, table, error=EmulatorConfigError)
-
-
-def _scenario(table: Mapping[str, object]) -> Scenario:
-    parts = dict(table)
-    if "scatter" in parts:
-        parts["scatter"] = _scatter(parts["scatter"])
-    parts["truth"] = _truth(_subtable(parts, "truth"))
-    parts["sensors"] = _sensors(_subtable(parts, "sensors"))
-    return record_from(Scenario, parts, error=EmulatorConfigError)
+    kind: type[SensorFault | BusFault] = SensorFault if "quantity" in table else BusFault
+    return record_from(kind, table, error=EmulatorConfigError)
 
 
 def _scatter(value: object) -> ProductionScatter:
@@ -94,9 +78,8 @@ def _scatter(value: object) -> ProductionScatter:
         return ProductionScatter()
     if not isinstance(value, Mapping):
         raise EmulatorConfigError(f'scatter must be "none" or a table, got {value!r}')
-    normal = production_scatter()
-    defaults = {member.name: getattr(normal, member.name) for member in fields(ProductionScatter)}
-    return record_from(ProductionScatter, {**defaults, **value}, "scatter.", error=EmulatorConfigError)
+    table = {**asdict(production_scatter()), **value}
+    return record_from(ProductionScatter, table, "scatter.", error=EmulatorConfigError)
 
 
 def _sensors(table: Mapping[str, object]) -> Sensors:
@@ -110,11 +93,10 @@ def _sensors(table: Mapping[str, object]) -> Sensors:
         unit = split_unit(quantity)[1]
         members = {f"offset_{unit}": "offset", f"noise_std_{unit}": "noise_std"}
         members |= {name: name for name in ("gain_ratio", "latency_s", "lag_s")}
-        given = _subtable(table, stem, where)
-        _check_known(given, set(members), f"{where}.")
-        default = {member.name: getattr(sensors[quantity], member.name) for member in fields(Sensor)}
-        changed = {members[key]: value for key, value in given.items()}
-        sensors[quantity] = record_from(Sensor, {**default, **changed}, f"{where}.", error=EmulatorConfigError)
+        overrides = _subtable(table, stem, where)
+        _check_known(overrides, set(members), f"{where}.")
+        changed = asdict(sensors[quantity]) | {members[key]: value for key, value in overrides.items()}
+        sensors[quantity] = record_from(Sensor, changed, f"{where}.", error=EmulatorConfigError)
     return sensors
 
 

@@ -107,7 +107,7 @@ class Search:
     @property
     def clear_pa(self) -> tuple[float, ...]:
         """What the fine steps have shown, where they did."""
-        return tuple(one.pressure_pa for one in self.fine if one.felt is Felt.BETWEEN)
+        return tuple(finding.pressure_pa for finding in self.fine if finding.felt is Felt.BETWEEN)
 
     def next_steps(self) -> PressureSteps | None:
         """Return the steps that are to be held next; None if the search is over."""
@@ -138,15 +138,15 @@ class Search:
             return Result.UNCLEAR, None
         if self.coarse.felt is not Felt.BETWEEN:
             return Result.AT_LIMIT, self._limit(is_above=self.coarse.felt is Felt.NEVER)
-        found_pa = self.clear_pa
-        if len(found_pa) < REPEATS:
+        clear_pa = self.clear_pa
+        if len(clear_pa) < REPEATS:
             return Result.UNCLEAR, None
-        middle_pa, scatter_pa = median(found_pa), stdev(found_pa)
+        middle_pa, scatter_pa = median(clear_pa), stdev(clear_pa)
         if scatter_pa > MOST_SCATTER_PA:
             return Result.SCATTERS, None
         if abs(middle_pa - self.nominal_pa) > self.most_change_pa:
             return Result.AT_LIMIT, self._limit(is_above=middle_pa > self.nominal_pa)
-        std_pa = math.sqrt(FINE_PA**2 / 12.0 + scatter_pa**2 / len(found_pa) + FELT_LATE_PA**2)
+        std_pa = math.sqrt(FINE_PA**2 / 12.0 + scatter_pa**2 / len(clear_pa) + FELT_LATE_PA**2)
         return Result.FOUND, TouchPoint(pressure_pa=middle_pa, std_pa=std_pa)
 
     def _limit(self, *, is_above: bool) -> TouchPoint:
@@ -176,17 +176,17 @@ def sample_of(values: Mapping[str, float], t_s: float, clutch: int) -> Sample | 
 
 def are_over(samples: Sequence[Sample]) -> bool:
     """Return whether steps have been held: there was pressure, and there is none any more."""
-    last_s = next((one.t_s for one in reversed(samples) if one.command_pa > 0.0), None)
+    last_s = next((sample.t_s for sample in reversed(samples) if sample.command_pa > 0.0), None)
     return last_s is not None and samples[-1].t_s >= last_s + QUIET_S
 
 
 def finding_of(samples: Sequence[Sample], steps: PressureSteps) -> TouchPointFinding:
     """Return what steps have shown; ``samples`` reach from before the clutch was filled to after they are over."""
-    filled_at = next((place for place, one in enumerate(samples) if one.command_pa > 0.0), 0)
+    filled_at = next((place for place, sample in enumerate(samples) if sample.command_pa > 0.0), 0)
     open_nm = _engine_load_nm(samples[:filled_at])
     held: dict[int, list[Sample]] = {}
-    for one in samples[filled_at:]:
-        held.setdefault(round((steps.top_pa - one.command_pa) / steps.down_pa), []).append(one)
+    for sample in samples[filled_at:]:
+        held.setdefault(round((steps.top_pa - sample.command_pa) / steps.down_pa), []).append(sample)
     loads_nm = [_engine_load_nm(held.get(step, [])) for step in range(steps.count)]
     carried_nm = [load_nm - open_nm for load_nm in loads_nm]
     if not all(map(math.isfinite, carried_nm)):
@@ -195,7 +195,7 @@ def finding_of(samples: Sequence[Sample], steps: PressureSteps) -> TouchPointFin
     if lowest_nm > FELT_NM:
         return TouchPointFinding(felt=Felt.ALWAYS)
     unfelt_nm = lowest_nm / 2.0  # of three stretches: with an empty clutch, where nothing is carried by definition
-    is_felt = [one_nm - unfelt_nm > FELT_NM for one_nm in carried_nm]
+    is_felt = [load_nm - unfelt_nm > FELT_NM for load_nm in carried_nm]
     first = next(step for step in range(steps.count) if not any(is_felt[step : step + 2]))
     if first == 0:
         return TouchPointFinding(felt=Felt.NEVER)
@@ -205,11 +205,13 @@ def finding_of(samples: Sequence[Sample], steps: PressureSteps) -> TouchPointFin
 
 def _engine_load_nm(samples: Sequence[Sample]) -> float:
     """Return what the engine gave at the end of a stretch, beyond its own acceleration; NaN if that is not known."""
-    window = [one for one in samples if one.t_s > samples[-1].t_s - WINDOW_S and one.is_known]
-    is_turning = any(abs(one.shaft_speed_rad_s) > MOST_SHAFT_RAD_S for one in window)
+    window = [sample for sample in samples if sample.t_s > samples[-1].t_s - WINDOW_S and sample.is_known]
+    is_turning = any(abs(sample.shaft_speed_rad_s) > MOST_SHAFT_RAD_S for sample in window)
     if len(window) < LEAST_SAMPLES or is_turning:
         return math.nan
     side = nominal_calibration().input_side
     inertia_kg_m2 = side.engine_inertia_kg_m2 + side.hub_inertia_kg_m2
-    faster_rad_s2 = linear_regression([one.t_s for one in window], [one.engine_speed_rad_s for one in window]).slope
-    return fmean(one.engine_torque_nm for one in window) - inertia_kg_m2 * faster_rad_s2
+    faster_rad_s2 = linear_regression(
+        [sample.t_s for sample in window], [sample.engine_speed_rad_s for sample in window]
+    ).slope
+    return fmean(sample.engine_torque_nm for sample in window) - inertia_kg_m2 * faster_rad_s2

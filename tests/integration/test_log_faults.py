@@ -66,7 +66,7 @@ def test_a_strict_reader_stops_at_the_first_fault_and_says_where(
 
 
 def test_logs_that_overlap_are_merged_by_time(tmp_path: Path) -> None:
-    paths = [tmp_path / "a.log", tmp_path / "b.blf", tmp_path / "c.asc"]
+    paths = [tmp_path / "a.log", tmp_path / "b.blf", tmp_path / "c.mf4"]
     rows = [slice(0, 2_000, 2), slice(1, 2_000, 2), slice(2_000, 3_000)]
     for path, part in zip(paths, rows, strict=True):
         with open_log(path, start_ns=START_NS) as log:

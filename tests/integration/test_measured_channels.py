@@ -11,10 +11,10 @@ from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG
 from canlog.logs import LogFormat, LogReader, read_log
 from canlog.logs.mf4 import one_each
-from ecu_emulator.log_formats import LogHeader, Mf4Writer
+from ecu_emulator.log_formats import open_log
 from tests.support.measurements import START, Measured, written
 from tests.support.mf4_layouts import Layout, laid_out
-from tests.support.traffic import START_NS, as_received, random_frames
+from tests.support.traffic import START_NS, random_frames
 
 FAST_S, SLOW_S = np.arange(0.0, 20.0, 0.01), np.arange(0.003, 20.0, 0.1)
 SPEED = np.round(1000.0 + 500.0 * np.sin(FAST_S), 2)
@@ -91,11 +91,8 @@ def test_codes_beside_a_scale_are_no_values_and_the_others_are_scaled(tmp_path: 
 
 def test_frames_beside_channels_are_the_log_and_the_channels_are_told(tmp_path: Path) -> None:
     frames, path = tmp_path / "frames.mf4", tmp_path / "both.mf4"
-    with frames.open("wb") as stream:
-        log = Mf4Writer(stream, LogHeader(start_us=START_NS // 1000, channel="vcan0"))
-        traffic = random_frames(40)
-        log.write(as_received(traffic).t_ns // 1000, traffic)
-        log.close()
+    with open_log(frames, start_ns=START_NS) as log:
+        log.write(random_frames(40))
     with MDF(frames) as file:
         file.append([Signal(np.arange(50.0), np.arange(50.0), name="Load", unit="%")])
         file.save(path)

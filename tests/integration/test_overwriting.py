@@ -43,7 +43,6 @@ def test_the_service_asks_for_force(folder: Path, words: tuple[str, ...]) -> Non
         ("record", "mine.log", "--cycles", "1"),
         ("record", "new.log", "--truth", "mine.log"),
         ("run", "-i", "virtual", "-c", "x", "--truth", "mine.log"),
-        ("run", "-i", "virtual", "-c", "x", "--summary", "mine.log"),
         ("dbc", "-o", "mine.log"),
     ],
     ids=" ".join,

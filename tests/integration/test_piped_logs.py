@@ -13,15 +13,14 @@ import pytest
 from canlog.frames import FrameBatch, join
 from canlog.logs import read_log
 from ecu_emulator import cli as emulator
-from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.log_formats import RecordFormat, open_log
 from tests.support.in_process import ended
+from tests.support.log_grammars import GRAMMARS, Frame
 from tests.support.patience import HANG_S
 from tests.support.pipes import pieces_of, piped
 from tests.support.service import PROGRAM, environment
 
 ODD_SIZES = [1, 2, 44, 45, 46, 4096, 65_536, 70_001, 3, 200_000]
-FORMATS = ["blf", "asc", "trc", "csv", "gvret"]
+FORMATS = ["blf", "asc", "trc 2.1", "csv", "gvret"]
 Record = dict[str, Any]
 
 
@@ -44,12 +43,12 @@ def test_a_pipe_gives_the_results_of_the_file_to_the_bit(drive_log: Path, monkey
 
 def written(path: Path, log_format: str, frames: FrameBatch) -> None:
     """Write frames as a log."""
+    columns = zip(frames.t_ns.tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True)
     start_ns = int(frames.t_ns[0])
-    encoded = EncodedFrames(
-        t_s=(frames.t_ns - start_ns) / 1e9, can_id=frames.can_id, length=frames.length, data=frames.data
-    )
-    with open_log(path, log_format=RecordFormat(log_format), start_ns=start_ns) as log:
-        log.write(encoded)
+    GRAMMARS[log_format].write(path, [
+        Frame(t_us=(t_ns - start_ns) // 1000, can_id=can_id, is_extended=False, length=length, data=data.tobytes())
+        for t_ns, can_id, length, data in columns
+    ])  # fmt: skip
 
 
 @pytest.mark.parametrize("log_format", [*FORMATS, "gz"])
@@ -57,7 +56,7 @@ def test_every_format_comes_through_a_pipe(
     log_format: str, drive_log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lines = drive_log.read_bytes().splitlines(keepends=True)[:3_000]
-    path = tmp_path / f"drive.{log_format}"
+    path = tmp_path / "drive"
     if log_format == "gz":
         path.write_bytes(gzip.compress(b"".join(lines)))
     else:

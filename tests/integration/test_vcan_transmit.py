@@ -38,12 +38,12 @@ def test_an_interface_switched_off_while_sending_is_one_clear_error(
 
 def test_an_interface_that_is_down_says_what_to_do(vcan: str) -> None:
     assert ip_link("set", vcan, "down")
-    with pytest.raises(BusError, match=f"it is down .ip link set {vcan} up"):
+    with pytest.raises(BusError, match=f"is down: switch it on .ip link set {vcan} up"):
         open_bus("socketcan", vcan)
 
 
 def test_an_unknown_interface_says_what_to_do() -> None:
-    with pytest.raises(BusError, match=r"no such interface .ip link add vcan99 type vcan"):
+    with pytest.raises(BusError, match=r"no CAN interface 'vcan99': create it .ip link add vcan99 type vcan"):
         open_bus("socketcan", "vcan99")
 
 

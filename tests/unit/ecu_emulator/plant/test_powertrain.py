@@ -52,13 +52,17 @@ CONTROL = nominal_parameters().control
         ("dt_s", 1e-3),
         ("dt_s", 1.5e-4),
         ("dt_s", float("nan")),
-        ("friction_factors", (FrictionFactors(mu_c1=0.0),)),
     ],
 )
 def test_a_setting_outside_its_range_is_named(name: str, value: object) -> None:
     assert name in {field.name for field in fields(DriveSettings)}
     with pytest.raises(CalibrationError, match=name):
         replace(DriveSettings(), **{name: value})  # type: ignore[arg-type]  # wrong on purpose
+
+
+def test_friction_that_is_gone_is_no_factor() -> None:
+    with pytest.raises(CalibrationError, match="mu_c1"):
+        FrictionFactors(mu_c1=0.0)
 
 
 def test_cycles_vary_with_the_seed_and_a_longer_drive_begins_alike() -> None:

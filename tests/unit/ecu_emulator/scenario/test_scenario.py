@@ -1,11 +1,13 @@
+import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.scenario.faults import Phase, SensorFault, SensorFaultKind
 from ecu_emulator.scenario.scenario import Ambient, Driver, Scenario, WorkshopRoutine, production_scatter
-from ecu_emulator.scenario.scenario_file import load_scenario, parse_scenario, shipped_scenarios
+from ecu_emulator.scenario.scenario_file import load_scenario, scenario_of, shipped_scenarios
 
 MINIMAL = 'name = "mine"\n'
 FAULT = "[[sensor_faults]]\nquantity = 'hub_speed_rad_s'\n"
@@ -20,12 +22,11 @@ def test_shipped_scenarios_load_and_are_named_like_their_files() -> None:
 
 
 def test_a_scenario_needs_only_a_name() -> None:
-    assert parse_scenario(MINIMAL, "text") == Scenario(name="mine")
+    assert scenario_of(tomllib.loads(MINIMAL), "text") == Scenario(name="mine")
 
 
 def test_every_key_reaches_its_place() -> None:
-    scenario = parse_scenario(
-        """
+    text = """
         name = "all"
         description = "everything"
         vehicle = "car-7"
@@ -49,9 +50,8 @@ def test_every_key_reaches_its_place() -> None:
         viscosity.b_k = 700.0
         [truth.plant]
         vehicle.mass_kg = 1800.0
-        """,
-        "text",
-    )
+    """
+    scenario = scenario_of(tomllib.loads(text), "text")
     assert (scenario.name, scenario.vehicle, scenario.seed, scenario.cycles) == ("all", "car-7", 99, 3)
     assert (scenario.odometer_m, scenario.fluid.ageing_cycles) == (5.0, 7)
     assert scenario.driver == Driver(pedal_ratio=0.5, variation_ratio=0.0)
@@ -114,18 +114,23 @@ def test_every_key_reaches_its_place() -> None:
         (MINIMAL + "[[bus_faults]]\nkind = 'loss'\nshare = 0", "bus_faults 1: share must be above 0"),
         (MINIMAL + "truth.mu = 3", r"truth\.mu is unknown"),
         (MINIMAL + "truth.calibration = 3", r"truth\.calibration must be a table"),
-        ("name = ", "is not TOML"),
     ],
 )
 def test_a_key_that_cannot_be_used_is_named(text: str, named: str) -> None:
     with pytest.raises(EmulatorConfigError, match=named) as caught:
-        parse_scenario(text, "here.toml")
+        scenario_of(tomllib.loads(text), "here.toml")
     assert str(caught.value).startswith("here.toml")
+
+
+def test_a_file_that_is_no_toml_is_named(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text("name = ", encoding="ascii")
+    with pytest.raises(EmulatorConfigError, match=r"scenario .*mine\.toml is not TOML"):
+        load_scenario(str(tmp_path / "mine.toml"))
 
 
 def test_sensor_faults_are_read_in_their_order() -> None:
     text = MINIMAL + FAULT + "kind = 'frozen'\n" + FAULT + "kind = 'drift'\nsize = -2\nshift = 3\nphase = 'inertia'"
-    frozen, drift = parse_scenario(text, "text").sensor_faults
+    frozen, drift = scenario_of(tomllib.loads(text), "text").sensor_faults
     assert frozen == SensorFault(quantity="hub_speed_rad_s", kind=SensorFaultKind.FROZEN)
     assert (drift.kind, drift.size, drift.shift, drift.phase) == (SensorFaultKind.DRIFT, -2.0, 3, Phase.INERTIA)
 

@@ -77,20 +77,20 @@ def test_a_truth_file_reads_back(tmp_path: Path) -> None:
     rev = RevTruth(number=1, t_start_s=0.1, t_end_s=0.2, are_clutches_closed=True)
     totals = Totals(shifts=2, duration_s=1.2, frames=77, faults=(FAULT,))
     with TruthWriter(path) as writer:
-        writer.drive(DRIVE)
-        writer.write(shifts[:1])
+        writer.write(DRIVE)
+        writer.write(*shifts[:1])
         assert read_truth(path) == TruthLog(drive=DRIVE, shifts=shifts[:1], totals=None)
-        writer.write(shifts[1:])
-        writer.write([rev])
-        writer.totals(totals)
+        writer.write(*shifts[1:])
+        writer.write(rev)
+        writer.write(totals)
     assert read_truth(path) == TruthLog(drive=DRIVE, shifts=shifts, totals=totals, revs=(rev,))
 
 
 def test_a_file_from_before_there_were_events_is_read(tmp_path: Path) -> None:
     path = tmp_path / "truth.jsonl"
     with TruthWriter(path) as writer:
-        writer.drive(DRIVE)
-        writer.totals(Totals(shifts=0, duration_s=9.0, frames=5))
+        writer.write(DRIVE)
+        writer.write(Totals(shifts=0, duration_s=9.0, frames=5))
     lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     del lines[0]["drive"], lines[1]["events"]
     path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
