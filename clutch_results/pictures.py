@@ -1,6 +1,6 @@
 """Pictures and tables of a clutch: friction over slip, the margin that is left of it, causes and loads."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Final
@@ -20,7 +20,7 @@ from clutch_results.curves import (
     margin_left,
     new_curve,
 )
-from clutch_results.prognosis import Forecast, Prognosis
+from clutch_results.prognosis import Prognosis, forecast
 from clutch_results.prognosis.history import UNSEEN_M
 from clutch_results.prognosis.prognosis import M_PER_KM
 from clutch_results.prognosis.sentence import soonest
@@ -57,6 +57,7 @@ class Past:
     left: FloatArray  # (n,)
     std: FloatArray  # (n,)
     events: tuple[tuple[str, int], ...]  # stream and position of each
+    drawn: tuple[FloatArray, ...] = ()  # thinned, gaps at new fluid: places, margins, two deviations, numbers of events
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,23 +70,13 @@ class Fan:
     ahead: FloatArray  # (d,) places on the axis from today on; empty: nothing is foretold
     quantiles: FloatArray  # (3, d) less than this is left with 10, 50 and 90 % probability [%]
 
-    def drawn(self, past: Past) -> list[FloatArray]:
-        """Return places, margins, two of their deviations and numbers of events as they are drawn.
-
-        They are thinned, with gaps at new fluid.
-        """
-        fills = [place for place, kind, _ in self.moments if kind == "fill"]
-        starts, numbers = np.searchsorted(past.along, fills).tolist(), np.arange(len(past.left), dtype=np.float64)
-        left, along, wide, number = broken(starts, MOST_POINTS, past.left, past.along, STDS * past.std, numbers)
-        return [along, left, wide, number]
-
     @property
     def axes(self) -> tuple[Axis, Axis]:
         """The axes on which all of it has room."""
-        spread = [one + sign * wide for _, one, wide, _ in map(self.drawn, self.pasts) for sign in (-1.0, 1.0)]
-        shown = [np.clip(one, *SHOWN_PERCENT) for one in spread]
+        edges = [left + sign * wide for _, left, wide, _ in (past.drawn for past in self.pasts) for sign in (-1.0, 1.0)]
+        shown = [np.clip(edge, *SHOWN_PERCENT) for edge in edges]
         y = Axis.around("friction margin [%]", [-12.0, 112.0], *shown, margin_ratio=0.0)
-        return Axis.around(self.label, *(one.along for one in self.pasts), self.ahead, margin_ratio=0.02), y
+        return Axis.around(self.label, *(past.along for past in self.pasts), self.ahead, margin_ratio=0.02), y
 
 
 def fan_of(
@@ -94,34 +85,37 @@ def fan_of(
     new_friction: Sequence[FrictionCurve],
     prognoses: Sequence[Prognosis] = (),
     *,
-    foretell: Callable[[int], Forecast | None] | None = None,
+    is_foretold: bool = False,
     alarms: Sequence[tuple[str, str]] = (),
 ) -> Fan | None:
     """Return the fan of results in their order, all of one calibration; None where no margin is known.
 
-    ``new_friction`` is that of each clutch with new fluid; ``foretell`` is asked for the clutch that decides;
-    ``alarms`` are moments (ISO 8601 UTC) and texts.
+    ``new_friction`` is that of each clutch with new fluid; if it ``is_foretold``, the fan of the clutch that decides
+    goes on by its prognosis; ``alarms`` are moments (ISO 8601 UTC) and texts.
     """
     curves = dict(enumerate(new_friction, 1))
     reach = soonest(prognoses)
-    soon = [one.clutch for one in prognoses if reach is not None and one.change_fluid is reach]
-    pasts = [one for one in (_past(clutch, results, new) for clutch, new in curves.items()) if len(one.left)]
+    soon = [prognosis.clutch for prognosis in prognoses if reach is not None and prognosis.change_fluid is reach]
+    pasts = [past for clutch, new in curves.items() if len((past := _past(clutch, results, new)).left)]
     if not pasts:
         return None
-    pasts.sort(key=lambda one: (one.clutch not in soon, one.left[-1]))
+    pasts.sort(key=lambda past: (past.clutch not in soon, past.left[-1]))
     first = pasts[0].clutch
-    foretold = None if foretell is None else foretell(first)
+    decisive = next((prognosis for prognosis in prognoses if prognosis.clutch == first), None)
+    foretold = None if decisive is None or not is_foretold else forecast(decisive)
     km, ahead, quantiles = _odometer_km(results), np.empty(0), np.empty((3, 0))
     if foretold is not None:
-        _, likely_m, sure_m = (np.interp(0.0, -one, foretold.distance_m) for one in foretold.quantiles)
+        _, likely_m, sure_m = (np.interp(0.0, -left, foretold.distance_m) for left in foretold.quantiles)
         is_shown = foretold.distance_m <= 1.05 * min(sure_m, 2.0 * likely_m, MOST_AHEAD_M)
         ahead, quantiles = km[-1] + foretold.distance_m[is_shown] / M_PER_KM, 100.0 * foretold.quantiles[:, is_shown]
     has_km = foretold is not None or np.ptp(km) >= LEAST_KM  # NaN where the odometer is not known
     along = km if has_km else np.arange(1.0, len(results) + 1.0)
+    moments = _moments(first, results, along, fills, alarms)
+    new_fluids = [place for place, kind, _ in moments if kind == "fill"]
     return Fan(
-        pasts=tuple(replace(one, along=along[one.along.astype(np.int64)]) for one in pasts),
+        pasts=tuple(_thinned(past, along[past.along.astype(np.int64)], new_fluids) for past in pasts),
         label="odometer [km]" if has_km else "event",
-        moments=tuple(_moments(first, results, along, fills, alarms)),
+        moments=tuple(moments),
         ahead=ahead,
         quantiles=quantiles,
     )
@@ -129,14 +123,21 @@ def fan_of(
 
 def _past(clutch: int, results: Sequence[ShiftResult], new: FrictionCurve) -> Past:
     """Return the past of a clutch over the places of its results; empty while its margin is not known."""
-    places = [place for place, one in enumerate(results) if one.estimate.clutch == clutch]
-    known = np.array([margin_left(results[place].verdict, new) for place in places], np.float64).reshape(-1, 2)
-    if not np.isfinite(known[-1:]).any():
-        places, known = [], known[:0]
+    places = [place for place, result in enumerate(results) if result.estimate.clutch == clutch]
+    margins = np.array([margin_left(results[place].verdict, new) for place in places], np.float64).reshape(-1, 2)
+    if not np.isfinite(margins[-1:]).any():
+        places, margins = [], margins[:0]
     title = title_of(clutch, results[places[-1]].verdict.element if places else None)
-    left, std = 100.0 * known.T
+    left, std = 100.0 * margins.T
     events = tuple((results[place].stream, results[place].seq) for place in places)
     return Past(clutch=clutch, title=title, along=np.array(places, np.float64), left=left, std=std, events=events)
+
+
+def _thinned(past: Past, along: FloatArray, new_fluids: Sequence[float]) -> Past:
+    """Return a past over the axis that is drawn, with the points that are drawn of it."""
+    starts, numbers = np.searchsorted(along, new_fluids).tolist(), np.arange(len(along), dtype=np.float64)
+    left, places, wide, numbers = broken(starts, MOST_POINTS, past.left, along, STDS * past.std, numbers)
+    return replace(past, along=along, drawn=(places, left, wide, numbers))
 
 
 def _odometer_km(results: Sequence[ShiftResult]) -> FloatArray:
@@ -144,7 +145,7 @@ def _odometer_km(results: Sequence[ShiftResult]) -> FloatArray:
 
     A step back or a leap is another instrument cluster. NaN where the odometer is not known of most.
     """
-    read_m = np.array([one.estimate.odometer_m for one in results], np.float64)  # None becomes NaN
+    read_m = np.array([result.estimate.odometer_m for result in results], np.float64)  # None becomes NaN
     places = np.flatnonzero(np.isfinite(read_m))
     if 2 * len(places) <= len(results):
         return np.full(len(results), np.nan)
@@ -162,19 +163,18 @@ def _moments(
     alarms: Sequence[tuple[str, str]],
 ) -> list[tuple[float, str, str]]:
     """Return where fluid was filled, a baseline frozen, the vehicle calibrated and the verdict on a clutch worse."""
-    starts = [utc_from_bus_ns(one.estimate.start_ns) for one in results]
-    happened = [(one.filled_at, "fill", "new fluid") for one in fills] + [(at, "alarm", text) for at, text in alarms]
+    starts = [utc_from_bus_ns(result.estimate.start_ns) for result in results]
+    happened = [(fill.filled_at, "fill", "new fluid") for fill in fills] + [(at, "alarm", text) for at, text in alarms]
     firsts = [(sum(start < at for start in starts), kind, text) for at, kind, text in happened]
     moments = [(float(along[min(first, len(along) - 1)]), kind, text) for first, kind, text in firsts]
-    own = [
-        (place, one.verdict) for place, one in zip(along.tolist(), results, strict=True) if one.verdict.clutch == clutch
-    ]
-    for (_, before), (place, now) in pairwise(own):
-        told = [(one.calibration_ratio or 0.0) >= CALIBRATED_RATIO for one in (before, now)]
+    places = zip(along.tolist(), results, strict=True)
+    verdicts = [(place, result.verdict) for place, result in places if result.verdict.clutch == clutch]
+    for (_, before), (place, now) in pairwise(verdicts):
+        is_calibrated = [(verdict.calibration_ratio or 0.0) >= CALIBRATED_RATIO for verdict in (before, now)]
         word = now.condition.name.lower()
         changes = (
             (before.trend is None and now.trend is not None, "base", "baseline"),
-            (told == [False, True], "base", "calibrated"),
+            (is_calibrated == [False, True], "base", "calibrated"),
             (before.condition < now.condition > Condition.GOOD, word, word.replace("_", " ")),
         )
         moments += [(place, kind, text) for is_so, kind, text in changes if is_so]
@@ -194,7 +194,7 @@ def fan_picture(fan: Fan) -> Markup:
         plot.line(fan.ahead, np.where(fan.quantiles[1] > y.low, fan.quantiles[1], np.nan), "line dashed ahead")
         plot.moment(float(fan.ahead[0]), "today", "today", row=MOMENT_ROWS)
     for past in reversed(fan.pasts):
-        along, left, wide, _ = fan.drawn(past)
+        along, left, wide, _ = past.drawn
         if past is first:
             plot.band(along, left - wide, left + wide, f"band clutch{past.clutch}")
         plot.line(along, left, f"line {'strong ' if past is first else ''}clutch{past.clutch}")
@@ -210,20 +210,20 @@ def fan_record(fan: Fan) -> dict[str, Any]:
     streams = sorted({stream for past in fan.pasts for stream, _ in past.events})
     pasts = []
     for past in fan.pasts:
-        along, left, wide, number = (one[:-1] for one in fan.drawn(past))
+        along, left, wide, number = (column[:-1] for column in past.drawn)
         along = np.where(np.isnan(along), np.roll(along, 1) + 1e-3, along)
         rising = np.diff(np.maximum.accumulate(along), prepend=-np.inf) > 0.0  # as a chart needs it
-        told = [past.events[int(one)] if one == one else None for one in number[rising]]  # noqa: PLR0124 - NaN
+        events = [None if np.isnan(place) else past.events[int(place)] for place in number[rising]]
         pasts.append(
             {
                 "clutch": past.clutch,
                 "title": past.title,
                 "x": along[rising].tolist(),
                 **{
-                    name: [None if np.isnan(one) else round(one, 2) for one in values[rising].tolist()]
+                    name: [None if np.isnan(value) else round(value, 2) for value in values[rising].tolist()]
                     for name, values in (("left", left), ("low", left - wide), ("high", left + wide))
                 },
-                "events": [None if one is None else [streams.index(one[0]), one[1]] for one in told],
+                "events": [None if event is None else [streams.index(event[0]), event[1]] for event in events],
             }
         )
     low, high = fan.axes[1].low, fan.axes[1].high

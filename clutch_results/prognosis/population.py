@@ -5,11 +5,12 @@ of the population. Both are robust, so that a bad batch among many does not wide
 found by expectation and maximization (Dempster, Laird, Rubin 1977).
 """
 
+import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from math import isfinite
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 
 from canlog.arrays import FloatArray, Int64Array
@@ -44,28 +45,28 @@ def monthly(history: History) -> Iterator[Monthly]:
     """Yield the monthly means of each fluid that is known: a fill is no common step, even where a fleet has many."""
     period = (history.end_s / PERIOD_S).astype(np.int64)
     for number in np.unique(history.fluid_number):
-        own = history.fluid_number == number
-        periods, place = np.unique(period[own], return_inverse=True)
+        is_fluid = history.fluid_number == number
+        periods, place = np.unique(period[is_fluid], return_inverse=True)
         count = np.bincount(place)
-        means = (np.bincount(place, np.log(mu[own])) / count for mu in (history.mu_c, history.mu_s))
+        means = (np.bincount(place, np.log(mu[is_fluid])) / count for mu in (history.mu_c, history.mu_s))
         yield Monthly(period=periods, **dict(zip(("mu_c", "mu_s"), means, strict=True)))
 
 
 def common_of(clutches: Iterable[Monthly]) -> Common | None:
     """Return what the clutches of one type share; None: nothing."""
-    known = list(clutches)
-    if not known:
+    means = list(clutches)
+    if not means:
         return None
-    first = min(int(one.period[0]) for one in known)
-    period = np.concatenate([one.period for one in known]) - first
-    clutch = np.repeat(np.arange(len(known)), [len(one.period) for one in known])
+    first = min(int(monthly_means.period[0]) for monthly_means in means)
+    period = np.concatenate([monthly_means.period for monthly_means in means]) - first
+    clutch = np.repeat(np.arange(len(means)), [len(monthly_means.period) for monthly_means in means])
     courses = [
-        common_course(period, clutch, np.concatenate([getattr(one, name) for one in known]))
+        common_course(period, clutch, np.concatenate([getattr(monthly_means, name) for monthly_means in means]))
         for name in ("mu_c", "mu_s")
     ]
-    if not any(np.any(one) for one in courses):
+    if not np.any(courses):
         return None
-    mu_c, mu_s = (tuple(one.tolist()) for one in courses)
+    mu_c, mu_s = (tuple(course.tolist()) for course in courses)
     return Common(first_period=first, mu_c=mu_c, mu_s=mu_s)
 
 
@@ -100,10 +101,10 @@ def common_course(period: Int64Array, clutch: Int64Array, value: FloatArray) -> 
     steps = np.diff(mean, axis=1)
     usual = _middle(steps[np.isfinite(steps)])[0]
     for column in range(periods - 1):
-        own = steps[np.isfinite(steps[:, column]), column]
-        if len(own) < LEAST_CLUTCHES:
+        steps_now = steps[np.isfinite(steps[:, column]), column]
+        if len(steps_now) < LEAST_CLUTCHES:
             continue
-        step, std = _middle(own)
+        step, std = _middle(steps_now)
         if abs(step - usual) > SURE_STEP_STD * std:
             course[column + 1] = step - usual
     return np.asarray(np.cumsum(course))
@@ -203,10 +204,10 @@ class Population:
 
     def of(self, vehicle_type: str, fluid: str | None) -> Peers | None:
         """Return the peers of a clutch: those with the same fluid, or else all of its type; None: too few are known."""
-        known = {one.kind: one for one in self.peers}
-        same = known.get(PeerGroup(vehicle_type=vehicle_type, fluid=fluid))
-        found = known.get(PeerGroup(vehicle_type=vehicle_type, fluid=None)) if same is None else same
-        return None if found is None else replace(found, version=self.version)
+        by_kind = {peers.kind: peers for peers in self.peers}
+        any_fluid = by_kind.get(PeerGroup(vehicle_type=vehicle_type, fluid=None))
+        peers = by_kind.get(PeerGroup(vehicle_type=vehicle_type, fluid=fluid), any_fluid)
+        return None if peers is None else replace(peers, version=self.version)
 
 
 def learn(lives: Iterable[Ageing]) -> Population:
@@ -223,8 +224,8 @@ def learn(lives: Iterable[Ageing]) -> Population:
         for kind in order
         if kind.fluid is None
     }
-    found = (_peers(kind, groups[kind], types[kind.vehicle_type]) for kind in order)
-    return Population(life_count=count, peers=tuple(one for one in found if one.channels))
+    peers = (_peers(kind, groups[kind], types[kind.vehicle_type]) for kind in order)
+    return Population(life_count=count, peers=tuple(one for one in peers if one.channels))
 
 
 def _peers(kind: PeerGroup, lives: Sequence[Ageing], ended: Sequence[Ageing]) -> Peers:
@@ -242,14 +243,13 @@ def _peers(kind: PeerGroup, lives: Sequence[Ageing], ended: Sequence[Ageing]) ->
 
 def _usual(courses: Sequence[Course]) -> Usual | None:
     """Return what is usual for one channel; None if too few lives say so."""
-    is_told = [0.0 < one.loss_std_per_m < MOST_LOSS_DOUBT * one.loss_per_m for one in courses]
-    told = [course for course, is_sure in zip(courses, is_told, strict=True) if is_sure]
-    if len(told) < LEAST_LIVES:
+    sure = [course for course in courses if 0.0 < course.loss_std_per_m < MOST_LOSS_DOUBT * course.loss_per_m]
+    if len(sure) < LEAST_LIVES:
         return None
-    start = np.array([one.start for one in told])
-    loss = np.array([one.loss_per_m for one in told])
-    doubt = np.array([one.loss_std_per_m for one in told]) / loss
-    centre, scatter = location_and_scatter(start, np.array([one.start_std for one in told]))
+    start = np.array([course.start for course in sure])
+    loss = np.array([course.loss_per_m for course in sure])
+    doubt = np.array([course.loss_std_per_m for course in sure]) / loss
+    centre, scatter = location_and_scatter(start, np.array([course.start_std for course in sure]))
     log_loss, loss_log_std = location_and_scatter(np.log(loss), doubt)
     return Usual(
         start=centre,
@@ -277,33 +277,16 @@ def location_and_scatter(value: FloatArray, std: FloatArray) -> tuple[float, flo
 
 
 SCHEMA: Final = "clutchdiag/population/v1"
-_USUAL: Final = ("start", "start_std", "loss_per_m", "loss_log_std")
 
 
 def population_record(population: Population) -> dict[str, Any]:
     """Return a population as it is written, JSON-ready."""
-    return {
-        "schema": SCHEMA,
-        "version": population.version,
-        "life_count": population.life_count,
-        "peers": [
-            {
-                "vehicle_type": one.kind.vehicle_type,
-                "fluid": one.kind.fluid,
-                "life_count": one.life_count,
-                "channels": {
-                    name.value: {key: getattr(usual, key) for key in _USUAL} for name, usual in one.channels.items()
-                },
-                "bend_chance": one.bend_chance,
-                "bend_life_count": one.bend_life_count,
-            }
-            for one in population.peers
-        ],
-        "common": [
-            {"vehicle_type": name, "first_period": one.first_period, "mu_c": one.mu_c, "mu_s": one.mu_s}
-            for name, one in population.common.items()
-        ],
-    }
+    record = msgspec.to_builtins(population)
+    peers = [{**one.pop("kind"), **one} for one in record["peers"]]
+    common = [{"vehicle_type": name, **one} for name, one in record["common"].items()]
+    for one in peers:
+        del one["version"]  # that of the population
+    return {"schema": SCHEMA, **record, "peers": peers, "common": common}
 
 
 def population_from(record: object) -> Population:
@@ -316,40 +299,17 @@ def population_from(record: object) -> Population:
     """
     if not isinstance(record, Mapping) or record.get("schema") != SCHEMA:
         raise ValueError(f"no population of the schema {SCHEMA}")
+    json.dumps(record, allow_nan=False)  # raises ValueError where a number is not finite
     try:
-        return Population(
-            version=None if record["version"] is None else int(record["version"]),
-            life_count=int(record["life_count"]),
-            peers=tuple(_written_peers(one) for one in record["peers"]),
-            common={str(one["vehicle_type"]): _common(one) for one in record["common"]},
-        )
-    except (KeyError, TypeError, AttributeError) as exc:
+        peers = [{**one, "kind": one} for one in record["peers"]]
+        common = {one["vehicle_type"]: one for one in record["common"]}
+    except (KeyError, TypeError) as exc:
         raise ValueError(f"a population lacks something: {exc}") from exc
-
-
-def _written_peers(record: Mapping[str, Any]) -> Peers:
-    fluid = record["fluid"]
-    return Peers(
-        kind=PeerGroup(vehicle_type=str(record["vehicle_type"]), fluid=None if fluid is None else str(fluid)),
-        life_count=int(record["life_count"]),
-        channels={
-            ChannelName(name): Usual(**{key: _number(usual[key]) for key in _USUAL})
-            for name, usual in record["channels"].items()
-        },
-        bend_chance=_number(record.get("bend_chance", KNEE_PROBABILITY)),  # older programs tell bends otherwise
-        bend_life_count=int(record["bend_life_count"]) if "bend_chance" in record else 0,
-    )
-
-
-def _common(record: Mapping[str, Any]) -> Common:
-    mu_c, mu_s = (tuple(map(_number, record[name])) for name in ("mu_c", "mu_s"))
-    if not mu_c or len(mu_c) != len(mu_s):
-        raise ValueError("common courses of mu_C and mu_S differ in length")
-    return Common(first_period=int(record["first_period"]), mu_c=mu_c, mu_s=mu_s)
-
-
-def _number(value: object) -> float:
-    number = float(str(value))
-    if not isfinite(number):
-        raise ValueError(f"{value!r} is not a number of a population")
-    return number
+    for one in peers:
+        if "bend_chance" not in one:  # earlier programs count bends otherwise
+            one["bend_life_count"] = 0
+    population = msgspec.convert({**record, "peers": peers, "common": common}, Population)
+    for shared in population.common.values():
+        if not shared.mu_c or len(shared.mu_c) != len(shared.mu_s):
+            raise ValueError("common courses of mu_C and mu_S differ in length")
+    return population

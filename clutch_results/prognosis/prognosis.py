@@ -1,7 +1,7 @@
 """How far the fluid of one clutch will go: what its past results say, never as a single number."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -120,6 +120,7 @@ class Prognosis:
     lining: Value | None = None  # change of the level of new fluid against that of the first one
     watch: Reach | None = None
     change_fluid: Reach | None = None
+    life: FluidLife | None = field(default=None, repr=False)  # of the present fluid so far
 
 
 def prognose(
@@ -165,6 +166,7 @@ def prognose(
         lining=_lining(lives),
         watch=_reach(watch, events_per_m, service_distance_m),
         change_fluid=_reach(change, events_per_m, service_distance_m),
+        life=today,
     )
 
 
@@ -179,13 +181,11 @@ class Forecast:
 _LEFT = np.linspace(-0.2, 1.2, 36)  # margins of which the passage is looked at
 
 
-def forecast(history: History, reference: FrictionCurve, *, peers: Peers | None = None) -> Forecast | None:
-    """Return what the prognosis of the same past says of the margin at each distance; None where it says nothing."""
-    starts = fluid_starts(history) if len(history) else ()
-    if not starts or history.is_fluid_newer or len(history) - starts[-1].row < LEAST_ROWS:
+def forecast(prognosis: Prognosis) -> Forecast | None:
+    """Return the margin at each distance ahead; None where the outlook is TOO_FEW."""
+    if prognosis.life is None:
         return None
-    today = fluid_lives(history, starts, reference, peers)[-1]
-    passages = [either(today, float(left), level_at(float(left))) for left in _LEFT]
+    passages = [either(prognosis.life, float(left), level_at(float(left))) for left in _LEFT]
     passed = np.maximum.accumulate([one.probability for one in passages], axis=0)
     quantiles = [[np.interp(share, column, _LEFT) for column in passed.T] for share in (0.1, 0.5, 0.9)]
     return Forecast(distance_m=passages[0].distance_m, quantiles=np.array(quantiles))

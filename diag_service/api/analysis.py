@@ -370,7 +370,7 @@ def draw_fan(fan: Fan | None, name: str) -> "Figure":
         return figure
     first = fan.pasts[0]
     for past in reversed(fan.pasts):
-        along, left, wide, _ = fan.drawn(past)
+        along, left, wide, _ = past.drawn
         colour = CLUTCH_COLOUR[past.clutch]
         axes.plot(along, left, color=colour, lw=2.2 if past is first else 1.2, label=past.title)
         if past is first:

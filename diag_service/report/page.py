@@ -24,7 +24,7 @@ from clutch_results.pictures import (
     fan_of,
     fan_picture,
 )
-from clutch_results.prognosis import Forecast, Prognosis, forecast, history_of
+from clutch_results.prognosis import Prognosis
 from clutch_results.prognosis.sentence import distance_left
 from clutch_results.shift_course import COURSE_HEAD, course_lines, course_row, courses, load_line, loads
 from clutchdiag_io.pages.content import templates_of
@@ -160,13 +160,9 @@ def fan_for(found: Findings, prognoses: Sequence[Prognosis] | None = None) -> Fa
     if found.calibration is None:
         return None
     prognoses = prognoses_of(found) if prognoses is None else prognoses
-    new = [one.friction for one in found.calibration.clutches]
-
-    def foretell(clutch: int) -> Forecast | None:
-        return forecast(history_of(found.results, found.fills, clutch), new[clutch - 1])
-
+    new = [clutch.friction for clutch in found.calibration.clutches]
     is_foretold = found.order.action not in UNFORETOLD
-    return fan_of(found.results, found.fills, new, prognoses, foretell=foretell if is_foretold else None)
+    return fan_of(found.results, found.fills, new, prognoses, is_foretold=is_foretold)
 
 
 def notebook_of(name: str, said: str, order: str, notices: Sequence[str], fan: Fan | None) -> str:

@@ -18,6 +18,7 @@ from diag_service.delivery import MqttConnector, Outbox
 from diag_service.store import ResultStore
 from ecu_emulator.cli import main as emulator
 from fleet_backend import queries
+from fleet_backend.ageing.results import fills_of
 from fleet_backend.alarms import book
 from fleet_backend.alarms.book import Letter
 from fleet_backend.alarms.rules import AlarmRule
@@ -27,7 +28,6 @@ from fleet_backend.database import open_database
 from fleet_backend.ingest import FILTERS, Worker, connected
 from fleet_backend.office.watching import Orders, Watch
 from fleet_backend.office_tables import ALARM
-from fleet_backend.page.queries import fills_of
 from fleet_backend.writer import Writer
 from fleet_contract import CLUTCHES
 from fleet_link import BrokerAddress

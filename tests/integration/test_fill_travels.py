@@ -10,10 +10,11 @@ import httpx
 import pytest
 
 from fleet_backend import queries
+from fleet_backend.ageing.calibrations import remember
+from fleet_backend.ageing.prognosis import outlook_text, read_past
+from fleet_backend.ageing.results import fills_of, results_of
 from fleet_backend.database import open_database
-from fleet_backend.page.calibrations import remember
-from fleet_backend.page.prognosis import estimate_of, outlook_of, outlook_text
-from fleet_backend.page.queries import DatabaseSource, fills_of, results_of
+from fleet_backend.page.queries import DatabaseSource
 from tests.integration.test_fluid_changed import LATER_S, recording
 from tests.plugins.broker import Mosquitto
 from tests.support.fleet_page import ACCESS, headers_of, served
@@ -61,19 +62,15 @@ class World:
             time.sleep(0.05)
         (fill,) = fills_of(engine, "car1")
         clutches = DatabaseSource(engine).clutches_of(["car1"])
-        rows = [results_of(engine, "car1", one.clutch) for one in clutches]
         with engine.connect() as connection:
             remember(connection, [("car1", clutches[0].calibration_version)])
-        founds = [
-            outlook_of(one.clutch, own, [estimate_of(row) for row in own], fills_of(engine, "car1"), 1.5e7, None)
-            for one, own in zip(clutches, rows, strict=True)
-        ]
+        pasts = [read_past(engine, now, fills_of(engine, "car1"), 1.5e7, None) for now in clutches]
         engine.dispose()
         assert fill.filled_at.strftime("%Y-%m-%dT%H:%M:%S.%fZ") == noted["filled_at"]
         assert (fill.product, {one.fluid for one in clutches}) == (noted["product"], {noted["product"]})
         assert {one.order for one in clutches} == {history[-1]["order"]}
         told = ended("history", self.store).out.splitlines()
-        assert outlook_text(founds, clutches[0]) in told
+        assert outlook_text((past.prognosis for past in pasts), clutches[0]) in told
 
 
 @pytest.fixture(name="world")

@@ -19,7 +19,7 @@ from tests.support.fleet_page import asked, sources_of
 
 NOW = datetime(2026, 6, 15, 12, tzinfo=UTC)
 SCHEMAS = [Schema(channel) for channel in INGESTED if channel is not Channel.BUNDLE]
-PAGES = ("/", "/maintenance", "/alarms", "/quarantine")
+PAGES = ("/", "/maintenance", "/alarms")
 OFFICE = ("/api/v1/vehicles", "/api/v1/maintenance", "/api/v1/alarms")
 
 

@@ -10,6 +10,7 @@ from sqlalchemy import Engine, select, text, update
 
 from clutchdiag_io.console import PeopleConsole
 from fleet_backend import queries, report
+from fleet_backend.ageing.results import results_of
 from fleet_backend.choices import Quotas, TrendAxis
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
@@ -18,7 +19,7 @@ from fleet_backend.intake import MessageKind, Taken, batch_of, take_all
 from fleet_backend.months import RANK, keep_months, partitions
 from fleet_backend.office.retention import retain
 from fleet_backend.office_tables import AUDIT
-from fleet_backend.page.queries import DatabaseSource, results_of
+from fleet_backend.page.queries import DatabaseSource
 from fleet_backend.quotas import QuotaGate
 from fleet_backend.rows import Row
 from fleet_backend.schema import REVISION, SHIFT_RESULT

@@ -11,10 +11,12 @@ import pytest
 from sqlalchemy import Connection, Engine, event, text
 
 from clutch_results.event_kinds import EventKind
+from clutch_results.pictures import MOST_POINTS
 from clutch_results.prognosis import history_of, prognose
 from clutch_results.prognosis.sentence import outlook_line
 from clutch_results.records import Causes, Condition, LikelyCause, Reason, Revision, ShiftQuality, ShiftResult, Status
 from fleet_backend import queries
+from fleet_backend.ageing.results import results_of, shift_of
 from fleet_backend.alarms.rules import AlarmRule
 from fleet_backend.choices import TrendAxis
 from fleet_backend.database import open_database, transaction
@@ -23,7 +25,8 @@ from fleet_backend.intake import batch_of, take_all
 from fleet_backend.office.watching import Orders
 from fleet_backend.office.watching import Watch as WatchOfOffice
 from fleet_backend.page.fleet import Keeper
-from fleet_backend.page.queries import DatabaseSource, results_of, shift_of
+from fleet_backend.page.queries import DatabaseSource
+from fleet_backend.page.routes import NEWEST
 from fleet_backend.page.site import Sources
 from fleet_backend.writer import Batch, Writer
 from fleet_contract.orders import Action
@@ -81,8 +84,7 @@ def test_how_well_a_vehicle_shifts_is_on_its_page_and_a_fall_raises_an_alarm(eng
     assert {one.vehicle: one.score for one in DatabaseSource(engine).all_clutches()} == {"rough": 60.0, "old": None}
     one = shift_of(engine, "rough", "stream-1", 50)
     assert one is not None
-    assert one.shift_quality is not None
-    assert one.shift_quality.touch_error_pa == 9e3
+    assert one["shift_quality"].touch_error_pa == 9e3
 
 
 def test_a_cause_that_new_fluid_does_not_mend_is_on_the_page_in_the_list_and_an_alarm(engine: Engine) -> None:
@@ -141,6 +143,20 @@ def test_news_are_seen_and_a_reader_writes_nothing(database: str) -> None:
         engine.dispose()
 
 
+def test_an_open_page_is_made_again_only_when_it_has_news(engine: Engine) -> None:
+    Writer(engine).store(Batch(shifts=[row_of(fleet_result(1, vehicle=name)) for name in ("car1", "car2")]))
+    sources, paths = sources_of(engine), ("/", "/vehicles/car1", "/vehicles/car2")
+    marks = [answer.headers["etag"] for answer in asked(sources, *paths)]
+
+    def statuses() -> list[int]:
+        return [asked(sources, path, mark=mark)[0].status_code for path, mark in zip(paths, marks, strict=True)]
+
+    assert statuses() == [304, 304, 304]
+    Writer(engine).store(Batch(shifts=[row_of(fleet_result(2))]))
+    sources.keeper.refresh()
+    assert statuses() == [200, 200, 304]
+
+
 def test_the_prognosis_is_that_of_the_service(engine: Engine) -> None:
     results = history(200)
     Writer(engine).store(Batch(shifts=[row_of(one) for one in results]))
@@ -164,6 +180,22 @@ def test_the_prognosis_is_that_of_the_service(engine: Engine) -> None:
     answer = told(engine, "/vehicles/car2")
     assert {one["outlook"] for one in answer["clutches"]} == {None}
     assert "has not told what calibration" in answer["clutches"][0]["why_no_outlook"]
+
+
+def test_many_results_are_read_once_and_their_chart_is_thinned(engine: Engine) -> None:
+    Writer(engine).store(Batch(shifts=[row_of(one) for one in history(1500)]))
+    sources, watch = sources_of(engine), Watch(engine)
+    watch.asked.clear()
+    (page,) = asked(sources, "/vehicles/car1")
+    questions = [statement for statement, _ in watch.asked if statement.lstrip().startswith("SELECT")]
+    of_results = [statement for statement in questions if "shift_result.shift_quality" in statement]
+    assert len(of_results) == 3  # of each clutch its results, and the last one with its causes
+    assert len(questions) <= 14
+    record = re.search(r'id="fan">(.*?)</script>', page.text)
+    assert record is not None
+    points = [len(past["x"]) for past in json.loads(record[1])["pasts"]]
+    assert [MOST_POINTS // 2 < count <= MOST_POINTS + 2 for count in points] == [True, True]
+    assert page.text.count("/vehicles/car1/shift?") == 2 * NEWEST
 
 
 def test_a_shift_that_was_seen_live_and_in_a_log_counts_once(engine: Engine) -> None:
@@ -267,7 +299,7 @@ def test_no_question_reads_all_results(large: Engine) -> None:
     with transaction(large) as connection:
         connection.execute(text("UPDATE shift_result SET stored_at = now() WHERE vehicle = 'v9' AND seq = 9"))
     keeper.refresh()
-    paths = [f"/{name}" for name in ("", "vehicles/v7", "maintenance", "alarms", "quarantine")]
+    paths = [f"/{name}" for name in ("", "vehicles/v7", "maintenance", "alarms")]
     paths += ["/vehicles/v7/shift?stream=stream-1&seq=9"]
     answers = asked(Sources(engine=large, keeper=keeper), *paths)
     assert [one.status_code for one in answers] == [200] * len(paths)
@@ -300,4 +332,4 @@ def test_results_are_as_later_ones_have_judged_them_whichever_came_first(engine:
     assert (row["status"], row["reasons"], row["mu_c"], other["status"]) == ("rejected", "misfit", None, "valid")
     shown = shift_of(engine, bad.vehicle, bad.stream, bad.seq)
     assert shown is not None
-    assert (shown.status, shown.reasons, shown.friction) == ("rejected", ("misfit",), None)
+    assert (shown["status"], shown["reasons"], shown["friction"]) == ("rejected", ("misfit",), None)

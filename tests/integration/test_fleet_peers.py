@@ -12,13 +12,13 @@ from sqlalchemy import Engine, select
 from clutch_results.pictures import Fan
 from clutch_results.prognosis import population_from
 from clutch_results.records import ShiftResult
+from fleet_backend.ageing.peers import latest_population
+from fleet_backend.ageing.prognosis import fan_of_vehicle, read_past
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.migrate import migrate
 from fleet_backend.office_tables import AUDIT
-from fleet_backend.page.populations import latest
-from fleet_backend.page.prognosis import estimate_of, fan_of_vehicle, outlook_of, read_past
-from fleet_backend.page.queries import DatabaseSource, results_of
+from fleet_backend.page.queries import DatabaseSource
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
 from tests.support.histories import history
@@ -59,7 +59,7 @@ def _address(fleet: Path, tmp_path: Path) -> str:
 def fan_of_car0(engine: Engine) -> Fan:
     """Return the chart of a vehicle whose second clutch decides."""
     clutches = DatabaseSource(engine).clutches_of(["car0"])
-    pasts = [read_past(engine, now, (), 1.5e7) for now in clutches if now.clutch == 2]
+    pasts = [read_past(engine, now, (), 1.5e7, latest_population(engine)) for now in clutches if now.clutch == 2]
     fan = fan_of_vehicle([now for now in clutches if now.clutch == 2], pasts, (), ())
     assert fan is not None
     return fan
@@ -78,15 +78,14 @@ def test_what_is_usual_is_learned_kept_and_used(
     assert records[-1] == {"record": "population", "version": 1}
 
     engine = open_database(address)
-    kept = latest(engine)
+    kept = latest_population(engine)
     assert kept is not None
     with transaction(engine) as connection:
         audit = connection.execute(select(AUDIT.c.action, AUDIT.c.subject).order_by(AUDIT.c.at)).all()
     assert [tuple(one) for one in audit] == [("keep population", "population 1, from 35 clutches")]
-    assert kept.population == population_from(json.loads(written.read_text(encoding="utf-8")))
-    rows = results_of(engine, "car0", 2)
-    estimates = [estimate_of(row) for row in rows]
-    among, alone = (outlook_of(2, rows, estimates, (), 1.5e7, one) for one in (kept, None))
+    assert kept == population_from(json.loads(written.read_text(encoding="utf-8")))
+    (now,) = (now for now in DatabaseSource(engine).clutches_of(["car0"]) if now.clutch == 2)
+    among, alone = (read_past(engine, now, (), 1.5e7, population).prognosis for population in (kept, None))
     chart = fan_of_car0(engine)
     engine.dispose()
     assert among is not None

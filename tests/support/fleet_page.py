@@ -14,14 +14,13 @@ from sqlalchemy import Engine
 
 from clutch_results.records import Condition
 from fleet_backend import queries
+from fleet_backend.ageing.records import ClutchNow
 from fleet_backend.database import open_database
 from fleet_backend.office.watching import Orders, Watch
 from fleet_backend.page.access import Access, Proxy, UserRole
 from fleet_backend.page.fleet import Keeper
-from fleet_backend.page.news import News
 from fleet_backend.page.queries import DatabaseSource
-from fleet_backend.page.records import ClutchNow
-from fleet_backend.page.routes import routes_of
+from fleet_backend.page.routes import routes
 from fleet_backend.page.server import address_of, closing_socket, serve
 from fleet_backend.page.site import Sources, application
 from fleet_backend.rows import Poison, quarantine_row
@@ -98,13 +97,13 @@ def sources_of(engine: Engine, *, now: datetime = NOW) -> Sources:
     return Sources(engine=engine, keeper=keeper, now=lambda: now)
 
 
-def asked(sources: Sources, *paths: str) -> list[httpx.Response]:
-    """Return what is answered at addresses, without a server."""
-    site = application(sources, routes_of(News(sources.keeper)))
+def asked(sources: Sources, *paths: str, mark: str = "") -> list[httpx.Response]:
+    """Return what is answered at addresses, without a server; a page that is open tells the mark of what it shows."""
+    site = application(sources, routes())
 
     async def answers() -> list[httpx.Response]:
         async with httpx.AsyncClient(transport=httpx.ASGITransport(site), base_url="http://127.0.0.1") as client:
-            return [await client.get(path) for path in paths]
+            return [await client.get(path, headers={"if-none-match": mark}) for path in paths]
 
     with start_blocking_portal() as portal:
         return portal.call(answers)
@@ -134,7 +133,7 @@ def served(database: str, access: Access | None = None, *, port: int = 0) -> Ite
     with closing_socket("127.0.0.1", port) as listener:
         started = list[Any]()  # servers
         sources = Sources(engine=engine, keeper=keeper, access=access or Access(), writer=writer if access else None)
-        work = serve(sources, listener, on_start=started.append, period_s=0.05)
+        work = serve(sources, listener, on_start=started.append)
         thread = threading.Thread(target=asyncio.run, args=(work,), name="fleet page")
         thread.start()
         try:

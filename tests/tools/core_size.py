@@ -18,7 +18,7 @@ CORE: Mapping[str, tuple[str, ...]] = {
     "emulator": ("ecu_emulator.live",),
     "ingest": ("fleet_backend.ingest",),
 }
-ANNEXES = ("workshop", "fleet_backend.office", "fleet_backend.page", "fleet_backend.alarms")
+ANNEXES = ("workshop", "fleet_backend.office", "fleet_backend.page", "fleet_backend.ageing", "fleet_backend.alarms")
 
 
 def import_graph() -> grimp.ImportGraph:

@@ -33,6 +33,7 @@ _EXIT_TEXT: Final = (
     "installed; 3 broker; 4 database; 5 unknown vehicle"
 )
 _PACE: Final = Pace()
+_MAX_BATCH: Final = 30_000  # twice as many are in flight; MQTT counts to 65,535
 COUNT: Final = click.IntRange(min=0)  # databases differ in what a negative number means
 
 
@@ -157,12 +158,12 @@ def command_line() -> None:
 )
 @click.option("--alive", type=FILE, help="touch this file every 5 s while broker and database answer")
 @metrics_option
-@click.option("--batch", type=int, default=_PACE.batch_size, help="results per transaction")
+@click.option("--batch", type=click.IntRange(1, _MAX_BATCH), default=_PACE.batch_size, help="results per transaction")
 @click.option(
     "--patience",
     metavar="MS",
-    type=float,
-    default=_PACE.patience_s * 1000.0,
+    type=click.IntRange(0, 10_000),
+    default=int(_PACE.patience_s * 1000.0),
     help="how long the first message of a batch waits for others",
 )
 @click.option(
@@ -189,12 +190,12 @@ def ingest(
     alive: Path | None,
     metrics: str | None,
     batch: int,
-    patience: float,
+    patience: int,
     quotas: str,
     no_bundles: bool,
 ) -> None:
     """Take results from the broker into the database, until stopped."""
-    pace = config.parse_pace(batch, patience, takes_bundles=not no_bundles)
+    pace = Pace(batch_size=batch, patience_s=patience / 1000.0, takes_bundles=not no_bundles)
     if not broker:
         raise BackendConfigError(f"no broker: give --broker or set {BROKER_VARIABLE}")
     run_ingest(

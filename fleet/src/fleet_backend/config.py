@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Final
 
 import fleet_link
-from fleet_backend.choices import Pace, Quotas
+from fleet_backend.choices import Quotas
 from fleet_backend.errors import BackendConfigError, BackendExtraError
 from fleet_contract.orders import EARLIEST
 from fleet_link import AddressError, BrokerAddress, TlsFiles
 
-_MAX_BATCH: Final = 30_000  # twice as many are in flight; MQTT counts to 65,535
 _MAX_PORT: Final = 65_535
 
 
@@ -51,15 +50,6 @@ def parse_broker(
     if address.is_nats and find_spec("nats") is None:
         raise BackendExtraError("nats", extra="nats")
     return address
-
-
-def parse_pace(batch_size: int, patience_ms: float, *, takes_bundles: bool = True) -> Pace:
-    """Return how messages are gathered; raises ConfigError for numbers that make no sense."""
-    if not 1 <= batch_size <= _MAX_BATCH:
-        raise BackendConfigError(f"a batch must be 1 to {_MAX_BATCH} messages, got {batch_size}")
-    if not 0.0 <= patience_ms <= 10_000.0:
-        raise BackendConfigError(f"the patience must be 0 to 10000 ms, got {patience_ms:g}")
-    return Pace(batch_size=batch_size, patience_s=patience_ms / 1000.0, takes_bundles=takes_bundles)
 
 
 def parse_quotas(text: str) -> Quotas:

@@ -60,10 +60,6 @@ class NotFoundError(PageError, status=404, title="There is no such page"):
     """There is no such thing: look at another one."""
 
 
-class BusyError(PageError, status=503, title="Too many readers"):
-    """There are too many readers at once: come back later."""
-
-
 class LoginError(PageError, status=401, title="You are not logged in"):
     """Nobody knows who asks: log in."""
 

@@ -1,4 +1,4 @@
-"""What users ask: who is worst and what to do, how it came, what is alarming, what was kept aside; a hash of it all."""
+"""What the command line reads: the worst clutches, trends, quarantine, fluid fills; a hash of all results."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -46,7 +46,7 @@ from fleet_contract import orders
 from fleet_contract.orders import SAME_WITHIN, fill_meant, name_of, odometer_complaint
 
 Row = Mapping[str, Any] | RowMapping
-# What a row keeps of a clutch whose fluid was changed since: all else is of the earlier one.
+# Columns that hold for a clutch whose fluid was changed since; all others are of the earlier fluid.
 _KEPT: Final = frozenset({
     *("place", "vehicle", "clutch", "end_at", "happened_at", "stored_at", "odometer_m", "stream", "seq"),
     *("algorithm_version", "calibration_version"),
@@ -60,10 +60,10 @@ def present_fluids(connection: Connection, vehicles: Sequence[str] | None = None
     statement = select(table.vehicle, table.filled_at, table.product).order_by(table.filled_at)
     if vehicles is not None:
         statement = statement.where(table.vehicle.in_(vehicles))
-    known: dict[str, list[PresentFluid]] = {}
+    fills: dict[str, list[PresentFluid]] = {}
     for row in connection.execute(statement):
-        known.setdefault(row.vehicle, []).append((row.filled_at, row.product))
-    return {vehicle: orders.distinct(own, itemgetter(0))[-1] for vehicle, own in known.items()}
+        fills.setdefault(row.vehicle, []).append((row.filled_at, row.product))
+    return {vehicle: orders.distinct(filled, itemgetter(0))[-1] for vehicle, filled in fills.items()}
 
 
 def clutch_names(connection: Connection) -> dict[tuple[str, int], str]:
@@ -80,22 +80,22 @@ def with_orders(
     by_vehicle: dict[str, list[Row]] = {}
     for row in rows:
         by_vehicle.setdefault(row["vehicle"], []).append(row)
-    for vehicle, own in by_vehicle.items():
-        filled_at, product = fluids.get(vehicle, (None, own[0]["fluid"]))
-        order = orders.order_of([_finding(row, names) for row in own], filled_at)
-        news = {"action": order.action.value, "order": order.text, "fluid_since": filled_at, "fluid": product}
-        for row in own:
-            told, element = dict(row), names.get((vehicle, row["clutch"]))
-            if orders.is_of_earlier_fluid(told["happened_at"], filled_at, since_of(told)):
-                told.update(dict.fromkeys(told.keys() - _KEPT), condition=orders.NO_VERDICT, shift_count=0)
-                unseen = orders.unseen_since_new(told["clutch"], element)
-                told.update(condition_reason=orders.UNKNOWN_FLUID, advice=unseen)
-            del told["running_since_bus_ns"], told["happened_at"]
-            yield told | news | {"element": element}
+    for vehicle, clutches in by_vehicle.items():
+        filled_at, product = fluids.get(vehicle, (None, clutches[0]["fluid"]))
+        order = orders.order_of([_finding(row, names) for row in clutches], filled_at)
+        added = {"action": order.action.value, "order": order.text, "fluid_since": filled_at, "fluid": product}
+        for row in clutches:
+            record, element = dict(row), names.get((vehicle, row["clutch"]))
+            if orders.is_of_earlier_fluid(record["happened_at"], filled_at, since_of(record)):
+                record.update(dict.fromkeys(record.keys() - _KEPT), condition=orders.NO_VERDICT, shift_count=0)
+                unseen = orders.unseen_since_new(record["clutch"], element)
+                record.update(condition_reason=orders.UNKNOWN_FLUID, advice=unseen)
+            del record["running_since_bus_ns"], record["happened_at"]
+            yield record | added | {"element": element}
 
 
 def since_of(row: Row) -> datetime | None:
-    """Return how far back what a row tells of the running condition goes, if that is beyond its own drive."""
+    """Return since when the running estimate of a row has gathered events, if that is before its own drive."""
     since_ns = row["running_since_bus_ns"]
     return None if since_ns is None else orders.EARLIEST + timedelta(microseconds=since_ns // 1000)
 
@@ -124,9 +124,9 @@ def _finding(row: Row, names: Mapping[tuple[str, int], str]) -> orders.ClutchFin
 
 
 def _suspects(causes: str | None) -> tuple[orders.Suspect, ...]:
-    """Return the causes that an order may name, by what a row holds of them."""
-    told = [] if causes is None else json.loads(causes)["likely"]
-    return tuple(orders.Suspect(one["cause"], one["clutch"], one["probability"]) for one in told)
+    """Return the causes in a row that an order may name."""
+    likely = [] if causes is None else json.loads(causes)["likely"]
+    return tuple(orders.Suspect(cause["cause"], cause["clutch"], cause["probability"]) for cause in likely)
 
 
 Record = Mapping[str, object]
@@ -182,15 +182,15 @@ class TableHash:
 
 def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
     """Return the running condition of every clutch, the worst first, with the order for its vehicle, and why."""
-    last, own = FLEET_WORST_FIRST.c, SHIFT_RESULT.c
+    last, result = FLEET_WORST_FIRST.c, SHIFT_RESULT.c
     names = ("vehicle", "stream", "seq", "algorithm_version", "calibration_version")
     made_at = literal_column("fleet_worst_first.produced_at", UtcDateTime())  # leads to one month in PostgreSQL
-    same = and_(*(own[name] == last[name] for name in names), own.produced_at == made_at)
-    statement = select(FLEET_WORST_FIRST, own.causes, own.running_since_bus_ns)
+    same = and_(*(result[name] == last[name] for name in names), result.produced_at == made_at)
+    statement = select(FLEET_WORST_FIRST, result.causes, result.running_since_bus_ns)
     statement = statement.join_from(FLEET_WORST_FIRST, SHIFT_RESULT, same)
     with transaction(engine) as connection:
         rows = connection.execute(statement.order_by(last.place)).mappings()
-        told = sorted(
+        clutches = sorted(
             with_orders(rows, present_fluids(connection), clutch_names(connection)),
             key=lambda row: (-SEVERITIES.index(row["condition"]), row["place"]),
         )
@@ -201,7 +201,7 @@ def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
             "severity": SEVERITIES.index(row["condition"]),
             "causes": None if row["causes"] is None else json.loads(row["causes"]),
         }
-        for place, row in enumerate(told, 1)
+        for place, row in enumerate(clutches, 1)
     ][:limit]
 
 
@@ -277,14 +277,14 @@ def last_seen(engine: Engine) -> Sequence[Record]:
 def trouble_codes(engine: Engine) -> Sequence[Record]:
     """Return the trouble codes that controllers tell, a record each; a vehicle without any has one record as well."""
     columns = (VEHICLE.c.vehicle, VEHICLE.c.controller, VEHICLE.c.controller_at)
-    told = _records(engine, select(*columns).where(VEHICLE.c.controller.is_not(None)).order_by(VEHICLE.c.vehicle))
-    found: list[Record] = []
-    for record in told:
-        said = json.loads(str(record["controller"]))
-        head = {"vehicle": record["vehicle"], "read_at": record["controller_at"], "controller": said["controller"]}
-        codes = said["codes"] or [dict.fromkeys(_CODE)]
-        found += ({**head, **{name: code[name] for name in _CODE}} for code in codes)
-    return found
+    vehicles = _records(engine, select(*columns).where(VEHICLE.c.controller.is_not(None)).order_by(VEHICLE.c.vehicle))
+    records: list[Record] = []
+    for row in vehicles:
+        report = json.loads(str(row["controller"]))
+        head = {"vehicle": row["vehicle"], "read_at": row["controller_at"], "controller": report["controller"]}
+        codes = report["codes"] or [dict.fromkeys(_CODE)]
+        records += ({**head, **{name: code[name] for name in _CODE}} for code in codes)
+    return records
 
 
 def note_fill(
@@ -325,13 +325,13 @@ def note_fill(
             raise BackendConfigError(complaint)
         gone = WITHDRAWN_FILL.c
         while _has(connection, select(gone.vehicle).where(gone.vehicle == vehicle, gone.filled_at == at)):
-            at += timedelta(microseconds=1)  # of a withdrawn one: that moment is taken for good
+            at += timedelta(microseconds=1)  # a withdrawn fill keeps its moment
         connection.execute(
             insert(FLUID_FILL).values(vehicle=vehicle, filled_at=at, product=product, odometer_m=odometer_m, note=note)
         )
         if by:
-            told = f"{vehicle}: {product} since {at.isoformat()}: {note or ''}"
-            _note(connection, datetime.now(UTC), by, "note fluid fill", told, role)
+            subject = f"{vehicle}: {product} since {at.isoformat()}: {note or ''}"
+            _note(connection, datetime.now(UTC), by, "note fluid fill", subject, role)
     return at
 
 
@@ -340,11 +340,11 @@ def withdraw_fill(engine: Engine, vehicle: str, at: datetime | None, *, by: str,
     table = FLUID_FILL.c
     with transaction(engine) as connection:
         known: Sequence[datetime] = connection.scalars(select(table.filled_at).where(table.vehicle == vehicle)).all()
-        meant = fill_meant(known, lambda one: one, at)
+        meant = fill_meant(known, lambda filled_at: filled_at, at)
         if meant is None:
             raise BackendConfigError(f"no fill of {vehicle} is noted{f' at {at.isoformat()}' if at else ''}")
-        gone = [one for one in known if timedelta(0) <= one - meant < SAME_WITHIN]
-        connection.execute(insert(WITHDRAWN_FILL), [{"vehicle": vehicle, "filled_at": one} for one in gone])
+        gone = [filled_at for filled_at in known if timedelta(0) <= filled_at - meant < SAME_WITHIN]
+        connection.execute(insert(WITHDRAWN_FILL), [{"vehicle": vehicle, "filled_at": filled_at} for filled_at in gone])
         connection.execute(delete(FLUID_FILL).where(table.vehicle == vehicle, table.filled_at.in_(gone)))
         _note(connection, datetime.now(UTC), by, "withdraw fluid fill", f"{vehicle}: {meant.isoformat()}", role)
     return meant
@@ -366,11 +366,11 @@ def table_hash(engine: Engine) -> TableHash:
     digest, row_count, last = sha256(), 0, None
     with transaction(engine) as connection:
         statement = select(*key, *columns).order_by(*order).execution_options(yield_per=_ROWS_PER_READ)
-        for found in connection.execute(statement):
-            name, row = tuple(found[: len(key)]), found[len(key) :]
-            if name == last:  # another content under one key, which another month holds
+        for result in connection.execute(statement):
+            result_key, row = tuple(result[: len(key)]), result[len(key) :]
+            if result_key == last:  # another content under one key, which another month holds
                 continue
-            last = name
+            last = result_key
             values = [value.isoformat() if isinstance(value, datetime) else value for value in row]
             digest.update(json.dumps(values).encode() + b"\n")
             row_count += 1

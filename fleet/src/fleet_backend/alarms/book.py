@@ -47,12 +47,15 @@ def open_alarms(engine: Engine) -> dict[Subject, bool]:
         return {Subject(vehicle=row.vehicle, clutch=row.clutch, rule=AlarmRule(row.rule)): True for row in rows}
 
 
-def alarms(engine: Engine, *which: ColumnElement[bool]) -> list[dict[str, Any]]:
+def alarms(
+    engine: Engine, *which: ColumnElement[bool], offset: int = 0, limit: int | None = None
+) -> list[dict[str, Any]]:
     """Return alarms with the names of their clutches, the latest first; clutch None: of the vehicle as a whole."""
-    order = (ALARM.c.raised_at.desc(), ALARM.c.vehicle, ALARM.c.clutch, ALARM.c.rule)
+    order = (ALARM.c.raised_at.desc(), ALARM.c.vehicle, ALARM.c.clutch, ALARM.c.rule, ALARM.c.number)
+    statement = select(ALARM).where(*which).order_by(*order).offset(offset).limit(limit)
     with transaction(engine) as connection:
         names = clutch_names(connection)
-        rows = connection.execute(select(ALARM).where(*which).order_by(*order)).mappings().all()
+        rows = connection.execute(statement).mappings().all()
     return [
         {**row, "clutch": row["clutch"] or None, "element": names.get((row["vehicle"], row["clutch"]))} for row in rows
     ]

@@ -5,10 +5,8 @@ from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from enum import StrEnum
 from itertools import pairwise
-from typing import Final
 
 from clutchdiag_io.people import is_dated
-from fleet_backend.errors import BackendConfigError
 from fleet_backend.intake import CLOCK_ERROR
 from fleet_contract.orders import Action, name_of
 
@@ -146,8 +144,8 @@ def odometer_finding(whose: Whose, readings_m: Sequence[float], limits: Limits) 
 
 def heard_last(told: Iterable[object], now: datetime) -> datetime | None:
     """Return the last moment at which a vehicle was heard, by its clock or ours; undated or yet to come: no moment."""
-    moments = (one for one in told if isinstance(one, datetime))
-    return max((one for one in moments if is_dated(one) and one <= now + CLOCK_ERROR), default=None)
+    moments = (at for at in told if isinstance(at, datetime))
+    return max((at for at in moments if is_dated(at) and at <= now + CLOCK_ERROR), default=None)
 
 
 def silence_finding(vehicle: str, last_heard_at: datetime, now: datetime, limits: Limits) -> RuleFinding:
@@ -163,7 +161,8 @@ def silence_finding(vehicle: str, last_heard_at: datetime, now: datetime, limits
 
 def quota_findings(withheld: Mapping[str, int], is_open: Iterable[Subject]) -> Iterator[RuleFinding]:
     """Yield of which vehicles messages of today were withheld, and of which no longer."""
-    for vehicle in sorted(withheld.keys() | {one.vehicle for one in is_open if one.rule is AlarmRule.QUOTA}):
+    alarmed = {subject.vehicle for subject in is_open if subject.rule is AlarmRule.QUOTA}
+    for vehicle in sorted(withheld.keys() | alarmed):
         count = withheld.get(vehicle, 0)
         reason = f"{count} messages of today are beyond its quota; the vehicle keeps them and sends them again"
         yield RuleFinding(
@@ -173,21 +172,21 @@ def quota_findings(withheld: Mapping[str, int], is_open: Iterable[Subject]) -> I
 
 def retired_findings(is_open: Iterable[Subject]) -> Iterator[RuleFinding]:
     """Yield that alarms of a rule that is no more are over."""
-    for one in is_open:
-        if one.rule is AlarmRule.CORRECTION:
-            yield RuleFinding(subject=one, is_wrong=False, reason="nothing is told of it any more")
+    for subject in is_open:
+        if subject.rule is AlarmRule.CORRECTION:
+            yield RuleFinding(subject=subject, is_wrong=False, reason="nothing is told of it any more")
 
 
 def transitions(
     findings: Iterable[RuleFinding], is_open: Mapping[Subject, bool], now: datetime
 ) -> Iterator[Transition]:
     """Yield what becomes of alarms; ``is_open`` knows those that are."""
-    for one in findings:
-        was_open = is_open.get(one.subject, False)
-        if one.is_wrong is None or one.is_wrong == was_open:
+    for finding in findings:
+        was_open = is_open.get(finding.subject, False)
+        if finding.is_wrong is None or finding.is_wrong == was_open:
             continue
-        event = AlarmEvent.RAISED if one.is_wrong else AlarmEvent.CLEARED
-        yield Transition(subject=one.subject, event=event, reason=one.reason, at=now)
+        event = AlarmEvent.RAISED if finding.is_wrong else AlarmEvent.CLEARED
+        yield Transition(subject=finding.subject, event=event, reason=finding.reason, at=now)
 
 
 def _subject(whose: Whose, rule: AlarmRule) -> Subject:
@@ -198,20 +197,3 @@ def _beyond(value: float, begin: float, end: float) -> bool | None:
     if value >= begin:
         return True
     return False if value <= end else None
-
-
-_MOST_KM: Final = 300_000.0  # as far as a prognosis looks
-
-
-def parse_silence(days: float) -> timedelta:
-    """Return how long a vehicle may be silent; raises ConfigError."""
-    if not 2.0 <= days <= 3650.0:
-        raise BackendConfigError(f"--silence-days must be 2 to 3650, got {days:g}")
-    return timedelta(days=days)
-
-
-def parse_service_km(distance_km: float) -> float:
-    """Return the distance to the next service [m]; raises ConfigError."""
-    if not 1.0 <= distance_km <= _MOST_KM:
-        raise BackendConfigError(f"--service-km must be 1 to {_MOST_KM:g}, got {distance_km:g}")
-    return 1000.0 * distance_km

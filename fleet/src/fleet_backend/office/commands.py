@@ -4,7 +4,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Coroutine, Iterator, Sequence
 from contextlib import contextmanager
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +16,7 @@ from clutchdiag_io.command_line import FILE, examples, together
 from clutchdiag_io.console import PeopleConsole
 from fleet_backend import queries, report
 from fleet_backend.alarms import book
-from fleet_backend.alarms.rules import Limits, parse_service_km, parse_silence
+from fleet_backend.alarms.rules import Limits
 from fleet_backend.commands import (
     COUNT,
     PROGRAM,
@@ -104,14 +104,13 @@ def _acknowledge(engine: Engine, vehicle: str, clutch: int | None, by: str, text
 def peers(engine: Engine, *, keep: bool, write: Path | None, is_json: bool) -> None:
     """Learn how fluids of each type usually age."""
     with _of_the_page():
-        from fleet_backend.page import populations
-        from fleet_backend.page.peers import fleet_ageing
+        from fleet_backend.ageing.peers import fleet_ageing, keep_population, write_population
     found = fleet_ageing(engine)
     version = None
     if keep:
-        version = populations.keep(engine, found.population, found.clutch_count, at=datetime.now(UTC), by=user_name())
+        version = keep_population(engine, found.population, found.clutch_count, at=datetime.now(UTC), by=user_name())
     if write is not None:
-        populations.write(write, found.population, version)
+        write_population(write, found.population, version)
     if is_json:
         kept_as = [] if version is None else [{"record": "population", "version": version}]
         report.write_json([*found.usual, *kept_as], sys.stdout)
@@ -164,12 +163,14 @@ def _serve(
     multiple=True,
     help="tell each alarm at the address in this file, as apprise has it: mail, chat, webhook, MQTT; may be repeated",
 )
-@click.option("--service-km", metavar="KM", type=float, default=15_000.0, help="distance to the next service")
+@click.option(
+    "--service-km", metavar="KM", type=click.IntRange(1, 300_000), default=15_000, help="distance to the next service"
+)
 @click.option(
     "--silence-days",
     metavar="D",
-    type=float,
-    default=14.0,
+    type=click.IntRange(2, 3650),
+    default=14,
     help="days without a result until an alarm is raised",
 )
 @click.option(
@@ -182,16 +183,15 @@ def watch(
     engine: Engine,
     *,
     notify: Sequence[Path],
-    service_km: float,
-    silence_days: float,
+    service_km: int,
+    silence_days: int,
     listen: str | None,
     access: Path | None,
     metrics: str | None,
     once: bool,
 ) -> None:
     """Raise alarms by rules and deliver them, until stopped."""
-    limits = Limits(silence_from=parse_silence(silence_days))
-    distance_m = parse_service_km(service_km)
+    limits = Limits(silence_from=timedelta(days=silence_days))
     with _of_the_page():
         from fleet_backend.office import watching
         from fleet_backend.office.watching import read_carrier
@@ -201,7 +201,7 @@ def watch(
             raise BackendConfigError(
                 f"--notify: two files are called {name}, by which alarms remember whom they reached"
             )
-    orders = watching.Orders(carriers=carriers, limits=limits, service_distance_m=distance_m)
+    orders = watching.Orders(carriers=carriers, limits=limits, service_distance_m=1000.0 * service_km)
     if listen is not None:
         if once:
             raise BackendConfigError("--once ends, --listen does not: give one of them")

@@ -18,9 +18,15 @@ from apprise import Apprise, AppriseAsset, NotifyFormat, NotifyType
 from prometheus_client.core import Metric
 from sqlalchemy import Engine, func, select
 
+from clutch_results.prognosis import Population
 from clutch_results.shift_course import fall_of
 from clutchdiag_io.metrics import gauge
 from fleet_backend import queries
+from fleet_backend.ageing.calibrations import reference_of
+from fleet_backend.ageing.peers import latest_population
+from fleet_backend.ageing.prognosis import chance_of, foretold, outlook_text, read_past
+from fleet_backend.ageing.records import ClutchNow, Severity
+from fleet_backend.ageing.results import fills_of
 from fleet_backend.alarms import book, rules
 from fleet_backend.alarms.book import Letter
 from fleet_backend.alarms.rules import AlarmEvent
@@ -29,19 +35,13 @@ from fleet_backend.database import transaction
 from fleet_backend.errors import BackendConfigError, CarrierError, DatabaseError
 from fleet_backend.months import month_of, partitions
 from fleet_backend.office_tables import ALARM_MESSAGE, INTAKE
-from fleet_backend.page.calibrations import reference_of
 from fleet_backend.page.fleet import Keeper, fleet_families
-from fleet_backend.page.populations import StoredPopulation, latest
-from fleet_backend.page.prognosis import chance_of, estimate_of, foretold, outlook_of, outlook_text
 from fleet_backend.page.queries import (
     DatabaseSource,
     arrivals_of,
-    fills_of,
     keep_dues,
     marks_of_judged,
-    results_of,
 )
-from fleet_backend.page.records import ClutchNow, Severity
 from fleet_backend.programs import shown_at, until_stopped
 from fleet_backend.queries import Row, is_alarming_since
 from fleet_backend.schema import QUARANTINE
@@ -60,11 +60,11 @@ class AppriseCarrier:
 
     def deliver(self, letter: Letter) -> None:
         """Deliver a message; raises CarrierError if it was not taken."""
-        told, is_over = letter.payload, letter.payload["event"] == AlarmEvent.CLEARED
-        whose = told["vehicle"] + (f", {name_of(told['clutch'], told['element'])}" if told["clutch"] else "")
+        alarm, is_over = letter.payload, letter.payload["event"] == AlarmEvent.CLEARED
+        whose = alarm["vehicle"] + (f", {name_of(alarm['clutch'], alarm['element'])}" if alarm["clutch"] else "")
         is_taken = self.apprise.notify(
-            title=f"{'Alarm over' if is_over else 'Alarm'}: {whose}: {told['rule']}",
-            body=f"{told['reason']}\n\n{told['at']}\n{letter.key}",
+            title=f"{'Alarm over' if is_over else 'Alarm'}: {whose}: {alarm['rule']}",
+            body=f"{alarm['reason']}\n\n{alarm['at']}\n{letter.key}",
             body_format=NotifyFormat.TEXT,
             notify_type=NotifyType.SUCCESS if is_over else NotifyType.WARNING,
         )
@@ -130,7 +130,7 @@ class Watch:
         self._keeper = shared or Keeper(DatabaseSource(engine))
         self.is_over = False  # then no other message is taken
         self.waiting_count = 0  # vehicles with news that the last round did not get to
-        self._told: tuple[Metric, ...] = ()  # of the last round
+        self._metrics: tuple[Metric, ...] = ()  # of the last round
         self._judged: dict[str, KnownVehicle] = {}  # as they were then, those of the longest ago first
         self._is_reminded = False  # of what other processes have judged
 
@@ -169,13 +169,13 @@ class Watch:
             self._judged[name] = known[name]
         for step in written:
             _LOG.info("%s: %s of %s", step.event, step.subject.rule, step.subject)
-        self._told = tuple(self._round_families(now, arrivals, began_s))
+        self._metrics = tuple(self._round_families(now, arrivals, began_s))
         return written
 
     def families(self) -> Iterator[Metric]:
         """Yield what the last round found, none before the first, and how large the fleet is."""
         yield from fleet_families(self._keeper)
-        yield from self._told
+        yield from self._metrics
 
     def _round_families(self, now: datetime, arrivals: Mapping[str, Arrivals], began_s: float) -> Iterator[Metric]:
         open_counts = dict.fromkeys((rule.value for rule in rules.AlarmRule), 0)
@@ -227,22 +227,22 @@ class Watch:
 
     def _withheld(self, now: datetime) -> dict[str, int]:
         """Return how many messages of today were not taken of each vehicle."""
-        told = select(INTAKE.c.vehicle, INTAKE.c.withheld_count)
-        told = told.where(INTAKE.c.day == now.date(), INTAKE.c.withheld_count > 0)
+        withheld = select(INTAKE.c.vehicle, INTAKE.c.withheld_count)
+        withheld = withheld.where(INTAKE.c.day == now.date(), INTAKE.c.withheld_count > 0)
         with transaction(self._engine) as connection:
-            return {str(vehicle): count for vehicle, count in connection.execute(told)}
+            return {str(vehicle): count for vehicle, count in connection.execute(withheld)}
 
     def _findings(
         self, now: datetime, is_open: Container[rules.Subject], arrivals: Mapping[str, Arrivals]
     ) -> Iterator[rules.RuleFinding]:
-        for one in self._keeper.snapshot.clutches:
-            subject = rules.Subject(vehicle=one.vehicle, clutch=one.clutch, rule=rules.AlarmRule.VERDICT)
-            is_old = subject in is_open and self._speaks_of_old_fluid(one)
-            yield rules.verdict_finding(_whose(one), one.condition, one.order, is_old_fluid=is_old)
+        for clutch in self._keeper.snapshot.clutches:
+            subject = rules.Subject(vehicle=clutch.vehicle, clutch=clutch.clutch, rule=rules.AlarmRule.VERDICT)
+            is_old = subject in is_open and self._is_alarm_of_old_fluid(clutch)
+            yield rules.verdict_finding(_whose(clutch), clutch.condition, clutch.order, is_old_fluid=is_old)
         for record in queries.last_seen(self._engine):
             vehicle = str(record["vehicle"])
-            told = (record["last_result_at"] or record["connected_at"], *arrivals.get(vehicle, ()))
-            heard_at = rules.heard_last(told, now)
+            moments = (record["last_result_at"] or record["connected_at"], *arrivals.get(vehicle, ()))
+            heard_at = rules.heard_last(moments, now)
             if heard_at is not None:
                 yield rules.silence_finding(vehicle, heard_at, now, self._orders.limits)
 
@@ -254,14 +254,14 @@ class Watch:
         Thus the worst, which may have news in each round, keep none of the others waiting for ever. When the fluids of
         who was judged are due is added to ``dues``.
         """
-        kept, end_s = latest(self._engine), time.monotonic() + judging_s
+        kept, end_s = latest_population(self._engine), time.monotonic() + judging_s
         if not self._is_reminded:
             marks = marks_of_judged(self._engine).items()
             same = (name for name, mark in marks if name in known and mark == self._mark(known[name], kept))
             self._judged, self._is_reminded = {name: known[name] for name in same}, True
-        worst = dict.fromkeys(one.vehicle for one in self._keeper.snapshot.clutches)
+        worst = dict.fromkeys(clutch.vehicle for clutch in self._keeper.snapshot.clutches)
         never = (name for name in worst if name in known and name not in self._judged)
-        again = (name for name, own in self._judged.items() if known.get(name, own) != own)
+        again = (name for name, judged in self._judged.items() if known.get(name, judged) != judged)
         names = deque((*never, *again))
         while names:
             vehicle = names.popleft()
@@ -272,47 +272,43 @@ class Watch:
                 break
         self.waiting_count = len(names)
 
-    def _mark(self, vehicle: KnownVehicle, kept: StoredPopulation | None) -> str:
+    def _mark(self, vehicle: KnownVehicle, kept: Population | None) -> str:
         """Return what differs once a vehicle is to be judged again: by other results, calibrations or orders."""
-        new = [reference_of(one.vehicle, one.calibration_version, one.clutch) for one in vehicle[0]]
+        new = [reference_of(now.vehicle, now.calibration_version, now.clutch) for now in vehicle[0]]
         orders = (self._orders.limits, self._orders.service_distance_m, kept and kept.version, version("clutchdiag"))
         return sha256(repr((vehicle, new, orders)).encode()).hexdigest()
 
-    def _speaks_of_old_fluid(self, one: ClutchNow) -> bool:
+    def _is_alarm_of_old_fluid(self, now: ClutchNow) -> bool:
         """Return whether a clutch has no verdict, and no alarming one since its fluid was changed."""
-        if one.condition != Severity.NO_VERDICT or one.fluid_since is None:
+        if now.condition != Severity.NO_VERDICT or now.fluid_since is None:
             return False
         with transaction(self._engine) as connection:
-            return not is_alarming_since(connection, one.vehicle, one.clutch, one.fluid_since)
+            return not is_alarming_since(connection, now.vehicle, now.clutch, now.fluid_since)
 
     def _judge(
-        self, vehicle: str, clutches: Sequence[ClutchNow], kept: StoredPopulation | None
+        self, vehicle: str, clutches: Sequence[ClutchNow], kept: Population | None
     ) -> Generator[rules.RuleFinding, None, list[Row]]:
         """Yield what the past of a vehicle says; return when its fluids are due, a row per clutch."""
-        limits, fills, founds, readings = self._orders.limits, fills_of(self._engine, vehicle), [], []
-        for one in clutches:
-            rows = results_of(self._engine, vehicle, one.clutch)
-            estimates = [estimate_of(row) for row in rows]
-            last = rows[-limits.unused_events :]
-            unused = sum(row["status"] == "rejected" for row in last)
-            yield rules.quality_finding(_whose(one), unused, len(last), limits)
-            yield rules.score_finding(_whose(one), fall_of(estimates), limits)
+        limits, fills, pasts = self._orders.limits, fills_of(self._engine, vehicle), []
+        for now in clutches:
+            past = read_past(self._engine, now, fills, self._orders.service_distance_m, kept)
+            pasts.append(past)
+            last = past.rows[-limits.unused_events :]
+            unused_count = sum(row["status"] == "rejected" for row in last)
+            yield rules.quality_finding(_whose(now), unused_count, len(last), limits)
+            yield rules.score_finding(_whose(now), fall_of(past.estimates), limits)
             readings_m = [row["odometer_m"] for row in last if row["odometer_m"] is not None]
-            yield rules.odometer_finding(_whose(one), readings_m, limits)
-            readings.append([(row["end_at"], row["odometer_m"]) for row in rows])
-            distance_m = self._orders.service_distance_m
-            founds.append(outlook_of(one.clutch, rows, estimates, fills, distance_m, kept))
+            yield rules.odometer_finding(_whose(now), readings_m, limits)
         yield rules.cause_finding(vehicle, clutches[0].action, clutches[0].order)
-        dues = [foretold(one, founds, own) for one, own in zip(clutches, readings, strict=True)]
-        text = f"{clutches[0].order} {outlook_text(founds, clutches[0])}"
-        for one, found in zip(clutches, founds, strict=True):
-            if found is not None:
-                yield rules.due_finding(_whose(one), chance_of(found), text, limits)
-        return dues
+        text = f"{clutches[0].order} {outlook_text((past.prognosis for past in pasts), clutches[0])}"
+        for now, past in zip(clutches, pasts, strict=True):
+            if past.prognosis is not None:
+                yield rules.due_finding(_whose(now), chance_of(past.prognosis), text, limits)
+        return foretold(clutches, pasts)
 
 
-def _whose(one: ClutchNow) -> rules.Whose:
-    return rules.Whose(one.vehicle, one.clutch, one.element)
+def _whose(now: ClutchNow) -> rules.Whose:
+    return rules.Whose(now.vehicle, now.clutch, now.element)
 
 
 def run_watch(

@@ -8,17 +8,20 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
+from itertools import chain
 from types import MappingProxyType
 from typing import Final
 
 from prometheus_client.core import Metric
 
 from clutchdiag_io.metrics import gauge
+from fleet_backend.ageing.calibrations import type_of
+from fleet_backend.ageing.peers import latest_population
+from fleet_backend.ageing.prognosis import foretold_now
+from fleet_backend.ageing.records import ClutchNow, Severity
+from fleet_backend.ageing.results import levels_of
 from fleet_backend.errors import DatabaseError
-from fleet_backend.page.calibrations import type_of
-from fleet_backend.page.prognosis import foretold_now
-from fleet_backend.page.queries import DatabaseSource, levels_of
-from fleet_backend.page.records import ClutchNow, Severity
+from fleet_backend.page.queries import DatabaseSource
 from fleet_backend.queries import PresentFluid, Row
 from fleet_contract.orders import Action
 
@@ -50,8 +53,8 @@ def vehicle_type(now: ClutchNow) -> str:
 
 def worse_clutch(clutches: Sequence[ClutchNow]) -> ClutchNow:
     """Return a vehicle as its worse clutch; distance, fluid and last event are the vehicle's."""
-    worst, last = min(clutches, key=place_of), max(clutches, key=lambda one: one.end_at)
-    furthest_m = max((one.odometer_m for one in clutches if one.odometer_m is not None), default=None)
+    worst, last = min(clutches, key=place_of), max(clutches, key=lambda now: now.end_at)
+    furthest_m = max((now.odometer_m for now in clutches if now.odometer_m is not None), default=None)
     return replace(worst, odometer_m=furthest_m, fluid=last.fluid, end_at=last.end_at)
 
 
@@ -107,7 +110,7 @@ class Keeper:
             news |= self._fluids.keys() - fluids.keys()
             names = sorted(news.union(self._source.vehicles_with_news(last.read_at - OVERLAP)))
             fresh = _by_vehicle(self._source.clutches_of(names) if names else ())
-            changed = {name for name, own in fresh.items() if own != last.vehicles.get(name)}
+            changed = {name for name, clutches in fresh.items() if clutches != last.vehicles.get(name)}
         for row in self._source.dues(self._dues_at):
             self._dues[row["vehicle"], row["clutch"]] = row
             self._dues_at = max(self._dues_at, row["judged_at"])
@@ -125,58 +128,58 @@ class Keeper:
         return bool(changed)
 
     def _silent(self, now: datetime) -> frozenset[str]:
-        heard = {one.vehicle for one in self.snapshot.clutches if one.stored_at >= now - SILENT_AFTER}
+        heard = {clutch.vehicle for clutch in self.snapshot.clutches if clutch.stored_at >= now - SILENT_AFTER}
         return frozenset(self.snapshot.vehicles.keys() - heard)
 
     def _changed(self, fresh: ByVehicle, changed: set[str], *, is_whole: bool) -> FleetSnapshot:
         """Return the fleet with what was read of it: of changed vehicles, or of all."""
         last = FleetSnapshot() if is_whole else self.snapshot
-        read = [one for name, own in fresh.items() if is_whole or name in changed for one in own]
-        vehicles = MappingProxyType({**last.vehicles, **fresh})
-        clutches = sorted([*(one for one in last.clutches if one.vehicle not in changed), *read], key=place_of)
-        worst = [*(one for one in last.worst if one.vehicle not in changed)]
-        worst += [worse_clutch(own) for name, own in fresh.items() if is_whole or name in changed]
+        read = [clutches for name, clutches in fresh.items() if is_whole or name in changed]
+        read_clutches = list(chain.from_iterable(read))
+        clutches = [now for now in last.clutches if now.vehicle not in changed] + read_clutches
+        worst = [now for now in last.worst if now.vehicle not in changed] + list(map(worse_clutch, read))
         strips: dict[str, Counter[str]] = {}
-        for one in worst:
-            strips.setdefault(vehicle_type(one), Counter())[one.condition] += 1
+        for now in worst:
+            strips.setdefault(vehicle_type(now), Counter())[now.condition] += 1
         return replace(
             self.snapshot,
-            clutches=tuple(clutches),
+            clutches=tuple(sorted(clutches, key=place_of)),
             worst=tuple(sorted(worst, key=place_of)),
             number=self.snapshot.number + (1 if changed else 0),
-            vehicles=vehicles,
+            vehicles=MappingProxyType({**last.vehicles, **fresh}),
             # Those of which nothing is left go when all is read.
-            fluids=tuple(sorted({*last.fluids, *(one.fluid for one in read if one.fluid is not None)})),
+            fluids=tuple(sorted({*last.fluids, *(now.fluid for now in read_clutches if now.fluid is not None)})),
             types=tuple(sorted(strips)),
             strips=MappingProxyType(strips),
         )
 
     def foretold(self, now: ClutchNow) -> Row | None:
-        """Return what was foretold of a clutch, None if nothing was for its present order and fluid."""
+        """Return when the fluid of a clutch is due; None if that is not foretold for its present order and fluid."""
         row = self._dues.get((now.vehicle, now.clutch))
         return row if row is not None and (row["action"], row["fluid_since"]) == (now.action, now.fluid_since) else None
 
     def curve(self, now: ClutchNow) -> tuple[float, ...]:
-        """Return how the friction of a clutch went against new fluid, the latest last; empty: not read yet."""
+        """Return levels of a clutch against new fluid, the latest last; empty: not read yet."""
         return self._curves.get((now.vehicle, now.clutch), ((), ()))[1]
 
     def work_ahead(self, budget_s: float) -> None:
-        """Foretell when fluids are due, where nobody has, and read small curves: for a while, the worst first.
+        """Foretell when fluids are due, where the watch has not, and read levels: the worst vehicles first.
 
-        At least one vehicle is done with. What the watch foretells takes the place of what is foretold here.
+        It ends after ``budget_s``, with one vehicle at least. Later days of the watch replace those foretold here.
         """
         end_s, mark = time.monotonic() + budget_s, (self.snapshot.number, self._dues_at)
         if mark == self._done:
             return
-        for one in self.snapshot.worst:
-            clutches, last = self.snapshot.vehicles[one.vehicle], (one.stream, one.seq)
+        for worst in self.snapshot.worst:
+            vehicle, clutches, last = worst.vehicle, self.snapshot.vehicles[worst.vehicle], (worst.stream, worst.seq)
             is_stale = any(map(self._is_stale, clutches))
             if is_stale:
-                for now, row in zip(clutches, foretold_now(self._source.engine, clutches), strict=True):
-                    self._dues[one.vehicle, now.clutch] = {**row, "of": now}
-            is_old = self._curves.get((one.vehicle, one.clutch), ((), ()))[0] != last
+                rows = foretold_now(self._source.engine, clutches, latest_population(self._source.engine))
+                for now, row in zip(clutches, rows, strict=True):
+                    self._dues[vehicle, now.clutch] = {**row, "of": now}
+            is_old = self._curves.get((vehicle, worst.clutch), ((), ()))[0] != last
             if is_old:
-                self._curves[one.vehicle, one.clutch] = last, levels_of(self._source.engine, one.vehicle, one.clutch)
+                self._curves[vehicle, worst.clutch] = last, levels_of(self._source.engine, vehicle, worst.clutch)
             if (is_stale or is_old) and time.monotonic() >= end_s:
                 return
         self._done = mark
@@ -187,11 +190,14 @@ class Keeper:
 
     def _soon(self, now: datetime) -> frozenset[str]:
         """Return the vehicles whose fluid is due within a month, more probably than not."""
-        by, clutches = (now + SOON).date(), self.snapshot.clutches
-        told = ((one, self.foretold(one)) for one in clutches)
-        days = ((one, None if row is None else row["half_by"]) for one, row in told)
-        is_now = {one.vehicle for one in clutches if one.action == Action.CHANGE_NOW}
-        return frozenset(is_now.union(one.vehicle for one, day in days if day is not None and day <= by))
+        last_day = (now + SOON).date()
+
+        def is_due(clutch: ClutchNow) -> bool:
+            row = self.foretold(clutch)
+            day = None if row is None else row["half_by"]
+            return clutch.action == Action.CHANGE_NOW or (day is not None and day <= last_day)
+
+        return frozenset(clutch.vehicle for clutch in self.snapshot.clutches if is_due(clutch))
 
     async def run(self, period_s: float = PERIOD_S) -> None:
         """Refresh for ever; the longer reading takes, the longer is the pause behind it."""
@@ -224,14 +230,15 @@ class Keeper:
 def fleet_families(keeper: Keeper) -> Iterator[Metric]:
     """Yield how large the fleet is and how old is what is known of it."""
     snapshot = keeper.snapshot
-    counts = dict.fromkeys((one.value for one in Severity), 0) | Counter(one.condition for one in snapshot.clutches)
+    conditions = Counter(now.condition for now in snapshot.clutches)
+    counts = {severity.value: conditions[severity.value] for severity in Severity}
     yield gauge("fleet_vehicles", "Vehicles with results.", len(snapshot.vehicles))
     yield gauge("fleet_clutches", "Clutches by the verdict that holds.", counts, "verdict")
     yield gauge("fleet_read_timestamp_seconds", "When the fleet was read last.", snapshot.read_at.timestamp())
 
 
 def _by_vehicle(clutches: Sequence[ClutchNow]) -> ByVehicle:
-    found: dict[str, list[ClutchNow]] = {}
-    for one in clutches:
-        found.setdefault(one.vehicle, []).append(one)
-    return {name: tuple(sorted(some, key=lambda one: one.clutch)) for name, some in found.items()}
+    by_vehicle: dict[str, list[ClutchNow]] = {}
+    for now in clutches:
+        by_vehicle.setdefault(now.vehicle, []).append(now)
+    return {name: tuple(sorted(own, key=lambda now: now.clutch)) for name, own in by_vehicle.items()}

@@ -21,9 +21,8 @@ from fleet_backend.database import place_of
 from fleet_backend.errors import BackendConfigError
 from fleet_backend.page.access import Access
 from fleet_backend.page.fleet import Keeper, fleet_families
-from fleet_backend.page.news import PERIOD_S, News
 from fleet_backend.page.queries import DatabaseSource
-from fleet_backend.page.routes import routes_of
+from fleet_backend.page.routes import routes
 from fleet_backend.page.site import Sources, application
 from fleet_backend.programs import shown_at, stopping
 
@@ -92,9 +91,7 @@ def address_of(listener: socket.socket) -> str:
     return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
 
 
-async def serve(
-    sources: Sources, listener: socket.socket, *, on_start: Callable[[uvicorn.Server], None], period_s: float = PERIOD_S
-) -> None:
+async def serve(sources: Sources, listener: socket.socket, *, on_start: Callable[[uvicorn.Server], None]) -> None:
     """Serve until ``should_exit`` of the server, which ``on_start`` is given, is set."""
 
     @asynccontextmanager
@@ -108,9 +105,8 @@ async def serve(
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
 
-    news = News(sources.keeper, period_s)
     config = uvicorn.Config(
-        application(sources, routes_of(news), lifespan),
+        application(sources, routes(), lifespan),
         log_config=None,
         access_log=False,
         server_header=False,
@@ -118,7 +114,7 @@ async def serve(
         timeout_graceful_shutdown=_GRACE_S,
         http=HeadersInTime,
     )
-    server = _Server(config, news)
+    server = _Server(config)
     on_start(server)
     await server.serve(sockets=[listener])
 
@@ -157,15 +153,6 @@ class HeadersInTime(H11Protocol):
 
 class _Server(uvicorn.Server):
     """A server that leaves signals to us: our programs end with status 0 when they are told to stop."""
-
-    def __init__(self, config: uvicorn.Config, news: News) -> None:
-        super().__init__(config)
-        self._news = news
-
-    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """End the streams, which would last as long as their readers want, then the rest."""
-        self._news.end()
-        await super().shutdown(sockets)
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:

@@ -31,12 +31,7 @@ from fleet_backend.page.fleet import Keeper
 
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 API: Final = "/api/v1"
-NAVIGATION: Final = (
-    ("/", "Fleet"),
-    ("/maintenance", "Maintenance"),
-    ("/alarms", "Alarms"),
-    ("/quarantine", "Quarantine"),
-)
+NAVIGATION: Final = (("/", "Fleet"), ("/maintenance", "Maintenance"), ("/alarms", "Alarms"))
 _FORM: Final = "application/x-www-form-urlencoded"
 _LONGEST_FORM: Final = 16_384  # bytes
 _TOKEN: Final = "token"  # noqa: S105 - the name of a field
@@ -54,14 +49,6 @@ class Sources:
     access: Access = field(default_factory=Access)
     writer: Engine | None = None  # where somebody may change something
     now: Callable[[], datetime] = lambda: datetime.now(UTC)
-
-
-class Problem(msgspec.Struct, frozen=True, kw_only=True):
-    """What went wrong (RFC 9457)."""
-
-    title: str
-    status: int
-    detail: str
 
 
 _POLICY: Final = "; ".join(
@@ -208,9 +195,15 @@ def encoded(answer: object) -> Response:
     return Response(msgspec.json.encode(answer), media_type="application/json")
 
 
-def page(request: Request, template: str, context: Mapping[str, Any]) -> Response:
-    """Return an answer for people."""
-    return _TEMPLATES.TemplateResponse(request, template, dict(context))
+def is_known(request: Request, mark: int) -> bool:
+    """Return whether the script of a page that is open asks again, and nothing is new."""
+    return request.headers.get("if-none-match") == f'"{mark}"'
+
+
+def page(request: Request, template: str, context: Mapping[str, Any], *, mark: int | None = None) -> Response:
+    """Return an answer for people; ``mark`` differs once it shows something else, and the page renews itself then."""
+    headers = {} if mark is None else {"etag": f'"{mark}"'}
+    return _TEMPLATES.TemplateResponse(request, template, {**context, "mark": mark}, headers=headers)
 
 
 def _everywhere(request: HTTPConnection) -> dict[str, Any]:
@@ -249,9 +242,9 @@ def _told(request: HTTPConnection, exc: BaseException | None) -> Response:
     if isinstance(exc, HTTPException) and exc.headers:
         headers |= exc.headers
     if is_api(request):
-        content = msgspec.json.encode(Problem(title=title, status=status, detail=detail))
+        content = msgspec.json.encode({"title": title, "status": status, "detail": detail})  # RFC 9457
         return Response(content, status, headers, media_type="application/problem+json")
-    context = {"title": title, "detail": detail}
+    context = {"title": title, "detail": detail, "mark": None}
     return _TEMPLATES.TemplateResponse(Request(request.scope), "problem.html", context, status, headers)
 
 

@@ -12,7 +12,7 @@ from clutch_model.units import degc_from_k
 from clutch_results.shift_course import COURSE_HEAD, course_row, load_line
 from clutchdiag_io.pages.content import NONE, number
 from clutchdiag_io.people import PLUS_MINUS, STDS, moment_words
-from fleet_backend.page.records import Severity
+from fleet_backend.ageing.records import Severity
 from fleet_contract.orders import SHOWN_AS, Action, cause_words, title_of
 
 M_PER_KM: Final = 1000.0
@@ -48,7 +48,7 @@ def words(word: str | Iterable[str] | None) -> str:
     """Return what programs write with underscores as people read it."""
     if word is None or isinstance(word, str):
         return (word or NONE).replace("_", " ")
-    return ", ".join(one.replace("_", " ") for one in word) or NONE
+    return ", ".join(part.replace("_", " ") for part in word) or NONE
 
 
 def shown_as(action: str) -> str:
@@ -57,9 +57,9 @@ def shown_as(action: str) -> str:
 
 
 def address(path: str, **query: object) -> str:
-    """Return the address of a page; words that nobody said are left out."""
-    said = {name: value for name, value in query.items() if value not in (None, "")}
-    return f"{quote(path)}?{urlencode(said)}" if said else quote(path)
+    """Return the address of a page; empty parameters are left out."""
+    parameters = {name: value for name, value in query.items() if value not in (None, "")}
+    return f"{quote(path)}?{urlencode(parameters)}" if parameters else quote(path)
 
 
 def degc(temperature_k: float | None) -> Markup | str:
@@ -78,10 +78,11 @@ STEPS: Final[Mapping[Action, tuple[str, ...]]] = MappingProxyType({
 NOTHING_YET: Final = "No vehicle has been heard from yet. fleet-backend ingest brings results into this database."
 GLOBALS: Final[Mapping[str, object]] = MappingProxyType({
     "address": address,
-    "pairs": lambda words_of: [(one, one) for one in words_of],
+    "title_of": title_of,
+    "pairs": lambda words_of: [(word, word) for word in words_of],
     "course_head": COURSE_HEAD,
     "plus_minus": PLUS_MINUS,
-    "conditions": [(one.value, words(one.value)) for one in Severity],
+    "conditions": [(severity.value, words(severity.value)) for severity in Severity],
     "nothing_yet": NOTHING_YET,
 })  # fmt: skip
 FILTERS: Final[Mapping[str, Callable[..., Any]]] = MappingProxyType({
@@ -94,8 +95,7 @@ FILTERS: Final[Mapping[str, Callable[..., Any]]] = MappingProxyType({
     "style": style,
     "words": words,
     "shown_as": shown_as,
-    "clutch": lambda one: title_of(one.clutch, one.element),
-    "cause": lambda one: cause_words(one.cause, one.clutch),
+    "cause": lambda likely: cause_words(likely.cause, likely.clutch),
     "course_row": course_row,
     "load_line": load_line,
     "degc": degc,

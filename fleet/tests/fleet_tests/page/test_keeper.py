@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from datetime import datetime, timedelta
 
+from fleet_backend.ageing.prognosis import due_of
+from fleet_backend.ageing.records import ClutchNow
 from fleet_backend.errors import DatabaseAwayError
 from fleet_backend.page.fleet import Keeper
-from fleet_backend.page.prognosis import due_of
 from fleet_backend.page.queries import DatabaseSource
-from fleet_backend.page.records import ClutchNow
 from fleet_backend.queries import PresentFluid, Row
 from tests.support.fleet import NOW
 from tests.support.fleet_page import clutch_now

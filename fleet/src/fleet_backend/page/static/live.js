@@ -1,41 +1,36 @@
-// Renews what is shown when the server says that something is new. Without this script a page stays as it was.
+// Renews what is shown once the server has something new. Without this script a page stays as it was.
 "use strict";
 (() => {
+  const PERIOD_MS = 5000;
   const shown = document.getElementById("live");
   const said = document.getElementById("said");
-  if (!shown || shown.dataset.follows === undefined || !window.EventSource) return;
-  const words = new URLSearchParams({ number: shown.dataset.number });
-  if (shown.dataset.follows) words.set("vehicle", shown.dataset.follows);
-  let isAsking = false;
-  let isAskedAgain = false;
+  if (!shown || !shown.dataset.mark) return;
+  const say = (text) => { if (said.textContent !== text) said.textContent = text; };
 
   const renew = async () => {
-    if (isAsking) { isAskedAgain = true; return; }
-    isAsking = true;
     try {
-      const answer = await fetch(location.href, { headers: { accept: "text/html" } });
-      if (!answer.ok) return;
-      const page = new DOMParser().parseFromString(await answer.text(), "text/html");
-      const fresh = page.getElementById("live");
-      if (!fresh) return;
-      const focused = shown.contains(document.activeElement) ? document.activeElement : null;
-      if (focused && focused.matches("input, textarea, select")) return;
-      const href = focused && focused.getAttribute("href");
-      const scrolled = [...shown.querySelectorAll(".scroll")].map((one) => one.scrollLeft);
-      shown.replaceChildren(...fresh.childNodes);
-      shown.querySelectorAll(".scroll").forEach((one, place) => { one.scrollLeft = scrolled[place] || 0; });
-      if (href) shown.querySelector(`a[href="${CSS.escape(href)}"]`)?.focus({ preventScroll: true });
-      said.textContent = `Renewed at ${new Date().toLocaleTimeString()}`;
+      const answer = await fetch(location.href, { headers: { accept: "text/html", "if-none-match": `"${shown.dataset.mark}"` } });
+      if (answer.ok) show(await answer.text());
+      else if (answer.status !== 304) throw new Error(answer.status);
+      else if (!said.textContent.startsWith("Renewed")) say("Renews itself.");
     } catch {
-      said.textContent = "The server does not answer; this is what was read last.";
-    } finally {
-      isAsking = false;
-      if (isAskedAgain) { isAskedAgain = false; renew(); }
+      say("The server does not answer; this is what was read last.");
     }
+    setTimeout(renew, PERIOD_MS);
   };
 
-  const source = new EventSource(`/events?${words}`);
-  source.addEventListener("news", renew);
-  source.addEventListener("error", () => { said.textContent = "Waiting for the server; this is what was read last."; });
-  source.addEventListener("open", () => { said.textContent = "Renews itself."; });
+  const show = (text) => {
+    const fresh = new DOMParser().parseFromString(text, "text/html").getElementById("live");
+    const focused = shown.contains(document.activeElement) ? document.activeElement : null;
+    if (!fresh || (focused && focused.matches("input, textarea, select"))) return;
+    const href = focused && focused.getAttribute("href");
+    const scrolled = [...shown.querySelectorAll(".scroll")].map((table) => table.scrollLeft);
+    shown.replaceChildren(...fresh.childNodes);
+    shown.querySelectorAll(".scroll").forEach((table, place) => { table.scrollLeft = scrolled[place] || 0; });
+    if (href) shown.querySelector(`a[href="${CSS.escape(href)}"]`)?.focus({ preventScroll: true });
+    shown.dataset.mark = fresh.dataset.mark;
+    say(`Renewed at ${new Date().toLocaleTimeString()}`);
+  };
+
+  renew();
 })();

@@ -50,20 +50,20 @@ def remember(connection: Connection, versions: Iterable[tuple[str, str]]) -> Non
         table = CALIBRATION.c
         statement = select(table.vehicle, table.calibration_version, table.content)
         for row in connection.execute(statement.where(table.vehicle.in_(unknown[first : first + _MOST_NAMES]))):
-            if (found := _calibration(json.loads(row.content))) is not None:
-                _KNOWN[row.vehicle, row.calibration_version] = found
+            if (calibration := _calibration(json.loads(row.content))) is not None:
+                _KNOWN[row.vehicle, row.calibration_version] = calibration
 
 
 def type_of(vehicle: str, version: str) -> str:
     """Return the vehicle type that a calibration describes: its name, or the version where nobody told it."""
-    found = _known(vehicle, version)
-    return version if found is None else found.vehicle_type
+    known = _known(vehicle, version)
+    return version if known is None else known.vehicle_type
 
 
 def reference_of(vehicle: str, version: str, clutch: int) -> FrictionCurve | None:
     """Return the friction of a clutch with new fluid; None for a calibration of which nobody told it."""
-    found = _known(vehicle, version)
-    return None if found is None or clutch > len(found.new_friction) else found.new_friction[clutch - 1]
+    known = _known(vehicle, version)
+    return None if known is None or clutch > len(known.new_friction) else known.new_friction[clutch - 1]
 
 
 def _known(vehicle: str, version: str) -> KnownCalibration | None:
@@ -71,11 +71,13 @@ def _known(vehicle: str, version: str) -> KnownCalibration | None:
     return shipped if version == shipped_version else _KNOWN.get((vehicle, version))
 
 
-def _calibration(told: Mapping[str, Any]) -> KnownCalibration | None:
-    """Return what a vehicle told; None where no clutch can be like that."""
-    names = [field.name for field in fields(FrictionCurve)]  # a vehicle may tell more than we know
+def _calibration(record: Mapping[str, Any]) -> KnownCalibration | None:
+    """Return the calibration in a vehicle's status; None where no clutch can be like that."""
+    names = [field.name for field in fields(FrictionCurve)]  # newer programs tell more
     try:
-        curves = tuple(FrictionCurve(**{name: float(one[name]) for name in names}) for one in told["new_friction"])
+        curves = tuple(
+            FrictionCurve(**{name: float(curve[name]) for name in names}) for curve in record["new_friction"]
+        )
     except (CalibrationError, KeyError):
         return None
-    return KnownCalibration(vehicle_type=told["vehicle_type"], new_friction=curves)
+    return KnownCalibration(vehicle_type=record["vehicle_type"], new_friction=curves)

@@ -1,26 +1,26 @@
-"""Where the fleet meets the pure diagnosis: rows of the database become results again, and those a prognosis."""
+"""Prognoses of vehicles: rows of the database become results again, and those a prognosis and the days it is due."""
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from datetime import date, datetime, timedelta
-from typing import Final
+from typing import Any, Final
 
-import msgspec
 from sqlalchemy import Engine
 
 from clutch_model.calibration import FrictionCurve
 from clutch_results.event_kinds import EventKind
-from clutch_results.pictures import UNFORETOLD, Fan, fan_of
+from clutch_results.pictures import MOST_POINTS, UNFORETOLD, Fan, fan_of
 from clutch_results.prognosis import (
-    Forecast,
+    Common,
     History,
-    Peers,
+    Population,
     Prognosis,
-    forecast,
     history_of_estimates,
     prognose,
     without,
 )
+from clutch_results.prognosis.prognosis import Reach
 from clutch_results.prognosis.sentence import outlook_line, soonest
 from clutch_results.records import (
     ClutchVerdict,
@@ -35,10 +35,9 @@ from clutch_results.records import (
     iso_utc,
 )
 from clutchdiag_io.people import is_dated
-from fleet_backend.page.calibrations import reference_of, type_of
-from fleet_backend.page.populations import StoredPopulation, latest
-from fleet_backend.page.queries import fills_of, friction_in, in_order, record_in, results_of, words_in
-from fleet_backend.page.records import Alarm, ClutchNow, Due, Fill, OutlookAnswer, TrendPoint
+from fleet_backend.ageing.calibrations import reference_of, type_of
+from fleet_backend.ageing.records import ClutchNow, Due, Fill
+from fleet_backend.ageing.results import fills_of, friction_in, in_order, record_in, results_of, words_in
 from fleet_backend.queries import Row
 from fleet_backend.schema import RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
 from fleet_contract.orders import Action
@@ -92,8 +91,8 @@ def _scale_free(row: Row) -> ScaleFreeFriction | None:
 
 
 def _friction(row: Row, prefix: str) -> FrictionEstimate | None:
-    told = friction_in(row, prefix)
-    return None if told is None else FrictionEstimate(**told)
+    friction = friction_in(row, prefix)
+    return None if friction is None else FrictionEstimate(**friction)
 
 
 def _result_of(row: Row, estimate: ShiftEstimate) -> ShiftResult:
@@ -108,68 +107,35 @@ def _result_of(row: Row, estimate: ShiftEstimate) -> ShiftResult:
         element=row["element"],
     )
     names = ("vehicle", "stream", "seq", "algorithm_version", "calibration_version")
-    told = {name: row[name] for name in names}
-    return ShiftResult(estimate=estimate, verdict=verdict, produced_at=iso_utc(row["produced_at"]), **told)
+    origin = {name: row[name] for name in names}
+    return ShiftResult(estimate=estimate, verdict=verdict, produced_at="", **origin)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Basis:
-    """What a prognosis of one clutch rests on."""
-
-    history: History
-    reference: FrictionCurve
-    peers: Peers | None
-
-
-def _basis(
+def known_history(
     clutch: int,
     rows: Sequence[Row],
     estimates: Sequence[ShiftEstimate],
     fills: Sequence[Fill],
-    kept: StoredPopulation | None,
-) -> Basis | None:
+    common: Mapping[str, Common],
+) -> tuple[History, FrictionCurve, str] | None:
+    """Return what a prognosis rests on: history, friction with new fluid, and vehicle type.
+
+    ``rows`` are the results of the clutch, the oldest first, and ``estimates`` the same as records; what clutches of
+    one type have in ``common`` is taken out of the history. None: the calibration is not known, or the numbers are of
+    no clutch.
+    """
+    if not rows:
+        return None
     vehicle, calibration = rows[-1]["vehicle"], rows[-1]["calibration_version"]
     reference, vehicle_type = reference_of(vehicle, calibration, clutch), type_of(vehicle, calibration)
     if reference is None:
         return None
     same = [one for row, one in zip(rows, estimates, strict=True) if row["calibration_version"] == calibration]
     try:
-        past = history_of_estimates(same, [fluid_fill(vehicle, one) for one in fills], clutch)
-        if kept is None:
-            return Basis(history=past, reference=reference, peers=None)
-        past = without(past, kept.population.common.get(vehicle_type))
+        history = history_of_estimates(same, [fluid_fill(vehicle, fill) for fill in fills], clutch)
+        return without(history, common.get(vehicle_type)), reference, vehicle_type
     except BEYOND_NUMBERS:
         return None
-    peers = kept.population.of(vehicle_type, fills[-1].product if fills else None)
-    return Basis(history=past, reference=reference, peers=peers)
-
-
-def _prognosis(clutch: int, basis: Basis | None, service_distance_m: float) -> Prognosis | None:
-    if basis is None:
-        return None
-    try:
-        return prognose(
-            clutch, basis.history, basis.reference, service_distance_m=service_distance_m, peers=basis.peers
-        )
-    except BEYOND_NUMBERS:
-        return None
-
-
-def outlook_of(
-    clutch: int,
-    rows: Sequence[Row],
-    estimates: Sequence[ShiftEstimate],
-    fills: Sequence[Fill],
-    service_distance_m: float,
-    kept: StoredPopulation | None,
-) -> Prognosis | None:
-    """Return how far the fluid of a clutch will go; None: that cannot be told.
-
-    ``rows`` are its results, the oldest first, and ``estimates`` what they say. It begins with the population that was
-    kept last.
-    """
-    basis = _basis(clutch, rows, estimates, fills, kept) if rows else None
-    return _prognosis(clutch, basis, service_distance_m)
 
 
 def fluid_fill(vehicle: str, fill: Fill) -> FluidFill:
@@ -183,84 +149,114 @@ def fluid_fill(vehicle: str, fill: Fill) -> FluidFill:
     )
 
 
-def outlook_text(founds: Iterable[Prognosis | None], first: ClutchNow) -> str:
-    """Return how far the fluid of a vehicle will go, by what is foretold of each clutch; made for pages and alarms."""
-    known = [found for found in founds if found is not None]
+def outlook_text(prognoses: Iterable[Prognosis | None], first: ClutchNow) -> str:
+    """Return how far the fluid of a vehicle will go, for pages and alarms."""
+    known = [prognosis for prognosis in prognoses if prognosis is not None]
     return outlook_line(known, Action(first.action), first.element) if known else NO_PROGNOSIS
 
 
-def chance_of(found: Prognosis) -> float | None:
+def chance_of(prognosis: Prognosis) -> float | None:
     """Return how likely an ageing fluid reaches its limit before the next service; None: it shows no trend."""
-    first = soonest([found])
-    return None if first is None else first.probability_before_service
+    reach = soonest([prognosis])
+    return None if reach is None else reach.probability_before_service
 
 
-_POINT_NAMES: Final = tuple(field.name for field in fields(TrendPoint))
+_POINT_COLUMNS: Final = (  # of a row
+    *("vehicle", "clutch", "end_at", "odometer_m", "kind", "status", "mu_c", "std_mu_c", "random_std_mu_c", "mu_s"),
+    *("std_mu_s", "running_mu_c", "running_std_mu_c", "running_mu_s", "running_std_mu_s", "running_correlation"),
+    *("level_ratio", "condition", "stream", "seq", "algorithm_version", "calibration_version"),
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClutchPast:
-    """The past of a clutch, the oldest event first, and what follows from it."""
+    """The past of a clutch, the oldest event first, and how far its fluid will go; None: that cannot be told."""
 
     rows: Sequence[Row]
     estimates: tuple[ShiftEstimate, ...]
-    basis: Basis | None
     prognosis: Prognosis | None
 
-    @property
-    def trend(self) -> tuple[TrendPoint, ...]:
-        return tuple(map(_point_of, self.rows, self.estimates))
+    def trend(self, most: int | None = None) -> list[Row]:
+        """Return the newest events and the running estimate after each, the oldest first; by default all."""
+        first = 0 if most is None else max(len(self.rows) - most, 0)
+        return list(map(_point_of, self.rows[first:], self.estimates[first:]))
 
 
-def read_past(engine: Engine, now: ClutchNow, fills: Sequence[Fill], service_distance_m: float) -> ClutchPast:
-    """Read the past of a clutch, and work out how far its fluid will go."""
+def read_past(
+    engine: Engine, now: ClutchNow, fills: Sequence[Fill], service_distance_m: float, population: Population | None
+) -> ClutchPast:
+    """Read the past of a clutch, and work out how far its fluid will go; the population says what is usual."""
     rows = results_of(engine, now.vehicle, now.clutch)
-    estimates = tuple(map(estimate_of, rows))
-    basis = _basis(now.clutch, rows, estimates, fills, latest(engine)) if rows else None
-    found = _prognosis(now.clutch, basis, service_distance_m)
-    return ClutchPast(rows=rows, estimates=estimates, basis=basis, prognosis=found)
+    estimates, prognosis = tuple(map(estimate_of, rows)), None
+    known = known_history(now.clutch, rows, estimates, fills, {} if population is None else population.common)
+    if known is not None:
+        history, reference, vehicle_type = known
+        fluid = fills[-1].product if fills else None
+        peers = None if population is None else population.of(vehicle_type, fluid)
+        with suppress(*BEYOND_NUMBERS):
+            prognosis = prognose(now.clutch, history, reference, service_distance_m=service_distance_m, peers=peers)
+    return ClutchPast(rows=rows, estimates=estimates, prognosis=prognosis)
 
 
-def _point_of(row: Row, estimate: ShiftEstimate) -> TrendPoint:
+def _point_of(row: Row, estimate: ShiftEstimate) -> Row:
     quality = estimate.shift_quality
-    told = {**row, "reasons": words_in(row), "score": None if quality is None else quality.score}
-    return TrendPoint(**{name: told[name] for name in _POINT_NAMES})
+    point = {name: row[name] for name in _POINT_COLUMNS}
+    return point | {"reasons": words_in(row), "score": None if quality is None else quality.score}
 
 
-def outlook_answer(past: ClutchPast) -> OutlookAnswer | None:
+def outlook_answer(past: ClutchPast) -> dict[str, Any] | None:
     """Return the prognosis of a clutch as pages and programs read it; of all its results, those of no use included."""
-    if past.prognosis is None:
+    prognosis = past.prognosis
+    if prognosis is None:
         return None
-    found = replace(past.prognosis, assumptions=(*past.prognosis.assumptions, *_left_out(past.rows)))
-    return msgspec.convert(found, OutlookAnswer, from_attributes=True)
+    names = ("clutch", "outlook", "row_count", "left_out_count", "service_distance_m")
+    return {name: getattr(prognosis, name) for name in names} | {
+        "watch": _reach(prognosis.watch),
+        "change_fluid": _reach(prognosis.change_fluid),
+        "assumptions": [*prognosis.assumptions, *_left_out(past.rows)],
+    }
+
+
+def _reach(reach: Reach | None) -> dict[str, float | None] | None:
+    names = ("p10_m", "p50_m", "p90_m", "probability_before_service")
+    return None if reach is None else {name: getattr(reach, name) for name in names}
+
+
+def _drawn(past: ClutchPast, calibration: str) -> list[tuple[Row, ShiftEstimate]]:
+    """Return the results of one calibration that a chart shows: at most about `MOST_POINTS` of a clutch, evenly spread.
+
+    The last one is among them, and each whose verdict differs from the one before.
+    """
+    results = zip(past.rows, past.estimates, strict=True)
+    same = [(row, estimate) for row, estimate in results if row["calibration_version"] == calibration]
+    step = 1 + (len(same) - 1) // MOST_POINTS
+    before = [row["condition"] for row, _ in same[:1] + same]
+    return [
+        (row, estimate)
+        for place, (row, estimate) in enumerate(same, 1)
+        if (len(same) - place) % step == 0 or row["condition"] != before[place - 1]
+    ]
 
 
 def fan_of_vehicle(
-    clutches: Sequence[ClutchNow], pasts: Sequence[ClutchPast], fills: Sequence[Fill], alarms: Sequence[Alarm]
+    clutches: Sequence[ClutchNow], pasts: Sequence[ClutchPast], fills: Sequence[Fill], alarms: Sequence[Row]
 ) -> Fan | None:
     """Return the fan chart of a vehicle as its report has it; None where no margin is known."""
     now = clutches[0]
-    told = {id(row): estimate for past in pasts for row, estimate in zip(past.rows, past.estimates, strict=True)}
-    rows = [row for past in pasts for row in past.rows if row["calibration_version"] == now.calibration_version]
-    results = [_result_of(row, told[id(row)]) for row in in_order(rows)]
-    known = {one.clutch: past.basis for one, past in zip(clutches, pasts, strict=True)}
-
-    def foretell(clutch: int) -> Forecast | None:
-        basis = known[clutch]
-        return None if basis is None else forecast(basis.history, basis.reference, peers=basis.peers)
-
-    numbers = range(1, 1 + max(known))
+    drawn = [one for past in pasts for one in _drawn(past, now.calibration_version)]
+    estimates, rows = {id(row): estimate for row, estimate in drawn}, [row for row, _ in drawn]
+    numbers = range(1, 1 + max(clutch.clutch for clutch in clutches))
     new = [reference_of(now.vehicle, now.calibration_version, clutch) for clutch in numbers]
-    if not results or None in new:
+    if not rows or None in new:
         return None
     try:
         return fan_of(
-            results,
-            [fluid_fill(now.vehicle, one) for one in fills],
-            [one for one in new if one is not None],
+            [_result_of(row, estimates[id(row)]) for row in in_order(rows)],
+            [fluid_fill(now.vehicle, fill) for fill in fills],
+            [curve for curve in new if curve is not None],
             [past.prognosis for past in pasts if past.prognosis is not None],
-            foretell=None if now.action in UNFORETOLD else foretell,
-            alarms=[(iso_utc(one.raised_at), f"alarm: {one.rule}") for one in alarms],
+            is_foretold=now.action not in UNFORETOLD,
+            alarms=[(iso_utc(alarm["raised_at"]), f"alarm: {alarm['rule']}") for alarm in alarms],
         )
     except BEYOND_NUMBERS:
         return None
@@ -275,34 +271,37 @@ def _left_out(rows: Sequence[Row]) -> Iterator[str]:
         yield f"in {assumed} results of older programs random errors of mu_C and mu_S correlate as the whole ones do"
 
 
-def foretold_now(engine: Engine, clutches: Sequence[ClutchNow]) -> list[Row]:
+def foretold_now(engine: Engine, clutches: Sequence[ClutchNow], population: Population | None) -> list[Row]:
     """Read the past of a vehicle, and return when its fluids are due, a row per clutch."""
     fills = fills_of(engine, clutches[0].vehicle)
-    pasts = [read_past(engine, now, fills, SERVICE_M) for now in clutches]
-    founds = [past.prognosis for past in pasts]
-    readings = [[(row["end_at"], row["odometer_m"]) for row in past.rows] for past in pasts]
-    return [foretold(now, founds, own) for now, own in zip(clutches, readings, strict=True)]
+    return foretold(clutches, [read_past(engine, now, fills, SERVICE_M, population) for now in clutches])
 
 
-def foretold(
-    now: ClutchNow, founds: Sequence[Prognosis | None], readings: Iterable[tuple[datetime, float | None]]
-) -> Row:
-    """Return when a fluid is due, as a row of the table; by the prognoses of all clutches: they slip in one oil."""
-    a_day_m = driven_a_day_m(readings)
-    reach = None if now.action == Action.FIND_CAUSE else soonest(one for one in founds if one is not None)
+def foretold(clutches: Sequence[ClutchNow], pasts: Sequence[ClutchPast]) -> list[Row]:
+    """Return when the fluid of a vehicle is due, a row per clutch; by both prognoses, as both slip in one oil."""
+    prognoses = [past.prognosis for past in pasts]
+    reach = soonest(one for one in prognoses if one is not None)
+    if clutches[0].action == Action.FIND_CAUSE:
+        reach = None
     quantiles = (None, None, None) if reach is None else (reach.p10_m, reach.p50_m, reach.p90_m)
-    first, half, most = (_day(now, distance_m, a_day_m) for distance_m in quantiles)
-    return {
-        "vehicle": now.vehicle,
-        "clutch": now.clutch,
-        "action": now.action,
-        "fluid_since": now.fluid_since,
-        "due_from": first,
-        "half_by": half,
-        "most_by": most,
-        "distance_a_day_m": a_day_m,
-        "outlook": outlook_text(founds, now),
-    }
+    rows = list[Row]()
+    for now, past in zip(clutches, pasts, strict=True):
+        a_day_m = driven_a_day_m((row["end_at"], row["odometer_m"]) for row in past.rows)
+        due_from, half_by, most_by = (_day(now, distance_m, a_day_m) for distance_m in quantiles)
+        rows.append(
+            {
+                "vehicle": now.vehicle,
+                "clutch": now.clutch,
+                "action": now.action,
+                "fluid_since": now.fluid_since,
+                "due_from": due_from,
+                "half_by": half_by,
+                "most_by": most_by,
+                "distance_a_day_m": a_day_m,
+                "outlook": outlook_text(prognoses, now),
+            }
+        )
+    return rows
 
 
 def days_of(now: ClutchNow, row: Row | None, today: date) -> tuple[bool, date | None]:
@@ -313,11 +312,11 @@ def days_of(now: ClutchNow, row: Row | None, today: date) -> tuple[bool, date | 
 
 
 def due_of(now: ClutchNow, row: Row | None, today: date) -> Due:
-    """Return when a fluid is due by what was foretold of it; None: nothing was yet."""
-    told = _NOTHING if row is None else row
+    """Return when a fluid is due by its row of the table; None: it is not foretold yet."""
+    due_row, is_now = _NOTHING if row is None else row, now.action == Action.CHANGE_NOW
     is_overdue, first = days_of(now, row, today)
-    is_now, a_day_m = now.action == Action.CHANGE_NOW, told["distance_a_day_m"]
-    half, most = (today if is_now else told[name] for name in ("half_by", "most_by"))
+    a_day_m = due_row["distance_a_day_m"]
+    half, most = (today if is_now else due_row[name] for name in ("half_by", "most_by"))
     left_m = None if half is None or a_day_m is None else max((half - now.end_at.date()).days, 0) * a_day_m
     return Due(
         vehicle=now.vehicle,
@@ -330,7 +329,7 @@ def due_of(now: ClutchNow, row: Row | None, today: date) -> Due:
         most_by=most,
         left_m=0.0 if is_now else left_m,
         distance_a_day_m=a_day_m,
-        text=f"{now.order} {told['outlook']}",
+        text=f"{now.order} {due_row['outlook']}",
     )
 
 
@@ -340,7 +339,7 @@ def driven_a_day_m(readings: Iterable[tuple[datetime, float | None]]) -> float |
     if not known:
         return None
     last_at, last_m = known[-1]
-    first_at, first_m = next(one for one in known if last_at - one[0] <= LOOKED_BACK)
+    first_at, first_m = next((at, odometer_m) for at, odometer_m in known if last_at - at <= LOOKED_BACK)
     if last_at - first_at < LEAST or last_m <= first_m:
         return None
     return (last_m - first_m) * (timedelta(days=1) / (last_at - first_at))

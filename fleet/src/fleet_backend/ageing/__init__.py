@@ -1,0 +1,1 @@
+"""How fluids age: results of single clutches, calibrations, what is usual in the fleet, and prognoses."""
