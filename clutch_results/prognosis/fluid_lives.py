@@ -112,9 +112,7 @@ def either(life: FluidLife, margin_limit: float, level_limit: float) -> trend.Pa
 _HALVINGS: Final = 6  # a fluid's end is found to a sixty-fourth of what was driven with it
 
 
-def ageings(
-    vehicle: str, clutch: int, history: History, reference: FrictionCurve, kinds: Sequence[PeerGroup]
-) -> list[Ageing]:
+def ageings(history: History, reference: FrictionCurve, kinds: Sequence[PeerGroup]) -> list[Ageing]:
     """Return what each fluid of a clutch that was new when first seen says of its kind.
 
     ``kinds`` are those of the fluids by their numbers in the history; that of a fill that nobody noted is not known.
@@ -128,11 +126,7 @@ def ageings(
         until, has_ended = _until_its_end(history, starts, reference, life)
         found.append(
             Ageing(
-                vehicle=vehicle,
-                clutch=clutch,
                 kind=kind if life.is_noted else replace(kind, fluid=None),
-                distance_m=life.distance_m,
-                is_present=life.stop == len(history),
                 courses={name: _course(channel, until.distance_m) for name, channel in until.channels.items()},
                 lasted_m=until.distance_m if has_ended else None,
                 bent_odds=until.channels[ChannelName.MARGIN].bent_odds,

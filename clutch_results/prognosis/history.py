@@ -39,7 +39,6 @@ class History:
     common_correlation: FloatArray
     sump_temperature_k: FloatArray
     slip_energy_j: FloatArray | None  # of the row's event; None: not known of all
-    event_count: FloatArray  # events of the clutch since the row before, this one included
     fluid_number: Int64Array  # of the fluid, counted by the fills that are known; never falls
     new_fluids: tuple[int, ...] = ()  # numbers of the fluids that were new when first seen
     left_out_count: int = 0  # used events that miss something or whose odometer cannot be true
@@ -79,8 +78,8 @@ _COLUMNS: Final = tuple(one.name for one in fields(History) if not one.name.star
 def history_of(results: Iterable[ShiftResult], fills: Sequence[FluidFill], clutch: int) -> History:
     """Return the past of clutch 1 or 2 from stored results, in whatever order those with a date are.
 
-    Events of which the friction is not known only count as events. Known ones without odometer or oil temperature, and
-    those whose odometer cannot be true, are left out and counted.
+    Events of which the friction is not known are no rows. Known ones without odometer or oil temperature, and those
+    whose odometer cannot be true, are left out and counted.
     """
     return history_of_estimates((one.estimate for one in results), fills, clutch)
 
@@ -97,12 +96,11 @@ def history_of_estimates(estimates: Iterable[ShiftEstimate], fills: Sequence[Flu
         row = _row(estimate)
         if row is not None:
             fluid_number = sum(fill.filled_at <= utc_from_bus_ns(estimate.start_ns) for fill in fills)
-            usable.append(row | {"event_count": float(number), "fluid_number": fluid_number})
+            usable.append(row | {"number": float(number), "fluid_number": fluid_number})
         unused_count = 0 if row is not None else unused_count + 1
     rows, dropped_count = _plausible(usable)
     unused_count += dropped_count
     columns: dict[str, Any] = {name: np.array([row[name] for row in rows], np.float64) for name in _COLUMNS}
-    columns["event_count"] = np.diff(columns["event_count"], prepend=0.0)
     columns["fluid_number"] = columns["fluid_number"].astype(np.int64)
     energy_j = _energies(columns.pop("slip_energy_j"))
     history = History(
@@ -140,8 +138,8 @@ def _plausible(rows: Sequence[dict[str, float]]) -> tuple[list[dict[str, float]]
                 offset_m = kept[-1]["odometer_m"] - other[0]["odometer_m"] if kept else 0.0
             kept += [one | {"odometer_m": one["odometer_m"] + offset_m} for one in other]
             run, other = other, []
-    last = kept[-1]["event_count"] if kept else 0.0
-    return kept, sum(row["event_count"] > last for row in rows)
+    last = kept[-1]["number"] if kept else 0.0
+    return kept, sum(row["number"] > last for row in rows)
 
 
 def _wrong_at_the_end(run: Sequence[dict[str, float]], later: dict[str, float]) -> int:

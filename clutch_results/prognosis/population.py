@@ -148,11 +148,7 @@ class Course:
 class Ageing:
     """What the life of one fluid in one clutch says of its kind."""
 
-    vehicle: str
-    clutch: int
     kind: PeerGroup
-    distance_m: float  # with this fluid
-    is_present: bool  # the fluid that is in now
     courses: Mapping[ChannelName, Course]  # until the limit was passed, or so far
     lasted_m: float | None = None  # until the limit was passed; None: it was not
     bent_odds: float = 1.0  # that its wear clearly bent until then, over those before any result

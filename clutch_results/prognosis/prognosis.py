@@ -22,11 +22,10 @@ from clutch_results.prognosis.assumptions import (
     SURE_OF_AGEING,
 )
 from clutch_results.prognosis.changes import FluidStart, fluid_starts
-from clutch_results.prognosis.channels import ChannelName
 from clutch_results.prognosis.fluid_lives import CHANGE_MARGIN_RATIO, FluidLife, either, fluid_lives
 from clutch_results.prognosis.history import History
 from clutch_results.prognosis.population import Peers
-from clutch_results.prognosis.trend import AgedChannel, Passage, Value
+from clutch_results.prognosis.trend import Passage
 
 M_PER_KM = 1000.0
 PERCENT = 100.0
@@ -76,7 +75,7 @@ class Outlook(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reach:
-    """Distance and events until a limit is passed: at most that far with 10, 50 and 90 % probability.
+    """Distance until a limit is passed: at most that far with 10, 50 and 90 % probability.
 
     None is farther than the horizon.
     """
@@ -84,22 +83,8 @@ class Reach:
     p10_m: float | None
     p50_m: float | None
     p90_m: float | None
-    p10_events: float | None
-    p50_events: float | None
-    p90_events: float | None
     probability_before_service: float
     passage: Passage
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ChannelState:
-    """Margin or level of a clutch today, and how it got there; rates are negative while it falls."""
-
-    now: Value  # over that of new fluid, at the reference temperature; common errors are in the deviation
-    rate_per_m: Value
-    rate_per_j: Value | None  # of slip energy
-    temperature_per_k: Value
-    probability_falling: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,15 +94,11 @@ class Prognosis:
     clutch: int
     outlook: Outlook
     row_count: int  # results with this fluid
-    odometer_m: float | None  # of the last result
     service_distance_m: float
     fluid_starts: tuple[FluidStart, ...]
     assumptions: tuple[str, ...]
     left_out_count: int = 0  # results that no prognosis can use
     stale_since_s: float | None = None  # UTC, of the last result that can be used, where later ones cannot
-    margin: ChannelState | None = None
-    level: ChannelState | None = None
-    lining: Value | None = None  # change of the level of new fluid against that of the first one
     watch: Reach | None = None
     change_fluid: Reach | None = None
     life: FluidLife | None = field(default=None, repr=False)  # of the present fluid so far
@@ -141,7 +122,6 @@ def prognose(
         clutch=clutch,
         outlook=Outlook.TOO_FEW,
         row_count=row_count,
-        odometer_m=float(history.odometer_m[-1]) if len(history) else None,
         service_distance_m=service_distance_m,
         fluid_starts=starts,
         assumptions=(*_assumptions(history, starts, service_distance_m), *_of_kind(peers)),
@@ -150,22 +130,15 @@ def prognose(
     )
     if row_count < LEAST_ROWS:
         return blank
-    lives = fluid_lives(history, starts, reference, peers)
-    today = lives[-1]
+    today = fluid_lives(history, starts, reference, peers)[-1]
     sure = max(one.probability_falling for one in today.channels.values())
-    events_per_m = _events_per_m(history)
-    energy_j = history.slip_energy_j
-    energy_per_m = None if energy_j is None else float(np.mean(energy_j[-120:])) * events_per_m
     watch = either(today, WATCH_MARGIN_RATIO, WATCH_LEVEL_RATIO)
     change = either(today, CHANGE_MARGIN_RATIO, CHANGE_LEVEL_RATIO)
     return replace(
         blank,
         outlook=Outlook.AGEING if sure >= SURE_OF_AGEING else Outlook.NO_TREND,
-        margin=_state(today.channels[ChannelName.MARGIN], energy_per_m),
-        level=_state(today.channels[ChannelName.LEVEL], energy_per_m),
-        lining=_lining(lives),
-        watch=_reach(watch, events_per_m, service_distance_m),
-        change_fluid=_reach(change, events_per_m, service_distance_m),
+        watch=_reach(watch, service_distance_m),
+        change_fluid=_reach(change, service_distance_m),
         life=today,
     )
 
@@ -191,43 +164,11 @@ def forecast(prognosis: Prognosis) -> Forecast | None:
     return Forecast(distance_m=passages[0].distance_m, quantiles=np.array(quantiles))
 
 
-def _reach(when: Passage, events_per_m: float, service_distance_m: float) -> Reach:
-    ends_m = {name: when.quantile_m(share) for name, share in (("p10", 0.1), ("p50", 0.5), ("p90", 0.9))}
+def _reach(when: Passage, service_distance_m: float) -> Reach:
     return Reach(
-        **{f"{name}_m": end_m for name, end_m in ends_m.items()},
-        **{f"{name}_events": None if end_m is None else end_m * events_per_m for name, end_m in ends_m.items()},
+        p10_m=when.quantile_m(0.1),
+        p50_m=when.quantile_m(0.5),
+        p90_m=when.quantile_m(0.9),
         probability_before_service=when.within(service_distance_m),
         passage=when,
     )
-
-
-def _state(channel: AgedChannel, energy_j_per_m: float | None) -> ChannelState:
-    rate, per_m = channel.rate_per_m, energy_j_per_m
-    return ChannelState(
-        now=channel.now,
-        rate_per_m=rate,
-        rate_per_j=None if per_m is None else Value(mean=rate.mean / per_m, std=rate.std / per_m),
-        temperature_per_k=channel.warmth_per_k,
-        probability_falling=channel.probability_falling,
-    )
-
-
-def _lining(lives: list[FluidLife]) -> Value | None:
-    """Return how much of the first new fluid's level the newest did not bring back; what they share is not in it."""
-    new = [life.channels[ChannelName.LEVEL].seen_start for life in lives if life.is_new]
-    if len(new) < 2 or not lives[-1].is_new:
-        return None
-    first, last = new[0], new[-1]
-    ratio = last.mean / first.mean
-    return Value(mean=ratio - 1.0, std=float(np.hypot(last.std, ratio * first.std)) / first.mean)
-
-
-def _events_per_m(history: History) -> float:
-    """Return how many events of the clutch there are per metre, stretches without any left out."""
-    if len(history) < 2:
-        return 0.0
-    steps_m = np.diff(history.odometer_m)
-    usual_m = float(np.quantile(steps_m, 0.9))
-    is_usual = steps_m <= 10.0 * max(usual_m, 1.0)
-    driven_m = float(steps_m[is_usual].sum())
-    return float(history.event_count[1:][is_usual].sum()) / max(driven_m, 1.0)

@@ -73,7 +73,6 @@ class AgedChannel:
     now: Value
     seen_start: Value  # with the errors that two fluids of one vehicle share
     fallen: Value  # since the start
-    warmth_per_k: Value
     bent_odds: float  # that wear has clearly bent upwards, over those before any result
     rate_per_m: Value  # as fluids age
     future: Future
@@ -116,7 +115,6 @@ def aged(channel: TrendChannel, clocks: Sequence[Clock], prior: ChannelPrior, be
         now=_value(weight, mean[..., NOW], covariance[..., NOW, NOW]),
         seen_start=_value(weight, prior.start + unknown[..., 0], unknown_covariance[..., 0, 0]),
         fallen=_value(weight, fallen, variance),
-        warmth_per_k=warmth,
         bent_odds=bent / (1.0 - bent) * (1.0 - BENT_PROBABILITY) / BENT_PROBABILITY,
         rate_per_m=rate_per_m,
         future=future,

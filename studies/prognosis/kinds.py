@@ -136,7 +136,6 @@ def _measured(
         common_correlation=np.full(count, common / common_s),
         sump_temperature_k=353.15 + warmth_k,
         slip_energy_j=rng.lognormal(np.log(8.0e3), rng.uniform(0.2, 0.7), count),
-        event_count=np.ones(count),
         fluid_number=is_last.astype(np.int64),
         new_fluids=(0, 1),
     )

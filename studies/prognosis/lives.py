@@ -242,7 +242,6 @@ def _measured(lived: Lived) -> History:
         common_correlation=np.full(count, SCALE / common_s),
         sump_temperature_k=degc + 273.15,
         slip_energy_j=energy_j,
-        event_count=np.ones(count),
         fluid_number=np.zeros(count, np.int64),
         new_fluids=(0,),
     )

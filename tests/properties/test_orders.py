@@ -138,7 +138,7 @@ def prognoses(draw: st.DrawFn) -> list[Prognosis]:
         if outlook is not Outlook.TOO_FEW:
             ends = sorted((draw(distances) for _ in range(3)), key=lambda one: (one is None, one or 0.0))
             reach = Reach(
-                p10_m=ends[0], p50_m=ends[1], p90_m=ends[2], p10_events=None, p50_events=None, p90_events=None,
+                p10_m=ends[0], p50_m=ends[1], p90_m=ends[2],
                 probability_before_service=draw(st.floats(0.0, 1.0)), passage=NEVER,
             )  # fmt: skip
         found.append(
@@ -146,7 +146,6 @@ def prognoses(draw: st.DrawFn) -> list[Prognosis]:
                 clutch=clutch,
                 outlook=outlook,
                 row_count=draw(st.integers(0, 9)),
-                odometer_m=1.0e7,
                 service_distance_m=1.5e7,
                 fluid_starts=(),
                 assumptions=(),

@@ -44,7 +44,6 @@ def past(
         common_correlation=np.full(count, 0.999),
         sump_temperature_k=353.15 + (np.zeros(count) if warmth_k is None else warmth_k),
         slip_energy_j=np.full(count, 8.0e3),
-        event_count=np.full(count, 2.0),
         fluid_number=np.searchsorted(np.array(fills, np.int64), np.arange(count), side="right").astype(np.int64),
         new_fluids=tuple(range(len(fills) + 1)),
     )

@@ -90,7 +90,7 @@ def _ageings(engine: Engine, key: Key, common: Mapping[str, Common]) -> list[Age
     history, reference, vehicle_type, fills = known
     kinds = [PeerGroup(vehicle_type=vehicle_type, fluid=name) for name in (None, *(fill.product for fill in fills))]
     try:
-        return ageings(*key, history, reference, kinds)
+        return ageings(history, reference, kinds)
     except BEYOND_NUMBERS:
         return None
 

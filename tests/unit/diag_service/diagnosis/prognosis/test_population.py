@@ -27,14 +27,10 @@ from tests.support.pasts import REFERENCE, past
 KIND = PeerGroup(vehicle_type="dct", fluid="75W")
 
 
-def life(number: int, loss_per_m: float, *, kind: PeerGroup = KIND, doubt: float = 0.1) -> Ageing:
+def life(loss_per_m: float, *, kind: PeerGroup = KIND, doubt: float = 0.1) -> Ageing:
     course = Course(start=1.02, start_std=0.05, loss_per_m=loss_per_m, loss_std_per_m=doubt * loss_per_m)
     return Ageing(
-        vehicle=f"car{number}",
-        clutch=1,
         kind=kind,
-        distance_m=4.0e7,
-        is_present=True,
         courses={ChannelName.MARGIN: course},
     )
 
@@ -43,7 +39,7 @@ def fleet(count: int, *, log_std: float, kind: PeerGroup = KIND, seed: int = 1) 
     rng = np.random.default_rng(seed)
     true = 1.25e-8 * np.exp(log_std * rng.standard_normal(count))
     seen = true * np.exp(0.1 * rng.standard_normal(count))
-    return [life(number, float(loss), kind=kind) for number, loss in enumerate(seen)]
+    return [life(float(loss), kind=kind) for loss in seen]
 
 
 def test_the_scatter_of_a_fleet_is_without_the_doubt_of_each() -> None:
@@ -64,7 +60,7 @@ def test_how_often_lives_bend_is_learned_of_types_with_enough_that_ended(is_bent
     at = np.linspace(0.0, 1.0, 300)
     worn = at + 3.0 * np.maximum(at - 0.7, 0.0) if is_bent else at
     history = past(1.0 - 1.2 * worn / worn[-1], step_m=2.0e5, noise_ratio=0.004)
-    (ended,) = ageings("car1", 1, history, REFERENCE, [KIND])
+    (ended,) = ageings(history, REFERENCE, [KIND])
     assert (ended.bent_odds > 3.0) is is_bent
     few, enough = (learn([*fleet(20, log_std=0.2), *[ended] * count]).peers[0] for count in (7, 25))
     assert (few.bend_chance, few.bend_life_count) == (KNEE_PROBABILITY, 0)
