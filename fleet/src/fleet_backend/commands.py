@@ -359,8 +359,13 @@ def fill(
 
 @command_line.command(epilog=examples(f"{PROGRAM} partitions --ahead 6"))
 @json_option
-@click.option("--ahead", type=COUNT, default=3, help="months ahead")
-@click.option("--back", type=COUNT, default=0, help="months back, for old results that may still arrive")
+@click.option("--ahead", type=click.IntRange(0, months.MOST_MONTHS), default=3, help="months ahead")
+@click.option(
+    "--back",
+    type=click.IntRange(0, months.MOST_MONTHS),
+    default=0,
+    help="months back, for old results that may still arrive",
+)
 @of_database()
 def partitions(engine: Engine, *, ahead: int, back: int, is_json: bool) -> None:
     """Make the months in which a PostgreSQL database keeps results, and show all."""

@@ -107,13 +107,10 @@ def keep_months(engine: Engine, now: datetime, ahead: int = AHEAD_MONTHS, back: 
     """Make the months from ``back`` months ago until ``ahead`` months from now that are missing; return them.
 
     Results that waited in the first or last partition move into their months. Raises ConfigError if the database has no
-    partitions, or so many months make no sense, DatabaseAwayError if somebody reads too long: try again, nothing was
-    changed.
+    partitions, DatabaseAwayError if somebody reads too long: try again, nothing was changed.
     """
     if not has_partitions(engine):
         raise BackendConfigError("only a PostgreSQL database has partitions; SQLite keeps all results in one table")
-    if not (0 <= ahead <= MOST_MONTHS and 0 <= back <= MOST_MONTHS):
-        raise BackendConfigError(f"months ahead and back must be 0 to {MOST_MONTHS}, got {ahead} and {back}")
     with transaction(engine) as connection:
         lock(connection)
         known = months(connection)

@@ -18,7 +18,6 @@ from fleet_backend import queries, report
 from fleet_backend.alarms import book
 from fleet_backend.alarms.rules import Limits
 from fleet_backend.commands import (
-    COUNT,
     PROGRAM,
     address_of,
     json_option,
@@ -226,7 +225,7 @@ def _of_the_page() -> Iterator[None]:
 
 
 @click.command(epilog=examples(f"{PROGRAM} retain --months 24"))
-@click.option("--months", type=COUNT, required=True, help="whole months to keep besides this one")
+@click.option("--months", type=click.IntRange(1, 1200), required=True, help="whole months to keep besides this one")
 @of_database()
 def retain(engine: Engine, months: int) -> None:
     """Forget old results; the last of each clutch stays."""

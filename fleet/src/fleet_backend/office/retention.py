@@ -30,7 +30,7 @@ from sqlalchemy import (
 )
 
 from fleet_backend.database import transaction
-from fleet_backend.errors import BackendConfigError, DatabaseError
+from fleet_backend.errors import DatabaseError
 from fleet_backend.months import (
     CLUTCH_STREAM,
     TABLE,
@@ -50,7 +50,6 @@ from fleet_backend.office_tables import ALARM_MESSAGE, AUDIT, COMMAND_LINE, META
 from fleet_backend.queries import check_vehicle
 from fleet_backend.schema import IS_OLD, QUARANTINE, REVISION, SHIFT_RESULT, UtcDateTime
 
-MOST_KEPT: Final = 1200
 _KEY: Final = ("vehicle", "stream", "seq")
 _LAST: Final = "SELECT r.vehicle, r.stream, r.seq FROM running_condition AS r"
 
@@ -68,11 +67,8 @@ def retain(engine: Engine, kept_months: int, *, now: datetime, by: str) -> Retai
     """Forget the results of all months but the last ``kept_months`` and this one.
 
     The last result of a clutch is never forgotten: a vehicle that has been silent for long keeps its condition. Raises
-    ConfigError if the count makes no sense, DatabaseAwayError if somebody reads too long: try again, nothing was
-    changed.
+    DatabaseAwayError if somebody reads too long: try again, nothing was changed.
     """
-    if not 1 <= kept_months <= MOST_KEPT:
-        raise BackendConfigError(f"months to keep must be 1 to {MOST_KEPT}, got {kept_months}")
     first = months_on(month_of(now), -kept_months)
     until = datetime.combine(first, time(), UTC)
     if has_partitions(engine):

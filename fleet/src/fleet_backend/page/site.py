@@ -1,7 +1,7 @@
 """The application: who asks is checked before all else, words of an address are checked once, an error is one line."""
 
 import logging
-from collections.abc import AsyncIterator, Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -162,12 +162,9 @@ async def form_of(request: Request, query: type[QueryT], role: UserRole) -> Quer
         raise ForbiddenError("a page of another site sent this request")
     if request.headers.get("content-type", "").partition(";")[0].strip() != _FORM:
         raise AskError(f"a form is sent as {_FORM}")
-    content = b""
-    chunks: AsyncIterator[bytes] = request.stream()
-    async for chunk in chunks:
-        content += chunk
-        if len(content) > _LONGEST_FORM:
-            raise AskError(f"a form has {_LONGEST_FORM} bytes at most")
+    if not 0 <= int(request.headers.get("content-length", -1)) <= _LONGEST_FORM:
+        raise AskError(f"a form tells its length, of {_LONGEST_FORM} bytes at most")
+    content = await request.body()
     try:
         words = parse_qsl(content.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=20)
     except ValueError as exc:
