@@ -78,17 +78,12 @@ def contents_of(stream: BinaryIO, columns: str = "") -> Contents:
     """
     probe = stream.read(PROBE_BYTES)
     stream.seek(0)
-    compression = compression_of(probe)
+    compression, counts = compression_of(probe), LogCounts()
     if compression is None:
         detected = detect(probe, columns)
-        return Contents(stream=stream, detected=detected, counts=LogCounts(), is_packed=False, columns=columns)
-    return _unpacked(partial(InflatedStream, stream, compression), columns)
-
-
-def _unpacked(opened: Callable[..., InflatedStream], columns: str) -> Contents:
-    """Return the log that is packed in what is ``opened``: once for a look, and from its beginning to be read."""
-    detected, counts = _packed_format(opened(), columns), LogCounts()
-    packed = opened(counts)
+        return Contents(stream=stream, detected=detected, counts=counts, is_packed=False, columns=columns)
+    detected = _packed_format(InflatedStream(stream, compression), columns)
+    packed = InflatedStream(stream, compression, counts)
     stream = cast("BinaryIO", packed)
     if detected.format not in TEXT_LOGS:
         with packed:
@@ -194,7 +189,7 @@ class LogReader(Iterator[FrameBatch]):
             raise named_error(self.name, exc) from exc
         if self._is_first and self.columns:
             self._watch.longest_step_ns = longest_step_ns(batch)
-        elif self._is_first:  # values of a row all have its time
+        elif self._is_first:  # (values of a row all have one time)
             self._check_load(batch[:LOAD_FRAMES])
         self._is_first = False
         self._watch.look(batch)

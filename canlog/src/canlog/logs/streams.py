@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import StrEnum
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, BinaryIO, Final, Protocol
+from typing import Any, BinaryIO, Final
 
 from canlog.errors import InputLeftError, SourceError
 from canlog.extras import load_extra
@@ -23,8 +23,9 @@ from canlog.files import WIDE_BYTES, widen
 from canlog.logs.log_counts import LogCounts, LogReject
 
 PIECE_BYTES = 64 * 1024
+MOST_AT_ONCE = 2 * 1024 * 1024  # of contents
 MOST_RATIO = 256  # logs shrink by a factor of 5 to 50
-FREE_BYTES = 64 * 1024 * 1024  # may come of any piece, however small
+FREE_BYTES = 64 * 1024 * 1024  # contents that any file may have, however small
 
 
 class Compression(StrEnum):
@@ -40,7 +41,7 @@ MAGICS: Mapping[bytes, Compression] = {
     b"\x1f\x8b\x08": Compression.GZIP,
     b"\xfd7zXZ\0": Compression.XZ,
     **{b"BZh%d1AY&SY" % level: Compression.BZIP2 for level in range(1, 10)},
-    **{b"BZh%d\x17\x72\x45\x38\x50\x90" % level: Compression.BZIP2 for level in range(1, 10)},  # of nothing
+    **{b"BZh%d\x17\x72\x45\x38\x50\x90" % level: Compression.BZIP2 for level in range(1, 10)},  # of an empty file
     b"\x28\xb5\x2f\xfd": Compression.ZSTD,
     **{bytes([kind]) + b"\x2a\x4d\x18": Compression.ZSTD for kind in range(0x50, 0x60)},  # a frame to be skipped
 }
@@ -51,26 +52,13 @@ GZIP_WINDOW = 31  # zlib's number for its largest window and a gzip header
 ZSTD_PIECE_BYTES = 256  # inflate to no more than 8 MiB: four bytes can stand for 128 KiB
 
 
-class Inflater(Protocol):
-    """As `lzma.LZMADecompressor`: it keeps what it was given and did not come to."""
-
-    @property
-    def eof(self) -> bool:
-        """Whether the stream has ended."""
-
-    @property
-    def unused_data(self) -> bytes:
-        """The bytes it was given that follow the stream."""
-
-    def decompress(self, data: bytes, max_length: int = -1) -> bytes:
-        """Take more of the stream; return no more than so many bytes of its contents."""
-
-
 class DamagedStreamError(Exception):
     """A compressed stream is damaged."""
 
 
 class _Gzip:
+    """As `lzma.LZMADecompressor`, which keeps what it was given and did not come to."""
+
     def __init__(self) -> None:
         self._inner = zlib.decompressobj(GZIP_WINDOW)
 
@@ -119,6 +107,9 @@ class _Zstd:
         return contents
 
 
+Inflater = _Gzip | _Zstd | bz2.BZ2Decompressor | lzma.LZMADecompressor  # of one stream
+
+
 def new_inflater(kind: Compression) -> Inflater:
     """Return what inflates one compressed stream; raises ExtraMissingError if its library is not installed."""
     if kind is Compression.GZIP:
@@ -130,23 +121,9 @@ def new_inflater(kind: Compression) -> Inflater:
     return lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=XZ_MEMORY_BYTES)
 
 
-def inflated(inflater: Inflater, data: bytes, most_bytes: int) -> bytes:
-    """Return what an inflater makes of more data; raises DamagedStreamError where the stream is damaged."""
-    try:
-        return inflater.decompress(data, most_bytes)
-    except (zlib.error, lzma.LZMAError, OSError) as exc:  # the last one: bzip2
-        raise DamagedStreamError(str(exc)) from exc
-
-
 def compression_of(probe: bytes) -> Compression | None:
     """Return what the first bytes of a file say it is wrapped in."""
     return next((kind for magic, kind in MAGICS.items() if probe.startswith(magic)), None)
-
-
-def check_growth(what: str, taken_bytes: int, given_bytes: int) -> None:
-    """Raise SourceError if contents are so much larger than what they were packed in that they can be no log."""
-    if given_bytes > FREE_BYTES + MOST_RATIO * taken_bytes:
-        raise SourceError(f"{what} holds more than {MOST_RATIO} times its size: no log does")
 
 
 class InflatedStream(io.RawIOBase):
@@ -167,8 +144,8 @@ class InflatedStream(io.RawIOBase):
         self._is_a_look = counts is None
         self._counts = counts or LogCounts()
         stream.seek(0)
-        self._inflater: Inflater | None = new_inflater(compression)
-        self._taken_bytes = self._given_bytes = 0
+        self._pieces = self._inflated()
+        self._rest = memoryview(b"")
 
     @property
     def name(self) -> str:
@@ -179,63 +156,56 @@ class InflatedStream(io.RawIOBase):
 
     def readinto(self, buffer: "memoryview | bytearray") -> int:  # type: ignore[override]  # any buffer will do
         """Fill the buffer as far as the next piece goes; 0 at the end."""
-        view = memoryview(buffer)
-        while self._inflater is not None:
-            contents = self._next(len(view))
-            if contents:
-                view[: len(contents)] = contents
-                return len(contents)
-        return 0
+        if not self._rest:
+            self._rest = memoryview(next(self._pieces, b""))
+        count = min(len(buffer), len(self._rest))
+        buffer[:count], self._rest = self._rest[:count], self._rest[count:]
+        return count
 
     def close(self) -> None:
         if not self._is_a_look:
             self._stream.close()
         super().close()
 
-    def _next(self, most_bytes: int) -> bytes:
-        """Return a few bytes, perhaps none; at the end there is no inflater any more."""
-        inflater = self._inflater
-        if inflater is None:
-            return b""
-        try:
-            contents = inflated(inflater, b"", most_bytes)
-            if not contents and not inflater.eof:
-                if not (piece := self._stream.read(PIECE_BYTES)):
-                    self._end(LogReject.CUT_OFF)
-                    return b""
-                self._taken_bytes += len(piece)
-                contents = inflated(inflater, piece, most_bytes)
-        except DamagedStreamError:
-            self._end(LogReject.DAMAGED)
-            return b""
-        if inflater.eof:
-            self._follow(inflater.unused_data)
-        self._given_bytes += len(contents)
-        check_growth(self.name, self._taken_bytes, self._given_bytes)
-        return contents
-
-    def _follow(self, unused: bytes) -> None:
-        """Go on with the stream that follows one that ended."""
-        following = unused.lstrip(b"\0") or self._stream.read(PIECE_BYTES).lstrip(b"\0")
-        self._inflater = None
-        if following:
-            position = self._stream.tell() - len(following)
-            self._stream.seek(position)
-            if compression_of(self._stream.read(LONGEST_MAGIC)) is not self.kind:
+    def _inflated(self) -> Iterator[bytes]:
+        """Yield the contents of one stream after the other, up to the end or to damage."""
+        inflater, packed, taken_bytes, given_bytes = new_inflater(self.kind), b"", 0, 0
+        while True:
+            try:
+                contents = inflater.decompress(packed, MOST_AT_ONCE)
+            except (zlib.error, lzma.LZMAError, OSError, DamagedStreamError):  # OSError: of bzip2
                 self._end(LogReject.DAMAGED)
                 return
-            self._stream.seek(position)
-            self._inflater = new_inflater(self.kind)
+            given_bytes += len(contents)
+            if given_bytes > FREE_BYTES + MOST_RATIO * taken_bytes:
+                raise SourceError(f"{self.name} holds more than {MOST_RATIO} times its size: no log does")
+            if contents:
+                yield contents
+            packed = b""
+            if inflater.eof:
+                packed = inflater.unused_data.lstrip(b"\0") or self._stream.read(PIECE_BYTES).lstrip(b"\0")
+                if not packed:
+                    return
+                packed += self._stream.read(LONGEST_MAGIC)
+                if compression_of(packed) is not self.kind:
+                    self._end(LogReject.DAMAGED)
+                    return
+                inflater = new_inflater(self.kind)
+            elif not contents:
+                packed = self._stream.read(PIECE_BYTES)
+                if not packed:
+                    self._end(LogReject.CUT_OFF)
+                    return
+            taken_bytes += len(packed)
 
     def _end(self, reason: LogReject) -> None:
-        self._inflater = None
         self._counts.truncated = True
         self._counts.reject(reason, f"byte {self._stream.tell()} of {self.name}")
 
 
 STANDARD_INPUT: Final = Path("-")
 INPUT_NAME: Final = "standard input"
-HAND_OVER_S: Final = 0.5  # so long at most a frame waits for more to come
+HAND_OVER_S: Final = 0.5  # longest wait of a frame for more to come
 LOOK_S: Final = 0.1  # how soon a request to stop is heard
 
 
@@ -262,7 +232,7 @@ class PipeStream(io.RawIOBase):
     """
 
     name = INPUT_NAME
-    is_live = True  # a reading that is short has a reason: what there is shall be used now
+    is_live = True  # a short reading shall be used at once
 
     def __init__(
         self,
@@ -297,7 +267,7 @@ class PipeStream(io.RawIOBase):
         count = min(len(view), len(self._returned))
         view[:count] = self._returned[:count]
         self._returned = self._returned[count:]
-        deadline_s = 0.0 if count else float("inf")  # what was given back has waited before
+        deadline_s = 0.0 if count else float("inf")  # bytes that were given back are not held up again
         while count < len(view) and self._has_more(deadline_s):
             piece = os.read(self._descriptor, min(len(view) - count, WIDE_BYTES))
             if not piece:
