@@ -1,7 +1,7 @@
 """A log, and its signals as arrays and tables: batch by batch, or all of it in memory."""
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -256,20 +256,14 @@ class Log:
     ) -> Any:  # noqa: ANN401 - optional
         """Return what ``to_arrow`` does as DataFrames of pandas; ExtraMissingError if that is not installed."""
         load_extra("pandas", "to_pandas() needs pandas")
-        tables = self.to_arrow(shape, values, is_raw=is_raw)
-        if isinstance(tables, dict):
-            return {name: table.to_pandas() for name, table in tables.items()}
-        return tables.to_pandas()
+        return _converted(self.to_arrow(shape, values, is_raw=is_raw), lambda table: table.to_pandas())
 
     def to_polars(
         self, shape: TableShapeName = "messages", values: ValuesName = "numbers", *, is_raw: bool = False
     ) -> Any:  # noqa: ANN401 - optional
         """Return what ``to_arrow`` does as DataFrames of polars; ExtraMissingError if that is not installed."""
         polars = load_extra("polars", "to_polars() needs polars")
-        tables = self.to_arrow(shape, values, is_raw=is_raw)
-        if isinstance(tables, dict):
-            return {name: polars.from_arrow(table) for name, table in tables.items()}
-        return polars.from_arrow(tables)
+        return _converted(self.to_arrow(shape, values, is_raw=is_raw), polars.from_arrow)
 
     def _opened(self, stack: ExitStack) -> list[LogReader]:
         opened = (read_log(path, is_strict=self._is_strict, columns=self._columns) for path in self.paths)
@@ -296,6 +290,10 @@ class Log:
 
     def _grouped(self) -> Iterator[FrameBatch]:
         return self._plan.grouped([self.frames])
+
+
+def _converted(tables: Any, convert: Callable[[Any], Any]) -> Any:  # noqa: ANN401 - untyped
+    return {name: convert(table) for name, table in tables.items()} if isinstance(tables, dict) else convert(tables)
 
 
 def read(

@@ -20,7 +20,7 @@ from canlog.arrays import Int64Array
 
 NS_PER_US: Final = 1_000
 MIN_STEP_NS: Final = 5_000_000  # several times what two readings may be apart
-MAX_GAP_NS: Final = 1_000_000  # between the readings of two clocks, beyond which they were not taken at one moment
+MAX_GAP_NS: Final = 1_000_000  # longest time between two readings of one moment
 TRY_COUNT: Final = 5
 SLEW_RATIO: Final = 0.001  # twice what a kernel slews at most
 SLACK_NS: Final = 5_000_000
@@ -82,7 +82,7 @@ def clock_alarm(expiry_s: int = NEVER_S) -> ClockAlarm | None:
 class ClockReading(NamedTuple):
     """Two clocks at one moment."""
 
-    wall_ns: int  # since the epoch, as set by whomever
+    wall_ns: int  # since the epoch
     boot_ns: int  # since boot, suspended time included
 
 

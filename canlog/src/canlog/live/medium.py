@@ -55,7 +55,7 @@ class Medium:
     @property
     def can_options(self) -> dict[str, Any]:
         """The arguments of ``can.Bus`` that open it, in any program: ``can.Bus(**medium.can_options)``."""
-        reach = {"hop_limit": 0} if self.interface == MULTICAST else {}  # in this machine, whoever opens it
+        reach = {"hop_limit": 0} if self.interface == MULTICAST else {}  # the frames stay in this machine
         return {"interface": self.interface, "channel": self.channel, **self.options, **reach}
 
     def open(self) -> "can.BusABC":
@@ -84,7 +84,7 @@ def open_medium() -> Iterator[Medium]:
         finally:
             _run("ip", "link", "delete", name)
         return
-    answer = _run("ip", "-json", "link", "show", "up", "type", "vcan")  # never real hardware, on which a car may hang
+    answer = _run("ip", "-json", "link", "show", "up", "type", "vcan")  # never real hardware: a car may be connected
     present = next((str(link["ifname"]) for link in json.loads(answer or "[]") if "ifname" in link), None)
     if present is None:
         yield multicast("no vcan interface is up, and making one takes root")

@@ -63,7 +63,7 @@ def open_bus(
         If no bus is named, or it cannot be opened.
     """
     wanted: dict[str, Any] = dict(options)
-    if fd:  # what is not asked for is left to the driver
+    if fd:  # otherwise the default of the driver
         wanted["fd"] = True
     if bitrate is not None:
         wanted["bitrate"] = bitrate
@@ -206,7 +206,7 @@ def _prepare_sender(sender: socket.socket, hops: int) -> None:
     """Give the sender a port of its own, by which it knows its own frames, and a limit of hops."""
     sender.bind(("", 0))
     if sender.family == socket.AF_INET6:
-        # The loopback interface has no route for IPv6 groups: the limit alone keeps the frames here.
+        # The loopback interface has no route for IPv6 groups: only the limit keeps the frames in this machine.
         sender.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_MULTICAST_HOPS, hops)
         return
     sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, hops)
@@ -287,7 +287,7 @@ class BusOpener:
             If the bus is not named completely or cannot be opened.
         """
         if self._settings is None:
-            # python-can takes up to a second to import, and a driver may take as long to open: neither stops the loop.
+            # A driver may take a second to be found and to open: that must not stop the loop.
             interface, channel, bitrate, fd = self._given
             self._settings = await asyncio.to_thread(complete_settings, interface, channel, bitrate, fd=fd)
         settings = self._settings

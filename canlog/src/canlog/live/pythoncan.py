@@ -29,7 +29,7 @@ from canlog.live.sources import SILENCE_S, BusSilence, FrameQueue, SourceCounts
 POLL_S = 0.1  # how soon the thread notices that it shall stop
 MESSAGES_PER_BATCH = 256
 JOIN_S = 3.0  # for a driver that does not return
-MANY_FRAMES = 1_000  # as many do not come at once
+MANY_FRAMES = 1_000  # too many to have come at one moment
 NOW_S = 5.0  # frames older than this have another clock: no reader is so late
 LAST_BATCHES = 64  # what an interface may still hold; bounded, for the bus may never fall silent
 NS_PER_US = 1_000

@@ -295,7 +295,7 @@ class SocketCanSource:
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
         self._gathered_s = 0.0  # when the socket was emptied last, as the loop counts
-        self._heard_s = self._loop.time()  # when the last frame had come for certain
+        self._heard_s = self._loop.time()  # latest time at which a frame had come
         self._alarm = clock_alarm()
         if self._alarm is not None:
             self._loop.add_reader(self._alarm, self._see_clock_set)
@@ -379,7 +379,7 @@ class SocketCanSource:
                 return True
             if reception.read < SLOTS and not is_last and self._failure is None:
                 self._clock.end_of_backlog()
-                return True  # what comes meanwhile is for the next time: no call in vain
+                return True  # frames that come meanwhile wait for the next time
         return False
 
     def _hand_over(self, reception: Reception) -> None:

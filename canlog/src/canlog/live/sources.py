@@ -4,6 +4,7 @@ import asyncio
 import threading
 from collections import deque
 from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from typing import Final, Protocol, TypeVar
 
@@ -189,11 +190,9 @@ class FrameQueue:
         """
         await self._has_frames.wait()
         if self._linger_s > 0.0:
-            try:
+            with suppress(TimeoutError):
                 async with asyncio.timeout(self._linger_s):
                     await self._is_urgent.wait()
-            except TimeoutError:
-                pass
         with self._lock:
             batches, self._batches = list(self._batches), deque()
             self._waiting = 0

@@ -166,7 +166,7 @@ def parse_lines(text: UInt8Array, rows: FrameRows, clock: Int64Array, progress: 
         if outcome >= TOO_LONG:
             progress[STOP] = outcome
             break
-        # What is later than the last is no time, and must stay a number.
+        # Later times are refused; adding to them must not overflow.
         clock[NOW_US] = min(time_us + (clock[NOW_US] if clock[IS_RELATIVE] else 0), LAST_US + 1)
         if outcome == FRAME:
             time_us = clock[START_US] + clock[NOW_US]
@@ -218,7 +218,7 @@ def _other(text: UInt8Array, at: int, rows: FrameRows, row: int) -> tuple[int, i
         rows.can_id[row], rows.length[row], rows.flags[row] = ERROR_FLAG, 0, TX_FLAG * (direction > 0)
         clear(rows.data, row, 0)
         return FRAME, skip_line(text, behind)
-    if number < 0:  # a channel that is none, or an event of another bus
+    if number < 0:  # no valid channel, or an event of another bus
         at = skip_blanks(text, skip_word(text, at))
         direction, _ = read_direction(text, at)
     if not is_fd:
@@ -260,7 +260,7 @@ def _frame(text: UInt8Array, at: int, rows: FrameRows, row: int, base: int) -> i
     rows.length[row], rows.flags[row] = count, TX_FLAG * (direction > 0)
     rows.can_id[row] = identifier | (REMOTE_FLAG if is_remote else 0)
     at = payload(text, at, rows.data, row, 0 if is_remote else count, base, 0)
-    while is_remote and code >= 0:  # bytes that some write, though there are none
+    while is_remote and code >= 0:  # some programs write bytes of a remote frame
         value, behind = whole_number(text, skip_blanks(text, at), HEXADECIMAL, BYTE_DIGITS)
         if value < 0:
             break

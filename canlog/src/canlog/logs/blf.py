@@ -31,7 +31,7 @@ from canlog.jit import kernel, part
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_kernels import LENGTH_OF_CODE, FrameBuffer, FrameRows, clear, half, lower, word
 
-# What has been done, and how it goes on.
+# Fields of the report that goes from call to call.
 POSITION, ROWS, OBJECTS, IS_LOST, SKIPPED, DAMAGED, FIRST_DAMAGED, IS_TOO_WIDE, REPORT_FIELDS = range(9)
 
 # The columns of a layout: where fields are, counted from the end of an object's header; -1: it has none.
@@ -313,7 +313,7 @@ def read_blf(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
     objects = ObjectStream(start_us(fields[START_FIELDS]), counts, FRAMES_PER_BATCH + FRAMES_PER_CONTAINER)
     for data, is_whole in containers(stream, header_bytes, size_bytes, counts):
         objects.feed(data, is_whole=is_whole)
-        if len(objects) >= FRAMES_PER_BATCH:  # of many containers: what works on columns wants long ones
+        if len(objects) >= FRAMES_PER_BATCH:  # of many containers: long columns are decoded faster
             yield objects.hand_over()
     objects.finish()
     if len(objects):
@@ -363,7 +363,7 @@ def containers(
             counts.cut_off(f"byte {position}")
         elif not (contents.is_sound and is_sound):
             counts.reject(LogReject.DAMAGED, f"byte {position}")
-        # Nor is the size of a damaged container to be trusted: look for the next one inside it.
+        # The size of a damaged container may be wrong: look for the next one inside it.
         is_lost = not (is_whole and contents.is_sound)
         yield contents.data, not is_lost
         position += len(header) + contents.used_bytes if is_lost else object_bytes
@@ -376,7 +376,7 @@ def next_object(stream: BinaryIO, position: int, size_bytes: int, counts: LogCou
         stream.seek(position)
         block = stream.read(block_bytes)
         offset = block.find(OBJECT_MAGIC)
-        if offset >= 0 or len(block) <= len(OBJECT_MAGIC):  # the end, perhaps earlier than it was
+        if offset >= 0 or len(block) <= len(OBJECT_MAGIC):  # the end; the file may have shrunk
             break
         position += len(block) - len(OBJECT_MAGIC) + 1
         block_bytes = SEARCH_BYTES
@@ -416,7 +416,7 @@ def inflate(body: bytes, *, is_whole: bool) -> ContainerContents:
         data = inflater.decompress(payload, MAX_CONTAINER_BYTES)
     except zlib.error:
         return NOTHING
-    # Without its end the checksum was not compared, or there is too much of it to be a container.
+    # Without its end the checksum was not compared; with more left it is too large for a container.
     if method != DEFLATED or (not inflater.eof and (is_whole or inflater.unconsumed_tail)):
         return NOTHING
     foreign_bytes = len(inflater.unused_data)

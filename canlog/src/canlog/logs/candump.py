@@ -259,7 +259,7 @@ def _payload(match: re.Match[bytes], length: int) -> bytes | None:
 COLOUR = re.compile(rb"\x1b\[[\d;]*m")
 TIME = re.compile(rb"^\s*\((?P<date>\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d+|)(?P<count>\d+\.\d+|)\)\s", re.MULTILINE)
 EPOCH_DIGITS = 9  # seconds since the epoch have had as many since 1973
-LEAST_FALLS = 0.1  # of all steps between times: so many times of one clock never fall
+LEAST_FALLS = 0.1  # share of all steps between times; those of one clock never fall so often
 NO_TIMES = "the log has no times (candump -t): every frame gets the time 1970-01-01 00:00:00"
 
 
@@ -284,7 +284,7 @@ class ConsoleLog(LineLog):
                 self._base_ns = local_us * NS_PER_US - int(as_utc[0])
         elif len(times[0]["count"].partition(b".")[0]) < EPOCH_DIGITS:
             times_s = np.array([float(time["count"]) for time in times if time["count"]])
-            steps_s = np.diff(times_s)  # of times since the frame before some fall, or all are the same above zero
+            steps_s = np.diff(times_s)  # times since the frame before fall somewhere, or are all the same
             is_constant = len(times_s) > 2 and times_s[1] > 0.0 and not steps_s[1:].any()
             self._is_delta = bool(is_constant or np.count_nonzero(steps_s < 0.0) > LEAST_FALLS * len(steps_s))
             kind = "frame before (candump -t d)" if self._is_delta else "start (candump -t z)"

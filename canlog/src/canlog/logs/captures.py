@@ -40,7 +40,7 @@ INTERFACE, SIMPLE_PACKET, PACKET = 1, 3, 6  # kinds of blocks in pcapng
 HEADER_BYTES, PACKET_BYTES, LEAST_BLOCK_BYTES = 16, 28, 12  # of a packet in pcap; in pcapng up to its data
 FRAME_HEADER_BYTES, FD_FRAME_BYTES = 8, 72
 LONGEST_PACKET, LONGEST_FRAME_PACKET, LONGEST_BLOCK = 262_144, 92, 16 * 1024 * 1024
-MOST_STEP_S = 86_400  # from packet to packet, where the place of a packet has to be guessed
+MOST_STEP_S = 86_400  # from packet to packet, when searching for one behind damage
 LAST_TIME_S = 9_200_000_000
 NS_PER_S = 1_000_000_000
 FD_BIT, XL_BIT = 0x04, 0x80  # of a frame's flags, of its length
@@ -64,7 +64,7 @@ LEAST_PACKETS: Final = 10  # needed to judge a byte order
 MOST_ODD: Final = 0.1  # of packets whose identifiers stand in the right byte order
 SWAPPED: Final = "the identifiers stand in the other byte order than this kind of capture has: they are read swapped"
 DIGITS_AT_END: Final = re.compile(rb"(\d{1,3})\0*$")
-# Where a record may begin behind damage, in pcap and in pcapng: the small numbers that it has at known places.
+# Where a record may begin behind damage, in pcap and in pcapng: small numbers at known places.
 RECORDS: Final = {
     ("<", False): re.compile(rb"(?=.{8}([\x08-\x5c]\0\0\0)\1)", re.DOTALL),
     (">", False): re.compile(rb"(?=.{8}(\0\0\0[\x08-\x5c])\1)", re.DOTALL),

@@ -23,8 +23,8 @@ from canlog.logs.signal_tables import LEAST_ROWS, table_header
 from canlog.logs.text_log import BYTE_ORDER_MARK, TextLog, frames_of
 
 PROBE_BYTES = 64 * 1024
-HEADER_LINES = 20  # a format that names itself does so in its first lines
-LINES_LOOKED_AT = 100  # where no line names a format, most of these must be frames of it
+HEADER_LINES = 20  # looked at for a header
+LINES_LOOKED_AT = 100  # without a header; most of them must be frames of the format
 COMMENTS = (b"#", b"//")
 UTF_16_BYTES = 64
 MDF_MAGICS = (b"MDF     ", b"UnFinMF ")
@@ -77,7 +77,7 @@ HEADERS: Mapping[LogFormat, re.Pattern[bytes]] = {
 }
 
 
-# What lines of tables without a header must look like besides: a column of anything proves nothing.
+# What lines without a header must look like besides being frames: their grammars accept too much.
 TYPICAL: Mapping[LogFormat, re.Pattern[bytes]] = {
     LogFormat.CONSOLE: re.compile(
         rb"(?:\x1b\[[\d;]*m|\s)*(?:\([-\d.: ]+\)\s+)?(?:\x1b\[[\d;]*m)*\s*"  # colours, a time

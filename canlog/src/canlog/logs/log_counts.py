@@ -24,7 +24,7 @@ class LogReject(StrEnum):
 
     MALFORMED = "malformed"  # not in the grammar of the format
     CUT_OFF = "cut_off"  # the file ends inside it
-    GIVEN_UP = "given_up"  # so much without a frame before it that what follows was not read
+    GIVEN_UP = "given_up"  # too much without a frame: the rest was not read
     DAMAGED = "damaged"  # a container or object whose size or compression is wrong
 
 
@@ -33,7 +33,7 @@ class LogCounts:
     """What a log held, as far as it has been read: its reader adds to it, everyone else gets a `snapshot`."""
 
     frames: int = 0
-    skipped: int = 0  # comments, events and other things that are no frames and are not meant to be
+    skipped: int = 0  # comments, events and other sound pieces that are no frames
     rejected: dict[LogReject, int] = field(default_factory=dict)
     first_rejected: str = ""  # where and why, for people
     truncated: bool = False  # the file is cut off
@@ -217,7 +217,7 @@ WATCHED_FRAMES = 1_000  # from the first on
 LEAST_PER_S = 10  # frames; a slower bus may well have times in whole seconds
 WHOLE_SECONDS = "times are whole seconds, with many frames in each: too coarse for friction, which needs milliseconds"
 
-USUAL_STEPS = 3  # that a silence in a table of signals lasts at least: two rows are missing
+USUAL_STEPS = 3  # least silence in a table of signals: two rows are missing
 
 
 def longest_step_ns(rows: FrameBatch) -> int:
@@ -234,7 +234,7 @@ class TimeWatch:
         self._counts = counts
         self.longest_step_ns = MAX_GAP_NS
         self._last: FrameBatch | None = None
-        self._first_ns: int | None = None  # None: not known, or times are finer than seconds
+        self._first_ns: int | None = None  # None: unknown, or times are finer than seconds
         self._frame_count = 0
 
     def look(self, batch: FrameBatch) -> None:

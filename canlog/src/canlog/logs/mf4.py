@@ -58,7 +58,7 @@ MOST_LINKS = 100_000
 VARIABLE_LENGTH = 0x0001  # flag of a channel group: its records begin with their length
 CHANNEL, CHANNEL_GROUP = b"##CN", b"##CG"
 COMPOSITION, NAME, CONVERSION, UNIT = 1, 2, 4, 6  # which of a channel's links leads there
-FIELDS = struct.Struct("<BBB")  # of a channel: what it is to its group, of which quantity a master is, kind of number
+FIELDS = struct.Struct("<BBB")  # of a channel: role in its group, quantity of a master, kind of number
 MASTERS, TIME, NUMBERS = {2, 3}, 1, range(6)
 UNIT_OF_CONVERSION, FIRST_REFERENCE = 1, 4  # links of a conversion
 FORMULA, TO_NUMBERS = 3, range(9)  # kinds of conversion; the last two name numbers in words, which are left alone
@@ -263,7 +263,7 @@ def _group(
         signals = mdf.select(
             wanted, record_offset=done, record_count=count, copy_master=False, ignore_value2text_conversions=True
         )
-        for place in coded:  # else a code were a number in the unit of the others, and the others were not scaled
+        for place in coded:  # else codes would be numbers, and the numbers would not be scaled
             signals[place] = mdf.select([wanted[place]], record_offset=done, record_count=count, copy_master=False)[0]
         elapsed_us = np.asarray(signals[0].timestamps, np.float64) * 1e6
         time_us = start_ns // NS_PER_US + np.rint(elapsed_us + start_ns % NS_PER_US / NS_PER_US)
@@ -347,7 +347,7 @@ def _batches(asammdf: Untyped, path: Path, folder: Path, counts: LogCounts) -> I
             is_unfinished = counts.unfinished = original.read(len(UNFINISHED_MAGIC)) == UNFINISHED_MAGIC
         if is_unfinished:  # asammdf completes it where it is
             path = Path(shutil.copy(path, folder / "unfinished.mf4"))
-        # Of a stream rows are read in pieces; a path would be mapped, and a file that shrinks then ends the program.
+        # A stream is read in pieces; a path would be mapped, and a mapped file that shrinks ends the program.
         with path.open("r+b" if is_unfinished else "rb") as opened:
             mdf = asammdf.MDF(opened, process_bus_logging=False, temporary_folder=folder)
             start_ns = int(mdf.header.abs_time)
@@ -371,7 +371,7 @@ def quiet_asammdf() -> tuple[Untyped, tuple[type[Exception], ...]]:
     Raises ExtraMissingError if it is not installed.
     """
     asammdf = load_asammdf(NEEDS_ASAMMDF)
-    # Of a damaged file it logs tracebacks, and leaves a half-made object whose end prints one more.
+    # For a damaged file it logs tracebacks, and its destructor prints one more.
     logging.getLogger("asammdf").setLevel(logging.CRITICAL)
     asammdf.blocks.mdf_v4.MDF4.__del__ = end_quietly
     errors = [asammdf.blocks.utils.MdfException, *DAMAGE]

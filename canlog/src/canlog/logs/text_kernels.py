@@ -17,11 +17,11 @@ from canlog.jit import part
 # kernel reads, its channel has no number yet.
 FRAME, SKIPPED, MALFORMED, TOO_LONG, OTHER, NEW_CHANNEL = range(6)
 
-# Where a kernel is in its text, what stopped it, and what it has found until then.
+# Progress of a kernel: its place in the text, what stopped it, counts.
 POSITION, LINES, ROWS, STOP, SKIPPED_LINES, MALFORMED_LINES, FIRST_MALFORMED, PROGRESS_FIELDS = range(8)
 
 NEWLINE, TAB, RETURN, BLANK, SLASH = 10, 9, 13, 32, 47
-LONGEST_NUMBER = 18  # digits that 64 bits surely hold
+LONGEST_NUMBER = 18  # digits that fit 64 bits
 
 HEX_VALUE: npt.NDArray[np.int8] = np.full(256, -1, np.int8)
 
@@ -168,7 +168,7 @@ def count_line(progress: Int64Array, outcome: int, line: int) -> None:
 
 MOST_CHANNELS = 256
 FNV_SEED, FNV_FACTOR = 0x0BF2_9CE4_8422_2325, 0x100_0000_01B3  # of FNV-1a with 64 bits
-HASH_MASK = 2**60 - 1  # the bits of it that are kept: as many as signed numbers hold, in kernels and in Python
+HASH_MASK = 2**60 - 1  # as many bits as signed numbers hold, in kernels and in Python
 DIGITS_AT_END = re.compile(rb"\d{1,3}$")
 
 

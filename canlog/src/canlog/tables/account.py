@@ -90,10 +90,6 @@ class DecodeAccount:
         return dict(zip(FrameFate, self.counts.sum(axis=0).tolist(), strict=True))
 
     @property
-    def is_balanced(self) -> bool:
-        return sum(self.fates.values()) == self.log.frames
-
-    @property
     def present_slots(self) -> list[int]:
         """The messages that came, in the order of the database."""
         return np.flatnonzero(self.counts[:-1].any(axis=1)).tolist()

@@ -8,7 +8,7 @@ from enum import StrEnum
 from fnmatch import fnmatchcase
 from itertools import groupby
 from pathlib import Path
-from typing import Any, BinaryIO, Final, Literal, Protocol
+from typing import Any, BinaryIO, Final, Literal
 
 import numpy as np
 from cantools.database.can import Database, Message
@@ -141,21 +141,8 @@ def columns_of(batch: FrameBatch, account: DecodeAccount, layout: WideLayout) ->
     return columns if count else {}
 
 
-class TableSink(Protocol):
-    """What takes groups of frames."""
-
-    def write(self, batch: FrameBatch) -> None:
-        """Write some frames; they, their values and rows enter the account."""
-
-    def close(self) -> None:
-        """Write what the format needs at its end."""
-
-    def discard(self) -> None:
-        """Leave what there is: it is not complete."""
-
-
 class ColumnRows:
-    """Rows of columns into any file of columns."""
+    """Writes groups of frames into one wide table."""
 
     def __init__(self, output: BinaryIO, table_format: TableFormat, layout: WideLayout, account: DecodeAccount) -> None:
         self._layout = layout
@@ -163,6 +150,7 @@ class ColumnRows:
         self._columns = open_columns(output, table_format, layout.kinds, layout.metadata)
 
     def write(self, batch: FrameBatch) -> None:
+        """Write some frames; they, their values and rows enter the account."""
         if columns := columns_of(batch, self._account, self._layout):
             self._columns.write_columns(columns)
 
@@ -197,7 +185,7 @@ def message_columns(
 
 @dataclass(slots=True)
 class MessageRows:
-    """A table for each message, of its frames alone."""
+    """Writes groups of frames into a table for each message, of its frames alone."""
 
     tables: TableFolder
     table_format: TableFormat
@@ -370,7 +358,9 @@ class _Writing:
         account.leave_out(max(0, account.log.frames - sum(account.fates.values())))  # behind the end that was asked for
         return DecodedLogs(account=account, readers=tuple(logs.readers), is_whole=is_whole)
 
-    def _sink(self, output: BinaryIO | TableFolder, account: DecodeAccount) -> tuple[TableSink, Iterator[FrameBatch]]:
+    def _sink(
+        self, output: BinaryIO | TableFolder, account: DecodeAccount
+    ) -> tuple[ColumnRows | MessageRows, Iterator[FrameBatch]]:
         """Return what takes the frames, and these, in groups."""
         plan, logs = self.plan, self.logs
         if isinstance(output, TableFolder):

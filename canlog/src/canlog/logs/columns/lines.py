@@ -168,7 +168,7 @@ class FileClock:
         if self.is_relative:
             self.now_us += time_us
             return self.base_us + self.now_us
-        if self.wrap_us and is_exact:  # only about midnight may it begin again; anywhere else it jumped
+        if self.wrap_us and is_exact:  # it begins again about midnight; elsewhere it jumped
             if time_us < HOUR_US and self.now_us >= self.wrap_us - HOUR_US:
                 self.laps_us += self.wrap_us
             self.now_us = time_us
@@ -409,7 +409,7 @@ class LineReader:
     def _channel(self, text: bytes) -> int:
         """Return the place of a name of a bus among known ones; without those the number at its end."""
         if self._channels:
-            return self._channels.get(text, len(self._channels))  # the last: a name that came late
+            return self._channels.get(text, len(self._channels))  # new names share the last number
         return _number_at_end(text)
 
     def _time_us(self, text: bytes, power: int) -> int:

@@ -83,7 +83,7 @@ UNIT_IN_BRACKETS: Final = re.compile(r"[\[(](?P<unit>[^)\]]*)[)\]]")
 MARKS: Final = re.compile(r"[\W_]+")
 LARGEST_ID: Final = 0x1FFF_FFFF
 LARGEST_STANDARD_ID: Final = 0x7FF
-FEWEST_LONG_DIGITS: Final = 7  # identifiers of 29 bits have seven or eight digits: below is no priority
+FEWEST_LONG_DIGITS: Final = 7  # of identifiers of 29 bits, whose priority is above zero
 LEAST_LETTERED: Final = 0.1  # of hexadecimal identifiers; fewer are damage
 BARE: Final = re.compile(r"[0-9A-Fa-f]{1,10}")  # without 0x, and h or x behind it
 CABANA: Final = frozenset({"time", "addr", "bus", "data"})
@@ -190,7 +190,9 @@ def base_of(values: Iterable[str], names: Sequence[str]) -> tuple[int, str]:
     plain = [value for value in bare if value.isdigit()]
     lettered = len(bare) - len(plain)
     words = {name.casefold() for name in names}
-    tells_kind = any(column.role is Role.EXTENDED for column in named_columns(names))  # digits then need not
+    tells_kind = any(
+        column.role is Role.EXTENDED for column in named_columns(names)
+    )  # else digits tell standard and extended apart
     between = (
         []
         if tells_kind
@@ -442,7 +444,7 @@ class ColumnsLog(TableLog):
             self.set_layout(replace(layout, wrap_us=DAY_US))
             self.notes.append("times are times of day, taken as those of 1970-01-01")
         elif times and not header.has_unit:
-            unit = SECONDS  # where they have fractions; else what a bus can carry
+            unit = SECONDS  # where they have fractions; else a unit that gives a plausible load
             if not any("." in time or "," in time for time in times):
                 counted = replace(layout, columns=in_unit(layout.columns, MICROSECONDS), header_lines=0)
                 unit = likely_unit(frames_of(TableLog(counted), body))[0]

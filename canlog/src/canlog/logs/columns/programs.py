@@ -28,7 +28,7 @@ from canlog.logs.text_log import frames_of
 PYTHON_CAN_HEADER = re.compile(rb"\s*timestamp,arbitration_id,extended,remote,error,dlc,data\s*\Z", re.IGNORECASE)
 GVRET_HEADER = re.compile(rb"\s*time stamp,id,extended,", re.IGNORECASE)
 
-# What many have.
+# Columns of several formats.
 HEX_ID, HEX_DATA = (Column(role, HEXADECIMAL) for role in (Role.ID, Role.DATA))
 LENGTH, CHANNEL, DIRECTION = (Column(role) for role in (Role.LENGTH, Role.CHANNEL, Role.DIRECTION))
 TIME_S = Column(Role.TIME, SECONDS)
@@ -335,7 +335,7 @@ ROLES: Final[Mapping[str, Column]] = {
     "length": Column(Role.LENGTH),
     "data": Column(Role.DATA, HEXADECIMAL),
 }  # others are passed over
-# Digits of a time up to its days, hours and so on, each with after how long it begins again; 0: as the month is long.
+# Digits of a time up to its days, hours and so on, and the period of each; 0: the length of the month.
 DAYS, HOURS, MINUTES, SECONDS = 11, 9, 7, 5
 LAPS_US: Final[Mapping[int, int]] = {DAYS: 0, HOURS: DAY_US, MINUTES: 60 * MINUTE_US, SECONDS: MINUTE_US, 3: 1_000_000}
 USUAL_NAMES: Final = ("timestamp", "type", "id", "data")
@@ -386,7 +386,7 @@ class Clx000(TableLog):
             self.set_base(local_us - calendar.timegm((year, month, day, *clock)) * 1_000_000 if local_us else 0)
             return
         lap_us = LAPS_US.get(digits, 0) or calendar.monthrange(year, month)[1] * DAY_US
-        # What the times have not, is that of the header; what they have, begins at its least.
+        # Parts that the times lack are those of the header; the others begin at their least.
         stated = [day, *clock][: (DAYS - digits) // 2]
         least = [1, 0, 0, 0][len(stated) :]
         self.set_layout(replace(self.layout, wrap_us=lap_us))
