@@ -49,7 +49,7 @@ def test_the_controller_of_a_seven_speed_finds_no_fault_but_that_of_a_six_speed_
         monitoring = Monitoring(controller, transmission=transmission)
         for place, values in enumerate(sensed(frames)):
             if place >= WARM_UP:
-                monitoring.look(values, place * STEP_S)
+                monitoring.judge(values, place * STEP_S)
         found[transmission] = [
             hex(number)
             for number, record in controller.state.memory.records.items()

@@ -77,17 +77,17 @@ class AdaptingCar:
         frames = stretch.frames
         for t_s, can_id, data in zip(frames.t_s.tolist(), frames.can_id.tolist(), frames.data, strict=True):
             self._sent.note(can_id, data.tobytes())
-            if can_id == self._pressures and (self.adaptation.is_listening or self._is_driving):
+            if can_id == self._pressures and (self.adaptation.needs_moments or self._is_driving):
                 self._take(t_s, self._sent.now({}))
         self.t_s = stretch.end_s
-        self.monitoring.look(self._values(), self.t_s)
+        self.monitoring.judge(self._values(), self.t_s)
         self.monitoring.judge_adaptation()
         self.adaptation.step(self._values())
         clear_if_requested(self.controller, self.monitoring, self.adaptation)
 
     def _take(self, t_s: float, values: LatestValues) -> None:
-        if self.adaptation.is_listening:
-            self.adaptation.hear(t_s, values)
+        if self.adaptation.needs_moments:
+            self.adaptation.feed(t_s, values)
         if self._is_driving and values.get("shift_phase") == tcu_data.PREFILL:
             gear = int(values["target_gear"])
             command_pa = values[f"clutch{clutch_of_gear(gear)}_pressure_command_pa"]

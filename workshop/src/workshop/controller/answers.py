@@ -175,8 +175,8 @@ class Answering:
             if can_id in self._own_ids or self.controller.state.communication.receives_normal:
                 self._sent.note(can_id, bytes(message.data), message.timestamp)
             self._driven_s = max(self._driven_s, message.timestamp)
-        if can_id == self._pressure_id and self._adaptation is not None and self._adaptation.is_listening:
-            self._adaptation.hear(message.timestamp, self._sent.now({}))
+        if can_id == self._pressure_id and self._adaptation is not None and self._adaptation.needs_moments:
+            self._adaptation.feed(message.timestamp, self._sent.now({}))
         if can_id == self._shift_id:
             self._count_shift()
         if can_id in self._own_ids:
@@ -186,7 +186,7 @@ class Answering:
                 message = recounted(message, self._own_ids[can_id], self._counted_from)
         self._bus.send(message)
         if self.elm327 is not None:
-            self.elm327.hear_frame(message)
+            self.elm327.feed_frame(message)
 
     @property
     def outcome(self) -> dict[str, object]:
@@ -243,7 +243,7 @@ class Answering:
             values = self._values()
             if values.get("engine_speed_rad_s", 0.0) >= RUNNING_RAD_S and math.isfinite(looked_s):
                 self._engine_ran_s += driven_s - looked_s
-            self._monitoring.look(values, driven_s)
+            self._monitoring.judge(values, driven_s)
 
     def _watch(self) -> None:
         """Run monitors and routines until the end."""

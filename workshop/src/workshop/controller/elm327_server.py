@@ -72,7 +72,7 @@ class Client:
         with suppress(OSError):
             self._connection.shutdown(socket.SHUT_RDWR)
 
-    def hear_frame(self, message: can.Message) -> None:
+    def feed_frame(self, message: can.Message) -> None:
         """Queue a frame if the client monitors the bus."""
         if not self._monitors.is_set() or message.is_error_frame:
             return
@@ -81,7 +81,7 @@ class Client:
         except queue.Full:
             self._is_full.set()
 
-    def hear_response(self, payload: bytes) -> None:
+    def feed_response(self, payload: bytes) -> None:
         """Queue a response if the client waits for one."""
         if self._waits.is_set():
             with suppress(queue.Full):
@@ -279,10 +279,10 @@ class ElmServer(ThreadingTCPServer):
         """Close the socket, as the end of the block does; needed if it is never entered."""
         self.server_close()
 
-    def hear_frame(self, message: can.Message) -> None:
+    def feed_frame(self, message: can.Message) -> None:
         """Queue a frame for clients that monitor the bus; does not block."""
         for client in self._clients:
-            client.hear_frame(message)
+            client.feed_frame(message)
 
     def _tick(self) -> None:
         """Pass pending responses to clients, until the end."""
@@ -291,7 +291,7 @@ class ElmServer(ThreadingTCPServer):
                 if self._controller.awaits(client.number):
                     response = self._controller.tick(client.number)
                     if response is not None:
-                        client.hear_response(response)
+                        client.feed_response(response)
 
     def _current_clients(self) -> list[Client]:
         with self._lock:

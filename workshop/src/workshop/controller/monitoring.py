@@ -50,7 +50,7 @@ class Monitoring:
         found_k = self._watch.clutches_k
         return {} if found_k is None else {"clutch1_temperature_k": found_k[0], "clutch2_temperature_k": found_k[1]}
 
-    def look(self, values: Values, t_s: float) -> None:
+    def judge(self, values: Values, t_s: float) -> None:
         """Judge the values at this moment of the drive; called about ten times a second."""
         self._watch, samples = judge(self._watch, values, t_s, self._limits)
         self._report(dict(samples), has_warmed_up=is_warm(self._watch, values))

@@ -119,7 +119,7 @@ class RequestedAdaptation:
         return self._car.is_waiting
 
     @property
-    def is_listening(self) -> bool:
+    def needs_moments(self) -> bool:
         """Whether it needs every moment of the drive."""
         return self._work is not None
 
@@ -134,7 +134,7 @@ class RequestedAdaptation:
             **({} if adaptation is None else adaptation.stds_pa),
         }
 
-    def hear(self, t_s: float, values: Mapping[str, float]) -> None:
+    def feed(self, t_s: float, values: Mapping[str, float]) -> None:
         """Buffer commanded and sensed values of a moment, a hundred times a second; safe for any thread."""
         self._moments.append((t_s, values))
 
@@ -166,7 +166,7 @@ class RequestedAdaptation:
         if are_over(work.samples):
             self._conclude_steps(work, number)
 
-    def forget(self) -> bool:
+    def clear(self) -> bool:
         """Return to the touch points of the type; return whether that could be saved."""
         return self._keep(Adaptation())
 
@@ -248,7 +248,7 @@ def clear_if_requested(controller: Controller, monitoring: Monitoring, adaptatio
     running = running_routine(controller, Task.NEW_FLUID)
     if running is None:
         return
-    if adaptation.forget():
+    if adaptation.clear():
         monitoring.judge_adaptation()
         controller.finish(running[0])
     else:
