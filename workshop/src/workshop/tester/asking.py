@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Final, Self
+from urllib.parse import urlsplit
 
 import can
 
@@ -103,7 +104,6 @@ DOIP_PORT: Final = 13400
 CONNECT_S: Final = 5.0
 LARGEST_LOGICAL: Final = 0xFFFF
 MOST_WAITING: Final = 100_000  # old frames dropped from a bus that was passed in
-_LARGEST_PORT: Final = 0xFFFF
 LONGEST_S: Final = 3600.0
 JOIN_S: Final = 3.0  # time to end a request in progress
 SHORTEST_ANSWER_S: Final = 0.001
@@ -124,17 +124,12 @@ class DoipPlace:
 
 def parse_doip(text: str, logical_address: int) -> DoipPlace:
     """Return the place that ``HOST[:PORT]`` names, an address of IPv4 or, in brackets, of IPv6; raises ConfigError."""
-    host, colon, port = text, "", ""
-    if not text.startswith("[") or "]:" in text:
-        host, colon, port = text.rpartition(":") if ":" in text else (text, "", "")
-    host = host.strip("[]")
     try:
-        ipaddress.ip_address(host)
+        parts = urlsplit(f"//{text}")
+        host, port = str(ipaddress.ip_address(parts.hostname or "")), parts.port
     except ValueError as exc:
         raise ConfigError(f"--doip must be an IP address with or without :PORT, got {text!r}") from exc
-    if colon and not (port.isdecimal() and 0 < int(port) <= _LARGEST_PORT):
-        raise ConfigError(f"--doip: the port must be 1..{_LARGEST_PORT}, got {port!r}")
-    return DoipPlace(host=host, port=int(port) if colon else DOIP_PORT, logical_address=logical_address)
+    return DoipPlace(host=host, port=DOIP_PORT if port is None else port, logical_address=logical_address)
 
 
 def address_for(named: CanAddress | None, description: Description) -> CanAddress:
