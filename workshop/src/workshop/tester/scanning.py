@@ -280,7 +280,7 @@ class Scan:
 def scan(plan: ScanPlan, *, goes_on: Callable[[], bool] = lambda: True) -> Scan:
     """Listen, look for controllers and explore each; if it is stopped, return those found until then.
 
-    Raises SourceError, ControllerError if the bus cannot be used, another tester is at work, or a node is not there,
+    Raises SourceError, ControllerError if the bus cannot be used, another tester is active, or a node is missing,
     ExtraMissingError if a library is missing.
     """
     if isinstance(plan.place, asking.DoipPlace):
@@ -303,6 +303,6 @@ def _controllers(
         with asking.dialogue_on(bus, address, plan.timing, is_fd=plan.is_fd, goes_on=goes_on) as tester:
             try:
                 controller = _explore(tester, plan, address)
-            except errors.StoppedError:  # what was found before is hex_text
+            except errors.StoppedError:  # earlier controllers are returned
                 return
         yield controller
