@@ -34,7 +34,7 @@ class MonitorLimits:
     most_pressure_excess_pa: float = 1.5e5  # of the clutch that shall be open
     most_held_excess_pa: float = 0.75e5  # of a closed clutch; a biased sensor adds as much as when open
     least_zero_pa: float = -0.4e5  # of one without command; noise stays above -0.2 bar
-    believed_looks: int = 5  # consecutive wrong pressures that count: transients are shorter
+    believed_samples: int = 5  # consecutive wrong pressures that count: transients are shorter
     pressures_pa: tuple[float, float] = (-0.5e5, 35.0e5)  # the sensor's range
     most_fluid_k: float = 393.15  # 120 degC
     fluid_range_k: tuple[float, float] = (233.15, 443.15)
@@ -53,7 +53,7 @@ class MonitorLimits:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PressureLooks:
+class PressureErrors:
     """Last errors of one clutch's pressure, closed and open, each with the number of consecutive samples.
 
     Errors are -2, almost no pressure; -1, too little; 0, right; 1, too much; None: no sample.
@@ -62,16 +62,16 @@ class PressureLooks:
     held: tuple[int | None, int] = (None, 0)
     open: tuple[int | None, int] = (None, 0)
 
-    def noted(self, error: int, *, is_held: bool) -> "PressureLooks":
+    def with_sample(self, error: int, *, is_held: bool) -> "PressureErrors":
         """Return the same after one more sample."""
-        was, looks = self.held if is_held else self.open
-        look = (error, looks + 1 if error == was else 1)
-        return replace(self, held=look) if is_held else replace(self, open=look)
+        last, count = self.held if is_held else self.open
+        sample = (error, count + 1 if error == last else 1)
+        return replace(self, held=sample) if is_held else replace(self, open=sample)
 
     def believed(self, limits: MonitorLimits) -> tuple[int | None, int | None]:
         """Return the errors of the closed and the open clutch; 0 while a wrong pressure is not believed yet."""
         held, opened = (
-            0 if error and looks < limits.believed_looks else error for error, looks in (self.held, self.open)
+            0 if error and count < limits.believed_samples else error for error, count in (self.held, self.open)
         )
         return held, opened
 
@@ -105,7 +105,7 @@ class MonitorState:
     lockup_state: tuple[float | None, bool] = (None, False)  # and whether the engine pulls
     lockup_since_s: float = 0.0  # time of its last change
     clutches_k: tuple[float, float] | None = None  # as the controller computes them
-    pressures: Mapping[str, PressureLooks] = field(default_factory=dict)  # by clutch
+    pressures: Mapping[str, PressureErrors] = field(default_factory=dict)  # by clutch
 
 
 SENSED: Final = (
@@ -152,7 +152,7 @@ def judge(
     lockup_state = (known.get("lockup_state"), is_pulling)
     lockup_since_s = watch.lockup_since_s if lockup_state == watch.lockup_state else t_s
     lasts_s = (t_s - since_s, t_s - lockup_since_s)
-    pressures = {**watch.pressures, **dict(_looks(watch.pressures, gears, known, lasts_s, limits))}
+    pressures = {**watch.pressures, **dict(_pressure_errors(watch.pressures, gears, known, lasts_s, limits))}
     samples = (
         *_lost_samples(known),
         *_fluid_samples(watch, known, t_s, limits),
@@ -166,8 +166,8 @@ def judge(
     )
     fluid_k = known.get("sump_temperature_k")
     is_oil_believed = ("P0711", TestResult.PREPASSED) in samples and not limits.has_converter
-    since_look_s = 0.0 if watch.t_s is None else max(0.0, t_s - watch.t_s)
-    clutches_k = heated_k(watch.clutches_k, known, since_look_s, limits.packs) if is_oil_believed else watch.clutches_k
+    since_last_s = 0.0 if watch.t_s is None else max(0.0, t_s - watch.t_s)
+    clutches_k = heated_k(watch.clutches_k, known, since_last_s, limits.packs) if is_oil_believed else watch.clutches_k
     after = MonitorState(
         t_s=t_s,
         gears=gears,
@@ -269,13 +269,13 @@ def _pressure_pa(known: Mapping[str, float], clutch: str, limits: MonitorLimits)
     return pressure_pa if pressure_pa is not None and low_pa <= pressure_pa <= high_pa else None
 
 
-def _looks(
-    before: Mapping[str, PressureLooks],
+def _pressure_errors(
+    before: Mapping[str, PressureErrors],
     gears: tuple[float, float],
     known: Mapping[str, float],
     lasts_s: tuple[float, float],
     limits: MonitorLimits,
-) -> Iterator[tuple[str, PressureLooks]]:
+) -> Iterator[tuple[str, PressureErrors]]:
     """Yield the clutches whose command has settled, with their pressure sampled."""
     held = None if limits.has_converter else f"clutch{clutch_of_gear(int(gears[0]))}"
     least_pa = limits.tested_lockup_pa if limits.has_converter else limits.tested_pressure_pa
@@ -294,12 +294,12 @@ def _looks(
             error = int(sensed > command + limits.most_pressure_excess_pa) - (sensed < limits.least_zero_pa)
         else:
             continue
-        yield clutch, before.get(clutch, PressureLooks()).noted(error, is_held=is_held)
+        yield clutch, before.get(clutch, PressureErrors()).with_sample(error, is_held=is_held)
 
 
 def _pressure_samples(
-    before: Mapping[str, PressureLooks],
-    after: Mapping[str, PressureLooks],
+    before: Mapping[str, PressureErrors],
+    after: Mapping[str, PressureErrors],
     known: Mapping[str, float],
     limits: MonitorLimits,
 ) -> Iterator[Sample]:
@@ -308,20 +308,20 @@ def _pressure_samples(
     It is judged in the next other state, where a biased sensor would show an error, too.
     """
     for clutch in _clutches(limits):
-        codes, looks = PRESSURE_CODES[clutch], after.get(clutch, PressureLooks())
-        is_biased = looks.is_sensor_biased(limits)
+        codes, errors = PRESSURE_CODES[clutch], after.get(clutch, PressureErrors())
+        is_biased = errors.is_sensor_biased(limits)
         yield _sample(codes.sensor, is_failed=is_biased or _pressure_pa(known, clutch, limits) is None)
-        was = before.get(clutch, PressureLooks())
-        if is_biased or looks is was:
+        last = before.get(clutch, PressureErrors())
+        if is_biased or errors is last:
             continue
-        held, opened = looks.believed(limits)
-        if looks.held is not was.held and looks.held[0] == 0:
+        held, opened = errors.believed(limits)
+        if errors.held is not last.held and errors.held[0] == 0:
             yield _sample(codes.stuck_off, is_failed=False)
             if codes.low is not None and all(other.believed(limits)[0] != -1 for other in after.values()):
                 yield _sample(codes.low, is_failed=False)
             if opened is not None:
                 yield _sample(codes.stuck_on, is_failed=opened > 0)
-        elif looks.open is not was.open and looks.open[0] == 0:
+        elif errors.open is not last.open and errors.open[0] == 0:
             yield _sample(codes.stuck_on, is_failed=False)
             if held == -2:
                 yield _sample(codes.stuck_off, is_failed=True)
