@@ -51,19 +51,19 @@ _UNLOADED: Final = Load(clutch=0)
 
 def borne(before: Mapping[int, Load], estimate: ShiftEstimate) -> dict[int, Load]:
     """Return what each clutch had to bear after one more event; slip without pressures tells no energy."""
-    found, quality = dict(before), estimate.shift_quality
+    after, quality = dict(before), estimate.shift_quality
     if quality is None:
-        return found
+        return after
     for clutch, energy_j, peak_k, life_ratio in (
         (1, quality.slip_energy1_j, quality.peak1_k, quality.life1_ratio),
         (2, quality.slip_energy2_j, quality.peak2_k, quality.life2_ratio),
     ):
         is_launch = estimate.kind is EventKind.LAUNCH and estimate.clutch == clutch
         if energy_j or is_launch:
-            old = found.get(clutch, _UNLOADED)
+            old = after.get(clutch, _UNLOADED)
             counts = list(old.counts)
             counts[bisect(ENERGY_BOUNDS_J, energy_j or 0.0)] += bool(energy_j)
-            found[clutch] = Load(
+            after[clutch] = Load(
                 clutch=clutch,
                 counts=tuple(counts),
                 energy_j=old.energy_j + (energy_j or 0.0),
@@ -71,4 +71,4 @@ def borne(before: Mapping[int, Load], estimate: ShiftEstimate) -> dict[int, Load
                 launch_count=old.launch_count + is_launch,
                 life_ratio=old.life_ratio + (life_ratio or 0.0),
             )
-    return found
+    return after

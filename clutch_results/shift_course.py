@@ -40,19 +40,19 @@ class ShiftCourse:
 def courses(estimates: Iterable[ShiftEstimate]) -> list[ShiftCourse]:
     """Return how the changes went, by kind and gears; estimates in their order."""
     groups: dict[tuple[EventKind, int, int], list[tuple[float, float | None, ShiftQuality]]] = {}
-    for one in estimates:
-        quality = one.shift_quality
+    for estimate in estimates:
+        quality = estimate.shift_quality
         if quality is not None and quality.score is not None:
-            told = quality.score, one.sump_temperature_k, quality
-            groups.setdefault((one.kind, one.from_gear, one.to_gear), []).append(told)
-    found = []
+            change = quality.score, estimate.sump_temperature_k, quality
+            groups.setdefault((estimate.kind, estimate.from_gear, estimate.to_gear), []).append(change)
+    known = []
     for (kind, from_gear, to_gear), group in sorted(groups.items()):
         by_oil: list[list[float]] = [[], [], []]
         for score, oil_k, _ in group:
             if oil_k is not None:
                 by_oil[bisect((COLD_DEGC, HOT_DEGC), degc_from_k(oil_k))].append(score)
         reasons = Counter(quality.reasons[0] for *_, quality in group[-COURSE_COUNT:] if quality.reasons)
-        found.append(
+        known.append(
             ShiftCourse(
                 kind=kind,
                 from_gear=from_gear,
@@ -67,7 +67,7 @@ def courses(estimates: Iterable[ShiftEstimate]) -> list[ShiftCourse]:
                 ),
             )
         )
-    return found
+    return known
 
 
 COURSE_HEAD: Final = (
@@ -94,9 +94,9 @@ def change_words(one: ShiftCourse) -> str:
 
 def course_lines(known: Sequence[ShiftCourse]) -> list[str]:
     """Return which changes go worst now, and why, and what the signals do not tell."""
-    poor = sorted((one for one in known if one.last < POOR), key=lambda one: one.last)[:MOST_POOR]
-    lines = [f"{change_words(one).capitalize()} scores {one.last:.0f}: {part_words(one.reason)}." for one in poor]
-    untold = [part_words(part.name) for part in PARTS if known and all(part.name in one.untold for one in known)]
+    worst = sorted((course for course in known if course.last < POOR), key=lambda course: course.last)[:MOST_POOR]
+    lines = [f"{change_words(one).capitalize()} scores {one.last:.0f}: {part_words(one.reason)}." for one in worst]
+    untold = [part_words(part.name) for part in PARTS if known and all(part.name in course.untold for course in known)]
     if untold:
         lines.append(f"Scores are without what the signals do not tell: {', '.join(untold)}.")
     return lines
@@ -106,13 +106,13 @@ def fall_of(estimates: Iterable[ShiftEstimate]) -> float | None:
     """Return by how many points the last changes are worse than the first of their kind and gears; None: too few."""
     first: dict[tuple[EventKind, int, int], list[float]] = {}
     falls = []
-    for one in estimates:
-        if one.shift_quality is not None and (score := one.shift_quality.score) is not None:
-            own = first.setdefault((one.kind, one.from_gear, one.to_gear), [])
-            if len(own) >= LEAST_FIRST:
-                falls.append(fmean(own) - score)
-            if len(own) < COURSE_COUNT:
-                own.append(score)
+    for estimate in estimates:
+        if estimate.shift_quality is not None and (score := estimate.shift_quality.score) is not None:
+            scores = first.setdefault((estimate.kind, estimate.from_gear, estimate.to_gear), [])
+            if len(scores) >= LEAST_FIRST:
+                falls.append(fmean(scores) - score)
+            if len(scores) < COURSE_COUNT:
+                scores.append(score)
     return fmean(falls[-COURSE_COUNT:]) if len(falls) >= COURSE_COUNT else None
 
 

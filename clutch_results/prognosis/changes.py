@@ -43,10 +43,10 @@ def fluid_starts(history: History) -> tuple[FluidStart, ...]:
     noted = [0, *(np.flatnonzero(np.diff(history.fluid_number)) + 1).tolist(), len(history)]
     for first, stop in pairwise(noted):
         starts.append(_start(history, first, first, is_noted=True))
-        found = _next_change(history, first, stop)
-        while found is not None:
-            starts.append(_start(history, *found, is_noted=False))
-            found = _next_change(history, found[0], stop)
+        change = _next_change(history, first, stop)
+        while change is not None:
+            starts.append(_start(history, *change, is_noted=False))
+            change = _next_change(history, change[0], stop)
     return tuple(starts)
 
 

@@ -58,8 +58,8 @@ def fluid_lives(
         before = next((life for life in reversed(lives) if life.is_new), None)
         priors = {name: _prior(name, before, peers, is_new=is_new) for name in ChannelName}
         channels = {
-            one.name: trend.aged(one, clocks, priors[one.name], bend_chance)
-            for one in channels_of(history, start.row, stop, reference, clocks)
+            channel.name: trend.aged(channel, clocks, priors[channel.name], bend_chance)
+            for channel in channels_of(history, start.row, stop, reference, clocks)
         }
         distance_m = float(history.odometer_m[stop - 1] - history.odometer_m[start.row])
         lives.append(
@@ -118,13 +118,13 @@ def ageings(history: History, reference: FrictionCurve, kinds: Sequence[PeerGrou
     ``kinds`` are those of the fluids by their numbers in the history; that of a fill that nobody noted is not known.
     """
     starts = fluid_starts(history) if len(history) else ()
-    found = []
+    lives = []
     for life in fluid_lives(history, starts, reference, None):
         if not life.is_new:
             continue
         kind = kinds[int(history.fluid_number[life.first])]
         until, has_ended = _until_its_end(history, starts, reference, life)
-        found.append(
+        lives.append(
             Ageing(
                 kind=kind if life.is_noted else replace(kind, fluid=None),
                 courses={name: _course(channel, until.distance_m) for name, channel in until.channels.items()},
@@ -132,7 +132,7 @@ def ageings(history: History, reference: FrictionCurve, kinds: Sequence[PeerGrou
                 bent_odds=until.channels[ChannelName.MARGIN].bent_odds,
             )
         )
-    return found
+    return lives
 
 
 def _until_its_end(
@@ -160,7 +160,7 @@ def _at(
     stop = min(int(np.searchsorted(history.odometer_m, odometer_m, side="right")), life.stop)
     if stop - life.first < LEAST_ROWS:
         return None
-    so_far = tuple(one for one in starts if one.row <= life.first)
+    so_far = tuple(start for start in starts if start.row <= life.first)
     return fluid_lives(history.first(stop), so_far, reference, None)[-1]
 
 

@@ -81,15 +81,16 @@ def history_of(results: Iterable[ShiftResult], fills: Sequence[FluidFill], clutc
     Events of which the friction is not known are no rows. Known ones without odometer or oil temperature, and those
     whose odometer cannot be true, are left out and counted.
     """
-    return history_of_estimates((one.estimate for one in results), fills, clutch)
+    return history_of_estimates((result.estimate for result in results), fills, clutch)
 
 
 def history_of_estimates(estimates: Iterable[ShiftEstimate], fills: Sequence[FluidFill], clutch: int) -> History:
     """Return the same from the estimates alone, which is all that a past is made of."""
-    own = sorted((one for one in estimates if one.clutch == clutch), key=lambda one: max(one.end_ns, DATED_NS))
+    of_clutch = [estimate for estimate in estimates if estimate.clutch == clutch]
+    of_clutch.sort(key=lambda estimate: max(estimate.end_ns, DATED_NS))
     usable: list[dict[str, float]] = []
     valid_count = unused_count = 0  # the latter since the last event that is used
-    for number, estimate in enumerate(own, start=1):
+    for number, estimate in enumerate(of_clutch, start=1):
         if estimate.status is not Status.VALID:
             continue
         valid_count += 1
@@ -116,9 +117,9 @@ def history_of_estimates(estimates: Iterable[ShiftEstimate], fills: Sequence[Flu
 def _plausible(rows: Sequence[dict[str, float]]) -> tuple[list[dict[str, float]], int]:
     """Return the rows whose odometer can be true, as one distance that never falls, and how many were left out last.
 
-    A reading that goes back, or ahead faster than any vehicle, is left out. Some that agree with each other are another
-    instrument cluster: the distance goes on from where it was. Fewer that
-    they contradict are dropped.
+    A reading that goes back, or ahead faster than any vehicle, is left out. `TAKEN_UP_AFTER` of them that agree with
+    each other are another instrument cluster: the distance goes on from where it was. Fewer before them that they
+    contradict are dropped.
     """
     kept: list[dict[str, float]] = []
     run: list[dict[str, float]] = []  # of one instrument, as it was read
@@ -136,7 +137,7 @@ def _plausible(rows: Sequence[dict[str, float]]) -> tuple[list[dict[str, float]]
             del kept[len(kept) - wrong_count :]
             if wrong_count == len(run) or not _follows(run[-1 - wrong_count], other[0]):
                 offset_m = kept[-1]["odometer_m"] - other[0]["odometer_m"] if kept else 0.0
-            kept += [one | {"odometer_m": one["odometer_m"] + offset_m} for one in other]
+            kept += [row | {"odometer_m": row["odometer_m"] + offset_m} for row in other]
             run, other = other, []
     last = kept[-1]["number"] if kept else 0.0
     return kept, sum(row["number"] > last for row in rows)

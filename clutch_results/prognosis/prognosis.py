@@ -34,9 +34,11 @@ PERCENT = 100.0
 def _of_kind(peers: Peers | None) -> Iterator[str]:
     """Yield how ageing may bend, and with what it begins, by what the fleet tells of such clutches."""
     chance = KNEE_PROBABILITY if peers is None else peers.bend_chance
-    told = f", as in {peers.bend_life_count} lives of this type" if peers is not None and peers.bend_life_count else ""
+    source = (
+        f", as in {peers.bend_life_count} lives of this type" if peers is not None and peers.bend_life_count else ""
+    )
     at_hand = f"{HAND_FACTOR:g} times as fast at once in {PERCENT * HAND_SHARE * chance:.0f} %"
-    chances = f"{PERCENT * chance:.0f} % of lives{told}, {at_hand}"
+    chances = f"{PERCENT * chance:.0f} % of lives{source}, {at_hand}"
     yield f"ageing may become clearly faster before the limit is passed: at some share of the life in {chances}"
     if peers is not None:
         fluid = "any fluid" if peers.kind.fluid is None else peers.kind.fluid
@@ -131,7 +133,7 @@ def prognose(
     if row_count < LEAST_ROWS:
         return blank
     today = fluid_lives(history, starts, reference, peers)[-1]
-    sure = max(one.probability_falling for one in today.channels.values())
+    sure = max(channel.probability_falling for channel in today.channels.values())
     watch = either(today, WATCH_MARGIN_RATIO, WATCH_LEVEL_RATIO)
     change = either(today, CHANGE_MARGIN_RATIO, CHANGE_LEVEL_RATIO)
     return replace(
@@ -159,7 +161,7 @@ def forecast(prognosis: Prognosis) -> Forecast | None:
     if prognosis.life is None:
         return None
     passages = [either(prognosis.life, float(left), level_at(float(left))) for left in _LEFT]
-    passed = np.maximum.accumulate([one.probability for one in passages], axis=0)
+    passed = np.maximum.accumulate([when.probability for when in passages], axis=0)
     quantiles = [[np.interp(share, column, _LEFT) for column in passed.T] for share in (0.1, 0.5, 0.9)]
     return Forecast(distance_m=passages[0].distance_m, quantiles=np.array(quantiles))
 

@@ -22,23 +22,23 @@ _SOONER: Final = {
 _UNKNOWN: Final = "How far the fluid will go cannot be said yet."
 
 
-def outlook_line(founds: Sequence[Prognosis], action: Action, element: str | None = None) -> str:
+def outlook_line(prognoses: Sequence[Prognosis], action: Action, element: str | None = None) -> str:
     """Return what is to be expected of the fluid by the prognoses of both clutches, or of the only one by its name."""
-    return " ".join((_line(founds, action, element), *_left_out(founds, element)))
+    return " ".join((_line(prognoses, action, element), *_left_out(prognoses, element)))
 
 
-def soonest(founds: Iterable[Prognosis]) -> Reach | None:
+def soonest(prognoses: Iterable[Prognosis]) -> Reach | None:
     """Return how far an ageing fluid will go: until the first of the clutches has passed its limit; None: no trend."""
-    ends = (one.change_fluid for one in founds if one.outlook is Outlook.AGEING)
-    return min((one for one in ends if one is not None), key=_end, default=None)
+    reaches = (prognosis.change_fluid for prognosis in prognoses if prognosis.outlook is Outlook.AGEING)
+    return min((reach for reach in reaches if reach is not None), key=_end, default=None)
 
 
-def distance_left(founds: Sequence[Prognosis], action: Action) -> str:
+def distance_left(prognoses: Sequence[Prognosis], action: Action) -> str:
     """Return what `outlook_line` says of the distance in a few words, for a headline."""
     if action is Action.CHANGE_NOW:
         return "0 km left"
-    known = [one.change_fluid for one in founds if one.change_fluid is not None]
-    first = soonest(founds)
+    known = [prognosis.change_fluid for prognosis in prognoses if prognosis.change_fluid is not None]
+    first = soonest(prognoses)
     if action in {Action.FIND_CAUSE, Action.NEW_FLUID} or not known or (first is not None and not _is_told(first)):
         return "km left: not known yet"
     if first is not None:
@@ -47,16 +47,16 @@ def distance_left(founds: Sequence[Prognosis], action: Action) -> str:
     return f"at least {_km(least_m)} km left (90 % sure)" if least_m > 0.0 else "km left: not known yet"
 
 
-def _line(founds: Sequence[Prognosis], action: Action, element: str | None) -> str:
+def _line(prognoses: Sequence[Prognosis], action: Action, element: str | None) -> str:
     if action is Action.CHANGE_NOW:
         return "No prognosis: the fluid is to be changed now."
     if action is Action.FIND_CAUSE:
         return "No prognosis of the fluid before that was seen to."
-    known = [one.change_fluid for one in founds if one.change_fluid is not None]
+    known = [prognosis.change_fluid for prognosis in prognoses if prognosis.change_fluid is not None]
     if action is Action.NEW_FLUID or not known:
-        counts = ", ".join(f"{name_of(one.clutch, element)} has {one.row_count}" for one in founds)
+        counts = ", ".join(f"{name_of(prognosis.clutch, element)} has {prognosis.row_count}" for prognosis in prognoses)
         return f"No prognosis yet: it takes {LEAST_ROWS} usable results of a clutch with this fluid; {counts}."
-    first = soonest(founds)
+    first = soonest(prognoses)
     if first is None:
         p10_m = _least_m(known)
         return (
@@ -70,30 +70,30 @@ def _line(founds: Sequence[Prognosis], action: Action, element: str | None) -> s
     begin = _SOONER.get(action, _AGES) if chance >= LIKELY else _AGES
     return (
         f"{begin}, it reaches its limit {_range(first)}; {_percent(chance)} "
-        f"that this is within the next {founds[0].service_distance_m / M_PER_KM:,.0f} km."
+        f"that this is within the next {prognoses[0].service_distance_m / M_PER_KM:,.0f} km."
     )
 
 
 def _least_m(known: Iterable[Reach]) -> float:
-    return min(HORIZON_M if one.p10_m is None else one.p10_m for one in known)
+    return min(HORIZON_M if reach.p10_m is None else reach.p10_m for reach in known)
 
 
 def _is_told(when: Reach) -> bool:
     """Return whether the quantiles of a distance tell something of it."""
-    ends = (0.0 if one is None else one for one in (when.p10_m, when.p50_m, when.p90_m))
+    ends = (0.0 if end_m is None else end_m for end_m in (when.p10_m, when.p50_m, when.p90_m))
     return when.p90_m != 0.0 and not (when.p90_m is None and when.p10_m == 0.0) and not any(map(isnan, ends))
 
 
 def _end(when: Reach) -> tuple[float, ...]:
-    return tuple(inf if one is None else one for one in (when.p10_m, when.p50_m, when.p90_m))
+    return tuple(inf if end_m is None else end_m for end_m in (when.p10_m, when.p50_m, when.p90_m))
 
 
-def _left_out(founds: Sequence[Prognosis], element: str | None) -> list[str]:
+def _left_out(prognoses: Sequence[Prognosis], element: str | None) -> list[str]:
     """Return how many results no prognosis uses, and why."""
-    losing = [one for one in founds if one.left_out_count]
-    counts = [f"{one.left_out_count} results of {name_of(one.clutch, element)}" for one in losing]
+    losing = [prognosis for prognosis in prognoses if prognosis.left_out_count]
+    counts = [f"{prognosis.left_out_count} results of {name_of(prognosis.clutch, element)}" for prognosis in losing]
     why = "they miss odometer or oil temperature, or their odometer went back or leapt"
-    stale = [one.stale_since_s for one in founds if one.stale_since_s is not None]
+    stale = [prognosis.stale_since_s for prognosis in prognoses if prognosis.stale_since_s is not None]
     since = (
         [f"Stale since {datetime.fromtimestamp(min(stale), UTC):%Y-%m-%d}: no later result counts."] if stale else []
     )

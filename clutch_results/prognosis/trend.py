@@ -137,7 +137,7 @@ def _warmth(bins: Bins, prior: ChannelPrior) -> Value:
 def _courses(channel: TrendChannel, clocks: Sequence[Clock], prior: ChannelPrior, warmth: Value) -> _Courses:
     """Return the exact answer for each course: regression on start and two rates, with random wear in the errors."""
     bins, ages = channel.bins, channel.bins.ages_m / USUAL_LIFE_M
-    age = np.array([one.age_m[-1] for one in clocks]) / USUAL_LIFE_M
+    age = np.array([clock.age_m[-1] for clock in clocks]) / USUAL_LIFE_M
     random = (prior.usual_wear * np.array(list(RANDOMNESS))) ** 2
     bends = BENDS if len(bins.value) >= LEAST_BENT_BINS else BENDS[:0]
     bend = np.multiply.outer(age, [0.0, *bends])  # the first of them none
@@ -148,7 +148,7 @@ def _courses(channel: TrendChannel, clocks: Sequence[Clock], prior: ChannelPrior
     given = np.concatenate((level, before, ages[:, None] - before, warm), axis=1)
     gram, log_determinant = gram_matrices(given, ages, bins.variance + prior.floor_std**2, random)
     walk = random[:, None] * gram[:, :, 2 + bend.shape[1]]  # of random wear today with that at each mean
-    place = np.array([[1, 2 + one, 2 + bend.shape[1] + one] for one in range(bend.shape[1])])
+    place = np.array([[1, 2 + column, 2 + bend.shape[1] + column] for column in range(bend.shape[1])])
 
     usual = prior.typical_rate_per_m * USUAL_LIFE_M
     start_variance, common_variance = prior.start_std**2, channel.common_std**2
@@ -161,7 +161,7 @@ def _courses(channel: TrendChannel, clocks: Sequence[Clock], prior: ChannelPrior
     unknown = np.einsum("cvmij,cvmj->cvmi", unknown_covariance, pull)
     misfit = gram[:, :, 0, 0] + log_determinant
     explained = np.einsum("cvmi,cvmi->cvm", pull, unknown) + np.linalg.slogdet(unknown_covariance)[1]
-    chances = np.add.outer([one.log_prior for one in clocks], np.log(list(RANDOMNESS.values())))
+    chances = np.add.outer([clock.log_prior for clock in clocks], np.log(list(RANDOMNESS.values())))
 
     # From the unknowns to the state: a part of the start as seen is an error, and random wear is in what is now.
     true_share = start_variance / (start_variance + common_variance)
@@ -248,7 +248,7 @@ def _future(
     middle, variance = -mean[:, RATE], covariance[:, RATE, RATE]
     bounds = usual * np.exp([-MOST_LOG_RATIO, MOST_LOG_RATIO])
     reach = FARTHEST_STD * np.sqrt(variance)
-    low, high = (np.log(np.clip(middle + one, *bounds)) for one in (-reach, reach))
+    low, high = (np.log(np.clip(middle + distance, *bounds)) for distance in (-reach, reach))
     width = np.maximum(high - low, 1e-6)[:, None]
     loss = np.exp(low[:, None] + width * LOSS_STEPS)
     of_results = -0.5 * (loss - middle[:, None]) ** 2 / variance[:, None] + 0.5 * (loss / any_std) ** 2

@@ -134,8 +134,8 @@ async def _report(worker: Worker) -> None:
 def _counts_line(worker: Worker) -> str:
     kinds = (MessageKind.SHIFT, MessageKind.POISON, MessageKind.WITHHELD)
     results, poison, withheld = (worker.counts[kind] for kind in kinds)
-    told = f"; {withheld} beyond quotas" if withheld else ""
-    return f"{results} results committed, repetitions included; {poison} messages kept aside{told}"
+    beyond = f"; {withheld} beyond quotas" if withheld else ""
+    return f"{results} results committed, repetitions included; {poison} messages kept aside{beyond}"
 
 
 def worker_families(worker: Worker) -> Iterator[Metric]:

@@ -41,9 +41,9 @@ def _set_up_log(verbosity: int) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter(f"%(asctime)s {PROGRAM}: %(levelname)s: %(message)s"))
     for name in ("fleet_backend", "fleet_link", "clutchdiag_io", "uvicorn"):
-        own = logging.getLogger(name)
-        own.handlers, own.propagate = [handler], False
-        own.setLevel(logging.DEBUG if verbosity else logging.INFO)
+        logger = logging.getLogger(name)
+        logger.handlers, logger.propagate = [handler], False
+        logger.setLevel(logging.DEBUG if verbosity else logging.INFO)
     if not verbosity:
         logging.getLogger("uvicorn").setLevel(logging.WARNING)  # that it starts is said already
     logging.getLogger().handlers = [handler] if verbosity > 1 else [logging.NullHandler()]
@@ -370,7 +370,7 @@ def fill(
 def partitions(engine: Engine, *, ahead: int, back: int, is_json: bool) -> None:
     """Make the months in which a PostgreSQL database keeps results, and show all."""
     months.keep_months(engine, datetime.now(UTC), ahead, back)
-    records = [asdict(one) for one in months.partitions(engine)]
+    records = [asdict(part) for part in months.partitions(engine)]
     tell(records, lambda: report.partition_table(records), is_json=is_json)
 
 
@@ -378,5 +378,5 @@ def partitions(engine: Engine, *, ahead: int, back: int, is_json: bool) -> None:
 @of_database()
 def hash_of_results(engine: Engine) -> None:
     """Show a hash of all results: equal results, equal hash, in any database."""
-    found = queries.table_hash(engine)
-    sys.stdout.write(f"{found.sha256}  {found.row_count} results\n")
+    results = queries.table_hash(engine)
+    sys.stdout.write(f"{results.sha256}  {results.row_count} results\n")

@@ -54,10 +54,10 @@ def parse_broker(
 
 def parse_quotas(text: str) -> Quotas:
     """Return the quotas in ``RESULTS,MESSAGES,MB``; raises ConfigError if they are none."""
-    found = re.fullmatch(r"([0-9]{1,12}),([0-9]{1,12}),([0-9]{1,9})", text)
-    if found is None:
+    match = re.fullmatch(r"([0-9]{1,12}),([0-9]{1,12}),([0-9]{1,9})", text)
+    if match is None:
         raise BackendConfigError(f"quotas must be RESULTS,MESSAGES,MB, such as 100000,1000,500, got {text!r}")
-    results, quarantined, megabytes = map(int, found.groups())
+    results, quarantined, megabytes = map(int, match.groups())
     return Quotas(results=results, quarantined=quarantined, size_bytes=megabytes * 1_000_000)
 
 
@@ -81,10 +81,10 @@ def parse_listen(text: str, *, has_login: bool = False, option: str = "--listen"
 
     Raises ConfigError if the text is none, or others could reach it: nobody has to log in.
     """
-    found = re.fullmatch(r"\[?([0-9A-Za-z.:-]+?)\]?:([0-9]{1,5})", text)
-    if found is None or int(found[2]) > _MAX_PORT:
+    match = re.fullmatch(r"\[?([0-9A-Za-z.:-]+?)\]?:([0-9]{1,5})", text)
+    if match is None or int(match[2]) > _MAX_PORT:
         raise BackendConfigError(f"{option} must be HOST:PORT, such as 127.0.0.1:8090, got {text!r}")
-    host = "127.0.0.1" if found[1] == "localhost" else found[1]
+    host = "127.0.0.1" if match[1] == "localhost" else match[1]
     try:
         is_loopback = ip_address(host).is_loopback
     except ValueError as exc:
@@ -92,7 +92,7 @@ def parse_listen(text: str, *, has_login: bool = False, option: str = "--listen"
     if not is_loopback and not has_login:
         hint = "give --access" if option == "--listen" else "let a proxy with one ask a loopback address"
         raise BackendConfigError(f"{option} {text}: others could read the fleet there without a login; {hint}")
-    return ServerAddress(host=host, port=int(found[2]))
+    return ServerAddress(host=host, port=int(match[2]))
 
 
 def parse_moment(text: str) -> datetime:

@@ -62,7 +62,7 @@ class Follower:
     def __init__(self, address: BrokerAddress, vehicles: Sequence[str], *, is_json: bool) -> None:
         self.left_out: Counter[str] = Counter()  # by the rule of the contract that a message breaks
         self._address = address
-        self._filters = [f"{TOPIC_ROOT}/{name}/{one.label}" for name in vehicles or ("+",) for one in FOLLOWED]
+        self._filters = [f"{TOPIC_ROOT}/{name}/{channel.label}" for name in vehicles or ("+",) for channel in FOLLOWED]
         self._is_json = is_json
 
     async def run(self) -> None:

@@ -222,7 +222,7 @@ class Worker:
         self.committed_at: datetime | None = None
         self.begun_at: datetime | None = None  # the batch at hand
         self.inbox: Inbox | None = None
-        self._told: dict[str, list[JsonObject]] = {}  # the fills that a vehicle was told last
+        self._published: dict[str, list[JsonObject]] = {}  # the fills that a vehicle was sent last
 
     async def run(self) -> None:
         """Connect, take, commit, acknowledge; come back after every loss. Ends only when it is cancelled."""
@@ -282,13 +282,14 @@ class Worker:
         """
         if not came | stayed:
             return
-        found = await until_it_answers(self._store.fills, sorted(came | stayed))
-        for vehicle in sorted(came | {one for one in stayed if found.get(one, []) != self._told.get(one, [])}):
-            fills = found.get(vehicle, [])
+        known = await until_it_answers(self._store.fills, sorted(came | stayed))
+        changed = {vehicle for vehicle in stayed if known.get(vehicle, []) != self._published.get(vehicle, [])}
+        for vehicle in sorted(came | changed):
+            fills = known.get(vehicle, [])
             message = fluid_message(vehicle, sent_at, fills, is_to_vehicle=True)
             inbox.send([message if fills else replace(message, is_retained=False)])
             if fills:  # as of few vehicles
-                self._told[vehicle] = fills
+                self._published[vehicle] = fills
 
     async def _commit(self, taken: list[Taken]) -> list[Taken]:
         """Store messages, together if the database takes them all; return what became of each."""
@@ -305,7 +306,9 @@ class Worker:
         if not aside:
             return taken
         settled = [self._other(item, aside) for item in taken]
-        await until_it_answers(self._store.store, batch_of([one for one in settled if one.kind is MessageKind.POISON]))
+        await until_it_answers(
+            self._store.store, batch_of([item for item in settled if item.kind is MessageKind.POISON])
+        )
         return settled
 
     def _other(self, item: Taken, aside: AbstractSet[Identity]) -> Taken:

@@ -121,11 +121,11 @@ def _take(message: Message, address: Address, received_at: datetime) -> Taken:
         return Taken(message=message, kind=MessageKind.SHIFT, row=row, revisions=revisions, receipt=receipt)
     if channel in _STATES:
         kind, row_of, name = _STATES[channel]
-        row, told = row_of(data), calibration_rows(data) if channel is Channel.STATUS else ()
+        row, calibrations = row_of(data), calibration_rows(data) if channel is Channel.STATUS else ()
         at = row[name]
         if isinstance(at, datetime) and at - received_at > CLOCK_ERROR:
             row[name] = received_at  # else it would hold until then, whatever is said after it
-        return Taken(message=message, kind=kind, row=row, calibrations=told)
+        return Taken(message=message, kind=kind, row=row, calibrations=calibrations)
     if channel is Channel.FLUID:
         return Taken(message=message, kind=MessageKind.FILLS, row={"vehicle": data["vehicle"]}, fills=fill_rows(data))
     return refuse(message, "topic", "a kind of message that the backend does not keep", received_at)

@@ -20,7 +20,7 @@ AHEAD_MONTHS: Final = 3  # kept ready, so that a forgotten command costs a quart
 MOST_MONTHS: Final = 120
 LOCK_S: Final = 5  # new partitions need all to themselves for a moment; whoever reads long is not waited for longer
 _LOCK: Final = 0x434C4450  # PostgreSQL's advisory lock of whoever makes partitions: "CLDP"
-_FOUND: Final = """
+_PARTITIONS: Final = """
 SELECT c.relname AS name, pg_get_expr(c.relpartbound, c.oid) AS bound, pg_total_relation_size(c.oid) AS size_bytes,
   CASE WHEN c.reltuples < 0 THEN NULL ELSE c.reltuples::bigint END AS row_estimate
 FROM pg_inherits AS i JOIN pg_class AS c ON c.oid = i.inhrelid
@@ -96,11 +96,11 @@ def partitions(engine: Engine) -> list[Partition]:
     if not has_partitions(engine):
         return []
     with transaction(engine) as connection:
-        found = [
+        parts = [
             Partition(name=row.name, month=_month(row.name), size_bytes=row.size_bytes, row_estimate=row.row_estimate)
-            for row in connection.execute(text(_FOUND), {"parent": TABLE})
+            for row in connection.execute(text(_PARTITIONS), {"parent": TABLE})
         ]
-    return sorted(found, key=lambda one: (one.name.endswith("_after"), one.month or date.min))
+    return sorted(parts, key=lambda part: (part.name.endswith("_after"), part.month or date.min))
 
 
 def keep_months(engine: Engine, now: datetime, ahead: int = AHEAD_MONTHS, back: int = 0) -> list[date]:
@@ -148,8 +148,8 @@ def lock(connection: Connection) -> None:
 
 def months(connection: Connection) -> Sequence[date]:
     """Return the months that have a partition of their own, in order."""
-    found = (_month(row.name) for row in connection.execute(text(_FOUND), {"parent": TABLE}))
-    return sorted(month for month in found if month is not None)
+    named = (_month(row.name) for row in connection.execute(text(_PARTITIONS), {"parent": TABLE}))
+    return sorted(month for month in named if month is not None)
 
 
 def _bound(month: date) -> str:

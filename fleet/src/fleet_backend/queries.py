@@ -103,11 +103,11 @@ def since_of(row: Row) -> datetime | None:
 def is_alarming_since(connection: Connection, vehicle: str, clutch: int, filled_at: datetime) -> bool:
     """Return whether any result since a fluid fill says that the fluid is to be changed."""
     table = SHIFT_RESULT.c
-    own = (table.vehicle == vehicle, table.clutch == clutch, table.condition == "change_fluid")
+    is_alarming = (table.vehicle == vehicle, table.clutch == clutch, table.condition == "change_fluid")
     filled_ns = (filled_at - orders.EARLIEST) // timedelta(microseconds=1) * 1000
     happened_at = literal_column(HAPPENED_AT.format("shift_result."), UtcDateTime())
     is_since = (happened_at > filled_at, func.coalesce(table.running_since_bus_ns, filled_ns + 1) > filled_ns)
-    return connection.execute(select(table.seq).where(*own, *is_since).limit(1)).first() is not None
+    return connection.execute(select(table.seq).where(*is_alarming, *is_since).limit(1)).first() is not None
 
 
 def _finding(row: Row, names: Mapping[tuple[str, int], str]) -> orders.ClutchFinding:

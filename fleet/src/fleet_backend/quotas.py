@@ -39,9 +39,9 @@ class QuotaGate:
         self._news: Counts = {}  # of them, what is not yet shared
         make = postgresql.insert if engine.dialect.name == "postgresql" else sqlite.insert
         insert, known = make(INTAKE), INTAKE.c
-        said, is_new = insert.excluded, insert.excluded.day > known.day
-        sums = {name: case((is_new, said[name]), else_=known[name] + said[name]) for name in _COUNTS}
-        later = case((is_new, said.day), else_=known.day)
+        added, is_new = insert.excluded, insert.excluded.day > known.day
+        sums = {name: case((is_new, added[name]), else_=known[name] + added[name]) for name in _COUNTS}
+        later = case((is_new, added.day), else_=known.day)
         self._add = insert.on_conflict_do_update(index_elements=["vehicle"], set_={**sums, "day": later}).returning(
             known.vehicle, *(known[name] for name in _COUNTS)
         )
@@ -58,7 +58,7 @@ class QuotaGate:
         kinds = (MessageKind.SHIFT, MessageKind.POISON)
         more = [*(int(item.kind is kind) for kind in kinds), len(item.message.payload), 0]
         counts_of = zip(self._limits, known, more, strict=True)
-        if any(limit and one and had + one > limit for limit, had, one in counts_of):
+        if any(limit and count and had + count > limit for limit, had, count in counts_of):
             if not known[-1]:
                 _LOG.warning("%s is beyond its quota of today: it keeps what is not taken", vehicle or "somebody")
             more = [0, 0, 0, 1]

@@ -167,7 +167,7 @@ def codes_table(records: Sequence[Record]) -> Table:
 
 
 def _texts(value: object) -> list[str]:
-    return [str(one) for one in value] if isinstance(value, list) else []
+    return [str(part) for part in value] if isinstance(value, list) else []
 
 
 def _sheet(title: str, records: Sequence[Record], columns: Mapping[str, Cell]) -> Table:

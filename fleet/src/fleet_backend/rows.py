@@ -121,8 +121,8 @@ def shift_row(data: Mapping[str, object]) -> Row:
 def _foremost(causes: Mapping[str, object]) -> dict[str, object]:
     """Return causes without the less likely ones, and what speaks for the first alone: each result carries them."""
     likely = causes["likely"]
-    kept = [dict(_table(one)) for one in likely[:_SHOWN_CAUSES]] if isinstance(likely, list | tuple) else []
-    return {**causes, "likely": [kept[0], *({**one, "evidence": ""} for one in kept[1:])] if kept else []}
+    shown = [dict(_table(cause)) for cause in likely[:_SHOWN_CAUSES]] if isinstance(likely, list | tuple) else []
+    return {**causes, "likely": shown[:1] + [{**cause, "evidence": ""} for cause in shown[1:]]}
 
 
 def content_digest(row: Row) -> int:
@@ -138,28 +138,29 @@ def content_digest(row: Row) -> int:
 def status_row(data: Mapping[str, object]) -> Row:
     """Return what the status of a service says about its vehicle."""
     names = ("vehicle", "service_version", "algorithm_version", "calibration_version")
-    told = {"is_online": data["status"] == "online", "connected_at": moment(data["connected_at"])}
-    return {**{name: data[name] for name in names}, **told}
+    state = {"is_online": data["status"] == "online", "connected_at": moment(data["connected_at"])}
+    return {**{name: data[name] for name in names}, **state}
 
 
 def calibration_rows(data: Mapping[str, object]) -> list[Row]:
     """Return the row of what the status of a service says of its calibration; none by older programs."""
-    if (told := data.get("calibration")) is None:
+    if (calibration := data.get("calibration")) is None:
         return []
     names = ("vehicle", "calibration_version")
-    return [{**{name: data[name] for name in names}, "content": json.dumps(told)}]
+    return [{**{name: data[name] for name in names}, "content": json.dumps(calibration)}]
 
 
 def revision_rows(data: Mapping[str, object]) -> list[Row]:
     """Return the rows of what a result made of earlier ones of its vehicle."""
     rows: list[Row] = []
-    told = data.get("revisions", [])
-    for one in map(_table, told if isinstance(told, list) else []):
-        reasons = one["reasons"]
-        now = {"status": one["status"], "reasons": ",".join(map(str, reasons)) if isinstance(reasons, list) else ""}
-        now |= _friction(one["friction"], FRICTION_COLUMNS) | _scale_free(one["scale_free"])
-        names = ("vehicle", "stream", "seq")
-        key = {**{name: data[name] for name in names}, "clutch": one["clutch"], "end_bus_ns": one["end_bus_ns"]}
+    revisions = data.get("revisions", [])
+    for revision in map(_table, revisions if isinstance(revisions, list) else []):
+        reasons = revision["reasons"]
+        words = ",".join(map(str, reasons)) if isinstance(reasons, list) else ""
+        now = {"status": revision["status"], "reasons": words}
+        now |= _friction(revision["friction"], FRICTION_COLUMNS) | _scale_free(revision["scale_free"])
+        key = {name: data[name] for name in ("vehicle", "stream", "seq")}
+        key |= {name: revision[name] for name in ("clutch", "end_bus_ns")}
         rows.append({**key, "content": json.dumps(now)})
     return rows
 
@@ -169,7 +170,7 @@ def fill_rows(data: Mapping[str, object]) -> list[Row]:
     fills, withdrawn = data["fills"], data.get("withdrawn", [])
     if not isinstance(fills, list) or not isinstance(withdrawn, list):
         raise TypeError("expected a list")
-    gone: list[Row] = [{"vehicle": data["vehicle"], "filled_at": moment(one)} for one in withdrawn]
+    gone: list[Row] = [{"vehicle": data["vehicle"], "filled_at": moment(filled_at)} for filled_at in withdrawn]
     return gone + [
         {
             "vehicle": data["vehicle"],
@@ -200,15 +201,14 @@ def told_fill(row: Mapping[str, object]) -> dict[str, object]:
 
 def metrics_row(data: Mapping[str, object]) -> Row:
     """Return the last numbers of a service."""
-    told = json.dumps(data["metrics"], sort_keys=True)
-    return {"vehicle": data["vehicle"], "metrics": told, "metrics_at": moment(data["produced_at"])}
+    metrics = json.dumps(data["metrics"], sort_keys=True)
+    return {"vehicle": data["vehicle"], "metrics": metrics, "metrics_at": moment(data["produced_at"])}
 
 
 def controller_row(data: Mapping[str, object]) -> Row:
     """Return the row of what a controller said of its trouble codes, that kept the contract."""
-    said = {key: data[key] for key in ("controller", "description", "codes")}
-    told = json.dumps(said, sort_keys=True)
-    return {"vehicle": data["vehicle"], "controller": told, "controller_at": moment(data["produced_at"])}
+    report = json.dumps({key: data[key] for key in ("controller", "description", "codes")}, sort_keys=True)
+    return {"vehicle": data["vehicle"], "controller": report, "controller_at": moment(data["produced_at"])}
 
 
 def quarantine_row(poison: Poison, received_at: datetime) -> Row:

@@ -156,7 +156,7 @@ _VIEWS: Final = (
 
 def make_views(connection: Connection) -> None:
     """Make all views, in the place of those that are there."""
-    for name in reversed([one.split()[2] for one in _VIEWS]):
+    for name in reversed([view.split()[2] for view in _VIEWS]):
         connection.exec_driver_sql(f"DROP VIEW IF EXISTS {name}")
     rank = RANKED_AT[connection.dialect.name]
     times = {f"{alias}_at": rank.format(f"{alias}.") for alias in _ALIASES}

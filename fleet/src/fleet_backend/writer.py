@@ -84,7 +84,7 @@ _LEFT: Final = (
     f" WHERE r.produced_at = s.produced_at AND {' AND '.join(f'r.{name} = s.{name}' for name in _IDENTITY)})"
 )
 _STORED: Final = text(  # an index look-up for each; of a list of rows SQLite makes a scan of the table
-    f"SELECT {_IDENTITIES} FROM json_each(:told) AS j CROSS JOIN {SHIFT_RESULT.name} AS s WHERE "  # noqa: S608
+    f"SELECT {_IDENTITIES} FROM json_each(:identities) AS j CROSS JOIN {SHIFT_RESULT.name} AS s WHERE "  # noqa: S608
     + " AND ".join(f"s.{name} = json_extract(j.value, '$[{place}]')" for place, name in enumerate(KEY_COLUMNS))
 )
 Identity = tuple[object, ...]
@@ -186,13 +186,13 @@ class Writer:
 
         Raises DatabaseAwayError if the database does not answer now.
         """
-        found: dict[str, list[JsonObject]] = {}
+        fills: dict[str, list[JsonObject]] = {}
         with transaction(self._engine) as connection:
             for table in (FLUID_FILL, WITHDRAWN_FILL):
                 statement = select(table).where(table.c.vehicle.in_(vehicles)).order_by(table.c.filled_at)
                 for row in connection.execute(statement).mappings():
-                    found.setdefault(str(row["vehicle"]), []).append(told_fill(dict(row)))
-        return found
+                    fills.setdefault(str(row["vehicle"]), []).append(told_fill(dict(row)))
+        return fills
 
     def _store(self, batch: Batch) -> set[Identity]:
         names = {(row["vehicle"], row["clutch"]): row["element"] for row in batch.shifts}
@@ -213,7 +213,7 @@ class Writer:
             revisions = batch.revisions
             if aside:
                 stored = set(map(identity_of, batch.shifts)) - aside
-                gone = {one[:3] for one in aside} - {one[:3] for one in stored}
+                gone = {identity[:3] for identity in aside} - {identity[:3] for identity in stored}
                 revisions = [row for row in revisions if (row["vehicle"], row["stream"], row["seq"]) not in gone]
             self._put(connection, REVISION, _sorted(revisions, *REVISION.primary_key.columns.keys()))
             self._put_fills(connection, _sorted(batch.fills, "vehicle", "filled_at"))
@@ -232,8 +232,9 @@ class Writer:
         counted = connection.execution_options(preserve_rowcount=True)
         if counted.execute(self._first_comes[SHIFT_RESULT.name], _sorted(rows, *KEY_COLUMNS)).rowcount == len(rows):
             return set()
-        told = set(map(identity_of, rows))
-        return told.difference(map(tuple, connection.execute(_STORED, {"told": json.dumps(list(told))})))
+        identities = set(map(identity_of, rows))
+        stored = connection.execute(_STORED, {"identities": json.dumps(list(identities))})
+        return identities.difference(map(tuple, stored))
 
     def _put_fills(self, connection: Connection, rows: Sequence[Row]) -> None:
         """Store fills; those that anybody has taken back go, whoever still knows them."""
@@ -241,8 +242,8 @@ class Writer:
         self._put(connection, FLUID_FILL, [row for row in rows if "product" in row])
         for vehicle in {row["vehicle"] for row in rows}:
             gone = select(WITHDRAWN_FILL.c.filled_at).where(WITHDRAWN_FILL.c.vehicle == vehicle)
-            own = (FLUID_FILL.c.vehicle == vehicle, FLUID_FILL.c.filled_at.in_(gone))
-            connection.execute(delete(FLUID_FILL).where(*own))
+            is_gone = (FLUID_FILL.c.vehicle == vehicle, FLUID_FILL.c.filled_at.in_(gone))
+            connection.execute(delete(FLUID_FILL).where(*is_gone))
 
     def _put(self, connection: Connection, table: Table, rows: list[Row]) -> None:
         _execute(connection, self._first_comes[table.name], rows)
@@ -259,22 +260,22 @@ def _sorted(rows: Sequence[Row], *names: str) -> list[Row]:
 
 def _later_status_wins(insert: "postgresql.Insert | sqlite.Insert") -> Insert:
     """Let a later connection tell more than an earlier one, and its end more than its beginning."""
-    said, known = insert.excluded, VEHICLE.c
+    new, known = insert.excluded, VEHICLE.c
     names = ("is_online", "connected_at", "service_version", "algorithm_version", "calibration_version")
-    ends = and_(said.connected_at == known.connected_at, said.is_online == false(), known.is_online == true())
+    ends = and_(new.connected_at == known.connected_at, new.is_online == false(), known.is_online == true())
     return insert.on_conflict_do_update(
         index_elements=["vehicle"],
-        set_={name: said[name] for name in names},
-        where=or_(known.connected_at.is_(None), said.connected_at > known.connected_at, ends),
+        set_={name: new[name] for name in names},
+        where=or_(known.connected_at.is_(None), new.connected_at > known.connected_at, ends),
     )
 
 
 def _later_wins(insert: "postgresql.Insert | sqlite.Insert", name: str) -> Insert:
     """Keep what was said last of what a vehicle says now and then; a column beside it tells when that was."""
-    said, known = insert.excluded, VEHICLE.c
+    new, known = insert.excluded, VEHICLE.c
     at = f"{name}_at"
     return insert.on_conflict_do_update(
         index_elements=["vehicle"],
-        set_={name: said[name], at: said[at]},
-        where=or_(known[at].is_(None), said[at] > known[at]),
+        set_={name: new[name], at: new[at]},
+        where=or_(known[at].is_(None), new[at] > known[at]),
     )

@@ -60,9 +60,9 @@ def fleet_ageing(engine: Engine) -> FleetAgeing:
         if (known := _history(engine, key, {})) is not None:
             months.setdefault(known[2], []).extend(monthly(known[0]))
     shared = {vehicle_type: common_of(clutches) for vehicle_type, clutches in months.items()}
-    common = {vehicle_type: one for vehicle_type, one in shared.items() if one is not None}
+    common = {vehicle_type: course for vehicle_type, course in shared.items() if course is not None}
     lives = [_ageings(engine, key, common) for key in keys]
-    known_lives = [one for one in lives if one is not None]
+    known_lives = [life for life in lives if life is not None]
     population = replace(learn(chain.from_iterable(known_lives)), common=common)
     return FleetAgeing(
         population=population,

@@ -130,7 +130,9 @@ def known_history(
     reference, vehicle_type = reference_of(vehicle, calibration, clutch), type_of(vehicle, calibration)
     if reference is None:
         return None
-    same = [one for row, one in zip(rows, estimates, strict=True) if row["calibration_version"] == calibration]
+    same = [
+        estimate for row, estimate in zip(rows, estimates, strict=True) if row["calibration_version"] == calibration
+    ]
     try:
         history = history_of_estimates(same, [fluid_fill(vehicle, fill) for fill in fills], clutch)
         return without(history, common.get(vehicle_type)), reference, vehicle_type
@@ -243,7 +245,7 @@ def fan_of_vehicle(
 ) -> Fan | None:
     """Return the fan chart of a vehicle as its report has it; None where no margin is known."""
     now = clutches[0]
-    drawn = [one for past in pasts for one in _drawn(past, now.calibration_version)]
+    drawn = [result for past in pasts for result in _drawn(past, now.calibration_version)]
     estimates, rows = {id(row): estimate for row, estimate in drawn}, [row for row, _ in drawn]
     numbers = range(1, 1 + max(clutch.clutch for clutch in clutches))
     new = [reference_of(now.vehicle, now.calibration_version, clutch) for clutch in numbers]
@@ -280,7 +282,7 @@ def foretold_now(engine: Engine, clutches: Sequence[ClutchNow], population: Popu
 def foretold(clutches: Sequence[ClutchNow], pasts: Sequence[ClutchPast]) -> list[Row]:
     """Return when the fluid of a vehicle is due, a row per clutch; by both prognoses, as both slip in one oil."""
     prognoses = [past.prognosis for past in pasts]
-    reach = soonest(one for one in prognoses if one is not None)
+    reach = soonest(prognosis for prognosis in prognoses if prognosis is not None)
     if clutches[0].action == Action.FIND_CAUSE:
         reach = None
     quantiles = (None, None, None) if reach is None else (reach.p10_m, reach.p50_m, reach.p90_m)

@@ -82,7 +82,8 @@ def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_b
     and among those made within a month of the older one: both say when the event ended.
     """
     table = SHIFT_RESULT
-    own, order = (table.c.vehicle == vehicle, table.c.clutch == clutch), ("vehicle", "clutch", "produced_at", "stream")
+    of_clutch = (table.c.vehicle == vehicle, table.c.clutch == clutch)
+    order = ("vehicle", "clutch", "produced_at", "stream")
     newest_first = [table.c[name].desc() for name in order]
     newer = select(_NEWER.c.seq).where(
         *(_NEWER.c[name] == table.c[name] for name in ("vehicle", "stream", "seq")),
@@ -91,7 +92,7 @@ def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_b
     is_current = ~newer.exists()
     if is_by_month:
         newer = newer.where(_NEWER.c.produced_at.between(table.c.produced_at - _NEAR, table.c.produced_at + _NEAR))
-        beyond = select(table.c.produced_at).where(*own).order_by(*newest_first).offset(most).limit(1)
+        beyond = select(table.c.produced_at).where(*of_clutch).order_by(*newest_first).offset(most).limit(1)
         edge = func.coalesce(beyond.scalar_subquery(), EARLIEST)
         mixed = select(_NEWER.c.stream, _NEWER.c.seq).group_by(_NEWER.c.stream, _NEWER.c.seq).having(func.count() > 1)
         mixed = mixed.where(_NEWER.c.vehicle == vehicle, _NEWER.c.produced_at >= edge - _NEAR)
@@ -101,7 +102,7 @@ def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_b
         RANKED_AT["postgresql" if is_by_month else "sqlite"].format("shift_result."), UtcDateTime()
     )
     columns = (*(table.c[name] for name in _TREND_COLUMNS), ranked_at)
-    return select(*columns).where(*own, is_current).order_by(*newest_first).limit(most)
+    return select(*columns).where(*of_clutch, is_current).order_by(*newest_first).limit(most)
 
 
 def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:

@@ -73,21 +73,21 @@ def write(engine: Engine, steps: Iterable[Transition], carriers: Sequence[str]) 
 
 def acknowledge(engine: Engine, subject: Subject, number: int, note: Note) -> bool:
     """Acknowledge an alarm and note in the audit who did; return whether there was one to acknowledge."""
-    own = (*_is_of(subject), ALARM.c.number == number, ALARM.c.acknowledged_at.is_(None))
+    waiting = (*_is_of(subject), ALARM.c.number == number, ALARM.c.acknowledged_at.is_(None))
     values: dict[str, Any] = {"acknowledged_at": note.at, "acknowledged_by": note.by, "note": note.text}
     with transaction(engine) as connection:
-        count = connection.execute(update(ALARM).where(*own).values(**values)).rowcount
+        count = connection.execute(update(ALARM).where(*waiting).values(**values)).rowcount
         if count:
-            told = f"{_key(subject, number)}: {note.text or ''}"
-            note_change(connection, at=note.at, who=note.by, role=note.role, action="acknowledge alarm", subject=told)
+            text = f"{_key(subject, number)}: {note.text or ''}"
+            note_change(connection, at=note.at, who=note.by, role=note.role, action="acknowledge alarm", subject=text)
     return count > 0
 
 
 def acknowledge_open(engine: Engine, vehicle: str, clutch: int, note: Note) -> int:
     """Acknowledge all open alarms of a clutch that nobody has; return how many; clutch 0: the vehicle as a whole."""
     waiting = (ALARM.c.cleared_at.is_(None), ALARM.c.acknowledged_at.is_(None))
-    own = alarms(engine, ALARM.c.vehicle == vehicle, ALARM.c.clutch == clutch, *waiting)
-    subjects = ((Subject(vehicle=vehicle, clutch=clutch, rule=AlarmRule(one["rule"])), one["number"]) for one in own)
+    rows = alarms(engine, ALARM.c.vehicle == vehicle, ALARM.c.clutch == clutch, *waiting)
+    subjects = ((Subject(vehicle=vehicle, clutch=clutch, rule=AlarmRule(row["rule"])), row["number"]) for row in rows)
     return sum(acknowledge(engine, subject, number, note) for subject, number in subjects)
 
 
@@ -104,8 +104,8 @@ def take(engine: Engine, carrier: str, now: datetime) -> Letter | None:
         mine = update(table).where(table.c.key == row["key"], *waiting).values(claimed_until=now + CLAIM)
         if not connection.execute(mine).rowcount:
             return None
-    told = {name: row[name] for name in ("key", "carrier", "attempt_count")}
-    return Letter(payload=json.loads(row["payload"]), **told)
+    columns = {name: row[name] for name in ("key", "carrier", "attempt_count")}
+    return Letter(payload=json.loads(row["payload"]), **columns)
 
 
 def settle(engine: Engine, letter: Letter, now: datetime, complaint: str | None) -> None:
@@ -113,9 +113,9 @@ def settle(engine: Engine, letter: Letter, now: datetime, complaint: str | None)
     pause = timedelta(seconds=min(_FIRST_PAUSE_S * 2.0 ** min(letter.attempt_count, 16), _LONGEST_PAUSE_S))
     values: dict[str, Any] = {"attempt_count": letter.attempt_count + 1, "claimed_until": None, "complaint": complaint}
     values |= {"delivered_at": now} if complaint is None else {"next_try_at": now + pause}
-    own = (ALARM_MESSAGE.c.key == letter.key, ALARM_MESSAGE.c.carrier == letter.carrier)
+    is_letter = (ALARM_MESSAGE.c.key == letter.key, ALARM_MESSAGE.c.carrier == letter.carrier)
     with transaction(engine) as connection:
-        connection.execute(update(ALARM_MESSAGE).where(*own).values(**values))
+        connection.execute(update(ALARM_MESSAGE).where(*is_letter).values(**values))
 
 
 def _write(engine: Engine, steps: Sequence[Transition], carriers: Sequence[str]) -> list[Transition]:
@@ -152,11 +152,11 @@ def _raise(connection: Connection, steps: Sequence[Transition]) -> dict[Transiti
     known = {tuple(row[:3]): row[3:] for row in connection.execute(counts.where(ALARM.c.vehicle.in_(vehicles)))}
     numbers, rows = dict[Transition, int](), []
     for step in steps:
-        own = (step.subject.vehicle, step.subject.clutch, step.subject.rule.value)
-        last, open_count = known.get(own, (0, 0))
+        key = (step.subject.vehicle, step.subject.clutch, step.subject.rule.value)
+        last, open_count = known.get(key, (0, 0))
         if not open_count:
             numbers[step] = last + 1
-            values = dict(zip(("vehicle", "clutch", "rule"), own, strict=True))
+            values = dict(zip(("vehicle", "clutch", "rule"), key, strict=True))
             rows.append(values | {"number": last + 1, "raised_at": step.at, "reason": step.reason})
     if rows:
         connection.execute(insert(ALARM), rows)
@@ -164,9 +164,9 @@ def _raise(connection: Connection, steps: Sequence[Transition]) -> dict[Transiti
 
 
 def _clear(connection: Connection, step: Transition) -> int | None:
-    own = (*_is_of(step.subject), ALARM.c.cleared_at.is_(None))
-    number = connection.execute(select(ALARM.c.number).where(*own)).scalar()
-    cleared = connection.execute(update(ALARM).where(*own).values(cleared_at=step.at)).rowcount
+    is_open = (*_is_of(step.subject), ALARM.c.cleared_at.is_(None))
+    number = connection.execute(select(ALARM.c.number).where(*is_open)).scalar()
+    cleared = connection.execute(update(ALARM).where(*is_open).values(cleared_at=step.at)).rowcount
     return int(number) if number is not None and cleared else None
 
 

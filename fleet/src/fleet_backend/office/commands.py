@@ -104,17 +104,19 @@ def peers(engine: Engine, *, keep: bool, write: Path | None, is_json: bool) -> N
     """Learn how fluids of each type usually age."""
     with _of_the_page():
         from fleet_backend.ageing.peers import fleet_ageing, keep_population, write_population
-    found = fleet_ageing(engine)
+    learned = fleet_ageing(engine)
     version = None
     if keep:
-        version = keep_population(engine, found.population, found.clutch_count, at=datetime.now(UTC), by=user_name())
+        version = keep_population(
+            engine, learned.population, learned.clutch_count, at=datetime.now(UTC), by=user_name()
+        )
     if write is not None:
-        write_population(write, found.population, version)
+        write_population(write, learned.population, version)
     if is_json:
         kept_as = [] if version is None else [{"record": "population", "version": version}]
-        report.write_json([*found.usual, *kept_as], sys.stdout)
+        report.write_json([*learned.usual, *kept_as], sys.stdout)
         return
-    PeopleConsole().print(report.usual_table(found.usual, found.clutch_count, found.left_out_count))
+    PeopleConsole().print(report.usual_table(learned.usual, learned.clutch_count, learned.left_out_count))
     if version is not None:
         sys.stdout.write(f"kept as population {version}\n")
 
@@ -195,7 +197,7 @@ def watch(
         from fleet_backend.office import watching
         from fleet_backend.office.watching import read_carrier
     carriers = [read_carrier(path) for path in notify]
-    for name, count in Counter(one.name for one in carriers).items():
+    for name, count in Counter(carrier.name for carrier in carriers).items():
         if count > 1:
             raise BackendConfigError(
                 f"--notify: two files are called {name}, by which alarms remember whom they reached"
@@ -230,8 +232,8 @@ def _of_the_page() -> Iterator[None]:
 def retain(engine: Engine, months: int) -> None:
     """Forget old results; the last of each clutch stays."""
     done = retain_months(engine, months, now=datetime.now(UTC), by=user_name())
-    kept = f"; {done.kept_count} earlier ones stay, as they are the last of their clutches" if done.kept_count else ""
-    sys.stdout.write(f"{done.gone_count} results from before {done.before:%Y-%m} forgotten{kept}\n")
+    rest = f"; {done.kept_count} earlier ones stay, as they are the last of their clutches" if done.kept_count else ""
+    sys.stdout.write(f"{done.gone_count} results from before {done.before:%Y-%m} forgotten{rest}\n")
 
 
 @click.command(epilog=examples(f"{PROGRAM} forget car2", f"{PROGRAM} forget car2 --json"))

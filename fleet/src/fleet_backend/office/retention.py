@@ -79,8 +79,8 @@ def retain(engine: Engine, kept_months: int, *, now: datetime, by: str) -> Retai
         kept_count = _old_count(connection, until)
         if gone_count:
             _drop_revisions(connection)
-            told = f"{gone_count} results from before {first:%Y-%m}"
-            note_change(connection, at=now, who=by, role=COMMAND_LINE, action="forget results", subject=told)
+            subject = f"{gone_count} results from before {first:%Y-%m}"
+            note_change(connection, at=now, who=by, role=COMMAND_LINE, action="forget results", subject=subject)
     return Retained(before=first, gone_count=gone_count, kept_count=kept_count)
 
 
@@ -123,9 +123,9 @@ def _drop_months(connection: Connection, first: date, until: datetime) -> int:
 
 def _drop_revisions(connection: Connection) -> None:
     """Delete revisions of which both are gone: the result that told it, and the one that it is about."""
-    one, other = REVISION.c, SHIFT_RESULT.c
+    revision, result = REVISION.c, SHIFT_RESULT.c
     pairs = (("vehicle", "stream", "seq"), ("vehicle", "clutch", "end_bus_ns"))
-    gone = (~exists().where(*(other[name] == one[name] for name in names)) for names in pairs)
+    gone = (~exists().where(*(result[name] == revision[name] for name in names)) for names in pairs)
     connection.execute(delete(REVISION).where(*gone))
 
 
@@ -155,10 +155,11 @@ def forget_vehicle(engine: Engine, vehicle: str, *, now: datetime, by: str) -> F
     digest = sha256(vehicle.encode()).hexdigest()
     with transaction(engine) as connection:
         tables = list(_tables(connection))
-        gone = {one.name: connection.execute(delete(one).where(_is_about(one, vehicle))).rowcount for one in tables}
-        told = update(AUDIT).where(_is_about(AUDIT, vehicle)).values(subject=FORGOTTEN)
-        gone[AUDIT.name] = connection.execute(told).rowcount
-        left = {one.name: _count(connection, one, vehicle) for one in (*tables, AUDIT)}
+        deletions = {table.name: delete(table).where(_is_about(table, vehicle)) for table in tables}
+        gone = {name: connection.execute(deletion).rowcount for name, deletion in deletions.items()}
+        renaming = update(AUDIT).where(_is_about(AUDIT, vehicle)).values(subject=FORGOTTEN)
+        gone[AUDIT.name] = connection.execute(renaming).rowcount
+        left = {table.name: _count(connection, table, vehicle) for table in (*tables, AUDIT)}
         if any(left.values()):
             raise DatabaseError(f"rows about {vehicle} came meanwhile and nothing was deleted: stop its service first")
         subject = f"vehicle with sha256 {digest}"

@@ -181,8 +181,8 @@ class Watch:
         open_counts = dict.fromkeys((rule.value for rule in rules.AlarmRule), 0)
         open_counts |= Counter(subject.rule.value for subject in book.open_alarms(self._engine))
         yield gauge("fleet_open_alarms", "Alarms that are not cleared, by their rule.", open_counts, "rule")
-        own = ALARM_MESSAGE.c.carrier.in_([carrier.name for carrier in self._orders.carriers])  # others may be history
-        waiting = select(func.count()).select_from(ALARM_MESSAGE).where(ALARM_MESSAGE.c.delivered_at.is_(None), own)
+        is_ours = ALARM_MESSAGE.c.carrier.in_([carrier.name for carrier in self._orders.carriers])  # no former ones
+        waiting = select(func.count()).select_from(ALARM_MESSAGE).where(ALARM_MESSAGE.c.delivered_at.is_(None), is_ours)
         reason = QUARANTINE.c.reason
         aside = select(reason, func.count()).where(QUARANTINE.c.acknowledged_at.is_(None)).group_by(reason)
         with transaction(self._engine) as connection:
@@ -194,7 +194,7 @@ class Watch:
             at, _ = max(arrivals.values())
             yield gauge("fleet_last_result_timestamp_seconds", "When a result was stored last.", at.timestamp())
         parts = partitions(self._engine)
-        if months := [one.month for one in parts if one.month is not None]:
+        if months := [part.month for part in parts if part.month is not None]:
             ahead = sum(month > month_of(now) for month in months)
             yield gauge("fleet_months_ahead", "Months after this one that have a partition.", ahead)
             late = parts[-1].row_estimate or 0
@@ -254,10 +254,10 @@ class Watch:
         Thus the worst, which may have news in each round, keep none of the others waiting for ever. When the fluids of
         who was judged are due is added to ``dues``.
         """
-        kept, end_s = latest_population(self._engine), time.monotonic() + judging_s
+        population, end_s = latest_population(self._engine), time.monotonic() + judging_s
         if not self._is_reminded:
             marks = marks_of_judged(self._engine).items()
-            same = (name for name, mark in marks if name in known and mark == self._mark(known[name], kept))
+            same = (name for name, mark in marks if name in known and mark == self._mark(known[name], population))
             self._judged, self._is_reminded = {name: known[name] for name in same}, True
         worst = dict.fromkeys(clutch.vehicle for clutch in self._keeper.snapshot.clutches)
         never = (name for name in worst if name in known and name not in self._judged)
@@ -265,17 +265,22 @@ class Watch:
         names = deque((*never, *again))
         while names:
             vehicle = names.popleft()
-            mark = self._mark(known[vehicle], kept)
-            rows = yield from self._judge(vehicle, known[vehicle][0], kept)
+            mark = self._mark(known[vehicle], population)
+            rows = yield from self._judge(vehicle, known[vehicle][0], population)
             dues[vehicle] = [{**row, "mark": mark} for row in rows]
             if time.monotonic() >= end_s:
                 break
         self.waiting_count = len(names)
 
-    def _mark(self, vehicle: KnownVehicle, kept: Population | None) -> str:
+    def _mark(self, vehicle: KnownVehicle, population: Population | None) -> str:
         """Return what differs once a vehicle is to be judged again: by other results, calibrations or orders."""
         new = [reference_of(now.vehicle, now.calibration_version, now.clutch) for now in vehicle[0]]
-        orders = (self._orders.limits, self._orders.service_distance_m, kept and kept.version, version("clutchdiag"))
+        orders = (
+            self._orders.limits,
+            self._orders.service_distance_m,
+            population and population.version,
+            version("clutchdiag"),
+        )
         return sha256(repr((vehicle, new, orders)).encode()).hexdigest()
 
     def _is_alarm_of_old_fluid(self, now: ClutchNow) -> bool:
@@ -286,12 +291,12 @@ class Watch:
             return not is_alarming_since(connection, now.vehicle, now.clutch, now.fluid_since)
 
     def _judge(
-        self, vehicle: str, clutches: Sequence[ClutchNow], kept: Population | None
+        self, vehicle: str, clutches: Sequence[ClutchNow], population: Population | None
     ) -> Generator[rules.RuleFinding, None, list[Row]]:
         """Yield what the past of a vehicle says; return when its fluids are due, a row per clutch."""
         limits, fills, pasts = self._orders.limits, fills_of(self._engine, vehicle), []
         for now in clutches:
-            past = read_past(self._engine, now, fills, self._orders.service_distance_m, kept)
+            past = read_past(self._engine, now, fills, self._orders.service_distance_m, population)
             pasts.append(past)
             last = past.rows[-limits.unused_events :]
             unused_count = sum(row["status"] == "rejected" for row in last)

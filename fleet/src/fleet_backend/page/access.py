@@ -66,8 +66,8 @@ class Access:
         """
         if self.proxy is None:
             return NOBODY
-        said = headers.get(self.proxy.secret_header, "").encode()
-        if not hmac.compare_digest(said, self.proxy.secret.encode()):
+        secret = headers.get(self.proxy.secret_header, "").encode()
+        if not hmac.compare_digest(secret, self.proxy.secret.encode()):
             raise LoginError("this request did not come through the login proxy")
         name = headers.get(self.proxy.user_header, "")
         if not is_name(name):
@@ -128,10 +128,10 @@ class _AccessFile(msgspec.Struct, forbid_unknown_fields=True):
 def read_access(path: Path) -> Access:
     """Return who may do what; raises ConfigError, naming the first thing that is wrong."""
     try:
-        told = msgspec.toml.decode(path.read_bytes(), type=_AccessFile)
+        content = msgspec.toml.decode(path.read_bytes(), type=_AccessFile)
     except (OSError, ValueError) as exc:
         raise BackendConfigError(f"{path}: {exc}") from exc
-    proxy, roles = told.proxy, {UserRole.VIEWER: told.roles.viewer, UserRole.WORKSHOP: told.roles.workshop}
+    proxy, roles = content.proxy, {UserRole.VIEWER: content.roles.viewer, UserRole.WORKSHOP: content.roles.workshop}
     if proxy.user_header.casefold() == proxy.secret_header.casefold():
         raise BackendConfigError(f"{path}: user_header and secret_header must be names of two headers")
     try:
@@ -141,7 +141,7 @@ def read_access(path: Path) -> Access:
     if len(secret.encode()) < _LEAST_SECRET:
         raise BackendConfigError(f"{path}: {proxy.secret_file}: a secret must have {_LEAST_SECRET} bytes or more")
     return Access(
-        host_names=tuple(name.casefold() for name in told.host_names),
+        host_names=tuple(name.casefold() for name in content.host_names),
         proxy=Proxy(user_header=proxy.user_header, secret_header=proxy.secret_header, secret=secret),
         roles={name.casefold(): role for role in sorted(roles) for name in roles[role]},  # of several the highest
     )

@@ -58,13 +58,13 @@ _CLUTCH_NAMES: Final = tuple(field.name for field in fields(ClutchNow))
 def _statements(where: str) -> Mapping[bool, TextualSelect]:
     """Return the statement for databases that keep results by months, and for others."""
     sources = {True: (LAST_BY_MONTH, _SCORE_OF_JSON), False: (LAST_RESULTS, "json_extract(s.shift_quality, '$.score')")}
-    found: dict[bool, TextualSelect] = {}
+    statements: dict[bool, TextualSelect] = {}
     for kind, (form, score) in sources.items():
         source = form.format(where=where, l_at=RANKED_AT["sqlite"].format("l."))
         made = text(_RUNNING.format(source=source, score=score, happened_at=HAPPENED_AT.format("s.")))
         made = made.bindparams(bindparam("vehicles", expanding=True)) if where else made
-        found[kind] = made.columns(end_at=UtcDateTime(), stored_at=UtcDateTime(), happened_at=UtcDateTime())
-    return MappingProxyType(found)
+        statements[kind] = made.columns(end_at=UtcDateTime(), stored_at=UtcDateTime(), happened_at=UtcDateTime())
+    return MappingProxyType(statements)
 
 
 _ALL_CLUTCHES: Final = _statements("")
@@ -88,13 +88,13 @@ class DatabaseSource:
             gc.enable()
 
     def clutches_of(self, vehicles: Sequence[str]) -> Sequence[ClutchNow]:
-        statement, found = _SOME_CLUTCHES[has_partitions(self.engine)], list[ClutchNow]()
+        statement, clutches = _SOME_CLUTCHES[has_partitions(self.engine)], list[ClutchNow]()
         with transaction(self.engine) as connection:
             for first in range(0, len(vehicles), _MOST_NAMES):
                 names = list(vehicles[first : first + _MOST_NAMES])
                 rows = connection.execute(statement, {"vehicles": names}).mappings()
-                found += _clutches(connection, rows, present_fluids(connection, names))
-        return found
+                clutches += _clutches(connection, rows, present_fluids(connection, names))
+        return clutches
 
     def vehicles_with_news(self, since: datetime) -> Sequence[str]:
         """Return the vehicles of which results were stored at or after a moment."""
@@ -137,11 +137,11 @@ class DatabaseSource:
 
 
 def _clutches(connection: Connection, rows: Iterable[Row], fluids: Mapping[str, PresentFluid]) -> list[ClutchNow]:
-    """Return clutches, of whose calibrations is known what their vehicles told."""
-    told = with_orders(rows, fluids, clutch_names(connection))
-    found = [ClutchNow(**{name: row[name] for name in _CLUTCH_NAMES}) for row in told]
-    remember(connection, ((one.vehicle, one.calibration_version) for one in found))
-    return found
+    """Return clutches with the orders for their vehicles, and read their calibrations."""
+    ordered = with_orders(rows, fluids, clutch_names(connection))
+    clutches = [ClutchNow(**{name: row[name] for name in _CLUTCH_NAMES}) for row in ordered]
+    remember(connection, ((now.vehicle, now.calibration_version) for now in clutches))
+    return clutches
 
 
 def arrivals_of(engine: Engine) -> dict[str, tuple[datetime, int]]:
