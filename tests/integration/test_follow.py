@@ -85,7 +85,7 @@ def test_some_vehicles_as_json_and_a_broker_that_comes_back(broker: Mosquitto) -
         told = json.loads(heard())
         assert (told["vehicle"], told["seq"], told["schema"]) == ("car2", 1, "clutchdiag/shift/v1")
         broker.kill()
-        assert "trying again in 1 s" in heard()
+        assert "trying again" in heard()
         broker.start()
         while "trying again" in (line := heard()):  # until the broker keeps its word that car2 is online
             pass

@@ -16,6 +16,7 @@ from clutchdiag_io.people import PLUS_MINUS, plus_minus
 from fleet_backend.choices import BROKER_VARIABLE
 from fleet_backend.config import parse_broker
 from fleet_backend.errors import BackendConfigError, BrokerError
+from fleet_backend.ingest import Pauses
 from fleet_backend.programs import until_stopped
 from fleet_contract import (
     NEVER,
@@ -33,8 +34,6 @@ from fleet_contract import (
 from fleet_link import BrokerAddress
 
 FOLLOWED: Final = (Channel.SHIFT, Channel.BUNDLE, Channel.STATUS)
-FIRST_PAUSE_S: Final = 1.0  # before a lost connection is tried again; doubled until the longest
-LONGEST_PAUSE_S: Final = 30.0
 _LOG: Final = logging.getLogger(__name__)
 
 
@@ -67,7 +66,7 @@ class Follower:
 
     async def run(self) -> None:
         """Follow for ever; raises BrokerError if the first connection fails."""
-        pause_s, was_there = FIRST_PAUSE_S, False
+        pauses, was_there = Pauses(), False
         while True:
             try:
                 async with self._client() as client:
@@ -75,15 +74,15 @@ class Follower:
                         codes = await client.subscribe(name, qos=0)
                         if any(getattr(code, "is_failure", False) for code in codes):
                             raise BrokerError(f"broker {self._address} refuses {name}")
-                    pause_s, was_there = FIRST_PAUSE_S, True
+                    pauses.reset()
+                    was_there = True
                     async for message in client.messages:
                         self._show(str(message.topic), bytes(message.payload))
             except aiomqtt.MqttError as exc:
+                lost = BrokerError(f"broker {self._address}: {exc}")
                 if not was_there:
-                    raise BrokerError(f"broker {self._address}: {exc}") from exc
-                _LOG.warning("broker %s: %s; trying again in %g s", self._address, exc, pause_s)
-                await asyncio.sleep(pause_s)
-                pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
+                    raise lost from exc
+                await pauses.wait(lost)
 
     def _client(self) -> aiomqtt.Client:
         address, tls = self._address, self._address.tls

@@ -91,18 +91,6 @@ def is_name(name: str) -> bool:
     return 0 < len(name) <= _LONGEST_NAME and name.isprintable()
 
 
-def check_role(viewer: Viewer, role: UserRole) -> None:
-    """Raise ForbiddenError unless somebody has at least a role."""
-    if viewer.role < role:
-        raise ForbiddenError(f"this takes the role {role.name.lower()}")
-
-
-def check_token(viewer: Viewer, token: str) -> None:
-    """Raise ForbiddenError unless a change was asked for on one of our own pages."""
-    if not viewer.token or not hmac.compare_digest(viewer.token.encode(), token.encode()):
-        raise ForbiddenError("this form is no longer valid; open it again")
-
-
 _LEAST_SECRET: Final = 24
 _Name = Annotated[str, Meta(min_length=1, max_length=_LONGEST_NAME)]
 _Header = Annotated[str, Meta(pattern="^[A-Za-z][A-Za-z0-9-]{0,63}$")]

@@ -1,5 +1,6 @@
 """The application: who asks is checked before all else, words of an address are checked once, an error is one line."""
 
+import hmac
 import logging
 from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractAsyncContextManager
@@ -26,7 +27,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from clutchdiag_io.pages.content import templates_of
 from fleet_backend.errors import AskError, DatabaseError, FleetBackendError, ForbiddenError, LoginError, PageError
 from fleet_backend.page import wording
-from fleet_backend.page.access import NOBODY, Access, UserRole, Viewer, check_role, check_token
+from fleet_backend.page.access import NOBODY, Access, UserRole, Viewer
 from fleet_backend.page.fleet import Keeper
 
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
@@ -155,7 +156,8 @@ def asked(request: Request, query: type[QueryT]) -> QueryT:
 async def form_of(request: Request, query: type[QueryT], role: UserRole) -> QueryT:
     """Return the words of a form; it is one of our own pages that sent it, for somebody who may."""
     viewer = viewer_of(request)
-    check_role(viewer, role)
+    if viewer.role < role:
+        raise ForbiddenError(f"this takes the role {role.name.lower()}")
     origin, fetched_by = request.headers.get("origin"), request.headers.get("sec-fetch-site", "same-origin")
     is_other = origin is not None and urlsplit(origin).hostname not in sources_of(request).access.host_names
     if fetched_by != "same-origin" or is_other:
@@ -169,7 +171,9 @@ async def form_of(request: Request, query: type[QueryT], role: UserRole) -> Quer
         words = parse_qsl(content.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=20)
     except ValueError as exc:
         raise AskError("this is not a form") from exc
-    check_token(viewer, dict(words).get(_TOKEN, ""))
+    token = dict(words).get(_TOKEN, "")
+    if not viewer.token or not hmac.compare_digest(viewer.token.encode(), token.encode()):  # of none of our pages
+        raise ForbiddenError("this form is no longer valid; open it again")
     return _checked([*request.path_params.items(), *(pair for pair in words if pair[0] != _TOKEN)], query)
 
 
