@@ -1,6 +1,6 @@
 """The lives of the fluids of one clutch so far: each fitted by itself, one saying what to expect of the next."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -104,9 +104,16 @@ def _prior(name: ChannelName, before: FluidLife | None, peers: Peers | None, *, 
 
 def either(life: FluidLife, margin_limit: float, level_limit: float) -> trend.Passage:
     """Return when the margin or the level passes its limit; the level that of new fluid or that of its own start."""
-    margin = trend.passage(life.channels[ChannelName.MARGIN].future, [(margin_limit, 0.0)])
-    level = trend.passage(life.channels[ChannelName.LEVEL].future, [(level_limit, 0.0), (0.0, level_limit)])
-    return margin.or_(level)
+    return next(either_of(life, [(margin_limit, level_limit)]))
+
+
+def either_of(life: FluidLife, limits: Sequence[tuple[float, float]]) -> Iterator[trend.Passage]:
+    """Yield `either` for each pair of limits of margin and level."""
+    margins = trend.passages(life.channels[ChannelName.MARGIN].future, ([(margin, 0.0)] for margin, _ in limits))
+    levels = trend.passages(
+        life.channels[ChannelName.LEVEL].future, ([(level, 0.0), (0.0, level)] for _, level in limits)
+    )
+    return map(trend.Passage.or_, margins, levels)
 
 
 _HALVINGS: Final = 6  # a fluid's end is found to a sixty-fourth of what was driven with it

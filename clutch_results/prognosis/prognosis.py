@@ -22,7 +22,7 @@ from clutch_results.prognosis.assumptions import (
     SURE_OF_AGEING,
 )
 from clutch_results.prognosis.changes import FluidStart, fluid_starts
-from clutch_results.prognosis.fluid_lives import CHANGE_MARGIN_RATIO, FluidLife, either, fluid_lives
+from clutch_results.prognosis.fluid_lives import CHANGE_MARGIN_RATIO, FluidLife, either, either_of, fluid_lives
 from clutch_results.prognosis.history import History
 from clutch_results.prognosis.population import Peers
 from clutch_results.prognosis.trend import Passage
@@ -160,7 +160,7 @@ def forecast(prognosis: Prognosis) -> Forecast | None:
     """Return the margin at each distance ahead; None where the outlook is TOO_FEW."""
     if prognosis.life is None:
         return None
-    passages = [either(prognosis.life, float(left), level_at(float(left))) for left in _LEFT]
+    passages = list(either_of(prognosis.life, [(left, level_at(left)) for left in _LEFT.tolist()]))
     passed = np.maximum.accumulate([when.probability for when in passages], axis=0)
     quantiles = [[np.interp(share, column, _LEFT) for column in passed.T] for share in (0.1, 0.5, 0.9)]
     return Forecast(distance_m=passages[0].distance_m, quantiles=np.array(quantiles))

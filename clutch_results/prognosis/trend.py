@@ -5,8 +5,9 @@ wear of each are linear and normal, so each has an exact answer. Rates and bends
 are counted in usual lives. Equations: docs/model.md, section "Prognosis".
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, Self
 
 import numpy as np
@@ -334,15 +335,26 @@ class Passage:
 
 def passage(future: Future, limits: Sequence[tuple[float, float]]) -> Passage:
     """Return when a channel passes the first of some limits: a number, and the share of its own start added to it."""
+    return next(passages(future, [limits]))
+
+
+def passages(future: Future, choices: Iterable[Sequence[tuple[float, float]]]) -> Iterator[Passage]:
+    """Yield `passage` for each choice of limits."""
     fall = future.loss[:, None] * future.ahead
     to_come = future.random[:, None] * future.ahead + (LOAD_LOG_STD * fall) ** 2
-    passed = []
-    for limit, share in limits:
-        now = future.now - share * future.start
+
+    @lru_cache(maxsize=2)  # most limits have no share of the start
+    def above(share: float) -> tuple[FloatArray, FloatArray]:
+        """Return what a channel is now above a share of its start, and the deviation at each distance."""
         variance = future.now_variance - 2.0 * share * future.now_start_covariance + share**2 * future.start_variance
-        spread = np.maximum(variance, 1e-12)[:, None] + to_come
-        passed.append(np.mean(normal_cdf((limit - now[:, None] + fall) / np.sqrt(spread)), axis=0))
-    return Passage(distance_m=DISTANCE_M, probability=np.maximum.accumulate(np.max(passed, axis=0)))
+        return future.now - share * future.start, np.sqrt(np.maximum(variance, 1e-12)[:, None] + to_come)
+
+    for limits in choices:
+        passed = []
+        for limit, share in limits:
+            now, std = above(share)
+            passed.append(np.mean(normal_cdf((limit - now[:, None] + fall) / std), axis=0))
+        yield Passage(distance_m=DISTANCE_M, probability=np.maximum.accumulate(np.max(passed, axis=0)))
 
 
 def normal_cdf(value: FloatArray) -> FloatArray:

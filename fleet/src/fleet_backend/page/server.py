@@ -11,6 +11,7 @@ from contextlib import asynccontextmanager, contextmanager
 from typing import Final
 
 import anyio.to_thread
+import scipy.special  # noqa: F401 - prognoses load it, and the first reader of a vehicle does not wait for that
 import uvicorn
 from sqlalchemy import Engine
 from starlette.applications import Starlette
