@@ -1,10 +1,10 @@
 """What the controllers of the vehicle say at this moment: the frames that were last on the bus, in SI.
 
-Decoded when somebody asks, not when they are sent: noise, sensor faults and lost values are in them as on the bus. What
-others say is believed while it is fresh and its checksum fits; what this controller senses itself, it knows.
+Noise, sensor faults and lost values are in them as on the bus. What others say is believed while it is fresh and its
+checksum fits; what this controller senses itself, it knows.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from copy import copy
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -12,7 +12,7 @@ from typing import Final
 
 import can
 import numpy as np
-from cantools.database.can import Database, Message
+from cantools.database.can import Database
 from cantools.database.can.signal import Signal
 
 from canlog.e2e import profile1
@@ -46,7 +46,7 @@ class _Sender:
 
 
 class SentValues:
-    """Keeps the last payload of every message; any thread may ask while another one notes.
+    """Keeps what every message said last; any thread may ask while another one notes.
 
     Parameters
     ----------
@@ -57,13 +57,16 @@ class SentValues:
     """
 
     def __init__(self, database: Database, clock: Callable[[], float] = lambda: 0.0) -> None:
-        self._carriers: dict[str, tuple[Message, Signal]] = {}
-        signals = {signal.name: (message, signal) for message in database.messages for signal in message.signals}
-        for quantity, name in SIGNAL_OF.items():
-            if name in signals:
-                self._carriers[quantity] = signals[name]
+        self._messages = {message.frame_id: message for message in database.messages}
+        self._quantities = {name: quantity for quantity, name in SIGNAL_OF.items()}
+        self._carriers = {
+            self._quantities[signal.name]: can_id
+            for can_id, message in self._messages.items()
+            for signal in message.signals
+            if signal.name in self._quantities
+        }
         self._clock = clock
-        self._payloads: dict[int, bytes] = {}
+        self._values: dict[int, dict[str, float]] = {}  # by identifier
         self._now_s: float | None = None  # when the newest frame was due
         self._others = {
             contract.can_id: _Sender(
@@ -89,11 +92,11 @@ class SentValues:
                 self.disbelieved_count += 1
                 return
             other.due_s, other.heard_s = due_s, self._clock()
-        self._payloads[can_id] = payload
+        self._values[can_id] = self._decoded(can_id, payload)
 
     def restart(self) -> None:
         """Forget everything, as a controller that is switched on; its senders are waited for from the next frame on."""
-        self._payloads = {}
+        self._values = {}
         self._now_s = None
 
     @property
@@ -103,13 +106,32 @@ class SentValues:
 
     def has_all(self, quantities: Collection[str]) -> bool:
         """Return whether the messages that carry these have been sent, whatever they said of them."""
-        return all(self._carriers[quantity][0].frame_id in self._payloads for quantity in quantities)
+        return all(self._carriers[quantity] in self._values for quantity in quantities)
 
-    def now(self, more: Mapping[str, float]) -> "LatestValues":
-        """Return the values of this moment, with others that are on no bus."""
-        late = self._late
-        payloads = {can_id: payload for can_id, payload in list(self._payloads.items()) if can_id not in late}
-        return LatestValues(self._carriers, payloads, more)
+    def now(self, more: Mapping[str, float]) -> dict[str, float]:
+        """Return the values of this moment, with others that are on no bus; those that are not known are missing."""
+        late, values = self._late, dict[str, float]()
+        for can_id, decoded in list(self._values.items()):
+            if can_id not in late:
+                values |= decoded
+        for quantity, (ahead, behind) in _DIFFERENCES.items():
+            if ahead in values and behind in values:
+                values[quantity] = values[ahead] - values[behind]
+        return {**values, **more}
+
+    def _decoded(self, can_id: int, payload: bytes) -> dict[str, float]:
+        """Return what a frame says [SI]: nothing if a fault of the bus cut it, or nobody knows it."""
+        message = self._messages.get(can_id)
+        if message is None or len(payload) < message.length:
+            return {}
+        raws = message.decode_simple(payload, decode_choices=False, scaling=False)
+        return {
+            self._quantities[signal.name]: _si(raw, signal)
+            for signal in message.signals
+            if signal.name in self._quantities
+            and isinstance(raw := raws[signal.name], int)
+            and raw != (1 << signal.length) - 1  # the code for not available
+        }
 
     @property
     def silences(self) -> dict[str, float]:
@@ -117,7 +139,7 @@ class SentValues:
         late, silences = self._late, dict[str, float]()
         for node in {other.node for other in self._others.values()}:
             of_node = {can_id for can_id, other in self._others.items() if other.node == node}
-            silences[f"{SILENCE}{node}"] = float(bool(late & (of_node & self._payloads.keys() or of_node)))
+            silences[f"{SILENCE}{node}"] = float(bool(late & (of_node & self._values.keys() or of_node)))
         return silences
 
     @property
@@ -151,49 +173,5 @@ def _is_sound(payload: bytes, id_remainder: int) -> bool:
     return bool(profile1.crc_is_valid(np.frombuffer(payload, np.uint8)[None], id_remainder)[0])
 
 
-class LatestValues(Mapping[str, float]):
-    """Values at one moment, by quantity; those that are not known are missing."""
-
-    def __init__(
-        self,
-        carriers: Mapping[str, tuple[Message, Signal]],
-        payloads: Mapping[int, bytes],
-        more: Mapping[str, float],
-    ) -> None:
-        self._carriers = carriers
-        self._payloads = payloads
-        self._more = more
-        self._decoded: dict[int, Mapping[str, object]] = {}
-
-    def __getitem__(self, quantity: str) -> float:
-        if quantity in self._more:
-            return self._more[quantity]
-        if quantity in _DIFFERENCES:
-            ahead, behind = _DIFFERENCES[quantity]
-            return self[ahead] - self[behind]
-        message, signal = self._carriers[quantity]
-        raw = self._raw(message)[signal.name]
-        if not isinstance(raw, int) or raw == (1 << signal.length) - 1:
-            raise KeyError(quantity)  # the code for not available
-        value = raw * float(signal.scale) + float(signal.offset)
-        return float(UNITS[signal.unit or ""][1](value))
-
-    def __iter__(self) -> Iterator[str]:
-        for quantity in (*self._more, *_DIFFERENCES, *self._carriers):
-            try:
-                self[quantity]
-            except KeyError:
-                continue
-            yield quantity
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
-
-    def _raw(self, message: Message) -> Mapping[str, object]:
-        can_id = message.frame_id
-        if can_id not in self._decoded:
-            payload = self._payloads[can_id]
-            if len(payload) < message.length:
-                raise KeyError(can_id)  # a fault of the bus cut it
-            self._decoded[can_id] = message.decode_simple(payload, decode_choices=False, scaling=False)
-        return self._decoded[can_id]
+def _si(raw: int, signal: Signal) -> float:
+    return float(UNITS[signal.unit or ""][1](raw * float(signal.scale) + float(signal.offset)))

@@ -1,12 +1,12 @@
 """A car in a workshop whose clutches a tester has adapted: faster than time, but all parts of it are the real ones."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 from clutch_model.calibration import clutch_of_gear
 from dbc.contract import load_contract
-from ecu_emulator.bus.sent_values import LatestValues, SentValues
+from ecu_emulator.bus.sent_values import SentValues
 from ecu_emulator.drive.build import build_vehicle
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.scenario.scenario import Scenario, Truth, WorkshopRoutine
@@ -61,7 +61,7 @@ class AdaptingCar:
         first, second = self.truth.clutches
         return first.touch_pressure_pa, second.touch_pressure_pa
 
-    def _values(self) -> LatestValues:
+    def _values(self) -> Mapping[str, float]:
         more = {
             "engine_run_time_s": self.t_s,
             "adaptation_possible": float(self.adaptation.is_possible),
@@ -85,7 +85,7 @@ class AdaptingCar:
         self.adaptation.step(self._values())
         clear_if_requested(self.controller, self.monitoring, self.adaptation)
 
-    def _take(self, t_s: float, values: LatestValues) -> None:
+    def _take(self, t_s: float, values: Mapping[str, float]) -> None:
         if self.adaptation.needs_moments:
             self.adaptation.feed(t_s, values)
         if self._is_driving and values.get("shift_phase") == tcu_data.PREFILL:
