@@ -97,7 +97,7 @@ def follow_slip(
     torque_nm = memory[tcu_data.INPUT_TORQUE] - sense[at.IMPELLER_TORQUE]
     torque_nm -= law.drive.actuation.inertia_kg_m2 * rate_rad_s2
     torque_nm += p.gain_nms_rad * error_rad_s + memory[tcu_data.INTEGRAL]
-    tcu.command_torque(commands, 0, max(torque_nm, _LEAST_NM), law.drive.actuation)
+    tcu.command_torque(commands, 0, max(torque_nm, _LEAST_NM), law.drive)
 
 
 @part
@@ -106,7 +106,7 @@ def apply_lock_up(
 ) -> None:
     """Fill the clutch, then lead the slip to what is wanted."""
     if memory[tcu_data.IS_FILLED] == 0.0:
-        tcu.fill_clutch(memory, sense, commands, 0, law.drive.actuation, law.drive.control)
+        tcu.fill_clutch(memory, sense, commands, 0, law.drive)
         enter_lock_up(memory, LockUpState.APPLYING.value)
         return
     length_s, start_rad_s = law.driving.lock_up.apply_s, memory[tcu_data.START_SLIP]
@@ -125,7 +125,7 @@ def apply_lock_up(
 def hold_lock_up(memory: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     p = law.driving.lock_up
     torque_nm = p.hold_ratio * abs(memory[tcu_data.INPUT_TORQUE]) + p.hold_nm
-    tcu.command_torque(commands, 0, torque_nm, law.drive.actuation)
+    tcu.command_torque(commands, 0, torque_nm, law.drive)
 
 
 @part
@@ -166,7 +166,7 @@ def control_lock_up(memory: FloatArray, sense: FloatArray, commands: FloatArray,
 @part
 def control(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Take one step of 1 ms: read ``sense``, update ``memory``, write ``commands``."""
-    tcu.tick(memory, sense, law.drive.control)
+    tcu.tick(memory, sense, law.drive)
     memory[at.STATE_TIME] += tcu_data.PERIOD_S
     commands[tcu_data.SPARK] = 1.0
     commands[at.REQUEST] = at.NO_REQUEST

@@ -50,9 +50,9 @@ def lock_up(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dr
     control, clutch = law.drive.control, tcu.clutch_of(int(memory[tcu_data.TARGET_GEAR]))
     is_over = sense[tcu_data.IS_LOCKED + clutch] != 0.0 or memory[tcu_data.PHASE_TIME] > law.driving.change.longest_s
     if memory[tcu_data.PHASE_TIME] < control.lockup_time_s or is_over:
-        tcu.lock_up_phase(memory, commands, law.drive.actuation, control)
+        tcu.lock_up_phase(memory, commands, law.drive)
         return
-    tcu.command_torque(commands, clutch, tcu.hold_torque_nm(memory, control), law.drive.actuation)
+    tcu.command_torque(commands, clutch, tcu.hold_torque_nm(memory, law.drive), law.drive)
     tcu.command_pressure(commands, 1 - clutch, 0.0)
 
 
@@ -62,9 +62,9 @@ def return_to_gear(memory: FloatArray, sense: FloatArray, commands: FloatArray, 
     clutch = tcu.clutch_of(int(memory[tcu_data.CURRENT_GEAR]))
     p = law.driving.change
     share = min(memory[tcu_data.PHASE_TIME] / p.return_s, 1.0)
-    hold_nm = tcu.hold_torque_nm(memory, law.drive.control)
+    hold_nm = tcu.hold_torque_nm(memory, law.drive)
     torque_nm = max(abs(memory[tcu_data.INPUT_TORQUE]), share * hold_nm)
-    tcu.command_torque(commands, clutch, torque_nm, law.drive.actuation)
+    tcu.command_torque(commands, clutch, torque_nm, law.drive)
     tcu.command_pressure(commands, 1 - clutch, 0.0)
     commands[tcu_data.SPARK] = 1.0
     is_locked = abs(sense[tcu_data.SLIP + clutch]) < law.drive.control.locked_slip_rad_s
@@ -92,13 +92,13 @@ def catch(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Driv
     slip_rad_s = sense[tcu_data.SLIP + clutch]
     is_near = abs(slip_rad_s) < p.catch_rad_s or memory[tcu_data.PHASE_TIME] > p.longest_s
     if memory[at.SHARE] == 0.0 and not is_near:
-        tcu.fill_clutch(memory, sense, commands, clutch, law.drive.actuation, law.drive.control)
+        tcu.fill_clutch(memory, sense, commands, clutch, law.drive)
     else:
         memory[at.SHARE] += tcu_data.PERIOD_S  # time since it began to close
         grip_nm = min(p.catch_nm + p.catch_rate_nm_s * memory[at.SHARE], p.catch_limit_nm)
         driven_nm = memory[tcu_data.INPUT_TORQUE] if slip_rad_s > 0.0 else 0.0
-        tcu.command_torque(commands, clutch, grip_nm + max(driven_nm, 0.0), law.drive.actuation)
-        tcu.begin_lock_up(memory, sense, commands, clutch, law.drive.control)
+        tcu.command_torque(commands, clutch, grip_nm + max(driven_nm, 0.0), law.drive)
+        tcu.begin_lock_up(memory, sense, commands, clutch, law.drive)
     tcu.command_pressure(commands, 1 - clutch, 0.0)
 
 
@@ -115,17 +115,17 @@ def catch_overrun(memory: FloatArray, sense: FloatArray, commands: FloatArray, l
 @part
 def upshift(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Power-on upshift: prefill, torque phase, inertia phase with less spark, lock-up, as on the shift cycles."""
-    actuation, control, phase = law.drive.actuation, law.drive.control, int(memory[tcu_data.PHASE])
+    phase = int(memory[tcu_data.PHASE])
     if phase == tcu_data.PREFILL:
-        tcu.prefill_phase(memory, sense, commands, actuation, control)
+        tcu.prefill_phase(memory, sense, commands, law.drive)
     elif phase == tcu_data.TORQUE:
-        tcu.torque_phase(memory, sense, commands, actuation, control)
+        tcu.torque_phase(memory, sense, commands, law.drive)
     elif phase == tcu_data.INERTIA:
         coming = tcu.clutch_of(int(memory[tcu_data.TARGET_GEAR]))
         if memory[at.FROM_CLUTCH] == NOBODY or sense[tcu_data.SLIP + coming] < -SYNC_BAND_RAD_S:
             catch_overrun(memory, sense, commands, law)
         else:
-            tcu.inertia_phase(memory, sense, commands, actuation, control)
+            tcu.inertia_phase(memory, sense, commands, law.drive)
     else:
         lock_up(memory, sense, commands, law)
 
@@ -133,9 +133,9 @@ def upshift(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dr
 @part
 def unloaded_change(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Change up or down without power: the old clutch opens, the engine turns itself, the new clutch catches it."""
-    actuation, control, phase = law.drive.actuation, law.drive.control, int(memory[tcu_data.PHASE])
+    phase = int(memory[tcu_data.PHASE])
     if phase == tcu_data.PREFILL:
-        tcu.prefill_phase(memory, sense, commands, actuation, control)
+        tcu.prefill_phase(memory, sense, commands, law.drive)
         if memory[tcu_data.PHASE] == tcu_data.TORQUE:
             memory[at.SHARE] = 0.0
             memory[tcu_data.LOCKED_TIME] = 0.0
@@ -172,7 +172,7 @@ def coast_skip(memory: FloatArray, sense: FloatArray, commands: FloatArray, law:
 def press(commands: FloatArray, clutch: int, torque_nm: float, law: DrivingLaw) -> None:
     """Let a clutch carry a torque; if it shall carry none, open it far enough for its film to let go."""
     if torque_nm > 0.0:
-        tcu.command_torque(commands, clutch, torque_nm, law.drive.actuation)
+        tcu.command_torque(commands, clutch, torque_nm, law.drive)
     else:
         tcu.command_pressure(commands, clutch, _RELEASED_RATIO * law.drive.actuation.touch_pressure_pa[clutch])
 
@@ -224,7 +224,7 @@ def fill_next(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: 
     if not shift_shaft(memory, sense, commands, clutch, to_gear, law):
         tcu.command_pressure(commands, clutch, 0.0)
         return False
-    tcu.fill_clutch(memory, sense, commands, clutch, law.drive.actuation, law.drive.control)
+    tcu.fill_clutch(memory, sense, commands, clutch, law.drive)
     return bool(memory[tcu_data.IS_FILLED] != 0.0)
 
 
@@ -247,9 +247,9 @@ def hand_over(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: 
     coming, going = tcu.clutch_of(to_gear), int(memory[at.FROM_CLUTCH])
     torque_nm = max(carried_nm(memory, sense, commands, target, law), control.min_torque_nm)
     memory[at.SHARE] = min(memory[at.SHARE] + tcu_data.PERIOD_S / law.driving.change.handover_s, 1.0)
-    tcu.command_torque(commands, coming, memory[at.SHARE] * torque_nm, law.drive.actuation)
+    tcu.command_torque(commands, coming, memory[at.SHARE] * torque_nm, law.drive)
     if memory[at.SHARE] < control.dump_ratio:
-        tcu.command_torque(commands, going, (1.0 - memory[at.SHARE]) * torque_nm, law.drive.actuation)
+        tcu.command_torque(commands, going, (1.0 - memory[at.SHARE]) * torque_nm, law.drive)
         return
     tcu.command_pressure(commands, going, 0.0)
     if memory[at.SHARE] < 1.0:
@@ -278,9 +278,9 @@ def settle_on(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: 
         catch_overrun(memory, sense, commands, law)
         return
     torque_nm = max(memory[tcu_data.INPUT_TORQUE], 0.0) + law.driving.change.gain_nms_rad * (slip_rad_s - wanted_rad_s)
-    tcu.command_torque(commands, coming, max(torque_nm, law.drive.control.min_torque_nm), law.drive.actuation)
+    tcu.command_torque(commands, coming, max(torque_nm, law.drive.control.min_torque_nm), law.drive)
     tcu.command_pressure(commands, 1 - coming, 0.0)
-    tcu.begin_lock_up(memory, sense, commands, coming, law.drive.control)
+    tcu.begin_lock_up(memory, sense, commands, coming, law.drive)
 
 
 @part
@@ -294,7 +294,7 @@ def downshift_under_power(memory: FloatArray, sense: FloatArray, commands: Float
         control, going = law.drive.control, tcu.clutch_of(int(memory[tcu_data.CURRENT_GEAR]))
         fill_next(memory, sense, commands, law)
         release_nm = control.release_gain_ratio * abs(memory[tcu_data.INPUT_TORQUE]) + control.release_margin_nm
-        tcu.command_torque(commands, going, release_nm, law.drive.actuation)
+        tcu.command_torque(commands, going, release_nm, law.drive)
         if memory[tcu_data.PHASE_TIME] >= control.prefill_time_s:
             memory[at.START_SPEED] = sense[at.HUB_SPEED]
             memory[tcu_data.INTEGRAL] = 0.0

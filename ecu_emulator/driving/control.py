@@ -54,11 +54,11 @@ def begin_change(memory: FloatArray, sense: FloatArray, wanted: int, law: Drivin
 def hold(memory: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Press the clutch of the current gear, harder step by step after it has locked."""
     gear = int(memory[tcu_data.CURRENT_GEAR])
-    hold_nm = tcu.hold_torque_nm(memory, law.drive.control)
+    hold_nm = tcu.hold_torque_nm(memory, law.drive)
     ramp_nm = memory[at.LAUNCH_TORQUE] + law.driving.launch.hold_rate_nm_s * tcu_data.PERIOD_S
     least_nm = _HOLD_RATIO * abs(memory[tcu_data.INPUT_TORQUE]) + _HOLD_MARGIN_NM
     memory[at.LAUNCH_TORQUE] = min(hold_nm, max(ramp_nm, least_nm))
-    tcu.command_torque(commands, tcu.clutch_of(gear), memory[at.LAUNCH_TORQUE], law.drive.actuation)
+    tcu.command_torque(commands, tcu.clutch_of(gear), memory[at.LAUNCH_TORQUE], law.drive)
     tcu.command_pressure(commands, 1 - tcu.clutch_of(gear), 0.0)
 
 
@@ -133,7 +133,7 @@ def have_whim(memory: FloatArray, whims: FloatArray) -> None:
 @part
 def control(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Take one step of 1 ms: read ``sense``, update ``memory``, write ``commands``."""
-    tcu.tick(memory, sense, law.drive.control)
+    tcu.tick(memory, sense, law.drive)
     memory[at.STATE_TIME] += tcu_data.PERIOD_S
     commands[tcu_data.SPARK] = 1.0
     commands[at.REQUEST] = at.NO_REQUEST

@@ -32,7 +32,8 @@ from ecu_emulator.plant.course import (
     idle_machine,
 )
 from ecu_emulator.plant.driveline import ENGAGED, NEUTRAL
-from ecu_emulator.plant.loop import COLUMN_COUNT, Machine
+from ecu_emulator.plant.integration import Machine
+from ecu_emulator.plant.loop import COLUMN_COUNT
 from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters
 from ecu_emulator.plant.powertrain import drive_law
 from ecu_emulator.plant.state import Col

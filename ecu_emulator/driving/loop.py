@@ -18,15 +18,8 @@ from ecu_emulator.driving.indices import DrivelineState, EngineMode
 from ecu_emulator.driving.laws import DrivingLaw, overrun_nm, pedal_for_force, pulls_on_wheels
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.driveline import ENGAGED, road_load_n
-from ecu_emulator.plant.loop import (
-    Machine,
-    advance,
-    apply_commands,
-    hold_car,
-    record_control,
-    record_plant,
-    sense_plant,
-)
+from ecu_emulator.plant.integration import Machine, advance_millisecond
+from ecu_emulator.plant.loop import apply_commands, hold_car, record_control, record_plant, sense_plant
 from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control import tcu_data
 
@@ -126,7 +119,7 @@ def run(machine: Machine, road: Road, law: DrivingLaw, rows: FloatArray) -> int:
         hold_car(machine, plant, law.driving.surroundings.hold_m_s)
         record_plant(machine, plant, rows[index])
         record_drive(machine, road, rows[index])
-        advance(machine, law.drive.steps_per_millisecond, plant)
+        advance_millisecond(machine, law.drive.steps_per_millisecond, plant)
     return int(rows.shape[0])
 
 

@@ -152,11 +152,11 @@ def slip_clutch(memory: FloatArray, sense: FloatArray, commands: FloatArray, tor
     """Fill the clutch of the current gear, then let it carry a torque; the other one stays empty."""
     clutch = tcu.clutch_of(int(memory[tcu_data.CURRENT_GEAR]))
     if memory[tcu_data.IS_FILLED] == 0.0 or torque_nm <= 0.0:
-        tcu.fill_clutch(memory, sense, commands, clutch, law.drive.actuation, law.drive.control)
+        tcu.fill_clutch(memory, sense, commands, clutch, law.drive)
         memory[at.LAUNCH_TORQUE] = 0.0
     else:
         memory[at.LAUNCH_TORQUE] = torque_nm
-        tcu.command_torque(commands, clutch, torque_nm, law.drive.actuation)
+        tcu.command_torque(commands, clutch, torque_nm, law.drive)
     tcu.command_pressure(commands, 1 - clutch, 0.0)
 
 

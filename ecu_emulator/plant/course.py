@@ -16,8 +16,8 @@ from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import PowerBalance, power_balance
 from ecu_emulator.plant.clutch import refresh_contact
 from ecu_emulator.plant.driveline import throttle_flow_kg_s
-from ecu_emulator.plant.integration import workspace
-from ecu_emulator.plant.loop import DriveLaw, Machine
+from ecu_emulator.plant.integration import Machine, workspace
+from ecu_emulator.plant.loop import DriveLaw
 from ecu_emulator.plant.rates import PlantLaw
 from ecu_emulator.scenario.faults import CheckedRecord, ranged
 from ecu_emulator.scenario.scenario import MAX_REVS

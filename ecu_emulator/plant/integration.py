@@ -39,6 +39,20 @@ class Workspace(NamedTuple):
     account: FloatArray  # (3 * ACCOUNT_COUNT,), or empty: no audit
 
 
+class Machine(NamedTuple):
+    """All arrays that change during a drive; the kernels write into them."""
+
+    y: FloatArray  # (STATE_COUNT,)
+    u: FloatArray  # (INPUT_COUNT,)
+    modes: Int64Array  # (MODE_COUNT,)
+    work: Workspace  # of the integration; its ``slope1`` holds rates and torques at the last row
+    memory: FloatArray  # (tcu_data.MEMORY_COUNT,)
+    sense: FloatArray  # (tcu_data.SENSE_COUNT,)
+    commands: FloatArray  # (tcu_data.COMMAND_COUNT,)
+    clock: Int64Array  # (1,), milliseconds since the start
+    cycles: FloatArray  # (cycles, tcu_data.CYCLE_COLUMN_COUNT), read only
+
+
 def workspace(*, is_audited: bool) -> Workspace:
     """Return empty arrays to work in."""
     return Workspace(
@@ -104,16 +118,10 @@ def advance_fluids(y: FloatArray, u: FloatArray, dt_s: float, law: PlantLaw) -> 
 
 
 @part
-def step(
-    y: FloatArray,
-    u: FloatArray,
-    modes: Int64Array,
-    work: Workspace,
-    dt_s: float,
-    law: PlantLaw,
-) -> None:
-    """Advance ``y`` by ``dt_s`` with the modes frozen: classic Runge-Kutta, fluids in two halves."""
-    before, predicted, slope1, slope, account = work
+def step(machine: Machine, dt_s: float, law: PlantLaw) -> None:
+    """Advance the state by ``dt_s`` with the modes frozen: classic Runge-Kutta, fluids in two halves."""
+    y, u, modes = machine.y, machine.u, machine.modes
+    before, predicted, slope1, slope, account = machine.work
     add_powers(account, dt_s / 6.0, before, u, modes, slope1, law)
     advance_fluids(y, u, 0.5 * dt_s, law)
     predict(y, before, slope1, 0.5 * dt_s, predicted)
@@ -155,16 +163,9 @@ def approach_fraction(old: float, change: float, new: float, band: float) -> flo
 
 
 @part
-def event_fraction(
-    y: FloatArray,
-    u: FloatArray,
-    modes: Int64Array,
-    before: FloatArray,
-    slope: FloatArray,
-    dt_s: float,
-    law: PlantLaw,
-) -> float:
+def event_fraction(machine: Machine, dt_s: float, law: PlantLaw) -> float:
     """Return the share of the last step after which the first clutch or synchroniser may lock, else 1."""
+    y, u, modes, before, slope = machine.y, machine.u, machine.modes, machine.work.before, machine.work.slope1
     fraction = 1.0
     for k in range(2):
         if modes[at.STICK + k] == 0:
@@ -181,8 +182,9 @@ def event_fraction(
 
 
 @part
-def close_synchronisers(y: FloatArray, u: FloatArray, modes: Int64Array, account: FloatArray, law: PlantLaw) -> None:
+def close_synchronisers(machine: Machine, law: PlantLaw) -> None:
     """Engage a gear whose synchroniser has done its work, conserving momentum."""
+    y, u, modes, account = machine.y, machine.u, machine.modes, machine.work.account
     for k in range(2):
         if modes[at.LINK + k] != SYNCHRONISING:
             continue
@@ -206,46 +208,34 @@ def close_synchronisers(y: FloatArray, u: FloatArray, modes: Int64Array, account
 
 
 @part
-def advance_to_event(
-    y: FloatArray,
-    u: FloatArray,
-    modes: Int64Array,
-    work: Workspace,
-    longest_s: float,
-    law: PlantLaw,
-) -> float:
+def advance_to_event(machine: Machine, longest_s: float, law: PlantLaw) -> float:
     """Take one step of at most ``longest_s`` that ends early where something may lock; return its length [s]."""
-    resolve_clutch_modes(y, u, modes, work.slope1, law)
+    y, u, work = machine.y, machine.u, machine.work
+    resolve_clutch_modes(y, u, machine.modes, work.slope1, law)
     copy(y, work.before)
     save_account(work.account)
     air_flow = u[at.AIR_FLOW]
     step_s = longest_s
-    step(y, u, modes, work, step_s, law)
+    step(machine, step_s, law)
     for _ in range(_EVENT_TRIES):
-        fraction = event_fraction(y, u, modes, work.before, work.slope1, step_s, law)
+        fraction = event_fraction(machine, step_s, law)
         if fraction >= 1.0:
             break
         step_s = max(fraction * step_s, min(longest_s, _MIN_STEP_S))
         copy(work.before, y)
         restore_account(work.account)
         u[at.AIR_FLOW] = air_flow
-        step(y, u, modes, work, step_s, law)
-    close_synchronisers(y, u, modes, work.account, law)
+        step(machine, step_s, law)
+    close_synchronisers(machine, law)
     return step_s
 
 
 @part
-def advance_millisecond(
-    y: FloatArray,
-    u: FloatArray,
-    modes: Int64Array,
-    work: Workspace,
-    step_count: int,
-    law: PlantLaw,
-) -> None:
-    """Advance the plant by one millisecond in ``step_count`` steps, more where something locks."""
+def advance_millisecond(machine: Machine, step_count: int, law: PlantLaw) -> None:
+    """Advance plant and clock by one millisecond in ``step_count`` steps, more where something locks."""
     step_s = _MILLISECOND_S / step_count
     for _ in range(step_count):
         left_s = step_s
         while left_s > _MIN_STEP_S:
-            left_s -= advance_to_event(y, u, modes, work, left_s, law)
+            left_s -= advance_to_event(machine, left_s, law)
+    machine.clock[0] += 1

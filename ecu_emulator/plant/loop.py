@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import FloatArray
 from canlog.jit import kernel, part
 from clutch_model.pack import viscosity_pa_s
 from ecu_emulator.plant import state as at
@@ -16,7 +16,7 @@ from ecu_emulator.plant.driveline import (
     engine_losses_nm,
     mean_indicated_torque_nm,
 )
-from ecu_emulator.plant.integration import Workspace, advance_millisecond, resolve_clutch_modes
+from ecu_emulator.plant.integration import Machine, advance_millisecond, resolve_clutch_modes
 from ecu_emulator.plant.rates import PlantLaw
 from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control import tcu, tcu_data, workshop
@@ -26,20 +26,6 @@ COLUMN_COUNT = len(Col)
 WORKSHOP_HOLD_M_S = 0.03  # below which the brakes hold the car, as on the road
 _HOLDING_M_S2 = 0.05  # brakes that are pressed less hold nothing
 _HELD_MARGIN = 1.05
-
-
-class Machine(NamedTuple):
-    """All arrays that change during a drive; the kernels write into them."""
-
-    y: FloatArray  # (STATE_COUNT,)
-    u: FloatArray  # (INPUT_COUNT,)
-    modes: Int64Array  # (MODE_COUNT,)
-    work: Workspace  # of the integration; its ``slope1`` holds rates and torques at the last row
-    memory: FloatArray  # (tcu_data.MEMORY_COUNT,)
-    sense: FloatArray  # (tcu_data.SENSE_COUNT,)
-    commands: FloatArray  # (tcu_data.COMMAND_COUNT,)
-    clock: Int64Array  # (1,), milliseconds since the start
-    cycles: FloatArray  # (cycles, tcu_data.CYCLE_COLUMN_COUNT), read only
 
 
 class DriveLaw(NamedTuple):
@@ -196,23 +182,16 @@ def hold_car(machine: Machine, law: PlantLaw, hold_m_s: float) -> None:
 
 
 @part
-def advance(machine: Machine, step_count: int, law: PlantLaw) -> None:
-    """Advance plant and clock by one millisecond."""
-    advance_millisecond(machine.y, machine.u, machine.modes, machine.work, step_count, law)
-    machine.clock[0] += 1
-
-
-@part
 def step_control(machine: Machine, law: DriveLaw) -> None:
     """Take one step of 1 ms of the control: the workshop routine first, if one was asked for, then the cycles."""
     memory, sense, commands = machine.memory, machine.sense, machine.commands
     if memory[tcu_data.ROUTINE] >= tcu_data.STEPS_ENGAGING:
-        workshop.perform_steps(memory, sense, commands, law.control)
+        workshop.perform_steps(memory, sense, commands, law)
         return
     if memory[tcu_data.ROUTINE] != tcu_data.NO_ROUTINE:
-        workshop.perform(memory, sense, commands, law.actuation, law.control, law.workshop)
+        workshop.perform(memory, sense, commands, law)
         return
-    tcu.control(memory, sense, commands, machine.cycles, law.actuation, law.control)
+    tcu.control(memory, sense, commands, machine.cycles, law)
 
 
 @kernel
@@ -231,5 +210,5 @@ def run(machine: Machine, law: DriveLaw, rows: FloatArray) -> int:
         record_plant(machine, law.plant, rows[index])
         record_surroundings(machine, law.plant, rows[index])
         record_control(machine, rows[index])
-        advance(machine, law.steps_per_millisecond, law.plant)
+        advance_millisecond(machine, law.steps_per_millisecond, law.plant)
     return int(rows.shape[0])

@@ -19,7 +19,8 @@ from ecu_emulator.plant.course import (
     idle_machine,
 )
 from ecu_emulator.plant.driveline import ENGAGED, converter_law
-from ecu_emulator.plant.loop import COLUMN_COUNT, DriveLaw, Machine, run
+from ecu_emulator.plant.integration import Machine
+from ecu_emulator.plant.loop import COLUMN_COUNT, DriveLaw, run
 from ecu_emulator.plant.parameters import GearboxParameters, PlantParameters
 from ecu_emulator.plant.rates import ClutchPair, FluidLaw, PlantLaw, ShaftPair
 from ecu_emulator.shift_control import tcu_data, workshop

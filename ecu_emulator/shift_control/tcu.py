@@ -10,7 +10,7 @@ from canlog.arrays import FloatArray
 from canlog.jit import part
 from clutch_model.pack import gear_clutch
 from ecu_emulator.shift_control import tcu_data as at
-from ecu_emulator.shift_control.tcu_data import ClutchActuation, ControlParameters
+from ecu_emulator.shift_control.tcu_data import ControlLaw, ControlParameters
 
 
 @part
@@ -20,9 +20,9 @@ def clutch_of(gear: int) -> int:
 
 
 @part
-def command_torque(commands: FloatArray, clutch: int, torque_nm: float, actuation: ClutchActuation) -> None:
+def command_torque(commands: FloatArray, clutch: int, torque_nm: float, law: ControlLaw) -> None:
     """Command the pressure at which a clutch should carry ``torque_nm``, P(T)."""
-    pressure_pa = actuation.touch_pressure_pa[clutch] + torque_nm * actuation.pressure_per_torque_pa_nm[clutch]
+    pressure_pa = law.actuation.touch_pressure_pa[clutch] + torque_nm * law.actuation.pressure_per_torque_pa_nm[clutch]
     commands[at.PRESSURE + clutch] = pressure_pa
     commands[at.TORQUE_COMMAND + clutch] = torque_nm
 
@@ -41,8 +41,9 @@ def enter_phase(memory: FloatArray, phase: int) -> None:
 
 
 @part
-def hold_torque_nm(memory: FloatArray, p: ControlParameters) -> float:
+def hold_torque_nm(memory: FloatArray, law: ControlLaw) -> float:
     """Return the capacity of a clutch that shall not slip [N m]."""
+    p = law.control
     return float(p.hold_gain_ratio * abs(memory[at.INPUT_TORQUE]) + p.hold_margin_nm)
 
 
@@ -56,8 +57,9 @@ def next_gear(memory: FloatArray, cycles: FloatArray) -> int:
 
 
 @part
-def drive(memory: FloatArray, commands: FloatArray, cycles: FloatArray, p: ControlParameters) -> None:
+def drive(memory: FloatArray, commands: FloatArray, cycles: FloatArray, law: ControlLaw) -> None:
     """Move pedal and brake through the cycle; note when the last cycle is over."""
+    p = law.control
     is_steady = memory[at.PHASE] == at.HOLD
     if memory[at.IS_DRIVING] != 0.0:
         if is_steady and next_gear(memory, cycles) == 0 and memory[at.DWELL] >= p.top_gear_time_s:
@@ -79,10 +81,9 @@ def drive(memory: FloatArray, commands: FloatArray, cycles: FloatArray, p: Contr
 
 
 @part
-def preselect(
-    memory: FloatArray, sense: FloatArray, commands: FloatArray, cycles: FloatArray, p: ControlParameters
-) -> None:
+def preselect(memory: FloatArray, sense: FloatArray, commands: FloatArray, cycles: FloatArray, law: ControlLaw) -> None:
     """Move the idle shaft to the next gear once its clutch is empty enough."""
+    p = law.control
     idle = 1 - clutch_of(int(memory[at.CURRENT_GEAR]))
     wanted = next_gear(memory, cycles)
     has_gear = int(sense[at.SHAFT_GEAR + idle])
@@ -99,8 +100,9 @@ def preselect(
 
 
 @part
-def wants_shift(memory: FloatArray, sense: FloatArray, cycles: FloatArray, p: ControlParameters) -> bool:
+def wants_shift(memory: FloatArray, sense: FloatArray, cycles: FloatArray, law: ControlLaw) -> bool:
     """Tell whether the engine has reached the speed of the next shift and the next gear stands ready."""
+    p = law.control
     gear, wanted = int(memory[at.CURRENT_GEAR]), next_gear(memory, cycles)
     if wanted == 0 or memory[at.DWELL] <= p.dwell_s:
         return False
@@ -115,58 +117,50 @@ def wants_shift(memory: FloatArray, sense: FloatArray, cycles: FloatArray, p: Co
 
 
 @part
-def hold_phase(memory: FloatArray, commands: FloatArray, actuation: ClutchActuation, p: ControlParameters) -> None:
+def hold_phase(memory: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Phase 0: the clutch of the current gear holds, the other one is empty."""
     active = clutch_of(int(memory[at.CURRENT_GEAR]))
-    command_torque(commands, active, hold_torque_nm(memory, p), actuation)
+    command_torque(commands, active, hold_torque_nm(memory, law), law)
     command_pressure(commands, 1 - active, 0.0)
 
 
 @part
-def fill_clutch(
-    memory: FloatArray,
-    sense: FloatArray,
-    commands: FloatArray,
-    clutch: int,
-    actuation: ClutchActuation,
-    p: ControlParameters,
-) -> None:
+def fill_clutch(memory: FloatArray, sense: FloatArray, commands: FloatArray, clutch: int, law: ControlLaw) -> None:
     """Fill a cavity fast and then hold it at its touch point."""
+    p = law.control
     if sense[at.FILL + clutch] >= p.prefill_ratio:
         memory[at.IS_FILLED] = 1.0
-    touch_pa = actuation.touch_pressure_pa[clutch] + p.touch_margin_pa
+    touch_pa = law.actuation.touch_pressure_pa[clutch] + p.touch_margin_pa
     command_pressure(commands, clutch, touch_pa if memory[at.IS_FILLED] != 0.0 else p.prefill_pressure_pa)
 
 
 @part
-def prefill_phase(
-    memory: FloatArray, sense: FloatArray, commands: FloatArray, actuation: ClutchActuation, p: ControlParameters
-) -> None:
+def prefill_phase(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Phase 1: the on-coming cavity is filled."""
+    p = law.control
     coming = clutch_of(int(memory[at.TARGET_GEAR]))
-    fill_clutch(memory, sense, commands, coming, actuation, p)
+    fill_clutch(memory, sense, commands, coming, law)
     release_nm = p.release_gain_ratio * abs(memory[at.INPUT_TORQUE]) + p.release_margin_nm
-    command_torque(commands, 1 - coming, release_nm, actuation)
+    command_torque(commands, 1 - coming, release_nm, law)
     if memory[at.PHASE_TIME] >= p.prefill_time_s:
         enter_phase(memory, at.TORQUE)
 
 
 @part
-def torque_phase(
-    memory: FloatArray, sense: FloatArray, commands: FloatArray, actuation: ClutchActuation, p: ControlParameters
-) -> None:
+def torque_phase(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Phase 2: torque moves from the off-going to the on-coming clutch."""
+    p = law.control
     coming = clutch_of(int(memory[at.TARGET_GEAR]))
     share = min(memory[at.PHASE_TIME] / p.torque_phase_s, 1.0)
     load_nm = abs(memory[at.INPUT_TORQUE]) + p.overlap_margin_nm
-    command_torque(commands, coming, share * load_nm, actuation)
+    command_torque(commands, coming, share * load_nm, law)
     direction = 1.0 if memory[at.TARGET_GEAR] > memory[at.CURRENT_GEAR] else -1.0
     flare_rad_s = direction * sense[at.SLIP + 1 - coming] - p.flare_free_rad_s
     catch_nm = p.flare_gain_nms_rad * min(max(flare_rad_s, 0.0), p.flare_limit_rad_s)
     if share >= p.dump_ratio:
         command_pressure(commands, 1 - coming, 0.0)
     else:
-        command_torque(commands, 1 - coming, p.overlap_gain_ratio * (1.0 - share) * load_nm + catch_nm, actuation)
+        command_torque(commands, 1 - coming, p.overlap_gain_ratio * (1.0 - share) * load_nm + catch_nm, law)
     if memory[at.PHASE_TIME] >= p.torque_phase_s:
         memory[at.START_SLIP] = sense[at.SLIP + coming]
         memory[at.INTEGRAL] = 0.0
@@ -188,10 +182,9 @@ def slip_reference(time_s: float, start_rad_s: float, length_s: float, p: Contro
 
 
 @part
-def inertia_phase(
-    memory: FloatArray, sense: FloatArray, commands: FloatArray, actuation: ClutchActuation, p: ControlParameters
-) -> None:
+def inertia_phase(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Phase 3: the on-coming clutch leads the engine to the speed of the new gear."""
+    p = law.control
     is_up = memory[at.TARGET_GEAR] > memory[at.CURRENT_GEAR]
     coming = clutch_of(int(memory[at.TARGET_GEAR]))
     length_s = p.upshift_inertia_phase_s if is_up else p.downshift_inertia_phase_s
@@ -201,22 +194,21 @@ def inertia_phase(
     error_rad_s = slip_rad_s - wanted_rad_s
     limit = p.slip_integral_limit_rad
     memory[at.INTEGRAL] = min(max(memory[at.INTEGRAL] + error_rad_s * at.PERIOD_S, -limit), limit)
-    torque_nm = memory[at.INPUT_TORQUE] - actuation.inertia_kg_m2 * wanted_rate
+    torque_nm = memory[at.INPUT_TORQUE] - law.actuation.inertia_kg_m2 * wanted_rate
     torque_nm += p.slip_gain_nms_rad * error_rad_s + p.slip_integral_gain_nm_rad * memory[at.INTEGRAL]
     sign = 1.0 if start_rad_s > 0.0 else -1.0
-    command_torque(commands, coming, max(sign * torque_nm, p.min_torque_nm), actuation)
+    command_torque(commands, coming, max(sign * torque_nm, p.min_torque_nm), law)
     command_pressure(commands, 1 - coming, 0.0)
     if is_up:
         q = min(p.spark_stretch_ratio * min(time_s / length_s, 1.0), 1.0)
         commands[at.SPARK] = 1.0 - p.spark_reduction_ratio * math.sin(math.pi * q)
-    begin_lock_up(memory, sense, commands, coming, p)
+    begin_lock_up(memory, sense, commands, coming, law)
 
 
 @part
-def begin_lock_up(
-    memory: FloatArray, sense: FloatArray, commands: FloatArray, coming: int, p: ControlParameters
-) -> None:
+def begin_lock_up(memory: FloatArray, sense: FloatArray, commands: FloatArray, coming: int, law: ControlLaw) -> None:
     """Go on to the lock-up ramp once the on-coming clutch has stopped slipping for good."""
+    p = law.control
     is_done = abs(sense[at.SLIP + coming]) < p.locked_slip_rad_s or sense[at.IS_LOCKED + coming] != 0.0
     memory[at.LOCKED_TIME] = memory[at.LOCKED_TIME] + at.PERIOD_S if is_done else 0.0
     if memory[at.LOCKED_TIME] > p.locked_time_s:
@@ -226,12 +218,13 @@ def begin_lock_up(
 
 
 @part
-def lock_up_phase(memory: FloatArray, commands: FloatArray, actuation: ClutchActuation, p: ControlParameters) -> None:
+def lock_up_phase(memory: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Phase 4: pressure rises to the hold level, then the gear counts as changed."""
+    p = law.control
     coming = clutch_of(int(memory[at.TARGET_GEAR]))
     share = min(memory[at.PHASE_TIME] / p.lockup_time_s, 1.0)
-    torque_nm = memory[at.RAMP_START] + share * (hold_torque_nm(memory, p) - memory[at.RAMP_START])
-    command_torque(commands, coming, torque_nm, actuation)
+    torque_nm = memory[at.RAMP_START] + share * (hold_torque_nm(memory, law) - memory[at.RAMP_START])
+    command_torque(commands, coming, torque_nm, law)
     command_pressure(commands, 1 - coming, 0.0)
     if share >= 1.0:
         memory[at.CURRENT_GEAR] = memory[at.TARGET_GEAR]
@@ -240,8 +233,9 @@ def lock_up_phase(memory: FloatArray, commands: FloatArray, actuation: ClutchAct
 
 
 @part
-def tick(memory: FloatArray, sense: FloatArray, p: ControlParameters) -> None:
+def tick(memory: FloatArray, sense: FloatArray, law: ControlLaw) -> None:
     """Advance the clocks and the filtered engine torque by 1 ms."""
+    p = law.control
     blend = 1.0 - math.exp(-at.PERIOD_S / p.torque_filter_s)
     memory[at.INPUT_TORQUE] += blend * (sense[at.ENGINE_TORQUE] - memory[at.INPUT_TORQUE])
     memory[at.PHASE_TIME] += at.PERIOD_S
@@ -249,17 +243,10 @@ def tick(memory: FloatArray, sense: FloatArray, p: ControlParameters) -> None:
 
 
 @part
-def control(
-    memory: FloatArray,
-    sense: FloatArray,
-    commands: FloatArray,
-    cycles: FloatArray,
-    actuation: ClutchActuation,
-    p: ControlParameters,
-) -> None:
+def control(memory: FloatArray, sense: FloatArray, commands: FloatArray, cycles: FloatArray, law: ControlLaw) -> None:
     """Take one step of 1 ms: read ``sense``, update ``memory``, write ``commands``."""
-    tick(memory, sense, p)
-    drive(memory, commands, cycles, p)
+    tick(memory, sense, law)
+    drive(memory, commands, cycles, law)
     is_slipping = memory[at.PHASE] != at.HOLD and memory[at.PHASE_TIME] > at.LONGEST_SHIFT_S
     if is_slipping or memory[at.DWELL] > at.LONGEST_GEAR_S:
         memory[at.IS_FINISHED] = at.IS_STUCK
@@ -267,17 +254,17 @@ def control(
         return
     phase = int(memory[at.PHASE])
     if phase == at.HOLD:
-        preselect(memory, sense, commands, cycles, p)
-        hold_phase(memory, commands, actuation, p)
-        if wants_shift(memory, sense, cycles, p):
+        preselect(memory, sense, commands, cycles, law)
+        hold_phase(memory, commands, law)
+        if wants_shift(memory, sense, cycles, law):
             memory[at.TARGET_GEAR] = next_gear(memory, cycles)
             memory[at.IS_FILLED] = 0.0
             enter_phase(memory, at.PREFILL)
     elif phase == at.PREFILL:
-        prefill_phase(memory, sense, commands, actuation, p)
+        prefill_phase(memory, sense, commands, law)
     elif phase == at.TORQUE:
-        torque_phase(memory, sense, commands, actuation, p)
+        torque_phase(memory, sense, commands, law)
     elif phase == at.INERTIA:
-        inertia_phase(memory, sense, commands, actuation, p)
+        inertia_phase(memory, sense, commands, law)
     else:
-        lock_up_phase(memory, commands, actuation, p)
+        lock_up_phase(memory, commands, law)

@@ -3,7 +3,7 @@
 Pairs hold clutch 1 (odd gears) first; clutch 2 follows.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 MOST_GEARS = 9  # of any gearbox; arrays by gear have room for as many, so that all are of one type
 PERIOD_S = 1.0e-3
@@ -158,3 +158,14 @@ class ClutchActuation(NamedTuple):
     touch_pressure_pa: tuple[float, float]
     pressure_per_torque_pa_nm: tuple[float, float]
     inertia_kg_m2: float  # J_E + J_H
+
+
+class ControlLaw(Protocol):
+    """What the kernels of the control read of the law of a drive."""
+
+    @property
+    def actuation(self) -> ClutchActuation: ...
+    @property
+    def control(self) -> ControlParameters: ...
+    @property
+    def workshop(self) -> WorkshopParameters: ...

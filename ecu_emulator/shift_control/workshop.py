@@ -15,7 +15,7 @@ from canlog.arrays import FloatArray
 from canlog.jit import kernel, part
 from ecu_emulator.shift_control import tcu
 from ecu_emulator.shift_control import tcu_data as at
-from ecu_emulator.shift_control.tcu_data import ClutchActuation, ControlParameters, WorkshopParameters
+from ecu_emulator.shift_control.tcu_data import ControlLaw, WorkshopParameters
 
 STANDING_BRAKE_M_S2 = 0.5  # [C] about 5 bar, what holds a car on level ground
 
@@ -61,48 +61,39 @@ def wait(commands: FloatArray) -> None:
 
 
 @part
-def open_revs(memory: FloatArray, sense: FloatArray, commands: FloatArray, p: WorkshopParameters) -> None:
+def open_revs(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Rev with both clutches empty."""
     tcu.command_pressure(commands, 0, 0.0)
     tcu.command_pressure(commands, 1, 0.0)
     count = int(memory[at.OPEN_REV_COUNT])
-    if count == 0 or rev(memory, sense, count, True, p):
+    if count == 0 or rev(memory, sense, count, True, law.workshop):
         enter_stage(memory, at.CLOSED_REVS)
 
 
 @part
-def closed_revs(
-    memory: FloatArray,
-    sense: FloatArray,
-    commands: FloatArray,
-    actuation: ClutchActuation,
-    control: ControlParameters,
-    p: WorkshopParameters,
-) -> None:
+def closed_revs(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Rev with both clutches locked, so that both input shafts turn with the hub."""
     count = int(memory[at.CLOSED_REV_COUNT])
     if count == 0:
         enter_stage(memory, at.ENGAGING)
         return
-    hold_nm = tcu.hold_torque_nm(memory, control)
-    tcu.command_torque(commands, 0, hold_nm, actuation)
-    tcu.command_torque(commands, 1, hold_nm, actuation)
+    hold_nm = tcu.hold_torque_nm(memory, law)
+    tcu.command_torque(commands, 0, hold_nm, law)
+    tcu.command_torque(commands, 1, hold_nm, law)
     is_locked = sense[at.IS_LOCKED] != 0.0 and sense[at.IS_LOCKED + 1] != 0.0
-    if rev(memory, sense, count, is_locked, p):
+    if rev(memory, sense, count, is_locked, law.workshop):
         enter_stage(memory, at.ENGAGING)
 
 
 @part
-def engage(
-    memory: FloatArray, sense: FloatArray, commands: FloatArray, control: ControlParameters, p: WorkshopParameters
-) -> None:
+def engage(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Release the brake, empty both clutches, preselect 2nd gear, engage 1st."""
     tcu.command_pressure(commands, 0, 0.0)
     tcu.command_pressure(commands, 1, 0.0)
     commands[at.BRAKE] = 0.0
     memory[at.REV_TIME] += at.PERIOD_S
-    is_empty = max(sense[at.FILL], sense[at.FILL + 1]) < control.preselect_fill_ratio
-    if memory[at.REV_TIME] >= p.settle_time_s and is_empty:
+    is_empty = max(sense[at.FILL], sense[at.FILL + 1]) < law.control.preselect_fill_ratio
+    if memory[at.REV_TIME] >= law.workshop.settle_time_s and is_empty:
         commands[at.WANTED_GEAR + 1] = 2.0
     if sense[at.IS_ENGAGED + 1] != 0.0:
         commands[at.WANTED_GEAR] = 1.0
@@ -114,71 +105,55 @@ def engage(
 
 
 @part
-def fill(
-    memory: FloatArray, sense: FloatArray, commands: FloatArray, actuation: ClutchActuation, control: ControlParameters
-) -> None:
-    tcu.fill_clutch(memory, sense, commands, 0, actuation, control)
-    if memory[at.PHASE_TIME] >= control.prefill_time_s:
+def fill(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
+    tcu.fill_clutch(memory, sense, commands, 0, law)
+    if memory[at.PHASE_TIME] >= law.control.prefill_time_s:
         memory[at.LOCKED_TIME] = 0.0
         tcu.enter_phase(memory, at.INERTIA)
         enter_stage(memory, at.LAUNCHING)
 
 
 @part
-def launch(
-    memory: FloatArray,
-    sense: FloatArray,
-    commands: FloatArray,
-    actuation: ClutchActuation,
-    control: ControlParameters,
-    p: WorkshopParameters,
-) -> None:
+def launch(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Set the car in motion: the slipping clutch takes what holds the engine at its launch speed."""
-    commands[at.THROTTLE] = p.launch_pedal_ratio
-    excess_rad_s = sense[at.ENGINE_SPEED] - p.launch_engine_rad_s
-    torque_nm = memory[at.INPUT_TORQUE] + p.launch_gain_nms_rad * excess_rad_s
-    tcu.command_torque(commands, 0, max(torque_nm, control.min_torque_nm), actuation)
-    tcu.begin_lock_up(memory, sense, commands, 0, control)
+    commands[at.THROTTLE] = law.workshop.launch_pedal_ratio
+    excess_rad_s = sense[at.ENGINE_SPEED] - law.workshop.launch_engine_rad_s
+    torque_nm = memory[at.INPUT_TORQUE] + law.workshop.launch_gain_nms_rad * excess_rad_s
+    tcu.command_torque(commands, 0, max(torque_nm, law.control.min_torque_nm), law)
+    tcu.begin_lock_up(memory, sense, commands, 0, law)
     if memory[at.PHASE] == at.LOCK_UP:
         enter_stage(memory, at.LOCKING)
 
 
 @part
-def lock(memory: FloatArray, commands: FloatArray, actuation: ClutchActuation, control: ControlParameters) -> None:
+def lock(memory: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Raise the pressure to the hold level; then the shift control takes over in 1st gear."""
-    tcu.lock_up_phase(memory, commands, actuation, control)
+    tcu.lock_up_phase(memory, commands, law)
     if memory[at.PHASE] == at.HOLD:
         enter_stage(memory, at.NO_ROUTINE)
 
 
 @part
-def perform(
-    memory: FloatArray,
-    sense: FloatArray,
-    commands: FloatArray,
-    actuation: ClutchActuation,
-    control: ControlParameters,
-    p: WorkshopParameters,
-) -> None:
+def perform(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Take one step of 1 ms of the routine."""
-    tcu.tick(memory, sense, control)
+    tcu.tick(memory, sense, law)
     stage = int(memory[at.ROUTINE])
     if stage == at.WAITING:
         wait(commands)
     elif stage == at.OPEN_REVS:
-        open_revs(memory, sense, commands, p)
+        open_revs(memory, sense, commands, law)
     elif stage == at.CLOSED_REVS:
-        closed_revs(memory, sense, commands, actuation, control, p)
+        closed_revs(memory, sense, commands, law)
     elif stage == at.ENGAGING:
-        engage(memory, sense, commands, control, p)
+        engage(memory, sense, commands, law)
     elif stage == at.FILLING:
-        fill(memory, sense, commands, actuation, control)
+        fill(memory, sense, commands, law)
     elif stage == at.LAUNCHING:
-        launch(memory, sense, commands, actuation, control, p)
+        launch(memory, sense, commands, law)
     else:
-        lock(memory, commands, actuation, control)
+        lock(memory, commands, law)
     if stage <= at.CLOSED_REVS:
-        commands[at.THROTTLE] = p.rev_pedal_ratio if memory[at.IS_REVVING] != 0.0 else 0.0
+        commands[at.THROTTLE] = law.workshop.rev_pedal_ratio if memory[at.IS_REVVING] != 0.0 else 0.0
 
 
 # Of the pressure steps, all [C].
@@ -216,15 +191,15 @@ def stay_open(memory: FloatArray) -> None:
 
 
 @part
-def fill_for_steps(memory: FloatArray, sense: FloatArray, commands: FloatArray, control: ControlParameters) -> None:
+def fill_for_steps(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Fill the cavity fast, then hold it above the first step."""
     clutch = int(memory[at.STEP_CLUTCH])
-    if memory[at.IS_FILLED] == 0.0 and sense[at.FILL + clutch] >= control.prefill_ratio:
+    if memory[at.IS_FILLED] == 0.0 and sense[at.FILL + clutch] >= law.control.prefill_ratio:
         memory[at.IS_FILLED] = 1.0
         memory[at.REV_TIME] = 0.0
     is_filled = memory[at.IS_FILLED] != 0.0
     held_pa = memory[at.STEP_TOP] + FILL_ABOVE_PA
-    tcu.command_pressure(commands, clutch, held_pa if is_filled else control.prefill_pressure_pa)
+    tcu.command_pressure(commands, clutch, held_pa if is_filled else law.control.prefill_pressure_pa)
     if is_filled and memory[at.REV_TIME] >= FILL_S:
         memory[at.STEP] = 0.0
         enter_stage(memory, at.STEPPING)
@@ -243,18 +218,18 @@ def hold_step(memory: FloatArray, commands: FloatArray) -> None:
 
 
 @part
-def release_from_steps(memory: FloatArray, sense: FloatArray, commands: FloatArray, control: ControlParameters) -> None:
+def release_from_steps(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Empty the clutch, take the gear out and wait for whoever asks next."""
-    is_empty = max(sense[at.FILL], sense[at.FILL + 1]) < control.preselect_fill_ratio
+    is_empty = max(sense[at.FILL], sense[at.FILL + 1]) < law.control.preselect_fill_ratio
     if is_empty and memory[at.REV_TIME] >= RELEASE_S:
         move_shafts(memory, commands, 0)
         enter_stage(memory, at.WAITING)
 
 
 @part
-def perform_steps(memory: FloatArray, sense: FloatArray, commands: FloatArray, control: ControlParameters) -> None:
+def perform_steps(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Take one step of 1 ms."""
-    tcu.tick(memory, sense, control)
+    tcu.tick(memory, sense, law)
     memory[at.REV_TIME] += at.PERIOD_S
     wait(commands)
     stage = int(memory[at.ROUTINE])
@@ -263,8 +238,8 @@ def perform_steps(memory: FloatArray, sense: FloatArray, commands: FloatArray, c
     elif stage == at.STEPS_OPEN:
         stay_open(memory)
     elif stage == at.STEPS_FILLING:
-        fill_for_steps(memory, sense, commands, control)
+        fill_for_steps(memory, sense, commands, law)
     elif stage == at.STEPPING:
         hold_step(memory, commands)
     else:
-        release_from_steps(memory, sense, commands, control)
+        release_from_steps(memory, sense, commands, law)
