@@ -77,8 +77,7 @@ def for_people(name: str, value: float) -> tuple[str, float, str]:
     """Return name, value and unit of a quantity as people read it; ``name`` ends in its SI unit."""
     for suffix, (factor, unit) in _OF_PEOPLE.items():
         if name.endswith(suffix):
-            kept = "_rise" if suffix == "_rise_k" else ""
-            return name.removesuffix(suffix) + kept, factor(value), unit
+            return name.removesuffix("_k" if suffix == "_rise_k" else suffix), factor(value), unit
     return name, value, ""
 
 

@@ -123,7 +123,7 @@ def _remove_dead(path: Path) -> None:
 
 
 class SentTruth:
-    """Hands a drive's frames to the bus and keeps back the truth of what happened until its frames have been sent.
+    """Yields a drive's frames, and writes the truth of what happened once its frames have been sent.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class SentTruth:
     writer
         Writes what is true, as it becomes known.
     most_kept
-        So much of it is kept for ``log``, of an endless drive the last.
+        How many truths ``log`` holds at most: the latest ones.
     """
 
     def __init__(self, drive: Drive, writer: TruthWriter | None, most_kept: int = 0) -> None:

@@ -19,7 +19,7 @@ from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.faults import (
     NOMINAL_SENSORS,
     STATES,
-    PhaseCode,
+    Phase,
     Scheduled,
     Sensor,
     SensorFault,
@@ -39,7 +39,7 @@ class Onsets(Generic[ScheduledT]):
     def __init__(self) -> None:
         self.faults: list[ScheduledT] = []
         self._start_ms: list[float] = []
-        self._last = np.array((0.0, 0.0, PhaseCode.HOLD))  # current gear, target gear, phase
+        self._last = np.zeros(3)  # current gear, target gear, phase
         self._shift_count = 0  # completed, as the truth counts them
 
     def add(self, fault: ScheduledT, origin_s: float = 0.0) -> None:
@@ -54,7 +54,7 @@ class Onsets(Generic[ScheduledT]):
             (was, wanted, before), (gear, _, phase) = states[row : row + 2].tolist()
             self._shift_count += was != gear == wanted and was > 0.0
             for index, fault in enumerate(self.faults if gear and phase != before else ()):
-                if fault.shift == self._shift_count + 1 and phase == PhaseCode[fault.phase.name]:
+                if fault.shift == self._shift_count + 1 and phase == 1 + list(Phase).index(fault.phase):
                     self._start_ms[index] = first_ms + row + math.ceil(fault.start_s * MS_PER_S)
         self._last = states[-1]
 

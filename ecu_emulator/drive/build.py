@@ -304,23 +304,19 @@ def _scattered_sensors(sensors: Sensors, drawn: Mapping[str, float]) -> Sensors:
     """Add gain, zero and latency errors; only differences of latency matter, so the earliest chain defines zero."""
     latency_s = {"torque": drawn["torque_latency_s"], "pressure": drawn["pressure_latency_s"], "speed": 0.0}
     base_s = -min(latency_s.values())
+    errors = {"engine_torque_nm": ("torque", drawn["torque_gain_ratio"], drawn["torque_offset_nm"])}
+    for quantity, clutch in _MEASURED_PACKS.items():
+        errors[quantity] = ("pressure", 0.0, drawn[f"{clutch}_pressure_zero_pa"])
     scattered = dict(sensors)
     for quantity, sensor in sensors.items():
-        if quantity == "engine_torque_nm":
+        if quantity in errors or split_unit(quantity)[1] in _DELAYED_UNITS:
+            chain, gain_ratio, offset = errors.get(quantity, ("speed", 0.0, 0.0))
             scattered[quantity] = replace(
                 sensor,
-                gain_ratio=sensor.gain_ratio * (1.0 + drawn["torque_gain_ratio"]),
-                offset=sensor.offset + drawn["torque_offset_nm"],
-                latency_s=sensor.latency_s + base_s + latency_s["torque"],
+                gain_ratio=sensor.gain_ratio * (1.0 + gain_ratio),
+                offset=sensor.offset + offset,
+                latency_s=sensor.latency_s + base_s + latency_s[chain],
             )
-        elif (clutch := _MEASURED_PACKS.get(quantity)) is not None:
-            scattered[quantity] = replace(
-                sensor,
-                offset=sensor.offset + drawn[f"{clutch}_pressure_zero_pa"],
-                latency_s=sensor.latency_s + base_s + latency_s["pressure"],
-            )
-        elif split_unit(quantity)[1] in _DELAYED_UNITS:
-            scattered[quantity] = replace(sensor, latency_s=sensor.latency_s + base_s)
     return scattered
 
 

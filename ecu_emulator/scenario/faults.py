@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from enum import IntEnum, StrEnum
+from enum import StrEnum
 from types import MappingProxyType
 from typing import ClassVar, Final, TypeVar
 from zlib import crc32
@@ -123,22 +123,12 @@ MAX_HOLD_S: Final = 10.0  # frames are held in memory that long
 
 
 class Phase(StrEnum):
-    """Phases of a shift, by which a fault can be timed."""
+    """Phases of a shift, by which a fault can be timed; the shift control numbers them 1, 2, ... and holds in 0."""
 
     PREFILL = "prefill"
     TORQUE = "torque"
     INERTIA = "inertia"
     LOCK_UP = "lock_up"
-
-
-class PhaseCode(IntEnum):
-    """The same phases, and none, as the shift control numbers them on the bus."""
-
-    HOLD = 0
-    PREFILL = 1
-    TORQUE = 2
-    INERTIA = 3
-    LOCK_UP = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,8 +7,9 @@ import pytest
 
 from canlog.arrays import FloatArray
 from ecu_emulator.plant.state import Col
-from ecu_emulator.scenario.faults import Phase, PhaseCode, SensorFault, SensorFaultKind
+from ecu_emulator.scenario.faults import Phase, SensorFault, SensorFaultKind
 from ecu_emulator.sensing import SensorFaults
+from ecu_emulator.shift_control import tcu_data
 from tests.unit.ecu_emulator.rows import made_up_rows, with_shift
 
 QUANTITY = "hub_speed_rad_s"
@@ -42,10 +43,10 @@ def test_a_frozen_sensor_repeats_what_it_read_before() -> None:
 def rows_with_shifts() -> FloatArray:
     """Return 900 ms with a shift at 100 ms and another at 500 ms, each phase 50 ms long."""
     rows = made_up_rows(900)
-    rows[:, Col.SHIFT_PHASE] = PhaseCode.HOLD
+    rows[:, Col.SHIFT_PHASE] = tcu_data.HOLD
     for gear, start_ms in enumerate((100, 500), start=1):
         rows = with_shift(rows, start_ms, start_ms + 200, gear, gear + 1)
-        for step, phase in enumerate((PhaseCode.PREFILL, PhaseCode.TORQUE, PhaseCode.INERTIA, PhaseCode.LOCK_UP)):
+        for step, phase in enumerate((tcu_data.PREFILL, tcu_data.TORQUE, tcu_data.INERTIA, tcu_data.LOCK_UP)):
             rows[start_ms + 50 * step : start_ms + 50 * step + 50, Col.SHIFT_PHASE] = phase
     return rows
 
