@@ -20,6 +20,7 @@ class Signal(StrEnum):
 
     ENGINE_SPEED = "engine_speed_rad_s"  # mean over the last crank segment
     ENGINE_TORQUE = "engine_torque_nm"  # at the crankshaft, friction deducted
+    ENGINE_TORQUE_COMMAND = "engine_torque_command_nm"
     INJECTION_TIME = "injection_time_s"  # of an injector in a working cycle: torque up to a scale, where none is told
     PEDAL = "pedal_ratio"
     THROTTLE = "throttle_ratio"
@@ -32,6 +33,10 @@ class Signal(StrEnum):
     CLUTCH1_PRESSURE = "clutch1_pressure_pa"
     CLUTCH2_PRESSURE = "clutch2_pressure_pa"
     LOCKUP_PRESSURE = "lockup_pressure_pa"
+    LOCKUP_PRESSURE_COMMAND = "lockup_pressure_command_pa"  # commanded or computed: its lag and scale are not known
+    LOCKUP_SLIP = "lockup_slip_rad_s"  # engine less turbine, as the transmission controller states it
+    LOCKUP_SLIP_COMMAND = "lockup_slip_command_rad_s"  # that the controller regulates to
+    LINE_PRESSURE_COMMAND = "line_pressure_command_pa"
     CLUTCH1_PRESSURE_COMMAND = "clutch1_pressure_command_pa"
     CLUTCH2_PRESSURE_COMMAND = "clutch2_pressure_command_pa"
     CLUTCH1_TORQUE_COMMAND = "clutch1_torque_command_nm"
@@ -42,11 +47,13 @@ class Signal(StrEnum):
     TARGET_GEAR = "target_gear"
     PRESELECTED_GEAR = "preselected_gear"
     SHIFT_PHASE = "shift_phase"
+    SHIFT_ACTIVE = "shift_active"  # 1 while a change of gear is in progress, as the transmission controller says
     INPUT1_GEAR = "input1_gear"  # that input shaft 1 has engaged, 0 for none
     INPUT2_GEAR = "input2_gear"
     DRIVE_STATE = "drive_state"  # a number of `DriveState`
     ENGINE_STATE = "engine_state"  # a number of `EngineState`
     SUMP_TEMPERATURE = "sump_temperature_k"
+    COOLANT_TEMPERATURE = "coolant_temperature_k"  # of the engine
     WHEEL_FL_SPEED = "wheel_fl_speed_m_s"
     WHEEL_FR_SPEED = "wheel_fr_speed_m_s"
     WHEEL_RL_SPEED = "wheel_rl_speed_m_s"
@@ -69,7 +76,12 @@ BALANCE_SIGNALS = (
 """What the torque balance of the input side needs, sample by sample."""
 
 LOCKUP_SIGNALS = frozenset({Signal.ENGINE_SPEED, Signal.ENGINE_TORQUE, Signal.TURBINE_SPEED, Signal.LOCKUP_PRESSURE})
-"""What the friction of the lock-up clutch of a converter needs; nothing less tells anything of it."""
+"""What the level of friction of the lock-up clutch of a converter needs."""
+
+SLIP_SIGNALS = frozenset(
+    {Signal.LOCKUP_PRESSURE, Signal.LOCKUP_PRESSURE_COMMAND, Signal.LOCKUP_SLIP, Signal.LOCKUP_SLIP_COMMAND}
+)
+"""What only a vehicle with a lock-up clutch has."""
 
 
 ROW_SIGNALS = (Signal.ENGINE_SPEED, Signal.INPUT1_SPEED, Signal.CLUTCH1_PRESSURE)

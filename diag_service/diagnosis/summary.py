@@ -156,6 +156,10 @@ TIER_TEXT = {
     Tier.TORQUE: "torque capacity, no friction",
     Tier.KINEMATIC: "shift time and slip, no friction",
 }
+LOCKUP_TIER_TEXT = TIER_TEXT | {
+    Tier.TORQUE: "slope of friction over slip, no level",
+    Tier.KINEMATIC: "slip and shudder, no friction",
+}
 
 
 TORQUE_TEXT = {
@@ -487,7 +491,8 @@ def capability_line(summary: Summary) -> str:
         shown = "show that gears change, and no more" if has_shifts else "do not show shifts"
         parts.append(f"the signals {shown}: {capability.missing}")
     elif capability.tier is not Tier.FRICTION:
-        parts.append(f"tier {capability.tier:d} of 3, {TIER_TEXT[capability.tier]}: {capability.missing}")
+        text = (LOCKUP_TIER_TEXT if capability.elements else TIER_TEXT)[capability.tier]
+        parts.append(f"tier {capability.tier:d} of 3, {text}: {capability.missing}")
     if capability.unseen:
         parts.append(f"mapped by profile {capability.profile}, but never seen: {', '.join(capability.unseen)}")
     return "; ".join(parts)

@@ -18,7 +18,7 @@ from dbc.contract import DBC_PATH, load_contract
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.mapped_messages import fitting, missing_for_next, tier_of
+from diag_service.mapping.mapped_messages import fitting, is_of_lockup, missing_for_next, tier_of
 from diag_service.mapping.profile import (
     PROFILE_FOLDER,
     Profile,
@@ -127,7 +127,7 @@ class ProfileFit:
 
 def _tells(profile: Profile) -> dict[str, bool]:
     """Return what tiers ask of a profile besides its signals."""
-    return {"knows_gears": profile.gears is not None, "has_converter": Signal.LOCKUP_PRESSURE in profile.sources}
+    return {"knows_gears": profile.gears is not None, "has_converter": is_of_lockup(profile.sources.keys())}
 
 
 def fit_of(database: Database, profile: Profile) -> ProfileFit:

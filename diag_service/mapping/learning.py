@@ -32,7 +32,7 @@ from diag_service.errors import StoppedError
 from diag_service.mapping import proposal
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.interpretation import open_database
-from diag_service.mapping.mapped_messages import PURPOSE, missing_for_next, tier_of
+from diag_service.mapping.mapped_messages import is_of_lockup, missing_for_next, reach_in_words, tier_of
 from diag_service.mapping.profile import Profile
 from diag_service.mapping.proposal import LEAST_SAMPLES, LEAST_SPEED, GearRatio, densest, is_complete
 
@@ -439,22 +439,33 @@ def proposed_profile(
     best = proposal.candidates(survey.statistics())
     over, ratios = _shown_ratios(log, database, best, columns)
     knows_gears = proposal.is_complete(ratios)
-    tier = tier_of(best.keys(), knows_gears=knows_gears)
-    reach = f"tier {tier:d} ({PURPOSE[tier]})" if tier else "no tier"
+    reach = reach_in_words(best.keys(), knows_gears=knows_gears)
+    asked = {"knows_gears": knows_gears, "has_converter": is_of_lockup(best.keys())}
     remarks = [
         f"Proposed for {name} and {meant} by names, units and values: check every line.",
-        f"As it stands it reaches {reach}. {missing_for_next(best.keys(), knows_gears=knows_gears)}",
+        f"As it stands it reaches {reach}. {missing_for_next(best.keys(), **asked)}",
         "",
         *(["The log is cut off."] if survey.is_cut else []),
         *(f"The log: {note}." for note in survey.notes),
         f"{survey.frames} frames, {survey.unknown} of them not in the database.",
         *([f"It is {why}."] if (why := survey.why_wrong) else []),
         *proposal.unfit_units(survey.statistics(), best),
+        *proposal.disagreeing(best),
+        *_engine_speed_from_slip(best),
         *survey.listing(),
         "",
     ]
     signals = proposal.profile_text(legible(stem), best, [legible(remark) for remark in remarks])
     return signals + proposal.gears_text(over, ratios)
+
+
+def _engine_speed_from_slip(best: Mapping[Signal, Sequence[proposal.Candidate]]) -> Iterator[str]:
+    """Yield that engine speed is better told by turbine and slip, where it comes less often than they."""
+    count = {signal: found[0].statistics.count for signal, found in best.items()}
+    both = min(count.get(Signal.TURBINE_SPEED, 0), count.get(Signal.LOCKUP_SLIP, 0))
+    if both > 2 * count.get(Signal.ENGINE_SPEED, 0):
+        often = f"{both} times, by itself {count.get(Signal.ENGINE_SPEED, 0)} times"
+        yield f"Engine speed is turbine speed plus slip, told {often}."
 
 
 def _shown_ratios(

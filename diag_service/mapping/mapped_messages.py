@@ -15,9 +15,10 @@ from canlog.decode.signals import Decoded, InvalidCounts, PayloadWords, SignalTa
 from canlog.errors import DefinitionError
 from clutch_model.calibration import TorqueSource
 from clutch_results.records import Tier
-from diag_service.diagnosis.columns import BALANCE_SIGNALS, LOCKUP_SIGNALS, Signal
+from diag_service.diagnosis.columns import BALANCE_SIGNALS, LOCKUP_SIGNALS, SLIP_SIGNALS, Signal
 from diag_service.errors import ConfigError
-from diag_service.mapping.profile import AskedSource, BusSource, Conversion, Profile, SignalSource, to_si
+from diag_service.mapping.profile import AskedSource, BusSource, Profile, SignalSource, to_si
+from diag_service.mapping.units import Conversion
 
 NS_PER_MS: Final = 1_000_000
 
@@ -214,6 +215,7 @@ MANDATORY: Final = frozenset({*BALANCE_SIGNALS, Signal.CURRENT_GEAR, Signal.TARG
 
 FRICTION_SIGNALS: Final = MANDATORY | LOCKUP_SIGNALS
 
+_TORQUE: Final[Requirement] = (frozenset({Signal.ENGINE_TORQUE}),)
 _SPEED: Final[Requirement] = (frozenset({Signal.ENGINE_SPEED}),)
 _GEARS: Final[Requirement] = (
     GEAR_PAIR,
@@ -225,11 +227,25 @@ _REQUIREMENTS: Final[dict[Tier, tuple[Requirement, ...]]] = {
     Tier.TORQUE: (
         _SPEED,
         _GEARS,
-        (frozenset({Signal.ENGINE_TORQUE}),),
+        _TORQUE,
         (TORQUE_COMMANDS, frozenset({Signal.CLUTCH_TORQUE})),
         (INPUT_PAIR, INPUT),
     ),
     Tier.KINEMATIC: (_SPEED, (*_GEARS, frozenset({Signal.CURRENT_GEAR}))),
+}
+
+_SLIP: Final[Requirement] = (
+    frozenset({Signal.LOCKUP_SLIP}),
+    frozenset({Signal.ENGINE_SPEED, Signal.TURBINE_SPEED}),
+)
+_LOCKUP_REQUIREMENTS: Final[dict[Tier, tuple[Requirement, ...]]] = {
+    Tier.FRICTION: tuple((frozenset({signal}),) for signal in Signal if signal in LOCKUP_SIGNALS),
+    Tier.TORQUE: (
+        _SLIP,
+        _TORQUE,
+        (frozenset({Signal.LOCKUP_PRESSURE_COMMAND}), frozenset({Signal.LOCKUP_PRESSURE})),
+    ),
+    Tier.KINEMATIC: (_SLIP,),
 }
 
 PURPOSE: Final[dict[Tier, str]] = {
@@ -238,6 +254,24 @@ PURPOSE: Final[dict[Tier, str]] = {
     Tier.KINEMATIC: "shift time and slip",
 }
 """What each tier yields, for people."""
+LOCKUP_PURPOSE: Final[dict[Tier, str]] = {
+    Tier.FRICTION: "friction of the lock-up clutch",
+    Tier.TORQUE: "slope of friction of the lock-up clutch over slip, no level",
+    Tier.KINEMATIC: "slip and shudder of the lock-up clutch",
+}
+"""The same of a vehicle with a torque converter."""
+
+
+def is_of_lockup(signals: AbstractSet[Signal]) -> bool:
+    """Return whether signals are those of a vehicle with a lock-up clutch."""
+    return not signals.isdisjoint(SLIP_SIGNALS)
+
+
+def reach_in_words(signals: AbstractSet[Signal], *, knows_gears: bool = False) -> str:
+    """Return what tier signals reach and what it tells, for people."""
+    has_converter = is_of_lockup(signals)
+    tier = tier_of(signals, knows_gears=knows_gears, has_converter=has_converter)
+    return f"tier {tier:d} ({(LOCKUP_PURPOSE if has_converter else PURPOSE)[tier]})" if tier else "no tier"
 
 
 def tier_of(signals: AbstractSet[Signal], *, knows_gears: bool = False, has_converter: bool = False) -> Tier | None:
@@ -246,28 +280,27 @@ def tier_of(signals: AbstractSet[Signal], *, knows_gears: bool = False, has_conv
     ``knows_gears`` says that gears can be told from the ratio of speeds instead of gear signals; ``has_converter`` that
     it is about a lock-up clutch.
     """
-    if has_converter:
-        return Tier.FRICTION if signals >= LOCKUP_SIGNALS else None
-    return next((tier for tier in Tier if not any(_unmet(tier, signals, knows_gears=knows_gears))), None)
+    asked = {"knows_gears": knows_gears, "has_converter": has_converter}
+    return next((tier for tier in Tier if not any(_unmet(tier, signals, **asked))), None)
 
 
 def missing_for_next(signals: AbstractSet[Signal], *, knows_gears: bool = False, has_converter: bool = False) -> str:
     """Return one sentence: what the next better tier is and lacks; empty at the first tier."""
-    if has_converter:
-        lacking = LOCKUP_SIGNALS - signals
-        return f"{PURPOSE[Tier.FRICTION]} of a lock-up clutch needs {_joined(lacking)}" if lacking else ""
-    tier = tier_of(signals, knows_gears=knows_gears)
+    tier = tier_of(signals, knows_gears=knows_gears, has_converter=has_converter)
     if tier is Tier.FRICTION:
         return ""
-    if Signal.LOCKUP_PRESSURE in signals:
+    if Signal.LOCKUP_PRESSURE in signals and not has_converter:
         return "friction of a lock-up clutch needs a description with its converter (--calibration lockup)"
     wanted = Tier.KINEMATIC if tier is None else Tier(tier - 1)
-    verb = "need" if " and " in PURPOSE[wanted] else "needs"
+    purpose = (LOCKUP_PURPOSE if has_converter else PURPOSE)[wanted]
     missing = (
         " or ".join(dict.fromkeys(_joined(alternative - signals) for alternative in requirement))
-        for requirement in _unmet(wanted, signals, knows_gears=knows_gears)
+        for requirement in _unmet(wanted, signals, knows_gears=knows_gears, has_converter=has_converter)
     )
-    return f"{PURPOSE[wanted]} {verb} {', '.join(missing)}"
+    sentence = f"{purpose} {'need' if ' and ' in purpose else 'needs'} {', '.join(missing)}"
+    if has_converter and Signal.LOCKUP_PRESSURE_COMMAND in signals and Signal.LOCKUP_PRESSURE not in signals:
+        sentence += " as measured: the lag and scale of a commanded pressure are not known, and its controller learns"
+    return sentence
 
 
 def why_no_friction(
@@ -279,8 +312,10 @@ def why_no_friction(
     return missing_for_next(signals, knows_gears=knows_gears, has_converter=has_converter)
 
 
-def _unmet(tier: Tier, signals: AbstractSet[Signal], *, knows_gears: bool) -> Iterator[Requirement]:
-    for requirement in _REQUIREMENTS[tier]:
+def _unmet(
+    tier: Tier, signals: AbstractSet[Signal], *, knows_gears: bool, has_converter: bool
+) -> Iterator[Requirement]:
+    for requirement in (_LOCKUP_REQUIREMENTS if has_converter else _REQUIREMENTS)[tier]:
         if knows_gears and requirement[: len(_GEARS)] == _GEARS:
             continue
         if not any(alternative <= signals for alternative in requirement):

@@ -9,12 +9,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from canlog.arrays import FloatArray
 from canlog.database.signal_columns import SignalColumn
 from canlog.errors import DefinitionError
 from clutch_model.calibration import TorqueSource
 from clutch_model.tables import read_table, record_from
-from clutch_model.units import k_from_degc, m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.asked_signals import (
@@ -26,6 +24,7 @@ from diag_service.mapping.asked_signals import (
     sizes_of,
     usual_reply_id,
 )
+from diag_service.mapping.units import SAME, Conversion, conversion, kind_of_unit
 
 MAX_NUMBER: Final = 0xFF  # of a channel or a J1939 source address
 PROTOCOLS: Final = {"can": False, "j1939": True}
@@ -33,69 +32,8 @@ PROFILE_KEYS: Final = frozenset({"name", "signals", "protocol", "channel", "data
 MOST_TOGETHER: Final = 64  # identifiers in one request
 
 
-@dataclass(frozen=True, slots=True)
-class Conversion:
-    """From decoded values to SI: ``factor * value + offset``."""
-
-    factor: float = 1.0
-    offset: float = 0.0
-
-    def __call__(self, value: FloatArray) -> FloatArray:
-        """Return values in SI, of the same shape."""
-        return value * self.factor + self.offset
-
-    def after(self, scale: float, offset: float) -> "Conversion":
-        """Return the conversion of values that are to be scaled and moved first."""
-        return Conversion(self.factor * scale, self.factor * offset + self.offset)
-
-
 PROFILE_FOLDER: Final = Path(__file__).parents[1] / "profiles"
 PROFILE_PATH: Final = PROFILE_FOLDER / "dct.toml"
-
-
-_SAME: Final = Conversion()
-_TO_SI: Final[Mapping[str, Mapping[str, Conversion]]] = {
-    "rad_s": {
-        **dict.fromkeys(
-            ("rpm", "1/min", "/min", "min-1", "r/min", "rev/min", "u/min", "unit_minutinver"),
-            Conversion(rad_s_from_rpm(1.0)),
-        ),
-        "rad/s": _SAME,
-    },
-    "m_s": {
-        **dict.fromkeys(("km/h", "kmh", "kph", "kmph", "unit_kilometerperhour"), Conversion(m_s_from_km_h(1.0))),
-        "mph": Conversion(0.44704),
-        "m/s": _SAME,
-    },
-    "pa": {
-        **dict.fromkeys(("bar", "unit_bar"), Conversion(pa_from_bar(1.0))),
-        **dict.fromkeys(("mbar", "hpa", "unit_millibar"), Conversion(100.0)),
-        "psi": Conversion(6894.757),
-        "kpa": Conversion(1e3),
-        "pa": _SAME,
-    },
-    "nm": dict.fromkeys(("nm", "n.m", "n·m", "n*m", "n-m", "unit_newtometer"), _SAME)
-    | dict.fromkeys(("lbft", "lb-ft", "lb·ft", "lbf·ft", "lbf-ft", "ftlb", "ft-lb", "ft-lbs"), Conversion(1.355818)),
-    "ratio": {
-        **dict.fromkeys(("%", "percent", "unit_percent"), Conversion(0.01)),
-        "": _SAME,
-    },
-    "k": {
-        **dict.fromkeys(
-            ("degc", "°c", "c", "deg", "degreesc", "celsius", "unit_degrecelsi"), Conversion(offset=k_from_degc(0.0))
-        ),
-        **dict.fromkeys(("degf", "°f", "f"), Conversion(5.0 / 9.0, k_from_degc(-160.0 / 9.0))),
-        "k": _SAME,
-    },
-    "s": {"ms": Conversion(1e-3), "us": Conversion(1e-6), "s": _SAME},
-    "m": {
-        **dict.fromkeys(("km", "unit_kilometer"), Conversion(1e3)),
-        **dict.fromkeys(("m", "unit_meter"), _SAME),
-    },
-}
-"""Spellings of units, without blanks and in lower case, by the unit that ends a canonical signal's name."""
-
-_KINDS: Final = ("rad_s", "m_s", "ratio", "nm", "pa", "k", "m", "s")  # longest first
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,6 +120,7 @@ class ColumnSource(SignalSource):
     """A column of a table of signals."""
 
     column: str
+    or_unit: str | None = None  # another unit that something speaks for: whoever knows the vehicle decides
 
     @property
     def place(self) -> str:
@@ -416,9 +355,9 @@ def to_si(signal: Signal, source: SignalSource, database_unit: str | None) -> Co
 
     Raises ConfigError if the unit is unknown or of another kind than the signal.
     """
-    kind = next((kind for kind in _KINDS if signal.value.endswith(f"_{kind}")), None)
+    kind = kind_of_unit(signal)
     unit = source.unit if source.unit is not None else database_unit or ""
-    convert = _SAME if kind is None else _TO_SI[kind].get("".join(unit.split()).lower())
+    convert = SAME if kind is None else conversion(kind, unit)
     if convert is None:
         raise ConfigError(f"the unit {unit!r} of {source.place} is not one of {signal.value}")
     return convert.after(source.scale, source.offset)

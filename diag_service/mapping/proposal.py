@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
@@ -14,7 +15,19 @@ from clutchdiag_io.people import PLUS_MINUS, digits, half_width
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.errors import ConfigError
+from diag_service.mapping.mapped_messages import is_of_lockup
+from diag_service.mapping.names import before_converter, named_signal, read_name
 from diag_service.mapping.profile import BusSource, ColumnSource, SignalSource, to_si
+from diag_service.mapping.units import (
+    OF_THE_US,
+    USUAL,
+    Reading,
+    Surroundings,
+    conversion_name,
+    kind_of_unit,
+    reading_of,
+    told_step,
+)
 
 TYPICAL_TORQUE_NM: Final = 200.0  # of the most fuel: some scale must be assumed
 ASSUMED_FRICTION_NM: Final = 25.0  # of an engine without fuel
@@ -24,6 +37,7 @@ WINDOWS: Final = (0.01, 0.015, 0.02, 0.03)
 LEAST_SAMPLES: Final = 10
 LEAST_SHARE: Final = 0.2  # of a gear's samples in that band: else its clutch was never closed for long
 MOST_ODD: Final = 100  # values at either end, one of a thousand, that may be damage
+MOST_DISTINCT: Final = 4096
 LEAST_SPEED: Final = 0.1  # of the highest output speed: below, its steps are too coarse
 
 
@@ -79,6 +93,7 @@ class SignalStatistics:
     is_integer: bool = True
     invalid: InvalidCounts = NO_INVALID  # values that are no measurements
     tails: FloatArray = field(default_factory=lambda: np.empty((2, 0)))  # the lowest values, and of their negatives
+    distinct: FloatArray = field(default_factory=lambda: np.empty(0))  # different values, rising; the lowest of many
 
     @property
     def place(self) -> str:
@@ -108,6 +123,8 @@ class SignalStatistics:
             self.tails = np.sort(np.hstack((self.tails, [good, -good])))[:, : MOST_ODD + 1]
             self.lowest, self.highest = float(self.tails[0, 0]), -float(self.tails[1, 0])
             self.is_integer &= bool(np.all(good == np.rint(good)))
+            if self.is_column:
+                self.distinct = np.unique(np.concatenate([self.distinct, good]))[:MOST_DISTINCT]
 
 
 class Pattern(NamedTuple):
@@ -125,34 +142,35 @@ class Candidate:
 
     signal: Signal
     statistics: SignalStatistics
-    unit: str  # the signal's own, or what it must be where nothing says it
+    reading: Reading  # in which unit: of a column that of its header, or what it must be
     score: float
+
+    @property
+    def unit(self) -> str:
+        return self.reading.unit
 
     @property
     def source(self) -> SignalSource:
         """Where a profile finds it, and in which unit if it is a column."""
-        return replace(self.statistics.source, unit=self.unit) if self.statistics.is_column else self.statistics.source
-
-
-class Assumed(NamedTuple):
-    """What a column without a unit must be called to be of a quantity, and its possible units, the usual one first."""
-
-    names: re.Pattern[str]
-    units: tuple[str, ...]
-    least: float = -math.inf  # that its highest value reaches [SI], of which units then are told apart
+        source = self.statistics.source
+        if isinstance(source, ColumnSource):
+            return replace(source, unit=self.unit, or_unit=self.reading.other or None)
+        return source
 
 
 MARKS: Final = re.compile(r"\W+")
-ASSUMED: Final = {
-    "rad_s": Assumed(re.compile("spe+d|spd|rpm|dreh", re.IGNORECASE), ("rpm", "rad/s")),
-    "m_s": Assumed(re.compile("spe+d|spd|geschw", re.IGNORECASE), ("km/h", "m/s")),
-    "pa": Assumed(re.compile("press|prs|druck", re.IGNORECASE), ("kPa", "bar", "Pa"), 1e5),
-    "nm": Assumed(re.compile("torque|trq|tq|mom", re.IGNORECASE), ("Nm",)),
-    "k": Assumed(re.compile("temp", re.IGNORECASE), ("degC", "K")),
-    "m": Assumed(re.compile("odo|kilom|dist", re.IGNORECASE), ("km",)),
-    "s": Assumed(re.compile("pulse|width|time|pw|zeit|dauer", re.IGNORECASE), ("ms",)),
-    "ratio": Assumed(re.compile("ped|throt|tps|dross|accel", re.IGNORECASE), ("%",)),
+CALLED: Final = {
+    "rad_s": "spe+d|spd|rpm|dreh",
+    "m_s": "spe+d|spd|geschw",
+    "pa": "press|prs|druck",
+    "nm": "torque|trq|tq|mom",
+    "k": "temp",
+    "m": "odo|kilom|dist",
+    "s": "pulse|width|time|pw|zeit|dauer",
+    "ratio": "ped|throt|tps|dross|accel",
 }
+"""What a column without a unit must be called to be of a quantity, where its name is not listed."""
+LEAST_PA: Final = 1e5  # that the highest pressure reaches, which tells units apart
 _SPEED_RAD_S: Final = 1100.0
 KINDS: Final[dict[Signal, Pattern]] = {
     Signal.ENGINE_SPEED: Pattern(r"eng\w*(spe+d|spd|rpm)|^n$|^rpm$|drehzahl|nmot|n_eng", 0, _SPEED_RAD_S),
@@ -180,13 +198,40 @@ KINDS: Final[dict[Signal, Pattern]] = {
     Signal.VEHICLE_SPEED: Pattern(r"veh\w*(spe+d|spd)|v_?(signal|veh)|^vs$|geschw", 0, 120),
     Signal.ODOMETER: Pattern(r"odo|kilometerstand|total\w*dist", 0, 4e9),
 }
-"""Canonical signals that are proposed; the others add nothing to the diagnosis."""
+"""What canonical signals look like whose names are not listed; the others are not proposed without."""
+RANGES: Final[Mapping[Signal, tuple[float, float]]] = {
+    **{signal: (pattern.lowest, pattern.highest) for signal, pattern in KINDS.items()},
+    Signal.TURBINE_SPEED: (0, _SPEED_RAD_S),
+    Signal.LOCKUP_SLIP: (-_SPEED_RAD_S, _SPEED_RAD_S),
+    Signal.LOCKUP_SLIP_COMMAND: (-_SPEED_RAD_S, _SPEED_RAD_S),
+    Signal.LOCKUP_PRESSURE: (-1e5, 6e6),
+    Signal.LOCKUP_PRESSURE_COMMAND: (-1e5, 6e6),
+    Signal.LINE_PRESSURE_COMMAND: (-1e5, 6e6),
+    Signal.ENGINE_TORQUE_COMMAND: (-1500, 4000),
+    Signal.COOLANT_TEMPERATURE: (230, 480),
+}
+LISTED_SCORE: Final = 5.0
+LB_FT_NM: Final = 1.355818
+TORQUES_ALIKE: Final = 0.05  # of two torques of an engine, filtered otherwise
 
 
 def candidates(statistics: Iterable[SignalStatistics]) -> dict[Signal, list[Candidate]]:
     """Return for every canonical signal what may be it, the best first; no signal is proposed for two."""
-    found = [one for signal in KINDS for stat in statistics if (one := _candidate(signal, stat)) is not None]
-    found.sort(key=lambda one: (-one.score, one.statistics.place))
+    statistics = list(statistics)
+    listed = {stat.place: signal for stat in statistics if stat.is_column and (signal := named_signal(stat.signal))}
+    if is_of_lockup(set(listed.values())):
+        listed |= {place: before_converter(signal) for place, signal in listed.items()}
+    around = _surroundings(statistics, listed)
+    named = ((stat, listed.get(stat.place)) for stat in statistics)
+    pairs = ((stat, signal) for stat, own in named for signal in ([own] if own else KINDS))
+    found = [one for stat, signal in pairs if (one := _candidate(signal, stat, around, is_listed=stat.place in listed))]
+    found.sort(
+        key=lambda one: (
+            -one.score,
+            -one.statistics.count if one.statistics.place in listed else 0,
+            one.statistics.place,
+        )
+    )
     taken: set[str] = set()
     best: dict[Signal, list[Candidate]] = {}
     for one in found:
@@ -198,13 +243,48 @@ def candidates(statistics: Iterable[SignalStatistics]) -> dict[Signal, list[Cand
     return best
 
 
+def _surroundings(statistics: Iterable[SignalStatistics], listed: Mapping[str, Signal]) -> Surroundings:
+    """Return what all columns say of the units of each."""
+    highest, is_of_the_us = dict[Signal, float](), False
+    for stat in statistics:
+        if not (signal := listed.get(stat.place)) or not stat.count:
+            continue
+        unit = stat.unit or read_name(stat.signal).unit
+        kind = kind_of_unit(signal)
+        step = None if kind is None else told_step(stat.distinct, kind)
+        is_of_the_us |= (step.unit if step else conversion_name(unit)) in OF_THE_US
+        with suppress(ConfigError):
+            highest[signal] = float(to_si(signal, stat.source, unit or "rpm")(stat.ends)[1])
+    return Surroundings(
+        is_of_the_us=is_of_the_us,
+        coolant_k=highest.get(Signal.COOLANT_TEMPERATURE),
+        output_rad_s=highest.get(Signal.OUTPUT_SPEED),
+    )
+
+
+def disagreeing(best: Mapping[Signal, Sequence[Candidate]]) -> Iterator[str]:
+    """Yield a sentence for each torque of the engine that is to the first as a pound-foot is to a newton metre."""
+    torques = best.get(Signal.ENGINE_TORQUE, [])
+    for other in torques[1:]:
+        tops = [to_si(one.signal, one.source, None)(one.statistics.ends)[1] for one in (torques[0], other)]
+        ratio = tops[0] / tops[1] if tops[1] else 0.0
+        if min(abs(ratio - LB_FT_NM), abs(1.0 / ratio - LB_FT_NM) if ratio else 1.0) < LB_FT_NM * TORQUES_ALIKE:
+            first, second = (f"{one.statistics.place!r} in {one.unit}" for one in (torques[0], other))
+            yield f"The engine's torque is questioned: {first} and {second} would agree in one unit."
+
+
 def profile_text(name: str, best: dict[Signal, list[Candidate]], remarks: Sequence[str]) -> str:
     """Return a profile as TOML, with what else was considered and the remarks as comments."""
     lines = [*(f"# {remark}".rstrip() for remark in remarks), f'name = "{_quoted(name)}"', "", "[signals]"]
     for signal in Signal:
         for rank, one in enumerate(best.get(signal, ())[:3]):
             unit = f', unit = "{_quoted(one.unit)}"' if one.statistics.is_column else ""
+            unit += f', or_unit = "{one.reading.other}"' if one.reading.other else ""
             lines.append(f"{'# or: ' if rank else ''}{signal.value} = {{ {_place(one)}{unit} }}  # {_said(one)}")
+            if one.reading.other and not rank:
+                swapped = f'unit = "{one.reading.other}"'
+                lines.append(f"# questioned: {one.reading.why}. The other reading:")
+                lines.append(f"# or: {signal.value} = {{ {_place(one)}, {swapped} }}")
     if Signal.ENGINE_TORQUE not in best and Signal.INJECTION_TIME in best:
         fuel = best[Signal.INJECTION_TIME][0]
         scale = f"scale = {TYPICAL_TORQUE_NM / fuel.statistics.highest:.3g}"
@@ -242,7 +322,11 @@ def unfit_units(statistics: Iterable[SignalStatistics], known: Container[Signal]
     """Yield a sentence for each column that its name makes a signal that is not known, but its unit does not."""
     for stat in (one for one in statistics if one.is_column and one.unit):
         bare = replace(stat, unit="")
-        called = [one for one in KINDS if one not in known and _match(one, stat) and _possible_units(one, bare)]
+        called = [
+            one
+            for one in KINDS
+            if one not in known and _match(one, stat) and _reading(one, bare, Surroundings(), is_listed=False)
+        ]
         try:
             for signal in called:
                 to_si(signal, stat.source, stat.unit)
@@ -255,27 +339,37 @@ def _match(signal: Signal, stat: SignalStatistics) -> re.Match[str] | None:
     return None if _NEVER.search(stat.signal) else re.search(KINDS[signal].names, MARKS.sub("_", name), re.IGNORECASE)
 
 
-def _candidate(signal: Signal, stat: SignalStatistics) -> Candidate | None:
+def _candidate(signal: Signal, stat: SignalStatistics, around: Surroundings, *, is_listed: bool) -> Candidate | None:
     """Return a signal as a candidate if unit, values and name allow it."""
-    match = _match(signal, stat)
-    if match is None or not stat.count or (KINDS[signal].is_integer and not stat.is_integer):
+    match = None if is_listed else _match(signal, stat)
+    is_whole = signal not in KINDS or not KINDS[signal].is_integer or stat.is_integer
+    if (match is None and not is_listed) or not stat.count or not is_whole:
         return None
-    unit = next((unit for unit in _possible_units(signal, stat) if _is_possible(signal, stat, unit)), None)
-    if unit is None:
+    reading = _reading(signal, stat, around, is_listed=is_listed)
+    if reading is None:
         return None
-    score = 2.0 + 2.0 * len(match.group()) / len(match.string) + (1.0 if stat.unit else 0.0)
+    score = LISTED_SCORE if match is None else 2.0 + 2.0 * len(match.group()) / len(match.string)
+    score += 1.0 if stat.unit else 0.0
     score += 1.0 if stat.highest > stat.lowest else 0.0  # a signal that never changes tells little
-    if score < MIN_SCORE:
+    return None if score < MIN_SCORE else Candidate(signal=signal, statistics=stat, reading=reading, score=score)
+
+
+def _reading(signal: Signal, stat: SignalStatistics, around: Surroundings, *, is_listed: bool) -> Reading | None:
+    """Return in which unit a signal is read: of a column without one, what its name allows and its values can be."""
+    kind = kind_of_unit(signal)
+    if kind is None or not stat.is_column:
+        return Reading(unit=stat.unit) if _is_possible(signal, stat, stat.unit) else None
+    if not (stat.unit or is_listed or re.search(CALLED[kind], stat.signal, re.IGNORECASE)):
         return None
-    return Candidate(signal=signal, statistics=stat, unit=unit, score=score)
-
-
-def _possible_units(signal: Signal, stat: SignalStatistics) -> tuple[str, ...]:
-    """Return the unit of a signal; of a column without one those that its name allows, none if that says nothing."""
-    quantity = next((one for one in ASSUMED if signal.value.endswith(f"_{one}")), None)
-    if quantity is None or stat.unit or not stat.is_column:
-        return (stat.unit,)
-    return ASSUMED[quantity].units if ASSUMED[quantity].names.search(stat.signal) else ()
+    said = (stat.unit, read_name(stat.signal).unit)
+    units = dict.fromkeys((*([stat.unit] if stat.unit else []), *USUAL[kind]))
+    possible = {
+        unit: to_si(signal, stat.source, unit)(stat.ends)
+        for unit in units
+        if (stat.unit in ("", unit) or conversion_name(unit) != conversion_name(stat.unit))
+        and _is_possible(signal, stat, unit)
+    }
+    return reading_of(signal, said, possible, stat.distinct, around)
 
 
 def _is_possible(signal: Signal, stat: SignalStatistics, unit: str) -> bool:
@@ -289,10 +383,9 @@ def _is_possible(signal: Signal, stat: SignalStatistics, unit: str) -> bool:
 
 def _can_be(signal: Signal, ends: FloatArray, *, is_sure: bool = False) -> bool:
     """Return whether a canonical signal can have this range [SI]; ``is_sure`` that of a unit that nobody assumed."""
-    least = (one.least for quantity, one in ASSUMED.items() if signal.value.endswith(f"_{quantity}"))
     lowest, highest = ends.tolist()
-    is_within = KINDS[signal].lowest <= lowest <= highest <= KINDS[signal].highest
-    return is_within and (is_sure or all(highest >= one for one in least))
+    least, most = RANGES.get(signal, (-math.inf, math.inf))
+    return least <= lowest <= highest <= most and (is_sure or kind_of_unit(signal) != "pa" or highest >= LEAST_PA)
 
 
 class Ranges:
@@ -300,7 +393,9 @@ class Ranges:
 
     def __init__(self, sources: Mapping[Signal, SignalSource]) -> None:
         self._sources = {
-            signal: source for signal, source in sources.items() if isinstance(source, ColumnSource) and signal in KINDS
+            signal: source
+            for signal, source in sources.items()
+            if isinstance(source, ColumnSource) and signal in RANGES
         }
         self._ends: dict[Signal, FloatArray] = {}
 
@@ -313,27 +408,33 @@ class Ranges:
                 self._ends[signal] = np.array([ends.min(), ends.max()])
 
     def doubts(self) -> Iterator[str]:
-        """Yield a sentence for each column whose values can hardly be in its unit."""
+        """Yield a sentence for each column whose values can hardly be in its unit, and whose unit is questioned."""
         for signal, ends in self._ends.items():
             if _can_be(signal, ends):
                 continue
             source = self._sources[signal]
             said = to_si(signal, source, None)
             own = (ends - said.offset) / said.factor
-            units = (one.units for quantity, one in ASSUMED.items() if signal.value.endswith(f"_{quantity}"))
             fitting = [
                 unit
-                for unit in next(units, ())
+                for unit in USUAL[kind_of_unit(signal) or "ratio"]
                 if _can_be(signal, to_si(signal, replace(source, unit=None), unit)(own))
             ]
             hint = f", but in {' or '.join(map(repr, fitting))}" if fitting else "; is it another column?"
             place = f"values from {digits(own[0])} to {digits(own[1])} of column {source.column!r}"
             yield f"{signal.value}: {place} can hardly be in {source.unit!r}{hint}"
+        for signal, source in self._sources.items():
+            if source.or_unit:
+                what = (
+                    f"column {source.column!r} is read in {source.unit!r}, but something speaks for {source.or_unit!r}"
+                )
+                yield f"{signal.value}: {what}"
 
 
 def _said(one: Candidate) -> str:
     stat = one.statistics
-    unit = one.unit if one.unit == stat.unit else f"{one.unit} (assumed: nothing says the unit)"
+    why = one.reading.why if not one.reading.other else ""
+    unit = f"{one.unit} ({why})" if why else one.unit
     return (
         f"{digits(stat.lowest)} to {digits(stat.highest)} {unit}, {stat.count} values, score {one.score:.1f}".replace(
             " ,", ","

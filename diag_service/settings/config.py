@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Literal
 
 from clutch_model.calibration import Calibration, TorqueSource, nominal_calibration
 from diag_service.delivery import Acknowledge
-from diag_service.diagnosis.columns import GearRatios, Signal
+from diag_service.diagnosis.columns import GearRatios
 from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import Interpretation, interpret
+from diag_service.mapping.mapped_messages import is_of_lockup
 from diag_service.mapping.profile import Profile, find_profile
 from diag_service.mapping.vehicle_file import Described, read_description
 from fleet_contract import is_vehicle
@@ -124,7 +125,7 @@ def check_vehicle(vehicle: str) -> str:
 def described_by(named: Calibration | Path | None, profile: Path | Profile | None) -> Described:
     """Return what a description says; if none is named, the shipped one of the transmission that the profile is of."""
     if named is None:
-        is_lockup = profile is not None and Signal.LOCKUP_PRESSURE in find_profile(profile).sources
+        is_lockup = profile is not None and is_of_lockup(find_profile(profile).sources.keys())
         named = _LOCKUP if is_lockup else nominal_calibration()
     return Described(named, None) if isinstance(named, Calibration) else read_description(named)
 

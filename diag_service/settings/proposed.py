@@ -10,12 +10,13 @@ from typing import Final
 from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT, table_columns
 from canlog.logs.streams import never
+from clutch_model.calibration import nominal_calibration
 from clutchdiag_io.program import legible
 from diag_service.mapping.interpretation import Interpretation, interpret
 from diag_service.mapping.learning import proposed_profile
-from diag_service.mapping.mapped_messages import PURPOSE, tier_of
+from diag_service.mapping.mapped_messages import reach_in_words
 from diag_service.mapping.profile import Profile, profile_of
-from diag_service.settings.config import DiagnosisConfig, as_profiled
+from diag_service.settings.config import DiagnosisConfig, as_profiled, described_by
 
 PROPOSED: Final = "proposed"  # what such a profile is called
 _LOG = logging.getLogger(__name__)
@@ -31,7 +32,10 @@ def as_proposed(
     proposed = _proposed(logs, config.dbc, config.profile, is_stopped, config.columns)
     if proposed is None:
         return config
-    return replace(config, profile=proposed, calibration=as_profiled(config.calibration, proposed))
+    calibration = config.calibration
+    if calibration == nominal_calibration():  # nobody named another one
+        calibration, _ = described_by(None, proposed)
+    return replace(config, profile=proposed, calibration=as_profiled(calibration, proposed))
 
 
 def _proposed(
@@ -48,13 +52,12 @@ def _proposed(
         return None
     text = proposed_profile(log, is_stopped=is_stopped, columns=columns)
     proposed = replace(profile_of(tomllib.loads(text), log), name=PROPOSED)
-    tier = tier_of(proposed.sources.keys(), knows_gears=proposed.gears is not None)
     _LOG.log(
         NOTICE,
         "%s is a table of signals, read with the profile proposed for it, which reaches %s; 'diag-service signals' "
         "writes that profile, for you to check and name with --profile",
         legible(log.name),
-        f"tier {tier:d} ({PURPOSE[tier]})" if tier else "no tier",
+        reach_in_words(proposed.sources.keys(), knows_gears=proposed.gears is not None),
     )
     return proposed
 

@@ -19,7 +19,7 @@ from canlog.logs.columns import NO_HEADER, ColumnsLog, header_names, is_list, pr
 from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.programs import CLX000_HEADER, Busmaster, Clx000, Trc
 from canlog.logs.log_counts import LogCounts
-from canlog.logs.signal_tables import LEAST_ROWS, table_header
+from canlog.logs.table_headers import LEAST_ROWS, table_header
 from canlog.logs.text_log import BYTE_ORDER_MARK, TextLog, frames_of
 
 PROBE_BYTES = 64 * 1024
@@ -116,6 +116,7 @@ class Detected:
     format: LogFormat
     evidence: str
     columns: tuple[SignalColumn, ...] = ()  # of a table of signals
+    is_long: bool = False  # a table with a row for each value, whose beginning need not name all signals
 
 
 def detect(probe: bytes, choice: str = "") -> Detected:
@@ -177,8 +178,6 @@ def detect_text(probe: bytes) -> Detected:
 
     Raises SourceError if it is of no known format.
     """
-    if is_utf_16(probe):
-        raise SourceError("a text in UTF-16: convert it to UTF-8, for example by iconv -f UTF-16 -t UTF-8")
     text = probe.removeprefix(BYTE_ORDER_MARK)
     for number, line in enumerate(text.splitlines()[:HEADER_LINES], 1):
         for log_format, first in HEADERS.items():
@@ -196,8 +195,9 @@ def detect_text(probe: bytes) -> Detected:
     if named := _by_named_columns(text):
         return named
     if header := table_header(probe):
-        what = f"line {header.lines} is followed by rows of {len(header.columns)} signals"
-        return Detected(format=LogFormat.SIGNALS, evidence=what, columns=header.columns)
+        what, is_long = f"line {header.lines} is followed by rows of", header.name_place is not None
+        what += " one value each" if is_long else f" {len(header.columns)} signals"
+        return Detected(format=LogFormat.SIGNALS, evidence=what, columns=header.columns, is_long=is_long)
     raise SourceError(_not_known(probe, hint))
 
 
@@ -234,11 +234,14 @@ def first_lines(text: bytes, *, is_cut: bool) -> list[bytes]:
     return [line for line in lines if line.strip() and not line.lstrip().startswith(COMMENTS)][:LINES_LOOKED_AT]
 
 
-def is_utf_16(probe: bytes) -> bool:
-    """Return whether a text has two bytes for each character."""
-    beginning = probe[:UTF_16_BYTES].removeprefix(codecs.BOM_UTF16_LE).removeprefix(codecs.BOM_UTF16_BE)
-    halves = beginning[::2], beginning[1::2]
-    return any(half and not any(half) and other.isascii() and all(other) for half, other in (halves, halves[::-1]))
+def utf_16_of(probe: bytes) -> str:
+    """Return the encoding of a text that has two bytes for each character; empty for any other."""
+    for encoding, mark in (("utf-16-le", codecs.BOM_UTF16_LE), ("utf-16-be", codecs.BOM_UTF16_BE)):
+        beginning = probe[:UTF_16_BYTES].removeprefix(mark)
+        low, high = (beginning[::2], beginning[1::2]) if encoding == "utf-16-le" else (beginning[1::2], beginning[::2])
+        if high and not any(high) and low.isascii() and all(low):
+            return encoding
+    return ""
 
 
 def _counted(log_format: LogFormat, lines: Sequence[bytes]) -> tuple[int, int]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from io import BufferedReader
 from pathlib import Path
@@ -15,7 +15,7 @@ from canlog.frames import FrameBatch
 from canlog.logs.blf import read_blf
 from canlog.logs.captures import read_capture
 from canlog.logs.columns import ColumnsLog
-from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect
+from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect, utf_16_of
 from canlog.logs.log_counts import (
     BoundedStream,
     LogCounts,
@@ -26,12 +26,13 @@ from canlog.logs.log_counts import (
     longest_step_ns,
 )
 from canlog.logs.mf4 import measured_channels, read_mf4
-from canlog.logs.signal_tables import read_signal_table
+from canlog.logs.signal_tables import all_columns, read_signal_table
 from canlog.logs.sqlite import check_messages, read_sqlite
 from canlog.logs.streams import (
     STANDARD_INPUT,
     InflatedStream,
     PipeStream,
+    as_utf_8,
     compression_of,
     never,
     open_standard_input,
@@ -78,21 +79,29 @@ def contents_of(stream: BinaryIO, columns: str = "") -> Contents:
     """
     probe = stream.read(PROBE_BYTES)
     stream.seek(0)
+    if encoding := utf_16_of(probe):
+        with stream:
+            return replace(contents_of(temporary_log(as_utf_8(stream, encoding)), columns), is_packed=True)
     compression, counts = compression_of(probe), LogCounts()
     if compression is None:
         detected = detect(probe, columns)
         return Contents(stream=stream, detected=detected, counts=counts, is_packed=False, columns=columns)
-    detected = _packed_format(InflatedStream(stream, compression), columns)
+    beginning = _beginning(InflatedStream(stream, compression))
     packed = InflatedStream(stream, compression, counts)
     stream = cast("BinaryIO", packed)
+    if encoding := utf_16_of(beginning):
+        with packed:
+            recoded = temporary_log(as_utf_8(stream, encoding))
+            return replace(contents_of(recoded, columns), counts=counts, is_packed=True)
+    detected = detect(beginning, columns)
     if detected.format not in TEXT_LOGS:
         with packed:
             stream = cast("BinaryIO", temporary_log(iter(lambda: packed.read(COPY_BYTES), b"")))
     return Contents(stream=stream, detected=detected, counts=counts, is_packed=True, columns=columns)
 
 
-def _packed_format(packed: InflatedStream, columns: str) -> Detected:
-    """Return what packed contents are taken for, by their beginning."""
+def _beginning(packed: InflatedStream) -> bytes:
+    """Return the beginning of packed contents, as much as detection looks at."""
     beginning = b""
     while len(beginning) < PROBE_BYTES and (piece := packed.read(PROBE_BYTES - len(beginning))):
         beginning += piece
@@ -100,7 +109,7 @@ def _packed_format(packed: InflatedStream, columns: str) -> Detected:
         raise SourceError(f"{packed.name} holds nothing")
     if inner := compression_of(beginning):
         raise SourceError(f"it is packed twice: {inner} inside {packed.name}; unpack it once")
-    return detect(beginning, columns)
+    return beginning
 
 
 def _reader_of(contents: Contents) -> Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]:
@@ -129,6 +138,8 @@ class LogReader(Iterator[FrameBatch]):
         self._bounded = BoundedStream(self._stream, self._counts)
         if self.format is LogFormat.SQLITE:
             check_messages(self._stream)
+        if contents.detected.is_long:
+            self.columns = all_columns(self._stream)
         if self.format is LogFormat.MF4:
             _, self.columns, notes = measured_channels(self._stream)
             self.evidence += f"; {len(self.columns)} measured channels, no frames of a bus" * bool(self.columns)
@@ -334,15 +345,15 @@ def named_error(name: str, error: OSError | SourceError) -> SourceError:
 
 
 def _peek(stream: PipeStream, columns: str) -> Detected | None:
-    """Return what a pipe is taken for by its beginning, None if it is packed; rewind it."""
+    """Return what a pipe is taken for by its beginning, None if it must be unpacked or recoded; rewind it."""
     probe = b""
     while len(probe) < PROBE_BYTES and (piece := stream.read(PROBE_BYTES - len(probe))):
         probe += piece
-        if compression_of(probe) is not None or _detected(probe) is not None:
+        if compression_of(probe) is not None or utf_16_of(probe) or _detected(probe) is not None:
             break
     stream.check_not_left()
     stream.give_back(probe)
-    if compression_of(probe) is not None:
+    if compression_of(probe) is not None or utf_16_of(probe):
         return None
     return detect(probe, columns)
 

@@ -4,6 +4,7 @@ What would grow beyond reason is refused; of a pipe, a format that must be sough
 """
 
 import bz2
+import codecs
 import io
 import lzma
 import os
@@ -338,6 +339,13 @@ class TemporaryLog(io.BufferedReader):
     def close(self) -> None:
         super().close()
         self._folder.cleanup()
+
+
+def as_utf_8(stream: BinaryIO, encoding: str) -> Iterator[bytes]:
+    """Yield a text in UTF-8, without a byte-order mark; what cannot be decoded becomes a replacement character."""
+    pieces = codecs.iterdecode(iter(lambda: stream.read(WIDE_BYTES), b""), encoding, errors="replace")
+    for number, piece in enumerate(pieces):
+        yield (piece.removeprefix("\ufeff") if number == 0 else piece).encode()
 
 
 def temporary_log(pieces: Iterable[bytes]) -> TemporaryLog:

@@ -8,7 +8,7 @@ import pytest
 
 from clutch_model.calibration import TorqueSource
 from clutch_model.errors import CalibrationError
-from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
+from diag_service.diagnosis.columns import BALANCE_SIGNALS, SLIP_SIGNALS, Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import BusSource, find_profile, load_profile, shipped_profiles, to_si
 from diag_service.mapping.vehicle_file import read_description
@@ -32,7 +32,8 @@ def test_the_profile_of_our_database_has_a_source_for_every_signal_of_ours() -> 
     profile = load_profile()
     assert profile.name == "dct"
     others = {Signal.INPUT_SPEED, Signal.CLUTCH_TORQUE, Signal.CLUTCH_SLIP, Signal.INJECTION_TIME}
-    others |= {Signal.TURBINE_SPEED, Signal.LOCKUP_PRESSURE}  # of a torque converter
+    others |= {Signal.TURBINE_SPEED, Signal.LINE_PRESSURE_COMMAND, *SLIP_SIGNALS}  # of a torque converter
+    others |= {Signal.ENGINE_TORQUE_COMMAND, Signal.SHIFT_ACTIVE, Signal.COOLANT_TEMPERATURE}  # of scan tools
     assert profile.sources.keys() == set(Signal) - others
     assert profile.sources.keys() >= set(BALANCE_SIGNALS)
 
