@@ -83,6 +83,9 @@ SLIP_SIGNALS = frozenset(
 )
 """What only a vehicle with a lock-up clutch has."""
 
+SUMMED_SIGNALS = frozenset({Signal.TURBINE_SPEED, Signal.LOCKUP_SLIP})
+"""Whose sum is engine speed, where nothing else tells it."""
+
 
 ROW_SIGNALS = (Signal.ENGINE_SPEED, Signal.INPUT1_SPEED, Signal.CLUTCH1_PRESSURE)
 """What no bus has in one message: if they have the same times, these are the rows of a table."""

@@ -18,6 +18,7 @@ from canlog.jit import kernel, part
 from canlog.logs.log_counts import LEAST_PER_S, WATCHED_FRAMES
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import (
+    SUMMED_SIGNALS,
     BlockLayout,
     ColumnBatch,
     Columns,
@@ -217,6 +218,7 @@ class Decoder:
             for slot, mapped in enumerate(self._messages)
             if (apart := [column for column in mapped.columns if not is_able(column.table)])
         ]
+        self._turbine: Series | None = None  # its last sample, where engine speed is turbine speed plus slip
         self._signal_count = len(self.signals)
         self._invalid: dict[Signal, InvalidCounts] = {}
         self._invalid_at_first: dict[Signal, int] = {}  # before a signal's first real value
@@ -236,7 +238,8 @@ class Decoder:
     @property
     def signals(self) -> frozenset[Signal]:
         """The canonical signals that this bus can deliver."""
-        return frozenset(column.signal for mapped in self._messages for column in mapped.columns)
+        signals = frozenset(column.signal for mapped in self._messages for column in mapped.columns)
+        return signals | {Signal.ENGINE_SPEED} if signals >= SUMMED_SIGNALS else signals
 
     @property
     def seen(self) -> frozenset[Signal]:
@@ -424,8 +427,11 @@ class Decoder:
         if breaks_before:
             self._monitor.reset()
             self._e2e.reset()
+            self._turbine = None
         verdicts = self._monitor.check(segment)
         columns, bad_frame_ns = self._columns(segment, verdicts)
+        if Signal.ENGINE_SPEED not in self._slot_of:
+            columns = self._with_engine_speed(columns)
         if len(self._seen) < self._signal_count:
             self._seen |= columns.keys()
         return ColumnBatch(
@@ -435,6 +441,19 @@ class Decoder:
             bad_frame_ns=bad_frame_ns,
             e2e_changes=self._e2e.judge(segment.t_ns, verdicts),
         )
+
+    def _with_engine_speed(self, columns: Columns) -> Columns:
+        """Return columns with engine speed at the times of slip, if turbine speed is known there."""
+        slip, turbine = (columns.get(signal) for signal in (Signal.LOCKUP_SLIP, Signal.TURBINE_SPEED))
+        parts = [part for part in (self._turbine, turbine) if part is not None and len(part.t_ns)]
+        if parts:
+            last_ns = int(parts[-1].t_ns[-1])
+            self._turbine = parts[-1].between(last_ns, last_ns + 1).copy()
+        if slip is None or not parts:
+            return columns
+        t_ns, speed = np.concatenate([part.t_ns for part in parts]), np.concatenate([part.value for part in parts])
+        engine = replace(slip, value=slip.value + np.interp(slip.t_ns, t_ns, speed))
+        return {**columns, Signal.ENGINE_SPEED: engine}
 
     def _columns(self, segment: FrameBatch, verdicts: FrameVerdicts) -> tuple[Columns, Int64Array]:
         """Return the samples of accepted frames, and when messages failed."""

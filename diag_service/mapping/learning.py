@@ -450,22 +450,12 @@ def proposed_profile(
         f"{survey.frames} frames, {survey.unknown} of them not in the database.",
         *([f"It is {why}."] if (why := survey.why_wrong) else []),
         *proposal.unfit_units(survey.statistics(), best),
-        *proposal.disagreeing(best),
-        *_engine_speed_from_slip(best),
+        *proposal.questioned(best),
         *survey.listing(),
         "",
     ]
     signals = proposal.profile_text(legible(stem), best, [legible(remark) for remark in remarks])
     return signals + proposal.gears_text(over, ratios)
-
-
-def _engine_speed_from_slip(best: Mapping[Signal, Sequence[proposal.Candidate]]) -> Iterator[str]:
-    """Yield that engine speed is better told by turbine and slip, where it comes less often than they."""
-    count = {signal: found[0].statistics.count for signal, found in best.items()}
-    both = min(count.get(Signal.TURBINE_SPEED, 0), count.get(Signal.LOCKUP_SLIP, 0))
-    if both > 2 * count.get(Signal.ENGINE_SPEED, 0):
-        often = f"{both} times, by itself {count.get(Signal.ENGINE_SPEED, 0)} times"
-        yield f"Engine speed is turbine speed plus slip, told {often}."
 
 
 def _shown_ratios(
@@ -474,7 +464,7 @@ def _shown_ratios(
     """Return over which speed a log shows the ratios of which gears; none where they are not needed."""
     over = next((one for one in (Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED) if one in best), None)
     knows_slip = tier_of(best.keys()) is not None and best.keys() & {Signal.INPUT1_SPEED, Signal.INPUT_SPEED}
-    if log == STANDARD_INPUT or over is None or knows_slip:
+    if log == STANDARD_INPUT or over is None or knows_slip or is_of_lockup(best.keys()):
         return Signal.OUTPUT_SPEED, {}
     profile = Profile(name="proposed", sources={signal: found[0].source for signal, found in best.items()})
     decoder, survey = Decoder(database, profile), VehicleSurvey(over)

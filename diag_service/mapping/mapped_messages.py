@@ -15,7 +15,7 @@ from canlog.decode.signals import Decoded, InvalidCounts, PayloadWords, SignalTa
 from canlog.errors import DefinitionError
 from clutch_model.calibration import TorqueSource
 from clutch_results.records import Tier
-from diag_service.diagnosis.columns import BALANCE_SIGNALS, LOCKUP_SIGNALS, SLIP_SIGNALS, Signal
+from diag_service.diagnosis.columns import BALANCE_SIGNALS, LOCKUP_SIGNALS, SLIP_SIGNALS, SUMMED_SIGNALS, Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import AskedSource, BusSource, Profile, SignalSource, to_si
 from diag_service.mapping.units import Conversion
@@ -239,7 +239,10 @@ _SLIP: Final[Requirement] = (
     frozenset({Signal.ENGINE_SPEED, Signal.TURBINE_SPEED}),
 )
 _LOCKUP_REQUIREMENTS: Final[dict[Tier, tuple[Requirement, ...]]] = {
-    Tier.FRICTION: tuple((frozenset({signal}),) for signal in Signal if signal in LOCKUP_SIGNALS),
+    Tier.FRICTION: (
+        (frozenset({Signal.ENGINE_SPEED}), SUMMED_SIGNALS),
+        *((frozenset({signal}),) for signal in Signal if signal in LOCKUP_SIGNALS - {Signal.ENGINE_SPEED}),
+    ),
     Tier.TORQUE: (
         _SLIP,
         _TORQUE,

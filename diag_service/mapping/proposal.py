@@ -21,8 +21,8 @@ from diag_service.mapping.profile import BusSource, ColumnSource, SignalSource, 
 from diag_service.mapping.units import (
     OF_THE_US,
     USUAL,
-    Reading,
     Surroundings,
+    UnitReading,
     conversion_name,
     kind_of_unit,
     reading_of,
@@ -142,7 +142,7 @@ class Candidate:
 
     signal: Signal
     statistics: SignalStatistics
-    reading: Reading  # in which unit: of a column that of its header, or what it must be
+    reading: UnitReading  # in which unit: of a column that of its header, or what it must be
     score: float
 
     @property
@@ -262,22 +262,36 @@ def _surroundings(statistics: Iterable[SignalStatistics], listed: Mapping[str, S
     )
 
 
-def disagreeing(best: Mapping[Signal, Sequence[Candidate]]) -> Iterator[str]:
-    """Yield a sentence for each torque of the engine that is to the first as a pound-foot is to a newton metre."""
+def questioned(best: Mapping[Signal, Sequence[Candidate]]) -> Iterator[str]:
+    """Yield a sentence for each unit that something contradicts: steps, ranges, or another torque of the engine."""
+    for first, *_ in best.values():
+        if first.reading.other:
+            place, reading = first.statistics.place, first.reading
+            yield f"The unit of {place!r} is questioned: {reading.why}. It is read in {reading.unit}"
     torques = best.get(Signal.ENGINE_TORQUE, [])
     for other in torques[1:]:
         tops = [to_si(one.signal, one.source, None)(one.statistics.ends)[1] for one in (torques[0], other)]
         ratio = tops[0] / tops[1] if tops[1] else 0.0
         if min(abs(ratio - LB_FT_NM), abs(1.0 / ratio - LB_FT_NM) if ratio else 1.0) < LB_FT_NM * TORQUES_ALIKE:
-            first, second = (f"{one.statistics.place!r} in {one.unit}" for one in (torques[0], other))
-            yield f"The engine's torque is questioned: {first} and {second} would agree in one unit."
+            both = (f"{one.statistics.place!r} in {one.unit}" for one in (torques[0], other))
+            yield f"The engine's torque is questioned: {' and '.join(both)} would agree in one unit"
+
+
+def engine_speed_is_sum(best: Mapping[Signal, Sequence[Candidate]]) -> bool:
+    """Return whether engine speed is better told by turbine and slip: by itself it comes less than half as often."""
+    count = {signal: found[0].statistics.count for signal, found in best.items()}
+    both = min(count.get(Signal.TURBINE_SPEED, 0), count.get(Signal.LOCKUP_SLIP, 0))
+    return both > 2 * count.get(Signal.ENGINE_SPEED, 0)
 
 
 def profile_text(name: str, best: dict[Signal, list[Candidate]], remarks: Sequence[str]) -> str:
     """Return a profile as TOML, with what else was considered and the remarks as comments."""
     lines = [*(f"# {remark}".rstrip() for remark in remarks), f'name = "{_quoted(name)}"', "", "[signals]"]
+    is_sum = engine_speed_is_sum(best)
     for signal in Signal:
-        for rank, one in enumerate(best.get(signal, ())[:3]):
+        if signal is Signal.ENGINE_SPEED and is_sum:
+            lines.append(f"# {signal.value} is turbine speed plus slip, which come more often than it does by itself")
+        for rank, one in enumerate(best.get(signal, ())[:3], signal is Signal.ENGINE_SPEED and is_sum):
             unit = f', unit = "{_quoted(one.unit)}"' if one.statistics.is_column else ""
             unit += f', or_unit = "{one.reading.other}"' if one.reading.other else ""
             lines.append(f"{'# or: ' if rank else ''}{signal.value} = {{ {_place(one)}{unit} }}  # {_said(one)}")
@@ -354,11 +368,11 @@ def _candidate(signal: Signal, stat: SignalStatistics, around: Surroundings, *, 
     return None if score < MIN_SCORE else Candidate(signal=signal, statistics=stat, reading=reading, score=score)
 
 
-def _reading(signal: Signal, stat: SignalStatistics, around: Surroundings, *, is_listed: bool) -> Reading | None:
+def _reading(signal: Signal, stat: SignalStatistics, around: Surroundings, *, is_listed: bool) -> UnitReading | None:
     """Return in which unit a signal is read: of a column without one, what its name allows and its values can be."""
     kind = kind_of_unit(signal)
     if kind is None or not stat.is_column:
-        return Reading(unit=stat.unit) if _is_possible(signal, stat, stat.unit) else None
+        return UnitReading(unit=stat.unit) if _is_possible(signal, stat, stat.unit) else None
     if not (stat.unit or is_listed or re.search(CALLED[kind], stat.signal, re.IGNORECASE)):
         return None
     said = (stat.unit, read_name(stat.signal).unit)

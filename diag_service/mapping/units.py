@@ -111,7 +111,8 @@ USUAL: Final[Mapping[str, tuple[str, ...]]] = {
 OF_THE_US: Final = frozenset({"mph", "psi", "lb·ft", "degF"})
 LEAST_STEPS: Final = 5
 STEP_TOLERANCE: Final = 3e-4  # of a step: what rounding to a few digits leaves of it
-STEP_SCATTER, MOST_OFF = 0.02, 0.02  # of a step, and of all steps that are none
+STEP_SCATTER, MOST_OFF = 0.05, 0.02  # of a step, by rounding, and of all steps that are none
+FEW: Final = 5  # steps from one value to the next: more of them say little of one
 SIMPLE_STEPS: Final = np.array(
     [*(2.0**power for power in range(-10, 6)), *(one * 10.0**power for power in range(-4, 3) for one in (1, 2, 5))]
 )  # of controllers
@@ -121,7 +122,7 @@ ROLLING_M: Final = (0.045, 0.18)  # of a car for a radian of the output shaft: .
 LEAST_OUTPUT_RAD_S: Final = 50.0
 
 
-class Step(NamedTuple):
+class ToldStep(NamedTuple):
     """That values are whole steps of a controller's unit, and were told in another one."""
 
     unit: str  # in which they are told
@@ -129,7 +130,7 @@ class Step(NamedTuple):
     own: str  # the controller's, with the step
 
 
-def told_step(values: FloatArray, kind: str) -> Step | None:
+def told_step(values: FloatArray, kind: str) -> ToldStep | None:
     """Return which unit the steps between values show, as .6214 shows whole km/h told in mph; None if none or several.
 
     Parameters
@@ -142,16 +143,17 @@ def told_step(values: FloatArray, kind: str) -> Step | None:
     if len(steps) < LEAST_STEPS:
         return None
     counts = np.rint(steps / steps.min())
-    step = float(np.median(steps / counts))
-    is_off = np.abs(steps / step - counts) > STEP_SCATTER * counts
-    if np.mean(is_off) > MOST_OFF or _is_simple(step) is not None:
+    short, few = steps[counts <= FEW], counts[counts <= FEW]
+    step = float(np.median(short / few))
+    is_off = np.abs(short / step - few) > STEP_SCATTER
+    if 2 * len(short) < len(steps) or np.mean(is_off) > MOST_OFF or _is_simple(step) is not None:
         return None
-    found = list[Step]()
+    found = list[ToldStep]()
     for unit in USUAL[kind]:
         for own in USUAL[kind]:
             scale, own_scale = TO_SI[kind]["".join(unit.split()).lower()], TO_SI[kind][own.lower()]
             if unit != own and (simple := _is_simple(step * scale.factor / own_scale.factor)) is not None:
-                found.append(Step(unit, step, f"{simple:g} {own}"))
+                found.append(ToldStep(unit, step, f"{simple:g} {own}"))
     return found[0] if len({one.unit for one in found}) == 1 else None
 
 
@@ -184,7 +186,7 @@ class Surroundings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reading:
+class UnitReading:
     """In which unit a column is read, and which other one is not excluded."""
 
     unit: str
@@ -198,7 +200,7 @@ def reading_of(
     possible: Mapping[str, FloatArray],
     values: FloatArray,
     around: Surroundings,
-) -> Reading | None:
+) -> UnitReading | None:
     """Return in which unit a column is read; None if it is possible in none.
 
     Parameters
@@ -223,19 +225,19 @@ def reading_of(
     sound = [unit for unit in possible if not doubts[unit]]
     own = header or (name if name in possible else "")
     if own in possible and not doubts[own]:
-        return Reading(unit=own, why="" if header else "as the name says")
+        return UnitReading(unit=own, why="" if header else "as the name says")
     preferred = [unit for unit in sound if (unit in OF_THE_US) == around.is_of_the_us] or sound or list(possible)
     if own in possible:
         other = next((unit for unit in preferred if unit != own), "")
         what = f"{'the header' if header else 'the name'} says {own}, but {doubts[own]}"
         if header or not sound:  # whoever wrote a unit row meant it
-            return Reading(unit=own, why=what, other=other)
-        return Reading(unit=other, why=what, other=own)
+            return UnitReading(unit=own, why=what, other=other)
+        return UnitReading(unit=other, why=what, other=own)
     if own or not preferred:
         return None
     by_steps = step is not None and preferred[0] == step.unit
     why = f"assumed: its steps are {step.own}" if by_steps and step is not None else "assumed: nothing says the unit"
-    return Reading(unit=preferred[0], why=why)
+    return UnitReading(unit=preferred[0], why=why)
 
 
 def conversion_name(unit: str) -> str:

@@ -1,5 +1,6 @@
 """Tables of signals wherever logs are taken: the same results as from frames, and a profile proposed for them."""
 
+import gzip
 import json
 import lzma
 import tomllib
@@ -96,6 +97,65 @@ def test_a_profile_is_proposed_with_the_ratios_that_the_table_shows(tmp_path: Pa
     found = analysed(table, "--profile", profile)
     assert [(one["from_gear"], one["to_gear"], one["clutch"]) for one in found] == [(1, 2, 2), (2, 3, 1), (3, 4, 2)]
     assert {one["status"] for one in found} == {"unobserved"}
+
+
+def automatic(path: Path) -> None:
+    """Write a table of an automatic as scripts make of a tuner's log: sparse rows, and names of misleading units."""
+    rng, count = np.random.default_rng(11), 6000
+    gear = np.repeat([3.0, 4.0, 5.0], count // 3)
+    turbine = np.round(8.0 * (1500.0 + 300.0 * np.sin(np.arange(count) / 400.0))) / 8.0
+    slip = np.round(8.0 * np.abs(15.0 + rng.normal(0.0, 6.0, count))) / 8.0
+    torque_nm = np.round(2.0 * (150.0 + 60.0 * np.sin(np.arange(count) / 90.0) + slip)) / 2.0
+    pressure_kpa = np.round(16.0 * (90.0 + torque_nm)) / 16.0
+    speed_km_h = np.rint(0.03 * turbine)
+    columns = {  # a value, and after how many rows it ticks
+        "rpm": (turbine + slip, 33),
+        "turbine_rpm": (turbine, 1),
+        "tcc_slip_rpm": (slip, 1),
+        "tcc_desired_slip_rpm": (np.full(count, 20.0), 1),
+        "tcc_line_pressure": (pressure_kpa / 6.894757, 1),
+        "trans_engine_torque_nm": (torque_nm / 1.355818, 1),
+        "delivered_engine_torque_nm": (torque_nm / 1.355818 + rng.normal(0.0, 1.0, count), 33),
+        "trans_gear_actual": (gear, 1),
+        "output_rpm": (turbine / 1.5, 33),
+        "vehicle_speed": (speed_km_h / 1.609344, 2),
+        "trans_fluid_temp_c": (32.0 + 1.8 * np.rint(np.linspace(50.0, 61.0, count)), 16),
+    }
+    lines = [",".join(["time_s", *columns])]
+    for row in range(count):
+        cells = ["" if row % ticks else f"{values[row]:.10f}" for values, ticks in columns.values()]
+        lines.append(f"{0.579 + 0.03 * row:.3f},{','.join(cells)}")
+    path.write_bytes(gzip.compress("\n".join([*lines, ""]).encode()))
+
+
+def test_an_automatic_is_told_its_tier_and_its_units_are_questioned(tmp_path: Path) -> None:
+    table, profile = tmp_path / "automatic.csv.gz", tmp_path / "automatic.toml"
+    automatic(table)
+    run = ended("signals", table)
+    assert run.status == 0, run.err
+    profile.write_text(run.out, encoding="utf-8")
+    assert "it reaches tier 2 (slope of friction of the lock-up clutch over slip, no level)" in run.out
+    signals = tomllib.loads(run.out)["signals"]
+    assert {signal: (one["column"], one["unit"], one.get("or_unit")) for signal, one in signals.items()} == {
+        "engine_torque_nm": ("trans_engine_torque_nm", "lb·ft", "Nm"),
+        "turbine_speed_rad_s": ("turbine_rpm", "rpm", None),
+        "output_speed_rad_s": ("output_rpm", "rpm", None),
+        "lockup_pressure_command_pa": ("tcc_line_pressure", "psi", None),
+        "lockup_slip_rad_s": ("tcc_slip_rpm", "rpm", None),
+        "lockup_slip_command_rad_s": ("tcc_desired_slip_rpm", "rpm", None),
+        "current_gear": ("trans_gear_actual", "", None),
+        "sump_temperature_k": ("trans_fluid_temp_c", "degF", "degC"),
+        "vehicle_speed_m_s": ("vehicle_speed", "mph", None),
+    }
+    for question in ("'trans_fluid_temp_c' is questioned", "'trans_engine_torque_nm' is questioned", "in one unit"):
+        assert question in run.out
+    named: tuple[str | Path, ...] = ("--profile", profile)
+    for words in (named, ()):
+        run = ended("analyze", table, *words)
+        assert run.status == 0
+        assert "tier 2 of 3, slope of friction over slip, no level" in run.out + run.err
+        assert "lockup_pressure_pa as measured" in run.out + run.err
+        assert "column 'trans_fluid_temp_c' is read in 'degF', but something speaks for 'degC'" in run.err
 
 
 def asked(folder: Path, rate_hz: float) -> tuple[list[dict[str, Any]], str]:

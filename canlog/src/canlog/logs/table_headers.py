@@ -40,7 +40,7 @@ TIME_UNITS_US: Final = {**{word: 10.0**power for word, power in UNITS.items()}, 
 EPOCH: Final = {"ms": 1e12, "us": 1e15, "ns": 1e18}  # a time since 1970 is one to four of these until 2096
 DAY_US: Final = 86_400 * US_PER_S
 MOST_APART_US: Final = 60.0 * US_PER_S  # beginnings of the clocks of one recording
-STACKED: Final = frozenset({"TIME", "STAMP"})  # over the times of a group of VCDS
+STACKED: Final = frozenset({"TIME", "STAMP", "ZEIT", "CZAS"})  # over the times of a group of VCDS
 HALTECH: Final = "%DataLog%"
 HALTECH_UNITS: Final = {
     "EngineSpeed": "rpm", "Pressure": "0.1 kPa", "AbsPressure": "0.1 kPa", "Temperature": "0.1 K", "Speed": "0.1 km/h",
@@ -151,10 +151,12 @@ def _stacked(rows: Sequence[Sequence[str]], place: int) -> tuple[list[str], Sequ
     TIME stands over STAMP before each group. Logs of identifiers have place, name and unit of one signal below each
     other; those of groups a name in two rows, and the units beside STAMP.
     """
-    if len(rows) < place + 3 or not (clocks := [n for n, cell in enumerate(rows[place]) if cell.strip() in STACKED]):
+    if len(rows) < place + 3 or not (
+        clocks := [n for n, cell in enumerate(rows[place]) if cell.strip().upper() in STACKED]
+    ):
         return None
     below, last = rows[place + 1], rows[place + 2]
-    if any("".join(below[clock : clock + 1]).strip() not in STACKED for clock in clocks):
+    if any("".join(below[clock : clock + 1]).strip().upper() not in STACKED for clock in clocks):
         return None
     width = max(len(stripped(row)) for row in (rows[place], below))
     is_of_values = any(NUMBER.fullmatch("".join(last[clock : clock + 1]).strip()) for clock in clocks)

@@ -188,6 +188,32 @@ def test_columns_behind_a_later_header_are_found_by_their_names() -> None:
     assert "columns that only a later header names are left out: Boost(psi)" in counts.notes
 
 
+def test_rows_that_are_slower_than_a_bus_are_no_jumps_of_time(tmp_path: Path) -> None:
+    path = tmp_path / "slow.csv"
+    path.write_text("Time [s],Engine RPM [rpm],Oil [°C]\n" + "".join(f"{5 * t},{900 + t},80\n" for t in range(60)))
+    with read_log(path) as reader:
+        batch = join(list(reader))
+        assert (reader.counts.jumps_ahead, reader.counts.jumps_back, len(batch)) == (0, 0, 120)
+
+
+def test_a_list_of_networks_may_stand_before_frames(tmp_path: Path) -> None:
+    networks = [f"NET {n},Default,NET {n},CAN,500000," for n in range(95)]
+    names = "Line,Abs Time(Sec),Rel Time (Sec),Status,Er,Tx,Description,Network,Node,"
+    head = [f"{names}{rest}" for rest in ("ID,Cycle,Ch", "Arb ID,Remote,Xtd,B1,B2,B3,B4,Value", "PT,Trgt,Src,B1,B2")]
+    rows = [
+        f"{n},{n / 100:.6f},0.01,67108868,F,F,,{'MS' if n % 2 else 'HS'} CAN,,CF00400,F,T,F8,7D,{n:02X},10,"
+        for n in range(1, 41)
+    ]
+    path = tmp_path / "bus.csv"
+    path.write_text("\n".join(["Vehicle Spy 3 Bus Traffic File", "", *networks, "", *head, *rows, ""]))
+    with read_log(path) as reader:
+        batch = join(list(reader))
+    assert reader.format is LogFormat.COLUMNS
+    assert set(batch.can_id.tolist()) == {0x0CF00400 | EXTENDED_FLAG}
+    assert batch.data[:, 2].tolist() == list(range(1, 41))
+    assert batch.channel.tolist() == [0, 1] * 20
+
+
 def sparse(channels: Channels) -> str:
     """Return a table with a row for each moment at which one channel or more told a value."""
     moments = sorted({t for times, _ in channels.values() for t in times})

@@ -1,16 +1,24 @@
 """Names that programs for owners of cars write, and what the units of their columns are read in."""
 
+import tomllib
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from canlog.arrays import FloatArray
+from canlog.database.signal_columns import SignalColumn, column_id, columns_database
 from canlog.decode.signals import NO_INVALID, Decoded
+from canlog.frames import EXTENDED_FLAG
+from canlog.logs.signal_tables import frames_of_rows
 from diag_service.diagnosis.columns import Signal
+from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.mapped_messages import is_of_lockup, missing_for_next, reach_in_words, tier_of
 from diag_service.mapping.names import named_signal, read_name
-from diag_service.mapping.proposal import Candidate, SignalStatistics, candidates, disagreeing, profile_text
+from diag_service.mapping.profile import profile_of
+from diag_service.mapping.proposal import Candidate, SignalStatistics, candidates, profile_text, questioned
 from diag_service.mapping.units import USUAL, conversion, told_step
 
 NAMES = {
@@ -138,8 +146,8 @@ def test_steps_of_a_controller_show_in_which_unit_values_are_told(
     kind=st.sampled_from(["m_s", "k", "nm", "pa", "rad_s"]),
 )
 def test_round_steps_and_no_steps_show_nothing(step: float, count: int, kind: str) -> None:
-    assert told_step(step * np.arange(count), kind) is None
-    assert told_step(np.sort(np.random.default_rng(count).uniform(0.0, 100.0, count)), kind) is None
+    assert told_step(step * np.arange(count, dtype=np.float64), kind) is None
+    assert told_step(np.sort(np.random.default_rng(count).uniform(0.0, 100.0, count)).astype(np.float64), kind) is None
 
 
 def test_a_name_that_its_steps_contradict_has_both_readings() -> None:
@@ -183,8 +191,9 @@ def test_torques_that_would_agree_in_one_unit_are_told() -> None:
         [column("trans_engine_torque_nm", torque), column("delivered_engine_torque_nm", torque[::7] + 0.01)]
     )
     assert best[Signal.ENGINE_TORQUE][0].reading.unit == "lb·ft"
-    (said,) = disagreeing(best)
-    assert "would agree in one unit" in said
+    by_steps, by_other = questioned(best)
+    assert by_steps.endswith("told in lb·ft. It is read in lb·ft")
+    assert by_other.endswith("would agree in one unit")
 
 
 def test_the_input_of_a_gearbox_behind_a_converter_is_the_turbine() -> None:
@@ -223,7 +232,29 @@ def test_tiers_of_a_lockup_clutch_are_told_before_the_drive(signals: frozenset[S
 
 def test_a_commanded_pressure_is_told_to_be_none() -> None:
     missing = missing_for_next(COMMANDED, has_converter=True)
-    assert missing.startswith(
-        "friction of the lock-up clutch needs engine_speed_rad_s, lockup_pressure_pa as measured:"
-    )
+    assert missing.startswith("friction of the lock-up clutch needs lockup_pressure_pa as measured:")
     assert missing_for_next(MEASURED, has_converter=True) == ""
+
+
+def test_engine_speed_is_turbine_speed_plus_slip() -> None:
+    t_us = 30_000.0 * np.arange(40, dtype=np.float64)
+    names = ["Engine RPM", "Trans Turbine RPM", "TCC Slip"]
+    turbine, slip = 1500.0 + 5.0 * np.arange(40), np.linspace(0.0, 39.0, 40)
+    values = np.column_stack([np.where(np.arange(40) % 20 == 0, 9.0, np.nan), turbine, slip])
+    values[::2, 1] = np.nan  # each at its own rate
+    ids = np.array([column_id(name) | EXTENDED_FLAG for name in names], np.uint32)
+    best = candidates(
+        [column(name, values[:, place][np.isfinite(values[:, place])]) for place, name in enumerate(names)]
+    )
+    text = profile_text("car", best, [])
+    assert "# or: engine_speed_rad_s = " in text
+    profile = profile_of(tomllib.loads(text), Path("car.toml"))
+    assert Signal.ENGINE_SPEED not in profile.sources
+    for size in (40, 7):  # the same however the rows come
+        decoder = Decoder(columns_database([SignalColumn(name, "rpm") for name in names]), profile)
+        assert Signal.ENGINE_SPEED in decoder.signals
+        batches = [frames_of_rows(t_us[n : n + size], values[n : n + size], ids) for n in range(0, 40, size)]
+        parts = [one.columns[Signal.ENGINE_SPEED] for batch in batches for one in decoder.feed(batch)]
+        engine_rpm = np.concatenate([part.value for part in parts]) / (np.pi / 30.0)
+        assert np.abs(engine_rpm - turbine - slip).max() <= 5.01  # one row of the turbine's, at an end
+        assert Signal.ENGINE_SPEED in decoder.seen
