@@ -48,7 +48,7 @@ def name_table() -> NameTable:
             choices = [(word[:-1], "") if word.endswith("?") else (word,) for word in name.split()]
             for words in product(*choices):
                 signals[frozenset(words) - {""}] = Signal(signal)
-    spellings = {spelling: word for word, own in table["words"].items() for spelling in own}
+    spellings = {spelling: word for word, variants in table["words"].items() for spelling in variants}
     return NameTable(table["phrases"], frozenset(table["idle"]), spellings, signals)
 
 

@@ -223,23 +223,27 @@ def candidates(statistics: Iterable[SignalStatistics]) -> dict[Signal, list[Cand
         listed |= {place: before_converter(signal) for place, signal in listed.items()}
     around = _surroundings(statistics, listed)
     named = ((stat, listed.get(stat.place)) for stat in statistics)
-    pairs = ((stat, signal) for stat, own in named for signal in ([own] if own else KINDS))
-    found = [one for stat, signal in pairs if (one := _candidate(signal, stat, around, is_listed=stat.place in listed))]
-    found.sort(
-        key=lambda one: (
-            -one.score,
-            -one.statistics.count if one.statistics.place in listed else 0,
-            one.statistics.place,
+    pairs = ((stat, signal) for stat, name in named for signal in ([name] if name else KINDS))
+    matches = [
+        candidate
+        for stat, signal in pairs
+        if (candidate := _candidate(signal, stat, around, is_listed=stat.place in listed))
+    ]
+    matches.sort(
+        key=lambda candidate: (
+            -candidate.score,
+            -candidate.statistics.count if candidate.statistics.place in listed else 0,
+            candidate.statistics.place,
         )
     )
     taken: set[str] = set()
     best: dict[Signal, list[Candidate]] = {}
-    for one in found:
-        if one.signal not in best and one.statistics.place in taken:
+    for candidate in matches:
+        if candidate.signal not in best and candidate.statistics.place in taken:
             continue
-        if one.signal not in best:
-            taken.add(one.statistics.place)
-        best.setdefault(one.signal, []).append(one)
+        if candidate.signal not in best:
+            taken.add(candidate.statistics.place)
+        best.setdefault(candidate.signal, []).append(candidate)
     return best
 
 
@@ -270,16 +274,16 @@ def questioned(best: Mapping[Signal, Sequence[Candidate]]) -> Iterator[str]:
             yield f"The unit of {place!r} is questioned: {reading.why}. It is read in {reading.unit}"
     torques = best.get(Signal.ENGINE_TORQUE, [])
     for other in torques[1:]:
-        tops = [to_si(one.signal, one.source, None)(one.statistics.ends)[1] for one in (torques[0], other)]
+        tops = [to_si(torque.signal, torque.source, None)(torque.statistics.ends)[1] for torque in (torques[0], other)]
         ratio = tops[0] / tops[1] if tops[1] else 0.0
         if min(abs(ratio - LB_FT_NM), abs(1.0 / ratio - LB_FT_NM) if ratio else 1.0) < LB_FT_NM * TORQUES_ALIKE:
-            both = (f"{one.statistics.place!r} in {one.unit}" for one in (torques[0], other))
+            both = (f"{torque.statistics.place!r} in {torque.unit}" for torque in (torques[0], other))
             yield f"The engine's torque is questioned: {' and '.join(both)} would agree in one unit"
 
 
 def engine_speed_is_sum(best: Mapping[Signal, Sequence[Candidate]]) -> bool:
     """Return whether engine speed is better told by turbine and slip: by itself it comes less than half as often."""
-    count = {signal: found[0].statistics.count for signal, found in best.items()}
+    count = {signal: candidates[0].statistics.count for signal, candidates in best.items()}
     both = min(count.get(Signal.TURBINE_SPEED, 0), count.get(Signal.LOCKUP_SLIP, 0))
     return both > 2 * count.get(Signal.ENGINE_SPEED, 0)
 
@@ -291,14 +295,16 @@ def profile_text(name: str, best: dict[Signal, list[Candidate]], remarks: Sequen
     for signal in Signal:
         if signal is Signal.ENGINE_SPEED and is_sum:
             lines.append(f"# {signal.value} is turbine speed plus slip, which come more often than it does by itself")
-        for rank, one in enumerate(best.get(signal, ())[:3], signal is Signal.ENGINE_SPEED and is_sum):
-            unit = f', unit = "{_quoted(one.unit)}"' if one.statistics.is_column else ""
-            unit += f', or_unit = "{one.reading.other}"' if one.reading.other else ""
-            lines.append(f"{'# or: ' if rank else ''}{signal.value} = {{ {_place(one)}{unit} }}  # {_said(one)}")
-            if one.reading.other and not rank:
-                swapped = f'unit = "{one.reading.other}"'
-                lines.append(f"# questioned: {one.reading.why}. The other reading:")
-                lines.append(f"# or: {signal.value} = {{ {_place(one)}, {swapped} }}")
+        for rank, candidate in enumerate(best.get(signal, ())[:3], signal is Signal.ENGINE_SPEED and is_sum):
+            unit = f', unit = "{_quoted(candidate.unit)}"' if candidate.statistics.is_column else ""
+            unit += f', or_unit = "{candidate.reading.other}"' if candidate.reading.other else ""
+            lines.append(
+                f"{'# or: ' if rank else ''}{signal.value} = {{ {_place(candidate)}{unit} }}  # {_said(candidate)}"
+            )
+            if candidate.reading.other and not rank:
+                swapped = f'unit = "{candidate.reading.other}"'
+                lines.append(f"# questioned: {candidate.reading.why}. The other reading:")
+                lines.append(f"# or: {signal.value} = {{ {_place(candidate)}, {swapped} }}")
     if Signal.ENGINE_TORQUE not in best and Signal.INJECTION_TIME in best:
         fuel = best[Signal.INJECTION_TIME][0]
         scale = f"scale = {TYPICAL_TORQUE_NM / fuel.statistics.highest:.3g}"
@@ -375,7 +381,7 @@ def _reading(signal: Signal, stat: SignalStatistics, around: Surroundings, *, is
         return UnitReading(unit=stat.unit) if _is_possible(signal, stat, stat.unit) else None
     if not (stat.unit or is_listed or re.search(CALLED[kind], stat.signal, re.IGNORECASE)):
         return None
-    said = (stat.unit, read_name(stat.signal).unit)
+    stated = (stat.unit, read_name(stat.signal).unit)
     units = dict.fromkeys((*([stat.unit] if stat.unit else []), *USUAL[kind]))
     possible = {
         unit: to_si(signal, stat.source, unit)(stat.ends)
@@ -383,7 +389,7 @@ def _reading(signal: Signal, stat: SignalStatistics, around: Surroundings, *, is
         if (stat.unit in ("", unit) or conversion_name(unit) != conversion_name(stat.unit))
         and _is_possible(signal, stat, unit)
     }
-    return reading_of(signal, said, possible, stat.distinct, around)
+    return reading_of(signal, stated, possible, stat.distinct, around)
 
 
 def _is_possible(signal: Signal, stat: SignalStatistics, unit: str) -> bool:
@@ -445,15 +451,12 @@ class Ranges:
                 yield f"{signal.value}: {what}"
 
 
-def _said(one: Candidate) -> str:
-    stat = one.statistics
-    why = one.reading.why if not one.reading.other else ""
-    unit = f"{one.unit} ({why})" if why else one.unit
-    return (
-        f"{digits(stat.lowest)} to {digits(stat.highest)} {unit}, {stat.count} values, score {one.score:.1f}".replace(
-            " ,", ","
-        )
-    )
+def _said(candidate: Candidate) -> str:
+    stat = candidate.statistics
+    why = candidate.reading.why if not candidate.reading.other else ""
+    unit = f"{candidate.unit} ({why})" if why else candidate.unit
+    span = f"{digits(stat.lowest)} to {digits(stat.highest)} {unit}".rstrip()
+    return f"{span}, {stat.count} values, score {candidate.score:.1f}"
 
 
 def _quoted(text: str) -> str:

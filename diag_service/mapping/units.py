@@ -90,8 +90,8 @@ def kind_of_unit(signal: Signal) -> str | None:
 def conversion(kind: str, unit: str) -> Conversion | None:
     """Return the conversion from a unit or a multiple such as ``0.1 kPa``; None if it is of another kind."""
     spelled = "".join(unit.split()).lower()
-    if (found := TO_SI[kind].get(spelled)) is not None:
-        return found
+    if (exact := TO_SI[kind].get(spelled)) is not None:
+        return exact
     scaled = SCALED.fullmatch(spelled)
     base = TO_SI[kind].get(scaled[2]) if scaled else None
     return base.after(float(scaled[1]), 0.0) if scaled and base else None
@@ -114,7 +114,7 @@ STEP_TOLERANCE: Final = 3e-4  # of a step: what rounding to a few digits leaves 
 STEP_SCATTER, MOST_OFF = 0.05, 0.02  # of a step, by rounding, and of all steps that are none
 FEW: Final = 5  # steps from one value to the next: more of them say little of one
 SIMPLE_STEPS: Final = np.array(
-    [*(2.0**power for power in range(-10, 6)), *(one * 10.0**power for power in range(-4, 3) for one in (1, 2, 5))]
+    [*(2.0**power for power in range(-10, 6)), *(digit * 10.0**power for power in range(-4, 3) for digit in (1, 2, 5))]
 )  # of controllers
 HOTTEST_K: Final = k_from_degc(110.0)  # that oil is not always above: coolers hold 70 to 100 degC
 MOST_ABOVE_COOLANT_K: Final = 15.0  # of oil that is always hotter than the coolant ever is
@@ -126,8 +126,8 @@ class ToldStep(NamedTuple):
     """That values are whole steps of a controller's unit, and were told in another one."""
 
     unit: str  # in which they are told
-    told: float  # the step in it
-    own: str  # the controller's, with the step
+    size: float  # in it
+    native: str  # the same step in the controller's unit
 
 
 def told_step(values: FloatArray, kind: str) -> ToldStep | None:
@@ -148,13 +148,13 @@ def told_step(values: FloatArray, kind: str) -> ToldStep | None:
     is_off = np.abs(short / step - few) > STEP_SCATTER
     if 2 * len(short) < len(steps) or np.mean(is_off) > MOST_OFF or _is_simple(step) is not None:
         return None
-    found = list[ToldStep]()
+    shown = list[ToldStep]()
     for unit in USUAL[kind]:
-        for own in USUAL[kind]:
-            scale, own_scale = TO_SI[kind]["".join(unit.split()).lower()], TO_SI[kind][own.lower()]
-            if unit != own and (simple := _is_simple(step * scale.factor / own_scale.factor)) is not None:
-                found.append(ToldStep(unit, step, f"{simple:g} {own}"))
-    return found[0] if len({one.unit for one in found}) == 1 else None
+        for native in USUAL[kind]:
+            scale, native_scale = TO_SI[kind]["".join(unit.split()).lower()], TO_SI[kind][native.lower()]
+            if unit != native and (simple := _is_simple(step * scale.factor / native_scale.factor)) is not None:
+                shown.append(ToldStep(unit, step, f"{simple:g} {native}"))
+    return shown[0] if len({step.unit for step in shown}) == 1 else None
 
 
 def _is_simple(step: float) -> float | None:
@@ -196,7 +196,7 @@ class UnitReading:
 
 def reading_of(
     signal: Signal,
-    said: tuple[str, str],
+    stated_units: tuple[str, str],
     possible: Mapping[str, FloatArray],
     values: FloatArray,
     around: Surroundings,
@@ -207,7 +207,7 @@ def reading_of(
     ----------
     signal
         Which it is.
-    said
+    stated_units
         The unit in its header, and that at the end of its name; empty if there is none.
     possible
         The range [SI] of its values by each unit in which they are possible.
@@ -216,27 +216,27 @@ def reading_of(
     around
         What other columns say.
     """
-    header, name = said
+    header, name = stated_units
     step, doubts = told_step(values, kind_of_unit(signal) or "ratio"), dict[str, str]()
     for unit, ends in possible.items():
         is_against = step is not None and conversion_name(unit) != conversion_name(step.unit)
-        steps = f"its steps of {step.told:.4g} are {step.own} told in {step.unit}" if step is not None else ""
+        steps = f"its steps of {step.size:.4g} are {step.native} told in {step.unit}" if step is not None else ""
         doubts[unit] = steps if is_against else around.doubt(signal, ends)
     sound = [unit for unit in possible if not doubts[unit]]
-    own = header or (name if name in possible else "")
-    if own in possible and not doubts[own]:
-        return UnitReading(unit=own, why="" if header else "as the name says")
+    stated = header or (name if name in possible else "")
+    if stated in possible and not doubts[stated]:
+        return UnitReading(unit=stated, why="" if header else "as the name says")
     preferred = [unit for unit in sound if (unit in OF_THE_US) == around.is_of_the_us] or sound or list(possible)
-    if own in possible:
-        other = next((unit for unit in preferred if unit != own), "")
-        what = f"{'the header' if header else 'the name'} says {own}, but {doubts[own]}"
+    if stated in possible:
+        other = next((unit for unit in preferred if unit != stated), "")
+        what = f"{'the header' if header else 'the name'} says {stated}, but {doubts[stated]}"
         if header or not sound:  # whoever wrote a unit row meant it
-            return UnitReading(unit=own, why=what, other=other)
-        return UnitReading(unit=other, why=what, other=own)
-    if own or not preferred:
+            return UnitReading(unit=stated, why=what, other=other)
+        return UnitReading(unit=other, why=what, other=stated)
+    if stated or not preferred:
         return None
     by_steps = step is not None and preferred[0] == step.unit
-    why = f"assumed: its steps are {step.own}" if by_steps and step is not None else "assumed: nothing says the unit"
+    why = f"assumed: its steps are {step.native}" if by_steps and step is not None else "assumed: nothing says the unit"
     return UnitReading(unit=preferred[0], why=why)
 
 

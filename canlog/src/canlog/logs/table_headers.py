@@ -140,7 +140,7 @@ def _header_at(rows: Sequence[Sequence[str]], place: int, separator: str) -> Tab
     if not units:
         while len(rows) > first and _are_units(rows[first], width):  # the last: types may stand before it
             units, first = rows[first], first + 1
-            if any(len(units[one]) > 1 for one in time_places(units, ())) and not time_places(names, ()):
+            if any(len(units[clock]) > 1 for clock in time_places(units, ())) and not time_places(names, ()):
                 return None  # that is the header, and this a line before it
     return _header_of(rows, names, units, place, first, separator)
 
@@ -208,18 +208,20 @@ def _header_of(
     body = [row[:width] for row in filled if len(row) >= width and not any(row[width:])]
     if len(body) < LEAST_ROWS or len(body) < len(filled) / 2:
         return None
-    cells = [[row[one].strip() for row in body] for one in range(width)]
+    cells = [[row[index].strip() for row in body] for index in range(width)]
     commas = [cell for column in cells for cell in column if "," in cell and NUMBER.fullmatch(cell)]
     has_comma = any(separator != "," or not GROUPED.fullmatch(cell) for cell in commas)
     if separator == "," and not has_comma:
         cells = [ungrouped(column) for column in cells]
-    payloads = [one for one in range(width) if _is_payload(cells[one])]
-    is_traffic = len(payloads) > 1 or any(not STATUS.fullmatch(cell) for one in payloads for cell in cells[one] if cell)
-    clock = next((one for one in time_places(names) if _rises(cells[one])), None)
+    payloads = [index for index in range(width) if _is_payload(cells[index])]
+    is_traffic = len(payloads) > 1 or any(
+        not STATUS.fullmatch(cell) for index in payloads for cell in cells[index] if cell
+    )
+    clock = next((index for index in time_places(names) if _rises(cells[index])), None)
     if is_traffic or clock is None:
         return None
     columns, notes = signal_columns(names, units)
-    time_us, unit, said = _clock_us(cells[clock], columns[clock])
+    time_us, unit, time_notes = _clock_us(cells[clock], columns[clock])
     plan = _plan_of_values(names, cells, clock, unit)
     if plan is None:
         plan = _plan_of_columns(columns, cells, (clock, unit, time_us), payloads)
@@ -228,7 +230,7 @@ def _header_of(
     return TableHeader(
         separator=separator, lines=first, width=width, time_place=clock, clocks=plan.clocks, columns=plan.columns,
         has_decimal_comma=has_comma, places=plan.places, clock_places=plan.clock_places, worded=plan.worded,
-        name_place=plan.name_place, names=tuple(names), notes=(*said, *notes, *plan.notes), repeated=repeated,
+        name_place=plan.name_place, names=tuple(names), notes=(*time_notes, *notes, *plan.notes), repeated=repeated,
         clock_words=frozenset("".join(row[clock : clock + 1]).strip() for row in rows[place:first]) - {""},
     )  # fmt: skip
 
@@ -281,28 +283,30 @@ def _plan_of_columns(
     clock keep the row's time if both run equally fast, and are left out if not.
     """
     clock, unit, time_us = row_clock
-    others = [one for one in range(len(columns)) if columns[one].name and one not in {clock, *payloads}]
-    blanks = {one: words for one in others if (words := _words_for_blanks(cells[one])) is not None}
-    left_out = [columns[one].name for one in range(len(columns)) if one not in {clock, *blanks} and any(cells[one])]
+    others = [place for place in range(len(columns)) if columns[place].name and place not in {clock, *payloads}]
+    blanks = {place: words for place in others if (words := _words_for_blanks(cells[place])) is not None}
+    left_out = [
+        columns[place].name for place in range(len(columns)) if place not in {clock, *blanks} and any(cells[place])
+    ]
     notes = [f"columns of words are left out: {', '.join(left_out)}"] * bool(left_out)
-    names = [one.name for one in columns]
-    paces = {one: _pace(cells[one], columns[one], time_us) for one in time_places(names, ()) if one != clock}
+    names = [column.name for column in columns]
+    paces = {place: _pace(cells[place], columns[place], time_us) for place in time_places(names, ()) if place != clock}
     clocks = {clock: unit, **_clocks_of_groups(columns, cells, clock, time_us)}
     for other in clocks:
         blanks.pop(other, None)
         paces.pop(other, None)
-    begins = sorted([*clocks, *(one for one, pace in paces.items() if pace)])
-    for other in (one for one in begins if one in paces and not 1.0 / MOST_PACE <= paces[one] <= MOST_PACE):
-        stop = next((one for one in begins if one > other), len(columns))
-        behind = ", ".join(columns[one].name for one in range(other, stop) if blanks.pop(one, None) is not None)
+    begins = sorted([*clocks, *(place for place, pace in paces.items() if pace)])
+    for other in (place for place in begins if place in paces and not 1.0 / MOST_PACE <= paces[place] <= MOST_PACE):
+        stop = next((place for place in begins if place > other), len(columns))
+        behind = ", ".join(columns[place].name for place in range(other, stop) if blanks.pop(place, None) is not None)
         notes.append(f"{columns[other].name!r} is another clock than that of the rows; left out are {behind}")
-    notes += [f"{columns[one].name!r} has no value at {', '.join(words)}" for one, words in blanks.items() if words]
+    notes += [f"{columns[place].name!r} has no value at {', '.join(words)}" for place, words in blanks.items() if words]
     return _Plan(
-        columns=tuple(columns[one] for one in blanks),
+        columns=tuple(columns[place] for place in blanks),
         places=tuple(blanks),
         clocks=clocks,
-        clock_places=tuple(max((one for one in clocks if one < place), default=clock) for place in blanks),
-        worded=frozenset(one for one, words in blanks.items() if words),
+        clock_places=tuple(max((begin for begin in clocks if begin < place), default=clock) for place in blanks),
+        worded=frozenset(place for place, words in blanks.items() if words),
         notes=tuple(notes),
     )
 

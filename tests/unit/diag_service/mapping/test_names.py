@@ -136,7 +136,7 @@ def test_steps_of_a_controller_show_in_which_unit_values_are_told(
 ) -> None:
     step = told_step(np.round(told, 10)[:4096].astype(np.float64), kind)
     assert step is not None
-    assert (step.unit, step.own) == (unit, own)
+    assert (step.unit, step.native) == (unit, own)
 
 
 @settings(max_examples=50, deadline=None)
