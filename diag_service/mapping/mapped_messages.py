@@ -295,13 +295,14 @@ def missing_for_next(signals: AbstractSet[Signal], *, knows_gears: bool = False,
     if Signal.LOCKUP_PRESSURE in signals and not has_converter:
         return "friction of a lock-up clutch needs a description with its converter (--calibration lockup)"
     wanted = Tier.KINEMATIC if tier is None else Tier(tier - 1)
-    purpose = (LOCKUP_PURPOSE if has_converter else PURPOSE)[wanted]
+    purpose = (LOCKUP_PURPOSE if has_converter else PURPOSE)[wanted].removesuffix(", no level")
     missing = (
         " or ".join(dict.fromkeys(_joined(alternative - signals) for alternative in requirement))
         for requirement in _unmet(wanted, signals, knows_gears=knows_gears, has_converter=has_converter)
     )
     sentence = f"{purpose} {'need' if ' and ' in purpose else 'needs'} {', '.join(missing)}"
-    if has_converter and Signal.LOCKUP_PRESSURE_COMMAND in signals and Signal.LOCKUP_PRESSURE not in signals:
+    is_commanded = Signal.LOCKUP_PRESSURE_COMMAND in signals and Signal.LOCKUP_PRESSURE not in signals
+    if has_converter and is_commanded and wanted is Tier.FRICTION:
         sentence += " as measured: the lag and scale of a commanded pressure are not known, and its controller learns"
     return sentence
 

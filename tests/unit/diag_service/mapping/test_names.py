@@ -234,6 +234,9 @@ def test_a_commanded_pressure_is_told_to_be_none() -> None:
     missing = missing_for_next(COMMANDED, has_converter=True)
     assert missing.startswith("friction of the lock-up clutch needs lockup_pressure_pa as measured:")
     assert missing_for_next(MEASURED, has_converter=True) == ""
+    assert missing_for_next(COMMANDED - {Signal.ENGINE_TORQUE}, has_converter=True) == (
+        "slope of friction of the lock-up clutch over slip needs engine_torque_nm"
+    )
 
 
 def test_engine_speed_is_turbine_speed_plus_slip() -> None:
