@@ -43,8 +43,8 @@ def static_evidence(drive: PaperDrive, setup: Setup, seeds: range) -> list[Stati
 def _one_run(drive: PaperDrive, setup: Setup, clutch: int, data: FrictionData) -> StaticEvidence:
     curve = CALIBRATION.clutches[clutch - 1].friction
     gates, true = setup.gates, true_value(drive, clutch, "mu_s")
-    passed = static_gate(data, gates, curve.lock_band_rad_s, curve.mu_s).rows
-    ungated = static_gate(data, replace(gates, prior_tolerance_ratio=None), curve.lock_band_rad_s, curve.mu_s).rows
+    passed = static_gate(data, gates, curve.lock_band_rad_s, curve.mu_s)
+    ungated = static_gate(data, replace(gates, prior_tolerance_ratio=None), curve.lock_band_rad_s, curve.mu_s)
     locked = drive.is_locked(clutch)
     excess_rad_s = np.abs(drive.slip_rad_s(clutch)) - curve.lock_band_rad_s
     slow = ~locked & (excess_rad_s > 0.0) & (excess_rad_s <= gates.stick_tolerance_rad_s)

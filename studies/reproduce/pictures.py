@@ -222,8 +222,8 @@ def _curves(panels: list[Axes], drive: PaperDrive, run: Run) -> None:
     for clutch, axes in zip(CLUTCHES, panels, strict=True):
         data, believed = run.analysis.clutches[clutch - 1].data, CALIBRATION.clutches[clutch - 1].friction
         estimate = fitted(run.analysis, run.setup.gates)[clutch - 1]
-        coulomb = coulomb_gate(data, run.setup.gates).rows
-        static = static_gate(data, run.setup.gates, believed.lock_band_rad_s, believed.mu_s).rows
+        coulomb = coulomb_gate(data, run.setup.gates)
+        static = static_gate(data, run.setup.gates, believed.lock_band_rad_s, believed.mu_s)
         axes.plot(
             data.slip_rad_s[coulomb], data.mu[coulomb], ".", color=NOISE_COLOUR, ms=2.5, label="samples for $µ_C$"
         )

@@ -116,5 +116,5 @@ def _can_estimates(case: PaperCase, seed: int, cycles: int) -> tuple[PaperEstima
         for event in finder.feed(columns):
             collection.add(event)
     first, second = (clutch.estimate for clutch in collection.pooled())
-    nothing = PaperEstimate(mu_c=None, mu_s=None, static_counts={}, coulomb_counts={})
+    nothing = PaperEstimate(mu_c=None, mu_s=None, static_count=0, coulomb_count=0)
     return first or nothing, second or nothing

@@ -18,7 +18,7 @@ from clutch_model.pack import (
     viscosity_pa_s,
 )
 from clutch_model.units import k_from_degc, pa_from_bar
-from diag_service.diagnosis.friction.paper.driveline import steady_kalman_gain
+from diag_service.diagnosis.friction.paper.driveline import steady_kalman
 from tests.support.film_laws import squeeze_rate_m_s
 
 CALIBRATION = nominal_calibration()
@@ -73,7 +73,9 @@ def golden_values() -> Iterator[Golden]:
         yield from _equilibrium(clutch, pressure_bar, applied_pa, film_um, capacity_nm)
     for ratio, expected in TIME_CONSTANT_MS.items():
         yield _value(f"film time constant, H = {ratio:g} [ms]", expected, 1e3 * film_time_constant_s(ratio, law), 0.06)
-    for name, expected, here in zip(("w", "dw/dt"), KALMAN_GAIN, steady_kalman_gain(1e-3, 1.78e7, 535.0), strict=True):
+    kalman = steady_kalman(1e-3, 1.78e7, 535.0)
+    gains = kalman.value_gain, kalman.rate_gain_1_s
+    for name, expected, here in zip(("w", "dw/dt"), KALMAN_GAIN, gains, strict=True):
         yield _value(f"Kalman gain of {name}", expected, here, 6e-7)
 
 

@@ -61,13 +61,6 @@ class Output:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wheel:
-    """The driven wheels."""
-
-    radius_m: float  # R_w
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Driveline:
     """One vehicle type from flywheel to wheels."""
 
@@ -75,7 +68,7 @@ class Driveline:
     shafts: tuple[Shaft, Shaft]
     gearbox: Gearbox
     output: Output
-    wheel: Wheel
+    wheel_radius_m: float  # R_w, of the driven wheels
 
     @property
     def overall_ratios(self) -> tuple[float, ...]:
@@ -268,8 +261,8 @@ def _kalman_filter() -> Any:  # noqa: ANN401 - filterpy is untyped
     return KalmanFilter(dim_x=2, dim_z=1)
 
 
-def steady_kalman_gain(period_s: float, rate_variance: float, sample_variance: float) -> tuple[float, float]:
-    """Return the steady gain L of the paper's filter for signal and rate, eqs. (11) to (16).
+def steady_kalman(period_s: float, rate_variance: float, sample_variance: float) -> SteadyKalman:
+    """Return the paper's filter with its steady gain, eqs. (11) to (16).
 
     Parameters
     ----------
@@ -287,13 +280,7 @@ def steady_kalman_gain(period_s: float, rate_variance: float, sample_variance: f
     observed = np.array([[1.0, 0.0]])
     covariance = solve_discrete_are(transition.T, observed.T, process, np.eye(1))
     gain = transition @ covariance @ observed.T / (observed @ covariance @ observed.T + 1.0)
-    return float(gain[0, 0]), float(gain[1, 0] / period_s)
-
-
-def steady_kalman(period_s: float, rate_variance: float, sample_variance: float) -> SteadyKalman:
-    """Return the filter of a process variance q and a sample variance r."""
-    value_gain, rate_gain_1_s = steady_kalman_gain(period_s, rate_variance, sample_variance)
-    return SteadyKalman(value_gain=value_gain, rate_gain_1_s=rate_gain_1_s)
+    return SteadyKalman(value_gain=float(gain[0, 0]), rate_gain_1_s=float(gain[1, 0] / period_s))
 
 
 def quiet_filter(period_s: float, sample_std: float, rate_std: float) -> SteadyKalman:

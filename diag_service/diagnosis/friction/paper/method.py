@@ -6,10 +6,7 @@ smoother (Kalman filter forward, Rauch-Tung-Striebel backward) over the whole sh
 torque balances, eq. (1a), and a clutch whose pressure is below its touch point passes next to nothing.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from enum import StrEnum
-from types import MappingProxyType
 
 import numpy as np
 
@@ -166,18 +163,6 @@ def _fill_surface(
         share[row] = stribeck_weight(slip_rad_s[row], friction)
 
 
-class SampleGate(StrEnum):
-    """The conditions a sample must meet, each in the order in which the paper names them."""
-
-    SHIFTING = "a shift is under way"
-    STICK = "0 < |slip| - w_rel <= stick tolerance"
-    MECHANICAL = "mechanical contact"
-    NEAR_PRIOR = "near the previous mu_S"
-    PARTIAL = "partial lubrication"
-    SLIPPING = "slip above its minimum"
-    STROKING = "pressure rises fast"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gates:
     """The numbers of the gates; None switches one off."""
@@ -202,53 +187,28 @@ class PaperEstimate:
 
     mu_c: float | None
     mu_s: float | None
-    static_counts: Mapping[SampleGate, int]  # samples left after each gate of mu_S
-    coulomb_counts: Mapping[SampleGate, int]  # samples left after each gate of mu_C
-
-    @property
-    def static_count(self) -> int:
-        """Samples that speak of mu_S."""
-        return min(self.static_counts.values())
-
-    @property
-    def coulomb_count(self) -> int:
-        """Samples that speak of mu_C."""
-        return min(self.coulomb_counts.values())
+    static_count: int  # samples that speak of mu_S
+    coulomb_count: int  # samples that speak of mu_C
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Passed:
-    """Which samples pass all gates, and how many are left after each."""
-
-    rows: BoolArray
-    counts: Mapping[SampleGate, int]
-
-
-def static_gate(data: FrictionData, gates: Gates, lock_band_rad_s: float, prior_mu_s: float) -> Passed:
-    """Return the samples that speak of mu_S: slow slip in mechanical contact."""
+def static_gate(data: FrictionData, gates: Gates, lock_band_rad_s: float, prior_mu_s: float) -> BoolArray:
+    """Return which samples speak of mu_S: slow slip in mechanical contact, with noise also near the previous mu_S."""
     excess_rad_s = np.abs(data.slip_rad_s) - lock_band_rad_s
-    conditions = {
-        SampleGate.SHIFTING: _in_shift(data, gates),
-        SampleGate.STICK: (excess_rad_s > 0.0) & (excess_rad_s <= gates.stick_tolerance_rad_s),
-        SampleGate.MECHANICAL: data.shear_difference < gates.mechanical_shear_max,
-    }
+    rows = _in_shift(data, gates) & (excess_rad_s > 0.0) & (excess_rad_s <= gates.stick_tolerance_rad_s)
+    rows &= data.shear_difference < gates.mechanical_shear_max
     if gates.prior_tolerance_ratio is not None:
-        conditions[SampleGate.NEAR_PRIOR] = np.abs(data.mu - prior_mu_s) <= gates.prior_tolerance_ratio * prior_mu_s
-    return _through(conditions)
+        rows &= np.abs(data.mu - prior_mu_s) <= gates.prior_tolerance_ratio * prior_mu_s
+    return rows
 
 
-def coulomb_gate(data: FrictionData, gates: Gates) -> Passed:
-    """Return the samples that speak of mu_C: partial lubrication, slipping, with noise also stroking."""
+def coulomb_gate(data: FrictionData, gates: Gates) -> BoolArray:
+    """Return which samples speak of mu_C: partial lubrication, slipping, with noise also stroking."""
     slip_rad_s = data.slip_rad_s if gates.is_slip_signed else np.abs(data.slip_rad_s)
-    conditions = {
-        SampleGate.SHIFTING: _in_shift(data, gates),
-        SampleGate.PARTIAL: (data.shear_difference > gates.mechanical_shear_max)
-        & (data.shear_difference < gates.partial_shear_max),
-        SampleGate.SLIPPING: slip_rad_s > gates.slip_min_rad_s,
-    }
+    rows = _in_shift(data, gates) & (slip_rad_s > gates.slip_min_rad_s)
+    rows &= (data.shear_difference > gates.mechanical_shear_max) & (data.shear_difference < gates.partial_shear_max)
     if gates.pressure_rate_min_pa_s is not None:
-        conditions[SampleGate.STROKING] = data.pressure_rate_pa_s > gates.pressure_rate_min_pa_s
-    return _through(conditions)
+        rows &= data.pressure_rate_pa_s > gates.pressure_rate_min_pa_s
+    return rows
 
 
 def fit(data: FrictionData, gates: Gates, curve: FrictionCurve, prior_mu_s: float | None = None) -> PaperEstimate:
@@ -260,27 +220,16 @@ def fit(data: FrictionData, gates: Gates, curve: FrictionCurve, prior_mu_s: floa
     prior = curve.mu_s if prior_mu_s is None else prior_mu_s
     static = static_gate(data, gates, curve.lock_band_rad_s, prior)
     coulomb = coulomb_gate(data, gates)
-    mu_s = float(np.mean(data.mu[static.rows])) if static.rows.any() else None
-    share = data.static_share[coulomb.rows]
+    mu_s = float(np.mean(data.mu[static])) if static.any() else None
+    share = data.static_share[coulomb]
     weight = float(np.sum((1.0 - share) ** 2))
     latest_mu_s = prior if mu_s is None else mu_s
-    mu_c = (
-        float(np.sum((1.0 - share) * (data.mu[coulomb.rows] - latest_mu_s * share))) / weight if weight > 0.0 else None
-    )
-    return PaperEstimate(mu_c=mu_c, mu_s=mu_s, static_counts=static.counts, coulomb_counts=coulomb.counts)
+    mu_c = float(np.sum((1.0 - share) * (data.mu[coulomb] - latest_mu_s * share))) / weight if weight > 0.0 else None
+    return PaperEstimate(mu_c=mu_c, mu_s=mu_s, static_count=int(static.sum()), coulomb_count=int(coulomb.sum()))
 
 
 def _in_shift(data: FrictionData, gates: Gates) -> BoolArray:
     return data.is_shifting if gates.is_shift_required else np.ones(len(data), np.bool_)
-
-
-def _through(conditions: Mapping[SampleGate, BoolArray]) -> Passed:
-    counts: dict[SampleGate, int] = {}
-    rows: BoolArray | None = None
-    for gate, condition in conditions.items():
-        rows = condition if rows is None else rows & condition
-        counts[gate] = int(np.count_nonzero(rows))
-    return Passed(rows=np.empty(0, np.bool_) if rows is None else rows, counts=MappingProxyType(counts))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -422,7 +371,7 @@ def paper_signals(event: Event, calibration: Calibration, driveline: Driveline) 
     wheel_m_s = _wheel_speed_m_s(event, grid_s)
     if wheel_m_s is None:
         return Reason.SIGNAL_MISSING
-    readings = _readings(gathered, wheel_m_s / driveline.wheel.radius_m, calibration)
+    readings = _readings(gathered, wheel_m_s / driveline.wheel_radius_m, calibration)
     gears = (event.from_gear, event.to_gear)
     if clutch_of_gear(event.from_gear) != 1:
         gears = gears[::-1]
