@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -72,19 +72,6 @@ def noise_of_signals(noise: SensorNoise) -> dict[Signal, float]:
 Sums = Sequence[FloatArray]
 SampleTimes = Mapping[Signal, FloatArray]
 """When each signal of the balance was sampled [s] after the start of its event."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rows:
-    """How the samples of an event are rows of a table, or answers to a tester; none of it where ``period_s`` is 0."""
-
-    period_s: float = 0.0  # from row to row
-    skew_s: float = 0.0  # by up to so much the columns are apart
-    own_age_std_s: float = 0.0  # of the age of one value, whatever that of others is
-    noise_std: Mapping[Signal, float] = field(default_factory=dict)  # of sensors
-
-
-NO_ROWS = Rows()
 
 
 @dataclass(slots=True, init=False, eq=False)
@@ -254,19 +241,12 @@ def aligned(samples: EventSamples, sensing: Sensing, other: AlignedSignals | Non
     """
     event = samples.event
     times = measured_times(samples.times, event, sensing)
-    gaps, rows = gaps_s(times, event, samples.row_s), NO_ROWS
+    gaps = gaps_s(times, event, samples.row_s)
     if gaps is None:
         return Reason.TIME_UNSURE  # frames of one message came at one time
-    if samples.row_s:
-        noise_std = noise_of_signals(sensing.noise)
-        if any(np.abs(event.columns[signal].value).max() > MOST_NOISES * noise_std[signal] for signal in times):
-            return Reason.OUT_OF_RANGE  # a cell may hold any number
-        rows = Rows(
-            period_s=samples.row_s,
-            skew_s=samples.skew_s,
-            own_age_std_s=FRAME_AGE_STD_S if samples.skew_s >= samples.row_s else samples.skew_s / math.sqrt(12.0),
-            noise_std=noise_std,
-        )
+    noise_std = noise_of_signals(sensing.noise) if samples.row_s else {}
+    if any(np.abs(event.columns[signal].value).max() > MOST_NOISES * std for signal, std in noise_std.items()):
+        return Reason.OUT_OF_RANGE  # a cell may hold any number
     history_s = max([times_s[0] for times_s in times.values()])
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     # Whole steps after the shift's start: a latency that is found more exactly must not move the points.
@@ -277,8 +257,8 @@ def aligned(samples: EventSamples, sensing: Sensing, other: AlignedSignals | Non
         is_seen[grid_s.searchsorted(start_s, "right") : grid_s.searchsorted(stop_s)] = False
     is_known = other is not None and len(other.grid_s) == len(grid_s)  # the same grid: it ends where the event ends
     wanted = _MOVED if is_known else BALANCE_SIGNALS
-    if rows.period_s:
-        on_grid = {signal: _resampled(signal, times[signal], event.columns[signal], grid_s, rows) for signal in wanted}
+    if samples.row_s:
+        on_grid = {signal: _resampled(samples, signal, times[signal], grid_s, noise_std[signal]) for signal in wanted}
     else:
         on_grid = {signal: Resampled(times[signal], event.columns[signal].value, grid_s) for signal in wanted}
     engine_speed, engine_torque = on_grid[Signal.ENGINE_SPEED], on_grid[Signal.ENGINE_TORQUE]
@@ -288,7 +268,7 @@ def aligned(samples: EventSamples, sensing: Sensing, other: AlignedSignals | Non
             other, engine_speed=engine_speed, engine_torque=engine_torque, pressure=pressure, is_seen=is_seen
         )
     hub, first, second = on_grid[Signal.HUB_SPEED], on_grid[Signal.INPUT1_SPEED], on_grid[Signal.INPUT2_SPEED]
-    is_one = rows.period_s and np.array_equal(hub.value, engine_speed.value)
+    is_one = samples.row_s and np.array_equal(hub.value, engine_speed.value)
     if is_one or (hub.curve is not None and engine_speed.curve is not None):
         hub = engine_speed  # nearer to it than two columns are, up to a row apart
     return AlignedSignals(
@@ -305,16 +285,19 @@ def aligned(samples: EventSamples, sensing: Sensing, other: AlignedSignals | Non
         ),
         oil_k=samples.oil_k,
         is_seen=is_seen,
-        row_s=rows.period_s,
+        row_s=samples.row_s,
     )
 
 
-def _resampled(signal: Signal, times_s: FloatArray, series: Series, grid_s: FloatArray, rows: Rows) -> Resampled:
-    """Return one signal on the grid: a curve through few rows, or straight between samples of a bus."""
+def _resampled(
+    samples: EventSamples, signal: Signal, times_s: FloatArray, grid_s: FloatArray, noise_std: float
+) -> Resampled:
+    """Return one signal of a table on the grid: a curve through its rows, or straight between samples of a bus."""
+    series, skew_s = samples.event.columns[signal], samples.skew_s
     if not is_of_rows(series):
         return Resampled(times_s, series.value, grid_s)
-    age_std_s = AGE_RATIO[signal] * rows.skew_s
-    curve = RowCurve(times_s, series.value, rows.noise_std[signal], age_std_s, rows.own_age_std_s)
+    own_age_std_s = FRAME_AGE_STD_S if skew_s >= samples.row_s else skew_s / math.sqrt(12.0)
+    curve = RowCurve(times_s, series.value, noise_std, AGE_RATIO[signal] * skew_s, own_age_std_s)
     return Resampled(times_s, series.value, grid_s, curve)
 
 

@@ -10,7 +10,7 @@ drawing is needed, and no engine torque. Pressures are read ``delay_s`` apart fr
 """
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product, starmap
 from typing import Final, NamedTuple
@@ -167,7 +167,7 @@ class Standing:
     """The pressure of a clutch in gear while the car stands: where it begins to carry."""
 
     def __init__(self, most: int | None = None) -> None:
-        self._found = deque[FloatArray](maxlen=most)  # the last batches in which it stood
+        self._pressures_pa = deque[FloatArray](maxlen=most)  # of the last batches in which the car stood
 
     def add(self, batch: ColumnBatch | Event) -> None:
         """Take up the pressures of one batch."""
@@ -176,12 +176,12 @@ class Standing:
             return
         is_standing = np.interp(pressure.t_ns, output.t_ns, output.value) < STANDING_RAD_S
         if (held := is_standing & (pressure.value > HELD_PA)).any():
-            self._found.append(pressure.value[held])
+            self._pressures_pa.append(pressure.value[held])
 
     @property
     def touch_pa(self) -> float | None:
         """The middle of them; None if the car never stood."""
-        pressures_pa = np.concatenate([np.empty(0), *self._found])
+        pressures_pa = np.concatenate([np.empty(0), *self._pressures_pa])
         return float(np.median(pressures_pa)) if len(pressures_pa) else None
 
 
@@ -284,11 +284,16 @@ def predicted(model: Model, phase: SlipPhase) -> Prediction:
     return Prediction(mean_rad_s=mean, scale_rad_s=np.sqrt(variance), freedom=FREEDOM)
 
 
-def _slopes(model: Model, phase: SlipPhase) -> FloatArray:
-    """Return how the predicted change goes with each parameter, (n - 1, 6)."""
+def _jacobian(function: Callable[[FloatArray], FloatArray], parameters: FloatArray) -> FloatArray:
+    """Return the derivatives of a function by all parameters, by central differences, (n, 6)."""
     steps = STEP_RATIO * np.eye(len(PARAMETERS))
-    both = [[simulated(model.parameters + sign * step, model.scales, phase) for step in steps] for sign in (1.0, -1.0)]
-    return (np.transpose(both[0]) - np.transpose(both[1])) / (2.0 * STEP_RATIO)
+    differences = [function(parameters + step) - function(parameters - step) for step in steps]
+    return np.transpose(differences) / (2.0 * STEP_RATIO)
+
+
+def _slopes(model: Model, phase: SlipPhase) -> FloatArray:
+    """Return the Jacobian of the predicted change, (n - 1, 6)."""
+    return _jacobian(lambda parameters: simulated(parameters, model.scales, phase), model.parameters)
 
 
 def simulated(
@@ -486,8 +491,7 @@ def _beside(
 ) -> Relative:
     """Return how much of a course friction follows beside the parameters, by least squares; a course for each event."""
     step, count = STEP_RATIO, len(PARAMETERS)
-    priors = [[_priors(model.parameters + sign * move) for move in step * np.eye(count)] for sign in (1.0, -1.0)]
-    slopes = (np.transpose(priors[0]) - np.transpose(priors[1])) / (2.0 * step)
+    slopes = _jacobian(_priors, model.parameters)
     information, pull = np.eye(count + 1), np.zeros(count + 1)  # a course of 100 % is its own weak prior
     information[:-1, :-1], pull[:-1] = slopes.T @ slopes, -slopes.T @ _priors(model.parameters)
     for phase, sensitivities, left, covariance, outlying in looks:

@@ -115,10 +115,10 @@ def _wheels(columns: Columns) -> float | None:
     ratios = []
     for wheel in [columns[signal] for signal in _WHEELS if signal in columns]:
         turning_rad_s = _reading(output, wheel.t_ns)
-        is_told = (wheel.value > LIMITS.least_wheel_m_s) & (turning_rad_s > 0.0)
+        is_turning = (wheel.value > LIMITS.least_wheel_m_s) & (turning_rad_s > 0.0)
         for change_ns in changes_ns:
-            is_told &= np.abs(wheel.t_ns - change_ns) * NS_TO_S > LIMITS.ringing_s
-        ratios.append(wheel.value[is_told] / turning_rad_s[is_told])
+            is_turning &= np.abs(wheel.t_ns - change_ns) * NS_TO_S > LIMITS.ringing_s
+        ratios.append(wheel.value[is_turning] / turning_rad_s[is_turning])
     all_ratios = np.concatenate([_NO_RATIO, *ratios])
     if not len(all_ratios):
         return None
@@ -328,7 +328,7 @@ def plausibility_faults(event: Event, signals: AlignedSignals, clutch: SlippingC
         or hub_gap_rad_s(signals) > most_at_hub_rad_s + apart_rad_s,
         Reason.PRESSURE_OFF_COMMAND: _misses_command(signals, clutch),
     }
-    return tuple(reason for reason, is_found in faults.items() if is_found)
+    return tuple(reason for reason, is_there in faults.items() if is_there)
 
 
 def is_frozen(series: Series, signal: Signal) -> bool:

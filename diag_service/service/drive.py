@@ -106,7 +106,7 @@ def gaps_in(logs: Sequence[OpenLog], *, was_stopped: bool) -> tuple[Gap, ...]:
 
 
 def insist(gaps: Sequence[Gap], contributions: Contributions, *, is_strict: bool) -> None:
-    """End a run that has told what it found.
+    """End a run whose results are reported.
 
     Raises StoppedError or IncompleteError if it was a part of the drive only; of a strict run also if a log or a
     channel gave nothing: the first is named.
@@ -194,7 +194,7 @@ class DriveFrames:
         return merged_by_time([self._frames(number) for number in range(len(self.logs))], self._marks.marked)
 
     def contributions(self, named_channel: int | None, *, is_whole: bool = True) -> Contributions:
-        """Return what each log gave until now; of a part of a drive it cannot be told what gives nothing."""
+        """Return what each log gave until now; of a part of a drive nobody knows what gives nothing."""
         numbers = range(len(self.logs))
         shares = tuple(self._ended.get(number) or self._share(number) for number in numbers)
         return Contributions(logs=shares, idle=tuple(idle_lines(shares, named_channel)) if is_whole else ())

@@ -79,7 +79,7 @@ def _finish(account: Account, session: Session, unpublished_count: int | None) -
 
 
 def replay(logs: Sequence[OpenLog], stages: Stages, stop: Trigger, use: Callable[[Event], None]) -> Account:
-    """Call ``use`` with each shift of a drive until told to stop; warn of what is wrong with its logs."""
+    """Call ``use`` with each shift of a drive until ``stop`` is set; warn of what is wrong with its logs."""
     drive = DriveFrames(logs, stages.decoder.sources)
     is_whole = True
     try:
@@ -99,7 +99,7 @@ def replay(logs: Sequence[OpenLog], stages: Stages, stop: Trigger, use: Callable
 def events(drive: DriveFrames, stages: Stages, stop: Trigger) -> Iterator[Event]:
     """Yield the shifts of a drive.
 
-    Raises StoppedError as soon as it is told to stop, if there is anything left to do.
+    Raises StoppedError as soon as ``stop`` is set, if there is anything left to do.
     """
     for batch in drive:
         yield from _until(stop, stages.segment(batch))

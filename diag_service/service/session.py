@@ -1,4 +1,4 @@
-"""The shifts of one run: diagnosed, stored, told. ``live`` and ``recorded`` feed it.
+"""The shifts of one run: diagnosed, stored, reported. ``live`` and ``recorded`` feed it.
 
 `Progress` says which stage holds work and gets nothing done: a loop that still turns says nothing of a hanging thread.
 """
@@ -64,7 +64,7 @@ class Stuck:
 
 
 class Progress:
-    """Since when each stage has been at the work it has; asked and told from any thread."""
+    """Since when each stage has been at the work it has; read and set from any thread."""
 
     def __init__(self, *, limit_s: float = STUCK_AFTER_S, now_s: Callable[[], float] = time.monotonic) -> None:
         self._limit_s = limit_s
@@ -114,7 +114,7 @@ def utc_now() -> str:
 
 
 class Session:
-    """The shifts of one run, from the state in the store on: each is estimated, stored, then told, in that order."""
+    """The shifts of one run, from the state in the store on: each is estimated, stored, then reported."""
 
     def __init__(
         self,
@@ -145,7 +145,7 @@ class Session:
         self._pending: deque[tuple[ShiftResult, VehicleState | None]] = deque()  # what a full disk did not take yet
         self._max_pending_count = max_pending_count
         self._is_disk_full = False
-        self._is_doubted = False  # whether that was told
+        self._is_doubted = False  # whether that was logged
         self.given_up_count = 0  # results that never found room on the disk
 
     @property
@@ -155,9 +155,9 @@ class Session:
         return of_present_fluid((result for _, result in sorted(known.items())), self.fluid)
 
     def process(self, event: Event) -> None:
-        """Estimate, store and tell one shift; one that is stored already is told again, and changes nothing.
+        """Estimate, store and report one shift; one that is stored already is reported again, and changes nothing.
 
-        A live bus does not wait for a full disk: what cannot be stored now is told when it can be.
+        A live bus does not wait for a full disk: what cannot be stored now is reported when it can be.
         """
         stream = self._stream
         if self.survey is not None:
@@ -181,7 +181,7 @@ class Session:
                 self.given_up_count += 1
 
     def retry(self) -> bool:
-        """Store and tell what a full disk has not taken yet, and look for new fluid; return whether there was any."""
+        """Store and report what a full disk has not taken yet, and look for new fluid; return whether there was any."""
         waiting_count, fluid = len(self._pending), self.fluid
         with suppress(StoreFullError):
             self._store_pending()
@@ -189,7 +189,7 @@ class Session:
         return len(self._pending) < waiting_count or fluid != self.fluid
 
     def _store_pending(self) -> None:
-        """Store and tell what waits, in order; raises StoreFullError at the first that the disk does not take."""
+        """Store and report what waits, in order; raises StoreFullError at the first that the disk does not take."""
         while self._pending:
             with self.progress.working(Stage.STORE):
                 self._store.add(*self._pending[0])
@@ -226,7 +226,7 @@ class Session:
         gaps: tuple[Gap, ...] = (),
         contributions: Contributions = NO_LOGS,
     ) -> Summary:
-        """Tell the numbers of the run, and return them.
+        """Report the numbers of the run, and return them.
 
         Raises StoreFullError if there are results for which the disk still has no room.
         """
@@ -318,26 +318,26 @@ def last_results(store: SessionStore, vehicle: str, versions: Versions) -> dict[
 
 @dataclass(slots=True)
 class SenderWatch:
-    """Looks at the counts of a run again and again and says what they tell, once for as long as it lasts."""
+    """Warns of counters of two senders, once for as long as the counts of a run show them."""
 
     _decoded: int = 0  # until the last judgement
     _rejected: int = 0
-    _is_said: bool = False
+    _is_reported: bool = False
 
     def warn(self, frames: FrameCounts) -> None:
         if (text := self.look(frames)) is not None:
             _LOG.warning("%s", text)
 
     def look(self, frames: FrameCounts) -> str | None:
-        """Return what is to be said about the frames since the last judgement, None if nothing is."""
+        """Return the warning about the frames since the last judgement, None if there is none."""
         rejected = sum(frames.rejected.get(reason, 0) for reason in BY_COUNTER)
         wrong, right = rejected - self._rejected, frames.decoded - self._decoded
         if wrong + right < ENOUGH_FRAMES:
             return None
         self._decoded, self._rejected = frames.decoded, rejected
         share = wrong / (wrong + right)
-        was_said, self._is_said = self._is_said, share >= SUSPICIOUS_SHARE
-        if was_said or not self._is_said:
+        was_reported, self._is_reported = self._is_reported, share >= SUSPICIOUS_SHARE
+        if was_reported or not self._is_reported:
             return None
         return (
             f"{share:.0%} of {wrong + right} frames have a counter that does not follow the last: two senders use the "

@@ -333,8 +333,8 @@ def _pressure_map(command_pa: FloatArray, asked_nm: FloatArray) -> dict[str, flo
     """Return the pressure at which the control believes that the clutch carries nothing [Pa], and its deviation."""
     before, here, after = asked_nm[:-2], asked_nm[1:-1], asked_nm[2:]
     is_steady = np.abs(after - before) < STEADY_NM
-    is_told = is_steady & (np.minimum(np.minimum(before, after), here) > ASKED_NM)
-    x, y = here[is_told], command_pa[1:-1][is_told]
+    is_usable = is_steady & (np.minimum(np.minimum(before, after), here) > ASKED_NM)
+    x, y = here[is_usable], command_pa[1:-1][is_usable]
     across = float(x.var()) if len(x) >= LEAST_PAIRS else 0.0
     if not across > LEAST_SPREAD_NM**2:
         return {}

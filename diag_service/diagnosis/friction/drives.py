@@ -85,11 +85,11 @@ def find_window(
         return None
     is_after = grid_s >= 0.0
     is_loaded = (over_touch_pa > LOADED_PA).any(axis=0)
-    is_told = is_loaded & _slips_one_way(slip_rad_s, over_touch_pa).all(axis=0) & is_seen & is_after
+    is_slipping = is_loaded & _slips_one_way(slip_rad_s, over_touch_pa).all(axis=0) & is_seen & is_after
     is_rest = (over_touch_pa < RESTING_PA).all(axis=0) & is_seen & ~is_after
     step_s = float(grid_s[1] - grid_s[0])
     fade, least = round((FADE_S + row_s) / step_s), round(MIN_PIECE_S / step_s)
-    stretches = [(first + fade, stop) for first, stop in _stretches(is_told) if stop - first >= fade + least]
+    stretches = [(first + fade, stop) for first, stop in _stretches(is_slipping) if stop - first >= fade + least]
     pieces = [piece for first, stop in stretches for piece in _pieces(first, stop, round(MAX_PIECE_S / step_s))]
     rests = [rest for rest in _stretches(is_rest) if rest[1] - rest[0] >= round(MIN_REST_S / step_s)]
     rest = [RowRange(first=first, stop=stop, is_rest=True) for first, stop in rests[-1:]]
@@ -107,9 +107,9 @@ def _slips_one_way(slip_rad_s: FloatArray, over_touch_pa: FloatArray) -> BoolArr
     return is_released | (does_slip & (slip_rad_s * was_rad_s >= 0.0))
 
 
-def _stretches(is_told: BoolArray) -> list[list[int]]:
+def _stretches(mask: BoolArray) -> list[list[int]]:
     """Return first row and the row after the last one of each run of true values."""
-    edges = np.flatnonzero(np.diff(is_told, prepend=False, append=False))
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
     stretches: list[list[int]] = edges.reshape(-1, 2).tolist()
     return stretches
 
@@ -377,13 +377,13 @@ def _sure_slip(signals: AlignedSignals, slip_rad_s: FloatArray) -> FloatArray:
 
 
 def rows_in_slip(signals: AlignedSignals, drives: tuple[PressureDrive, PressureDrive], laws: PackLaws) -> int:
-    """Return in how many rows of a table a clutch slips under load, as far as it can be told."""
-    is_told = np.zeros(len(signals.grid_s), np.bool_)
+    """Return in how many rows of a table a clutch slips under load, as far as rows show it."""
+    is_slipping = np.zeros(len(signals.grid_s), np.bool_)
     for drive, law in zip(drives, laws, strict=True):
         is_loaded = drive.piston_pa - law.touch_pressure_pa > LOADED_PA
-        is_told |= is_loaded & (np.abs(drive.slip_rad_s) > SLIPPING_RAD_S) & (signals.grid_s >= 0.0)
+        is_slipping |= is_loaded & (np.abs(drive.slip_rad_s) > SLIPPING_RAD_S) & (signals.grid_s >= 0.0)
     at = np.searchsorted(signals.grid_s, signals.pressure[0].times_s)
-    return int(np.count_nonzero(is_told[at[(at > 0) & (at < len(is_told))]]))
+    return int(np.count_nonzero(is_slipping[at[(at > 0) & (at < len(is_slipping))]]))
 
 
 Blocks = tuple[FloatArray, ...]  # one of each piece of a window

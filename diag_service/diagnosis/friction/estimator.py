@@ -247,8 +247,8 @@ class Estimator:
         data is described and rejected; it leaves no trace in what is known, and is not even held against the others.
         """
         if isinstance(samples, Reason):
-            is_untold = samples is Reason.TORQUE_UNKNOWN
-            return state, without_friction(event, Status.UNOBSERVED if is_untold else Status.REJECTED, samples)
+            is_unknown = samples is Reason.TORQUE_UNKNOWN
+            return state, without_friction(event, Status.UNOBSERVED if is_unknown else Status.REJECTED, samples)
         type_ = self._type.less_sure(skew_variance(samples.skew_s))
         state = _of_skewed(state, type_, samples.skew_s)
         first = linearise(samples, self._laws, state.packs, state.fusion.knowledge.mean)
@@ -264,7 +264,7 @@ class Estimator:
             return state, without_friction(event, Status.REJECTED, *faults)
         before = self._unknown_friction(state.fusion.knowledge, first.clutch)
         result = self._linearised_at_posterior(samples, state, first, before, type_)
-        if result is None:  # where event and all that is believed meet, the film carries too much
+        if result is None:  # at the posterior the film carries too much
             return state, _unobserved(event, NotLinearised(Reason.NO_SLIP_WINDOW), against)
         linearisation, earlier, judged = result
         packs = PackTemperatures(clutch_k=linearisation.balance.final_clutch_k, at_ns=event.end_ns)
@@ -294,7 +294,7 @@ class Estimator:
         return state, replace(estimate, reasons=(reason,))
 
     def _revisions(self, earlier: Posterior, state: Posterior) -> Iterator[Revision]:
-        """Yield what the newest event has made of those before it, with which it was judged."""
+        """Yield the events before the newest one whose use it has changed, estimated anew."""
         before = {id(event): used for event, used in zip(earlier.recent, earlier.is_used, strict=True)}
         for place, (event, is_used) in enumerate(zip(state.recent[:-1], state.is_used, strict=False)):
             if before.get(id(event), is_used) == is_used:
@@ -316,7 +316,7 @@ class Estimator:
             )
 
     def _unknown_friction(self, known: Knowledge, clutch: int) -> Knowledge:
-        """Return what is known with the friction of one clutch unknown again, everything else kept."""
+        """Return knowledge with the prior of one clutch's friction in place of what is known of it."""
         rows = FRICTION_ROWS[clutch - 1]
         mean, covariance = known.mean.copy(), known.covariance.copy()
         mean[rows] = self._type.mean[rows]
@@ -328,13 +328,14 @@ class Estimator:
     def _linearised_at_posterior(
         self, samples: EventSamples, state: Posterior, first: Linearisation, before: Knowledge, type_: Knowledge
     ) -> tuple[Linearisation, Posterior, Posterior] | None:
-        """Return the event linearised where it and all that is believed meet, what is known without it, and with it.
+        """Return the event linearised at the posterior, the state without it, and the state with it.
 
-        None if it says nothing of friction there.
+        None if it tells nothing of friction there.
 
-        The event is taken to belong with all that did until now, and only the end is judged: if that finds otherwise,
-        or the event costs more than leaving it out, each pass is. One that does not belong meets nothing, it is
-        linearised where it alone would have it, with what was known ``before`` of all but its friction.
+        Passes first assume that the event belongs with all that did until now, and only the last one is judged. If the
+        judgement differs, or the event costs more than its omission, they begin again, and each one is judged. An event
+        that does not belong is linearised at its own posterior with the prior ``before``, in which the friction of its
+        clutch is unknown.
         """
         event, earlier, std = samples.event, state.with_oldest_folded(), type_.std()
         std[std == 0.0] = np.inf
@@ -360,7 +361,7 @@ class Estimator:
         return linearisation, earlier, state.with_event(_judged_event(event, linearisation), earlier)
 
     def _described(self, event: Event, linearisation: Linearisation, state: Posterior, alone: Fusion) -> ShiftEstimate:
-        """Describe what an event says alone, with what is known of all but the friction of its clutch."""
+        """Return the estimate of an event alone, with the prior of all but the friction of its clutch."""
         clutch, balance = linearisation.clutch, linearisation.balance
         window_s = sum(
             [end_s - start_s for start_s, end_s in spans_of(balance.window.slipping, balance.signals.grid_s)]
@@ -407,7 +408,7 @@ def _zero_pa(type_: Knowledge, zeros: Evidence, known: Knowledge, clutch: int) -
 
 
 def _is_misfit(before: Knowledge, alone: Fusion, count: int) -> bool:
-    """Return whether an event of ``count`` residuals is not explained, or only by what no vehicle and lining has."""
+    """Return whether chi-square, score or friction of an event of ``count`` residuals is beyond its gate."""
     if alone.chi_square / count > chi_square_gate(count):
         return True
     after = alone.knowledge
@@ -427,7 +428,7 @@ def _unobserved(event: Event, why: NotLinearised, against: tuple[Reason, ...]) -
 
 
 def _why_left_out(before: Knowledge, alone: Fusion, count: int) -> Reason:
-    """Return why an event of ``count`` residuals does not belong with the others, which know ``before``."""
+    """Return why an event of ``count`` residuals contradicts the others, of which ``before`` is the posterior."""
     if zero_has_jumped(before, alone.knowledge):
         return Reason.ZERO_JUMPED
     return Reason.MISFIT if _is_misfit(before, alone, count) else Reason.NOT_UPDATED

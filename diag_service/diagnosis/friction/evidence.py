@@ -339,7 +339,7 @@ def is_cheap(cost: float, evidences: Sequence[Evidence]) -> bool:
 
 
 def selected(base: Knowledge, evidences: Sequence[Evidence]) -> Selection:
-    """Return the events to believe, given what was known before them."""
+    """Return the cheapest selection of events with a prior."""
     search = _search(base, evidences)
     selection = _improved(search, np.ones(len(evidences), dtype=bool))
     if is_cheap(selection.cost, evidences):
@@ -412,29 +412,31 @@ _PRIOR: Final = np.eye(2) / FRICTION_PRIOR_STD**2  # information on a step
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JudgedEvent:
-    """What one event of a clutch says."""
+    """The evidence of one event of a clutch."""
 
     clutch: int  # 1 or 2, the one that slipped
     end_ns: int
     evidence: Evidence
-    is_off_like_others: bool = False  # by errors that all such events share, so that they agree better than they are
+    is_off_like_others: bool = False  # it shares errors with other events, so they scatter less than they err
 
 
-MOST_APART: Final = 9.0  # of two numbers 1 % are more by chance: what is beyond is left out, or a change
-LEAST_BY_CHANCE: Final = 1.5  # of two numbers: the first event of a clutch agrees with nothing but what was assumed
-STATED_COUNT: Final = 5.0  # numbers that are as far apart as was stated, before any event: those of three
+MOST_APART: Final = 9.0  # chi-square of two numbers, 1 % by chance: what is beyond is left out, or a step
+LEAST_BY_CHANCE: Final = (
+    1.5  # expected chi-square, of at most 2: the first event of a clutch tests nothing but its prior
+)
+STATED_COUNT: Final = 5.0  # degrees of freedom that scatter as stated, before any event: those of three events
 SCATTER_FORGETTING: Final = 0.99  # weight of an event after each later one: some hundred count
 
 
 class EventScatter(NamedTuple):
-    """By how much the friction of single events is apart; docs/model.md, equation (38)."""
+    """Scatter of the friction of single events; docs/model.md, equation (38)."""
 
     apart: float = 0.0  # chi-square that events would save, older ones faded, had each a friction of its own
-    by_chance: float = 0.0  # likewise, were deviations as stated
+    by_chance: float = 0.0  # its expectation with the stated deviations
 
     @property
     def ratio(self) -> float:
-        """Of the variance that events are granted."""
+        """Observed over stated variance of events."""
         return (STATED_COUNT + self.apart) / (STATED_COUNT + self.by_chance)
 
     def with_event(self, known: Knowledge, event: JudgedEvent) -> "EventScatter":
@@ -450,7 +452,7 @@ class EventScatter(NamedTuple):
 
 
 class Judgement(NamedTuple):
-    """What is believed of some events."""
+    """The cheapest selection of some events, and its posterior."""
 
     fusion: Fusion
     is_used: tuple[bool, ...]
@@ -459,7 +461,7 @@ class Judgement(NamedTuple):
 
 
 def judge(base: Knowledge, events: Sequence[JudgedEvent]) -> Judgement:
-    """Return what is believed of events, the oldest first, given what was known before them."""
+    """Return the judgement on events, the oldest first, with a prior."""
     best = selected(base, [event.evidence for event in events])
     judged = Judgement(fusion=fuse(base, together(events, best.is_used)), is_used=best.is_used, cost=best.cost)
     for first, cost in (*_where_changed(events, best.is_used), *_where_stepped(events, best, judged.fusion.knowledge)):
@@ -506,7 +508,7 @@ def step_since(known: Knowledge, since: Evidence, clutch: int) -> tuple[float, f
 
 
 def _with_change(base: Knowledge, events: Sequence[JudgedEvent], first: int, step_cost: float) -> Judgement:
-    """Return what is believed if the clutch of an event changed right before it."""
+    """Return the judgement if the friction of an event's clutch stepped right before it."""
     older, newer = events[:first], events[first:]
     until = selected(base, [event.evidence for event in older])
     before = fuse(base, together(older, until.is_used)).knowledge
@@ -525,7 +527,7 @@ def together(events: Sequence[JudgedEvent], is_used: Sequence[bool]) -> Evidence
 
 
 def after_change(known: Knowledge, clutch: int) -> Knowledge:
-    """Return what is known once the friction of a clutch has changed by nobody knows how much."""
+    """Return knowledge after a step of unknown size in the friction of a clutch."""
     added = np.zeros(PARAMETER_COUNT)
     added[FRICTION_ROWS[clutch - 1]] = FRICTION_PRIOR_STD**2
     return known.less_sure(added)

@@ -268,7 +268,7 @@ def integrate_films(
             places[...] = rows_of_packs[..., : places.shape[-1]]
         rows_of_packs = whole
     first, second = rows_of_packs
-    return FilmTrack(*first, final_k[0]), FilmTrack(*second, final_k[1])
+    return FilmTrack._make((*first, final_k[0])), FilmTrack._make((*second, final_k[1]))
 
 
 @kernel

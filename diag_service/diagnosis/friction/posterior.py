@@ -1,11 +1,11 @@
-"""What is known of one vehicle, as its events left it: friction, sensors, masses, films, all together.
+"""The posterior of one vehicle after its events: friction, sensors, masses and films, all jointly.
 
-One joint estimate of everything that a shift depends on. The last events are kept as what they say, not as samples, and
-judged together; what is older has become part of the base. docs/model.md, section "Estimator".
+The last events are stored as evidence, not as samples, and judged together; older ones are part of the base.
+docs/model.md, section "Estimator".
 
-What a vehicle shows while it drives is how much torque it reads for how much pressure: friction times the gain of the
-torque reading times the piston area. Where two such numbers are divided by each other, or one by what it was before,
-the gain is gone, and in one clutch the area too: the second half of this module says each of these values.
+Driving shows the torque reading over pressure: friction times torque gain times piston area. The ratio of two such
+numbers, or of one to its baseline, is free of the gain, and within one clutch of the area, too. The second half of this
+module computes these values with their standard deviations.
 """
 
 import math
@@ -99,7 +99,7 @@ _DRIFT[STATE_COUNT + Considered.OPEN_DRAG] = OPEN_DRAG_DRIFT_LOG**2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Posterior:
-    """What is known of a vehicle; `fresh`, `with_event` and `from_json` make one."""
+    """The state of a vehicle's estimate; `fresh`, `with_event` and `from_json` make one."""
 
     base: Knowledge  # without the recent events
     recent: tuple[JudgedEvent, ...]  # the oldest first
@@ -117,14 +117,14 @@ class Posterior:
 
     @classmethod
     def fresh(cls, calibration: Calibration) -> Self:
-        """Return what is known of a vehicle before its first event: its calibration."""
+        """Return the prior of a vehicle: its calibration."""
         displacement = np.zeros(PARAMETER_COUNT - STATE_COUNT)
         mean = np.concatenate((prior_mean(calibration), displacement))
         return cls.of(Knowledge(mean=mean, covariance=prior_covariance(calibration)), calibration)
 
     @classmethod
     def of(cls, base: Knowledge, calibration: Calibration) -> Self:
-        """Return what is known of a vehicle from somewhere else."""
+        """Return the state that begins with some knowledge."""
         return cls(
             base=base,
             recent=(),
@@ -138,7 +138,7 @@ class Posterior:
 
     @property
     def known(self) -> Knowledge:
-        """Everything that is known, with its uncertainty."""
+        """Mean and covariance of all parameters."""
         return self.fusion.knowledge
 
     @property
@@ -151,7 +151,7 @@ class Posterior:
         return Knowledge(mean=known.mean, covariance=self.prior.stated(known.covariance, ratio))
 
     def without(self, place: int) -> Knowledge:
-        """Return what is known without one of the recent events."""
+        """Return the posterior without one of the recent events."""
         is_used = [used and other != place for other, used in enumerate(self.is_used)]
         return fuse(self.base, together(self.recent, is_used)).knowledge
 
@@ -167,7 +167,7 @@ class Posterior:
         return sum(self.shift_counts)
 
     def with_event(self, event: JudgedEvent, earlier: "Posterior | None" = None) -> "Posterior":
-        """Return what is known after an event, which all recent ones are judged with.
+        """Return the state after an event, judged together with all recent ones.
 
         ``earlier`` is what `with_oldest_folded` returns, where that is known.
         """
@@ -357,7 +357,7 @@ _FRICTION_AND_GAIN = np.ix_([*range(FRICTION_COUNT), _GAIN], [*range(FRICTION_CO
 
 
 class _Pair(NamedTuple):
-    """Both coefficients of a clutch, times a factor, and how well they are known."""
+    """Both friction coefficients of a clutch, times a factor, with their covariance."""
 
     mu_c: float
     mu_s: float

@@ -22,7 +22,7 @@ from clutch_results.event_kinds import MicroSlip, Shudder
 from diag_service.diagnosis.columns import LOCKUP_SIGNALS, Columns, Signal
 from fleet_contract import JsonObject
 
-MICRO_SLIP_RAD_S: Final = 40.0 * np.pi / 30.0  # where friction is told: 40 rpm, amid what controllers hold
+MICRO_SLIP_RAD_S: Final = 40.0 * np.pi / 30.0  # 40 rpm, at which friction is stated: amid what controllers hold
 BLOCK_NS: Final = NS_PER_S // 2
 LONGEST_GAP_NS: Final = NS_PER_S // 10  # between samples that a line may join
 LEAST_SAMPLES: Final = 10  # of each signal in a block: 20 a second
@@ -34,7 +34,7 @@ MOST_PRESSURE_STEP_PA: Final = 0.4e5  # within a block
 LEAST_PRESSURE_PA: Final = 0.3e5  # beyond touch, for a clutch that carries; as far below it is open
 MOST_SWING_RATIO: Final = 0.25  # root mean square of the slip, over its mean
 LEAST_TURNING_RAD_S: Final = 60.0  # of the engine
-_MARGIN: Final = 1  # place of what else is told below
+_MARGIN: Final = 1  # place of mu_C - mu_S among the parameters
 FRICTION_COUNT: Final = 2  # friction at 40 rpm, and mu_C - mu_S
 OTHERS: Final = ("temperature", "offset", "pressure", "inertia")  # then the capacities at the converter's speed ratios
 PARAMETER_START: Final = FRICTION_COUNT + len(OTHERS)
@@ -103,19 +103,19 @@ def samples_of(columns: Columns) -> LockupSamples | None:
         is_bridged |= t_ns[after] - t_ns[after - 1] > LONGEST_GAP_NS
 
     sump = columns.get(Signal.SUMP_TEMPERATURE)
-    is_told = sump is not None and len(sump.t_ns) > 0  # a message may stop amid a drive
+    has_oil = sump is not None and len(sump.t_ns) > 0  # a message may stop amid a drive
     return LockupSamples(
         t_ns=speed.t_ns,
         engine_rad_s=speed.value,
         turbine_rad_s=there(Signal.TURBINE_SPEED),
         torque_nm=there(Signal.ENGINE_TORQUE),
         pressure_pa=there(Signal.LOCKUP_PRESSURE),
-        oil_k=there(Signal.SUMP_TEMPERATURE) if is_told else np.full(len(at_s), OIL_K),
+        oil_k=there(Signal.SUMP_TEMPERATURE) if has_oil else np.full(len(at_s), OIL_K),
         is_bridged=is_bridged,
     )
 
 
-OIL_K: Final = 353.15  # to which friction is told
+OIL_K: Final = 353.15  # at which friction is stated
 
 
 def torque_per_pa(calibration: Calibration) -> float:
@@ -214,7 +214,7 @@ def is_slipping(pressed_pa: FloatArray, slip_rad_s: FloatArray) -> BoolArray:
 ALGORITHM_VERSION: Final = "lockup-balance-1"
 STATE_FORMAT: Final = 1
 LAG_COUNT: Final = 24  # twelve seconds: what lasts longer is an offset of its own
-EXPECTED_CORRELATION: Final = 0.8  # from block to block, before residuals have told; a torque model errs for seconds
+EXPECTED_CORRELATION: Final = 0.8  # from block to block, before residuals show it; a torque model errs for seconds
 EXPECTED_WEIGHT: Final = 60.0  # blocks that the expectation counts for
 BLOCK_STD_NM: Final = 2.0  # likewise, of one block
 LOAD_RATIO: Final = 0.01  # of the clutch's torque: pressure, heat and lining differ from minute to minute

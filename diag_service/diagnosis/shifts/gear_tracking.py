@@ -59,7 +59,7 @@ def gears_of_ratio(values: Mapping[Signal, FloatArray], gears: GearRatios) -> In
 class LaunchTracker:
     """A launch lasts from the last moment of standing, or of the slowest rolling, until the engine drives in a gear.
 
-    It is told by engine speed, a speed behind the gears and their ratios alone, where neither slip nor load is known,
+    It is found by engine speed, a speed behind the gears and their ratios alone, where neither slip nor load is known,
     and only at its end: what never locks is none. Of a car that rolls the shaft must be set in motion by its clutch.
 
     Parameters
@@ -72,7 +72,7 @@ class LaunchTracker:
 
     def __init__(self, gears: GearRatios, gear: Signal | None = None) -> None:
         self._gears = gears
-        self._told = gear
+        self._stated_gear = gear
         self._held = HeldSignals((Signal.ENGINE_SPEED, gears.over, *([] if gear is None else [gear])))
         self._forget()
 
@@ -91,8 +91,8 @@ class LaunchTracker:
         t_ns, values = self._held.ahead(history, until_ns)
         self._now_ns = until_ns
         gears, engine_rad_s = gears_of_ratio(values, self._gears), values[Signal.ENGINE_SPEED]
-        if self._told is not None:
-            stated = _gears(values[self._told])
+        if self._stated_gear is not None:
+            stated = _gears(values[self._stated_gear])
             gears = np.where((stated >= 1) & (stated != gears), 0, gears)
         over = np.nan_to_num(values[self._gears.over], nan=np.inf)
         edges = [*np.flatnonzero(np.diff(gears, prepend=-1)).tolist(), len(gears)]
@@ -145,8 +145,8 @@ class EngagedTracker:
         self._held.forget()
         self._gear = 0  # the gear that was engaged last
         self._left_ns: int | None = None  # since when it is not
-        self._seen = 0  # the gear that is there now
-        self._seen_ns = 0
+        self._present = 0  # the gear that is engaged now
+        self._present_ns = 0
 
     @property
     def open_ns(self) -> int | None:
@@ -169,19 +169,23 @@ class EngagedTracker:
 
     def _step(self, t_ns: int, matched: int) -> list[Bounds]:
         ended = self._end_if_due(t_ns)
-        if matched != self._seen:
-            if self._gear >= 1 and self._seen == self._gear and self._left_ns is None:
+        if matched != self._present:
+            if self._gear >= 1 and self._present == self._gear and self._left_ns is None:
                 self._left_ns = t_ns
-            self._seen, self._seen_ns = matched, t_ns
+            self._present, self._present_ns = matched, t_ns
         return ended
 
     def _end_if_due(self, now_ns: int) -> list[Bounds]:
         """Return the shift that led to the gear which has stayed engaged for long enough by now, if there is one."""
-        if self._seen >= 1 and now_ns >= self._seen_ns + DWELL_NS:
+        if self._present >= 1 and now_ns >= self._present_ns + DWELL_NS:
             came_from, left_ns = self._gear, self._left_ns
-            self._gear, self._left_ns = self._seen, None
-            if left_ns is not None and came_from != self._seen and self._seen_ns + DWELL_NS <= left_ns + MAX_SHIFT_NS:
-                return [Bounds(came_from, self._seen, left_ns, self._seen_ns, EndReason.COMPLETE)]
+            self._gear, self._left_ns = self._present, None
+            if (
+                left_ns is not None
+                and came_from != self._present
+                and self._present_ns + DWELL_NS <= left_ns + MAX_SHIFT_NS
+            ):
+                return [Bounds(came_from, self._present, left_ns, self._present_ns, EndReason.COMPLETE)]
         elif self._left_ns is not None and now_ns > self._left_ns + MAX_SHIFT_NS:
             self._gear, self._left_ns = 0, None  # neutral, or standing
         return []
