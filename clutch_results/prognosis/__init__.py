@@ -11,7 +11,6 @@ from clutch_results.prognosis.population import (
     Peers,
     Population,
     Usual,
-    common_course,
     common_of,
     learn,
     monthly,
@@ -19,14 +18,13 @@ from clutch_results.prognosis.population import (
     population_record,
     without,
 )
-from clutch_results.prognosis.prognosis import Forecast, Outlook, Prognosis, forecast, prognose
+from clutch_results.prognosis.prognosis import Outlook, Prognosis, forecast, prognose
 from clutch_results.prognosis.trend import Passage
 
 __all__ = [
     "Ageing",
     "ChannelName",
     "Common",
-    "Forecast",
     "History",
     "Monthly",
     "Outlook",
@@ -37,7 +35,6 @@ __all__ = [
     "Prognosis",
     "Usual",
     "ageings",
-    "common_course",
     "common_of",
     "forecast",
     "history_of",
