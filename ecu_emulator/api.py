@@ -48,13 +48,6 @@ def fault_of(fault: AnyFault) -> SensorFault | BusFault:
     return fault if isinstance(fault, SensorFault | BusFault) else parse_fault(fault)
 
 
-def check_range(name: str, value: float | None, limits: tuple[float, float]) -> None:
-    """Raise ConfigError unless a number, if it is given, lies within its limits."""
-    low, high = limits
-    if value is not None and not low <= value <= high:
-        raise EmulatorConfigError(f"{name} must be {low:g}..{high:g}, got {value:g}")
-
-
 def check_word(name: str, word: str | None, words: Sequence[str]) -> None:
     """Raise ConfigError unless a word, if it is given, is one of these."""
     if word is not None and word not in words:
@@ -103,8 +96,6 @@ class Emulator:
         File for the truth about every shift; ``.truth`` has it in any case. Of a log: by default beside it.
     answers : Answers, optional
         Whether the controller answers testers.
-    start_delay_s : float
-        Before the first frame on a bus.
     parked_s : float, optional
         For how long at most a parked car is shown [s]; by default 10 on a bus, all of it in a log.
 
@@ -139,11 +130,10 @@ class Emulator:
         faults: Iterable[AnyFault] = (),
         truth: AnyPath | None = None,
         answers: AnswersTesters | None = None,
-        start_delay_s: float = 0.0,
         parked_s: float | None = None,
     ) -> None:
-        check_range("start_delay_s", start_delay_s, scenarios.DELAY_RANGE_S)
-        check_range("parked_s", parked_s, scenarios.PARKED_RANGE_S)
+        if parked_s is not None and not 0.0 <= parked_s <= scenarios.MOST_PARKED_S:
+            raise EmulatorConfigError(f"parked_s must be 0..{scenarios.MOST_PARKED_S:g}, got {parked_s:g}")
         check_word("fluid", fluid, list(FluidCondition))
         check_word("drive", drive, list(DriveName))
         driven = DriveOptions(
@@ -166,7 +156,6 @@ class Emulator:
         self._options = {**defaults, **(options or {})}
         self._truth_path = None if truth is None else Path(truth)
         self._answers = answers
-        self._start_delay_s = start_delay_s
         self._parked_s = parked_s
         self._stop = Event()
         self._thread: Thread | None = None
@@ -325,7 +314,7 @@ class Emulator:
             ):
                 self._result = send(
                     self.scenario, sent, bus, choice=self._choice, answering=answering,
-                    start_delay_s=self._start_delay_s, stop=self._stop, say=self._notices.append, show=lambda *_: None,
+                    stop=self._stop, say=self._notices.append, show=lambda *_: None,
                 )  # fmt: skip
         except BaseException as exc:  # noqa: BLE001 - carried to the thread that waits
             self._error = exc

@@ -19,7 +19,6 @@ from clutchdiag_io.command_line import run as run_command_line
 from clutchdiag_io.program import attached, complain, refusal, standard_output
 from ecu_emulator.errors import BusError, EmulatorConfigError, EmulatorStoppedError, LogFormatExtraError, RecordError
 from ecu_emulator.scenario import (
-    DELAY_RANGE_S,
     LIVE_PARKED_S,
     MASS_RANGE_KG,
     MOST_PARKED_S,
@@ -202,14 +201,6 @@ def command_line() -> None:
 @click.option("--control", metavar="SOCKET", type=FILE, help="take faults at run time on this Unix socket")
 @together(*_ANSWERING.get("options", ()))
 @click.option("--alive", type=FILE, help="touch this file while frames go out")
-@click.option(
-    "--start-delay",
-    "start_delay_s",
-    metavar="S",
-    type=_between(*DELAY_RANGE_S, "s"),
-    default="0",
-    help="wait before the first frame",
-)
 @click.option(
     "--parked",
     "longest_stay_s",

@@ -314,12 +314,11 @@ class AnswersTesters(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SendOptions:
-    """What is written beside a drive on a bus, and how it begins and pauses."""
+    """What is written beside a drive on a bus, and how long it pauses."""
 
     truth: Path | None
     control: Path | None
     alive: Path | None
-    start_delay_s: float
     longest_stay_s: float
     is_json: bool
 
@@ -358,7 +357,7 @@ def run(
             )
 
         result = send(
-            scenario, sent, bus, choice=choice, answering=answering, start_delay_s=options.start_delay_s, stop=stop,
+            scenario, sent, bus, choice=choice, answering=answering, stop=stop,
             say=lambda line: console.print(line, markup=False), show=show,
         )  # fmt: skip
     if options.is_json:
@@ -379,7 +378,6 @@ def send(
     *,
     choice: BusChoice,
     answering: AnsweringController | None,
-    start_delay_s: float,
     stop: Event,
     say: Callable[[str], None],
     show: Callable[[float, int], None],
@@ -405,7 +403,7 @@ def send(
             sent.sent_until(sent_s)
             show(sent_s, frame_count)
 
-        report = transmit(answering or bus, sent.frames(), stop, start_delay_s=start_delay_s, on_progress=progress)
+        report = transmit(answering or bus, sent.frames(), stop, on_progress=progress)
         sent.finish(report)
     result = {
         "scenario": scenario.name,

@@ -235,7 +235,6 @@ def transmit(
     chunks: Iterable[EncodedFrames],
     stop: threading.Event,
     *,
-    start_delay_s: float = 0.0,
     on_progress: Callable[[float, int], None] | None = None,
 ) -> TransmitReport:
     """Send frames at the times they carry, from now on, until they end or ``stop`` is set.
@@ -250,15 +249,13 @@ def transmit(
         Frames in the order of their times; computed ahead in a thread.
     stop : threading.Event
         May be set by a signal handler.
-    start_delay_s : float
-        Time [s] between the first computed chunk and scenario time 0.
     on_progress : callable
         Called with scenario time [s] and frames sent, about five times a second.
     """
     transmitter, producer = _Transmitter(bus, stop), _Producer(chunks, stop)
     try:
         chunk = producer.next()
-        started_s = time.monotonic() + start_delay_s + LEAD_IN_S
+        started_s = time.monotonic() + LEAD_IN_S
         next_progress_s = 0.0
         while chunk is not None:
             transmitter.send_chunk(chunk, started_s)

@@ -4,7 +4,6 @@ import enum
 import typing
 
 __all__ = [
-    "DELAY_RANGE_S",
     "LIVE_PARKED_S",
     "MASS_RANGE_KG",
     "MOST_PARKED_S",
@@ -15,7 +14,6 @@ __all__ = [
 
 OIL_RANGE_DEGC: typing.Final = (-15.0, 130.0)
 MASS_RANGE_KG: typing.Final = (900.0, 3500.0)
-DELAY_RANGE_S: typing.Final = (0.0, 3600.0)
 MOST_PARKED_S: typing.Final = 86_400.0
 PARKED_RANGE_S: typing.Final = (0.0, MOST_PARKED_S)
 LIVE_PARKED_S: typing.Final = 10.0

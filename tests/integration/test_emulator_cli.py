@@ -67,7 +67,7 @@ def test_overrides_reach_the_drive(tmp_path: Path) -> None:
         (["record", "x.log", "--oil-degc", "-40"], "'--oil-degc': must be -15..130 degC, got -40"),
         (["record", "x.log", "--mass-kg", "nan"], "'--mass-kg': must be 900..3500 kg, got nan"),
         (["record", "x.log", "--start-time", "1969-01-01"], "1970"),
-        (["run", "--start-delay", "-1"], "--start-delay"),
+        (["run", "--parked", "-1"], "--parked"),
     ],
 )
 def test_wrong_usage_is_one_line(capsys: pytest.CaptureFixture[str], arguments: list[str], named: str) -> None:
