@@ -22,12 +22,13 @@ SPEED_RUNS = 5
 STEPS_S = (2.5e-4, 2.0e-4, 1.0e-4)
 
 
-def train(dt_s: float, *, is_audited: bool = False) -> Powertrain:
-    return Powertrain(CALIBRATION, PARAMETERS, DriveSettings(dt_s=dt_s), is_audited=is_audited)
+def train(dt_s: float) -> Powertrain:
+    return Powertrain(CALIBRATION, PARAMETERS, DriveSettings(dt_s=dt_s))
 
 
 def power_balance(console: Console) -> None:
-    audited = train(DriveSettings().dt_s, is_audited=True)
+    audited = train(DriveSettings().dt_s)
+    audited.audit()
     rows = audited.advance(CYCLE_LIMIT_S)
     gears = rows[:, Col.CURRENT_GEAR]
     console.print(f"nominal cycle: {np.count_nonzero(np.diff(gears))} shifts, {rows[-1, Col.T_S]:.2f} s")

@@ -6,7 +6,6 @@ Warm parts cool down while the car is parked; clocks go on.
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import astuple, dataclass, field
-from functools import partial
 from itertools import count
 from types import MappingProxyType
 from typing import Final
@@ -98,8 +97,6 @@ class Trip(MachineCourse):
         Temperatures, habits.
     rng : np.random.Generator
         Of the driver's whims; read once.
-    is_audited : bool
-        Keep an energy account (a few percent slower); see `power_balance`.
 
     Raises
     ------
@@ -107,21 +104,13 @@ class Trip(MachineCourse):
         If the step is too long for the car.
     """
 
-    def __init__(
-        self,
-        car: Car,
-        trace: SpeedTrace,
-        conditions: DriveConditions,
-        rng: np.random.Generator,
-        *,
-        is_audited: bool = False,
-    ) -> None:
+    def __init__(self, car: Car, trace: SpeedTrace, conditions: DriveConditions, rng: np.random.Generator) -> None:
         law = driving_law(car, conditions)
         check_step(conditions.dt_s, law.drive.plant, law.drive.overall_ratios, starts_in_neutral=True)
         self._law = as_record(law)
         self._road = _road(trace, conditions, rng)
-        begin = partial(_initial_machine, self._law, conditions, is_audited=is_audited)
-        super().__init__(self._law.drive, car.touch_pressures_pa, begin)
+        super().__init__(self._law.drive, car.touch_pressures_pa)
+        self._machine = _initial_machine(self._law, conditions)
 
     @property
     def finished(self) -> bool:
@@ -171,7 +160,7 @@ def _whims(ratio: float, rng: np.random.Generator) -> FloatArray:
     return table
 
 
-def _initial_machine(law: DrivingLaw, conditions: DriveConditions, *, is_audited: bool) -> Machine:
+def _initial_machine(law: DrivingLaw, conditions: DriveConditions) -> Machine:
     """Return a car that stands on its brakes, the engine idling, both clutches open, gears 1 and 2 engaged."""
     cycles = np.zeros((1, tcu_data.CYCLE_COLUMN_COUNT))
     cycles[0, tcu_data.CYCLE_MU : tcu_data.CYCLE_UP] = astuple(conditions.friction_factors)
@@ -182,7 +171,6 @@ def _initial_machine(law: DrivingLaw, conditions: DriveConditions, *, is_audited
         memory_count=indices.MEMORY_COUNT,
         sense_count=indices.SENSE_COUNT,
         command_count=indices.COMMAND_COUNT,
-        is_audited=is_audited,
     )
     machine.u[at.COOLANT] = machine.sense[indices.COOLANT] = conditions.coolant_k
     gears = (1, 2)

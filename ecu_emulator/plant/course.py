@@ -1,7 +1,7 @@
 """How a drive is set, and what shift cycles and trips have in common: laws, a step, a machine, its energy."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass
 from typing import TypeVar, cast
 
@@ -13,7 +13,7 @@ from clutch_model.calibration import clutch_of_gear
 from clutch_model.errors import CalibrationError, DomainError
 from clutch_model.tables import require
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.audit import PowerBalance, power_balance
+from ecu_emulator.plant.audit import ACCOUNT_COUNT, PowerBalance, power_balance
 from ecu_emulator.plant.clutch import refresh_contact
 from ecu_emulator.plant.driveline import throttle_flow_kg_s
 from ecu_emulator.plant.integration import Machine, workspace
@@ -207,7 +207,6 @@ def idle_machine(
     memory_count: int,
     sense_count: int,
     command_count: int,
-    is_audited: bool,
 ) -> Machine:
     """Return a machine at time 0: the manifold as at idle, oil and clutches warm, both clutches open, all else 0.
 
@@ -217,7 +216,7 @@ def idle_machine(
         y=np.zeros(at.STATE_COUNT),
         u=np.zeros(at.INPUT_COUNT),
         modes=np.zeros(at.MODE_COUNT, np.int64),
-        work=workspace(is_audited=is_audited),
+        work=workspace(),
         memory=np.zeros(memory_count),
         sense=np.zeros(sense_count),
         commands=np.zeros(command_count),
@@ -237,7 +236,7 @@ def idle_machine(
 
 
 class MachineCourse:
-    """A machine from its start on.
+    """A machine from its start on; what it starts as depends on the touch points that the control believes in.
 
     Parameters
     ----------
@@ -245,26 +244,29 @@ class MachineCourse:
         What it obeys, as a record that kernels take.
     touch_pressures_pa : tuple of two, or None
         Touch points that the control believes in; None: those of the clutches.
-    begin : callable
-        Returns the machine as it starts, which depends on what the control believes in.
     """
 
-    def __init__(
-        self, law: DriveLaw, touch_pressures_pa: tuple[float, float] | None, begin: Callable[[], Machine]
-    ) -> None:
+    _machine: Machine
+    _start: FloatArray  # state as the audit began
+
+    def __init__(self, law: DriveLaw, touch_pressures_pa: tuple[float, float] | None) -> None:
         self._drive_law = law
         if touch_pressures_pa is not None:
             self.believe(touch_pressures_pa)
-        self._machine = begin()
-        self._start = self._machine.y.copy()
 
     def believe(self, touch_pressures_pa: tuple[float, float]) -> None:
         """Let the control take these for its clutches' touch points from the next row on."""
         np.asarray(self._drive_law.actuation.touch_pressure_pa)[:] = touch_pressures_pa
 
+    def audit(self) -> None:
+        """Keep an account of the energies from now on, which costs a few percent of speed; see `power_balance`."""
+        work = self._machine.work._replace(account=np.zeros(3 * ACCOUNT_COUNT))
+        self._machine = self._machine._replace(work=work)
+        self._start = self._machine.y.copy()
+
     @property
     def power_balance(self) -> PowerBalance:
-        """Energies since the start; raises DomainError if no account is kept."""
+        """Energies since `audit` was called; raises DomainError if it was not."""
         if self._machine.work.account.size == 0:
-            raise DomainError("there is a power balance only of what was audited from its start")
+            raise DomainError("there is a power balance only of what is audited")
         return power_balance(self._machine.work.account, self._start, self._machine.y, self._drive_law.plant)

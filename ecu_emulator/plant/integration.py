@@ -9,7 +9,6 @@ from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import part
 from ecu_emulator.plant import state as at
 from ecu_emulator.plant.audit import (
-    ACCOUNT_COUNT,
     SYNCHRONISERS,
     add_powers,
     restore_account,
@@ -36,7 +35,7 @@ class Workspace(NamedTuple):
     predicted: FloatArray  # (STATE_COUNT,), state inside it
     slope1: FloatArray  # (OUTPUT_COUNT,), rates and torques at the start of a step
     slope: FloatArray  # (OUTPUT_COUNT,), and inside it
-    account: FloatArray  # (3 * ACCOUNT_COUNT,), or empty: no audit
+    account: FloatArray  # (3 * audit.ACCOUNT_COUNT,), or empty: no audit
 
 
 class Machine(NamedTuple):
@@ -53,14 +52,14 @@ class Machine(NamedTuple):
     cycles: FloatArray  # (cycles, tcu_data.CYCLE_COLUMN_COUNT), read only
 
 
-def workspace(*, is_audited: bool) -> Workspace:
+def workspace() -> Workspace:
     """Return empty arrays to work in."""
     return Workspace(
         before=np.zeros(at.STATE_COUNT),
         predicted=np.zeros(at.STATE_COUNT),
         slope1=np.zeros(at.OUTPUT_COUNT),
         slope=np.zeros(at.OUTPUT_COUNT),
-        account=np.zeros(3 * ACCOUNT_COUNT if is_audited else 0),
+        account=np.zeros(0),
     )
 
 

@@ -1,7 +1,5 @@
 """The powertrain: assembles parameters into laws, holds the state, hands out rows."""
 
-from functools import partial
-
 import numpy as np
 
 from canlog.arrays import FloatArray
@@ -47,8 +45,6 @@ class Powertrain(MachineCourse):
         Cycles, driver, temperatures, step.
     touch_pressures_pa : tuple of two, or None
         Touch points that the control believes in; None: those of the clutches.
-    is_audited : bool
-        Keep an energy account (a few percent slower); see `power_balance`.
     """
 
     def __init__(
@@ -58,13 +54,12 @@ class Powertrain(MachineCourse):
         drive: DriveSettings,
         *,
         touch_pressures_pa: tuple[float, float] | None = None,
-        is_audited: bool = False,
     ) -> None:
         law = drive_law(truth, parameters, drive)
         check_step(drive.dt_s, law.plant, law.overall_ratios, starts_in_neutral=drive.has_routine)
         self._law = as_record(law)
-        begin = partial(_initial_machine, self._law, drive, parameters.control, is_audited=is_audited)
-        super().__init__(self._law, touch_pressures_pa, begin)
+        super().__init__(self._law, touch_pressures_pa)
+        self._machine = _initial_machine(self._law, drive, parameters.control)
 
     @property
     def finished(self) -> bool:
@@ -208,7 +203,7 @@ def drive_law(truth: Calibration, parameters: PlantParameters, drive: DriveSetti
     )
 
 
-def _initial_machine(law: DriveLaw, drive: DriveSettings, control: ControlParameters, *, is_audited: bool) -> Machine:
+def _initial_machine(law: DriveLaw, drive: DriveSettings, control: ControlParameters) -> Machine:
     """Return the state in which a drive begins: rolling in 1st gear or, for the workshop routine, idling at rest."""
     machine = idle_machine(
         cycle_table(drive, control),
@@ -217,7 +212,6 @@ def _initial_machine(law: DriveLaw, drive: DriveSettings, control: ControlParame
         memory_count=tcu_data.MEMORY_COUNT,
         sense_count=tcu_data.SENSE_COUNT,
         command_count=tcu_data.COMMAND_COUNT,
-        is_audited=is_audited,
     )
     if drive.has_routine:
         _idle_at_rest(machine, drive)

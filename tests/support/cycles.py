@@ -18,7 +18,10 @@ LONGEST_CYCLE_S = 80.0
 
 
 def powertrain(drive: DriveSettings, *, is_audited: bool = False) -> Powertrain:
-    return Powertrain(nominal_calibration(), nominal_parameters(), drive, is_audited=is_audited)
+    train = Powertrain(nominal_calibration(), nominal_parameters(), drive)
+    if is_audited:
+        train.audit()
+    return train
 
 
 @lru_cache(maxsize=8)

@@ -33,7 +33,10 @@ def trip(
     if mass_kg is not None:
         vehicle = car.parameters.vehicle._replace(mass_kg=mass_kg)
         car = replace(car, parameters=replace(car.parameters, vehicle=vehicle))
-    return Trip(car, road, conditions(**changes), np.random.default_rng(seed), is_audited=is_audited)
+    whole = Trip(car, road, conditions(**changes), np.random.default_rng(seed))
+    if is_audited:
+        whole.audit()
+    return whole
 
 
 def driven(road: SpeedTrace, *, seed: int = 1, mass_kg: float | None = None, **changes: float) -> FloatArray:

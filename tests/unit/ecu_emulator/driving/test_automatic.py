@@ -29,7 +29,10 @@ def with_fluid(fluid: FluidCondition) -> Calibration:
 
 def trip(fluid: FluidCondition = FluidCondition.IDEAL, *, is_audited: bool = False, **changes: float) -> Trip:
     car = Car(truth=with_fluid(fluid), parameters=nominal_parameters("lockup"))
-    return Trip(car, COUNTRY, conditions(**changes), np.random.default_rng(1), is_audited=is_audited)
+    whole = Trip(car, COUNTRY, conditions(**changes), np.random.default_rng(1))
+    if is_audited:
+        whole.audit()
+    return whole
 
 
 @pytest.fixture(scope="module")
