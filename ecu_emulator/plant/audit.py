@@ -85,7 +85,7 @@ def stored_energy_j(y: FloatArray, law: PlantLaw) -> float:
     twice += law.output.inertia_kg_m2 * y[at.W_D] ** 2
     twice += law.vehicle.wheel_inertia_kg_m2 * y[at.W_W] ** 2 + law.vehicle.mass_kg * y[at.V] ** 2
     for k in range(2):
-        shaft = law.shafts.first if k == 0 else law.shafts.second
+        shaft = law.shafts[k]
         twice += shaft.clutch_inertia_kg_m2 * y[at.W_L + k] ** 2 + shaft.gear_inertia_kg_m2 * y[at.W_G + k] ** 2
         twice += shaft.stiffness_nm_rad * y[at.PHI_SI + k] ** 2
     return float(0.5 * twice)
@@ -95,15 +95,15 @@ def stored_energy_j(y: FloatArray, law: PlantLaw) -> float:
 def stored_heat_j(y: FloatArray, law: PlantLaw) -> float:
     """Return the heat in clutches and sump above 0 K [J]."""
     heat_j = law.sump_heat_capacity_j_k * y[at.T_OIL]
-    heat_j += law.clutches.first.heat_capacity_j_k * y[at.T_C]
-    return float(heat_j + law.clutches.second.heat_capacity_j_k * y[at.T_C + 1])
+    heat_j += law.clutches[0].heat_capacity_j_k * y[at.T_C]
+    return float(heat_j + law.clutches[1].heat_capacity_j_k * y[at.T_C + 1])
 
 
 @part
 def shaft_powers(y: FloatArray, modes: Int64Array, out: FloatArray, powers: FloatArray, law: PlantLaw) -> None:
     """Add the losses of both input shafts, their gears and synchronisers to ``powers`` [W]."""
     for k in range(2):
-        shaft = law.shafts.first if k == 0 else law.shafts.second
+        shaft = law.shafts[k]
         gear_rad_s = y[at.W_G + k]
         twist_rate = y[at.W_L + k] - gear_rad_s
         powers[CLUTCH] += out[at.T_F + k] * (y[at.W_H] - y[at.W_L + k])

@@ -164,7 +164,7 @@ def check_step(dt_s: float, law: PlantLaw, overall_ratios: Sequence[float], *, s
 def fastest_rates_rad_s(law: PlantLaw, overall_ratios: Sequence[float]) -> Mapping[str, float]:
     """Return the largest eigenvalue magnitude [rad/s] of each stiff part."""
     flywheel, output, vehicle = law.flywheel, law.output, law.vehicle
-    valve = law.clutches.first.valve
+    valve = law.clutches[0].valve
     rates = {
         "flywheel": _shaft_rate(
             flywheel.stiffness_nm_rad, flywheel.damping_nms_rad, law.engine_inertia_kg_m2, law.hub_inertia_kg_m2
@@ -175,7 +175,7 @@ def fastest_rates_rad_s(law: PlantLaw, overall_ratios: Sequence[float]) -> Mappi
         "tyre": vehicle.tyre_stiffness_n * vehicle.wheel_radius_m**2 / vehicle.wheel_inertia_kg_m2,
         "cavity": valve.orifice_m3_s_sqrt_pa / math.sqrt(valve.laminar_pressure_pa) / valve.pack_compliance_m3_pa,
     }
-    for number, shaft in enumerate((law.shafts.first, law.shafts.second), start=1):
+    for number, shaft in enumerate((law.shafts[0], law.shafts[1]), start=1):
         rates[f"input shaft {number}"] = _shaft_rate(
             shaft.stiffness_nm_rad, shaft.damping_nms_rad, shaft.clutch_inertia_kg_m2, shaft.gear_inertia_kg_m2
         )
@@ -227,7 +227,7 @@ def idle_machine(
     y[at.P_M] = _IDLE_MANIFOLD_RATIO * law.engine.ambient_pressure_pa
     y[at.SPARK] = machine.commands[tcu_data.SPARK] = 1.0
     y[[at.T_C, at.T_C + 1, at.T_OIL]] = oil_k
-    for index, clutch in enumerate((law.clutches.first, law.clutches.second)):
+    for index, clutch in enumerate((law.clutches[0], law.clutches[1])):
         y[at.FILM + index] = clutch.film.open_gap_m
         refresh_contact(y, index, clutch)
     machine.u[at.AIR_FLOW] = throttle_flow_kg_s(0.0, law.engine)

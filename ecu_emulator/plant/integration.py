@@ -112,8 +112,8 @@ def add_stage(y: FloatArray, slope: FloatArray, weight_s: float) -> None:
 def advance_fluids(y: FloatArray, u: FloatArray, dt_s: float, law: PlantLaw) -> None:
     """Advance what nothing mechanical acts back on: lags, oil, films."""
     advance_lags(y, u, dt_s, law)
-    advance_clutch(y, u, 0, dt_s, law.clutches.first)
-    advance_clutch(y, u, 1, dt_s, law.clutches.second)
+    advance_clutch(y, u, 0, dt_s, law.clutches[0])
+    advance_clutch(y, u, 1, dt_s, law.clutches[1])
 
 
 @part
@@ -168,7 +168,7 @@ def event_fraction(machine: Machine, dt_s: float, law: PlantLaw) -> float:
     fraction = 1.0
     for k in range(2):
         if modes[at.STICK + k] == 0:
-            band = (law.clutches.first if k == 0 else law.clutches.second).friction.lock_band_rad_s
+            band = law.clutches[k].friction.lock_band_rad_s
             old, new = before[at.W_H] - before[at.W_L + k], y[at.W_H] - y[at.W_L + k]
             change = dt_s * (slope[at.W_H] - slope[at.W_L + k])
             fraction = min(fraction, approach_fraction(old, change, new, band))
@@ -191,8 +191,8 @@ def close_synchronisers(machine: Machine, law: PlantLaw) -> None:
         if abs(ratio * y[at.W_D] - y[at.W_G + k]) >= law.synchroniser.lock_slip_rad_s:
             continue
         before_j = stored_energy_j(y, law)
-        shaft = law.shafts.first if k == 0 else law.shafts.second
-        other = law.shafts.second if k == 0 else law.shafts.first
+        shaft = law.shafts[k]
+        other = law.shafts[1 - k]
         inertia_kg_m2 = law.output.inertia_kg_m2
         if modes[at.LINK + 1 - k] == ENGAGED:
             inertia_kg_m2 += u[at.RATIO + 1 - k] ** 2 * other.gear_inertia_kg_m2

@@ -53,7 +53,7 @@ def sense_plant(machine: Machine, law: PlantLaw) -> None:
     sense[tcu_data.ENGINE_SPEED] = y[at.W_E]
     sense[tcu_data.ENGINE_TORQUE] = modelled_torque_nm(machine, law)
     for k in range(2):
-        clutch = law.clutches.first if k == 0 else law.clutches.second
+        clutch = law.clutches[k]
         sense[tcu_data.SLIP + k] = y[at.W_H] - y[at.W_L + k]
         sense[tcu_data.FILL + k] = y[at.VOLUME + k] / clutch.cavity.full_volume_m3
         sense[tcu_data.IS_LOCKED + k] = modes[at.STICK + k]
@@ -72,7 +72,7 @@ def apply_commands(machine: Machine, law: DriveLaw) -> None:
     u[at.BRAKE] = commands[tcu_data.BRAKE]
     u[at.COOLANT] = law.plant.coolant_k
     for k in range(2):
-        clutch = law.plant.clutches.first if k == 0 else law.plant.clutches.second
+        clutch = law.plant.clutches[k]
         line_pa = clutch.valve.line_pressure_pa
         u[at.P_COMMAND + k] = min(max(commands[tcu_data.PRESSURE + k], 0.0), line_pa)
         u[at.T_COMMAND + k] = commands[tcu_data.TORQUE_COMMAND + k]
@@ -114,7 +114,7 @@ def record_clutches(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
     """Write the part of a row that comes in pairs; clutch 2 stands right of clutch 1."""
     y, u, out = machine.y, machine.u, machine.work.slope1
     for k in range(2):
-        clutch = law.clutches.first if k == 0 else law.clutches.second
+        clutch = law.clutches[k]
         row[Col.INPUT1_SPEED + k] = y[at.W_L + k]
         row[Col.CLUTCH1_TORQUE + k] = out[at.T_F + k]
         row[Col.VISCOUS1_TORQUE + k] = out[at.T_V + k]

@@ -20,7 +20,7 @@ from ecu_emulator.plant.driveline import ENGAGED, converter_law
 from ecu_emulator.plant.integration import Machine
 from ecu_emulator.plant.loop import COLUMN_COUNT, DriveLaw, run
 from ecu_emulator.plant.parameters import GearboxParameters, PlantParameters
-from ecu_emulator.plant.rates import ClutchPair, FluidLaw, PlantLaw, ShaftPair
+from ecu_emulator.plant.rates import FluidLaw, PlantLaw
 from ecu_emulator.shift_control import tcu_data, workshop
 from ecu_emulator.shift_control.tcu_data import ClutchActuation, ControlParameters
 from ecu_emulator.shift_control.touch_points import PressureSteps
@@ -144,11 +144,11 @@ def _plant_law(truth: Calibration, parameters: PlantParameters, drive: DriveSett
     return PlantLaw(
         engine=parameters.engine,
         flywheel=parameters.flywheel,
-        shafts=ShaftPair(*parameters.shafts),
+        shafts=parameters.shafts,
         synchroniser=parameters.synchroniser,
         output=parameters.output,
         vehicle=parameters.vehicle,
-        clutches=ClutchPair(first, second),
+        clutches=(first, second),
         fluid=FluidLaw(float(truth.viscosity.a_pa_s), float(truth.viscosity.b_k), float(truth.viscosity.pole_k)),
         engine_inertia_kg_m2=float(truth.input_side.engine_inertia_kg_m2),
         hub_inertia_kg_m2=float(hub_inertia_kg_m2),
@@ -248,7 +248,7 @@ def _roll(machine: Machine, law: DriveLaw, drive: DriveSettings) -> None:
 
 def _close_first_clutch(machine: Machine, law: DriveLaw) -> None:
     y, actuation = machine.y, law.actuation
-    first = law.plant.clutches.first
+    first = law.plant.clutches[0]
     hold_nm = law.control.hold_margin_nm
     hold_pa = actuation.touch_pressure_pa[0] + hold_nm * actuation.pressure_per_torque_pa_nm[0]
     y[at.P_V] = hold_pa

@@ -33,20 +33,6 @@ from ecu_emulator.plant.driveline import (
 _SLIP_DECAY_S = 0.005  # tb: what slip is left when a clutch locks fades with this time constant
 
 
-class ShaftPair(NamedTuple):
-    """Input shafts of the odd and the even gears."""
-
-    first: ShaftParameters
-    second: ShaftParameters
-
-
-class ClutchPair(NamedTuple):
-    """Clutches of the odd and the even gears."""
-
-    first: ClutchLaw
-    second: ClutchLaw
-
-
 class FluidLaw(NamedTuple):
     """Viscosity law of the transmission fluid."""
 
@@ -60,11 +46,11 @@ class PlantLaw(NamedTuple):
 
     engine: EngineParameters
     flywheel: FlywheelParameters
-    shafts: ShaftPair
+    shafts: tuple[ShaftParameters, ShaftParameters]  # of the odd and the even gears
     synchroniser: SynchroniserParameters
     output: OutputParameters
     vehicle: VehicleParameters
-    clutches: ClutchPair
+    clutches: tuple[ClutchLaw, ClutchLaw]  # likewise
     fluid: FluidLaw
     engine_inertia_kg_m2: float  # J_E
     hub_inertia_kg_m2: float  # J_H
@@ -94,7 +80,7 @@ def shaft_drag(y: FloatArray, out: FloatArray, clutch: int, shaft: ShaftParamete
 @part
 def locking_torque_nm(y: FloatArray, out: FloatArray, clutch: int, law: PlantLaw) -> float:
     """Return the torque that holds this clutch locked while the other one passes ``out[T_F]`` [N m]."""
-    shaft = law.shafts.first if clutch == 0 else law.shafts.second
+    shaft = law.shafts[clutch]
     inverse_hub = 1.0 / law.hub_inertia_kg_m2
     pull = hub_pull(y, out, law) - out[at.T_F + 1 - clutch] * inverse_hub
     return float((pull + shaft_drag(y, out, clutch, shaft)) / (inverse_hub + 1.0 / shaft.clutch_inertia_kg_m2))
@@ -104,11 +90,11 @@ def locking_torque_nm(y: FloatArray, out: FloatArray, clutch: int, law: PlantLaw
 def lock_both(y: FloatArray, out: FloatArray, law: PlantLaw) -> None:
     """Put the torques that hold both clutches locked into ``out``: two equations, coupled by the hub."""
     inverse_hub = 1.0 / law.hub_inertia_kg_m2
-    diagonal1 = inverse_hub + 1.0 / law.shafts.first.clutch_inertia_kg_m2
-    diagonal2 = inverse_hub + 1.0 / law.shafts.second.clutch_inertia_kg_m2
+    diagonal1 = inverse_hub + 1.0 / law.shafts[0].clutch_inertia_kg_m2
+    diagonal2 = inverse_hub + 1.0 / law.shafts[1].clutch_inertia_kg_m2
     pull = hub_pull(y, out, law)
-    need1 = pull + shaft_drag(y, out, 0, law.shafts.first)
-    need2 = pull + shaft_drag(y, out, 1, law.shafts.second)
+    need1 = pull + shaft_drag(y, out, 0, law.shafts[0])
+    need2 = pull + shaft_drag(y, out, 1, law.shafts[1])
     determinant = diagonal1 * diagonal2 - inverse_hub * inverse_hub
     out[at.T_F] = (need1 * diagonal2 - need2 * inverse_hub) / determinant
     out[at.T_F + 1] = (need2 * diagonal1 - need1 * inverse_hub) / determinant
@@ -117,7 +103,7 @@ def lock_both(y: FloatArray, out: FloatArray, law: PlantLaw) -> None:
 @part
 def limit_torque(y: FloatArray, u: FloatArray, clutch: int, out: FloatArray, law: PlantLaw) -> bool:
     """Limit a locked clutch's torque to its capacity; True if that was necessary."""
-    capacity = capacity_nm(y, u, clutch, law.clutches.first if clutch == 0 else law.clutches.second)
+    capacity = capacity_nm(y, u, clutch, law.clutches[clutch])
     torque_nm = out[at.T_F + clutch]
     out[at.T_F + clutch] = max(-capacity, min(capacity, torque_nm))
     return bool(abs(torque_nm) > capacity)
@@ -129,7 +115,7 @@ def clutch_torques(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatAr
     for k in range(2):
         out[at.T_V + k] = 0.0
         if modes[at.STICK + k] == 0:
-            clutch = law.clutches.first if k == 0 else law.clutches.second
+            clutch = law.clutches[k]
             out[at.T_V + k] = viscous_nm(y, u, k, clutch)
             out[at.T_F + k] = out[at.T_V + k] + contact_nm(y, u, k, clutch)
     if modes[at.STICK] != 0 and modes[at.STICK + 1] != 0:
@@ -173,13 +159,13 @@ def input_rates(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArray
     )
     converter_rates(y, u, out, law)
     for k in range(2):
-        shaft = law.shafts.first if k == 0 else law.shafts.second
+        shaft = law.shafts[k]
         shaft_rate = y[at.W_L + k] - y[at.W_G + k]
         out[at.PHI_SI + k] = shaft_rate
         out[at.T_SI + k] = twist_torque_nm(y[at.PHI_SI + k], shaft_rate, shaft.stiffness_nm_rad, shaft.damping_nms_rad)
     clutch_torques(y, u, modes, out, law)
     for k in range(2):
-        shaft = law.shafts.first if k == 0 else law.shafts.second
+        shaft = law.shafts[k]
         net_nm = out[at.T_F + k] - out[at.T_SI + k] - shaft.clutch_damping_nms_rad * y[at.W_L + k]
         out[at.W_L + k] = net_nm / shaft.clutch_inertia_kg_m2
     hub_nm = out[at.T_FW] - out[at.T_IMPELLER] - out[at.T_F] - out[at.T_F + 1] - law.hub_damping_nms_rad * y[at.W_H]
@@ -198,7 +184,7 @@ def output_rates(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArra
     inertia_kg_m2 = output.inertia_kg_m2
     net_nm = -output.damping_nms_rad * y[at.W_D]
     for k in range(2):
-        shaft = law.shafts.first if k == 0 else law.shafts.second
+        shaft = law.shafts[k]
         ratio = y[at.GEAR_RATIO] if is_automatic and k == 0 else u[at.RATIO + k]
         gear_rad_s, shaft_nm = y[at.W_G + k], out[at.T_SI + k] + out[at.T_TURBINE + k]
         out[at.T_SY + k] = 0.0
@@ -241,7 +227,7 @@ def heat_rates(y: FloatArray, u: FloatArray, out: FloatArray, law: PlantLaw) -> 
     """Fill ``out`` with the warming of clutches and sump."""
     to_oil_w = out[at.T_IMPELLER] * y[at.W_H] - out[at.T_TURBINE] * y[at.W_G]
     for k in range(2):
-        clutch = law.clutches.first if k == 0 else law.clutches.second
+        clutch = law.clutches[k]
         power_w = abs(out[at.T_F + k] * (y[at.W_H] - y[at.W_L + k]))
         out[at.T_C + k] = clutch_heating_rate_k_s(
             power_w, y[at.T_C + k], y[at.T_OIL], clutch.heat_capacity_j_k, clutch.convection_w_k
@@ -265,7 +251,7 @@ def lock_or_slip(y: FloatArray, u: FloatArray, modes: Int64Array, out: FloatArra
     """Lock and unlock the clutches as the torques in ``out`` demand; True if a mode changed (Karnopp's rule)."""
     has_changed = False
     for k in range(2):
-        clutch = law.clutches.first if k == 0 else law.clutches.second
+        clutch = law.clutches[k]
         capacity = capacity_nm(y, u, k, clutch)
         slip_rad_s = y[at.W_H] - y[at.W_L + k]
         if modes[at.STICK + k] != 0:
