@@ -66,8 +66,8 @@ def examples(*lines: str) -> str:
 
 
 def record_of(kind: type[RecordT], words: Mapping[str, Any]) -> RecordT:
-    """Return a record made of those words of a command that are its fields."""
-    return kind(**{one.name: words[one.name] for one in fields(kind) if one.name in words})
+    """Return a record whose fields have the values of the command's words of the same names."""
+    return kind(**{field.name: words[field.name] for field in fields(kind) if field.name in words})
 
 
 def run(program: click.Group, words: Sequence[str] | None, state: object = None) -> int:
@@ -88,7 +88,7 @@ def run(program: click.Group, words: Sequence[str] | None, state: object = None)
 
 
 def _message(error: click.UsageError) -> str:
-    """Return what is wrong; a value that was set elsewhere is not repeated: it may be a secret in the wrong place."""
+    """Return what is wrong, without a value that the environment or a file set: it may be a misplaced secret."""
     if not isinstance(error, click.BadParameter) or error.ctx is None or error.param is None:
         return error.format_message()
     name = error.param.name or ""

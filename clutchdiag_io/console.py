@@ -19,7 +19,7 @@ _WORD: Final = re.compile(r"\S+")
 
 
 class PeopleConsole(Console):
-    """A console that breaks no word, takes no text for markup and lets its owner know of a broken pipe."""
+    """A console that breaks no word, prints markup as it stands and raises BrokenPipeError when the reader is gone."""
 
     def on_broken_pipe(self) -> None:
         """Tell the caller, instead of ending the process."""

@@ -36,14 +36,14 @@ def histogram(
 def _filled(family: GaugeMetricFamily | CounterMetricFamily, value: Value) -> Metric:
     """Return a family with its value, or with one value for each of its labels."""
     values = value if isinstance(value, Mapping) else {(): value}
-    for key, one in values.items():
+    for key, number in values.items():
         labels: Sequence[str] = key if isinstance(key, tuple) else (str(key),)
-        family.add_metric(labels, one)
+        family.add_metric(labels, number)
     return family
 
 
 class Told(Collector):
-    """Families as they are told at each scrape."""
+    """A collector that calls ``tell`` at each scrape."""
 
     def __init__(self, tell: Callable[[], Iterable[Metric]]) -> None:
         self._tell = tell

@@ -1,4 +1,4 @@
-"""How people read numbers, with few digits and how far they may be off, and moments, if a clock told them."""
+"""Numbers for people, with few digits and two standard deviations, and moments of clocks that were set."""
 
 from datetime import UTC, datetime
 from math import floor, isfinite, log10, pi
@@ -21,7 +21,7 @@ def plus_minus(value: float, std: float, form: str = "{:.4f}", *, scale: float =
 
 
 def half_width(std: float, form: str = "{:.4f}", *, scale: float = 1.0) -> str:
-    """Return two standard deviations, times ``scale``; what a form says of signs does not hold for them."""
+    """Return two standard deviations, times ``scale``, in a form without its sign."""
     return form.replace("+", "").format(STDS * scale * std)
 
 
@@ -31,7 +31,7 @@ def is_dated(at: datetime) -> bool:
 
 
 def moment_words(at: datetime, form: str = "%Y-%m-%d %H:%M") -> str:
-    """Return an aware moment in UTC; that of a clock that was not set is named so."""
+    """Return an aware moment in UTC, or that the clock was not set."""
     return at.astimezone(UTC).strftime(form) if is_dated(at) else NOT_SET
 
 

@@ -1,4 +1,4 @@
-"""What all programs do about themselves: first and last moments, threads, standard output, errors in one line."""
+"""What all programs share: start and end, threads, standard output, errors in one line."""
 
 import gc
 import hashlib
@@ -21,7 +21,7 @@ Kinds = type[Exception] | tuple[type[Exception], ...]
 
 
 def reckon_in_one_thread() -> None:
-    """Have numpy reckon in one thread, in this process and those it starts, unless the environment says otherwise.
+    """Let numpy compute in one thread, in this process and its children, unless the environment says otherwise.
 
     Its matrices are so small here that threads only wait for each other. It is of use only before numpy is imported.
     On a machine with many cores, or with several processes at work, threads take processor time and gain none; and
@@ -33,7 +33,7 @@ def reckon_in_one_thread() -> None:
 
 @contextmanager
 def standard_output() -> Iterator[None]:
-    """End in peace when nobody reads on, as behind ``head``; have all written when the block ends, or raise OSError.
+    """Flush standard output at the end of the block, or raise OSError; a reader that hung up is no error.
 
     What the encoding does not have, a part of a file's name perhaps, is written as an escape.
     """
@@ -51,7 +51,7 @@ def standard_output() -> Iterator[None]:
 
 
 def discard() -> None:
-    """Send to nowhere what is still buffered; the interpreter would complain of it when it ends."""
+    """Discard what standard output still buffers: the interpreter would report the broken pipe when it ends."""
     with suppress(OSError, ValueError, AttributeError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
@@ -126,9 +126,9 @@ def legible_record(value: object) -> object:
     if isinstance(value, str):
         return legible(value)
     if isinstance(value, Mapping):
-        return {legible_record(key): legible_record(one) for key, one in value.items()}
+        return {legible_record(key): legible_record(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [legible_record(one) for one in value]
+        return [legible_record(item) for item in value]
     return value
 
 

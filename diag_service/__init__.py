@@ -17,6 +17,7 @@ if typing.TYPE_CHECKING:
     from clutch_model.transmission import Transmission, read_transmission
     from clutch_results.records import ClutchVerdict, Condition, ShiftEstimate, ShiftResult, Status
     from diag_service.api.analysis import Analysis, PaperAnalysis, ResultTable, analyze, analyze_by_paper
+    from diag_service.api.calibration import calibrate
     from diag_service.api.choices import Delivery, Poll
     from diag_service.api.expectations import (
         expect_frames,
@@ -25,7 +26,7 @@ if typing.TYPE_CHECKING:
         expect_verdict,
     )
     from diag_service.api.folders import FolderAnalysis, analyze_folders
-    from diag_service.api.learning import calibrate, learn, predict
+    from diag_service.api.learning import learn, predict
     from diag_service.api.live import BackgroundDiagnosis, LiveDiagnosis, diagnose
     from diag_service.api.logs import decode, inspect, propose_profile, read
     from diag_service.api.stores import history, note_fluid, stored_shift, write_report
@@ -103,7 +104,8 @@ _HOMES = {
     "diag_service.api.choices": ("Delivery", "Poll"),
     "diag_service.api.expectations": ("expect_frames", "expect_same_frames", "expect_shifts", "expect_verdict"),
     "diag_service.api.folders": ("FolderAnalysis", "analyze_folders"),
-    "diag_service.api.learning": ("calibrate", "learn", "predict"),
+    "diag_service.api.calibration": ("calibrate",),
+    "diag_service.api.learning": ("learn", "predict"),
     "diag_service.api.live": ("BackgroundDiagnosis", "LiveDiagnosis", "diagnose"),
     "diag_service.api.logs": ("decode", "inspect", "propose_profile", "read"),
     "diag_service.api.stores": ("history", "note_fluid", "stored_shift", "write_report"),

@@ -29,7 +29,7 @@ from diag_service.commands.options import (
     working,
 )
 from diag_service.errors import ConfigError, ControllerError, IncompleteError, StoppedError, StoreError
-from diag_service.service.stopping import Controls, Trigger, ignore
+from diag_service.stopping import Controls, Trigger, ignore
 
 ENDED_BY_SIGNALS: Final = ("run", "monitor")  # as a rule
 COUNTS_WANTED: Final = tuple(number for number in signal.Signals if number.name == "SIGUSR1")  # POSIX alone has it
@@ -154,7 +154,7 @@ def command_line() -> None:
 def run(controls: Controls, **words: Any) -> None:
     """Diagnose a live bus."""
     from diag_service.commands.live import run
-    from diag_service.settings.config import LiveOptions
+    from diag_service.settings.options import LiveOptions
 
     run(LiveOptions(**words), controls)
 
@@ -166,7 +166,7 @@ def run(controls: Controls, **words: Any) -> None:
 def monitor(controls: Controls, **words: Any) -> None:
     """Show a live bus, store nothing."""
     from diag_service.commands.live import monitor
-    from diag_service.settings.config import LiveOptions
+    from diag_service.settings.options import LiveOptions
 
     monitor(LiveOptions(**words), controls)
 
@@ -183,7 +183,7 @@ def config() -> None:
 def check(_controls: Controls, **words: Any) -> None:
     """Check the settings and print what a run would use, secrets masked."""
     from diag_service.commands.live import check
-    from diag_service.settings.config import LiveOptions
+    from diag_service.settings.options import LiveOptions
 
     check(LiveOptions(**words))
 
@@ -227,7 +227,8 @@ def analyze(controls: Controls, **words: Any) -> None:
     below, is a drive of its own. With --output an interrupted run over a folder continues where it stopped, even after
     it was killed.
     """
-    from diag_service.commands.analyze import AnalyzeOptions, analyze
+    from diag_service.commands.analyze import analyze
+    from diag_service.settings.options import AnalyzeOptions
 
     source = click.get_current_context().get_parameter_source
     given = frozenset(name for name in words if source(name) is click.core.ParameterSource.COMMANDLINE)
@@ -254,7 +255,8 @@ def report(controls: Controls, **words: Any) -> None:
     The page needs no network. It has what to do, friction over slip, trend, single shifts (of logs), quality of the
     data, and what was not seen and why.
     """
-    from diag_service.commands.store import ReportOptions, report
+    from diag_service.commands.store import report
+    from diag_service.settings.options import ReportOptions
 
     report(ReportOptions(**words), controls)
 
@@ -273,7 +275,8 @@ def report(controls: Controls, **words: Any) -> None:
 @working
 def history(_controls: Controls, **words: Any) -> None:
     """Show how the friction of each clutch went."""
-    from diag_service.commands.store import HistoryOptions, history
+    from diag_service.commands.store import history
+    from diag_service.settings.options import HistoryOptions
 
     history(HistoryOptions(**words))
 
@@ -319,7 +322,8 @@ def fluid_changed(_controls: Controls, **words: Any) -> None:
     The shifts after that begin a new baseline; what is known of sensors and lining stays. A service that is running
     takes it up before its next shift.
     """
-    from diag_service.commands.store import FluidOptions, fluid_changed
+    from diag_service.commands.store import fluid_changed
+    from diag_service.settings.options import FluidOptions
 
     fluid_changed(FluidOptions(**words))
 
@@ -334,7 +338,8 @@ def fluid_changed(_controls: Controls, **words: Any) -> None:
 @working
 def calibrate(controls: Controls, **words: Any) -> None:
     """Find one vehicle's sensor errors and inertia from its logs."""
-    from diag_service.commands.learn import LearnOptions, calibrate
+    from diag_service.commands.learn import calibrate
+    from diag_service.settings.options import LearnOptions
 
     calibrate(LearnOptions(**words), controls)
 
@@ -359,7 +364,8 @@ def inspect(controls: Controls, **words: Any) -> None:
 
     A database names the messages; the shipped one also checks them.
     """
-    from diag_service.commands.inspect import InspectOptions, inspect
+    from diag_service.commands.inspect import inspect
+    from diag_service.settings.options import InspectOptions
 
     inspect(InspectOptions(**words), controls)
 
@@ -432,7 +438,8 @@ def signals(controls: Controls, **words: Any) -> None:
 @working
 def decode(controls: Controls, **words: Any) -> None:
     """Write the signals of logs as a table: Parquet, CSV, JSON lines or Arrow."""
-    from diag_service.commands.decode import DecodeOptions, decode
+    from diag_service.commands.decode import decode
+    from diag_service.settings.options import DecodeOptions
 
     decode(DecodeOptions(**words), controls)
 
@@ -459,9 +466,12 @@ def predict(controls: Controls, **words: Any) -> None:
     the course of engine speed while the clutch slips, with intervals. Needs engine speed, both clutch pressures, and
     speeds behind the clutches or ratios; no torque, no drawing.
     """
-    from diag_service.commands.learn import PredictOptions, predict
+    from clutch_model.units import pa_from_bar
+    from diag_service.commands.learn import predict
+    from diag_service.settings.options import PredictOptions
 
-    predict(PredictOptions(**words), controls)
+    touch_bar = words.pop("touch")
+    predict(PredictOptions(touch_pa=None if touch_bar is None else pa_from_bar(touch_bar), **words), controls)
 
 
 @command_line.command(epilog=examples(f"{PROGRAM} learn drive-a.csv drive-b.csv --profile car.toml -o car1.toml"))
@@ -477,7 +487,8 @@ def learn(controls: Controls, **words: Any) -> None:
     Each value has its standard deviation and says whether it is from the log or assumed. Nothing is claimed that the
     logs do not tell.
     """
-    from diag_service.commands.learn import LearnOptions, learn
+    from diag_service.commands.learn import learn
+    from diag_service.settings.options import LearnOptions
 
     learn(LearnOptions(**words), controls)
 
@@ -531,9 +542,9 @@ def forget(_controls: Controls, **words: Any) -> None:
     Every part of one vehicle and its rows of the manifest are removed, listed, and looked for again. Logs and copies
     elsewhere stay.
     """
-    from diag_service.commands.lake import forget_vehicle
+    from diag_service.commands.lake import forget
 
-    forget_vehicle(**words)
+    forget(**words)
 
 
 for _command in attached("diag_service.commands").values():

@@ -1,4 +1,4 @@
-"""What people read and say: notices, how far a reading is, yes or no."""
+"""Standard error: notices, the progress of reading, a question with yes or no."""
 
 import logging
 import select
@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from io import StringIO
 from typing import Final, Self, TextIO
 
 from rich.text import Text
@@ -25,7 +26,7 @@ _LONGEST_NAME: Final = 40
 
 
 class ReadingLine:
-    """A line that tells how far a reading is, while this is entered; nothing where nobody watches.
+    """A progress line of reading logs on a terminal; shows nothing elsewhere.
 
     Parameters
     ----------
@@ -56,12 +57,12 @@ class ReadingLine:
             self.show(reading_text(reader))
 
     def tell(self, text: str) -> None:
-        """Show a text if somebody may ask by now, and not more often than can be read."""
+        """Show a text after ``PATIENCE_S``, once per ``PERIOD_S`` at most."""
         if self._is_due():
             self.show(text)
 
     def report(self, news: object) -> None:
-        """Make room for what is told otherwise: a reporter of the run."""
+        """Clear the line before other reporters print: this is a reporter of the run."""
         del news
         self.clear()
 
@@ -83,6 +84,9 @@ class ReadingLine:
         return self._is_watched and self._now_s() >= self._due_s
 
 
+SILENT: Final = ReadingLine(StringIO())  # of a caller in Python: nobody watches
+
+
 def reading_text(reader: LogReader) -> str:
     """Return how far a log has been read: its share where its size is known, and the frames in any case."""
     name = legible(reader.name)
@@ -96,7 +100,7 @@ YES: Final = frozenset({"y", "yes"})
 
 
 def is_confirmed(question: str, goes_on: Callable[[], bool]) -> bool:
-    """Ask a person on standard error; where nobody sits the command line has the word, which is yes.
+    """Ask a person on standard error; without a terminal the answer is yes, as the command line says.
 
     Parameters
     ----------
@@ -125,15 +129,15 @@ COMPILING = "diag_service.compiling"
 
 
 class _Collector(logging.Handler):
-    """Keeps the messages of the run that they come from; the handlers of the program get them as ever.
+    """Appends log messages to the list of the run that logs them; other handlers get them, too.
 
     With it a program without any logging of its own has no message on its standard error.
     """
 
     def emit(self, record: logging.LogRecord) -> None:
-        found = _FOUND.get()
-        if found is not None:
-            found.append(legible(record.getMessage()))
+        notices = _FOUND.get()
+        if notices is not None:
+            notices.append(legible(record.getMessage()))
 
 
 _COLLECTOR: Final = _Collector()
@@ -144,10 +148,10 @@ def collected_notices() -> Iterator[list[str]]:
     """Yield a list that gets what is logged in this context, and in the tasks that it starts with their threads."""
     for name in OWN:
         logging.getLogger(name).addHandler(_COLLECTOR)  # once, however often it is asked for
-    found: list[str] = []
-    token = _FOUND.set(found)
+    notices: list[str] = []
+    token = _FOUND.set(notices)
     try:
-        yield found
+        yield notices
     finally:
         _FOUND.reset(token)
 
@@ -167,10 +171,10 @@ def set_up_notices(verbosity: int) -> None:
     handler.setFormatter(_OneLine())
     level = (NOTICE, logging.INFO, logging.DEBUG)[min(verbosity, 2)]
     for name in OWN:
-        own = logging.getLogger(name)
-        own.handlers = [handler]
-        own.propagate = False
-        own.setLevel(level)
+        logger = logging.getLogger(name)
+        logger.handlers = [handler]
+        logger.propagate = False
+        logger.setLevel(level)
     compiling = logging.getLogger(COMPILING)
     compiling.setLevel(level)  # a level of its own: workers that leave other notices to their parent tell of this
     announce_compiling(lambda line: compiling.log(NOTICE, "%s", line))

@@ -27,7 +27,7 @@ _MAX_REASON: Final = 100
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultKey:
-    """What makes a result that result; the same key again is a repetition."""
+    """The identity of a result; a message with the same key is a repetition."""
 
     vehicle: str
     stream: str
@@ -86,7 +86,7 @@ def receipts_of(ack: Mapping[str, object]) -> list[Receipt]:
 
 
 def takes_bundles(ack: Mapping[str, object]) -> bool:
-    """Return whether whoever wrote a checked acknowledgement takes bundles; those before there were any do not say."""
+    """Return whether the backend that wrote a checked acknowledgement takes bundles; earlier ones do not say."""
     return ack.get("takes_bundles") is True
 
 
@@ -216,10 +216,10 @@ def fluid_message(vehicle: str, produced_at: str, fills: Sequence[JsonObject], *
     The vehicle tells the fleet, and the fleet the vehicle. A fill has ``filled_at``, ``odometer_m``, ``product`` and
     ``note``; the earliest comes first. Of one that ``is_withdrawn`` only the moment is told.
     """
-    withdrawn = [one["filled_at"] for one in fills if one.get("is_withdrawn")]
-    fills = [one for one in fills if not one.get("is_withdrawn")]
-    told: JsonObject = {"fills": fills[-MAX_FILLS:]} | ({"withdrawn": withdrawn[-MAX_FILLS:]} if withdrawn else {})
-    return _told(Channel.FILLS if is_to_vehicle else Channel.FLUID, vehicle, produced_at, told)
+    withdrawn = [fill["filled_at"] for fill in fills if fill.get("is_withdrawn")]
+    fills = [fill for fill in fills if not fill.get("is_withdrawn")]
+    content: JsonObject = {"fills": fills[-MAX_FILLS:]} | ({"withdrawn": withdrawn[-MAX_FILLS:]} if withdrawn else {})
+    return _told(Channel.FILLS if is_to_vehicle else Channel.FLUID, vehicle, produced_at, content)
 
 
 def ack_messages(
@@ -244,11 +244,11 @@ def ack_messages(
         yield _outgoing(Channel.ACK, vehicle, text, source=f"{worker}/{vehicle}", event_id=event_id, time=sent_at)
 
 
-def _told(channel: Channel, vehicle: str, produced_at: str, told: JsonObject) -> Outgoing:
+def _told(channel: Channel, vehicle: str, produced_at: str, content: JsonObject) -> Outgoing:
     """Return the message of what is said of a vehicle at a moment."""
     head: JsonObject = {"schema": channel.schema_name, "vehicle": vehicle, "produced_at": produced_at}
     event_id = f"{channel.label}/{produced_at}"
-    return _outgoing(channel, vehicle, dump(head | told), source=vehicle, event_id=event_id, time=produced_at)
+    return _outgoing(channel, vehicle, dump(head | content), source=vehicle, event_id=event_id, time=produced_at)
 
 
 def _time(record: Mapping[str, object]) -> str:
@@ -274,18 +274,18 @@ def _outgoing(
 
 
 def _checked_key(address: Address, event: JsonObject, data: JsonObject) -> ResultKey | None:
-    """Return the key of what has one; raises IdentityError if topic, envelope and data do not agree on who speaks."""
+    """Return the key of a result or a state; raises IdentityError if topic, envelope and data differ."""
     channel = address.channel
     key = key_of(data) if channel is Channel.SHIFT or channel is Channel.CLUTCH else None
-    for name, said, wanted in (
+    for name, actual, wanted in (
         ("vehicle", data["vehicle"], address.vehicle),
         ("type", event["type"], channel.event_type),
         ("dataschema", event["dataschema"], channel.schema_id),
         ("clutch", data["clutch"] if channel is Channel.CLUTCH else None, address.clutch),
         ("id", event["id"], event["id"] if key is None else key.text),
     ):
-        if said != wanted:
-            raise IdentityError(f"{name} is {shown(str(said))} where {shown(str(wanted))} belongs")
+        if actual != wanted:
+            raise IdentityError(f"{name} is {shown(str(actual))} where {shown(str(wanted))} belongs")
     return key
 
 
@@ -296,7 +296,7 @@ _ARRAY: Final = msgspec.json.Decoder(list[msgspec.Raw])
 
 
 def bundle_messages(messages: Sequence[Outgoing]) -> Iterator[Outgoing]:
-    """Yield messages of results of one vehicle in bundles, in their order; one that is left alone stays as it is."""
+    """Yield messages of results of one vehicle as bundles, in their order; a single message stays as it is."""
     first, text_bytes = 0, 0
     for place, message in enumerate(messages):
         text_bytes += len(message.payload) + 1
@@ -307,7 +307,7 @@ def bundle_messages(messages: Sequence[Outgoing]) -> Iterator[Outgoing]:
 
 
 def bundled_events(payload: bytes) -> list[bytes]:
-    """Return the events of a bundle as they would have come alone; nothing is known of them yet.
+    """Return the events of a bundle, each as a message of its own would have been; none is checked yet.
 
     Raises
     ------

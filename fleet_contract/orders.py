@@ -25,33 +25,33 @@ FillT = TypeVar("FillT")
 
 def distinct(fills: Iterable[FillT], moment: Callable[[FillT], datetime]) -> list[FillT]:
     """Return fills, the earliest first, without those that were noted within a day of the one before them."""
-    found: list[FillT] = []
+    kept_fills: list[FillT] = []
     for fill in sorted(fills, key=moment):
-        if not found or moment(fill) - moment(found[-1]) >= SAME_WITHIN:
-            found.append(fill)
-    return found
+        if not kept_fills or moment(fill) - moment(kept_fills[-1]) >= SAME_WITHIN:
+            kept_fills.append(fill)
+    return kept_fills
 
 
 def fill_meant(fills: Iterable[FillT], moment: Callable[[FillT], datetime], at: datetime | None) -> FillT | None:
-    """Return the fill that somebody means: the nearest within a day of a moment, without one the last."""
+    """Return the fill nearest to a moment, within a day of it; without a moment the last fill."""
     known = distinct(fills, moment)
     if at is None:
         return known[-1] if known else None
-    near = (one for one in known if abs(moment(one) - at) < SAME_WITHIN)
-    return min(near, key=lambda one: abs(moment(one) - at), default=None)
+    near = (fill for fill in known if abs(moment(fill) - at) < SAME_WITHIN)
+    return min(near, key=lambda fill: abs(moment(fill) - at), default=None)
 
 
 def odometer_complaint(odometer_m: float | None, before_m: float | None, after_m: float | None) -> str:
     """Return why a fill cannot have this odometer, by the readings before and after it; empty if it can."""
     if odometer_m is None:
         return ""
-    said = f"the odometer cannot read {_km(odometer_m)}"
+    begin = f"the odometer cannot read {_km(odometer_m)}"
     if odometer_m > HIGHEST_M:
-        return f"{said}: no car has driven that far"
+        return f"{begin}: no car has driven that far"
     if after_m is not None and odometer_m > after_m + READING_M:
-        return f"{said}: after that it read {_km(after_m)}; {INSIST}"
+        return f"{begin}: after that it read {_km(after_m)}; {INSIST}"
     if before_m is not None and not -READING_M <= odometer_m - before_m <= FARTHEST_M:
-        return f"{said}: it read {_km(before_m)} before; {INSIST}"
+        return f"{begin}: it read {_km(before_m)} before; {INSIST}"
     return ""
 
 
@@ -149,7 +149,7 @@ class Order:
 
 
 def is_of_earlier_fluid(end_at: datetime, filled_at: datetime | None, since_at: datetime | None = None) -> bool:
-    """Return whether a result says nothing of the fluid that is in: its event, or what it rests on, was before that.
+    """Return whether a result is of earlier fluid: its event, or the first one it rests on, was before the fill.
 
     A result without a date is held against a fill without one alone: nobody can tell which of both came first.
     """
@@ -175,9 +175,9 @@ def unseen_since_new(clutch: int, element: str | None = None) -> str:
 
 def order_of(findings: Iterable[ClutchFinding], filled_at: datetime | None, elements: Iterable[str] = ()) -> Order:
     """Return the order by the last result of each clutch, when the fluid was filled, and names that are no numbers."""
-    found = list(findings)
-    known = {one.clutch: one for one in found if not is_of_earlier_fluid(one.end_at, filled_at, one.since_at)}
-    names = dict(enumerate(elements, 1)) | {one.clutch: one.element for one in found if one.element}
+    every = list(findings)
+    known = {one.clutch: one for one in every if not is_of_earlier_fluid(one.end_at, filled_at, one.since_at)}
+    names = dict(enumerate(elements, 1)) | {one.clutch: one.element for one in every if one.element}
     clutches = tuple(names) or CLUTCHES  # elements with names are all that there are
     conditions = [known[clutch].condition if clutch in known else NO_VERDICT for clutch in clutches]
     unseen = "no event engaged it yet" if filled_at is None else _UNSEEN_SINCE
@@ -215,8 +215,8 @@ def _decide(conditions: list[str], texts: list[str]) -> tuple[Action, str]:
 
 def _beside_fluid(suspects: Iterable[Suspect], conditions: list[str]) -> Suspect | None:
     """Return the likeliest cause that new fluid alone does not mend, if it is likely enough to be seen to first."""
-    others = (one for one in suspects if one.cause not in _MENDED_BY_FLUID)
-    first = max(others, key=lambda one: one.probability, default=None)
+    others = (suspect for suspect in suspects if suspect.cause not in _MENDED_BY_FLUID)
+    first = max(others, key=lambda suspect: suspect.probability, default=None)
     least = NEARLY_CERTAIN if _BLAMED.isdisjoint(conditions) else LIKELIER
     return None if first is None or first.probability < least else first
 
@@ -227,14 +227,14 @@ def _likely(probability: float) -> str:
 
 def _percent(text: str) -> int:
     """Return how sure a finding is; one that does not say so is as sure as its verdict."""
-    found = _SURE.search(text)
-    return 100 if found is None else int(found[1])
+    match = _SURE.search(text)
+    return 100 if match is None else int(match[1])
 
 
 def _ground(finding: ClutchFinding) -> str:
-    """Return what a result says of its clutch, without any order and without the full stop."""
-    said = finding.text or f"{finding.condition.replace('_', ' ')}: {finding.reason}"
-    said = _EARLIER.sub("", said.removeprefix(f"{title_of(finding.clutch, finding.element)}: ")).removesuffix(".")
+    """Return the finding on a clutch, without the order that earlier programs added, and without the full stop."""
+    text = finding.text or f"{finding.condition.replace('_', ' ')}: {finding.reason}"
+    text = _EARLIER.sub("", text.removeprefix(f"{title_of(finding.clutch, finding.element)}: ")).removesuffix(".")
     for earlier, word in _EARLIER_WORDS.items():
-        said = said.replace(earlier, word)
-    return said
+        text = text.replace(earlier, word)
+    return text

@@ -55,7 +55,7 @@ def compile_schema(schema: Mapping[str, object]) -> Check:
 
 
 class _WholeNumber:
-    """What refuses ``1.0`` where an integer belongs: JSON Schema takes it for one."""
+    """A keyword that refuses ``1.0`` where an integer belongs: JSON Schema accepts it."""
 
     def __init__(self, parent_schema: object, value: object, schema_path: object) -> None:
         pass
@@ -93,8 +93,8 @@ def _is_moment(text: str) -> bool:
 
 
 def _in_words(errors: Iterable[ValidationError]) -> str:
-    said = [_told(error) for error in islice(errors, _MOST_SAID + 1)]
-    return "; ".join(said if len(said) <= _MOST_SAID else [*said[:_MOST_SAID], "and more"])
+    mistakes = [_told(error) for error in islice(errors, _MOST_SAID + 1)]
+    return "; ".join(mistakes if len(mistakes) <= _MOST_SAID else [*mistakes[:_MOST_SAID], "and more"])
 
 
 def _told(error: ValidationError) -> str:

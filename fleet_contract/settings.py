@@ -1,4 +1,4 @@
-"""The environment variables of both sides, which may share a shell: neither takes the other's for a mistake."""
+"""The environment variables of service and backend: both may be set in one shell."""
 
 from collections.abc import Mapping
 from difflib import get_close_matches

@@ -74,7 +74,7 @@ def _check_depth(payload: bytes) -> None:
 
 
 def _check_characters(value: object) -> None:
-    """Refuse what escapes can smuggle in: UTF-8 has no half surrogate pair, PostgreSQL's text no NUL."""
+    """Raise ValueError for half a surrogate pair, which UTF-8 cannot encode, or NUL, which PostgreSQL cannot store."""
     text = json.dumps(value, ensure_ascii=False)
     text.encode()  # raises UnicodeEncodeError, a ValueError
     if re.search(r"(?<!\\)(?:\\\\)*\\u0000", text):

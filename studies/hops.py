@@ -36,8 +36,8 @@ from diag_service.service.drive import DriveFrames, open_drive
 from diag_service.service.recorded import events
 from diag_service.service.session import Session
 from diag_service.service.stages import Diagnosis
-from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
+from diag_service.stopping import Trigger
 from diag_service.store import ResultStore
 from fleet_contract import Outgoing
 from fleet_link import BrokerAddress

@@ -30,8 +30,8 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.shifts import POST_NS
 from diag_service.service.live import run_live
 from diag_service.service.session import Session
-from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
+from diag_service.stopping import Trigger
 from diag_service.store import ResultStore
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.scenario.scenario_file import load_scenario

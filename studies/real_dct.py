@@ -49,7 +49,7 @@ from diag_service.diagnosis.prediction import (
 from diag_service.diagnosis.shifts.shifts import DriveFinder
 from diag_service.mapping.interpretation import Interpretation, interpret
 from diag_service.mapping.learning import proposed_profile
-from diag_service.service.stopping import Trigger
+from diag_service.stopping import Trigger
 from ecu_emulator.cli import main as emulator
 from studies.builders import written
 from studies.run import parsed, study_parser

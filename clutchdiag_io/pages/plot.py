@@ -32,7 +32,7 @@ class Axis:
     @classmethod
     def around(cls, label: str, *values: FloatArray | Sequence[float], margin_ratio: float = 0.06) -> "Axis":
         """Return an axis that shows all values, with a margin of its span; something to see even if all are one."""
-        finite = np.concatenate([np.asarray(one, np.float64).ravel() for one in values] or [np.empty(0)])
+        finite = np.concatenate([np.asarray(column, np.float64).ravel() for column in values] or [np.empty(0)])
         finite = finite[np.abs(finite) < _FARTHEST]  # nor NaN
         low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
         margin = margin_ratio * (high - low) or max(abs(high) * margin_ratio, 1e-3)
@@ -158,22 +158,24 @@ def thinned(values: FloatArray, most: int) -> npt.NDArray[np.int64]:
     if len(values) <= most:
         return np.arange(len(values))
     bounds = np.linspace(0, len(values), most // 2 + 1).astype(np.int64)
-    kept: set[int] = {0, len(values) - 1}
+    rows: set[int] = {0, len(values) - 1}
     for first, last in itertools.pairwise(bounds):
         part = values[first:last]
         if np.isfinite(part).any():
-            kept |= {int(first + np.nanargmin(part)), int(first + np.nanargmax(part))}
-    return np.array(sorted(kept))
+            rows |= {int(first + np.nanargmin(part)), int(first + np.nanargmax(part))}
+    return np.array(sorted(rows))
 
 
 def broken(starts: Iterable[int], most: int, values: FloatArray, *others: FloatArray) -> list[FloatArray]:
-    """Return columns thinned as ``values``, shape (n,) each; before each of some rows an item that is not known.
+    """Return columns, shape (n,) each, thinned by ``values``, with NaN before each row of ``starts``.
 
     No line joins what is on both sides of such a row.
     """
     bounds = sorted({0, len(values), *starts})
     rows = [first + thinned(values[first:last], most) for first, last in itertools.pairwise(bounds)]
-    return [np.concatenate([np.append(one[row], np.nan) for row in rows] or [one]) for one in (values, *others)]
+    return [
+        np.concatenate([np.append(column[row], np.nan) for row in rows] or [column]) for column in (values, *others)
+    ]
 
 
 def _text(pixels: float) -> str:
@@ -181,4 +183,4 @@ def _text(pixels: float) -> str:
 
 
 def _texts(pixels: FloatArray) -> list[str]:
-    return [_text(one) for one in np.rint(pixels * 10.0) / 10.0]
+    return [_text(place) for place in np.rint(pixels * 10.0) / 10.0]

@@ -1,41 +1,44 @@
 """Recorded drives from Python: ``analyze``, what it returns, and its picture."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, Unpack
 
 from canlog.column_files import arrow_schema, row_table
-from canlog.errors import OutputError
+from canlog.errors import NOTICE, OutputError
 from canlog.extras import load_extra
+from canlog.logs.reading import Watch
 from clutch_model.calibration import Calibration
 from clutch_results.pictures import LIMITS, MOMENT_ROWS, Fan
 from clutch_results.records import ClutchVerdict, ShiftResult, dump, shift_record, verdict_from
-from clutchdiag_io.people import PLUS_MINUS, digits
+from clutchdiag_io.people import PLUS_MINUS
 from clutchdiag_io.program import legible
-from diag_service.api.choices import AnyPath, AnyPaths, Delivery, LogMeaning, configuration, optional_path, path_list
-from diag_service.batch.tables import columns, drive_rows, flattened, record_columns
+from diag_service.api.choices import AnyPath, AnyPaths, Delivery, LogMeaning, named, optional_path, path_list, sent_to
+from diag_service.batch.tables import check_output, columns, drive_rows, flattened, record_columns, write_results
+from diag_service.batch.worker import drive_entry
 from diag_service.console import collected_notices
-from diag_service.delivery import MemoryReporter
+from diag_service.delivery import AllReporters, MemoryReporter, Reporter
 from diag_service.delivery.console import condition_words
-from diag_service.diagnosis.friction.paper import PaperShift, PooledClutch
-from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged, with_revisions
+from diag_service.diagnosis.friction.paper import PaperCollection, PaperShift, PooledClutch, nominal_driveline
+from diag_service.diagnosis.summary import FrameCounts, Gap, Summary, summary_record, unjudged, with_revisions
 from diag_service.errors import ConfigError
-from diag_service.service.drive import insist
+from diag_service.service.drive import insist, open_drive
 from diag_service.service.drive_survey import DriveSurvey
-from diag_service.service.paper_run import run_paper
-from diag_service.service.recorded import run_recorded
-from diag_service.service.stopping import Trigger
-from diag_service.settings.proposed import as_proposed
+from diag_service.service.recorded import replay, run_recorded
+from diag_service.service.stages import Stages
+from diag_service.settings.config import check_replaceable
+from diag_service.settings.options import AnalyzeOptions, as_proposed, diagnosis_config
+from diag_service.stopping import Controls
 from fleet_contract import Channel
 from fleet_contract.orders import name_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_LOG = logging.getLogger(__name__)
 Row = Mapping[str, object]
-SHOWN_ROWS = 20  # in a notebook
 
 
 class ResultTable:
@@ -93,21 +96,6 @@ class ResultTable:
 
     def __repr__(self) -> str:
         return f"<{len(self)} rows of {len(self.types)} columns: {', '.join(self.types)}>"
-
-    def _repr_html_(self) -> str:
-        """Return what a notebook shows: the columns that have values, the first rows."""
-        names = [name for name in self.types if any(row[name] is not None for row in self._rows)]
-        head = "".join(f"<th>{escape(name)}</th>" for name in names)
-        rows = ("".join(f"<td>{_cell(row[name])}</td>" for name in names) for row in self._rows[:SHOWN_ROWS])
-        more = len(self) - SHOWN_ROWS
-        foot = f"<p>and {more} more rows</p>" if more > 0 else ""
-        return f"<table><tr>{head}</tr>{''.join(f'<tr>{row}</tr>' for row in rows)}</table>{foot}"
-
-
-def _cell(value: object) -> str:
-    if value is None:
-        return ""
-    return digits(value) if isinstance(value, float) else escape(str(value))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -215,7 +203,7 @@ class Analysis:
         OutputError
             If the file cannot be written.
         """
-        figure = draw_fan(self._fan, legible(", ".join(one.name for one in self.paths) or self.vehicle))
+        figure = draw_fan(self._fan, legible(", ".join(log.name for log in self.paths) or self.vehicle))
         if path is not None:
             save_figure(figure, Path(path))
         return figure
@@ -253,7 +241,8 @@ class Analysis:
     def _said(self) -> str:
         words = [f"{len(self.results)} shifts"]
         words += [
-            f"{name_of(one.clutch, one.element)} {condition_words(one.condition)}" for one in self.verdicts.values()
+            f"{name_of(verdict.clutch, verdict.element)} {condition_words(verdict.condition)}"
+            for verdict in self.verdicts.values()
         ]
         return ", ".join(words if self.is_complete else [*words, "a part of the drive"])
 
@@ -303,17 +292,44 @@ def analyze(
     StoreError
         If the store cannot be opened or written.
     """
-    named = path_list(paths)
-    if folder := next((path for path in named if path.is_dir()), None):
+    logs = path_list(paths)
+    if folder := next((path for path in logs if path.is_dir()), None):
         raise ConfigError(f"{folder} is a folder, in which every log is a drive: analyze_folders")
+    options = AnalyzeOptions(
+        logs=logs, store=optional_path(store), store_budget=store_budget_mib, strict=is_strict,
+        **sent_to(delivery), **named(meaning),
+    )  # fmt: skip
+    return analyze_drive(options, Controls(), takes_part=True)
+
+
+def analyze_drive(
+    options: AnalyzeOptions,
+    controls: Controls,
+    *reporters: Reporter,
+    watch: Watch | None = None,
+    takes_part: bool = False,
+) -> Analysis:
+    """Diagnose the logs of one drive, tell ``reporters`` as it goes on, and write the file of results that is wanted.
+
+    Raises what ``analyze`` raises; for a part of a drive IncompleteError or StoppedError unless one ``takes_part``.
+    """
+    if options.output is not None:
+        check_replaceable(options.output, is_forced=options.force)
+        check_output(options.output)  # now, not after hours
+    memory = MemoryReporter()
     with collected_notices() as notices:
-        config = configuration(is_strict=is_strict, delivery=delivery, store_budget_mib=store_budget_mib, **meaning)
-        config = as_proposed(config, named)
-        reporter = MemoryReporter()
-        summary = run_recorded(config, named, optional_path(store), reporter, Trigger(), survey=DriveSurvey).summary
-    if is_strict:
-        insist(summary.gaps, summary.contributions, is_strict=True)
-    return Analysis.of(named, reporter.results, summary, notices, config.calibration)
+        config = as_proposed(diagnosis_config(options), options.paths, lambda: controls.stop.is_set)
+        everyone = AllReporters(*reporters, memory)
+        run = run_recorded(
+            config, options.paths, options.store, everyone, controls.stop, survey=DriveSurvey, watch=watch
+        )
+    summary = run.summary
+    if options.output is not None and Gap.STOPPED not in summary.gaps:
+        write_results(options.output, [drive_entry("", options.paths, run, memory.results, notices)])
+        _LOG.log(NOTICE, "%d shifts of 1 drives in %s", len(memory.results), options.output)
+    if options.strict or not takes_part:
+        insist(summary.gaps, summary.contributions, is_strict=options.strict)
+    return Analysis.of(options.paths, memory.results, summary, notices, config.calibration)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -336,15 +352,41 @@ def analyze_by_paper(
 
     Raises what ``analyze`` raises.
     """
-    shifts: list[PaperShift] = []
+    return analyze_drive_by_paper(AnalyzeOptions(logs=path_list(paths), strict=is_strict, **named(meaning)), Controls())
+
+
+def analyze_drive_by_paper(
+    options: AnalyzeOptions,
+    controls: Controls,
+    conclude: Callable[[PaperAnalysis, Sequence[Gap], FrameCounts], None] | None = None,
+    watch: Watch | None = None,
+) -> PaperAnalysis:
+    """Analyse the logs of one drive by the paper's method; raises what ``analyze`` raises.
+
+    ``conclude`` hears the result before IncompleteError or StoppedError is raised for a part of a drive; without it a
+    part is no error unless ``strict`` is set.
+    """
+    stop, shifts = controls.stop, list[PaperShift]()
     with collected_notices() as notices:
-        config = configuration(is_strict=is_strict, **meaning)
-        run = run_paper(config, path_list(paths), Trigger(), shifts.append)
-    if is_strict:
-        insist(run.account.gaps, run.account.contributions, is_strict=True)
-    return PaperAnalysis(
-        shifts=tuple(shifts), clutches=run.clutches, is_complete=not run.account.gaps, notices=tuple(notices)
+        config = as_proposed(diagnosis_config(options), options.paths, lambda: stop.is_set)
+        stages = Stages(config.interpretation().decoder(), config.calibration)
+        collection = PaperCollection(config.calibration, nominal_driveline())
+        with open_drive(
+            options.paths,
+            is_strict=options.strict,
+            is_stopped=lambda: stop.is_set,
+            watch=watch,
+            columns=options.columns,
+        ) as logs:
+            account = replay(logs, stages, stop, lambda event: shifts.append(collection.add(event)))
+    analysis = PaperAnalysis(
+        shifts=tuple(shifts), clutches=collection.pooled(), is_complete=not account.gaps, notices=tuple(notices)
     )
+    if conclude is not None:
+        conclude(analysis, account.gaps, account.frames)
+    if options.strict or conclude is not None:
+        insist(account.gaps, account.contributions, is_strict=options.strict)
+    return analysis
 
 
 SIZE_INCH: Final = (9.0, 4.5)

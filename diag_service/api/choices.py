@@ -1,30 +1,21 @@
-"""What a caller may choose, as Python values: checked in the same place as the options of the command line."""
+"""Arguments of the Python functions, and how they become the options of a command."""
 
 import os
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict
 
 from clutch_model.calibration import Calibration
-from diag_service.delivery import Acknowledge
 from diag_service.errors import ConfigError
-from diag_service.settings.config import (
-    DeliveryOptions,
-    DiagnosisConfig,
-    MeaningOptions,
-    PollConfig,
-    as_profiled,
-    broker_of,
-    described_by,
-    vehicle_of,
-)
+from diag_service.settings.config import PollConfig
 
 if TYPE_CHECKING:
     import can
 
 AnyPath = str | os.PathLike[str]
 AnyPaths = AnyPath | Iterable[AnyPath]
+_FILES: Final = frozenset({"dbc", "profile", "calibration", "ca", "cert", "key", "password_file"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +42,7 @@ class Delivery:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Poll:
-    """That a controller is asked for its trouble codes while its bus is diagnosed; each member is an option of ``run``.
+    """Periodic requests for a controller's trouble codes during a live diagnosis; each member is an option of ``run``.
 
     To make one is the leave to send requests, as ``--active`` is.
 
@@ -89,72 +80,25 @@ class LogMeaning(FrameMeaning, total=False):
     columns: str
 
 
-def configuration(
-    *,
-    is_strict: bool = False,
-    delivery: Delivery | None = None,
-    store_budget_mib: int | None = None,
-    vehicle: str | None = None,
-    dbc: AnyPath | None = None,
-    profile: AnyPath | None = None,
-    calibration: Calibration | AnyPath | None = None,
-    columns: str = "",
-) -> DiagnosisConfig:
-    """Return how frames become results; raises ConfigError or CalibrationError, and TypeError for another keyword."""
-    named = calibration if isinstance(calibration, Calibration) else optional_path(calibration)
-    chosen, gears = described_by(named, optional_path(profile))
-    broker = None
-    if delivery is not None:
-        files = (delivery.ca, delivery.cert, delivery.key, delivery.password_file)
-        broker = broker_of(delivery.broker, *map(optional_path, files))
-    return DiagnosisConfig(
-        vehicle=vehicle_of(vehicle, chosen),
-        calibration=as_profiled(chosen, optional_path(profile)),
-        gears=gears,
-        vehicle_file=None if isinstance(named, Calibration) else named,
-        dbc=optional_path(dbc),
-        profile=optional_path(profile),
-        is_strict=is_strict,
-        columns=columns,
-        broker=broker,
-        acknowledge=Acknowledge.BROKER if delivery is None else _acknowledge(delivery.acknowledge),
-        budget_bytes=None if store_budget_mib is None else store_budget_mib << 20,
-    )
+def named(meaning: Mapping[str, Any]) -> dict[str, Any]:
+    """Return keywords as the fields of the options of a command, which name files as paths."""
+    return {
+        name: Path(value) if name in _FILES and isinstance(value, str | os.PathLike) else value
+        for name, value in meaning.items()
+    }
 
 
-def diagnosis_config(options: MeaningOptions) -> DiagnosisConfig:
-    """Return what the words of a command line stand for; raises as ``configuration``."""
-    if options.vehicle_file is not None and options.calibration is not None:
-        raise ConfigError("a vehicle file holds a calibration: give either --vehicle-file or --calibration")
-    delivery, budget_mib = None, None
-    if isinstance(options, DeliveryOptions):
-        budget_mib = options.store_budget
-        delivery = Delivery(
-            broker=options.broker or "",
-            ca=options.ca,
-            cert=options.cert,
-            key=options.key,
-            password_file=options.password_file,
-            acknowledge=options.acknowledge,
-        )
-    return configuration(
-        vehicle=options.vehicle,
-        dbc=options.dbc,
-        profile=options.profile,
-        calibration=options.vehicle_file or options.calibration,
-        is_strict=options.strict,
-        columns=options.columns,
-        delivery=delivery,
-        store_budget_mib=budget_mib,
-    )
+def sent_to(delivery: Delivery | None) -> dict[str, Any]:
+    """Return the broker that gets results as fields of the options of a command."""
+    return {} if delivery is None else named(asdict(delivery))
 
 
-def path_list(paths: AnyPaths) -> list[Path]:
-    """Return one path or several as a list; raises ConfigError if there is none."""
-    named = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(path) for path in paths]
-    if not named:
+def path_list(paths: AnyPaths) -> tuple[Path, ...]:
+    """Return one path or several; raises ConfigError if there is none."""
+    files = (Path(paths),) if isinstance(paths, str | os.PathLike) else tuple(map(Path, paths))
+    if not files:
         raise ConfigError("no log is named")
-    return named
+    return files
 
 
 def optional_path(path: AnyPath | None) -> Path | None:
@@ -178,10 +122,3 @@ def check_one_bus(bus: "can.BusABC | None", *names: object) -> None:
     """Raise ConfigError if a bus was handed over open and named besides."""
     if bus is not None and any(name is not None and name is not False for name in names):
         raise ConfigError("give either an open bus or an interface and a channel, not both")
-
-
-def _acknowledge(word: str) -> Acknowledge:
-    try:
-        return Acknowledge(word)
-    except ValueError as exc:
-        raise ConfigError(f"acknowledge must be {' or '.join(Acknowledge)}, got {word!r}") from exc

@@ -1,4 +1,4 @@
-"""What tests expect of an analysis and of frames; a failure says what there was instead."""
+"""Assertions on an analysis and on frames; their messages say what there was instead."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -30,9 +30,9 @@ def expect_verdict(found: "Diagnosed", clutch: int, *conditions: Condition | str
     ValueError
         If a condition is none.
     """
-    wanted = [_condition(one) for one in conditions]
+    wanted = [_condition(condition) for condition in conditions]
     verdicts = _analysis(found).verdicts
-    names = " or ".join(condition_words(one) for one in wanted)
+    names = " or ".join(condition_words(condition) for condition in wanted)
     if clutch not in verdicts:
         raise AssertionError(f"clutch {clutch} should be {names}, but no shift engaged it")
     verdict = verdicts[clutch]
@@ -53,11 +53,11 @@ def expect_shifts(
         With the shifts that there are, each with its status and reasons.
     """
     results = _analysis(found).results
-    kept = tuple(one for one in results if status is None or one.estimate.status == Status(status))
-    if len(kept) < least:
+    matching = tuple(result for result in results if status is None or result.estimate.status == Status(status))
+    if len(matching) < least:
         what = "" if status is None else f"{Status(status).value} "
         raise AssertionError(f"there should be {least} {what}shifts or more, but there are: {_shift_words(results)}")
-    return kept
+    return matching
 
 
 def expect_frames(found: "Diagnosed", *, least: int = 1, rejected: int = 0, missing: int = 0, dropped: int = 0) -> None:
@@ -127,11 +127,11 @@ def expect_same_frames(
 
 
 def _payloads(messages: Iterable["can.Message"], wanted: frozenset[int] | None) -> Mapping[_Kind, Sequence[bytes]]:
-    found: dict[_Kind, list[bytes]] = defaultdict(list)
+    payloads: dict[_Kind, list[bytes]] = defaultdict(list)
     for message in messages:
         if wanted is None or message.arbitration_id in wanted:
-            found[message.is_extended_id, message.arbitration_id].append(bytes(message.data))
-    return found
+            payloads[message.is_extended_id, message.arbitration_id].append(bytes(message.data))
+    return payloads
 
 
 def _difference(can_id: int, sent: Sequence[bytes], received: Sequence[bytes], unseen_at_end: int) -> str:
@@ -163,21 +163,21 @@ def _analysis(found: "Diagnosed") -> Analysis:
     return found if isinstance(found, Analysis) else found.analysis
 
 
-def _condition(one: Condition | str) -> Condition:
-    if isinstance(one, Condition):
-        return one
+def _condition(condition: Condition | str) -> Condition:
+    if isinstance(condition, Condition):
+        return condition
     try:
-        return Condition[one.upper().replace(" ", "_")]
+        return Condition[condition.upper().replace(" ", "_")]
     except KeyError:
         raise ValueError(
-            f"{one!r} is not a condition: {', '.join(condition_words(each) for each in Condition)}"
+            f"{condition!r} is not a condition: {', '.join(condition_words(each) for each in Condition)}"
         ) from None
 
 
 def _shift_words(results: Sequence[ShiftResult]) -> str:
     words = [
-        f"{one.estimate.from_gear}-{one.estimate.to_gear} {one.estimate.status.value}"
-        + (f" ({', '.join(reason.value for reason in one.estimate.reasons)})" if one.estimate.reasons else "")
-        for one in results
+        f"{result.estimate.from_gear}-{result.estimate.to_gear} {result.estimate.status.value}"
+        + (f" ({', '.join(reason.value for reason in result.estimate.reasons)})" if result.estimate.reasons else "")
+        for result in results
     ]
     return ", ".join(words) or "none"

@@ -1,19 +1,40 @@
-"""Folders of drives from Python."""
+"""Folders of drives: what is not done yet is shared out among processes, journalled, and written as one table."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+import logging
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Unpack
 
+from canlog.errors import NOTICE, SourceError
 from clutch_model.calibration import Calibration
 from clutch_results.records import shift_from
 from diag_service.api.analysis import Analysis, ResultTable
-from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, configuration, optional_path, path_list
-from diag_service.batch.drives import LeftOut
-from diag_service.batch.folder_run import FolderListener, analyse_folders
-from diag_service.batch.tables import Entry, columns
+from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, named, optional_path, path_list
+from diag_service.batch.drives import DriveLogs, LeftOut, find_drives
+from diag_service.batch.tables import Entry, Journal, check_output, columns, write_results
+from diag_service.batch.worker import (
+    DEADLY,
+    analyse_drive,
+    failed_entry,
+    job_count,
+    progress_bar,
+    settings_digest,
+    shared_out,
+)
 from diag_service.console import collected_notices
-from diag_service.service.stopping import Trigger
+from diag_service.delivery import Acknowledge
+from diag_service.errors import IncompleteError, StoppedError
+from diag_service.settings.config import DiagnosisConfig, check_replaceable
+from diag_service.settings.options import AnalyzeOptions, diagnosis_config
+from diag_service.stopping import Controls, Trigger
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,31 +108,36 @@ def analyze_folders(
     StoreError
         If a file cannot be written.
     """
-    listener = _Listener()
+    listener = _Kept()
+    options = AnalyzeOptions(
+        logs=path_list(paths), output=optional_path(output), force=True, jobs=jobs,
+        vehicle_from="path" if has_vehicles else None, strict=is_strict, **named(meaning),
+    )  # fmt: skip
     with collected_notices() as notices:
-        config = configuration(is_strict=is_strict, **meaning)
-        analyse_folders(
-            config,
-            path_list(paths),
-            output=optional_path(output),
-            jobs=jobs,
-            listener=listener,
-            stop=Trigger(),
-            is_forced=True,
-            has_vehicles=has_vehicles,
-        )
+        calibration = analyze_drives(options, Controls(), listener)
     return FolderAnalysis(
-        drives=tuple(
-            _analysis(entry, config.calibration) for entry in listener.entries if entry.drive["summary"] is not None
-        ),
+        drives=tuple(_analysis(entry, calibration) for entry in listener.entries if entry.drive["summary"]),
         unread={_name(entry): str(entry.drive["error"]) for entry in listener.entries if not entry.drive["summary"]},
-        left_out={str(one.path): one.reason for one in listener.left_out},
+        left_out={str(left.path): left.reason for left in listener.left_out},
         notices=tuple(notices),
     )
 
 
-class _Listener(FolderListener):
-    """Keeps what a run says."""
+class FolderListener:
+    """Callbacks of a run over folders; by default they do nothing."""
+
+    def leave_out(self, files: Sequence[LeftOut]) -> None:
+        """Hear which files are no drives, before the first one is analysed."""
+
+    def add(self, drive: DriveLogs, entry: Entry) -> None:
+        """Hear what one drive said, as soon as it is done; those that were done before are not told again."""
+
+    def end(self, totals: Mapping[str, int], entries: Iterable[Entry]) -> None:
+        """Hear what became of all drives that are done, in the order in which they were found."""
+
+
+class _Kept(FolderListener):
+    """Keeps all entries, for ``analyze_folders``."""
 
     def __init__(self) -> None:
         self.left_out: Sequence[LeftOut] = ()
@@ -138,3 +164,100 @@ def _analysis(entry: Entry, calibration: Calibration) -> Analysis:
 def _name(entry: Entry) -> str:
     record: Mapping[str, Any] = entry.drive
     return ";".join(record["paths"])
+
+
+def analyze_drives(
+    options: AnalyzeOptions, controls: Controls, listener: FolderListener, *, is_shown: bool = False
+) -> Calibration:
+    """Analyse every drive in some folders, each for itself, and tell the listener; return by which calibration.
+
+    What workers warn of, and a bar of progress, go to standard error if ``is_shown``.
+
+    With an output the run has a journal beside it, which survives a kill: started again, it goes on where it ended.
+    An output that is there without its journal is another's, and stays unless ``force`` is set. With ``vehicle_from``
+    the folders say which vehicle a log is of.
+
+    Besides what reading and writing raise, there is StoppedError if it was stopped before every drive was done, and of
+    a strict run, after all was written, IncompleteError if a log or a channel gave nothing.
+    """
+    jobs, output, config = job_count(options.jobs), options.output, diagnosis_config(options)
+    if output is not None:
+        check_output(output)  # now, not after hours
+        check_replaceable(output, is_forced=options.force or _journal_of(output).exists())
+    if config.broker is not None:
+        _LOG.warning("results of folders are not published")
+        config = replace(config, broker=None, acknowledge=Acknowledge.BROKER)
+    settings = settings_digest(config)
+    content = find_drives(options.paths, has_vehicles=options.vehicle_from is not None, columns=config.columns)
+    drives = content.drives
+    for vehicle in {drive.vehicle for drive in drives if drive.vehicle is not None}:
+        replace(config, vehicle=vehicle)  # complains of a calibration of another one
+    with ExitStack() as stack:
+        if output is None:
+            path = Path(stack.enter_context(TemporaryDirectory(prefix="clutchdiag-"))) / "journal"
+        else:
+            path = _journal_of(output)
+        journal = stack.enter_context(Journal(path, settings))
+        to_do = [drive for drive in drives if drive.key not in journal.done]
+        if len(to_do) < len(drives):
+            _LOG.log(NOTICE, "%d of %d drives were done before", len(drives) - len(to_do), len(drives))
+        listener.leave_out(content.left_out)
+        for drive, entry in _analysed(config, to_do, jobs, controls.stop, is_shown=is_shown):
+            journal.add(entry)
+            listener.add(drive, entry)
+        totals = _conclude(journal, drives, output, listener)
+    if config.is_strict and (idle := totals["idle"]):
+        raise IncompleteError(f"{idle} of {len(drives)} drives have a log or a channel that contributed nothing")
+    return config.calibration
+
+
+def _journal_of(output: Path) -> Path:
+    return output.with_name(f"{output.name}.journal")
+
+
+def _analysed(
+    config: DiagnosisConfig, drives: Sequence[DriveLogs], jobs: int, stop: Trigger, *, is_shown: bool
+) -> Iterator[tuple[DriveLogs, Entry]]:
+    """Yield drives as they are done, in no order; when told to stop, those that were begun."""
+    if not drives:
+        return
+    with progress_bar(is_shown=is_shown) as progress:
+        task = progress.add_task("analysing", total=sum(drive.size_bytes for drive in drives), done=0, of=len(drives))
+        results = shared_out(partial(analyse_drive, config), drives, jobs, stop, is_shown=is_shown)
+        for done_count, (drive, future) in enumerate(results, 1):
+            progress.update(task, advance=drive.size_bytes, done=done_count)
+            try:
+                yield drive, future.result()
+            except BrokenProcessPool:
+                yield drive, failed_entry(drive, DEADLY)
+
+
+def _conclude(
+    journal: Journal, drives: Sequence[DriveLogs], output: Path | None, listener: FolderListener
+) -> Counter[str]:
+    """Write the output, or say how to go on; return what became of the drives."""
+    done = [drive for drive in drives if drive.key in journal.done]
+    totals: Counter[str] = Counter()
+    for drive in done:
+        totals.update(_counts(journal.entry(drive.key)))
+    listener.end(totals, (journal.entry(drive.key) for drive in done))
+    if len(done) < len(drives):
+        hint = "; run the same command again to continue" if output is not None else ""
+        raise StoppedError(f"stopped early: {len(done)} of {len(drives)} drives are done{hint}")
+    if output is not None:
+        write_results(output, (journal.entry(drive.key) for drive in drives))
+    if totals["failed"] == len(drives):
+        error = journal.entry(drives[0].key).drive["error"]
+        raise SourceError(f"none of {len(drives)} drives could be read, the first: {error}")
+    if output is not None:
+        _LOG.log(NOTICE, "%d shifts of %d drives in %s", totals["shifts"], len(drives), output)
+    return totals
+
+
+def _counts(entry: Entry) -> dict[str, int]:
+    """Return what one drive adds to the totals; ``idle`` are drives with a log or a channel that gave nothing."""
+    summary = entry.drive["summary"]
+    counts = {"drives": 1, "shifts": len(entry.shifts), "failed": int(summary is None)}
+    if isinstance(summary, dict):
+        counts |= {"cut": int(not summary["complete"]), "idle": int(bool(summary["idle"]))}
+    return counts

@@ -1,24 +1,22 @@
-"""What logs teach of a vehicle: predictions of its shifts, its description, its own calibration."""
+"""What logs teach of a vehicle: predictions of its shifts, its description."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Unpack
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from canlog.files import replacing
 from canlog.logs import read_log
 from canlog.logs.reading import Watch
-from clutch_model.calibration import Calibration, nominal_calibration, read_calibration
+from clutch_model.calibration import nominal_calibration, read_calibration
 from clutch_model.units import bar_from_pa, pa_from_bar, rpm_from_rad_s
 from clutchdiag_io.people import PLUS_MINUS, half_width, plus_minus
 from clutchdiag_io.program import legible
-from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, configuration, optional_path, path_list
-from diag_service.console import collected_notices
+from diag_service.api.choices import AnyPath, AnyPaths, optional_path, path_list
+from diag_service.console import SILENT, ReadingLine, collected_notices
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.friction.self_calibration import SelfCalibration
 from diag_service.diagnosis.prediction import (
     LEAST_EVENTS,
     PRESSURES,
@@ -38,9 +36,9 @@ from diag_service.mapping.interpretation import Interpretation
 from diag_service.mapping.learning import COMMANDS, LearnedVehicle, VehicleSurvey
 from diag_service.mapping.mapped_messages import missing_for_next
 from diag_service.mapping.vehicle_file import description_toml
-from diag_service.service.calibrate_run import calibrated, write_calibration
-from diag_service.service.stopping import Trigger
-from diag_service.settings.proposed import interpret_logs
+from diag_service.settings.config import check_replaceable, write_text
+from diag_service.settings.options import LearnOptions, PredictOptions, interpret_logs
+from diag_service.stopping import Controls, Trigger
 
 if TYPE_CHECKING:
     from diag_service.diagnosis.events import Event
@@ -85,16 +83,12 @@ def predict(
     SourceError, DefinitionError, ConfigError
         If a log or the database cannot be read, or the profile lacks what a prediction needs.
     """
+    options = PredictOptions(
+        logs=path_list(paths), touch_pa=touch_pa, halves=is_by_halves,
+        profile=optional_path(profile), dbc=optional_path(dbc),
+    )  # fmt: skip
     with collected_notices():
-        found = predict_shifts(
-            path_list(paths),
-            optional_path(profile),
-            optional_path(dbc),
-            touch_pa=touch_pa,
-            is_by_halves=is_by_halves,
-            stop=Trigger(),
-        )
-    return found.records()
+        return predict_shifts(options, Controls()).records()
 
 
 def learn(
@@ -130,47 +124,12 @@ def learn(
     SourceError, DefinitionError, ConfigError
         If a log or the database cannot be read, or the profile lacks the speeds.
     """
+    options = LearnOptions(
+        logs=path_list(paths), output=optional_path(output), force=True, columns=columns,
+        profile=optional_path(profile), dbc=optional_path(dbc), calibration=optional_path(calibration),
+    )  # fmt: skip
     with collected_notices():
-        logs = path_list(paths)
-        learned = learned_from(logs, optional_path(profile), optional_path(dbc), columns=columns, stop=Trigger())
-        if output is not None:
-            assumed = nominal_calibration() if calibration is None else read_calibration(Path(calibration))
-            write_description(Path(output), learned, assumed, logs)
-    return learned_record(learned)
-
-
-def calibrate(
-    paths: AnyPaths,
-    *,
-    output: AnyPath | None = None,
-    **meaning: Unpack[LogMeaning],
-) -> SelfCalibration:
-    """Find one vehicle's sensor errors and inertia from its logs, as ``diag-service calibrate`` does.
-
-    Parameters
-    ----------
-    output
-        TOML file to write.
-    paths, vehicle, dbc, profile, calibration, columns
-        As of ``analyze``; the logs may be of several drives of the one vehicle.
-
-    Returns
-    -------
-    SelfCalibration
-        ``.calibration`` is what ``analyze(calibration=...)`` takes; ``.std(name)`` is how sure each parameter is.
-
-    Raises
-    ------
-    ConfigError, DefinitionError, CalibrationError
-        If an argument cannot be used, the drives do not suffice, or the file cannot be written.
-    SourceError
-        If a log cannot be read, or there is no shift in them.
-    """
-    with collected_notices():
-        found = calibrated(configuration(**meaning), path_list(paths), Trigger()).self_calibration
-        if output is not None:
-            write_calibration(Path(output), found.calibration)
-        return found
+        return learned_record(learn_vehicle(options, Controls()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -190,13 +149,14 @@ def slip_phases(
     finder = EventFinder(tracker_for(decoder.signals, decoder.gears), PRE_NS, AFTER_NS)
     events: list[Event] = []
     with read_log(log, is_stopped=lambda: stop.is_set, watch=watch, columns=columns) as reader:
-        for one in decoder.whole(reader):
+        for samples in decoder.whole(reader):
             if stop.is_set:
                 raise StoppedError("stopped early: nothing is predicted from a part of a log")
-            standing.add(one)
-            events += decoder.marked(finder.feed(one))
-    found = [slip_phase(event, decoder.gears) for event in [*events, *decoder.marked(finder.flush())]]
-    return [one for one in found if isinstance(one, SlipPhase)], [one for one in found if isinstance(one, NoPhase)]
+            standing.add(samples)
+            events += decoder.marked(finder.feed(samples))
+    outcomes = [slip_phase(event, decoder.gears) for event in [*events, *decoder.marked(finder.flush())]]
+    phases = [outcome for outcome in outcomes if isinstance(outcome, SlipPhase)]
+    return phases, [outcome for outcome in outcomes if isinstance(outcome, NoPhase)]
 
 
 def left_out_one_by_one(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[PredictedShift]:
@@ -222,20 +182,23 @@ def scores(shown: Sequence[PredictedShift]) -> dict[str, dict[str, float]]:
     ``crps_rad_s``, the continuous ranked probability score, is an error that a too narrow or too wide interval
     enlarges; ``inside_50`` and ``inside_90`` are how many of 1 lay inside these intervals.
     """
-    return {name: _score([(one.phase, one.predictions[name]) for one in shown]) for name in shown[0].predictions}
+    return {name: _score([(shift.phase, shift.predictions[name]) for shift in shown]) for name in shown[0].predictions}
 
 
 def _score(pairs: Sequence[tuple[SlipPhase, Prediction]]) -> dict[str, float]:
-    ends = [(one.mean_rad_s[-1], one.scale_rad_s[-1], one.freedom, phase.change_rad_s[-1]) for phase, one in pairs]
+    ends = [
+        (prediction.mean_rad_s[-1], prediction.scale_rad_s[-1], prediction.freedom, phase.change_rad_s[-1])
+        for phase, prediction in pairs
+    ]
     every = [
-        (mean, scale, one.freedom, true)
-        for phase, one in pairs
-        for mean, scale, true in zip(one.mean_rad_s, one.scale_rad_s, phase.change_rad_s, strict=True)
+        (mean, scale, prediction.freedom, true)
+        for phase, prediction in pairs
+        for mean, scale, true in zip(prediction.mean_rad_s, prediction.scale_rad_s, phase.change_rad_s, strict=True)
     ]
     errors = [abs(mean / true - 1.0) for mean, _, _, true in ends]
     return {
         "median_error_ratio": float(np.median(errors)),
-        "crps_rad_s": float(np.mean([_crps(*one) for one in ends])),
+        "crps_rad_s": float(np.mean([_crps(*prediction) for prediction in ends])),
         **{f"inside_{part}": inside_ratio(ends, part) for part in (50, 90)},
         **{f"samples_inside_{part}": inside_ratio(every, part) for part in (50, 90)},
     }
@@ -248,10 +211,12 @@ def _crps(mean: float, scale: float, freedom: float, true: float) -> float:
     return float(np.mean(np.abs(drawn - true)) - 0.5 * np.mean(np.abs(drawn[:, None] - drawn)))
 
 
-def inside_ratio(found: Sequence[tuple[float, float, float, float]], part: int) -> float:
+def inside_ratio(predictions: Sequence[tuple[float, float, float, float]], part: int) -> float:
     from scipy.special import stdtrit  # noqa: PLC0415 - a large library
 
-    return float(np.mean([abs(true - mean) < scale * stdtrit(f, 0.5 + part / 200.0) for mean, scale, f, true in found]))
+    return float(
+        np.mean([abs(true - mean) < scale * stdtrit(f, 0.5 + part / 200.0) for mean, scale, f, true in predictions])
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -268,41 +233,32 @@ class Predicted:
         return [_record(title, shown, self.touch_pa) for title, shown in self.groups.items()]
 
 
-def predict_shifts(
-    logs: Sequence[Path],
-    profile: Path | None,
-    dbc: Path | None,
-    *,
-    touch_pa: float | None = None,
-    is_by_halves: bool = False,
-    stop: Trigger,
-    watch: Watch | None = None,
-) -> Predicted:
+def predict_shifts(options: PredictOptions, controls: Controls, line: ReadingLine = SILENT) -> Predicted:
     """Return the gear changes of logs of one type of vehicle, each predicted from the others or by the first half.
 
     Raises ConfigError if the profile lacks what this needs, SourceError if a log cannot be read, StoppedError.
     """
-    meaning = interpret_logs(logs, dbc, profile, is_stopped=lambda: stop.is_set)
+    meaning = interpret_logs(options.logs, options.dbc, options.profile, is_stopped=lambda: controls.stop.is_set)
     signals = meaning.decoder().signals
     wanted = {Signal.ENGINE_SPEED, *PRESSURES.values()}
     if not wanted <= signals:
-        lacking = ", ".join(sorted(one.value for one in wanted - signals))
+        lacking = ", ".join(sorted(signal.value for signal in wanted - signals))
         raise ConfigError(f"profile {meaning.profile.name} has no {lacking}. {missing_for_next(signals)}".rstrip())
-    standing, named, without = Standing(), list[tuple[str, SlipPhase]](), list[tuple[str, NoPhase]]()
-    for log in logs:
-        phases, others = slip_phases(log, meaning, standing, stop, watch)
-        named += [(log.name, one) for one in phases]
-        without += [(log.name, one) for one in others]
-    touch_pa = standing.touch_pa if touch_pa is None else touch_pa
+    standing, used, without = Standing(), list[tuple[str, SlipPhase]](), list[tuple[str, NoPhase]]()
+    for log in options.logs:
+        phases, others = slip_phases(log, meaning, standing, controls.stop, line.watch)
+        used += [(log.name, phase) for phase in phases]
+        without += [(log.name, event) for event in others]
+    touch_pa = standing.touch_pa if options.touch_pa is None else options.touch_pa
     groups = {
-        "power upshifts": [one for one in named if one[1].sign > 0.0 and one[1].is_powered],
-        "other upshifts": [one for one in named if one[1].sign > 0.0 and not one[1].is_powered],
-        "downshifts": [one for one in named if one[1].sign < 0.0],
+        "power upshifts": [(log, phase) for log, phase in used if phase.sign > 0.0 and phase.is_powered],
+        "other upshifts": [(log, phase) for log, phase in used if phase.sign > 0.0 and not phase.is_powered],
+        "downshifts": [(log, phase) for log, phase in used if phase.sign < 0.0],
     }
-    split = second_half_from_first if is_by_halves else left_out_one_by_one
+    split = second_half_from_first if options.halves else left_out_one_by_one
     shown, too_few = dict[str, list[PredictedShift]](), dict[str, int]()
     for title, group in groups.items():
-        if ((len(group) + 1) // 2 if is_by_halves else len(group) - 1) < LEAST_EVENTS:
+        if ((len(group) + 1) // 2 if options.halves else len(group) - 1) < LEAST_EVENTS:
             too_few[title] = len(group)
         else:
             shown[title] = list(split(group, touch_pa))
@@ -316,34 +272,46 @@ def _record(title: str, shown: Sequence[PredictedShift], touch_pa: float | None)
         "touch_pa": touch_pa,
         "shifts": [
             {
-                "log": one.log, "number": one.phase.number, "from_gear": one.phase.from_gear,
-                "to_gear": one.phase.to_gear, "clutch": one.phase.clutch, "t_s": one.phase.t_s[1:].tolist(),
-                "change_rad_s": one.phase.change_rad_s.tolist(),
+                "log": shift.log, "number": shift.phase.number, "from_gear": shift.phase.from_gear,
+                "to_gear": shift.phase.to_gear, "clutch": shift.phase.clutch, "t_s": shift.phase.t_s[1:].tolist(),
+                "change_rad_s": shift.phase.change_rad_s.tolist(),
                 "predictions": {
                     name: {"mean_rad_s": prediction.mean_rad_s.tolist(), "scale_rad_s": prediction.scale_rad_s.tolist(),
-                           "freedom": prediction.freedom} for name, prediction in one.predictions.items()
+                           "freedom": prediction.freedom} for name, prediction in shift.predictions.items()
                 },
             }
-            for one in shown
+            for shift in shown
         ],
         "scores": scores(shown),
     }  # fmt: skip
 
 
-def learned_from(
-    logs: Sequence[Path],
-    profile: Path | None,
-    dbc: Path | None,
-    *,
-    columns: str = "",
-    stop: Trigger,
-    watch: Watch | None = None,
-) -> LearnedVehicle:
+def learn_vehicle(options: LearnOptions, controls: Controls, line: ReadingLine = SILENT) -> LearnedVehicle:
+    """Return what logs tell of their vehicle, and write its description if a file is named; raises as ``learn``."""
+    if options.output is not None:
+        check_replaceable(options.output, is_forced=options.force)
+    named = options.calibration
+    assumed = read_calibration(named) if isinstance(named, Path) else named or nominal_calibration()
+    learned = _learned(options, controls.stop, line.watch)
+    if options.output is not None:
+        logs = ", ".join(legible(log.name) for log in options.logs)
+        remarks = (
+            f"The vehicle of {logs}, for analyze --vehicle-file.",
+            f'Behind each value is where it is from: the log, or assumed as of the type "{assumed.name}".',
+            'Change what you know better, and write "given" behind it. [learned] is for reading: nothing uses it.',
+            *said(learned),
+        )
+        write_text(options.output, description_toml(learned, assumed, f"learned from {logs}", remarks))
+    return learned
+
+
+def _learned(options: LearnOptions, stop: Trigger, watch: Watch) -> LearnedVehicle:
     """Return what logs tell of their vehicle; raises ConfigError if they lack the speeds for it, StoppedError."""
-    meaning = interpret_logs(logs, dbc, profile, is_stopped=lambda: stop.is_set, columns=columns)
+    logs, columns = options.logs, options.columns
+    meaning = interpret_logs(logs, options.dbc, options.profile, is_stopped=lambda: stop.is_set, columns=columns)
     signals = meaning.decoder().signals
     known = meaning.profile.gears
-    over = known.over if known is not None else next((one for one in BEHIND if one in signals), None)
+    over = known.over if known is not None else next((speed for speed in BEHIND if speed in signals), None)
     if over is None or Signal.ENGINE_SPEED not in signals:
         raise ConfigError(
             "nothing can be learned without engine_speed_rad_s and output_speed_rad_s or vehicle_speed_m_s"
@@ -352,30 +320,16 @@ def learned_from(
     for log in logs:
         decoder = meaning.decoder()
         with closing(read_log(log, is_stopped=lambda: stop.is_set, watch=watch, columns=columns)) as reader:
-            for one in decoder.whole(reader):
+            for samples in decoder.whole(reader):
                 if stop.is_set:
                     raise StoppedError("stopped early: nothing is learned from a part of a log")
-                survey.add(one)
+                survey.add(samples)
     learned = survey.learned()
     if (known is None and learned.ratios is None) or not {*PRESSURES.values()} <= signals:
         return learned
     meaning = meaning.with_gears(known or learned.ratios)
-    phases = [one for log in logs for one in slip_phases(log, meaning, Standing(), stop, watch, columns)[0]]
-    return survey.learned([one for one in phases if one.sign > 0.0 and one.is_powered])
-
-
-def write_description(path: Path, learned: LearnedVehicle, assumed: Calibration, paths: Sequence[Path]) -> None:
-    """Write a description whole or not at all; raises ConfigError if the disk does not take it."""
-    logs = ", ".join(legible(one.name) for one in paths)
-    remarks = (
-        f"The vehicle of {logs}, for analyze --vehicle-file.",
-        f'Behind each value is where it is from: the log, or assumed as of the type "{assumed.name}".',
-        'Change what you know better, and write "given" behind it. [learned] is for reading: nothing uses it.',
-        *said(learned),
-    )
-    with replacing(path, ConfigError) as part:
-        part.write_text(description_toml(learned, assumed, f"learned from {logs}", remarks), encoding="utf-8")
-        part.replace(path)
+    phases = [phase for log in logs for phase in slip_phases(log, meaning, Standing(), stop, watch, columns)[0]]
+    return survey.learned([phase for phase in phases if phase.sign > 0.0 and phase.is_powered])
 
 
 def said(learned: LearnedVehicle) -> Iterator[str]:
@@ -383,9 +337,9 @@ def said(learned: LearnedVehicle) -> Iterator[str]:
     yield f"{PLUS_MINUS}:"
     if not learned.gears:
         yield "gears: none was driven for long with its clutch closed"
-    for gear, one in learned.gears.items():
-        by = "the pressures do not tell its clutch" if one.clutch is None else f"clutch {one.clutch}"
-        yield f"gear {gear}: ratio {one.ratio.ratio:.4g} ± {half_width(one.ratio.std, '{:.2g}')}, {by}"
+    for number, gear in learned.gears.items():
+        name = "the pressures do not tell its clutch" if gear.clutch is None else f"clutch {gear.clutch}"
+        yield f"gear {number}: ratio {gear.ratio.ratio:.4g} ± {half_width(gear.ratio.std, '{:.2g}')}, {name}"
     if learned.gears and not learned.are_named:
         yield "gears are numbered from the highest ratio that was driven: no signal names them"
     if learned.gears and learned.ratios is None:
@@ -413,9 +367,13 @@ def _lag_said(learned: LearnedVehicle, clutch: int) -> str:
 
 
 def learned_record(learned: LearnedVehicle) -> dict[str, object]:
+    gears = {str(number): gear for number, gear in learned.gears.items()}
     clutches = {
-        name: {str(clutch): {"value": one.value, "std": one.std, "origin": one.origin} for clutch, one in found.items()}
-        for name, found in (
+        name: {
+            str(clutch): {"value": value.value, "std": value.std, "origin": value.origin}
+            for clutch, value in values.items()
+        }
+        for name, values in (
             ("touch_pressure_pa", learned.touch_pa),
             ("pressure_lag_s", learned.lag_s),
             ("gain_rad_s2_pa", learned.gain_rad_s2_pa),
@@ -424,8 +382,8 @@ def learned_record(learned: LearnedVehicle) -> dict[str, object]:
     return {
         "schema": LEARN_SCHEMA,
         "over": learned.over.value,
-        "gears": {str(gear): {**one.ratio._asdict(), "clutch": one.clutch} for gear, one in learned.gears.items()},
+        "gears": {number: {**gear.ratio._asdict(), "clutch": gear.clutch} for number, gear in gears.items()},
         "gears_are_named": learned.are_named,
         **clutches,
-        "rates_hz": {one.value: rate for one, rate in learned.rates_hz.items()},
+        "rates_hz": {signal.value: rate for signal, rate in learned.rates_hz.items()},
     }

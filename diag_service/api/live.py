@@ -4,7 +4,7 @@ import asyncio
 import threading
 import time
 from collections.abc import AsyncIterator, Callable
-from contextlib import AsyncExitStack, closing, suppress
+from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Self, Unpack
 
 from canlog.live import LiveSource, ReadSchedule
@@ -12,16 +12,16 @@ from clutch_results.records import ShiftResult
 from diag_service.api import choices
 from diag_service.api.analysis import Analysis
 from diag_service.console import collected_notices
-from diag_service.delivery import ControllerNews, News
+from diag_service.delivery import ControllerNews, News, Reporter
 from diag_service.diagnosis.summary import FrameCounts, Summary
 from diag_service.errors import ConfigError
-from diag_service.service.application import outbox_of
-from diag_service.service.bus_run import open_live, polling
-from diag_service.service.live import run_live
+from diag_service.service.application import opened_store
+from diag_service.service.bus_run import diagnose_source, open_live, serve_bus
 from diag_service.service.session import Session
-from diag_service.service.snapshot import frame_counts
-from diag_service.service.stopping import Trigger
-from diag_service.settings.config import BusConfig, DiagnosisConfig, adapter_bus
+from diag_service.service.snapshot import Snapshot, frame_counts
+from diag_service.settings.config import BusConfig, DiagnosisConfig, adapter_bus, default_store
+from diag_service.settings.options import DeliveryOptions, LiveOptions, bus_config, diagnosis_config
+from diag_service.stopping import Controls
 from diag_service.store import ResultStore
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ class LiveDiagnosis:
         self._named = named
         self._bus = bus
         self._store_path = choices.optional_path(store)
-        self._stop = Trigger()
+        self._controls = Controls()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._task: asyncio.Task[None] | None = None
         self._waiting: asyncio.Queue[ShiftResult | None] = asyncio.Queue()
@@ -198,7 +198,7 @@ class LiveDiagnosis:
 
     def stop(self) -> None:
         """End the diagnosis with what was received until now; any thread may call, a second call does nothing."""
-        self._stop.set()
+        self._controls.stop.set()
 
     def in_background(self) -> "BackgroundDiagnosis":
         """Return the same for a program without an event loop: ``with diagnose(bus).in_background() as heard:``."""
@@ -244,7 +244,7 @@ class LiveDiagnosis:
 
     async def _end(self, *, is_failing: bool) -> None:
         """Stop and wait until all is stored; what went wrong is raised unless something else is on its way."""
-        self._stop.set()
+        self._controls.stop.set()
         if self._task is not None:
             await asyncio.wait({self._task})
             if not (is_failing or self._is_told):
@@ -269,22 +269,10 @@ class LiveDiagnosis:
         self._session = session = await asyncio.to_thread(
             lambda: Session(self._config, self._config.interpretation().decoder(), store, None, reporter)
         )
-        outbox = outbox_of(self._config, store, session, is_live=True)
-        async with AsyncExitStack() as asks:
-            await asks.enter_async_context(polling(self._config.vehicle, self._named, store, session, outbox))
-            source, schedule = await self._open_bus(session)
-            self._source = source
-            self._is_listening.set()
-            self._summary = await run_live(
-                source,
-                session,
-                stop=self._stop,
-                counts_wanted=Trigger(),
-                outbox=outbox,
-                duration_s=self._named.duration_s,
-                schedule=schedule,
-                end_asking=asks.aclose,
-            )
+        self._source, schedule = await self._open_bus(session)
+        self._summary = await diagnose_source(
+            self._source, schedule, self._config, self._named, store, session, self._controls, self._is_listening.set
+        )
 
     async def _open_bus(self, session: Session) -> tuple[LiveSource, ReadSchedule]:
         if self._bus is None:
@@ -391,5 +379,31 @@ def diagnose(
         interface=interface, channel=channel, bitrate=bitrate, is_fd=is_fd, duration_s=duration_s,
         is_filtered=is_only_mapped, poll=choices.poll_config(poll), asks=asks, adapter=adapter,
     )  # fmt: skip
-    config = choices.configuration(delivery=delivery, store_budget_mib=store_budget_mib, **meaning)
-    return LiveDiagnosis(config, named, bus=bus, store=store)
+    options = DeliveryOptions(store_budget=store_budget_mib, **choices.sent_to(delivery), **choices.named(meaning))
+    return LiveDiagnosis(diagnosis_config(options), named, bus=bus, store=store)
+
+
+def run(
+    options: LiveOptions,
+    controls: Controls,
+    reporter: Reporter,
+    onlooker: Callable[[Snapshot], None] | None = None,
+) -> None:
+    """Diagnose a live bus until it is told to stop: ``diag-service run``.
+
+    ``onlooker`` sees how it stands, again and again; then nothing is stored: ``diag-service monitor``.
+    """
+    config, bus = diagnosis_config(options), bus_config(options)
+    path = None if onlooker is not None else options.store or default_store(config.vehicle)
+    decoder = config.interpretation().decoder()
+    with opened_store(config, path, keeps_results=True) as store:
+        session = Session(config, decoder, store, None, reporter)
+        asyncio.run(serve_bus(config, bus, store, session, controls, onlooker))
+
+
+def checked(options: LiveOptions) -> DiagnosisConfig:
+    """Return what a run would diagnose by; raises what prevents it, but for bus, store and broker."""
+    config = diagnosis_config(options)
+    bus_config(options)
+    config.interpretation()
+    return config

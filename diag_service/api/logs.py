@@ -1,6 +1,6 @@
 """Logs from Python: their signals, the traffic that they hold, and a profile proposed from them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import asdict, dataclass
 from itertools import pairwise
@@ -12,22 +12,24 @@ from cantools.database.can import Message
 
 import canlog
 from canlog.arrays import FloatArray
-from canlog.database.addressing import NOBODY, address_book, find_slot, message_address, overwritten
+from canlog.database.addressing import NOBODY, address_book, find_slot, message_address, overwritten, why_wrong
 from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.e2e.message_contract import message_contract
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
-from canlog.errors import InputLeftError
+from canlog.errors import InputLeftError, SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
-from canlog.logs import LogReader, read_log
+from canlog.logs import STANDARD_INPUT, LogReader, read_log
 from canlog.logs.reading import Watch
 from canlog.traffic import DEFAULT_BITRATE, NS_PER_S, TrafficMeter, TrafficReport
 from clutch_results.records import dump
 from diag_service.api.choices import AnyPath, AnyPaths, optional_path, path_list
-from diag_service.console import collected_notices
+from diag_service.batch.drives import LeftOut, TakenFor, sorted_out
+from diag_service.console import SILENT, ReadingLine, collected_notices
 from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import open_database
 from diag_service.mapping.learning import proposed_profile
-from diag_service.service.stopping import Trigger
+from diag_service.settings.options import InspectOptions
+from diag_service.stopping import Controls, Trigger
 
 INSPECT_SCHEMA: Final = "clutchdiag/inspect/v1"
 MOST_DISTINCT: Final = 4096  # values of a column that are kept to find its step
@@ -67,18 +69,20 @@ class TableValues:
     """The values of all columns of a table."""
 
     def __init__(self, columns: Iterable[SignalColumn]) -> None:
-        self._of_id = {column_id(one.name) | EXTENDED_FLAG: ColumnValues(one.name, one.unit) for one in columns}
+        self._of_id = {
+            column_id(column.name) | EXTENDED_FLAG: ColumnValues(column.name, column.unit) for column in columns
+        }
 
     @property
     def names(self) -> dict[int, str]:
         """The names of the columns by their identifiers, with the flag of an extended one."""
-        return {can_id: one.name for can_id, one in self._of_id.items()}
+        return {can_id: column.name for can_id, column in self._of_id.items()}
 
     def add(self, batch: FrameBatch) -> None:
         values = np.ascontiguousarray(batch.data[:, :8]).view("<f8").ravel()
         order = np.argsort(batch.can_id, kind="stable")
-        found, starts = np.unique(batch.can_id[order], return_index=True)
-        for can_id, rows in zip(found.tolist(), np.split(order, starts[1:]), strict=True):
+        can_ids, starts = np.unique(batch.can_id[order], return_index=True)
+        for can_id, rows in zip(can_ids.tolist(), np.split(order, starts[1:]), strict=True):
             if can_id in self._of_id:
                 self._of_id[can_id].add(values[rows])
 
@@ -104,17 +108,18 @@ class Inspection:
     names: dict[int, str]  # identifier with flags -> message
     links: dict[str, LinkErrors]  # of protected messages that were seen
     is_whole: bool
+    why_wrong: str  # the database, as far as that is likely
     values: TableValues | None = None  # of a table of signals
 
     def to_json(self) -> str:
         """Return what ``--json`` prints: one JSON object, on one line."""
         counts = self.reader.counts
         table = asdict(self.traffic)
-        for one in table["ids"]:
-            one["message"] = self.names.get(one["can_id"])
+        for entry in table["ids"]:
+            entry["message"] = self.names.get(entry["can_id"])
             if self.values is not None:
-                column = self.values.of(one["can_id"])
-                one.update({name: getattr(column, name) for name in ("unit", "changes", "lowest", "highest", "step")})
+                column = self.values.of(entry["can_id"])
+                entry.update({name: getattr(column, name) for name in ("unit", "changes", "lowest", "highest", "step")})
         record = {
             "schema": INSPECT_SCHEMA,
             "path": str(self.reader.path),
@@ -130,6 +135,15 @@ class Inspection:
             "protection": {name: asdict(link) for name, link in self.links.items()},
         }
         return dump(record)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FolderContent:
+    """Which files of a folder, and below, are logs."""
+
+    path: Path
+    logs: tuple[TakenFor, ...]
+    others: tuple[LeftOut, ...]
 
 
 def read(
@@ -219,9 +233,10 @@ def inspect(
     SourceError, DefinitionError, ConfigError
         If the log or the database cannot be read, or the bit rate is not above zero.
     """
+    options = InspectOptions(logs=(Path(path),), dbc=optional_path(dbc), bitrate=bitrate, columns=columns)
     with collected_notices():
-        messages = open_database(optional_path(dbc), [Path(path)]).messages
-        return inspect_log(Path(path), messages, bitrate, Trigger(), columns=columns)
+        messages = open_database(options.dbc, options.logs).messages
+        return _inspected(Path(path), messages, options, Trigger())
 
 
 def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, columns: str = "") -> str:
@@ -233,21 +248,48 @@ def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, columns: str =
         If the log or the database cannot be read.
     """
     with collected_notices():
-        return proposed_profile(Path(path), optional_path(dbc), columns=columns)
+        return profile_for(Path(path), optional_path(dbc), columns, Controls())
 
 
-def inspect_log(
-    path: Path,
-    messages: Sequence[Message],
-    bitrate: int,
-    stop: Trigger,
-    watch: Watch | None = None,
-    columns: str = "",
+def profile_for(log: Path, dbc: Path | None, columns: str, controls: Controls, line: ReadingLine = SILENT) -> str:
+    """Return the profile that is proposed for a log; raises what ``propose_profile`` does, and StoppedError."""
+    return proposed_profile(log, dbc, lambda: controls.stop.is_set, watch=line.watch, columns=columns)
+
+
+def inspect_logs(
+    options: InspectOptions, controls: Controls, line: ReadingLine = SILENT
+) -> Iterator[Inspection | FolderContent | LeftOut]:
+    """Yield what logs hold, of each folder first which files are logs, and why one cannot be read after all."""
+    messages = open_database(
+        options.dbc,
+        options.logs,
+        is_j1939=options.match == "group",
+        is_stopped=lambda: controls.stop.is_set,
+        columns=options.columns,
+    ).messages
+    for path in options.logs:
+        if path == STANDARD_INPUT or not path.is_dir():
+            yield _inspected(path, messages, options, controls.stop, line.watch)
+            continue
+        logs, others = sorted_out(path, options.columns)
+        yield FolderContent(path=path, logs=tuple(logs), others=tuple(others))
+        for log in logs:
+            try:
+                inspection = _inspected(log.path, messages, options, controls.stop, line.watch)
+            except SourceError as exc:
+                yield LeftOut(path=log.path, reason=str(exc).removeprefix(f"{log.path}: "))
+            else:
+                yield inspection
+
+
+def _inspected(
+    path: Path, messages: Sequence[Message], options: InspectOptions, stop: Trigger, watch: Watch | None = None
 ) -> Inspection:
     """Read a log once and return what it holds.
 
     Raises SourceError if it cannot be read, ConfigError if the bit rate is not above zero.
     """
+    bitrate, columns = options.bitrate, options.columns
     if bitrate <= 0:
         raise ConfigError(f"the bit rate must be > 0, got {bitrate}")
     reader = read_log(path, is_stopped=lambda: stop.is_set, watch=watch, columns=columns)
@@ -277,15 +319,22 @@ def inspect_log(
     finally:
         reader.close()
     traffic = meter.report()
+    can_ids = {reason.can_id for reason in traffic.ids}
+    names = _names(messages, can_ids) if values is None else values.names
     counts, missing = monitor.counts, monitor.missing
     return Inspection(
         reader=reader,
         traffic=traffic,
-        names=_names(messages, {one.can_id for one in traffic.ids}) if values is None else values.names,
+        names=names,
+        why_wrong=why_wrong(len(can_ids & names.keys()), len(can_ids), len(set(names.values())), len(messages)),
         links={
             message.name: LinkErrors(
                 good=int(row[FrameReason.OK]),
-                errors={one.name.lower(): int(row[one]) for one in FrameReason if one != FrameReason.OK and row[one]},
+                errors={
+                    reason.name.lower(): int(row[reason])
+                    for reason in FrameReason
+                    if reason != FrameReason.OK and row[reason]
+                },
                 missing=int(lost),
             )
             for message, row, lost in zip(protected, counts[:-1], missing, strict=True)
@@ -300,7 +349,7 @@ def _names(messages: Sequence[Message], can_ids: AbstractSet[int]) -> dict[int, 
     """Return the names of the messages that identifiers, with their flags, belong to; of several the last one's."""
     addresses = [message_address(message) for message in messages]
     later = overwritten(addresses)
-    kept = [slot for slot in range(len(messages)) if slot not in later]
-    book = address_book([addresses[slot] for slot in kept])
+    usable = [slot for slot in range(len(messages)) if slot not in later]
+    book = address_book([addresses[slot] for slot in usable])
     slots = {can_id: find_slot(book, can_id) for can_id in can_ids if not can_id & (REMOTE_FLAG | ERROR_FLAG)}
-    return {can_id: messages[kept[slot]].name for can_id, slot in slots.items() if slot != NOBODY}
+    return {can_id: messages[usable[slot]].name for can_id, slot in slots.items() if slot != NOBODY}

@@ -1,27 +1,31 @@
 """What stores tell, and the report, from Python."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Final, Unpack
 
 from canlog.logs import STANDARD_INPUT
 from canlog.logs.reading import Watch
-from clutch_model.calibration import nominal_calibration
+from clutch_model.calibration import nominal_calibration, read_calibration
 from clutch_results.records import FluidFill, ShiftResult, iso_utc, shift_from
-from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, configuration, path_list
-from diag_service.console import collected_notices
+from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, named, path_list
+from diag_service.console import SILENT, ReadingLine, collected_notices
 from diag_service.errors import ConfigError
 from diag_service.report.findings import Findings, findings_of_logs, findings_of_store
 from diag_service.report.history import history_records
 from diag_service.report.page import html_of, write_page
+from diag_service.service.drive import insist
 from diag_service.service.session import utc_now
-from diag_service.service.stopping import Trigger
-from diag_service.settings.config import DiagnosisConfig
-from diag_service.store import StoreReader, is_store, note_fill
+from diag_service.settings.config import check_replaceable
+from diag_service.settings.options import FluidOptions, HistoryOptions, ReportOptions, diagnosis_config
+from diag_service.stopping import Controls, Trigger
+from diag_service.store import StoreReader, is_store, note_fill, withdraw_fill
+from fleet_contract import JsonObject
 from fleet_contract.orders import EARLIEST
 
+PAGE_SUFFIXES: Final = (".html", ".htm", ".pdf")
 MOST_CHARACTERS: Final = 200  # of a name or a note
 _CLOCK_ERROR: Final = timedelta(minutes=5)  # by which the clocks of people and machines may differ
 
@@ -56,10 +60,29 @@ def write_report(
     ConfigError, SourceError, StoreError
         If an argument, a log or the store cannot be used, or the page cannot be written.
     """
-    check_name(Path(output))
+    options = ReportOptions(logs=path_list(paths), output=Path(output), full=is_full, force=True, **named(meaning))
     with collected_notices():
-        found = findings_of(configuration(**meaning), path_list(paths), meaning.get("vehicle"), Trigger())
-        return write_page(Path(output), html_of(found, utc_now(), is_full=is_full))
+        return make_report(options, Controls())
+
+
+def make_report(
+    options: ReportOptions,
+    controls: Controls,
+    line: ReadingLine = SILENT,
+    conclude: Callable[[int], None] | None = None,  # None: a part of a drive is welcome, too
+) -> int:
+    """Write a report and return its size [bytes], which ``conclude`` is told before a part of a drive is refused."""
+    if options.output.suffix.lower() not in PAGE_SUFFIXES:
+        raise ConfigError(f"{options.output}: a report is written as .html or .pdf")
+    check_replaceable(options.output, is_forced=options.force)
+    findings = _findings_of(options, controls.stop, line.watch)
+    line.show("making the page")
+    size_bytes = write_page(options.output, html_of(findings, utc_now(), is_full=options.full))
+    if conclude is not None:
+        conclude(size_bytes)
+        if findings.summary is not None:
+            insist(findings.summary.gaps, findings.summary.contributions, is_strict=False)
+    return size_bytes
 
 
 def history(store: AnyPath, *, vehicle: str | None = None, clutches: Sequence[int] = (1, 2)) -> list[dict[str, Any]]:
@@ -70,14 +93,27 @@ def history(store: AnyPath, *, vehicle: str | None = None, clutches: Sequence[in
     ConfigError, StoreError
         If the store cannot be read, or holds several vehicles and none is named.
     """
-    found = findings_of_store(Path(store), vehicle, nominal_calibration())
-    return [dict(record) for record in history_records(found, tuple(clutches))]
+    findings = past_of(HistoryOptions(store=Path(store), vehicle=vehicle))
+    return [dict(record) for record in history_records(findings, tuple(clutches))]
+
+
+def past_of(options: HistoryOptions) -> Findings:
+    """Return what a store holds of a vehicle; raises ConfigError or StoreError."""
+    path = options.calibration
+    return findings_of_store(
+        options.store, options.vehicle, nominal_calibration() if path is None else read_calibration(path)
+    )
 
 
 def stored_shift(store: AnyPath, shift: int) -> ShiftResult:
     """Return a shift of a store by the number that ``history`` has for it; raises ConfigError or StoreError."""
-    with StoreReader.open(Path(store)) as reader:
-        return shift_from(reader.record(shift))
+    return shift_from(stored_record(Path(store), shift))
+
+
+def stored_record(store: Path, shift: int) -> JsonObject:
+    """Return the record of a shift as it was stored."""
+    with StoreReader.open(store) as reader:
+        return reader.record(shift)
 
 
 def note_fluid(
@@ -120,6 +156,13 @@ def note_fluid(
     return note_fill(Path(store), fill, is_insisted=is_insisted)
 
 
+def withdraw_fluid(options: FluidOptions) -> FluidFill:
+    """Withdraw the last fill, or the one within a day of the moment that is named, and return it."""
+    with StoreReader.open(options.store) as reader:
+        vehicle = reader.vehicle(options.vehicle)
+    return withdraw_fill(options.store, vehicle, None if options.at is None else moment_of(options.at))
+
+
 def moment_of(at: datetime | str | None) -> str:
     """Return the moment of a fill: what is given, in UTC unless it has a zone, or now.
 
@@ -155,19 +198,18 @@ def _text(name: str, text: str | None) -> str | None:
     return text
 
 
-def findings_of(
-    config: DiagnosisConfig, paths: Sequence[Path], vehicle: str | None, stop: Trigger, *, watch: Watch | None = None
-) -> Findings:
+def _findings_of(options: ReportOptions, stop: Trigger, watch: Watch) -> Findings:
     """Return what a report is made of: the logs of a drive, or a store and which vehicle of it is meant."""
-    stores = [path for path in paths if path != STANDARD_INPUT and is_store(path)]
-    if not stores:
-        return findings_of_logs(config, paths, stop, watch=watch)
-    if len(paths) > 1:
-        raise ConfigError(f"{stores[0]} is a store: a report is of one store, or of the logs of one drive")
-    return findings_of_store(stores[0], vehicle or config.calibration.vehicle, config.calibration)
+    config = diagnosis_config(options)
+    store = store_among(options.logs)
+    if store is None:
+        return findings_of_logs(config, options.logs, stop, watch=watch)
+    if len(options.logs) > 1:
+        raise ConfigError(f"{store} is a store: a report is of one store, or of the logs of one drive")
+    return findings_of_store(store, options.vehicle or config.calibration.vehicle, config.calibration)
 
 
-def check_name(path: Path) -> None:
-    """Raise ConfigError unless a file is called as a page is."""
-    if path.suffix.lower() not in {".html", ".htm", ".pdf"}:
-        raise ConfigError(f"{path}: a report is written as .html or .pdf")
+def store_among(paths: Iterable[Path | str]) -> Path | None:
+    """Return the first of some files that is a store of results."""
+    files = (path for path in paths if isinstance(path, Path) and path != STANDARD_INPUT)
+    return next(filter(is_store, files), None)

@@ -33,8 +33,8 @@ class DriveLogs:
     def key(self) -> str:
         """What tells this drive from any other, and from an earlier state of its files."""
         files = (str(path.resolve()) for path in self.paths)
-        own = () if self.vehicle is None else (self.vehicle,)
-        parts = (*files, str(self.size_bytes), str(self.modified_ns), *own)
+        vehicle = () if self.vehicle is None else (self.vehicle,)
+        parts = (*files, str(self.size_bytes), str(self.modified_ns), *vehicle)
         return hashlib.sha256("\0".join(parts).encode(errors="surrogateescape")).hexdigest()
 
 
@@ -89,7 +89,7 @@ def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False, columns: s
             first = f", for one {others[0].path.name}: {others[0].reason}" if others else ""
             raise ConfigError(f"{folder} holds no log that can be read{first}")
         left_out += others
-        drives += [drive_of([one.path], _vehicle_of(one.path, folder) if has_vehicles else None) for one in logs]
+        drives += [drive_of([log.path], _vehicle_of(log.path, folder) if has_vehicles else None) for log in logs]
     counts = Counter(path.resolve() for drive in drives for path in drive.paths)
     if twice := sorted(str(path) for path, count in counts.items() if count > 1):
         raise ConfigError(f"named twice: {', '.join(twice)}")
@@ -137,9 +137,9 @@ def sorted_out(folder: Path, columns: str = "") -> tuple[list[TakenFor], list[Le
         if (first := read[path.resolve()]) != path:
             others.append(LeftOut(path=path, reason=f"a link to {first}, which is read already"))
             continue
-        one = looked_at(path, columns)
-        if one.format is None:
-            others.append(LeftOut(path=path, reason=one.reason))
+        look = looked_at(path, columns)
+        if look.format is None:
+            others.append(LeftOut(path=path, reason=look.reason))
         else:
-            logs.append(TakenFor(path=path, format=one.format.value, evidence=one.evidence))
+            logs.append(TakenFor(path=path, format=look.format.value, evidence=look.evidence))
     return logs, others

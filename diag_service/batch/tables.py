@@ -20,6 +20,7 @@ from diag_service.errors import ConfigError, StoreError
 from fleet_contract import Channel, JsonObject, schema
 
 JOURNAL_SCHEMA = "clutchdiag/journal/v1"
+_BEGIN = b'{"schema":"' + JOURNAL_SCHEMA.encode()  # of each line
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,34 +99,23 @@ class Journal:
 
     def _recover(self) -> dict[str, int]:
         """Return where each finished drive stands, and cut off what a kill left behind it."""
-        done: dict[str, int] = {}
-        end = 0
-        for start, line in self._lines():
-            try:
-                table = json.loads(line)
-            except ValueError:
-                break
-            if not isinstance(table, dict) or table.get("schema") != JOURNAL_SCHEMA:
-                raise StoreError(f"{self.path} is not a journal of diag-service")
-            end = start + len(line)
-            if table["settings"] == self._settings:
-                done[table["key"]] = start
-        begin = b'{"schema":"' + JOURNAL_SCHEMA.encode()
-        with self.path.open("rb") as file:
-            is_ours = begin.startswith(file.read(len(begin)))  # the first line, cut off
-        if end == 0 and not is_ours:
-            raise StoreError(f"{self.path} is not a journal of diag-service")
-        os.ftruncate(self._descriptor, end)
-        return done
-
-    def _lines(self) -> Iterator[tuple[int, bytes]]:
-        start = 0
+        done, end = dict[str, int](), 0
         with self.path.open("rb") as file:
             for line in file:
-                if not line.endswith(b"\n"):
-                    return
-                yield start, line
-                start += len(line)
+                is_ours = line.startswith(_BEGIN)
+                if not end and not is_ours and not _BEGIN.startswith(line):  # nor a first line that was cut off
+                    raise StoreError(f"{self.path} is not a journal of diag-service")
+                try:
+                    table = json.loads(line) if is_ours and line.endswith(b"\n") else None
+                except ValueError:
+                    break
+                if table is None:
+                    break
+                if table["settings"] == self._settings:
+                    done[table["key"]] = end
+                end += len(line)
+        os.ftruncate(self._descriptor, end)
+        return done
 
 
 BATCH_ROWS = 4096

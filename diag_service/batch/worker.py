@@ -1,5 +1,6 @@
 """Work that is shared out among processes, which do not outlive their parent; theirs is one drive at a time."""
 
+import hashlib
 import logging
 import os
 import signal
@@ -27,10 +28,12 @@ from diag_service.delivery import MemoryReporter
 from diag_service.diagnosis.summary import summary_record, unjudged, with_revisions
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation
+from diag_service.service.drive import stream_of
 from diag_service.service.recorded import RecordedRun, run_recorded
-from diag_service.service.stopping import Trigger, ignore
+from diag_service.service.session import versions_for
 from diag_service.settings.config import DiagnosisConfig
-from diag_service.settings.proposed import as_proposed
+from diag_service.settings.options import as_proposed
+from diag_service.stopping import Trigger, ignore
 
 POLL_S: Final = 0.2  # how soon a request to stop is heard
 WAITING_PER_JOB: Final = 2  # tasks handed out ahead: a worker never waits, a stop never takes long
@@ -61,10 +64,13 @@ def job_count(asked: int | None) -> int:
     return asked or os.cpu_count() or 1
 
 
-def follow_parent() -> None:
-    """Prepare a process for work: it leaves Ctrl-C to its parent and does not outlive it."""
+def leave_to_parent(is_shown: bool) -> None:  # noqa: FBT001 - a pool hands arguments over by place
+    """Prepare a process: it ignores Ctrl-C, ends with its parent, and shows warnings if ``is_shown``."""
     ignore(signal.SIGINT)
     threading.Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
+    if is_shown:
+        set_up_notices(0)
+    logging.getLogger("diag_service").setLevel(logging.WARNING)  # what is only notable the parent has said
 
 
 def shared_out(
@@ -72,13 +78,13 @@ def shared_out(
     tasks: Sequence[Task],
     jobs: int,
     stop: Trigger,
-    begin: Callable[..., None],
-    arguments: tuple[object, ...],
+    *,
+    is_shown: bool,
 ) -> Iterator[tuple[Task, Future[Result]]]:
     """Yield tasks as they are done, in no order; when told to stop, those that were begun.
 
-    Each process calls ``begin`` with ``arguments`` before its first task. What died with a process is done again alone;
-    a future has BrokenProcessPool only if its task ended that process, too.
+    A task whose process died is done again alone: a future has BrokenProcessPool only if it ended that process, too.
+    ``is_shown``: processes show what they warn of.
     """
     waiting, suspects = deque(tasks), deque[Task]()
     context = get_context("spawn")  # threads and compiled code do not survive a fork
@@ -86,7 +92,7 @@ def shared_out(
         is_alone = not waiting
         source, width = (suspects, 1) if is_alone else (waiting, min(jobs, len(waiting)))
         most = 1 if is_alone else WAITING_PER_JOB * width
-        with ProcessPoolExecutor(width, context, begin, arguments) as pool:
+        with ProcessPoolExecutor(width, context, leave_to_parent, (is_shown,)) as pool:
             for task, future in handed_out(pool, work, source, most, stop):
                 if not isinstance(future.exception(), BrokenProcessPool) or (is_alone and not stop.is_set):
                     yield task, future
@@ -120,6 +126,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
+ACCOUNT_VERSION = "4"  # of what a journal keeps of a drive; entries of an older one are made anew
 DRIVE_SCHEMA = "clutchdiag/drive/v1"
 
 
@@ -156,7 +163,7 @@ def drive_entry(
 ) -> Entry:
     """Return what a drive said, as journals and files of results keep it."""
     account = {"stream": run.stream, "summary": summary_record(run.summary), "notices": list(notices)}
-    judged = (unjudged(one, run.summary.gaps) for one in results)  # the last one is taken for the drive's
+    judged = (unjudged(result, run.summary.gaps) for result in results)  # the last one is taken for the drive's
     return Entry(key=key, drive={**_account(paths), **account}, shifts=tuple(map(shift_record, with_revisions(judged))))
 
 
@@ -171,22 +178,19 @@ def _account(paths: Iterable[Path]) -> dict[str, object]:
     return {"schema": DRIVE_SCHEMA, "paths": names, "stream": None, "error": None, "summary": None, "notices": []}
 
 
-_ANALYSTS: list[Analyst] = []  # of this process: one, made when it starts
+def settings_digest(config: DiagnosisConfig) -> str:
+    """Return a digest of all that decides about results besides the logs: their files and the versions."""
+    versions = versions_for(config.calibration)
+    files = stream_of(config.interpretation().files)
+    parts = [config.vehicle, versions.algorithm, versions.calibration, files, str(config.is_strict), ACCOUNT_VERSION]
+    parts += [config.columns] if config.columns else []
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()
 
 
-def start_worker(config: DiagnosisConfig, is_shown: bool) -> None:  # noqa: FBT001 - a pool hands arguments over by place
-    """Prepare a process for drives of one configuration."""
-    leave_to_parent(is_shown)
-    _ANALYSTS.append(Analyst(config))
+_ANALYSTS: list[Analyst] = []  # of this process: one, made with its first drive
 
 
-def leave_to_parent(is_shown: bool) -> None:  # noqa: FBT001 - likewise
-    """Prepare a process: it leaves Ctrl-C to its parent and does not outlive it; says what it warns of."""
-    follow_parent()
-    if is_shown:
-        set_up_notices(0)
-    logging.getLogger("diag_service").setLevel(logging.WARNING)  # what is only notable the parent has said
-
-
-def analyse_drive(drive: DriveLogs) -> Entry:
+def analyse_drive(config: DiagnosisConfig, drive: DriveLogs) -> Entry:
+    if not _ANALYSTS:
+        _ANALYSTS.append(Analyst(config))
     return _ANALYSTS[0].analyse(drive)

@@ -1,54 +1,41 @@
-"""``diag-service analyze``: diagnose the logs of one drive, or folders of drives."""
+"""``diag-service analyze``: the results of the logs of one drive, or of folders of drives, for people and as JSON."""
 
 import logging
 import sys
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
+
+from rich.table import Table
 
 from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT
-from clutchdiag_io.program import replacement_refusal
-from diag_service.api.choices import diagnosis_config
-from diag_service.console import ReadingLine, collected_notices
-from diag_service.delivery import AllReporters, MemoryReporter
-from diag_service.diagnosis.summary import Gap
+from clutch_results.records import dump
+from clutchdiag_io.console import PeopleConsole, plain_table
+from clutchdiag_io.program import legible
+from diag_service.api.analysis import PaperAnalysis, analyze_drive, analyze_drive_by_paper
+from diag_service.api.folders import FolderListener
+from diag_service.batch.drives import DriveLogs, LeftOut, left_out_record
+from diag_service.batch.tables import Entry
+from diag_service.console import ReadingLine
+from diag_service.delivery import standard_output_reporter
+from diag_service.diagnosis.friction.paper import PaperEstimate, PaperShift, PooledClutch
+from diag_service.diagnosis.summary import GAP_TEXT, FrameCounts, Gap, frames_line, gaps_line
 from diag_service.errors import ConfigError
-from diag_service.service.application import reporter_of
-from diag_service.service.drive import insist
-from diag_service.service.drive_survey import DriveSurvey
-from diag_service.service.recorded import run_recorded
-from diag_service.service.stopping import Controls
-from diag_service.settings.config import DeliveryOptions, DiagnosisConfig
-from diag_service.settings.proposed import as_proposed
+from diag_service.settings.config import PROPOSED
+from diag_service.settings.options import AnalyzeOptions
+from diag_service.stopping import Controls
+from fleet_contract import JsonObject
 
+PAPER_SCHEMA: Final = "clutchdiag/paper/v1"
+_PAPER_HEAD: Final = f"{'shift':>5}  {'gears':<5} {'clutch':>6}  {'mu_C':>8} {'n':>4} {'mu_S':>8} {'n':>4}"
 _LOG = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AnalyzeOptions(DeliveryOptions):
-    """What is analysed, and how."""
-
-    logs: tuple[Path | str, ...]  # a text is the address of a store
-    estimator: str = "impulse"
-    output: Path | None = None
-    force: bool = False
-    jobs: int | None = None
-    vehicle_from: str | None = None
-    lake: Path | str | None = None
-    scheduler: str = "local"
-    signals: str | None = None
-    time_limit: float
-    retry: bool = False
-    json: bool = False
-    given: frozenset[str] = frozenset()  # what the command line itself says, not a settings file
-
-    @property
-    def paths(self) -> list[Path]:
-        """The logs that are files or folders of this machine."""
-        return [log for log in self.logs if isinstance(log, Path)]
-
-
 def analyze(options: AnalyzeOptions, controls: Controls) -> None:
+    if options.vehicle_from is not None and "vehicle" in options.given:
+        raise ConfigError(
+            "--vehicle-from takes the vehicles from the folders, --vehicle names one: use only one of them"
+        )
     if options.lake is not None:
         from diag_service.commands.lake import fill  # noqa: PLC0415 - nothing else needs any of it
 
@@ -56,19 +43,15 @@ def analyze(options: AnalyzeOptions, controls: Controls) -> None:
         return
     _check_words_without_lake(options)
     if any(path.is_dir() for path in options.paths if path != STANDARD_INPUT):
-        _analyse_folders(options, controls)
+        _analyze_folders(options, controls)
         return
-    diagnosis = diagnosis_config(options)
     _check_words_for_a_drive(options)
-    diagnosis = as_proposed(diagnosis, options.paths, lambda: controls.stop.is_set)
-    if options.estimator != "paper":
-        _analyse_drive(options, diagnosis, controls)
+    if options.estimator == "paper":
+        _analyze_by_paper(options, controls)
         return
-    if options.store is not None or diagnosis.broker is not None or options.output is not None:
-        raise ConfigError("the paper's method states no uncertainty: its results are shown, not stored or published")
-    from diag_service.service import paper_run  # noqa: PLC0415 - the other method needs none of it
-
-    paper_run.show_paper(diagnosis, options.paths, controls, as_json=options.json)
+    with ReadingLine() as line:
+        reporter = standard_output_reporter(controls.stop, as_json=options.json, is_detailed=controls.verbosity > 0)
+        analyze_drive(options, controls, line, reporter, watch=line.watch)
 
 
 def _check_words_without_lake(options: AnalyzeOptions) -> None:
@@ -89,31 +72,100 @@ def _check_words_for_a_drive(options: AnalyzeOptions) -> None:
         raise ConfigError(f"--jobs must be at least 1, got {options.jobs}")
 
 
-def _analyse_drive(options: AnalyzeOptions, diagnosis: DiagnosisConfig, controls: Controls) -> None:
-    """Show the results of a drive, and write them into a file if one is wanted: it is checked before hours of work."""
-    if options.output is not None:
-        from diag_service.batch.tables import check_output  # noqa: PLC0415 - for an output alone
-
-        if text := replacement_refusal(options.output, is_forced=options.force):
-            raise ConfigError(text)
-        check_output(options.output)
-    heard = MemoryReporter()
-    with ReadingLine() as line, collected_notices() as notices:
-        shown = reporter_of(controls.stop, as_json=options.json, is_detailed=controls.verbosity > 0)
-        reporter = AllReporters(line, shown, *([] if options.output is None else [heard]))
-        run = run_recorded(
-            diagnosis, options.paths, options.store, reporter, controls.stop, survey=DriveSurvey, watch=line.watch
-        )
-    if options.output is not None and Gap.STOPPED not in run.summary.gaps:
-        from diag_service.batch.tables import write_results  # noqa: PLC0415 - for an output alone
-        from diag_service.batch.worker import drive_entry  # noqa: PLC0415 - likewise
-
-        write_results(options.output, [drive_entry("", options.paths, run, heard.results, notices)])
-        _LOG.log(NOTICE, "%d shifts of 1 drives in %s", len(heard.results), options.output)
-    insist(run.summary.gaps, run.summary.contributions, is_strict=diagnosis.is_strict)
+def _analyze_by_paper(options: AnalyzeOptions, controls: Controls) -> None:
+    if options.store is not None or options.broker or options.output is not None:
+        raise ConfigError("the paper's method states no uncertainty: its results are shown, not stored or published")
+    with ReadingLine() as line:
+        analyze_drive_by_paper(options, controls, _show_json if options.json else _show_text, line.watch)
 
 
-def _analyse_folders(options: AnalyzeOptions, controls: Controls) -> None:
+def _show_json(analysis: PaperAnalysis, gaps: Sequence[Gap], _frames: FrameCounts) -> None:
+    for shift in analysis.shifts:
+        _write_record(_shift_record(shift))
+    for clutch in analysis.clutches:
+        _write_record(_pooled_record(clutch, gaps))
+
+
+def _show_text(analysis: PaperAnalysis, gaps: Sequence[Gap], frames: FrameCounts) -> None:
+    console = PeopleConsole()
+    console.print(_PAPER_HEAD, style="bold")
+    console.print_all(map(paper_line, analysis.shifts))
+    if gaps:
+        console.print(gaps_line(tuple(gaps)), style="bold red")
+    console.print(_table(analysis.clutches))
+    console.print("n: samples that passed every gate; no uncertainty is stated, so no verdict")
+    console.print(frames_line(frames))
+
+
+def _write_record(record: Mapping[str, object]) -> None:
+    _write_line(dump(record))
+
+
+def _write_line(line: str) -> None:
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+def paper_line(shift: PaperShift) -> str:
+    """Return one shift as a line for people; columns as in the head."""
+    start = f"{shift.number:>5}  {f'{shift.from_gear}-{shift.to_gear}':<5} {shift.clutch:>6}  "
+    if shift.estimate is None:
+        reason = "" if shift.reason is None else shift.reason.value.replace("_", " ")
+        return f"{start}{'-':>8} {'-':>4} {'-':>8} {'-':>4}  ({reason})"
+    estimate, mu_c, mu_s = shift.estimate, _number(shift.estimate.mu_c), _number(shift.estimate.mu_s)
+    return f"{start}{mu_c:>8} {estimate.coulomb_count:>4} {mu_s:>8} {estimate.static_count:>4}"
+
+
+def _table(pooled: Sequence[PooledClutch]) -> Table:
+    table = plain_table(("clutch", "mu_C", "n", "mu_S", "n", "std", "shifts"))
+    for clutch in pooled:
+        mu_c, mu_s, mu_c_samples, mu_s_samples = _estimate_record(clutch.estimate).values()
+        cells = (_number(mu_c), mu_c_samples, _number(mu_s), mu_s_samples, "n/a", clutch.shift_count)
+        table.add_row(str(clutch.clutch), *map(str, cells))
+    return table
+
+
+def _shift_record(shift: PaperShift) -> JsonObject:
+    return {
+        "schema": PAPER_SCHEMA,
+        "scope": "shift",
+        "number": shift.number,
+        "from_gear": shift.from_gear,
+        "to_gear": shift.to_gear,
+        "clutch": shift.clutch,
+        "reason": None if shift.reason is None else shift.reason.value,
+        **_estimate_record(shift.estimate),
+    }
+
+
+def _pooled_record(clutch: PooledClutch, gaps: Sequence[Gap]) -> JsonObject:
+    return {
+        "schema": PAPER_SCHEMA,
+        "scope": "pooled",
+        "clutch": clutch.clutch,
+        "shift_count": clutch.shift_count,
+        "complete": not gaps,
+        "incomplete": [gap.value for gap in gaps],
+        **_estimate_record(clutch.estimate),
+    }
+
+
+def _estimate_record(estimate: PaperEstimate | None) -> dict[str, float | None]:
+    if estimate is None:
+        return {"mu_c": None, "mu_s": None, "mu_c_samples": 0, "mu_s_samples": 0}
+    return {
+        "mu_c": estimate.mu_c,
+        "mu_s": estimate.mu_s,
+        "mu_c_samples": estimate.coulomb_count,
+        "mu_s_samples": estimate.static_count,
+    }
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}"
+
+
+def _analyze_folders(options: AnalyzeOptions, controls: Controls) -> None:
     # What is on the command line: settings of other runs do not matter to folders.
     if "store" in options.given or options.estimator == "paper":
         raise ConfigError(
@@ -122,20 +174,59 @@ def _analyse_folders(options: AnalyzeOptions, controls: Controls) -> None:
         )
     if STANDARD_INPUT in options.logs:
         raise ConfigError("folders are read by several processes: standard input does not go with them")
-    if options.vehicle_from is not None and "vehicle" in options.given:
-        raise ConfigError(
-            "--vehicle-from takes the vehicles from the folders, --vehicle names one: use only one of them"
-        )
-    from diag_service.batch import folder_run  # noqa: PLC0415 - one drive needs none of it
+    from diag_service.api.folders import analyze_drives  # noqa: PLC0415 - one drive needs none of it
 
-    folder_run.analyse_folders(
-        diagnosis_config(options),
-        options.paths,
-        output=options.output,
-        jobs=options.jobs,
-        listener=folder_run.FolderLines(sys.stdout, as_json=options.json),
-        stop=controls.stop,
-        is_shown=True,
-        is_forced=options.force,
-        has_vehicles=options.vehicle_from is not None,
-    )
+    analyze_drives(options, controls, FolderLines(as_json=options.json), is_shown=True)
+
+
+class FolderLines(FolderListener):
+    """A line per drive on standard output: for people, or a JSON record per shift and drive."""
+
+    def __init__(self, *, as_json: bool) -> None:
+        self._as_json = as_json
+        self._left_out = 0
+
+    def add(self, drive: DriveLogs, entry: Entry) -> None:
+        if self._as_json:
+            for record in (*entry.shifts, entry.drive):
+                _write_record(record)
+            return
+        _write_line(f"{legible(drive.name)}: {drive_line(entry)}")
+
+    def leave_out(self, files: Sequence[LeftOut]) -> None:
+        """Tell of files that are no drives: people on standard error, each with its reason."""
+        self._left_out = len(files)
+        for left in files:
+            _LOG.log(NOTICE, "left out: %s: %s", left.path, left.reason)
+            if self._as_json:
+                _write_record(left_out_record(left))
+
+    def end(self, totals: Mapping[str, int], entries: Iterable[Entry]) -> None:  # noqa: ARG002 - all were told before
+        if not self._as_json:
+            left_out = f", {self._left_out} files left out" if self._left_out else ""
+            cut = f", {totals['cut']} are cut off and have no verdict" if totals["cut"] else ""
+            what = f"{totals['drives']} drives, {totals['shifts']} shifts, {totals['failed']} could not be read"
+            _write_line(f"{what}{cut}{left_out}")
+
+
+def drive_line(entry: Entry) -> str:
+    summary = entry.drive["summary"]
+    if not isinstance(summary, dict):
+        return f"not read: {entry.drive['error']}"
+    statuses = {name: count for name, count in summary["shifts"]["by_status"].items() if count}
+    counts = f" ({', '.join(f'{count} {name}' for name, count in statuses.items())})" if statuses else ""
+    clutches = [f"clutch {clutch['clutch']} {clutch['condition'].replace('_', ' ')}" for clutch in summary["clutches"]]
+    tier = f"tier {summary['capability']['tier'] or 'none'}"
+    if summary["capability"]["profile"] == PROPOSED:
+        tier += ", columns read as proposed"
+    frames = summary["frames"]
+    parts = [
+        f"{frames['on_bus']} frames",
+        f"{sum(frames['rejected'].values())} rejected",
+        tier,
+        f"{len(entry.shifts)} shifts{counts}",
+        *clutches,
+        *(GAP_TEXT[Gap(gap)] for gap in summary["incomplete"]),
+        *summary["idle"],
+    ]
+    return ", ".join(parts)

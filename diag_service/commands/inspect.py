@@ -2,27 +2,20 @@
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
-from cantools.database.can import Message
-
-from canlog.database.addressing import why_wrong
-from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG
-from canlog.logs import STANDARD_INPUT
 from canlog.logs.log_counts import assumed_texts, lost_texts
 from canlog.traffic import MAX_IDS, NS_PER_S, IdTraffic, TrafficReport
 from clutch_results.records import dump, utc_from_bus_ns
 from clutchdiag_io.console import PeopleConsole
 from clutchdiag_io.people import SHORT_PLUS_MINUS, STDS, digits
-from diag_service.api.logs import Inspection, LinkErrors, TableValues, inspect_log
-from diag_service.batch.drives import LeftOut, left_out_record, sorted_out
+from diag_service.api.logs import FolderContent, Inspection, LinkErrors, TableValues, inspect_logs, profile_for
+from diag_service.batch.drives import LeftOut, left_out_record
 from diag_service.console import ReadingLine
 from diag_service.errors import StoppedError
-from diag_service.mapping.interpretation import open_database
-from diag_service.mapping.learning import proposed_profile
-from diag_service.service.stopping import Controls
+from diag_service.settings.options import InspectOptions
+from diag_service.stopping import Controls
 
 MS_PER_S = 1e3
 _COLUMNS = "{:>3} {:<8} {} {:>8} {:>5} {:>8} {:>9} {:>9} {:>5} {:>9}"
@@ -31,63 +24,35 @@ _VALUE_HEAD = ("unit", "values", "rate Hz", "period ms", SHORT_PLUS_MINUS, "chan
 _HEAD = ("frames", "bytes", "rate Hz", "period ms", SHORT_PLUS_MINUS, "gaps", "longest s")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class InspectOptions:
-    """Which logs are inspected, and how."""
-
-    logs: tuple[Path, ...]
-    dbc: Path | None
-    match: str
-    columns: str
-    bitrate: int
-    json: bool
-
-
 def inspect(options: InspectOptions, controls: Controls) -> None:
     """Inspect one log after the other; raises StoppedError if that was stopped."""
-    messages = open_database(
-        options.dbc,
-        options.logs,
-        is_j1939=options.match == "group",
-        is_stopped=lambda: controls.stop.is_set,
-        columns=options.columns,
-    ).messages
     console = PeopleConsole()
-    for path, is_found in _files(options, console):
-        try:
-            with ReadingLine() as line:
-                inspection = inspect_log(path, messages, options.bitrate, controls.stop, line.watch, options.columns)
-        except SourceError as exc:
-            if not is_found:
-                raise
-            _show_left_out(LeftOut(path=path, reason=str(exc).removeprefix(f"{path}: ")), options, console)
-            continue
-        if options.json:
-            sys.stdout.write(inspection.to_json() + "\n")
-        else:
-            _show(inspection, options.bitrate, console)
-            if options.dbc is not None and (why := _why_wrong(inspection, messages)):
-                console.print(why)
-        if not inspection.is_whole:
-            raise StoppedError("stopped early: the last table covers only a part of the log")
+    with ReadingLine() as line:
+        for news in inspect_logs(options, controls, line):
+            line.clear()
+            if isinstance(news, FolderContent):
+                _show_folder(news, options, console)
+            elif not isinstance(news, Inspection):
+                _show_left_out(news, options, console)
+            elif options.json:
+                sys.stdout.write(news.to_json() + "\n")
+            else:
+                _show(news, options.bitrate, console)
+                if options.dbc is not None and news.why_wrong:
+                    console.print(news.why_wrong)
+            if isinstance(news, Inspection) and not news.is_whole:
+                raise StoppedError("stopped early: the last table covers only a part of the log")
 
 
-def _files(options: InspectOptions, console: PeopleConsole) -> Iterator[tuple[Path, bool]]:
-    """Yield the logs that are named, and those found in folders; before them is told what a folder holds."""
-    for path in options.logs:
-        if path == STANDARD_INPUT or not path.is_dir():
-            yield path, False
-            continue
-        found, others = sorted_out(path, options.columns)
-        if options.json:
-            for left in others:
-                _show_left_out(left, options, console)
-        else:
-            console.print(f"{path}: {len(found)} logs, {len(others)} other files")
-            logs = (f"  {_on_one_line(one.path)}: taken for {one.format}: {one.evidence}" for one in found)
-            no_logs = (f"  {_on_one_line(one.path)}: no log: {one.reason}" for one in others)
-            console.print_all(sorted((*logs, *no_logs)))
-        yield from ((one.path, True) for one in found)
+def _show_folder(folder: FolderContent, options: InspectOptions, console: PeopleConsole) -> None:
+    if options.json:
+        for left in folder.others:
+            _show_left_out(left, options, console)
+        return
+    console.print(f"{folder.path}: {len(folder.logs)} logs, {len(folder.others)} other files")
+    logs = (f"  {_on_one_line(log.path)}: taken for {log.format}: {log.evidence}" for log in folder.logs)
+    no_logs = (f"  {_on_one_line(left.path)}: no log: {left.reason}" for left in folder.others)
+    console.print_all(sorted((*logs, *no_logs)))
 
 
 def _show_left_out(left: LeftOut, options: InspectOptions, console: PeopleConsole) -> None:
@@ -101,11 +66,6 @@ def _on_one_line(path: Path) -> str:
     return str(path).replace("\n", "\\n")
 
 
-def _why_wrong(inspection: Inspection, messages: Sequence[Message]) -> str:
-    names, ids = inspection.names, {one.can_id for one in inspection.traffic.ids}
-    return why_wrong(len(ids & names.keys()), len(ids), len(set(names.values())), len(messages))
-
-
 def _show(inspection: Inspection, bitrate: int, console: PeopleConsole) -> None:
     console.print_all(_head(inspection, bitrate))
     if inspection.values is not None:
@@ -113,8 +73,8 @@ def _show(inspection: Inspection, bitrate: int, console: PeopleConsole) -> None:
         return
     width = max([len(name) for name in inspection.names.values()], default=0)
     console.print(_COLUMNS.format("bus", "id", "message".ljust(width), *_HEAD), style="bold")
-    for one in inspection.traffic.ids:
-        console.print(_COLUMNS.format(*_row(one, inspection.names.get(one.can_id, "").ljust(width))))
+    for traffic in inspection.traffic.ids:
+        console.print(_COLUMNS.format(*_row(traffic, inspection.names.get(traffic.can_id, "").ljust(width))))
     console.print_all(_protection_lines(inspection.links))
 
 
@@ -146,15 +106,18 @@ def _head(inspection: Inspection, bitrate: int) -> list[str]:
 
 def _column_lines(traffic: TrafficReport, values: TableValues) -> Iterator[str]:
     """Yield a line for each column of a table: how often it comes and changes, its step and its range."""
-    found = sorted(((values.of(one.can_id), one) for one in traffic.ids), key=lambda pair: pair[0].name)
-    width = max(len(column.name) for column, _ in found)
+    columns = sorted(
+        ((values.of(traffic_of_id.can_id), traffic_of_id) for traffic_of_id in traffic.ids),
+        key=lambda pair: pair[0].name,
+    )
+    width = max(len(column.name) for column, _ in columns)
     yield _VALUE_COLUMNS.format("column".ljust(width), *_VALUE_HEAD)
-    for column, one in found:
+    for column, traffic_of_id in columns:
         yield _VALUE_COLUMNS.format(
             column.name.ljust(width),
             column.unit or "-",
             str(column.count),
-            *_interval_cells(one),
+            *_interval_cells(traffic_of_id),
             str(column.changes),
             digits(column.step),
             digits(column.lowest),
@@ -162,25 +125,25 @@ def _column_lines(traffic: TrafficReport, values: TableValues) -> Iterator[str]:
         )
 
 
-def _row(one: IdTraffic, name: str) -> tuple[str, ...]:
-    is_extended = bool(one.can_id & EXTENDED_FLAG)
-    identifier = f"{one.can_id & 0x1FFF_FFFF:08X}" if is_extended else f"{one.can_id & 0x1FFF_FFFF:03X}"
+def _row(traffic: IdTraffic, name: str) -> tuple[str, ...]:
+    is_extended = bool(traffic.can_id & EXTENDED_FLAG)
+    identifier = f"{traffic.can_id & 0x1FFF_FFFF:08X}" if is_extended else f"{traffic.can_id & 0x1FFF_FFFF:03X}"
     return (
-        str(one.channel),
+        str(traffic.channel),
         identifier,
         name,
-        str(one.count),
-        str(one.length),
-        *_interval_cells(one),
-        str(one.gap_count),
-        digits(one.longest_gap_s) if one.gap_count else "-",
+        str(traffic.count),
+        str(traffic.length),
+        *_interval_cells(traffic),
+        str(traffic.gap_count),
+        digits(traffic.longest_gap_s) if traffic.gap_count else "-",
     )
 
 
-def _interval_cells(one: IdTraffic) -> tuple[str, str, str]:
+def _interval_cells(traffic: IdTraffic) -> tuple[str, str, str]:
     """Return rate, interval and how far intervals scatter, if any is known."""
-    told = (one.rate_hz, one.period_s * MS_PER_S, STDS * one.jitter_s * MS_PER_S)
-    rate, period, spread = map(digits, told) if one.rate_hz > 0.0 else "---"
+    values = (traffic.rate_hz, traffic.period_s * MS_PER_S, STDS * traffic.jitter_s * MS_PER_S)
+    rate, period, spread = map(digits, values) if traffic.rate_hz > 0.0 else "---"
     return rate, period, spread
 
 
@@ -199,5 +162,5 @@ def _protection_lines(links: dict[str, LinkErrors]) -> Sequence[str]:
 def propose(controls: Controls, log: Path, dbc: Path | None, columns: str) -> None:
     """Survey a log and write a profile whose comments say what there is."""
     with ReadingLine() as line:
-        text = proposed_profile(log, dbc, lambda: controls.stop.is_set, watch=line.watch, columns=columns)
+        text = profile_for(log, dbc, columns, controls, line)
     sys.stdout.write(text)

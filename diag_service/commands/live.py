@@ -1,13 +1,10 @@
 """``diag-service run``, ``monitor`` and ``config check``: a live bus is diagnosed or shown, or what a run would use."""
 
-import asyncio
 import logging
 import sys
-import textwrap
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import closing
-from dataclasses import asdict, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from math import isnan
 from pathlib import Path
 from typing import Any, Self
@@ -26,43 +23,30 @@ from clutch_results.curves import WATCH_MARGIN_RATIO, margin_left
 from clutch_results.records import ShiftResult
 from clutchdiag_io.console import PeopleConsole
 from clutchdiag_io.program import legible
-from diag_service.api.choices import diagnosis_config
+from diag_service.api import live
 from diag_service.commands.options import SETTINGS
-from diag_service.delivery import News
-from diag_service.delivery.console import order_lines, shift_head, shift_line, short_shift_head, short_shift_line
+from diag_service.delivery import DetachedReporter, News, standard_output_reporter
+from diag_service.delivery.console import order_lines, shift_head, shift_line
 from diag_service.diagnosis.summary import frames_line, shifts_line
-from diag_service.service import bus_run
-from diag_service.service.session import Session
 from diag_service.service.snapshot import Snapshot
-from diag_service.service.stopping import Controls
-from diag_service.settings.config import LiveOptions, bus_config, default_store
-from diag_service.store import ResultStore
+from diag_service.settings.options import LiveOptions, diagnosis_config
+from diag_service.stopping import Controls
 from fleet_contract.orders import name_of
 
 
 def run(options: LiveOptions, controls: Controls) -> None:
     """Diagnose the bus until it is told to stop."""
-    diagnosis = diagnosis_config(options)
-    bus = bus_config(options)
-    store = options.store or default_store(diagnosis.vehicle)
-    bus_run.run_bus(diagnosis, bus, store, controls, as_json=options.json, is_detailed=controls.verbosity > 0)
+    reporter = standard_output_reporter(controls.stop, as_json=options.json, is_detailed=controls.verbosity > 0)
+    live.run(options, controls, DetachedReporter(reporter))
 
 
 def monitor(options: LiveOptions, controls: Controls) -> None:
     """Show the bus until it is told to stop; nothing is stored or published."""
-    config, bus = diagnosis_config(options), bus_config(options)
-    decoder = config.interpretation().decoder()
-    with (
-        closing(ResultStore.in_memory()) as store,
-        Monitor(PeopleConsole(), config.calibration) as onlooker,
-    ):
-        session = Session(config, decoder, store, None, onlooker)
-        asyncio.run(bus_run.serve_bus(replace(config, broker=None), bus, store, session, controls, onlooker.show))
+    with Monitor(PeopleConsole(), diagnosis_config(options).calibration) as screen:
+        live.run(options, controls, screen, screen.show)
 
 
 WHOLE_WIDTH = 140  # columns that everything takes, reasons included
-TABLE_HEADS = 2  # over messages and shifts
-FEW_SHIFTS = 2
 SPARKS = "▁▂▃▄▅▆▇█"  # from no friction margin to that of new fluid
 SPARK_COUNT = 40  # events of a clutch that are remembered
 SLOW_RATIO = 0.9  # a message below this share of its nominal rate is marked
@@ -86,7 +70,7 @@ class Monitor:
         self._console = console
         self._calibration = calibration
         self._left: dict[str, deque[float]] = {}
-        self._live = Live(console=console, auto_refresh=False, transient=False)
+        self._live = Live(console=console, auto_refresh=False, vertical_overflow="crop")
 
     def __enter__(self) -> Self:
         self._live.__enter__()
@@ -104,49 +88,35 @@ class Monitor:
             self._left.setdefault(name, deque(maxlen=SPARK_COUNT)).append(left)
 
     def show(self, snapshot: Snapshot) -> None:
-        size = (self._console.width, self._console.height) if self._console.is_terminal else None
         sparks = [spark_line(name, list(left)) for name, left in sorted(self._left.items())]
-        self._live.update(screen(snapshot, size, sparks), refresh=True)
+        is_detailed = not self._console.is_terminal or self._console.width >= WHOLE_WIDTH
+        self._live.update(screen(snapshot, sparks, is_detailed=is_detailed), refresh=True)
 
 
 def spark_line(name: str, left: Sequence[float]) -> Text:
     """Return how the friction margin of a clutch went: the top is new fluid, the bottom the limit of a change."""
     highest = len(SPARKS) - 1
-    marks = "".join(" " if isnan(one) else SPARKS[round(min(max(one, 0.0), 1.0) * highest)] for one in left)
+    marks = "".join(" " if isnan(share) else SPARKS[round(min(max(share, 0.0), 1.0) * highest)] for share in left)
     style = "red" if left[-1] <= 0.0 else "yellow" if left[-1] < WATCH_MARGIN_RATIO else "green"
     now = "not known yet" if isnan(left[-1]) else f"{100.0 * left[-1]:.0f} % of new fluid"
     return Text.assemble(f"{name:<8} friction margin ", (marks, style), f" {now}")
 
 
-def screen(snapshot: Snapshot, size: tuple[int, int] | None = None, sparks: Sequence[Text] = ()) -> RenderableType:
-    """Return everything as one picture, within the columns and lines of ``size``; None: as large as it is.
-
-    Where lines are short, what each clutch says gives way first, then the shifts.
-    """
-    width, height = size or (WHOLE_WIDTH, sys.maxsize)
-    head = _head(snapshot)
-    below = [Text(frames_line(snapshot.summary.frames)), Text(shifts_line(snapshot.summary))]
-    free = height - _folded_count([head, *sparks, *below], width) - len(snapshot.messages) - TABLE_HEADS
-    sentences = order_lines(snapshot.summary.order)
-    if free - _folded_count(sentences, width) < FEW_SHIFTS:
-        sentences = sentences[:1]
-    shown_count = min(max(0, free - _folded_count(sentences, width)), len(snapshot.recent))
-    recent = snapshot.recent[len(snapshot.recent) - shown_count :]
-    is_short = width < WHOLE_WIDTH
-    shift_heading, line = (short_shift_head, short_shift_line) if is_short else (shift_head, shift_line)
+def screen(snapshot: Snapshot, sparks: Sequence[Text], *, is_detailed: bool) -> RenderableType:
+    """Return everything as one picture, the newest shift first; lines of shifts are cropped at the right."""
+    recent = [shift_line(result, is_detailed=is_detailed) for result in reversed(snapshot.recent)]
+    lines = [shift_head(is_detailed=is_detailed), *recent] if recent else []
+    for line in lines:
+        line.no_wrap, line.overflow = True, "ellipsis"
     return Group(
-        head,
-        *sentences,
+        _head(snapshot),
+        *order_lines(snapshot.summary.order),
         *sparks,
         _message_table(snapshot),
-        *below,
-        *([shift_heading(), *(line(result) for result in reversed(recent))] if recent else []),
+        Text(frames_line(snapshot.summary.frames)),
+        Text(shifts_line(snapshot.summary)),
+        *lines,
     )
-
-
-def _folded_count(texts: Iterable[Text], width: int) -> int:
-    """Return how many lines the texts take within so many columns."""
-    return sum(len(textwrap.wrap(text.plain, width)) for text in texts)
 
 
 def _head(snapshot: Snapshot) -> Text:
@@ -194,13 +164,10 @@ _LOG = logging.getLogger(__name__)
 
 def check(options: LiveOptions) -> None:
     """Check the settings and print what a run would use."""
-    diagnosis = diagnosis_config(options)
-    bus_config(options)
-    diagnosis.interpretation()
-    broker = diagnosis.broker
-    if broker is not None and broker.exposure:
-        _LOG.warning("%s", broker.exposure)
-    sys.stdout.write(describe({**asdict(options), "vehicle": diagnosis.vehicle}))
+    config = live.checked(options)
+    if config.broker is not None and config.broker.exposure:
+        _LOG.warning("%s", config.broker.exposure)
+    sys.stdout.write(describe({**asdict(options), "vehicle": config.vehicle}))
 
 
 def describe(values: Mapping[str, Any]) -> str:

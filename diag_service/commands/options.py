@@ -1,4 +1,4 @@
-"""Options that several commands take, and what every command has around it; loads next to nothing.
+"""Options that several commands have, and the wrapper of every command; imports next to nothing.
 
 A setting is an option that the environment or a settings file may set, too: over the file stands the environment, and
 over both the command line.
@@ -7,7 +7,7 @@ over both the command line.
 import os
 import sys
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import update_wrapper
@@ -22,7 +22,7 @@ from canlog.files import read_small_file, widen
 from clutchdiag_io.command_line import FILE, STANDARD_STREAM, FunctionT, together
 from clutchdiag_io.program import standard_output
 from diag_service.errors import ConfigError, StoppedError
-from diag_service.service.stopping import Controls, PatientTrigger, Trigger
+from diag_service.stopping import Controls, Trigger, patient_trigger
 
 PROGRAM: Final = "diag-service"
 VARIABLES: Final = "CLUTCHDIAG"  # begins the environment variables, such as CLUTCHDIAG_BROKER
@@ -203,7 +203,7 @@ def _holds_password(url: str) -> bool:
 
 
 def working(function: Callable[..., None]) -> Callable[..., None]:
-    """Have a command called with its controls and its words once notices are shown and compiling heeds signals."""
+    """Return a command that sets up notices and signals, then calls the function with ``Controls`` and its words."""
 
     def work(*, verbose: int, **words: Any) -> None:
         # python-can loads asammdf where it is installed, and that pandas: 0.3 s, 45 MB. Who reads MF4 loads it then.
@@ -219,29 +219,22 @@ def working(function: Callable[..., None]) -> Callable[..., None]:
 
         set_up_notices(verbose)
         if is_piped:  # whoever writes into the pipe may get the same signal, and end it
-            controls = replace(controls, stop=PatientTrigger(controls.stop))
+            controls = replace(controls, stop=patient_trigger(controls.stop))
         unheed = on_compiling(lambda _kernel: None if is_piped else _check(controls.stop))  # a pipe's frames are judged
         try:
             with standard_output():
                 function(controls, **words)
         except SourceError as exc:
-            if text := _about_store(logs):
+            from diag_service.api.stores import store_among
+
+            if store := store_among(logs):
+                text = f"{store} is a store of results, no log: {PROGRAM} report {store} shows what is in it"
                 raise ConfigError(text) from exc
             raise
         finally:
             unheed()
 
     return update_wrapper(work, function)
-
-
-def _about_store(logs: Sequence[Path | str]) -> str | None:
-    """Return what there is to say to who takes a store of results for a log."""
-    from diag_service.store.reading import is_store
-
-    for path in logs:
-        if isinstance(path, Path) and is_store(path):
-            return f"{path} is a store of results, no log: {PROGRAM} report {path} shows what is in it"
-    return None
 
 
 def _check(stop: Trigger) -> None:

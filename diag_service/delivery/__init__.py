@@ -1,6 +1,6 @@
 """Those who hear of results: people, the next program in a pipe, a broker, and a double for tests."""
 
-from diag_service.delivery.console import ConsoleReporter
+from diag_service.delivery.console import ConsoleReporter, standard_output_reporter
 from diag_service.delivery.delivery import Acknowledge
 from diag_service.delivery.mqtt import MqttConnector
 from diag_service.delivery.outbox import Outbox
@@ -32,4 +32,5 @@ __all__ = [
     "Outbox",
     "PipeReporter",
     "Reporter",
+    "standard_output_reporter",
 ]

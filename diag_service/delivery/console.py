@@ -1,5 +1,7 @@
 """A line per shift and a closing table, for people."""
 
+import sys
+
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -7,9 +9,10 @@ from rich.text import Text
 from clutch_model.units import degc_from_k
 from clutch_results.records import LEAST_SLIP_ROWS, Condition, Reason, ShiftEstimate, ShiftResult, Status
 from clutch_results.shift_course import load_line
-from clutchdiag_io.console import plain_table
+from clutchdiag_io.console import PeopleConsole, plain_table
 from clutchdiag_io.people import PLUS_MINUS, SHORT_PLUS_MINUS, half_width, plus_minus
-from diag_service.delivery.reporters import ControllerNews, News
+from clutchdiag_io.program import discard
+from diag_service.delivery.reporters import ControllerNews, JsonLinesReporter, News, PipeReporter, Reporter
 from diag_service.diagnosis.summary import (
     Summary,
     capability_line,
@@ -24,6 +27,7 @@ from diag_service.diagnosis.summary import (
     slope_line,
     values_line,
 )
+from diag_service.stopping import Trigger
 from fleet_contract.orders import SHOWN_AS, Order, name_of
 
 
@@ -44,7 +48,7 @@ def gear_words(estimate: ShiftEstimate) -> str:
 def reason_words(estimate: ShiftEstimate) -> str:
     """Return why an event was not used; empty if there is no reason."""
     few = f"not enough samples in the slip ({estimate.sample_count} of at least {LEAST_SLIP_ROWS})"
-    return ", ".join(few if one is Reason.FEW_SAMPLES else reason_text(one) for one in estimate.reasons)
+    return ", ".join(few if reason is Reason.FEW_SAMPLES else reason_text(reason) for reason in estimate.reasons)
 
 
 _CONDITION_STYLE = {
@@ -57,11 +61,6 @@ _STATUS_STYLE = {Status.VALID: "green", Status.REJECTED: "red", Status.UNOBSERVE
 _HEAD = f"{'shift':>5}  {'gears':<5} {'event':<18} {'clutch':>6}  {'status':<10} {'mu_C':>8} {SHORT_PLUS_MINUS:>7} "
 _DETAIL_HEAD = f"{'mu_S':>8} {SHORT_PLUS_MINUS:>7} {'P(slope<0)':>10} {'trust':>5} {'oil':>6} "
 _HEAD_END = " clutch is"
-
-
-_SHORT_HEAD = (
-    f"{'shift':>5}  {'gears':<5} {'event':<18} {'clutch':>6}  {'status':<10} {'mu_C':>8} {'trust':>5}  clutch is"
-)
 
 
 class ConsoleReporter:
@@ -122,6 +121,18 @@ class ConsoleReporter:
         self._console.file.flush()
 
 
+def standard_output_reporter(stop: Trigger, *, as_json: bool, is_detailed: bool) -> Reporter:
+    """Return who writes a run to standard output, as lines for people or JSON; a reader who hangs up stops the run."""
+
+    def hang_up() -> None:
+        discard()
+        stop.set()
+
+    if as_json:
+        return PipeReporter(JsonLinesReporter(sys.stdout, Console(stderr=True)), hang_up)
+    return PipeReporter(ConsoleReporter(PeopleConsole(), is_detailed=is_detailed), hang_up)
+
+
 def order_lines(order: Order) -> list[Text]:
     """Return the order for a vehicle, and what each clutch says."""
     style = _CONDITION_STYLE[Condition[SHOWN_AS[order.action].upper()]]
@@ -152,27 +163,10 @@ def shift_line(result: ShiftResult, *, is_detailed: bool = True) -> Text:
 
 def revision_words(estimate: ShiftEstimate) -> str:
     """Return what an event made of earlier ones; empty if nothing."""
-    left_out = sum(bool(one.reasons) for one in estimate.revisions)
+    left_out = sum(bool(revision.reasons) for revision in estimate.revisions)
     taken_in = len(estimate.revisions) - left_out
-    told = ((left_out, "no longer believed"), (taken_in, "believed after all"))
-    return ", ".join(f"{count} earlier {text}" for count, text in told if count)
-
-
-def short_shift_head() -> Text:
-    """Return the head over short lines of shifts, which fit 80 columns."""
-    return Text(_SHORT_HEAD, style="bold")
-
-
-def short_shift_line(result: ShiftResult) -> Text:
-    """Return one shift as a line without deviations, slope and reasons; columns as in the head."""
-    estimate, verdict = result.estimate, result.verdict
-    friction, quality = estimate.friction, estimate.data_quality
-    line = Text(f"{estimate.number:>5}  {gear_words(estimate):<5} {kind_words(estimate):<18} {estimate.clutch:>6}  ")
-    line.append(f"{estimate.status.value:<10} ", _STATUS_STYLE[estimate.status])
-    line.append(f"{'-' if friction is None else f'{friction.mu_c:.4f}':>8} ")
-    line.append(f"{'-' if quality is None else f'{quality.score:.2f}':>5}  ")
-    line.append(condition_words(verdict.condition), _CONDITION_STYLE[verdict.condition])
-    return line
+    counts = ((left_out, "no longer believed"), (taken_in, "believed after all"))
+    return ", ".join(f"{count} earlier {text}" for count, text in counts if count)
 
 
 def _details(estimate: ShiftEstimate) -> str:

@@ -1,4 +1,4 @@
-"""The outbox: keeps a connection to a broker, delivers what the store holds, survives the absence of everyone.
+"""The outbox: keeps a connection to a broker, delivers what the store holds, retries without end.
 
 A result stays in the store as undelivered until the one whose word counts has acknowledged it, so a slow, absent or
 refusing broker or backend costs nothing but time. Delivery is at least once and in any order; the key (vehicle, stream,
@@ -75,7 +75,7 @@ class Outbox:
         self.wake()
 
     def release_states(self) -> None:
-        """Let the states of clutches go out that were kept back."""
+        """Send the states of clutches that were held back."""
         self._state.holds_states = False
         self.wake()
 

@@ -10,7 +10,7 @@ import logging
 import os
 import shutil
 import time
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, fields, replace
@@ -81,7 +81,7 @@ class Place:
             except FileNotFoundError:
                 return {}
         held = (_held(name, info) for name, info in sorted(listed.items()) if name and info["type"] == "file")
-        return {one.name: one for one in held if with_unfinished or not one.name.endswith(UNFINISHED)}
+        return {file.name: file for file in held if with_unfinished or not file.name.endswith(UNFINISHED)}
 
     @contextmanager
     def opened(self, name: str) -> Iterator[Any]:
@@ -214,7 +214,7 @@ class Manifest:
         self._counts: dict[str, int] = {}  # of rows, by file
         self._noted: list[LogRow] = []
         self._due_s = 0.0
-        narrow = [one for one in COLUMNS if one != "account"]
+        narrow = [column for column in COLUMNS if column != "account"]
         for name in sorted(place.held(FOLDER), key=_generation_of):
             self._take([_row(row) for row in _table(place, name, narrow).to_pylist()], name)
 
@@ -229,8 +229,8 @@ class Manifest:
     def add(self, rows: Sequence[LogRow]) -> None:
         """Write rows as one more file; those of the same logs hold no longer."""
         if rows:
-            told = ({name: getattr(row, name) for name in COLUMNS} for row in rows)
-            plain = [{**row, "parts": _SEPARATOR.join(row["parts"])} for row in told]
+            records = ({name: getattr(row, name) for name in COLUMNS} for row in rows)
+            plain = [{**row, "parts": _SEPARATOR.join(row["parts"])} for row in records]
             name = self._write([row_table(plain, arrow_schema(COLUMNS))], self._next_generation())
             self._take(rows, name)
 
@@ -238,9 +238,9 @@ class Manifest:
         """Write the files anew in which a vehicle is, without it."""
         for name in self._counts:
             table = _table(self._place, name)
-            kept = table.filter(load_pyarrow().compute.not_equal(table["vehicle"], vehicle))
-            if kept.num_rows < table.num_rows:
-                self._place.remove({name} - {self._write([kept], _generation_of(name))})
+            others = table.filter(load_pyarrow().compute.not_equal(table["vehicle"], vehicle))
+            if others.num_rows < table.num_rows:
+                self._place.remove({name} - {self._write([others], _generation_of(name))})
 
     def put_together(self) -> None:
         """Write one file in place of those that are not full."""
@@ -264,12 +264,10 @@ class Manifest:
         self.add(rows)
 
     def superseded(self, rows: Iterable[LogRow]) -> list[str]:
-        """Return the parts that rows make superfluous: those of the rows that hold, unless another one has them."""
+        """Return the parts of which no row speaks any more once these rows are added."""
         new = {row.source: row for row in rows}
-        gone = Counter(part for row in self.rows if row.source in new for part in row.parts)
-        uses = Counter(part for row in self.rows for part in row.parts)
-        kept = {part for row in new.values() for part in row.parts}
-        return sorted(part for part, count in gone.items() if uses[part] == count and part not in kept)
+        before = {part for source in new.keys() & self._rows.keys() for part in self._rows[source].parts}
+        return sorted(before.difference(*(row.parts for row in (self._rows | new).values())))
 
     def _take(self, rows: Sequence[LogRow], name: str) -> None:
         self._counts[name] = len(rows)
@@ -302,14 +300,14 @@ class Manifest:
 def copies(rows: Iterable[LogRow], made: Iterable[LogRow]) -> list[LogRow]:
     """Return rows of logs with the content of one made anew, in its state: nobody finds one that was moved again."""
     anew = {(row.content, row.vehicle): row for row in made if row.outcome == DONE}
-    sources, found = {row.source for row in made}, list[LogRow]()
+    sources, anew_rows = {row.source for row in made}, list[LogRow]()
     for old in rows:
         new = anew.get((old.content, old.vehicle))
         if new is None or old.outcome != DONE or old.source in sources or old.settings == new.settings:
             continue
         parts = (part for row, kind in ((new, SHIFTS), (old, SIGNALS)) for part in row.parts if part.startswith(kind))
-        found.append(replace(new, source=old.source, key=old.key, signals=old.signals, parts=tuple(parts)))
-    return found
+        anew_rows.append(replace(new, source=old.source, key=old.key, signals=old.signals, parts=tuple(parts)))
+    return anew_rows
 
 
 def mend(place: Place, missing: Collection[str]) -> None:
@@ -356,8 +354,9 @@ DATE_CHARACTERS: Final = 10  # of a moment in ISO 8601
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RemovedParts:
-    """What was taken out of a lake."""
+    """What was removed from a lake."""
 
+    lake: str  # its address
     vehicle: str
     parts: tuple[str, ...]
     part_bytes: int
@@ -372,6 +371,7 @@ class Disagreement:
     missing: tuple[str, ...]  # parts that a row speaks of
     unknown: tuple[str, ...]  # parts that no row speaks of
     twice: tuple[str, ...]  # logs whose shifts are in more than one state
+    lake: str = field(default="", compare=False)  # its address
     told: str = field(default="", compare=False)  # what there is
 
 
@@ -392,17 +392,18 @@ def forget(lake: Place, vehicle: str) -> RemovedParts:
     """
     manifest = Manifest(lake)
     rows = [row for row in manifest.rows if row.vehicle == vehicle]
-    found = {part.name: part for part in parts_of(lake, vehicle, with_unfinished=True)}
-    lake.remove(found)
+    parts = {part.name: part for part in parts_of(lake, vehicle, with_unfinished=True)}
+    lake.remove(parts)
     manifest.forget(vehicle)
     again = (row.source for row in Manifest(lake).rows if row.vehicle == vehicle)
     left = [*(part.name for part in parts_of(lake, vehicle, with_unfinished=True)), *again]
     if left:
         raise StoreError(f"{len(left)} things of {vehicle} are still in {lake.address}, the first: {left[0]}")
     return RemovedParts(
+        lake=lake.address,
         vehicle=vehicle,
-        parts=tuple(found),
-        part_bytes=sum(one.size_bytes for one in found.values()),
+        parts=tuple(parts),
+        part_bytes=sum(part.size_bytes for part in parts.values()),
         rows=len(rows),
         shifts=sum(row.shifts for row in rows),
     )
@@ -422,6 +423,7 @@ def disagreement(lake: Place) -> Disagreement:
         missing=tuple(sorted(known - there)),
         unknown=tuple(sorted(there - known)),
         twice=tuple(sorted({content for (content, _), settings in shifts.items() if len(settings) > 1})),
+        lake=lake.address,
         told=f"{len(rows)} logs, {failed} of them not analysed, {what}",
     )
 
@@ -453,7 +455,7 @@ def write_shifts(path: Path, content: str, shifts: Iterable[JsonObject], *, is_c
 
 def signal_plan(plan: Plan, patterns: str) -> Plan:
     """Return the plan for the signals that are asked for, separated by commas; raises ConfigError if there are none."""
-    wanted = [one.strip() for one in patterns.split(",") if one.strip()]
+    wanted = [pattern.strip() for pattern in patterns.split(",") if pattern.strip()]
     try:
         return plan.part(wanted, None, None)
     except DefinitionError as exc:

@@ -7,7 +7,7 @@ import socket
 import ssl
 import threading
 from collections import Counter, defaultdict, deque
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from functools import cached_property, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final, TextIO
+from typing import Final
 from urllib.parse import urlsplit
 
 from canlog.column_files import TableFormat
@@ -25,9 +25,15 @@ from canlog.logs import looked_at
 from canlog.tables.decoding import Plan, decode_logs
 from clutch_results.records import dump, iso_utc
 from diag_service.batch.drives import drive_of
-from diag_service.batch.folder_run import settings_digest
 from diag_service.batch.tables import Entry
-from diag_service.batch.worker import DEADLY, Analyst, handed_out, leave_to_parent, progress_bar, shared_out
+from diag_service.batch.worker import (
+    DEADLY,
+    Analyst,
+    handed_out,
+    progress_bar,
+    settings_digest,
+    shared_out,
+)
 from diag_service.errors import ConfigError, StoppedError, StoreError
 from diag_service.lake.parts import (
     DATE_CHARACTERS,
@@ -47,8 +53,8 @@ from diag_service.lake.parts import (
 )
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.service.session import versions_for
-from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig, check_vehicle
+from diag_service.stopping import Trigger
 from fleet_contract import JsonObject
 from fleet_link import AddressError, TlsFiles
 
@@ -212,9 +218,9 @@ def make_in_worker(job: Job, log: LakeLog) -> LogRow:
 
 def _analysed(analyst: Analyst, log: LakeLog, path: Path, stop: Trigger, limit_s: float) -> Entry:
     """Return what the log said; raises SourceError, saying why it could not be read."""
-    one = looked_at(path, analyst.config.columns)
-    if one.format is None:
-        raise SourceError(f"{log.source}: {one.reason}")
+    look = looked_at(path, analyst.config.columns)
+    if look.format is None:
+        raise SourceError(f"{log.source}: {look.reason}")
     entry = analyst.analyse(drive_of([path], log.vehicle), stop)
     if stop.is_set:
         raise SourceError(f"took longer than {limit_s:g} s")
@@ -262,9 +268,9 @@ def find_logs(places: Sequence[str], lake: Place, vehicle: str, *, has_vehicles:
         if not held:
             what = "is a file: a lake is made of folders and stores" if Path(address).is_file() else "holds no log"
             raise ConfigError(f"{address} {what}")
-        for name, one in held.items():
-            own = check_vehicle(name.partition("/")[0] if "/" in name else "") if has_vehicles else vehicle
-            log = LakeLog(place=place.address, held=one, vehicle=own)
+        for name, file in held.items():
+            log_vehicle = check_vehicle(name.partition("/")[0] if "/" in name else "") if has_vehicles else vehicle
+            log = LakeLog(place=place.address, held=file, vehicle=log_vehicle)
             logs[log.source] = log
     return list(logs.values())
 
@@ -290,12 +296,12 @@ def fill_lake(
     scheduler: tuple[str, TlsFiles] | None,
     *,
     jobs: int,
-    stream: TextIO,
+    tell: Callable[[LogRow], None],
     stop: Trigger,
     is_shown: bool = False,
     is_retried: bool = False,
 ) -> Counter[str]:
-    """Bring a lake up to date with logs, by a scheduler's workers or by processes of this machine.
+    """Bring a lake up to date with logs, by a scheduler's workers or by processes of this machine; ``tell`` of each.
 
     Return how many were in it ``before``, ``done``, ``failed``, their ``shifts``, and how many of all are ``held``.
 
@@ -309,7 +315,7 @@ def fill_lake(
     rows = (
         _made_by_cluster(job, missing, *scheduler, stop)
         if scheduler
-        else _made_here(job, missing, jobs, stop, is_shown)
+        else _made_here(job, missing, jobs, stop, is_shown=is_shown)
     )
     with closing(rows), closing(manifest), progress_bar(is_shown=is_shown) as bar:
         task = bar.add_task("analysing", total=sum(log.held.size_bytes for log in missing), done=0, of=len(missing))
@@ -317,23 +323,21 @@ def fill_lake(
             manifest.note(row)
             counts.update({row.outcome: 1, "shifts": row.shifts})
             bar.update(task, advance=row.size_bytes, done=counts[DONE] + counts[FAILED])
-            result = f"{row.shifts} shifts" if row.outcome == DONE else "not analysed"
-            stream.write(f"{row.source}: {result}{f'; {row.reason}' if row.reason else ''}\n")
-            stream.flush()
+            tell(row)
     manifest.put_together()
     finished = before + counts[DONE] + counts[FAILED]
     if finished < len(logs):
         raise StoppedError(
             f"stopped early: {finished} of {len(logs)} logs are done; run the same command again to continue"
         )
-    found = (manifest.row(log.source) for log in logs)
-    counts.update({"before": before, "held": sum(row is not None and row.outcome == DONE for row in found)})
+    rows_now = (manifest.row(log.source) for log in logs)
+    counts.update({"before": before, "held": sum(row is not None and row.outcome == DONE for row in rows_now)})
     return counts
 
 
-def _made_here(job: Job, logs: Sequence[LakeLog], jobs: int, stop: Trigger, is_shown: bool) -> Rows:  # noqa: FBT001 - as a worker begins
+def _made_here(job: Job, logs: Sequence[LakeLog], jobs: int, stop: Trigger, *, is_shown: bool) -> Rows:
     """Yield the rows of logs as processes of this machine make them, in no order."""
-    for log, future in shared_out(partial(make_in_worker, job), logs, jobs, stop, leave_to_parent, (is_shown,)):
+    for log, future in shared_out(partial(make_in_worker, job), logs, jobs, stop, is_shown=is_shown):
         try:
             yield future.result()
         except BrokenProcessPool:

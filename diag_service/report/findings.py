@@ -1,4 +1,4 @@
-"""What a report is about: results of one vehicle, from logs or a store, and the signals of a few of its shifts."""
+"""The content of a report: results of one vehicle, from logs or a store, and the signals of two of its shifts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,9 +27,9 @@ from diag_service.service.drive import open_drive, stream_of_drive
 from diag_service.service.drive_survey import DriveSurvey
 from diag_service.service.recorded import STOPPED_TEXT, replay, warn_of_slow_messages
 from diag_service.service.session import Session, versions_for
-from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
-from diag_service.settings.proposed import as_proposed
+from diag_service.settings.options import as_proposed
+from diag_service.stopping import Trigger
 from diag_service.store import NoStore, Row, StoreReader, Versions
 from fleet_contract import CLUTCHES
 from fleet_contract.orders import Order, title_of
@@ -74,8 +74,8 @@ class Findings:
 
     @property
     def _elements(self) -> tuple[str, ...]:
-        told = tuple(one.verdict.element for one in self.latest if one.verdict.element)
-        return told if self.summary is None else self.summary.capability.elements  # of logs without an event, too
+        names = tuple(result.verdict.element for result in self.latest if result.verdict.element)
+        return names if self.summary is None else self.summary.capability.elements  # of logs without an event, too
 
     @property
     def clutches(self) -> tuple[int, ...]:
@@ -95,8 +95,8 @@ class Album:
 
     def offer(self, event: Event, result: ShiftResult) -> None:
         """Look at a shift; of those that are alike the first is kept."""
-        kept = self._kept.get(result.estimate.status)
-        if kept is None or _worth(result) > _worth(kept.result):
+        best = self._kept.get(result.estimate.status)
+        if best is None or _worth(result) > _worth(best.result):
             # samples of its own: those of the stream are written over
             columns = {signal: series.copy() for signal, series in event.columns.items()}
             self._kept[result.estimate.status] = Example(event=replace(event, columns=columns), result=result)
@@ -133,7 +133,9 @@ def findings_of_logs(
     return Findings(
         vehicle=config.vehicle,
         sources=sources,
-        rows=tuple(Row(position=number, result=one) for number, one in enumerate(with_revisions(reporter.results), 1)),
+        rows=tuple(
+            Row(position=number, result=result) for number, result in enumerate(with_revisions(reporter.results), 1)
+        ),
         latest=summary.latest,
         versions=versions_for(config.calibration),
         calibration=config.calibration,
@@ -172,7 +174,7 @@ def findings_of_results(vehicle: str, results: Sequence[ShiftResult], calibratio
     return Findings(
         vehicle=vehicle,
         sources=(),
-        rows=tuple(Row(position=number, result=one) for number, one in enumerate(results, 1)),
+        rows=tuple(Row(position=number, result=result) for number, result in enumerate(results, 1)),
         latest=latest_of(results),
         versions=versions,
         calibration=_made_with(versions, calibration),
@@ -182,7 +184,9 @@ def findings_of_results(vehicle: str, results: Sequence[ShiftResult], calibratio
 def _made_with(versions: Versions, calibration: Calibration) -> Calibration | None:
     """Return the calibration by which results were made; only the profile says where the torque comes from."""
     possible = (calibration, *map(calibration.with_torque, TorqueSource))
-    return next((one for one in possible if versions_for(one).calibration == versions.calibration), None)
+    return next(
+        (possibility for possibility in possible if versions_for(possibility).calibration == versions.calibration), None
+    )
 
 
 def moment_words(t_ns: int, *, is_dated: bool = False) -> str:

@@ -1,4 +1,4 @@
-"""What a store tells of the past: the friction of each clutch, fluid by fluid, and all of one shift."""
+"""The history in a store: the friction of each clutch, fluid by fluid."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -54,111 +54,113 @@ class FluidPeriod:
         return 0 if self.last_verdict is None else self.last_verdict.shift_count
 
 
-def periods_of(found: Findings, clutch: int) -> list[FluidPeriod]:
+def periods_of(findings: Findings, clutch: int) -> list[FluidPeriod]:
     """Return the results of a clutch, fluid by fluid; a fluid without any is one of them too."""
-    dated = [(row, records.utc_from_bus_ns(row.result.estimate.start_ns)) for row in found.rows]
-    fills: list[records.FluidFill | None] = [None, *found.fills]
+    dated = [(row, records.utc_from_bus_ns(row.result.estimate.start_ns)) for row in findings.rows]
+    fills: list[records.FluidFill | None] = [None, *findings.fills]
     periods = []
     for fill, following in zip(fills, [*fills[1:], None], strict=True):
         since, until = "" if fill is None else fill.filled_at, "~" if following is None else following.filled_at
-        own = [row for row, start in dated if since <= start < until and row.result.estimate.clutch == clutch]
+        rows = [row for row, start in dated if since <= start < until and row.result.estimate.clutch == clutch]
         later = min((row.position for row, start in dated if start >= until), default=math.inf)
-        if own or fill is not None:
-            periods.append(FluidPeriod(fill=fill, rows=tuple(own), until=later))
+        if rows or fill is not None:
+            periods.append(FluidPeriod(fill=fill, rows=tuple(rows), until=later))
     return periods
 
 
-def history_records(found: Findings, clutches: Sequence[int]) -> Iterator[JsonObject]:
+def history_records(findings: Findings, clutches: Sequence[int]) -> Iterator[JsonObject]:
     """Yield a record per event of the clutches, in order, and a last one with the fills."""
     for clutch in clutches:
         number = 0
-        for period in periods_of(found, clutch):
+        for period in periods_of(findings, clutch):
             for row in period.rows:
                 number += 1
                 yield _event_record(row, clutch, number, period.fill)
     yield {
         "schema": HISTORY_SCHEMA,
         "record": "fills",
-        "vehicle": found.vehicle,
-        "fills": [records.fill_record(fill) for fill in found.fills],
-        "left_out_count": found.left_out_count,
-        **records.order_record(found.order),
-        "algorithm_version": found.versions.algorithm,
-        "calibration_version": found.versions.calibration,
+        "vehicle": findings.vehicle,
+        "fills": [records.fill_record(fill) for fill in findings.fills],
+        "left_out_count": findings.left_out_count,
+        **records.order_record(findings.order),
+        "algorithm_version": findings.versions.algorithm,
+        "calibration_version": findings.versions.calibration,
     }
 
 
 def history_lines(
-    found: Findings, clutches: Sequence[int], *, most_rows: int, population: Population | None = None
+    findings: Findings, clutches: Sequence[int], *, most_rows: int, population: Population | None = None
 ) -> Iterator[Text | Table]:
     """Yield for people: the order for the vehicle, how far its fluid will go, and of each clutch its fluids and events.
 
     Prognoses begin with what a fleet taught, if that is given.
     """
-    left_out = f"; {found.left_out_count} of other versions are left out" if found.left_out_count else ""
-    yield Text(f"{found.vehicle}: {events_text(len(found.rows))}{left_out}")
-    yield from order_lines(found.order)
-    yield from map(Text, cause_lines(newest_causes(found.latest)))
-    peers = peers_of(found, population)
+    left_out = f"; {findings.left_out_count} of other versions are left out" if findings.left_out_count else ""
+    yield Text(f"{findings.vehicle}: {events_text(len(findings.rows))}{left_out}")
+    yield from order_lines(findings.order)
+    yield from map(Text, cause_lines(newest_causes(findings.latest)))
+    peers = peers_of(findings, population)
     known = "" if peers is None else f" Before its own results: as {peers.life_count} lives of its peers."
-    yield Text(outlook_of(found, prognoses_of(found, population)) + known)
-    for clutch in (one for one in clutches if one in found.clutches):
-        periods = periods_of(found, clutch)
+    yield Text(outlook_of(findings, prognoses_of(findings, population)) + known)
+    for clutch in (clutch for clutch in clutches if clutch in findings.clutches):
+        periods = periods_of(findings, clutch)
         rows = [row for period in periods for row in period.rows]
         if not rows:
-            yield Text(f"{found.title(clutch)}: no event engaged it.")
+            yield Text(f"{findings.title(clutch)}: no event engaged it.")
             continue
-        yield _fluid_table(found.title(clutch), periods)
-        yield _event_table(found.title(clutch), periods, most_rows, is_dated=found.is_dated)
-    yield from _course(found)
+        yield _fluid_table(findings.title(clutch), periods)
+        yield _event_table(findings.title(clutch), periods, most_rows, is_dated=findings.is_dated)
+    yield from _course(findings)
 
 
-def _course(found: Findings) -> Iterator[Text | Table]:
+def _course(findings: Findings) -> Iterator[Text | Table]:
     """Yield how well the gear changes went, if that is known."""
-    estimates = [result.estimate for result in found.results]
+    estimates = [result.estimate for result in findings.results]
     known = shift_course.courses(estimates)
     if not known:
         return
     head, caption = shift_course.COURSE_HEAD, "Score of the gear changes, 100 is faultless"
     table = plain_table(head, {"change", "mostly costs"}, caption)
-    for one in known:
-        table.add_row(*shift_course.course_row(one))
+    for course in known:
+        table.add_row(*shift_course.course_row(course))
     yield table
     yield from map(Text, shift_course.course_lines(known))
     yield from (Text(shift_course.load_line(load)) for load in shift_course.loads(estimates))
 
 
-def prognoses_of(found: Findings, population: Population | None = None) -> list[Prognosis]:
+def prognoses_of(findings: Findings, population: Population | None = None) -> list[Prognosis]:
     """Return the prognosis of each clutch that has engaged; new fluid is that of the calibration."""
     prognoses: list[Prognosis] = []
-    if found.calibration is None:
+    if findings.calibration is None:
         return prognoses
-    for clutch in sorted({result.estimate.clutch for result in found.results}):
-        past = history_of(found.results, found.fills, clutch)
+    for clutch in sorted({result.estimate.clutch for result in findings.results}):
+        past = history_of(findings.results, findings.fills, clutch)
         if population is not None:
-            past = without(past, population.common.get(found.calibration.name))
-        new = found.calibration.clutches[clutch - 1].friction
-        prognoses.append(prognose(clutch, past, new, peers=peers_of(found, population)))
+            past = without(past, population.common.get(findings.calibration.name))
+        new = findings.calibration.clutches[clutch - 1].friction
+        prognoses.append(prognose(clutch, past, new, peers=peers_of(findings, population)))
     return prognoses
 
 
-def peers_of(found: Findings, population: Population | None) -> Peers | None:
+def peers_of(findings: Findings, population: Population | None) -> Peers | None:
     """Return what a fleet taught of vehicles of this type with this fluid."""
-    if population is None or found.calibration is None:
+    if population is None or findings.calibration is None:
         return None
-    return population.of(found.calibration.name, found.fills[-1].product if found.fills else None)
+    return population.of(findings.calibration.name, findings.fills[-1].product if findings.fills else None)
 
 
-def outlook_of(found: Findings, prognoses: Sequence[Prognosis]) -> str:
+def outlook_of(findings: Findings, prognoses: Sequence[Prognosis]) -> str:
     """Return how far the fluid will go, for people."""
-    if found.calibration is None:
+    if findings.calibration is None:
         return "No prognosis: these results are of another calibration; --calibration names it."
-    return outlook_line(prognoses, found.order.action, found.latest[0].verdict.element if found.latest else None)
+    return outlook_line(
+        prognoses, findings.order.action, findings.latest[0].verdict.element if findings.latest else None
+    )
 
 
 def _event_record(row: Row, clutch: int, number: int, fill: records.FluidFill | None) -> JsonObject:
     result, running = row.result, row.result.verdict.friction
-    own = result.estimate.friction
+    friction = result.estimate.friction
     return {
         "schema": HISTORY_SCHEMA,
         "record": "event",
@@ -170,8 +172,8 @@ def _event_record(row: Row, clutch: int, number: int, fill: records.FluidFill | 
         "odometer_m": result.estimate.odometer_m,
         "kind": result.estimate.kind.value,
         "status": result.estimate.status.value,
-        "mu_c": None if own is None else own.mu_c,
-        "std_mu_c": None if own is None else own.std_mu_c,
+        "mu_c": None if friction is None else friction.mu_c,
+        "std_mu_c": None if friction is None else friction.std_mu_c,
         "running_mu_c": None if running is None else running.mu_c,
         "running_std_mu_c": None if running is None else running.std_mu_c,
         "running_mu_s": None if running is None else running.mu_s,
@@ -207,9 +209,9 @@ def _event_table(title: str, periods: Sequence[FluidPeriod], most_rows: int, *, 
     places = spread(range(len(rows)), most_rows)
     firsts = [sum(len(before.rows) for before in periods[:number]) for number in range(len(periods))]
     fills = [(first, period.fill) for first, period in zip(firsts, periods, strict=True) if period.fill is not None]
-    told = f"{title}: {len(places)} of {events_text(len(rows))}; shift is the number that 'show' takes; {PLUS_MINUS}"
+    caption = f"{title}: {len(places)} of {events_text(len(rows))}; shift is the number that 'show' takes; {PLUS_MINUS}"
     head = ("shift", "end (UTC)" if is_dated else "end in the log", "km", "data", "mu_C", "running mu_C", "verdict")
-    table = plain_table(head, {"data", "verdict"}, told)
+    table = plain_table(head, {"data", "verdict"}, caption)
     for place in [*places, len(rows)]:
         while fills and fills[0][0] <= place:
             fill = fills.pop(0)[1]

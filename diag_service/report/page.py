@@ -57,24 +57,24 @@ BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
 PRINTING_S: Final = 120.0
 CURVE_SIZE: Final = (400, 240)
 PANELS: Final = (("_rad_s", "rpm", rpm_from_rad_s(1.0)), ("_pa", "bar", bar_from_pa(1.0)), ("_nm", "Nm", 1.0))
-UNSHOWN: Final = (Signal.OUTPUT_SPEED, Signal.BRAKE_PRESSURE)  # they say nothing of a clutch
+UNSHOWN: Final = {Signal.OUTPUT_SPEED, Signal.BRAKE_PRESSURE}  # they say nothing of a clutch
 
 
-def record_of(found: Findings) -> JsonObject:
+def record_of(findings: Findings) -> JsonObject:
     """Return what the page says in numbers, as `analyze --json` tells it."""
     return {
         "schema": REPORT_SCHEMA,
-        "vehicle": found.vehicle,
-        **records.order_record(found.order),
-        "clutches": [records.clutch_record(records.shift_record(result), found.order) for result in found.latest],
-        "summary": None if found.summary is None else summary_record(found.summary),
+        "vehicle": findings.vehicle,
+        **records.order_record(findings.order),
+        "clutches": [records.clutch_record(records.shift_record(result), findings.order) for result in findings.latest],
+        "summary": None if findings.summary is None else summary_record(findings.summary),
     }
 
 
-def html_of(found: Findings, made_at: str, *, is_full: bool = False) -> str:
-    """Return the sheet of one vehicle, or that and all else; ``made_at`` is the present moment (ISO 8601 UTC)."""
-    environment, order, prognoses = templates_of("diag_service.report"), found.order, prognoses_of(found)
-    fan = fan_for(found, prognoses)
+def html_of(findings: Findings, made_at: str, *, is_full: bool = False) -> str:
+    """Return the sheet of one vehicle, or the full report; ``made_at`` is the present moment (ISO 8601 UTC)."""
+    environment, order, prognoses = templates_of("diag_service.report"), findings.order, prognoses_of(findings)
+    fan = fan_for(findings, prognoses)
     environment.filters |= {
         "cause": cause_words,
         "likely": likely,
@@ -86,28 +86,30 @@ def html_of(found: Findings, made_at: str, *, is_full: bool = False) -> str:
         "gears": gear_words,
         "reasons": reason_words,
         "condition": condition_words,
-        "moment": lambda t_ns: moment_words(t_ns, is_dated=found.is_dated),
+        "moment": lambda t_ns: moment_words(t_ns, is_dated=findings.is_dated),
     }
     return environment.get_template("report.html").render(
-        found=found,
-        subtitle=_subtitle(found),
+        findings=findings,
+        subtitle=_subtitle(findings),
         order=order,
         style=SHOWN_AS[order.action].replace("_", "-"),
         left=distance_left(prognoses, order.action),
-        odometers_m=[one.estimate.odometer_m for one in found.results if one.estimate.odometer_m is not None],
-        fill=found.fills[-1] if found.fills else None,
+        odometers_m=[
+            result.estimate.odometer_m for result in findings.results if result.estimate.odometer_m is not None
+        ],
+        fill=findings.fills[-1] if findings.fills else None,
         fan=fan,
         fan_picture="" if fan is None else fan_picture(fan),
-        outlook=outlook_of(found, prognoses),
-        clutches=list(_curves(found)),
-        causes=newest_causes(found.latest),
-        unseen=_unseen(found),
-        record=legible_record(record_of(found)),
+        outlook=outlook_of(findings, prognoses),
+        clutches=list(_curves(findings)),
+        causes=newest_causes(findings.latest),
+        unseen=_unseen(findings),
+        record=legible_record(record_of(findings)),
         version=version("clutchdiag"),
         schema=records.SHIFT_SCHEMA,
         made_at=made_at,
         plus_minus=PLUS_MINUS,
-        **(_details(found) if is_full else {"full": False}),
+        **(_details(findings) if is_full else {"full": False}),
     )
 
 
@@ -142,27 +144,27 @@ def pdf_of(page: bytes) -> bytes:
         return target.read_bytes()
 
 
-def _subtitle(found: Findings) -> str:
-    names = ", ".join(legible(name) for name in found.sources)
-    if not found.rows:
+def _subtitle(findings: Findings) -> str:
+    names = ", ".join(legible(name) for name in findings.sources)
+    if not findings.rows:
         return f"no event in {names}"
     # Logs may have been analysed in any order.
-    starts_ns = (result.estimate.start_ns for result in found.results)
-    begin_ns = min(t_ns for t_ns in starts_ns if t_ns >= DATED_NS * found.is_dated)
-    end_ns = max(result.estimate.end_ns for result in found.results)
+    starts_ns = (result.estimate.start_ns for result in findings.results)
+    begin_ns = min(t_ns for t_ns in starts_ns if t_ns >= DATED_NS * findings.is_dated)
+    end_ns = max(result.estimate.end_ns for result in findings.results)
     days = dict.fromkeys(records.utc_from_bus_ns(t_ns)[:10] for t_ns in (begin_ns, end_ns))  # one twice is one
-    when = " to ".join(days) if found.is_dated else "without a date"
-    return f"{events_text(len(found.rows))}, {when}, from {names}"
+    when = " to ".join(days) if findings.is_dated else "without a date"
+    return f"{events_text(len(findings.rows))}, {when}, from {names}"
 
 
-def fan_for(found: Findings, prognoses: Sequence[Prognosis] | None = None) -> Fan | None:
+def fan_for(findings: Findings, prognoses: Sequence[Prognosis] | None = None) -> Fan | None:
     """Return the fan chart of a vehicle, by its prognoses if they are known; None where no margin is known."""
-    if found.calibration is None:
+    if findings.calibration is None:
         return None
-    prognoses = prognoses_of(found) if prognoses is None else prognoses
-    new = [clutch.friction for clutch in found.calibration.clutches]
-    is_foretold = found.order.action not in UNFORETOLD
-    return fan_of(found.results, found.fills, new, prognoses, is_foretold=is_foretold)
+    prognoses = prognoses_of(findings) if prognoses is None else prognoses
+    new = [clutch.friction for clutch in findings.calibration.clutches]
+    is_foretold = findings.order.action not in UNFORETOLD
+    return fan_of(findings.results, findings.fills, new, prognoses, is_foretold=is_foretold)
 
 
 def notebook_of(name: str, said: str, order: str, notices: Sequence[str], fan: Fan | None) -> str:
@@ -172,29 +174,31 @@ def notebook_of(name: str, said: str, order: str, notices: Sequence[str], fan: F
     return template.render(name=name, said=said, order=order, notices=notices, picture=picture)
 
 
-def _curves(found: Findings) -> Iterator[tuple[records.ClutchVerdict, Markup]]:
+def _curves(findings: Findings) -> Iterator[tuple[records.ClutchVerdict, Markup]]:
     """Yield the friction of each clutch over slip, as far as that and its calibration are known."""
-    for verdict in (one.verdict for one in found.latest):
-        if found.calibration is not None and verdict.friction is not None:
-            new = found.calibration.clutches[verdict.clutch - 1].friction
+    for verdict in (result.verdict for result in findings.latest):
+        if findings.calibration is not None and verdict.friction is not None:
+            new = findings.calibration.clutches[verdict.clutch - 1].friction
             yield verdict, curve_picture(verdict.clutch, verdict.friction, new, verdict.element, CURVE_SIZE)
 
 
-def _unseen(found: Findings) -> Iterator[str]:
+def _unseen(findings: Findings) -> Iterator[str]:
     """Yield what was not seen and why, and what became of the frames."""
-    engaged = {result.estimate.clutch for result in found.results}
-    yield from (f"{found.title(clutch)}: no event engaged it." for clutch in found.clutches if clutch not in engaged)
-    if found.left_out_count:
-        yield f"{found.left_out_count} results of other algorithms or calibrations are left out."
-    if found.calibration is None:
+    engaged = {result.estimate.clutch for result in findings.results}
+    yield from (
+        f"{findings.title(clutch)}: no event engaged it." for clutch in findings.clutches if clutch not in engaged
+    )
+    if findings.left_out_count:
+        yield f"{findings.left_out_count} results of other algorithms or calibrations are left out."
+    if findings.calibration is None:
         yield (
-            f"Curves: the results were made with calibration {found.versions.calibration}, which is not the one at "
+            f"Curves: the results were made with calibration {findings.versions.calibration}, which is not the one at "
             "hand; name it by --calibration."
         )
-    refused = Counter(one.estimate.status for one in found.results)[records.Status.REJECTED]
+    refused = Counter(result.estimate.status for result in findings.results)[records.Status.REJECTED]
     if refused:
-        yield f"{refused} of {events_text(len(found.results))} were rejected: their data could not be believed."
-    summary = found.summary
+        yield f"{refused} of {events_text(len(findings.results))} were rejected: their data could not be believed."
+    summary = findings.summary
     if summary is None:
         yield "A store keeps only results. The report of a log tells what happened to its frames."
         return
@@ -205,14 +209,14 @@ def _unseen(found: Findings) -> Iterator[str]:
     yield f"On the bus: {frames_line(summary.frames)}."
 
 
-def _details(found: Findings) -> dict[str, Any]:
+def _details(findings: Findings) -> dict[str, Any]:
     """Return what a full report has beyond its sheet."""
-    estimates = [one.estimate for one in found.results]
-    quality = [one.data_quality for one in estimates if one.data_quality is not None]
-    scores = {"all": [one.score for one in quality]}
-    scores |= {part.value: [one.parts[part] for one in quality if part in one.parts] for part in records.QualityPart}
-    reasons = Counter(reason_text(reason) for one in estimates for reason in one.reasons)
-    by_status = Counter(one.status.value for one in estimates)
+    estimates = [result.estimate for result in findings.results]
+    quality = [estimate.data_quality for estimate in estimates if estimate.data_quality is not None]
+    scores = {"all": [data.score for data in quality]}
+    scores |= {part.value: [data.parts[part] for data in quality if part in data.parts] for part in records.QualityPart}
+    reasons = Counter(reason_text(reason) for estimate in estimates for reason in estimate.reasons)
+    by_status = Counter(estimate.status.value for estimate in estimates)
     return {
         "full": True,
         "course_head": COURSE_HEAD,
@@ -220,7 +224,7 @@ def _details(found: Findings) -> dict[str, Any]:
         "loads": loads(estimates),
         "panels": _panels,
         "shares": [("Events by the quality of their data", by_status), ("Why events were not used", reasons)],
-        "quality": {name: one for name, one in scores.items() if one},
+        "quality": {name: values for name, values in scores.items() if values},
         "most_rows": MOST_ROWS,
         "slope_unit": SLOPE_UNIT,
         "per_1000_rpm": PER_1000_RPM,
@@ -230,21 +234,22 @@ def _details(found: Findings) -> dict[str, Any]:
 def _panels(event: Event) -> Iterator[tuple[Markup, list[tuple[str, str]]]]:
     """Yield pictures of the signals of each unit over the time of a shift, and what their lines stand for."""
     for suffix, unit, factor in PANELS:
-        seen = [one for one in Signal if one.endswith(suffix) and one not in UNSHOWN and one in event.columns]
-        shown = {one: event.columns[one] for one in seen if len(event.columns[one].t_ns)}
+        known = event.columns.keys() - UNSHOWN
+        signals = [signal for signal in Signal if signal in known and signal.endswith(suffix)]
+        shown = {signal: event.columns[signal] for signal in signals if len(event.columns[signal].t_ns)}
         if not shown:
             continue
-        times_s = [(one.t_ns - event.start_ns) / NS_PER_S for one in shown.values()]
-        values = [one.value * factor for one in shown.values()]
-        lines = [(_style(one), one.removesuffix(suffix).replace("_", " ")) for one in shown]
+        times_s = [(series.t_ns - event.start_ns) / NS_PER_S for series in shown.values()]
+        values = [series.value * factor for series in shown.values()]
+        lines = [(_style(signal), signal.removesuffix(suffix).replace("_", " ")) for signal in shown]
         x = Axis.around("time since the shift began [s]; shaded: the shift", *times_s, margin_ratio=0.0)
         what = f"During the shift [{unit}]: {', '.join(name for _, name in lines)}"
         plot = Plot(what, x, Axis.around(unit, *values), width=CURVE_SIZE[0], height=CURVE_SIZE[1])
         bounds_s = np.clip([0.0, (event.end_ns - event.start_ns) / NS_PER_S], x.low, x.high)
         plot.band(bounds_s, np.full(2, plot.y.low), np.full(2, plot.y.high), "shade")
         for t_s, value, (style, _) in zip(times_s, values, lines, strict=True):
-            kept = thinned(value, MOST_SAMPLES)
-            plot.line(t_s[kept], value[kept], f"line {style}")
+            drawn = thinned(value, MOST_SAMPLES)
+            plot.line(t_s[drawn], value[drawn], f"line {style}")
         yield plot.markup(), lines
 
 

@@ -1,8 +1,7 @@
-"""Wiring that buses and logs share: a checked configuration becomes a store, a reporter and an outbox."""
+"""Wiring that buses and logs share: a checked configuration becomes a store and an outbox."""
 
 import asyncio
 import logging
-import sys
 import uuid
 from collections.abc import Coroutine, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -13,16 +12,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Final, TypeVar
 
-from rich.console import Console
-
 from clutch_results.records import ServiceStatus, status_record
-from clutchdiag_io.console import PeopleConsole
-from clutchdiag_io.program import discard, legible
+from clutchdiag_io.program import legible
 from diag_service import delivery
 from diag_service.delivery.outbox import MetricsMessage
 from diag_service.errors import StoreError
 from diag_service.service.session import Session, utc_now, versions_for
-from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.store import ResultStore, remove_store
 from fleet_contract import NEVER, Outgoing, config_message, metrics_message, status_message
@@ -49,22 +44,10 @@ def opened_store(config: DiagnosisConfig, path: Path | None, *, keeps_results: b
             raise
 
 
-def reporter_of(stop: Trigger, *, as_json: bool, is_detailed: bool = False) -> delivery.Reporter:
-    """Return who tells a run: lines for people or JSON; a reader who hangs up stops the run."""
-
-    def hang_up() -> None:
-        discard()
-        stop.set()
-
-    if as_json:
-        return delivery.PipeReporter(delivery.JsonLinesReporter(sys.stdout, Console(stderr=True)), hang_up)
-    return delivery.PipeReporter(delivery.ConsoleReporter(PeopleConsole(), is_detailed=is_detailed), hang_up)
-
-
 def outbox_of(
     config: DiagnosisConfig, store: ResultStore, session: Session, *, is_live: bool
 ) -> delivery.Outbox | None:
-    """Return what sends results to the broker, None without one."""
+    """Return the outbox that sends results to the broker; None without a broker."""
     if config.broker is None:
         return None
     if danger := config.broker.exposure:
@@ -102,7 +85,7 @@ def outbox_of(
 
 
 def _secret_of(store: ResultStore) -> str:
-    """Return what makes our name at the broker unguessable: who connects by it ends our connection."""
+    """Return the random part of our client identifier: whoever connects by the same one ends our connection."""
     try:
         return store.connection_secret()
     except StoreError as exc:
@@ -111,7 +94,7 @@ def _secret_of(store: ResultStore) -> str:
 
 
 def _greeting(config: DiagnosisConfig, status: ServiceStatus) -> Outgoing:
-    """Return what a live service says of itself at birth; nothing secret is among it."""
+    """Return the message with which a live service announces its settings; it holds no secret."""
     settings: dict[str, str | float | bool | None] = {
         **{f"{name}_version": getattr(status, f"{name}_version") for name in ("service", "algorithm", "calibration")},
         "broker": str(config.broker),

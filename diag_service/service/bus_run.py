@@ -5,48 +5,32 @@ import logging
 import os
 import socket
 from collections.abc import Callable
-from contextlib import AbstractAsyncContextManager, AsyncExitStack, ExitStack, nullcontext
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, ExitStack, aclosing, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from canlog.errors import NOTICE, ExtraMissingError
-from canlog.live import BusOpener, ReadSchedule, SupervisedSource, supervise
+from canlog.live import BusOpener, LiveSource, ReadSchedule, SupervisedSource, supervise
 from canlog.logs import read_log
 from clutch_model.calibration import nominal_calibration
 from clutchdiag_io.program import attached
 from dbc.contract import load_contract
-from diag_service.delivery import DetachedReporter, Outbox
-from diag_service.diagnosis.summary import frames_line
+from diag_service.delivery import Outbox
+from diag_service.diagnosis.summary import Summary, frames_line
 from diag_service.errors import ConfigError
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
-from diag_service.service.application import opened_store, outbox_of, reporter_of
+from diag_service.service.application import outbox_of
 from diag_service.service.live import run_live
 from diag_service.service.session import Session
 from diag_service.service.snapshot import Board, Snapshot, SnapshotTaker
 from diag_service.service.stages import Stages
-from diag_service.service.stopping import Controls
 from diag_service.settings.config import BusConfig, DiagnosisConfig
+from diag_service.stopping import Controls
 from diag_service.store import ResultStore
 
 _LOG = logging.getLogger(__name__)
-
-
-def run_bus(
-    config: DiagnosisConfig,
-    bus: BusConfig,
-    store_path: Path,
-    controls: Controls,
-    *,
-    as_json: bool,
-    is_detailed: bool = False,  # text for specialists
-) -> None:
-    """Diagnose a live bus until it is told to stop."""
-    decoder = config.interpretation().decoder()
-    with opened_store(config, store_path, keeps_results=True) as store:
-        reporter = DetachedReporter(reporter_of(controls.stop, as_json=as_json, is_detailed=is_detailed))
-        session = Session(config, decoder, store, None, reporter)
-        asyncio.run(serve_bus(config, bus, store, session, controls))
 
 
 async def open_live(config: BusConfig, session: Session) -> tuple[SupervisedSource, ReadSchedule]:
@@ -69,53 +53,68 @@ async def serve_bus(
     store: ResultStore,
     session: Session,
     controls: Controls,
-    onlooker: Callable[[Snapshot], None] = lambda _: None,
+    onlooker: Callable[[Snapshot], None] | None = None,
 ) -> None:
     """Diagnose a live bus into a session until it is told to stop; ``onlooker`` sees how it stands."""
     source, schedule = await open_live(bus, session)
     session.reporter.report(f"{source.description} for {config.vehicle}, results in {store.where}")
     now_s = asyncio.get_running_loop().time
     taker = SnapshotTaker(source, session, now_s(), bus.bitrate)
-    manager, board = ServiceManager(os.environ.get(ADDRESS_VARIABLE)), Board()
+    tell, board = partial(notify, os.environ.get("NOTIFY_SOCKET")), Board()
 
     def show() -> None:
         snapshot = taker.snapshot(now_s())
         board.latest = snapshot
-        onlooker(snapshot)
+        if onlooker is not None:
+            onlooker(snapshot)
         if snapshot.stuck is None:
-            manager.alive(f"bus {snapshot.bus.state.value}, {frames_line(snapshot.summary.frames)}")
+            tell(f"WATCHDOG=1\nSTATUS=bus {snapshot.bus.state.value}, {frames_line(snapshot.summary.frames)}")
         else:
             _LOG.error("%s", snapshot.stuck)
-            manager.struggling(str(snapshot.stuck))
+            tell(f"STATUS={snapshot.stuck}")  # no sign of life: the watchdog restarts the service
 
     with ExitStack() as stack:
-        stack.callback(manager.stopping)
+        stack.callback(tell, "STOPPING=1")
         if bus.metrics is not None:
             from diag_service.service.metrics import serving  # noqa: PLC0415 - a web server and its library, for few runs
 
             port = stack.enter_context(serving(bus.metrics, board))
             _LOG.log(NOTICE, "metrics on http://%s:%d/metrics", bus.metrics.host, port)
-        manager.ready()
-        outbox = outbox_of(config, store, session, is_live=True)
-        async with AsyncExitStack() as asks:
-            await asks.enter_async_context(polling(config.vehicle, bus, store, session, outbox))
-            await run_live(
-                source,
-                session,
-                stop=controls.stop,
-                counts_wanted=controls.counts_wanted,
-                outbox=outbox,
-                duration_s=bus.duration_s,
-                show=show,
-                schedule=schedule,
-                end_asking=asks.aclose,
-            )
+        tell("READY=1")
+        await diagnose_source(source, schedule, config, bus, store, session, controls, show)
+
+
+async def diagnose_source(
+    source: LiveSource,
+    schedule: ReadSchedule,
+    config: DiagnosisConfig,
+    bus: BusConfig,
+    store: ResultStore,
+    session: Session,
+    controls: Controls,
+    show: Callable[[], None] = lambda: None,
+) -> Summary:
+    """Diagnose an open bus until it is told to stop: send results, ask controllers if wanted; return the numbers."""
+    outbox = outbox_of(config, store, session, is_live=True)
+    async with aclosing(source), AsyncExitStack() as asks:
+        await asks.enter_async_context(polling(config.vehicle, bus, store, session, outbox))
+        return await run_live(
+            source,
+            session,
+            stop=controls.stop,
+            counts_wanted=controls.counts_wanted,
+            outbox=outbox,
+            duration_s=bus.duration_s,
+            show=show,
+            schedule=schedule,
+            end_asking=asks.aclose,
+        )
 
 
 def polling(
     vehicle: str, bus: BusConfig, store: ResultStore, session: Session, outbox: Outbox | None
 ) -> AbstractAsyncContextManager[None]:
-    """Return what asks controllers while it is entered, if that is wanted: for signals, or now and then for codes."""
+    """Return a context that asks controllers for signals, or periodically for trouble codes, if that is configured."""
     decoder = session.stages.decoder
     if (decoder.asked or decoder.groups) and bus.asks:
         if bus.poll is not None:
@@ -134,55 +133,33 @@ def polling(
 
 
 def _asking(what: str) -> Any:  # noqa: ANN401 - of another distribution
-    """Return what asks controllers for signals or codes; raises ExtraMissingError where no distribution has it."""
+    """Return the context for signals or codes of the workshop distribution; raises ExtraMissingError without it."""
     try:
         return attached("diag_service.asking")[what]
     except KeyError as exc:
         raise ExtraMissingError("asking controllers: pip install './workshop[uds]' in the checkout") from exc
 
 
-ADDRESS_VARIABLE = "NOTIFY_SOCKET"
+def notify(address: str | None, text: str) -> None:
+    """Send a state to the service manager at its datagram socket (sd_notify).
 
-
-class ServiceManager:
-    """The manager that started this process; without one, everything is told to nobody.
-
-    ``address`` is its datagram socket, as the environment names it; ``@`` begins an abstract one.
+    ``@`` begins an abstract address; None: no manager started this process.
     """
-
-    def __init__(self, address: str | None) -> None:
-        self._address = address
-
-    def ready(self) -> None:
-        self._notify("READY=1")
-
-    def alive(self, status: str) -> None:
-        """Say that the service is at work, and how it is, in a few words."""
-        self._notify(f"WATCHDOG=1\nSTATUS={status}")
-
-    def struggling(self, status: str) -> None:
-        """Say how the service is without saying that it is alive: a watchdog that hears only this restarts it."""
-        self._notify(f"STATUS={status}")
-
-    def stopping(self) -> None:
-        self._notify("STOPPING=1")
-
-    def _notify(self, text: str) -> None:
-        if not self._address:
-            return
-        address = f"\0{self._address[1:]}" if self._address.startswith("@") else self._address
-        try:
-            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as channel:
-                channel.sendto(text.encode(), address)
-        except OSError as exc:
-            _LOG.debug("the service manager could not be told: %s", exc)
+    if not address:
+        return
+    address = f"\0{address[1:]}" if address.startswith("@") else address
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as channel:
+            channel.sendto(text.encode(), address)
+    except OSError as exc:
+        _LOG.debug("the service manager could not be told: %s", exc)
 
 
 RECORDING: Final = Path(__file__).with_name("warm_up.log.xz")  # two seconds of the emulator, with one upshift
 
 
 def warm_up() -> None:
-    """Diagnose a recording of two seconds, and compile what it has no need of."""
+    """Compile the kernels by diagnosing a recording of two seconds, and those that it does not use."""
     calibration = nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
     decoder.sources.late.compile()

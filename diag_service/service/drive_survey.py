@@ -1,4 +1,4 @@
-"""What only all events of a log together tell: friction up to a scale, and units that cannot be right."""
+"""Estimates from all events of a log together: friction up to a scale, and implausible units."""
 
 import logging
 
@@ -11,7 +11,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class DriveSurvey:
-    """The survey of the commands: no live bus waits for it."""
+    """The survey of recorded drives; a live bus has none."""
 
     def __init__(self, stages: Stages) -> None:
         self._ranges = Ranges(stages.decoder.profile_sources)
@@ -24,7 +24,7 @@ class DriveSurvey:
             self._relative.add(event, self._gears)
 
     def relative_frictions(self) -> tuple[RelativeFriction, ...]:
-        """Return what they tell of friction up to a scale, and warn of units."""
+        """Return friction up to a scale, and warn of implausible units."""
         for text in self._ranges.doubts():
             _LOG.warning("%s", text)
         return () if self._relative is None else self._relative.frictions()

@@ -14,7 +14,7 @@ from diag_service.errors import StoreError
 from diag_service.service.application import first_error
 from diag_service.service.session import SenderWatch, Session
 from diag_service.service.snapshot import frame_counts
-from diag_service.service.stopping import Trigger
+from diag_service.stopping import Trigger
 
 COUNTS_PERIOD_S = 60.0
 SHOW_PERIOD_S = 0.5
@@ -68,7 +68,7 @@ async def run_live(
 
 
 class _Work:
-    """What is done with the frames of a bus: one thread at a time is at work in the session, the loop goes on."""
+    """Reads a bus and has its shifts diagnosed, by one thread at a time while the event loop goes on."""
 
     def __init__(self, session: Session, outbox: Outbox | None) -> None:
         self._session = session
@@ -121,7 +121,7 @@ class _Work:
 
 
 async def _keep_sending(outbox: Outbox) -> None:
-    """Run the outbox until it is done; one that dies is started again, unless the store is what failed."""
+    """Run the outbox to its end, again after each error but one of the store."""
     while True:
         sender = asyncio.create_task(outbox.run(), name="outbox run")
         try:
@@ -152,7 +152,7 @@ async def close_in_time(
 
 
 async def _log_counts(session: Session, frame_counts: Callable[[], FrameCounts], wanted: Trigger) -> None:
-    """Log the numbers when they are asked for, and now and then for who wants to know more."""
+    """Log the counts at each SIGUSR1, and every ``COUNTS_PERIOD_S`` at level INFO."""
     while True:
         level = NOTICE
         try:
@@ -172,7 +172,7 @@ async def _repeat(period_s: float, action: Callable[[], None]) -> None:
 
 
 async def _next(trigger: Trigger) -> None:
-    """Return when the trigger is set, from whatever thread or signal handler."""
+    """Return when the trigger is set; any thread or signal handler may set it."""
     loop = asyncio.get_running_loop()
     is_set = asyncio.Event()
 

@@ -1,4 +1,4 @@
-"""A live run for machines: Prometheus metrics and health checks over HTTP, in threads of their own."""
+"""Prometheus metrics and health checks of a live run over HTTP, in threads of their own."""
 
 import logging
 import socket
@@ -7,13 +7,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime
 from http import HTTPStatus
-from socketserver import ThreadingMixIn
 from typing import Any, Final
-from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
+from wsgiref.simple_server import WSGIRequestHandler, make_server
 from wsgiref.types import StartResponse, WSGIEnvironment
 
 from prometheus_client import CollectorRegistry, make_wsgi_app
 from prometheus_client.core import Metric
+from prometheus_client.exposition import ThreadingWSGIServer
 
 from canlog.e2e.e2e_state import E2eState
 from canlog.live import BusState
@@ -102,14 +102,14 @@ def _of_shifts(snapshot: Snapshot) -> Iterator[Metric]:
     qualities = [result.estimate.data_quality for result in snapshot.recent if result.estimate.data_quality is not None]
     if qualities:
         yield gauge("last_shift_trust", "Trust in the last shift, 0..1.", qualities[-1].score)
-    kept = [result.estimate.shift_quality for result in snapshot.recent]
-    scores = [quality.score for quality in kept if quality is not None and quality.score is not None]
+    scored = [result.estimate.shift_quality for result in snapshot.recent]
+    scores = [quality.score for quality in scored if quality is not None and quality.score is not None]
     last: Mapping[tuple[str, ...], float] = {(): scores[-1]} if scores else {}
     yield gauge("last_shift_score", "How well the last gear change went, 0..100.", last)
 
 
 def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:
-    """Yield what is said of each clutch; of one that never engaged, that there is no verdict."""
+    """Yield the families of each clutch; one that never engaged has no verdict."""
     vehicle, by_clutch = snapshot.summary.vehicle, snapshot.summary.shifts.by_clutch
     elements = {result.verdict.clutch: result.verdict.element for result in snapshot.clutches if result.verdict.element}
     names = elements or {clutch: str(clutch) for clutch in CLUTCHES}
@@ -174,21 +174,14 @@ def _one_of(states: Any, present: Any) -> dict[str, float]:  # noqa: ANN401 - an
     return {state.name.lower(): float(state is present) for state in states}
 
 
-class _Server(ThreadingMixIn, WSGIServer):
-    """A thread per request, so that a client that stalls holds up nobody."""
-
-    daemon_threads = True
-    block_on_close = False
-
-
-class _Server6(_Server):
-    """The same on an IPv6 address."""
+class _Server6(ThreadingWSGIServer):
+    """A server on an IPv6 address."""
 
     address_family = socket.AF_INET6
 
 
 class _Handler(WSGIRequestHandler):
-    """Requests are no news."""
+    """A handler that logs requests at level DEBUG only."""
 
     timeout = CLIENT_TIMEOUT_S
 
@@ -216,7 +209,7 @@ def serving(address: ListenAddress, board: Board) -> Iterator[int]:
         start_response(f"{status.value} {status.phrase}", [("Content-Type", "text/plain; charset=utf-8")])
         return [f"{status.phrase}\n".encode()]
 
-    kind = _Server6 if ":" in address.host else _Server
+    kind = _Server6 if ":" in address.host else ThreadingWSGIServer  # a client that stalls holds up nobody
     try:
         server = make_server(address.host, address.port, answer, kind, _Handler)
     except OSError as exc:

@@ -19,8 +19,8 @@ from diag_service.service.application import first_error, opened_store, outbox_o
 from diag_service.service.drive import DriveFrames, OpenLog, gaps_in, open_drive, stream_of_drive, warn_of_faults
 from diag_service.service.session import SenderWatch, Session
 from diag_service.service.stages import Stages
-from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
+from diag_service.stopping import Trigger
 from diag_service.store import NoStore
 
 NS_PER_MS = 1_000_000

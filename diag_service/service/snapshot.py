@@ -51,18 +51,18 @@ class Snapshot:
 
 def frame_counts(source: LiveSource, stages: Stages) -> FrameCounts:
     """Return what became of the frames of a live bus."""
-    seen = source.counts
+    counts = source.counts
     return replace(
         stages.decoder.counts,
-        on_bus=seen.received + seen.kernel_dropped,
-        unsupported=seen.unsupported,
-        kernel_dropped=seen.kernel_dropped,
-        queue_dropped=seen.queue_dropped,
+        on_bus=counts.received + counts.kernel_dropped,
+        unsupported=counts.unsupported,
+        kernel_dropped=counts.kernel_dropped,
+        queue_dropped=counts.queue_dropped,
     )
 
 
 class RateMeter:
-    """Frames and bits per second, since the last time or, if that was just now, as of then.
+    """Frames and bits per second over the time since the last measurement, ``RATE_SPAN_S`` at least.
 
     They are counted over the bus time of what was counts: frames come in batches, and the clock goes on between them.
     """
@@ -123,7 +123,7 @@ class SnapshotTaker:
 
 
 class Board:
-    """Where the service pins its latest snapshot, and others read it from other threads."""
+    """The latest snapshot, which the service replaces and other threads read."""
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
         self._now_s = now_s
@@ -131,11 +131,11 @@ class Board:
 
     @property
     def is_live(self) -> bool:
-        """Whether the service looks up now and then, and every stage gets done what it has to do."""
+        """Whether the latest snapshot is recent and no stage is stuck."""
         latest = self.latest
         return latest is not None and latest.stuck is None and self._now_s() - latest.taken_s < STALE_S
 
     @property
     def is_ready(self) -> bool:
-        """Whether it is at work and hears its bus."""
+        """Whether it is live and its bus is up."""
         return self.is_live and self.latest is not None and self.latest.bus.state in READY_STATES

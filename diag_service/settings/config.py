@@ -1,15 +1,14 @@
-"""What a run is to do, checked once: the command line's words become values, or a ConfigError.
-
-Tables of signals of which nobody says what their columns mean are read as is proposed for them.
-"""
+"""What a run is to do, as values that were checked once."""
 
 import os
 import uuid
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
+from canlog.files import replacing
 from clutch_model.calibration import Calibration, TorqueSource, nominal_calibration
+from clutchdiag_io.program import replacement_refusal
 from diag_service.delivery import Acknowledge
 from diag_service.diagnosis.columns import GearRatios
 from diag_service.errors import ConfigError
@@ -18,7 +17,7 @@ from diag_service.mapping.mapped_messages import is_of_lockup
 from diag_service.mapping.profile import Profile, find_profile
 from diag_service.mapping.vehicle_file import Described, read_description
 from fleet_contract import is_vehicle
-from fleet_link import AddressError, BrokerAddress, TlsFiles, parse_broker
+from fleet_link import BrokerAddress
 
 if TYPE_CHECKING:
     import can
@@ -122,8 +121,21 @@ def check_vehicle(vehicle: str) -> str:
     return vehicle
 
 
+def check_replaceable(path: Path, *, is_forced: bool) -> None:
+    """Raise ConfigError if a new file must not take the place of what is there."""
+    if text := replacement_refusal(path, is_forced=is_forced):
+        raise ConfigError(text)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file whole or not at all; raises ConfigError if the disk does not take it."""
+    with replacing(path, ConfigError) as part:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+
+
 def described_by(named: Calibration | Path | None, profile: Path | Profile | None) -> Described:
-    """Return what a description says; if none is named, the shipped one of the transmission that the profile is of."""
+    """Return calibration and gears of a vehicle file; without one those shipped for the profile's transmission."""
     if named is None:
         is_lockup = profile is not None and is_of_lockup(find_profile(profile).sources.keys())
         named = _LOCKUP if is_lockup else nominal_calibration()
@@ -131,95 +143,14 @@ def described_by(named: Calibration | Path | None, profile: Path | Profile | Non
 
 
 def as_profiled(calibration: Calibration, profile: Path | Profile | None) -> Calibration:
-    """Return a calibration that knows where the engine's torque comes from; raises ConfigError."""
-    told = TorqueSource.MEASURED if profile is None else find_profile(profile).torque
-    return calibration.with_torque(told if told.is_modelled else calibration.torque)
+    """Return a calibration with the source of engine torque that the profile has; raises ConfigError."""
+    torque = TorqueSource.MEASURED if profile is None else find_profile(profile).torque
+    return calibration.with_torque(torque if torque.is_modelled else calibration.torque)
 
 
 def adapter_bus() -> tuple[str, str]:
-    """Return interface and channel of a new bus of this process, on which dialogues through an adapter are said."""
+    """Return interface and channel of a new virtual bus, on which frames of an adapter's dialogues are repeated."""
     return "virtual", f"adapter {uuid.uuid4()}"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MeaningOptions:
-    """What frames mean and whose they are, as a command line says it."""
-
-    vehicle: str | None = None
-    dbc: Path | None = None
-    profile: Path | None = None
-    calibration: Path | None = None
-    vehicle_file: Path | None = None
-    columns: str = ""
-    strict: bool = False
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DeliveryOptions(MeaningOptions):
-    """The same, and where results are kept and sent."""
-
-    store: Path | None = None
-    store_budget: int | None = None
-    broker: str | None = None
-    ca: Path | None = None
-    cert: Path | None = None
-    key: Path | None = None
-    password_file: Path | None = None
-    acknowledge: Literal["broker", "backend"] = "broker"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LiveOptions(DeliveryOptions):
-    """The same of a bus: which one is listened to, and what is asked on it."""
-
-    interface: str | None = None
-    channel: str | None = None
-    bitrate: int | None = None
-    fd: bool = False
-    only_mapped: bool = False
-    duration: float | None = None
-    metrics: str | None = None
-    poll: float | None = None
-    adapter: str | None = None
-    active: bool = False
-    ecu: str | None = None
-    reply: str | None = None
-    description: Path | None = None
-    json: bool = False
-
-
-def bus_config(options: LiveOptions) -> BusConfig:
-    """Return which bus to listen to; raises ConfigError."""
-    interface, channel = options.interface, options.channel
-    if options.adapter is not None:
-        if interface is not None or channel is not None:
-            raise ConfigError("give either --adapter or --interface and --channel: through an adapter no bus is heard")
-        if not options.active:
-            raise ConfigError("--adapter needs --active: an adapter tells nothing unless it is asked")
-        interface, channel = adapter_bus()
-    return BusConfig(
-        interface=interface,
-        channel=channel,
-        bitrate=options.bitrate,
-        is_fd=options.fd,
-        duration_s=options.duration,
-        is_filtered=options.only_mapped,
-        metrics=parse_listen_address(options.metrics) if options.metrics else None,
-        poll=_poll(options),
-        asks=options.active,
-        adapter=options.adapter,
-    )
-
-
-def _poll(options: LiveOptions) -> PollConfig | None:
-    """Return whether and how a controller is asked; raises ConfigError if that was not allowed, or for nothing."""
-    if options.poll is None:
-        if options.ecu or options.reply or options.description:
-            raise ConfigError("--ecu, --reply and --description need --poll")
-        return None
-    if not options.active:
-        raise ConfigError("--poll needs --active: the service sends nothing on a bus unless it is asked to")
-    return PollConfig(period_s=options.poll, ecu=options.ecu, reply=options.reply, description=options.description)
 
 
 def vehicle_of(named: str | None, calibration: Calibration) -> str:
@@ -230,21 +161,6 @@ def vehicle_of(named: str | None, calibration: Calibration) -> str:
         return check_vehicle(UNNAMED_VEHICLE if calibration.vehicle is None else calibration.vehicle)
     except ConfigError as exc:
         raise ConfigError(f"the calibration's vehicle: {exc}") from exc
-
-
-def broker_of(
-    url: str | None, ca: Path | None, cert: Path | None, key: Path | None, password_file: Path | None
-) -> BrokerAddress | None:
-    """Return where results are sent, with the certificates and the password for it."""
-    try:
-        tls = TlsFiles(authority=ca, certificate=cert, key=key)
-        if url:
-            return parse_broker(url, tls, password_file)
-    except AddressError as exc:
-        raise ConfigError(str(exc)) from exc
-    if tls != TlsFiles() or password_file is not None:
-        raise ConfigError("certificates and passwords need a broker")
-    return None
 
 
 def parse_listen_address(text: str) -> ListenAddress:

@@ -1,4 +1,4 @@
-"""The file of a store: its tables, whose it is, who uses it, and that a commit is on the disk."""
+"""The file of a store: tables, migrations, ownership, lock and durable commits."""
 
 import errno
 import logging
@@ -113,7 +113,7 @@ _LOG = logging.getLogger(__name__)
 
 
 def own(path: Path) -> tuple[int, str | None]:
-    """Return a descriptor that holds the exclusive lock beside a store, and its mark; None: of an earlier program."""
+    """Lock a store; return the descriptor of the lock file and the mark in it, None if an earlier program wrote it."""
     lock_path = path.with_name(path.name + ".lock")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -136,7 +136,7 @@ def own(path: Path) -> tuple[int, str | None]:
 
 
 def _sign(descriptor: int) -> None:
-    """Write into a lock whose it is; a full disk does without."""
+    """Write the process id into a lock file, unless the disk is full."""
     try:
         os.lseek(descriptor, 0, os.SEEK_SET)
         os.write(descriptor, f"{os.getpid():<{_MARK_AT - 1}}\n".encode())
@@ -146,14 +146,14 @@ def _sign(descriptor: int) -> None:
 
 
 def note_mark(descriptor: int, stream: str, seq: int) -> None:
-    """Note in a lock, as well as the disk lets us, how far the stream of its store has come."""
+    """Write the stream and its last sequence number into a lock file; errors of the disk are ignored."""
     with suppress(OSError):
         os.lseek(descriptor, _MARK_AT, os.SEEK_SET)
         os.write(descriptor, f"{_mark_of(descriptor, stream)} {seq:020}\n".encode())
 
 
 def is_put_back(descriptor: int, mark: str, stream: str, seq: int) -> bool:
-    """Return whether a store, by the mark beside it, was copied or has been further: its next numbers may be used."""
+    """Return whether the mark shows a copied or restored store: its next sequence numbers may have been used."""
     head, _, furthest = mark.strip().rpartition(" ")
     return head != _mark_of(descriptor, stream) or not furthest.isdecimal() or int(furthest) > seq
 
@@ -196,7 +196,7 @@ def _opened(path: Path, *pragmas: str) -> sqlite3.Connection:
 
 @contextmanager
 def translated(where: str) -> Iterator[None]:
-    """Make SQLite's errors ours, and those of who understands nothing of what a store holds."""
+    """Raise StoreError in place of SQLite's errors, and of errors over damaged content."""
     try:
         yield
     except STORE_FAILURES as exc:
@@ -204,7 +204,7 @@ def translated(where: str) -> Iterator[None]:
 
 
 def store_error(where: str, exc: Exception) -> StoreError:
-    """Return an error of SQLite's, or one that damaged content makes, as one of ours."""
+    """Return the StoreError for an error of SQLite, or for one over damaged content."""
     code = getattr(exc, "sqlite_errorcode", None)
     if not isinstance(exc, sqlite3.Error) or (code is not None and code & _PRIMARY in _DAMAGED):
         return StoreError(

@@ -42,7 +42,7 @@ def is_store(path: Path) -> bool:
 
 
 class StoreReader:
-    """An open store; what its service writes meanwhile is seen by the next question."""
+    """A store opened for reading; each query sees what its service has written until then."""
 
     def __init__(self, connection: sqlite3.Connection, where: str) -> None:
         self._connection = connection
@@ -105,7 +105,7 @@ class StoreReader:
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    """Open a database for questions alone: so that nothing is left beside it, or as far as the disk lets us."""
+    """Open a database for queries, in the first mode that the file and its folder allow."""
     address = f"file:{quote(os.fsencode(path.absolute()))}"
     with translated(str(path)):
         for mode in _MODES[:-1]:
@@ -139,7 +139,9 @@ def add_fills(sql: sqlite3.Connection, fills: Iterable[FluidFill]) -> int:
     A fill that is withdrawn is so for good: whoever tells of it again has not heard of that yet.
     """
     before = sql.total_changes
-    rows = [(one.vehicle, one.filled_at, one.odometer_m, one.product, one.note, one.is_withdrawn) for one in fills]
+    rows = [
+        (fill.vehicle, fill.filled_at, fill.odometer_m, fill.product, fill.note, fill.is_withdrawn) for fill in fills
+    ]
     sql.executemany(
         "INSERT INTO fill VALUES (?, ?, ?, ?, ?, ?)"
         " ON CONFLICT DO UPDATE SET is_withdrawn = 1 WHERE excluded.is_withdrawn > is_withdrawn",
@@ -165,12 +167,12 @@ def all_fills(sql: sqlite3.Connection, vehicle: str) -> list[FluidFill]:
 
 def read_fills(sql: sqlite3.Connection, vehicle: str) -> list[FluidFill]:
     """Return the fills of a vehicle, the earliest first; what was noted twice is one."""
-    return distinct((one for one in all_fills(sql, vehicle) if not one.is_withdrawn), _moment)
+    return distinct((fill for fill in all_fills(sql, vehicle) if not fill.is_withdrawn), _moment)
 
 
 def latest_fill(sql: sqlite3.Connection, vehicle: str, until: str) -> FluidFill | None:
     """Return the fluid that a vehicle had at a moment, if its fill is known."""
-    return next((one for one in reversed(read_fills(sql, vehicle)) if one.filled_at <= until), None)
+    return next((fill for fill in reversed(read_fills(sql, vehicle)) if fill.filled_at <= until), None)
 
 
 def note_fill(path: Path, fill: FluidFill, *, is_insisted: bool = False) -> FluidFill:
@@ -195,12 +197,14 @@ def note_fill(path: Path, fill: FluidFill, *, is_insisted: bool = False) -> Flui
                 raise ConfigError(complaint)
         connection.execute("BEGIN IMMEDIATE")
         known = all_fills(connection, fill.vehicle)
-        near = [one for one in known if abs(_moment(one) - _moment(fill)) < SAME_WITHIN and not one.is_withdrawn]
+        near = [
+            other for other in known if abs(_moment(other) - _moment(fill)) < SAME_WITHIN and not other.is_withdrawn
+        ]
         if near:
             raise StoreError(
                 f"the fill of {fill.vehicle} at {near[0].filled_at} is noted already; --undo takes it back"
             )
-        while any(one.filled_at == fill.filled_at for one in known):  # withdrawn: that moment is taken for good
+        while any(other.filled_at == fill.filled_at for other in known):  # withdrawn: that moment is taken for good
             fill = replace(fill, filled_at=iso_utc(_moment(fill) + _NEXT))
         add_fills(connection, [fill])
     return fill
@@ -210,12 +214,12 @@ def withdraw_fill(path: Path, vehicle: str, moment: str | None) -> FluidFill:
     """Take back the last fill, or the nearest within a day of a moment, and return it; StoreError if there is none."""
     with closing(_open(path)) as connection, translated(str(path)), connection:
         connection.execute("BEGIN IMMEDIATE")
-        known = [one for one in all_fills(connection, vehicle) if not one.is_withdrawn]
+        known = [fill for fill in all_fills(connection, vehicle) if not fill.is_withdrawn]
         meant = fill_meant(known, _moment, None if moment is None else datetime.fromisoformat(moment))
         if meant is None:
             raise StoreError(f"no fill of {vehicle} is noted{f' at {moment}' if moment else ''}")
-        same = [one for one in known if timedelta(0) <= _moment(one) - _moment(meant) < SAME_WITHIN]
-        add_fills(connection, [replace(one, is_withdrawn=True) for one in same])
+        same = [fill for fill in known if timedelta(0) <= _moment(fill) - _moment(meant) < SAME_WITHIN]
+        add_fills(connection, [replace(fill, is_withdrawn=True) for fill in same])
     return meant
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from clutch_model.calibration import nominal_calibration, read_calibration
+from diag_service.api.calibration import find_events
 from diag_service.mapping.interpretation import interpret
-from diag_service.service.calibrate_run import find_events
 from diag_service.service.drive import open_drive
-from diag_service.service.stopping import Trigger
+from diag_service.stopping import Trigger
 from ecu_emulator.cli import main as emulator
 from tests.support.asked import write_candump
 from tests.support.chain import frames_of_log

@@ -15,7 +15,7 @@ from diag_service.mapping.profile import load_profile
 from diag_service.service.drive import DriveFrames, open_drive
 from diag_service.service.recorded import events
 from diag_service.service.stages import Stages
-from diag_service.service.stopping import Trigger
+from diag_service.stopping import Trigger
 from tests.support.in_process import ended
 
 DATABASE = load_contract()

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from diag_service.errors import IncompleteError
-from diag_service.service.stopping import Trigger
+from diag_service.stopping import Trigger
 from tests.support.in_process import command
 from tests.support.in_process import ended as run
 from tests.support.service import service

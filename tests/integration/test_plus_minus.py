@@ -26,7 +26,6 @@ from diag_service.mapping.learning import LearnedGear, LearnedValue, LearnedVehi
 from diag_service.mapping.proposal import GearRatio, gears_text
 from diag_service.report.history import history_lines
 from diag_service.report.page import fan_for, html_of
-from diag_service.service import calibrate_run
 from fleet_backend import report
 from fleet_backend.database import open_database
 from fleet_backend.follow import _finding
@@ -64,11 +63,11 @@ def analyze(*, is_detailed: bool) -> str:
 
 
 def calibrate(monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.setattr(calibrate_run, "friction_of", lambda *_: FRICTION)
+    monkeypatch.setattr(learn, "friction_of", lambda *_: FRICTION)
     found = SimpleNamespace(
         state=None, run_up_counts=(0, 0), shift_counts=(1, 1), rejected_count=0, mean_misfit=1.0, is_scale_observed=True
     )
-    lines = calibrate_run._lines(cast("Any", found), cast("Any", "car.toml"))
+    lines = learn._calibration_lines(cast("Any", found), cast("Any", "car.toml"))
     return "\n".join([next(lines), next(lines)])
 
 

@@ -18,11 +18,11 @@ import pytest
 
 import diag_service
 import ecu_emulator
-from diag_service.api.choices import configuration
 from diag_service.api.live import LiveDiagnosis
 from diag_service.batch.drives import drive_of
 from diag_service.batch.tables import write_results
 from diag_service.batch.worker import Analyst
+from diag_service.settings.options import MeaningOptions, diagnosis_config
 from tests.plugins.drives import SHIFT_COUNT, send_time_s
 from tests.support.in_process import ended, never_a_program
 from tests.support.patience import HANG_S
@@ -104,7 +104,7 @@ def test_it_is_what_json_prints_and_disturbs_nothing(
 
 def test_the_table_is_the_one_that_is_written(drive_log: Path, tmp_path: Path) -> None:
     output = tmp_path / "results.parquet"
-    config = configuration()
+    config = diagnosis_config(MeaningOptions())
     write_results(output, [Analyst(config).analyse(drive_of([drive_log]))])  # as a process of a folder run does
     assert diag_service.analyze(drive_log).shifts.to_polars().to_dicts() == pl.read_parquet(output).to_dicts()
 

@@ -13,12 +13,10 @@ from typing import Any
 import pytest
 
 import diag_service.batch.worker
-import diag_service.commands.decode
-import diag_service.lake.run
 from diag_service.cli import command_line, main
 from diag_service.commands.options import PROGRAM
 from diag_service.console import OWN
-from diag_service.service.stopping import Controls, Trigger
+from diag_service.stopping import Controls, Trigger
 from tests.support.service import Ended
 
 
@@ -42,7 +40,6 @@ class Here(Executor):
         self, _width: int, _context: object, begin: Callable[..., None], arguments: tuple[object, ...]
     ) -> None:
         diag_service.batch.worker._ANALYSTS.clear()  # of the pool before
-        diag_service.commands.decode._WRITERS.clear()
         begin(*arguments)
 
     def submit(self, work: Callable[..., Any], /, *tasks: object, **words: object) -> Future[Any]:
@@ -60,9 +57,7 @@ def workers_here() -> Iterator[None]:
     worker = diag_service.batch.worker
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(worker, "ProcessPoolExecutor", Here)
-        patch.setattr(worker, "follow_parent", lambda: None)
-        for module in (worker, diag_service.lake.run):
-            patch.setattr(module, "leave_to_parent", lambda _: None)
+        patch.setattr(worker, "leave_to_parent", lambda _: None)
         yield
 
 

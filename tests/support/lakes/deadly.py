@@ -11,7 +11,7 @@ import diag_service.cli
 from diag_service.batch.drives import DriveLogs
 from diag_service.batch.tables import Entry
 from diag_service.batch.worker import Analyst
-from diag_service.service.stopping import Trigger
+from diag_service.stopping import Trigger
 
 DEADLY = "deadly"  # in the name of the log
 _ANALYSE = Analyst.analyse

@@ -22,8 +22,8 @@ from diag_service.mapping.profile import PROFILE_PATH, load_profile
 from diag_service.service.live import run_live
 from diag_service.service.session import Session, resume, versions_for
 from diag_service.service.stages import Belief
-from diag_service.service.stopping import Trigger
 from diag_service.settings.config import DiagnosisConfig
+from diag_service.stopping import Trigger
 from diag_service.store import ResultStore, VehicleState
 from ecu_emulator.bus.frames import FrameEncoder
 from ecu_emulator.sensing import Readings

@@ -10,9 +10,9 @@ import pytest
 
 from clutch_results.records import ShiftResult
 from diag_service.delivery import MemoryReporter
-from diag_service.service.bus_run import ServiceManager
+from diag_service.service.bus_run import notify
 from diag_service.service.session import Progress, Stage
-from diag_service.service.stopping import PatientTrigger, Trigger
+from diag_service.stopping import Trigger, patient_trigger
 from diag_service.store import ResultStore, VehicleState
 from tests.support.patience import HANG_S
 from tests.unit.diag_service.service.test_live import gear_frames, session_for
@@ -45,15 +45,13 @@ def test_a_signal_sets_the_trigger_instead_of_ending_the_process() -> None:
 
 
 def test_a_patient_trigger_waits_for_the_writer_of_a_pipe() -> None:
-    now_s = [10.0]
-    first = Trigger()
-    patient = PatientTrigger(first, patience_s=1.0, now_s=lambda: now_s[0])
-    assert not patient.is_set
+    first, is_over = Trigger(), threading.Event()
+    patient = patient_trigger(first, patience_s=0.05)
+    patient.subscribe(is_over.set)
+    assert not is_over.is_set()
     first.set()
     first.set()  # the same Ctrl-C, from the terminal and from a wrapper
-    now_s[0] = 10.9
-    assert not patient.is_set
-    now_s[0] = 11.0
+    assert is_over.wait(HANG_S)
     assert patient.is_set
 
 
@@ -66,13 +64,10 @@ def _manager_socket(tmp_path: Path) -> Iterator[socket.socket]:
 
 
 def test_a_manager_is_told_the_life_of_the_service(manager_socket: socket.socket) -> None:
-    manager = ServiceManager(manager_socket.getsockname())
-    manager.ready()
-    manager.alive("bus up")
-    manager.struggling("stuck in store")
-    manager.stopping()
-    heard = [manager_socket.recv(200).decode() for _ in range(4)]
-    assert heard == ["READY=1", "WATCHDOG=1\nSTATUS=bus up", "STATUS=stuck in store", "STOPPING=1"]
+    notify(None, "READY=1")
+    notify(manager_socket.getsockname(), "WATCHDOG=1\nSTATUS=bus up")
+    notify(f"{manager_socket.getsockname()}-of-nobody", "READY=1")
+    assert manager_socket.recv(200).decode() == "WATCHDOG=1\nSTATUS=bus up"
 
 
 STUCK_AFTER_S = 30.0

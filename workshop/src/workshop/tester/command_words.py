@@ -7,7 +7,7 @@ import click
 
 from clutchdiag_io.command_line import FILE, FunctionT, examples, together
 from diag_service.commands.options import PROGRAM, config_option, json_option, open_bus_options, verbose_option, working
-from diag_service.service.stopping import Controls
+from diag_service.stopping import Controls
 
 _LISTENS: Final = (
     "Listens before it asks, and asks only with --active: without, it says what was heard on the bus and what it would "

@@ -10,8 +10,8 @@ import can
 
 from diag_service.console import ReadingLine, is_confirmed, write_record
 from diag_service.errors import ConfigError, ControllerError, StoppedError
-from diag_service.service.stopping import Controls, Trigger
 from diag_service.settings.config import BusConfig
+from diag_service.stopping import Controls, Trigger
 from workshop.tester import questions, scanning
 from workshop.tester.addresses import LARGEST_ID, hexadecimal, id_text, number_of
 from workshop.tester.asking import LARGEST_LOGICAL, DoipPlace, HeardTraffic, listen_at

@@ -33,8 +33,8 @@ from diag_service.mapping.asked_signals import NEGATIVE, data_in, sizes_of
 from diag_service.mapping.interpretation import fit_of, open_database
 from diag_service.mapping.mapped_messages import PURPOSE, fitting, missing_for_next, tier_of
 from diag_service.mapping.profile import AskingRules, Profile, find_profile, load_shipped, shipped_profiles, to_si
-from diag_service.service.stopping import Controls
 from diag_service.settings.config import BusConfig
+from diag_service.stopping import Controls
 from workshop.tester.adapters import Line, line_through, parse_adapter, rules_through
 from workshop.tester.addresses import CanAddress, id_text, is_extended
 from workshop.tester.answers import refusal_text

@@ -1,8 +1,9 @@
 """Signals of the operating system, caught from the first moment on; imports next to nothing."""
 
 import signal
-import time
+import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from types import FrameType
 from typing import Final
@@ -11,7 +12,7 @@ WRITER_ENDS_S: Final = 1.0
 
 
 class Trigger:
-    """Set from a signal handler or any thread; who subscribes late hears of it at once."""
+    """A flag that signal handlers or any thread set; a listener that subscribes later is called at once."""
 
     def __init__(self) -> None:
         self.is_set = False
@@ -25,7 +26,7 @@ class Trigger:
             listener()
 
     def rearm(self) -> None:
-        """Begin afresh, where what set it ended one part of a run and not the run."""
+        """Reset the trigger after it ended one part of a run."""
         self.is_set, self.signal = False, None
 
     def subscribe(self, listener: Callable[[], None]) -> None:
@@ -48,34 +49,21 @@ class Trigger:
             signal.signal(number, handle)
 
 
-class PatientTrigger(Trigger):
-    """A trigger that a signal sets only after a while: Ctrl-C ends the writer of a pipe, too, and then all has come.
+def patient_trigger(first: Trigger, patience_s: float = WRITER_ENDS_S) -> Trigger:
+    """Return a trigger that is set ``patience_s`` after ``first``.
 
-    ``first`` is the trigger that signals set; for ``patience_s`` the writer has time to end the stream.
+    Ctrl-C ends the writer of a pipe, too; meanwhile its last frames come.
     """
+    later = Trigger()
+    timer = threading.Timer(patience_s, later.set)
+    timer.daemon = True
 
-    def __init__(
-        self, first: Trigger, *, patience_s: float = WRITER_ENDS_S, now_s: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._is_set = False
-        super().__init__()
-        self._deadline_s: float | None = None
-        self._patience_s = patience_s
-        self._now_s = now_s
-        first.subscribe(self._begin)
+    def begin() -> None:
+        with suppress(RuntimeError):  # one Ctrl-C may come twice: from the terminal, and from a wrapper
+            timer.start()
 
-    @property
-    def is_set(self) -> bool:
-        """Whether it is set, or the time is over."""
-        return self._is_set or (self._deadline_s is not None and self._now_s() >= self._deadline_s)
-
-    @is_set.setter
-    def is_set(self, value: bool) -> None:
-        self._is_set = value
-
-    def _begin(self) -> None:
-        if self._deadline_s is None:  # one Ctrl-C may come twice: from the terminal, and from a wrapper
-            self._deadline_s = self._now_s() + self._patience_s
+    first.subscribe(begin)
+    return later
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
