@@ -29,10 +29,7 @@ from diag_service.errors import PublishError, PublishRefusedError
 from diag_service.store import ResultStore
 from fleet_contract import Outcome, Outgoing, Receipt, bundle_messages, clutch_message, fluid_message, raw_shift_message
 
-_MOST_BROKEN: Final = 3  # connections in a row that no bundle survived
-_WITHOUT: Final = 10  # connections after these, on which none is sent
 _BACKLOG_SHARE: Final = 4  # one of so many results of a batch is backlog, however much comes in
-_NEWEST_SHARE: Final = 4  # and one of so many of the backlog is its newest
 BATCH: Final = 200
 _MAX_PUBLISHED: Final = 1000  # results that are remembered after a broker acknowledged them
 _LOG = logging.getLogger(__name__)
@@ -47,18 +44,14 @@ class Bundling:
         self._is_taken = False  # by the backend, as it said last
         self._is_proven = False  # over this connection: some arrived
         self._has_failed = False  # over this connection
-        self._broken_count = 0  # connections in a row
-        self._without_count = 0  # connections yet to come without bundles
+        self._has_broken = False  # the last connection, before a bundle arrived: the next one goes without
         self._in_flight: set[int] = set()  # positions that went in bundles
 
     def begin(self) -> None:
         """Begin with a new connection; reads the store."""
         self._is_taken = self._is_allowed and self._store.takes_bundles()
         self._is_proven = False
-        if self._broken_count >= _MOST_BROKEN:
-            self._broken_count, self._without_count = 0, _WITHOUT
-        self._has_failed = self._without_count > 0
-        self._without_count -= self._has_failed
+        self._has_failed, self._has_broken = self._has_broken, False
         self._in_flight.clear()
 
     def packed(self, groups: Iterable[Sequence[StoredResult]]) -> list[Outgoing]:
@@ -83,12 +76,7 @@ class Bundling:
         arrived = self._in_flight.intersection(positions)
         if arrived:
             self._in_flight -= arrived
-            self._is_proven, self._broken_count = True, 0
-
-    def note_astray(self, positions: Iterable[int]) -> None:
-        """Note that results were lost on their way; where none in a bundle has arrived, no more go like that."""
-        if not self._is_proven and not self._in_flight.isdisjoint(positions):
-            self._has_failed = True
+            self._is_proven = True
 
     def note_broken(self, positions: Iterable[int], *, refusal: str | None = None) -> bool:
         """Return whether there were bundles among results whose sending failed."""
@@ -96,25 +84,18 @@ class Bundling:
         if not lost:
             return False
         self._in_flight -= lost
-        self._has_failed = True
-        self._broken_count += 1
+        self._has_failed, self._has_broken = True, not self._is_proven
         if refusal is not None:
             _LOG.warning("results go one by one: %s", refusal)
         return True
 
 
 class InFlight:
-    """Results that were sent and not acknowledged, by position; times are those of the event loop [s].
+    """Results that were sent and not acknowledged, by position; times are those of the event loop [s]."""
 
-    A receipt for a younger result says of an older one that the backend is not behind: a worker or a broker died with
-    it. It is sent again at once instead of when its time is over; only once, since workers may differ in speed.
-    """
-
-    def __init__(self, astray_after_s: float) -> None:
-        self._astray_after_s = astray_after_s  # before an acknowledged one: lost on its way, not delayed
+    def __init__(self) -> None:
         self._sent_s: dict[int, float] = {}  # the longest in flight first
         self._landed_s = float("-inf")  # when the youngest acknowledged result was sent
-        self._hurried: set[int] = set()  # were sent again before their time
 
     def __len__(self) -> int:
         return len(self._sent_s)
@@ -126,22 +107,14 @@ class InFlight:
     def acknowledge(self, positions: Iterable[int]) -> None:
         for position in positions:
             self._landed_s = max(self._landed_s, self._sent_s.pop(position, self._landed_s))
-            self._hurried.discard(position)
-
-    def pop_astray(self) -> list[int]:
-        """Remove and return what must have been lost on its way."""
-        limit_s = self._landed_s - self._astray_after_s
-        astray = [position for position in self._sent_until(limit_s) if position not in self._hurried]
-        self._hurried.update(astray)
-        return self._pop(astray)
 
     def pop_sent_until(self, limit_s: float) -> list[int]:
         """Remove and return what was sent until a moment."""
-        return self._pop(self._sent_until(limit_s))
+        return self._pop(takewhile(lambda position: self._sent_s[position] <= limit_s, self._sent_s))
 
     def pop_oldest(self, count: int) -> list[int]:
         """Remove and return some of what has waited longest."""
-        return self._pop(list(islice(self._sent_s, count)))
+        return self._pop(islice(self._sent_s, count))
 
     def lag_s(self, now_s: float) -> float:
         """Return how long the backend has had the oldest result that is younger than all it acknowledged."""
@@ -151,21 +124,18 @@ class InFlight:
         """Return when the result was sent that has waited longest; None: nothing is in flight."""
         return next(iter(self._sent_s.values()), None)
 
-    def _sent_until(self, limit_s: float) -> list[int]:
-        return list(takewhile(lambda position: self._sent_s[position] <= limit_s, self._sent_s))
-
-    def _pop(self, positions: list[int]) -> list[int]:
-        for position in positions:
+    def _pop(self, positions: Iterable[int]) -> list[int]:
+        removed = list(positions)
+        for position in removed:
             del self._sent_s[position]
-        return positions
+        return removed
 
 
 class SendPriority:
     """In which order one connection sends what waits; each result is handed out once.
 
-    Results stored since the connection began go first: what happens now is not to wait behind what happened in the
-    tunnel. What waited before is the backlog: it is sent from its old end, and a share of each batch from its new end,
-    so that the last hour is known long before the last day is through.
+    Results stored since the connection began go first: what happens now does not wait behind what happened in the
+    tunnel. What waited before is the backlog: its oldest results take a share of each batch.
     """
 
     def __init__(self, store: ResultStore, vehicle: str) -> None:
@@ -173,12 +143,11 @@ class SendPriority:
         self._vehicle = vehicle
         self._began = store.last_position(vehicle)
         self._fresh = self._began  # handed out up to here
-        self._old = 0
-        self._new = self._fresh + 1  # handed out from here on
+        self._old = 0  # and of the backlog up to here
 
     def next(self, limit: int) -> list[StoredResult]:
         """Return what is sent next, ``limit`` results at most; none if nothing is left."""
-        reserved = limit // _BACKLOG_SHARE if self._old + 1 < self._new else 0
+        reserved = limit // _BACKLOG_SHARE if self._old < self._began else 0
         fresh = self.next_fresh(limit - reserved)
         return fresh + self._backlog(limit - len(fresh))
 
@@ -195,19 +164,11 @@ class SendPriority:
         return rows
 
     def _backlog(self, limit: int) -> list[StoredResult]:
-        if self._old + 1 >= self._new or limit < 1:
+        if self._old >= self._began or limit < 1:
             return []
-        oldest = self._store.waiting(self._vehicle, after=self._old, before=self._new, limit=limit)
-        if len(oldest) < limit:  # all that is left
-            self._new = self._old + 1
-            return oldest
-        share = limit // _NEWEST_SHARE
-        oldest = oldest[: limit - share]
-        self._old = oldest[-1].position
-        newest = self._store.waiting(self._vehicle, after=self._old, before=self._new, limit=share, newest_first=True)
-        if newest:
-            self._new = newest[-1].position
-        return newest + oldest
+        rows = self._store.waiting(self._vehicle, after=self._old, before=self._began + 1, limit=limit)
+        self._old = rows[-1].position if len(rows) == limit else self._began
+        return rows
 
 
 class FluidExchange:
@@ -237,9 +198,11 @@ class FluidExchange:
         if fills == self._told:
             return
         self._told = fills
-        told = [fill_record(fill) for fill in fills]
+        records = [fill_record(fill) for fill in fills]
         try:
-            await self._link.send([fluid_message(self._vehicle, iso_utc(datetime.now(UTC)), told, is_to_vehicle=False)])
+            await self._link.send(
+                [fluid_message(self._vehicle, iso_utc(datetime.now(UTC)), records, is_to_vehicle=False)]
+            )
         except PublishError as exc:  # of a connection that is lost the next message tells
             _LOG.warning("the fleet was not told of fluid fills: %s", exc)
 
@@ -309,7 +272,7 @@ class Deliverer:
         self._priority: SendPriority | None = None  # not begun
         self._inbox: list[Receipt] = []
         self._takes_bundles = False  # who gave the last of them
-        self._in_flight = InFlight(state.limits.astray_after_s)
+        self._in_flight = InFlight()
         self._resend_s = state.limits.resend_after_s
         self._has_news = False  # since results were last found overdue
         self._is_silent = False
@@ -339,7 +302,7 @@ class Deliverer:
         await self._send_held_states()
         await self._fluid.note()
         batch, messages = await asyncio.to_thread(self._next_messages, self._now_s())
-        told, states = self._told.copy(), await asyncio.to_thread(self._states, batch)
+        told_before, states = self._told.copy(), await asyncio.to_thread(self._states, batch)
         if not batch:
             await self._fluid.tell()
             if states:
@@ -347,7 +310,7 @@ class Deliverer:
             return False
         positions = [row.position for row in batch]
         if not await self._sent([*messages, *states], positions):
-            self._told = told
+            self._told = told_before
             return True
         self._state.counts.sent += len(batch)
         for position in positions:
@@ -445,10 +408,7 @@ class Deliverer:
         return []
 
     def _collect_overdue(self, now_s: float) -> None:
-        """Take up again what went astray or was sent too long ago; of what meets with silence a few, to ask."""
-        astray = self._in_flight.pop_astray()
-        self._state.bundling.note_astray(astray)
-        self._state.repeat.update(dict.fromkeys(astray))
+        """Send again what was sent too long ago; while the backend is silent only a few, to ask."""
         due_s = self._due_s()
         if due_s is None or due_s > now_s:
             return
@@ -484,10 +444,12 @@ class Deliverer:
         if self._state.holds_states:
             self._are_states_held = True
             return []
-        made_by = {(one.algorithm_version, one.calibration_version) for _, one in self._newest.values()}
+        made_by = {(result.algorithm_version, result.calibration_version) for _, result in self._newest.values()}
         if len(made_by | {(row.key.algorithm_version, row.key.calibration_version) for row in rows}) > 1:
             self._newest, rows = {}, self._state.store.latest(self._state.vehicle)  # none but those made like the last
-        for row in {(row.key.stream, row.clutch): row for row in sorted(rows, key=lambda one: one.position)}.values():
+        for row in {
+            (row.key.stream, row.clutch): row for row in sorted(rows, key=lambda result: result.position)
+        }.values():
             result = parse_shift(row.text)
             before, end_ns = self._newest.get(row.clutch, ((0, 0), None))[0], result.estimate.end_ns
             rank = (end_ns if end_ns >= DATED_NS else max(before[0], end_ns)), row.position
@@ -496,9 +458,9 @@ class Deliverer:
         fluid = self._state.store.fluid_at(self._state.vehicle, iso_utc(datetime.now(UTC)))
         known = [result for _, result in self._newest.values()]
         order = order_by(known, fluid)
-        states = (clutch_record(shift_record(one), order) for one in of_present_fluid(known, fluid))
-        news = [one for one in map(clutch_message, states) if self._told.get(one.topic) != one.payload]
-        self._told.update({one.topic: one.payload for one in news})
+        states = (clutch_record(shift_record(result), order) for result in of_present_fluid(known, fluid))
+        news = [result for result in map(clutch_message, states) if self._told.get(result.topic) != result.payload]
+        self._told.update({result.topic: result.payload for result in news})
         return news
 
     @staticmethod

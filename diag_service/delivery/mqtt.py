@@ -1,12 +1,11 @@
-"""MQTT: version 5 where the broker speaks it, since only 5 says that it refused a message."""
+"""MQTT: version 5 where the broker speaks it: only version 5 reports a refused message."""
 
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from clutch_results.records import ServiceStatus, fills_from, status_record
 from diag_service.delivery.reporters import OnFills, OnReceipts
@@ -14,8 +13,9 @@ from diag_service.errors import PublishError, PublishRefusedError
 from fleet_contract import (
     Channel,
     ContractError,
+    Incoming,
     Outgoing,
-    Receipt,
+    parse_topic,
     read_message,
     receipts_of,
     status_message,
@@ -34,9 +34,6 @@ from fleet_link import (
     VersionRefusedError,
 )
 
-if TYPE_CHECKING:
-    from clutch_results.records import FluidFill
-
 RENEWAL_PERIOD_S = 5.0  # how often a look is taken whether a certificate was renewed
 _MAX_IN_FLIGHT = 100
 _BATCH = 100  # messages to us that are read in one go
@@ -53,11 +50,8 @@ class MqttLink:
         self._tls = tls
         self._tls_fingerprint = None if tls is None else tls.fingerprint()
         self._renewal_period_s = renewal_period_s
-        self._on_receipts: OnReceipts | None = None
-        # Heard before anyone listened: a persistent session brings them at once.
-        self._early: list[tuple[list[Receipt], bool]] = []
-        self._on_fills: OnFills | None = None
-        self._early_fills: list[tuple[list[FluidFill], bool]] = []
+        self._hearers: dict[Channel, Callable[[Incoming, Message], None]] = {}
+        self._early: list[Message] = []  # before anyone listened: a persistent session brings them at once
         self._reader = asyncio.create_task(self._read(), name="mqtt-reader")
 
     async def send(self, messages: Sequence[Outgoing]) -> None:
@@ -70,21 +64,28 @@ class MqttLink:
 
     async def listen(self, vehicle: str, on_receipts: OnReceipts) -> None:
         """Subscribe to the acknowledgements for a vehicle; raises PublishError if the broker refuses."""
-        self._on_receipts = on_receipts
-        for receipts, is_taken in self._early:
-            on_receipts(receipts, takes_bundles=is_taken)
         with _translated():
-            await self._connection.subscribe([topic_of(vehicle, Channel.ACK)])
+            await self._subscribe(
+                topic_of(vehicle, Channel.ACK),
+                lambda incoming, _: on_receipts(receipts_of(incoming.data), takes_bundles=takes_bundles(incoming.data)),
+            )
 
     async def hear_fills(self, vehicle: str, on_fills: OnFills) -> None:
         """Subscribe to the fluid fills that the fleet knows; a broker that refuses costs these and nothing else."""
-        self._on_fills = on_fills
-        for fills, is_answer in self._early_fills:
-            on_fills(fills, is_answer=is_answer)
         try:
-            await self._connection.subscribe([topic_of(vehicle, Channel.FILLS)])
+            await self._subscribe(
+                topic_of(vehicle, Channel.FILLS),
+                lambda incoming, message: on_fills(fills_from(incoming.data), is_answer=not message.is_retained),
+            )
         except LinkDownError as exc:  # of a connection that is lost the next message tells
             _LOG.warning("fluid fills noted in the fleet are not received: %s", exc)
+
+    async def _subscribe(self, topic: str, hear: Callable[[Incoming, Message], None]) -> None:
+        self._hearers[parse_topic(topic).channel] = hear
+        early, self._early = self._early, []
+        for message in early:
+            self._handle(message)
+        await self._connection.subscribe([topic])
 
     async def lost(self) -> None:
         """Return when the connection is lost, or when a certificate was renewed."""
@@ -109,18 +110,10 @@ class MqttLink:
     def _handle(self, message: Message) -> None:
         try:
             incoming = read_message(message.topic, message.payload)
-            if incoming.address.channel is Channel.ACK:
-                receipts, is_taken = receipts_of(incoming.data), takes_bundles(incoming.data)
-                if self._on_receipts is None:
-                    self._early.append((receipts, is_taken))
-                else:
-                    self._on_receipts(receipts, takes_bundles=is_taken)
-            elif incoming.address.channel is Channel.FILLS:
-                fills, is_answer = fills_from(incoming.data), not message.is_retained
-                if self._on_fills is None:
-                    self._early_fills.append((fills, is_answer))
-                else:
-                    self._on_fills(fills, is_answer=is_answer)
+            if hear := self._hearers.get(incoming.address.channel):
+                hear(incoming, message)
+            elif incoming.address.channel.is_to_vehicle:
+                self._early.append(message)
         except ContractError as exc:
             _LOG.warning("a message to this service is ignored: %s", exc)
 
@@ -209,7 +202,7 @@ async def _announce(link: MqttLink, status: ServiceStatus) -> None:
 
 @contextmanager
 def _translated() -> Iterator[None]:
-    """Make the errors of the link ours; a certificate that cannot be used now may be put right."""
+    """Raise PublishError for errors of the link, an unusable certificate included: it may be replaced."""
     try:
         yield
     except LinkError as exc:

@@ -1,4 +1,4 @@
-"""Who hears of results: what the pipeline knows of them, JSON lines in a pipe, a test double."""
+"""Reporters of a run: the protocols of links and reporters, JSON lines, a reporter in memory."""
 
 import logging
 import queue
@@ -19,7 +19,7 @@ from fleet_contract import (
 
 
 class ControllerNews(ABC):
-    """What a controller said of itself; ``str`` returns it on a line for people."""
+    """A report of a controller on its trouble codes; ``str`` returns a line for people."""
 
     @property
     @abstractmethod
@@ -41,7 +41,6 @@ class DeliveryLimits:
     settled_after_s: float = 5.0  # then a result that a broker acknowledged is taken to be where it belongs
     resend_after_s: float = 5.0  # without a receipt
     longest_resend_s: float = 30.0  # while all is silent a few are sent again, less and less often up to this
-    astray_after_s: float = 2.0  # what was sent so long before an acknowledged one was lost on its way, not delayed
     backlog_lag_s: float = 2.0  # so far behind a backend may be before it gets more of the backlog
     window_count: int = 2000  # results in flight: sent, without a receipt
     answer_s: float = 5.0  # a fleet has to tell its fluid fills before the results of a log are made without them
@@ -49,14 +48,14 @@ class DeliveryLimits:
 
 
 class OnReceipts(Protocol):
-    """Hears the backend."""
+    """Callback for acknowledgements of a backend."""
 
     def __call__(self, receipts: list[Receipt], *, takes_bundles: bool = False) -> None:
         """Take receipts, and whether who gave them takes several results in one message."""
 
 
 class OnFills(Protocol):
-    """Hears the fleet."""
+    """Callback for fluid fills that the fleet knows."""
 
     def __call__(self, fills: list[FluidFill], *, is_answer: bool = True) -> None:
         """Take what the fleet knows, and whether it knows that now: a broker keeps what it once knew."""
@@ -92,7 +91,7 @@ class Reporter(Protocol):
 
 
 class MemoryReporter:
-    """A listener in memory."""
+    """A reporter that keeps all news."""
 
     def __init__(self) -> None:
         self.places: list[str] = []

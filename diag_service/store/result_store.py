@@ -159,7 +159,7 @@ class ResultStore:
             return True
 
     def next_seq(self) -> int:
-        """Return the sequence number that the next result of the live stream gets; none is ever used again."""
+        """Return the next sequence number of the live stream; no number is used twice."""
         return self._last_seq + 1
 
     def add(self, result: ShiftResult, state: VehicleState | None) -> bool:
@@ -219,14 +219,11 @@ class ResultStore:
             versions=Versions(algorithm=row[2], calibration=row[3]),
         )
 
-    def waiting(
-        self, vehicle: str, *, after: int, before: int = _END, limit: int, newest_first: bool = False
-    ) -> list[StoredResult]:
-        """Return undelivered results with ``after < position < before``, the oldest or the newest first."""
-        order = "DESC" if newest_first else "ASC"
+    def waiting(self, vehicle: str, *, after: int, before: int = _END, limit: int) -> list[StoredResult]:
+        """Return undelivered results with ``after < position < before``, the oldest first."""
         where = "vehicle = ? AND published = 0 AND position > ? AND position < ?"  # literal 0: the index knows it
         with self._transaction() as sql:
-            chosen = f"{_ROWS} WHERE {where} ORDER BY position {order} LIMIT ?"
+            chosen = f"{_ROWS} WHERE {where} ORDER BY position LIMIT ?"
             rows = sql.execute(chosen, (vehicle, after, before, limit))
             return [_stored_result(row) for row in rows]
 
@@ -272,7 +269,7 @@ class ResultStore:
             sql.execute("INSERT OR REPLACE INTO meta VALUES ('takes_bundles', ?)", (str(int(is_taken)),))
 
     def connection_secret(self) -> str:
-        """Return the part of our name at a broker that nobody can guess; the same as long as the store lives."""
+        """Return the random part of our client identifier, which lasts as long as the store."""
         with self._transaction() as sql:
             sql.execute("INSERT OR IGNORE INTO meta VALUES ('connection_secret', ?)", (uuid.uuid4().hex,))
             (secret,) = sql.execute("SELECT value FROM meta WHERE key = 'connection_secret'").fetchone()
@@ -282,8 +279,8 @@ class ResultStore:
         """Return the newest result of each clutch, by the end of its event, of these versions or those stored last."""
         made_by = "SELECT algorithm_version, calibration_version FROM result WHERE vehicle = ? ORDER BY position DESC"
         with self._transaction() as sql:
-            own = sql.execute(made_by, (vehicle,)).fetchone() if versions is None else astuple(versions)
-            rows = sql.execute(_ROWS + _LATEST, (vehicle, *(own or ("", "")), DATED_NS))
+            made_by_versions = sql.execute(made_by, (vehicle,)).fetchone() if versions is None else astuple(versions)
+            rows = sql.execute(_ROWS + _LATEST, (vehicle, *(made_by_versions or ("", "")), DATED_NS))
             return list({row.clutch: row for row in map(_stored_result, rows)}.values())
 
     def began_after(self, vehicle: str, moment: str) -> bool:
@@ -354,7 +351,7 @@ class ResultStore:
             return read_fills(sql, vehicle)
 
     def all_fills(self, vehicle: str) -> list[FluidFill]:
-        """Return the fluid fills of a vehicle as the fleet is told them: those taken back too, and all that are one."""
+        """Return the fluid fills of a vehicle for the fleet, with withdrawn ones and duplicates."""
         with self._transaction() as sql:
             return all_fills(sql, vehicle)
 
@@ -446,7 +443,7 @@ def _read_dropped(sql: sqlite3.Connection) -> DroppedCounts:
 
 
 class NoStore:
-    """Keeps nothing and knows nothing of earlier runs: nobody will ask."""
+    """A store that keeps nothing, for runs whose results are only reported."""
 
     keeps_state = False
 

@@ -16,7 +16,7 @@ from tests.support.memory_link import MemoryLink
 from tests.support.outboxes import put, until
 from tests.support.patience import HANG_S
 
-QUICK = DeliveryLimits(first_pause_s=0.001, resend_after_s=0.05, astray_after_s=0.01, probe_count=2)
+QUICK = DeliveryLimits(first_pause_s=0.001, resend_after_s=0.05, probe_count=2)
 COUNT = 450
 
 

@@ -126,7 +126,7 @@ async def test_silence_is_told_once_and_results_are_sent_again_less_and_less_oft
 
 async def test_a_silent_backend_is_asked_with_a_few_and_gets_the_others_when_it_answers(store: ResultStore) -> None:
     link = MemoryLink()
-    outbox = backend_outbox(store, Broker(link), replace(QUICK, resend_after_s=0.02, probe_count=2, astray_after_s=0.0))
+    outbox = backend_outbox(store, Broker(link), replace(QUICK, resend_after_s=0.02, probe_count=2))
     put(store, *range(1, 11))
     sender = asyncio.create_task(outbox.run())
     await until(lambda: len(link.results) == 16)  # all once, and three questions
@@ -162,18 +162,15 @@ async def test_a_silent_backend_gets_no_more_than_a_window_and_what_happens_now(
     assert await outbox.close(sender, timeout_s=0.05) == 101
 
 
-async def test_what_a_dying_worker_took_with_it_is_sent_again_soon(store: ResultStore) -> None:
+async def test_what_a_dying_worker_took_with_it_is_sent_again(store: ResultStore) -> None:
     link = MemoryLink()
-    outbox = backend_outbox(store, Broker(link), replace(QUICK, astray_after_s=0.01))
-    put(store, 1)
+    outbox = backend_outbox(store, Broker(link), replace(QUICK, resend_after_s=0.01))
+    put(store, 1, 2)
     sender = asyncio.create_task(outbox.run())
-    await until(lambda: seqs(link) == [1])
-    await asyncio.sleep(0.02)
-    put(store, 2)
-    outbox.wake()
-    await until(lambda: seqs(link) == [1, 2] and link.on_receipts is not None)
+    await until(lambda: 2 in seqs(link) and link.on_receipts is not None)
     assert link.on_receipts is not None
     link.on_receipts(receipts(2))
-    await until(lambda: seqs(link) == [1, 2, 1])  # long before its time limit
+    count = seqs(link).count(1)
+    await until(lambda: seqs(link).count(1) > count)
     link.on_receipts(receipts(1))
     assert await outbox.close(sender) == 0
