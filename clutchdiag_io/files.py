@@ -1,4 +1,4 @@
-"""Files that programs keep: for their owner only, locked, whole or as they were, touched as signs of life."""
+"""Files of programs: private modes, locks, writing whole or not at all, files touched as signs of life."""
 
 import errno
 import logging
@@ -19,7 +19,7 @@ _LOG: Final = logging.getLogger(__name__)
 
 
 def check_plain_file(path: Path, most_bytes: int = MAX_FILE_BYTES) -> None:
-    """Raise OSError, ``strerror`` in words, of what is not to be read whole: missing, too large, or no plain file."""
+    """Raise OSError with a legible ``strerror`` if a file is missing, too large to read whole, or no plain file."""
     status = path.stat()
     if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
@@ -36,13 +36,13 @@ def create_private(path: Path) -> None:
 
 
 def keep_private(path: Path) -> None:
-    """Close a file, and what SQLite put beside it, to others, and say so once; where that is not ours to do, warn.
+    """Remove the permissions of others on a file and on SQLite's files beside it; warn of what was open, or stays so.
 
     A file that its owner made read-only is left as it is: nobody keeps results in it.
     """
     if os.name == "nt":  # there the mode of a file says nothing of others
         return
-    told: list[str] = []
+    warnings: list[str] = []
     for file in (path.with_name(path.name + suffix) for suffix in _COMPANIONS):
         try:
             mode = file.stat().st_mode & 0o777
@@ -53,38 +53,27 @@ def keep_private(path: Path) -> None:
         try:
             file.chmod(mode & ~_OTHERS)
         except OSError as exc:
-            told.append(f"{file} can be read by other users (mode {mode:03o}): {exc.strerror}")
+            warnings.append(f"{file} can be read by other users (mode {mode:03o}): {exc.strerror}")
         else:
-            told.append(f"{file} could be read by other users (mode {mode:03o}) and is closed to them now")
-    if told:
-        _LOG.warning("%s", told[0])
+            warnings.append(f"{file} could be read by other users (mode {mode:03o}) and is closed to them now")
+    if warnings:
+        _LOG.warning("%s", warnings[0])
 
 
 def lock(descriptor: int) -> None:
-    """Lock an open file until it is closed; raises BlockingIOError if another process has it, OSError else."""
-    try:
+    """Lock an open file until it is closed, where the system is POSIX.
+
+    Raises BlockingIOError if another process has it, OSError else.
+    """
+    with suppress(ImportError):
         import fcntl  # noqa: PLC0415 - of POSIX
-    except ImportError:
-        _lock_first_byte(descriptor)
-    else:
+
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def _lock_first_byte(descriptor: int) -> None:
-    try:
-        import msvcrt  # noqa: PLC0415 - of Windows
-    except ImportError:  # neither of both: files cannot be locked here
-        return
-    os.lseek(descriptor, 0, os.SEEK_SET)
-    try:
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]  # where it exists
-    except OSError as exc:
-        raise BlockingIOError(exc.errno, exc.strerror) from exc
 
 
 @contextmanager
 def until_whole(path: Path) -> Iterator[Path]:
-    """Give the place where a file is written: one that is there stays until the new one is whole, half a one goes.
+    """Yield the path to write to: an existing file is replaced when the new one is complete, an incomplete one removed.
 
     A device, a pipe or a link is written itself.
     """
@@ -102,12 +91,12 @@ def until_whole(path: Path) -> Iterator[Path]:
 
 
 def make_sign(path: Path) -> None:
-    """Make the file, from 1970: nothing has been done yet; raises OSError."""
+    """Create the file with a time of change in 1970, which means that nothing was done yet; raises OSError."""
     path.touch()
     os.utime(path, (0.0, 0.0))
 
 
 def give_sign(path: Path) -> None:
-    """Touch the file: something was done just now."""
+    """Set the file's time of change to now."""
     with suppress(OSError):  # a file that cannot be touched any more grows old, which says enough
         path.touch()

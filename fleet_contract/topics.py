@@ -11,6 +11,7 @@ from fleet_contract.strict_json import shown
 TOPIC_ROOT: Final = "clutchdiag/v1"
 CLUTCHES: Final = (1, 2)
 _VEHICLE: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
+_TOPIC: Final = re.compile(rf"{TOPIC_ROOT}/({_VEHICLE.pattern})/([a-z]+)(?:/([12]))?")  # of CLUTCHES
 _EVENT_BYTES: Final = 16_384
 _LIST_BYTES: Final = 262_144
 _BUNDLE_BYTES: Final = 65_536  # packed; brokers that take 128 KiB at most have room for it
@@ -85,16 +86,11 @@ def topic_of(vehicle: str, channel: Channel, clutch: int | None = None) -> str:
 
 def parse_topic(topic: str) -> Address:
     """Return what a topic says; raises TopicError if it is not one of this contract."""
-    start, _, rest = topic.partition(f"{TOPIC_ROOT}/")
-    levels = rest.split("/")
-    channel = _CHANNELS.get(levels[1]) if not start and 2 <= len(levels) <= 3 and is_vehicle(levels[0]) else None
-    if channel is None or (len(levels) == 3) is not (channel is Channel.CLUTCH):
+    match = _TOPIC.fullmatch(topic)
+    channel = None if match is None else _CHANNELS.get(match[2])
+    if match is None or channel is None or (match[3] is None) is (channel is Channel.CLUTCH):
         raise TopicError(f"unknown topic {shown(topic)}")
-    if channel is not Channel.CLUTCH:
-        return Address(vehicle=levels[0], channel=channel)
-    if levels[2] not in map(str, CLUTCHES):
-        raise TopicError(f"unknown clutch in {shown(topic)}")
-    return Address(vehicle=levels[0], channel=channel, clutch=int(levels[2]))
+    return Address(vehicle=match[1], channel=channel, clutch=None if match[3] is None else int(match[3]))
 
 
 def filter_of(channel: Channel, *, group: str | None = None) -> str:

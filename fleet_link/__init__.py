@@ -1,4 +1,4 @@
-"""The way to a broker, for vehicles and backends: address, certificates, secrets, and one MQTT connection at a time."""
+"""Connections to a broker, for vehicles and backends: address, certificates, secrets, MQTT and JetStream."""
 
 from fleet_link.address import (
     AddressError,

@@ -1,11 +1,7 @@
-"""Where a broker is and who we are to it; files of TLS are read anew for every connection: no restart renews them."""
+"""The address of a broker, credentials and TLS files, which are read anew for each connection."""
 
-import errno
-import os
-import select
 import ssl
 from dataclasses import dataclass, field
-from io import FileIO
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
@@ -14,7 +10,6 @@ from urllib.parse import unquote, urlsplit
 from clutchdiag_io.files import check_plain_file
 
 MAX_SECRET_BYTES: Final = 64 * 1024
-PIPE_WAIT_S: Final = 5.0  # for whoever writes a secret into a pipe
 _OTHERS: Final = 0o077  # permission bits of group and world
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 _NATS_PORTS: Final = {"nats": 4222, "nats+tls": 4222}
@@ -52,33 +47,16 @@ def check_secret_mode(path: Path) -> None:
         raise AddressError(f"{path} holds a secret and may be read by others: chmod 600 {path}")
 
 
-def read_secret(path: Path, pipe_wait_s: float = PIPE_WAIT_S) -> str:
+def read_secret(path: Path) -> str:
     """Return the secret in a file, without the end of its line; raises AddressError."""
     check_secret_mode(path)
     try:
-        return _read_secret(path, pipe_wait_s).decode("utf-8").rstrip("\r\n")
+        check_plain_file(path, MAX_SECRET_BYTES)
+        return path.read_text(encoding="utf-8").rstrip("\r\n")
     except OSError as exc:
         raise AddressError(f"cannot read {path}: {exc.strerror or exc}") from exc
     except UnicodeDecodeError as exc:
         raise AddressError(f"cannot read {path}: it is not UTF-8 text") from exc
-
-
-def _read_secret(path: Path, pipe_wait_s: float) -> bytes:
-    """Return what a file holds, or what a command writes into the pipe that a shell makes of ``<(command)``."""
-    if not path.is_fifo():
-        check_plain_file(path, MAX_SECRET_BYTES)
-        return path.read_bytes()
-    content, poll = bytearray(), select.poll()
-    with FileIO(str(path), opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
-        poll.register(file, select.POLLIN)
-        while len(content) <= MAX_SECRET_BYTES:
-            if not poll.poll(pipe_wait_s * 1_000):
-                raise OSError(errno.ETIMEDOUT, f"nobody has written into this pipe for {pipe_wait_s:g} s")
-            piece = file.read(MAX_SECRET_BYTES)
-            if not piece:
-                return bytes(content)
-            content += piece
-    raise OSError(errno.EFBIG, "a secret cannot be so long")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,7 +116,7 @@ class TlsFiles:
 
 
 class _ClosingSocket(ssl.SSLSocket):
-    """A socket that is not left open when the peer turns out to be another; paho-mqtt forgets about it."""
+    """A socket that closes itself after a failed handshake; paho-mqtt leaves it open."""
 
     def do_handshake(self, block: bool = False) -> None:  # noqa: FBT001, FBT002 - signature of ssl
         try:
@@ -158,7 +136,7 @@ def _stamp(path: Path) -> tuple[int, int, int] | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BrokerAddress:
-    """Where a broker is and who we are to it; its text shows no password."""
+    """Address of a broker and our credentials; its text shows no password."""
 
     host: str
     port: int = 1883

@@ -1,4 +1,4 @@
-"""One connection to a broker: many messages in flight, refusals told, messages in batches, acknowledged when we say so.
+"""One MQTT connection: many messages in flight, refusals as errors, batches acknowledged when they are stored.
 
 It speaks through paho-mqtt alone, by its public interface. aiomqtt, which is built on it, tells nobody that a broker
 refused a message, and acknowledges what it received before anyone has kept it.
@@ -10,7 +10,7 @@ import logging
 import math
 import ssl
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Sequence
 from dataclasses import dataclass
 from socket import IPPROTO_TCP, TCP_NODELAY, socket
 from typing import Any, Final, Self
@@ -63,18 +63,18 @@ class Arrivals:
         self._bytes += len(message.payload)
 
     def has_batch(self, limit: int) -> bool:
-        """Return whether as many wait as a batch may have."""
+        """Return whether a whole batch waits, by its count or its bytes."""
         return len(self._messages) >= limit or self._bytes >= self._batch_bytes
 
     def take(self, limit: int) -> list[Message]:
-        """Return the next messages, as many as a batch may have."""
-        found: list[Message] = []
+        """Return the next messages, one batch at most."""
+        batch: list[Message] = []
         size = 0
-        while self._messages and len(found) < limit and size < self._batch_bytes:
-            found.append(self._messages.popleft())
-            size += len(found[-1].payload)
+        while self._messages and len(batch) < limit and size < self._batch_bytes:
+            batch.append(self._messages.popleft())
+            size += len(batch[-1].payload)
         self._bytes -= size
-        return found
+        return batch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -244,7 +244,7 @@ class SocketLoop:
         self._read_decrypted()
 
     def _read_decrypted(self) -> None:
-        """Read what the socket will not become ready for, since TLS holds it already."""
+        """Read what TLS has decrypted already: the socket does not become ready for that."""
         while not self._is_paused and isinstance(sock := self._client.socket(), ssl.SSLSocket) and sock.pending():
             self._advance(self._client.loop_read)
 
@@ -261,7 +261,7 @@ class SocketLoop:
             self._lose()
 
     async def _ping(self) -> None:
-        """Ping, and give up a peer that does not answer; while its answers cannot be read, only be heard by it."""
+        """Ping, and end the connection without an answer; while reading is paused, only send signs of life."""
         period_s = min(_MISC_PERIOD_S, self._client.keepalive / 4)
         spoke_s = self._loop.time()
         while True:
@@ -278,6 +278,16 @@ class SocketLoop:
 _UNLIMITED_IN_FLIGHT: Final = 65535  # MQTT 5.0, 3.2.2.3.3: without a Receive Maximum
 _UNSUPPORTED_PROTOCOL: Final = 132  # MQTT 5.0, table 3-1
 _LOST: Final = "connection lost"
+
+
+@contextlib.asynccontextmanager
+async def in_time(limit_s: float, what: str = "no answer") -> AsyncIterator[None]:
+    """Raise LinkDownError if the block takes longer than ``limit_s``."""
+    try:
+        async with asyncio.timeout(limit_s):
+            yield
+    except TimeoutError:
+        raise LinkDownError(f"{what} in {limit_s:g} s") from None
 
 
 class Connection:
@@ -346,18 +356,15 @@ class Connection:
             while queue and self._may_start(queue[0].topic):
                 self._start(queue.popleft())
             self._answered.clear()
-            try:
-                async with asyncio.timeout(self._terms.timeout_s):  # until the next answer, not the last
-                    await self._answered.wait()
-            except TimeoutError:
-                raise LinkDownError(f"no answer in {self._terms.timeout_s:g} s") from None
+            async with in_time(self._terms.timeout_s):  # until the next answer, not the last
+                await self._answered.wait()
             if self._refusal is not None:  # some brokers say no and hang up
                 raise MessageRefusedError(self._refusal)
             if self._is_lost.is_set():
                 raise LinkDownError(_LOST)
 
     def send(self, messages: Iterable[Outgoing]) -> None:
-        """Send messages and wait for nothing: who does not get them asks again. `collect` waits until all is written.
+        """Send messages without waiting for an answer: a vehicle asks again. `collect` waits until all is written.
 
         They are sent at least once, but at most once while as many as may be in flight have no answer: answers wait
         behind what the broker sends us, for which there may be no room. What is retained waits for its turn.
@@ -376,10 +383,8 @@ class Connection:
             raise LinkDownError(_LOST)
         granted = self._subscribed[packet_id] = asyncio.get_running_loop().create_future()
         try:
-            async with asyncio.timeout(self._terms.timeout_s):
+            async with in_time(self._terms.timeout_s):
                 codes = await granted
-        except TimeoutError:
-            raise LinkDownError(f"no answer in {self._terms.timeout_s:g} s") from None
         finally:
             del self._subscribed[packet_id]
         if codes is None:
@@ -409,14 +414,11 @@ class Connection:
         return self._inbox.take(limit)
 
     async def _written(self) -> None:
-        """Return when nothing that was sent is left here: a broker that does not read must not fill our memory."""
+        """Return when all is written to the socket: a broker that does not read must not fill our memory."""
         while self._client.want_write() and not self._is_lost.is_set():
             self._wrote.clear()
-            try:
-                async with asyncio.timeout(self._terms.stall_s):
-                    await self._wrote.wait()
-            except TimeoutError:
-                raise LinkDownError(f"nothing was taken in {self._terms.stall_s:g} s") from None
+            async with in_time(self._terms.stall_s, "nothing was taken"):
+                await self._wrote.wait()
 
     def acknowledge(self, messages: Sequence[Message]) -> None:
         """Tell the broker that messages have arrived for good; it then sends as many others."""
@@ -520,8 +522,8 @@ class Connection:
         if not packet_id and limit is not None and len(self._inbox) >= limit:
             return  # QoS 0 knows no limit, and promises nothing
         payload, is_retained = bytes(message.payload), bool(message.retain)
-        told = Message(topic=message.topic, payload=payload, packet_id=packet_id, is_retained=is_retained)
-        self._inbox.append(told)
+        arrived = Message(topic=message.topic, payload=payload, packet_id=packet_id, is_retained=is_retained)
+        self._inbox.append(arrived)
         self._arrived.set()
         if packet_id:
             self.unsettled_count += 1

@@ -1,4 +1,4 @@
-"""A connection to NATS JetStream: messages by pull from a stream on disk, forgotten there when they are settled.
+"""A connection to NATS JetStream: pulls messages from a stream on disk, which drops them when acknowledged.
 
 Vehicles speak MQTT to the gateway of a nats-server; a topic ``a/b`` is the subject ``a.b`` here. What they publish goes
 into the stream besides, where workers share it: each message to one of them, and to another if that one vanishes.
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 from fleet_contract import Outgoing
 from fleet_link.address import BrokerAddress, LinkDownError
-from fleet_link.connection import Message
+from fleet_link.connection import Message, in_time
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
@@ -44,7 +44,7 @@ def covers(pattern: str, subject: str) -> bool:
     theirs, ours = pattern.split("."), subject.split(".")
     if theirs[-1] == ">":
         theirs = theirs[:-1] + ["*"] * max(1, len(ours) - len(theirs) + 1)
-    return len(theirs) == len(ours) and all(one in {"*", other} for one, other in zip(theirs, ours, strict=True))
+    return len(theirs) == len(ours) and all(part in {"*", other} for part, other in zip(theirs, ours, strict=True))
 
 
 class JetStream:
@@ -127,19 +127,16 @@ class JetStream:
         while not self._inbox and not self._is_lost:
             await self._ask(limit)
             self._arrived.clear()
-            try:
-                async with asyncio.timeout(_EXPIRES_S + _GRACE_S):
-                    await self._arrived.wait()
-            except TimeoutError:
-                raise LinkDownError(f"no answer in {_EXPIRES_S + _GRACE_S:g} s") from None
+            async with in_time(_EXPIRES_S + _GRACE_S):
+                await self._arrived.wait()
         if self._is_lost:
             raise LinkDownError(_LOST)
         if len(self._inbox) < limit:
             await asyncio.sleep(patience_s)
-        found = [self._inbox.popleft() for _ in range(min(limit, len(self._inbox)))]
+        messages = [self._inbox.popleft() for _ in range(min(limit, len(self._inbox)))]
         if not self._inbox:
             await self._ask(limit)  # the next batch travels while this one is stored
-        return found
+        return messages
 
     def send(self, messages: Iterable[Outgoing]) -> None:
         """Send messages with the next `collect`; who does not get them asks again."""
@@ -209,20 +206,20 @@ class JetStream:
         await self._publish([(self._next, body)], reply=f"{self._inbox_name}.{self._question}")
 
     async def _say(self) -> None:
-        said, self._outbox = self._outbox, deque()
-        await self._publish(said)
+        messages, self._outbox = self._outbox, deque()
+        await self._publish(messages)
 
-    async def _publish(self, said: Iterable[tuple[str, bytes]], reply: str = "") -> None:
+    async def _publish(self, messages: Iterable[tuple[str, bytes]], reply: str = "") -> None:
         from nats.errors import Error  # noqa: PLC0415 - an extra
 
         try:
-            for subject, payload in said:
+            for subject, payload in messages:
                 await self._client.publish(subject, payload, reply)
         except Error as exc:
             raise LinkDownError(str(exc) or _LOST) from exc
 
     async def _take(self, message: "Msg") -> None:
-        """Keep a message, or note that a question has ended without more."""
+        """Queue a message, or note the status that ends a pull request."""
         status = (message.headers or {}).get(_STATUS)
         if status is None:
             if not self._due and len(self._inbox) >= self._limit:
@@ -241,7 +238,7 @@ class JetStream:
         self._arrived.set()
 
     async def _complain(self, error: Exception) -> None:
-        """End an attempt to connect, which the library would repeat; later on `_lose` is called."""
+        """Raise LinkDownError while connecting, which the library would retry; later errors end in `_lose`."""
         if self._is_trying:
             raise LinkDownError(" ".join(str(error).split()) or type(error).__name__)
         _LOG.debug("nats: %s", error)
