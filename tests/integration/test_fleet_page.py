@@ -11,6 +11,7 @@ from typing import Any
 
 import httpx
 import pytest
+from jsonschema import Draft202012Validator
 from playwright.sync_api import Browser, Page
 
 from clutch_results.records import Condition
@@ -38,16 +39,12 @@ EMPTY = {
 }
 PAGES = (*LISTS, "/vehicles/car1", "/vehicles/worn", SHIFT, "/vehicles/nobody")
 TABLES_ONLY = {*LISTS, "/vehicles/nobody"}
-KEYS = {  # of the JSON at each address; within v1 keys are only ever added
-    "/vehicles": "vehicles matching_count vehicle_count counts due_count silent_count alarm_count next",
-    "/vehicles/car1": "vehicle is_online connected_at last_result_at service_version action order outlook fills alarms "
-    "clutches changes loads causes",
-    SHIFT: "vehicle stream seq clutch element number kind end_reason from_gear to_gear start_at end_at duration_s "
-    "status reasons trust trust_parts shift_quality causes quality sample_count window_s chi_square_ratio friction "
-    "running running_shift_count condition condition_reason advice level_ratio sump_temperature_k clutch_temperature_k "
-    "slip_energy_j odometer_m algorithm_version calibration_version stored_at older_versions",
-    "/alarms?state=all": "alarms next",
-    "/maintenance": "clutches clutch_count next",
+EXAMPLES = {  # of each address for programs
+    "/vehicles": "/vehicles",
+    "/vehicles/{vehicle}": "/vehicles/car1",
+    "/vehicles/{vehicle}/shift": SHIFT,
+    "/alarms": "/alarms?state=all",
+    "/maintenance": "/maintenance",
 }
 FRICTION = ("mu_c", "std_mu_c", "mu_s", "std_mu_s")
 
@@ -275,10 +272,18 @@ def test_every_answer_says_what_a_browser_may_do(reader: httpx.Client) -> None:
     assert reader.get("/", headers={"host": "localhost:8090"}).status_code == 200
 
 
-def test_programs_get_the_keys_of_version_1_at_each_address(reader: httpx.Client) -> None:
-    assert len(KEYS) == len(ROUTES)
-    for path, keys in KEYS.items():
-        assert set(keys.split()) <= told(reader, f"/api/v1{path}").keys(), path
+def test_programs_get_what_the_published_schema_says(reader: httpx.Client) -> None:
+    description = told(reader, "/api/v1/openapi.json")
+    assert description["paths"].keys() == {f"/api/v1{path}" for path in ROUTES}
+    for path, example in EXAMPLES.items():
+        answers = description["paths"][f"/api/v1{path}"]["get"]["responses"]
+        schema = answers["200"]["content"]["application/json"]["schema"] | {"components": description["components"]}
+        answer = told(reader, f"/api/v1{example}")
+        Draft202012Validator(schema).validate(answer)
+        name = schema["$ref"].rpartition("/")[2]
+        assert answer.keys() == description["components"]["schemas"][name]["properties"].keys(), path
+    schema = answers["404"]["content"]["application/problem+json"]["schema"] | {"components": description["components"]}
+    Draft202012Validator(schema).validate(reader.get("/api/v1/vehicles/nobody").json())
 
 
 def test_pages_that_left_say_where_to_go(reader: httpx.Client) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
 from datetime import date, datetime, timedelta
 from operator import attrgetter
+from pathlib import Path
 from typing import Any, Final, TypeVar
 from zlib import crc32
 
@@ -15,7 +16,7 @@ from sqlalchemy import Engine
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import RedirectResponse, Response
+from starlette.responses import FileResponse, RedirectResponse, Response
 from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 
@@ -468,7 +469,6 @@ LEFT: Final = {  # addresses of earlier releases: the page that people get, and 
     "/changes": ("/", f"{API}/vehicles and {API}/vehicles/NAME"),
     "/alarm": ("/alarms", f"{API}/alarms?state=all"),
     "/quarantine": ("/", "fleet-backend quarantine --json"),
-    "/openapi.json": ("/", "docs/fleet.md, which lists the addresses"),
 }
 
 
@@ -484,8 +484,13 @@ def routes() -> list[BaseRoute]:
         *(Route(path, RedirectResponse(page_now, status_code=301)) for path, (page_now, _) in LEFT.items()),
         *(Route(API + path, _left_for(program_now)) for path, (_, program_now) in LEFT.items()),
         Route(CSV_PATH, vehicles),
+        Route(f"{API}/openapi.json", _description),
         Mount("/static", static),
     ]
+
+
+def _description(_: Request) -> Response:
+    return FileResponse(Path(__file__).with_name("static") / "openapi.json")
 
 
 def _left_for(successor: str) -> Callable[[Request], Response]:
