@@ -459,8 +459,8 @@ class Deliverer:
         known = [result for _, result in self._newest.values()]
         order = order_by(known, fluid)
         states = (clutch_record(shift_record(result), order) for result in of_present_fluid(known, fluid))
-        news = [result for result in map(clutch_message, states) if self._told.get(result.topic) != result.payload]
-        self._told.update({result.topic: result.payload for result in news})
+        news = [message for message in map(clutch_message, states) if self._told.get(message.topic) != message.payload]
+        self._told.update({message.topic: message.payload for message in news})
         return news
 
     @staticmethod
