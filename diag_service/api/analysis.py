@@ -28,8 +28,7 @@ from diag_service.service.drive import insist, open_drive
 from diag_service.service.drive_survey import DriveSurvey
 from diag_service.service.recorded import replay, run_recorded
 from diag_service.service.stages import Stages
-from diag_service.settings.config import check_replaceable
-from diag_service.settings.options import AnalyzeOptions, as_proposed, diagnosis_config
+from diag_service.settings.options import AnalyzeOptions, as_proposed, check_replaceable, diagnosis_config
 from diag_service.stopping import Controls
 from fleet_contract import Channel
 from fleet_contract.orders import name_of

@@ -19,8 +19,8 @@ from diag_service.diagnosis.summary import Gap
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.decoder import Decoder
 from diag_service.service.drive import DriveFrames, OpenLog, gaps_in, open_drive, warn_of_faults
-from diag_service.settings.config import UNNAMED_VEHICLE, check_replaceable, write_text
-from diag_service.settings.options import LearnOptions, as_proposed, diagnosis_config
+from diag_service.settings.config import UNNAMED_VEHICLE, write_text
+from diag_service.settings.options import LearnOptions, as_proposed, check_replaceable, diagnosis_config
 from diag_service.stopping import Controls, Trigger
 
 

@@ -26,8 +26,7 @@ from diag_service.console import ReadingLine
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.mapping.interpretation import open_database
 from diag_service.service.drive import check_distinct
-from diag_service.settings.config import check_replaceable
-from diag_service.settings.options import DecodeOptions
+from diag_service.settings.options import DecodeOptions, check_replaceable
 from diag_service.stopping import Controls
 from fleet_contract import JsonObject
 

@@ -30,8 +30,8 @@ from diag_service.batch.worker import (
 from diag_service.console import collected_notices
 from diag_service.delivery import Acknowledge
 from diag_service.errors import IncompleteError, StoppedError
-from diag_service.settings.config import DiagnosisConfig, check_replaceable
-from diag_service.settings.options import AnalyzeOptions, diagnosis_config
+from diag_service.settings.config import DiagnosisConfig
+from diag_service.settings.options import AnalyzeOptions, check_replaceable, diagnosis_config
 from diag_service.stopping import Controls, Trigger
 
 _LOG = logging.getLogger(__name__)

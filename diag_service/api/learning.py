@@ -36,8 +36,8 @@ from diag_service.mapping.interpretation import Interpretation
 from diag_service.mapping.learning import COMMANDS, LearnedVehicle, VehicleSurvey
 from diag_service.mapping.mapped_messages import missing_for_next
 from diag_service.mapping.vehicle_file import description_toml
-from diag_service.settings.config import check_replaceable, write_text
-from diag_service.settings.options import LearnOptions, PredictOptions, interpret_logs
+from diag_service.settings.config import write_text
+from diag_service.settings.options import LearnOptions, PredictOptions, check_replaceable, interpret_logs
 from diag_service.stopping import Controls, Trigger
 
 if TYPE_CHECKING:

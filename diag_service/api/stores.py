@@ -18,8 +18,13 @@ from diag_service.report.history import history_records
 from diag_service.report.page import html_of, write_page
 from diag_service.service.drive import insist
 from diag_service.service.session import utc_now
-from diag_service.settings.config import check_replaceable
-from diag_service.settings.options import FluidOptions, HistoryOptions, ReportOptions, diagnosis_config
+from diag_service.settings.options import (
+    FluidOptions,
+    HistoryOptions,
+    ReportOptions,
+    check_replaceable,
+    diagnosis_config,
+)
 from diag_service.stopping import Controls, Trigger
 from diag_service.store import StoreReader, is_store, note_fill, withdraw_fill
 from fleet_contract import JsonObject

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from canlog.files import replacing
 from clutch_model.calibration import Calibration, TorqueSource, nominal_calibration
-from clutchdiag_io.program import replacement_refusal
 from diag_service.delivery import Acknowledge
 from diag_service.diagnosis.columns import GearRatios
 from diag_service.errors import ConfigError
@@ -119,12 +118,6 @@ def check_vehicle(vehicle: str) -> str:
             f"{vehicle!r} is not a vehicle id: up to 64 letters, digits, '_', '.' or '-', not starting with '.' or '-'"
         )
     return vehicle
-
-
-def check_replaceable(path: Path, *, is_forced: bool) -> None:
-    """Raise ConfigError if a new file must not take the place of what is there."""
-    if text := replacement_refusal(path, is_forced=is_forced):
-        raise ConfigError(text)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -14,7 +14,7 @@ from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT, table_columns
 from canlog.logs.streams import never
 from clutch_model.calibration import Calibration, nominal_calibration
-from clutchdiag_io.program import legible
+from clutchdiag_io.program import legible, replacement_refusal
 from diag_service.delivery import Acknowledge
 from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import Interpretation, interpret
@@ -35,6 +35,12 @@ from diag_service.settings.config import (
 from fleet_link import AddressError, BrokerAddress, TlsFiles, parse_broker
 
 _LOG = logging.getLogger(__name__)
+
+
+def check_replaceable(path: Path, *, is_forced: bool) -> None:
+    """Raise ConfigError if a new file must not take the place of what is there."""
+    if text := replacement_refusal(path, is_forced=is_forced):
+        raise ConfigError(text)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

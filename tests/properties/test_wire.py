@@ -14,7 +14,7 @@ from clutch_model.units import m_s_from_km_h, pa_from_bar, rad_s_from_rpm
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.profile import Profile, load_profile
+from diag_service.mapping.profile import Profile, load_profile, load_shipped
 from ecu_emulator.bus.frames import SIGNAL_OF, FrameEncoder
 from tests.support.wire import CONTRACTS, CYCLE_CONTRACTS, DATABASE, drive, readings, received
 
@@ -190,7 +190,7 @@ def test_what_is_sent_arrives_within_half_a_step(name: str, seed: int) -> None:
     sent = readings(name, t_s, np.random.default_rng(seed))
     parts, counts = decode([received(FrameEncoder(DATABASE).encode(sent))])
     assert counts.invalid_values == 0
-    canonical = {signal.value: signal for signal in Signal}
+    canonical = {signal.value: signal for signal in load_shipped("dct").sources}
     for quantity in sent.values.keys() & canonical.keys():
         arrived = np.concatenate([part.columns[canonical[quantity]].value for part in parts])
         slack = 1e-9 * (1.0 + np.abs(arrived))

@@ -119,7 +119,7 @@ class VehicleLaws(NamedTuple):
                     film=film,
                     friction=curve,
                     oil=oil._replace(a_pa_s=a_pa_s),
-                    touch_pressure_pa=film.closed_spring_force_n / area_m2,
+                    touch_pressure_pa=piston_pressure_pa(0.0, film),
                     mobility_ratio=mobility_ratio,
                 )
             )
