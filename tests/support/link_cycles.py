@@ -1,4 +1,4 @@
-"""A service whose interface is switched off, removed or renamed in the middle of a shift, again and again.
+"""A service whose interface is switched off or removed in the middle of a shift, again and again.
 
 A sender drives one unfinished shift after another. Each round takes the interface away while a shift is open and gives
 it back, then waits until the service says that it reads it again.
@@ -84,33 +84,23 @@ class ShiftSender:
                     return
 
 
-def switch(name: str) -> str:
+def switch(name: str) -> None:
     """Switch an interface off and on."""
     if not (ip_link("set", name, "down") and ip_link("set", name, "up")):
         raise RuntimeError(f"cannot switch {name}")
-    return name
 
 
-def recreate(name: str) -> str:
+def recreate(name: str) -> None:
     """Remove an interface and make it again."""
     if not (ip_link("delete", name) and create_vcan(name)):
         raise RuntimeError(f"cannot make {name} again")
-    return name
 
 
-def rename(name: str) -> str:
-    """Give an interface another name; return it."""
-    new = name.removesuffix("x") if name.endswith("x") else f"{name}x"
-    if not (ip_link("set", name, "down") and ip_link("set", name, "name", new) and ip_link("set", new, "up")):
-        raise RuntimeError(f"cannot rename {name}")
-    return new
+CALAMITIES: tuple[Callable[[str], None], ...] = (switch, recreate)
 
 
-CALAMITIES: tuple[Callable[[str], str], ...] = (switch, recreate, rename)
-
-
-def run_cycles(folder: Path, channel: str, count: int) -> tuple[Ended, str]:
-    """Take the interface away ``count`` times during a shift; return how the service ended, and the last name."""
+def run_cycles(folder: Path, channel: str, count: int) -> Ended:
+    """Take the interface away ``count`` times during a shift; return how the service ended."""
     bus = ("run", "-i", "socketcan", "-c", channel, "--json", "--store", folder / "car.sqlite")
     with service(folder, *bus) as running, ShiftSender(channel) as sender:
         running.wait_for(lambda: "listening" in running.err)
@@ -118,13 +108,11 @@ def run_cycles(folder: Path, channel: str, count: int) -> tuple[Ended, str]:
             time.sleep(4 * CYCLE_S)
             running.wait_for(sender.is_shifting.is_set)
             known = returns(running)  # one calamity may be two to the service, if it looks in between
-            channel = CALAMITIES[number % len(CALAMITIES)](channel)
-            sender.channel = channel
+            CALAMITIES[number % len(CALAMITIES)](channel)
             running.wait_for(lambda known=known: returns(running) > known)  # type: ignore[misc]
             sender.is_shifting.clear()
         running.process.terminate()
-        ended = running.wait()
-    return ended, channel
+        return running.wait()
 
 
 def returns(running: Service) -> int:
