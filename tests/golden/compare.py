@@ -55,7 +55,14 @@ def recording(name: str, folder: Path, broker: Mosquitto) -> Faces:
     with Subscriber(broker.port) as subscriber:
         delivered = ["--store", str(store), "--vehicle", name, "--broker", broker.url]
         lines = _service("analyze", f"{name}.log.xz", *options, *delivered, "--json")
-        subscriber.wait(lambda heard: any(told["status"] == "offline" for told in heard.payloads("/status")))
+        shift_count = lines.count('{"schema":"clutchdiag/shift/')
+        # A connection that was lost says "offline" too, before the results come by the next one.
+        subscriber.wait(
+            lambda heard: (
+                len(heard.payloads("/shift")) >= shift_count
+                and [status["status"] for status in heard.payloads("/status")[-1:]] == ["offline"]
+            )
+        )
         last = {topic: data for topic, data in subscriber.messages() if not topic.endswith("/shift")}
         shifts: list[JsonObject] = [
             {"topic": topic, "data": data} for topic, data in subscriber.messages() if topic not in last
