@@ -28,7 +28,7 @@ INSTALL = $(PY) -m pip --disable-pip-version-check install -qq
 DISTRIBUTIONS = ./canlog . ./workshop ./fleet
 SHUFFLED = $(if $(ORDER),--order-seed "$(ORDER)")
 # Run a part, and say when it has ended how long it took: $(call timed,what,command).
-timed = began=$$(date +%s); { $(2); }; status=$$?; echo "test: $(1): $$(($$(date +%s) - began)) s"; ( exit $$status )
+timed = { began=$$(date +%s); { $(2); }; status=$$?; echo "test: $(1): $$(($$(date +%s) - began)) s"; ( exit $$status ); }
 # The ones that print figures of speed and size; studies of accuracy have targets or commands of their own.
 BENCH = estimator fleet_ingest hour live_latency outbox plant readers service_memory
 
