@@ -60,9 +60,9 @@ def check_schema(engine: Engine) -> None:
     """Raise DatabaseError unless a database has the schema of this program, DatabaseAwayError if it does not answer."""
     with transaction(engine) as connection:
         _refuse_unknown(engine, connection)
-        found = _revision(connection)
-    if found != newest_revision():
-        state = "has no schema of fleet-backend" if found is None else f"has the older schema {found}"
+        revision = _revision(connection)
+    if revision != newest_revision():
+        state = "has no schema of fleet-backend" if revision is None else f"has the older schema {revision}"
         raise DatabaseError(f"database {place_of(engine)} {state}; run: fleet-backend migrate")
 
 
@@ -90,15 +90,16 @@ def newest_revision() -> str:
 
 
 def _refuse_unknown(engine: Engine, connection: Connection) -> None:
-    found = _revision(connection)
-    if found is not None and found not in (known := revisions()):
-        if found < known[0]:
+    revision, known = _revision(connection), revisions()
+    if revision is not None and revision not in known:
+        reason = f"was made by a newer program (schema {revision})"
+        if revision < known[0]:
             reason = (
-                f"has the schema {found}, which is too old to be upgraded: make a new database and take its rows over"
+                f"has the schema {revision}, which is too old to be upgraded: make a new database and take its rows"
+                " over (docs/fleet.md, Backup and restore)"
             )
-            raise DatabaseError(f"database {place_of(engine)} {reason} (docs/fleet.md, Backup and restore)")
-        raise DatabaseError(f"database {place_of(engine)} was made by a newer program (schema {found})")
-    if found is None and engine.dialect.name == "sqlite" and inspect(connection).get_table_names():
+        raise DatabaseError(f"database {place_of(engine)} {reason}")
+    if revision is None and engine.dialect.name == "sqlite" and inspect(connection).get_table_names():
         raise DatabaseError(f"database {place_of(engine)} is another program's, not a fleet's")
 
 

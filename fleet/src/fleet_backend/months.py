@@ -75,8 +75,8 @@ def make_before(connection: Connection, table: str, first: date) -> None:
     )
 
 
-def _make_months(connection: Connection, table: str, wanted: Iterable[date]) -> None:
-    for month in wanted:
+def _make_months(connection: Connection, table: str, months: Iterable[date]) -> None:
+    for month in months:
         bounds = f"FROM ({_bound(month)}) TO ({_bound(months_on(month, 1))})"
         connection.exec_driver_sql(f"CREATE TABLE {name_of(month)} PARTITION OF {table} FOR VALUES {bounds}")
 

@@ -110,6 +110,9 @@ AUDIT: Final = Table(
 COMMAND_LINE: Final = "command line"  # the role of who has a shell where the database is open to him
 
 
-def note_change(connection: Connection, *, at: datetime, who: str, role: str, action: str, subject: str) -> None:
-    values = {"audit_id": str(uuid.uuid4()), "at": at, "who": who, "role": role, "action": action, "subject": subject}
+def note_change(
+    connection: Connection, action: str, subject: str, *, at: datetime, by: str, role: str = COMMAND_LINE
+) -> None:
+    """Note in the audit who changed what, and when."""
+    values = {"audit_id": str(uuid.uuid4()), "at": at, "who": by, "role": role, "action": action, "subject": subject}
     connection.execute(insert(AUDIT).values(**values))

@@ -129,7 +129,7 @@ def _suspects(causes: str | None) -> tuple[orders.Suspect, ...]:
     return tuple(orders.Suspect(cause["cause"], cause["clutch"], cause["probability"]) for cause in likely)
 
 
-Record = Mapping[str, object]
+Record = Mapping[str, Any]
 SEVERITIES: Final = ("no_verdict", "good", "watch", "change_fluid")
 _ROWS_PER_READ: Final = 2000
 _CODE: Final = ("code", "failure_type", "text", "status", "states", "snapshots")
@@ -249,7 +249,7 @@ def acknowledge_quarantine(engine: Engine, vehicle: str, *, by: str, at: datetim
             .values(acknowledged_at=at, acknowledged_by=by)
         ).rowcount
         if count:
-            _note(connection, at, by, "acknowledge quarantine", f"{vehicle}: {count} messages")
+            note_change(connection, "acknowledge quarantine", f"{vehicle}: {count} messages", at=at, by=by)
         return count
 
 
@@ -264,7 +264,8 @@ def purge_quarantine(engine: Engine, before: datetime, *, by: str, at: datetime)
     with transaction(engine) as connection:
         count = connection.execute(delete(QUARANTINE).where(QUARANTINE.c.received_at < before)).rowcount
         if count:
-            _note(connection, at, by, "purge quarantine", f"{count} messages from before {before:%Y-%m-%d}")
+            subject = f"{count} messages from before {before:%Y-%m-%d}"
+            note_change(connection, "purge quarantine", subject, at=at, by=by)
         return count
 
 
@@ -331,7 +332,7 @@ def note_fill(
         )
         if by:
             subject = f"{vehicle}: {product} since {at.isoformat()}: {note or ''}"
-            _note(connection, datetime.now(UTC), by, "note fluid fill", subject, role)
+            note_change(connection, "note fluid fill", subject, at=datetime.now(UTC), by=by, role=role)
     return at
 
 
@@ -346,7 +347,8 @@ def withdraw_fill(engine: Engine, vehicle: str, at: datetime | None, *, by: str,
         gone = [filled_at for filled_at in known if timedelta(0) <= filled_at - meant < SAME_WITHIN]
         connection.execute(insert(WITHDRAWN_FILL), [{"vehicle": vehicle, "filled_at": filled_at} for filled_at in gone])
         connection.execute(delete(FLUID_FILL).where(table.vehicle == vehicle, table.filled_at.in_(gone)))
-        _note(connection, datetime.now(UTC), by, "withdraw fluid fill", f"{vehicle}: {meant.isoformat()}", role)
+        subject = f"{vehicle}: {meant.isoformat()}"
+        note_change(connection, "withdraw fluid fill", subject, at=datetime.now(UTC), by=by, role=role)
     return meant
 
 
@@ -381,10 +383,6 @@ def result_count(engine: Engine) -> int:
     """Return how many results are stored, all versions counted."""
     with transaction(engine) as connection:
         return int(connection.execute(select(func.count()).select_from(SHIFT_RESULT)).scalar_one())
-
-
-def _note(connection: Connection, at: datetime, by: str, action: str, subject: str, role: str = COMMAND_LINE) -> None:
-    note_change(connection, at=at, who=by, role=role, action=action, subject=subject)
 
 
 def _has(connection: Connection, statement: Select[tuple[str]]) -> bool:

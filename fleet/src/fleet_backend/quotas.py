@@ -9,6 +9,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import date, datetime
+from operator import add
 from typing import Final
 
 from sqlalchemy import Engine, case
@@ -22,6 +23,7 @@ from fleet_backend.office_tables import INTAKE
 
 SHARE_S: Final = 1.0
 _COUNTS: Final = ("result_count", "quarantined_count", "byte_count", "withheld_count")
+_ZERO: Final = (0,) * len(_COUNTS)
 _MOST_KNOWN: Final = 100_000  # vehicles that a worker remembers; of others it learns within a second
 _LOG: Final = logging.getLogger(__name__)
 
@@ -54,17 +56,17 @@ class QuotaGate:
 
     def _judged(self, item: Taken) -> Taken:
         vehicle = str(item.row["vehicle"] or "")
-        known, news = (counts.setdefault(vehicle, [0, 0, 0, 0]) for counts in (self._known, self._news))
+        known, news = (counts.setdefault(vehicle, list(_ZERO)) for counts in (self._known, self._news))
         kinds = (MessageKind.SHIFT, MessageKind.POISON)
         more = [*(int(item.kind is kind) for kind in kinds), len(item.message.payload), 0]
         counts_of = zip(self._limits, known, more, strict=True)
-        if any(limit and count and had + count > limit for limit, had, count in counts_of):
+        if any(limit and count and before + count > limit for limit, before, count in counts_of):
             if not known[-1]:
                 _LOG.warning("%s is beyond its quota of today: it keeps what is not taken", vehicle or "somebody")
             more = [0, 0, 0, 1]
             item = replace(item, kind=MessageKind.WITHHELD, fills=(), calibrations=(), revisions=(), receipt=None)
         for counts in (known, news):
-            counts[:] = map(sum, zip(counts, more, strict=True))
+            counts[:] = map(add, counts, more)
         return item
 
     async def share(self) -> None:
@@ -77,12 +79,12 @@ class QuotaGate:
         """Add what is new to what all workers took; while the database is away, later."""
         news, self._news = self._news, {}
         try:
-            totals = await asyncio.to_thread(self._added, self._day, news)
+            totals = await asyncio.to_thread(self._shared, self._day, news)
         except DatabaseError:  # those who store tell of it
-            totals, self._news = {}, _joined(news, self._news)
-        self._known |= _joined(totals, {name: self._news[name] for name in totals.keys() & self._news.keys()})
+            totals, self._news = {}, _added(news, self._news)
+        self._known |= _added(totals, {name: self._news[name] for name in totals.keys() & self._news.keys()})
 
-    def _added(self, day: date, news: Counts) -> Counts:
+    def _shared(self, day: date, news: Counts) -> Counts:
         rows = [{"vehicle": name, "day": day, **dict(zip(_COUNTS, news[name], strict=True))} for name in sorted(news)]
         if not rows:
             return {}
@@ -92,7 +94,6 @@ class QuotaGate:
             return {name: list(counts) for name, *counts in connection.execute(self._add, rows)}
 
 
-def _joined(one: Counts, other: Counts) -> Counts:
-    zero = [0] * len(_COUNTS)
-    names = one.keys() | other.keys()
-    return {name: [a + b for a, b in zip(one.get(name, zero), other.get(name, zero), strict=True)] for name in names}
+def _added(counts: Counts, more: Counts) -> Counts:
+    """Return the sums of counts by vehicle."""
+    return counts | {name: list(map(add, counts.get(name, _ZERO), more[name])) for name in more}

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from functools import lru_cache
 from hashlib import blake2b, sha256
 from operator import itemgetter
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
@@ -31,6 +31,7 @@ def version_rank(algorithm_version: str, calibration_version: str) -> str:
 
 
 Row = dict[str, object]
+Data = Mapping[str, Any]  # of a message that kept the contract
 
 _PLAIN: Final = (
     "vehicle",
@@ -58,13 +59,12 @@ _PLAIN: Final = (
 _PLAIN_OF: Final = itemgetter(*_PLAIN)  # a tuple, as are those below
 _FRICTION_OF: Final = itemgetter(*FRICTION_COLUMNS)
 _RUNNING_FRICTION: Final = tuple(RUNNING + name for name in FRICTION_COLUMNS)
-_SCALE_FREE: Final = tuple(SCALE_FREE + name for name in SCALE_FREE_COLUMNS)
 CONTENT: Final = (
     *_PLAIN,
     *("version_rank", "produced_at", "start_at", "end_at", "reasons"),
     *FRICTION_COLUMNS,
     *("condition", "condition_reason", "level_ratio"),
-    *(RUNNING + name for name in FRICTION_COLUMNS),
+    *_RUNNING_FRICTION,
     "running_shift_count",
 )
 _CONTENT_OF: Final = itemgetter(*CONTENT)
@@ -88,16 +88,15 @@ class Poison:
     detail: str
 
 
-def shift_row(data: Mapping[str, object]) -> Row:
-    """Return the row of a shift result that kept the contract."""
+def shift_row(data: Data) -> Row:
+    """Return the row of a shift result."""
     row: Row = dict(zip(_PLAIN, _PLAIN_OF(data), strict=True))
-    verdict = _table(data["verdict"])
-    reasons = data["reasons"]
-    row["version_rank"] = version_rank(str(data["algorithm_version"]), str(data["calibration_version"]))
+    verdict = data["verdict"]
+    row["version_rank"] = version_rank(data["algorithm_version"], data["calibration_version"])
     row["produced_at"] = moment(data["produced_at"])
     row["start_at"] = moment(data["start_utc"])
     row["end_at"] = moment(data["end_utc"])
-    row["reasons"] = ",".join(map(str, reasons)) if isinstance(reasons, list) else ""
+    row["reasons"] = ",".join(data["reasons"])
     row.update(_friction(data["friction"], FRICTION_COLUMNS))
     row["condition"] = verdict["condition"]
     row["condition_reason"] = verdict["reason"]
@@ -113,16 +112,15 @@ def shift_row(data: Mapping[str, object]) -> Row:
     row["element"] = data.get("element")
     row["running_since_bus_ns"] = verdict.get("running_since_bus_ns")
     causes = verdict.get("causes")
-    row["causes"] = None if causes is None else _JSON.encode(_foremost(_table(causes))).decode()
+    row["causes"] = None if causes is None else _JSON.encode(_foremost(causes)).decode()
     row["content_digest"] = content_digest(row)
     return row
 
 
-def _foremost(causes: Mapping[str, object]) -> dict[str, object]:
-    """Return causes without the less likely ones, and what speaks for the first alone: each result carries them."""
-    likely = causes["likely"]
-    shown = [dict(_table(cause)) for cause in likely[:_SHOWN_CAUSES]] if isinstance(likely, list | tuple) else []
-    return {**causes, "likely": shown[:1] + [{**cause, "evidence": ""} for cause in shown[1:]]}
+def _foremost(causes: Data) -> Row:
+    """Return the likeliest causes, with the evidence of the first alone: each result carries them."""
+    first, *others = causes["likely"][:_SHOWN_CAUSES] or [None]
+    return {**causes, "likely": [] if first is None else [first, *({**cause, "evidence": ""} for cause in others)]}
 
 
 def content_digest(row: Row) -> int:
@@ -135,14 +133,14 @@ def content_digest(row: Row) -> int:
     return int.from_bytes(blake2b(content, digest_size=8).digest(), signed=True)
 
 
-def status_row(data: Mapping[str, object]) -> Row:
+def status_row(data: Data) -> Row:
     """Return what the status of a service says about its vehicle."""
     names = ("vehicle", "service_version", "algorithm_version", "calibration_version")
     state = {"is_online": data["status"] == "online", "connected_at": moment(data["connected_at"])}
     return {**{name: data[name] for name in names}, **state}
 
 
-def calibration_rows(data: Mapping[str, object]) -> list[Row]:
+def calibration_rows(data: Data) -> list[Row]:
     """Return the row of what the status of a service says of its calibration; none by older programs."""
     if (calibration := data.get("calibration")) is None:
         return []
@@ -150,14 +148,11 @@ def calibration_rows(data: Mapping[str, object]) -> list[Row]:
     return [{**{name: data[name] for name in names}, "content": json.dumps(calibration)}]
 
 
-def revision_rows(data: Mapping[str, object]) -> list[Row]:
+def revision_rows(data: Data) -> list[Row]:
     """Return the rows of what a result made of earlier ones of its vehicle."""
     rows: list[Row] = []
-    revisions = data.get("revisions", [])
-    for revision in map(_table, revisions if isinstance(revisions, list) else []):
-        reasons = revision["reasons"]
-        words = ",".join(map(str, reasons)) if isinstance(reasons, list) else ""
-        now = {"status": revision["status"], "reasons": words}
+    for revision in data.get("revisions", ()):
+        now = {"status": revision["status"], "reasons": ",".join(revision["reasons"])}
         now |= _friction(revision["friction"], FRICTION_COLUMNS) | _scale_free(revision["scale_free"])
         key = {name: data[name] for name in ("vehicle", "stream", "seq")}
         key |= {name: revision[name] for name in ("clutch", "end_bus_ns")}
@@ -165,13 +160,10 @@ def revision_rows(data: Mapping[str, object]) -> list[Row]:
     return rows
 
 
-def fill_rows(data: Mapping[str, object]) -> list[Row]:
+def fill_rows(data: Data) -> list[Row]:
     """Return the rows of the fluid fills that a vehicle knows; of those that are taken back the key alone."""
-    fills, withdrawn = data["fills"], data.get("withdrawn", [])
-    if not isinstance(fills, list) or not isinstance(withdrawn, list):
-        raise TypeError("expected a list")
-    gone: list[Row] = [{"vehicle": data["vehicle"], "filled_at": moment(filled_at)} for filled_at in withdrawn]
-    return gone + [
+    withdrawn = data.get("withdrawn", ())
+    return [{"vehicle": data["vehicle"], "filled_at": moment(filled_at)} for filled_at in withdrawn] + [
         {
             "vehicle": data["vehicle"],
             "filled_at": moment(fill["filled_at"]),
@@ -179,34 +171,31 @@ def fill_rows(data: Mapping[str, object]) -> list[Row]:
             "product": fill["product"] or UNNAMED_FLUID,
             "note": fill["note"],
         }
-        for fill in map(_table, fills)
+        for fill in data["fills"]
     ]
 
 
-def told_fill(row: Mapping[str, object]) -> dict[str, object]:
+def message_fill(row: Data) -> Row:
     """Return a fluid fill, or the key of a withdrawn one, as a message carries it; a long text loses its end."""
-    filled_at = row["filled_at"]
-    if not isinstance(filled_at, datetime):
-        raise TypeError("a fill without a time")
-    key: dict[str, object] = {"filled_at": filled_at.astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")}
+    key = {"filled_at": row["filled_at"].astimezone(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")}
     if "product" not in row:
         return key | {"is_withdrawn": True}
-    product, note = str(row["product"]), row["note"]
+    product, note = row["product"], row["note"]
     return key | {
         "odometer_m": row["odometer_m"],
         "product": None if product == UNNAMED_FLUID else product[:_LONGEST_TEXT] or None,
-        "note": str(note)[:_LONGEST_TEXT] if note else None,
+        "note": note[:_LONGEST_TEXT] if note else None,
     }
 
 
-def metrics_row(data: Mapping[str, object]) -> Row:
+def metrics_row(data: Data) -> Row:
     """Return the last numbers of a service."""
     metrics = json.dumps(data["metrics"], sort_keys=True)
     return {"vehicle": data["vehicle"], "metrics": metrics, "metrics_at": moment(data["produced_at"])}
 
 
-def controller_row(data: Mapping[str, object]) -> Row:
-    """Return the row of what a controller said of its trouble codes, that kept the contract."""
+def controller_row(data: Data) -> Row:
+    """Return the row of what a controller said of its trouble codes."""
     report = json.dumps({key: data[key] for key in ("controller", "description", "codes")}, sort_keys=True)
     return {"vehicle": data["vehicle"], "controller": report, "controller_at": moment(data["produced_at"])}
 
@@ -226,40 +215,28 @@ def quarantine_row(poison: Poison, received_at: datetime) -> Row:
     }
 
 
-def moment(text: object) -> datetime:
+def moment(text: str) -> datetime:
     """Return an aware moment from ISO 8601 UTC."""
-    return datetime.fromisoformat(str(text)).astimezone(UTC)
+    return datetime.fromisoformat(text).astimezone(UTC)
 
 
-def _friction(friction: object, names: tuple[str, ...]) -> Row:
-    if friction is None:
-        return dict.fromkeys(names)
-    return dict(zip(names, _FRICTION_OF(_table(friction)), strict=True))
+def _friction(friction: Data | None, names: tuple[str, ...]) -> Row:
+    return dict.fromkeys(names) if friction is None else dict(zip(names, _FRICTION_OF(friction), strict=True))
 
 
-def _scale_free(values: object) -> Row:
+def _scale_free(friction: Data | None) -> Row:
     """Return what driving alone tells of the friction; nothing in results of older programs."""
-    table: Mapping[str, object] = {} if values is None else _table(values)
-    return dict(zip(_SCALE_FREE, map(table.get, SCALE_FREE_COLUMNS), strict=True))
+    return {SCALE_FREE + name: (friction or {}).get(name) for name in SCALE_FREE_COLUMNS}
 
 
-def _trust(values: object) -> Row:
-    if values is None:
+def _trust(trust: Data | None) -> Row:
+    if trust is None:
         return {"trust": None, "trust_parts": None}
-    table = _table(values)
-    return {"trust": table["score"], "trust_parts": _SORTED.encode(table["parts"])}
-
-
-def _table(value: object) -> Mapping[str, object]:
-    if not isinstance(value, Mapping):
-        raise TypeError(f"expected an object, got {type(value).__name__}")
-    return value
+    return {"trust": trust["score"], "trust_parts": _SORTED.encode(trust["parts"])}
 
 
 def _shown(text: str) -> str:
     """Return a text that every database takes and every terminal survives."""
     if text.isprintable():
         return text
-    return "".join(
-        character if character.isprintable() else character.encode("unicode_escape").decode() for character in text
-    )
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)

@@ -33,7 +33,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 
 from fleet_backend.database import place_of, transaction
 from fleet_backend.errors import RowRefusedError
-from fleet_backend.rows import Row, told_fill
+from fleet_backend.rows import Row, message_fill
 from fleet_backend.schema import (
     CALIBRATION,
     CLUTCH,
@@ -191,7 +191,7 @@ class Writer:
             for table in (FLUID_FILL, WITHDRAWN_FILL):
                 statement = select(table).where(table.c.vehicle.in_(vehicles)).order_by(table.c.filled_at)
                 for row in connection.execute(statement).mappings():
-                    fills.setdefault(str(row["vehicle"]), []).append(told_fill(dict(row)))
+                    fills.setdefault(str(row["vehicle"]), []).append(message_fill(dict(row)))
         return fills
 
     def _store(self, batch: Batch) -> set[Identity]:

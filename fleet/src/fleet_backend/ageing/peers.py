@@ -30,7 +30,7 @@ from fleet_backend.ageing.records import Fill
 from fleet_backend.ageing.results import fills_of, results_of
 from fleet_backend.database import transaction
 from fleet_backend.errors import BackendConfigError, DatabaseError
-from fleet_backend.office_tables import COMMAND_LINE, POPULATION, note_change
+from fleet_backend.office_tables import POPULATION, note_change
 from fleet_backend.schema import CLUTCH
 
 Key = tuple[str, int]  # vehicle and clutch
@@ -120,8 +120,7 @@ def keep_population(engine: Engine, population: Population, clutch_count: int, *
         content = json.dumps(population_record(replace(population, version=version)), ensure_ascii=False)
         row = {"version": version, "learned_at": at, "clutch_count": clutch_count, "content": content}
         connection.execute(insert(POPULATION).values(row))
-        subject = f"population {version}, from {clutch_count} clutches"
-        note_change(connection, at=at, who=by, role=COMMAND_LINE, action="keep population", subject=subject)
+        note_change(connection, "keep population", f"population {version}, from {clutch_count} clutches", at=at, by=by)
     return version
 
 

@@ -161,11 +161,11 @@ def _once(rows: list[Row]) -> list[Row]:
     return once
 
 
-def _is_same(one: Row, other: Row) -> bool:
+def _is_same(first: Row, second: Row) -> bool:
     """Return whether two results of different streams overlap for most of the longer event."""
-    shared_ns = min(one["end_bus_ns"], other["end_bus_ns"]) - max(one["start_bus_ns"], other["start_bus_ns"])
-    longer_ns = max(row["end_bus_ns"] - row["start_bus_ns"] for row in (one, other))
-    return bool(one["stream"] != other["stream"] and shared_ns > SAME_RATIO * longer_ns)
+    shared_ns = min(first["end_bus_ns"], second["end_bus_ns"]) - max(first["start_bus_ns"], second["start_bus_ns"])
+    longer_ns = max(row["end_bus_ns"] - row["start_bus_ns"] for row in (first, second))
+    return bool(first["stream"] != second["stream"] and shared_ns > SAME_RATIO * longer_ns)
 
 
 def shift_of(engine: Engine, vehicle: str, stream: str, seq: int) -> dict[str, Any] | None:

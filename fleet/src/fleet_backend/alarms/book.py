@@ -40,11 +40,11 @@ class Letter:
     attempt_count: int
 
 
-def open_alarms(engine: Engine) -> dict[Subject, bool]:
+def open_alarms(engine: Engine) -> frozenset[Subject]:
     columns = (ALARM.c.vehicle, ALARM.c.clutch, ALARM.c.rule)
     with transaction(engine) as connection:
         rows = connection.execute(select(*columns).where(ALARM.c.cleared_at.is_(None)))
-        return {Subject(vehicle=row.vehicle, clutch=row.clutch, rule=AlarmRule(row.rule)): True for row in rows}
+        return frozenset(Subject(vehicle=row.vehicle, clutch=row.clutch, rule=AlarmRule(row.rule)) for row in rows)
 
 
 def alarms(
@@ -79,7 +79,7 @@ def acknowledge(engine: Engine, subject: Subject, number: int, note: Note) -> bo
         count = connection.execute(update(ALARM).where(*waiting).values(**values)).rowcount
         if count:
             text = f"{_key(subject, number)}: {note.text or ''}"
-            note_change(connection, at=note.at, who=note.by, role=note.role, action="acknowledge alarm", subject=text)
+            note_change(connection, "acknowledge alarm", text, at=note.at, by=note.by, role=note.role)
     return count > 0
 
 
@@ -91,25 +91,21 @@ def acknowledge_open(engine: Engine, vehicle: str, clutch: int, note: Note) -> i
     return sum(acknowledge(engine, subject, number, note) for subject, number in subjects)
 
 
-def take(engine: Engine, carrier: str, now: datetime) -> Letter | None:
-    """Take the message that has waited longest for a carrier, for a minute; None if none does."""
+def claim_letter(engine: Engine, carrier: str, now: datetime) -> Letter | None:
+    """Return the message that has waited longest for a carrier, claimed for `CLAIM`; None if none waits."""
     table = ALARM_MESSAGE
     is_free = or_(table.c.claimed_until.is_(None), table.c.claimed_until < now)
     waiting = (table.c.carrier == carrier, table.c.delivered_at.is_(None), table.c.next_try_at <= now, is_free)
+    first = select(table.c.key).where(*waiting).order_by(table.c.next_try_at, table.c.key).limit(1).scalar_subquery()
+    columns = (table.c.key, table.c.carrier, table.c.payload, table.c.attempt_count)
+    claim = update(table).where(table.c.key == first, *waiting).values(claimed_until=now + CLAIM).returning(*columns)
     with transaction(engine) as connection:
-        order = (table.c.next_try_at, table.c.key)
-        row = connection.execute(select(table).where(*waiting).order_by(*order).limit(1)).mappings().first()
-        if row is None:
-            return None
-        mine = update(table).where(table.c.key == row["key"], *waiting).values(claimed_until=now + CLAIM)
-        if not connection.execute(mine).rowcount:
-            return None
-    columns = {name: row[name] for name in ("key", "carrier", "attempt_count")}
-    return Letter(payload=json.loads(row["payload"]), **columns)
+        row = connection.execute(claim).mappings().first()
+    return None if row is None else Letter(**{**row, "payload": json.loads(row["payload"])})
 
 
-def settle(engine: Engine, letter: Letter, now: datetime, complaint: str | None) -> None:
-    """Note that a message is delivered, or why not: then it is tried again, later each time, for ever."""
+def note_attempt(engine: Engine, letter: Letter, now: datetime, complaint: str | None) -> None:
+    """Note that a message is delivered; with a complaint when it is tried again, which is later each time."""
     pause = timedelta(seconds=min(_FIRST_PAUSE_S * 2.0 ** min(letter.attempt_count, 16), _LONGEST_PAUSE_S))
     values: dict[str, Any] = {"attempt_count": letter.attempt_count + 1, "claimed_until": None, "complaint": complaint}
     values |= {"delivered_at": now} if complaint is None else {"next_try_at": now + pause}
@@ -147,8 +143,9 @@ def _write(engine: Engine, steps: Sequence[Transition], carriers: Sequence[str])
 def _raise(connection: Connection, steps: Sequence[Transition]) -> dict[Transition, int]:
     """Return the numbers of new alarms, without those of which one is open."""
     vehicles = {step.subject.vehicle for step in steps}
-    of = (ALARM.c.vehicle, ALARM.c.clutch, ALARM.c.rule)
-    counts = select(*of, func.max(ALARM.c.number), func.count() - func.count(ALARM.c.cleared_at)).group_by(*of)
+    subject = (ALARM.c.vehicle, ALARM.c.clutch, ALARM.c.rule)
+    open_count_of = func.count() - func.count(ALARM.c.cleared_at)
+    counts = select(*subject, func.max(ALARM.c.number), open_count_of).group_by(*subject)
     known = {tuple(row[:3]): row[3:] for row in connection.execute(counts.where(ALARM.c.vehicle.in_(vehicles)))}
     numbers, rows = dict[Transition, int](), []
     for step in steps:
@@ -165,9 +162,9 @@ def _raise(connection: Connection, steps: Sequence[Transition]) -> dict[Transiti
 
 def _clear(connection: Connection, step: Transition) -> int | None:
     is_open = (*_is_of(step.subject), ALARM.c.cleared_at.is_(None))
-    number = connection.execute(select(ALARM.c.number).where(*is_open)).scalar()
-    cleared = connection.execute(update(ALARM).where(*is_open).values(cleared_at=step.at)).rowcount
-    return int(number) if number is not None and cleared else None
+    clear = update(ALARM).where(*is_open).values(cleared_at=step.at).returning(ALARM.c.number)
+    number: int | None = connection.scalar(clear)
+    return number
 
 
 def _is_of(subject: Subject) -> tuple[Any, ...]:

@@ -1,12 +1,13 @@
 """When an alarm is raised and when it is over: pure, each with a gap between both so that none flutters."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from enum import StrEnum
 from itertools import pairwise
 
 from clutchdiag_io.people import is_dated
+from fleet_backend.ageing.records import ClutchNow, Severity
 from fleet_backend.intake import CLOCK_ERROR
 from fleet_contract.orders import Action, name_of
 
@@ -51,27 +52,14 @@ class Limits:
     silence_until: timedelta = timedelta(days=1)
 
 
-@dataclass(frozen=True, slots=True)
-class Whose:
-    """A clutch of a vehicle, and its name where it is neither clutch 1 nor clutch 2 of a pair."""
-
-    vehicle: str
-    clutch: int
-    element: str | None = None
-
-    @property
-    def clutch_name(self) -> str:
-        return name_of(self.clutch, self.element)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, order=True)
 class Subject:
     """What an alarm is of; at most one of each is open at a time."""
 
     vehicle: str
-    clutch: int
+    clutch: int = WHOLE_VEHICLE
     rule: AlarmRule
-    element: str | None = field(default=None, compare=False)  # name of the clutch, as of `Whose`
+    element: str | None = field(default=None, compare=False)  # name of the clutch, as of `ClutchNow`
 
     def __str__(self) -> str:
         return self.vehicle + (f", {name_of(self.clutch, self.element)}" if self.clutch else "")
@@ -96,56 +84,58 @@ class Transition:
     at: datetime
 
 
-def verdict_finding(whose: Whose, condition: str, order: str, *, is_old_fluid: bool) -> RuleFinding:
+def verdict_finding(clutch: ClutchNow, *, is_old_fluid: bool) -> RuleFinding:
     """Return what the verdict says; one that is none changes nothing, unless all that spoke was an earlier fluid."""
-    is_wrong = None if condition == "no_verdict" and not is_old_fluid else condition == "change_fluid"
-    return RuleFinding(subject=_subject(whose, AlarmRule.VERDICT), is_wrong=is_wrong, reason=order)
+    is_unknown = clutch.condition == Severity.NO_VERDICT and not is_old_fluid
+    is_wrong = None if is_unknown else clutch.condition == Severity.CHANGE_FLUID
+    return RuleFinding(subject=_subject(clutch, AlarmRule.VERDICT), is_wrong=is_wrong, reason=clutch.order)
 
 
-def cause_finding(vehicle: str, action: str, order: str) -> RuleFinding:
-    """Return whether another cause than the fluid is to be seen to; while nothing is known it stays as it was."""
-    is_wrong = None if action in {Action.MEASURE_AGAIN, Action.NEW_FLUID} else action == Action.FIND_CAUSE
-    return RuleFinding(
-        subject=_subject(Whose(vehicle, WHOLE_VEHICLE), AlarmRule.CAUSE), is_wrong=is_wrong, reason=order
-    )
+def cause_finding(clutch: ClutchNow) -> RuleFinding:
+    """Return whether the order of a vehicle names another cause than its fluid; of an order without a verdict None."""
+    is_unknown = clutch.action in {Action.MEASURE_AGAIN, Action.NEW_FLUID}
+    is_wrong = None if is_unknown else clutch.action == Action.FIND_CAUSE
+    subject = Subject(vehicle=clutch.vehicle, rule=AlarmRule.CAUSE)
+    return RuleFinding(subject=subject, is_wrong=is_wrong, reason=clutch.order)
 
 
-def due_finding(whose: Whose, probability: float | None, sentence: str, limits: Limits) -> RuleFinding:
+def due_finding(clutch: ClutchNow, probability: float | None, sentence: str, limits: Limits) -> RuleFinding:
     """Return what the prognosis says; None: there is no trend, which is not wrong."""
     is_wrong = False if probability is None else _beyond(probability, limits.due_from, limits.due_until)
-    return RuleFinding(subject=_subject(whose, AlarmRule.DUE), is_wrong=is_wrong, reason=sentence)
+    return RuleFinding(subject=_subject(clutch, AlarmRule.DUE), is_wrong=is_wrong, reason=sentence)
 
 
-def quality_finding(whose: Whose, unused_count: int, event_count: int, limits: Limits) -> RuleFinding:
+def quality_finding(clutch: ClutchNow, unused_count: int, event_count: int, limits: Limits) -> RuleFinding:
     """Return what the last events say of the data; a few say nothing."""
     share = unused_count / max(event_count, 1)
     is_wrong = None if event_count < limits.least_events else _beyond(share, limits.unused_from, limits.unused_until)
-    reason = f"{unused_count} of the last {event_count} events of {whose.clutch_name} could not be used"
-    return RuleFinding(subject=_subject(whose, AlarmRule.QUALITY), is_wrong=is_wrong, reason=reason)
+    name = name_of(clutch.clutch, clutch.element)
+    reason = f"{unused_count} of the last {event_count} events of {name} could not be used"
+    return RuleFinding(subject=_subject(clutch, AlarmRule.QUALITY), is_wrong=is_wrong, reason=reason)
 
 
-def score_finding(whose: Whose, fall: float | None, limits: Limits) -> RuleFinding:
+def score_finding(clutch: ClutchNow, fall: float | None, limits: Limits) -> RuleFinding:
     """Return whether gears are changed worse than before; None: too few changes tell."""
     is_wrong = None if fall is None else _beyond(fall, limits.fall_from, limits.fall_until)
     points = f"{fall or 0.0:.0f} points less than the first of their kind"
-    reason = f"the last changes to gears of {whose.clutch_name} score {points}"
-    return RuleFinding(subject=_subject(whose, AlarmRule.SCORE), is_wrong=is_wrong, reason=reason)
+    reason = f"the last changes to gears of {name_of(clutch.clutch, clutch.element)} score {points}"
+    return RuleFinding(subject=_subject(clutch, AlarmRule.SCORE), is_wrong=is_wrong, reason=reason)
 
 
-def odometer_finding(whose: Whose, readings_m: Sequence[float], limits: Limits) -> RuleFinding:
+def odometer_finding(clutch: ClutchNow, readings_m: Sequence[float], limits: Limits) -> RuleFinding:
     """Return whether the last readings of an odometer, in their order, can be those of one."""
     wrong = [(a, b) for a, b in pairwise(readings_m) if not 0.0 <= b - a <= limits.leap_m]
     reason = "the odometer is plausible"
     if wrong:
         before_m, after_m = wrong[-1]
         reason = f"the odometer went from {before_m / 1000.0:,.0f} km to {after_m / 1000.0:,.0f} km between two results"
-    return RuleFinding(subject=_subject(whose, AlarmRule.ODOMETER), is_wrong=bool(wrong), reason=reason)
+    return RuleFinding(subject=_subject(clutch, AlarmRule.ODOMETER), is_wrong=bool(wrong), reason=reason)
 
 
-def heard_last(told: Iterable[object], now: datetime) -> datetime | None:
-    """Return the last moment at which a vehicle was heard, by its clock or ours; undated or yet to come: no moment."""
-    moments = (at for at in told if isinstance(at, datetime))
-    return max((at for at in moments if is_dated(at) and at <= now + CLOCK_ERROR), default=None)
+def heard_last(moments: Iterable[datetime | None], now: datetime) -> datetime | None:
+    """Return the last moment at which a vehicle was heard; without those that have no date or are yet to come."""
+    known = (at for at in moments if at is not None)
+    return max((at for at in known if is_dated(at) and at <= now + CLOCK_ERROR), default=None)
 
 
 def silence_finding(vehicle: str, last_heard_at: datetime, now: datetime, limits: Limits) -> RuleFinding:
@@ -154,43 +144,38 @@ def silence_finding(vehicle: str, last_heard_at: datetime, now: datetime, limits
         (now - last_heard_at).total_seconds(), limits.silence_from.total_seconds(), limits.silence_until.total_seconds()
     )
     reason = f"no message received since {last_heard_at:%Y-%m-%d %H:%M} UTC"
-    return RuleFinding(
-        subject=_subject(Whose(vehicle, WHOLE_VEHICLE), AlarmRule.SILENCE), is_wrong=is_wrong, reason=reason
-    )
+    return RuleFinding(subject=Subject(vehicle=vehicle, rule=AlarmRule.SILENCE), is_wrong=is_wrong, reason=reason)
 
 
-def quota_findings(withheld: Mapping[str, int], is_open: Iterable[Subject]) -> Iterator[RuleFinding]:
+def quota_findings(withheld: Mapping[str, int], open_subjects: Iterable[Subject]) -> Iterator[RuleFinding]:
     """Yield of which vehicles messages of today were withheld, and of which no longer."""
-    alarmed = {subject.vehicle for subject in is_open if subject.rule is AlarmRule.QUOTA}
+    alarmed = {subject.vehicle for subject in open_subjects if subject.rule is AlarmRule.QUOTA}
     for vehicle in sorted(withheld.keys() | alarmed):
         count = withheld.get(vehicle, 0)
         reason = f"{count} messages of today are beyond its quota; the vehicle keeps them and sends them again"
-        yield RuleFinding(
-            subject=_subject(Whose(vehicle, WHOLE_VEHICLE), AlarmRule.QUOTA), is_wrong=count > 0, reason=reason
-        )
+        yield RuleFinding(subject=Subject(vehicle=vehicle, rule=AlarmRule.QUOTA), is_wrong=count > 0, reason=reason)
 
 
-def retired_findings(is_open: Iterable[Subject]) -> Iterator[RuleFinding]:
+def retired_findings(open_subjects: Iterable[Subject]) -> Iterator[RuleFinding]:
     """Yield that alarms of a rule that is no more are over."""
-    for subject in is_open:
+    for subject in open_subjects:
         if subject.rule is AlarmRule.CORRECTION:
             yield RuleFinding(subject=subject, is_wrong=False, reason="nothing is told of it any more")
 
 
 def transitions(
-    findings: Iterable[RuleFinding], is_open: Mapping[Subject, bool], now: datetime
+    findings: Iterable[RuleFinding], open_subjects: Container[Subject], now: datetime
 ) -> Iterator[Transition]:
-    """Yield what becomes of alarms; ``is_open`` knows those that are."""
+    """Yield which alarms are raised and which are cleared, by findings and by the alarms that are open."""
     for finding in findings:
-        was_open = is_open.get(finding.subject, False)
-        if finding.is_wrong is None or finding.is_wrong == was_open:
+        if finding.is_wrong is None or finding.is_wrong == (finding.subject in open_subjects):
             continue
         event = AlarmEvent.RAISED if finding.is_wrong else AlarmEvent.CLEARED
         yield Transition(subject=finding.subject, event=event, reason=finding.reason, at=now)
 
 
-def _subject(whose: Whose, rule: AlarmRule) -> Subject:
-    return Subject(vehicle=whose.vehicle, clutch=whose.clutch, element=whose.element, rule=rule)
+def _subject(clutch: ClutchNow, rule: AlarmRule) -> Subject:
+    return Subject(vehicle=clutch.vehicle, clutch=clutch.clutch, element=clutch.element, rule=rule)
 
 
 def _beyond(value: float, begin: float, end: float) -> bool | None:

@@ -3,7 +3,6 @@
 A vehicle is forgotten in one transaction, and a second look proves it.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time
 from hashlib import sha256
@@ -20,7 +19,6 @@ from sqlalchemy import (
     delete,
     exists,
     func,
-    inspect,
     not_,
     or_,
     select,
@@ -46,7 +44,7 @@ from fleet_backend.months import (
     name_of,
     note_going,
 )
-from fleet_backend.office_tables import ALARM_MESSAGE, AUDIT, COMMAND_LINE, METADATA, note_change
+from fleet_backend.office_tables import ALARM_MESSAGE, AUDIT, METADATA, note_change
 from fleet_backend.queries import check_vehicle
 from fleet_backend.schema import IS_OLD, QUARANTINE, REVISION, SHIFT_RESULT, UtcDateTime
 
@@ -79,8 +77,7 @@ def retain(engine: Engine, kept_months: int, *, now: datetime, by: str) -> Retai
         kept_count = _old_count(connection, until)
         if gone_count:
             _drop_revisions(connection)
-            subject = f"{gone_count} results from before {first:%Y-%m}"
-            note_change(connection, at=now, who=by, role=COMMAND_LINE, action="forget results", subject=subject)
+            note_change(connection, "forget results", f"{gone_count} results from before {first:%Y-%m}", at=now, by=by)
     return Retained(before=first, gone_count=gone_count, kept_count=kept_count)
 
 
@@ -154,7 +151,11 @@ def forget_vehicle(engine: Engine, vehicle: str, *, now: datetime, by: str) -> F
     check_vehicle(engine, vehicle)
     digest = sha256(vehicle.encode()).hexdigest()
     with transaction(engine) as connection:
-        tables = list(_tables(connection))
+        # Tables that refer to others come before these.
+        tables = [CLUTCH_STREAM] if has_partitions(engine) else []
+        tables += [
+            table for table in reversed(METADATA.sorted_tables) if "vehicle" in table.c or table is ALARM_MESSAGE
+        ]
         deletions = {table.name: delete(table).where(_is_about(table, vehicle)) for table in tables}
         gone = {name: connection.execute(deletion).rowcount for name, deletion in deletions.items()}
         renaming = update(AUDIT).where(_is_about(AUDIT, vehicle)).values(subject=FORGOTTEN)
@@ -162,22 +163,13 @@ def forget_vehicle(engine: Engine, vehicle: str, *, now: datetime, by: str) -> F
         left = {table.name: _count(connection, table, vehicle) for table in (*tables, AUDIT)}
         if any(left.values()):
             raise DatabaseError(f"rows about {vehicle} came meanwhile and nothing was deleted: stop its service first")
-        subject = f"vehicle with sha256 {digest}"
-        note_change(connection, at=now, who=by, role=COMMAND_LINE, action="forget vehicle", subject=subject)
+        note_change(connection, "forget vehicle", f"vehicle with sha256 {digest}", at=now, by=by)
     return Forgotten(digest=digest, gone=gone, left=left)
 
 
 def _count(connection: Connection, table: Table | TableClause, vehicle: str) -> int:
     statement = select(func.count()).select_from(table).where(_is_about(table, vehicle))
     return int(connection.execute(statement).scalar_one())
-
-
-def _tables(connection: Connection) -> Iterator[Table | TableClause]:
-    """Yield the tables that have rows about vehicles, those that refer to others before these."""
-    there = set(inspect(connection).get_table_names())
-    for table in (CLUTCH_STREAM, *reversed(METADATA.sorted_tables)):
-        if table.name in there and ("vehicle" in table.c or table is ALARM_MESSAGE):
-            yield table
 
 
 def _is_about(table: Table | TableClause, vehicle: str) -> ColumnElement[bool]:

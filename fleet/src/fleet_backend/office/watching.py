@@ -154,14 +154,14 @@ class Watch:
             self._keeper.refresh()
         now = self._now()
         names = [carrier.name for carrier in self._orders.carriers]
-        is_open = book.open_alarms(self._engine)
-        quotas = rules.quota_findings(self._withheld(now), is_open)
-        retired = rules.retired_findings(is_open)
+        open_subjects = book.open_alarms(self._engine)
+        quotas = rules.quota_findings(self._withheld(now), open_subjects)
+        retired = rules.retired_findings(open_subjects)
         arrivals, dues = arrivals_of(self._engine), dict[str, list[Row]]()
-        known = {name: (own, arrivals.get(name)) for name, own in self._keeper.snapshot.vehicles.items()}
+        known = {name: (clutches, arrivals.get(name)) for name, clutches in self._keeper.snapshot.vehicles.items()}
         pasts = self._pasts(known, judging_s, dues)
-        findings = chain(quotas, retired, self._findings(now, is_open, arrivals), pasts)
-        steps = list(rules.transitions(findings, is_open, now))
+        findings = chain(quotas, retired, self._findings(now, open_subjects, arrivals), pasts)
+        steps = list(rules.transitions(findings, open_subjects, now))
         written = book.write(self._engine, steps, names)
         keep_dues(self._engine, dues, self._now())  # only now: what is marked as judged is not judged again
         for name in dues:
@@ -212,7 +212,9 @@ class Watch:
         count = 0
         for carrier in self._orders.carriers:
             end_s = time.monotonic() + turn_s
-            while not self.is_over and (letter := book.take(self._engine, carrier.name, self._now())) is not None:
+            while (
+                not self.is_over and (letter := book.claim_letter(self._engine, carrier.name, self._now())) is not None
+            ):
                 complaint = None
                 try:
                     carrier.deliver(letter)
@@ -220,7 +222,7 @@ class Watch:
                 except CarrierError as exc:
                     complaint = str(exc)
                     _LOG.warning("%s; trying again (%s)", complaint, letter.key)
-                book.settle(self._engine, letter, self._now(), complaint)
+                book.note_attempt(self._engine, letter, self._now(), complaint)
                 if time.monotonic() >= end_s:
                     break
         return count
@@ -233,16 +235,16 @@ class Watch:
             return {str(vehicle): count for vehicle, count in connection.execute(withheld)}
 
     def _findings(
-        self, now: datetime, is_open: Container[rules.Subject], arrivals: Mapping[str, Arrivals]
+        self, now: datetime, open_subjects: Container[rules.Subject], arrivals: Mapping[str, Arrivals]
     ) -> Iterator[rules.RuleFinding]:
         for clutch in self._keeper.snapshot.clutches:
             subject = rules.Subject(vehicle=clutch.vehicle, clutch=clutch.clutch, rule=rules.AlarmRule.VERDICT)
-            is_old = subject in is_open and self._is_alarm_of_old_fluid(clutch)
-            yield rules.verdict_finding(_whose(clutch), clutch.condition, clutch.order, is_old_fluid=is_old)
+            is_old = subject in open_subjects and self._is_alarm_of_old_fluid(clutch)
+            yield rules.verdict_finding(clutch, is_old_fluid=is_old)
         for record in queries.last_seen(self._engine):
-            vehicle = str(record["vehicle"])
-            moments = (record["last_result_at"] or record["connected_at"], *arrivals.get(vehicle, ()))
-            heard_at = rules.heard_last(moments, now)
+            vehicle = record["vehicle"]
+            arrived_at, _ = arrivals.get(vehicle, (None, 0))
+            heard_at = rules.heard_last((record["last_result_at"] or record["connected_at"], arrived_at), now)
             if heard_at is not None:
                 yield rules.silence_finding(vehicle, heard_at, now, self._orders.limits)
 
@@ -300,20 +302,16 @@ class Watch:
             pasts.append(past)
             last = past.rows[-limits.unused_events :]
             unused_count = sum(row["status"] == "rejected" for row in last)
-            yield rules.quality_finding(_whose(now), unused_count, len(last), limits)
-            yield rules.score_finding(_whose(now), fall_of(past.estimates), limits)
+            yield rules.quality_finding(now, unused_count, len(last), limits)
+            yield rules.score_finding(now, fall_of(past.estimates), limits)
             readings_m = [row["odometer_m"] for row in last if row["odometer_m"] is not None]
-            yield rules.odometer_finding(_whose(now), readings_m, limits)
-        yield rules.cause_finding(vehicle, clutches[0].action, clutches[0].order)
+            yield rules.odometer_finding(now, readings_m, limits)
+        yield rules.cause_finding(clutches[0])
         text = f"{clutches[0].order} {outlook_text((past.prognosis for past in pasts), clutches[0])}"
         for now, past in zip(clutches, pasts, strict=True):
             if past.prognosis is not None:
-                yield rules.due_finding(_whose(now), chance_of(past.prognosis), text, limits)
+                yield rules.due_finding(now, chance_of(past.prognosis), text, limits)
         return foretold(clutches, pasts)
-
-
-def _whose(now: ClutchNow) -> rules.Whose:
-    return rules.Whose(now.vehicle, now.clutch, now.element)
 
 
 def run_watch(

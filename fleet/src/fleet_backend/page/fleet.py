@@ -241,4 +241,4 @@ def _by_vehicle(clutches: Sequence[ClutchNow]) -> ByVehicle:
     by_vehicle: dict[str, list[ClutchNow]] = {}
     for now in clutches:
         by_vehicle.setdefault(now.vehicle, []).append(now)
-    return {name: tuple(sorted(own, key=lambda now: now.clutch)) for name, own in by_vehicle.items()}
+    return {vehicle: tuple(sorted(rows, key=lambda now: now.clutch)) for vehicle, rows in by_vehicle.items()}

@@ -171,8 +171,8 @@ def _matching(clutches: Sequence[ClutchNow], query: VehiclesQuery) -> Sequence[C
         part = query.q.casefold()
         clutches = [now for now in clutches if part in now.vehicle.casefold()]
     for name in ("condition", "fluid"):
-        if (wanted := getattr(query, name)) is not None:
-            clutches = [now for now in clutches if getattr(now, name) == wanted]
+        if (value := getattr(query, name)) is not None:
+            clutches = [now for now in clutches if getattr(now, name) == value]
     if query.since is not None or query.until is not None:
         since, until = query.since or date.min, query.until or date.max
         clutches = [now for now in clutches if since <= now.end_at.date() <= until]

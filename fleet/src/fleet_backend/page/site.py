@@ -109,7 +109,7 @@ class Login(AuthenticationBackend):
         self._access = access
 
     async def authenticate(self, conn: HTTPConnection) -> tuple[AuthCredentials, Any]:
-        """Return who asks; raises AuthenticationError, from the error that is told."""
+        """Return who asks; raises AuthenticationError, from the error that the reader is shown."""
         proxy = self._access.proxy
         names = () if proxy is None else (proxy.user_header, proxy.secret_header)
         try:
@@ -122,10 +122,12 @@ class Login(AuthenticationBackend):
 
 def application(sources: Sources, routes: list[BaseRoute], lifespan: Lifespan | None = None) -> ASGIApp:
     """Return the application that answers."""
-    handlers = dict.fromkeys((FleetBackendError, HTTPException, Exception), _tell)
+    handlers = dict.fromkeys((FleetBackendError, HTTPException, Exception), _answer_error)
     names = sources.access.host_names or LOOPBACK  # by which readers may call the page
     login = Middleware(
-        AuthenticationMiddleware, backend=Login(sources.access), on_error=lambda conn, exc: _told(conn, exc.__cause__)
+        AuthenticationMiddleware,
+        backend=Login(sources.access),
+        on_error=lambda conn, exc: _error_answer(conn, exc.__cause__),
     )
     inside = Starlette(routes=routes, exception_handlers=handlers, middleware=[login], lifespan=lifespan)
     inside.state.sources = sources
@@ -135,13 +137,13 @@ def application(sources: Sources, routes: list[BaseRoute], lifespan: Lifespan | 
 
 
 def sources_of(request: HTTPConnection) -> Sources:
-    found: Sources = request.app.state.sources
-    return found
+    sources: Sources = request.app.state.sources
+    return sources
 
 
 def viewer_of(request: HTTPConnection) -> Viewer:
-    found: Viewer = request.user
-    return found
+    viewer: Viewer = request.user
+    return viewer
 
 
 def is_api(request: HTTPConnection) -> bool:
@@ -149,12 +151,20 @@ def is_api(request: HTTPConnection) -> bool:
 
 
 def asked(request: Request, query: type[QueryT]) -> QueryT:
-    """Return the words of an address, checked; an empty word of a form was not said."""
+    """Return the parameters of an address as a record; an empty one counts as missing. Raises AskError."""
     return _checked([*request.path_params.items(), *request.query_params.multi_items()], query)
 
 
 async def form_of(request: Request, query: type[QueryT], role: UserRole) -> QueryT:
-    """Return the words of a form; it is one of our own pages that sent it, for somebody who may."""
+    """Return the fields of a form as a record.
+
+    Raises
+    ------
+    ForbiddenError
+        If the viewer lacks the role, or the form was not sent by a page of ours: checked by origin and token.
+    AskError
+        If it is no form, or a field is not valid.
+    """
     viewer = viewer_of(request)
     if viewer.role < role:
         raise ForbiddenError(f"this takes the role {role.name.lower()}")
@@ -207,8 +217,8 @@ def page(request: Request, template: str, context: Mapping[str, Any], *, mark: i
     return _TEMPLATES.TemplateResponse(request, template, {**context, "mark": mark}, headers=headers)
 
 
-def _everywhere(request: HTTPConnection) -> dict[str, Any]:
-    """Return what each page shows besides its own."""
+def _layout_context(request: HTTPConnection) -> dict[str, Any]:
+    """Return what the layout of every page shows."""
     sources = sources_of(request)
     query = urlencode([pair for pair in request.query_params.multi_items() if pair[1]])
     path = "/vehicles" if request.url.path == "/" else request.url.path
@@ -223,27 +233,27 @@ def _everywhere(request: HTTPConnection) -> dict[str, Any]:
 
 
 def _environment() -> Environment:
-    made = templates_of("fleet_backend.page")
-    made.filters |= wording.FILTERS
-    made.globals |= wording.GLOBALS
-    return made
+    environment = templates_of("fleet_backend.page")
+    environment.filters |= wording.FILTERS
+    environment.globals |= wording.GLOBALS
+    return environment
 
 
-_TEMPLATES: Final = Jinja2Templates(env=_environment(), context_processors=[_everywhere])
+_TEMPLATES: Final = Jinja2Templates(env=_environment(), context_processors=[_layout_context])
 
 
-async def _tell(request: Request, exc: Exception) -> Response:
-    return _told(request, exc)
+async def _answer_error(request: Request, exc: Exception) -> Response:
+    return _error_answer(request, exc)
 
 
-def _told(request: HTTPConnection, exc: BaseException | None) -> Response:
-    """Return what a reader is told instead of an answer."""
+def _error_answer(request: HTTPConnection, exc: BaseException | None) -> Response:
+    """Return the page, or the JSON of RFC 9457, that says what is wrong."""
     status, title, detail = _problem(exc)
     headers = {"retry-after": "5"} if status == 503 else {}
     if isinstance(exc, HTTPException) and exc.headers:
         headers |= exc.headers
     if is_api(request):
-        content = msgspec.json.encode({"title": title, "status": status, "detail": detail})  # RFC 9457
+        content = msgspec.json.encode({"title": title, "status": status, "detail": detail})
         return Response(content, status, headers, media_type="application/problem+json")
     context = {"title": title, "detail": detail, "mark": None}
     return _TEMPLATES.TemplateResponse(Request(request.scope), "problem.html", context, status, headers)
