@@ -19,6 +19,7 @@ from fleet_backend.rows import shift_row, status_row
 from fleet_backend.writer import Batch, Writer
 from tests.golden.compare import stored_faces
 from tests.support import grafana
+from tests.support.fleet_page import asked, sources_of, told
 from tests.support.grafana import FOLDER, PROMETHEUS
 from tests.support.histories import history
 from tests.support.patience import HANG_S
@@ -112,16 +113,53 @@ def test_a_query_of_the_fleet_has_rows(fleet: Connection, query: grafana.Query) 
 
 
 def test_the_fleet_is_told_as_it_is(fleet: Connection) -> None:
-    (verdicts,) = ask(fleet, of_fleet("Clutches by verdict A"))
+    (verdicts,) = ask(fleet, of_fleet("Vehicles by verdict A"))
     worst, alarms = ask(fleet, of_fleet("Worst first A")), ask(fleet, of_fleet("Open alarms A"))
-    assert verdicts == {"change fluid": 2, "watch": 2, "good": 2, "no verdict": 0}
-    assert [row["vehicle"] for row in worst] == ["car3", "car3", "car2", "car2", "car1", "car1"]
-    assert "it can shudder" in worst[0]["what to do"]
-    # What was last said of its clutch 1 rests on the earlier fluid.
-    assert [(row["vehicle"], row["clutch"]) for row in alarms if row["rule"] == "verdict"] == [("car3", 2)]
+    assert list(verdicts.values())[:4] == [1, 1, 1, 0]
+    # What was last said of clutch 1 of car 3 rests on the earlier fluid.
+    assert [row["vehicle"] for row in worst] == ["car3", "car2", "car2", "car1", "car1", "car3"]
+    assert "it can shudder" in worst[0]["advice"]
+    assert [(row["vehicle"], row["clutch"]) for row in alarms if row["rule"] == "verdict"] == [("car3", "2")]
 
 
-@pytest.mark.parametrize("asker", ["mu_C, friction at high slip B", "P(slope < 0) A", "mu_C over that of new fluid A"])
+def test_a_dashboard_shows_the_quantities_of_the_page(fleet: Connection) -> None:
+    answer = told(fleet.engine, "/vehicles")
+    (tiles,) = ask(fleet, of_fleet("Vehicles by verdict A"))
+    groups = ("due_count", "silent_count", "alarm_count")
+    assert list(tiles.values()) == [*answer["counts"].values(), *(answer[name] for name in groups)]
+    clutches = {(row["vehicle"], row["clutch"]): row for row in ask(fleet, of_fleet("Worst first A"))}
+    for now in answer["vehicles"]:
+        row = clutches[now["vehicle"], now["clutch"]]
+        assert row["verdict"] == now["condition"].replace("_", " ")
+        assert (row["of new"], row["running mu_C"], row["running mu_S"]) == (
+            now["level_ratio"],
+            now["mu_c"],
+            now["mu_s"],
+        )
+        assert (row["advice"], row["fluid"]) == (now["advice"], now["fluid"])
+    for due in told(fleet.engine, "/maintenance")["clutches"]:
+        left_km = clutches[due["vehicle"], due["clutch"]]["km left"]
+        assert left_km == (None if due["left_m"] is None else pytest.approx(due["left_m"] / 1000.0))
+
+
+ONLY_HERE = {  # numbers of a clutch that the page leaves to its JSON
+    *("clutch", "advice", "shifts", "P(slope < 0)", "running mu_C ±", "running mu_S", "running mu_S ±"),
+}
+
+
+@pytest.mark.parametrize(
+    ("asker", "path"),
+    [("Vehicles by verdict A", "/"), ("Worst first A", "/"), ("Open alarms A", "/alarms"), ("Fluid fills A", "/")],
+)
+def test_a_dashboard_has_the_words_of_the_page(fleet: Connection, asker: str, path: str) -> None:
+    texts = [page.text for page in asked(sources_of(fleet.engine), path, "/vehicles/car3")]
+    names = ask(fleet, of_fleet(asker))[0].keys() - ONLY_HERE
+    assert [name for name in names if not any(name in text for text in texts)] == []
+
+
+@pytest.mark.parametrize(
+    "asker", ["running mu_C, at high slip B", "P(slope < 0) A", "of new: running mu_C over that of new fluid A"]
+)
 def test_a_curve_ends_at_a_fill_and_another_begins(fleet: Connection, asker: str) -> None:
     (annotation,) = (one for one in grafana.of_source("fleet") if one.asker == "New fluid")
     (filled,) = ask(fleet, grafana.sql(annotation.text, ["car3"], SINCE, UNTIL))
