@@ -19,7 +19,7 @@ from contextlib import chdir, closing, contextmanager
 from pathlib import Path
 
 from fleet_backend.database import open_database
-from fleet_backend.intake import batch_of, take
+from fleet_backend.intake import batch_of, receive
 from fleet_backend.migrate import migrate
 from fleet_backend.writer import Writer
 from fleet_contract import JsonObject, shift_message
@@ -93,7 +93,7 @@ def pages(folder: Path) -> Faces:
         stored = map(json.loads, stored_faces(name)["messages"].splitlines())
         shifts = [shift_message(message["data"]) for message in stored if message["topic"].endswith("/shift")]
         received = [Message(topic=shift.topic, payload=shift.payload, packet_id=1) for shift in shifts]
-        Writer(engine).store(batch_of([take(message, NOW) for message in received]))
+        Writer(engine).store(batch_of([receive(message, NOW) for message in received]))
     engine.dispose()
     with served(database) as address:
         return {name: _MOMENT.sub("MOMENT", _text(f"{address}{path}")) for name, path in PAGES.items()}

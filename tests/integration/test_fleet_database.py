@@ -133,7 +133,7 @@ async def test_another_result_of_a_key_is_put_aside_with_a_reason(engine: Engine
     worker = Worker(records.connect, Writer(engine), name="worker-1", now=lambda: NOW, pace=Pace())
     first, second = (message_of(fleet_result(1, condition=one)) for one in (Condition.GOOD, Condition.CHANGE_FLUID))
     for _ in range(2):
-        await worker.settle(records, [first, second])
+        await worker.process(records, [first, second])
     assert outcomes(records) == 2 * [("car1", 1, "accepted"), ("car1", 1, "quarantined")]
     assert worker.counts == {MessageKind.SHIFT: 2, MessageKind.POISON: 2}
     (aside,) = queries.quarantined(engine, 9)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from sqlalchemy import Engine
 
-from fleet_backend.intake import INGESTED, MessageKind, Taken, batch_of, take_all
+from fleet_backend.intake import INGESTED, MessageKind, Received, batch_of, receive_all
 from fleet_backend.office.retention import retain
 from fleet_backend.office.watching import Orders, Watch
 from fleet_backend.writer import Writer
@@ -24,7 +24,7 @@ OFFICE = ("/api/v1/vehicles", "/api/v1/maintenance", "/api/v1/alarms")
 
 
 @cache
-def extremes(described: Schema) -> list[tuple[Taken, bool]]:
+def extremes(described: Schema) -> list[tuple[Received, bool]]:
     """Return what becomes of messages, one number of each at its bounds or beyond, and whether it may be."""
     found = []
     for place, part in described.numbers.items():
@@ -34,7 +34,7 @@ def extremes(described: Schema) -> list[tuple[Taken, bool]]:
             if described.channel is Channel.SHIFT:
                 more["stream"] = f"{'.'.join(map(str, place))}={value!r}"
             told = message(described.channel, put(described.record | more, place, value))
-            (taken,) = take_all(delivered(told), NOW)
+            (taken,) = receive_all(delivered(told), NOW)
             is_possible = least <= value <= most and value > part.get("exclusiveMinimum", -math.inf)
             found.append((taken, is_possible))
     return found
@@ -79,7 +79,7 @@ def test_a_number_at_its_bounds_is_stored_and_one_beyond_is_put_aside(engine: En
 def test_a_moment_of_no_vehicle_is_put_aside(engine: Engine, year: int, is_stored: bool) -> None:
     """Where it was stored, the month after it had to exist too."""
     result = fleet_result(produced_at=f"{year:04}-12-31T23:59:59.999999Z")
-    (taken,) = take_all(message_of(result), NOW)
+    (taken,) = receive_all(message_of(result), NOW)
     assert (taken.kind is MessageKind.SHIFT) is is_stored
     Writer(engine).store(batch_of([taken]))
     all_goes_on(engine)

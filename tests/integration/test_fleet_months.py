@@ -14,7 +14,7 @@ from fleet_backend.ageing.results import results_of
 from fleet_backend.choices import Quotas, TrendAxis
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
-from fleet_backend.intake import MessageKind, Taken, batch_of, take_all
+from fleet_backend.intake import MessageKind, Received, batch_of, receive_all
 from fleet_backend.months import RANK, keep_months, partitions
 from fleet_backend.office.retention import retain
 from fleet_backend.office_tables import AUDIT
@@ -88,7 +88,7 @@ def test_results_of_a_clock_that_was_not_set_age_by_when_they_were_stored(engine
         for seq, one in enumerate(results, 1)
     ]
     later = [fleet_result(seq, produced_at="2026-05-01T00:00:00.000000Z") for seq in (4, 5)]
-    taken = [one for result in (*undated, *later) for one in take_all(message_of(result), NOW)]
+    taken = [one for result in (*undated, *later) for one in receive_all(message_of(result), NOW)]
     Writer(engine).store(batch_of(taken))
     moments = {1: "2025-11-02", 2: "2026-05-03", 3: "2026-05-04"}
     with transaction(engine) as connection:
@@ -146,7 +146,9 @@ def test_revisions_come_and_go_with_their_results(engine: Engine) -> None:
     with transaction(engine) as connection:
         left = connection.execute(select(REVISION.c.seq, REVISION.c.end_bus_ns)).all()
     assert {tuple(one) for one in left} == set(ends[1:])
-    revised = replace(Taken(message=message_of(fleet_result(4)), kind=MessageKind.SHIFT, row=rows[2]), revisions=[told])
+    revised = replace(
+        Received(message=message_of(fleet_result(4)), kind=MessageKind.SHIFT, row=rows[2]), revisions=[told]
+    )
     one, other = QuotaGate(engine, Quotas(results=1)).judge([revised, revised], NOW)
     assert (one.revisions, other.kind, other.revisions) == ([told], MessageKind.WITHHELD, ())
 

@@ -16,7 +16,7 @@ from playwright.sync_api import Browser, Page
 
 from clutch_results.records import Condition
 from fleet_backend.database import open_database
-from fleet_backend.intake import batch_of, take
+from fleet_backend.intake import batch_of, receive
 from fleet_backend.page import server
 from fleet_backend.page.routes import LEFT
 from fleet_backend.page.routes import PAGES as ROUTES
@@ -195,7 +195,7 @@ def test_the_same_numbers_are_in_message_database_interface_file_page_and_report
     results = history(60)
     messages = [message_of(one) for one in results]
     engine = open_database(sqlite_url)
-    Writer(engine).store(batch_of([take(message, NOW) for message in messages]))
+    Writer(engine).store(batch_of([receive(message, NOW) for message in messages]))
     with engine.connect() as connection:
         rows = {row["seq"]: row for row in connection.execute(SHIFT_RESULT.select()).mappings()}
     engine.dispose()

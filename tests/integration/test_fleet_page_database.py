@@ -21,7 +21,7 @@ from fleet_backend.alarms.rules import AlarmRule
 from fleet_backend.choices import TrendAxis
 from fleet_backend.database import open_database, transaction
 from fleet_backend.errors import DatabaseError
-from fleet_backend.intake import batch_of, take_all
+from fleet_backend.intake import batch_of, receive_all
 from fleet_backend.office.watching import Orders
 from fleet_backend.office.watching import Watch as WatchOfOffice
 from fleet_backend.page.fleet import Keeper
@@ -327,7 +327,7 @@ def test_results_are_as_later_ones_have_judged_them_whichever_came_first(engine:
     )
     later = replace(later, estimate=replace(later.estimate, revisions=(misfit,)))
     for one in (later, bad) if is_first else (bad, later):
-        Writer(engine).store(batch_of(take_all(message_of(one), NOW)))
+        Writer(engine).store(batch_of(receive_all(message_of(one), NOW)))
     row, other = results_of(engine, bad.vehicle, bad.estimate.clutch)
     assert (row["status"], row["reasons"], row["mu_c"], other["status"]) == ("rejected", "misfit", None, "valid")
     shown = shift_of(engine, bad.vehicle, bad.stream, bad.seq)

@@ -53,7 +53,7 @@ def test_a_result_waits_on_disk_until_it_is_settled_and_its_receipt_reaches_the_
             assert [message.payload for message in messages] == [shift_message(RECORD).payload] * 2
             sent_at = "2026-01-01T00:00:00.000000Z"
             inbox.send(list(ack_messages("car1", [Receipt(key=KEY)], sent_at=sent_at, worker="w")))
-            inbox.settle(messages)
+            inbox.acknowledge(messages)
             told = asyncio.ensure_future(vehicle.collect(1, 0.0))
             waiting = asyncio.ensure_future(inbox.collect(1, 0.0))  # says what was to be sent
             (receipt,) = await told

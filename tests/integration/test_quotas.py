@@ -48,13 +48,13 @@ class Office:
     def send(self, messages: Sequence[Outgoing]) -> None:
         self.sent += messages
 
-    def settle(self, messages: Sequence[Message]) -> None:
+    def acknowledge(self, messages: Sequence[Message]) -> None:
         self.settled += messages
 
     async def take(self, *messages: Message) -> set[tuple[str, int]]:
         """Take messages, add up with the other workers, and return which results got receipts: vehicle and seq."""
         self.sent.clear()
-        await self.worker.settle(self, messages)
+        await self.worker.process(self, messages)
         await self.gate.add_up()
         acks = [json.loads(one.payload)["data"] for one in self.sent if one.topic.endswith("/ack")]
         return {(ack["vehicle"], entry["seq"]) for ack in acks for entry in ack["results"]}

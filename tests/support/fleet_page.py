@@ -21,7 +21,7 @@ from fleet_backend.page.access import Access, Proxy, UserRole
 from fleet_backend.page.fleet import Keeper
 from fleet_backend.page.queries import DatabaseSource
 from fleet_backend.page.routes import routes
-from fleet_backend.page.server import address_of, closing_socket, serve
+from fleet_backend.page.server import address_of, closing_socket, server_of
 from fleet_backend.page.site import Sources, application
 from fleet_backend.rows import Poison, quarantine_row
 from fleet_backend.writer import Batch, Writer
@@ -131,16 +131,14 @@ def served(database: str, access: Access | None = None, *, port: int = 0) -> Ite
     keeper.refresh()
     keeper.work_ahead(float("inf"))
     with closing_socket("127.0.0.1", port) as listener:
-        started = list[Any]()  # servers
         sources = Sources(engine=engine, keeper=keeper, access=access or Access(), writer=writer if access else None)
-        work = serve(sources, listener, on_start=started.append)
-        thread = threading.Thread(target=asyncio.run, args=(work,), name="fleet page")
+        server = server_of(sources)
+        thread = threading.Thread(target=asyncio.run, args=(server.serve(sockets=[listener]),), name="fleet page")
         thread.start()
         try:
             yield address_of(listener).removesuffix("/")
         finally:
-            for server in started:
-                server.should_exit = True
+            server.should_exit = True
             thread.join(HANG_S)
             for one in (engine, writer):
                 one.dispose()

@@ -99,12 +99,12 @@ class DoomedInbox:
         """Send receipts."""
         self._inbox.send(messages)
 
-    def settle(self, messages: Sequence[Message]) -> None:
+    def acknowledge(self, messages: Sequence[Message]) -> None:
         """Settle with the broker, unless the end comes before."""
         if self._doom.step is Step.AFTER_RECEIPT:
             self._pending = Step.AFTER_RECEIPT
             return
-        self._inbox.settle(messages)
+        self._inbox.acknowledge(messages)
         self._pending = Step.AFTER_PUBACK
 
 

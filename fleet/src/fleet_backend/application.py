@@ -24,7 +24,7 @@ from fleet_backend.errors import BackendConfigError
 from fleet_backend.ingest import BrokerInbox, Worker, connected, filters_of, until_it_answers
 from fleet_backend.intake import MessageKind
 from fleet_backend.migrate import make_ready
-from fleet_backend.programs import shown_at, until_stopped
+from fleet_backend.programs import metrics_served, until_stopped
 from fleet_backend.quotas import QuotaGate
 from fleet_backend.writer import Writer
 from fleet_link import BrokerAddress
@@ -100,7 +100,7 @@ def run_ingest(
     worker = Worker(connect, Writer(engine), name=own_name, now=partial(datetime.now, UTC), pace=pace, judge=gate.judge)
     if address.exposure:
         _LOG.warning("%s", address.exposure)
-    with shown_at(metrics, lambda: worker_families(worker)):
+    with metrics_served(metrics, lambda: worker_families(worker)):
         asyncio.run(_ingest(engine, worker, gate, f"{own_name}: {address} into {place_of(engine)}", alive))
 
 

@@ -121,7 +121,7 @@ def user_name() -> str:
         return f"uid {os.getuid()}"
 
 
-def tell(records: Sequence[report.Record], sheet: Callable[[], Table], *, is_json: bool) -> None:
+def print_records(records: Sequence[report.Record], sheet: Callable[[], Table], *, is_json: bool) -> None:
     if is_json:
         report.write_json(records, sys.stdout)
     else:
@@ -246,7 +246,7 @@ def follow(
 def table(engine: Engine, *, limit: int | None, is_json: bool) -> None:
     """Show the running condition of every clutch, the worst first."""
     records = queries.worst_first(engine, limit)
-    tell(records, lambda: report.fleet_table(records), is_json=is_json)
+    print_records(records, lambda: report.fleet_table(records), is_json=is_json)
 
 
 @command_line.command(epilog=examples(f"{PROGRAM} trend car1 2 --against odometer"))
@@ -266,7 +266,7 @@ def trend(engine: Engine, *, vehicle: str, clutch: int, against: str, is_json: b
     records = queries.trend(engine, vehicle, clutch, TrendAxis(against))
     whose = f"{vehicle}, {queries.clutch_name(engine, vehicle, clutch)}"
     title = f"{whose}: {len(records)} valid shifts against {against}"
-    tell(records, lambda: report.trend_table(title, records), is_json=is_json)
+    print_records(records, lambda: report.trend_table(title, records), is_json=is_json)
 
 
 @command_line.command(epilog=examples(f"{PROGRAM} quarantine --purge-days 90"))
@@ -282,7 +282,7 @@ def quarantine(engine: Engine, *, limit: int, purge_days: float | None, is_json:
         sys.stdout.write(f"{count} messages forgotten\n")
         return
     records = queries.quarantined(engine, limit)
-    tell(records, lambda: report.quarantine_table(records), is_json=is_json)
+    print_records(records, lambda: report.quarantine_table(records), is_json=is_json)
 
 
 @command_line.command(epilog=examples(f"{PROGRAM} seen --json"))
@@ -291,7 +291,7 @@ def quarantine(engine: Engine, *, limit: int, purge_days: float | None, is_json:
 def seen(engine: Engine, *, is_json: bool) -> None:
     """Show when each vehicle was last heard from."""
     records = queries.last_seen(engine)
-    tell(records, lambda: report.seen_table(records), is_json=is_json)
+    print_records(records, lambda: report.seen_table(records), is_json=is_json)
 
 
 @command_line.command(epilog=examples(f"{PROGRAM} codes", f"{PROGRAM} codes --json"))
@@ -300,7 +300,7 @@ def seen(engine: Engine, *, is_json: bool) -> None:
 def codes(engine: Engine, *, is_json: bool) -> None:
     """Show the trouble codes that controllers report."""
     records = queries.trouble_codes(engine)
-    tell(records, lambda: report.codes_table(records), is_json=is_json)
+    print_records(records, lambda: report.codes_table(records), is_json=is_json)
 
 
 @command_line.command(
@@ -371,7 +371,7 @@ def partitions(engine: Engine, *, ahead: int, back: int, is_json: bool) -> None:
     """Make the months in which a PostgreSQL database keeps results, and show all."""
     months.keep_months(engine, datetime.now(UTC), ahead, back)
     records = [asdict(part) for part in months.partitions(engine)]
-    tell(records, lambda: report.partition_table(records), is_json=is_json)
+    print_records(records, lambda: report.partition_table(records), is_json=is_json)
 
 
 @command_line.command("hash", epilog=examples(f"{PROGRAM} hash"))

@@ -1,4 +1,4 @@
-"""An ingest worker: takes batches from the broker, commits them, then acknowledges; for ever.
+"""An ingest worker: reads batches from the broker, commits them, then acknowledges them.
 
 The order is what makes it safe: commit, receipt to the vehicle, PUBACK to the broker. Killed between any two of them, a
 worker leaves at worst a result that is sent again, and writing it again changes nothing.
@@ -25,11 +25,11 @@ from fleet_backend.intake import (
     IDENTITY_REASON,
     INGESTED,
     MessageKind,
-    Taken,
+    Received,
     batch_of,
     receipts_of,
+    receive_all,
     refuse,
-    take_all,
     vehicles_there,
 )
 from fleet_backend.writer import Batch, Identity, identity_of
@@ -46,7 +46,7 @@ _LOG: Final = logging.getLogger(__name__)
 
 
 class BrokerInbox:
-    """An open, subscribed connection, whose end is an error of ours."""
+    """An open, subscribed connection that raises BrokerError when it is lost."""
 
     def __init__(self, connection: Connection | JetStream, *, takes_bundles: bool = True) -> None:
         self.takes_bundles = takes_bundles  # whether they reach us
@@ -59,7 +59,7 @@ class BrokerInbox:
     async def collect(self, limit: int, patience_s: float) -> list[Message]:
         """Return the next messages, until ``patience_s`` after the first, ``limit`` at most.
 
-        Raises BrokerError if the connection is lost; messages that were not taken come again.
+        Raises BrokerError if the connection is lost; the broker sends its messages again.
         """
         try:
             return await self._connection.collect(limit, patience_s)
@@ -67,11 +67,11 @@ class BrokerInbox:
             raise BrokerError(str(exc)) from exc
 
     def send(self, messages: Iterable[Outgoing]) -> None:
-        """Send messages at least once; who does not get them asks again, so nobody waits for the broker's word."""
+        """Send messages at least once, without waiting for the broker: a vehicle without a receipt sends again."""
         self._connection.send(messages)
 
-    def settle(self, messages: Sequence[Message]) -> None:
-        """Tell the broker that messages have arrived for good; it then sends as many others."""
+    def acknowledge(self, messages: Sequence[Message]) -> None:
+        """Acknowledge messages to the broker, which then sends as many others."""
         self._connection.acknowledge(messages)
 
 
@@ -163,7 +163,7 @@ class Inbox(Protocol):
 
     @property
     def unsettled_count(self) -> int:
-        """How many messages came and are not settled."""
+        """How many messages came and are not acknowledged."""
 
     async def collect(self, limit: int, patience_s: float) -> list[Message]:
         """Return the next messages, or raise BrokerError when the connection is lost."""
@@ -171,8 +171,8 @@ class Inbox(Protocol):
     def send(self, messages: Sequence[Outgoing]) -> None:
         """Send messages at least once."""
 
-    def settle(self, messages: Sequence[Message]) -> None:
-        """Tell the broker that messages have arrived for good."""
+    def acknowledge(self, messages: Sequence[Message]) -> None:
+        """Acknowledge messages to the broker."""
 
 
 class Store(Protocol):
@@ -209,7 +209,7 @@ class Worker:
         name: str,
         now: Callable[[], datetime],
         pace: Pace,
-        judge: Callable[[list[Taken], datetime], list[Taken]] = lambda taken, _at: taken,
+        judge: Callable[[list[Received], datetime], list[Received]] = lambda received, _at: received,
     ) -> None:
         self._connect = connect
         self._store = store
@@ -242,43 +242,43 @@ class Worker:
         while True:
             messages = await inbox.collect(self._pace.batch_size, self._pace.patience_s)
             if messages:
-                await self.settle(inbox, messages)
+                await self.process(inbox, messages)
 
-    async def settle(self, inbox: Inbox, messages: Sequence[Message]) -> None:
-        """Commit messages, give receipts for them, and let the broker forget them, in this order.
+    async def process(self, inbox: Inbox, messages: Sequence[Message]) -> None:
+        """Commit messages, send receipts for them, and acknowledge them to the broker, in this order.
 
-        Of bundles no more than a batch is unpacked at a time.
+        Bundles are unpacked until a batch is full.
         """
         self.begun_at = received_at = self._now()
-        looked_at: list[Message] = []
-        taken: list[Taken] = []
+        unpacked: list[Message] = []
+        received: list[Received] = []
         for message in messages:
-            looked_at.append(message)
-            taken += take_all(message, received_at)
-            if len(taken) >= self._pace.batch_size:
-                await self._settle(inbox, looked_at, taken)
-                looked_at, taken = [], []
-        if looked_at:
-            await self._settle(inbox, looked_at, taken)
+            unpacked.append(message)
+            received += receive_all(message, received_at)
+            if len(received) >= self._pace.batch_size:
+                await self._process_batch(inbox, unpacked, received)
+                unpacked, received = [], []
+        if unpacked:
+            await self._process_batch(inbox, unpacked, received)
         self.begun_at = None
 
-    async def _settle(self, inbox: Inbox, messages: Sequence[Message], looked_at: list[Taken]) -> None:
-        taken = await self._commit(self._judge(looked_at, self._now()))
+    async def _process_batch(self, inbox: Inbox, messages: Sequence[Message], batch: list[Received]) -> None:
+        received = await self._commit(self._judge(batch, self._now()))
         self.committed_at = self._now()
         sent_at = self.committed_at.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
         takes_bundles = self._pace.takes_bundles and inbox.takes_bundles
-        for vehicle, receipts in receipts_of(taken).items():
+        for vehicle, receipts in receipts_of(received).items():
             acks = ack_messages(vehicle, receipts, sent_at=sent_at, worker=self._name, takes_bundles=takes_bundles)
             inbox.send(list(acks))
-        await self._publish_fills(inbox, *vehicles_there(taken), sent_at)
-        inbox.settle(messages)
-        self.counts.update(item.kind for item in taken)
-        _warn_of_strangers(taken)
+        await self._publish_fills(inbox, *vehicles_there(received), sent_at)
+        inbox.acknowledge(messages)
+        self.counts.update(item.kind for item in received)
+        _warn_of_strangers(received)
 
     async def _publish_fills(self, inbox: Inbox, came: set[str], stayed: set[str], sent_at: str) -> None:
-        """Tell vehicles which fluid fills the fleet knows: those that came, and those that do not know all of them.
+        """Publish the fluid fills of vehicles that just connected, and of those whose fills have changed since.
 
-        Whoever comes hears that there are none, too: an analysis waits for that. No broker needs to keep it.
+        A vehicle that connects is also sent an empty list, not retained: an analysis of logs waits for it.
         """
         if not came | stayed:
             return
@@ -291,36 +291,35 @@ class Worker:
             if fills:  # as of few vehicles
                 self._published[vehicle] = fills
 
-    async def _commit(self, taken: list[Taken]) -> list[Taken]:
-        """Store messages, together if the database takes them all; return what became of each."""
+    async def _commit(self, received: list[Received]) -> list[Received]:
+        """Store messages, in one transaction if the database takes them all; return what became of each."""
         try:
-            aside = await until_it_answers(self._store.store, batch_of(taken))
+            aside = await until_it_answers(self._store.store, batch_of(received))
         except RowRefusedError as exc:
-            if len(taken) > 1:
-                middle = len(taken) // 2
-                return await self._commit(taken[:middle]) + await self._commit(taken[middle:])
+            if len(received) > 1:
+                middle = len(received) // 2
+                return await self._commit(received[:middle]) + await self._commit(received[middle:])
             _LOG.warning("a message is kept aside: %s", exc)
-            refused = refuse(taken[0].message, "database", str(exc), self._now())
+            refused = refuse(received[0].message, "database", str(exc), self._now())
             await until_it_answers(self._store.store, batch_of([refused]))
             return [refused]
         if not aside:
-            return taken
-        settled = [self._other(item, aside) for item in taken]
-        await until_it_answers(
-            self._store.store, batch_of([item for item in settled if item.kind is MessageKind.POISON])
-        )
-        return settled
+            return received
+        judged = [self._without_conflict(item, aside) for item in received]
+        poison = [item for item in judged if item.kind is MessageKind.POISON]
+        await until_it_answers(self._store.store, batch_of(poison))
+        return judged
 
-    def _other(self, item: Taken, aside: AbstractSet[Identity]) -> Taken:
-        """Return a result as one that is put aside, if it is one of those whose key another has."""
+    def _without_conflict(self, item: Received, aside: AbstractSet[Identity]) -> Received:
+        """Return a message; a result whose key is stored with another content becomes poison."""
         if item.kind is not MessageKind.SHIFT or identity_of(item.row) not in aside:
             return item
         return refuse(item.message, "conflict", "another result of this key is stored already; it stays", self._now())
 
 
-def _warn_of_strangers(taken: Sequence[Taken]) -> None:
-    """Say at once who pretends to be another; ``fleet-backend alarms`` keeps saying so until it is acknowledged."""
-    strangers = [item for item in taken if item.kind is MessageKind.POISON and item.row["reason"] == IDENTITY_REASON]
+def _warn_of_strangers(received: Sequence[Received]) -> None:
+    """Log messages whose sender is not the vehicle that they name; ``fleet-backend alarms`` lists them, too."""
+    strangers = [item for item in received if item.kind is MessageKind.POISON and item.row["reason"] == IDENTITY_REASON]
     if strangers:
         row = strangers[0].row
         _LOG.warning(
@@ -329,7 +328,7 @@ def _warn_of_strangers(taken: Sequence[Taken]) -> None:
 
 
 async def until_it_answers(ask: Callable[[AskedT], AnswerT], asked: AskedT) -> AnswerT:
-    """Ask a database in a thread, however long it stays away."""
+    """Call a database function in a thread, again and again while the database is away."""
     pauses = Pauses()
     while True:
         try:
@@ -339,13 +338,13 @@ async def until_it_answers(ask: Callable[[AskedT], AnswerT], asked: AskedT) -> A
 
 
 class Pauses:
-    """Growing, jittered waits, so that a fleet of workers does not come back in step; said once, not every time."""
+    """Growing, jittered pauses, so that workers do not reconnect in step; the first is logged as a warning."""
 
     def __init__(self) -> None:
         self._count = 0
 
     def reset(self) -> None:
-        """Begin anew; all is well."""
+        """Make the next pause the shortest again."""
         self._count = 0
 
     async def wait(self, cause: Exception) -> None:

@@ -1,4 +1,4 @@
-"""Messages as they came become rows and receipts; what cannot be used becomes poison with a reason."""
+"""Messages become rows and receipts; those that break the contract become rows of the quarantine, with a reason."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -63,10 +63,10 @@ class MessageKind(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Taken:
-    """A message that was looked at: the rows it becomes and the receipt its sender gets after the commit.
+class Received:
+    """A message, the rows it becomes, and the receipt its sender gets after the commit.
 
-    A result of a bundle is a message as it would have come alone.
+    Each result of a bundle becomes one, as if it had been sent alone.
     """
 
     message: Message
@@ -87,29 +87,29 @@ _STATES: Final[Mapping[Channel, tuple[MessageKind, Callable[[Mapping[str, object
 )
 
 
-def take_all(message: Message, received_at: datetime) -> list[Taken]:
-    """Return what becomes of a message, or of each result of a bundle."""
+def receive_all(message: Message, received_at: datetime) -> list[Received]:
+    """Return a message, or each result of a bundle, with its rows."""
     if not message.topic.endswith(_BUNDLE_END):
-        return [take(message, received_at)]
+        return [receive(message, received_at)]
     try:
         address = Address(vehicle=parse_topic(message.topic).vehicle, channel=Channel.SHIFT)
         events = bundled_events(message.payload)
     except ContractError as exc:
         return [refuse(message, _reason_of(exc), str(exc), received_at)]
     topic, number = address.topic, message.packet_id
-    return [_take(Message(topic=topic, payload=event, packet_id=number), address, received_at) for event in events]
+    return [_receive(Message(topic=topic, payload=event, packet_id=number), address, received_at) for event in events]
 
 
-def take(message: Message, received_at: datetime) -> Taken:
-    """Return what becomes of a message that is no bundle."""
+def receive(message: Message, received_at: datetime) -> Received:
+    """Return a message that is no bundle, with its rows."""
     try:
         address = parse_topic(message.topic)
     except ContractError as exc:
         return refuse(message, _reason_of(exc), str(exc), received_at)
-    return _take(message, address, received_at)
+    return _receive(message, address, received_at)
 
 
-def _take(message: Message, address: Address, received_at: datetime) -> Taken:
+def _receive(message: Message, address: Address, received_at: datetime) -> Received:
     try:
         incoming = read_event(address, message.payload)
     except ContractError as exc:
@@ -118,20 +118,22 @@ def _take(message: Message, address: Address, received_at: datetime) -> Taken:
     if channel is Channel.SHIFT and incoming.key is not None:
         row, revisions = shift_row(data), revision_rows(data)
         receipt = Receipt(key=incoming.key)
-        return Taken(message=message, kind=MessageKind.SHIFT, row=row, revisions=revisions, receipt=receipt)
+        return Received(message=message, kind=MessageKind.SHIFT, row=row, revisions=revisions, receipt=receipt)
     if channel in _STATES:
         kind, row_of, name = _STATES[channel]
         row, calibrations = row_of(data), calibration_rows(data) if channel is Channel.STATUS else ()
         at = row[name]
         if isinstance(at, datetime) and at - received_at > CLOCK_ERROR:
             row[name] = received_at  # else it would hold until then, whatever is said after it
-        return Taken(message=message, kind=kind, row=row, calibrations=calibrations)
+        return Received(message=message, kind=kind, row=row, calibrations=calibrations)
     if channel is Channel.FLUID:
-        return Taken(message=message, kind=MessageKind.FILLS, row={"vehicle": data["vehicle"]}, fills=fill_rows(data))
+        return Received(
+            message=message, kind=MessageKind.FILLS, row={"vehicle": data["vehicle"]}, fills=fill_rows(data)
+        )
     return refuse(message, "topic", "a kind of message that the backend does not keep", received_at)
 
 
-def refuse(message: Message, reason: str, detail: str, received_at: datetime) -> Taken:
+def refuse(message: Message, reason: str, detail: str, received_at: datetime) -> Received:
     """Return a message as poison; its sender hears of it if the message can still be told from others."""
     address = _address(message.topic)
     poison = Poison(
@@ -143,43 +145,45 @@ def refuse(message: Message, reason: str, detail: str, received_at: datetime) ->
     )
     key = None if address is None else _readable_key(address, message.payload)
     receipt = None if key is None else Receipt(key=key, outcome=Outcome.QUARANTINED, reason=f"{reason}: {detail}")
-    return Taken(message=message, kind=MessageKind.POISON, row=quarantine_row(poison, received_at), receipt=receipt)
+    return Received(message=message, kind=MessageKind.POISON, row=quarantine_row(poison, received_at), receipt=receipt)
 
 
-def batch_of(taken: Sequence[Taken]) -> Batch:
+def batch_of(received: Sequence[Received]) -> Batch:
     """Return the rows of messages, sorted into their tables."""
     rows: dict[MessageKind, list[Row]] = {kind: [] for kind in MessageKind}
-    for item in taken:
+    for item in received:
         rows[item.kind].append(item.row)
     return Batch(
         shifts=rows[MessageKind.SHIFT],
-        statuses=[item.row for item in taken if item.kind is MessageKind.STATUS and not _is_of_logs(item)],
-        calibrations=[row for item in taken for row in item.calibrations],
-        revisions=[row for item in taken for row in item.revisions],
+        statuses=[item.row for item in received if item.kind is MessageKind.STATUS and not _is_of_logs(item)],
+        calibrations=[row for item in received for row in item.calibrations],
+        revisions=[row for item in received for row in item.revisions],
         metrics=rows[MessageKind.METRICS],
         controllers=rows[MessageKind.CONTROLLER],
-        fills=[row for item in taken for row in item.fills],
+        fills=[row for item in received for row in item.fills],
         quarantined=rows[MessageKind.POISON],
     )
 
 
-def receipts_of(taken: Sequence[Taken]) -> dict[str, list[Receipt]]:
+def receipts_of(received: Sequence[Received]) -> dict[str, list[Receipt]]:
     """Return the receipts of committed messages by the vehicle that gets them."""
     receipts: dict[str, list[Receipt]] = {}
-    for item in taken:
+    for item in received:
         if item.receipt is not None:
             receipts.setdefault(item.receipt.key.vehicle, []).append(item.receipt)
     return receipts
 
 
-def vehicles_there(taken: Iterable[Taken]) -> tuple[set[str], set[str]]:
+def vehicles_there(received: Iterable[Received]) -> tuple[set[str], set[str]]:
     """Return the vehicles that have just come, also those whose logs are analysed, and those that have been there."""
-    came = (item for item in taken if item.kind is MessageKind.STATUS and (item.row["is_online"] or _is_of_logs(item)))
-    stayed = (item for item in taken if item.kind is MessageKind.METRICS)
+    came = (
+        item for item in received if item.kind is MessageKind.STATUS and (item.row["is_online"] or _is_of_logs(item))
+    )
+    stayed = (item for item in received if item.kind is MessageKind.METRICS)
     return {str(item.row["vehicle"]) for item in came}, {str(item.row["vehicle"]) for item in stayed}
 
 
-def _is_of_logs(item: Taken) -> bool:
+def _is_of_logs(item: Received) -> bool:
     """Return whether the status is that of an analysis, which no service keeps up to date."""
     return item.row["connected_at"] == moment(NEVER)
 

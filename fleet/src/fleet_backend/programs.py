@@ -1,4 +1,4 @@
-"""What the programs of the backend do while they run: stop when they are told, and show their metrics."""
+"""What long-running programs of the backend share: an end by signals, and metrics for Prometheus."""
 
 import asyncio
 import signal
@@ -23,11 +23,11 @@ def stopping(stop: Callable[[], object]) -> Iterator[None]:
     """
     loop = asyncio.get_running_loop()
 
-    def tell(_number: int, _frame: FrameType | None) -> None:
+    def handle(_number: int, _frame: FrameType | None) -> None:
         with suppress(RuntimeError):  # the loop is closed: all has ended already
             loop.call_soon_threadsafe(stop)
 
-    before = {number: signal.signal(number, tell) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
@@ -36,20 +36,20 @@ def stopping(stop: Callable[[], object]) -> Iterator[None]:
 
 
 async def until_stopped(work: Coroutine[None, None, None]) -> None:
-    """Do something until it ends or SIGINT or SIGTERM comes; main thread only."""
+    """Run a coroutine until it ends or SIGINT or SIGTERM comes; main thread only."""
     task = asyncio.ensure_future(work)
     with stopping(task.cancel), suppress(asyncio.CancelledError):
         await task
 
 
 @contextmanager
-def shown_at(place: ServerAddress | None, tell: Callable[[], Iterable[Metric]]) -> Iterator[None]:
+def metrics_served(place: ServerAddress | None, families: Callable[[], Iterable[Metric]]) -> Iterator[None]:
     """Serve metrics while entered, where that is asked for; raises ConfigError if nothing can listen there."""
     if place is None:
         yield
         return
     registry = CollectorRegistry()
-    registry.register(Told(tell))
+    registry.register(Told(families))
     try:
         server, thread = start_http_server(place.port, place.host, registry)
     except OSError as exc:

@@ -1,7 +1,7 @@
-"""How much is taken of each vehicle in a day (UTC): what is beyond is neither stored nor acknowledged.
+"""Quotas of each vehicle for a day (UTC): messages beyond them are neither stored nor acknowledged.
 
-A vehicle keeps what has no receipt and sends it again: it loses nothing, and one that floods fills no database. All
-workers add up what they took every second.
+A vehicle keeps results without a receipt and sends them again: none is lost, and no flood fills the database. Workers
+add their counts every second.
 """
 
 import asyncio
@@ -18,27 +18,27 @@ from sqlalchemy.dialects import postgresql, sqlite
 from fleet_backend.choices import Quotas
 from fleet_backend.database import transaction
 from fleet_backend.errors import DatabaseError
-from fleet_backend.intake import MessageKind, Taken
+from fleet_backend.intake import MessageKind, Received
 from fleet_backend.office_tables import INTAKE
 
 SHARE_S: Final = 1.0
 _COUNTS: Final = ("result_count", "quarantined_count", "byte_count", "withheld_count")
 _ZERO: Final = (0,) * len(_COUNTS)
-_MOST_KNOWN: Final = 100_000  # vehicles that a worker remembers; of others it learns within a second
+_MOST_KNOWN: Final = 100_000  # vehicles whose counts a worker remembers
 _LOG: Final = logging.getLogger(__name__)
 
 Counts = dict[str, list[int]]  # of vehicles, in the order of the names above
 
 
 class QuotaGate:
-    """Lets through what fits into the quotas of its vehicle."""
+    """Withholds messages beyond the quotas of their vehicle."""
 
     def __init__(self, engine: Engine, quotas: Quotas) -> None:
         self._engine = engine
         self._limits = (quotas.results, quotas.quarantined, quotas.size_bytes, 0)
         self._day = date.min
-        self._known: Counts = {}  # of this day, as far as is known of other workers
-        self._news: Counts = {}  # of them, what is not yet shared
+        self._known: Counts = {}  # of this day, those of other workers as of the last sharing
+        self._news: Counts = {}  # the part of them that is not yet shared
         make = postgresql.insert if engine.dialect.name == "postgresql" else sqlite.insert
         insert, known = make(INTAKE), INTAKE.c
         added, is_new = insert.excluded, insert.excluded.day > known.day
@@ -48,13 +48,13 @@ class QuotaGate:
             known.vehicle, *(known[name] for name in _COUNTS)
         )
 
-    def judge(self, taken: Sequence[Taken], at: datetime) -> list[Taken]:
+    def judge(self, received: Sequence[Received], at: datetime) -> list[Received]:
         """Return messages as they came, those beyond a quota as withheld."""
         if at.date() != self._day or len(self._known) > _MOST_KNOWN:
             self._day, self._known = at.date(), {}
-        return [self._judged(item) for item in taken]
+        return [self._judged(item) for item in received]
 
-    def _judged(self, item: Taken) -> Taken:
+    def _judged(self, item: Received) -> Received:
         vehicle = str(item.row["vehicle"] or "")
         known, news = (counts.setdefault(vehicle, list(_ZERO)) for counts in (self._known, self._news))
         kinds = (MessageKind.SHIFT, MessageKind.POISON)
@@ -76,11 +76,11 @@ class QuotaGate:
             await self.add_up()
 
     async def add_up(self) -> None:
-        """Add what is new to what all workers took; while the database is away, later."""
+        """Add this worker's new counts to those of all; if the database is away, they wait for the next time."""
         news, self._news = self._news, {}
         try:
             totals = await asyncio.to_thread(self._shared, self._day, news)
-        except DatabaseError:  # those who store tell of it
+        except DatabaseError:  # logged where results are stored
             totals, self._news = {}, _added(news, self._news)
         self._known |= _added(totals, {name: self._news[name] for name in totals.keys() & self._news.keys()})
 

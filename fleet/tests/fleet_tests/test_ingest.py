@@ -16,7 +16,7 @@ from clutch_results.records import shift_record
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, RowRefusedError
 from fleet_backend.ingest import Worker
-from fleet_backend.intake import MessageKind, Taken, take, take_all
+from fleet_backend.intake import MessageKind, Received, receive, receive_all
 from fleet_backend.rows import CONTENT, Poison, content_digest, moment, quarantine_row, shift_row
 from fleet_backend.schema import FRICTION_COLUMNS
 from fleet_backend.writer import Batch, Identity
@@ -52,7 +52,7 @@ class Records:
         self.steps.append("send")
         self.sent.extend(messages)
 
-    def settle(self, messages: Sequence[Message]) -> None:
+    def acknowledge(self, messages: Sequence[Message]) -> None:
         self.steps.append("settle")
         self.settled.extend(messages)
 
@@ -93,7 +93,7 @@ def outcomes(records: Records) -> list[tuple[str, int, str]]:
 async def test_the_commit_comes_first_and_the_broker_hears_last() -> None:
     records = Records()
     messages = [message_of(fleet_result(seq, vehicle=f"car{seq}"), seq) for seq in (1, 2)]
-    await worker_of(records).settle(records, messages)
+    await worker_of(records).process(records, messages)
     assert records.steps == ["store", "send", "send", "settle"]
     assert outcomes(records) == [("car1", 1, "accepted"), ("car2", 2, "accepted")]
     assert records.settled == messages
@@ -107,7 +107,7 @@ async def test_one_row_that_never_fits_does_not_stop_the_others() -> None:
             raise RowRefusedError("seq 3 is cursed")
 
     records.refuse = refuse
-    await worker_of(records).settle(records, [message_of(fleet_result(seq), seq) for seq in range(1, 9)])
+    await worker_of(records).process(records, [message_of(fleet_result(seq), seq) for seq in range(1, 9)])
     stored = sorted(int(str(row["seq"])) for batch in records.stored for row in batch.shifts)
     assert stored == [1, 2, 4, 5, 6, 7, 8]
     assert [row["reason"] for batch in records.stored for row in batch.quarantined] == ["database"]
@@ -124,7 +124,7 @@ async def test_of_bundles_no_more_than_a_batch_is_stored_at_a_time() -> None:
         for packet_id in (1, 2, 3)
         for one in bundle_messages([shift_message(shift_record(fleet_result(next(seqs)))) for _ in range(2)])
     ]
-    await Worker(records.connect, records, name="w", now=lambda: NOW, pace=pace).settle(records, messages)
+    await Worker(records.connect, records, name="w", now=lambda: NOW, pace=pace).process(records, messages)
     assert records.steps == ["store", "send", "settle"] * 2
     assert [len(batch.shifts) for batch in records.stored] == [4, 2]
     assert outcomes(records) == [("car1", seq, "accepted") for seq in range(1, 7)]
@@ -137,7 +137,7 @@ async def test_vehicles_hear_whether_bundles_are_taken(*, reach_us: bool, are_wa
     records = Records(takes_bundles=reach_us)
     pace = Pace(takes_bundles=are_wanted)
     worker = Worker(records.connect, records, name="w", now=lambda: NOW, pace=pace)
-    await worker.settle(records, [message_of(fleet_result(1))])
+    await worker.process(records, [message_of(fleet_result(1))])
     (ack,) = records.sent
     assert takes_bundles(read_message(ack.topic, ack.payload).data) is (reach_us and are_wanted)
 
@@ -152,9 +152,9 @@ FILL: JsonObject = {
 
 async def test_a_vehicle_that_goes_hears_nothing_and_one_that_comes_that_there_is_no_fill() -> None:
     records = Records()
-    await worker_of(records).settle(records, [delivered(messages_v1()["status-offline"])])
+    await worker_of(records).process(records, [delivered(messages_v1()["status-offline"])])
     assert records.steps == ["store", "settle"]
-    await worker_of(records).settle(records, [delivered(messages_v1()["status-online"])])
+    await worker_of(records).process(records, [delivered(messages_v1()["status-online"])])
     (told,) = records.sent
     assert (told.is_retained, read_message(told.topic, told.payload).data["fills"]) == (False, [])
 
@@ -169,10 +169,10 @@ def changed(message: Message, **data: object) -> Message:
     return replace(message, payload=json.dumps(event).encode())
 
 
-def poison(message: Message, reason: str) -> Taken:
-    taken = take(message, NOW)
-    assert (taken.kind, taken.row["reason"]) == (MessageKind.POISON, reason), taken.row["detail"]
-    return taken
+def poison(message: Message, reason: str) -> Received:
+    received = receive(message, NOW)
+    assert (received.kind, received.row["reason"]) == (MessageKind.POISON, reason), received.row["detail"]
+    return received
 
 
 def bundle(*payloads: bytes) -> Message:
@@ -184,20 +184,20 @@ def bundle(*payloads: bytes) -> Message:
 def test_each_result_of_a_bundle_is_judged_as_if_it_had_come_alone() -> None:
     stranger = changed(GOOD, vehicle="car2")
     alone = [GOOD, changed(GOOD, quality=2.0), stranger, replace(GOOD, payload=b"7"), message_of(fleet_result(8))]
-    taken = take_all(bundle(*(message.payload for message in alone)), NOW)
-    assert taken == [take(replace(message, packet_id=1), NOW) for message in alone]
-    reasons = [item.row["reason"] if item.kind is MessageKind.POISON else None for item in taken]
+    received = receive_all(bundle(*(message.payload for message in alone)), NOW)
+    assert received == [receive(replace(message, packet_id=1), NOW) for message in alone]
+    reasons = [item.row["reason"] if item.kind is MessageKind.POISON else None for item in received]
     assert reasons == [None, "schema", "identity", "malformed", None]
-    assert take_all(GOOD, NOW) == [take(GOOD, NOW)]
+    assert receive_all(GOOD, NOW) == [receive(GOOD, NOW)]
 
 
 def test_what_cannot_be_unpacked_is_one_message_kept_aside() -> None:
     for message in (replace(bundle(), payload=b"x"), bundle(), bundle(*[b"1"] * 51)):
-        (taken,) = take_all(message, NOW)
-        assert (taken.kind, taken.row["reason"], taken.receipt) == (MessageKind.POISON, "malformed", None)
-        assert (taken.row["vehicle"], taken.message) == ("car1", message)
-    (taken,) = take_all(replace(bundle(GOOD.payload), topic="clutchdiag/v1/car 1/bundle"), NOW)
-    assert taken.row["reason"] == "topic"
+        (received,) = receive_all(message, NOW)
+        assert (received.kind, received.row["reason"], received.receipt) == (MessageKind.POISON, "malformed", None)
+        assert (received.row["vehicle"], received.message) == ("car1", message)
+    (received,) = receive_all(replace(bundle(GOOD.payload), topic="clutchdiag/v1/car 1/bundle"), NOW)
+    assert received.row["reason"] == "topic"
 
 
 @pytest.mark.parametrize(
@@ -210,7 +210,7 @@ def test_what_cannot_be_unpacked_is_one_message_kept_aside() -> None:
 )
 def test_a_state_of_a_clock_that_is_far_ahead_is_of_when_it_came(name: str, said: str, kept: str) -> None:
     message, near = delivered(messages_v1()[name]), "2026-03-02T11:00:00.000000Z"
-    found = [take(changed(message, **{said: at}), NOW).row[kept] for at in (near, near.replace("2026", "2038"))]
+    found = [receive(changed(message, **{said: at}), NOW).row[kept] for at in (near, near.replace("2026", "2038"))]
     assert found == [moment(near), NOW]
 
 

@@ -1,4 +1,4 @@
-"""When an alarm is raised and when it is over: pure, each with a gap between both so that none flutters."""
+"""Rules that raise and clear alarms: pure, and with hysteresis, so that a value at a limit raises one alarm."""
 
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -24,7 +24,7 @@ from fleet_backend.commands import (
     metrics_at,
     metrics_option,
     of_database,
-    tell,
+    print_records,
     user_name,
     vehicle_argument,
 )
@@ -77,7 +77,7 @@ def alarms(
     raised = book.alarms(engine, *(() if has_cleared else (ALARM.c.cleared_at.is_(None),)))
     identities = queries.identity_alarms(engine)
     records = [*raised, *({"rule": "identity", **record} for record in identities)]
-    tell(records, lambda: report.alarm_table(raised, identities), is_json=is_json)
+    print_records(records, lambda: report.alarm_table(raised, identities), is_json=is_json)
 
 
 def _acknowledge(engine: Engine, vehicle: str, clutch: int | None, by: str, text: str | None) -> None:

@@ -1,4 +1,4 @@
-"""The watch: what is known of the fleet is held against the rules; alarms are written down and delivered, for ever."""
+"""The watch: checks the fleet by the rules of alarms, writes what they raise and clear, and delivers messages."""
 
 import asyncio
 import logging
@@ -42,7 +42,7 @@ from fleet_backend.page.queries import (
     keep_dues,
     marks_of_judged,
 )
-from fleet_backend.programs import shown_at, until_stopped
+from fleet_backend.programs import metrics_served, until_stopped
 from fleet_backend.queries import Row, is_alarming_since
 from fleet_backend.schema import QUARANTINE
 from fleet_contract.orders import name_of
@@ -98,11 +98,11 @@ KnownVehicle = tuple[tuple[ClutchNow, ...], Arrivals | None]
 
 
 class Carrier(Protocol):
-    """Brings one message where it belongs."""
+    """Delivers messages of alarms."""
 
     @property
     def name(self) -> str:
-        """What it is called in the book."""
+        """Name under which deliveries are stored."""
 
     def deliver(self, letter: Letter) -> None:
         """Deliver a message; raises CarrierError if that did not work now."""
@@ -110,7 +110,7 @@ class Carrier(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Orders:
-    """What a watch is to do."""
+    """Carriers, limits and service distance of a watch."""
 
     carriers: Sequence[Carrier] = ()
     limits: rules.Limits = field(default_factory=rules.Limits)
@@ -118,7 +118,7 @@ class Orders:
 
 
 class Watch:
-    """Holds the fleet against the rules; what it did not get to is judged in the next round."""
+    """Judges the vehicles with news, in rounds; those that a round did not reach come in the next."""
 
     def __init__(
         self, engine: Engine, orders: Orders, now: Callable[[], datetime], *, shared: Keeper | None = None
@@ -140,7 +140,7 @@ class Watch:
         return self._judged.keys() >= self._keeper.snapshot.vehicles.keys()
 
     def round(self, judging_s: float = JUDGING_S) -> list[rules.Transition]:
-        """Look at everything once; return what was raised and cleared.
+        """Judge the fleet once; return the alarms that were raised and cleared.
 
         Raises DatabaseError if the database does not answer; what is written stays, the rest follows in the next round.
 
@@ -340,9 +340,9 @@ def run_watch(
 async def watch_for_ever(
     engine: Engine, orders: Orders, metrics: ServerAddress | None = None, shared: Keeper | None = None
 ) -> None:
-    """Look and deliver until it is cancelled."""
+    """Judge and deliver until cancelled."""
     watch = Watch(engine, orders, partial(datetime.now, UTC), shared=shared)
-    with shown_at(metrics, watch.families):
+    with metrics_served(metrics, watch.families):
         _LOG.info("watching")
         try:
             await asyncio.gather(_repeat(watch.round, ROUND_S), _repeat(watch.deliver, DELIVERY_S))
@@ -351,7 +351,7 @@ async def watch_for_ever(
 
 
 async def _repeat(step: Callable[[], object], pause_s: float) -> None:
-    """Do a step for ever; a database that is away costs time."""
+    """Run a step again and again; while the database is away the step fails and is tried again."""
     is_told = False
     while True:
         try:

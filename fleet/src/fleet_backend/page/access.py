@@ -1,4 +1,4 @@
-"""Who may read and who may change: everybody reads, or, behind a proxy that logs people in, each by role."""
+"""Rights: without a proxy everybody reads; behind a proxy that logs people in, each has the rights of a role."""
 
 import hashlib
 import hmac
@@ -20,7 +20,7 @@ _LONGEST_NAME: Final = 200
 
 
 class UserRole(IntEnum):
-    """What somebody may do; each may what those before it may."""
+    """Rights of a user; each role has those of the roles before it."""
 
     VIEWER = 1  # reads
     WORKSHOP = 2  # acknowledges alarms
@@ -42,7 +42,7 @@ class Proxy:
 
     user_header: str
     secret_header: str
-    secret: str = field(repr=False)  # that only the proxy knows: what comes past it has no say
+    secret: str = field(repr=False)  # of the proxy alone: requests without it are not logged in
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

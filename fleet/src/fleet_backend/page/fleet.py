@@ -1,4 +1,4 @@
-"""The fleet as it was read last, kept in memory; what is new is read every two seconds, readers ask no database."""
+"""The snapshot of the fleet, in memory: it is refreshed every two seconds, and lists are answered from it alone."""
 
 import asyncio
 import contextlib
@@ -26,10 +26,10 @@ from fleet_backend.queries import PresentFluid, Row
 from fleet_contract.orders import Action
 
 PERIOD_S: Final = 2.0
-REST_RATIO: Final = 19.0  # of the time that reading takes: a twentieth of a processor at most, while much arrives
-LONGEST_REST_S: Final = 30.0  # however long it took: what arrives meanwhile has to be read, too
-OVERLAP: Final = timedelta(seconds=10)  # a transaction that began before one looked may have ended after
-WHOLE_AFTER: Final = timedelta(minutes=15)  # what nobody foresaw is put right by then
+REST_RATIO: Final = 19.0  # of the time that reading takes: at most a twentieth of a processor
+LONGEST_REST_S: Final = 30.0
+OVERLAP: Final = timedelta(seconds=10)  # a transaction that was open at the last refresh may have ended since
+WHOLE_AFTER: Final = timedelta(minutes=15)  # all is read anew, whatever the marks say
 SOON: Final = timedelta(days=30)
 SILENT_AFTER: Final = timedelta(days=14)
 AHEAD_S: Final = 0.5  # at a time
@@ -86,8 +86,12 @@ class Keeper:
         self._whole_at = self.snapshot.read_at
         self._dues: dict[tuple[str, int], Row] = {}  # as the watch foretold them, or we
         self._dues_at = _NEVER
-        self._curves: dict[tuple[str, int], tuple[tuple[object, ...], tuple[float, ...]]] = {}  # after which result
-        self._done: tuple[int, datetime] | None = None  # of what all was worked out ahead
+        self._curves: dict[
+            tuple[str, int], tuple[tuple[object, ...], tuple[float, ...]]
+        ] = {}  # and the result up to which
+        self._done: tuple[int, datetime] | None = (
+            None  # snapshot and moment of the dues for which all was worked out ahead
+        )
         self.complaint: str | None = None  # why the snapshot is older than it should be
 
     def refresh(self) -> bool:

@@ -25,11 +25,11 @@ from fleet_backend.page.fleet import Keeper, fleet_families
 from fleet_backend.page.queries import DatabaseSource
 from fleet_backend.page.routes import routes
 from fleet_backend.page.site import Sources, application
-from fleet_backend.programs import shown_at, stopping
+from fleet_backend.programs import metrics_served, stopping
 
 _BACKLOG: Final = 128
-_NICE: Final = 5  # who stores results beside us goes first
-_THREADS: Final = 6  # that answer at a time: more would wait for each other, and for new connections
+_NICE: Final = 5  # ingest workers on the same machine go first
+_THREADS: Final = 6  # that answer requests; more would wait for the interpreter's lock
 HEADERS_S: Final = 10.0  # from the first byte of a request, or the connection, to the end of its head
 _GRACE_S: Final = 3  # for readers who are being answered when the server is told to stop
 _LOG: Final = logging.getLogger(__name__)
@@ -43,9 +43,9 @@ def run_server(
     access: Access,
     beside: Callable[[Keeper], Coroutine[None, None, None]] | None = None,
 ) -> None:
-    """Serve the page until SIGINT or SIGTERM; say on standard output where it is.
+    """Serve the pages until SIGINT or SIGTERM, and write their address to standard output.
 
-    What runs ``beside`` shares its view of the fleet.
+    ``beside`` is a task that shares the snapshot: the watch.
 
     Raises
     ------
@@ -62,12 +62,12 @@ def run_server(
         sys.stdout.write(f"{where}  {len(keeper.snapshot.vehicles)} vehicles of {place_of(engine)}; ends with Ctrl-C\n")
         sys.stdout.flush()
         sources = Sources(engine=engine, keeper=keeper, access=access, writer=writer if access.proxy else None)
-        asyncio.run(_serve_until_told(sources, listener, None if beside is None else beside(keeper)))
+        asyncio.run(_serve_until_stopped(sources, listener, None if beside is None else beside(keeper)))
 
 
 async def show(metrics: ServerAddress | None, keeper: Keeper) -> None:
-    """Show the metrics of a server that watches nothing, until it is cancelled."""
-    with shown_at(metrics, lambda: fleet_families(keeper)):
+    """Serve the metrics of the snapshot until cancelled."""
+    with metrics_served(metrics, lambda: fleet_families(keeper)):
         await asyncio.Event().wait()
 
 
@@ -92,8 +92,8 @@ def address_of(listener: socket.socket) -> str:
     return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
 
 
-async def serve(sources: Sources, listener: socket.socket, *, on_start: Callable[[uvicorn.Server], None]) -> None:
-    """Serve until ``should_exit`` of the server, which ``on_start`` is given, is set."""
+def server_of(sources: Sources) -> uvicorn.Server:
+    """Return a server of the pages; ``serve`` runs it until its ``should_exit`` is set."""
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
@@ -115,65 +115,60 @@ async def serve(sources: Sources, listener: socket.socket, *, on_start: Callable
         timeout_graceful_shutdown=_GRACE_S,
         http=HeadersInTime,
     )
-    server = _Server(config)
-    on_start(server)
-    await server.serve(sockets=[listener])
+    return _Server(config)
 
 
 class HeadersInTime(H11Protocol):
-    """A connection that is closed unless the head of each request comes whole in time."""
+    """A connection that is closed unless the head of each request arrives within `HEADERS_S`."""
 
-    _too_late: asyncio.TimerHandle | None = None
+    _timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as the class has it
-        """Expect a request."""
         super().connection_made(transport)
-        self._expect()
+        self._start_timer()
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes; those of an earlier request's body do not matter."""
+        """Stop the timer once a head is whole; bytes of a body start none."""
         super().data_received(data)
         if self.cycle is not None and not self.cycle.response_complete:
-            self._expect_nothing()
-        elif self._too_late is None:
-            self._expect()
+            self._stop_timer()
+        elif self._timer is None:
+            self._start_timer()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Expect nothing more."""
-        self._expect_nothing()
+        self._stop_timer()
         super().connection_lost(exc)
 
-    def _expect(self) -> None:
-        self._too_late = self.loop.call_later(HEADERS_S, self.transport.abort)
+    def _start_timer(self) -> None:
+        self._timer = self.loop.call_later(HEADERS_S, self.transport.abort)
 
-    def _expect_nothing(self) -> None:
-        if self._too_late is not None:
-            self._too_late.cancel()
-            self._too_late = None
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
 
 
 class _Server(uvicorn.Server):
-    """A server that leaves signals to us: our programs end with status 0 when they are told to stop."""
+    """A server without signal handlers of its own: `stopping` has them, and the exit status stays 0."""
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
         yield
 
 
-async def _serve_until_told(
+async def _serve_until_stopped(
     sources: Sources, listener: socket.socket, beside: Coroutine[None, None, None] | None
 ) -> None:
-    servers: list[uvicorn.Server] = []
+    server = server_of(sources)
 
     def stop() -> None:
-        for server in servers:
-            server.should_exit = True
+        server.should_exit = True
 
     task = None if beside is None else asyncio.create_task(beside)
     if task is not None:
         task.add_done_callback(lambda _: stop())  # neither goes on without the other
     with stopping(stop):
-        await serve(sources, listener, on_start=servers.append)
+        await server.serve(sockets=[listener])
     if task is not None:
         task.cancel()
         with contextlib.suppress(asyncio.CancelledError):

@@ -1,4 +1,4 @@
-"""The application: who asks is checked before all else, words of an address are checked once, an error is one line."""
+"""The web application: host names, login, checked parameters, templates; errors become a page or problem JSON."""
 
 import hmac
 import logging
@@ -43,7 +43,7 @@ Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sources:
-    """Where answers come from, and who may ask."""
+    """Databases, snapshot and rights by which requests are answered."""
 
     engine: Engine
     keeper: Keeper
@@ -78,9 +78,9 @@ def host_of(header: str) -> str:
 
 
 class Guard:
-    """Answers those who call this server by its own names, and puts the safe headers on every answer.
+    """Refuses requests to other host names (DNS rebinding), and adds `SAFE_HEADERS` to every answer.
 
-    A strange page that leads its name here gets nothing. Starlette's own check of names knows no IPv6.
+    Starlette's TrustedHostMiddleware knows no IPv6 addresses.
     """
 
     def __init__(self, app: ASGIApp, names: Collection[str]) -> None:
@@ -93,7 +93,7 @@ class Guard:
                 headers = MutableHeaders(scope=message)
                 headers.update(dict(SAFE_HEADERS))
                 is_static = scope["path"].startswith("/static/")
-                headers["cache-control"] = "max-age=3600" if is_static else "no-store"  # of what tells of vehicles
+                headers["cache-control"] = "max-age=3600" if is_static else "no-store"
             await send(message)
 
         app = self._app
@@ -103,7 +103,7 @@ class Guard:
 
 
 class Login(AuthenticationBackend):
-    """Believes the proxy who asks; without one everybody is nobody, and reads."""
+    """Reads the user from the proxy's headers; without a proxy everybody is `NOBODY`, and reads."""
 
     def __init__(self, access: Access) -> None:
         self._access = access
@@ -133,7 +133,7 @@ def application(sources: Sources, routes: list[BaseRoute], lifespan: Lifespan | 
     inside.state.sources = sources
     for name in _TEMPLATES.env.list_templates(["html"]):
         _TEMPLATES.env.get_template(name)  # the first reader does not wait until it is compiled
-    return Guard(inside, names)  # around everything, what goes wrong included
+    return Guard(inside, names)  # errors get the headers, too
 
 
 def sources_of(request: HTTPConnection) -> Sources:
@@ -202,17 +202,17 @@ def _checked(pairs: list[tuple[str, str]], query: type[QueryT]) -> QueryT:
 
 
 def encoded(answer: object) -> Response:
-    """Return an answer for programs."""
+    """Return an answer as JSON."""
     return Response(msgspec.json.encode(answer), media_type="application/json")
 
 
 def is_known(request: Request, mark: int) -> bool:
-    """Return whether the script of a page that is open asks again, and nothing is new."""
+    """Return whether the browser already shows this version of a page (``If-None-Match``)."""
     return request.headers.get("if-none-match") == f'"{mark}"'
 
 
 def page(request: Request, template: str, context: Mapping[str, Any], *, mark: int | None = None) -> Response:
-    """Return an answer for people; ``mark`` differs once it shows something else, and the page renews itself then."""
+    """Return a page; ``mark``, the version of what it shows, is its ETag, by which an open page renews itself."""
     headers = {} if mark is None else {"etag": f'"{mark}"'}
     return _TEMPLATES.TemplateResponse(request, template, {**context, "mark": mark}, headers=headers)
 
