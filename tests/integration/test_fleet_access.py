@@ -2,17 +2,20 @@
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import httpx
 import pytest
 from sqlalchemy import select
+from starlette.types import Message
 
 from fleet_backend.database import open_database, transaction
 from fleet_backend.office_tables import ALARM, AUDIT
 from fleet_backend.page.access import UserRole, read_access
-from fleet_backend.page.routes import PAGES
-from tests.support.fleet_page import ACCESS, MARKUP, SECRET, fill_database, headers_of, raise_alarms, served
+from fleet_backend.page.routes import PAGES, routes
+from fleet_backend.page.site import application
+from tests.support.fleet_page import ACCESS, MARKUP, SECRET, fill_database, headers_of, raise_alarms, served, sources_of
 from tests.support.patience import HANG_S
 
 ALARM_WORDS = {"vehicle": "worn", "clutch": "2", "rule": "verdict", "number": "1"}
@@ -63,6 +66,28 @@ def test_every_route_is_for_its_roles_alone(site: httpx.Client) -> None:
         found[path] = tuple(status(site, "POST", path, {**each, **form}) for each in people)
         assert status(site, "GET", path, people[-1]) == 405
     assert found == ROUTES
+
+
+async def test_a_form_that_breaks_off_is_no_error_of_the_server(sqlite_url: str) -> None:
+    sources = replace(sources_of(open_database(sqlite_url)), access=ACCESS)
+    head = {"host": "127.0.0.1", "content-length": "99", "content-type": "application/x-www-form-urlencoded"}
+    headers = [(name.lower().encode(), text.encode()) for name, text in (head | headers_of(WORKSHOP)).items()]
+    scope = {"type": "http", "method": "POST", "path": "/vehicles/car1/fluid", "query_string": b"", "headers": headers}
+    incoming: list[Message] = [
+        {"type": "http.request", "body": b"product=DC", "more_body": True},
+        {"type": "http.disconnect"},
+    ]
+    sent: list[Message] = []
+
+    async def receive() -> Message:
+        return incoming.pop(0)
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    await application(sources, routes())(scope, receive, send)
+    assert sent[0]["status"] == 400
+    sources.engine.dispose()
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ WHOLE_AFTER: Final = timedelta(minutes=15)  # all is read anew, whatever the mar
 SOON: Final = timedelta(days=30)
 SILENT_AFTER: Final = timedelta(days=14)
 AHEAD_S: Final = 0.5  # at a time
-SEVERITY: Final = {Severity.CHANGE_FLUID: 0, Severity.WATCH: 1, Severity.GOOD: 2, Severity.NO_VERDICT: 3}
+SEVERITY: Final[Mapping[str, int]] = {severity: place for place, severity in enumerate(Severity)}  # 0: the worst
 _NO_LEVEL: Final = 9.0  # of the view fleet_worst_first
 ByVehicle = Mapping[str, tuple[ClutchNow, ...]]
 _NEVER: Final = datetime.min.replace(tzinfo=UTC)
@@ -42,9 +42,8 @@ _LOG: Final = logging.getLogger(__name__)
 
 def place_of(now: ClutchNow) -> tuple[int, float, float, str, int]:
     """Return where a clutch stands in the fleet, as in the view fleet_worst_first: the smaller the worse."""
-    severity = SEVERITY.get(Severity(now.condition), len(SEVERITY))
     falling = now.probability_negative_slope or 0.0
-    return severity, -falling, now.level_ratio or _NO_LEVEL, now.vehicle, now.clutch
+    return SEVERITY[now.condition], -falling, now.level_ratio or _NO_LEVEL, now.vehicle, now.clutch
 
 
 def vehicle_type(now: ClutchNow) -> str:

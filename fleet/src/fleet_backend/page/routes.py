@@ -88,7 +88,7 @@ def vehicles(request: Request) -> Response:
     if request.url.path == CSV_PATH:
         return _csv(matching[query.offset : query.offset + query.limit])
     rows, next_offset = _part(request, query, matching)
-    counts = Counter(now.condition for now in snapshot.worst)
+    counts = sum(map(Counter, snapshot.strips.values()), Counter[str]())
     answer = {
         "vehicles": rows,
         "matching_count": len(matching),
@@ -364,10 +364,10 @@ def maintenance(request: Request) -> Response:
     query, sources = asked(request, ListQuery), sources_of(request)
     keeper, today = sources.keeper, sources.now().date()
 
-    def place(now: ClutchNow) -> tuple[bool, str, int, str, int]:
+    def place(now: ClutchNow) -> tuple[bool, date, int, str, int]:
         """Return where a fluid stands: what is overdue first, then by its day; what has no day is last."""
         is_overdue, day = days_of(now, keeper.foretold(now), today)
-        return not is_overdue, (day or date.max).isoformat(), SEVERITY[Severity(now.condition)], now.vehicle, now.clutch
+        return not is_overdue, day or date.max, SEVERITY[now.condition], now.vehicle, now.clutch
 
     clutches = sorted(keeper.snapshot.clutches, key=place)
     rows, next_offset = _part(request, query, clutches)

@@ -1,5 +1,6 @@
 """The web application: host names, login, checked parameters, templates; errors become a page or problem JSON."""
 
+import asyncio
 import hmac
 import logging
 from collections.abc import Callable, Collection, Mapping
@@ -18,7 +19,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.middleware.authentication import AuthenticationMiddleware
-from starlette.requests import HTTPConnection, Request
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import BaseRoute
 from starlette.templating import Jinja2Templates
@@ -35,6 +36,7 @@ API: Final = "/api/v1"
 NAVIGATION: Final = (("/", "Fleet"), ("/maintenance", "Maintenance"), ("/alarms", "Alarms"))
 _FORM: Final = "application/x-www-form-urlencoded"
 _LONGEST_FORM: Final = 16_384  # bytes
+_FORM_S: Final = 10.0  # for all of its bytes
 _TOKEN: Final = "token"  # noqa: S105 - the name of a field
 _LOG: Final = logging.getLogger(__name__)
 QueryT = TypeVar("QueryT")
@@ -176,9 +178,12 @@ async def form_of(request: Request, query: type[QueryT], role: UserRole) -> Quer
         raise AskError(f"a form is sent as {_FORM}")
     if not 0 <= int(request.headers.get("content-length", -1)) <= _LONGEST_FORM:
         raise AskError(f"a form tells its length, of {_LONGEST_FORM} bytes at most")
-    content = await request.body()
     try:
+        async with asyncio.timeout(_FORM_S):
+            content = await request.body()
         words = parse_qsl(content.decode("ascii"), keep_blank_values=True, errors="strict", max_num_fields=20)
+    except (TimeoutError, ClientDisconnect) as exc:
+        raise AskError(f"the form did not arrive within {_FORM_S:g} s") from exc
     except ValueError as exc:
         raise AskError("this is not a form") from exc
     token = dict(words).get(_TOKEN, "")
