@@ -48,6 +48,7 @@ LOSSES = (0.0, 0.02, 0.05, 0.08, 0.11, 0.13, 0.16, 0.235)  # of mu_C, of vehicle
 RESULTS_PER_VEHICLE, BUSY_RESULTS, TOGETHER = 50, 4_000, 1_000
 SETTINGS = ("fsync=off", "shared_buffers=512MB", "max_wal_size=4GB", "max_connections=40")
 VEHICLE = "v00007"
+LET_GO_S = 20.0  # after which no half body is held any more
 PAGES = (
     *("/", "/?sort=-km", "/?q=v0012", "/?only=due", "/?condition=watch&limit=1000", "/vehicles.csv"),
     *("/maintenance", "/maintenance?limit=1000", "/alarms", f"/vehicles/{VEHICLE}", "/vehicles/busy"),
@@ -247,7 +248,7 @@ async def ask_oddly(place: str, count: int) -> None:
     print(f"{count} odd requests: {dict(statuses)}; {reached_count} reached a handler", flush=True)
 
 
-async def send_halves(place: str, count: int) -> None:
+async def send_halves(place: str, process: psutil.Process, count: int) -> None:
     """Hold so many forms half sent, and print how long a reader waits meanwhile."""
     head = request(
         "POST", f"/vehicles/{VEHICLE}/fluid", "content-type: application/x-www-form-urlencoded", "content-length: 99"
@@ -273,6 +274,9 @@ async def send_halves(place: str, count: int) -> None:
         f"{count} half bodies: readers {dict(statuses)}, median {np.median(waits_s):.3f} s, worst {max(waits_s):.3f} s",
         flush=True,
     )
+    await asyncio.sleep(LET_GO_S)
+    left_count = len(process.net_connections("tcp")) - 2  # the socket that listens, and one to the database
+    print(f"  after {LET_GO_S:g} s more at most {left_count} connections are left", flush=True)
     for writer in writers:
         writer.close()
 
@@ -307,7 +311,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                         f"  {spent(process) - before_s:.1f} s of processor; load {os.getloadavg()[0]:.1f}", flush=True
                     )
                 asyncio.run(ask_oddly(place, 2_000))
-                asyncio.run(send_halves(place, options.halves))
+                asyncio.run(send_halves(place, process, options.halves))
     finally:
         server.close()
     return 0

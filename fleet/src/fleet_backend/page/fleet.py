@@ -7,17 +7,18 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from itertools import chain
 from types import MappingProxyType
 from typing import Final
 
+import anyio.to_thread
 from prometheus_client.core import Metric
 
 from clutchdiag_io.metrics import gauge
 from fleet_backend.ageing.calibrations import type_of
 from fleet_backend.ageing.peers import latest_population
-from fleet_backend.ageing.prognosis import foretold_now
+from fleet_backend.ageing.prognosis import days_of, foretold_now
 from fleet_backend.ageing.records import ClutchNow, Severity
 from fleet_backend.ageing.results import levels_of
 from fleet_backend.errors import DatabaseError
@@ -34,6 +35,7 @@ SOON: Final = timedelta(days=30)
 SILENT_AFTER: Final = timedelta(days=14)
 AHEAD_S: Final = 0.5  # at a time
 SEVERITY: Final[Mapping[str, int]] = {severity: place for place, severity in enumerate(Severity)}  # 0: the worst
+WEEKS: Final = 8  # of the calendar, besides what is due now
 _NO_LEVEL: Final = 9.0  # of the view fleet_worst_first
 ByVehicle = Mapping[str, tuple[ClutchNow, ...]]
 _NEVER: Final = datetime.min.replace(tzinfo=UTC)
@@ -74,6 +76,9 @@ class FleetSnapshot:
     silent: frozenset[str] = frozenset()  # those of which no result came for long
 
 
+Calendar = tuple[Sequence[ClutchNow], Sequence[tuple[str, Sequence[int]]]]
+
+
 class Keeper:
     """Keeps the last snapshot; read from any thread, refreshed by one task."""
 
@@ -85,6 +90,8 @@ class Keeper:
         self._whole_at = self.snapshot.read_at
         self._dues: dict[tuple[str, int], Row] = {}  # as the watch foretold them, or we
         self._dues_at = _NEVER
+        self._dues_number = 0  # grows whenever one became different
+        self._calendar: tuple[tuple[object, ...], Calendar] = ((), ((), ()))  # and of what
         self._curves: dict[
             tuple[str, int], tuple[tuple[object, ...], tuple[float, ...]]
         ] = {}  # and the result up to which
@@ -116,6 +123,7 @@ class Keeper:
             changed = {name for name, clutches in fresh.items() if clutches != last.vehicles.get(name)}
         for row in self._source.dues(self._dues_at):
             self._dues[row["vehicle"], row["clutch"]] = row
+            self._dues_number += 1
             self._dues_at = max(self._dues_at, row["judged_at"])
         alarmed = self._source.alarmed()
         self._fills_mark, self._fluids, self._whole_at = mark, fluids, now if is_whole else self._whole_at
@@ -161,6 +169,33 @@ class Keeper:
         row = self._dues.get((now.vehicle, now.clutch))
         return row if row is not None and (row["action"], row["fluid_since"]) == (now.action, now.fluid_since) else None
 
+    def calendar(self, today: date) -> Calendar:
+        """Return the clutches by the day from which their fluid is due, and by type how many vehicles are due when.
+
+        Overdue clutches are first, those without a day last. Vehicles are counted that are due now, in this week and
+        the next ones, later and without a day; the largest type is first.
+        """
+        mark = (self.snapshot.number, self._dues_number, today)
+        if self._calendar[0] != mark:
+            self._calendar = mark, self._calendar_of(self.snapshot, today)
+        return self._calendar[1]
+
+    def _calendar_of(self, snapshot: FleetSnapshot, today: date) -> Calendar:
+        days = {(now.vehicle, now.clutch): days_of(now, self.foretold(now), today) for now in snapshot.clutches}
+
+        def place(now: ClutchNow) -> tuple[bool, date, int, str, int]:
+            is_overdue, day = days[now.vehicle, now.clutch]
+            return not is_overdue, day or date.max, SEVERITY[now.condition], now.vehicle, now.clutch
+
+        monday, lanes = today - timedelta(days=today.weekday()), dict[str, list[int]]()
+        for now in snapshot.worst:
+            is_overdue, day = days[now.vehicle, now.clutch]
+            week = WEEKS + 1 if day is None else min((day - monday).days // 7, WEEKS)
+            column = 0 if is_overdue or (day is not None and day <= today) else 1 + week
+            lanes.setdefault(vehicle_type(now), [0] * (WEEKS + 3))[column] += 1
+        largest_first = sorted(lanes.items(), key=lambda lane: (-sum(lane[1]), lane[0]))
+        return sorted(snapshot.clutches, key=place), largest_first
+
     def curve(self, now: ClutchNow) -> tuple[float, ...]:
         """Return levels of a clutch against new fluid, the latest last; empty: not read yet."""
         return self._curves.get((now.vehicle, now.clutch), ((), ()))[1]
@@ -180,6 +215,7 @@ class Keeper:
                 rows = foretold_now(self._source.engine, clutches, latest_population(self._source.engine))
                 for now, row in zip(clutches, rows, strict=True):
                     self._dues[vehicle, now.clutch] = {**row, "of": now}
+                self._dues_number += 1
             is_old = self._curves.get((vehicle, worst.clutch), ((), ()))[0] != last
             if is_old:
                 self._curves[vehicle, worst.clutch] = last, levels_of(self._source.engine, vehicle, worst.clutch)
@@ -223,10 +259,12 @@ class Keeper:
         self.complaint = None
 
     async def work(self) -> None:
-        """Work ahead for ever, a third of the time."""
+        """Work ahead for ever, a third of the time, while no reader waits for an answer."""
+        readers = anyio.to_thread.current_default_thread_limiter()
         while True:
-            with contextlib.suppress(DatabaseError):
-                await asyncio.to_thread(self.work_ahead, AHEAD_S)
+            if not readers.borrowed_tokens:
+                with contextlib.suppress(DatabaseError):
+                    await asyncio.to_thread(self.work_ahead, AHEAD_S)
             await asyncio.sleep(2.0 * AHEAD_S)
 
 

@@ -34,7 +34,6 @@ from fleet_backend.ageing.calibrations import reference_of
 from fleet_backend.ageing.peers import latest_population
 from fleet_backend.ageing.prognosis import (
     NO_PROGNOSIS,
-    days_of,
     due_of,
     fan_of_vehicle,
     outlook_answer,
@@ -50,7 +49,7 @@ from fleet_backend.errors import AskError, BackendConfigError, NotFoundError, Un
 from fleet_backend.office_tables import ALARM
 from fleet_backend.page import queries
 from fleet_backend.page.access import UserRole
-from fleet_backend.page.fleet import SEVERITY, FleetSnapshot, Keeper, vehicle_type
+from fleet_backend.page.fleet import WEEKS, FleetSnapshot, vehicle_type
 from fleet_backend.page.questions import (
     ORDERS,
     Acknowledgement,
@@ -67,7 +66,6 @@ from fleet_backend.queries import Row
 from fleet_contract.orders import UNKNOWN_FLUID, Action, name_of
 
 RowT = TypeVar("RowT")
-WEEKS: Final = 8  # of the calendar
 MOST_FOR_PEOPLE: Final = 1000  # rows of a page
 NEWEST: Final = 25  # events of each clutch on a page
 
@@ -363,34 +361,21 @@ def maintenance(request: Request) -> Response:
     """List when the fluids of the fleet are due, in the order of their days."""
     query, sources = asked(request, ListQuery), sources_of(request)
     keeper, today = sources.keeper, sources.now().date()
-
-    def place(now: ClutchNow) -> tuple[bool, date, int, str, int]:
-        """Return where a fluid stands: what is overdue first, then by its day; what has no day is last."""
-        is_overdue, day = days_of(now, keeper.foretold(now), today)
-        return not is_overdue, day or date.max, SEVERITY[now.condition], now.vehicle, now.clutch
-
-    clutches = sorted(keeper.snapshot.clutches, key=place)
+    clutches, lanes = keeper.calendar(today)
     rows, next_offset = _part(request, query, clutches)
     dues = [due_of(now, keeper.foretold(now), today) for now in rows]
     answer = {"clutches": dues, "clutch_count": len(clutches), "next": next_offset}
     if is_api(request):
         return encoded(answer)
-    context = {"weeks": _weeks(dues, today), "lanes": _lanes(keeper, today)}
+    context = {"weeks": _weeks(dues, today), "lanes": (_lane_heads(today), lanes)}
     return page(request, "maintenance.html", _list(request, query, answer) | context)
 
 
-def _lanes(keeper: Keeper, today: date) -> tuple[list[str], list[tuple[str, list[int]]]]:
-    """Return the weeks to come, and for each type how many vehicles are due in which; the largest type first."""
+def _lane_heads(today: date) -> list[str]:
+    """Return the heads of the calendar: the weeks to come, by their Mondays."""
     monday = today - timedelta(days=today.weekday())
     mondays = (monday + timedelta(weeks=week) for week in range(1, WEEKS))
-    heads = ["now", "this week", *(f"{day:%d %b}" for day in mondays), "later", "no day"]
-    lanes: dict[str, list[int]] = {}
-    for now in keeper.snapshot.worst:
-        is_overdue, day = days_of(now, keeper.foretold(now), today)
-        week = WEEKS + 1 if day is None else min((day - monday).days // 7, WEEKS)
-        column = 0 if is_overdue or (day is not None and day <= today) else 1 + week
-        lanes.setdefault(vehicle_type(now), [0] * len(heads))[column] += 1
-    return heads, sorted(lanes.items(), key=lambda lane: (-sum(lane[1]), lane[0]))
+    return ["now", "this week", *(f"{day:%d %b}" for day in mondays), "later", "no day"]
 
 
 def _weeks(dues: Sequence[Due], today: date) -> list[tuple[str, list[Due]]]:
