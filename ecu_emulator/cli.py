@@ -109,18 +109,6 @@ def _rev_counts(text: str) -> tuple[int, int]:
     return int(first), int(second or first)
 
 
-def _between(low: float, high: float, unit: str) -> Callable[[str], float]:
-    """Return a reader of numbers within a range, of which NaN is none."""
-
-    def read(text: str) -> float:
-        value = float(text)
-        if not low <= value <= high:
-            raise ValueError(f"must be {low:g}..{high:g} {unit}, got {text}")
-        return value
-
-    return read
-
-
 def _instant(text: str) -> datetime:
     """Return an instant, UTC unless it has a zone."""
     try:
@@ -155,14 +143,16 @@ _drive_options = together(
     click.option(
         "--oil-degc",
         metavar="T",
-        type=_between(*OIL_RANGE_DEGC, "degC"),
+        type=click.FloatRange(*OIL_RANGE_DEGC),
         help="temperature of the oil at the start; coolant and air are at most as warm; the shift cycle needs 40 degC",
     ),
-    click.option("--mass-kg", metavar="M", type=_between(*MASS_RANGE_KG, "kg"), help="override the mass of the car"),
+    click.option("--mass-kg", metavar="M", type=click.FloatRange(*MASS_RANGE_KG), help="override the mass of the car"),
     click.option(
         "--odometer",
-        metavar="KM|TRUTH",
-        help="odometer at the start [km], or the truth file of the drive before, whose end it is (default: 12345)",
+        "odometer_m",
+        metavar="KM",
+        type=lambda text: 1000.0 * float(text),
+        help="odometer at the start [km] (default: 12345)",
     ),
     click.option(
         "--routine",
@@ -205,7 +195,7 @@ def command_line() -> None:
     "--parked",
     "longest_stay_s",
     metavar="S",
-    type=_between(*PARKED_RANGE_S, "s"),
+    type=click.FloatRange(*PARKED_RANGE_S),
     default=f"{LIVE_PARKED_S:g}",
     help="while the car is parked the bus is silent for at most this long; it cools down for all of its stay",
 )
@@ -246,7 +236,7 @@ def run(stop: _Stop, words: Mapping[str, Any]) -> None:
     "--parked",
     "longest_stay_s",
     metavar="S",
-    type=_between(*PARKED_RANGE_S, "s"),
+    type=click.FloatRange(*PARKED_RANGE_S),
     default=str(MOST_PARKED_S),
     help="while the car is parked the log has a gap of at most this long",
 )
@@ -256,7 +246,7 @@ def record(stop: _Stop, words: Mapping[str, Any]) -> None:
     from ecu_emulator import commands
 
     scenario = commands.choose_scenario(record_of(commands.DriveOptions, words))
-    log = commands.log_options(words)
+    log = record_of(commands.LogOptions, {**words, "start_ns": commands.ns_of(words["start_time"])})
     if not commands.record(scenario, log, stop, is_json=words["is_json"], is_forced=words["force"]):
         click.get_current_context().exit(stop.status)
 

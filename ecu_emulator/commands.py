@@ -1,21 +1,19 @@
 """What the emulator's commands do, once arguments are read and signals are in hand; live sending is in ``live``."""
 
 import os
-import shutil
 import sys
 import time
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext, suppress
+from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Event
 from typing import Any
 
-from click.formatting import wrap_text
-
 from clutch_model.units import NS_PER_S, k_from_degc
-from clutchdiag_io.command_line import STANDARD_STREAM, record_of
+from clutchdiag_io.command_line import STANDARD_STREAM
+from clutchdiag_io.console import PeopleConsole
 from clutchdiag_io.files import until_whole
 from clutchdiag_io.program import refusal
 from dbc.contract import dbc_path
@@ -27,7 +25,7 @@ from ecu_emulator.scenario import MASS_RANGE_KG, MOST_PARKED_S, OIL_RANGE_DEGC, 
 from ecu_emulator.scenario.faults import CauseKind, CheckedRecord, Degradation, ranged
 from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Scenario, WorkshopRoutine
 from ecu_emulator.scenario.scenario_file import load_scenario, shipped_scenarios
-from ecu_emulator.truth import Totals, TruthWriter, read_truth, truth_path
+from ecu_emulator.truth import Totals, TruthWriter, truth_path
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,12 +41,9 @@ class DriveOptions(CheckedRecord):
     drive: str | None = None
     cycles: int | None = None
     is_endless: bool = False
-    oil_degc: float | None = ranged(
-        None, *OIL_RANGE_DEGC
-    )  # colder oil makes coolant and air as cold: the car has stood there
+    oil_degc: float | None = ranged(None, *OIL_RANGE_DEGC)  # coolant and air are at most as warm: the car has stood
     mass_kg: float | None = ranged(None, *MASS_RANGE_KG)
     odometer_m: float | None = None
-    odometer: str | None = None  # the same, as ``odometer_from`` takes it
     routine: tuple[int, int] | None = None  # revs with open and with closed clutches
     is_in_workshop: bool = False  # the car waits for a tester to start the routine
 
@@ -65,11 +60,6 @@ class LogOptions:
     longest_stay_s: float = MOST_PARKED_S
 
 
-def log_options(words: Mapping[str, Any]) -> LogOptions:
-    """Return what a command line says of a log."""
-    return replace(record_of(LogOptions, words), start_ns=ns_of(words["start_time"]))
-
-
 def ns_of(instant: datetime) -> int:
     """Return nanoseconds since the epoch, whole microseconds; UTC unless it has a zone."""
     aware = instant if instant.tzinfo is not None else instant.replace(tzinfo=UTC)
@@ -77,12 +67,7 @@ def ns_of(instant: datetime) -> int:
 
 
 def choose_scenario(options: DriveOptions) -> Scenario:
-    """Return the scenario with what is overridden; raises ConfigError if it or an override cannot be used.
-
-    Raises what ``odometer_from`` raises, too.
-    """
-    if options.odometer is not None:
-        options = replace(options, odometer_m=odometer_from(options.odometer))
+    """Return the scenario with what is overridden; raises ConfigError if it or an override cannot be used."""
     scenario = options.scenario if isinstance(options.scenario, Scenario) else load_scenario(options.scenario)
     overrides: dict[str, Any] = {
         name: value
@@ -96,7 +81,12 @@ def choose_scenario(options: DriveOptions) -> Scenario:
     if options.drive is not None:
         overrides["drive"] = DriveName(options.drive)
     if options.oil_degc is not None:
-        overrides["ambient"] = started_at(scenario.ambient, float(k_from_degc(options.oil_degc)))
+        oil_k = float(k_from_degc(options.oil_degc))
+        overrides["ambient"] = Ambient(
+            temperature_k=min(scenario.ambient.temperature_k, oil_k),
+            oil_temperature_k=oil_k,
+            coolant_temperature_k=min(scenario.ambient.coolant_temperature_k, oil_k),
+        )
     if options.mass_kg is not None:
         plant = {**scenario.truth.plant, "vehicle.mass_kg": options.mass_kg}
         overrides["truth"] = replace(scenario.truth, plant=plant)
@@ -121,34 +111,8 @@ def _cause(text: str) -> Degradation:
         raise EmulatorConfigError(f"no cause {text!r}: strength and clutch must be numbers") from exc
 
 
-def odometer_from(text: str) -> float:
-    """Return the odometer at the start [m]: from kilometres, or from the end of the drive before by its truth file.
-
-    Raises ConfigError, RecordError if the drive before did not end in order; if there is no such file.
-    """
-    with suppress(ValueError):
-        return 1000.0 * float(text)
-    totals = read_truth(Path(text)).totals
-    if totals is None or totals.odometer_m is None:
-        raise EmulatorConfigError(f"--odometer {text}: that drive does not tell the odometer at its end")
-    return totals.odometer_m
-
-
-def started_at(ambient: Ambient, oil_k: float) -> Ambient:
-    """Return the temperatures of a car whose oil is as warm as this; nothing around it is warmer."""
-    return Ambient(
-        temperature_k=min(ambient.temperature_k, oil_k),
-        oil_temperature_k=oil_k,
-        coolant_temperature_k=min(ambient.coolant_temperature_k, oil_k),
-    )
-
-
 def list_scenarios() -> None:
-    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-    for name in shipped_scenarios():
-        head, text = f"{name:<12} ", load_scenario(name).description
-        line = head + text if width is None else wrap_text(text, width, head, " " * min(len(head), width // 2))
-        sys.stdout.write(f"{line}\n")
+    PeopleConsole().print_all(f"{name:<12} {load_scenario(name).description}" for name in shipped_scenarios())
 
 
 def save_dbc(path: Path | None, *, is_forced: bool, transmission: str = "nominal") -> int:

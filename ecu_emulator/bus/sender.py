@@ -1,10 +1,11 @@
 """Frames onto a bus in real time: absolute deadlines, measured lateness, nothing lost in silence."""
 
 import errno
-import queue
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final, Protocol
@@ -14,7 +15,7 @@ import numpy as np
 
 from canlog.errors import SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG
-from canlog.live import opening
+from canlog.live import opening, pythoncan
 from canlog.live.socketcan import RECEIVE_BUFFER_BYTES, open_socket
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.errors import BusError
@@ -28,7 +29,6 @@ LONGEST_SLEEP_S: Final = 0.05  # how soon a request to stop is noticed
 OVERRUN_S: Final = 0.005  # half of the shortest cycle
 RETRY_FOR_S: Final = 0.005
 RETRY_PAUSE_S: Final = 0.0005
-JOIN_S: Final = 5.0
 PROGRESS_PERIOD_S: Final = 0.2
 BUS_GONE: Final = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ENETUNREACH})
 
@@ -172,62 +172,12 @@ class _Transmitter:
                 return
 
 
-class _Producer:
-    """Draws chunks in a thread of its own, a bounded number ahead of the sender."""
-
-    def __init__(self, chunks: Iterable[EncodedFrames], stop: threading.Event) -> None:
-        self._chunks = chunks
-        self._stop = stop
-        self._is_unwanted = threading.Event()
-        self._queue: queue.Queue[EncodedFrames | None] = queue.Queue(maxsize=CHUNKS_AHEAD)
-        self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._produce, name="frame producer", daemon=True)
-        self._thread.start()
-
-    def is_behind(self) -> bool:
-        """Return whether the next chunk is still being computed."""
-        return self._queue.empty()
-
-    def next(self) -> EncodedFrames | None:
-        """Wait for the next chunk; None at the end or when stopping.
-
-        Raises
-        ------
-        BaseException
-            What the iteration over the chunks raised.
-        """
-        while not self._stop.is_set():
-            try:
-                chunk = self._queue.get(timeout=LONGEST_SLEEP_S)
-            except queue.Empty:
-                continue
-            if chunk is None and self._error is not None:
-                raise self._error
-            return chunk
-        return None
-
-    def _produce(self) -> None:
-        try:
-            for chunk in self._chunks:
-                if not self._put(chunk):
-                    return
-        except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
-            self._error = exc
-        self._put(None)
-
-    def close(self) -> None:
-        """End the thread, at the next chunk at the latest."""
-        self._is_unwanted.set()
-        self._thread.join(JOIN_S)
-
-    def _put(self, chunk: EncodedFrames | None) -> bool:
-        while not (self._stop.is_set() or self._is_unwanted.is_set()):
-            try:
-                self._queue.put(chunk, timeout=LONGEST_SLEEP_S)
-            except queue.Full:
-                continue
-            return True
-        return False
+def _next_chunk(ahead: "deque[Future[EncodedFrames | None]]", stop: threading.Event) -> EncodedFrames | None:
+    """Wait for the next chunk; None at the end or when stopping. Raises what computing it raised."""
+    while not stop.is_set():
+        if wait(list(ahead)[:1], LONGEST_SLEEP_S).done:
+            return ahead.popleft().result()
+    return None
 
 
 def transmit(
@@ -252,22 +202,24 @@ def transmit(
     on_progress : callable
         Called with scenario time [s] and frames sent, about five times a second.
     """
-    transmitter, producer = _Transmitter(bus, stop), _Producer(chunks, stop)
-    try:
-        chunk = producer.next()
-        started_s = time.monotonic() + LEAD_IN_S
-        next_progress_s = 0.0
-        while chunk is not None:
-            transmitter.send_chunk(chunk, started_s)
-            elapsed_s = time.monotonic() - started_s
-            if on_progress is not None and len(chunk) and elapsed_s >= next_progress_s:
-                on_progress(float(chunk.t_s[-1]), transmitter.sent)
-                next_progress_s = elapsed_s + PROGRESS_PERIOD_S
-            if producer.is_behind() and not stop.is_set():
-                transmitter.underruns += 1
-            chunk = producer.next()
-    finally:
-        producer.close()
+    transmitter, coming = _Transmitter(bus, stop), iter(chunks)
+    with ThreadPoolExecutor(1, "frame producer") as pool:
+        ahead = deque(pool.submit(next, coming, None) for _ in range(CHUNKS_AHEAD))
+        try:
+            chunk = _next_chunk(ahead, stop)
+            started_s = time.monotonic() + LEAD_IN_S
+            next_progress_s = 0.0
+            while chunk is not None:
+                ahead.append(pool.submit(next, coming, None))
+                transmitter.send_chunk(chunk, started_s)
+                elapsed_s = time.monotonic() - started_s
+                if on_progress is not None and len(chunk) and elapsed_s >= next_progress_s:
+                    on_progress(float(chunk.t_s[-1]), transmitter.sent)
+                    next_progress_s = elapsed_s + PROGRESS_PERIOD_S
+                transmitter.underruns += not (ahead[0].done() or stop.is_set())
+                chunk = _next_chunk(ahead, stop)
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
     return transmitter.report(max(0.0, time.monotonic() - started_s), is_complete=not stop.is_set())
 
 
@@ -303,20 +255,15 @@ def open_bus(
     ``udp_multicast`` keeps to this machine unless ``hop_limit`` is configured; ``options`` are more arguments of the
     driver, such as its port. Raises BusError if no bus is named, or it cannot be opened; the text says what to do.
     """
-    name = " ".join(part for part in (interface, channel) if part) or "from the configuration"
     try:
-        if interface == "socketcan" and channel:  # where it fails python-can would leave a socket open
-            open_socket(channel, fd=fd, receive_buffer_bytes=RECEIVE_BUFFER_BYTES).close()
-        return opening.open_bus(interface, channel, bitrate, fd=fd, options=options)
-    except can.CanInterfaceNotImplementedError as exc:
-        if interface is None:
-            raise BusError("no CAN interface given: use -i and -c, CAN_INTERFACE and CAN_CHANNEL, or can.conf") from exc
-        raise BusError(f"CAN interface {interface}: {exc}") from exc
+        settings = opening.complete_settings(interface, channel, bitrate, fd=fd)
+        if settings.interface == opening.SOCKETCAN and settings.channel:  # python-can would leave a socket open
+            open_socket(settings.channel, fd=settings.fd, receive_buffer_bytes=RECEIVE_BUFFER_BYTES).close()
+        return pythoncan.open_bus(
+            settings.interface, settings.channel, settings.bitrate, fd=settings.fd, options=options
+        )
     except SourceError as exc:
         raise BusError(str(exc)) from exc
-    except (can.CanError, OSError, ValueError, TypeError, ImportError, RuntimeError) as exc:
-        reason = " ".join(str(exc).split()) or type(exc).__name__
-        raise BusError(f"CAN bus {name} cannot be opened: {reason}") from exc
 
 
 def error_number(error: BaseException | None) -> int | None:

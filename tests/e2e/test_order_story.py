@@ -17,6 +17,7 @@ from sqlalchemy import Engine
 from diag_service.delivery import MqttConnector, Outbox
 from diag_service.store import ResultStore
 from ecu_emulator.cli import main as emulator
+from ecu_emulator.truth import read_truth, truth_path
 from fleet_backend import queries
 from fleet_backend.ageing.results import fills_of
 from fleet_backend.alarms import book
@@ -181,7 +182,11 @@ async def test_from_aged_fluid_to_sound_fluid_all_tell_the_same(
 ) -> None:
     old, new = tmp_path / "old.log", tmp_path / "new.log"
     assert emulator(["record", str(old), "--scenario", "case2"]) == 0
-    later = ["--cycles", "4", "--start-time", "2026-01-02T00:00:00Z", "--odometer", f"{old}.truth.jsonl"]
+    totals = read_truth(truth_path(old)).totals
+    assert totals is not None
+    assert totals.odometer_m is not None
+    odometer_km = totals.odometer_m / 1000.0
+    later = ["--cycles", "4", "--start-time", "2026-01-02T00:00:00Z", "--odometer", str(odometer_km)]
     assert emulator(["record", str(new), "--scenario", "ideal", *later]) == 0
 
     assert console_of(world, old) == AGED
