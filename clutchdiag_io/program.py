@@ -154,11 +154,8 @@ def choose_kernel_cache() -> None:
         top, _, inner = package.partition("/")
         spec = find_spec(top)
         for place in (spec and spec.submodule_search_locations) or ():
-            for folder, folders, names in os.walk(Path(place, inner)):
-                folders.sort()
-                for name in sorted(names):
-                    if name.endswith(".py"):
-                        digest.update(Path(folder, name).read_bytes())
+            for path in sorted(Path(place, inner).rglob("*.py")):
+                digest.update(path.read_bytes())
     cache = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
     parent = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(cache, "clutchdiag"))
     if parent.name == digest.hexdigest():  # chosen by the program that started this one

@@ -11,8 +11,8 @@ DBC_PATH: Final = Path(__file__).with_name("dct.dbc")
 
 def dbc_path(transmission: str) -> Path:
     """Return the database of the vehicle with a transmission: its own, or that of the dual clutches."""
-    own = DBC_PATH.with_name(f"{transmission}.dbc")
-    return own if own.exists() else DBC_PATH
+    path = DBC_PATH.with_name(f"{transmission}.dbc")
+    return path if path.exists() else DBC_PATH
 
 
 @cache  # nobody changes it

@@ -28,19 +28,9 @@ from ecu_emulator.truth import TruthLog, TruthWriter
 
 AnyPath = str | os.PathLike[str]
 AnyFault = SensorFault | BusFault | Mapping[str, object]
-MOST_KEPT: Final = 100_000  # of an endless drive the last ones, half a kilobyte each
+MAX_TRUTHS: Final = 100_000  # of an endless drive the last ones, half a kilobyte each
 VIRTUAL: Final = "virtual"
 POLL_S: Final = 0.01
-
-
-def with_faults(scenario: Scenario, faults: Iterable[AnyFault]) -> Scenario:
-    """Return a scenario with more faults; raises ConfigError if one cannot be."""
-    more = [fault_of(fault) for fault in faults]
-    return replace(
-        scenario,
-        sensor_faults=(*scenario.sensor_faults, *(fault for fault in more if isinstance(fault, SensorFault))),
-        bus_faults=(*scenario.bus_faults, *(fault for fault in more if isinstance(fault, BusFault))),
-    )
 
 
 def fault_of(fault: AnyFault) -> SensorFault | BusFault:
@@ -142,8 +132,12 @@ class Emulator:
             cycles=cycles, is_endless=is_endless, oil_degc=oil_degc, mass_kg=mass_kg, odometer_m=odometer_m,
             routine=routine, is_in_workshop=is_in_workshop,
         )  # fmt: skip
-        chosen = choose_scenario(driven)
-        self.scenario: Final = with_faults(chosen, faults)
+        chosen, more = choose_scenario(driven), [fault_of(fault) for fault in faults]
+        self.scenario: Final = replace(
+            chosen,
+            sensor_faults=(*chosen.sensor_faults, *(fault for fault in more if isinstance(fault, SensorFault))),
+            bus_faults=(*chosen.bus_faults, *(fault for fault in more if isinstance(fault, BusFault))),
+        )
         is_unnamed = interface == VIRTUAL and channel is None
         self._choice = BusChoice(
             interface=interface,
@@ -212,7 +206,7 @@ class Emulator:
         try:
             if self._truth_path is not None:
                 self._file = TruthWriter(self._truth_path)
-            self._sent = SentTruth(self._drive, self._file, MOST_KEPT)
+            self._sent = SentTruth(self._drive, self._file, MAX_TRUTHS)
         except BaseException:
             bus.shutdown()
             raise

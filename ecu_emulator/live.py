@@ -131,15 +131,15 @@ class SentTruth:
         Whose frames are sent.
     writer
         Writes what is true, as it becomes known.
-    most_kept
+    max_truths
         How many truths ``log`` holds at most: the latest ones.
     """
 
-    def __init__(self, drive: Drive, writer: TruthWriter | None, most_kept: int = 0) -> None:
+    def __init__(self, drive: Drive, writer: TruthWriter | None, max_truths: int = 0) -> None:
         self.drive: Final = drive
         self._writer = writer
         self._ahead: deque[Happened] = deque()  # filled by the thread that drives
-        self._happened: deque[Happened] = deque(maxlen=most_kept)
+        self._happened: deque[Happened] = deque(maxlen=max_truths)
         self._totals: Totals | None = None
         self.shift_count = 0
         self.event_count = 0
@@ -184,6 +184,10 @@ class SentTruth:
             self._writer.write(self._totals)
 
 
+MIXED_BUS: Final = (
+    "warning: another sender on this bus uses this emulator's identifiers ({:03X} for one), "
+    "probably a second emulator; nothing can be estimated from a mixture: give each a bus of its own"
+)
 WORTH_SAYING: Final = 10  # frames; fewer may be the last ones of an emulator that has just been stopped
 LISTEN_S: Final = 0.1
 JOIN_S: Final = 5.0
@@ -341,7 +345,10 @@ def run(
         ExitStack() as begun,
     ):
         if options.alive is not None:
-            _make_sign(options.alive)
+            try:
+                make_sign(options.alive)
+            except OSError as exc:
+                raise RecordError(f"cannot touch {options.alive}: {exc.strerror}") from exc
         shown_count = 0
         writer = begun.enter_context(TruthWriter(options.truth)) if options.truth is not None else None
         progress = begun.enter_context(ProgressLine(console, "preparing the plant"))
@@ -364,13 +371,6 @@ def run(
         print_json(result)
 
 
-def _make_sign(path: Path) -> None:
-    try:
-        make_sign(path)
-    except OSError as exc:
-        raise RecordError(f"cannot touch {path}: {exc.strerror}") from exc
-
-
 def send(
     scenario: Scenario,
     sent: SentTruth,
@@ -390,14 +390,16 @@ def send(
     with OtherSenders(
         bus,
         [contract.can_id for contract in message_contracts(load_contract(scenario.transmission)).values()],
-        lambda can_id: say(_mixed_bus_text(can_id)),
+        lambda can_id: say(MIXED_BUS.format(can_id)),
         wanted_ids=answering.link.can_ids if answering is not None else (),
         pass_on=answering.link.feed if answering is not None else lambda _: None,
     ) as others:
         for line in answering.places if answering is not None else ():
             say(line)
         drive = f"{scenario.name}, {scenario.drive}" if scenario.is_on_the_road else scenario.name
-        say(f"{drive}, {_seeds_text(scenario)}: sending on {choice.name or bus.channel_info}")
+        of_vehicle, of_drive = scenario.seed_of_vehicle, scenario.seed_of_drive
+        seeds = f"seed {of_drive}" if of_vehicle == of_drive else f"vehicle seed {of_vehicle}, drive seed {of_drive}"
+        say(f"{drive}, {seeds}: sending on {choice.name or bus.channel_info}")
 
         def progress(sent_s: float, frame_count: int) -> None:
             sent.sent_until(sent_s)
@@ -437,18 +439,6 @@ def answering_of(
             "the workshop routine waits for a tester: --diagnostics is needed, so that one is answered"
         )
     return nullcontext()
-
-
-def _seeds_text(scenario: Scenario) -> str:
-    vehicle, drive = scenario.seed_of_vehicle, scenario.seed_of_drive
-    return f"seed {drive}" if vehicle == drive else f"vehicle seed {vehicle}, drive seed {drive}"
-
-
-def _mixed_bus_text(can_id: int) -> str:
-    return (
-        f"warning: another sender on this bus uses this emulator's identifiers ({can_id:03X} for one), "
-        "probably a second emulator; nothing can be estimated from a mixture: give each a bus of its own"
-    )
 
 
 def _report_text(report: TransmitReport) -> str:

@@ -6,7 +6,7 @@ python-can's ``can_logconvert`` makes ASC, TRC and CSV of a candump log.
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -30,18 +30,10 @@ MS_PER_S: Final = 1_000
 NS_PER_US: Final = 1_000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LogHeader:
-    """What a log states once."""
-
-    start_us: int  # since the epoch: scenario time 0
-    channel: str
-
-
 class FrameWriter(Protocol):
-    """Writes frames in one format to a stream."""
+    """Writes frames in one format to a stream; scenario time 0 is ``start_us`` since the epoch."""
 
-    def __init__(self, stream: BinaryIO, header: LogHeader) -> None: ...
+    def __init__(self, stream: BinaryIO, start_us: int, channel: str) -> None: ...
 
     def write(self, frames: EncodedFrames) -> None:
         """Append frames, their times rounded to whole microseconds.
@@ -61,18 +53,18 @@ def _elapsed_us(frames: EncodedFrames) -> Int64Array:
 class CandumpWriter:
     """Writes what ``candump -L`` prints and canplayer plays: ``(1767225600.000000) vcan0 0A0#1122334455667788``."""
 
-    def __init__(self, stream: BinaryIO, header: LogHeader) -> None:
-        self._stream, self._header = stream, header
+    def __init__(self, stream: BinaryIO, start_us: int, channel: str) -> None:
+        self._stream, self._start_us, self._channel = stream, start_us, channel
 
     def write(self, frames: EncodedFrames) -> None:
         lines = list[str]()
-        t_us = self._header.start_us + _elapsed_us(frames)
+        t_us = self._start_us + _elapsed_us(frames)
         columns = zip(t_us.tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True)
         for frame_us, can_id, length, data in columns:
             digits = 8 if can_id & (EXTENDED_FLAG | ERROR_FLAG) else 3
             identifier, payload = f"{can_id & (EXTENDED_FLAG - 1):0{digits}X}", data[:length].tobytes().hex().upper()
             time = f"{frame_us // US_PER_S:010d}.{frame_us % US_PER_S:06d}"
-            lines.append(f"({time}) {self._header.channel} {identifier}#{payload}\n")
+            lines.append(f"({time}) {self._channel} {identifier}#{payload}\n")
         self._stream.write("".join(lines).encode())
         self._stream.flush()
 
@@ -83,9 +75,9 @@ class CandumpWriter:
 class BlfWriter:
     """Writes BLF by python-can; the start of measurement is UTC, to the millisecond."""
 
-    def __init__(self, stream: BinaryIO, header: LogHeader) -> None:
+    def __init__(self, stream: BinaryIO, start_us: int, _channel: str) -> None:
         self._writer = can.BLFWriter(stream)
-        self._start_ms, self._rest_us = divmod(header.start_us, US_PER_MS)
+        self._start_ms, self._rest_us = divmod(start_us, US_PER_MS)
         # Floats of seconds since the epoch are 0.2 us apart: until the end times count from the start of measurement.
         self._writer.start_timestamp = 0.0
 
@@ -127,7 +119,7 @@ class Mf4Writer:
         If asammdf is not installed.
     """
 
-    def __init__(self, stream: BinaryIO, header: LogHeader) -> None:
+    def __init__(self, stream: BinaryIO, start_us: int, _channel: str) -> None:
         try:
             import asammdf  # noqa: PLC0415 - optional, and takes a second to import
             from asammdf.blocks import v4_constants  # noqa: PLC0415
@@ -138,7 +130,7 @@ class Mf4Writer:
         self._signal: Any = asammdf.Signal
         self._source: Any = SourceInformation(source_type=v4_constants.SOURCE_BUS, bus_type=v4_constants.BUS_TYPE_CAN)
         self._mdf: Any = asammdf.MDF(version=VERSION)
-        self._mdf.header.start_time = datetime.fromtimestamp(header.start_us / US_PER_S, UTC)
+        self._mdf.header.start_time = datetime.fromtimestamp(start_us / US_PER_S, UTC)
         self._has_group = False
 
     def write(self, frames: EncodedFrames) -> None:
@@ -215,11 +207,11 @@ def open_log(
         raise RecordError(f"start of the log out of range: {start_ns} ns since 1970")
     if not channel or any(character.isspace() for character in channel):
         raise RecordError(f"not a channel name: {channel!r}")
-    header = LogHeader(start_us=start_ns // NS_PER_US, channel=channel)
+    start_us = start_ns // NS_PER_US
     if path == STANDARD_STREAM:
         if log_format not in {None, RecordFormat.CANDUMP}:
             raise RecordError(f"{log_format} is written to files only: its beginning is written last")
-        yield CandumpWriter(sys.stdout.buffer, header)
+        yield CandumpWriter(sys.stdout.buffer, start_us, channel)
         return
     log_format = log_format or _FORMAT_OF_SUFFIX.get(path.suffix.lower())
     if log_format is None:
@@ -229,7 +221,7 @@ def open_log(
         raise RecordError(f"cannot write {path}: not a regular file")
     with replacing(path, RecordError) as part:
         with part.open("wb") as stream:
-            log = _WRITERS[log_format](stream, header)
+            log = _WRITERS[log_format](stream, start_us, channel)
             yield log
             log.close()
         part.replace(path)

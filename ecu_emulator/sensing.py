@@ -70,31 +70,19 @@ class Onsets(Generic[ScheduledT]):
         return tuple((start_ms / MS_PER_S, stop_ms / MS_PER_S) for start_ms, stop_ms in spans_ms)
 
 
-@dataclass(slots=True)
-class _Progress:
-    """How far one fault has come."""
-
-    held: float = math.nan  # last reading before it
-    changed_count: int = 0
-
-
 class SensorFaults(Onsets[SensorFault]):
     """All scripted sensor faults of a drive."""
 
     def __init__(self, faults: Sequence[SensorFault]) -> None:
         super().__init__()
-        self._progress: list[_Progress] = []
+        self._held: dict[int, float] = {}  # by number of the fault, the last reading before it
+        self.changed_counts: Final[list[int]] = []  # readings that each fault has touched
         for fault in faults:
             self.add(fault)
 
     def add(self, fault: SensorFault, origin_s: float = 0.0) -> None:
         super().add(fault, origin_s)
-        self._progress.append(_Progress())
-
-    @property
-    def changed_counts(self) -> tuple[int, ...]:
-        """How many readings each fault has touched."""
-        return tuple(progress.changed_count for progress in self._progress)
+        self.changed_counts.append(0)
 
     def applied(self, quantity: str, send_ms: npt.NDArray[np.int64], reading: FloatArray) -> FloatArray:
         """Return the readings of one quantity at these instants, shape (n,), as the faults leave them."""
@@ -104,27 +92,28 @@ class SensorFaults(Onsets[SensorFault]):
         return reading
 
     def _wrong(self, index: int, send_ms: npt.NDArray[np.int64], reading: FloatArray) -> FloatArray:
-        fault, progress = self.faults[index], self._progress[index]
+        fault = self.faults[index]
         start_ms, stop_ms = self.span_ms(index)
         first, stop = np.searchsorted(send_ms, (start_ms, stop_ms)).tolist()
         if first:
-            progress.held = float(reading[first - 1])
+            self._held[index] = float(reading[first - 1])
         if fault.kind is SensorFaultKind.SPIKE:
-            stop = min(stop, first + (progress.changed_count == 0))
+            stop = min(stop, first + (self.changed_counts[index] == 0))
         if first >= stop:
             return reading
         wrong = reading.copy()
         match fault.kind:
             case SensorFaultKind.FROZEN:
-                progress.held = float(reading[first]) if math.isnan(progress.held) else progress.held
-                wrong[first:stop] = progress.held
+                if math.isnan(self._held.get(index, math.nan)):
+                    self._held[index] = float(reading[first])
+                wrong[first:stop] = self._held[index]
             case SensorFaultKind.OFFSET | SensorFaultKind.SPIKE:
                 wrong[first:stop] += fault.size
             case SensorFaultKind.DRIFT:
                 wrong[first:stop] += fault.size * (send_ms[first:stop] - start_ms) / MS_PER_S
             case SensorFaultKind.NOT_AVAILABLE:
                 wrong[first:stop] = math.nan
-        progress.changed_count += stop - first
+        self.changed_counts[index] += stop - first
         return wrong
 
 

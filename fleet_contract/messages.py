@@ -82,7 +82,14 @@ def receipts_of(ack: Mapping[str, object]) -> list[Receipt]:
     vehicle, entries = ack["vehicle"], ack["results"]
     if not isinstance(entries, list):
         raise SchemaError("results must be a list")
-    return [_receipt({**entry, "vehicle": vehicle}) for entry in entries]
+    return [
+        Receipt(
+            key=key_of({**entry, "vehicle": vehicle}),
+            outcome=Outcome(str(entry["outcome"])),
+            reason=None if entry.get("reason") is None else str(entry["reason"]),
+        )
+        for entry in entries
+    ]
 
 
 def takes_bundles(ack: Mapping[str, object]) -> bool:
@@ -94,15 +101,6 @@ def _entry(receipt: Receipt) -> JsonObject:
     named = {name: value for name, value in msgspec.to_builtins(receipt.key).items() if name != "vehicle"}
     reason = None if receipt.reason is None else receipt.reason[:_MAX_REASON]
     return {**named, "outcome": receipt.outcome.value, "reason": reason}
-
-
-def _receipt(entry: Mapping[str, object]) -> Receipt:
-    reason = entry.get("reason")
-    return Receipt(
-        key=key_of(entry),
-        outcome=Outcome(str(entry["outcome"])),
-        reason=None if reason is None else str(reason),
-    )
 
 
 SPEC_VERSION: Final = "1.0"
@@ -194,12 +192,12 @@ def status_message(record: Mapping[str, object]) -> Outgoing:
 
 def metrics_message(vehicle: str, produced_at: str, metrics: Mapping[str, float]) -> Outgoing:
     """Return the message of the numbers of a running service."""
-    return _told(Channel.METRICS, vehicle, produced_at, {"metrics": dict(metrics)})
+    return _state_message(Channel.METRICS, vehicle, produced_at, {"metrics": dict(metrics)})
 
 
 def config_message(vehicle: str, produced_at: str, settings: Mapping[str, str | float | bool | None]) -> Outgoing:
     """Return the message of what a service runs with; the caller has masked the secrets."""
-    return _told(Channel.CONFIG, vehicle, produced_at, {"settings": dict(settings)})
+    return _state_message(Channel.CONFIG, vehicle, produced_at, {"settings": dict(settings)})
 
 
 def controller_message(record: Mapping[str, object]) -> Outgoing:
@@ -219,7 +217,7 @@ def fluid_message(vehicle: str, produced_at: str, fills: Sequence[JsonObject], *
     withdrawn = [fill["filled_at"] for fill in fills if fill.get("is_withdrawn")]
     fills = [fill for fill in fills if not fill.get("is_withdrawn")]
     content: JsonObject = {"fills": fills[-MAX_FILLS:]} | ({"withdrawn": withdrawn[-MAX_FILLS:]} if withdrawn else {})
-    return _told(Channel.FILLS if is_to_vehicle else Channel.FLUID, vehicle, produced_at, content)
+    return _state_message(Channel.FILLS if is_to_vehicle else Channel.FLUID, vehicle, produced_at, content)
 
 
 def ack_messages(
@@ -244,7 +242,7 @@ def ack_messages(
         yield _outgoing(Channel.ACK, vehicle, text, source=f"{worker}/{vehicle}", event_id=event_id, time=sent_at)
 
 
-def _told(channel: Channel, vehicle: str, produced_at: str, content: JsonObject) -> Outgoing:
+def _state_message(channel: Channel, vehicle: str, produced_at: str, content: JsonObject) -> Outgoing:
     """Return the message of what is said of a vehicle at a moment."""
     head: JsonObject = {"schema": channel.schema_name, "vehicle": vehicle, "produced_at": produced_at}
     event_id = f"{channel.label}/{produced_at}"

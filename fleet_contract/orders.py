@@ -25,11 +25,11 @@ FillT = TypeVar("FillT")
 
 def distinct(fills: Iterable[FillT], moment: Callable[[FillT], datetime]) -> list[FillT]:
     """Return fills, the earliest first, without those that were noted within a day of the one before them."""
-    kept_fills: list[FillT] = []
+    distinct_fills: list[FillT] = []
     for fill in sorted(fills, key=moment):
-        if not kept_fills or moment(fill) - moment(kept_fills[-1]) >= SAME_WITHIN:
-            kept_fills.append(fill)
-    return kept_fills
+        if not distinct_fills or moment(fill) - moment(distinct_fills[-1]) >= SAME_WITHIN:
+            distinct_fills.append(fill)
+    return distinct_fills
 
 
 def fill_meant(fills: Iterable[FillT], moment: Callable[[FillT], datetime], at: datetime | None) -> FillT | None:
@@ -175,22 +175,26 @@ def unseen_since_new(clutch: int, element: str | None = None) -> str:
 
 def order_of(findings: Iterable[ClutchFinding], filled_at: datetime | None, elements: Iterable[str] = ()) -> Order:
     """Return the order by the last result of each clutch, when the fluid was filled, and names that are no numbers."""
-    every = list(findings)
-    known = {one.clutch: one for one in every if not is_of_earlier_fluid(one.end_at, filled_at, one.since_at)}
-    names = dict(enumerate(elements, 1)) | {one.clutch: one.element for one in every if one.element}
+    findings = list(findings)
+    known = {
+        finding.clutch: finding
+        for finding in findings
+        if not is_of_earlier_fluid(finding.end_at, filled_at, finding.since_at)
+    }
+    names = dict(enumerate(elements, 1)) | {finding.clutch: finding.element for finding in findings if finding.element}
     clutches = tuple(names) or CLUTCHES  # elements with names are all that there are
     conditions = [known[clutch].condition if clutch in known else NO_VERDICT for clutch in clutches]
     unseen = "no event engaged it yet" if filled_at is None else _UNSEEN_SINCE
     texts = [_ground(known[clutch]) if clutch in known else unseen for clutch in clutches]
     action, sentence = _decide(conditions, texts)
-    newest = max(known.values(), key=lambda one: one.end_at, default=None)
+    newest = max(known.values(), key=lambda finding: finding.end_at, default=None)
     if newest is not None and (suspect := _beside_fluid(newest.suspects, conditions)) is not None:
         action = Action.FIND_CAUSE
-        is_blamed = not _BLAMED.isdisjoint(conditions)
-        what = (
-            "See to another cause than the fluid first" if is_blamed else "Have something else than the fluid looked at"
-        )
-        what = "See to this first" if suspect.cause in _OF_THE_FLUID else what
+        what = "See to another cause than the fluid first"
+        if suspect.cause in _OF_THE_FLUID:
+            what = "See to this first"
+        elif _BLAMED.isdisjoint(conditions):
+            what = "Have something else than the fluid looked at"
         named = _OF_THE_FLUID.get(suspect.cause, str(suspect))
         sentence = f"{what}: {named} ({_likely(suspect.probability)} likely)."
     if filled_at is not None and not known:

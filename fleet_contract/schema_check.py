@@ -93,11 +93,11 @@ def _is_moment(text: str) -> bool:
 
 
 def _in_words(errors: Iterable[ValidationError]) -> str:
-    mistakes = [_told(error) for error in islice(errors, _MOST_SAID + 1)]
+    mistakes = [_in_place(error) for error in islice(errors, _MOST_SAID + 1)]
     return "; ".join(mistakes if len(mistakes) <= _MOST_SAID else [*mistakes[:_MOST_SAID], "and more"])
 
 
-def _told(error: ValidationError) -> str:
+def _in_place(error: ValidationError) -> str:
     """Return place and cause of a mistake, with the beginning of a value that is wrong by itself."""
     place = "".join(f"{shown(str(step))}: " for step in error.instance_path)
     is_quoting = len(error.message) > _LONGEST_MESSAGE or not error.message.isprintable()  # names of a stranger's

@@ -84,9 +84,7 @@ class Terms:
     is_version_5: bool = True  # else 3.1.1
     identifier: str | None = None  # None: the broker gives one
     timeout_s: float = 5.0  # for a connection or an acknowledgement
-    stall_s: float = (
-        60.0  # for taking more of what we send; a broker in a storm may look at one vehicle after the other
-    )
+    stall_s: float = 60.0  # for taking more of what we send: a broker in a storm looks at one vehicle after the other
     keepalive_s: int = 20  # a dead peer is known after 1.5 times this
     will: Outgoing | None = None  # what the broker says for us when we vanish
     session_s: int = 0  # how long the broker keeps what is for us while we are away
@@ -124,11 +122,6 @@ def connect(client: Client, address: BrokerAddress, terms: Terms) -> None:
     if not terms.is_version_5:
         client.connect(address.host, address.port, terms.keepalive_s)
         return
-    properties, clean_start = _connect_properties(terms), not terms.session_s
-    client.connect(address.host, address.port, terms.keepalive_s, clean_start=clean_start, properties=properties)
-
-
-def _connect_properties(terms: Terms) -> Properties:
     properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]  # paho-mqtt's
     if terms.session_s:
         properties.SessionExpiryInterval = terms.session_s
@@ -136,7 +129,8 @@ def _connect_properties(terms: Terms) -> Properties:
         properties.ReceiveMaximum = terms.max_unsettled
     if terms.max_packet_bytes is not None:
         properties.MaximumPacketSize = terms.max_packet_bytes
-    return properties
+    clean_start = not terms.session_s
+    client.connect(address.host, address.port, terms.keepalive_s, clean_start=clean_start, properties=properties)
 
 
 _LOG: Final = logging.getLogger(__name__)
@@ -167,7 +161,7 @@ class SocketLoop:
         self._is_ended = False
         self._is_paused = False
         self._judged_after_s = 0.0  # until then a peer that is not heard is none that has gone
-        self._taken_count = 0
+        self._message_count = 0
         client.on_socket_open = self._on_open
         client.on_socket_close = self._on_close
         client.on_socket_register_write = self._on_write_wanted
@@ -179,9 +173,9 @@ class SocketLoop:
         if self._pings is not None:
             self._pings.cancel()
 
-    def took(self) -> None:
-        """Note that a message came: where there is one, there may be more to read."""
-        self._taken_count += 1
+    def count_message(self) -> None:
+        """Note that a message came: there may be more to read."""
+        self._message_count += 1
 
     def pause(self) -> None:
         """Read no more; what the peer still sends waits in the system's buffers, then with the peer."""
@@ -235,16 +229,13 @@ class SocketLoop:
 
     def _read(self) -> None:
         for _ in range(_MOST_AT_ONCE):
-            before = self._taken_count
+            before = self._message_count
             if self._is_paused or self._open_socket() is None:
                 return
             self._advance(self._client.loop_read)
-            if self._taken_count == before:
+            if self._message_count == before:
                 break
-        self._read_decrypted()
-
-    def _read_decrypted(self) -> None:
-        """Read what TLS has decrypted already: the socket does not become ready for that."""
+        # The socket does not become ready for what TLS has decrypted already.
         while not self._is_paused and isinstance(sock := self._client.socket(), ssl.SSLSocket) and sock.pending():
             self._advance(self._client.loop_read)
 
@@ -315,7 +306,7 @@ class Connection:
         self._subscribed: dict[int, asyncio.Future[list[ReasonCode] | None]] = {}
         self._client = make_client(address, terms)
         self._client.on_connect = self._on_connect
-        self._client.on_disconnect = self._on_disconnect
+        self._client.on_disconnect = lambda *_: self._lose()
         self._client.on_subscribe = self._on_subscribe
         self._client.on_message = self._on_message
         self._client.on_publish = self._on_publish
@@ -491,12 +482,7 @@ class Connection:
                 granted.set_result(None)
 
     def _on_connect(
-        self,
-        _client: Client,
-        _userdata: object,
-        _flags: object,
-        reason_code: ReasonCode,
-        properties: Properties | None,
+        self, _client: Client, _userdata: object, _flags: object, reason_code: ReasonCode, properties: Properties | None
     ) -> None:
         if not reason_code.is_failure:
             self._client.on_log = None  # else each packet is written out for it: a tenth of the work for a message
@@ -504,9 +490,6 @@ class Connection:
         self._window = min(getattr(properties, "ReceiveMaximum", _UNLIMITED_IN_FLIGHT), self._terms.max_in_flight)
         if not self._accepted.done():  # paho-mqtt may call more than once
             self._accepted.set_result(reason_code)
-
-    def _on_disconnect(self, *_told: object) -> None:
-        self._lose()
 
     def _on_subscribe(
         self, _client: Client, _userdata: object, mid: int, codes: list[ReasonCode], _properties: Properties | None
@@ -516,7 +499,7 @@ class Connection:
             granted.set_result(codes)
 
     def _on_message(self, _client: Client, _userdata: object, message: MQTTMessage) -> None:
-        self._socket_loop.took()
+        self._socket_loop.count_message()
         packet_id = message.mid if message.qos else 0
         limit = self._terms.max_unsettled
         if not packet_id and limit is not None and len(self._inbox) >= limit:

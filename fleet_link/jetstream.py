@@ -102,7 +102,7 @@ class JetStream:
                 )
                 made._is_trying = False
                 await made._prepare(filters, group)
-                await client.subscribe(f"{made._inbox_name}.*", cb=made._take, pending_msgs_limit=-1)
+                await client.subscribe(f"{made._inbox_name}.*", cb=made._queue, pending_msgs_limit=-1)
         except (Error, OSError, TimeoutError) as exc:
             await made.close()
             raise LinkDownError(" ".join(str(exc).split()) or type(exc).__name__) from exc
@@ -123,7 +123,7 @@ class JetStream:
         LinkDownError
             If the connection is lost; messages that were not settled come again.
         """
-        await self._say()
+        await self._flush()
         while not self._inbox and not self._is_lost:
             await self._ask(limit)
             self._arrived.clear()
@@ -153,7 +153,7 @@ class JetStream:
         """Take leave of the broker; what was to be sent is sent."""
         with contextlib.suppress(Exception):  # whatever it was, this connection is at its end
             if not self._is_lost:
-                await self._say()
+                await self._flush()
             async with asyncio.timeout(_TIMEOUT_S):
                 await self._client.close()
 
@@ -205,7 +205,7 @@ class JetStream:
         body = json.dumps(asked).encode()
         await self._publish([(self._next, body)], reply=f"{self._inbox_name}.{self._question}")
 
-    async def _say(self) -> None:
+    async def _flush(self) -> None:
         messages, self._outbox = self._outbox, deque()
         await self._publish(messages)
 
@@ -218,7 +218,7 @@ class JetStream:
         except Error as exc:
             raise LinkDownError(str(exc) or _LOST) from exc
 
-    async def _take(self, message: "Msg") -> None:
+    async def _queue(self, message: "Msg") -> None:
         """Queue a message, or note the status that ends a pull request."""
         status = (message.headers or {}).get(_STATUS)
         if status is None:

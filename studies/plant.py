@@ -10,7 +10,10 @@ from rich.console import Console
 from rich.table import Table
 
 from clutch_model.calibration import nominal_calibration
-from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
+from ecu_emulator.plant.course import DriveSettings
+from ecu_emulator.plant.parameters import nominal_parameters
+from ecu_emulator.plant.powertrain import Powertrain
+from ecu_emulator.plant.state import Col
 from studies import bars
 from studies.run import parsed, study_parser
 

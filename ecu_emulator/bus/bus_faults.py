@@ -86,14 +86,14 @@ def foreign_frames(t_s: FloatArray, random: np.random.Generator) -> EncodedFrame
 
 
 def crowded(
-    own_s: FloatArray, free_s: float, until_s: float, load_ratio: float
+    ready_s: FloatArray, free_s: float, until_s: float, load_ratio: float
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return when own and foreign frames are sent on a bus whose idle time foreign frames fill.
+    """Return when the vehicle's and foreign frames are sent on a bus whose idle time foreign frames fill.
 
     Parameters
     ----------
-    own_s : (n,) array
-        When own frames are ready, in order; they win every arbitration, but wait for the frame on the bus.
+    ready_s : (n,) array
+        When the vehicle's frames are ready, in order; they win every arbitration, but wait for the frame on the bus.
     free_s, until_s : float
         When the bus becomes free, and up to when foreign frames want it.
     load_ratio : float
@@ -102,14 +102,14 @@ def crowded(
     Returns
     -------
     tuple
-        Send times of own (n,) and foreign frames (m,), and when the bus becomes free again.
+        Send times of the vehicle's (n,) and foreign frames (m,), and when the bus becomes free again.
     """
-    sent_s = np.empty_like(own_s)
+    sent_s = np.empty_like(ready_s)
     foreign_s = []
     row = 0
-    while row < len(own_s) or free_s < until_s:
-        if row < len(own_s) and (own_s[row] <= free_s or free_s >= until_s):
-            sent_s[row] = max(free_s, float(own_s[row]))
+    while row < len(ready_s) or free_s < until_s:
+        if row < len(ready_s) and (ready_s[row] <= free_s or free_s >= until_s):
+            sent_s[row] = max(free_s, float(ready_s[row]))
             free_s = sent_s[row] + FRAME_S
             row += 1
         else:

@@ -27,14 +27,6 @@ def enter_lock_up(memory: FloatArray, state: int) -> None:
 
 
 @part
-def begin_change(memory: FloatArray, sense: FloatArray, gear: int) -> None:
-    begin_event(memory, ManoeuvreKind.NONE.value)
-    enter_state(memory, DrivelineState.CHANGING.value)
-    memory[tcu_data.TARGET_GEAR] = gear
-    memory[at.START_RATIO] = sense[at.GEAR_RATIO]
-
-
-@part
 def change(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Open the lock-up clutch, then lead the ratio of the gearbox to that of the target gear."""
     p, time_s = law.driving.lock_up, memory[at.STATE_TIME] - law.driving.lock_up.release_s
@@ -65,7 +57,10 @@ def choose_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> None:
         enter_state(memory, DrivelineState.IN_GEAR.value)
     wanted = 1 if is_standing else gear_choice.wanted_gear(memory, sense, law)
     if wanted != memory[tcu_data.CURRENT_GEAR]:
-        begin_change(memory, sense, wanted)
+        begin_event(memory, ManoeuvreKind.NONE.value)
+        enter_state(memory, DrivelineState.CHANGING.value)
+        memory[tcu_data.TARGET_GEAR] = wanted
+        memory[at.START_RATIO] = sense[at.GEAR_RATIO]
 
 
 @part
@@ -122,13 +117,6 @@ def apply_lock_up(
 
 
 @part
-def hold_lock_up(memory: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
-    p = law.driving.lock_up
-    torque_nm = p.hold_ratio * abs(memory[tcu_data.INPUT_TORQUE]) + p.hold_nm
-    tcu.command_torque(commands, 0, torque_nm, law.drive)
-
-
-@part
 def control_lock_up(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Open, apply, slip, lock, release."""
     p, input_nm = law.driving.lock_up, memory[tcu_data.INPUT_TORQUE]
@@ -151,7 +139,7 @@ def control_lock_up(memory: FloatArray, sense: FloatArray, commands: FloatArray,
         if is_tight:
             enter_lock_up(memory, LockUpState.LOCKED.value)
     elif state == LockUpState.LOCKED.value:
-        hold_lock_up(memory, commands, law)
+        tcu.command_torque(commands, 0, p.hold_ratio * abs(input_nm) + p.hold_nm, law.drive)
         if not is_tight:  # it is full: what follows is the way to the slip
             enter_lock_up(memory, LockUpState.APPLYING.value)
     else:

@@ -37,14 +37,6 @@ def is_turned_back(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> bo
 
 
 @part
-def turn_back(memory: FloatArray) -> None:
-    """Go back to the old gear: the target follows at once, the clutches need a moment."""
-    memory[at.IS_ABORTED] = 1.0
-    memory[tcu_data.TARGET_GEAR] = memory[tcu_data.CURRENT_GEAR]
-    tcu.enter_phase(memory, tcu_data.LOCK_UP)
-
-
-@part
 def lock_up(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Raise the pressure to the hold level and keep it until the clutch sticks, which takes longer in the cold."""
     control, clutch = law.drive.control, tcu.clutch_of(int(memory[tcu_data.TARGET_GEAR]))
@@ -160,8 +152,7 @@ def coast_skip(memory: FloatArray, sense: FloatArray, commands: FloatArray, law:
         memory[at.SHARE] = 0.0
         memory[tcu_data.LOCKED_TIME] = 0.0
         memory[tcu_data.IS_FILLED] = 0.0
-        tcu.command_pressure(commands, 0, 0.0)
-        tcu.command_pressure(commands, 1, 0.0)
+        tcu.open_both(commands)
         if shift_shaft(memory, sense, commands, clutch, target, law):
             tcu.enter_phase(memory, tcu_data.INERTIA)
         return
@@ -169,35 +160,18 @@ def coast_skip(memory: FloatArray, sense: FloatArray, commands: FloatArray, law:
 
 
 @part
-def press(commands: FloatArray, clutch: int, torque_nm: float, law: DrivingLaw) -> None:
-    """Let a clutch carry a torque; if it shall carry none, open it far enough for its film to let go."""
-    if torque_nm > 0.0:
-        tcu.command_torque(commands, clutch, torque_nm, law.drive)
-    else:
-        tcu.command_pressure(commands, clutch, _RELEASED_RATIO * law.drive.actuation.touch_pressure_pa[clutch])
-
-
-@part
-def engine_reference(memory: FloatArray, sense: FloatArray, gear: int, law: DrivingLaw) -> tuple[float, float]:
-    """Return the engine speed [rad/s] and its rate [rad/s^2] on the way to a little above a gear's speed."""
-    p = law.driving.change
-    rise_rad_s = gear_speed_rad_s(sense, gear, law) + p.overshoot_rad_s - memory[at.START_SPEED]
-    length_s = max(p.raise_time_s, 1.5 * rise_rad_s / p.raise_rad_s2)
-    q = min(memory[tcu_data.PHASE_TIME] / length_s, 1.0)
-    return memory[at.START_SPEED] + rise_rad_s * q * q * (3.0 - 2.0 * q), rise_rad_s * 6.0 * q * (1.0 - q) / length_s
-
-
-@part
 def carried_nm(memory: FloatArray, sense: FloatArray, commands: FloatArray, gear: int, law: DrivingLaw) -> float:
-    """Return the torque the clutches shall take from the engine so that it follows its reference [N m]."""
-    wanted_rad_s, rate_rad_s2 = engine_reference(memory, sense, gear, law)
-    inertia_nm = law.drive.actuation.inertia_kg_m2 * rate_rad_s2
+    """Return the torque the clutches shall take from the engine [N m]: so it rises to a little above a gear's speed."""
+    control, change = law.drive.control, law.driving.change
+    rise_rad_s = gear_speed_rad_s(sense, gear, law) + change.overshoot_rad_s - memory[at.START_SPEED]
+    length_s = max(change.raise_time_s, 1.5 * rise_rad_s / change.raise_rad_s2)
+    q = min(memory[tcu_data.PHASE_TIME] / length_s, 1.0)
+    inertia_nm = law.drive.actuation.inertia_kg_m2 * (rise_rad_s * 6.0 * q * (1.0 - q) / length_s)
     commands[at.REQUEST] = at.AT_LEAST
     commands[at.REQUESTED_TORQUE] = inertia_nm + _RAISE_MARGIN_NM
-    error_rad_s = sense[at.HUB_SPEED] - wanted_rad_s
-    help_nm = max(-law.driving.change.gain_nms_rad * error_rad_s, 0.0)
+    error_rad_s = sense[at.HUB_SPEED] - (memory[at.START_SPEED] + rise_rad_s * q * q * (3.0 - 2.0 * q))
+    help_nm = max(-change.gain_nms_rad * error_rad_s, 0.0)
     commands[at.REQUESTED_TORQUE] += min(help_nm, law.driving.launch.engine_help_nm)
-    control, change = law.drive.control, law.driving.change
     limit_rad = control.slip_integral_limit_rad
     summed_rad = memory[tcu_data.INTEGRAL] + error_rad_s * tcu_data.PERIOD_S
     memory[tcu_data.INTEGRAL] = min(max(summed_rad, -limit_rad), limit_rad)
@@ -233,7 +207,11 @@ def raise_engine(memory: FloatArray, sense: FloatArray, commands: FloatArray, la
     """Let the engine rise over a slipping off-going clutch; at the speed of the next gear torque may be handed over."""
     to_gear, target = int(memory[at.TO_GEAR]), int(memory[tcu_data.TARGET_GEAR])
     torque_nm = carried_nm(memory, sense, commands, target, law)
-    press(commands, int(memory[at.FROM_CLUTCH]), torque_nm, law)
+    going = int(memory[at.FROM_CLUTCH])
+    if torque_nm > 0.0:
+        tcu.command_torque(commands, going, torque_nm, law.drive)
+    else:  # far enough open for its film to let go
+        tcu.command_pressure(commands, going, _RELEASED_RATIO * law.drive.actuation.touch_pressure_pa[going])
     is_ready = fill_next(memory, sense, commands, law)
     is_fast = sense[at.HUB_SPEED] > gear_speed_rad_s(sense, to_gear, law) + SYNC_BAND_RAD_S
     if is_ready and (is_fast or memory[tcu_data.PHASE_TIME] > law.driving.change.longest_s):

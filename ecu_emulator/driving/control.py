@@ -5,13 +5,7 @@ from canlog.jit import part
 from ecu_emulator.driving import changes, gear_choice, standing
 from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.indices import DrivelineState, ManoeuvreKind
-from ecu_emulator.driving.laws import (
-    DrivingLaw,
-    begin_event,
-    end_event,
-    enter_state,
-    idle_rad_s,
-)
+from ecu_emulator.driving.laws import DrivingLaw, begin_event, end_event, enter_state, idle_rad_s
 from ecu_emulator.shift_control import tcu, tcu_data
 
 _PULLING_NM = 8.0  # torque from which the engine drives the car
@@ -109,7 +103,9 @@ def change(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dri
     else:
         changes.downshift_under_power(memory, sense, commands, law)
     if memory[at.IS_ABORTED] == 0.0 and changes.is_turned_back(memory, sense, law):
-        changes.turn_back(memory)
+        memory[at.IS_ABORTED] = 1.0  # the target follows at once, the clutches need a moment
+        memory[tcu_data.TARGET_GEAR] = memory[tcu_data.CURRENT_GEAR]
+        tcu.enter_phase(memory, tcu_data.LOCK_UP)
     if memory[tcu_data.PHASE] == tcu_data.HOLD:
         memory[at.LAUNCH_TORQUE] = commands[tcu_data.TORQUE_COMMAND + tcu.clutch_of(int(memory[tcu_data.CURRENT_GEAR]))]
         memory[tcu_data.DWELL] = 0.0

@@ -10,7 +10,6 @@ from ecu_emulator.driving.laws import DrivingLaw, asked_force_n, idle_rad_s, ove
 from ecu_emulator.plant.driveline import (
     CYCLE_RAD,
     FLOW_SHARPNESS,
-    EngineParameters,
     cylinder_air_kg_rad,
     engine_losses_nm,
     mean_indicated_torque_nm,
@@ -46,15 +45,6 @@ def wished_torque_nm(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> 
 
 
 @part
-def throttle_for_air(air_kg_rad: float, manifold_pa: float, engine_rad_s: float, p: EngineParameters) -> float:
-    """Return the throttle 0..1 that holds an air charge [kg/rad] at a manifold pressure, in the steady state."""
-    share = 1.0 - math.exp(FLOW_SHARPNESS * (min(manifold_pa / p.ambient_pressure_pa, 0.999) - 1.0))
-    opening = air_kg_rad * engine_rad_s / (p.max_air_flow_kg_s * share)
-    angle_rad = math.acos(min(max(1.0 - opening, 0.0), 1.0))
-    return min(max((angle_rad - p.closed_throttle_rad) / (0.5 * math.pi - p.closed_throttle_rad), 0.0), 1.0)
-
-
-@part
 def set_air(commands: FloatArray, sense: FloatArray, torque_nm: float, spark: float, law: DrivingLaw) -> None:
     """Slow path: the throttle at which the engine settles at a torque, its spark at this factor."""
     engine, air_k = law.drive.plant.engine, law.drive.plant.air_k
@@ -65,7 +55,11 @@ def set_air(commands: FloatArray, sense: FloatArray, torque_nm: float, spark: fl
     needed_nm = torque_nm + friction_nm + pumping_nm_pa * engine.ambient_pressure_pa
     manifold_pa = needed_nm / (engine.torque_per_air_j_kg * air_per_pa * spark + pumping_nm_pa)
     manifold_pa = min(max(manifold_pa, 0.0), engine.ambient_pressure_pa)
-    commands[tcu_data.THROTTLE] = throttle_for_air(air_per_pa * manifold_pa, manifold_pa, speed_rad_s, engine)
+    # The throttle that holds this charge of air in the steady state.
+    flow_ratio = 1.0 - math.exp(FLOW_SHARPNESS * (min(manifold_pa / engine.ambient_pressure_pa, 0.999) - 1.0))
+    opening = air_per_pa * manifold_pa * speed_rad_s / (engine.max_air_flow_kg_s * flow_ratio)
+    angle_rad = math.acos(min(max(1.0 - opening, 0.0), 1.0)) - engine.closed_throttle_rad
+    commands[tcu_data.THROTTLE] = min(max(angle_rad / (0.5 * math.pi - engine.closed_throttle_rad), 0.0), 1.0)
 
 
 @part

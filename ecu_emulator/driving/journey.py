@@ -4,10 +4,9 @@ Warm parts cool down while the car is parked; clocks go on.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import astuple, dataclass, field
 from itertools import count
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -211,17 +210,11 @@ class PlannedTrip:
     parked_s: float  # engine off, since the trip before
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _DayTrip:
-    traffic: Traffic
-    duration_s: Range
-
-
-_DAY: Final[Mapping[_DayTrip, float]] = MappingProxyType({  # and how often each of them is driven
-    _DayTrip(traffic=CITY, duration_s=(300.0, 1500.0)): 0.5,
-    _DayTrip(traffic=MIXED, duration_s=(600.0, 2400.0)): 0.3,
-    _DayTrip(traffic=MOTORWAY, duration_s=(1200.0, 3600.0)): 0.2,
-})  # fmt: skip
+_DAY: Final[tuple[tuple[Traffic, Range, float], ...]] = (  # traffic, length [s], share of the trips
+    (CITY, (300.0, 1500.0), 0.5),
+    (MIXED, (600.0, 2400.0), 0.3),
+    (MOTORWAY, (1200.0, 3600.0), 0.2),
+)
 
 
 def trips(name: DriveName, seed: int, rounds: int | None = 1) -> Iterator[PlannedTrip]:
@@ -254,13 +247,11 @@ def cooled_k(warm_k: float, ambient_k: float, parked_s: float, time_constant_s: 
 def _day(seed: int, number: int) -> Iterator[PlannedTrip]:
     """Yield the trips of one day; the first day begins with the first trip, all others with a night."""
     rng = generator(seed, f"day {number}")
-    kinds, shares = list(_DAY), list(_DAY.values())
+    shares = [share for *_, share in _DAY]
     for index in range(int(rng.integers(DAY_TRIPS[0], DAY_TRIPS[1], endpoint=True))):
-        kind = kinds[int(rng.choice(len(kinds), p=shares))]
+        traffic, duration_s, _ = _DAY[int(rng.choice(len(_DAY), p=shares))]
         parked_s = math.exp(rng.uniform(*np.log(PARKED_S))) if index else float(number > 0) * rng.uniform(*NIGHT_S)
-        trace = traffic_trace(
-            kind.traffic, rng.uniform(*kind.duration_s), rng, grade_ratio=rng.uniform(*DAY_GRADE_RATIO)
-        )
+        trace = traffic_trace(traffic, rng.uniform(*duration_s), rng, grade_ratio=rng.uniform(*DAY_GRADE_RATIO))
         yield PlannedTrip(trace=trace, parked_s=parked_s)
 
 

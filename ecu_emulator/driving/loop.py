@@ -17,7 +17,7 @@ from ecu_emulator.driving.engine_control import control_engine
 from ecu_emulator.driving.indices import DrivelineState, EngineMode
 from ecu_emulator.driving.laws import DrivingLaw, overrun_nm, pedal_for_force, pulls_on_wheels
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.driveline import ENGAGED, road_load_n
+from ecu_emulator.plant.driveline import road_load_n
 from ecu_emulator.plant.integration import Machine, advance_millisecond
 from ecu_emulator.plant.loop import apply_commands, hold_car, record_control, record_plant, sense_plant
 from ecu_emulator.plant.state import Col
@@ -53,25 +53,17 @@ def sense_drive(machine: Machine, road: Road, law: DrivingLaw) -> None:
 
 
 @part
-def warm(machine: Machine, law: DrivingLaw) -> None:
-    """Let the running engine warm its coolant, and the coolant cool down to the air while it is stopped."""
-    p = law.driving.surroundings
+def apply_drive_commands(machine: Machine, law: DrivingLaw) -> None:
+    """Turn the commands into inputs of the plant; a running engine warms its coolant, the air cools it."""
+    p, u, coolant_k = law.driving.surroundings, machine.u, machine.u[at.COOLANT]
     is_running = machine.memory[indices.ENGINE_STATE] <= EngineMode.FUEL_CUT.value
     goal_k = p.thermostat_k if is_running else law.drive.plant.air_k
-    machine.u[at.COOLANT] += tcu_data.PERIOD_S / p.coolant_time_s * (goal_k - machine.u[at.COOLANT])
-
-
-@part
-def apply_drive_commands(machine: Machine, law: DrivingLaw) -> None:
-    """Turn the commands into inputs of the plant."""
-    u, coolant_k = machine.u, machine.u[at.COOLANT]
     apply_commands(machine, law.drive)
-    u[at.COOLANT] = coolant_k
+    u[at.COOLANT] = coolant_k + tcu_data.PERIOD_S / p.coolant_time_s * (goal_k - coolant_k)
     u[at.PEDAL] = machine.memory[indices.PEDAL]
     u[at.GRADE] = machine.sense[indices.GRADE]
     u[at.STARTER] = machine.commands[indices.STARTER]
     u[at.RATIO_RATE] = machine.commands[indices.RATIO_RATE]
-    p = law.driving.surroundings
     for k in range(2):
         share = u[at.VISCOSITY + k] / p.open_drag_viscosity_pa_s
         u[at.OPEN_DRAG + k] = p.open_drag_nm * math.exp(p.open_drag_exponent * math.log(share))
@@ -80,11 +72,9 @@ def apply_drive_commands(machine: Machine, law: DrivingLaw) -> None:
 @part
 def record_drive(machine: Machine, road: Road, row: FloatArray) -> None:
     """Write what driver and controllers show of themselves."""
-    memory, modes, u = machine.memory, machine.modes, machine.u
+    memory, u = machine.memory, machine.u
     record_control(machine, row)
     row[Col.ROUTINE] = row[Col.REV] = 0.0
-    for k in range(2):
-        row[Col.SHAFT1_GEAR + k] = modes[at.GEAR + k] if modes[at.LINK + k] == ENGAGED else 0
     row[Col.DRIVE_STATE] = memory[indices.STATE]
     row[Col.EVENT_KIND] = memory[indices.EVENT_KIND]
     row[Col.EVENT_NUMBER] = memory[indices.EVENT_NUMBER]
@@ -114,7 +104,6 @@ def run(machine: Machine, road: Road, law: DrivingLaw, rows: FloatArray) -> int:
         else:
             automatic.control(machine.memory, machine.sense, machine.commands, law)
         control_engine(machine.memory, machine.sense, machine.commands, law)
-        warm(machine, law)
         apply_drive_commands(machine, law)
         hold_car(machine, plant, law.driving.surroundings.hold_m_s)
         record_plant(machine, plant, rows[index])

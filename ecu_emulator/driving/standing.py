@@ -9,7 +9,6 @@ from ecu_emulator.driving import indices as at
 from ecu_emulator.driving.indices import DrivelineState, EngineMode, ManoeuvreKind
 from ecu_emulator.driving.laws import (
     DrivingLaw,
-    LaunchParameters,
     begin_event,
     end_event,
     enter_state,
@@ -41,8 +40,7 @@ _RATE_LAG_S = 0.05
 
 @part
 def open_both(memory: FloatArray, commands: FloatArray) -> None:
-    tcu.command_pressure(commands, 0, 0.0)
-    tcu.command_pressure(commands, 1, 0.0)
+    tcu.open_both(commands)
     memory[at.LAUNCH_TORQUE] = 0.0
     memory[tcu_data.IS_FILLED] = 0.0
 
@@ -228,13 +226,6 @@ def steady_shaft_rad_s(memory: FloatArray, sense: FloatArray, clutch: int, law: 
 
 
 @part
-def led_slip_rad_s(time_s: float, p: LaunchParameters) -> float:
-    """Return the slip so long after the engine has come near the shaft: led down softly, in the end below zero."""
-    soft_rad_s = _LOCK_AHEAD_RAD_S * math.exp(-time_s / p.lock_fade_s)
-    return max(soft_rad_s - p.lock_rate_rad_s2 * time_s, -_LOCK_BEHIND_RAD_S)
-
-
-@part
 def move_engine(
     memory: FloatArray, sense: FloatArray, commands: FloatArray, shaft_rad_s: float, law: DrivingLaw
 ) -> None:
@@ -247,8 +238,9 @@ def move_engine(
     is_near = was_reached or goal_rad_s < shaft_rad_s + _LOCK_AHEAD_RAD_S
     is_reached = was_reached or (is_near and sense[tcu_data.ENGINE_SPEED] > shaft_rad_s)
     memory[at.SHARE] = memory[at.SHARE] + tcu_data.PERIOD_S if is_reached else 0.0
-    if is_near:  # a little above the shaft first, then below: the slip shall end
-        goal_rad_s = shaft_rad_s + led_slip_rad_s(memory[at.SHARE], p)
+    if is_near:  # a little above the shaft first, then softly below: the slip shall end
+        soft_rad_s = _LOCK_AHEAD_RAD_S * math.exp(-memory[at.SHARE] / p.lock_fade_s)
+        goal_rad_s = shaft_rad_s + max(soft_rad_s - p.lock_rate_rad_s2 * memory[at.SHARE], -_LOCK_BEHIND_RAD_S)
     step = p.engine_rate_rad_s2 * tcu_data.PERIOD_S
     move_rad_s = min(max(goal_rad_s - memory[at.LAUNCH_SPEED], -step), step)
     memory[at.LAUNCH_SPEED] += move_rad_s

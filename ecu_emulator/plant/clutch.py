@@ -65,19 +65,6 @@ def cavity_pressure_pa(volume_m3: float, cavity: CavityLaw, valve: HydraulicsPar
     return fade * spring_n / cavity.area_m2
 
 
-@part
-def closed_volume_m3(piston_pa: float, cavity: CavityLaw, valve: HydraulicsParameters) -> float:
-    """Return the oil volume [m^3] of a closed pack at a pressure above its touch point."""
-    return cavity.full_volume_m3 + (piston_pa - cavity.touch_pressure_pa) * valve.pack_compliance_m3_pa
-
-
-@part
-def orifice_flow_m3_s(valve_pa: float, piston_pa: float, valve: HydraulicsParameters) -> float:
-    """Return the flow into the cavity [m^3/s], laminar near zero pressure difference."""
-    drop_pa = valve_pa - piston_pa
-    return valve.orifice_m3_s_sqrt_pa * drop_pa / math.sqrt(abs(drop_pa) + valve.laminar_pressure_pa)
-
-
 _EMPTY_M3 = 1.0e-13  # a cavity below this is empty: keeps denormal numbers out of the loop
 _NO_PRESSURE_PA = 1.0e-3
 _OPEN_TOLERANCE_M = 1.0e-12
@@ -104,11 +91,6 @@ def friction_ratio(clutch_k: float, p: LiningParameters, way_m: float = 0.0) -> 
     """Return the factor on mu_C and mu_S at a pack temperature, eq. (X1), where the car has come this far."""
     way = math.sin(way_m / _WAYS_M[0]) + math.sin(way_m / _WAYS_M[1]) + math.sin(way_m / _WAYS_M[2])
     return (1.0 - p.fade_per_k * (clutch_k - p.fade_reference_k)) * (1.0 + p.erratic_ratio * math.sqrt(2.0 / 3.0) * way)
-
-
-def grooved(law: FilmLaw, p: LiningParameters) -> FilmLaw:
-    """Return the film law of a lining whose grooves shorten the way of the oil; docs/model.md eq. (X2)."""
-    return law._replace(squeeze_factor_m2=law.squeeze_factor_m2 / p.film_mobility_ratio)
 
 
 class ClutchLaw(NamedTuple):
@@ -157,8 +139,9 @@ def refresh_contact(y: FloatArray, clutch: int, law: ClutchLaw) -> None:
 
 @part
 def volume_rate_m3_s(valve_pa: float, volume_m3: float, law: ClutchLaw) -> float:
-    """Return the flow into the cavity [m^3/s]."""
-    return orifice_flow_m3_s(valve_pa, cavity_pressure_pa(volume_m3, law.cavity, law.valve), law.valve)
+    """Return the flow through the orifice into the cavity [m^3/s], laminar near zero pressure difference."""
+    drop_pa = valve_pa - cavity_pressure_pa(volume_m3, law.cavity, law.valve)
+    return law.valve.orifice_m3_s_sqrt_pa * drop_pa / math.sqrt(abs(drop_pa) + law.valve.laminar_pressure_pa)
 
 
 @part

@@ -8,13 +8,7 @@ import numpy as np
 from canlog.arrays import FloatArray, Int64Array
 from canlog.jit import part
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.audit import (
-    SYNCHRONISERS,
-    add_powers,
-    restore_account,
-    save_account,
-    stored_energy_j,
-)
+from ecu_emulator.plant.audit import SYNCHRONISERS, add_powers, restore_account, save_account, stored_energy_j
 from ecu_emulator.plant.clutch import advance_clutch
 from ecu_emulator.plant.driveline import ENGAGED, SYNCHRONISING, throttle_flow_kg_s
 from ecu_emulator.plant.rates import PlantLaw, evaluate, lock_or_slip
@@ -72,8 +66,8 @@ def resolve_clutch_modes(y: FloatArray, u: FloatArray, modes: Int64Array, out: F
 
 
 @part
-def advance_lags(y: FloatArray, u: FloatArray, dt_s: float, law: PlantLaw) -> None:
-    """Advance throttle and spark exactly, and the air flow with the throttle."""
+def advance_fluids(y: FloatArray, u: FloatArray, dt_s: float, law: PlantLaw) -> None:
+    """Advance what nothing mechanical acts back on: exact lags, the air flow with the throttle, oil, films."""
     engine = law.engine
     throttle_gap = y[at.THROTTLE] - u[at.THROTTLE_COMMAND]
     if throttle_gap != 0.0:
@@ -84,6 +78,8 @@ def advance_lags(y: FloatArray, u: FloatArray, dt_s: float, law: PlantLaw) -> No
     if spark_gap != 0.0:
         spark_gap *= math.exp(-dt_s / engine.spark_lag_s)
         y[at.SPARK] = u[at.SPARK_COMMAND] + (spark_gap if abs(spark_gap) > _SETTLED else 0.0)
+    advance_clutch(y, u, 0, dt_s, law.clutches[0])
+    advance_clutch(y, u, 1, dt_s, law.clutches[1])
 
 
 @part
@@ -106,14 +102,6 @@ def add_stage(y: FloatArray, slope: FloatArray, weight_s: float) -> None:
     """Add one stage of the Runge-Kutta step to the state."""
     for i in range(at.RATE_COUNT):
         y[i] += weight_s * slope[i]
-
-
-@part
-def advance_fluids(y: FloatArray, u: FloatArray, dt_s: float, law: PlantLaw) -> None:
-    """Advance what nothing mechanical acts back on: lags, oil, films."""
-    advance_lags(y, u, dt_s, law)
-    advance_clutch(y, u, 0, dt_s, law.clutches[0])
-    advance_clutch(y, u, 1, dt_s, law.clutches[1])
 
 
 @part
@@ -140,25 +128,20 @@ def step(machine: Machine, dt_s: float, law: PlantLaw) -> None:
 
 
 @part
-def first_root(old: float, change: float, new: float) -> float:
-    """Return where in 0..1 a falling quantity reaches zero: parabola through both ends with the slope at the first."""
-    curve = new - old - change
-    root = math.sqrt(max(change * change - 4.0 * curve * old, 0.0))
-    return max(2.0 * old / (root - change), 0.0)
-
-
-@part
 def approach_fraction(old: float, change: float, new: float, band: float) -> float:
     """Return the share of a step after which a slip enters its band, 1 if it does not or stands at the edge.
 
-    ``old`` and ``new`` are the slip before and after, ``change`` what its rate before would have made of it.
+    ``old`` and ``new`` are the slip before and after, ``change`` what its rate before would have made of it: a parabola
+    goes through both with the slope at the first.
     """
     sign = 1.0 if old > 0.0 else -1.0
     old, change, new = sign * old, sign * change, sign * new
     if old <= band or new >= _EDGE_LOW * band:
         return 1.0
-    edge = _EDGE * band
-    return first_root(old - edge, change, new - edge)
+    above, below = old - _EDGE * band, new - _EDGE * band
+    curve = below - above - change
+    root = math.sqrt(max(change * change - 4.0 * curve * above, 0.0))
+    return max(2.0 * above / (root - change), 0.0)
 
 
 @part

@@ -89,9 +89,10 @@ def apply_commands(machine: Machine, law: DriveLaw) -> None:
 
 
 @part
-def record_bodies(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
-    """Write the mechanical part of a row."""
+def record_plant(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
+    """Bring the clutch modes into agreement with the torques, and write what the plant shows of itself."""
     y, u, out = machine.y, machine.u, machine.work.slope1
+    resolve_clutch_modes(y, u, machine.modes, out, law)
     row[Col.T_S] = machine.clock[0] * 1.0e-3
     row[Col.ENGINE_SPEED] = y[at.W_E]
     row[Col.HUB_SPEED] = y[at.W_H]
@@ -107,13 +108,7 @@ def record_bodies(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
     row[Col.BRAKE] = u[at.BRAKE]
     row[Col.DISTANCE] = y[at.DISTANCE]
     row[Col.MANIFOLD_PRESSURE] = y[at.P_M]
-
-
-@part
-def record_clutches(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
-    """Write the part of a row that comes in pairs; clutch 2 stands right of clutch 1."""
-    y, u, out = machine.y, machine.u, machine.work.slope1
-    for k in range(2):
+    for k in range(2):  # clutch 2 stands right of clutch 1
         clutch = law.clutches[k]
         row[Col.INPUT1_SPEED + k] = y[at.W_L + k]
         row[Col.CLUTCH1_TORQUE + k] = out[at.T_F + k]
@@ -130,28 +125,11 @@ def record_clutches(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
 
 
 @part
-def record_plant(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
-    """Bring the clutch modes into agreement with the torques, and write what the plant shows of itself."""
-    resolve_clutch_modes(machine.y, machine.u, machine.modes, machine.work.slope1, law)
-    record_bodies(machine, law, row)
-    record_clutches(machine, law, row)
-
-
-@part
-def record_surroundings(machine: Machine, law: PlantLaw, row: FloatArray) -> None:
-    """Write the gears of the shafts and what lies around the transmission; a cycle has no events."""
-    modes = machine.modes
-    for column in range(Col.SHAFT1_GEAR, COLUMN_COUNT):
-        row[column] = 0.0
+def record_control(machine: Machine, row: FloatArray) -> None:
+    """Write what the shift control shows of itself, and the gears of the shafts."""
+    memory, modes = machine.memory, machine.modes
     for k in range(2):
         row[Col.SHAFT1_GEAR + k] = modes[at.GEAR + k] if modes[at.LINK + k] == ENGAGED else 0
-    row[Col.COOLANT_TEMPERATURE] = law.coolant_k
-
-
-@part
-def record_control(machine: Machine, row: FloatArray) -> None:
-    """Write what the shift control shows of itself."""
-    memory, modes = machine.memory, machine.modes
     idle = 1 - tcu.clutch_of(int(memory[tcu_data.CURRENT_GEAR]))
     row[Col.CURRENT_GEAR] = memory[tcu_data.CURRENT_GEAR]
     row[Col.TARGET_GEAR] = memory[tcu_data.TARGET_GEAR]
@@ -181,34 +159,29 @@ def hold_car(machine: Machine, law: PlantLaw, hold_m_s: float) -> None:
             machine.work.account[BRAKES] += before_j - stored_energy_j(y, law)
 
 
-@part
-def step_control(machine: Machine, law: DriveLaw) -> None:
-    """Take one step of 1 ms of the control: the workshop routine first, if one was asked for, then the cycles."""
-    memory, sense, commands = machine.memory, machine.sense, machine.commands
-    if memory[tcu_data.ROUTINE] >= tcu_data.STEPS_ENGAGING:
-        workshop.perform_steps(memory, sense, commands, law)
-        return
-    if memory[tcu_data.ROUTINE] != tcu_data.NO_ROUTINE:
-        workshop.perform(memory, sense, commands, law)
-        return
-    tcu.control(memory, sense, commands, machine.cycles, law)
-
-
 @kernel
 def run(machine: Machine, law: DriveLaw, rows: FloatArray) -> int:
     """Fill ``rows``, one per millisecond, until they are full or the drive is over; return how many were filled."""
+    memory, sense, commands = machine.memory, machine.sense, machine.commands
     for index in range(rows.shape[0]):
         sense_plant(machine, law.plant)
-        step_control(machine, law)
-        if machine.memory[tcu_data.IS_FINISHED] != 0.0:
+        if memory[tcu_data.ROUTINE] >= tcu_data.STEPS_ENGAGING:
+            workshop.perform_steps(memory, sense, commands, law)
+        elif memory[tcu_data.ROUTINE] != tcu_data.NO_ROUTINE:
+            workshop.perform(memory, sense, commands, law)
+        else:
+            tcu.control(memory, sense, commands, machine.cycles, law)
+        if memory[tcu_data.IS_FINISHED] != 0.0:
             return index
         apply_commands(machine, law)
-        if machine.memory[tcu_data.ROUTINE] >= tcu_data.STEPS_ENGAGING:
+        if memory[tcu_data.ROUTINE] >= tcu_data.STEPS_ENGAGING:
             hold_car(machine, law.plant, WORKSHOP_HOLD_M_S)
         else:
             machine.modes[at.HELD] = 0
+        for column in range(Col.DRIVE_STATE, COLUMN_COUNT):  # the cycles have neither events nor a converter
+            rows[index, column] = 0.0
+        rows[index, Col.COOLANT_TEMPERATURE] = law.plant.coolant_k
         record_plant(machine, law.plant, rows[index])
-        record_surroundings(machine, law.plant, rows[index])
         record_control(machine, rows[index])
         advance_millisecond(machine, law.steps_per_millisecond, law.plant)
     return int(rows.shape[0])

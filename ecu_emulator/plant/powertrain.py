@@ -6,7 +6,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, ClutchCalibration
 from clutch_model.pack import applied_pressure_pa, contact_torque_nm, equilibrium_film_m, film_law, friction_law
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.clutch import ClutchLaw, cavity_law, closed_volume_m3, grooved, refresh_contact
+from ecu_emulator.plant.clutch import ClutchLaw, cavity_law, refresh_contact
 from ecu_emulator.plant.course import (
     ROWS_PER_S,
     DriveSettings,
@@ -19,7 +19,7 @@ from ecu_emulator.plant.course import (
 from ecu_emulator.plant.driveline import ENGAGED, converter_law
 from ecu_emulator.plant.integration import Machine
 from ecu_emulator.plant.loop import COLUMN_COUNT, DriveLaw, run
-from ecu_emulator.plant.parameters import GearboxParameters, PlantParameters
+from ecu_emulator.plant.parameters import PlantParameters
 from ecu_emulator.plant.rates import FluidLaw, PlantLaw
 from ecu_emulator.shift_control import tcu_data, workshop
 from ecu_emulator.shift_control.tcu_data import ClutchActuation, ControlParameters
@@ -120,8 +120,10 @@ class Powertrain(MachineCourse):
 
 def _clutch_law(clutch: ClutchCalibration, parameters: PlantParameters, open_drag_ratio: float) -> ClutchLaw:
     lining = parameters.lining._replace(open_drag_ratio=parameters.lining.open_drag_ratio * open_drag_ratio)
+    film = film_law(clutch)
     return ClutchLaw(
-        film=grooved(film_law(clutch), lining),
+        # Grooves shorten the way of the oil; docs/model.md eq. (X2).
+        film=film._replace(squeeze_factor_m2=film.squeeze_factor_m2 / lining.film_mobility_ratio),
         friction=friction_law(clutch.friction),
         cavity=cavity_law(clutch),
         valve=parameters.hydraulics,
@@ -176,12 +178,6 @@ def _actuation(plant: PlantLaw, friction_coefficient: float) -> ClutchActuation:
     )
 
 
-def overall_ratios(gearbox: GearboxParameters) -> tuple[float, ...]:
-    """Return i(g) = ratio * final drive for gears 0, 1, ...; 0 in neutral."""
-    pairs = zip(gearbox.gear_ratios, gearbox.final_drive_ratios, strict=True)
-    return (0.0, *(ratio * final for ratio, final in pairs))
-
-
 def _padded(values: tuple[float, ...], count: int) -> tuple[float, ...]:
     """Return as many numbers, whatever the gearbox, for which kernels are compiled once: zeros for gears it has not."""
     return (*values, *[0.0] * (count - len(values)))
@@ -189,16 +185,17 @@ def _padded(values: tuple[float, ...], count: int) -> tuple[float, ...]:
 
 def drive_law(truth: Calibration, parameters: PlantParameters, drive: DriveSettings) -> DriveLaw:
     """Return everything constant over a drive, in the form the kernels take after `as_record`."""
-    plant, control = _plant_law(truth, parameters, drive), parameters.control
+    plant, control, gearbox = _plant_law(truth, parameters, drive), parameters.control, parameters.gearbox
+    ratios = (ratio * final for ratio, final in zip(gearbox.gear_ratios, gearbox.final_drive_ratios, strict=True))
     return DriveLaw(
         plant=plant,
-        actuation=_actuation(plant, parameters.control.friction_coefficient),
+        actuation=_actuation(plant, control.friction_coefficient),
         control=control._replace(
             upshift_speeds_rad_s=_padded(control.upshift_speeds_rad_s, tcu_data.MOST_GEARS),
             downshift_speeds_rad_s=_padded(control.downshift_speeds_rad_s, tcu_data.MOST_GEARS),
         ),
         workshop=parameters.workshop,
-        overall_ratios=_padded(overall_ratios(parameters.gearbox), tcu_data.MOST_GEARS + 2),
+        overall_ratios=_padded((0.0, *ratios), tcu_data.MOST_GEARS + 2),
         steps_per_millisecond=drive.steps_per_millisecond,
     )
 
@@ -213,26 +210,27 @@ def _initial_machine(law: DriveLaw, drive: DriveSettings, control: ControlParame
         sense_count=tcu_data.SENSE_COUNT,
         command_count=tcu_data.COMMAND_COUNT,
     )
-    if drive.has_routine:
-        _idle_at_rest(machine, drive)
+    if drive.has_routine:  # neutral on both shafts, both clutches open; those soon drag the shafts along
+        machine.y[[at.W_E, at.W_H]] = _IDLE_RAD_S
+        machine.memory[tcu_data.OPEN_REV_COUNT] = drive.open_revs
+        machine.memory[tcu_data.CLOSED_REV_COUNT] = drive.closed_revs
+        machine.memory[tcu_data.ROUTINE] = tcu_data.WAITING if drive.waits else tcu_data.OPEN_REVS
     else:
         _roll(machine, law, drive)
     machine.memory[tcu_data.IS_DRIVING] = 1.0
     return machine
 
 
-def _idle_at_rest(machine: Machine, drive: DriveSettings) -> None:
-    """Neutral on both shafts, both clutches open, the car at rest; the open clutches soon drag the shafts along."""
-    machine.y[[at.W_E, at.W_H]] = _IDLE_RAD_S
-    machine.memory[tcu_data.OPEN_REV_COUNT] = drive.open_revs
-    machine.memory[tcu_data.CLOSED_REV_COUNT] = drive.closed_revs
-    machine.memory[tcu_data.ROUTINE] = tcu_data.WAITING if drive.waits else tcu_data.OPEN_REVS
-
-
 def _roll(machine: Machine, law: DriveLaw, drive: DriveSettings) -> None:
     """Clutch 1 locked in 1st gear, 2nd gear preselected, foot off the pedal."""
-    y, plant = machine.y, law.plant
-    _close_first_clutch(machine, law)
+    y, plant, actuation = machine.y, law.plant, law.actuation
+    first = plant.clutches[0]
+    hold_pa = actuation.touch_pressure_pa[0] + law.control.hold_margin_nm * actuation.pressure_per_torque_pa_nm[0]
+    y[at.P_V] = hold_pa
+    compressed_m3 = (hold_pa - first.cavity.touch_pressure_pa) * first.valve.pack_compliance_m3_pa
+    y[at.VOLUME] = first.cavity.full_volume_m3 + compressed_m3
+    y[at.FILM] = equilibrium_film_m(applied_pressure_pa(hold_pa, first.film), first.film)
+    refresh_contact(y, 0, first)
     machine.modes[at.STICK] = 1
     machine.modes[at.LINK : at.LINK + 2] = ENGAGED
     machine.modes[at.GEAR : at.GEAR + 2] = (1, 2)
@@ -244,14 +242,3 @@ def _roll(machine: Machine, law: DriveLaw, drive: DriveSettings) -> None:
     y[[at.W_L + 1, at.W_G + 1]] = output_rad_s * law.overall_ratios[2]
     y[[at.W_D, at.W_W]] = output_rad_s
     y[at.V] = output_rad_s * plant.vehicle.wheel_radius_m
-
-
-def _close_first_clutch(machine: Machine, law: DriveLaw) -> None:
-    y, actuation = machine.y, law.actuation
-    first = law.plant.clutches[0]
-    hold_nm = law.control.hold_margin_nm
-    hold_pa = actuation.touch_pressure_pa[0] + hold_nm * actuation.pressure_per_torque_pa_nm[0]
-    y[at.P_V] = hold_pa
-    y[at.VOLUME] = closed_volume_m3(hold_pa, first.cavity, first.valve)
-    y[at.FILM] = equilibrium_film_m(applied_pressure_pa(hold_pa, first.film), first.film)
-    refresh_contact(y, 0, first)

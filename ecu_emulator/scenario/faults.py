@@ -17,14 +17,6 @@ from ecu_emulator.errors import EmulatorConfigError
 MAX_DELAY_S: Final = 0.5  # the longest latency or lag a measuring chain may have
 UNITS: Final = ("rad_s", "m_s", "nm", "pa", "ratio", "k", "m")  # longest first: the unit ends a quantity's name
 
-_SPEED_NOISE_RAD_S: Final = float(rad_s_from_rpm(2.0))
-_PRESSURE_NOISE_PA: Final = float(pa_from_bar(0.05))
-_WHEEL_NOISE_M_S: Final = float(m_s_from_km_h(0.05))
-_TORQUE_NOISE_NM: Final = 3.0
-_TEMPERATURE_NOISE_K: Final = 0.3
-_MANIFOLD_NOISE_PA: Final = 500.0
-
-
 RangedT = TypeVar("RangedT", int, float, None)
 
 
@@ -64,39 +56,23 @@ class Sensor(CheckedRecord):
 
 Sensors = Mapping[str, Sensor]
 
-_NOISE_STD: Final = {
-    "engine_speed_rad_s": _SPEED_NOISE_RAD_S,
-    "engine_torque_nm": _TORQUE_NOISE_NM,
-    "pedal_ratio": 0.0,
-    "throttle_ratio": 0.0,
-    "hub_speed_rad_s": _SPEED_NOISE_RAD_S,
-    "input1_speed_rad_s": _SPEED_NOISE_RAD_S,
-    "input2_speed_rad_s": _SPEED_NOISE_RAD_S,
-    "clutch1_pressure_pa": _PRESSURE_NOISE_PA,
-    "clutch2_pressure_pa": _PRESSURE_NOISE_PA,
-    "clutch1_pressure_command_pa": 0.0,
-    "clutch2_pressure_command_pa": 0.0,
-    "turbine_speed_rad_s": _SPEED_NOISE_RAD_S,
-    "lockup_pressure_pa": _PRESSURE_NOISE_PA,
-    "lockup_pressure_command_pa": 0.0,
-    "output_speed_rad_s": _SPEED_NOISE_RAD_S,
-    "clutch1_torque_command_nm": 0.0,
-    "clutch2_torque_command_nm": 0.0,
-    "sump_temperature_k": _TEMPERATURE_NOISE_K,
-    "wheel_fl_speed_m_s": _WHEEL_NOISE_M_S,
-    "wheel_fr_speed_m_s": _WHEEL_NOISE_M_S,
-    "wheel_rl_speed_m_s": _WHEEL_NOISE_M_S,
-    "wheel_rr_speed_m_s": _WHEEL_NOISE_M_S,
-    "vehicle_speed_m_s": _WHEEL_NOISE_M_S,
-    "brake_pressure_pa": _PRESSURE_NOISE_PA,
-    "coolant_temperature_k": _TEMPERATURE_NOISE_K,
-    "ambient_temperature_k": _TEMPERATURE_NOISE_K,
-    "manifold_pressure_pa": _MANIFOLD_NOISE_PA,
-    "odometer_m": 0.0,
-}
-NOMINAL_SENSORS: Final[Sensors] = MappingProxyType(
-    {quantity: Sensor(noise_std=noise_std) for quantity, noise_std in _NOISE_STD.items()}
-)
+NOMINAL_SENSORS: Final[Sensors] = MappingProxyType({
+    quantity: Sensor(noise_std=noise_std)
+    for noise_std, quantities in (
+        (float(rad_s_from_rpm(2.0)), ("engine_speed_rad_s", "hub_speed_rad_s", "input1_speed_rad_s",
+                                      "input2_speed_rad_s", "turbine_speed_rad_s", "output_speed_rad_s")),
+        (float(pa_from_bar(0.05)), ("clutch1_pressure_pa", "clutch2_pressure_pa", "lockup_pressure_pa",
+                                    "brake_pressure_pa")),
+        (float(m_s_from_km_h(0.05)), ("wheel_fl_speed_m_s", "wheel_fr_speed_m_s", "wheel_rl_speed_m_s",
+                                      "wheel_rr_speed_m_s", "vehicle_speed_m_s")),
+        (0.3, ("sump_temperature_k", "coolant_temperature_k", "ambient_temperature_k")),
+        (3.0, ("engine_torque_nm",)),
+        (500.0, ("manifold_pressure_pa",)),
+        (0.0, ("pedal_ratio", "throttle_ratio", "odometer_m", "clutch1_torque_command_nm", "clutch2_torque_command_nm",
+               "clutch1_pressure_command_pa", "clutch2_pressure_command_pa", "lockup_pressure_command_pa")),
+    )
+    for quantity in quantities
+})  # fmt: skip
 STATES: Final = frozenset({
     "current_gear", "target_gear", "preselected_gear", "shift_phase", "brake_light",
     "input1_gear", "input2_gear", "drive_state", "engine_state", "lockup_state",

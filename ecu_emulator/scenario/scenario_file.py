@@ -52,7 +52,8 @@ def scenario_of(table: Mapping[str, object], origin: str) -> Scenario:
     try:
         if "scatter" in parts:
             parts["scatter"] = _scatter(parts["scatter"])
-        parts["truth"] = _truth(_subtable(parts, "truth"))
+        truth = record_from(Truth, parts.get("truth", {}), "truth.", error=EmulatorConfigError)
+        parts["truth"] = Truth(calibration=_flat(truth.calibration), plant=_flat(truth.plant))
         parts["sensors"] = _sensors(_subtable(parts, "sensors"))
         return record_from(Scenario, parts, error=EmulatorConfigError)
     except EmulatorConfigError as exc:
@@ -94,18 +95,11 @@ def _sensors(table: Mapping[str, object]) -> Sensors:
         members = {f"offset_{unit}": "offset", f"noise_std_{unit}": "noise_std"}
         members |= {name: name for name in ("gain_ratio", "latency_s", "lag_s")}
         overrides = _subtable(table, stem, where)
-        _check_known(overrides, set(members), f"{where}.")
+        if unknown := sorted(set(overrides) - set(members)):
+            raise EmulatorConfigError(f"{where}.{unknown[0]} is unknown; known: {', '.join(sorted(members))}")
         changed = asdict(sensors[quantity]) | {members[key]: value for key, value in overrides.items()}
         sensors[quantity] = record_from(Sensor, changed, f"{where}.", error=EmulatorConfigError)
     return sensors
-
-
-def _truth(table: Mapping[str, object]) -> Truth:
-    _check_known(table, {"calibration", "plant"}, "truth.")
-    return Truth(
-        calibration=_flat(_subtable(table, "calibration", "truth.calibration")),
-        plant=_flat(_subtable(table, "plant", "truth.plant")),
-    )
 
 
 def _flat(table: Mapping[str, object], prefix: str = "") -> dict[str, object]:
@@ -121,9 +115,3 @@ def _subtable(table: Mapping[str, object], key: str, where: str = "") -> Mapping
     if not isinstance(value, Mapping):
         raise EmulatorConfigError(f"{where or key} must be a table, got {value!r}")
     return value
-
-
-def _check_known(table: Mapping[str, object], known: set[str], prefix: str) -> None:
-    unknown = sorted(set(table) - known)
-    if unknown:
-        raise EmulatorConfigError(f"{prefix}{unknown[0]} is unknown; known: {', '.join(sorted(known))}")

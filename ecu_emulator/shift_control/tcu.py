@@ -35,6 +35,13 @@ def command_pressure(commands: FloatArray, clutch: int, pressure_pa: float) -> N
 
 
 @part
+def open_both(commands: FloatArray) -> None:
+    """Command no pressure at either clutch."""
+    command_pressure(commands, 0, 0.0)
+    command_pressure(commands, 1, 0.0)
+
+
+@part
 def enter_phase(memory: FloatArray, phase: int) -> None:
     memory[at.PHASE] = phase
     memory[at.PHASE_TIME] = 0.0
@@ -114,14 +121,6 @@ def wants_shift(memory: FloatArray, sense: FloatArray, cycles: FloatArray, law: 
         pedal_ratio = min(max(0.55 + row[at.CYCLE_PEDAL], 0.6), 1.3)
         return bool(sense[at.ENGINE_SPEED] > row[at.CYCLE_UP + gear - 1] * pedal_ratio)
     return bool(sense[at.ENGINE_SPEED] < row[at.CYCLE_DOWN + gear - 2])
-
-
-@part
-def hold_phase(memory: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
-    """Phase 0: the clutch of the current gear holds, the other one is empty."""
-    active = clutch_of(int(memory[at.CURRENT_GEAR]))
-    command_torque(commands, active, hold_torque_nm(memory, law), law)
-    command_pressure(commands, 1 - active, 0.0)
 
 
 @part
@@ -253,9 +252,11 @@ def control(memory: FloatArray, sense: FloatArray, commands: FloatArray, cycles:
     if memory[at.IS_FINISHED] != 0.0:
         return
     phase = int(memory[at.PHASE])
-    if phase == at.HOLD:
+    if phase == at.HOLD:  # the clutch of the current gear holds, the other one is empty
         preselect(memory, sense, commands, cycles, law)
-        hold_phase(memory, commands, law)
+        active = clutch_of(int(memory[at.CURRENT_GEAR]))
+        command_torque(commands, active, hold_torque_nm(memory, law), law)
+        command_pressure(commands, 1 - active, 0.0)
         if wants_shift(memory, sense, cycles, law):
             memory[at.TARGET_GEAR] = next_gear(memory, cycles)
             memory[at.IS_FILLED] = 0.0

@@ -54,8 +54,7 @@ def rev(memory: FloatArray, sense: FloatArray, count: int, is_settled: bool, p: 
 @part
 def wait(commands: FloatArray) -> None:
     """Idle with both clutches empty and the brake held; whoever asks for the routine moves on to its first stage."""
-    tcu.command_pressure(commands, 0, 0.0)
-    tcu.command_pressure(commands, 1, 0.0)
+    tcu.open_both(commands)
     commands[at.THROTTLE] = 0.0
     commands[at.BRAKE] = STANDING_BRAKE_M_S2
 
@@ -63,8 +62,7 @@ def wait(commands: FloatArray) -> None:
 @part
 def open_revs(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Rev with both clutches empty."""
-    tcu.command_pressure(commands, 0, 0.0)
-    tcu.command_pressure(commands, 1, 0.0)
+    tcu.open_both(commands)
     count = int(memory[at.OPEN_REV_COUNT])
     if count == 0 or rev(memory, sense, count, True, law.workshop):
         enter_stage(memory, at.CLOSED_REVS)
@@ -88,8 +86,7 @@ def closed_revs(memory: FloatArray, sense: FloatArray, commands: FloatArray, law
 @part
 def engage(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Release the brake, empty both clutches, preselect 2nd gear, engage 1st."""
-    tcu.command_pressure(commands, 0, 0.0)
-    tcu.command_pressure(commands, 1, 0.0)
+    tcu.open_both(commands)
     commands[at.BRAKE] = 0.0
     memory[at.REV_TIME] += at.PERIOD_S
     is_empty = max(sense[at.FILL], sense[at.FILL + 1]) < law.control.preselect_fill_ratio
@@ -105,15 +102,6 @@ def engage(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Con
 
 
 @part
-def fill(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
-    tcu.fill_clutch(memory, sense, commands, 0, law)
-    if memory[at.PHASE_TIME] >= law.control.prefill_time_s:
-        memory[at.LOCKED_TIME] = 0.0
-        tcu.enter_phase(memory, at.INERTIA)
-        enter_stage(memory, at.LAUNCHING)
-
-
-@part
 def launch(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Set the car in motion: the slipping clutch takes what holds the engine at its launch speed."""
     commands[at.THROTTLE] = law.workshop.launch_pedal_ratio
@@ -123,14 +111,6 @@ def launch(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Con
     tcu.begin_lock_up(memory, sense, commands, 0, law)
     if memory[at.PHASE] == at.LOCK_UP:
         enter_stage(memory, at.LOCKING)
-
-
-@part
-def lock(memory: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
-    """Raise the pressure to the hold level; then the shift control takes over in 1st gear."""
-    tcu.lock_up_phase(memory, commands, law)
-    if memory[at.PHASE] == at.HOLD:
-        enter_stage(memory, at.NO_ROUTINE)
 
 
 @part
@@ -147,11 +127,17 @@ def perform(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Co
     elif stage == at.ENGAGING:
         engage(memory, sense, commands, law)
     elif stage == at.FILLING:
-        fill(memory, sense, commands, law)
+        tcu.fill_clutch(memory, sense, commands, 0, law)
+        if memory[at.PHASE_TIME] >= law.control.prefill_time_s:
+            memory[at.LOCKED_TIME] = 0.0
+            tcu.enter_phase(memory, at.INERTIA)
+            enter_stage(memory, at.LAUNCHING)
     elif stage == at.LAUNCHING:
         launch(memory, sense, commands, law)
-    else:
-        lock(memory, commands, law)
+    else:  # to the hold level, then the shift control takes over in 1st gear
+        tcu.lock_up_phase(memory, commands, law)
+        if memory[at.PHASE] == at.HOLD:
+            enter_stage(memory, at.NO_ROUTINE)
     if stage <= at.CLOSED_REVS:
         commands[at.THROTTLE] = law.workshop.rev_pedal_ratio if memory[at.IS_REVVING] != 0.0 else 0.0
 
@@ -171,23 +157,6 @@ def move_shafts(memory: FloatArray, commands: FloatArray, gear: int) -> None:
     clutch = int(memory[at.STEP_CLUTCH])
     commands[at.WANTED_GEAR + clutch] = gear
     commands[at.WANTED_GEAR + 1 - clutch] = 0.0
-
-
-@part
-def engage_for_steps(memory: FloatArray, sense: FloatArray, commands: FloatArray) -> None:
-    """Engage the gear; the brake holds the wheels, and so the shaft."""
-    clutch = int(memory[at.STEP_CLUTCH])
-    move_shafts(memory, commands, GEARS[clutch])
-    if sense[at.IS_ENGAGED + clutch] != 0.0 and sense[at.SHAFT_GEAR + clutch] == GEARS[clutch]:
-        enter_stage(memory, at.STEPS_OPEN)
-
-
-@part
-def stay_open(memory: FloatArray) -> None:
-    """Leave the clutch empty for a while: what the engine gives now it gives without it."""
-    if memory[at.REV_TIME] >= OPEN_S:
-        memory[at.IS_FILLED] = 0.0
-        enter_stage(memory, at.STEPS_FILLING)
 
 
 @part
@@ -218,28 +187,26 @@ def hold_step(memory: FloatArray, commands: FloatArray) -> None:
 
 
 @part
-def release_from_steps(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
-    """Empty the clutch, take the gear out and wait for whoever asks next."""
-    is_empty = max(sense[at.FILL], sense[at.FILL + 1]) < law.control.preselect_fill_ratio
-    if is_empty and memory[at.REV_TIME] >= RELEASE_S:
-        move_shafts(memory, commands, 0)
-        enter_stage(memory, at.WAITING)
-
-
-@part
 def perform_steps(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Take one step of 1 ms."""
     tcu.tick(memory, sense, law)
     memory[at.REV_TIME] += at.PERIOD_S
     wait(commands)
-    stage = int(memory[at.ROUTINE])
-    if stage == at.STEPS_ENGAGING:
-        engage_for_steps(memory, sense, commands)
-    elif stage == at.STEPS_OPEN:
-        stay_open(memory)
+    stage, clutch = int(memory[at.ROUTINE]), int(memory[at.STEP_CLUTCH])
+    if stage == at.STEPS_ENGAGING:  # the brake holds the wheels, and so the shaft
+        move_shafts(memory, commands, GEARS[clutch])
+        if sense[at.IS_ENGAGED + clutch] != 0.0 and sense[at.SHAFT_GEAR + clutch] == GEARS[clutch]:
+            enter_stage(memory, at.STEPS_OPEN)
+    elif stage == at.STEPS_OPEN:  # for a while: what the engine gives now it gives without the clutch
+        if memory[at.REV_TIME] >= OPEN_S:
+            memory[at.IS_FILLED] = 0.0
+            enter_stage(memory, at.STEPS_FILLING)
     elif stage == at.STEPS_FILLING:
         fill_for_steps(memory, sense, commands, law)
     elif stage == at.STEPPING:
         hold_step(memory, commands)
-    else:
-        release_from_steps(memory, sense, commands, law)
+    elif (
+        memory[at.REV_TIME] >= RELEASE_S and max(sense[at.FILL], sense[at.FILL + 1]) < law.control.preselect_fill_ratio
+    ):  # both clutches are empty: take the gear out, and wait for whoever asks next
+        move_shafts(memory, commands, 0)
+        enter_stage(memory, at.WAITING)

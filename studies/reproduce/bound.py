@@ -33,7 +33,7 @@ from clutch_model.pack import (
     viscosities_pa_s,
     viscous_torque_nm,
 )
-from ecu_emulator.plant import Col
+from ecu_emulator.plant.state import Col
 from studies.reproduce.differences import central_difference
 from studies.reproduce.drives import PERIOD_S, PRESSURE_NOISE_RATIO, PaperDrive, rms
 from studies.reproduce.study import CLUTCHES, PARAMETERS, Key, true_value

@@ -10,7 +10,10 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, clutch_of_gear, nominal_calibration
 from clutch_model.pack import FilmLaw, film_law
 from diag_service.diagnosis.friction.paper.method import TABLE_END_PA, FilmTable, PaperSignals, static_table
-from ecu_emulator.plant import Col, DriveSettings, Powertrain, nominal_parameters
+from ecu_emulator.plant.course import DriveSettings
+from ecu_emulator.plant.parameters import nominal_parameters
+from ecu_emulator.plant.powertrain import Powertrain
+from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control.tcu_data import INERTIA, PREFILL, TORQUE
 
 BoolArray = npt.NDArray[np.bool_]

@@ -16,7 +16,7 @@ from clutch_model.units import bar_from_pa, rpm_from_rad_s
 from demo.drawing import CLUTCH_COLOUR, INK, MUTED, STYLE
 from diag_service.diagnosis.friction.paper.driveline import SteadyKalman
 from diag_service.diagnosis.friction.paper.method import PaperEstimates, PaperSignals, coulomb_gate, static_gate
-from ecu_emulator.plant import Col
+from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control.tcu_data import HOLD, TORQUE
 from studies.reproduce.differences import central_difference
 from studies.reproduce.drives import PERIOD_S, BoolArray, PaperDrive

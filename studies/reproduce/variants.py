@@ -7,7 +7,7 @@ from diag_service.diagnosis.friction.paper import PaperCollection, PaperEstimate
 from diag_service.diagnosis.friction.paper.method import FilmTable, fit, friction_data, viscous_torques_nm
 from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from ecu_emulator.drive.recording import frames_of
-from ecu_emulator.plant import Col
+from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.scenario import FluidCondition
 from ecu_emulator.scenario.scenario_file import load_scenario
 from studies.builders import new_decoder, to_batch

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ecu_emulator.plant import Col, DriveSettings, FrictionFactors
+from ecu_emulator.plant.course import DriveSettings, FrictionFactors
+from ecu_emulator.plant.state import Col
 from tests.support.cycles import (
     CASE_1,
     CASE_2,

@@ -2,7 +2,7 @@
 
 import re
 
-from ecu_emulator.plant import DriveSettings
+from ecu_emulator.plant.course import DriveSettings
 from tests.support.distributions import ROOT, modules_of
 
 MODEL = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")

@@ -7,8 +7,9 @@ import pytest
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import shipped_calibration
-from ecu_emulator.plant import Col, DriveSettings
+from ecu_emulator.plant.course import DriveSettings
 from ecu_emulator.plant.driveline import converter_law, impeller_torque_nm, torque_ratio
+from ecu_emulator.plant.state import Col
 from tests.support.cycles import CYCLE_SHIFTS, drive_rows, powertrain, shifts
 
 COMPARED_S = 10.0

@@ -6,7 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from clutch_model.calibration import nominal_calibration
-from ecu_emulator.plant import Col, DriveSettings, FrictionFactors, Powertrain, nominal_parameters
+from ecu_emulator.plant.course import DriveSettings, FrictionFactors
+from ecu_emulator.plant.parameters import nominal_parameters
+from ecu_emulator.plant.powertrain import Powertrain
+from ecu_emulator.plant.state import Col
 
 FloatArray = npt.NDArray[np.float64]
 

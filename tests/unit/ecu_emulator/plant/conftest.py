@@ -2,7 +2,8 @@
 
 import pytest
 
-from ecu_emulator.plant import DriveSettings, Powertrain
+from ecu_emulator.plant.course import DriveSettings
+from ecu_emulator.plant.powertrain import Powertrain
 from tests.support.cycles import LONGEST_CYCLE_S, FloatArray, powertrain
 
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from clutch_model.errors import CalibrationError
-from ecu_emulator.plant import Col, Powertrain
 from ecu_emulator.plant.course import DriveSettings, FrictionFactors, cycle_table
 from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters, plant_table
+from ecu_emulator.plant.powertrain import Powertrain
+from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control import tcu_data
 from tests.support.cycles import CYCLE_SHIFTS, FloatArray, powertrain
 

@@ -23,7 +23,7 @@ def fault(kind: str, **changes: float | str) -> SensorFault:
 
 def applied(*faults: SensorFault, quantity: str = QUANTITY) -> tuple[FloatArray, tuple[int, ...]]:
     stage = SensorFaults(faults)
-    return stage.applied(quantity, SEND_MS, READING), stage.changed_counts
+    return stage.applied(quantity, SEND_MS, READING), tuple(stage.changed_counts)
 
 
 def test_an_offset_lasts_from_its_start_to_its_end() -> None:
@@ -67,4 +67,4 @@ def test_a_fault_can_be_timed_by_a_shift(shift: int, phase: Phase, start_s: floa
     (span_s,) = stage.spans_s
     assert span_s == pytest.approx((begins_s, begins_s + 0.1))
     assert SEND_MS[np.flatnonzero(np.concatenate(wrong))[0]] / 1000.0 == pytest.approx(math.ceil(begins_s * 100) / 100)
-    assert stage.changed_counts == (10,)
+    assert stage.changed_counts == [10]
