@@ -6,7 +6,6 @@ into the stream besides, where workers share it: each message to one of them, an
 
 import asyncio
 import contextlib
-import json
 import logging
 from collections import deque
 from collections.abc import Iterable, Sequence
@@ -14,21 +13,20 @@ from typing import TYPE_CHECKING, Final, Self
 
 from fleet_contract import Outgoing
 from fleet_link.address import BrokerAddress, LinkDownError
-from fleet_link.connection import Message, in_time
+from fleet_link.connection import Message
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
     from nats.aio.msg import Msg
+    from nats.js import JetStreamContext
 
 STREAM: Final = "CLUTCHDIAG"
 ACK_WAIT_S: Final = 60.0  # then a message goes to another worker; a batch takes far less
 MOST_UNSETTLED: Final = 50_000  # of all workers together
-_NAMES_BYTES: Final = 4096  # subject, headers and reply, which the server counts as parts of a message
 _EXPIRES_S: Final = 20.0  # of a question for messages
-_GRACE_S: Final = 10.0  # that its answer may be late
+_LEAST_PATIENCE_S: Final = 0.01
 _TIMEOUT_S: Final = 5
 _PING_S: Final = 10
-_STATUS: Final = "Status"
 _LOST: Final = "connection lost"
 _LOG: Final = logging.getLogger(__name__)
 
@@ -50,29 +48,18 @@ def covers(pattern: str, subject: str) -> bool:
 class JetStream:
     """One connection, from `open` to `close`; its worker is one of a group that shares the stream."""
 
-    def __init__(self, client: "Client", group: str, batch_bytes: int) -> None:
+    def __init__(self, client: "Client") -> None:
         self.strangers: frozenset[str] = frozenset()  # of the subscriptions asked for, those that the stream lacks
         self._client = client
-        self._batch_bytes = batch_bytes
-        self._next = f"$JS.API.CONSUMER.MSG.NEXT.{STREAM}.{group}"
-        self._inbox_name = client.new_inbox()
-        self._question = 0  # number of the last one
-        self._due = 0  # messages that it may still bring
-        self._limit = 0  # of the last one
-        self._inbox: deque[Message] = deque()
+        self._subscription: JetStreamContext.PullSubscription
         self._replies: dict[int, str] = {}  # of messages that are not settled
         self._count = 0
         self._outbox: deque[tuple[str, bytes]] = deque()
-        self._arrived = asyncio.Event()
-        self._is_lost = False
         self._is_trying = True  # to connect
 
     @classmethod
-    async def open(cls, address: BrokerAddress, filters: Sequence[str], group: str, batch_bytes: int) -> Self:
+    async def open(cls, address: BrokerAddress, filters: Sequence[str], group: str) -> Self:
         """Connect; make the stream of these topics and its group unless they are there.
-
-        A batch has no more than so many bytes, or as many as the longest message that the server takes, which would
-        else never come.
 
         Raises
         ------
@@ -85,7 +72,7 @@ class JetStream:
         from nats.errors import Error  # noqa: PLC0415
 
         client = Client()
-        made = cls(client, group, batch_bytes)
+        made = cls(client)
         context = None if address.tls is None else address.tls.context(is_key_private=False)
         try:
             async with asyncio.timeout(2 * _TIMEOUT_S):
@@ -97,12 +84,10 @@ class JetStream:
                     allow_reconnect=False,
                     connect_timeout=_TIMEOUT_S,
                     ping_interval=_PING_S,
-                    closed_cb=made._lose,
                     error_cb=made._complain,
                 )
                 made._is_trying = False
                 await made._prepare(filters, group)
-                await client.subscribe(f"{made._inbox_name}.*", cb=made._queue, pending_msgs_limit=-1)
         except (Error, OSError, TimeoutError) as exc:
             await made.close()
             raise LinkDownError(" ".join(str(exc).split()) or type(exc).__name__) from exc
@@ -123,20 +108,26 @@ class JetStream:
         LinkDownError
             If the connection is lost; messages that were not settled come again.
         """
+        from nats.errors import Error  # noqa: PLC0415 - an extra
+
         await self._flush()
-        while not self._inbox and not self._is_lost:
-            await self._ask(limit)
-            self._arrived.clear()
-            async with in_time(_EXPIRES_S + _GRACE_S):
-                await self._arrived.wait()
-        if self._is_lost:
-            raise LinkDownError(_LOST)
-        if len(self._inbox) < limit:
-            await asyncio.sleep(patience_s)
-        messages = [self._inbox.popleft() for _ in range(min(limit, len(self._inbox)))]
-        if not self._inbox:
-            await self._ask(limit)  # the next batch travels while this one is stored
-        return messages
+        fetched: list[Msg] = []
+        try:
+            while not fetched:
+                with contextlib.suppress(TimeoutError):
+                    fetched = await self._subscription.fetch(1, _EXPIRES_S)
+            if limit > 1:
+                with contextlib.suppress(TimeoutError):
+                    fetched += await self._subscription.fetch(limit - 1, max(patience_s, _LEAST_PATIENCE_S))
+        except Error as exc:
+            raise LinkDownError(str(exc) or _LOST) from exc
+        numbered = list(enumerate(fetched, self._count + 1))
+        self._count += len(fetched)
+        self._replies |= {number: message.reply for number, message in numbered}
+        return [
+            Message(topic=message.subject.replace(".", "/"), payload=message.data, packet_id=number)
+            for number, message in numbered
+        ]
 
     def send(self, messages: Iterable[Outgoing]) -> None:
         """Send messages with the next `collect`; who does not get them asks again."""
@@ -152,7 +143,7 @@ class JetStream:
     async def close(self) -> None:
         """Take leave of the broker; what was to be sent is sent."""
         with contextlib.suppress(Exception):  # whatever it was, this connection is at its end
-            if not self._is_lost:
+            if self._client.is_connected:
                 await self._flush()
             async with asyncio.timeout(_TIMEOUT_S):
                 await self._client.close()
@@ -194,51 +185,19 @@ class JetStream:
                 max_ack_pending=MOST_UNSETTLED,
             )
             await manager.add_consumer(STREAM, consumer)
-
-    async def _ask(self, limit: int) -> None:
-        if self._due or self._is_lost:
-            return
-        self._question += 1
-        self._due = self._limit = limit
-        most_bytes = max(self._batch_bytes, self._client.max_payload + _NAMES_BYTES)
-        asked = {"batch": limit, "expires": int(_EXPIRES_S * 1e9), "max_bytes": most_bytes}
-        body = json.dumps(asked).encode()
-        await self._publish([(self._next, body)], reply=f"{self._inbox_name}.{self._question}")
+        self._subscription = await manager.pull_subscribe_bind(group, STREAM)
 
     async def _flush(self) -> None:
-        messages, self._outbox = self._outbox, deque()
-        await self._publish(messages)
-
-    async def _publish(self, messages: Iterable[tuple[str, bytes]], reply: str = "") -> None:
         from nats.errors import Error  # noqa: PLC0415 - an extra
 
         try:
-            for subject, payload in messages:
-                await self._client.publish(subject, payload, reply)
+            while self._outbox:
+                await self._client.publish(*self._outbox.popleft())
         except Error as exc:
             raise LinkDownError(str(exc) or _LOST) from exc
 
-    async def _queue(self, message: "Msg") -> None:
-        """Queue a message, or note the status that ends a pull request."""
-        status = (message.headers or {}).get(_STATUS)
-        if status is None:
-            if not self._due and len(self._inbox) >= self._limit:
-                return  # nobody asked for it; not settled, it comes again to whoever does
-            self._count += 1
-            self._due = max(0, self._due - 1)
-            self._replies[self._count] = message.reply
-            topic = message.subject.replace(".", "/")
-            self._inbox.append(Message(topic=topic, payload=message.data, packet_id=self._count))
-        elif message.subject.endswith(f".{self._question}"):
-            self._due = 0
-        self._arrived.set()
-
-    async def _lose(self) -> None:
-        self._is_lost = True
-        self._arrived.set()
-
     async def _complain(self, error: Exception) -> None:
-        """Raise LinkDownError while connecting, which the library would retry; later errors end in `_lose`."""
+        """Raise LinkDownError while connecting, which the library would retry."""
         if self._is_trying:
             raise LinkDownError(" ".join(str(error).split()) or type(error).__name__)
         _LOG.debug("nats: %s", error)

@@ -96,7 +96,7 @@ async def connected(
     connection: Connection | JetStream
     try:
         if address.is_nats:
-            connection = await JetStream.open(address, filters, GROUP, max_unsettled * USUAL_BYTES // 2)
+            connection = await JetStream.open(address, filters, GROUP)
         else:
             connection = await Connection.open(address, terms)
     except LinkError as exc:
