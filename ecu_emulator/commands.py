@@ -20,7 +20,7 @@ from dbc.contract import dbc_path
 from ecu_emulator.drive.recording import LONG_STRETCH_S, Drive
 from ecu_emulator.errors import EmulatorConfigError, EmulatorStoppedError, RecordError
 from ecu_emulator.log_formats import DEFAULT_START_NS, RecordFormat, open_log
-from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
+from ecu_emulator.progress import driven_text, people, print_json
 from ecu_emulator.scenario import MASS_RANGE_KG, MOST_PARKED_S, OIL_RANGE_DEGC, DriveName
 from ecu_emulator.scenario.faults import CauseKind, CheckedRecord, Degradation, ranged
 from ecu_emulator.scenario.scenario import Ambient, FluidCondition, Scenario, WorkshopRoutine
@@ -171,13 +171,13 @@ def write_log(
     scenario: Scenario,
     options: LogOptions,
     stop: Event,
-    show: Callable[[Totals, float], None] = lambda _totals, _took_s: None,
+    show: Callable[[Totals], None] = lambda _: None,
 ) -> Recording:
     """Write a drive to a log, or to standard output, and the truth beside it; a request to stop ends both in order.
 
     Standard output has no truth beside it unless ``truth`` names a file.
 
-    ``show`` is called now and then with what has been driven, and how long that took [s].
+    ``show`` is called now and then with what has been driven.
 
     Raises ConfigError, RecordError if the scenario waits for a tester or its truth is not possible, or a file cannot be
     written.
@@ -203,7 +203,7 @@ def write_log(
                 log.write(stretch.frames)
                 writer.write(*stretch.truths)
                 has_driven = True
-                show(drive.totals, time.perf_counter() - began_s)
+                show(drive.totals)
                 if stop.is_set():
                     break
         except EmulatorStoppedError:  # while kernels were compiled that the drive had not needed before
@@ -237,12 +237,13 @@ def record(scenario: Scenario, options: LogOptions, stop: Event, *, is_json: boo
     if text := refusal(*outputs, is_forced=is_forced):
         raise EmulatorConfigError(text)
     console = people()
-    with ProgressLine(console, "preparing the plant") as progress:
-
-        def show(totals: Totals, took_s: float) -> None:
-            progress.update(driven_text(totals.driven_s, totals.shifts, totals.events), took_s)
-
-        recording = write_log(scenario, options, stop, show)
+    with console.status("preparing the plant") as status:
+        recording = write_log(
+            scenario,
+            options,
+            stop,
+            lambda so_far: status.update(driven_text(so_far.driven_s, so_far.shifts, so_far.events)),
+        )
     totals = recording.totals
     state = (
         "" if recording.is_finished else f"stopped early: {recording.endless_shift and recording.endless_shift + '; '}"

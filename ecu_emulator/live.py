@@ -25,7 +25,7 @@ from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.errors import EmulatorConfigError, RecordError
-from ecu_emulator.progress import ProgressLine, driven_text, people, print_json
+from ecu_emulator.progress import driven_text, people, print_json
 from ecu_emulator.scenario.faults import BusFault, SensorFault
 from ecu_emulator.scenario.scenario import Scenario
 from ecu_emulator.scenario.scenario_file import parse_fault
@@ -351,7 +351,7 @@ def run(
                 raise RecordError(f"cannot touch {options.alive}: {exc.strerror}") from exc
         shown_count = 0
         writer = begun.enter_context(TruthWriter(options.truth)) if options.truth is not None else None
-        progress = begun.enter_context(ProgressLine(console, "preparing the plant"))
+        progress = begun.enter_context(console.status("preparing the plant"))
         sent = SentTruth(drive, writer)
 
         def show(sent_s: float, frame_count: int) -> None:
@@ -359,9 +359,7 @@ def run(
             if options.alive is not None and frame_count > shown_count:
                 give_sign(options.alive)
             shown_count = frame_count
-            progress.update(
-                f"{driven_text(sent_s, sent.shift_count, sent.event_count)}, {frame_count} frames sent", sent_s
-            )
+            progress.update(f"{driven_text(sent_s, sent.shift_count, sent.event_count)}, {frame_count} frames sent")
 
         result = send(
             scenario, sent, bus, choice=choice, answering=answering, stop=stop,

@@ -156,11 +156,6 @@ class Installation:
     motoring_torque_ratio: float = 1.0  # on negative torque, as the engine controller's model gets it
 
 
-def reported_torque_nm(torque_nm: FloatArray, place: Installation) -> FloatArray:
-    """Return the crankshaft torque [N m] as the engine controller's model has it, shape (n,)."""
-    return np.where(torque_nm < 0.0, place.motoring_torque_ratio, 1.0) * torque_nm
-
-
 _DIRECT: Final[Mapping[str, Col]] = {
     "pedal_ratio": Col.PEDAL,
     "throttle_ratio": Col.THROTTLE,
@@ -193,7 +188,9 @@ _DIRECT: Final[Mapping[str, Col]] = {
     "manifold_pressure_pa": Col.MANIFOLD_PRESSURE,
 }
 _DERIVED: Final[Mapping[str, Callable[[FloatArray, Installation], FloatArray]]] = {
-    "engine_torque_nm": lambda rows, place: reported_torque_nm(rows[:, Col.ENGINE_TORQUE], place),
+    "engine_torque_nm": lambda rows, place: (
+        rows[:, Col.ENGINE_TORQUE] * np.where(rows[:, Col.ENGINE_TORQUE] < 0.0, place.motoring_torque_ratio, 1.0)
+    ),
     "output_speed_rad_s": lambda rows, place: rows[:, Col.DIFF_SPEED] * place.output_ratio,
     "wheel_fl_speed_m_s": lambda rows, place: rows[:, Col.WHEEL_SPEED] * place.wheel_radius_m,
     "wheel_fr_speed_m_s": lambda rows, place: rows[:, Col.WHEEL_SPEED] * place.wheel_radius_m,

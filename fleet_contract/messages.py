@@ -97,12 +97,6 @@ def takes_bundles(ack: Mapping[str, object]) -> bool:
     return ack.get("takes_bundles") is True
 
 
-def _entry(receipt: Receipt) -> JsonObject:
-    named = {name: value for name, value in msgspec.to_builtins(receipt.key).items() if name != "vehicle"}
-    reason = None if receipt.reason is None else receipt.reason[:_MAX_REASON]
-    return {**named, "outcome": receipt.outcome.value, "reason": reason}
-
-
 SPEC_VERSION: Final = "1.0"
 MAX_FILLS: Final = 256  # in one message; the life of a car has fewer
 
@@ -236,7 +230,11 @@ def ack_messages(
     """
     more: JsonObject = {"takes_bundles": True} if takes_bundles else {}
     for number, first in enumerate(range(0, len(receipts), MAX_RECEIPTS)):
-        entries = [_entry(receipt) for receipt in receipts[first : first + MAX_RECEIPTS]]
+        entries = [
+            {name: value for name, value in msgspec.to_builtins(receipt.key).items() if name != "vehicle"}
+            | {"outcome": receipt.outcome.value, "reason": receipt.reason and receipt.reason[:_MAX_REASON]}
+            for receipt in receipts[first : first + MAX_RECEIPTS]
+        ]
         head: JsonObject = {"schema": Channel.ACK.schema_name, "vehicle": vehicle, "sent_at": sent_at}
         text, event_id = dump({**head, "results": entries, **more}), f"ack/{sent_at}/{number}"
         yield _outgoing(Channel.ACK, vehicle, text, source=f"{worker}/{vehicle}", event_id=event_id, time=sent_at)

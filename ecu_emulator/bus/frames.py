@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from cantools.database.can import Database, Message
+from cantools.database.can import Database
 from cantools.database.can.signal import Signal
 
 from canlog.arrays import FloatArray, UInt8Array, UInt32Array
@@ -60,7 +60,7 @@ SIGNAL_OF: Final[Mapping[str, str]] = MappingProxyType({
 })  # fmt: skip
 """The signal that carries each quantity; the unit that ends the quantity's name and the signal's match by kind."""
 
-_QUANTITY_OF: Final[Mapping[str, str]] = {signal: quantity for quantity, signal in SIGNAL_OF.items()}
+QUANTITY_OF: Final[Mapping[str, str]] = {signal: quantity for quantity, signal in SIGNAL_OF.items()}
 
 UNITS: Final[Mapping[str, tuple[Callable[[Any], Any], Callable[[Any], Any]]]] = {  # of signals: from SI, to SI
     "rpm": (units.rpm_from_rad_s, units.rad_s_from_rpm),
@@ -109,52 +109,44 @@ class _SignalCode:
         return np.where(np.isnan(steps), self.not_available, np.clip(steps, *self.raw_limits)).astype(np.uint64)
 
 
-@dataclass(frozen=True, slots=True)
-class _MessageCode:
-    can_id: int
-    data_id: int
-    signals: tuple[_SignalCode, ...]
-
-
 class FrameEncoder:
     """Writes the messages of the wire contract; alive counters continue from call to call."""
 
     def __init__(self, database: Database) -> None:
-        self._codes = {message.name: _message_code(message) for message in database.messages}
-        self._next_counter = dict.fromkeys(self._codes, 0)
+        self._contracts = {message.name: message_contract(message) for message in database.messages}
+        self._signals = {
+            message.name: [_signal_code(message.get_signal_by_name(name)) for name in message_contract(message).signals]
+            for message in database.messages
+        }
+        self._next_counter = dict.fromkeys(self._contracts, 0)
 
     def restart(self) -> None:
         """Let the alive counters begin at 0, as after the ignition was off."""
-        self._next_counter = dict.fromkeys(self._codes, 0)
+        self._next_counter = dict.fromkeys(self._contracts, 0)
 
     def quantities(self, message: str) -> tuple[str, ...]:
         """Return the names of the quantities that a message carries."""
-        return tuple(signal.quantity for signal in self._codes[message].signals)
+        return tuple(signal.quantity for signal in self._signals[message])
 
     def encode(self, readings: Readings) -> EncodedFrames:
         """Return the frames of one message, one per reading of all quantities it carries [SI]; NaN: not available."""
-        code = self._codes[readings.message]
-        count = len(readings.t_s)
+        contract, count = self._contracts[readings.message], len(readings.t_s)
+        word = np.zeros(count, np.uint64)
+        for signal in self._signals[readings.message]:
+            word |= signal.raw(readings.values[signal.quantity]) << np.uint64(signal.start_bit)
+        payloads = word.astype("<u8").view(np.uint8).reshape(-1, PAYLOAD_BYTES)
         counter = self._next_counter[readings.message] + np.arange(count)
         self._next_counter[readings.message] += count
         return EncodedFrames(
             t_s=np.asarray(readings.t_s, np.float64),
-            can_id=np.full(count, code.can_id, np.uint32),
+            can_id=np.full(count, contract.can_id, np.uint32),
             length=np.full(count, PAYLOAD_BYTES, np.uint8),
-            data=protect(_payloads(code, readings), code.data_id, counter),
+            data=protect(payloads, contract.data_id or 0, counter),
         )
 
     def encode_all(self, readings: Iterable[Readings]) -> EncodedFrames:
         """Return the frames of several messages in the order of transmission."""
         return merge([self.encode(of_message) for of_message in readings])
-
-
-def _payloads(code: _MessageCode, readings: Readings) -> UInt8Array:
-    """Return payloads with all signals in place, shape (n, 8)."""
-    word = np.zeros(len(readings.t_s), np.uint64)
-    for signal in code.signals:
-        word |= signal.raw(readings.values[signal.quantity]) << np.uint64(signal.start_bit)
-    return word.astype("<u8").view(np.uint8).reshape(-1, PAYLOAD_BYTES)
 
 
 _NO_FRAMES: Final = EncodedFrames(
@@ -181,17 +173,11 @@ def merge(parts: Sequence[EncodedFrames]) -> EncodedFrames:
     return frames[np.lexsort((frames.can_id, frames.t_s))]
 
 
-def _message_code(message: Message) -> _MessageCode:
-    contract = message_contract(message)
-    signals = (message.get_signal_by_name(name) for name in contract.signals)
-    return _MessageCode(contract.can_id, contract.data_id or 0, tuple(_signal_code(signal) for signal in signals))
-
-
 def _signal_code(signal: Signal) -> _SignalCode:
     """Compile one signal: unsigned, little-endian, its highest raw value says not available."""
     low, high = (float(physical or 0.0) for physical in (signal.minimum, signal.maximum))
     return _SignalCode(
-        quantity=_QUANTITY_OF[signal.name],
+        quantity=QUANTITY_OF[signal.name],
         start_bit=signal.start,
         from_si=UNITS[signal.unit or ""][0],
         scale=signal.scale,

@@ -36,13 +36,12 @@ BUS_GONE: Final = frozenset({errno.ENETDOWN, errno.ENODEV, errno.ENXIO, errno.EB
 class SendLateness:
     """Lateness of frames against their deadlines, one value per frame."""
 
-    def __init__(self, overrun_s: float) -> None:
-        self._overrun_s = overrun_s
+    def __init__(self) -> None:
         self._histogram = np.zeros(BINS, np.int64)
         self._count = 0
         self._sum_t = self._sum_late = self._sum_t_t = self._sum_t_late = 0.0
         self.max_s = 0.0
-        self.overruns = 0  # frames that were later than what counts as on time
+        self.overruns = 0
 
     def add(self, due_s: float, lateness_s: float) -> None:
         """Count a frame that was due at ``due_s`` of the schedule and began to be sent this much later."""
@@ -53,8 +52,7 @@ class SendLateness:
         self._sum_t_t += due_s * due_s
         self._sum_t_late += due_s * lateness_s
         self.max_s = max(self.max_s, lateness_s)
-        if lateness_s > self._overrun_s:
-            self.overruns += 1
+        self.overruns += lateness_s > OVERRUN_S
 
     @property
     def mean_s(self) -> float:
@@ -107,7 +105,7 @@ class _Transmitter:
     def __init__(self, bus: FrameSender, stop: threading.Event) -> None:
         self._bus = bus
         self._stop = stop
-        self._lateness = SendLateness(OVERRUN_S)
+        self._lateness = SendLateness()
         self._is_stuck = False
         self.sent = 0
         self.given_up = 0
@@ -122,7 +120,9 @@ class _Transmitter:
             messages = to_messages(chunk[first:end], start_s + self._wall_s)
             due_s = float(chunk.t_s[first])
             deadline_s = start_s + due_s
-            self._sleep_until(deadline_s)
+            # In slices: a signal handler may ask to stop.
+            while (left_s := deadline_s - time.monotonic()) > 0.0 and not self._stop.is_set():
+                time.sleep(min(left_s, LONGEST_SLEEP_S))
             if self._stop.is_set():
                 return
             for message in messages:
@@ -146,11 +146,6 @@ class _Transmitter:
             is_complete=is_complete,
         )
 
-    def _sleep_until(self, deadline_s: float) -> None:
-        """Sleep, in slices: a signal handler may ask to stop."""
-        while (left_s := deadline_s - time.monotonic()) > 0.0 and not self._stop.is_set():
-            time.sleep(min(left_s, LONGEST_SLEEP_S))
-
     def _send(self, message: can.Message) -> None:
         # Behind a frame that was given up each gets one attempt, until one passes: waiting would make all late.
         give_up_s = time.monotonic() + (0.0 if self._is_stuck else RETRY_FOR_S)
@@ -158,7 +153,7 @@ class _Transmitter:
             try:
                 self._bus.send(message)
             except can.CanError as exc:
-                if error_number(exc) in BUS_GONE:
+                if exc.error_code in BUS_GONE:
                     raise BusError(f"the bus went away after {self.sent} frames: {exc}") from exc
                 if time.monotonic() >= give_up_s:
                     self._is_stuck = True
@@ -264,13 +259,3 @@ def open_bus(
         )
     except SourceError as exc:
         raise BusError(str(exc)) from exc
-
-
-def error_number(error: BaseException | None) -> int | None:
-    """Return the errno behind an error of python-can, which may be its code or its cause's."""
-    while error is not None:
-        code = getattr(error, "error_code", None) or getattr(error, "errno", None)
-        if isinstance(code, int):
-            return code
-        error = error.__cause__
-    return None

@@ -17,7 +17,7 @@ from cantools.database.can.signal import Signal
 
 from canlog.e2e import profile1
 from canlog.e2e.message_contract import message_contracts
-from ecu_emulator.bus.frames import SIGNAL_OF, UNITS
+from ecu_emulator.bus.frames import QUANTITY_OF, UNITS
 from ecu_emulator.scenario.faults import SILENCE
 
 OWN_NODE: Final = "TCU"
@@ -58,12 +58,11 @@ class SentValues:
 
     def __init__(self, database: Database, clock: Callable[[], float] = lambda: 0.0) -> None:
         self._messages = {message.frame_id: message for message in database.messages}
-        self._quantities = {name: quantity for quantity, name in SIGNAL_OF.items()}
         self._carriers = {
-            self._quantities[signal.name]: can_id
+            QUANTITY_OF[signal.name]: can_id
             for can_id, message in self._messages.items()
             for signal in message.signals
-            if signal.name in self._quantities
+            if signal.name in QUANTITY_OF
         }
         self._clock = clock
         self._values: dict[int, dict[str, float]] = {}  # by identifier
@@ -126,9 +125,9 @@ class SentValues:
             return {}
         raws = message.decode_simple(payload, decode_choices=False, scaling=False)
         return {
-            self._quantities[signal.name]: _si(raw, signal)
+            QUANTITY_OF[signal.name]: _si(raw, signal)
             for signal in message.signals
-            if signal.name in self._quantities
+            if signal.name in QUANTITY_OF
             and isinstance(raw := raws[signal.name], int)
             and raw != (1 << signal.length) - 1  # the code for not available
         }

@@ -193,9 +193,7 @@ def synchroniser_torque_nm(slip_rad_s: float, p: SynchroniserParameters) -> floa
 
 
 PLACES: Final = 101  # of the characteristic, evenly from stall to equal speeds
-_LAG_S: Final = (
-    0.05  # of the torque behind its map: the oil in the torus has to change its speed (Hrovat and Tobler 1985)
-)
+_LAG_S: Final = 0.05  # of the torque behind its map: oil in the torus changes its speed (Hrovat and Tobler 1985)
 
 
 class ConverterLaw(NamedTuple):

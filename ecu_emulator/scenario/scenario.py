@@ -176,9 +176,7 @@ class Scenario(CheckedRecord):
     vehicle_seed: int | None = ranged(None, 0, _LAST_SEED)  # of what stays with the car: production scatter
     drive_seed: int | None = ranged(None, 0, _LAST_SEED)  # of what changes from drive to drive: driver, noise, losses
     drive: DriveName = DriveName.CYCLE
-    cycles: int = ranged(
-        1, 1, MAX_CYCLES
-    )  # how often it is driven: shift cycles, public cycles, trips through the city, days
+    cycles: int = ranged(1, 1, MAX_CYCLES)  # how often: shift cycles, public cycles, trips through the city, days
     endless: bool = False  # drive again and again instead
     odometer_m: float = ranged(12_345_000.0, 0.0, 4.0e9)
     fluid: Fluid = field(default_factory=Fluid)

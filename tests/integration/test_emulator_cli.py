@@ -64,7 +64,7 @@ def test_overrides_reach_the_drive(tmp_path: Path) -> None:
         (["record"], "FILE"),
         (["record", "x.log", "--start-time", "soon"], "soon"),
         (["record", "x.log", "--drive", "nedc"], "'nedc' is not one of"),
-        (["record", "x.log", "--oil-degc", "-40"], "'--oil-degc': -40.0 is not in the range -15<=x<=130"),
+        (["record", "x.log", "--oil-degc", "-40"], "'--oil-degc': -40.0 is not in the range -15.0<=x<=130.0"),
         (["record", "x.log", "--mass-kg", "nan"], "mass_kg must be 900..3500, got nan"),
         (["record", "x.log", "--start-time", "1969-01-01"], "1970"),
         (["run", "--parked", "-1"], "--parked"),
