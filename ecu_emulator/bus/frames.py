@@ -1,7 +1,7 @@
 """Readings become frames: SI units to the wire's, quantisation, saturation, counter and CRC; columns throughout."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -160,10 +160,10 @@ _NO_FRAMES: Final = EncodedFrames(
 def joined(*parts: EncodedFrames) -> EncodedFrames:
     """Return the frames of all parts, one after the other."""
     return EncodedFrames(
-        t_s=np.concatenate([part.t_s for part in parts]),
-        can_id=np.concatenate([part.can_id for part in parts]),
-        length=np.concatenate([part.length for part in parts]),
-        data=np.concatenate([part.data for part in parts]),
+        **{
+            column.name: np.concatenate([getattr(part, column.name) for part in parts])
+            for column in fields(EncodedFrames)
+        }
     )
 
 

@@ -224,35 +224,29 @@ def build_vehicle(scenario: Scenario) -> BuiltVehicle:
     faulty = CausedChanges.of(scenario)
     drawn = _draw(scenario.scatter, scenario.seed_of_vehicle, has_converter=scenario.transmission in CONVERTERS)
     try:
-        calibration = affected_calibration(
-            Calibration.from_mapping(
-                _overridden(shipped_table(scenario.transmission), scenario.truth.calibration, "truth.calibration")
-            ),
-            scenario.effects,
-        )
-        clutches = [
+        table = _overridden(shipped_table(scenario.transmission), scenario.truth.calibration, "truth.calibration")
+        calibration = affected_calibration(Calibration.from_mapping(table), scenario.effects)
+        plant = _overridden(plant_table(scenario.transmission), scenario.truth.plant, "truth.plant")
+        parameters = affected_parameters(PlantParameters.from_mapping(plant), scenario.effects)
+        first, second = (
             _scattered_clutch(clutch, name, drawn, FLUID_FACTORS[scenario.fluid.condition])
             for clutch, name in zip(calibration.clutches, _EACH, strict=True)
-        ]
-        scattered = {
-            "viscosity.a_pa_s": 1.0 + drawn["viscosity_ratio"],
-            "input_side.engine_inertia_kg_m2": 1.0 + drawn["engine_inertia_ratio"],
-        }
+        )
         converter = _scattered_converter(calibration.converter, drawn)
-        calibration = replace(calibration, clutches=(clutches[0], clutches[1]), converter=converter)
+        calibration = changed(
+            replace(calibration, clutches=(first, second), converter=converter),
+            {
+                "viscosity.a_pa_s": 1.0 + drawn["viscosity_ratio"],
+                "input_side.engine_inertia_kg_m2": 1.0 + drawn["engine_inertia_ratio"],
+            },
+        )
+        inertias = dict.fromkeys(
+            ("clutch_inertia_kg_m2", "gear_inertia_kg_m2"), 1.0 + drawn["input_shaft_inertia_ratio"]
+        )
+        shaft1, shaft2 = (changed(shaft, inertias) for shaft in parameters.shafts)
         return BuiltVehicle(
-            calibration=faulty.calibration(changed(calibration, scattered)),
-            parameters=faulty.parameters(
-                _scattered_plant(
-                    affected_parameters(
-                        PlantParameters.from_mapping(
-                            _overridden(plant_table(scenario.transmission), scenario.truth.plant, "truth.plant")
-                        ),
-                        scenario.effects,
-                    ),
-                    drawn,
-                )
-            ),
+            calibration=faulty.calibration(calibration),
+            parameters=faulty.parameters(replace(parameters, shafts=(shaft1, shaft2))),
             sensors=faulty.sensors(_scattered_sensors(scenario.sensors, drawn)),
             drawn=drawn,
             causes=faulty.truths,
@@ -291,13 +285,6 @@ def _scattered_converter(converter: Converter | None, drawn: Mapping[str, float]
     places = zip(converter.speed_ratios, converter.capacities_nm_s2, strict=True)
     capacities = tuple(value * (1.0 + level + rise * (2.0 * place - 1.0)) for place, value in places)
     return replace(converter, capacities_nm_s2=capacities)
-
-
-def _scattered_plant(parameters: PlantParameters, drawn: Mapping[str, float]) -> PlantParameters:
-    factor = 1.0 + drawn["input_shaft_inertia_ratio"]
-    factors = {"clutch_inertia_kg_m2": factor, "gear_inertia_kg_m2": factor}
-    first, second = (changed(shaft, factors) for shaft in parameters.shafts)
-    return replace(parameters, shafts=(first, second))
 
 
 def _scattered_sensors(sensors: Sensors, drawn: Mapping[str, float]) -> Sensors:
@@ -401,6 +388,7 @@ def installation(scenario: Scenario, vehicle: BuiltVehicle) -> Installation:
 def drive_truth(scenario: Scenario, vehicle: BuiltVehicle) -> DriveTruth:
     """Return the truth about a drive as it begins."""
     first, second = (clutch.friction for clutch in vehicle.calibration.clutches)
+    law, has_converter = friction_law(first), vehicle.calibration.converter is not None
     return DriveTruth(
         scenario=scenario.name,
         vehicle=scenario.vehicle,
@@ -416,14 +404,10 @@ def drive_truth(scenario: Scenario, vehicle: BuiltVehicle) -> DriveTruth:
         drawn=vehicle.drawn,
         effects=scenario.effects.switched_on(),
         causes=vehicle.causes,
-        mu_at_slip_rpm=_mu_at_slip_rpm(vehicle.calibration) if vehicle.calibration.converter else {},
+        mu_at_slip_rpm={
+            rpm: float(kinetic_friction(float(rad_s_from_rpm(rpm)), law)) for rpm in TRUTH_SLIPS_RPM if has_converter
+        },
     )
-
-
-def _mu_at_slip_rpm(calibration: Calibration) -> dict[int, float]:
-    """Return the friction of a lock-up clutch at the slips in which it is driven, as the drive begins."""
-    law = friction_law(calibration.clutches[0].friction)
-    return {rpm: float(kinetic_friction(float(rad_s_from_rpm(rpm)), law)) for rpm in TRUTH_SLIPS_RPM}
 
 
 def journey(

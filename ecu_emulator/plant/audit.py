@@ -131,8 +131,7 @@ def add_powers(
         return
     vehicle, output = law.vehicle, law.output
     powers = account[2 * ACCOUNT_COUNT :]
-    for entry in range(ACCOUNT_COUNT):
-        powers[entry] = 0.0
+    powers[:] = 0.0
     powers[ENGINE] = out[at.T_E] * y[at.W_E]
     powers[ENGINE_ABSOLUTE] = abs(powers[ENGINE])
     shaft_powers(y, modes, out, powers, law)

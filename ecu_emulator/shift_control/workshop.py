@@ -175,18 +175,6 @@ def fill_for_steps(memory: FloatArray, sense: FloatArray, commands: FloatArray, 
 
 
 @part
-def hold_step(memory: FloatArray, commands: FloatArray) -> None:
-    """Hold each step for its time, from the highest pressure to the lowest."""
-    pressure_pa = memory[at.STEP_TOP] - memory[at.STEP] * memory[at.STEP_DOWN]
-    tcu.command_pressure(commands, int(memory[at.STEP_CLUTCH]), pressure_pa)
-    if memory[at.REV_TIME] >= STEP_S:
-        memory[at.STEP] += 1.0
-        memory[at.REV_TIME] = 0.0
-    if memory[at.STEP] >= memory[at.STEP_COUNT]:
-        enter_stage(memory, at.STEPS_RELEASING)
-
-
-@part
 def perform_steps(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: ControlLaw) -> None:
     """Take one step of 1 ms."""
     tcu.tick(memory, sense, law)
@@ -203,8 +191,13 @@ def perform_steps(memory: FloatArray, sense: FloatArray, commands: FloatArray, l
             enter_stage(memory, at.STEPS_FILLING)
     elif stage == at.STEPS_FILLING:
         fill_for_steps(memory, sense, commands, law)
-    elif stage == at.STEPPING:
-        hold_step(memory, commands)
+    elif stage == at.STEPPING:  # each for its time, from the highest pressure to the lowest
+        tcu.command_pressure(commands, clutch, memory[at.STEP_TOP] - memory[at.STEP] * memory[at.STEP_DOWN])
+        if memory[at.REV_TIME] >= STEP_S:
+            memory[at.STEP] += 1.0
+            memory[at.REV_TIME] = 0.0
+        if memory[at.STEP] >= memory[at.STEP_COUNT]:
+            enter_stage(memory, at.STEPS_RELEASING)
     elif (
         memory[at.REV_TIME] >= RELEASE_S and max(sense[at.FILL], sense[at.FILL + 1]) < law.control.preselect_fill_ratio
     ):  # both clutches are empty: take the gear out, and wait for whoever asks next
