@@ -25,7 +25,6 @@ from diag_service.commands.options import (
     output_option,
     poll_options,
     profile_option,
-    verbose_option,
     working,
 )
 from diag_service.errors import ConfigError, ControllerError, IncompleteError, StoppedError, StoreError
@@ -149,7 +148,6 @@ def command_line() -> None:
 )
 @together(bus_options, meaning_options, config_option, delivery_options, poll_options)
 @_json_lines_option
-@verbose_option
 @working
 def run(controls: Controls, **words: Any) -> None:
     """Diagnose a live bus."""
@@ -161,7 +159,6 @@ def run(controls: Controls, **words: Any) -> None:
 
 @command_line.command(epilog=examples(f"{PROGRAM} monitor -i socketcan -c can0 --duration 60"))
 @together(bus_options, meaning_options, config_option)
-@verbose_option
 @working
 def monitor(controls: Controls, **words: Any) -> None:
     """Show a live bus, store nothing."""
@@ -178,7 +175,6 @@ def config() -> None:
 
 @config.command(epilog=examples(f"{PROGRAM} config check --config car1.toml"))
 @together(bus_options, meaning_options, config_option, delivery_options, poll_options)
-@verbose_option
 @working
 def check(_controls: Controls, **words: Any) -> None:
     """Check the settings and print what a run would use, secrets masked."""
@@ -218,7 +214,6 @@ def check(_controls: Controls, **words: Any) -> None:
     help="path: in a folder, a log is of the vehicle by which the folder below is called (FOLDER/VEHICLE/...)",
 )
 @together(_lake_options, meaning_options, config_option, delivery_options, _columns_option, _json_lines_option)
-@verbose_option
 @working
 def analyze(controls: Controls, **words: Any) -> None:
     """Diagnose recorded logs, or folders of them.
@@ -247,7 +242,6 @@ def analyze(controls: Controls, **words: Any) -> None:
     "--full", is_flag=True, help="after the sheet everything else: numbers, single shifts, data quality, events"
 )
 @together(force_option, meaning_options, config_option, _columns_option)
-@verbose_option
 @working
 def report(controls: Controls, **words: Any) -> None:
     """Write the findings of logs or a store as one HTML page.
@@ -271,7 +265,6 @@ def report(controls: Controls, **words: Any) -> None:
 @click.option("--calibration", type=FILE, help="that made the results (TOML; default: nominal)")
 @click.option("--peers", type=FILE, help="begin prognoses with what a fleet taught: fleet-backend peers --write")
 @click.option("--json", is_flag=True, help="JSON lines on standard output: every event, then the fluid fills")
-@verbose_option
 @working
 def history(_controls: Controls, **words: Any) -> None:
     """Show how the friction of each clutch went."""
@@ -285,7 +278,6 @@ def history(_controls: Controls, **words: Any) -> None:
 @_store_argument
 @click.argument("shift", type=int, metavar="SHIFT", help="its number in the table of history")
 @json_option
-@verbose_option
 @working
 def show(_controls: Controls, **words: Any) -> None:
     """Show all that a store holds of one shift."""
@@ -314,7 +306,6 @@ def show(_controls: Controls, **words: Any) -> None:
 @click.option(
     "--undo", is_flag=True, help="take back the last fill, or the one within a day of --at: it was noted by mistake"
 )
-@verbose_option
 @working
 def fluid_changed(_controls: Controls, **words: Any) -> None:
     """Note that the vehicle got new fluid.
@@ -334,7 +325,6 @@ def fluid_changed(_controls: Controls, **words: Any) -> None:
 @together(force_option, meaning_options, config_option)
 @click.option("--json", is_flag=True, help="JSON on standard output")
 @_columns_option
-@verbose_option
 @working
 def calibrate(controls: Controls, **words: Any) -> None:
     """Find one vehicle's sensor errors and inertia from its logs."""
@@ -357,7 +347,6 @@ def calibrate(controls: Controls, **words: Any) -> None:
     help="bit rate for which the bus load is given [bit/s]",
 )
 @json_option
-@verbose_option
 @working
 def inspect(controls: Controls, **words: Any) -> None:
     """Show what traffic a log holds.
@@ -373,7 +362,6 @@ def inspect(controls: Controls, **words: Any) -> None:
 @command_line.command(epilog=examples(f"{PROGRAM} signals drive.blf --dbc car.dbc >car-profile.toml"))
 @click.argument("log", type=FILE, metavar="LOG", help="log file; - is standard input")
 @together(dbc_option, _columns_option)
-@verbose_option
 @working
 def signals(controls: Controls, **words: Any) -> None:
     """List the signals in a log and propose a profile."""
@@ -434,7 +422,6 @@ def signals(controls: Controls, **words: Any) -> None:
     "--strict", is_flag=True, help="end with status 5 if anything of the log is not in the file, and say what"
 )
 @json_option
-@verbose_option
 @working
 def decode(controls: Controls, **words: Any) -> None:
     """Write the signals of logs as a table: Parquet, CSV, JSON lines or Arrow."""
@@ -457,7 +444,6 @@ def decode(controls: Controls, **words: Any) -> None:
     "--halves", is_flag=True, help="predict the second half from the first (default: each shift from all others)"
 )
 @json_option
-@verbose_option
 @working
 def predict(controls: Controls, **words: Any) -> None:
     """Predict shifts of logs from the others, and show how well it went.
@@ -479,7 +465,6 @@ def predict(controls: Controls, **words: Any) -> None:
 @output_option("description to write (TOML), for analyze --vehicle-file", required=True)
 @together(force_option, dbc_option, profile_option, calibration_option, _columns_option)
 @json_option
-@verbose_option
 @working
 def learn(controls: Controls, **words: Any) -> None:
     """Describe an unknown vehicle from its logs: gears, ratios, clutches, touch points, for a person to complete.
@@ -498,7 +483,6 @@ def learn(controls: Controls, **words: Any) -> None:
     "file", type=FILE, metavar="NAME|FILE", help="nominal, gs7, 8hp70, or a TOML file with a table [transmission]"
 )
 @json_option
-@verbose_option
 @working
 def transmission(_controls: Controls, **words: Any) -> None:
     """Show what a described transmission has: ratios, and which element which gear change tells.
@@ -521,7 +505,6 @@ def lake() -> None:
 @click.option(
     "--repair", is_flag=True, help="remove parts of no log, as a killed run may leave; the next run makes missing ones"
 )
-@verbose_option
 @working
 def check_lake(_controls: Controls, **words: Any) -> None:
     """Show what is in a lake, and whether its manifest and its parts agree."""
@@ -534,7 +517,6 @@ def check_lake(_controls: Controls, **words: Any) -> None:
 @_lake_argument
 @click.argument("vehicle", metavar="VEHICLE", help="vehicle id")
 @json_option
-@verbose_option
 @working
 def forget(_controls: Controls, **words: Any) -> None:
     """Remove one vehicle from a lake and check that nothing is left.

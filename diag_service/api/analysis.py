@@ -1,7 +1,7 @@
 """Recorded drives from Python: ``analyze``, what it returns, and its picture."""
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self, Unpack
@@ -22,11 +22,11 @@ from diag_service.console import collected_notices
 from diag_service.delivery import AllReporters, MemoryReporter, Reporter
 from diag_service.delivery.console import condition_words
 from diag_service.diagnosis.friction.paper import PaperCollection, PaperShift, PooledClutch, nominal_driveline
-from diag_service.diagnosis.summary import FrameCounts, Gap, Summary, summary_record, unjudged, with_revisions
+from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged, with_revisions
 from diag_service.errors import ConfigError
 from diag_service.service.drive import insist, open_drive
 from diag_service.service.drive_survey import DriveSurvey
-from diag_service.service.recorded import replay, run_recorded
+from diag_service.service.recorded import Account, replay, run_recorded
 from diag_service.service.stages import Stages
 from diag_service.settings.options import AnalyzeOptions, as_proposed, check_replaceable, diagnosis_config
 from diag_service.stopping import Controls
@@ -351,20 +351,17 @@ def analyze_by_paper(
 
     Raises what ``analyze`` raises.
     """
-    return analyze_drive_by_paper(AnalyzeOptions(logs=path_list(paths), strict=is_strict, **named(meaning)), Controls())
+    options = AnalyzeOptions(logs=path_list(paths), strict=is_strict, **named(meaning))
+    analysis, account = analyze_drive_by_paper(options, Controls())
+    if is_strict:
+        account.insist(is_strict=True)
+    return analysis
 
 
 def analyze_drive_by_paper(
-    options: AnalyzeOptions,
-    controls: Controls,
-    conclude: Callable[[PaperAnalysis, Sequence[Gap], FrameCounts], None] | None = None,
-    watch: Watch | None = None,
-) -> PaperAnalysis:
-    """Analyse the logs of one drive by the paper's method; raises what ``analyze`` raises.
-
-    ``conclude`` hears the result before IncompleteError or StoppedError is raised for a part of a drive; without it a
-    part is no error unless ``strict`` is set.
-    """
+    options: AnalyzeOptions, controls: Controls, watch: Watch | None = None
+) -> tuple[PaperAnalysis, Account]:
+    """Analyse the logs of one drive, or a part of it, by the paper's method, and say what became of its frames."""
     stop, shifts = controls.stop, list[PaperShift]()
     with collected_notices() as notices:
         config = as_proposed(diagnosis_config(options), options.paths, lambda: stop.is_set)
@@ -381,11 +378,7 @@ def analyze_drive_by_paper(
     analysis = PaperAnalysis(
         shifts=tuple(shifts), clutches=collection.pooled(), is_complete=not account.gaps, notices=tuple(notices)
     )
-    if conclude is not None:
-        conclude(analysis, account.gaps, account.frames)
-    if options.strict or conclude is not None:
-        insist(account.gaps, account.contributions, is_strict=options.strict)
-    return analysis
+    return analysis, account
 
 
 SIZE_INCH: Final = (9.0, 4.5)

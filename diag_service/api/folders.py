@@ -2,7 +2,7 @@
 
 import logging
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -108,49 +108,35 @@ def analyze_folders(
     StoreError
         If a file cannot be written.
     """
-    listener = _Kept()
+    left_out, entries, calibration = dict[str, str](), list[Entry](), None
     options = AnalyzeOptions(
         logs=path_list(paths), output=optional_path(output), force=True, jobs=jobs,
         vehicle_from="path" if has_vehicles else None, strict=is_strict, **named(meaning),
     )  # fmt: skip
     with collected_notices() as notices:
-        calibration = analyze_drives(options, Controls(), listener)
+        for news in analyze_drives(options, Controls()):
+            if isinstance(news, LeftOut):
+                left_out[str(news.path)] = news.reason
+            elif isinstance(news, FolderTotals):
+                entries, calibration = list(news.entries), news.calibration
     return FolderAnalysis(
-        drives=tuple(_analysis(entry, calibration) for entry in listener.entries if entry.drive["summary"]),
-        unread={_name(entry): str(entry.drive["error"]) for entry in listener.entries if not entry.drive["summary"]},
-        left_out={str(left.path): left.reason for left in listener.left_out},
+        drives=tuple(_analysis(entry, calibration) for entry in entries if entry.drive["summary"]),
+        unread={_name(entry): str(entry.drive["error"]) for entry in entries if not entry.drive["summary"]},
+        left_out=left_out,
         notices=tuple(notices),
     )
 
 
-class FolderListener:
-    """Callbacks of a run over folders; by default they do nothing."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FolderTotals:
+    """What became of all drives that are done, those of earlier runs too, in the order in which they were found."""
 
-    def leave_out(self, files: Sequence[LeftOut]) -> None:
-        """Hear which files are no drives, before the first one is analysed."""
-
-    def add(self, drive: DriveLogs, entry: Entry) -> None:
-        """Hear what one drive said, as soon as it is done; those that were done before are not told again."""
-
-    def end(self, totals: Mapping[str, int], entries: Iterable[Entry]) -> None:
-        """Hear what became of all drives that are done, in the order in which they were found."""
+    counts: Mapping[str, int]
+    entries: Iterable[Entry]
+    calibration: Calibration  # by which they were analysed
 
 
-class _Kept(FolderListener):
-    """Keeps all entries, for ``analyze_folders``."""
-
-    def __init__(self) -> None:
-        self.left_out: Sequence[LeftOut] = ()
-        self.entries: list[Entry] = []
-
-    def leave_out(self, files: Sequence[LeftOut]) -> None:
-        self.left_out = files
-
-    def end(self, totals: Mapping[str, int], entries: Iterable[Entry]) -> None:  # noqa: ARG002 - the entries say it
-        self.entries = list(entries)
-
-
-def _analysis(entry: Entry, calibration: Calibration) -> Analysis:
+def _analysis(entry: Entry, calibration: Calibration | None) -> Analysis:
     record: Mapping[str, Any] = entry.drive
     return Analysis(
         paths=tuple(map(Path, record["paths"])),
@@ -167,11 +153,12 @@ def _name(entry: Entry) -> str:
 
 
 def analyze_drives(
-    options: AnalyzeOptions, controls: Controls, listener: FolderListener, *, is_shown: bool = False
-) -> Calibration:
-    """Analyse every drive in some folders, each for itself, and tell the listener; return by which calibration.
+    options: AnalyzeOptions, controls: Controls, *, is_shown: bool = False
+) -> Generator[LeftOut | tuple[DriveLogs, Entry] | FolderTotals, None, None]:
+    """Analyse every drive in some folders, each for itself.
 
-    What workers warn of, and a bar of progress, go to standard error if ``is_shown``.
+    Yield the files that are no drives, then each drive that was not done before, as soon as it is done, then the
+    totals. What workers warn of, and a bar of progress, go to standard error if ``is_shown``.
 
     With an output the run has a journal beside it, which survives a kill: started again, it goes on where it ended.
     An output that is there without its journal is another's, and stays unless ``force`` is set. With ``vehicle_from``
@@ -201,14 +188,33 @@ def analyze_drives(
         to_do = [drive for drive in drives if drive.key not in journal.done]
         if len(to_do) < len(drives):
             _LOG.log(NOTICE, "%d of %d drives were done before", len(drives) - len(to_do), len(drives))
-        listener.leave_out(content.left_out)
+        yield from content.left_out
         for drive, entry in _analysed(config, to_do, jobs, controls.stop, is_shown=is_shown):
             journal.add(entry)
-            listener.add(drive, entry)
-        totals = _conclude(journal, drives, output, listener)
-    if config.is_strict and (idle := totals["idle"]):
+            yield drive, entry
+        done = [drive for drive in drives if drive.key in journal.done]
+        counts: Counter[str] = Counter()
+        for drive in done:
+            counts.update(_counts(journal.entry(drive.key)))
+        entries = (journal.entry(drive.key) for drive in done)
+        yield FolderTotals(counts=counts, entries=entries, calibration=config.calibration)
+        _conclude(journal, drives, counts, output)
+    if config.is_strict and (idle := counts["idle"]):
         raise IncompleteError(f"{idle} of {len(drives)} drives have a log or a channel that contributed nothing")
-    return config.calibration
+
+
+def _conclude(journal: Journal, drives: Sequence[DriveLogs], counts: Mapping[str, int], output: Path | None) -> None:
+    """Write the output, or raise StoppedError that says how to go on; raise SourceError if no drive could be read."""
+    if counts["drives"] < len(drives):
+        hint = "; run the same command again to continue" if output is not None else ""
+        raise StoppedError(f"stopped early: {counts['drives']} of {len(drives)} drives are done{hint}")
+    if output is not None:
+        write_results(output, (journal.entry(drive.key) for drive in drives))
+    if counts["failed"] == len(drives):
+        error = journal.entry(drives[0].key).drive["error"]
+        raise SourceError(f"none of {len(drives)} drives could be read, the first: {error}")
+    if output is not None:
+        _LOG.log(NOTICE, "%d shifts of %d drives in %s", counts["shifts"], len(drives), output)
 
 
 def _journal_of(output: Path) -> Path:
@@ -230,28 +236,6 @@ def _analysed(
                 yield drive, future.result()
             except BrokenProcessPool:
                 yield drive, failed_entry(drive, DEADLY)
-
-
-def _conclude(
-    journal: Journal, drives: Sequence[DriveLogs], output: Path | None, listener: FolderListener
-) -> Counter[str]:
-    """Write the output, or say how to go on; return what became of the drives."""
-    done = [drive for drive in drives if drive.key in journal.done]
-    totals: Counter[str] = Counter()
-    for drive in done:
-        totals.update(_counts(journal.entry(drive.key)))
-    listener.end(totals, (journal.entry(drive.key) for drive in done))
-    if len(done) < len(drives):
-        hint = "; run the same command again to continue" if output is not None else ""
-        raise StoppedError(f"stopped early: {len(done)} of {len(drives)} drives are done{hint}")
-    if output is not None:
-        write_results(output, (journal.entry(drive.key) for drive in drives))
-    if totals["failed"] == len(drives):
-        error = journal.entry(drives[0].key).drive["error"]
-        raise SourceError(f"none of {len(drives)} drives could be read, the first: {error}")
-    if output is not None:
-        _LOG.log(NOTICE, "%d shifts of %d drives in %s", totals["shifts"], len(drives), output)
-    return totals
 
 
 def _counts(entry: Entry) -> dict[str, int]:

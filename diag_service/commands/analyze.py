@@ -2,7 +2,8 @@
 
 import logging
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from typing import Final
 
 from rich.table import Table
@@ -13,8 +14,7 @@ from clutch_results.records import dump
 from clutchdiag_io.console import PeopleConsole, plain_table
 from clutchdiag_io.program import legible
 from diag_service.api.analysis import PaperAnalysis, analyze_drive, analyze_drive_by_paper
-from diag_service.api.folders import FolderListener
-from diag_service.batch.drives import DriveLogs, LeftOut, left_out_record
+from diag_service.batch.drives import LeftOut, left_out_record
 from diag_service.batch.tables import Entry
 from diag_service.console import ReadingLine
 from diag_service.delivery import standard_output_reporter
@@ -76,14 +76,13 @@ def _analyze_by_paper(options: AnalyzeOptions, controls: Controls) -> None:
     if options.store is not None or options.broker or options.output is not None:
         raise ConfigError("the paper's method states no uncertainty: its results are shown, not stored or published")
     with ReadingLine() as line:
-        analyze_drive_by_paper(options, controls, _show_json if options.json else _show_text, line.watch)
-
-
-def _show_json(analysis: PaperAnalysis, gaps: Sequence[Gap], _frames: FrameCounts) -> None:
-    for shift in analysis.shifts:
-        _write_record(_shift_record(shift))
-    for clutch in analysis.clutches:
-        _write_record(_pooled_record(clutch, gaps))
+        analysis, account = analyze_drive_by_paper(options, controls, line.watch)
+    if options.json:
+        for record in (*map(_shift_record, analysis.shifts), *_pooled_records(analysis.clutches, account.gaps)):
+            _write_line(dump(record))
+    else:
+        _show_text(analysis, account.gaps, account.frames)
+    account.insist(is_strict=options.strict)
 
 
 def _show_text(analysis: PaperAnalysis, gaps: Sequence[Gap], frames: FrameCounts) -> None:
@@ -95,10 +94,6 @@ def _show_text(analysis: PaperAnalysis, gaps: Sequence[Gap], frames: FrameCounts
     console.print(_table(analysis.clutches))
     console.print("n: samples that passed every gate; no uncertainty is stated, so no verdict")
     console.print(frames_line(frames))
-
-
-def _write_record(record: Mapping[str, object]) -> None:
-    _write_line(dump(record))
 
 
 def _write_line(line: str) -> None:
@@ -138,16 +133,17 @@ def _shift_record(shift: PaperShift) -> JsonObject:
     }
 
 
-def _pooled_record(clutch: PooledClutch, gaps: Sequence[Gap]) -> JsonObject:
-    return {
-        "schema": PAPER_SCHEMA,
-        "scope": "pooled",
-        "clutch": clutch.clutch,
-        "shift_count": clutch.shift_count,
-        "complete": not gaps,
-        "incomplete": [gap.value for gap in gaps],
-        **_estimate_record(clutch.estimate),
-    }
+def _pooled_records(clutches: Sequence[PooledClutch], gaps: Sequence[Gap]) -> Iterator[JsonObject]:
+    for clutch in clutches:
+        yield {
+            "schema": PAPER_SCHEMA,
+            "scope": "pooled",
+            "clutch": clutch.clutch,
+            "shift_count": clutch.shift_count,
+            "complete": not gaps,
+            "incomplete": [gap.value for gap in gaps],
+            **_estimate_record(clutch.estimate),
+        }
 
 
 def _estimate_record(estimate: PaperEstimate | None) -> dict[str, float | None]:
@@ -174,39 +170,29 @@ def _analyze_folders(options: AnalyzeOptions, controls: Controls) -> None:
         )
     if STANDARD_INPUT in options.logs:
         raise ConfigError("folders are read by several processes: standard input does not go with them")
-    from diag_service.api.folders import analyze_drives  # noqa: PLC0415 - one drive needs none of it
+    from diag_service.api.folders import FolderTotals, analyze_drives  # noqa: PLC0415 - one drive needs none of it
 
-    analyze_drives(options, controls, FolderLines(as_json=options.json), is_shown=True)
+    left_out_count = 0
+    with closing(analyze_drives(options, controls, is_shown=True)) as run:
+        for news in run:
+            records: Sequence[JsonObject] = ()
+            if isinstance(news, LeftOut):
+                left_out_count += 1
+                _LOG.log(NOTICE, "left out: %s: %s", news.path, news.reason)
+                records, line = [left_out_record(news)], ""
+            elif isinstance(news, FolderTotals):
+                line = _totals_line(news.counts, left_out_count)
+            else:
+                drive, entry = news
+                records, line = [*entry.shifts, entry.drive], f"{legible(drive.name)}: {drive_line(entry)}"
+            for text in map(dump, records) if options.json else filter(None, [line]):
+                _write_line(text)
 
 
-class FolderLines(FolderListener):
-    """A line per drive on standard output: for people, or a JSON record per shift and drive."""
-
-    def __init__(self, *, as_json: bool) -> None:
-        self._as_json = as_json
-        self._left_out = 0
-
-    def add(self, drive: DriveLogs, entry: Entry) -> None:
-        if self._as_json:
-            for record in (*entry.shifts, entry.drive):
-                _write_record(record)
-            return
-        _write_line(f"{legible(drive.name)}: {drive_line(entry)}")
-
-    def leave_out(self, files: Sequence[LeftOut]) -> None:
-        """Tell of files that are no drives: people on standard error, each with its reason."""
-        self._left_out = len(files)
-        for left in files:
-            _LOG.log(NOTICE, "left out: %s: %s", left.path, left.reason)
-            if self._as_json:
-                _write_record(left_out_record(left))
-
-    def end(self, totals: Mapping[str, int], entries: Iterable[Entry]) -> None:  # noqa: ARG002 - all were told before
-        if not self._as_json:
-            left_out = f", {self._left_out} files left out" if self._left_out else ""
-            cut = f", {totals['cut']} are cut off and have no verdict" if totals["cut"] else ""
-            what = f"{totals['drives']} drives, {totals['shifts']} shifts, {totals['failed']} could not be read"
-            _write_line(f"{what}{cut}{left_out}")
+def _totals_line(counts: Mapping[str, int], left_out_count: int) -> str:
+    left_out = f", {left_out_count} files left out" if left_out_count else ""
+    cut = f", {counts['cut']} are cut off and have no verdict" if counts["cut"] else ""
+    return f"{counts['drives']} drives, {counts['shifts']} shifts, {counts['failed']} could not be read{cut}{left_out}"
 
 
 def drive_line(entry: Entry) -> str:

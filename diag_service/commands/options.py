@@ -48,7 +48,9 @@ def _read_elsewhere(ctx: click.Context, _option: click.Parameter, file: Path | N
         raise click.ClickException(str(exc)) from exc
 
 
-verbose_option = click.option("-v", "--verbose", count=True, show_default=False, help="print more; twice: of libraries")
+_verbose_option = click.option(
+    "-v", "--verbose", count=True, show_default=False, help="print more; twice: of libraries"
+)
 json_option = click.option("--json", is_flag=True, help="one JSON object on standard output")
 dbc_option = setting(
     "--dbc", metavar="FILE[#BUS]", type=FILE, help="message database: DBC, KCD, ARXML or SYM (default: the shipped one)"
@@ -203,7 +205,7 @@ def _holds_password(url: str) -> bool:
 
 
 def working(function: Callable[..., None]) -> Callable[..., None]:
-    """Return a command that sets up notices and signals, then calls the function with ``Controls`` and its words."""
+    """Return a command with ``-v`` that sets up notices and signals, then calls the function with ``Controls``."""
 
     def work(*, verbose: int, **words: Any) -> None:
         # python-can loads asammdf where it is installed, and that pandas: 0.3 s, 45 MB. Who reads MF4 loads it then.
@@ -234,7 +236,7 @@ def working(function: Callable[..., None]) -> Callable[..., None]:
         finally:
             unheed()
 
-    return update_wrapper(work, function)
+    return _verbose_option(update_wrapper(work, function))
 
 
 def _check(stop: Trigger) -> None:

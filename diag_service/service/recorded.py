@@ -16,7 +16,15 @@ from diag_service.diagnosis.summary import Contributions, FrameCounts, Gap, Summ
 from diag_service.errors import StoppedError
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.service.application import first_error, opened_store, outbox_of, run_to_end
-from diag_service.service.drive import DriveFrames, OpenLog, gaps_in, open_drive, stream_of_drive, warn_of_faults
+from diag_service.service.drive import (
+    DriveFrames,
+    OpenLog,
+    gaps_in,
+    insist,
+    open_drive,
+    stream_of_drive,
+    warn_of_faults,
+)
 from diag_service.service.session import SenderWatch, Session
 from diag_service.service.stages import Stages
 from diag_service.settings.config import DiagnosisConfig
@@ -38,6 +46,10 @@ class Account:
     frames: FrameCounts
     gaps: tuple[Gap, ...]  # why it is not the whole drive
     contributions: Contributions
+
+    def insist(self, *, is_strict: bool) -> None:
+        """Raise what ``insist`` raises of it."""
+        insist(self.gaps, self.contributions, is_strict=is_strict)
 
 
 def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger) -> Summary:

@@ -6,7 +6,7 @@ from typing import Any, Final
 import click
 
 from clutchdiag_io.command_line import FILE, FunctionT, examples, together
-from diag_service.commands.options import PROGRAM, config_option, json_option, open_bus_options, verbose_option, working
+from diag_service.commands.options import PROGRAM, config_option, json_option, open_bus_options, working
 from diag_service.stopping import Controls
 
 _LISTENS: Final = (
@@ -38,7 +38,7 @@ _one_controller_options = together(
         help="what the controller has: TOML, PDX or the name of a shipped one (default: the one that it says it is)",
     ),
 )
-_ending_options = together(config_option, json_option, verbose_option)
+_ending_options = together(config_option, json_option)
 
 
 def _session_option(text: str, default: str) -> Callable[[FunctionT], FunctionT]:
@@ -175,7 +175,6 @@ def scan(controls: Controls, **words: Any) -> None:
 )
 @click.option("--duration", metavar="S", type=float, help="how long that drive is (default: until Ctrl-C)")
 @config_option
-@verbose_option
 @working
 def try_car(controls: Controls, **words: Any) -> None:
     """Find out what a car tells a tester, and how to go on.
