@@ -95,31 +95,4 @@ __all__ = [
     "write_report",
 ]
 
-_HOMES = {
-    "canlog.errors": ("CanlogError", "DefinitionError", "ExtraMissingError", "OutputError", "SourceError"),
-    "canlog.tables.decoding": ("TableChoice",),
-    "clutch_model.errors": ("CalibrationError",),
-    "clutch_model.transmission": ("Transmission", "read_transmission"),
-    "diag_service.api.analysis": ("Analysis", "PaperAnalysis", "ResultTable", "analyze", "analyze_by_paper"),
-    "diag_service.api.choices": ("Delivery", "Poll"),
-    "diag_service.api.expectations": ("expect_frames", "expect_same_frames", "expect_shifts", "expect_verdict"),
-    "diag_service.api.folders": ("FolderAnalysis", "analyze_folders"),
-    "diag_service.api.calibration": ("calibrate",),
-    "diag_service.api.learning": ("learn", "predict"),
-    "diag_service.api.live": ("BackgroundDiagnosis", "LiveDiagnosis", "diagnose"),
-    "diag_service.api.logs": ("decode", "inspect", "propose_profile", "read"),
-    "diag_service.api.stores": ("history", "note_fluid", "stored_shift", "write_report"),
-    "clutch_results.records": ("ClutchVerdict", "Condition", "ShiftEstimate", "ShiftResult", "Status"),
-    "fleet_contract.errors": ("ResultError",),
-    "diag_service.errors": (
-        "ConfigError",
-        "ControllerError",
-        "DiagServiceError",
-        "IncompleteError",
-        "PublishError",
-        "RefusedError",
-        "SilentError",
-        "StoreError",
-    ),
-}
-__getattr__, __dir__ = _on_demand(__name__, _HOMES)
+__getattr__, __dir__ = _on_demand(__name__, __file__)

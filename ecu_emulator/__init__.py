@@ -40,13 +40,4 @@ __all__ = [
 
 __version__ = "0.9.0"
 
-_HOMES = {
-    "ecu_emulator.api": ("Emulator", "write_dbc"),
-    "ecu_emulator.commands": ("Recording",),
-    "ecu_emulator.errors": ("BusError", "EmulatorConfigError", "EmulatorError", "LogFormatExtraError", "RecordError"),
-    "ecu_emulator.scenario.faults": ("BusFault", "SensorFault"),
-    "ecu_emulator.scenario.scenario": ("Scenario",),
-    "ecu_emulator.scenario.scenario_file": ("load_scenario", "shipped_scenarios"),
-    "ecu_emulator.truth": ("TruthLog", "read_truth"),
-}
-__getattr__, __dir__ = _on_demand(__name__, _HOMES)
+__getattr__, __dir__ = _on_demand(__name__, __file__)

@@ -38,13 +38,5 @@ __all__ = [
     "write_table",
 ]
 
-_HOMES = {
-    "canlog.database.loading": ("load_database",),
-    "canlog.errors": ("CanlogError", "DefinitionError", "ExtraMissingError", "OutputError", "SourceError"),
-    "canlog.frames": ("FrameBatch",),
-    "canlog.logs": ("LogCounts", "LogFormat", "LogReader", "read_log"),
-    "canlog.whole_log": ("Log", "Samples", "read"),
-    "canlog.tables.decoding": ("TableChoice", "write_table"),
-}
 _wait_with("cantools.tester")  # a live bus for cantools; it takes python-can along, and that asammdf, pandas and polars
-__getattr__, __dir__ = _on_demand(__name__, _HOMES)
+__getattr__, __dir__ = _on_demand(__name__, __file__)

@@ -1,11 +1,14 @@
 """Libraries that only an extra brings, and the words that say how to install one."""
 
+import ast
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import LazyLoader
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -68,28 +71,33 @@ def wait_with(*names: str) -> None:
     sys.meta_path.insert(0, _LazyFinder(frozenset(names)))
 
 
-def on_demand(
-    package: str, homes: Mapping[str, Sequence[str]]
-) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """Return the ``__getattr__`` and ``__dir__`` of a package.
+def on_demand(package: str, file: str) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+    """Return the ``__getattr__`` and ``__dir__`` of a package whose names are imported when they are first used.
+
+    The names are those that its ``if TYPE_CHECKING:`` block imports.
 
     Parameters
     ----------
     package
         Its name.
-    homes
-        The names that each module gives to it.
+    file
+        Its source.
     """
-    home_of = {name: home for home, names in homes.items() for name in names}
+
+    @cache
+    def homes() -> dict[str, str]:
+        blocks = (node for node in ast.parse(Path(file).read_bytes()).body if isinstance(node, ast.If))
+        imports = (node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom))
+        return {alias.name: str(node.module) for node in imports for alias in node.names}
 
     def get(name: str) -> object:
-        if name not in home_of:
+        if name not in homes():
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        value = getattr(import_module(home_of[name]), name)
+        value = getattr(import_module(homes()[name]), name)
         setattr(sys.modules[package], name, value)
         return value
 
     def names() -> list[str]:
-        return sorted({*vars(sys.modules[package]), *home_of})
+        return sorted({*vars(sys.modules[package]), *homes()})
 
     return get, names

@@ -13,8 +13,4 @@ if typing.TYPE_CHECKING:
 
 __all__ = ["Answers", "UdsTester", "scan_controllers"]
 
-_HOMES = {
-    "workshop.controller.answers": ("Answers",),
-    "workshop.tester.uds_tester": ("UdsTester", "scan_controllers"),
-}
-__getattr__, __dir__ = _on_demand(__name__, _HOMES)
+__getattr__, __dir__ = _on_demand(__name__, __file__)
