@@ -120,11 +120,11 @@ def is_confirmed(question: str, goes_on: Callable[[], bool]) -> bool:
     return False
 
 
-_FOUND: ContextVar[list[str] | None] = ContextVar("notices of this run", default=None)
+_NOTICES: ContextVar[list[str] | None] = ContextVar("notices of this run", default=None)
 
 
 _PROGRAM = "diag-service"
-OWN = ("diag_service", "workshop", "canlog", "fleet_link", "clutchdiag_io")  # whose messages are shown unasked
+LOGGERS = ("diag_service", "workshop", "canlog", "fleet_link", "clutchdiag_io")  # whose messages are shown unasked
 COMPILING = "diag_service.compiling"
 
 
@@ -135,7 +135,7 @@ class _Collector(logging.Handler):
     """
 
     def emit(self, record: logging.LogRecord) -> None:
-        notices = _FOUND.get()
+        notices = _NOTICES.get()
         if notices is not None:
             notices.append(legible(record.getMessage()))
 
@@ -146,14 +146,14 @@ _COLLECTOR: Final = _Collector()
 @contextmanager
 def collected_notices() -> Iterator[list[str]]:
     """Yield a list that gets what is logged in this context, and in the tasks that it starts with their threads."""
-    for name in OWN:
+    for name in LOGGERS:
         logging.getLogger(name).addHandler(_COLLECTOR)  # once, however often it is asked for
     notices: list[str] = []
-    token = _FOUND.set(notices)
+    token = _NOTICES.set(notices)
     try:
         yield notices
     finally:
-        _FOUND.reset(token)
+        _NOTICES.reset(token)
 
 
 class _OneLine(logging.Formatter):
@@ -170,7 +170,7 @@ def set_up_notices(verbosity: int) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_OneLine())
     level = (NOTICE, logging.INFO, logging.DEBUG)[min(verbosity, 2)]
-    for name in OWN:
+    for name in LOGGERS:
         logger = logging.getLogger(name)
         logger.handlers = [handler]
         logger.propagate = False

@@ -4,7 +4,7 @@ import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self, Unpack
+from typing import TYPE_CHECKING, Any, Final, Unpack
 
 from canlog.column_files import arrow_schema, row_table
 from canlog.errors import NOTICE, OutputError
@@ -22,9 +22,9 @@ from diag_service.console import collected_notices
 from diag_service.delivery import AllReporters, MemoryReporter, Reporter
 from diag_service.delivery.console import condition_words
 from diag_service.diagnosis.friction.paper import PaperCollection, PaperShift, PooledClutch, nominal_driveline
-from diag_service.diagnosis.summary import Gap, Summary, summary_record, unjudged, with_revisions
+from diag_service.diagnosis.summary import Gap, summary_record, unjudged, with_revisions
 from diag_service.errors import ConfigError
-from diag_service.service.drive import insist, open_drive
+from diag_service.service.drive import check_complete, open_drive
 from diag_service.service.drive_survey import DriveSurvey
 from diag_service.service.recorded import Account, replay, run_recorded
 from diag_service.service.stages import Stages
@@ -123,24 +123,6 @@ class Analysis:
     notices: tuple[str, ...] = ()
     calibration: Calibration | None = None
 
-    @classmethod
-    def of(
-        cls,
-        paths: Sequence[Path],
-        results: Sequence[ShiftResult],
-        summary: Summary,
-        notices: Sequence[str],
-        calibration: Calibration | None = None,
-    ) -> Self:
-        """Return the analysis that a run came to."""
-        return cls(
-            paths=tuple(paths),
-            results=tuple(results),
-            summary=summary_record(summary),
-            notices=tuple(notices),
-            calibration=calibration,
-        )
-
     @property
     def vehicle(self) -> str:
         """The id of the vehicle."""
@@ -208,13 +190,13 @@ class Analysis:
         return figure
 
     def __repr__(self) -> str:
-        return f"<diag_service.Analysis of {self._name}: {self._said}>"
+        return f"<diag_service.Analysis of {self._name}: {self._outcome}>"
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows."""
         from diag_service.report.page import notebook_of  # noqa: PLC0415 - a notebook alone needs it
 
-        return notebook_of(self._name, self._said, self.order, self.notices, self._fan)
+        return notebook_of(self._name, self._outcome, self.order, self.notices, self._fan)
 
     @property
     def _judged(self) -> list[ShiftResult]:
@@ -237,7 +219,7 @@ class Analysis:
         return legible(", ".join(map(str, self.paths)) or self.vehicle)
 
     @property
-    def _said(self) -> str:
+    def _outcome(self) -> str:
         words = [f"{len(self.results)} shifts"]
         words += [
             f"{name_of(verdict.clutch, verdict.element)} {condition_words(verdict.condition)}"
@@ -327,8 +309,14 @@ def analyze_drive(
         write_results(options.output, [drive_entry("", options.paths, run, memory.results, notices)])
         _LOG.log(NOTICE, "%d shifts of 1 drives in %s", len(memory.results), options.output)
     if options.strict or not takes_part:
-        insist(summary.gaps, summary.contributions, is_strict=options.strict)
-    return Analysis.of(options.paths, memory.results, summary, notices, config.calibration)
+        check_complete(summary.gaps, summary.contributions, is_strict=options.strict)
+    return Analysis(
+        paths=tuple(options.paths),
+        results=tuple(memory.results),
+        summary=summary_record(summary),
+        notices=tuple(notices),
+        calibration=config.calibration,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -354,7 +342,7 @@ def analyze_by_paper(
     options = AnalyzeOptions(logs=path_list(paths), strict=is_strict, **named(meaning))
     analysis, account = analyze_drive_by_paper(options, Controls())
     if is_strict:
-        account.insist(is_strict=True)
+        account.check_complete(is_strict=True)
     return analysis
 
 

@@ -3,7 +3,7 @@
 import logging
 import sys
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -21,12 +21,12 @@ from canlog.tables.decoding import DecodedLogs, Plan, TableChoice, TableShape, d
 from canlog.tables.table_folder import message_files, tables_there
 from clutchdiag_io.command_line import STANDARD_STREAM
 from diag_service.batch.drives import LeftOut, find_drives
-from diag_service.batch.worker import DEADLY, job_count, shared_out
+from diag_service.batch.worker import DEADLY, job_count, run_in_processes
 from diag_service.console import ReadingLine
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.mapping.interpretation import open_database
 from diag_service.service.drive import check_distinct
-from diag_service.settings.options import DecodeOptions, check_replaceable
+from diag_service.settings.options import DecodeOptions, check_replaceable, messages_of
 from diag_service.stopping import Controls
 from fleet_contract import JsonObject
 
@@ -57,16 +57,12 @@ def decode_together(
     """
     if options.jobs is not None:
         raise ConfigError("--jobs is for folders: the logs that were named are one table")
-    table_format = _format_of(options)
+    try:
+        table_format = _choice_of(options).format_of(options.output)
+    except OutputError as exc:
+        raise ConfigError(str(exc)) from exc
     _check(options, table_format)
-    messages = open_database(
-        options.dbc,
-        options.logs,
-        is_j1939=options.match == "group",
-        is_stopped=lambda: controls.stop.is_set,
-        columns=options.columns,
-    ).messages
-    plan = _planned(options, messages)
+    plan = _planned(options, messages_of(options, lambda: controls.stop.is_set))
     _check_messages(options.output, plan, table_format, is_forced=options.force)
     is_piped = options.output == STANDARD_STREAM
     output: Path | BinaryIO = sys.stdout.buffer if is_piped else options.output
@@ -84,14 +80,6 @@ def decode_together(
         more = f"; and {len(lost) - 1} more" if len(lost) > 1 else ""
         names = ", ".join(map(shown_name, options.logs))
         raise IncompleteError(f"{names}: not all of it is in {place_of(options)}: {lost[0]}{more}")
-
-
-def _format_of(options: DecodeOptions) -> TableFormat:
-    """Return the format that is named, or that the output has; raises ConfigError."""
-    try:
-        return _choice_of(options).format_of(options.output)
-    except OutputError as exc:
-        raise ConfigError(str(exc)) from exc
 
 
 def _check(options: DecodeOptions, table_format: TableFormat) -> None:
@@ -216,24 +204,25 @@ def _fits_not(account: DecodeAccount) -> bool:
 
 
 def decode_each(
-    options: DecodeOptions,
-    controls: Controls,
-    tell: Callable[[LeftOut | TableDone], None],
-    conclude: Callable[[Mapping[str, int]], None],
-) -> None:
-    """Decode logs into tables of their own, and ``tell`` of each, and of files that are none.
+    options: DecodeOptions, controls: Controls
+) -> Generator[LeftOut | TableDone | Mapping[str, int], None, None]:
+    """Decode logs into tables of their own; yield files that are no logs, each table, and then the totals.
 
-    ``conclude`` hears how many are ``done`` and ``failed``. After it: SourceError if all failed, ConfigError for a
-    wrong database, IncompleteError where ``strict`` is set. Raises StoppedError if it was stopped.
+    The totals are how many are ``done`` and ``failed``. After them: SourceError if all failed, ConfigError for a wrong
+    database, IncompleteError where ``strict`` is set. Raises StoppedError if it was stopped.
     """
     table_format = TableFormat(options.table_format or TableFormat.PARQUET)
     jobs = job_count(options.jobs)
-    tasks = _tasks(options, tell, "" if options.layout == "messages" else SUFFIX_OF_FORMAT[table_format])
+    suffix = "" if options.layout == "messages" else SUFFIX_OF_FORMAT[table_format]
+    tasks, left_out = _tasks(options, suffix)
+    for left in left_out:
+        _LOG.log(NOTICE, "left out: %s: %s", left.path, left.reason)
+        yield left
     for task in tasks:
         _check_messages(task.output, _plan_of_each(options, task.columns), table_format, is_forced=options.force)
     totals, losing, foreign = Counter[str](), list[str](), list[Path]()
     write = partial(write_table_of, options, table_format)
-    for task, future in shared_out(write, tasks, jobs, controls.stop, is_shown=False):
+    for task, future in run_in_processes(write, tasks, jobs, controls.stop, is_shown=False):
         try:
             done = future.result()
         except BrokenProcessPool:
@@ -241,10 +230,10 @@ def decode_each(
         totals["failed" if done.error else "done"] += 1
         losing += [f"{task.log}: {(done.losses or (done.error,))[0]}"] if done.losses or done.error else []
         foreign += [task.log] if done.fits_not else []
-        tell(done)
+        yield done
     if totals.total() < len(tasks):
         raise StoppedError(f"stopped early: {totals['done']} of {len(tasks)} tables were written")
-    conclude(totals)
+    yield totals
     if totals["failed"] == len(tasks):
         raise SourceError(f"none of {len(tasks)} logs could be read; {losing[0]}")
     if options.dbc is None and foreign:
@@ -253,8 +242,8 @@ def decode_each(
         raise IncompleteError(f"not all of {len(losing)} logs is in their tables: {losing[0]}")
 
 
-def _tasks(options: DecodeOptions, tell: Callable[[LeftOut | TableDone], None], suffix: str) -> list[TableTask]:
-    """Return the logs with their tables, or folders of tables if these have no suffix.
+def _tasks(options: DecodeOptions, suffix: str) -> tuple[list[TableTask], list[LeftOut]]:
+    """Return the logs with their tables, or folders of tables if these have no suffix, and files that are no logs.
 
     Raises ConfigError if a table is there already, two would be one, or a table would be among the logs.
     """
@@ -262,28 +251,21 @@ def _tasks(options: DecodeOptions, tell: Callable[[LeftOut | TableDone], None], 
         raise ConfigError("tables of a folder are written by several processes: standard input does not go with them")
     if options.output.exists() and not options.output.is_dir():
         raise ConfigError(f"{options.output} is not a folder: each log of a folder becomes a table of its own")
-    tasks = []
+    tasks, left_out = list[TableTask](), list[LeftOut]()
     for path in options.logs:
         if path.is_dir() and options.output.resolve().is_relative_to(path.resolve()):
             raise ConfigError(f"{options.output} lies in {path}: the next run would take tables for logs")
-        content = find_drives([path], columns=options.columns)
-        for left in content.left_out:
-            _LOG.log(NOTICE, "left out: %s: %s", left.path, left.reason)
-            tell(left)
+        drives, others = find_drives([path], columns=options.columns)
+        left_out += others
         home = path if path.is_dir() else path.parent
-        for log in (log for drive in content.drives for log in drive.paths):
+        for log in (log for drive in drives for log in drive.paths):
             name = log.relative_to(home)
             columns = () if options.dbc is not None else table_columns(log, columns=options.columns)
             output = options.output / name.with_name(f"{name.name}{suffix}")
             tasks.append(TableTask(log=log, output=output, columns=columns))
-    _check_outputs([task.output for task in tasks], are_files=bool(suffix), is_forced=options.force)
-    return tasks
-
-
-def _check_outputs(outputs: Sequence[Path], *, are_files: bool, is_forced: bool) -> None:
-    counts = Counter(outputs)
-    if twice := [str(output) for output, count in counts.items() if count > 1]:
+    outputs = Counter(task.output for task in tasks)
+    if twice := [str(output) for output, count in outputs.items() if count > 1]:
         raise ConfigError(f"two logs would be the same table: {', '.join(twice)}")
-    for output in counts:
-        if are_files:
-            check_replaceable(output, is_forced=is_forced)
+    for output in outputs if suffix else ():
+        check_replaceable(output, is_forced=options.force)
+    return tasks, left_out

@@ -24,8 +24,8 @@ from diag_service.batch.worker import (
     failed_entry,
     job_count,
     progress_bar,
+    run_in_processes,
     settings_digest,
-    shared_out,
 )
 from diag_service.console import collected_notices
 from diag_service.delivery import Acknowledge
@@ -119,9 +119,11 @@ def analyze_folders(
                 left_out[str(news.path)] = news.reason
             elif isinstance(news, FolderTotals):
                 entries, calibration = list(news.entries), news.calibration
+    failed = (dict[str, Any](entry.drive) for entry in entries if not entry.drive["summary"])
+    unread = {";".join(drive["paths"]): str(drive["error"]) for drive in failed}
     return FolderAnalysis(
         drives=tuple(_analysis(entry, calibration) for entry in entries if entry.drive["summary"]),
-        unread={_name(entry): str(entry.drive["error"]) for entry in entries if not entry.drive["summary"]},
+        unread=unread,
         left_out=left_out,
         notices=tuple(notices),
     )
@@ -147,11 +149,6 @@ def _analysis(entry: Entry, calibration: Calibration | None) -> Analysis:
     )
 
 
-def _name(entry: Entry) -> str:
-    record: Mapping[str, Any] = entry.drive
-    return ";".join(record["paths"])
-
-
 def analyze_drives(
     options: AnalyzeOptions, controls: Controls, *, is_shown: bool = False
 ) -> Generator[LeftOut | tuple[DriveLogs, Entry] | FolderTotals, None, None]:
@@ -175,8 +172,8 @@ def analyze_drives(
         _LOG.warning("results of folders are not published")
         config = replace(config, broker=None, acknowledge=Acknowledge.BROKER)
     settings = settings_digest(config)
-    content = find_drives(options.paths, has_vehicles=options.vehicle_from is not None, columns=config.columns)
-    drives = content.drives
+    has_vehicles = options.vehicle_from is not None
+    drives, left_out = find_drives(options.paths, has_vehicles=has_vehicles, columns=config.columns)
     for vehicle in {drive.vehicle for drive in drives if drive.vehicle is not None}:
         replace(config, vehicle=vehicle)  # complains of a calibration of another one
     with ExitStack() as stack:
@@ -188,7 +185,7 @@ def analyze_drives(
         to_do = [drive for drive in drives if drive.key not in journal.done]
         if len(to_do) < len(drives):
             _LOG.log(NOTICE, "%d of %d drives were done before", len(drives) - len(to_do), len(drives))
-        yield from content.left_out
+        yield from left_out
         for drive, entry in _analysed(config, to_do, jobs, controls.stop, is_shown=is_shown):
             journal.add(entry)
             yield drive, entry
@@ -229,7 +226,7 @@ def _analysed(
         return
     with progress_bar(is_shown=is_shown) as progress:
         task = progress.add_task("analysing", total=sum(drive.size_bytes for drive in drives), done=0, of=len(drives))
-        results = shared_out(partial(analyse_drive, config), drives, jobs, stop, is_shown=is_shown)
+        results = run_in_processes(partial(analyse_drive, config), drives, jobs, stop, is_shown=is_shown)
         for done_count, (drive, future) in enumerate(results, 1):
             progress.update(task, advance=drive.size_bytes, done=done_count)
             try:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -37,7 +37,7 @@ from diag_service.mapping.learning import COMMANDS, LearnedVehicle, VehicleSurve
 from diag_service.mapping.mapped_messages import missing_for_next
 from diag_service.mapping.vehicle_file import description_toml
 from diag_service.settings.config import write_text
-from diag_service.settings.options import LearnOptions, PredictOptions, check_replaceable, interpret_logs
+from diag_service.settings.options import LearnOptions, PredictOptions, as_proposed, check_replaceable, diagnosis_config
 from diag_service.stopping import Controls, Trigger
 
 if TYPE_CHECKING:
@@ -238,7 +238,8 @@ def predict_shifts(options: PredictOptions, controls: Controls, line: ReadingLin
 
     Raises ConfigError if the profile lacks what this needs, SourceError if a log cannot be read, StoppedError.
     """
-    meaning = interpret_logs(options.logs, options.dbc, options.profile, is_stopped=lambda: controls.stop.is_set)
+    config = as_proposed(diagnosis_config(options), options.logs, lambda: controls.stop.is_set)
+    meaning = config.interpretation()
     signals = meaning.decoder().signals
     wanted = {Signal.ENGINE_SPEED, *PRESSURES.values()}
     if not wanted <= signals:
@@ -299,7 +300,7 @@ def learn_vehicle(options: LearnOptions, controls: Controls, line: ReadingLine =
             f"The vehicle of {logs}, for analyze --vehicle-file.",
             f'Behind each value is where it is from: the log, or assumed as of the type "{assumed.name}".',
             'Change what you know better, and write "given" behind it. [learned] is for reading: nothing uses it.',
-            *said(learned),
+            *summary_lines(learned),
         )
         write_text(options.output, description_toml(learned, assumed, f"learned from {logs}", remarks))
     return learned
@@ -308,7 +309,8 @@ def learn_vehicle(options: LearnOptions, controls: Controls, line: ReadingLine =
 def _learned(options: LearnOptions, stop: Trigger, watch: Watch) -> LearnedVehicle:
     """Return what logs tell of their vehicle; raises ConfigError if they lack the speeds for it, StoppedError."""
     logs, columns = options.logs, options.columns
-    meaning = interpret_logs(logs, options.dbc, options.profile, is_stopped=lambda: stop.is_set, columns=columns)
+    config = diagnosis_config(replace(options, calibration=None))  # the logs tell, not the type that is assumed
+    meaning = as_proposed(config, logs, lambda: stop.is_set).interpretation()
     signals = meaning.decoder().signals
     known = meaning.profile.gears
     over = known.over if known is not None else next((speed for speed in BEHIND if speed in signals), None)
@@ -332,7 +334,7 @@ def _learned(options: LearnOptions, stop: Trigger, watch: Watch) -> LearnedVehic
     return survey.learned([phase for phase in phases if phase.sign > 0.0 and phase.is_powered])
 
 
-def said(learned: LearnedVehicle) -> Iterator[str]:
+def summary_lines(learned: LearnedVehicle) -> Iterator[str]:
     """Yield what was learned and what was not, a line each."""
     yield f"{PLUS_MINUS}:"
     if not learned.gears:
@@ -352,13 +354,13 @@ def said(learned: LearnedVehicle) -> Iterator[str]:
             yield f"clutch {clutch}: touch point {pressure} ({touch.origin})"
         else:
             yield f"clutch {clutch}: touch point not in the logs, assumed"
-        yield f"clutch {clutch}: {_lag_said(learned, clutch)}"
+        yield f"clutch {clutch}: {_lag_text(learned, clutch)}"
         if (gain := learned.gain_rad_s2_pa.get(clutch)) is not None:
             change = plus_minus(rpm_from_rad_s(gain.value), rpm_from_rad_s(gain.std), "{:.3g}", scale=pa_from_bar(1.0))
             yield f"clutch {clutch}: engine speed changes by {change} rpm/s a bar ({gain.origin})"
 
 
-def _lag_said(learned: LearnedVehicle, clutch: int) -> str:
+def _lag_text(learned: LearnedVehicle, clutch: int) -> str:
     if (lag := learned.lag_s.get(clutch)) is not None:
         return f"pressure {plus_minus(lag.value, lag.std, '{:.0f}', scale=1e3)} ms behind its command"
     if COMMANDS[clutch - 1] in learned.rates_hz:

@@ -4,7 +4,9 @@ import asyncio
 import threading
 import time
 from collections.abc import AsyncIterator, Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Self, Unpack
 
 from canlog.live import LiveSource, ReadSchedule
@@ -13,14 +15,14 @@ from diag_service.api import choices
 from diag_service.api.analysis import Analysis
 from diag_service.console import collected_notices
 from diag_service.delivery import ControllerNews, News, Reporter
-from diag_service.diagnosis.summary import FrameCounts, Summary
+from diag_service.diagnosis.summary import FrameCounts, Summary, summary_record
 from diag_service.errors import ConfigError
 from diag_service.service.application import opened_store
 from diag_service.service.bus_run import diagnose_source, open_live, serve_bus
 from diag_service.service.session import Session
 from diag_service.service.snapshot import Snapshot, frame_counts
-from diag_service.settings.config import BusConfig, DiagnosisConfig, adapter_bus, default_store
-from diag_service.settings.options import DeliveryOptions, LiveOptions, bus_config, diagnosis_config
+from diag_service.settings.config import BusConfig, DiagnosisConfig, default_store
+from diag_service.settings.options import LiveOptions, bus_config, diagnosis_config
 from diag_service.stopping import Controls
 from diag_service.store import ResultStore
 
@@ -42,21 +44,23 @@ class BackgroundDiagnosis:
 
     def __init__(self, diagnosis: "LiveDiagnosis") -> None:
         self._diagnosis = diagnosis
-        self._thread = threading.Thread(target=self._work, name="live diagnosis", daemon=True)
         self._is_begun = threading.Event()
-        self._error: BaseException | None = None
+        self._run = Future[None]()
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        pool = ThreadPoolExecutor(1, "live diagnosis")
+        self._run = pool.submit(lambda: asyncio.run(self._listen()))
+        pool.shutdown(wait=False)
+        self._run.add_done_callback(lambda _: self._is_begun.set())
         self._is_begun.wait()
-        self._raise()
+        if self._run.done():
+            self._run.result()
         return self
 
     def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         self._diagnosis.stop()
-        self._thread.join()
-        if error is None:
-            self._raise()
+        if self._run.exception() is not None and error is None:
+            self._run.result()
 
     @property
     def results(self) -> tuple[ShiftResult, ...]:
@@ -90,45 +94,32 @@ class BackgroundDiagnosis:
         """
         deadline_s = time.monotonic() + timeout_s
         while True:
-            has_ended = not self._thread.is_alive()  # asked first: what comes after that is seen by the next look
+            has_ended = self._run.done()  # asked first: what comes after that is seen by the next look
             if len(self._diagnosis.results) >= shift_count:
                 return self.results
             if has_ended:
-                self._raise()
-                raise TimeoutError(f"the diagnosis has ended with {self._said}")
+                self._run.result()
+                raise TimeoutError(f"the diagnosis has ended with {self._progress}")
             if time.monotonic() > deadline_s:
-                raise TimeoutError(f"after {timeout_s:g} s {self._said}, {shift_count} were waited for")
+                raise TimeoutError(f"after {timeout_s:g} s {self._progress}, {shift_count} were waited for")
             time.sleep(POLL_S)
 
     def stop(self) -> Analysis:
         """End the diagnosis with what was received until now, and return all of it."""
         self._diagnosis.stop()
-        self._thread.join()
-        self._raise()
+        self._run.result()
         return self.analysis
 
     @property
-    def _said(self) -> str:
+    def _progress(self) -> str:
         frames = self.frames
         return f"{len(self._diagnosis.results)} shifts, {frames.on_bus} frames, {frames.decoded} decoded"
-
-    def _work(self) -> None:
-        try:
-            asyncio.run(self._listen())
-        except BaseException as exc:  # noqa: BLE001 - carried to the thread that waits
-            self._error = exc
-        finally:
-            self._is_begun.set()
 
     async def _listen(self) -> None:
         async with self._diagnosis:
             self._is_begun.set()
             async for _ in self._diagnosis:
                 pass
-
-    def _raise(self) -> None:
-        if self._error is not None:
-            raise self._error
 
 
 class LiveDiagnosis:
@@ -194,7 +185,13 @@ class LiveDiagnosis:
             summary = self._session.summary(self.frames, None)
         if summary is None:
             raise ConfigError("the diagnosis does not listen yet")
-        return Analysis.of((), self.results, summary, self._notices, self._config.calibration)
+        return Analysis(
+            paths=(),
+            results=tuple(self.results),
+            summary=summary_record(summary),
+            notices=tuple(self._notices),
+            calibration=self._config.calibration,
+        )
 
     def stop(self) -> None:
         """End the diagnosis with what was received until now; any thread may call, a second call does nothing."""
@@ -253,16 +250,12 @@ class LiveDiagnosis:
 
     async def _run(self) -> None:
         try:
-            with collected_notices() as self._notices, closing(await asyncio.to_thread(self._open_store)) as store:
+            opened = asyncio.to_thread(ResultStore.open, self._store_path, self._config.budget_bytes)
+            with collected_notices() as self._notices, closing(await opened) as store:
                 await self._diagnose(store)
         finally:
             # Behind the results that were handed over and are on their way.
             asyncio.get_running_loop().call_soon(self._waiting.put_nowait, None)
-
-    def _open_store(self) -> ResultStore:
-        if self._store_path is None:
-            return ResultStore.in_memory()
-        return ResultStore.open(self._store_path, self._config.budget_bytes)
 
     async def _diagnose(self, store: ResultStore) -> None:
         reporter = _Handing(self._hand_over, self.controller_reports.append)
@@ -366,21 +359,18 @@ def diagnose(
         While iterating: if the bus cannot be opened or, when it was handed over open, fails; a database or the store
         cannot be used.
     """
-    choices.check_one_bus(bus, interface, channel, bitrate, is_fd, is_only_mapped)
+    choices.check_one_bus(bus, interface, channel, bitrate, is_fd, is_only_mapped, adapter)
     if bus is not None and poll is not None and poll.bus is None:
         raise ConfigError("an open bus has only one reader: give Poll(bus=...) a connection of its own")
     if bus is not None and asks:
         raise ConfigError("an open bus has only one reader: name the bus, which is opened once more to ask on it")
-    if adapter is not None:
-        if not asks or bus is not None or interface is not None or channel is not None:
-            raise ConfigError("adapter needs asks=True, and no bus beside")
-        interface, channel = adapter_bus()
-    named = BusConfig(
-        interface=interface, channel=channel, bitrate=bitrate, is_fd=is_fd, duration_s=duration_s,
-        is_filtered=is_only_mapped, poll=choices.poll_config(poll), asks=asks, adapter=adapter,
+    options = LiveOptions(
+        interface=interface, channel=channel, bitrate=bitrate, fd=is_fd, duration=duration_s, active=asks,
+        adapter=adapter, only_mapped=is_only_mapped, store_budget=store_budget_mib,
+        **choices.sent_to(delivery), **choices.named(meaning),
     )  # fmt: skip
-    options = DeliveryOptions(store_budget=store_budget_mib, **choices.sent_to(delivery), **choices.named(meaning))
-    return LiveDiagnosis(diagnosis_config(options), named, bus=bus, store=store)
+    bus_named = replace(bus_config(options), poll=choices.poll_config(poll))
+    return LiveDiagnosis(diagnosis_config(options), bus_named, bus=bus, store=store)
 
 
 def run(

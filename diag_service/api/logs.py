@@ -20,15 +20,16 @@ from canlog.errors import InputLeftError, SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
 from canlog.logs import STANDARD_INPUT, LogReader, read_log
 from canlog.logs.reading import Watch
+from canlog.logs.streams import never
 from canlog.traffic import DEFAULT_BITRATE, NS_PER_S, TrafficMeter, TrafficReport
 from clutch_results.records import dump
 from diag_service.api.choices import AnyPath, AnyPaths, optional_path, path_list
-from diag_service.batch.drives import LeftOut, TakenFor, sorted_out
+from diag_service.batch.drives import LeftOut, RecognisedLog, split_folder
 from diag_service.console import SILENT, ReadingLine, collected_notices
 from diag_service.errors import ConfigError
 from diag_service.mapping.interpretation import open_database
 from diag_service.mapping.learning import proposed_profile
-from diag_service.settings.options import InspectOptions
+from diag_service.settings.options import InspectOptions, messages_of
 from diag_service.stopping import Controls, Trigger
 
 INSPECT_SCHEMA: Final = "clutchdiag/inspect/v1"
@@ -142,7 +143,7 @@ class FolderContent:
     """Which files of a folder, and below, are logs."""
 
     path: Path
-    logs: tuple[TakenFor, ...]
+    logs: tuple[RecognisedLog, ...]
     others: tuple[LeftOut, ...]
 
 
@@ -235,8 +236,7 @@ def inspect(
     """
     options = InspectOptions(logs=(Path(path),), dbc=optional_path(dbc), bitrate=bitrate, columns=columns)
     with collected_notices():
-        messages = open_database(options.dbc, options.logs).messages
-        return _inspected(Path(path), messages, options, Trigger())
+        return _inspected(options.logs[0], messages_of(options, never), options, Trigger())
 
 
 def propose_profile(path: AnyPath, dbc: AnyPath | None = None, *, columns: str = "") -> str:
@@ -260,18 +260,12 @@ def inspect_logs(
     options: InspectOptions, controls: Controls, line: ReadingLine = SILENT
 ) -> Iterator[Inspection | FolderContent | LeftOut]:
     """Yield what logs hold, of each folder first which files are logs, and why one cannot be read after all."""
-    messages = open_database(
-        options.dbc,
-        options.logs,
-        is_j1939=options.match == "group",
-        is_stopped=lambda: controls.stop.is_set,
-        columns=options.columns,
-    ).messages
+    messages = messages_of(options, lambda: controls.stop.is_set)
     for path in options.logs:
         if path == STANDARD_INPUT or not path.is_dir():
             yield _inspected(path, messages, options, controls.stop, line.watch)
             continue
-        logs, others = sorted_out(path, options.columns)
+        logs, others = split_folder(path, options.columns)
         yield FolderContent(path=path, logs=tuple(logs), others=tuple(others))
         for log in logs:
             try:

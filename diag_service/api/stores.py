@@ -16,7 +16,7 @@ from diag_service.errors import ConfigError
 from diag_service.report.findings import Findings, findings_of_logs, findings_of_store
 from diag_service.report.history import history_records
 from diag_service.report.page import html_of, write_page
-from diag_service.service.drive import insist
+from diag_service.service.drive import check_complete
 from diag_service.service.session import utc_now
 from diag_service.settings.options import (
     FluidOptions,
@@ -86,7 +86,7 @@ def make_report(
     if conclude is not None:
         conclude(size_bytes)
         if findings.summary is not None:
-            insist(findings.summary.gaps, findings.summary.contributions, is_strict=False)
+            check_complete(findings.summary.gaps, findings.summary.contributions, is_strict=False)
     return size_bytes
 
 

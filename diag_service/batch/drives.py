@@ -55,7 +55,7 @@ def left_out_record(left: LeftOut) -> JsonObject:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TakenFor:
+class RecognisedLog:
     """A log in a folder, and why it was taken for one."""
 
     path: Path
@@ -63,16 +63,12 @@ class TakenFor:
     evidence: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FoundDrives:
-    """What files and folders hold."""
+def find_drives(
+    paths: Sequence[Path], *, has_vehicles: bool = False, columns: str = ""
+) -> tuple[list[DriveLogs], list[LeftOut]]:
+    """Return the drives that files and folders stand for, and what else is there.
 
-    drives: tuple[DriveLogs, ...]
-    left_out: tuple[LeftOut, ...]
-
-
-def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False, columns: str = "") -> FoundDrives:
-    """Return the drives that files and folders stand for: the files together one, every log in a folder one.
+    The files together are one drive, every log in a folder is one.
 
     With ``has_vehicles`` a log is of the vehicle by which the folder below the named one is called; a log that lies in
     the named one itself is of the vehicle of that name.
@@ -84,7 +80,7 @@ def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False, columns: s
     named = [path for path in paths if path not in folders]
     drives, left_out = [drive_of(named)] if named else [], list[LeftOut]()
     for folder in folders:
-        logs, others = sorted_out(folder, columns)
+        logs, others = split_folder(folder, columns)
         if not logs:
             first = f", for one {others[0].path.name}: {others[0].reason}" if others else ""
             raise ConfigError(f"{folder} holds no log that can be read{first}")
@@ -93,7 +89,7 @@ def find_drives(paths: Sequence[Path], *, has_vehicles: bool = False, columns: s
     counts = Counter(path.resolve() for drive in drives for path in drive.paths)
     if twice := sorted(str(path) for path, count in counts.items() if count > 1):
         raise ConfigError(f"named twice: {', '.join(twice)}")
-    return FoundDrives(drives=tuple(drives), left_out=tuple(left_out))
+    return drives, left_out
 
 
 def drive_of(paths: Iterable[Path], vehicle: str | None = None) -> DriveLogs:
@@ -120,9 +116,9 @@ def _vehicle_of(log: Path, folder: Path) -> str:
         raise ConfigError(f"{log}: {exc}") from exc
 
 
-def sorted_out(folder: Path, columns: str = "") -> tuple[list[TakenFor], list[LeftOut]]:
+def split_folder(folder: Path, columns: str = "") -> tuple[list[RecognisedLog], list[LeftOut]]:
     """Return the logs in a folder and below, by name, and what else is there, each with why it is that."""
-    logs, others, read = list[TakenFor](), list[LeftOut](), dict[Path, Path]()
+    logs, others, read = list[RecognisedLog](), list[LeftOut](), dict[Path, Path]()
     inside = list(folder.rglob("*"))
     for path in sorted(filter(Path.exists, inside), key=lambda path: (path.is_symlink(), path)):
         read.setdefault(path.resolve(), path)  # files come before links to them
@@ -141,5 +137,5 @@ def sorted_out(folder: Path, columns: str = "") -> tuple[list[TakenFor], list[Le
         if look.format is None:
             others.append(LeftOut(path=path, reason=look.reason))
         else:
-            logs.append(TakenFor(path=path, format=look.format.value, evidence=look.evidence))
+            logs.append(RecognisedLog(path=path, format=look.format.value, evidence=look.evidence))
     return logs, others

@@ -34,6 +34,7 @@ from diag_service.service.session import versions_for
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.settings.options import as_proposed
 from diag_service.stopping import Trigger, ignore
+from fleet_contract import JsonObject
 
 POLL_S: Final = 0.2  # how soon a request to stop is heard
 WAITING_PER_JOB: Final = 2  # tasks handed out ahead: a worker never waits, a stop never takes long
@@ -73,7 +74,7 @@ def leave_to_parent(is_shown: bool) -> None:  # noqa: FBT001 - a pool hands argu
     logging.getLogger("diag_service").setLevel(logging.WARNING)  # what is only notable the parent has said
 
 
-def shared_out(
+def run_in_processes(
     work: Callable[[Task], Result],
     tasks: Sequence[Task],
     jobs: int,
@@ -93,14 +94,14 @@ def shared_out(
         source, width = (suspects, 1) if is_alone else (waiting, min(jobs, len(waiting)))
         most = 1 if is_alone else WAITING_PER_JOB * width
         with ProcessPoolExecutor(width, context, leave_to_parent, (is_shown,)) as pool:
-            for task, future in handed_out(pool, work, source, most, stop):
+            for task, future in run_in_pool(pool, work, source, most, stop):
                 if not isinstance(future.exception(), BrokenProcessPool) or (is_alone and not stop.is_set):
                     yield task, future
                 elif not stop.is_set:  # else the signal went to the whole group: the task is not done
                     suspects.append(task)
 
 
-def handed_out(
+def run_in_pool(
     pool: Executor, work: Callable[[Task], Result], waiting: deque[Task], most: int, stop: Trigger
 ) -> Iterator[tuple[Task, Future[Result]]]:
     """Yield tasks that a pool has done, with at most so many at it, until it breaks or is told to stop."""
@@ -162,20 +163,20 @@ def drive_entry(
     key: str, paths: Iterable[Path], run: RecordedRun, results: Iterable[ShiftResult], notices: Sequence[str]
 ) -> Entry:
     """Return what a drive said, as journals and files of results keep it."""
-    account = {"stream": run.stream, "summary": summary_record(run.summary), "notices": list(notices)}
     judged = (unjudged(result, run.summary.gaps) for result in results)  # the last one is taken for the drive's
-    return Entry(key=key, drive={**_account(paths), **account}, shifts=tuple(map(shift_record, with_revisions(judged))))
+    shifts = map(shift_record, with_revisions(judged))
+    return _entry(key, paths, shifts, stream=run.stream, summary=summary_record(run.summary), notices=list(notices))
 
 
 def failed_entry(drive: DriveLogs, error: str) -> Entry:
     """Return the account of a drive that could not be analysed."""
-    return Entry(key=drive.key, drive={**_account(drive.paths), "error": error}, shifts=())
+    return _entry(drive.key, drive.paths, error=error)
 
 
-def _account(paths: Iterable[Path]) -> dict[str, object]:
-    """Return the record of a drive of which nothing is known yet."""
-    names = [str(path) for path in paths]
-    return {"schema": DRIVE_SCHEMA, "paths": names, "stream": None, "error": None, "summary": None, "notices": []}
+def _entry(key: str, paths: Iterable[Path], shifts: Iterable[JsonObject] = (), **known: object) -> Entry:
+    unknown: JsonObject = {"stream": None, "error": None, "summary": None, "notices": []}
+    drive = {"schema": DRIVE_SCHEMA, "paths": [str(path) for path in paths], **unknown, **known}
+    return Entry(key=key, drive=drive, shifts=tuple(shifts))
 
 
 def settings_digest(config: DiagnosisConfig) -> str:

@@ -3,6 +3,7 @@
 import logging
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import closing
 from typing import Final
 
@@ -41,11 +42,14 @@ def analyze(options: AnalyzeOptions, controls: Controls) -> None:
 
         fill(options, controls)
         return
-    _check_words_without_lake(options)
+    if stored := [log for log in options.logs if isinstance(log, str)]:
+        raise ConfigError(f"{stored[0]}: what is in a store is analysed into a lake: --lake PLACE")
+    _refuse(options, {"scheduler", "signals", "time_limit", "retry"}, "is for a lake: --lake PLACE says where")
     if any(path.is_dir() for path in options.paths if path != STANDARD_INPUT):
         _analyze_folders(options, controls)
         return
-    _check_words_for_a_drive(options)
+    for_folders = {"vehicle_from"} if options.output else {"vehicle_from", "jobs"}
+    _refuse(options, for_folders, "is for folders: the logs that were named are one drive")
     if options.estimator == "paper":
         _analyze_by_paper(options, controls)
         return
@@ -54,22 +58,10 @@ def analyze(options: AnalyzeOptions, controls: Controls) -> None:
         analyze_drive(options, controls, line, reporter, watch=line.watch)
 
 
-def _check_words_without_lake(options: AnalyzeOptions) -> None:
-    if stored := [log for log in options.logs if isinstance(log, str)]:
-        raise ConfigError(f"{stored[0]}: what is in a store is analysed into a lake: --lake PLACE")
-    if options.scheduler != "local":
-        raise ConfigError("--scheduler is for a lake: --lake PLACE says where the results go")
-    if given := sorted({"signals", "time_limit", "retry"} & options.given):
-        raise ConfigError(f"--{given[0].replace('_', '-')} is for a lake: --lake PLACE")
-
-
-def _check_words_for_a_drive(options: AnalyzeOptions) -> None:
-    if options.vehicle_from is not None:
-        raise ConfigError("--vehicle-from is for folders: the logs that were named are one drive of one vehicle")
-    if options.jobs is not None and options.output is None:
-        raise ConfigError("--jobs is for folders: the logs that were named are one drive")
-    if options.jobs is not None and options.jobs < 1:
-        raise ConfigError(f"--jobs must be at least 1, got {options.jobs}")
+def _refuse(options: AnalyzeOptions, names: AbstractSet[str], reason: str) -> None:
+    """Raise ConfigError if the command line has one of some options."""
+    if given := sorted(names & options.given):
+        raise ConfigError(f"--{given[0].replace('_', '-')} {reason}")
 
 
 def _analyze_by_paper(options: AnalyzeOptions, controls: Controls) -> None:
@@ -82,7 +74,7 @@ def _analyze_by_paper(options: AnalyzeOptions, controls: Controls) -> None:
             _write_line(dump(record))
     else:
         _show_text(analysis, account.gaps, account.frames)
-    account.insist(is_strict=options.strict)
+    account.check_complete(is_strict=options.strict)
 
 
 def _show_text(analysis: PaperAnalysis, gaps: Sequence[Gap], frames: FrameCounts) -> None:

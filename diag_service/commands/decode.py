@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Mapping
+from contextlib import closing
 from typing import Final
 
 from canlog.tables.account import account_record, frame_texts, losses, remarks, values_text
@@ -27,12 +28,15 @@ def decode(options: DecodeOptions, controls: Controls) -> None:
             decode_together(options, controls, line, lambda decoded: _tell(options, decoded))
         return
     console = PeopleConsole()
-
-    def conclude(totals: Mapping[str, int]) -> None:
-        if not options.json:
-            console.print(f"{totals['done']} tables in {options.output}, {totals['failed']} logs could not be read")
-
-    decode_each(options, controls, lambda news: _tell_of_one(news, options, console), conclude)
+    with closing(decode_each(options, controls)) as run:
+        for news in run:
+            if options.json:
+                if not isinstance(news, Mapping):
+                    _print_record(_record_of_one(news, options))
+            elif isinstance(news, TableDone):
+                console.print_all((news.line, *(f"  {loss}" for loss in news.losses)))
+            elif isinstance(news, Mapping):
+                console.print(f"{news['done']} tables in {options.output}, {news['failed']} logs could not be read")
 
 
 def _tell(options: DecodeOptions, decoded: DecodedLogs) -> None:
@@ -87,11 +91,7 @@ def _show(options: DecodeOptions, decoded: DecodedLogs, console: PeopleConsole) 
         console.print(line)
 
 
-def _tell_of_one(news: TableDone | LeftOut, options: DecodeOptions, console: PeopleConsole) -> None:
-    if not isinstance(news, TableDone):
-        if options.json:
-            _print_record(left_out_record(news))
-    elif options.json:
-        _print_record({**news.record, "layout": options.layout, "values": options.values})
-    else:
-        console.print_all((news.line, *(f"  {loss}" for loss in news.losses)))
+def _record_of_one(news: TableDone | LeftOut, options: DecodeOptions) -> JsonObject:
+    if isinstance(news, LeftOut):
+        return left_out_record(news)
+    return {**news.record, "layout": options.layout, "values": options.values}

@@ -36,7 +36,7 @@ def forget(place: Path | str, vehicle: str, *, json: bool) -> None:
 def check(place: Path | str, *, repair: bool) -> None:
     """Show what is in a lake; raises IncompleteError if manifest and parts disagree."""
     disagreement = check_lake(place, repair=repair)
-    sys.stdout.write(disagreement.told + "\n")
+    sys.stdout.write(disagreement.text + "\n")
     wrong = {
         "missing": disagreement.missing,
         "of no log": disagreement.unknown,

@@ -20,8 +20,8 @@ from diag_service.api.learning import (
     learn_vehicle,
     learned_record,
     predict_shifts,
-    said,
     scores,
+    summary_lines,
 )
 from diag_service.console import ReadingLine, write_record
 from diag_service.diagnosis.friction.posterior import friction as friction_of
@@ -65,7 +65,7 @@ def learn(options: LearnOptions, controls: Controls) -> None:
         learned = learn_vehicle(options, controls, line)
     last = f"description in {options.output}: what is assumed there, a drawing or a data sheet tells better"
     record = {**learned_record(learned), "output": str(options.output)}
-    write_record(record, (*said(learned), last), as_json=options.json)
+    write_record(record, (*summary_lines(learned), last), as_json=options.json)
 
 
 def predict(options: PredictOptions, controls: Controls) -> None:

@@ -222,13 +222,13 @@ class Acknowledge(StrEnum):
 
 @dataclass(slots=True)
 class Counts:
-    """What an outbox did, for metrics and people."""
+    """What an outbox did; metrics name the counts so."""
 
     sent: int = 0  # repetitions included
     repeated: int = 0
     acknowledged: int = 0
     quarantined: int = 0  # acknowledged, but of no use to the backend
-    failed: int = 0  # connections that broke, or were refused
+    failure: int = 0  # connections that broke, or were refused
 
 
 @dataclass(slots=True, kw_only=True)

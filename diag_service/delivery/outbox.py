@@ -12,6 +12,7 @@ import math
 import random
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
+from dataclasses import asdict
 
 from canlog.errors import NOTICE
 from diag_service.delivery.delivery import Acknowledge, Bundling, Deliverer, OutboxState
@@ -168,16 +169,8 @@ class Outbox:
         await link.send([await asyncio.to_thread(self._metrics_message, self._metrics)])
 
     def _metrics_message(self, make: MetricsMessage) -> Outgoing:
-        counts = self.counts
-        numbers = {
-            "outbox_waiting_count": self._unpublished_count(),
-            "outbox_sent_count": counts.sent,
-            "outbox_repeated_count": counts.repeated,
-            "outbox_acknowledged_count": counts.acknowledged,
-            "outbox_quarantined_count": counts.quarantined,
-            "outbox_failure_count": counts.failed,
-        }
-        return make(numbers)
+        counts = {"waiting": self._unpublished_count(), **asdict(self.counts)}
+        return make({f"outbox_{name}_count": count for name, count in counts.items()})
 
     @property
     def _arrived_count(self) -> int:
@@ -192,7 +185,7 @@ class Outbox:
         return asyncio.get_running_loop().time()
 
     async def _note_failure(self, exc: PublishError | StoreFullError) -> None:
-        self.counts.failed += 1
+        self.counts.failure += 1
         self._state.fleet_is_heard.set()  # a log does not wait for a broker that is away
         if self._is_down:
             return

@@ -12,10 +12,7 @@ from rich.console import Console
 
 from clutch_results.records import FluidFill, ShiftResult, dump, shift_record
 from diag_service.diagnosis.summary import Summary, summary_record
-from fleet_contract import (
-    Outgoing,
-    Receipt,
-)
+from fleet_contract import Outgoing, Receipt
 
 
 class ControllerNews(ABC):
@@ -91,23 +88,17 @@ class Reporter(Protocol):
 
 
 class MemoryReporter:
-    """A reporter that keeps all news."""
+    """A reporter that keeps results and summaries."""
 
     def __init__(self) -> None:
-        self.places: list[str] = []
         self.results: list[ShiftResult] = []
         self.summaries: list[Summary] = []
-        self.controllers: list[ControllerNews] = []
 
     def report(self, news: News) -> None:
-        if isinstance(news, str):
-            self.places.append(news)
-        elif isinstance(news, ShiftResult):
+        if isinstance(news, ShiftResult):
             self.results.append(news)
         elif isinstance(news, Summary):
             self.summaries.append(news)
-        elif isinstance(news, ControllerNews):
-            self.controllers.append(news)
 
 
 LIMIT: Final = 1_000  # results that a slow reader may be behind

@@ -5,13 +5,12 @@ and of a log the row of the latest generation holds. So nothing is written over,
 files tell of is there once.
 """
 
-import hashlib
 import logging
 import os
 import shutil
 import time
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
@@ -27,6 +26,7 @@ from canlog.tables.decoding import Plan
 from clutch_results.records import iso_utc, utc_from_bus_ns
 from diag_service.batch.tables import flattened, write_parquet
 from diag_service.errors import ConfigError, StoreError
+from diag_service.service.drive import stream_of
 from fleet_contract import JsonObject
 
 UNFINISHED: Final = ".part"
@@ -80,8 +80,12 @@ class Place:
                 listed = self._walked(under) if self.is_local else self._files.find(under, detail=True)
             except FileNotFoundError:
                 return {}
-        held = (_held(name, info) for name, info in sorted(listed.items()) if name and info["type"] == "file")
-        return {file.name: file for file in held if with_unfinished or not file.name.endswith(UNFINISHED)}
+        held = dict[str, Held]()
+        for name, info in sorted(listed.items()):
+            if name and info["type"] == "file" and (with_unfinished or not name.endswith(UNFINISHED)):
+                mark = info.get("ETag") or info.get("etag") or info.get("mtime") or info.get("updated") or ""
+                held[name] = Held(name=name, size_bytes=int(info["size"]), mark=str(mark))
+        return held
 
     @contextmanager
     def opened(self, name: str) -> Iterator[Any]:
@@ -89,7 +93,7 @@ class Place:
         with _translated("read", self._shown(name)), self._files.open(name, "rb") as file:
             yield file
 
-    def brought(self, name: str, folder: Path) -> Path:
+    def fetched(self, name: str, folder: Path) -> Path:
         """Return where a file lies on this machine, in ``folder`` if it came from elsewhere.
 
         Raises SourceError, too, if this file alone has gone or is archived: the store still answers.
@@ -144,11 +148,6 @@ class Place:
         return listed
 
 
-def _held(name: str, info: Mapping[str, Any]) -> Held:
-    mark = info.get("ETag") or info.get("etag") or info.get("mtime") or info.get("updated") or ""
-    return Held(name=name, size_bytes=int(info["size"]), mark=str(mark))
-
-
 def _tell(error: OSError) -> None:
     if isinstance(error, PermissionError):  # else it is not there, or has gone meanwhile
         _LOG.warning("left out: %s: %s", error.filename, error.strerror)
@@ -194,7 +193,9 @@ class LogRow:
     made_at: str  # ISO 8601 UTC
 
 
-COLUMNS: Final = {one.name: _TYPES.get(one.name, "string") for one in fields(LogRow)}  # `parts` joined by semicolons
+COLUMNS: Final = {
+    column.name: _TYPES.get(column.name, "string") for column in fields(LogRow)
+}  # `parts` joined by semicolons
 
 
 class Manifest:
@@ -291,7 +292,7 @@ class Manifest:
                 for table in tables:
                     writer.write_table(table.select(schema.names).cast(schema))
                     rows += table.num_rows
-            name = f"{FOLDER}/{generation:010}-{content_digest(path)[:16]}.parquet" if rows else ""
+            name = f"{FOLDER}/{generation:010}-{stream_of([path])[:16]}.parquet" if rows else ""
             if name:
                 self._place.put(name, path)
         return name
@@ -372,7 +373,7 @@ class Disagreement:
     unknown: tuple[str, ...]  # parts that no row speaks of
     twice: tuple[str, ...]  # logs whose shifts are in more than one state
     lake: str = field(default="", compare=False)  # its address
-    told: str = field(default="", compare=False)  # what there is
+    text: str = field(default="", compare=False)  # what there is, for people
 
 
 def parts_of(lake: Place, vehicle: str = "", *, with_unfinished: bool = False) -> Iterator[Held]:
@@ -424,17 +425,8 @@ def disagreement(lake: Place) -> Disagreement:
         unknown=tuple(sorted(there - known)),
         twice=tuple(sorted({content for (content, _), settings in shifts.items() if len(settings) > 1})),
         lake=lake.address,
-        told=f"{len(rows)} logs, {failed} of them not analysed, {what}",
+        text=f"{len(rows)} logs, {failed} of them not analysed, {what}",
     )
-
-
-def content_digest(path: Path) -> str:
-    """Return the sha256 of a file; raises SourceError if it cannot be read."""
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as exc:
-        raise SourceError(f"cannot read {path}: {exc.strerror or exc}") from exc
 
 
 def part_name(kind: str, date: str, vehicle: str, content: str, settings: str) -> str:

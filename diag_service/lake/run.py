@@ -6,10 +6,10 @@ import logging
 import socket
 import ssl
 import threading
-from collections import Counter, defaultdict, deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections import defaultdict, deque
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property, partial
@@ -29,12 +29,11 @@ from diag_service.batch.tables import Entry
 from diag_service.batch.worker import (
     DEADLY,
     Analyst,
-    handed_out,
-    progress_bar,
+    run_in_pool,
+    run_in_processes,
     settings_digest,
-    shared_out,
 )
-from diag_service.errors import ConfigError, StoppedError, StoreError
+from diag_service.errors import ConfigError, StoreError
 from diag_service.lake.parts import (
     DATE_CHARACTERS,
     DONE,
@@ -45,13 +44,13 @@ from diag_service.lake.parts import (
     LogRow,
     Manifest,
     Place,
-    content_digest,
     first_date,
     part_name,
     signal_plan,
     write_shifts,
 )
 from diag_service.mapping.interpretation import Interpretation
+from diag_service.service.drive import stream_of
 from diag_service.service.session import versions_for
 from diag_service.settings.config import DiagnosisConfig, check_vehicle
 from diag_service.stopping import Trigger
@@ -72,8 +71,8 @@ class LakeLog:
     place: str  # where logs are
     held: Held
     vehicle: str
-    kept: tuple[str, ...] = ()  # parts of decoded signals that are there already
-    kept_signals: str = ""  # digest of what decided about them
+    reused: tuple[str, ...] = ()  # parts of decoded signals that are there already
+    reused_settings: str = ""  # digest of what decided about them
 
     @property
     def source(self) -> str:
@@ -141,10 +140,6 @@ class Maker:
         meaning = self.job.config.interpretation()
         return signal_plan(Plan.of(meaning.database.messages), self.job.signals or "")
 
-    @cached_property
-    def _lake(self) -> Place:
-        return Place(self.job.lake)
-
     def make(self, log: LakeLog) -> LogRow:
         """Return the row of a log whose parts are written; a log that cannot be analysed gives the reason instead.
 
@@ -155,8 +150,8 @@ class Maker:
         with TemporaryDirectory(prefix="clutchdiag-") as name, _limited(limit_s) as stop:
             path = folder = Path(name)
             try:
-                path = Place(log.place).brought(log.held.name, folder)
-                content = content_digest(path)
+                path = Place(log.place).fetched(log.held.name, folder)
+                content = stream_of([path])
                 entry = _analysed(analyst, log, path, stop, limit_s)
                 return row_of(self.job, log, content, entry, self._parts(log, content, entry, path, folder))
             except (StoreError, ConfigError):
@@ -176,14 +171,15 @@ class Maker:
             made = folder / f"shifts-{date}.parquet"
             write_shifts(made, content, shifts, is_complete=entry.is_complete)
             files[part_name(SHIFTS, date, log.vehicle, content, self.job.settings)] = made
-        if self.job.signals is not None and not log.kept:
+        if self.job.signals is not None and not log.reused:
             made, log_columns = folder / "signals.parquet", self.job.config.columns
             decode_logs([path], self._plan, made, TableFormat.PARQUET, columns=log_columns)
             date = first_date(path, log_columns)
             files[part_name(SIGNALS, date, log.vehicle, content, self.job.signal_settings)] = made
+        lake = Place(self.job.lake)
         for name, made in files.items():
-            self._lake.put(name, made)
-        return [*files, *log.kept]
+            lake.put(name, made)
+        return [*files, *log.reused]
 
 
 def row_of(
@@ -197,7 +193,7 @@ def row_of(
         vehicle=log.vehicle,
         content=content,
         settings=job.settings,
-        signals=log.kept_signals or job.signal_settings,
+        signals=log.reused_settings or job.signal_settings,
         algorithm_version=versions_for(job.config.calibration).algorithm,
         outcome=DONE if entry else FAILED,
         reason=reason,
@@ -285,59 +281,14 @@ def to_do(job: Job, logs: Sequence[LakeLog], manifest: Manifest, *, is_retried: 
             continue
         has_signals = job.signals is None or row.signals == job.signal_settings
         if row.settings != job.settings or not has_signals or (is_retried and row.outcome == FAILED):
-            kept = tuple(part for part in row.parts if part.startswith(f"{SIGNALS}/")) if has_signals else ()
-            missing.append(replace(log, kept=kept, kept_signals=row.signals if kept else ""))
+            reused = tuple(part for part in row.parts if part.startswith(f"{SIGNALS}/")) if has_signals else ()
+            missing.append(replace(log, reused=reused, reused_settings=row.signals if reused else ""))
     return sorted(missing, key=lambda log: (-log.held.size_bytes, log.source))
 
 
-def fill_lake(
-    job: Job,
-    logs: Sequence[LakeLog],
-    scheduler: tuple[str, TlsFiles] | None,
-    *,
-    jobs: int,
-    tell: Callable[[LogRow], None],
-    stop: Trigger,
-    is_shown: bool = False,
-    is_retried: bool = False,
-) -> Counter[str]:
-    """Bring a lake up to date with logs, by a scheduler's workers or by processes of this machine; ``tell`` of each.
-
-    Return how many were in it ``before``, ``done``, ``failed``, their ``shifts``, and how many of all are ``held``.
-
-    Started again after whatever ended it, it goes on where it was. Raises what workers raise, and StoppedError if it
-    was stopped before everything was done.
-    """
-    lake, counts = Place(job.lake), Counter[str]()
-    manifest = Manifest(lake)
-    missing = to_do(job, logs, manifest, is_retried=is_retried)
-    before = len(logs) - len(missing)
-    rows = (
-        _made_by_cluster(job, missing, *scheduler, stop)
-        if scheduler
-        else _made_here(job, missing, jobs, stop, is_shown=is_shown)
-    )
-    with closing(rows), closing(manifest), progress_bar(is_shown=is_shown) as bar:
-        task = bar.add_task("analysing", total=sum(log.held.size_bytes for log in missing), done=0, of=len(missing))
-        for row in rows if missing else ():
-            manifest.note(row)
-            counts.update({row.outcome: 1, "shifts": row.shifts})
-            bar.update(task, advance=row.size_bytes, done=counts[DONE] + counts[FAILED])
-            tell(row)
-    manifest.put_together()
-    finished = before + counts[DONE] + counts[FAILED]
-    if finished < len(logs):
-        raise StoppedError(
-            f"stopped early: {finished} of {len(logs)} logs are done; run the same command again to continue"
-        )
-    rows_now = (manifest.row(log.source) for log in logs)
-    counts.update({"before": before, "held": sum(row is not None and row.outcome == DONE for row in rows_now)})
-    return counts
-
-
-def _made_here(job: Job, logs: Sequence[LakeLog], jobs: int, stop: Trigger, *, is_shown: bool) -> Rows:
+def made_here(job: Job, logs: Sequence[LakeLog], jobs: int, stop: Trigger) -> Rows:
     """Yield the rows of logs as processes of this machine make them, in no order."""
-    for log, future in shared_out(partial(make_in_worker, job), logs, jobs, stop, is_shown=is_shown):
+    for log, future in run_in_processes(partial(make_in_worker, job), logs, jobs, stop, is_shown=True):
         try:
             yield future.result()
         except BrokenProcessPool:
@@ -375,7 +326,7 @@ def trusted_scheduler(text: str, tls: TlsFiles) -> str:
     return f"{SCHEME}://[{host}]:{port}" if ":" in host else f"{SCHEME}://{host}:{port}"
 
 
-def _made_by_cluster(job: Job, logs: Sequence[LakeLog], address: str, tls: TlsFiles, stop: Trigger) -> Rows:
+def made_by_cluster(job: Job, logs: Sequence[LakeLog], address: str, tls: TlsFiles, stop: Trigger) -> Rows:
     """Yield the rows of logs as workers of Dask make them, in no order; a log that ended several of them is told."""
     distributed = load_extra("distributed", "a cluster needs Dask", "cluster", ".")
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what a run needs to know is told by us
@@ -393,7 +344,7 @@ def _made_by_cluster(job: Job, logs: Sequence[LakeLog], address: str, tls: TlsFi
         pool, suspects = client.get_executor(pure=False, retries=RETRIES), deque[LakeLog]()
         # A worker that dies has the next log already: those that were at it are done again one at a time.
         for waiting, most in ((deque(logs), MOST_HANDED_OUT), (suspects, 1)):
-            for log, future in handed_out(pool, partial(make_in_worker, job), waiting, most, stop):
+            for log, future in run_in_pool(pool, partial(make_in_worker, job), waiting, most, stop):
                 if future.cancelled():
                     if stop.is_set:
                         continue

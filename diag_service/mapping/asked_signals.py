@@ -126,15 +126,15 @@ def flagged(can_id: int) -> int:
 def sizes_of(fields: Iterable[AskedField]) -> dict[DatumId, int]:
     """Return how many bytes each datum has; raises DefinitionError if its fields contradict each other."""
     sizes: dict[DatumId, int] = {}
-    said: dict[DatumId, int] = {}
-    for one in fields:
-        sizes[one.data_id] = max(sizes.get(one.data_id, 0), one.end)
-        if one.size and said.setdefault(one.data_id, one.size) != one.size:
-            raise DefinitionError(f"{one.data_id} has two sizes")
-    for datum, size in said.items():
+    stated: dict[DatumId, int] = {}
+    for field in fields:
+        sizes[field.data_id] = max(sizes.get(field.data_id, 0), field.end)
+        if field.size and stated.setdefault(field.data_id, field.size) != field.size:
+            raise DefinitionError(f"{field.data_id} has two sizes")
+    for datum, size in stated.items():
         if sizes[datum] > size:
             raise DefinitionError(f"{datum} has {size} bytes, a field of it ends at {sizes[datum]}")
-    return {**sizes, **said}
+    return {**sizes, **stated}
 
 
 @dataclass(slots=True)
@@ -168,9 +168,9 @@ class Overheard:
     def __init__(self, fields: Sequence[AskedField]) -> None:
         self._sizes = sizes_of(fields)
         self._fields: dict[DatumId, dict[int, AskedField]] = {}  # by the column's identifier: two signals may share one
-        for one in fields:
-            self._fields.setdefault(one.data_id, {})[column_id(one.name) | _EXTENDED] = one
-        self._pairs = {flagged(one.reply_id): flagged(one.request_id) for one in fields}
+        for field in fields:
+            self._fields.setdefault(field.data_id, {})[column_id(field.name) | _EXTENDED] = field
+        self._pairs = {flagged(field.reply_id): flagged(field.request_id) for field in fields}
         self._ids = np.array(sorted({*self._pairs, *self._pairs.values(), FUNCTIONAL_ID}), np.uint32)
         self._begin()
         self._defined: dict[DatumId, list[tuple[DatumId, int, int]]] = {}  # data that testers made of others
@@ -191,7 +191,8 @@ class Overheard:
         """Identifier and mask, as SocketCAN wants them, of what is looked at."""
         flags = _EXTENDED | int(REMOTE_FLAG)
         return tuple(
-            (one, (LARGEST_ID if one & _EXTENDED else LARGEST_STANDARD_ID) | flags) for one in self._ids.tolist()
+            (can_id, (LARGEST_ID if can_id & _EXTENDED else LARGEST_STANDARD_ID) | flags)
+            for can_id in self._ids.tolist()
         )
 
     def feed(self, batch: FrameBatch) -> Iterator[FrameBatch]:
@@ -228,16 +229,16 @@ class Overheard:
         for transfer in self._reassembler.feed(piece[rows]):
             self._take(transfer)
         self._held = join([self._held, piece]) if len(self._held) else piece
-        late = [key for key, one in self._open.items() if now_ns - one.request.last_ns > LATEST_NS]
+        late = [key for key, asked in self._open.items() if now_ns - asked.request.last_ns > LATEST_NS]
         for key in late:
             self.faults["no answer in time"] += not self._open.pop(key).is_answered
-        yield from self._release(min([now_ns, *(one.request.last_ns for one in self._open.values())]))
+        yield from self._release(min([now_ns, *(asked.request.last_ns for asked in self._open.values())]))
 
     def _release(self, until_ns: int) -> Iterator[FrameBatch]:
         """Yield what is held back up to a time."""
         stop = int(np.searchsorted(self._held.t_ns, until_ns, "right"))
-        due = sorted((one for one in self._samples if one.t_ns <= until_ns), key=lambda one: one.t_ns)
-        self._samples = [one for one in self._samples if one.t_ns > until_ns]
+        due = sorted((sample for sample in self._samples if sample.t_ns <= until_ns), key=lambda sample: sample.t_ns)
+        self._samples = [sample for sample in self._samples if sample.t_ns > until_ns]
         frames, self._held = self._held[:stop], self._held[stop:]
         if due:
             frames = join([frames, _frames_of(due)])
@@ -254,16 +255,16 @@ class Overheard:
                 self._open[transfer.channel, transfer.can_id] = _Asked(transfer, data[0])
             return
         keys = [(transfer.channel, can_id) for can_id in (self._pairs[transfer.can_id], FUNCTIONAL_ID)]
-        asked = [(key, self._open[key]) for key in keys if key in self._open]
-        for key, one in asked:
-            if data[0] == NEGATIVE and len(data) > 2 and data[1] == one.service:
+        candidates = [(key, self._open[key]) for key in keys if key in self._open]
+        for key, asked in candidates:
+            if data[0] == NEGATIVE and len(data) > 2 and data[1] == asked.service:
                 if data[2] != PENDING:
                     self._close(key)
                     self.faults[f"refused with {data[2]:02X}"] += 1
                 return
-            if data[0] == one.service + POSITIVE:
+            if data[0] == asked.service + POSITIVE:
                 self._close(key)
-                self._answer(one.request, transfer)
+                self._answer(asked.request, transfer)
                 return
         self.faults["an answer to no request"] += 1
 
@@ -280,17 +281,17 @@ class Overheard:
         if request.data[0] == DEFINE_DATA:
             self._define(request.data, request_id)
             return
-        found = data_in(request.data, answer.data, request_id, self._sizes)
-        if isinstance(found, str):
-            self.faults[found] += 1
+        pieces = data_in(request.data, answer.data, request_id, self._sizes)
+        if isinstance(pieces, str):
+            self.faults[pieces] += 1
             return
         middle_ns = (request.last_ns + max(answer.first_ns, request.last_ns)) // 2 // NS_PER_US * NS_PER_US
         t_ns = max(middle_ns, request.last_ns)
-        self.frame_count += (request.frames + answer.frames) * bool(found)
-        for datum, data in [part for one in found for part in self._parts(*one)]:
+        self.frame_count += (request.frames + answer.frames) * bool(pieces)
+        for datum, data in [part for piece in pieces for part in self._parts(*piece)]:
             self.answered[datum] += 1
-            for column, one in self._fields.get(datum, {}).items():
-                self._samples.append(_Sample(t_ns, answer.channel, column, float(one.value(data))))
+            for column, field in self._fields.get(datum, {}).items():
+                self._samples.append(_Sample(t_ns, answer.channel, column, float(field.value(data))))
 
     def _define(self, request: bytes, request_id: int) -> None:
         """Keep what a datum is made of from now on; a definition is added to what there is of it."""
@@ -304,9 +305,9 @@ class Overheard:
             )
             self._sizes[datum] = sum(size for _, _, size in self._defined[datum])
         elif request[1] & SUB_FUNCTION == FORGET:
-            for one in [datum] if len(request) > 2 else list(self._defined):
-                if self._defined.pop(one, None) is not None:
-                    del self._sizes[one]
+            for defined in [datum] if len(request) > 2 else list(self._defined):
+                if self._defined.pop(defined, None) is not None:
+                    del self._sizes[defined]
 
     def _parts(self, datum: DatumId, data: bytes) -> Iterator[tuple[DatumId, bytes]]:
         """Yield a datum, or the whole data that it is made of."""
@@ -334,24 +335,24 @@ def data_in(
         return []
     if any(datum not in sizes for datum in asked):
         return "data of unknown length beside those that are looked for"
-    found, at = list[tuple[DatumId, bytes]](), 1
+    pieces, at = list[tuple[DatumId, bytes]](), 1
     while at < len(answer):
         datum = DatumId(request_id, service, int.from_bytes(answer[at : at + width]))
-        if datum not in asked or datum in dict(found):
+        if datum not in asked or datum in dict(pieces):
             return "an answer with other numbers than were asked for, or of another length than the profile says"
         at += width + sizes[datum]
         if at > len(answer):
             return "an answer of another length than the profile says"
-        found.append((datum, answer[at - sizes[datum] : at]))
-    return found
+        pieces.append((datum, answer[at - sizes[datum] : at]))
+    return pieces
 
 
 def _frames_of(samples: Sequence[_Sample]) -> FrameBatch:
-    values = np.array([one.value for one in samples], "<f8")
+    values = np.array([sample.value for sample in samples], "<f8")
     return FrameBatch(
-        t_ns=np.array([one.t_ns for one in samples], np.int64),
-        can_id=np.array([one.column for one in samples], np.uint32),
+        t_ns=np.array([sample.t_ns for sample in samples], np.int64),
+        can_id=np.array([sample.column for sample in samples], np.uint32),
         length=np.full(len(samples), PAYLOAD_BYTES, np.uint8),
         data=values.view(np.uint8).reshape(-1, PAYLOAD_BYTES).copy(),
-        channel=np.array([one.channel for one in samples], np.uint8),
+        channel=np.array([sample.channel for sample in samples], np.uint8),
     )

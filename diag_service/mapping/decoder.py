@@ -65,11 +65,12 @@ class SamplePass:
 
     def __init__(self, messages: Sequence[MessageColumns]) -> None:
         able = [[column for column in mapped.columns if is_able(column.table)] for mapped in messages]
-        columns = [column for own in able for column in own]
-        periods_ns = [mapped.period_ns for mapped, own in zip(messages, able, strict=True) for _ in own]
+        columns = [column for plain in able for column in plain]
+        periods_ns = [mapped.period_ns for mapped, plain in zip(messages, able, strict=True) for _ in plain]
         self._layout = BlockLayout([column.signal for column in columns], periods_ns)
-        self._rules = signal_rules([[column.table.main for column in own] for own in able])
-        self._to_si = np.array([(one.to_si.factor, one.to_si.offset) for one in columns], np.float64).reshape(-1, 2)
+        self._rules = signal_rules([[column.table.main for column in plain] for plain in able])
+        factors = [(column.to_si.factor, column.to_si.offset) for column in columns]
+        self._to_si = np.array(factors, np.float64).reshape(-1, 2)
         self._word_count = int(np.diff(self._rules.word_begin).max(initial=0))
         self.decode(empty_batch(), FrameVerdicts.room(0))  # compiles now: the first real batch must not wait
 
@@ -107,17 +108,17 @@ def decode_samples(
 ) -> None:
     """Fill in the samples of accepted frames, in SI, and count what is no measurement."""
     for message in range(frames.begin.size - 1):
-        own = frames.order[frames.begin[message] : frames.begin[message + 1]]
-        if not own.size:
+        rows = frames.order[frames.begin[message] : frames.begin[message + 1]]
+        if not rows.size:
             continue
         first_word = rules.word_begin[message]
         for number in range(first_word, rules.word_begin[message + 1]):
-            pick_word(frames.payloads, own, rules.word[number], words[number - first_word])
+            pick_word(frames.payloads, rows, rules.word[number], words[number - first_word])
         for row in range(rules.begin[message], rules.begin[message + 1]):
-            word = words[rules.signal[row]["word"], : own.size]
+            word = words[rules.signal[row]["word"], : rows.size]
             decode_signal(word, rules, row, samples.value[row], good, invalid[row])
             has_invalid = invalid[row, 0] + invalid[row, 1] > 0
-            keep(own, frames, samples, row, to_si[row], good, has_invalid)
+            keep(rows, frames, samples, row, to_si[row], good, has_invalid)
 
 
 @part
@@ -131,15 +132,15 @@ def keep(
     has_invalid: bool,  # noqa: FBT001 - a compiled function
 ) -> None:
     """Bring the values of a signal to SI and give them their times, those that are measurements."""
-    kept = 0
+    count = 0
     for at in range(rows.size):
         if has_invalid and not good[at]:
             continue
-        samples.value[row, kept] = samples.value[row, at] * to_si[0] + to_si[1]
-        samples.t_ns[row, kept] = frames.t_ns[rows[at]]
-        samples.sequence[row, kept] = frames.sequence[rows[at]]
-        kept += 1
-    samples.filled[row] = kept
+        samples.value[row, count] = samples.value[row, at] * to_si[0] + to_si[1]
+        samples.t_ns[row, count] = frames.t_ns[rows[at]]
+        samples.sequence[row, count] = frames.sequence[rows[at]]
+        count += 1
+    samples.filled[row] = count
 
 
 PIECE_FRAMES: Final = 8192  # their samples stay in the cache, and in memory that the system need not map anew
@@ -160,8 +161,6 @@ class MessageCounts:
     decoded: int
     rejected: Mapping[FrameReason, int]  # reasons that occurred
     missing: int  # sent, says the alive counter, but never received
-    channels: Mapping[int, int]  # frames by the bus they came on
-    senders: Mapping[int, int]  # frames by J1939 source address, empty for other messages
     e2e_state: E2eState
     invalidations: int  # times that the message as a whole lost its trust
 
@@ -213,18 +212,18 @@ class Decoder:
             [mapped.message.name for mapped in self._messages], [mapped.period_ns for mapped in self._messages]
         )
         self._pass = SamplePass(self._messages)
-        self._apart = [
-            (slot, apart)
+        self._composite = [
+            (slot, composite)
             for slot, mapped in enumerate(self._messages)
-            if (apart := [column for column in mapped.columns if not is_able(column.table)])
+            if (composite := [column for column in mapped.columns if not is_able(column.table)])
         ]
         self._turbine: Series | None = None  # its last sample, where engine speed is turbine speed plus slip
         self._signal_count = len(self.signals)
         self._invalid: dict[Signal, InvalidCounts] = {}
         self._invalid_at_first: dict[Signal, int] = {}  # before a signal's first real value
-        self._slot_of = {column.signal: slot for slot, one in enumerate(self._messages) for column in one.columns}
+        self._slot_of = {column.signal: slot for slot, mapped in enumerate(self._messages) for column in mapped.columns}
         self._seen: set[Signal] = set()
-        self.asked = {signal: one for signal, one in profile.asked.items() if signal in self._slot_of}
+        self.asked = {signal: field for signal, field in profile.asked.items() if signal in self._slot_of}
         self.asking = profile.asking
         self.groups = tuple({pgn: None for signal, pgn in profile.groups.items() if signal in self._slot_of})
         self.overheard = Overheard(list(self.asked.values())) if self.asked else None
@@ -280,10 +279,9 @@ class Decoder:
     @property
     def counts(self) -> FrameCounts:
         """What became of all frames until now; how they came here, their source knows."""
-        told = [
-            slot for slot, mapped in enumerate(self._messages) if mapped.columns[0].is_asked
-        ]  # no frames of the bus
-        counts = self._monitor.counts.sum(axis=0) - self._monitor.counts[told].sum(axis=0)
+        # What a controller was asked for is no frame of the bus.
+        asked = [slot for slot, mapped in enumerate(self._messages) if mapped.columns[0].is_asked]
+        counts = self._monitor.counts.sum(axis=0) - self._monitor.counts[asked].sum(axis=0)
         if self.overheard is not None:  # frames of dialogues are known by what they say, not by their identifier
             known = min(self.overheard.frame_count, int(counts[FrameReason.UNKNOWN_ID]))
             counts[FrameReason.OK] += known
@@ -315,8 +313,6 @@ class Decoder:
                 decoded=int(counts[slot, FrameReason.OK]),
                 rejected=_rejected(counts[slot]),
                 missing=int(missing[slot]),
-                channels=self._monitor.channels(slot),
-                senders=self._monitor.senders(slot),
                 e2e_state=states[slot],
                 invalidations=invalidations[slot],
             )
@@ -351,10 +347,10 @@ class Decoder:
 
     def marked(self, events: Iterable[Event]) -> list[Event]:
         """Return events with what the times of all frames say: they are whole seconds, or those of a reader's looks."""
-        found = list(events)
+        events = list(events)  # decodes their frames first, as their times are judged below
         if self._rhythm.is_of_looks:
-            found = [replace(event, came_late=True) for event in found]
-        return [replace(event, has_whole_seconds=True) for event in found] if self._has_whole_seconds else found
+            events = [replace(event, came_late=True) for event in events]
+        return [replace(event, has_whole_seconds=True) for event in events] if self._has_whole_seconds else events
 
     def _look_for_seconds(self, t_ns: Int64Array) -> None:
         if not len(t_ns):
@@ -462,35 +458,35 @@ class Decoder:
             if signal in self._seen:
                 self._count_invalid(signal, counts)
                 continue
-            own = segment.t_ns[decoded.rows(self._slot_of[signal])]
-            self._count_invalid(signal, counts, own, decoded.samples.get(signal))
+            times_ns = segment.t_ns[decoded.rows(self._slot_of[signal])]
+            self._count_invalid(signal, counts, times_ns, decoded.samples.get(signal))
         bad_frame_ns = _bad_frame_ns(segment, verdicts)
-        if not self._apart:
+        if not self._composite:
             return decoded.samples, bad_frame_ns
-        return {**decoded.samples, **self._columns_apart(segment, verdicts, decoded)}, bad_frame_ns
+        return {**decoded.samples, **self._composite_columns(segment, verdicts, decoded)}, bad_frame_ns
 
-    def _columns_apart(self, segment: FrameBatch, verdicts: FrameVerdicts, decoded: DecodedFrames) -> Columns:
+    def _composite_columns(self, segment: FrameBatch, verdicts: FrameVerdicts, decoded: DecodedFrames) -> Columns:
         """Return the samples of the signals that are more than plain integers, each by operations on arrays."""
-        found: dict[Signal, Series] = {}
-        for slot, columns in self._apart:
+        series: dict[Signal, Series] = {}
+        for slot, columns in self._composite:
             rows = decoded.rows(slot)
             if not len(rows):
                 continue
             words = PayloadWords(segment.data, rows)
             for column in columns:
-                one = column.table.decode(words)
-                good = slice(None) if one.is_good is None else one.is_good
-                if len(kept := rows[good]):
-                    found[column.signal] = Series(
-                        t_ns=segment.t_ns[kept],
-                        sequence=verdicts.sequence[kept],
-                        value=column.to_si(one.value[good]),
+                decoded_column = column.table.decode(words)
+                good = slice(None) if decoded_column.is_good is None else decoded_column.is_good
+                if len(valid_rows := rows[good]):
+                    series[column.signal] = Series(
+                        t_ns=segment.t_ns[valid_rows],
+                        sequence=verdicts.sequence[valid_rows],
+                        value=column.to_si(decoded_column.value[good]),
                         period_ns=self._messages[slot].period_ns,
                     )
-                if one.invalid.total:
-                    own = segment.t_ns[rows]
-                    self._count_invalid(column.signal, one.invalid, own, found.get(column.signal))
-        return found
+                if decoded_column.invalid.total:
+                    times_ns = segment.t_ns[rows]
+                    self._count_invalid(column.signal, decoded_column.invalid, times_ns, series.get(column.signal))
+        return series
 
     def _count_invalid(
         self, signal: Signal, counts: InvalidCounts, t_ns: Int64Array = _NEVER, real: Series | None = None

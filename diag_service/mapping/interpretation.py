@@ -43,8 +43,8 @@ def open_database(
 
     Raises DefinitionError, and SourceError if one of the logs cannot be read.
     """
-    tables = () if path is not None else [one for one in logs if one == STANDARD_INPUT or not one.is_dir()]
-    if named := [one for log in tables for one in table_columns(log, is_stopped=is_stopped, columns=columns)]:
+    tables = () if path is not None else [log for log in logs if log == STANDARD_INPUT or not log.is_dir()]
+    if named := [column for log in tables for column in table_columns(log, is_stopped=is_stopped, columns=columns)]:
         return columns_database(named)
     if path is None or path == DBC_PATH:
         return load_contract()
@@ -83,7 +83,7 @@ def interpret(dbc: Path | None, profile: Path | Profile | None) -> Interpretatio
     if profile is None:
         database = open_database(dbc)
         fit = choose_profile(database)
-        _LOG.log(NOTICE, "%s", fit.said)
+        _LOG.log(NOTICE, "%s", fit.text)
         return Interpretation(database=database, profile=fit.profile, files=_files(dbc, fit.profile, None))
     named = find_profile(profile)
     if named.is_of_columns and dbc is None:
@@ -91,14 +91,14 @@ def interpret(dbc: Path | None, profile: Path | Profile | None) -> Interpretatio
         return Interpretation(database=database, profile=named, files=_files(None, named, profile))
     database = open_database(dbc or named.database)
     if named.asked:
-        names = {one.name for one in named.asked.values()}
-        asked = columns_database(one for one in named.columns if one.name in names).messages
+        names = {field.name for field in named.asked.values()}
+        asked = columns_database(column for column in named.columns if column.name in names).messages
         database = Database(messages=[*database.messages, *asked], dbc_specifics=database.dbc, strict=False)
     if named.is_lenient:
         fit = fit_of(database, named)
         if fit.tier is None:
             raise ConfigError(f"profile {named.name} does not fit the database: {'; '.join(fit.problems)}")
-        _LOG.log(NOTICE, "%s", fit.said)
+        _LOG.log(NOTICE, "%s", fit.text)
     return Interpretation(database=database, profile=named, files=_files(dbc, named, profile))
 
 
@@ -118,7 +118,7 @@ class ProfileFit:
     problems: tuple[str, ...]
 
     @property
-    def said(self) -> str:
+    def text(self) -> str:
         """The fit in words, with what the next better tier would need."""
         text = f"profile {self.profile.name}: {len(self.signals)} of {len(self.profile.sources)} signals"
         missing = missing_for_next(self.signals, **_tells(self.profile))
@@ -145,9 +145,9 @@ def choose_profile(database: Database) -> ProfileFit:
     fits = [fit_of(database, load_shipped(name)) for name in shipped_profiles()]
     usable = [fit for fit in fits if fit.tier is not None]
     if not usable:
-        said = "; ".join(f"{fit.profile.name}: {_first_of(fit.problems)}" for fit in fits)
+        reasons = "; ".join(f"{fit.profile.name}: {_first_of(fit.problems)}" for fit in fits)
         raise ConfigError(
-            f"no shipped profile fits the database; 'diag-service signals' proposes one for --profile. {said}"
+            f"no shipped profile fits the database; 'diag-service signals' proposes one for --profile. {reasons}"
         )
     return min(usable, key=lambda fit: (fit.tier or Tier.KINEMATIC, -len(fit.signals) / len(fit.profile.sources)))
 

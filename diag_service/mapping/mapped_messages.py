@@ -35,27 +35,27 @@ class SourceTable:
 
     def decode(self, words: PayloadWords) -> Decoded:
         """Return the source in every payload, in the unit of the database."""
-        found = self.main.decode(words)
+        decoded = self.main.decode(words)
         if self.less is None and self.times is None and self.valid is None and not self.invalid:
-            return found
-        good = np.ones(len(found.value), np.bool_) if found.is_good is None else found.is_good
+            return decoded
+        good = np.ones(len(decoded.value), np.bool_) if decoded.is_good is None else decoded.is_good
         lowest, highest = self.valid or (-np.inf, np.inf)
-        is_valid, is_code = (found.value >= lowest) & (found.value <= highest), np.isin(found.value, self.invalid)
-        invalid = found.invalid.plus(
+        is_valid, is_code = (decoded.value >= lowest) & (decoded.value <= highest), np.isin(decoded.value, self.invalid)
+        invalid = decoded.invalid.plus(
             InvalidCounts(
                 not_available=int(np.count_nonzero(good & is_code)),
                 out_of_range=int(np.count_nonzero(good & ~is_code & ~is_valid)),
             )
         )
         good = good & is_valid & ~is_code
-        own_count, value = int(np.count_nonzero(good)), found.value
+        valid_count, value = int(np.count_nonzero(good)), decoded.value
         for table, operation in ((self.less, np.subtract), (self.times, np.multiply)):
             if table is not None:
                 other = table.decode(words)
                 value = operation(value, other.value)
                 good = good if other.is_good is None else good & other.is_good
-        invalid = invalid.plus(InvalidCounts(incomplete=own_count - int(np.count_nonzero(good))))
-        return Decoded(value, None if good.all() else good, invalid, found.is_present)
+        invalid = invalid.plus(InvalidCounts(incomplete=valid_count - int(np.count_nonzero(good))))
+        return Decoded(value, None if good.all() else good, invalid, decoded.is_present)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,16 +86,16 @@ def map_signals(database: Database, profile: Profile) -> tuple[MessageColumns, .
     Raises ConfigError with everything that does not fit: messages or signals that the database lacks, units of another
     kind, signals that cannot be decoded, a message with several source addresses.
     """
-    found, problems = fitting(database, profile)
+    mapped, problems = fitting(database, profile)
     if problems and not profile.is_lenient:
         raise ConfigError(f"profile {profile.name} does not fit the database: {'; '.join(problems)}")
-    return found
+    return mapped
 
 
 def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns, ...], tuple[str, ...]]:
     """Return what of a profile the database has, and what it lacks, in words."""
     problems: list[str] = []
-    found: dict[str, list[MappedSignal]] = {}
+    columns_of: dict[str, list[MappedSignal]] = {}
     messages: dict[str, Message] = {}
     senders: dict[str, set[int]] = {}
     for signal, source in profile.sources.items():
@@ -108,7 +108,7 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
             problems.append(f"{error} (for {signal.value})")
             continue
         messages[message.name] = message
-        found.setdefault(message.name, []).append(column)
+        columns_of.setdefault(message.name, []).append(column)
         if isinstance(source, BusSource) and source.source_address is not None:
             senders.setdefault(message.name, set()).add(source.source_address)
     problems += [f"several source addresses for {name}" for name, named in senders.items() if len(named) > 1]
@@ -125,21 +125,21 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
             period_ns=(messages[name].cycle_time or 0) * NS_PER_MS,
             columns=tuple(columns),
         )
-        for name, columns in found.items()
+        for name, columns in columns_of.items()
     )
     return mapped, tuple(problems)
 
 
 def _column(message: Message, signal: Signal, source: SignalSource, *, is_j1939: bool) -> MappedSignal:
-    found = message.get_signal_by_name(signal_name(message, source))
-    convert = to_si(signal, source, found.unit)
+    database_signal = message.get_signal_by_name(signal_name(message, source))
+    convert = to_si(signal, source, database_signal.unit)
     is_plain = source.check_range and not (isinstance(source, BusSource) and (source.less or source.times))
     return MappedSignal(
         signal=signal,
         table=compile_source(message, source, is_j1939=is_j1939),
         to_si=convert,
         is_optional=source.optional,
-        limits=_limits(found, convert) if is_plain else None,
+        limits=_limits(database_signal, convert) if is_plain else None,
         is_asked=isinstance(source, AskedSource),
     )
 

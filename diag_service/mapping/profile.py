@@ -378,7 +378,7 @@ def gear_ratios(entry: object, error: type[Exception] = ConfigError) -> GearRati
     if gears.over not in {Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED}:
         raise error(f"gears: over must be {Signal.OUTPUT_SPEED.value} or {Signal.VEHICLE_SPEED.value}")
     ratios = gears.ratios
-    if not all(math.isfinite(one) for one in ratios):
+    if not all(math.isfinite(ratio) for ratio in ratios):
         raise error("gears: ratios must be finite")
     if len(ratios) < 2 or any(high <= low for high, low in pairwise(ratios)) or ratios[-1] <= 0.0:
         raise error("gears: ratios must fall from gear to gear and stay above 0")

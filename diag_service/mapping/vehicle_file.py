@@ -52,9 +52,9 @@ def described(learned: "LearnedVehicle", assumed: Calibration, name: str) -> Cal
     """Return a calibration with what was learned; all else is assumed as the type has it."""
     clutches, stds = assumed.clutches, [assumed.uncertainty.touch_pressure_pa]
     for clutch in (1, 2):
-        if (found := learned.touch_point(clutch)) is not None:
-            clutches = with_clutch(clutches, clutch, _touching_at(clutches[clutch - 1], found.value))
-            stds.append(found.std)
+        if (touch := learned.touch_point(clutch)) is not None:
+            clutches = with_clutch(clutches, clutch, _touching_at(clutches[clutch - 1], touch.value))
+            stds.append(touch.std)
     uncertainty = replace(assumed.uncertainty, touch_pressure_pa=max(stds))
     return replace(assumed, name=name, clutches=clutches, uncertainty=uncertainty)
 
@@ -73,7 +73,7 @@ def _touching_at(clutch: ClutchCalibration, touch_pa: float) -> ClutchCalibratio
 def description_toml(learned: "LearnedVehicle", assumed: Calibration, name: str, remarks: tuple[str, ...]) -> str:
     """Return the text of a description, with where each value is from behind it."""
     calibration = described(learned, assumed, name)
-    lines = [f"# {one}".rstrip() for one in remarks]
+    lines = [f"# {remark}".rstrip() for remark in remarks]
     clutch = 0
     for line in calibration_toml(calibration).splitlines():
         clutch += line == "[[clutch]]"
@@ -81,7 +81,7 @@ def description_toml(learned: "LearnedVehicle", assumed: Calibration, name: str,
         lines.append(f"{line}{_behind(line, learned.touch_point(clutch) if clutch else None) if is_value else ''}")
     ratios = learned.ratios
     if ratios is not None:
-        values = ", ".join(f"{one:.5g}" for one in ratios.ratios)
+        values = ", ".join(f"{ratio:.5g}" for ratio in ratios.ratios)
         lines += ["", "[gears]", f'over = "{ratios.over.value}"', f"ratios = [{values}]{_LOG}"]
     return "\n".join([*lines, "", *learned_lines(learned)]) + "\n"
 
@@ -95,25 +95,25 @@ def _behind(line: str, touch: "LearnedValue | None") -> str:
 
 def learned_lines(learned: "LearnedVehicle") -> Iterator[str]:
     """Yield the tables of what the logs told, as TOML."""
-    for gear, one in learned.gears.items():
-        yield f'[{LEARNED}."gear {gear}"]'
-        yield f"ratio = {one.ratio.ratio:.5g}"
-        yield f"ratio_std = {one.ratio.std:.2g}"
-        yield f"sample_count = {one.ratio.sample_count}"
-        if one.clutch is not None:
-            yield f"clutch = {one.clutch}"
+    for number, gear in learned.gears.items():
+        yield f'[{LEARNED}."gear {number}"]'
+        yield f"ratio = {gear.ratio.ratio:.5g}"
+        yield f"ratio_std = {gear.ratio.std:.2g}"
+        yield f"sample_count = {gear.ratio.sample_count}"
+        if gear.clutch is not None:
+            yield f"clutch = {gear.clutch}"
     tables: tuple[tuple[str, Mapping[int, LearnedValue], float], ...] = (
         ("touch_pressure_kpa", learned.touch_pa, 1.0 / PA_PER_KPA),
         ("pressure_lag_ms", learned.lag_s, 1e3),
         ("gain_rad_s2_kpa", learned.gain_rad_s2_pa, PA_PER_KPA),
     )
-    for clutch in sorted({one for _, found, _ in tables for one in found}):
+    for clutch in sorted({number for _, by_clutch, _ in tables for number in by_clutch}):
         yield f'[{LEARNED}."clutch {clutch}"]'
         for name, values, scale in tables:
-            if (found := values.get(clutch)) is not None:
-                yield f"{name} = {scale * found.value:.4g}"
-                yield f"{name}_std = {scale * found.std:.2g}"
-                yield f'{name}_origin = "{found.origin}"'
+            if (value := values.get(clutch)) is not None:
+                yield f"{name} = {scale * value.value:.4g}"
+                yield f"{name}_std = {scale * value.std:.2g}"
+                yield f'{name}_origin = "{value.origin}"'
     if learned.rates_hz:
         yield f"[{LEARNED}.rates_hz]"
         yield from (f"{signal.value} = {rate:.3g}" for signal, rate in learned.rates_hz.items())

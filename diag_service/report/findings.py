@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from canlog.logs import shown_name
 from canlog.logs.reading import Watch
 from clutch_model.calibration import Calibration, TorqueSource
 from clutch_model.units import NS_PER_S
@@ -23,14 +24,13 @@ from diag_service.diagnosis.summary import (
     with_revisions,
 )
 from diag_service.errors import StoppedError
-from diag_service.service.drive import open_drive, stream_of_drive
 from diag_service.service.drive_survey import DriveSurvey
-from diag_service.service.recorded import STOPPED_TEXT, replay, warn_of_slow_messages
-from diag_service.service.session import Session, versions_for
+from diag_service.service.recorded import STOPPED_TEXT, run_recorded
+from diag_service.service.session import versions_for
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.settings.options import as_proposed
 from diag_service.stopping import Trigger
-from diag_service.store import NoStore, Row, StoreReader, Versions
+from diag_service.store import Row, StoreReader, Versions
 from fleet_contract import CLUTCHES
 from fleet_contract.orders import Order, title_of
 
@@ -115,24 +115,17 @@ def findings_of_logs(
     Raises what `analyze` raises, and StoppedError if it was stopped.
     """
     config = as_proposed(config, paths, lambda: stop.is_set)
-    meaning, reporter, album = config.interpretation(), MemoryReporter(), Album()
-    with open_drive(paths, is_stopped=lambda: stop.is_set, watch=watch, columns=config.columns) as logs:
-        stream = stream_of_drive((log.path for log in logs), meaning.files)
-        session = Session(config, meaning.decoder(), NoStore(), stream, reporter, survey=DriveSurvey)
+    reporter, album = MemoryReporter(), Album()
 
-        def process(event: Event) -> None:
-            session.process(event)
-            album.offer(event, reporter.results[-1])
+    def look(event: Event) -> None:
+        album.offer(event, reporter.results[-1])
 
-        account = replay(logs, session.stages, stop, process)
-        if Gap.STOPPED in account.gaps:
-            raise StoppedError(f"{STOPPED_TEXT}: no report was written")
-        warn_of_slow_messages(session.stages)
-        summary = session.finish(account.frames, None, account.gaps, account.contributions)
-        sources = tuple(Path(log.reader.name).name for log in logs)
+    summary = run_recorded(config, paths, None, reporter, stop, watch=watch, survey=DriveSurvey, look=look).summary
+    if Gap.STOPPED in summary.gaps:
+        raise StoppedError(f"{STOPPED_TEXT}: no report was written")
     return Findings(
         vehicle=config.vehicle,
-        sources=sources,
+        sources=tuple(Path(shown_name(Path(log.path))).name for log in summary.contributions.logs),
         rows=tuple(
             Row(position=number, result=result) for number, result in enumerate(with_revisions(reporter.results), 1)
         ),

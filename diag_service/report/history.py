@@ -48,11 +48,6 @@ class FluidPeriod:
         timely = [row for row in self.rows if row.position < self.until] or self.rows
         return latest_of(row.result for row in timely)[0].verdict if timely else None
 
-    @property
-    def known_shift_count(self) -> int:
-        """Shifts in the running estimate at the end."""
-        return 0 if self.last_verdict is None else self.last_verdict.shift_count
-
 
 def periods_of(findings: Findings, clutch: int) -> list[FluidPeriod]:
     """Return the results of a clutch, fluid by fluid; a fluid without any is one of them too."""
@@ -195,7 +190,7 @@ def _fluid_table(title: str, periods: Sequence[FluidPeriod]) -> Table:
         verdict = period.last_verdict
         table.add_row(
             period.name,
-            str(period.known_shift_count),
+            "0" if verdict is None else str(verdict.shift_count),
             _NONE if verdict is None else _friction(verdict.friction),
             _NONE if verdict is None else _change(verdict.trend),
             _NONE if verdict is None else _change(verdict.lining),

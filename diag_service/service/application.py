@@ -29,18 +29,14 @@ _LOG = logging.getLogger(__name__)
 @contextmanager
 def opened_store(config: DiagnosisConfig, path: Path | None, *, keeps_results: bool) -> Iterator[ResultStore]:
     """Open a store, None: one in memory. A run that fails leaves none behind that it began, unless it holds results."""
-    if path is None:
-        with closing(ResultStore.in_memory()) as store:
-            yield store
-        return
-    is_new = not path.exists()
+    new = path if path is not None and not path.exists() else None
     with closing(ResultStore.open(path, config.budget_bytes)) as store:
         try:
             yield store
         except BaseException as exc:
             is_worth_keeping = keeps_results or isinstance(exc, StoreError)
-            if is_new and not (is_worth_keeping and store.holds_results):
-                remove_store(path)  # before it is closed: nobody else has it yet
+            if new is not None and not (is_worth_keeping and store.holds_results):
+                remove_store(new)  # before it is closed: nobody else has it yet
             raise
 
 
@@ -109,12 +105,9 @@ def _greeting(config: DiagnosisConfig, status: ServiceStatus) -> Outgoing:
 
 def _metrics_of(store: ResultStore, session: Session) -> MetricsMessage:
     def message(numbers: Mapping[str, float]) -> Outgoing:
-        dropped = store.dropped_counts()
         counts = {
             "store_used_bytes": store.used_bytes(),
-            "store_dropped_delivered_count": dropped.delivered,
-            "store_dropped_empty_count": dropped.empty,
-            "store_dropped_undelivered_count": dropped.undelivered,
+            **{f"store_dropped_{name}_count": count for name, count in store.dropped_counts().items()},
             "store_given_up_count": session.given_up_count,
         }
         return metrics_message(session.vehicle, utc_now(), {**numbers, **counts})

@@ -23,7 +23,6 @@ from canlog.logs.streams import never
 from diag_service.diagnosis.summary import ChannelShare, Contributions, Gap, LogShare, gaps_line, idle_lines
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 
-_BLOCK_BYTES: Final = 1 << 20
 _LOG = logging.getLogger(__name__)
 
 
@@ -80,8 +79,7 @@ def stream_of(paths: Iterable[Path]) -> str:
     for path in paths:
         try:
             with open_plain_file(path) as file:
-                while block := file.read(_BLOCK_BYTES):
-                    digest.update(block)
+                hashlib.file_digest(file, lambda: digest)
         except OSError as exc:
             raise SourceError(f"cannot read {path}: {exc.strerror or exc}") from exc
     return digest.hexdigest()
@@ -105,7 +103,7 @@ def gaps_in(logs: Sequence[OpenLog], *, was_stopped: bool) -> tuple[Gap, ...]:
     return tuple(gap for gap, is_there in gaps.items() if is_there)
 
 
-def insist(gaps: Sequence[Gap], contributions: Contributions, *, is_strict: bool) -> None:
+def check_complete(gaps: Sequence[Gap], contributions: Contributions, *, is_strict: bool) -> None:
     """End a run whose results are reported.
 
     Raises StoppedError or IncompleteError if it was a part of the drive only; of a strict run also if a log or a
@@ -134,64 +132,23 @@ MOST_SOURCES: Final = 256
 _UNKNOWN: Final = -1  # the mark of a channel of which no frame came yet
 
 
-class SourceMarks:
-    """The marks of the channels of some logs: their own numbers, or what is free if those are taken.
-
-    Every format numbers channels in its own way, so a number says something within its log only.
-
-    Parameters
-    ----------
-    names :
-        Of the logs, for people.
-    begin :
-        Called with the place of a log, a channel of it and its mark, when the first frame of it comes.
-    """
-
-    def __init__(self, names: Sequence[str], begin: Callable[[int, int, int], object]) -> None:
-        self._names = names
-        self._begin = begin
-        self._marks = [np.full(MOST_SOURCES, _UNKNOWN, np.int64) for _ in names]  # by channel
-        self._free = set(range(MOST_SOURCES))
-
-    def marked(self, number: int, batch: FrameBatch) -> FrameBatch:
-        """Return frames of a log with the marks of their sources; raises SourceError if there are too many."""
-        marks = self._marks[number]
-        present = np.flatnonzero(np.bincount(batch.channel, minlength=MOST_SOURCES))
-        for channel in present[marks[present] == _UNKNOWN].tolist():
-            if not self._free:
-                raise SourceError(f"{self._names[number]}: more than {MOST_SOURCES} channels of logs at the same time")
-            marks[channel] = mark = channel if channel in self._free else min(self._free)
-            self._free.remove(mark)
-            self._begin(number, channel, mark)
-        if np.array_equal(marks[present], present):
-            return batch
-        return replace(batch, channel=marks[batch.channel].astype(np.uint8))
-
-    def of_log(self, number: int) -> dict[int, int]:
-        marks = self._marks[number]
-        return {channel: int(marks[channel]) for channel in np.flatnonzero(marks != _UNKNOWN).tolist()}
-
-    def release(self, number: int) -> None:
-        """Give the marks of a log that has ended to others."""
-        self._free |= set(self.of_log(number).values())
-
-
 class DriveFrames:
     """The frames of the logs of a drive, once, merged by time; ``channel`` of a frame is the mark of its source.
 
     A source is a channel of one of the logs: two logs of one time may be two buses with one number, or one bus with
-    two. The monitor follows each message from one source, and counts what became of the frames of each.
+    two. Its mark is the number of the channel in its log, or a free one if another source has that. The monitor follows
+    each message from one source, and counts what became of the frames of each.
     """
 
     def __init__(self, logs: Sequence[OpenLog], monitor: LinkMonitor) -> None:
         self.logs = tuple(logs)
         self._monitor = monitor
-        names = [log.reader.name for log in logs]
-        self._marks = SourceMarks(names, lambda _number, channel, source: monitor.begin_source(source, channel))
+        self._marks = [np.full(MOST_SOURCES, _UNKNOWN, np.int64) for _ in logs]  # by channel
+        self._free = set(range(MOST_SOURCES))
         self._ended: dict[int, LogShare] = {}
 
     def __iter__(self) -> Iterator[FrameBatch]:
-        return merged_by_time([self._frames(number) for number in range(len(self.logs))], self._marks.marked)
+        return merged_by_time([self._frames(number) for number in range(len(self.logs))], self._marked)
 
     def contributions(self, named_channel: int | None, *, is_whole: bool = True) -> Contributions:
         """Return what each log gave until now; of a part of a drive nobody knows what gives nothing."""
@@ -204,13 +161,33 @@ class DriveFrames:
         yield from chain((log.first,), log.reader)
         # All of its frames were taken: the merger asks for more only then.
         self._ended[number] = self._share(number)
-        for source in self._marks.of_log(number).values():
+        for source in self._sources(number).values():
             self._monitor.end_source(source)
-        self._marks.release(number)
+            self._free.add(source)
+
+    def _marked(self, number: int, batch: FrameBatch) -> FrameBatch:
+        """Return frames of a log with the marks of their sources; raises SourceError if there are too many."""
+        marks = self._marks[number]
+        present = np.flatnonzero(np.bincount(batch.channel, minlength=MOST_SOURCES))
+        for channel in present[marks[present] == _UNKNOWN].tolist():
+            if not self._free:
+                name = self.logs[number].reader.name
+                raise SourceError(f"{name}: more than {MOST_SOURCES} channels of logs at the same time")
+            marks[channel] = mark = channel if channel in self._free else min(self._free)
+            self._free.remove(mark)
+            self._monitor.begin_source(mark, channel)
+        if np.array_equal(marks[present], present):
+            return batch
+        return replace(batch, channel=marks[batch.channel].astype(np.uint8))
+
+    def _sources(self, number: int) -> dict[int, int]:
+        """Return the marks of the channels of a log."""
+        marks = self._marks[number]
+        return {channel: int(marks[channel]) for channel in np.flatnonzero(marks != _UNKNOWN).tolist()}
 
     def _share(self, number: int) -> LogShare:
         channels, used = list[ChannelShare](), {FrameReason.OK, FrameReason.UNKNOWN_ID}
-        for channel, source in self._marks.of_log(number).items():
+        for channel, source in self._sources(number).items():
             counts = self._monitor.source_counts(source)
             share = ChannelShare(
                 channel=channel,

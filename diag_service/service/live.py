@@ -123,17 +123,12 @@ class _Work:
 async def _keep_sending(outbox: Outbox) -> None:
     """Run the outbox to its end, again after each error but one of the store."""
     while True:
-        sender = asyncio.create_task(outbox.run(), name="outbox run")
         try:
-            await asyncio.wait({sender})
-        finally:
-            sender.cancel()
-        error = sender.exception()
-        if error is None:
-            return
-        if isinstance(error, StoreError):
-            raise error
-        _LOG.error("sending results failed: %s; they are in the store, trying again", " ".join(str(error).split()))
+            return await outbox.run()
+        except StoreError:
+            raise
+        except Exception as exc:  # noqa: BLE001 - whatever goes wrong there, the bus is diagnosed
+            _LOG.error("sending results failed: %s; they are in the store, trying again", " ".join(str(exc).split()))
         await asyncio.sleep(outbox.limits.restart_pause_s)
 
 

@@ -1,19 +1,16 @@
 """Prometheus metrics and health checks of a live run over HTTP, in threads of their own."""
 
 import logging
-import socket
-import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import datetime
 from http import HTTPStatus
 from typing import Any, Final
-from wsgiref.simple_server import WSGIRequestHandler, make_server
+from wsgiref.simple_server import WSGIRequestHandler
 from wsgiref.types import StartResponse, WSGIEnvironment
 
-from prometheus_client import CollectorRegistry, make_wsgi_app
+from prometheus_client import CollectorRegistry, make_wsgi_app, start_wsgi_server
 from prometheus_client.core import Metric
-from prometheus_client.exposition import ThreadingWSGIServer
 
 from canlog.e2e.e2e_state import E2eState
 from canlog.live import BusState
@@ -174,12 +171,6 @@ def _one_of(states: Any, present: Any) -> dict[str, float]:  # noqa: ANN401 - an
     return {state.name.lower(): float(state is present) for state in states}
 
 
-class _Server6(ThreadingWSGIServer):
-    """A server on an IPv6 address."""
-
-    address_family = socket.AF_INET6
-
-
 class _Handler(WSGIRequestHandler):
     """A handler that logs requests at level DEBUG only."""
 
@@ -209,13 +200,12 @@ def serving(address: ListenAddress, board: Board) -> Iterator[int]:
         start_response(f"{status.value} {status.phrase}", [("Content-Type", "text/plain; charset=utf-8")])
         return [f"{status.phrase}\n".encode()]
 
-    kind = _Server6 if ":" in address.host else ThreadingWSGIServer  # a client that stalls holds up nobody
     try:
-        server = make_server(address.host, address.port, answer, kind, _Handler)
+        server, thread = start_wsgi_server(address.port, address.host, registry)  # a client that stalls holds up nobody
     except OSError as exc:
         raise ConfigError(f"cannot serve metrics on {address.host}:{address.port}: {exc.strerror or exc}") from exc
-    thread = threading.Thread(target=server.serve_forever, name="metrics", daemon=True)
-    thread.start()
+    server.RequestHandlerClass = _Handler
+    server.set_app(answer)
     try:
         yield server.server_port
     finally:

@@ -19,8 +19,8 @@ from diag_service.service.application import first_error, opened_store, outbox_o
 from diag_service.service.drive import (
     DriveFrames,
     OpenLog,
+    check_complete,
     gaps_in,
-    insist,
     open_drive,
     stream_of_drive,
     warn_of_faults,
@@ -29,13 +29,12 @@ from diag_service.service.session import SenderWatch, Session
 from diag_service.service.stages import Stages
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.stopping import Trigger
-from diag_service.store import NoStore
+
+if TYPE_CHECKING:  # which knows what the core does without
+    from diag_service.service.drive_survey import DriveSurvey
 
 NS_PER_MS = 1_000_000
 STOPPED_TEXT = "stopped early"
-if TYPE_CHECKING:
-    from diag_service.service.drive_survey import DriveSurvey
-
 _LOG = logging.getLogger(__name__)
 
 
@@ -47,47 +46,36 @@ class Account:
     gaps: tuple[Gap, ...]  # why it is not the whole drive
     contributions: Contributions
 
-    def insist(self, *, is_strict: bool) -> None:
-        """Raise what ``insist`` raises of it."""
-        insist(self.gaps, self.contributions, is_strict=is_strict)
+    def check_complete(self, *, is_strict: bool) -> None:
+        """Raise StoppedError or IncompleteError if it is a part, or if a log of a strict run gave nothing."""
+        check_complete(self.gaps, self.contributions, is_strict=is_strict)
 
 
-def run_logs(logs: Sequence[OpenLog], session: Session, *, stop: Trigger) -> Summary:
-    """Diagnose the logs of a drive, as ``open_drive`` put them; return the numbers.
+async def _replay_and_send(
+    logs: Sequence[OpenLog], session: Session, stop: Trigger, process: Callable[[Event], None], outbox: Outbox
+) -> tuple[Account, int]:
+    """Replay a drive and send its results meanwhile; of a part of a drive the broker hears no state.
 
-    ``stop`` ends the analysis between two shifts; the shift that was open is not reported, so that a later analysis
-    of the same logs takes it up. What is said of a part of a drive has no verdict.
+    Return what became of the frames, and how many results were not delivered.
     """
-    return _finish(replay(logs, session.stages, stop, session.process), session, None)
-
-
-async def run_logs_and_send(logs: Sequence[OpenLog], session: Session, *, stop: Trigger, outbox: Outbox) -> Summary:
-    """Do as ``run_logs``, and send the results meanwhile; of a part of a drive the broker hears no state."""
     loop = asyncio.get_running_loop()
-    unpublished_count: int | None = None
 
-    def process(event: Event) -> None:
+    def process_and_send(event: Event) -> None:
         outbox.await_fleet()
-        session.process(event)
+        process(event)
         loop.call_soon_threadsafe(outbox.wake)
 
     try:
         async with asyncio.TaskGroup() as tasks:
             sender = tasks.create_task(outbox.run(), name="outbox")
-            account = await asyncio.to_thread(replay, logs, session.stages, stop, process)
+            account = await asyncio.to_thread(replay, logs, session.stages, stop, process_and_send)
             await asyncio.to_thread(outbox.await_fleet)
             if not account.gaps:
                 outbox.release_states()
             unpublished_count = await outbox.close(sender)
     except BaseExceptionGroup as group:
         raise first_error(group) from group
-    return _finish(account, session, unpublished_count)
-
-
-def _finish(account: Account, session: Session, unpublished_count: int | None) -> Summary:
-    warn_of_slow_messages(session.stages)
-    SenderWatch().warn(account.frames)
-    return session.finish(account.frames, unpublished_count, account.gaps, account.contributions)
+    return account, unpublished_count
 
 
 def replay(logs: Sequence[OpenLog], stages: Stages, stop: Trigger, use: Callable[[Event], None]) -> Account:
@@ -164,10 +152,13 @@ def run_recorded(
     watch: Watch | None = None,  # of how far the reading is
     survey: "type[DriveSurvey] | None" = None,
     meaning: Interpretation | None = None,  # of the frames, where it is at hand: that of the configuration
+    look: Callable[[Event], None] = lambda _event: None,  # called with each event after its result was reported
 ) -> RecordedRun:
-    """Diagnose the logs of a drive.
+    """Diagnose the logs of a drive; what is said of a part of a drive has no verdict.
 
-    Raises what ``open_drive`` and ``opened_store`` raise, ConfigError if the frames cannot be interpreted.
+    ``stop`` ends the analysis between two shifts; the shift that was open is not reported, so that a later analysis
+    of the same logs takes it up. Raises what ``open_drive`` and ``opened_store`` raise, ConfigError for frames that
+    cannot be interpreted.
     """
     meaning = meaning or config.interpretation()
     decoder = meaning.decoder()
@@ -175,17 +166,22 @@ def run_recorded(
         paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch, columns=config.columns
     ) as logs:
         stream = stream_of_drive((log.path for log in logs), meaning.files)
-        if store_path is None and config.broker is None:
-            session = Session(config, decoder, NoStore(), stream, reporter, survey=survey)
-            return RecordedRun(stream=stream, summary=run_logs(logs, session, stop=stop))
         with opened_store(config, store_path, keeps_results=False) as store:
             session = Session(config, decoder, store, stream, reporter, survey=survey)
-            outbox = outbox_of(config, store, session, is_live=False)
-            if outbox is None:
-                return RecordedRun(stream=stream, summary=run_logs(logs, session, stop=stop))
-            summary = run_to_end(run_logs_and_send(logs, session, stop=stop, outbox=outbox))
-    if summary.unpublished_count and store_path is None:
-        _LOG.warning(
-            "%d results were not delivered and are not kept; --store would keep them", summary.unpublished_count
-        )
+
+            def process(event: Event) -> None:
+                session.process(event)
+                look(event)
+
+            unpublished_count: int | None = None
+            if (outbox := outbox_of(config, store, session, is_live=False)) is None:
+                account = replay(logs, session.stages, stop, process)
+            else:
+                work = _replay_and_send(logs, session, stop, process, outbox)
+                account, unpublished_count = run_to_end(work)
+            warn_of_slow_messages(session.stages)
+            SenderWatch().warn(account.frames)
+            summary = session.finish(account.frames, unpublished_count, account.gaps, account.contributions)
+    if unpublished_count and store_path is None:
+        _LOG.warning("%d results were not delivered and are not kept; --store would keep them", unpublished_count)
     return RecordedRun(stream=stream, summary=summary)

@@ -4,7 +4,6 @@
 """
 
 import logging
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -36,7 +35,7 @@ from diag_service.errors import StoreFullError
 from diag_service.mapping.decoder import Decoder
 from diag_service.service.stages import Belief, Stages, kind_of
 from diag_service.settings.config import DiagnosisConfig
-from diag_service.store import SessionStore, VehicleState, Versions
+from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_contract.errors import ResultError
 
 if TYPE_CHECKING:  # a live service has none
@@ -64,33 +63,29 @@ class Stuck:
 
 
 class Progress:
-    """Since when each stage has been at the work it has; read and set from any thread."""
+    """Which stage is at work, one at a time, and since when; any thread may read it."""
 
     def __init__(self, *, limit_s: float = STUCK_AFTER_S, now_s: Callable[[], float] = time.monotonic) -> None:
         self._limit_s = limit_s
         self._now_s = now_s
-        self._lock = threading.Lock()
-        self._since_s: dict[Stage, float] = {}
+        self._work: tuple[Stage, float] | None = None  # and since when [s]
 
     @contextmanager
     def working(self, stage: Stage) -> Iterator[None]:
         """Be at one piece of work while this is entered."""
-        with self._lock:
-            self._since_s[stage] = self._now_s()
+        self._work = stage, self._now_s()
         try:
             yield
         finally:
-            with self._lock:
-                del self._since_s[stage]
+            self._work = None
 
     @property
     def stuck(self) -> Stuck | None:
-        """The stage that has been at its work for longest, if that is too long."""
-        with self._lock:
-            longest = min(self._since_s.items(), key=lambda item: item[1], default=None)
-        if longest is None or (for_s := self._now_s() - longest[1]) < self._limit_s:
+        """The stage that is at work, if it has been for too long."""
+        work = self._work
+        if work is None or (for_s := self._now_s() - work[1]) < self._limit_s:
             return None
-        return Stuck(stage=longest[0], for_s=for_s)
+        return Stuck(stage=work[0], for_s=for_s)
 
 
 BY_COUNTER: Final = ("repeated", "wrong_sequence")  # two senders in step repeat each other's counters
@@ -120,7 +115,7 @@ class Session:
         self,
         config: DiagnosisConfig,
         decoder: Decoder,
-        store: SessionStore,
+        store: ResultStore,
         stream: str | None,  # of a log, in which the number of a shift is its key; None: the live stream of the store
         reporter: Reporter,
         *,
@@ -290,7 +285,7 @@ def versions_for(calibration: Calibration) -> Versions:
     return Versions(algorithm=kind_of(calibration).algorithm_version, calibration=version)
 
 
-def resume(store: SessionStore, vehicle: str, versions: Versions, calibration: Calibration) -> Belief:
+def resume(store: ResultStore, vehicle: str, versions: Versions, calibration: Calibration) -> Belief:
     """Return what is believed of a vehicle, afresh if what is stored was made in another way."""
     state = store.state(vehicle)
     if state is None:
@@ -305,7 +300,7 @@ def resume(store: SessionStore, vehicle: str, versions: Versions, calibration: C
     return Belief.fresh(calibration)
 
 
-def last_results(store: SessionStore, vehicle: str, versions: Versions) -> dict[int, ShiftResult]:
+def last_results(store: ResultStore, vehicle: str, versions: Versions) -> dict[int, ShiftResult]:
     """Return the newest stored result of each clutch, by clutch, if it was made as results are made now."""
     results: dict[int, ShiftResult] = {}
     for row in store.latest(vehicle, versions):

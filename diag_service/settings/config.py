@@ -1,7 +1,6 @@
 """What a run is to do, as values that were checked once."""
 
 import os
-import uuid
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -139,11 +138,6 @@ def as_profiled(calibration: Calibration, profile: Path | Profile | None) -> Cal
     """Return a calibration with the source of engine torque that the profile has; raises ConfigError."""
     torque = TorqueSource.MEASURED if profile is None else find_profile(profile).torque
     return calibration.with_torque(torque if torque.is_modelled else calibration.torque)
-
-
-def adapter_bus() -> tuple[str, str]:
-    """Return interface and channel of a new virtual bus, on which frames of an adapter's dialogues are repeated."""
-    return "virtual", f"adapter {uuid.uuid4()}"
 
 
 def vehicle_of(named: str | None, calibration: Calibration) -> str:

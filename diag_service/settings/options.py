@@ -5,10 +5,13 @@ Tables of signals without database and profile are read with the profile that is
 
 import logging
 import tomllib
+import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
+
+from cantools.database.can import Message
 
 from canlog.errors import NOTICE
 from canlog.logs import STANDARD_INPUT, table_columns
@@ -17,7 +20,7 @@ from clutch_model.calibration import Calibration, nominal_calibration
 from clutchdiag_io.program import legible, replacement_refusal
 from diag_service.delivery import Acknowledge
 from diag_service.errors import ConfigError
-from diag_service.mapping.interpretation import Interpretation, interpret
+from diag_service.mapping.interpretation import open_database
 from diag_service.mapping.learning import proposed_profile
 from diag_service.mapping.mapped_messages import reach_in_words
 from diag_service.mapping.profile import Profile, profile_of
@@ -26,7 +29,6 @@ from diag_service.settings.config import (
     BusConfig,
     DiagnosisConfig,
     PollConfig,
-    adapter_bus,
     as_profiled,
     described_by,
     parse_listen_address,
@@ -135,12 +137,10 @@ class LearnOptions(MeaningOptions):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PredictOptions:
+class PredictOptions(MeaningOptions):
     """Which shifts are predicted, and from what."""
 
     logs: tuple[Path, ...]
-    dbc: Path | None = None
-    profile: Path | None = None
     touch_pa: float | None = None  # touch point of the clutches; None: the pressure in gear at standstill
     halves: bool = False
     json: bool = False
@@ -259,7 +259,7 @@ def bus_config(options: LiveOptions) -> BusConfig:
             raise ConfigError("give either --adapter or --interface and --channel: through an adapter no bus is heard")
         if not options.active:
             raise ConfigError("--adapter needs --active: an adapter tells nothing unless it is asked")
-        interface, channel = adapter_bus()
+        interface, channel = "virtual", f"adapter {uuid.uuid4()}"  # where frames of its dialogues are repeated
     return BusConfig(
         interface=interface,
         channel=channel,
@@ -292,7 +292,7 @@ def as_proposed(
 
     Raises SourceError if a log cannot be read, StoppedError.
     """
-    proposed = _proposed(logs, config.dbc, config.profile, is_stopped, config.columns)
+    proposed = _proposed(config, logs, is_stopped)
     if proposed is None:
         return config
     calibration = config.calibration
@@ -301,16 +301,14 @@ def as_proposed(
     return replace(config, profile=proposed, calibration=as_profiled(calibration, proposed))
 
 
-def _proposed(
-    logs: Sequence[Path], dbc: Path | None, profile: Path | Profile | None, is_stopped: Callable[[], bool], columns: str
-) -> Profile | None:
+def _proposed(config: DiagnosisConfig, logs: Sequence[Path], is_stopped: Callable[[], bool]) -> Profile | None:
     """Return the profile proposed for the first log, and log it; None if that is no table, or a file explains it.
 
     What comes through a pipe is read once, so nothing is proposed for it.
     """
-    if dbc is not None or profile is not None:
+    if config.dbc is not None or config.profile is not None:
         return None
-    log = next(iter(logs), STANDARD_INPUT)
+    log, columns = next(iter(logs), STANDARD_INPUT), config.columns
     if log == STANDARD_INPUT or log.is_dir() or not table_columns(log, is_stopped=is_stopped, columns=columns):
         return None
     text = proposed_profile(log, is_stopped=is_stopped, columns=columns)
@@ -325,17 +323,12 @@ def _proposed(
     return proposed
 
 
-def interpret_logs(
-    logs: Sequence[Path],
-    dbc: Path | None,
-    profile: Path | Profile | None,
-    *,
-    is_stopped: Callable[[], bool] = never,
-    columns: str = "",
-) -> Interpretation:
-    """Return what `interpret` does, with the proposed profile for tables of signals if no file explains them.
+def messages_of(options: InspectOptions | DecodeOptions, is_stopped: Callable[[], bool]) -> Sequence[Message]:
+    """Return the messages of the database that is named, or of logs that are tables of signals.
 
-    Raises what `as_proposed` and `interpret` raise.
+    Raises what `open_database` raises.
     """
-    named = profile or _proposed(logs, dbc, profile, is_stopped, columns)
-    return interpret(dbc, named)
+    is_j1939 = options.match == "group"
+    return open_database(
+        options.dbc, options.logs, is_j1939=is_j1939, is_stopped=is_stopped, columns=options.columns
+    ).messages

@@ -2,15 +2,13 @@
 
 from diag_service.store.file import APPLICATION_ID, SCHEMA_VERSION, remove_store
 from diag_service.store.reading import Row, StoreReader, is_store, note_fill, withdraw_fill
-from diag_service.store.result_store import NoStore, ResultStore, SessionStore, VehicleState, Versions
+from diag_service.store.result_store import ResultStore, VehicleState, Versions
 
 __all__ = [
     "APPLICATION_ID",
     "SCHEMA_VERSION",
-    "NoStore",
     "ResultStore",
     "Row",
-    "SessionStore",
     "StoreReader",
     "VehicleState",
     "Versions",

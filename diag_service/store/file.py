@@ -38,7 +38,7 @@ CREATE TABLE fill (
   PRIMARY KEY (vehicle, filled_at)
 );
 """
-# What goes for the disk budget, oldest first within each class; signals and metrics are never kept at its cost.
+# What goes for the disk budget, oldest first within each class: what someone else has, what has no estimate, the rest.
 GIVEN_UP: Final = {
     "delivered": f"published != {WAITING}",
     "empty": f"published = {WAITING} AND CASE WHEN json_valid(json) THEN json_extract(json, '$.status') != 'valid' END",

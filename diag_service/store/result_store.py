@@ -12,7 +12,7 @@ import threading
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Final, Self
 
@@ -26,15 +26,6 @@ from fleet_contract import JsonObject, Outcome, Receipt, ResultKey
 
 _ROWS_AT_ONCE: Final = 16
 _LOG = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DroppedCounts:
-    """Results that a store gave up for its budget, in the order in which they go."""
-
-    delivered: int = 0  # someone else has them
-    empty: int = 0  # not delivered, but without an estimate
-    undelivered: int = 0  # lost
 
 
 MOST_REPORT_BYTES: Final = 16 * 2**20  # of them all, unless the store has a budget
@@ -97,14 +88,14 @@ class ResultStore:
         self._guard = threading.Lock()
         self.where = where
         with self._transaction() as sql:
-            self.stream = self._read_stream()
-            row = sql.execute("SELECT value FROM meta WHERE key = 'last_seq'").fetchone()
-            self._last_seq = 0 if row is None else int(row[0])  # of the live stream, which its owner alone writes
+            self.stream = str(_value(sql, "stream", str(uuid.uuid4())))
+            last_seq = _value(sql, "last_seq")
+            self._last_seq = int(last_seq or 0)  # of the live stream, which its owner alone writes
         if lock_descriptor is not None:
             is_used_up = self._last_seq >= _END
             if is_used_up or (
                 mark is not None
-                and (row or mark)
+                and (last_seq or mark)
                 and file.is_put_back(lock_descriptor, mark, self.stream, self._last_seq)
             ):
                 why = "has used up its numbers" if is_used_up else "is a copy or was put back"
@@ -115,12 +106,14 @@ class ResultStore:
             file.note_mark(lock_descriptor, self.stream, self._last_seq)
 
     @classmethod
-    def open(cls, path: Path, budget_bytes: int | None = None) -> Self:
-        """Open or create a store and own it until ``close``.
+    def open(cls, path: Path | None, budget_bytes: int | None = None) -> Self:
+        """Open or create a store and own it until ``close``; None: one in memory.
 
         It may grow to ``budget_bytes``, None: without limit; what is dropped then is counted. Raises StoreError if it
         cannot be created, read or written, is not a store, is newer than this program or is in use.
         """
+        if path is None:
+            return cls.in_memory()
         path = path.absolute()
         (descriptor, mark), is_new = file.own(path), not path.exists()
         try:
@@ -261,19 +254,17 @@ class ResultStore:
     def takes_bundles(self) -> bool:
         """Return whether the backend took several results in one message when it was last heard."""
         with self._transaction() as sql:
-            return sql.execute("SELECT 1 FROM meta WHERE key = 'takes_bundles' AND value = '1'").fetchone() is not None
+            return _value(sql, "takes_bundles") == "1"
 
     def note_takes_bundles(self, *, is_taken: bool) -> None:
         """Keep whether the backend takes several results in one message."""
         with self._transaction() as sql:
-            sql.execute("INSERT OR REPLACE INTO meta VALUES ('takes_bundles', ?)", (str(int(is_taken)),))
+            sql.execute(_KEEP, ("takes_bundles", str(int(is_taken))))
 
     def connection_secret(self) -> str:
         """Return the random part of our client identifier, which lasts as long as the store."""
         with self._transaction() as sql:
-            sql.execute("INSERT OR IGNORE INTO meta VALUES ('connection_secret', ?)", (uuid.uuid4().hex,))
-            (secret,) = sql.execute("SELECT value FROM meta WHERE key = 'connection_secret'").fetchone()
-        return str(secret)
+            return str(_value(sql, "connection_secret", uuid.uuid4().hex))
 
     def latest(self, vehicle: str, versions: Versions | None = None) -> list[StoredResult]:
         """Return the newest result of each clutch, by the end of its event, of these versions or those stored last."""
@@ -288,7 +279,7 @@ class ResultStore:
         with self._transaction() as sql:
             known = "SELECT 1 FROM result WHERE vehicle = ?"
             earlier = sql.execute(f"{known} AND json_extract(json, '$.end_utc') <= ? LIMIT 1", (vehicle, moment))
-            if earlier.fetchone() is not None or any(astuple(_read_dropped(sql))):
+            if earlier.fetchone() is not None or any(_read_dropped(sql).values()):
                 return False
             return sql.execute(f"{known} LIMIT 1", (vehicle,)).fetchone() is not None
 
@@ -324,8 +315,8 @@ class ResultStore:
             rows = sql.execute("SELECT json FROM controller WHERE vehicle = ? ORDER BY position", (vehicle,))
             return [str(text) for (text,) in rows]
 
-    def dropped_counts(self) -> DroppedCounts:
-        """Return how many results were given up for the disk budget since the store exists."""
+    def dropped_counts(self) -> dict[str, int]:
+        """Return how many results were given up for the disk budget since the store exists, by the classes that go."""
         with self._transaction() as sql:
             return _read_dropped(sql)
 
@@ -362,14 +353,6 @@ class ResultStore:
                 return None  # as for most vehicles, before each event
             return latest_fill(sql, vehicle, moment)
 
-    def _read_stream(self) -> str:
-        row = self._connection.execute("SELECT value FROM meta WHERE key = 'stream'").fetchone()
-        if row is not None:
-            return str(row[0])
-        stream = str(uuid.uuid4())
-        self._connection.execute("INSERT INTO meta VALUES ('stream', ?)", (stream,))
-        return stream
-
     def _object(self, text: str) -> JsonObject:
         with file.translated(self.where):
             table = json.loads(text)
@@ -391,6 +374,14 @@ class ResultStore:
                 if isinstance(exc, file.STORE_FAILURES):
                     raise file.store_error(self.where, exc) from exc
                 raise
+
+
+def _value(sql: sqlite3.Connection, key: str, first: str | None = None) -> str | None:
+    """Return what the store keeps under a key; ``first``, from now on, if it has nothing there."""
+    if first is not None:
+        sql.execute("INSERT OR IGNORE INTO meta VALUES (?, ?)", (key, first))
+    row = sql.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
+    return None if row is None else str(row[0])
 
 
 def _mark(sql: sqlite3.Connection, changes: Iterable[tuple[int, str | None, int]]) -> None:
@@ -436,38 +427,5 @@ def _enforce_budget(sql: sqlite3.Connection, budget_bytes: int, own_position: in
                 break
 
 
-def _read_dropped(sql: sqlite3.Connection) -> DroppedCounts:
-    """Return how many results this store has given up so far."""
-    rows = dict(sql.execute("SELECT key, value FROM meta WHERE key LIKE 'dropped.%'").fetchall())
-    return DroppedCounts(**{field.name: int(rows.get(f"dropped.{field.name}", 0)) for field in fields(DroppedCounts)})
-
-
-class NoStore:
-    """A store that keeps nothing, for runs whose results are only reported."""
-
-    keeps_state = False
-
-    def __init__(self) -> None:
-        self.stream = str(uuid.uuid4())
-        self._last_seq = 0
-
-    def next_seq(self) -> int:
-        return self._last_seq + 1
-
-    def add(self, result: ShiftResult, _: VehicleState | None) -> bool:
-        self._last_seq = max(self._last_seq, result.seq)
-        return True
-
-    def find(self, *_: object) -> None:
-        """Return nothing."""
-
-    state = fluid_at = find
-
-    def latest(self, *_: object) -> Sequence[StoredResult]:
-        return ()
-
-    def began_after(self, *_: str) -> bool:
-        return False
-
-
-SessionStore = ResultStore | NoStore  # where the results of a run go, and what earlier runs left there
+def _read_dropped(sql: sqlite3.Connection) -> dict[str, int]:
+    return {name: int(_value(sql, f"dropped.{name}") or 0) for name in file.GIVEN_UP}

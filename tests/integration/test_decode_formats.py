@@ -49,7 +49,8 @@ def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "drive.log").write_text("".join(f"{line}\n" for line in LINES), encoding="ascii")
     monkeypatch.chdir(tmp_path)
     # Read once: reading a foreign database takes a process of its own.
-    monkeypatch.setattr("diag_service.api.decoding.open_database", lambda *_, **__: MESSAGES)
+    for module in ("api.decoding", "settings.options"):
+        monkeypatch.setattr(f"diag_service.{module}.open_database", lambda *_, **__: MESSAGES)
     return tmp_path
 
 
@@ -136,7 +137,8 @@ def test_a_part_is_what_the_whole_has_there(folder: Path, suffix: str) -> None:
 
 
 def test_each_log_of_a_folder_is_a_table_of_its_own(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diag_service.api.decoding.open_database", lambda *_, **__: MESSAGES)
+    for module in ("api.decoding", "settings.options"):
+        monkeypatch.setattr(f"diag_service.{module}.open_database", lambda *_, **__: MESSAGES)
     whole = decoded("drive.log")
     (folder / "logs" / "day").mkdir(parents=True)
     (folder / "logs" / "notes.txt").write_text("What was measured", encoding="ascii")

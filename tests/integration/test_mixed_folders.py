@@ -83,9 +83,9 @@ def test_every_file_is_listed_with_what_it_was_taken_for(folder: Path, capsys: p
 
 
 def test_each_log_is_a_drive(folder: Path) -> None:
-    found = find_drives([folder])
-    assert [drive.paths[0].relative_to(folder).as_posix() for drive in found.drives] == [
+    drives, left_out = find_drives([folder])
+    assert [drive.paths[0].relative_to(folder).as_posix() for drive in drives] == [
         "drive.blf", "packed.blf.gz", "torn.blf",
     ]  # fmt: skip
-    assert len({drive.key for drive in found.drives}) == 3
-    assert len(found.left_out) == 10
+    assert len({drive.key for drive in drives}) == 3
+    assert len(left_out) == 10

@@ -17,7 +17,7 @@ from clutch_results.records import shift_record
 from clutchdiag_io.console import PeopleConsole
 from demo.outcome import live_line, tables
 from diag_service.api.analysis import draw_fan
-from diag_service.api.learning import said
+from diag_service.api.learning import summary_lines
 from diag_service.commands import inspect, learn
 from diag_service.delivery import ConsoleReporter
 from diag_service.diagnosis.columns import Signal
@@ -164,7 +164,8 @@ def test_what_is_calibrated_or_learned_shows_the_same(monkeypatch: pytest.Monkey
     assert SAID in gears_text(Signal.OUTPUT_SPEED, {1: RATIO})
     first = LearnedGear(ratio=RATIO, clutch=1)
     touch = {1: LearnedValue(value=1.2e5, std=4e3, origin="held")}
-    told = "\n".join(said(LearnedVehicle(over=Signal.OUTPUT_SPEED, gears={1: first}, are_named=True, touch_pa=touch)))
+    learned = LearnedVehicle(over=Signal.OUTPUT_SPEED, gears={1: first}, are_named=True, touch_pa=touch)
+    told = "\n".join(summary_lines(learned))
     assert SAID in told
     assert "3.462 ± 0.012" in told
     assert "touch point 1.20 ± 0.08 bar" in told

@@ -106,10 +106,10 @@ async def test_an_expired_certificate_is_renewed_without_a_restart(
             await until(lambda: "1 results wait in the store" in caplog.text)
             certify(certificates, "car1")
             await until(lambda: store.unpublished_count("car1") == 0)
-            failed = outbox.counts.failed
+            failed = outbox.counts.failure
             certify(certificates, "car1")  # and again, in good time: a new connection takes it up
             put(store, [2])
-            await until(lambda: outbox.counts.failed > failed)
+            await until(lambda: outbox.counts.failure > failed)
             await until(lambda: store.unpublished_count("car1") == 0)
 
 

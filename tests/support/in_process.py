@@ -15,7 +15,7 @@ import pytest
 import diag_service.batch.worker
 from diag_service.cli import command_line, main
 from diag_service.commands.options import PROGRAM
-from diag_service.console import OWN
+from diag_service.console import LOGGERS
 from diag_service.stopping import Controls, Trigger
 from tests.support.service import Ended
 
@@ -71,7 +71,7 @@ def command(*words: str | Path, stop: Trigger | None = None) -> None:
 @contextlib.contextmanager
 def never_a_program() -> Iterator[None]:
     """Let our loggers be as in a process in which no command line has run."""
-    loggers = [logging.getLogger(name) for name in ("", "can", *OWN, *(f"{name}.compiling" for name in OWN))]
+    loggers = [logging.getLogger(name) for name in ("", "can", *LOGGERS, *(f"{name}.compiling" for name in LOGGERS))]
     before = [(logger.handlers, logger.level, logger.propagate) for logger in loggers]
     for logger in loggers[1:]:
         logger.handlers, logger.propagate = [], True

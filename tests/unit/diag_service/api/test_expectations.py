@@ -8,7 +8,7 @@ import pytest
 from clutch_results.records import Condition, ShiftStatistics
 from diag_service.api.analysis import Analysis
 from diag_service.api.expectations import expect_frames, expect_same_frames, expect_shifts, expect_verdict
-from diag_service.diagnosis.summary import FrameCounts, Summary
+from diag_service.diagnosis.summary import FrameCounts, Summary, summary_record
 from tests.support.builders import rejected, shift_result
 
 FRAMES = FrameCounts(
@@ -22,7 +22,7 @@ def found(*, frames: FrameCounts = FRAMES) -> Analysis:
     for result in results:
         statistics = statistics.with_shift(result, is_new=True)
     summary = Summary(vehicle="car1", frames=frames, shifts=statistics, unpublished_count=None)
-    return Analysis.of([], results, summary, [])
+    return Analysis(paths=(), results=tuple(results), summary=summary_record(summary))
 
 
 def message(can_id: int, *data: int) -> can.Message:

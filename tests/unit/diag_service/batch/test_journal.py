@@ -77,9 +77,9 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_named_logs_are_one_drive_beside_a_folder(folder: Path) -> None:
-    drives = find_drives([folder / "b.log", folder / "sub"]).drives
+    drives, _ = find_drives([folder / "b.log", folder / "sub"])
     assert [len(drive.paths) for drive in drives] == [1, 1]
-    together = find_drives([folder / "b.log", folder / "sub" / "a.dat"]).drives
+    together, _ = find_drives([folder / "b.log", folder / "sub" / "a.dat"])
     assert [drive.name for drive in together] == [f"{folder / 'b.log'} and 1 more"]
 
 
@@ -103,9 +103,9 @@ def test_what_stands_for_nothing_is_refused(folder: Path) -> None:
 def test_a_link_to_a_log_of_the_folder_is_left_out_and_its_log_is_read_once(folder: Path) -> None:
     (folder / "a link.log").symlink_to(folder / "b.log")
     (folder / "sub" / "z.log").symlink_to("../b.log")
-    found = find_drives([folder])
-    assert [drive.paths for drive in found.drives] == [(folder / "b.log",), (folder / "sub" / "a.dat",)]
-    assert [(str(one.path.relative_to(folder)), one.reason) for one in found.left_out if one.path.is_symlink()] == [
+    drives, left_out = find_drives([folder])
+    assert [drive.paths for drive in drives] == [(folder / "b.log",), (folder / "sub" / "a.dat",)]
+    assert [(str(one.path.relative_to(folder)), one.reason) for one in left_out if one.path.is_symlink()] == [
         ("a link.log", f"a link to {folder / 'b.log'}, which is read already"),
         ("sub/z.log", f"a link to {folder / 'b.log'}, which is read already"),
     ]

@@ -119,7 +119,7 @@ async def test_a_broker_that_takes_no_bundles_gets_results_alone(store: ResultSt
     outbox = await drained(store, Place(link))
     assert set(seqs(link)) == set(range(1, COUNT + 1))
     assert 1 <= link.refused_count <= 3
-    assert outbox.counts.failed == (link.refused_count if hangs_up else 0)
+    assert outbox.counts.failure == (link.refused_count if hangs_up else 0)
 
 
 async def test_what_of_a_bundle_nobody_acknowledged_comes_again_alone(store: ResultStore) -> None:

@@ -37,18 +37,18 @@ def test_what_is_delivered_goes_first_then_what_is_empty_then_the_oldest(store: 
         store.add(long_result(seq, is_empty=11 <= seq <= 15), STATE)
     store.mark_published(range(6, 11))
     seq = 20
-    while not store.dropped_counts().delivered:
+    while not store.dropped_counts()["delivered"]:
         store.add(long_result(seq := seq + 1), STATE)
     assert kept(store) == [*range(1, 6), *range(11, seq + 1)]
-    while not store.dropped_counts().empty:
+    while not store.dropped_counts()["empty"]:
         store.add(long_result(seq := seq + 1), STATE)
     assert kept(store) == [*range(1, 6), *range(16, seq + 1)]
-    assert store.dropped_counts().undelivered == 0
+    assert store.dropped_counts()["undelivered"] == 0
     for _ in range(100):
         store.add(long_result(seq := seq + 1), STATE)
     counts = store.dropped_counts()
-    assert (counts.delivered, counts.empty) == (5, 5)
-    assert counts.undelivered == seq - 10 - len(kept(store))
+    assert (counts["delivered"], counts["empty"]) == (5, 5)
+    assert counts["undelivered"] == seq - 10 - len(kept(store))
     assert kept(store)[-1] == seq
     assert store.used_bytes() <= BUDGET_BYTES
 
