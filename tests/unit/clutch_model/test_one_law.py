@@ -35,7 +35,7 @@ OF_LAWS = {
 }
 ALLOWED = {
     ("studies/converter_car.py", "contact_factor_m3"),  # a plant of its own, to be held against
-    ("ecu_emulator/plant/clutch.py", "squeeze_factor_m2"),  # (X2): grooves are another number for the same law
+    ("ecu_emulator/plant/powertrain.py", "squeeze_factor_m2"),  # (X2): grooves are another number for the same law
     ("diag_service/diagnosis/friction/film.py", "squeeze_factor_m2"),  # likewise a film that yields more quickly
 }
 CLUTCH = nominal_calibration().clutches[0]
