@@ -55,7 +55,7 @@ class QualityLimits:
     optional_message_ratio: float = 0.9  # factor for each message that failed, though no estimate needs it
     late_periods: float = 3.0  # a sample this much later than its sender's schedule says little about time
     saturated_ratio: Band = Band(start=0.0, end=0.1)  # of samples at the end of the scale
-    wheel_ratio: Band = Band(start=0.03, end=0.13)  # rms of wheel over output speed; a hard launch reaches 0.022
+    wheel_ratio: Band = Band(start=0.03, end=0.13)  # rms of driven wheel over output speed; sound: 0.022
     least_wheel_m_s: float = 2.0  # below this, speed sensors resolve too little for a ratio
     hub_mean_rad_s: Band = Band(start=1.0, end=5.0)  # engine less hub, which a torsion damper ties together
     pressure_median_pa: Band = Band(start=0.3e5, end=1.3e5)  # pressure less its lagged command, over the whole cut
@@ -85,7 +85,7 @@ LIMITS: Final = QualityLimits()
 SHAFT_GEARS: Final = (Signal.INPUT1_GEAR, Signal.INPUT2_GEAR)
 _LAG_NS: Final = round(COMMAND_LAG_S / NS_TO_S)
 _NEVER: Final = np.empty(0, np.int64)
-_NO_RATIO: Final = np.empty(0)
+DRIVEN_WHEELS: Final = 2  # of an axle
 _WHEELS: Final = (Signal.WHEEL_FL_SPEED, Signal.WHEEL_FR_SPEED, Signal.WHEEL_RL_SPEED, Signal.WHEEL_RR_SPEED)
 _PRESSURES: Final = (
     (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH1_PRESSURE_COMMAND),
@@ -103,28 +103,27 @@ def agreement(event: Event) -> float | None:
 
 
 def _wheels(columns: Columns) -> float | None:
-    """Compare wheel speeds with the speed of the transmission output: their ratio is one number.
+    """Compare wheel speeds with the speed of the transmission output: the ratio of each is one number.
 
-    While a shaft rings in its new gear, so does the output: that tells nothing of the sensors.
+    Both wheels of a driven axle turn with the output. The others need not: in a launch of 180 N m driven tyres slip by
+    a tenth. So two wheels that agree are enough, whichever they are. While a shaft rings in its new gear, so does the
+    output: that tells nothing of the sensors.
     """
     output = columns.get(Signal.OUTPUT_SPEED, NO_SAMPLES)
     if not len(output.t_ns):
         return None
     gears = [columns[signal] for signal in SHAFT_GEARS if signal in columns]
     changes_ns = np.concatenate([_NEVER, *[gear.t_ns[1:][np.diff(gear.value) != 0.0] for gear in gears]])
-    ratios = []
+    scatters = []
     for wheel in [columns[signal] for signal in _WHEELS if signal in columns]:
         turning_rad_s = _reading(output, wheel.t_ns)
         is_turning = (wheel.value > LIMITS.least_wheel_m_s) & (turning_rad_s > 0.0)
         for change_ns in changes_ns:
             is_turning &= np.abs(wheel.t_ns - change_ns) * NS_TO_S > LIMITS.ringing_s
-        ratios.append(wheel.value[is_turning] / turning_rad_s[is_turning])
-    all_ratios = np.concatenate([_NO_RATIO, *ratios])
-    if not len(all_ratios):
-        return None
-    middle = np.median(all_ratios)
-    apart = [math.sqrt(np.mean((ratio / middle - 1.0) ** 2)) for ratio in ratios if len(ratio)]
-    return LIMITS.wheel_ratio.score(max(apart))
+        ratio = wheel.value[is_turning] / turning_rad_s[is_turning]
+        if len(ratio):
+            scatters.append(math.sqrt(np.mean((ratio / np.median(ratio) - 1.0) ** 2)))
+    return LIMITS.wheel_ratio.score(sorted(scatters)[:DRIVEN_WHEELS][-1]) if scatters else None
 
 
 def _hub(columns: Columns) -> float | None:

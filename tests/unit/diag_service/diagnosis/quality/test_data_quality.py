@@ -24,6 +24,8 @@ from tests.support.builders import drive_scenario
 from tests.support.wire import received
 
 CALIBRATION = nominal_calibration()
+FRONT = (Signal.WHEEL_FL_SPEED, Signal.WHEEL_FR_SPEED)
+REAR = (Signal.WHEEL_RL_SPEED, Signal.WHEEL_RR_SPEED)
 
 
 @cache
@@ -134,7 +136,6 @@ def test_a_sensor_at_the_end_of_its_scale() -> None:
 @pytest.mark.parametrize(
     ("signal", "change"),
     [
-        (Signal.WHEEL_FL_SPEED, lambda value: np.full_like(value, value[0] * 0.6)),
         (Signal.OUTPUT_SPEED, lambda value: np.full_like(value, value[0])),
         (Signal.HUB_SPEED, lambda value: value + 4.0),
         (Signal.ENGINE_SPEED, lambda value: value * 1.05),
@@ -146,6 +147,18 @@ def test_sensors_that_contradict_each_other(signal: Signal, change: Callable[[Fl
     event = with_values(signal, change)
     assert part(event, QualityPart.PLAUSIBILITY) < LIMITS.least_score_ratio
     assert reasons_against(data_quality(event, basis())) == (Reason.IMPLAUSIBLE,)
+
+
+@pytest.mark.parametrize("slipping", [FRONT, REAR])
+def test_tyres_of_one_axle_may_slip(slipping: tuple[Signal, Signal]) -> None:
+    """In a hard launch the driven axle turns up to a fifth faster than the other, and with the output."""
+    columns = dict(sound().columns)
+    for signal in slipping:
+        value = columns[signal].value
+        columns[signal] = replace(columns[signal], value=value * (1.0 - 0.2 * np.linspace(1.0, 0.0, len(value)) ** 2))
+    event = replace(sound(), columns=columns)
+    assert part(event, QualityPart.PLAUSIBILITY) == 1.0
+    assert reasons_against(data_quality(event, basis())) == ()
 
 
 @pytest.mark.parametrize(("years", "expected"), [(0, 1.0), (5, 1.0), (10, 0.5), (20, 0.0)])
