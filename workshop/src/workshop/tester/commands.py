@@ -14,7 +14,8 @@ from diag_service.settings.config import BusConfig
 from diag_service.stopping import Controls, Trigger
 from workshop.tester import questions, scanning
 from workshop.tester.addresses import LARGEST_ID, hexadecimal, id_text, number_of
-from workshop.tester.asking import LARGEST_LOGICAL, DoipPlace, HeardTraffic, listen_at
+from workshop.tester.asking import LARGEST_LOGICAL, DoipPlace, listen_at
+from workshop.tester.listening import HeardTraffic
 from workshop.tester.trouble import (
     Record,
     TroubleCode,

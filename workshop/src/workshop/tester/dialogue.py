@@ -32,7 +32,7 @@ from workshop.tester.answers import (
     refusal_text,
     request_text,
 )
-from workshop.tester.asking import CLASSIC_BYTES, PADDING, receive, send
+from workshop.tester.listening import CLASSIC_BYTES, PADDING, receive, send
 
 _client, _messages, _connectors = (
     load_extra(name, "DoIP needs doipclient", "uds", "./workshop")

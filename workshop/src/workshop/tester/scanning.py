@@ -13,7 +13,7 @@ import can
 from canlog.errors import NOTICE
 from diag_service import errors
 from diag_service.settings.config import BusConfig
-from workshop.tester import asking
+from workshop.tester import asking, listening
 from workshop.tester.addresses import (
     FIXED_PHYSICAL,
     FUNCTIONAL_ID,
@@ -57,7 +57,7 @@ WAIT_S: Final = 0.06  # P2 of a controller, and a little for the bus
 SUSPECTS: Final = 4  # last requests to which a late answer may belong
 MOST_SILENT: Final = 3  # unanswered requests after which no more data are read
 _PRESENT: Final = bytes([0x02, TESTER_PRESENT, 0x00])  # a single frame: TesterPresent
-_FRAME: Final = _PRESENT.ljust(asking.CLASSIC_BYTES, bytes([asking.PADDING]))
+_FRAME: Final = _PRESENT.ljust(listening.CLASSIC_BYTES, bytes([listening.PADDING]))
 _ANSWERS: Final = (bytes([0x02, TESTER_PRESENT + POSITIVE, 0x00]), bytes([0x03, NEGATIVE, TESTER_PRESENT]))
 PROBES: Final = (  # reading services only, which change neither session nor memory
     (TESTER_PRESENT, bytes([TESTER_PRESENT, 0x00])),
@@ -201,11 +201,11 @@ def _confirm_request(bus: can.BusABC, suspects: Iterable[int], response_id: int,
 def _probe(bus: can.BusABC, request_id: int | None, wait_s: float, wanted: int | None = None) -> frozenset[int]:
     """Ask once and return the identifiers of answers in time; stop at the wanted one."""
     if request_id is not None:
-        asking.send(bus, can.Message(arbitration_id=request_id, is_extended_id=is_extended(request_id), data=_FRAME))
+        listening.send(bus, can.Message(arbitration_id=request_id, is_extended_id=is_extended(request_id), data=_FRAME))
     until_s = time.monotonic() + wait_s
     response_ids = set[int]()
     while (left_s := until_s - time.monotonic()) > 0.0 and (wanted is None or wanted not in response_ids):
-        message = asking.receive(bus, left_s)
+        message = listening.receive(bus, left_s)
         if message is None or message.is_error_frame:
             continue
         if is_request(message.arbitration_id) and bytes(message.data) != _FRAME:  # own frames may be echoed
@@ -273,7 +273,7 @@ def _read_data(tester: "Dialogue", description: Description, numbers: Iterable[i
 class Scan:
     """The result of a scan."""
 
-    traffic: asking.HeardTraffic | None  # before the first request; None over IP
+    traffic: listening.HeardTraffic | None  # before the first request; None over IP
     controllers: tuple[FoundController, ...]
 
 
@@ -287,8 +287,8 @@ def scan(plan: ScanPlan, *, goes_on: Callable[[], bool] = lambda: True) -> Scan:
         with asking.dialogue_over_ip(plan.place, plan.timing, goes_on=goes_on) as tester:
             return Scan(traffic=None, controllers=(_explore(tester, plan, None),))
     with asking.opened_bus(plan.place) as bus:
-        traffic = asking.listen(bus, plan.listen_s, goes_on)
-        asking.check_alone(traffic)
+        traffic = listening.listen(bus, plan.listen_s, goes_on)
+        listening.check_alone(traffic)
         _LOG.log(NOTICE, "listened: %s; asking %d identifiers", traffic, len(plan.request_ids))
         addresses = find_addresses(bus, plan.request_ids, traffic.can_ids, wait_s=plan.wait_s, goes_on=goes_on)
         return Scan(traffic=traffic, controllers=tuple(_controllers(bus, addresses, plan, goes_on)))

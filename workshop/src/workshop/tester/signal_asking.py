@@ -53,8 +53,9 @@ from workshop.tester.addresses import (
     is_request,
 )
 from workshop.tester.answers import BUSY, MOST_PENDING_S, PENDING_S, is_data_answer, is_pending, refusal_text
-from workshop.tester.asking import LISTEN_S, AskingThread, opened_bus, receive, send
+from workshop.tester.asking import AskingThread, opened_bus
 from workshop.tester.dialogue import CanConnection, TimeoutException
+from workshop.tester.listening import LISTEN_S, receive, send
 
 MOST_LOAD: Final = 0.05  # bus load by requests and answers
 USUAL_BITRATE: Final = 500_000

@@ -38,7 +38,8 @@ from diag_service.stopping import Controls
 from workshop.tester.adapters import Line, line_through, parse_adapter, rules_through
 from workshop.tester.addresses import CanAddress, id_text, is_extended
 from workshop.tester.answers import refusal_text
-from workshop.tester.asking import HeardTraffic, check_time, listen_at, opened_bus
+from workshop.tester.asking import check_time, listen_at, opened_bus
+from workshop.tester.listening import HeardTraffic
 from workshop.tester.signal_asking import (
     MOST_SILENT,
     NO_GROUPS,

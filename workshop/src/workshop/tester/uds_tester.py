@@ -11,10 +11,8 @@ from workshop.tester.addresses import can_address, check_number
 from workshop.tester.answers import DEFAULT_SESSION, DialogueCounts
 from workshop.tester.asking import (
     LARGEST_LOGICAL,
-    LISTEN_S,
     BusTarget,
     DoipPlace,
-    HeardTraffic,
     address_for,
     asking,
     listen_at,
@@ -22,6 +20,7 @@ from workshop.tester.asking import (
     timing_of,
 )
 from workshop.tester.description import find_description
+from workshop.tester.listening import LISTEN_S, HeardTraffic
 from workshop.tester.trouble import TroubleCode
 
 if TYPE_CHECKING:
