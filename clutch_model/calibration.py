@@ -323,7 +323,7 @@ class Converter(Ranged):
 CLUTCH_COUNT: Final = 2
 ELEMENTS: Final = ("clutch 1", "clutch 2")
 _TEXTS: Final = ("name", "version")  # a number will do
-_ELSEWHERE: Final = ("clutch", "transmission")  # read above, and by clutch_model.transmission
+_ELSEWHERE: Final = ("clutch", "transmission")  # read above; of older files, whose elements name the clutches
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -466,12 +466,11 @@ def calibration_toml(calibration: Calibration) -> str:
 
 SHIPPED: Final = ("nominal", "gs7", "lockup")  # types of transmissions that can be driven and diagnosed
 CONVERTERS: Final = frozenset({"lockup"})  # of them, with a torque converter
-DESCRIBED: Final = (*SHIPPED, "8hp70")
 
 
 def shipped_table(name: str = "nominal") -> dict[str, Any]:
     """Return a shipped calibration as nested tables, for callers that override some keys."""
-    require(name in DESCRIBED, f"no transmission {name!r}; known: {', '.join(DESCRIBED)}")
+    require(name in SHIPPED, f"no transmission {name!r}; known: {', '.join(SHIPPED)}")
     text = files("clutch_model").joinpath(f"calibrations/{name}.toml").read_text(encoding="utf-8")
     return completed(tomllib.loads(text))
 
@@ -496,7 +495,7 @@ def overlaid(base: Any, overlay: Any) -> Any:  # noqa: ANN401 - parsed TOML
 def calibration_table(path: Path) -> dict[str, Any]:
     """Return the tables of a calibration file, or of a shipped calibration that is named; raises CalibrationError."""
     name = str(path)
-    return shipped_table(name) if name in DESCRIBED and not path.exists() else read_table(path, "calibration")
+    return shipped_table(name) if name in SHIPPED and not path.exists() else read_table(path, "calibration")
 
 
 def shipped_calibration(name: str) -> Calibration:

@@ -14,7 +14,6 @@ if typing.TYPE_CHECKING:
     from canlog.errors import CanlogError, DefinitionError, ExtraMissingError, OutputError, SourceError
     from canlog.tables.decoding import TableChoice
     from clutch_model.errors import CalibrationError
-    from clutch_model.transmission import Transmission, read_transmission
     from clutch_results.records import ClutchVerdict, Condition, ShiftEstimate, ShiftResult, Status
     from diag_service.api.analysis import Analysis, PaperAnalysis, ResultTable, analyze, analyze_by_paper
     from diag_service.api.calibration import calibrate
@@ -72,7 +71,6 @@ __all__ = [
     "Status",
     "StoreError",
     "TableChoice",
-    "Transmission",
     "analyze",
     "analyze_by_paper",
     "analyze_folders",
@@ -90,7 +88,6 @@ __all__ = [
     "predict",
     "propose_profile",
     "read",
-    "read_transmission",
     "stored_shift",
     "write_report",
 ]

@@ -478,23 +478,6 @@ def learn(controls: Controls, **words: Any) -> None:
     learn(LearnOptions(**words), controls)
 
 
-@command_line.command(epilog=examples(f"{PROGRAM} transmission 8hp70"))
-@click.argument(
-    "file", type=FILE, metavar="NAME|FILE", help="nominal, gs7, 8hp70, or a TOML file with a table [transmission]"
-)
-@json_option
-@working
-def transmission(_controls: Controls, **words: Any) -> None:
-    """Show what a described transmission has: ratios, and which element which gear change tells.
-
-    Levers are torques over that of the input. An element can be told from a change in which it slips and moves the
-    input.
-    """
-    from diag_service.commands.learn import show_transmission
-
-    show_transmission(**words)
-
-
 @command_line.group(subcommand_metavar="ACTION ...", no_args_is_help=False)
 def lake() -> None:
     """Look after a lake of results."""

@@ -1,13 +1,10 @@
-"""``diag-service learn``, ``calibrate``, ``predict`` and ``transmission``: what is known of a vehicle, for people."""
+"""``diag-service learn``, ``calibrate`` and ``predict``: what is known of a vehicle, for people."""
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-import numpy as np
-
-from clutch_model.transmission import Transmission, read_transmission
 from clutch_model.units import bar_from_pa, rpm_from_rad_s
 from clutch_results.records import dump
 from clutchdiag_io.console import PeopleConsole, plain_table
@@ -32,8 +29,7 @@ from diag_service.settings.options import LearnOptions, PredictOptions
 from diag_service.stopping import Controls
 from fleet_contract import JsonObject
 
-SCHEMA: Final = "clutchdiag/transmission/v1"
-CALIBRATION_SCHEMA: Final = "clutchdiag/self-calibration/v1"
+SCHEMA: Final = "clutchdiag/self-calibration/v1"
 _PER_CENT, _BAR = 100.0, float(bar_from_pa(1.0))
 _UNITS: Final[Mapping[str, tuple[str, str, float]]] = {  # how people read a parameter: label, unit, factor from SI
     "torque_offset": ("torque offset", "Nm", 1.0),
@@ -112,52 +108,6 @@ def _lines(title: str, shown: Sequence[PredictedShift]) -> Iterator[str]:
         )
 
 
-def show_transmission(file: Path, *, json: bool) -> None:
-    transmission = read_transmission(file)
-    write_record(transmission_record(transmission), transmission_lines(transmission), as_json=json)
-
-
-def transmission_record(transmission: Transmission) -> JsonObject:
-    """Return ratios, levers and slips of all gears, and what each change of one element tells."""
-    gears: list[JsonObject] = [
-        {
-            "number": gear.number,
-            "ratio": transmission.ratio(gear),
-            "levers": transmission.levers(gear),
-            "slips": {name: slip for name, slip in transmission.slips(gear).items() if np.isfinite(slip)},
-        }
-        for gear in transmission.gears
-    ]
-    changes: list[JsonObject] = [
-        {
-            "lower": change.lower,
-            "upper": change.upper,
-            "elements": {
-                name: {"slip_by_input": slip.by_input, "slip_by_output": slip.by_output}
-                for name, slip in zip((change.coming, change.going), change.slips, strict=True)
-            },
-            "told": [name for name, *_ in change.told],
-        }
-        for change in transmission.changes()
-    ]
-    return {"schema": SCHEMA, "name": transmission.name, "gears": gears, "changes": changes}
-
-
-def transmission_lines(transmission: Transmission) -> Iterator[str]:
-    """Yield the same for people, a line each."""
-    yield transmission.name
-    for gear in transmission.gears:
-        levers = ", ".join(f"{name} {lever:+.2f}" for name, lever in transmission.levers(gear).items())
-        name = "reverse" if gear.number < 0 else f"gear {gear.number}"
-        yield f"{name}: ratio {transmission.ratio(gear):.3f}; torque over the input's: {levers}"
-    changes_of: dict[str, list[str]] = {element.name: [] for element in transmission.elements}
-    for change in transmission.changes():
-        for name, gears, slip in change.told:
-            changes_of[name].append(f"{gears[0]}-{gears[1]} (lever {slip.by_input:+.2f})")
-    for name, changes in changes_of.items():
-        yield f"{name} can be told from {', '.join(changes)}" if changes else f"{name}: no change of gears tells it"
-
-
 def calibrate(options: LearnOptions, controls: Controls) -> None:
     """Write the calibration file of a vehicle and show what was found."""
     with ReadingLine() as line:
@@ -208,7 +158,7 @@ def _calibration_record(outcome: FoundCalibration) -> JsonObject:
     calibration = outcome.self_calibration
     frictions = {clutch: friction_of(calibration.state, clutch) for clutch in (1, 2)}
     return {
-        "schema": CALIBRATION_SCHEMA,
+        "schema": SCHEMA,
         "vehicle": outcome.vehicle,
         "complete": not outcome.gaps,
         "incomplete": [gap.value for gap in outcome.gaps],

@@ -1,7 +1,6 @@
 """Writes the JSON Schema of a transmission's description: ``python -m tests.tools.description_schema``.
 
-It is made from the records that read descriptions, for editors that complete and check what somebody types. What the
-parts amount to only the programs check.
+It is made from the records that read descriptions, for editors that complete and check what somebody types.
 """
 
 import json
@@ -12,35 +11,30 @@ from typing import Any, Final
 
 import msgspec
 
-from clutch_model.calibration import CLUTCH_COUNT, DESCRIBED, Calibration, Ranged
-from clutch_model.transmission import FORMAT, Transmission
+from clutch_model.calibration import CLUTCH_COUNT, SHIPPED, Calibration, Ranged
 
 SCHEMA: Final = Path(__file__).parents[2] / "clutch_model/calibrations/schema.json"
 _PART: Final = "PartOf"  # where a description is like another one, its tables need not be whole
 
 
 def schema() -> dict[str, Any]:
-    """Return the schema of a description, version `FORMAT`."""
-    _, found = msgspec.json.schema_components([Calibration, Transmission], ref_template="#/$defs/{name}")
-    for kind in _kinds(Calibration, Transmission):
+    """Return the schema of a description."""
+    _, found = msgspec.json.schema_components([Calibration], ref_template="#/$defs/{name}")
+    for kind in _kinds(Calibration):
         _bound(found[kind.__name__], kind)
-    root, transmission = found.pop("Calibration"), found["Transmission"]
-    transmission["properties"]["format"] = {"const": FORMAT}
-    transmission["required"].append("format")
+    root = found.pop("Calibration")
     properties = root["properties"]
     properties["clutch"] = properties.pop("clutches")
     properties["clutch"]["minItems"] = 1  # behind a converter there may be one, see below
     properties |= {name: {"type": ["string", "number"]} for name in ("name", "version")}
-    properties["transmission"] = {"$ref": "#/$defs/Transmission"}
+    properties["transmission"] = {"type": "object", "deprecated": True}  # of older files
     numbers = ["clutch" if name == "clutches" else name for name in root["required"]]
-    # An epicyclic transmission is a description without clutches: nothing is estimated with it.
-    epicyclic = {"required": ["transmission"], "not": {"required": ["clutch"]}}
-    whole = {"properties": properties, "anyOf": [{"required": numbers}, epicyclic]}
-    like = {"like": {"enum": list(DESCRIBED)}}
+    whole = {"properties": properties, "required": numbers}
+    like = {"like": {"enum": list(SHIPPED)}}
     part = {"properties": like | _renamed(properties)}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "$id": f"urn:clutchdiag:transmission:v{FORMAT}",
+        "$id": "urn:clutchdiag:transmission:v1",
         "title": "Description of a transmission",
         "type": "object",
         "if": {"required": ["like"]},

@@ -80,3 +80,9 @@ def test_a_file_may_be_like_a_shipped_calibration() -> None:
     assert found.clutches[1].friction == nominal.clutches[1].friction
     with pytest.raises(CalibrationError, match="no transmission 'dq500'; known: nominal, gs7"):
         Calibration.from_mapping({"like": "dq500"})
+
+
+def test_the_clutches_of_older_files_have_the_names_of_their_transmission() -> None:
+    shafts = {"gears": [], "elements": [{"name": "K1"}, {"name": "K2"}, {"name": "brake"}]}
+    assert Calibration.from_mapping({"like": "nominal", "transmission": shafts}).elements == ("K1", "K2")
+    assert Calibration.from_mapping({"like": "lockup"}).elements == ("lock-up clutch",)
