@@ -40,7 +40,7 @@ _THRESHOLDS: Final = ((1.0, "new"), (WATCH_LEVEL_RATIO, "watch"), (CHANGE_LEVEL_
 WATCH_PERCENT: Final = 100.0 * WATCH_MARGIN_RATIO  # of the margin
 LIMITS: Final = ((WATCH_PERCENT, "watch", f"watch: {WATCH_PERCENT:.0f} %"), (0.0, "change", "change: 0 %"))
 LEAST_KM: Final = 20.0  # on fewer kilometres events are told apart by their numbers
-MOST_AHEAD_M: Final = 1.5e8
+MOST_AHEAD_M: Final = 1.575e8  # no fan goes farther
 SHOWN_PERCENT: Final = (-120.0, 160.0)  # a margin that is little known may be anywhere
 FAN_SIZE: Final = (640, 280)
 UNFORETOLD: Final = (Action.CHANGE_NOW, Action.FIND_CAUSE, Action.NEW_FLUID)
@@ -102,11 +102,11 @@ def fan_of(
     pasts.sort(key=lambda past: (past.clutch not in soon, past.left[-1]))
     first = pasts[0].clutch
     decisive = next((prognosis for prognosis in prognoses if prognosis.clutch == first), None)
-    foretold = None if decisive is None or not is_foretold else forecast(decisive)
+    foretold = None if decisive is None or not is_foretold else forecast(decisive, MOST_AHEAD_M)
     km, ahead, quantiles = _odometer_km(results), np.empty(0), np.empty((3, 0))
     if foretold is not None:
         _, likely_m, sure_m = (np.interp(0.0, -left, foretold.distance_m) for left in foretold.quantiles)
-        is_shown = foretold.distance_m <= 1.05 * min(sure_m, 2.0 * likely_m, MOST_AHEAD_M)
+        is_shown = foretold.distance_m <= 1.05 * min(sure_m, 2.0 * likely_m)
         ahead, quantiles = km[-1] + foretold.distance_m[is_shown] / M_PER_KM, 100.0 * foretold.quantiles[:, is_shown]
     has_km = foretold is not None or np.ptp(km) >= LEAST_KM  # NaN where the odometer is not known
     along = km if has_km else np.arange(1.0, len(results) + 1.0)

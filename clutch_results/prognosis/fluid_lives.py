@@ -1,6 +1,6 @@
 """The lives of the fluids of one clutch so far: each fitted by itself, one saying what to expect of the next."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -102,18 +102,11 @@ def _prior(name: ChannelName, before: FluidLife | None, peers: Peers | None, *, 
     return replace(prior, start=start, start_std=start_std)
 
 
-def either(life: FluidLife, margin_limit: float, level_limit: float) -> trend.Passage:
+def either(life: FluidLife, margin_limit: float, level_limit: float, count: int | None = None) -> trend.Passage:
     """Return when the margin or the level passes its limit; the level that of new fluid or that of its own start."""
-    return next(either_of(life, [(margin_limit, level_limit)]))
-
-
-def either_of(life: FluidLife, limits: Sequence[tuple[float, float]]) -> Iterator[trend.Passage]:
-    """Yield `either` for each pair of limits of margin and level."""
-    margins = trend.passages(life.channels[ChannelName.MARGIN].future, ([(margin, 0.0)] for margin, _ in limits))
-    levels = trend.passages(
-        life.channels[ChannelName.LEVEL].future, ([(level, 0.0), (0.0, level)] for _, level in limits)
-    )
-    return map(trend.Passage.or_, margins, levels)
+    margin, level = life.channels[ChannelName.MARGIN].future, life.channels[ChannelName.LEVEL].future
+    when = trend.passage(margin, [(margin_limit, 0.0)], count)
+    return when.or_(trend.passage(level, [(level_limit, 0.0), (0.0, level_limit)], count))
 
 
 _HALVINGS: Final = 6  # a fluid's end is found to a sixty-fourth of what was driven with it
@@ -172,7 +165,7 @@ def _at(
 
 
 def _has_ended(life: FluidLife) -> bool:
-    return either(life, CHANGE_MARGIN_RATIO, CHANGE_LEVEL_RATIO).within(0.0) >= 0.5
+    return either(life, CHANGE_MARGIN_RATIO, CHANGE_LEVEL_RATIO, count=1).within(0.0) >= 0.5
 
 
 def _course(channel: trend.AgedChannel, distance_m: float) -> Course:

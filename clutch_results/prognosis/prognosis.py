@@ -22,7 +22,8 @@ from clutch_results.prognosis.assumptions import (
     SURE_OF_AGEING,
 )
 from clutch_results.prognosis.changes import FluidStart, fluid_starts
-from clutch_results.prognosis.fluid_lives import CHANGE_MARGIN_RATIO, FluidLife, either, either_of, fluid_lives
+from clutch_results.prognosis.channels import DISTANCE_M
+from clutch_results.prognosis.fluid_lives import CHANGE_MARGIN_RATIO, FluidLife, either, fluid_lives
 from clutch_results.prognosis.history import History
 from clutch_results.prognosis.population import Peers
 from clutch_results.prognosis.trend import Passage
@@ -154,16 +155,21 @@ class Forecast:
 
 
 _LEFT = np.linspace(-0.2, 1.2, 36)  # margins of which the passage is looked at
+_SHARES = (0.1, 0.5, 0.9)
 
 
-def forecast(prognosis: Prognosis) -> Forecast | None:
-    """Return the margin at each distance ahead; None where the outlook is TOO_FEW."""
+def forecast(prognosis: Prognosis, within_m: float) -> Forecast | None:
+    """Return the margin at each distance within some from today; None where the outlook is TOO_FEW."""
     if prognosis.life is None:
         return None
-    passages = list(either_of(prognosis.life, [(left, level_at(left)) for left in _LEFT.tolist()]))
-    passed = np.maximum.accumulate([when.probability for when in passages], axis=0)
-    quantiles = [[np.interp(share, column, _LEFT) for column in passed.T] for share in (0.1, 0.5, 0.9)]
-    return Forecast(distance_m=passages[0].distance_m, quantiles=np.array(quantiles))
+    distance_m = DISTANCE_M[: np.searchsorted(DISTANCE_M, within_m, side="right")]
+    count, before, passed = len(distance_m), np.zeros_like(distance_m), np.ones((len(_LEFT), len(distance_m)))
+    for row, left in enumerate(_LEFT.tolist()):
+        when = either(prognosis.life, left, level_at(left), count)
+        passed[row, :count] = before = np.maximum(before[:count], when.probability)
+        count = int(np.count_nonzero(before <= _SHARES[-1]))  # farther on less is left with every share
+    quantiles = [np.interp(_SHARES, column, _LEFT) for column in passed.T]
+    return Forecast(distance_m=distance_m, quantiles=np.transpose(quantiles))
 
 
 def _reach(when: Passage, service_distance_m: float) -> Reach:

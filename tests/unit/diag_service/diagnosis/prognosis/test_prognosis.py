@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
 from clutch_results.prognosis import History, Outlook, Prognosis, history_of, prognose
-from clutch_results.prognosis.assumptions import KNEE_PROBABILITY, MARGIN_OF_NEW, USUAL_LIFE_M
+from clutch_results.prognosis.assumptions import KNEE_PROBABILITY, LOAD_LOG_STD, MARGIN_OF_NEW
 from clutch_results.prognosis.channels import DISTANCE_M, ChannelName, channels_of, clocks_of
 from clutch_results.prognosis.prognosis import Reach
 from clutch_results.prognosis.trend import AgedChannel, Future, aged, gram_matrices, passage
@@ -186,14 +186,14 @@ def test_a_bend_in_the_past_counts_more_than_the_mean_over_the_life() -> None:
 def sure(now: float, rate_per_m: float, *, std: float = 0.001, start: float = 1.0) -> Future:
     """Return a channel that is known well."""
     return Future(
-        ahead=DISTANCE_M[None] / USUAL_LIFE_M,
-        loss=np.array([-rate_per_m * USUAL_LIFE_M]),
+        weight=np.ones(1),
+        fall=-rate_per_m * DISTANCE_M[None],
+        fall_variance=(LOAD_LOG_STD * rate_per_m * DISTANCE_M[None]) ** 2,
         now=np.array([now]),
         now_variance=np.array([std**2]),
         start=np.array([start]),
         start_variance=np.array([std**2]),
         now_start_covariance=np.zeros(1),
-        random=np.zeros(1),
     )
 
 
