@@ -3,16 +3,19 @@
 import json
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
+from functools import cache
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
 import msgspec
 from sqlalchemy import (
+    BindParameter,
     Connection,
     Engine,
     Interval,
     Select,
     and_,
+    bindparam,
     func,
     literal,
     literal_column,
@@ -75,14 +78,16 @@ _UNSHOWN: Final = frozenset({  # of an event; friction is shown apart from the c
 _SHIFT_COLUMNS: Final = tuple(name for name in SHIFT_RESULT.columns.keys() if name not in _UNSHOWN)  # noqa: SIM118
 
 
-def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_by_month: bool = False) -> Select[Any]:
+@cache
+def _current_results(*, is_by_month: bool) -> Select[Any]:
     """Return the statement for the newest results of a clutch, of each event the newest version.
 
     Where results are kept ``is_by_month``, a newer version is looked for only where the newest positions hold several,
     and among those made within a month of the older one: both say when the event ended.
     """
     table = SHIFT_RESULT
-    of_clutch = (table.c.vehicle == vehicle, table.c.clutch == clutch)
+    vehicle: BindParameter[str] = bindparam("vehicle")
+    of_clutch = (table.c.vehicle == vehicle, table.c.clutch == bindparam("clutch"))
     order = ("vehicle", "clutch", "produced_at", "stream")
     newest_first = [table.c[name].desc() for name in order]
     newer = select(_NEWER.c.seq).where(
@@ -92,7 +97,7 @@ def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_b
     is_current = ~newer.exists()
     if is_by_month:
         newer = newer.where(_NEWER.c.produced_at.between(table.c.produced_at - _NEAR, table.c.produced_at + _NEAR))
-        beyond = select(table.c.produced_at).where(*of_clutch).order_by(*newest_first).offset(most).limit(1)
+        beyond = select(table.c.produced_at).where(*of_clutch).order_by(*newest_first).offset(MOST_RESULTS).limit(1)
         edge = func.coalesce(beyond.scalar_subquery(), EARLIEST)
         mixed = select(_NEWER.c.stream, _NEWER.c.seq).group_by(_NEWER.c.stream, _NEWER.c.seq).having(func.count() > 1)
         mixed = mixed.where(_NEWER.c.vehicle == vehicle, _NEWER.c.produced_at >= edge - _NEAR)
@@ -102,14 +107,15 @@ def current_results(vehicle: str, clutch: int, most: int = MOST_RESULTS, *, is_b
         RANKED_AT["postgresql" if is_by_month else "sqlite"].format("shift_result."), UtcDateTime()
     )
     columns = (*(table.c[name] for name in _TREND_COLUMNS), ranked_at)
-    return select(*columns).where(*of_clutch, is_current).order_by(*newest_first).limit(most)
+    return select(*columns).where(*of_clutch, is_current).order_by(*newest_first).limit(MOST_RESULTS)
 
 
 def results_of(engine: Engine, vehicle: str, clutch: int) -> list[Row]:
     """Return the newest results of a clutch, the oldest first; an event that came live and in a log counts once."""
     with transaction(engine) as connection:
         names = (*_TREND_COLUMNS, "ranked_at")
-        stored = connection.execute(current_results(vehicle, clutch, is_by_month=has_partitions(engine)))
+        statement = _current_results(is_by_month=has_partitions(engine))
+        stored = connection.execute(statement, {"vehicle": vehicle, "clutch": clutch})
         rows = _revised(connection, [dict(zip(names, row, strict=True)) for row in stored])
         rows = _of_own_fluid(rows, [fill.filled_at for fill in _fills(connection, vehicle)])
         remember(connection, {(row["vehicle"], row["calibration_version"]) for row in rows})

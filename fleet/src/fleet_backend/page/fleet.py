@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, date, datetime, timedelta
 from itertools import chain
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import anyio.to_thread
 from prometheus_client.core import Metric
@@ -74,6 +74,7 @@ class FleetSnapshot:
     alarmed: frozenset[str] = frozenset()  # vehicles with an open alarm
     due: frozenset[str] = frozenset()  # those whose fluid is due within a month
     silent: frozenset[str] = frozenset()  # those of which no result came for long
+    drawn: dict[object, Any] = field(init=False, default_factory=dict)  # answers made of it, by what was asked
 
 
 Calendar = tuple[Sequence[ClutchNow], Sequence[tuple[str, Sequence[int]]]]

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
 from datetime import date, datetime, timedelta
+from functools import wraps
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -68,8 +69,30 @@ from fleet_contract.orders import UNKNOWN_FLUID, Action, name_of
 RowT = TypeVar("RowT")
 MOST_FOR_PEOPLE: Final = 1000  # rows of a page
 NEWEST: Final = 25  # events of each clutch on a page
+MOST_DRAWN: Final = 100  # pages that a snapshot keeps, and the bytes of each: others are drawn whenever they are asked
+LARGEST_DRAWN: Final = 200_000
 
 
+def drawn_once(draw: Callable[[Request], Response]) -> Callable[[Request], Response]:
+    """Return a route that draws each page once while the snapshot holds: it is made of that alone."""
+
+    @wraps(draw)
+    def answer(request: Request) -> Response:
+        keeper = sources_of(request).keeper
+        drawn = keeper.snapshot.drawn
+        key = (str(request.url), request.headers.get("if-none-match"), viewer_of(request), keeper.complaint)
+        if key not in drawn:
+            made = draw(request)
+            if len(drawn) >= MOST_DRAWN or len(made.body) > LARGEST_DRAWN:
+                return made
+            drawn[key] = made
+        kept: Response = drawn[key]
+        return kept
+
+    return answer
+
+
+@drawn_once
 def vehicles(request: Request) -> Response:
     """List every vehicle as its worse clutch is, the worst first, and how many have each verdict."""
     query, sources = asked(request, VehiclesQuery), sources_of(request)
@@ -357,6 +380,7 @@ def alarms(request: Request) -> Response:
     return page(request, "alarms.html", _list(request, query, answer) | {"rules": [rule.value for rule in AlarmRule]})
 
 
+@drawn_once
 def maintenance(request: Request) -> Response:
     """List when the fluids of the fleet are due, in the order of their days."""
     query, sources = asked(request, ListQuery), sources_of(request)
