@@ -12,12 +12,12 @@ from cantools.database.can import Message
 
 import canlog
 from canlog.arrays import FloatArray
-from canlog.database.addressing import NOBODY, address_book, find_slot, message_address, overwritten, why_wrong
+from canlog.database.addressing import NOBODY, address_book, find_slots, message_address, overwritten, why_wrong
 from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.e2e.message_contract import message_contract
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import InputLeftError, SourceError
-from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FrameBatch
+from canlog.frames import EXTENDED_FLAG, FrameBatch
 from canlog.logs import STANDARD_INPUT, LogReader, read_log
 from canlog.logs.reading import Watch
 from canlog.logs.streams import never
@@ -345,5 +345,6 @@ def _names(messages: Sequence[Message], can_ids: AbstractSet[int]) -> dict[int, 
     later = overwritten(addresses)
     usable = [slot for slot in range(len(messages)) if slot not in later]
     book = address_book([addresses[slot] for slot in usable])
-    slots = {can_id: find_slot(book, can_id) for can_id in can_ids if not can_id & (REMOTE_FLAG | ERROR_FLAG)}
-    return {can_id: messages[usable[slot]].name for can_id, slot in slots.items() if slot != NOBODY}
+    slots = find_slots(book, np.array([*can_ids], np.uint32)).tolist()
+    named = zip(can_ids, slots, strict=True)
+    return {can_id: messages[usable[slot]].name for can_id, slot in named if slot != NOBODY}

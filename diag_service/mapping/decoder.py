@@ -9,8 +9,8 @@ from cantools.database.can import Database
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
 from canlog.database.addressing import NOBODY, kernel_filters, sorted_by_slot
-from canlog.decode.codec import SignalRules, decode_signal, signal_rules
-from canlog.decode.signals import LITTLE_WORD, NO_INVALID, InvalidCounts, PayloadWords, UInt64Array, pick_word
+from canlog.decode.compiled import SignalRules, decode_signal, pick_word, signal_rules
+from canlog.decode.signals import NO_INVALID, InvalidCounts, PayloadWords, UInt64Array, payload_words
 from canlog.e2e.e2e_state import E2eState, E2eStates
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
 from canlog.frames import MAX_GAP_NS, BusTrouble, FrameBatch, empty_batch, is_error, reports
@@ -79,8 +79,7 @@ class SamplePass:
         count = len(batch)
         slots = np.where(verdicts.reason == FrameReason.OK, verdicts.slot, NOBODY)
         order, begin = sorted_by_slot(slots, len(self._rules.begin) - 1)
-        payloads = np.require(batch.data.view(LITTLE_WORD), requirements="A")
-        frames = AcceptedFrames(order, begin, payloads, batch.t_ns, verdicts.sequence)
+        frames = AcceptedFrames(order, begin, payload_words(batch.data), batch.t_ns, verdicts.sequence)
         samples = self._layout.room(count)
         invalid = np.zeros((len(self._layout.signals), 2), np.int64)
         words, good = np.empty((self._word_count, count), np.uint64), np.empty(count, np.bool_)

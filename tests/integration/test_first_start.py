@@ -100,7 +100,7 @@ def test_a_live_service_has_compiled_what_a_first_burst_needs() -> None:
         "from canlog.e2e.late_frames import catch_up\n"
         "from diag_service.service.bus_run import warm_up\n"
         "warm_up()\n"
-        "print(len(catch_up.signatures))"
+        "print(len(catch_up.compiled.signatures))"
     )
     done = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
     assert done.stdout == "1\n"

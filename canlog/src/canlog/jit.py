@@ -1,53 +1,62 @@
-"""The one way this project compiles a numerical kernel, and how those who wait for it hear of it."""
+"""The one way this project marks a numerical kernel, and how those who wait for its compilation hear of it.
 
-import gc
+Nothing is compiled before a kernel is called, and until then numba is not loaded: that takes a second, and many
+programs call no kernel.
+"""
+
 from collections.abc import Callable
-from typing import Any, Final, ParamSpec, TypeVar, cast
-
-import numba
-from numba.core import event as numba_event
-from numba.extending import register_jitable
+from functools import update_wrapper
+from threading import RLock
+from typing import Any, Final, Generic, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
 FIRST_START: Final = "first start: compiling, takes about 20 s"
-# No kernel makes an array: without the last option, which numba does not list, the use of each argument is counted.
-_OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
-_EVENT: Final = "numba:compile"
-_events: Any = numba_event  # numba has no types
+
+parts: list[Callable[..., Any]] = []  # that numba does not know yet
+listeners: list[Callable[[str], object]] = []
+_lock: Final = RLock()  # a kernel is compiled when all parts are known
 
 
-def kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a function to machine code, cached on disk and free of the interpreter lock.
+class Kernel(Generic[P, R]):
+    """A function that becomes machine code when it is first called, kept on disk and free of the interpreter lock.
 
-    Typed wrapper around ``numba.njit``: the signature survives, so ``mypy --strict`` sees through it.
+    ``__call__`` is an attribute of each kernel, which Python calls without a step between: first what compiles, then
+    what was compiled.
     """
-    try:
-        return cast("Callable[P, R]", numba.njit(cache=True, **_OPTIONS)(function))
-    except RuntimeError:  # no folder can be written
-        return cast("Callable[P, R]", numba.njit(**_OPTIONS)(function))
+
+    __slots__ = ("__call__", "__dict__")
+    __call__: Callable[P, R]
+
+    def __init__(self, function: Callable[P, R]) -> None:
+        update_wrapper(self, function)
+        self._function: Callable[P, R] | None = function
+        self.__call__ = self._first
+
+    def _first(self, *arguments: P.args, **named: P.kwargs) -> R:
+        result: R = self.compiled(*arguments, **named)
+        return result
+
+    @property
+    def compiled(self) -> Any:  # noqa: ANN401 - numba's dispatcher, untyped
+        """The kernel as numba's own object, which compiles for the types of each call."""
+        with _lock:
+            if self._function is not None:
+                from canlog.compiling import compiled  # noqa: PLC0415 - it loads numba
+
+                self.__call__ = compiled(self._function)
+                self._function = None
+        return self.__call__
+
+    @property
+    def _numba_type_(self) -> Any:  # noqa: ANN401 - likewise
+        """What numba asks a global of another kernel for."""
+        return self.compiled._numba_type_
 
 
-class _Uncollected(numba_event.Listener):
-    """Collects no garbage while a kernel is compiled: a tenth of the time, and hardly anything is garbage before."""
-
-    def __init__(self) -> None:
-        self._depth = 0  # parts are compiled inside a kernel
-        self._was_enabled = False
-
-    def on_start(self, event: object) -> None:  # noqa: ARG002 - numba's signature
-        if self._depth == 0:
-            self._was_enabled = gc.isenabled()
-            gc.disable()
-        self._depth += 1
-
-    def on_end(self, event: object) -> None:  # noqa: ARG002 - likewise
-        self._depth -= 1
-        if self._depth == 0 and self._was_enabled:
-            gc.enable()
-
-
-_events.register(_EVENT, _Uncollected())
+def kernel(function: Callable[P, R]) -> Kernel[P, R]:
+    """Have numba compile a function, by ``numba.njit`` with a cache, when it is first called."""
+    return Kernel(function)
 
 
 def part(function: Callable[P, R]) -> Callable[P, R]:
@@ -55,8 +64,8 @@ def part(function: Callable[P, R]) -> Callable[P, R]:
 
     It needs no entry for Python and no file of the cache, which cost a kernel a third of its time to compile.
     """
-    compiled: Callable[P, R] = register_jitable(**_OPTIONS, no_cpython_wrapper=True)(function)
-    return compiled
+    parts.append(function)
+    return function
 
 
 def on_compiling(listener: Callable[[str], object]) -> Callable[[], None]:
@@ -65,24 +74,11 @@ def on_compiling(listener: Callable[[str], object]) -> Callable[[], None]:
     What it raises ends the call that needs the kernel; those that were compiled before are kept. Return what takes it
     back.
     """
-    registered = _Listener(listener)
-    _events.register(_EVENT, registered)
-    return lambda: _events.unregister(_EVENT, registered)
+    listeners.append(listener)
+    return lambda: listeners.remove(listener)
 
 
 def announce_compiling(say: Callable[[str], object]) -> Callable[[], None]:
     """Have ``say`` called with a line for people when this process begins to compile; return what takes that back."""
     lines = iter([FIRST_START])
     return on_compiling(lambda _name: [say(line) for line in lines])
-
-
-class _Listener(numba_event.Listener):
-    def __init__(self, listener: Callable[[str], object]) -> None:
-        self._listener = listener
-
-    def on_start(self, event: Any) -> None:  # noqa: ANN401 - likewise
-        function = event.data["dispatcher"].py_func
-        self._listener(f"{function.__module__}.{function.__qualname__}")
-
-    def on_end(self, event: object) -> None:
-        """Do nothing: only the start is announced."""

@@ -49,7 +49,8 @@ def test_an_edited_law_of_another_file_is_compiled_and_an_unedited_one_is_not(tm
     for package in ("canlog", "clutch_model", "ecu_emulator", "clutchdiag_io"):
         (tmp_path / package).mkdir()
         (tmp_path / package / "__init__.py").touch()
-    shutil.copy(ROOT / "canlog" / "src" / "canlog" / "jit.py", tmp_path / "canlog")
+    for name in ("jit.py", "compiling.py"):
+        shutil.copy(ROOT / "canlog" / "src" / "canlog" / name, tmp_path / "canlog")
     shutil.copy(ROOT / "clutchdiag_io" / "program.py", tmp_path / "clutchdiag_io")
     (tmp_path / "ecu_emulator" / "caller.py").write_text(CALLER)
     law, cache = tmp_path / "clutch_model" / "law.py", tmp_path / "cache"

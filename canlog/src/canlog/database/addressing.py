@@ -16,7 +16,6 @@ from cantools.database.can import Message
 from canlog.arrays import Int64Array, UInt32Array
 from canlog.errors import DefinitionError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from canlog.jit import kernel, part
 
 J1939: Final = "j1939"
 PDU2_FORMATS: Final = 240
@@ -52,7 +51,7 @@ class MessageAddress:
 
 
 class AddressBook(NamedTuple):
-    """Addresses as tables for a kernel; slots are places in the sequence of addresses."""
+    """Addresses as tables; slots are places in the sequence of addresses."""
 
     standard: Int64Array  # (2048,) slot of each 11-bit identifier, NOBODY where there is none
     extended: Int64Array  # sorted 29-bit identifiers
@@ -203,48 +202,30 @@ def _sorted_table(slots: dict[int, int]) -> tuple[Int64Array, Int64Array]:
 
 
 def find_slots(book: AddressBook, can_id: UInt32Array) -> Int64Array:
-    """Return the slots of frames, NOBODY for those that are of no known message or carry no data."""
-    slot = np.empty(len(can_id), np.int64)
-    _fill_slots(book, can_id, slot)
+    """Return the slots of frames, shape (n,); NOBODY for those that are of no known message or carry no data."""
+    is_standard = can_id < STANDARD_IDS
+    slot = np.where(is_standard, book.standard[np.where(is_standard, can_id, 0)], NOBODY)
+    if book.extended.size or book.group.size:
+        is_extended = (can_id & np.uint32(_EXTENDED | _NO_DATA)) == _EXTENDED
+        slot[is_extended] = _extended_slots(book, (can_id[is_extended] & np.uint32(_ID_MASK)).astype(np.int64))
     return slot
 
 
-@kernel
-def _fill_slots(book: AddressBook, can_id: UInt32Array, slot: Int64Array) -> None:
-    for row in range(can_id.size):
-        slot[row] = NOBODY if can_id[row] & _NO_DATA else find_slot(book, int(can_id[row]))
+def _extended_slots(book: AddressBook, bare: Int64Array) -> Int64Array:
+    """Return the slots of data frames by their 29 bits: of the identifier, else of its group and sender."""
+    slot = _slots_of(book.extended, book.extended_slot, bare)
+    group = bare >> 8 & 0x3FFFF
+    anybody = np.where(group >> 8 & 0xFF < PDU2_FORMATS, group | _EVERYBODY, group)
+    for source in (bare & 0xFF, _ANY_SENDER):
+        for destination in (group, anybody) if book.group.size else ():
+            known = _slots_of(book.group, book.group_slot, destination << _SENDER_BITS | source)
+            slot = np.where(slot == NOBODY, known, slot)
+    return slot
 
 
-@part
-def find_slot(book: AddressBook, can_id: int) -> int:
-    """Return the slot of a data frame's identifier, with its flags; NOBODY if it is of no known message."""
-    if can_id & _EXTENDED == 0:
-        return int(book.standard[can_id]) if can_id < STANDARD_IDS else NOBODY
-    bare = can_id & _ID_MASK
-    place = find(book.extended, bare)
-    if place >= 0:
-        return int(book.extended_slot[place])
-    if book.group.size:
-        named = (bare >> 8) & 0x3FFFF
-        anybody = named | _EVERYBODY if (named >> 8) & 0xFF < PDU2_FORMATS else named
-        for source in (bare & 0xFF, _ANY_SENDER):
-            place = find(book.group, named << _SENDER_BITS | source)
-            if place < 0 and anybody != named:
-                place = find(book.group, anybody << _SENDER_BITS | source)
-            if place >= 0:
-                return int(book.group_slot[place])
-    return NOBODY
-
-
-@part
-def find(keys: Int64Array, key: int) -> int:
-    """Return the place of a key among sorted ones; -1 if it is not among them."""
-    low = 0
-    high = keys.size
-    while low < high:
-        middle = (low + high) >> 1
-        if keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    return low if low < keys.size and keys[low] == key else -1
+def _slots_of(keys: Int64Array, slots: Int64Array, key: Int64Array) -> Int64Array:
+    """Return what belongs to each key in a table that is sorted by its keys, NOBODY if it has none of it."""
+    if not keys.size:
+        return np.full(len(key), NOBODY)
+    place = np.minimum(np.searchsorted(keys, key), keys.size - 1)
+    return np.where(keys[place] == key, slots[place], NOBODY)

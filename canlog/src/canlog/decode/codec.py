@@ -5,14 +5,14 @@ from copy import copy
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array
+from canlog.arrays import BoolArray, Int64Array
 from canlog.database.addressing import (
     FIRST_FAST_GROUP,
     NOBODY,
@@ -28,159 +28,53 @@ from canlog.database.not_available import no_value_codes
 from canlog.decode.signals import (
     WORD_BITS,
     Decoded,
-    IntegerCode,
-    InvalidCounts,
     PayloadWords,
     SignalTable,
-    UInt64Array,
     compile_signal,
 )
 from canlog.errors import DefinitionError
 from canlog.frames import ERROR_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
-from canlog.jit import kernel, part
-
-SIGNAL: Final = np.dtype(
-    [
-        ("word", np.int64),  # which of the words
-        ("left", np.uint64),  # shift that brings its highest bit to the top
-        ("right", np.uint64),  # shift that then brings its lowest bit to the bottom
-        ("sign", np.uint64),  # its highest bit, of signed numbers
-        ("is_checked", np.int64),  # some raw values are no measurements
-        ("lowest", np.int64),
-        ("highest", np.int64),
-        ("first_code", np.int64),  # of the ranges of raw values that are none
-        ("last_code", np.int64),
-        ("scale", np.float64),
-        ("offset", np.float64),
-    ]
-)
-SignalArray = npt.NDArray[np.void]  # of SIGNAL
-
-
-class SignalRules(NamedTuple):
-    """How the plain signals of m messages are read, one row per signal in the order of the messages."""
-
-    begin: Int64Array  # (m + 1,) where the signals of a message begin
-    word_begin: Int64Array  # (m + 1,) where the words begin that they lie in
-    word: Int64Array  # (w, 2) first byte of a word, and whether it is big-endian
-    signal: SignalArray  # (k,)
-    code: Int64Array  # (c, 2) ranges of raw values that are no measurements
-
-
-def signal_rules(messages: Sequence[Sequence[SignalTable]]) -> SignalRules:
-    """Return the rules of plain signals, message by message."""
-    words: list[tuple[int, bool]] = []
-    signals: list[tuple[float, ...]] = []
-    codes: list[tuple[int, int]] = []
-    begin, word_begin = [0], [0]
-    for tables in messages:
-        places = list(dict.fromkeys((table.field.first_byte, table.field.is_big) for table in tables))
-        for table in tables:
-            field, code = table.field, table.code
-            if not isinstance(code, IntegerCode):
-                raise DefinitionError("only integers are read by rules")
-            word = places.index((field.first_byte, field.is_big))
-            shifts = WORD_BITS - field.shift - field.length, WORD_BITS - field.length
-            is_checked = code.raw_range != code.raw_limits or len(code.not_available) > 0
-            code_rows = len(codes), len(codes) + len(code.not_available)
-            sign = 1 << field.length - 1 if field.is_signed else 0
-            signals.append((word, *shifts, sign, is_checked, *code.raw_range, *code_rows, code.scale, code.offset))
-            codes += code.not_available
-        words += places
-        begin.append(len(signals))
-        word_begin.append(len(words))
-    return SignalRules(
-        begin=np.array(begin, np.int64),
-        word_begin=np.array(word_begin, np.int64),
-        word=np.array(words, np.int64).reshape(-1, 2),
-        signal=np.array(signals, SIGNAL),
-        code=np.array(codes, np.int64).reshape(-1, 2),
-    )
 
 
 class SignalBlock:
     """The signals of a message, compiled.
 
-    Plain signals that are in every frame go through one kernel; all others are decoded by their own tables.
+    Plain signals that are in every frame are scaled together; all others are decoded by their own tables.
     """
 
     def __init__(self, tables: Mapping[str, SignalTable]) -> None:
-        plain = {name: table for name, table in tables.items() if table.is_plain and not table.selectors}
         self._tables = tables
+        plain = {name: table for name, table in tables.items() if table.is_plain and not table.selectors}
         self._row_of = {name: row for row, name in enumerate(plain)}
-        self._rules = signal_rules([list(plain.values())])
-        self._has_checks = bool(self._rules.signal["is_checked"].any())
+        self._fields = [table.field for table in plain.values()]
+        self._left = _column([WORD_BITS - field.shift - field.length for field in self._fields], np.uint64)
+        self._right = _column([WORD_BITS - field.length for field in self._fields], np.uint64)
+        self._sign = _column([field.is_signed << field.length - 1 for field in self._fields], np.int64)
+        self._scale = _column([table.code.scale for table in plain.values()], np.float64)
+        self._offset = _column([table.code.offset for table in plain.values()], np.float64)
 
     def decode(self, words: PayloadWords) -> dict[str, Decoded]:
-        value = np.empty((len(self._row_of), len(words)))
-        good = np.empty((len(value), len(words) if self._has_checks else 0), np.bool_)
-        bad_count = np.zeros((len(value), 2), np.int64)
-        if len(value):
-            _decode_rows(words.words(self._rules.word), self._rules, value, good, bad_count)
-        values, bad_counts = list(value), bad_count.tolist()
+        raw = np.empty((len(self._fields), len(words)), np.int64)  # no plain signal has 64 bits
+        bits = raw.view(np.uint64)
+        for row, field in enumerate(self._fields):
+            bits[row] = words.word(field.first_byte, is_big=field.is_big)
+        bits <<= self._left
+        bits >>= self._right
+        raw ^= self._sign
+        raw -= self._sign
+        value = raw.astype(np.float64)
+        value *= self._scale
+        value += self._offset
         signals: dict[str, Decoded] = {}
         for name, table in self._tables.items():
-            if (row := self._row_of.get(name)) is None:
-                signals[name] = table.decode(words)
-            elif any(bad_counts[row]):
-                signals[name] = Decoded(values[row], good[row], InvalidCounts(*bad_counts[row]))
-            else:
-                signals[name] = Decoded(values[row], None)
+            at = self._row_of.get(name)
+            signals[name] = table.decode(words) if at is None else table.judged(value[at], raw[at])
         return signals
 
 
-@kernel
-def _decode_rows(
-    words: UInt64Array, rules: SignalRules, value: FloatArray, good: BoolArray, bad_count: Int64Array
-) -> None:
-    """Decode the signals of one message: values of shape (signals, n), and where needed which are measurements."""
-    for row in range(rules.signal.size):
-        decode_signal(words[rules.signal[row]["word"]], rules, row, value[row], good[row], bad_count[row])
-
-
-@part
-def decode_signal(
-    word: UInt64Array, rules: SignalRules, row: int, value: FloatArray, good: BoolArray, bad_count: Int64Array
-) -> None:
-    """Decode one signal of many payloads.
-
-    Where some raw values are no measurements, fill in which are, and how many are codes and how many out of range.
-    """
-    signal = rules.signal[row]
-    left, right, sign, scale, offset = (
-        signal["left"],
-        signal["right"],
-        signal["sign"],
-        signal["scale"],
-        signal["offset"],
-    )
-    for at in range(word.size):  # as signed numbers, which become floats faster: no plain signal has 64 bits
-        raw = np.int64((word[at] << left) >> right ^ sign) - np.int64(sign)
-        value[at] = np.float64(raw) * scale + offset
-    if signal["is_checked"]:
-        _check(word, signal, rules.code, good, bad_count)
-
-
-@part
-def _check(word: UInt64Array, signal: np.void, code: Int64Array, good: BoolArray, bad_count: Int64Array) -> None:
-    """Fill in which raw values are measurements, and how many are codes and how many out of range."""
-    left, right, sign, lowest, highest = (
-        signal["left"],
-        signal["right"],
-        signal["sign"],
-        signal["lowest"],
-        signal["highest"],
-    )
-    codes = outside = 0
-    for at in range(word.size):
-        raw, is_code = np.int64((word[at] << left) >> right ^ sign) - np.int64(sign), False
-        for place in range(signal["first_code"], signal["last_code"]):
-            is_code |= code[place, 0] <= raw <= code[place, 1]
-        is_inside = lowest <= raw <= highest
-        good[at] = is_inside and not is_code
-        codes += is_code
-        outside += not (is_inside or is_code)
-    bad_count[0], bad_count[1] = codes, outside
+def _column(values: Sequence[float], kind: npt.DTypeLike) -> npt.NDArray[Any]:
+    """Return values as a column beside rows of numbers, shape (n, 1)."""
+    return np.array(values, kind).reshape(-1, 1)
 
 
 class FrameFate(IntEnum):
@@ -284,7 +178,7 @@ class Codec:
 
     def match(self, batch: FrameBatch) -> FrameMatch:
         """Return the message of each frame, NOBODY where no signal can be decoded, and the fates of frames."""
-        slot = find_slots(self._book, batch.plain().can_id)
+        slot = find_slots(self._book, batch.can_id)
         fate = _fates(self._rules, batch, slot)
         shape = len(self.tables) + 1, len(FrameFate)
         place = np.where(slot == NOBODY, len(self.tables), slot) * len(FrameFate) + fate

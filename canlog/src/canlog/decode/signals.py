@@ -20,72 +20,50 @@ from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt8Array
 from canlog.database.not_available import CodeRange
 from canlog.errors import DefinitionError
 from canlog.frames import FD_PAYLOAD_BYTES
-from canlog.jit import kernel, part
 
 UInt64Array = npt.NDArray[np.uint64]
 
 WORD_BYTES: Final = 8
 WORD_BITS: Final = 64
 LITTLE_WORD: Final = np.dtype(np.uint64)  # of the machines that numba compiles for
-_ODD_BYTES: Final = np.uint64(0x00FF_00FF_00FF_00FF)
-_ODD_PAIRS: Final = np.uint64(0x0000_FFFF_0000_FFFF)
 
 
 class PayloadWords:
     """Some rows of payloads, or all, as 64-bit words; bytes past the end of the rows are zeros."""
 
     def __init__(self, data: UInt8Array, rows: Int64Array | None = None) -> None:
-        missing = -data.shape[1] % WORD_BYTES
-        whole = np.pad(data, ((0, 0), (0, missing))) if missing else np.ascontiguousarray(data)
-        words: UInt64Array = whole.view(LITTLE_WORD)
-        self._payloads = words if words.flags.aligned else words.copy()
-        self._rows = np.arange(len(data)) if rows is None else rows
-        self._words: dict[tuple[int, bool], UInt64Array] = {}  # those of multiplexers serve many signals
+        self._payloads = payload_words(data)
+        self._rows: Int64Array | slice = slice(None) if rows is None else rows
+        self._count = len(data) if rows is None else len(rows)
+        self._words: dict[tuple[int, bool], UInt64Array] = {}  # each serves many signals
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return self._count
 
     def word(self, first_byte: int, *, is_big: bool) -> UInt64Array:
         """Return the eight bytes from ``first_byte`` on, the first of them highest if ``is_big``, shape (n,)."""
         key = first_byte, is_big
         if key not in self._words:
-            self._words[key] = self.words(np.array([key], np.int64))[0]
+            column, passed = divmod(first_byte, WORD_BYTES)
+            word = self._column(column)
+            if passed:
+                bits = np.uint64(8 * passed)
+                word = word >> bits | self._column(column + 1) << (np.uint64(WORD_BITS) - bits)
+            self._words[key] = word.byteswap() if is_big else word
         return self._words[key]
 
-    def words(self, starts: Int64Array) -> UInt64Array:
-        """Return several words by their first bytes and whether they are big-endian, shape (words, n)."""
-        words = np.empty((len(starts), len(self)), np.uint64)
-        pick_words(self._payloads, self._rows, starts, words)
-        return words
+    def _column(self, number: int) -> UInt64Array:
+        if number < self._payloads.shape[1]:
+            return self._payloads[self._rows, number]
+        return np.zeros(len(self), np.uint64)
 
 
-@kernel
-def pick_words(payloads: UInt64Array, rows: Int64Array, starts: Int64Array, words: UInt64Array) -> None:
-    """Fill in words of some payloads, shape (words, rows): by their first bytes and whether they are big-endian."""
-    for number in range(starts.shape[0]):
-        pick_word(payloads, rows, starts[number], words[number])
-
-
-@part
-def pick_word(payloads: UInt64Array, rows: Int64Array, start: Int64Array, word: UInt64Array) -> None:
-    """Fill in the eight bytes of some payloads from a first one on, in one of the two orders."""
-    column, is_big = start[0] // WORD_BYTES, start[1] != 0
-    passed = np.uint64(8 * (start[0] % WORD_BYTES))  # bits of that column in front of the word
-    width = payloads.shape[1]
-    for at in range(rows.size):
-        bits = payloads[rows[at], column] if column < width else np.uint64(0)
-        if passed:
-            following = payloads[rows[at], column + 1] if column + 1 < width else np.uint64(0)
-            bits = bits >> passed | following << (np.uint64(WORD_BITS) - passed)
-        word[at] = byteswapped(bits) if is_big else bits
-
-
-@part
-def byteswapped(word: np.uint64) -> np.uint64:
-    """Return a word with its bytes in the other order."""
-    word = (word & _ODD_BYTES) << np.uint64(8) | (word >> np.uint64(8)) & _ODD_BYTES
-    word = (word & _ODD_PAIRS) << np.uint64(16) | (word >> np.uint64(16)) & _ODD_PAIRS
-    return np.uint64(word << np.uint64(32) | word >> np.uint64(32))
+def payload_words(data: UInt8Array) -> UInt64Array:
+    """Return payloads as little-endian words, shape (n, words); zeros fill the last one."""
+    missing = -data.shape[1] % WORD_BYTES
+    whole = np.pad(data, ((0, 0), (0, missing))) if missing else np.ascontiguousarray(data)
+    words: UInt64Array = whole.view(LITTLE_WORD)
+    return words if words.flags.aligned else words.copy()
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,12 +302,15 @@ class SignalTable:
     is_plain: bool  # an integer that a float holds, in one word: one compiled pass reads all of a message
 
     def decode(self, words: PayloadWords) -> Decoded:
-        raw = self.field.raw(words)
-        present = self.presence(words) if self.selectors else None
+        raw, present = self.field.raw(words), self.presence(words) if self.selectors else None
+        value = self.code.value(raw.view(np.uint64)) if isinstance(self.code, FloatCode) else self.code.value(raw)
+        return self.judged(value, raw, present)
+
+    def judged(self, value: FloatArray, raw: UInt64Array | Int64Array, present: BoolArray | None = None) -> Decoded:
+        """Return values with what is known of each; ``present`` marks the frames that carry it, None: all do."""
         if isinstance(self.code, FloatCode):
-            value = self.code.value(raw.view(np.uint64))
             return _judged(value, present, ~np.isfinite(value), self.code.is_outside(value))
-        return _judged(self.code.value(raw), present, self.code.is_code(raw), self.code.is_outside(raw))
+        return _judged(value, present, self.code.is_code(raw), self.code.is_outside(raw))
 
     def cut_off_count(self, words: PayloadWords, size: int) -> int:
         """Return in how many payloads of ``size`` bytes the signal would be, were they longer.

@@ -11,7 +11,7 @@ from cantools.database.can import Database, Message
 from canlog.database.addressing import (
     MessageAddress,
     address_book,
-    find_slot,
+    find_slots,
     kernel_filters,
     message_address,
     overwritten,
@@ -41,7 +41,7 @@ def group(can_id: int, *, sender: int = -1, name: str = "G") -> MessageAddress:
 
 def slots(addresses: list[MessageAddress], *can_ids: int) -> list[int]:
     book = address_book(addresses)
-    return [find_slot(book, can_id | EXTENDED_FLAG) for can_id in can_ids]
+    return list(find_slots(book, np.array(can_ids, np.uint32) | np.uint32(EXTENDED_FLAG)))
 
 
 def batch(can_ids: list[int], channels: list[int] | None = None, length: int = 8) -> FrameBatch:
