@@ -22,7 +22,7 @@ from canlog.e2e.message_contract import message_contracts
 from clutchdiag_io.files import give_sign, make_sign
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
+from ecu_emulator.bus.sender import TransmitReport, clock_of, open_bus, transmit
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
 from ecu_emulator.errors import EmulatorConfigError, RecordError
 from ecu_emulator.progress import driven_text, people, print_json
@@ -385,6 +385,7 @@ def send(
     ``say`` gets lines for people, ``show`` five times a second the scenario time [s] and the frames sent. Raises
     BusError, RecordError if the bus goes away, or a file cannot be written.
     """
+    clock = clock_of(bus)
     with OtherSenders(
         bus,
         [contract.can_id for contract in message_contracts(load_contract(scenario.transmission)).values()],
@@ -403,7 +404,7 @@ def send(
             sent.sent_until(sent_s)
             show(sent_s, frame_count)
 
-        report = transmit(answering or bus, sent.frames(), stop, on_progress=progress)
+        report = transmit(answering or bus, sent.frames(), stop, clock=clock, on_progress=progress)
         sent.finish(report)
     result = {
         "scenario": scenario.name,
@@ -445,9 +446,10 @@ def _report_text(report: TransmitReport) -> str:
         f"{value_s * MS_PER_S:.2f}"
         for value_s in (report.lateness_p50_s, report.lateness_p95_s, report.lateness_p99_s, report.lateness_max_s)
     )
+    down = f"; the interface was down {report.interruptions} times" if report.interruptions else ""
     return (
         f"{state}: {report.frames_sent} frames sent in {report.duration_s:.1f} s, {report.frames_given_up} given up "
-        f"after {report.retries} retries\n"
+        f"after {report.retries} retries{down}\n"
         f"lateness [ms] p50 {p50}, p95 {p95}, p99 {p99}, max {most}; drift {report.drift_ppm:+.1f} ppm; "
         f"{report.overruns} overruns, {report.underruns} underruns"
     )

@@ -1,14 +1,19 @@
 """The emulator's sending end on a real vcan: full buffers, an interface that goes away."""
 
-import socket
+import json
 import threading
+import time
+from contextlib import suppress
+from typing import Self
 
 import pytest
 
+from canlog.live.socketcan import grow_receive_buffer
 from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
 from ecu_emulator.cli import main
 from ecu_emulator.errors import BusError
-from tests.support.bus_end import raw_socket
+from tests.support.bus_end import RECEIVE_BYTES, raw_socket
+from tests.support.patience import HANG_S
 from tests.support.starvation import StarvationWatch, undisturbed
 from tests.support.traffic import random_frames
 from tests.uml.vcan import ip_link
@@ -16,24 +21,65 @@ from tests.uml.vcan import ip_link
 pytestmark = pytest.mark.vcan
 
 
-def switch_off_amid(raw: socket.socket, vcan: str) -> None:
-    """Switch an interface off once a tenth of a second of a drive was heard on it."""
-    with raw:
-        for _ in range(60):
-            raw.recv(16)
+DOWN_S = 10.0
+
+
+class Listener:
+    """Counts the frames of an interface while it is entered, also after that was down."""
+
+    def __init__(self, vcan: str) -> None:
+        self._raw = raw_socket(vcan)
+        grow_receive_buffer(self._raw, int(RECEIVE_BYTES))
+        self._raw.settimeout(0.2)
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._listen, name="listener")
+        self.frame_count = 0
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._is_over.set()
+        self._thread.join()
+        self._raw.close()
+
+    def _listen(self) -> None:
+        is_last = False
+        while not is_last:
+            is_last = self._is_over.is_set()
+            with suppress(OSError):  # nothing came, or the interface is down
+                while self._raw.recv(16):
+                    self.frame_count += 1
+
+
+def switch_off_and_on(listener: Listener, vcan: str) -> None:
+    """Switch an interface off once a tenth of a second of a drive was heard on it, and on again after ten seconds."""
+    deadline_s = time.monotonic() + HANG_S
+    while listener.frame_count < 60 and time.monotonic() < deadline_s:
+        time.sleep(0.01)
     ip_link("set", vcan, "down")
+    time.sleep(DOWN_S)
+    ip_link("set", vcan, "up")
 
 
-def test_an_interface_switched_off_while_sending_is_one_clear_error(
+def test_an_interface_that_is_down_for_ten_seconds_costs_the_frames_of_these_and_no_more(
     vcan: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    thread = threading.Thread(target=switch_off_amid, args=(raw_socket(vcan), vcan))
-    thread.start()
-    status = main(["run", "-i", "socketcan", "-c", vcan, "--scenario", "noise_only", "--json"])
-    thread.join()
+    with Listener(vcan) as listener:
+        thread = threading.Thread(target=switch_off_and_on, args=(listener, vcan))
+        thread.start()
+        status = main(["run", "-i", "socketcan", "-c", vcan, "--scenario", "noise_only", "--cycles", "1", "--json"])
+        thread.join()
     said = capsys.readouterr()
-    assert (status, said.out) == (3, "")
-    assert said.err.splitlines()[-1].startswith("ecu-emulator: error: the bus went away after")
+    result = json.loads(said.out)
+    assert status == 0
+    assert result["is_complete"]
+    assert result["interruptions"] == 1
+    assert "the interface was down 1 times" in said.err
+    assert listener.frame_count == result["frames_sent"]
+    lost_s = result["frames_given_up"] / (result["frames_sent"] + result["frames_given_up"]) * result["duration_s"]
+    assert lost_s == pytest.approx(DOWN_S, abs=2.0)  # a guest may be late with either command
 
 
 def test_an_interface_that_is_down_says_what_to_do(vcan: str) -> None:

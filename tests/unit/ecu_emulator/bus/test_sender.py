@@ -8,10 +8,13 @@ import can
 import pytest
 
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.bus.sender import transmit
+from ecu_emulator.bus.sender import SendLateness, clock_of, transmit
 from ecu_emulator.errors import BusError
 from tests.support.patience import HANG_S
 from tests.support.traffic import random_frames
+
+FIRST_LOST, LOST = 11, 20  # frames
+DOWN = can.CanOperationError("Failed to transmit", errno.ENETDOWN)
 
 
 class AnsweringBus(can.BusABC):
@@ -28,6 +31,22 @@ class AnsweringBus(can.BusABC):
         if (error := self._answer(self.attempts)) is not None:
             raise error
         self.taken.append(msg)
+
+
+class LosingBus(AnsweringBus):
+    """Refuses, however often it is asked, some frames that follow each other."""
+
+    def __init__(self, error: can.CanError) -> None:
+        super().__init__()
+        self._error = error
+        self._asked: list[can.Message] = []
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        if not any(msg is known for known in self._asked[-1:]):
+            self._asked.append(msg)
+        if FIRST_LOST < len(self._asked) <= FIRST_LOST + LOST:
+            raise self._error
+        super().send(msg, timeout)
 
 
 @pytest.fixture
@@ -65,10 +84,88 @@ def test_a_full_buffer_is_tried_again(stop: threading.Event) -> None:
     assert report.frames_given_up == 0
 
 
-def test_a_bus_that_goes_away_ends_the_transmission(stop: threading.Event) -> None:
-    down = can.CanOperationError("Failed to transmit", errno.ENETDOWN)
+@pytest.mark.parametrize(
+    ("error", "interruptions"),
+    [
+        (DOWN, 1),
+        (can.CanOperationError("no buffer space", errno.ENOBUFS), 0),
+        (can.CanOperationError("Transmit buffer full"), 0),  # how python-can reports a controller that is bus-off
+    ],
+)
+def test_what_is_due_while_no_frame_passes_is_counted_and_the_rest_follows(
+    error: can.CanError, interruptions: int, stop: threading.Event
+) -> None:
+    """Each frame keeps its payload, so what was lost is known by name."""
+    frames = quick_frames(200)
+    with LosingBus(error) as bus:
+        report = transmit(bus, chunks(frames), stop)
+    kept = [*range(FIRST_LOST), *range(FIRST_LOST + LOST, 200)]
+    assert [(message.arbitration_id, bytes(message.data)) for message in bus.taken] == [
+        (int(frames.can_id[row]) & 0x1FFF_FFFF, frames.data[row, : frames.length[row]].tobytes()) for row in kept
+    ]
+    assert (report.frames_sent, report.frames_given_up) == (200 - LOST, LOST)
+    assert (report.interruptions, report.is_complete) == (interruptions, True)
+
+
+def test_two_interruptions_are_two(stop: threading.Event) -> None:
+    with AnsweringBus(lambda attempt: DOWN if attempt in {3, 4, 9} else None) as bus:
+        report = transmit(bus, chunks(quick_frames(30)), stop)
+    assert (report.frames_sent, report.frames_given_up, report.interruptions, report.retries) == (27, 3, 2, 0)
+
+
+@pytest.mark.parametrize("lateness_s", [3e-6, 0.0123, 0.7, 95.0])
+def test_percentiles_of_lateness_are_never_clipped(lateness_s: float) -> None:
+    lateness = SendLateness()
+    for _ in range(98):
+        lateness.add(0.0, lateness_s)
+    for _ in range(2):
+        lateness.add(0.0, 7_000.0)
+    assert lateness.quantile_s(0.5) == pytest.approx(lateness_s, rel=0.02)
+    assert lateness.quantile_s(0.99) == pytest.approx(7_000.0, rel=0.02)
+
+
+class SteppedClock:
+    """The time of a simulation: it passes only as somebody waits for it."""
+
+    LEAD_IN_S = 0.25
+
+    def __init__(self, last_s: float) -> None:
+        self._now_s = 0.0
+        self._last_s = last_s
+
+    def now_s(self) -> float:
+        return self._now_s
+
+    def sleep_until(self, deadline_s: float, stop: threading.Event) -> None:  # noqa: ARG002 - the protocol's
+        if deadline_s > self._last_s:
+            raise can.CanOperationError("the simulation has ended")
+        self._now_s = deadline_s
+
+
+class PacedBus(AnsweringBus):
+    def __init__(self, clock: SteppedClock) -> None:
+        super().__init__()
+        self.clock = clock
+
+
+def test_the_clock_of_a_bus_paces_the_frames_and_its_end_is_an_error(stop: threading.Event) -> None:
+    frames = random_frames(2_000, mean_gap_s=1.0)  # half an hour
+    with PacedBus(SteppedClock(last_s=1e5)) as bus:
+        report = transmit(bus, chunks(frames), stop, clock=clock_of(bus))
+    assert [message.timestamp for message in bus.taken] == (0.25 + frames.t_s).tolist()
+    assert (report.lateness_max_s, report.underruns, report.overruns) == (0.0, 0, 0)
+    assert report.duration_s == pytest.approx(frames.t_s[-1])
     with (
-        AnsweringBus(lambda attempt: down if attempt == 11 else None) as bus,
+        PacedBus(SteppedClock(last_s=100.0)) as bus,
+        pytest.raises(BusError, match=r"the bus went away after \d+ frames: the simulation has ended"),
+    ):
+        transmit(bus, chunks(frames), stop, clock=clock_of(bus))
+
+
+def test_a_bus_that_goes_away_ends_the_transmission(stop: threading.Event) -> None:
+    gone = can.CanOperationError("Failed to transmit", errno.ENODEV)
+    with (
+        AnsweringBus(lambda attempt: gone if attempt == 11 else None) as bus,
         pytest.raises(BusError, match="after 10 frames"),
     ):
         transmit(bus, chunks(quick_frames(100)), stop)
