@@ -1,6 +1,6 @@
-"""What happened on a drive, in words: kinds of events, how they end, slip that is let be."""
+"""What happened on a drive: kinds of events, how they end and how well they went, slip that is let be."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
@@ -77,3 +77,65 @@ class MicroSlip:
     slip_s: float  # that it rests on
     blocks_as_one: float  # half seconds that tell as much as one without correlation
     shudder: Shudder | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShiftIndices:
+    """What speeds and torques alone say about one shift (docs/model.md, indices of a shift); None: not to be had."""
+
+    shift_time_s: float | None = None  # None unless the shift was completed
+    slip_duration_s: float | None = None  # of the on-coming clutch, inside the shift
+    peak_slip_rad_s: float | None = None
+    slip_angle_rad: float | None = None  # slip integrated over time
+    torque_capacity_ratio: float | None = None  # clutch torque transmitted at slip over the one asked for
+    std_torque_capacity_ratio: float | None = None
+    reslip_rad_s: float | None = None  # largest slip under load after it had ended once; 0: none
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShiftParts:
+    """What the score of a gear change is made of, docs/verdict.md; None: its signals do not tell."""
+
+    fill_error_s: float | None = None  # by which the on-coming clutch was filled for too short a time
+    touch_error_pa: float | None = None  # by which its touch point is later than the control believes
+    flare_rad_s: float | None = None  # engine speed outside of what lies between both shafts
+    tie_up_nm: float | None = None  # that both clutches carried against each other
+    torque_hole_m_s2: float | None = None  # acceleration below that before and after
+    overtime_s: float | None = None  # from the request to the end of slip, beyond what is intended
+    temperature_rise_k: float | None = None  # that slip makes of the warmer pack, no heat carried away
+    jerk_m_s3: float | None = None
+    lock_rate_rad_s2: float | None = None  # of the slip as it ends
+    std_fill_error_s: float | None = None
+    std_touch_error_pa: float | None = None
+    acceleration_m_s2: float | None = None  # of the car before or after, whichever is larger
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShiftControl:
+    """How the hydraulics followed in an event; None: its signals do not tell."""
+
+    believed_touch_pa: float | None = None  # of the on-coming clutch, by which the control commands pressures
+    fill_time_s: float | None = None  # that all of its filling takes at the flow of this one
+    pressure_lag_s: float | None = None  # of its pressure behind the command, the pack closed
+    pressure_reach_ratio: float | None = None  # of the command beyond the touch point that its pressure reaches
+    pressure_short_pa: float | None = None  # by which it stays below the highest command
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PackHeat:
+    """What slip made of one pack in an event; None: its signals do not tell."""
+
+    slip_energy_j: float | None = None
+    peak_k: float | None = None  # warm throughout
+    life_ratio: float | None = None  # of a lining's life that this slip consumes: an index
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShiftQuality:
+    """How well an event went."""
+
+    score: float | None  # 0 to 100, of a gear change
+    reasons: tuple[str, ...] = ()  # the parts that cost a point or more, the dearest first
+    parts: ShiftParts = field(default_factory=ShiftParts)
+    control: ShiftControl = field(default_factory=ShiftControl)
+    packs: tuple[PackHeat, PackHeat] = (PackHeat(), PackHeat())  # of clutch 1 and 2

@@ -14,7 +14,7 @@ ENERGY_BOUNDS_J: Final = (300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0)
 class Part(NamedTuple):
     """What a part of the score is worth: up to ``free`` it costs nothing, at ``felt`` its weight."""
 
-    name: str  # of the field of `ShiftQuality`
+    name: str  # of the field of `ShiftParts`
     weight: float
     free: float
     felt: float
@@ -54,21 +54,19 @@ def borne(before: Mapping[int, Load], estimate: ShiftEstimate) -> dict[int, Load
     after, quality = dict(before), estimate.shift_quality
     if quality is None:
         return after
-    for clutch, energy_j, peak_k, life_ratio in (
-        (1, quality.slip_energy1_j, quality.peak1_k, quality.life1_ratio),
-        (2, quality.slip_energy2_j, quality.peak2_k, quality.life2_ratio),
-    ):
+    for clutch, pack in enumerate(quality.packs, 1):
+        energy_j = pack.slip_energy_j or 0.0
         is_launch = estimate.kind is EventKind.LAUNCH and estimate.clutch == clutch
         if energy_j or is_launch:
             old = after.get(clutch, _UNLOADED)
             counts = list(old.counts)
-            counts[bisect(ENERGY_BOUNDS_J, energy_j or 0.0)] += bool(energy_j)
+            counts[bisect(ENERGY_BOUNDS_J, energy_j)] += bool(energy_j)
             after[clutch] = Load(
                 clutch=clutch,
                 counts=tuple(counts),
-                energy_j=old.energy_j + (energy_j or 0.0),
-                peak_k=max(peak_k or 0.0, old.peak_k or 0.0) or None,
+                energy_j=old.energy_j + energy_j,
+                peak_k=max(pack.peak_k or 0.0, old.peak_k or 0.0) or None,
                 launch_count=old.launch_count + is_launch,
-                life_ratio=old.life_ratio + (life_ratio or 0.0),
+                life_ratio=old.life_ratio + (pack.life_ratio or 0.0),
             )
     return after

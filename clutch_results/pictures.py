@@ -145,7 +145,7 @@ def _odometer_km(results: Sequence[ShiftResult]) -> FloatArray:
 
     A step back or a leap is another instrument cluster. NaN where the odometer is not known of most.
     """
-    read_m = np.array([result.estimate.odometer_m for result in results], np.float64)  # None becomes NaN
+    read_m = np.array([result.estimate.conditions.odometer_m for result in results], np.float64)  # None becomes NaN
     places = np.flatnonzero(np.isfinite(read_m))
     if 2 * len(places) <= len(results):
         return np.full(len(results), np.nan)

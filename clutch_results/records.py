@@ -14,14 +14,14 @@ from datetime import UTC, datetime, timedelta
 from enum import IntEnum, StrEnum
 from functools import cache
 from statistics import NormalDist
-from typing import Final, Self, TypeVar
+from typing import Any, Final, Self, TypeVar
 
 import msgspec
 import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import TorqueSource
-from clutch_results.event_kinds import EndReason, EventKind, MicroSlip
+from clutch_results.event_kinds import EndReason, EventKind, MicroSlip, ShiftIndices, ShiftQuality
 from clutchdiag_io.program import legible_record
 from fleet_contract import Channel, JsonObject, ResultKey, schema
 from fleet_contract.errors import ResultError
@@ -226,19 +226,6 @@ class DataQuality:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShiftIndices:
-    """What speeds and torques alone say about one shift (docs/model.md, indices of a shift); None: not to be had."""
-
-    shift_time_s: float | None = None  # None unless the shift was completed
-    slip_duration_s: float | None = None  # of the on-coming clutch, inside the shift
-    peak_slip_rad_s: float | None = None
-    slip_angle_rad: float | None = None  # slip integrated over time
-    torque_capacity_ratio: float | None = None  # clutch torque transmitted at slip over the one asked for
-    std_torque_capacity_ratio: float | None = None
-    reslip_rad_s: float | None = None  # largest slip under load after it had ended once; 0: none
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Revision:
     """What an event made of an earlier one of the same vehicle: now it belongs with the others, or no longer."""
 
@@ -252,34 +239,24 @@ class Revision:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShiftQuality:
-    """How well an event went, docs/verdict.md; None: its signals do not tell."""
+class EventFit:
+    """How well the model explains an event, and what it rests on; all 0 when nothing was estimated."""
 
-    score: float | None  # 0 to 100, of a gear change
-    reasons: tuple[str, ...] = ()  # the parts that cost a point or more, the dearest first
-    fill_error_s: float | None = None  # by which the on-coming clutch was filled for too short a time
-    touch_error_pa: float | None = None  # by which its touch point is later than the control believes
-    flare_rad_s: float | None = None  # engine speed outside of what lies between both shafts
-    tie_up_nm: float | None = None  # that both clutches carried against each other
-    torque_hole_m_s2: float | None = None  # acceleration below that before and after
-    overtime_s: float | None = None  # from the request to the end of slip, beyond what is intended
-    temperature_rise_k: float | None = None  # that slip makes of the warmer pack, no heat carried away
-    jerk_m_s3: float | None = None
-    lock_rate_rad_s2: float | None = None  # of the slip as it ends
-    std_fill_error_s: float | None = None
-    std_touch_error_pa: float | None = None
-    slip_energy1_j: float | None = None  # of clutch 1
-    slip_energy2_j: float | None = None
-    believed_touch_pa: float | None = None  # of the on-coming clutch, by which the control commands pressures
-    fill_time_s: float | None = None  # that all of its filling takes at the flow of this one
-    pressure_lag_s: float | None = None  # of its pressure behind the command, the pack closed
-    pressure_reach_ratio: float | None = None  # of the command beyond the touch point that its pressure reaches
-    pressure_short_pa: float | None = None  # by which it stays below the highest command
-    acceleration_m_s2: float | None = None  # of the car before or after, whichever is larger
-    peak1_k: float | None = None  # of the pack of clutch 1, warm throughout
-    peak2_k: float | None = None
-    life1_ratio: float | None = None  # of a lining's life that this slip consumes: an index
-    life2_ratio: float | None = None
+    sample_count: int = 0  # torque samples inside the slip window
+    window_s: float = 0.0
+    chi_square_ratio: float = 0.0  # chi-square per degree of freedom
+    quality: float = 0.0  # 0..1: 1 is a full, clean, well-fitting window
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventConditions:
+    """Under which conditions an event happened; None: its signals do not tell."""
+
+    duration_s: float
+    sump_temperature_k: float | None = None
+    clutch_temperature_k: float | None = None
+    slip_energy_j: float | None = None
+    odometer_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -295,15 +272,8 @@ class ShiftEstimate:
     status: Status
     reasons: tuple[Reason, ...]
     friction: FrictionEstimate | None  # None unless VALID
-    sample_count: int  # torque samples inside the slip window
-    window_s: float
-    chi_square_ratio: float  # chi-square per degree of freedom; 0 when not computed
-    quality: float  # 0..1: 1 is a full, clean, well-fitting window
-    sump_temperature_k: float | None
-    clutch_temperature_k: float | None
-    slip_energy_j: float | None
-    duration_s: float
-    odometer_m: float | None
+    conditions: EventConditions
+    fit: EventFit = field(default_factory=EventFit)
     data_quality: DataQuality | None = None  # whatever the estimate; None in results of older versions
     scale_free: ScaleFreeFriction | None = None  # None where there is no friction, and in results of older versions
     tier: Tier = Tier.FRICTION  # what the vehicle's signals suffice for
@@ -419,6 +389,7 @@ _ONLY_WHERE_THERE: Final = frozenset(
     {"slope", REVISIONS, "shift_quality", "micro_slip", "element", "causes", "running_since_bus_ns"}
 )
 _NOTHING: Final[tuple[object, ...]] = (None, [])  # of these: a number that is 0 is told
+_OF_PACKS: Final = {"slip_energy_j": "slip_energy{}_j", "peak_k": "peak{}_k", "life_ratio": "life{}_ratio"}
 _PUBLIC_NAMES: Final = {"start_ns": "start_bus_ns", "end_ns": "end_bus_ns", "data_quality": "trust"}
 RECENT_COUNT: Final = 8  # results of a run that are kept to be shown
 
@@ -489,8 +460,10 @@ def iso_utc(moment: datetime) -> str:
 
 
 def shift_record(result: ShiftResult) -> JsonObject:
-    """Return the public form of one shift result, keys in their published order."""
-    estimate = to_plain(result.estimate)
+    """Return the public form of one shift result, keys in their published order; what is grouped here is flat there."""
+    estimate, quality = to_plain(result.estimate), result.estimate.shift_quality
+    estimate |= to_plain(result.estimate.conditions) | to_plain(result.estimate.fit)
+    estimate["shift_quality"] = None if quality is None else quality_record(quality)
     record = estimate | {public: estimate[name] for name, public in _PUBLIC_NAMES.items()}
     record |= {key: getattr(result, key) for key in _RESULT_KEYS}
     verdict = to_plain(result.verdict) | {"condition": result.verdict.condition.name.lower()}
@@ -500,6 +473,27 @@ def shift_record(result: ShiftResult) -> JsonObject:
     record |= {"start_utc": utc_from_bus_ns(start_ns), "end_utc": utc_from_bus_ns(end_ns)}
     record = {key: record[key] for key in _keys_of(Channel.SHIFT)}
     return {key: value for key, value in record.items() if key not in _ONLY_WHERE_THERE or value not in _NOTHING}
+
+
+def quality_record(quality: ShiftQuality) -> JsonObject:
+    """Return how well an event went as messages have it."""
+    record = {**to_plain(quality), **to_plain(quality.parts), **to_plain(quality.control)}
+    for clutch, pack in enumerate(quality.packs, 1):
+        record |= {_OF_PACKS[name].format(clutch): value for name, value in to_plain(pack).items()}
+    return {key: record[key] for key in quality_keys()}
+
+
+def quality_from(table: object) -> ShiftQuality:
+    """Read back a ``quality_record``; what it lacks its signals did not tell; raises ValueError."""
+    return from_plain(_with_groups(table), ShiftQuality)
+
+
+def _with_groups(table: object) -> object:
+    """Return a ``quality_record`` with its groups."""
+    if not isinstance(table, dict):
+        return table
+    packs = [{name: table.get(key.format(clutch)) for name, key in _OF_PACKS.items()} for clutch in (1, 2)]
+    return table | {"parts": table, "control": table, "packs": packs}
 
 
 def clutch_record(shift: JsonObject, order: Order | None = None) -> JsonObject:
@@ -551,6 +545,7 @@ def shift_from(record: JsonObject) -> ShiftResult:
     """Read back a ``shift_record``, whose schema the caller knows; unknown keys are ignored; raises ResultError."""
     try:
         estimate = record | {name: record.get(public) for name, public in _PUBLIC_NAMES.items()}
+        estimate |= {"conditions": record, "fit": record, "shift_quality": _with_groups(record.get("shift_quality"))}
         verdict = _condition_as_number(record.get("verdict"))
         return from_plain(record | {"estimate": estimate, "verdict": verdict}, ShiftResult)
     except ValueError as exc:
@@ -593,5 +588,12 @@ def _condition_as_number(table: object) -> object:
 @cache
 def _keys_of(channel: Channel) -> tuple[str, ...]:
     """Return the keys of a channel's records in the order in which its schema describes them."""
-    properties = schema(channel.label)["properties"]
-    return tuple(properties) if isinstance(properties, dict) else ()
+    document: Any = schema(channel.label)
+    return tuple(document["properties"])
+
+
+@cache
+def quality_keys() -> tuple[str, ...]:
+    """Return the keys of a ``quality_record`` in the order in which the schema describes them."""
+    document: Any = schema(Channel.SHIFT.label)
+    return tuple(document["$defs"]["shift_quality"]["properties"])

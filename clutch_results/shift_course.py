@@ -10,9 +10,9 @@ from statistics import fmean
 from typing import Final
 
 from clutch_model.units import degc_from_k
-from clutch_results.event_kinds import EventKind, events_text
+from clutch_results.event_kinds import EventKind, ShiftQuality, events_text
 from clutch_results.loads import PARTS, Load, borne
-from clutch_results.records import ShiftEstimate, ShiftQuality
+from clutch_results.records import ShiftEstimate
 
 COURSE_COUNT: Final = 20  # changes of a kind at either end of a course
 COLD_DEGC, HOT_DEGC = 40.0, 90.0  # of the oil
@@ -43,7 +43,7 @@ def courses(estimates: Iterable[ShiftEstimate]) -> list[ShiftCourse]:
     for estimate in estimates:
         quality = estimate.shift_quality
         if quality is not None and quality.score is not None:
-            change = quality.score, estimate.sump_temperature_k, quality
+            change = quality.score, estimate.conditions.sump_temperature_k, quality
             groups.setdefault((estimate.kind, estimate.from_gear, estimate.to_gear), []).append(change)
     known = []
     for (kind, from_gear, to_gear), group in sorted(groups.items()):
@@ -63,7 +63,9 @@ def courses(estimates: Iterable[ShiftEstimate]) -> list[ShiftCourse]:
                 by_oil=tuple(fmean(scores) if scores else None for scores in by_oil),  # type: ignore[arg-type]
                 reason=reasons.most_common(1)[0][0] if reasons else "",
                 untold=tuple(
-                    part.name for part in PARTS if all(getattr(quality, part.name) is None for *_, quality in group)
+                    part.name
+                    for part in PARTS
+                    if all(getattr(quality.parts, part.name) is None for *_, quality in group)
                 ),
             )
         )

@@ -99,11 +99,11 @@ def analyse(case: AccuracyCase) -> list[AccuracyRow]:
         estimate = diagnosis.estimate
         if estimate.friction is not None:
             up = estimate.to_gear > estimate.from_gear
-            rows.append(row("shift", estimate.clutch, estimate.friction, estimate.chi_square_ratio, is_upshift=up))
+            rows.append(row("shift", estimate.clutch, estimate.friction, estimate.fit.chi_square_ratio, is_upshift=up))
         if estimate.status is not Status.VALID or estimate.reasons:
             print(
                 f"{case.fluid} seed {case.seed} shift {estimate.number} {estimate.from_gear}-{estimate.to_gear}: "
-                f"{estimate.status} {', '.join(estimate.reasons)} chi2 {estimate.chi_square_ratio:.2f}",
+                f"{estimate.status} {', '.join(estimate.reasons)} chi2 {estimate.fit.chi_square_ratio:.2f}",
                 file=sys.stderr,
             )
     state = diagnoses[-1].belief.posterior

@@ -166,7 +166,7 @@ def outcome_of(diagnoses: Sequence[Diagnosis], true: FloatArray, vehicle: Vehicl
         if estimate.status is not Status.VALID or estimate.reasons:
             continue
         used_count += 1
-        oil_degc = float(degc_from_k(estimate.sump_temperature_k or 0.0))
+        oil_degc = float(degc_from_k(estimate.conditions.sump_temperature_k or 0.0))
         looks += _looks(used_count, diagnosis.belief.posterior, oil_degc, true, shown)
         if estimate.scale_free is not None:
             alone.append((estimate.kind.value, *_error(estimate.scale_free, shown[estimate.clutch - 1])))

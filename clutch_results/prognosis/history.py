@@ -158,18 +158,18 @@ def _follows(earlier: dict[str, float], later: dict[str, float]) -> bool:
 
 def _row(estimate: ShiftEstimate) -> dict[str, float] | None:
     """Return what is known of one event, the parts of its errors apart; None if something is missing."""
-    known, free = estimate.friction, estimate.scale_free
-    if known is None or free is None or estimate.odometer_m is None or estimate.sump_temperature_k is None:
+    known, free, at = estimate.friction, estimate.scale_free, estimate.conditions
+    if known is None or free is None or at.odometer_m is None or at.sump_temperature_k is None:
         return None
     random_c, random_s = known.random_std_mu_c, known.random_std_mu_s
     common_c = max(known.std_mu_c**2 - random_c**2, 0.0) ** 0.5
     common_s = max(known.std_mu_s**2 - random_s**2, 0.0) ** 0.5
     shared = known.correlation * known.std_mu_c * known.std_mu_s - free.correlation * random_c * random_s
     both = common_c * common_s
-    energy_j = estimate.slip_energy_j
+    energy_j = at.slip_energy_j
     row = {
         "end_s": estimate.end_ns / NS_PER_S,
-        "odometer_m": estimate.odometer_m,
+        "odometer_m": at.odometer_m,
         "mu_c": known.mu_c,
         "mu_s": known.mu_s,
         "random_std_mu_c": random_c,
@@ -178,7 +178,7 @@ def _row(estimate: ShiftEstimate) -> dict[str, float] | None:
         "common_std_mu_c": common_c,
         "common_std_mu_s": common_s,
         "common_correlation": min(max(shared / both, -MAX_CORRELATION), MAX_CORRELATION) if both else 0.0,
-        "sump_temperature_k": estimate.sump_temperature_k,
+        "sump_temperature_k": at.sump_temperature_k,
     }
     if not all(map(isfinite, row.values())) or min(random_c, random_s) <= 0.0:
         return None

@@ -47,7 +47,7 @@ def gear_words(estimate: ShiftEstimate) -> str:
 
 def reason_words(estimate: ShiftEstimate) -> str:
     """Return why an event was not used; empty if there is no reason."""
-    few = f"not enough samples in the slip ({estimate.sample_count} of at least {LEAST_SLIP_ROWS})"
+    few = f"not enough samples in the slip ({estimate.fit.sample_count} of at least {LEAST_SLIP_ROWS})"
     return ", ".join(few if reason is Reason.FEW_SAMPLES else reason_text(reason) for reason in estimate.reasons)
 
 
@@ -171,7 +171,7 @@ def revision_words(estimate: ShiftEstimate) -> str:
 
 def _details(estimate: ShiftEstimate) -> str:
     """Return what specialists read: static friction, slope, how far the data can be believed, the oil."""
-    friction, quality, oil_k = estimate.friction, estimate.data_quality, estimate.sump_temperature_k
+    friction, quality, oil_k = estimate.friction, estimate.data_quality, estimate.conditions.sump_temperature_k
     static = f"{'-':>8} {'-':>7} {'-':>10}"
     if friction is not None:
         static = (

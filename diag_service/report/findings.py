@@ -196,7 +196,7 @@ def _versions(result: ShiftResult) -> Versions:
 def _worth(result: ShiftResult) -> float:
     estimate = result.estimate
     if estimate.status is Status.VALID:
-        return estimate.quality
+        return estimate.fit.quality
     if estimate.status is Status.UNOBSERVED:
         return float(estimate.kind in GEAR_CHANGES)
     return -1.0 if estimate.data_quality is None else -estimate.data_quality.score

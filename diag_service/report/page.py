@@ -95,7 +95,9 @@ def html_of(findings: Findings, made_at: str, *, is_full: bool = False) -> str:
         style=SHOWN_AS[order.action].replace("_", "-"),
         left=distance_left(prognoses, order.action),
         odometers_m=[
-            result.estimate.odometer_m for result in findings.results if result.estimate.odometer_m is not None
+            at.odometer_m
+            for at in (result.estimate.conditions for result in findings.results)
+            if at.odometer_m is not None
         ],
         fill=findings.fills[-1] if findings.fills else None,
         fan=fan,

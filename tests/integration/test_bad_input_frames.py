@@ -109,7 +109,10 @@ def short_frame(log: Path, name: str, rows: Int64Array) -> FrameBatch:
 
 def told(outcome: Outcome) -> list[tuple[object, ...]]:
     """Return all but the quality, which knows a frame that came to harm at its own time and a lost one by the next."""
-    return [(replace(estimate, quality=0.0), *others) for estimate, *others in outcome.fingerprint]
+    return [
+        (replace(estimate, fit=replace(estimate.fit, quality=0.0)), *others)
+        for estimate, *others in outcome.fingerprint
+    ]
 
 
 FAULTS: dict[str, Callable[[Path, str, Int64Array], FrameBatch]] = {
@@ -128,7 +131,7 @@ def test_a_bad_frame_counts_and_is_as_good_as_none(drive_log: Path, name: str, r
     absent = outcome_without(drive_log, name)
     spoilt = diagnosed([FAULTS[reason](drive_log, name, rows)])
     assert told(spoilt) == told(absent)
-    assert spoilt.diagnoses[SHIFT].estimate.quality <= absent.diagnoses[SHIFT].estimate.quality
+    assert spoilt.diagnoses[SHIFT].estimate.fit.quality <= absent.diagnoses[SHIFT].estimate.fit.quality
     assert spoilt.counts.rejected == {reason: rows.size}
     assert spoilt.counts.missing == 0
     assert absent.counts.missing == rows.size

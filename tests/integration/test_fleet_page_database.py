@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 from sqlalchemy import Connection, Engine, event, text
 
-from clutch_results.event_kinds import EventKind
+from clutch_results.event_kinds import EventKind, PackHeat, ShiftParts, ShiftQuality
 from clutch_results.pictures import MOST_POINTS
 from clutch_results.prognosis import history_of, prognose
 from clutch_results.prognosis.sentence import outlook_line
-from clutch_results.records import Causes, Condition, LikelyCause, Reason, Revision, ShiftQuality, ShiftResult, Status
+from clutch_results.records import Causes, Condition, LikelyCause, Reason, Revision, ShiftResult, Status
 from fleet_backend import queries
 from fleet_backend.ageing.results import results_of, shift_of
 from fleet_backend.alarms.rules import AlarmRule
@@ -50,9 +50,11 @@ def scored(seq: int, score: float, touch_error_pa: float = 0.0) -> ShiftResult:
     """Return a result of a change that went so well."""
     given = fleet_result(seq, vehicle="rough")
     quality = ShiftQuality(
-        score=score, reasons=("jerk_m_s3",), touch_error_pa=touch_error_pa, std_touch_error_pa=1e3,
-        slip_energy2_j=5e3, peak2_k=390.0, life2_ratio=6e-7,
-    )  # fmt: skip
+        score=score,
+        reasons=("jerk_m_s3",),
+        parts=ShiftParts(touch_error_pa=touch_error_pa, std_touch_error_pa=1e3),
+        packs=(PackHeat(), PackHeat(slip_energy_j=5e3, peak_k=390.0, life_ratio=6e-7)),
+    )
     return replace(given, estimate=replace(given.estimate, kind=EventKind.POWER_ON_UPSHIFT, shift_quality=quality))
 
 
@@ -84,7 +86,7 @@ def test_how_well_a_vehicle_shifts_is_on_its_page_and_a_fall_raises_an_alarm(eng
     assert {one.vehicle: one.score for one in DatabaseSource(engine).all_clutches()} == {"rough": 60.0, "old": None}
     one = shift_of(engine, "rough", "stream-1", 50)
     assert one is not None
-    assert one["shift_quality"].touch_error_pa == 9e3
+    assert one["shift_quality"]["touch_error_pa"] == 9e3
 
 
 def test_a_cause_that_new_fluid_does_not_mend_is_on_the_page_in_the_list_and_an_alarm(engine: Engine) -> None:

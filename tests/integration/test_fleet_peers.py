@@ -20,6 +20,7 @@ from fleet_backend.migrate import migrate
 from fleet_backend.office_tables import AUDIT
 from fleet_backend.page.queries import DatabaseSource
 from fleet_backend.writer import Batch, Writer
+from tests.support.builders import at
 from tests.support.fleet import fleet_result, row_of
 from tests.support.histories import history
 
@@ -31,7 +32,7 @@ def driven(vehicle: str, count: int, stretch: float) -> list[ShiftResult]:
     """Return results over so many times the distance of the usual history, which is a kilometre a result."""
     results = history(count, vehicle=vehicle)
     return [
-        replace(one, estimate=replace(one.estimate, odometer_m=stretch * (one.estimate.odometer_m or 0.0)))
+        replace(one, estimate=at(one.estimate, odometer_m=stretch * (one.estimate.conditions.odometer_m or 0.0)))
         for one in results
     ]
 

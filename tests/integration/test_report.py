@@ -14,6 +14,7 @@ from playwright.sync_api import Locator, PdfMargins, ViewportSize
 
 from clutch_results.records import Causes, LikelyCause, ShiftResult
 from tests.support.browsing import chromium, complaints_of, new_page
+from tests.support.builders import at
 from tests.support.histories import fill_store, history
 from tests.support.in_process import ended
 
@@ -147,7 +148,7 @@ def ageing(count: int) -> list[ShiftResult]:
     )
     found = []
     for one in history(count):
-        estimate = replace(one.estimate, odometer_m=250.0 * (one.estimate.odometer_m or 0.0))
+        estimate = at(one.estimate, odometer_m=250.0 * (one.estimate.conditions.odometer_m or 0.0))
         found.append(replace(one, estimate=estimate, verdict=replace(one.verdict, causes=causes)))
     return found
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from clutch_model.calibration import clutch_of_gear
-from clutch_results.records import ShiftEstimate, ShiftQuality
+from clutch_results.event_kinds import ShiftQuality
+from clutch_results.records import ShiftEstimate
 from clutch_results.shift_course import course_lines, courses
 from diag_service import analyze
 from diag_service.mapping.learning import proposed_profile
@@ -133,7 +134,7 @@ def test_a_wrong_touch_point_is_measured(sound: float, error_pa: float) -> None:
     found = {clutch_of_gear(one.to_gear): quality for one, quality, _ in scored(estimates)}
     errors = []
     for clutch in (1, 2):
-        error, std = found[clutch].touch_error_pa, found[clutch].std_touch_error_pa
+        error, std = found[clutch].parts.touch_error_pa, found[clutch].parts.std_touch_error_pa
         assert error is not None
         assert std is not None
         assert abs(error + error_pa) < 3.0 * std < 0.2e5
@@ -149,7 +150,7 @@ def test_a_clutch_that_is_filled_too_little_is_told_by_how_much(sound: float) ->
     assert mean_score(estimates) < sound - 8.0
     truths = true_fills_s(scenario, touch_pa(scenario))
     pairs = [
-        (quality.fill_error_s, quality.std_fill_error_s, truth)
+        (quality.parts.fill_error_s, quality.parts.std_fill_error_s, truth)
         for (_, quality, _), truth in zip(scored(estimates), truths, strict=True)
     ]
     assert max(truths) > 0.05
@@ -177,8 +178,8 @@ def test_a_log_without_pressures_has_fewer_parts_and_says_so(tmp_path: Path) -> 
     for (_, more, _), (_, fewer, _) in zip(scored(whole), scored(without), strict=True):
         assert all(getattr(fewer, name) is None for name in missing)
         assert all(getattr(more, name) is not None for name in missing)
-        assert fewer.flare_rad_s == pytest.approx(more.flare_rad_s, abs=1.0)
-        assert fewer.lock_rate_rad_s2 is not None
+        assert fewer.parts.flare_rad_s == pytest.approx(more.parts.flare_rad_s, abs=1.0)
+        assert fewer.parts.lock_rate_rad_s2 is not None
     untold = "jerk, torque hole, tie up, fill error, touch error, temperature rise"
     assert course_lines(courses(without)) == [f"Scores are without what the signals do not tell: {untold}."]
     assert not any("without" in line for line in course_lines(courses(whole)))

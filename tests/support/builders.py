@@ -1,6 +1,7 @@
 """Builders of records for tests: sound values, of which a test changes what it is about."""
 
 from dataclasses import replace
+from typing import Any
 
 from clutch_model.calibration import clutch_of_gear
 from clutch_results.records import (
@@ -8,6 +9,8 @@ from clutch_results.records import (
     ClutchVerdict,
     Condition,
     DataQuality,
+    EventConditions,
+    EventFit,
     FrictionEstimate,
     FrictionTrend,
     QualityPart,
@@ -72,18 +75,22 @@ def shift_estimate(number: int = 1, to_gear: int = 2) -> ShiftEstimate:
         status=Status.VALID,
         reasons=(),
         friction=friction_estimate(),
-        sample_count=31,
-        window_s=0.31,
-        chi_square_ratio=0.97,
-        quality=0.9,
-        sump_temperature_k=353.15,
-        clutch_temperature_k=361.0,
-        slip_energy_j=8400.0,
-        duration_s=0.9,
-        odometer_m=1234.0,
+        fit=EventFit(sample_count=31, window_s=0.31, chi_square_ratio=0.97, quality=0.9),
+        conditions=EventConditions(
+            sump_temperature_k=353.15,
+            clutch_temperature_k=361.0,
+            slip_energy_j=8400.0,
+            duration_s=0.9,
+            odometer_m=1234.0,
+        ),
         data_quality=DataQuality(score=0.9 * 0.95, parts={QualityPart.FRAMES: 0.95, QualityPart.PROTECTION: 0.9}),
         scale_free=scale_free_friction(),
     )
+
+
+def at(estimate: ShiftEstimate, **conditions: Any) -> ShiftEstimate:  # noqa: ANN401 - numbers of the conditions
+    """Return an estimate of an event under other conditions."""
+    return replace(estimate, conditions=replace(estimate.conditions, **conditions))
 
 
 def shift_result(seq: int = 1, *, vehicle: str = "car1", stream: str = STREAM, to_gear: int = 2) -> ShiftResult:
@@ -120,10 +127,7 @@ def rejected(result: ShiftResult) -> ShiftResult:
         status=Status.REJECTED,
         friction=None,
         scale_free=None,
-        sump_temperature_k=None,
-        clutch_temperature_k=None,
-        slip_energy_j=None,
-        odometer_m=None,
+        conditions=EventConditions(duration_s=result.estimate.conditions.duration_s),
     )
     verdict = ClutchVerdict(
         clutch=result.verdict.clutch,

@@ -13,7 +13,7 @@ from diag_service.diagnosis.summary import latest_of
 from diag_service.report.findings import Findings
 from diag_service.service.session import versions_for
 from diag_service.store import ResultStore, Row, VehicleState, Versions
-from tests.support.builders import friction_estimate, rejected, shift_result
+from tests.support.builders import at, friction_estimate, rejected, shift_result
 
 CALIBRATION = nominal_calibration()
 VERSIONS = versions_for(CALIBRATION)
@@ -72,7 +72,7 @@ def _result(seq: int, age: float, noise: float, vehicle: str, stream: str) -> Sh
         trend=None if seq < 30 else result.verdict.trend,
     )
     estimate = replace(
-        result.estimate, friction=replace(running, mu_c=mu_c + noise), odometer_m=1000.0 * seq, number=seq
+        at(result.estimate, odometer_m=1000.0 * seq), friction=replace(running, mu_c=mu_c + noise), number=seq
     )
     result = replace(result, estimate=estimate, verdict=verdict)
     if seq % 7:

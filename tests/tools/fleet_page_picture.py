@@ -14,8 +14,8 @@ import numpy as np
 from PIL import Image
 
 from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
-from clutch_results.event_kinds import EventKind
-from clutch_results.records import Condition, ShiftQuality, ShiftResult
+from clutch_results.event_kinds import EventKind, PackHeat, ShiftParts, ShiftQuality
+from clutch_results.records import Condition, ShiftResult
 from diag_service.diagnosis.condition.verdict import Cause, advice
 from fleet_backend import queries
 from fleet_backend.database import open_database
@@ -23,7 +23,7 @@ from fleet_backend.migrate import migrate
 from fleet_backend.rows import Row
 from fleet_backend.writer import Batch, Writer
 from tests.support.browsing import chromium
-from tests.support.builders import friction_estimate
+from tests.support.builders import at, friction_estimate
 from tests.support.fleet import row_of
 from tests.support.fleet_page import served
 from tests.support.histories import CALIBRATION, history
@@ -77,13 +77,15 @@ def aged(result: ShiftResult, loss: float, number: int, rng: np.random.Generator
     end = START + timedelta(days=DAYS * result.seq + 0.1 * number)
     end_ns = int(end.timestamp() * 1e9)
     estimate = replace(
-        estimate,
+        at(
+            estimate,
+            odometer_m=3.1e7 + 7e6 * number + DISTANCE_M * result.seq,
+            sump_temperature_k=353.0 + 12.0 * rng.random(),
+        ),
         start_ns=end_ns - 2_000_000_000,
         end_ns=end_ns,
-        odometer_m=3.1e7 + 7e6 * number + DISTANCE_M * result.seq,
         friction=None if estimate.friction is None else own,
         kind=EventKind.POWER_ON_UPSHIFT,
-        sump_temperature_k=353.0 + 12.0 * rng.random(),
         shift_quality=shifted(1.0 - level, clutch, rng),
     )
     produced_at = end.strftime("%Y-%m-%dT%H:%M:%S.%fZ")
@@ -93,16 +95,16 @@ def aged(result: ShiftResult, loss: float, number: int, rng: np.random.Generator
 def shifted(lost: float, clutch: int, rng: np.random.Generator) -> ShiftQuality:
     """Return how well a change went where so much of the friction is lost."""
     energy_j, peak_k = 4_500.0 * (1.0 + lost) * rng.uniform(0.7, 1.3), 371.0 + 30.0 * lost + 4.0 * rng.random()
-    return ShiftQuality(
-        score=88.0 - 110.0 * lost + 1.9 * rng.standard_normal(),
-        reasons=("jerk_m_s3", "torque_hole_m_s2"),
+    idle = PackHeat(slip_energy_j=0.0)
+    hot = PackHeat(slip_energy_j=energy_j, peak_k=peak_k, life_ratio=1e-10 * energy_j)
+    score = 88.0 - 110.0 * lost + 1.9 * rng.standard_normal()
+    parts = ShiftParts(
         touch_error_pa=4_000.0, std_touch_error_pa=1_200.0, fill_error_s=0.01, std_fill_error_s=0.02,
         jerk_m_s3=14.0 + 60.0 * lost, torque_hole_m_s2=0.9 + 4.0 * lost, flare_rad_s=1.0, tie_up_nm=3.0,
         overtime_s=0.0, temperature_rise_k=energy_j / 1_500.0, lock_rate_rad_s2=80.0, acceleration_m_s2=1.4,
-        slip_energy1_j=energy_j if clutch == 1 else 0.0, slip_energy2_j=energy_j if clutch == 2 else 0.0,
-        peak1_k=peak_k if clutch == 1 else None, peak2_k=peak_k if clutch == 2 else None,
-        life1_ratio=1e-10 * energy_j if clutch == 1 else 0.0, life2_ratio=1e-10 * energy_j if clutch == 2 else 0.0,
     )  # fmt: skip
+    packs = (hot, idle) if clutch == 1 else (idle, hot)
+    return ShiftQuality(score=score, reasons=("jerk_m_s3", "torque_hole_m_s2"), parts=parts, packs=packs)
 
 
 def fill(database: str) -> None:

@@ -141,7 +141,7 @@ class Stretch:
         """Return it after an event; ``evidence`` is None if nothing is said of the parameters."""
         sums, quality, alone = forgetting * self.sums, estimate.shift_quality, estimate.scale_free
         if quality is not None:
-            measured = [getattr(quality, name) for name in MEASURED]
+            measured = [getattr(quality.control, name) for name in MEASURED]
             sums[clutch_of_gear(estimate.to_gear) - 1, :-1] += [
                 (0.0, 0.0, 0.0) if value is None else (1.0, value, value * value) for value in measured
             ]

@@ -6,7 +6,7 @@ that are missing leave parts out; the score is that of the others.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Final, NamedTuple, Self
 
 import numpy as np
@@ -16,9 +16,9 @@ from canlog.jit import kernel
 from clutch_model.calibration import Calibration, ClutchCalibration, both_clutches, clutch_of_gear
 from clutch_model.pack import clutch_heating_rate_k_s, clutch_later_k, contact_torque_nm, film_law
 from clutch_model.units import NS_PER_S
-from clutch_results.event_kinds import GEAR_CHANGES, EndReason, EventKind
+from clutch_results.event_kinds import GEAR_CHANGES, EndReason, EventKind, ShiftIndices, ShiftQuality
 from clutch_results.loads import PARTS
-from clutch_results.records import ShiftIndices, ShiftQuality
+from clutch_results.records import quality_from, quality_keys
 from diag_service.diagnosis.alignment import readings
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import Event
@@ -51,7 +51,6 @@ USUAL_S = 1.2  # from the request to the end of slip [C]
 INTENDED_S: Final = {EventKind.COAST_SKIP: 1.8, EventKind.POWER_ON_SKIP: 1.8, EventKind.KICKDOWN: 1.5}  # other kinds
 MOST = 1e12  # of any part, whatever its unit: a damaged value of a log may be any number
 
-_PUBLIC: Final = tuple(part.name for part in fields(ShiftQuality) if part.name not in {"score", "reasons"})
 _COMMANDS: Final = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMMAND)
 _ASKINGS: Final = (Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_TORQUE_COMMAND)
 _SPEEDS: Final = (Signal.ENGINE_SPEED, Signal.HUB_SPEED, Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED, *SHAFTS)
@@ -409,9 +408,9 @@ def _scored(event: Event, parts: dict[str, float], packs: tuple[_Pack, _Pack], *
             parts[f"slip_energy{clutch}_j"] = energies_j[side]
             parts[f"peak{clutch}_k"] = peaks_k[side]
             parts[f"life{clutch}_ratio"] = energies_j[side] / packs[side].life_j
-    public = {name: float(parts[name]) for name in _PUBLIC if abs(parts.get(name, math.nan)) < MOST}
+    public = {name: float(parts[name]) for name in quality_keys() if abs(parts.get(name, math.nan)) < MOST}
     score, reasons = weighed(public) if event.kind in GEAR_CHANGES else (None, [])
-    return ShiftQuality(score=score, reasons=tuple(reasons), **public)
+    return quality_from({**public, "score": score, "reasons": reasons})
 
 
 def weighed(parts: Mapping[str, float]) -> tuple[float | None, list[str]]:

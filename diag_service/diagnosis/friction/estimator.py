@@ -9,7 +9,7 @@ import numpy as np
 from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, TorqueSource, clutch_of_gear
 from clutch_model.errors import CalibrationError
-from clutch_results.records import FrictionSlope, Reason, Revision, ShiftEstimate, Status
+from clutch_results.records import EventConditions, EventFit, FrictionSlope, Reason, Revision, ShiftEstimate, Status
 from diag_service.diagnosis.alignment import NS_TO_S, EventSamples, aligned
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
@@ -371,18 +371,24 @@ class Estimator:
         fit = min(1.0, max(0.0, (gate - ratio) / (gate - 1.0)))
         with_scale, without_scale = both_frictions(state, clutch, alone.knowledge)
         is_measured = state.torque is TorqueSource.MEASURED
+        estimate = without_friction(event, Status.VALID)
         return replace(
-            without_friction(event, Status.VALID),
+            estimate,
             clutch=clutch,
             friction=with_scale if is_measured else None,
             scale_free=without_scale,
             slope=None if is_measured else FrictionSlope.of(without_scale, state.torque),
-            sample_count=balance.sample_count,
-            window_s=window_s,
-            chi_square_ratio=ratio,
-            quality=fit * min(1.0, window_s / FULL_WINDOW_S) / (1.0 + event.bad_frame_count / balance.sample_count),
-            clutch_temperature_k=balance.final_clutch_k[clutch - 1],
-            slip_energy_j=balance.slip_energy_j(clutch, alone.knowledge.mean[FRICTION_ROWS[clutch - 1]]),
+            fit=EventFit(
+                sample_count=balance.sample_count,
+                window_s=window_s,
+                chi_square_ratio=ratio,
+                quality=fit * min(1.0, window_s / FULL_WINDOW_S) / (1.0 + event.bad_frame_count / balance.sample_count),
+            ),
+            conditions=replace(
+                estimate.conditions,
+                clutch_temperature_k=balance.final_clutch_k[clutch - 1],
+                slip_energy_j=balance.slip_energy_j(clutch, alone.knowledge.mean[FRICTION_ROWS[clutch - 1]]),
+            ),
         )
 
 
@@ -424,7 +430,7 @@ def _unobserved(event: Event, why: NotLinearised, against: tuple[Reason, ...]) -
     is_unobserved = why.reason in {Reason.NO_SLIP_WINDOW, Reason.FEW_SAMPLES}
     reasons = against if is_unobserved and against else (why.reason,)
     status = Status.UNOBSERVED if is_unobserved and not against else Status.REJECTED
-    return replace(without_friction(event, status, *reasons), sample_count=why.row_count)
+    return replace(without_friction(event, status, *reasons), fit=EventFit(sample_count=why.row_count))
 
 
 def _why_left_out(before: Knowledge, alone: Fusion, count: int) -> Reason:
@@ -476,15 +482,11 @@ def without_friction(event: Event, status: Status, *reasons: Reason) -> ShiftEst
         status=status,
         reasons=reasons,
         friction=None,
-        sample_count=0,
-        window_s=0.0,
-        chi_square_ratio=0.0,
-        quality=0.0,
-        sump_temperature_k=_mean(event, Signal.SUMP_TEMPERATURE),
-        clutch_temperature_k=None,
-        slip_energy_j=None,
-        duration_s=(event.end_ns - event.start_ns) * NS_TO_S,
-        odometer_m=_mean(event, Signal.ODOMETER),
+        conditions=EventConditions(
+            duration_s=(event.end_ns - event.start_ns) * NS_TO_S,
+            sump_temperature_k=_mean(event, Signal.SUMP_TEMPERATURE),
+            odometer_m=_mean(event, Signal.ODOMETER),
+        ),
         kind=event.kind,
         end_reason=event.end_reason,
     )

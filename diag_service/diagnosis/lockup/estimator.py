@@ -9,7 +9,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration
 from clutch_model.units import NS_PER_S
 from clutch_results.event_kinds import EndReason, EventKind, Shudder
-from clutch_results.records import Reason, ShiftEstimate, Status
+from clutch_results.records import EventFit, Reason, ShiftEstimate, Status
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.estimator import without_friction
@@ -223,11 +223,13 @@ class LockupEstimator:
             reasons=reasons,
             friction=alone.friction(),
             scale_free=alone.scale_free(),
-            sample_count=len(blocks.place),
-            window_s=blocks.slip_s,
-            chi_square_ratio=misfit,
-            quality=min(1.0, blocks.slip_s / ENOUGH_SLIP_S) / (1.0 + event.bad_frame_count / len(samples.t_ns)),
-            slip_energy_j=blocks.energy_j,
+            fit=EventFit(
+                sample_count=len(blocks.place),
+                window_s=blocks.slip_s,
+                chi_square_ratio=misfit,
+                quality=min(1.0, blocks.slip_s / ENOUGH_SLIP_S) / (1.0 + event.bad_frame_count / len(samples.t_ns)),
+            ),
+            conditions=replace(estimate.conditions, slip_energy_j=blocks.energy_j),
             micro_slip=alone.micro_slip(swings),
         )
         return state, estimate, swings

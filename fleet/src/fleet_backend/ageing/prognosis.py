@@ -25,11 +25,12 @@ from clutch_results.prognosis.sentence import outlook_line, soonest
 from clutch_results.records import (
     ClutchVerdict,
     Condition,
+    EventConditions,
+    EventFit,
     FluidFill,
     FrictionEstimate,
     ScaleFreeFriction,
     ShiftEstimate,
-    ShiftQuality,
     ShiftResult,
     Status,
     iso_utc,
@@ -37,7 +38,7 @@ from clutch_results.records import (
 from clutchdiag_io.people import is_dated
 from fleet_backend.ageing.calibrations import reference_of, type_of
 from fleet_backend.ageing.records import ClutchNow, Due, Fill
-from fleet_backend.ageing.results import fills_of, friction_in, in_order, record_in, results_of, words_in
+from fleet_backend.ageing.results import fills_of, friction_in, in_order, quality_in, results_of, words_in
 from fleet_backend.queries import Row
 from fleet_backend.schema import RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
 from fleet_contract.orders import Action
@@ -47,10 +48,8 @@ LOOKED_BACK: Final = timedelta(days=90)  # over which it is counted how much a v
 LEAST: Final = timedelta(days=1)
 _HORIZON: Final = timedelta(days=3653)
 _KINDS: Final = frozenset(EventKind)
-_SAME_IN_ROWS: Final = (  # of an estimate
-    *("number", "from_gear", "to_gear", "clutch", "sample_count", "window_s", "chi_square_ratio", "quality"),
-    *("sump_temperature_k", "clutch_temperature_k", "slip_energy_j", "duration_s", "odometer_m"),
-)
+_SAME_IN_ROWS: Final = ("number", "from_gear", "to_gear", "clutch")  # of an estimate
+_GROUPS: Final = {"conditions": EventConditions, "fit": EventFit}  # of it, whose fields are columns
 NO_PROGNOSIS: Final = (
     "No prognosis: its service has not told what calibration these results are of, or their numbers are of no clutch."
 )
@@ -64,6 +63,7 @@ def estimate_of(row: Row) -> ShiftEstimate:
     """Return what one event said of the friction; what no prognosis asks for is left out."""
     return ShiftEstimate(
         **{name: row[name] for name in _SAME_IN_ROWS},
+        **{name: kind(**{key: row[key] for key in kind.__annotations__}) for name, kind in _GROUPS.items()},
         start_ns=row["start_bus_ns"],
         end_ns=row["end_bus_ns"],
         status=Status(row["status"]),
@@ -71,7 +71,7 @@ def estimate_of(row: Row) -> ShiftEstimate:
         friction=_friction(row, ""),
         scale_free=_scale_free(row),
         kind=EventKind(row["kind"]) if row["kind"] in _KINDS else EventKind.SHIFT,  # newer programs may know more
-        shift_quality=record_in(row, "shift_quality", ShiftQuality),
+        shift_quality=quality_in(row),
     )
 
 

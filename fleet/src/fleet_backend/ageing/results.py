@@ -1,10 +1,9 @@
 """The results of one clutch as rows of the database, each event once and by its newest version."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from functools import cache
-from types import MappingProxyType
 from typing import Any, Final, TypeVar
 
 import msgspec
@@ -24,7 +23,8 @@ from sqlalchemy import (
     tuple_,
 )
 
-from clutch_results.records import Causes, ShiftQuality
+from clutch_results.event_kinds import ShiftQuality
+from clutch_results.records import Causes, quality_from, quality_record
 from fleet_backend import schema
 from fleet_backend.ageing.calibrations import remember
 from fleet_backend.ageing.records import Fill
@@ -190,15 +190,13 @@ def shift_of(engine: Engine, vehicle: str, stream: str, seq: int) -> dict[str, A
         "friction": friction_in(row, ""),
         "running": friction_in(row, schema.RUNNING),
         "trust_parts": None if row["trust_parts"] is None else json.loads(row["trust_parts"]),
-        "shift_quality": record_in(row, "shift_quality", ShiftQuality),
-        "causes": record_in(row, "causes", Causes),
+        "shift_quality": None if (quality := quality_in(row)) is None else quality_record(quality),
+        "causes": _read(row["causes"], _CAUSES.decode),
         "older_versions": [f"{row['algorithm_version']}, {row['calibration_version']}" for row in older],
     }
 
 
-_DECODERS: Final[Mapping[type, msgspec.json.Decoder[Any]]] = MappingProxyType(
-    {kind: msgspec.json.Decoder(kind) for kind in (ShiftQuality, Causes)}
-)
+_CAUSES: Final = msgspec.json.Decoder(Causes)
 
 
 def friction_in(row: Row, prefix: str) -> dict[str, float] | None:
@@ -206,10 +204,15 @@ def friction_in(row: Row, prefix: str) -> dict[str, float] | None:
     return None if row[prefix + "mu_c"] is None else {name: row[prefix + name] for name in schema.FRICTION_COLUMNS}
 
 
-def record_in(row: Row, name: str, kind: type[RecordT]) -> RecordT | None:
+def quality_in(row: Row) -> ShiftQuality | None:
+    """Return how well the event in a row went, if that is known."""
+    return _read(row["shift_quality"], lambda text: quality_from(msgspec.json.decode(text)))
+
+
+def _read(text: str | None, read: Callable[[str], RecordT]) -> RecordT | None:
     """Return the record that a column holds as JSON; None where there is none, or one of another program."""
     try:
-        return None if row[name] is None else _DECODERS[kind].decode(row[name])
+        return None if text is None else read(text)
     except ValueError:
         return None
 

@@ -4,7 +4,7 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import fields
 from datetime import date, datetime, timedelta
 from functools import wraps
 from operator import attrgetter
@@ -349,7 +349,7 @@ def shift(request: Request) -> Response:
         "thresholds": THRESHOLD_KEYS,
         "has_reference": reference is not None,
         "quantities": _QUANTITIES,
-        "parts": [] if quality is None else list(_parts(asdict(quality))),
+        "parts": [] if quality is None else list(_parts(quality)),
     }
     return page(request, "shift.html", context)
 

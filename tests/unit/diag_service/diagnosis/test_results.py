@@ -10,14 +10,13 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from clutch_model.calibration import TorqueSource, nominal_calibration
-from clutch_results.event_kinds import EventKind
+from clutch_results.event_kinds import EventKind, PackHeat, ShiftControl, ShiftParts, ShiftQuality
 from clutch_results.records import (
     Condition,
     FluidFill,
     FrictionSlope,
     Reason,
     ServiceStatus,
-    ShiftQuality,
     ShiftStatistics,
     Status,
     Tier,
@@ -56,7 +55,14 @@ MODELLED = replace(
 SCORED = replace(
     shift_result(),
     estimate=replace(
-        shift_result().estimate, shift_quality=ShiftQuality(score=87.5, reasons=("flare_rad_s",), flare_rad_s=9.0)
+        shift_result().estimate,
+        shift_quality=ShiftQuality(
+            score=87.5,
+            reasons=("flare_rad_s",),
+            parts=ShiftParts(flare_rad_s=9.0),
+            control=ShiftControl(fill_time_s=0.2),
+            packs=(PackHeat(peak_k=350.0), PackHeat(slip_energy_j=7.0)),
+        ),
     ),
 )
 RECORDS = [

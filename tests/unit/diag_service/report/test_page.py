@@ -39,6 +39,7 @@ from diag_service.report.history import history_lines, history_records, periods_
 from diag_service.report.page import fan_for, html_of, notebook_of, record_of
 from diag_service.store import Row, Versions
 from fleet_contract.orders import Action
+from tests.support.builders import at
 from tests.support.histories import VERSIONS, fill_store, findings, history, of_version
 
 NOW = "2026-03-01T12:00:00.000000Z"
@@ -191,7 +192,7 @@ def words_of(text: str) -> str:
 def test_a_sheet_has_all_that_a_workshop_needs_and_no_table() -> None:
     found = replace(findings(30), fills=(FILL,))
     text = html(found)
-    read_m = found.results[-1].estimate.odometer_m or 0.0
+    read_m = found.results[-1].estimate.conditions.odometer_m or 0.0
     for told in (
         f"Odometer {read_m / 1000.0:,.0f} km",
         "Fluid DCTF 75W",
@@ -233,7 +234,7 @@ def test_the_fan_ends_where_the_margin_is_gone_as_the_sentence_says() -> None:
     reach = soonest(prognoses)
     assert reach is not None
     assert fan.pasts[0].clutch in {one.clutch for one in prognoses if one.change_fluid is reach}
-    now_km = (results[-1].estimate.odometer_m or 0.0) / 1000.0
+    now_km = (results[-1].estimate.conditions.odometer_m or 0.0) / 1000.0
     ends_km = [float(np.interp(0.0, -one, fan.ahead)) - now_km for one in fan.quantiles]
     assert reach.p10_m is not None
     assert reach.p90_m is not None
@@ -253,7 +254,7 @@ def aged(result: ShiftResult, age: float, rng: np.random.Generator) -> ShiftResu
     assert running is not None
     mu_s = new.mu_c - (1.0 - 0.5 * age) * (new.mu_c - new.mu_s)
     own = own and replace(own, mu_c=new.mu_c + 0.001 * rng.standard_normal(), mu_s=mu_s + 0.001 * rng.standard_normal())
-    estimate = replace(result.estimate, friction=own, odometer_m=5.0e7 * age + 1.0e7)
+    estimate = at(replace(result.estimate, friction=own), odometer_m=5.0e7 * age + 1.0e7)
     verdict = replace(result.verdict, friction=replace(running, mu_c=new.mu_c, mu_s=mu_s), level_ratio=1.0, trend=None)
     return replace(result, estimate=estimate, verdict=verdict)
 

@@ -12,7 +12,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from canlog.live import BusState, BusStatus
 from clutch_results.event_kinds import EventKind
 from clutch_results.loads import Load, borne
-from clutch_results.records import FluidFill, ShiftQuality, ShiftResult, ShiftStatistics
+from clutch_results.records import FluidFill, ShiftResult, ShiftStatistics, quality_from
 from clutchdiag_io.metrics import Told
 from diag_service.diagnosis.summary import FrameCounts, Summary, of_present_fluid
 from diag_service.service.metrics import families as _families
@@ -132,8 +132,8 @@ def test_names_and_types_are_those_that_prometheus_expects() -> None:
 
 
 def test_what_the_clutches_had_to_bear_is_a_histogram_with_its_peak() -> None:
-    launch = ShiftQuality(score=None, slip_energy2_j=40e3, peak2_k=410.0, life2_ratio=4.6e-6)
-    shift = replace(launch, score=80.0, slip_energy2_j=2e3, peak2_k=380.0, life2_ratio=2e-7)
+    launch = quality_from({"score": None, "slip_energy2_j": 40e3, "peak2_k": 410.0, "life2_ratio": 4.6e-6})
+    shift = quality_from({"score": 80.0, "slip_energy2_j": 2e3, "peak2_k": 380.0, "life2_ratio": 2e-7})
     given = [shift_result(2 * number) for number in (1, 2, 3)]
     kinds = EventKind.LAUNCH, EventKind.POWER_ON_UPSHIFT, EventKind.POWER_ON_UPSHIFT
     shown = snapshot(*(

@@ -8,9 +8,9 @@ import pytest
 from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
 from clutch_model.pack import film_law
-from clutch_results.event_kinds import EndReason, EventKind
+from clutch_results.event_kinds import EndReason, EventKind, PackHeat, ShiftQuality
 from clutch_results.loads import PARTS
-from clutch_results.records import FrictionEstimate, ShiftEstimate, ShiftQuality
+from clutch_results.records import FrictionEstimate, ShiftEstimate
 from clutch_results.shift_course import ShiftCourse, courses, load_line, loads
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.condition.shift_quality import ShiftScorer
@@ -18,7 +18,7 @@ from diag_service.diagnosis.condition.verdict import RunningScatter
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.drives import PackTemperatures
-from tests.support.builders import friction_estimate, shift_result
+from tests.support.builders import at, friction_estimate, shift_result
 
 CALIBRATION = nominal_calibration()
 KNOWN = Posterior.fresh(CALIBRATION).fusion.knowledge
@@ -82,10 +82,10 @@ def test_a_faultless_change_has_all_parts_and_costs_nothing() -> None:
     found = quality(event())
     assert found.score == pytest.approx(100.0)
     assert found.reasons == ()
-    assert all(getattr(found, part.name) is not None for part in PARTS)
-    assert found.lock_rate_rad_s2 == pytest.approx(40.0, abs=2.0)
-    assert found.overtime_s == 0.0
-    assert found.touch_error_pa == pytest.approx(0.0, abs=100.0)
+    assert all(getattr(found.parts, part.name) is not None for part in PARTS)
+    assert found.parts.lock_rate_rad_s2 == pytest.approx(40.0, abs=2.0)
+    assert found.parts.overtime_s == 0.0
+    assert found.parts.touch_error_pa == pytest.approx(0.0, abs=100.0)
 
 
 def test_a_pack_is_as_hot_as_its_slip_makes_it_while_the_oil_cools() -> None:
@@ -95,22 +95,25 @@ def test_a_pack_is_as_hot_as_its_slip_makes_it_while_the_oil_cools() -> None:
     left = np.exp(-rate_1_s * np.arange(len(T_S)) * 0.01)
     rise_k = float(np.convolve(power_w, left)[: len(T_S)].max()) * 0.01 / thermal.heat_capacity_j_k
     cold = quality(event(SUMP_TEMPERATURE=360.0))
-    assert cold.peak2_k == pytest.approx(360.0 + rise_k, abs=0.03 * rise_k)
-    assert cold.peak1_k == pytest.approx(360.0, abs=0.01)
-    assert cold.life2_ratio == pytest.approx((cold.slip_energy2_j or 0.0) / 8.62e9, rel=0.002)  # ten faces of 60 cm2
+    assert cold.packs[1].peak_k == pytest.approx(360.0 + rise_k, abs=0.03 * rise_k)
+    assert cold.packs[0].peak_k == pytest.approx(360.0, abs=0.01)
+    assert cold.packs[1].life_ratio == pytest.approx(  # ten faces of 60 cm2
+        (cold.packs[1].slip_energy_j or 0.0) / 8.62e9, rel=0.002
+    )
     warm = PackTemperatures(clutch_k=(400.0, 380.0), at_ns=START_NS - 1_000_000_000)
     hot = ShiftScorer(CALIBRATION, None).score(event(SUMP_TEMPERATURE=360.0), KNOWN, warm)
     assert hot is not None
     own = CALIBRATION.clutches[0].thermal
-    assert hot.peak1_k == pytest.approx(360.0 + 40.0 * np.exp(-own.convection_w_k / own.heat_capacity_j_k), abs=0.1)
-    assert 3.0 < (hot.peak2_k or 0.0) - (cold.peak2_k or 0.0) < 20.0
-    assert quality(event()).peak2_k is None  # nothing is known of the oil
+    left_ratio = np.exp(-own.convection_w_k / own.heat_capacity_j_k)
+    assert hot.packs[0].peak_k == pytest.approx(360.0 + 40.0 * left_ratio, abs=0.1)
+    assert 3.0 < (hot.packs[1].peak_k or 0.0) - (cold.packs[1].peak_k or 0.0) < 20.0
+    assert quality(event()).packs[1].peak_k is None  # nothing is known of the oil
 
 
 def test_an_engine_that_runs_away_is_a_flare() -> None:
     flare = 20.0 * np.exp(-(((T_S - 0.4) / 0.08) ** 2))
     found = quality(event(ENGINE_SPEED=ENGINE + flare))
-    assert found.flare_rad_s == pytest.approx(20.0, abs=1.0)
+    assert found.parts.flare_rad_s == pytest.approx(20.0, abs=1.0)
     assert found.reasons[0] == "flare_rad_s"
     assert found.score is not None
     assert found.score < 90.0
@@ -119,7 +122,7 @@ def test_an_engine_that_runs_away_is_a_flare() -> None:
 def test_both_clutches_carry_against_each_other() -> None:
     both_pa = np.where((T_S > 0.3) & (T_S < 0.5), TOUCH_PA + 150.0 / NM_PER_PA, TOUCH_PA)
     found = quality(event(CLUTCH2_PRESSURE=both_pa, CLUTCH1_PRESSURE=4.0 * BAR_PA))
-    assert found.tie_up_nm == pytest.approx(50.0, abs=2.0)
+    assert found.parts.tie_up_nm == pytest.approx(50.0, abs=2.0)
     assert "tie_up_nm" in found.reasons
 
 
@@ -127,30 +130,29 @@ def test_a_hole_in_the_acceleration_is_as_deep_as_it_is_and_jerks() -> None:
     slope_m_s2 = np.where((T_S > 0.4) & (T_S < 0.8), -2.2, 0.8)
     car_m_s = 8.0 + np.cumsum(slope_m_s2) * 0.01
     found = quality(event(OUTPUT_SPEED=None, VEHICLE_SPEED=car_m_s))
-    assert found.torque_hole_m_s2 == pytest.approx(3.0, abs=0.1)
-    assert found.jerk_m_s3 == pytest.approx(23.4, rel=0.03)  # 78 % of a step in 0.1 s, through a window of 0.17 s
+    assert found.parts.torque_hole_m_s2 == pytest.approx(3.0, abs=0.1)
+    assert found.parts.jerk_m_s3 == pytest.approx(23.4, rel=0.03)  # 78 % of a step in 0.1 s, through a window of 0.17 s
     assert set(found.reasons) >= {"torque_hole_m_s2", "jerk_m_s3"}
 
 
 def test_what_is_no_gear_change_has_no_score_and_what_was_broken_off_nothing() -> None:
     launch = replace(event(), kind=EventKind.LAUNCH, from_gear=2)
     found = quality(launch)
-    assert (found.score, found.reasons, found.flare_rad_s, found.tie_up_nm) == (None, (), None, None)
-    assert found.slip_energy2_j == quality(event()).slip_energy2_j
+    assert (found.score, found.reasons, found.parts.flare_rad_s, found.parts.tie_up_nm) == (None, (), None, None)
+    assert found.packs[1].slip_energy_j == quality(event()).packs[1].slip_energy_j
     broken = replace(event(), end_reason=EndReason.INTERRUPTED)
     assert ShiftScorer(CALIBRATION, None).score(broken, KNOWN) is None
 
 
-UPSHIFT = ShiftQuality(
-    score=80.0, reasons=("jerk_m_s3",), std_touch_error_pa=1_000.0, slip_energy1_j=0.0, slip_energy2_j=5_000.0
-)
+STILL = PackHeat(slip_energy_j=0.0)
+UPSHIFT = ShiftQuality(score=80.0, reasons=("jerk_m_s3",), packs=(STILL, PackHeat(slip_energy_j=5_000.0)))
 
 
 def result(
     seq: int, quality: ShiftQuality | None, *, oil_k: float = 350.0, kind: str = "power_on_upshift"
 ) -> ShiftEstimate:
-    given = shift_result(seq).estimate
-    return replace(given, shift_quality=quality, sump_temperature_k=oil_k, kind=EventKind(kind))
+    given = at(shift_result(seq).estimate, sump_temperature_k=oil_k)
+    return replace(given, shift_quality=quality, kind=EventKind(kind))
 
 
 def test_a_course_has_both_ends_and_the_oil() -> None:
@@ -168,8 +170,8 @@ def test_a_course_has_both_ends_and_the_oil() -> None:
 
 
 def test_the_load_of_a_clutch_is_what_it_slipped() -> None:
-    hot = replace(UPSHIFT, peak2_k=390.0, life2_ratio=2e-6)
-    launch = replace(hot, score=None, slip_energy2_j=40_000.0, peak2_k=410.0, life2_ratio=16e-6)
+    hot = replace(UPSHIFT, packs=(STILL, PackHeat(slip_energy_j=5_000.0, peak_k=390.0, life_ratio=2e-6)))
+    launch = ShiftQuality(score=None, packs=(STILL, PackHeat(slip_energy_j=40_000.0, peak_k=410.0, life_ratio=16e-6)))
     unseen = ShiftQuality(score=None)  # without pressures
     some = [result(1, hot), result(2, hot), result(3, launch, kind="launch"), result(4, unseen, kind="launch")]
     (found,) = loads([*some, result(5, unseen), result(6, None)])

@@ -57,13 +57,13 @@ def test_a_sound_shift_is_valid_and_enters_the_state() -> None:
     assert state.shift_counts == (0, 1)
     assert state.packs is not None
     assert state.packs.at_ns == event.end_ns
-    assert estimate.clutch_temperature_k == state.packs.clutch_k[CLUTCH - 1]
+    assert estimate.conditions.clutch_temperature_k == state.packs.clutch_k[CLUTCH - 1]
     assert astuple(friction(state, CLUTCH)) == pytest.approx(astuple(estimate.friction), rel=1e-9)  # nothing else yet
     other = FRICTION_ROWS[0]  # the other clutch was let go
     assert state.known.mean[other] == pytest.approx(FRESH.known.mean[other], abs=1e-3)
     assert state.known.std()[other] == pytest.approx(FRESH.known.std()[other], rel=0.02)
-    assert 0.0 < estimate.quality <= 1.0
-    assert estimate.window_s > FULL_WINDOW_S
+    assert 0.0 < estimate.fit.quality <= 1.0
+    assert estimate.fit.window_s > FULL_WINDOW_S
 
 
 def test_the_own_estimate_of_a_shift_knows_nothing_of_the_running_friction() -> None:
@@ -158,8 +158,8 @@ def test_a_shift_that_does_not_fit_warms_its_clutch_and_changes_no_friction() ->
     )
     state, estimate = estimated(event, before)
     assert (estimate.status, estimate.reasons) == (Status.REJECTED, (Reason.MISFIT,))
-    assert (estimate.friction, estimate.scale_free, estimate.quality) == (None, None, 0.0)
-    assert estimate.chi_square_ratio > 1.0
+    assert (estimate.friction, estimate.scale_free, estimate.fit.quality) == (None, None, 0.0)
+    assert estimate.fit.chi_square_ratio > 1.0
     assert state.known is before.known
     assert (state.shift_counts, state.recent) == (before.shift_counts, ())
     assert state.packs is not None

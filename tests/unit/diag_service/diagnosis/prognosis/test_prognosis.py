@@ -15,6 +15,7 @@ from clutch_results.prognosis.channels import DISTANCE_M, ChannelName, channels_
 from clutch_results.prognosis.prognosis import Reach
 from clutch_results.prognosis.trend import AgedChannel, Future, aged, gram_matrices, passage
 from clutch_results.records import FluidFill, ShiftResult, utc_from_bus_ns
+from tests.support.builders import at
 from tests.support.histories import history as stored
 from tests.support.pasts import REFERENCE, ageing, past
 
@@ -119,7 +120,7 @@ def own_of(results: Sequence[ShiftResult], clutch: int) -> list[ShiftResult]:
 
 
 def with_odometer(result: ShiftResult, odometer_m: float | None) -> ShiftResult:
-    return replace(result, estimate=replace(result.estimate, odometer_m=odometer_m))
+    return replace(result, estimate=at(result.estimate, odometer_m=odometer_m))
 
 
 def test_used_events_are_rows() -> None:
@@ -142,13 +143,16 @@ def test_results_without_odometer_or_with_one_that_went_back_are_counted() -> No
 def test_a_fill_begins_another_fluid_that_was_new_when_seen_soon_after() -> None:
     results = stored(60)
     at = utc_from_bus_ns(results[30].estimate.start_ns)
-    known_m = FluidFill(vehicle="car1", filled_at=at, odometer_m=results[29].estimate.odometer_m)
+    known_m = FluidFill(vehicle="car1", filled_at=at, odometer_m=results[29].estimate.conditions.odometer_m)
     found = history_of(results, (known_m,), 1)
     assert np.unique(found.fluid_number).tolist() == [0, 1]
     assert found.new_fluids == (0, 1)
     without = history_of(results, (replace(known_m, odometer_m=None),), 1)
     assert without.new_fluids == (0, 1)
-    unseen = [*results[:30], *(with_odometer(one, 9.0e7 + (one.estimate.odometer_m or 0.0)) for one in results[30:])]
+    unseen = [
+        *results[:30],
+        *(with_odometer(one, 9.0e7 + (one.estimate.conditions.odometer_m or 0.0)) for one in results[30:]),
+    ]
     assert history_of(unseen, (replace(known_m, odometer_m=6.0e7),), 1).new_fluids == (0,)
     assert history_of(unseen, (replace(known_m, odometer_m=8.9e7),), 1).new_fluids == (0, 1)
 
