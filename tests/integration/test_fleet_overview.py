@@ -3,19 +3,20 @@
 import csv
 import io
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from hashlib import sha256
 from html import unescape
 from importlib import resources
 from pathlib import Path
+from typing import Literal
 
 import httpx
 import pytest
-from playwright.sync_api import Browser, ConsoleMessage
+from playwright.sync_api import ConsoleMessage
 
 from fleet_backend.database import open_database
-from tests.support.browsing import chromium, new_page
+from tests.support.browsing import Words, chromium, new_page, words_seen
 from tests.support.fleet_page import fill_database, served
 from tests.support.patience import HANG_S
 
@@ -74,29 +75,72 @@ def test_the_list_is_a_table_for_other_programs_too(address: str) -> None:
     assert [(row["vehicle"], row["condition"]) for row in rows] == [("worn", "change_fluid"), ("good.1", "good")]
 
 
-def seen_at_once(browser: Browser, url: str, width_px: int) -> str:
-    """Return the words of the first screen of a page, without its scripts."""
-    context = browser.new_context(java_script_enabled=False, viewport={"width": width_px, "height": 900})
-    page = context.new_page()
-    page.goto(url)
-    seen = [
-        one.inner_text()
-        for one in page.locator("main :is(h1, li, p, th, td)").all()
-        if (box := one.bounding_box()) is not None and box["y"] + box["height"] <= 900
-    ]
-    context.close()
-    return " ".join(" ".join(seen).split())
+def nearest(words: Iterable[Words], x: float, y: float) -> str:
+    """Return the words that begin nearest to a point; a line above or below is as far as three letters beside it."""
+    return min(words, key=lambda one: abs(one.left - x) + 3.0 * abs(one.top - y)).text
 
 
-def test_the_first_screen_tells_who_is_worst_what_to_do_and_how_far_it_goes(address: str) -> None:
+def below(words: Sequence[Words], head: str) -> str:
+    """Return what stands first below a head."""
+    heads = [one for one in words if one.text == head]
+    under = (one for one in words if heads and one.top > heads[0].top + 10 and abs(one.left - heads[0].left) < 8)
+    return min(under, key=lambda one: one.top).text if heads else ""
+
+
+def read_list(words: Sequence[Words]) -> tuple[str, str, str]:
+    """Return what a stranger reads off a list: which vehicle is worst, what to do with it, how many km are left.
+
+    The worst one is where words are red; its name can be clicked and stands before them, the order behind.
+    """
+    red = min((one for one in words if one.colour == "red" and one.text[0].isalpha()), key=lambda one: one.top)
+    names = [one for one in words if one.colour == "blue" and one.left < red.left + 50 and one.top <= red.top + 5]
+    orders = [one for one in words if one.left > red.right - 5 and one.text.endswith(".") and one.top >= red.top - 5]
+    order = nearest(orders, red.right, red.top).split(". ")[0].rstrip(".") + "."
+    return nearest(names, red.left, red.top), order, below(words, "km left")
+
+
+def read_vehicle(words: Sequence[Words]) -> tuple[str, str, str, str]:
+    """Return what is read off a vehicle: its name, the colour of its verdict, the order beside that, its km left."""
+    title = max(words, key=lambda one: one.bottom - one.top if one.text.startswith("Vehicle ") else 0.0)
+    badges = (one for one in words if one.colour in {"red", "yellow", "green"} and one.text[0].isalpha())
+    badge = min(badges, key=lambda one: one.top)
+    order = nearest((one for one in words if one.text.endswith(".")), badge.left, badge.top).split(". ")[0] + "."
+    (km,) = [one.text for one in words if re.search(r"km left", one.text, re.IGNORECASE) and one.top > badge.top]
+    return title.text.removeprefix("Vehicle "), badge.colour, order, km
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_screenshot_tells_who_is_worst_what_to_do_and_how_far_it_goes(
+    address: str, scheme: Literal["light", "dark"]
+) -> None:
+    """Whoever looks for three seconds sees words and colours of the first screen; scripts may be switched off."""
+    with httpx.Client(base_url=address, trust_env=False) as client:
+        worst = client.get("/api/v1/vehicles").json()["vehicles"][0]
+        (left_m,) = {
+            due["left_m"]
+            for due in client.get("/api/v1/maintenance").json()["clutches"]
+            if (due["vehicle"], due["clutch"]) == (worst["vehicle"], worst["clutch"])
+        }
+    told = (worst["vehicle"], worst["order"].split(". ")[0] + ".", f"{left_m / 1000.0:,.0f}")
+    assert told == ("worn", "Change the fluid now.", "0")
     with chromium() as browser:
-        fleet = seen_at_once(browser, address, 1280)
-        assert re.search(r"worn CHANGE FLUID Change the fluid now\. [0-9-]+ 0 ", fleet)  # kilometres left
-        assert "1 change fluid" in fleet
         for width_px in (390, 768, 1280):
-            vehicle = seen_at_once(browser, f"{address}/vehicles/car1", width_px)
-            assert "WATCH Have the fluid changed at the next service." in vehicle
-            assert re.search(r"[0-9,]+ km left \([89]0 % sure\)", vehicle)
+            context = browser.new_context(
+                java_script_enabled=False, viewport={"width": width_px, "height": 900}, color_scheme=scheme
+            )
+            page = context.new_page()
+            page.goto(address)
+            assert read_list(words_seen(page)) == told, width_px
+            if width_px == 1280:
+                page.goto(f"{address}/maintenance")
+                assert read_list(words_seen(page)) == told
+            page.goto(f"{address}/vehicles/worn")
+            assert read_vehicle(words_seen(page)) == (told[0], "red", told[1], "0 km left"), width_px
+            page.goto(f"{address}/vehicles/car1")
+            name, colour, order, km = read_vehicle(words_seen(page))
+            assert (name, colour, order) == ("car1", "yellow", "Have the fluid changed at the next service."), width_px
+            assert re.search(r"[0-9,]+ km left \([89]0 % sure\)", km), width_px
+            context.close()
 
 
 def heard(said: list[str], message: ConsoleMessage) -> None:

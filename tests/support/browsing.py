@@ -1,12 +1,17 @@
 """A real browser, and what it finds wrong with a page."""
 
+import colorsys
+import io
 import os
 import shutil
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import MappingProxyType
 
 from axe_playwright_python.sync_playwright import Axe
+from PIL import Image
 from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
 
 from tests.support.patience import HANG_S
@@ -127,3 +132,62 @@ def refused_in(browser: Browser, url: str, headers: Mapping[str, str] = NOTHING)
     said += page.evaluate(_ICON)
     page.context.close()
     return said
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Words:
+    """Words that can be read on a screenshot: what they are, where they stand, of which colour they are."""
+
+    text: str
+    left: float
+    top: float
+    right: float
+    bottom: float
+    colour: str  # red, yellow, green, blue; or grey
+
+
+_WORDS = """() => {
+  const said = [], add = (text, box) => {
+    if (text.trim() && box.width && box.height && box.bottom <= innerHeight && box.right <= innerWidth + 1)
+      said.push([text.trim().replace(/\\s+/g, " "), box.left, box.top, box.right, box.bottom]);
+  };
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT), range = document.createRange();
+  while (walker.nextNode()) {
+    const parent = walker.currentNode.parentElement;
+    if (!parent.checkVisibility({visibilityProperty: true}) || parent.closest(".skip, script, svg")) continue;
+    range.selectNodeContents(walker.currentNode);
+    const box = range.getBoundingClientRect();
+    const there = document.elementFromPoint((box.left + box.right) / 2, (box.top + box.bottom) / 2);
+    if (there && (there.contains(parent) || parent.contains(there))) add(walker.currentNode.textContent, box);
+  }
+  for (const cell of document.querySelectorAll("[data-name]")) {  // the heads of cells where a row is a card
+    const {left, top} = cell.getBoundingClientRect(), text = cell.dataset.name;
+    if (getComputedStyle(cell, "::before").content.startsWith('"'))
+      add(text, new DOMRect(left, top, 5 * text.length, 14));
+  }
+  return said;
+}"""
+_HUES = ((20, "red"), (70, "yellow"), (170, "green"), (265, "blue"), (340, "grey"), (361, "red"))  # ends in degrees
+_COLOURED, _DISTINCT = 0.3, 8  # chroma of a pixel that has a colour; so many of them are no edges of letters
+
+
+def words_seen(page: Page) -> list[Words]:
+    """Return what of a page can be read on its first screenshot."""
+    seen: list[list[float | str]] = page.evaluate(_WORDS)
+    picture = Image.open(io.BytesIO(page.screenshot())).convert("RGB")
+    words = []
+    for text, *edges in seen:
+        box = [float(edge) for edge in edges]
+        left, top, right, bottom = (max(round(edge), 0) for edge in box)
+        colours = Counter[str]()
+        crop = picture.crop((left, top, max(right, left + 1), max(bottom, top + 1)))
+        for count, pixel in crop.getcolors(crop.width * crop.height) or ():
+            hue, saturation, value = colorsys.rgb_to_hsv(*(part / 255.0 for part in pixel))  # type: ignore[union-attr]  # RGB
+            if saturation * value > _COLOURED:
+                colours[next(name for end, name in _HUES if 360.0 * hue < end)] += count
+        colour, count = colours.most_common(1)[0] if colours else ("grey", 0)
+        kept = colour if count >= _DISTINCT else "grey"
+        words.append(
+            Words(text=str(text), **dict(zip(("left", "top", "right", "bottom"), box, strict=True)), colour=kept)
+        )
+    return words

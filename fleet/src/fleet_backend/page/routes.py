@@ -274,6 +274,7 @@ def vehicle(request: Request) -> Response:
         "fan_picture": "" if fan is None else fan_picture(fan),
         "fan_record": None if fan is None else fan_record(fan),
         "left": _left(clutches, fills, prognoses),
+        "distance": distance_left(prognoses, Action(first.action)).capitalize() if first else "",
         "steps": STEPS.get(Action(first.action), ()) if first else (),
         "happened": sorted(_happened(fills, answer["alarms"]), key=lambda event: event[0], reverse=True),
         "lines": course_lines(answer["changes"]),
