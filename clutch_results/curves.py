@@ -4,7 +4,6 @@ import numpy as np
 
 from canlog.arrays import FloatArray
 from clutch_model.calibration import FrictionCurve
-from clutch_model.pack import friction_law, stribeck_weights
 from clutch_results.records import ClutchVerdict, FrictionEstimate
 
 
@@ -15,7 +14,7 @@ def curve_band(
 
     The coefficient is linear in both estimates, docs/model.md eq. (8), so their covariance carries over exactly.
     """
-    weight_s = stribeck_weights(slip_rad_s, friction_law(reference))
+    weight_s = _stribeck_weights(slip_rad_s, reference)
     weight_c = 1.0 - weight_s
     variance = (
         (weight_c * friction.std_mu_c) ** 2
@@ -27,8 +26,14 @@ def curve_band(
 
 def new_curve(slip_rad_s: FloatArray, reference: FrictionCurve) -> FloatArray:
     """Return the friction coefficient of new fluid over slip, shape (n,)."""
-    weight_s = stribeck_weights(slip_rad_s, friction_law(reference))
+    weight_s = _stribeck_weights(slip_rad_s, reference)
     return reference.mu_c + (reference.mu_s - reference.mu_c) * weight_s
+
+
+def _stribeck_weights(slip_rad_s: FloatArray, reference: FrictionCurve) -> FloatArray:
+    from clutch_model.pack import friction_law, stribeck_weights  # noqa: PLC0415 - it loads numba, for this alone
+
+    return stribeck_weights(slip_rad_s, friction_law(reference))
 
 
 CHANGE_LEVEL_RATIO = 0.80  # torque reserve of the hold pressure (1.5) is half used up; of new, and of the own baseline

@@ -21,7 +21,6 @@ from canlog.tables.decoding import DecodedLogs, Plan, TableChoice, TableShape, d
 from canlog.tables.table_folder import message_files, tables_there
 from clutchdiag_io.command_line import STANDARD_STREAM
 from diag_service.batch.drives import LeftOut, find_drives
-from diag_service.batch.worker import DEADLY, job_count, run_in_processes
 from diag_service.console import ReadingLine
 from diag_service.errors import ConfigError, IncompleteError, StoppedError
 from diag_service.mapping.interpretation import open_database
@@ -211,6 +210,8 @@ def decode_each(
     The totals are how many are ``done`` and ``failed``. After them: SourceError if all failed, ConfigError for a wrong
     database, IncompleteError where ``strict`` is set. Raises StoppedError if it was stopped.
     """
+    from diag_service.batch.worker import DEADLY, job_count, run_in_processes  # noqa: PLC0415 - it loads the diagnosis
+
     table_format = TableFormat(options.table_format or TableFormat.PARQUET)
     jobs = job_count(options.jobs)
     suffix = "" if options.layout == "messages" else SUFFIX_OF_FORMAT[table_format]

@@ -12,6 +12,7 @@ from canlog.extras import load_extra
 
 TIME_TYPE = "timestamp[ns, UTC]"
 BOOL_TYPE = "bool"
+FLOAT_TYPE = "float64"
 TIME_ENCODING = "DELTA_BINARY_PACKED"
 NAME_TYPE = "name"  # a text of few different values
 
@@ -73,7 +74,7 @@ class ParquetTable(ColumnSink):
     output : binary stream
         It stays open, and its errors are its own.
     columns : Mapping of str to str
-        Names and types: ``int32``, ``int64``, ``float64``, ``string``, ``BOOL_TYPE``, ``TIME_TYPE`` or ``NAME_TYPE``.
+        Names and types: ``int32``, ``int64``, ``string``, or one of those above.
     metadata : Mapping of str to Mapping of str to str
         Of columns, such as ``{"unit": "rpm"}``.
 
@@ -91,8 +92,9 @@ class ParquetTable(ColumnSink):
             output,
             schema,
             compression="zstd",
-            # Times hardly repeat, so differences are smaller; minima of names and booleans serve no query.
-            use_dictionary=[name for name, kind in columns.items() if kind != TIME_TYPE],
+            # zstd packs floats better and sooner than a dictionary; times hardly repeat, so differences are smaller.
+            # Minima of names and booleans serve no query.
+            use_dictionary=[name for name, kind in columns.items() if kind not in {TIME_TYPE, FLOAT_TYPE}],
             write_statistics=[name for name, kind in columns.items() if kind not in {NAME_TYPE, BOOL_TYPE}],
             column_encoding={name: TIME_ENCODING for name, kind in columns.items() if kind == TIME_TYPE},
         )

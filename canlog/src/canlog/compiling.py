@@ -16,8 +16,9 @@ _OPTIONS: Final[dict[str, Any]] = {"nogil": True, "error_model": "numpy", "no_cf
 
 def compiled(function: Callable[..., Any]) -> Any:  # noqa: ANN401 - numba's dispatcher, untyped
     """Return a kernel as numba compiles it for the types of each call, once it knows all parts."""
-    while parts:
-        register_jitable(**_OPTIONS, no_cpython_wrapper=True)(parts.pop())
+    for part in list(parts):  # of two threads each sees to it that all are known
+        register_jitable(**_OPTIONS, no_cpython_wrapper=True)(part)
+        parts.pop(part, None)
     try:
         return numba.njit(cache=True, **_OPTIONS)(function)
     except RuntimeError:  # no folder can be written

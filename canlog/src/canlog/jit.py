@@ -6,16 +6,14 @@ programs call no kernel.
 
 from collections.abc import Callable
 from functools import update_wrapper
-from threading import RLock
 from typing import Any, Final, Generic, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
 FIRST_START: Final = "first start: compiling, takes about 20 s"
 
-parts: list[Callable[..., Any]] = []  # that numba does not know yet
+parts: dict[Callable[..., Any], None] = {}  # that numba does not know yet
 listeners: list[Callable[[str], object]] = []
-_lock: Final = RLock()  # a kernel is compiled when all parts are known
 
 
 class Kernel(Generic[P, R]):
@@ -30,7 +28,8 @@ class Kernel(Generic[P, R]):
 
     def __init__(self, function: Callable[P, R]) -> None:
         update_wrapper(self, function)
-        self._function: Callable[P, R] | None = function
+        self._function = function
+        self._is_waiting = True
         self.__call__ = self._first
 
     def _first(self, *arguments: P.args, **named: P.kwargs) -> R:
@@ -40,12 +39,11 @@ class Kernel(Generic[P, R]):
     @property
     def compiled(self) -> Any:  # noqa: ANN401 - numba's dispatcher, untyped
         """The kernel as numba's own object, which compiles for the types of each call."""
-        with _lock:
-            if self._function is not None:
-                from canlog.compiling import compiled  # noqa: PLC0415 - it loads numba
+        if self._is_waiting:
+            from canlog.compiling import compiled  # noqa: PLC0415 - it loads numba
 
-                self.__call__ = compiled(self._function)
-                self._function = None
+            self.__call__ = compiled(self._function)
+            self._is_waiting = False
         return self.__call__
 
     @property
@@ -64,7 +62,7 @@ def part(function: Callable[P, R]) -> Callable[P, R]:
 
     It needs no entry for Python and no file of the cache, which cost a kernel a third of its time to compile.
     """
-    parts.append(function)
+    parts[function] = None
     return function
 
 

@@ -1,12 +1,11 @@
 """A log, and its signals as arrays and tables: batch by batch, or all of it in memory."""
 
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from cantools.database.can import Database
@@ -22,7 +21,6 @@ from canlog.tables.decoding import Plan, TableShape, columns_of, message_columns
 from canlog.tables.frame_groups import log_paths
 from canlog.tables.layouts import BARE_ID, TableShapeName, Values, ValuesName, WideLayout, column_of
 
-WARNED_CELLS: Final = 50_000_000  # of a wide table: 0.4 GB
 KINDS = {
     "time": TIME_TYPE,
     "channel": "uint8",
@@ -152,8 +150,7 @@ class Log:
         ----------
         shape
             ``messages`` for a table of each message that occurs, by its name, with a row per frame; ``wide`` for one
-            table with a row per frame and a column per signal: most of its cells are empty, and a warning tells if it
-            takes much memory.
+            table with a row per frame and a column per signal: most of its cells are empty, and take memory.
         values
             What stands for a value that the database names: its number, its name, or both in two columns.
         is_raw
@@ -167,7 +164,7 @@ class Log:
         if TableShape(shape) is TableShape.MESSAGES:
             return self._message_tables(Values(values), self._plan_of(is_raw=is_raw))
         reader = self.batches(values, is_raw=is_raw)
-        return load_pyarrow().Table.from_batches(self._watched(reader), schema=reader.schema).unify_dictionaries()
+        return reader.read_all().unify_dictionaries()
 
     def _message_tables(self, values: Values, plan: Plan) -> dict[str, Any]:
         arrow, account = load_pyarrow(), DecodeAccount(codec=plan.codec, names=plan.names)
@@ -181,19 +178,6 @@ class Log:
             plan.names.messages[slot]: arrow.Table.from_batches(batches[slot]).unify_dictionaries()
             for slot in sorted(batches)
         }
-
-    def _watched(self, reader: Any) -> Iterator[Any]:  # noqa: ANN401 - untyped
-        """Yield the batches of a wide table, with a warning as soon as they are many cells."""
-        row_count, column_count = 0, len(reader.schema)
-        is_told = False
-        for batch in reader:
-            row_count += len(batch)
-            if not is_told and row_count * column_count > WARNED_CELLS:
-                is_told = True
-                size = f"{row_count} rows and {column_count} columns takes {8e-9 * row_count * column_count:.1f} GB"
-                warning = f"a table of {size} and is not complete; the shape messages has no empty cells"
-                warnings.warn(warning, stacklevel=4)
-            yield batch
 
     def frames_to_arrow(self) -> Any:  # noqa: ANN401 - untyped
         """Return the frames themselves as a table of pyarrow, a row for each; no database is needed.

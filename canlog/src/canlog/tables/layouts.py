@@ -18,7 +18,7 @@ from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
 from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt32Array
-from canlog.column_files import BOOL_TYPE, NAME_TYPE, TIME_TYPE, load_pyarrow
+from canlog.column_files import BOOL_TYPE, FLOAT_TYPE, NAME_TYPE, TIME_TYPE, load_pyarrow
 from canlog.decode.codec import MessageTable, MessageValues
 from canlog.decode.signals import FloatCode, PayloadWords, SignalTable
 from canlog.frames import EXTENDED_FLAG, FrameBatch
@@ -194,7 +194,7 @@ class WideLayout:
     def kinds(self) -> dict[str, str]:
         kinds = dict(self.frame_kinds)
         for place in self._places:
-            kinds[self.names.columns[place]] = "float64"
+            kinds[self.names.columns[place]] = FLOAT_TYPE
             if place in self.texts:
                 kinds[self.names.columns[place] + TEXT_SUFFIX] = NAME_TYPE
         return kinds
@@ -267,7 +267,7 @@ class _Cells:
         for place in places:
             value = self._value.get(place)
             if value is None:
-                columns[place] = arrow.nulls(self._count, "float64")
+                columns[place] = arrow.nulls(self._count, FLOAT_TYPE)
                 continue
             bits = arrow.py_buffer(np.packbits(self._is_there[place], bitorder="little"))
             columns[place] = arrow.Array.from_buffers(arrow.float64(), len(value), [bits, arrow.py_buffer(value)])
