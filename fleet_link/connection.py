@@ -290,6 +290,7 @@ class Connection:
         self._window = 1
         self._in_flight: dict[int, str] = {}  # packet id -> topic, of what `publish_all` waits for
         self._unanswered: set[int] = set()  # packet ids of what `send` sent at least once
+        self.takes_bundles = True  # told by whoever subscribes
         self.unsettled_count = 0  # messages that we were sent and have not acknowledged
         self._unsettled_bytes = 0  # of them
         self._granted: set[str] = set()  # topics on which the broker took a message

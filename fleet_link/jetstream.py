@@ -50,6 +50,7 @@ class JetStream:
 
     def __init__(self, client: "Client") -> None:
         self.strangers: frozenset[str] = frozenset()  # of the subscriptions asked for, those that the stream lacks
+        self.takes_bundles = True  # told by whoever subscribes
         self._client = client
         self._subscription: JetStreamContext.PullSubscription
         self._replies: dict[int, str] = {}  # of messages that are not settled

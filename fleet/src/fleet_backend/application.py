@@ -21,7 +21,7 @@ from fleet_backend.choices import Pace, Quotas
 from fleet_backend.config import ServerAddress
 from fleet_backend.database import place_of
 from fleet_backend.errors import BackendConfigError
-from fleet_backend.ingest import BrokerInbox, Worker, connected, filters_of, until_it_answers
+from fleet_backend.ingest import Inbox, Worker, connected, filters_of, until_it_answers
 from fleet_backend.intake import MessageKind
 from fleet_backend.migrate import make_ready
 from fleet_backend.programs import metrics_served, until_stopped
@@ -93,7 +93,7 @@ def run_ingest(
         prepare(alive)
     own_name = name or f"{socket.gethostname()}-{uuid.uuid4().hex[:8]}"
 
-    def connect() -> AbstractAsyncContextManager[BrokerInbox]:
+    def connect() -> AbstractAsyncContextManager[Inbox]:
         return connected(address, filters_of(group), max_unsettled=pace.max_unsettled)
 
     gate = QuotaGate(engine, quotas)

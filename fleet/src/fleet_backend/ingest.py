@@ -12,7 +12,7 @@ import asyncio
 import logging
 import random
 from collections import Counter
-from collections.abc import AsyncIterator, Callable, Iterable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import replace
@@ -45,45 +45,13 @@ MAX_PACKET_BYTES: Final = 262_144  # far above any result; the broker keeps long
 _LOG: Final = logging.getLogger(__name__)
 
 
-class BrokerInbox:
-    """An open, subscribed connection that raises BrokerError when it is lost."""
-
-    def __init__(self, connection: Connection | JetStream, *, takes_bundles: bool = True) -> None:
-        self.takes_bundles = takes_bundles  # whether they reach us
-        self._connection = connection
-
-    @property
-    def unsettled_count(self) -> int:
-        return self._connection.unsettled_count
-
-    async def collect(self, limit: int, patience_s: float) -> list[Message]:
-        """Return the next messages, until ``patience_s`` after the first, ``limit`` at most.
-
-        Raises BrokerError if the connection is lost; the broker sends its messages again.
-        """
-        try:
-            return await self._connection.collect(limit, patience_s)
-        except LinkDownError as exc:
-            raise BrokerError(str(exc)) from exc
-
-    def send(self, messages: Iterable[Outgoing]) -> None:
-        """Send messages at least once, without waiting for the broker: a vehicle without a receipt sends again."""
-        self._connection.send(messages)
-
-    def acknowledge(self, messages: Sequence[Message]) -> None:
-        """Acknowledge messages to the broker, which then sends as many others."""
-        self._connection.acknowledge(messages)
-
-
 @asynccontextmanager
-async def connected(
-    address: BrokerAddress, filters: Sequence[str], *, max_unsettled: int
-) -> AsyncIterator[BrokerInbox]:
+async def connected(address: BrokerAddress, filters: Sequence[str], *, max_unsettled: int) -> AsyncIterator["Inbox"]:
     """Connect and subscribe for as long as the block lasts.
 
     The broker keeps no session for us: what it had sent and we had not stored is sent again by the vehicles, to
-    whichever worker is there. Raises BrokerError if the broker is absent, silent or refuses us, or a certificate cannot
-    be used: it could be when the address was read, and is perhaps just renewed.
+    whichever worker is there. Raises BrokerError if the broker is absent, silent, refuses us or goes away, or a
+    certificate cannot be used: it could be when the address was read, and is perhaps just renewed.
     """
     terms = Terms(
         keepalive_s=KEEPALIVE_S,
@@ -99,16 +67,13 @@ async def connected(
             connection = await JetStream.open(address, filters, GROUP)
         else:
             connection = await Connection.open(address, terms)
+        try:
+            connection.takes_bundles = await _subscribed(connection, filters)
+            yield connection
+        finally:
+            await connection.close()
     except LinkError as exc:
         raise BrokerError(f"broker {address}: {exc}") from exc
-    try:
-        try:
-            takes_bundles = await _subscribed(connection, filters)
-        except LinkDownError as exc:
-            raise BrokerError(f"broker {address}: {exc}") from exc
-        yield BrokerInbox(connection, takes_bundles=takes_bundles)
-    finally:
-        await connection.close()
 
 
 def is_of_bundles(name: str) -> bool:
@@ -157,16 +122,14 @@ AnswerT = TypeVar("AnswerT")
 class Inbox(Protocol):
     """An open connection to a broker."""
 
-    @property
-    def takes_bundles(self) -> bool:
-        """Whether the bundles of vehicles come in by it."""
+    takes_bundles: bool  # of vehicles come in by it
 
     @property
     def unsettled_count(self) -> int:
         """How many messages came and are not acknowledged."""
 
     async def collect(self, limit: int, patience_s: float) -> list[Message]:
-        """Return the next messages, or raise BrokerError when the connection is lost."""
+        """Return the next messages, or raise LinkDownError when the connection is lost."""
 
     def send(self, messages: Sequence[Outgoing]) -> None:
         """Send messages at least once."""
