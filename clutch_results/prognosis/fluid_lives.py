@@ -102,11 +102,11 @@ def _prior(name: ChannelName, before: FluidLife | None, peers: Peers | None, *, 
     return replace(prior, start=start, start_std=start_std)
 
 
-def either(life: FluidLife, margin_limit: float, level_limit: float, count: int | None = None) -> trend.Passage:
+def either(life: FluidLife, margin_limit: float, level_limit: float, part: slice = trend.ALL) -> trend.Passage:
     """Return when the margin or the level passes its limit; the level that of new fluid or that of its own start."""
     margin, level = life.channels[ChannelName.MARGIN].future, life.channels[ChannelName.LEVEL].future
-    when = trend.passage(margin, [(margin_limit, 0.0)], count)
-    return when.or_(trend.passage(level, [(level_limit, 0.0), (0.0, level_limit)], count))
+    when = trend.passage(margin, [(margin_limit, 0.0)], part)
+    return when.or_(trend.passage(level, [(level_limit, 0.0), (0.0, level_limit)], part))
 
 
 _HALVINGS: Final = 6  # a fluid's end is found to a sixty-fourth of what was driven with it
@@ -165,7 +165,7 @@ def _at(
 
 
 def _has_ended(life: FluidLife) -> bool:
-    return either(life, CHANGE_MARGIN_RATIO, CHANGE_LEVEL_RATIO, count=1).within(0.0) >= 0.5
+    return either(life, CHANGE_MARGIN_RATIO, CHANGE_LEVEL_RATIO, slice(1)).within(0.0) >= 0.5
 
 
 def _course(channel: trend.AgedChannel, distance_m: float) -> Course:

@@ -156,16 +156,18 @@ class Forecast:
 
 _LEFT = np.linspace(-0.2, 1.2, 36)  # margins of which the passage is looked at
 _SHARES = (0.1, 0.5, 0.9)
+_POINTS = 64  # of a forecast: of long ones every second or third distance is drawn
 
 
 def forecast(prognosis: Prognosis, within_m: float) -> Forecast | None:
-    """Return the margin at each distance within some from today; None where the outlook is TOO_FEW."""
-    if prognosis.life is None:
+    """Return the margin at distances within some from today; None where the outlook is TOO_FEW."""
+    if prognosis.life is None or prognosis.change_fluid is None:
         return None
-    distance_m = DISTANCE_M[: np.searchsorted(DISTANCE_M, within_m, side="right")]
+    step = 1 + int(np.count_nonzero(prognosis.change_fluid.passage.probability <= _SHARES[-1])) // _POINTS
+    distance_m = DISTANCE_M[: np.searchsorted(DISTANCE_M, within_m, side="right") : step]
     count, before, passed = len(distance_m), np.zeros_like(distance_m), np.ones((len(_LEFT), len(distance_m)))
     for row, left in enumerate(_LEFT.tolist()):
-        when = either(prognosis.life, left, level_at(left), count)
+        when = either(prognosis.life, left, level_at(left), slice(0, count * step, step))
         passed[row, :count] = before = np.maximum(before[:count], when.probability)
         count = int(np.count_nonzero(before <= _SHARES[-1]))  # farther on less is left with every share
     quantiles = [np.interp(_SHARES, column, _LEFT) for column in passed.T]

@@ -38,6 +38,7 @@ MOST_LOG_RATIO: Final = 3.0  # of a loss over the usual one
 LEAST_LOG_WEIGHT: Final = -6.0  # of a course against the best
 COURSES: Final = 500  # of equal weight, that stand for all; the same one is taken more than once
 NOW, START, RATE = range(3)  # places in the state of a course: the channel today and at first sight, and its rate
+ALL: Final = slice(None)
 CERTAIN_STD: Final = 9.0  # beyond it the normal distribution is 0 or 1 to all digits
 _STUDENT: Final = 3.0  # degrees of freedom of the logarithm of a life
 _LOG_STUDENT: Final = float(np.log(1.0883))  # its constant over that of the normal distribution
@@ -335,18 +336,18 @@ class Passage:
         return Passage(distance_m=self.distance_m, probability=1.0 - neither)
 
 
-def passage(future: Future, limits: Sequence[tuple[float, float]], count: int | None = None) -> Passage:
+def passage(future: Future, limits: Sequence[tuple[float, float]], part: slice = ALL) -> Passage:
     """Return when a channel passes the first of some limits: a number, and the share of its own start added to it.
 
-    Only the first ``count`` distances are looked at; by default all.
+    A ``part`` of `DISTANCE_M` is looked at, by default all.
     """
-    fall, to_come = future.fall[:, :count], future.fall_variance[:, :count]
+    fall, to_come = future.fall[:, part], future.fall_variance[:, part]
     passed = []
     for limit, share in limits:
         variance = future.now_variance - 2.0 * share * future.now_start_covariance + share**2 * future.start_variance
         beyond = (limit + share * future.start - future.now)[:, None] + fall
         passed.append(future.weight @ normal_cdf(beyond / np.sqrt(np.maximum(variance, 1e-12)[:, None] + to_come)))
-    return Passage(distance_m=DISTANCE_M[:count], probability=np.maximum.accumulate(np.max(passed, axis=0)))
+    return Passage(distance_m=DISTANCE_M[part], probability=np.maximum.accumulate(np.max(passed, axis=0)))
 
 
 def normal_cdf(value: FloatArray) -> FloatArray:
