@@ -96,7 +96,7 @@ def interpret(dbc: Path | None, profile: Path | Profile | None) -> Interpretatio
         database = Database(messages=[*database.messages, *asked], dbc_specifics=database.dbc, strict=False)
     if named.is_lenient:
         fit = fit_of(database, named)
-        if fit.tier is None:
+        if fit.tier is None and not named.is_of_columns:  # what is asked for may need a vehicle file's gears
             raise ConfigError(f"profile {named.name} does not fit the database: {'; '.join(fit.problems)}")
         _LOG.log(NOTICE, "%s", fit.text)
     return Interpretation(database=database, profile=named, files=_files(dbc, named, profile))

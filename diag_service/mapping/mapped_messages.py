@@ -295,6 +295,11 @@ def missing_for_next(signals: AbstractSet[Signal], *, knows_gears: bool = False,
     if Signal.LOCKUP_PRESSURE in signals and not has_converter:
         return "friction of a lock-up clutch needs a description with its converter (--calibration lockup)"
     wanted = Tier.KINEMATIC if tier is None else Tier(tier - 1)
+    return missing_for(wanted, signals, knows_gears=knows_gears, has_converter=has_converter)
+
+
+def missing_for(wanted: Tier, signals: AbstractSet[Signal], *, knows_gears: bool, has_converter: bool) -> str:
+    """Return one sentence: what a tier is and lacks."""
     purpose = (LOCKUP_PURPOSE if has_converter else PURPOSE)[wanted].removesuffix(", no level")
     missing = (
         " or ".join(dict.fromkeys(_joined(alternative - signals) for alternative in requirement))

@@ -268,8 +268,9 @@ class Profile:
 
     @property
     def is_of_columns(self) -> bool:
-        """Whether it needs no database: nothing of it is a signal of a message."""
-        return not any(isinstance(source, BusSource) for source in self.sources.values())
+        """Whether it needs no database: what is a signal of a message may be absent."""
+        is_needed = (isinstance(source, BusSource) and not source.optional for source in self.sources.values())
+        return bool(self.columns) and not any(is_needed)
 
 
 def shipped_profiles() -> tuple[str, ...]:

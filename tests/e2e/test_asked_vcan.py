@@ -1,6 +1,7 @@
 """A car that is asked while it is diagnosed, as processes on a real vcan: a candump of it says the same afterwards."""
 
 import signal
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -11,21 +12,30 @@ from tests.support.bus_end import candump
 from tests.support.in_process import ended as run
 
 SHIFT_COUNT = 4
+RATIOS = "[44.59, 27.47, 18.54, 13.66, 10.72, 9.014]"  # engine over road speed [rad/m], as the emulated car has them
 
 pytestmark = [pytest.mark.vcan, pytest.mark.asks]
 
 
+def known_gears(folder: Path) -> Path:
+    """Return the description of the car, which a car needs that tells no gear."""
+    path = folder / "car.toml"
+    text = files("clutch_model").joinpath("calibrations/nominal.toml").read_text("utf-8")
+    path.write_text(f'{text}\n[gears]\nover = "vehicle_speed_m_s"\nratios = {RATIOS}\n', encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("like", "profile"), [("vw_dsg", "dct_asked"), ("bmw_dkg", "bmw_dkg")])
 def test_a_candump_of_a_car_that_is_asked_says_the_same_to_the_bit(
-    vcan: str, tmp_path: Path, sent_by_us: SentByUs
+    vcan: str, tmp_path: Path, sent_by_us: SentByUs, like: str, profile: str
 ) -> None:
-    log, words = tmp_path / "bus.log", ("--profile", "dct_asked")
+    log, words = tmp_path / "bus.log", ["--profile", profile]
+    words += ["--vehicle-file", str(known_gears(tmp_path))] if like == "bmw_dkg" else []
     with (
         candump(vcan, log),
         listening(tmp_path / "service", vcan, *words, "--active") as live,
     ):
-        with emulator(
-            tmp_path / "car", vcan, "--scenario", "case2", "--answers-like", "vw_dsg", "--cycles", "1"
-        ) as car:
+        with emulator(tmp_path / "car", vcan, "--scenario", "case2", "--answers-like", like, "--cycles", "5") as car:
             live.wait_for(lambda: len(live.out.splitlines()) >= SHIFT_COUNT)
             car.send(signal.SIGTERM)
             assert car.wait().status == 0

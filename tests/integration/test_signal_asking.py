@@ -22,7 +22,7 @@ from tests.integration.test_tester import vehicle
 from tests.support.asked import batch_of
 from tests.support.patience import HANG_S
 from workshop.controller.controller import Controller
-from workshop.controller.table import table_like
+from workshop.controller.table import engine_table, table_like
 from workshop.tester import signal_asking
 from workshop.tester.addresses import CanAddress
 from workshop.tester.signal_asking import SignalAsker, line_on
@@ -36,6 +36,8 @@ VALUES = {
     "clutch1_pressure_pa": 4e5,
     "clutch2_pressure_pa": 0.0,
     "sump_temperature_k": 353.15,
+    "engine_speed_rad_s": 210.0,
+    "vehicle_speed_m_s": 10.0,
 }
 ALLOWED = {0x22, 0x01, 0x21, 0x3E}
 NUMBERS = count()
@@ -45,6 +47,11 @@ def controller(values: Mapping[str, float] = VALUES, without: int | None = None)
     table = table_like("vw_dsg")
     table = replace(table, services={number: one for number, one in table.services.items() if number != without})
     return Controller(table, values=lambda: values, clock=time.monotonic, chance=secrets.token_bytes)
+
+
+def engine(values: Mapping[str, float] = VALUES) -> Controller:
+    """Return the engine's controller beside the transmission's."""
+    return Controller(engine_table(), values=lambda: values, clock=time.monotonic, chance=secrets.token_bytes)
 
 
 class Ear:

@@ -11,7 +11,7 @@ import can
 import pytest
 
 from dbc import DBC_PATH
-from tests.integration.test_signal_asking import controller, heard
+from tests.integration.test_signal_asking import controller, engine, heard
 from tests.integration.test_tester import vehicle
 from tests.plugins.asked_services import SentByUs
 from tests.support.documents import block_lines
@@ -41,7 +41,7 @@ def test_values_rate_and_how_to_go_on_are_told() -> None:
     assert run.status == 0, run.err
     said = " ".join(run.out.split())
     assert "clutch1_pressure = 4 bar (38EB at 7E1)" in said
-    assert "6 of 6 signals are told; friction beside 7 that are broadcast" in said
+    assert "6 of 6 signals are told; tier 1 (friction) beside 7 that are broadcast" in said
     assert "sets a second" in said
     assert "diag-service run -i virtual -c try-2 --profile dct_asked --active" in said
     assert ear.services() == {0x22}
@@ -51,20 +51,16 @@ def test_a_car_is_not_taken_for_the_bench(tmp_path: Path) -> None:
     """Both profiles ask for the same; what is broadcast tells the difference."""
     path = tmp_path / "car.dbc"
     path.write_text(
-        'VERSION ""\nBU_: X\nBO_ 160 Motor_12: 8 X\n'
-        ' SG_ MO_Drehzahl_01 : 0|16@1+ (0.25,0) [0|16383] "Unit_MinutInver" X\n'
-        ' SG_ MO_Mom : 8|8@1+ (1,0) [0|1] "" X\n',  # overlaps, as in public databases
+        'VERSION ""\nBU_: X\nBO_ 160 Getriebe_11: 8 X\n'
+        ' SG_ GE_Zielgang : 0|8@1+ (1,0) [0|15] "" X\n'
+        ' SG_ GE_Mom : 4|8@1+ (1,0) [0|1] "" X\n',  # overlaps, as in public databases
         encoding="utf-8",
     )
     words = ("try", "-i", "virtual", "-c", "try-7", "-b", "250000", "--listen", "0.05", "--active")
-    with vehicle("try-7", controller()):
+    with vehicle("try-7", controller(), engine()):
         run = ended(*words, "--dbc", path)
     assert run.status == 0, run.err
     assert "run -i virtual -c try-7 -b 250000 --profile vw_dsg" in " ".join(run.out.split())
-    log = tmp_path / "one.log"
-    log.write_text("(1.000000) can0 0A0#0000000000000000\n", encoding="utf-8")
-    run = ended("analyze", log, "--profile", "vw_dsg", "--dbc", path)
-    assert "the database has no message Getriebe_11" in run.err
 
 
 def shown(start: str, replaced: Mapping[str, str]) -> Iterator[list[str]]:
@@ -78,7 +74,11 @@ def shown(start: str, replaced: Mapping[str, str]) -> Iterator[list[str]]:
 
 
 def test_the_commands_of_the_page_ask_as_it_says() -> None:
-    with ElmServer(controller(), ("127.0.0.1", 0)) as server, vehicle("try-5", controller()), heard("try-5") as ear:
+    with (
+        ElmServer(controller(), ("127.0.0.1", 0), None, engine()) as server,
+        vehicle("try-5", controller()),
+        heard("try-5") as ear,
+    ):
         places = {
             "-i socketcan": "-i virtual",
             "can0": "try-5",

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 
 import can
@@ -11,7 +12,7 @@ from canlog.arrays import Series
 from canlog.frames import EXTENDED_FLAG, FrameBatch, join
 from canlog.isotp import segments
 from diag_service.diagnosis.columns import Signal
-from diag_service.mapping.asked_signals import READ_DATA, DatumId, flagged, sizes_of
+from diag_service.mapping.asked_signals import READ_DATA, READ_LOCAL, DatumId, flagged, sizes_of
 from diag_service.mapping.profile import AskedSource, Profile, load_profile, to_si
 
 FRAME_NS = 250_000  # on the bus, with what the controller needs between two
@@ -98,8 +99,11 @@ def dialogue_of(
     sizes = sizes_of(profile.asked.values())
     slow = [one for one, (signal, _) in sources.items() if signal is Signal.SUMP_TEMPERATURE]
     fast = [one for one in sources if one not in slow]
-    width = together or profile.asking.together
-    sets = [fast[at : at + width] for at in range(0, len(fast), width)]
+    most = together or profile.asking.together
+    sets = list[list[DatumId]]()
+    for (_, service), of_one in groupby(fast, lambda datum: (datum.request_id, datum.service)):
+        batch, width = list(of_one), 1 if service == READ_LOCAL else most
+        sets += [batch[at : at + width] for at in range(0, len(batch), width)]
     first_ns = max(int(drive[signal].t_ns[0]) for signal, _ in sources.values()) + NS_PER_S // 5
     last_ns = min(int(drive[signal].t_ns[-1]) for signal, _ in sources.values())
     wire, slow_due_ns = Wire(t_ns=first_ns), first_ns

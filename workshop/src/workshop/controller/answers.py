@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -37,7 +38,7 @@ from workshop.controller.requested_tasks import (
     clear_if_requested,
 )
 from workshop.controller.services.data import STARTING
-from workshop.controller.table import load_table, table_like, table_of
+from workshop.controller.table import Timing, check_personality, engine_table, load_table, table_like, table_of
 
 RUNNING_RAD_S: Final = 30.0  # engine speed above that of a starter
 LEAST_LOOK_S: Final = 0.8 * MONITOR_PERIOD_S  # time of the drive between two samples of the monitors
@@ -81,7 +82,7 @@ class Answering:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         try:
-            from workshop.controller.link import DiagnosticLink  # noqa: PLC0415 - an extra
+            from workshop.controller.link import DiagnosticLink, Links  # noqa: PLC0415 - an extra
         except ImportError as exc:
             raise LogFormatExtraError("diagnostics need can-isotp: pip install './workshop[diagnostics]'") from exc
         self._bus = bus
@@ -114,19 +115,22 @@ class Answering:
         self._error: BaseException | None = None
         shipped = table_of(transmission) if options.like is None else table_like(options.like, transmission)
         described = shipped if options.table is None else load_table(Path(options.table))
-        least_s, most_s = described.timing.least_answer_s, described.timing.most_answer_s
+        engine = () if options.like is None else (engine_table(),)
         times = random.Random()  # noqa: S311 - no secret: how long an answer takes
         store = (
             None if options.memory is None else self._stack.enter_context(MemoryFile(Path(options.memory), described))
         )
         try:
-            self.controller = Controller(
-                described,
-                values=self._values,
-                clock=clock,
-                chance=secrets.token_bytes,
-                store=store,
-                work=lambda: time.sleep(times.uniform(least_s, most_s) / 2.0),
+            self.controller, *others = (
+                Controller(
+                    table,
+                    values=self._values,
+                    clock=clock,
+                    chance=secrets.token_bytes,
+                    store=store if table is described else None,
+                    work=partial(_work, table.timing, times),
+                )
+                for table in (described, *engine)
             )
             self._monitoring = Monitoring(
                 self.controller,
@@ -135,18 +139,21 @@ class Answering:
             )
             self._routine = None if performer is None else RequestedRoutine(performer, self.controller)
             self._adaptation = None if performer is None else RequestedAdaptation(performer, self.controller)
-            self.link = DiagnosticLink(self.controller, bus.send, is_fd=is_fd)
+            self._links = [
+                DiagnosticLink(controller, bus.send, is_fd=is_fd) for controller in (self.controller, *others)
+            ]
+            self.link = Links(*self._links)
             doip = options.doip_address
             self.doip = None if doip is None else self._stack.enter_context(closing(DoipServer(self.controller, doip)))
             there = None if options.elm327 is None else parse_place(options.elm327, "--elm327", least_port=0)
-            adapter = None if there is None else ElmServer(self.controller, (there.host, there.port), bitrate)
+            adapter = None if there is None else ElmServer(self.controller, (there.host, there.port), bitrate, *others)
             self.elm327 = None if adapter is None else self._stack.enter_context(closing(adapter))
         except BaseException:
             self._stack.close()
             raise
 
     def __enter__(self) -> Self:
-        parts: tuple[AbstractContextManager[object] | None, ...] = (self.elm327, self.link, self.doip)
+        parts: tuple[AbstractContextManager[object] | None, ...] = (self.elm327, *self._links, self.doip)
         try:
             for part in parts:
                 if part is not None:
@@ -306,6 +313,11 @@ class Answering:
         return self._sent.now(more)
 
 
+def _work(timing: Timing, times: random.Random) -> None:
+    """Sleep for half of the time to answer."""
+    time.sleep(times.uniform(timing.least_answer_s, timing.most_answer_s) / 2.0)
+
+
 def place_text(what: str, place: str, *, is_exposed: bool) -> str:
     """Return a line about a server for testers, with a warning if other machines can reach it."""
     warning = f"\nwarning: anyone who can reach {place} can ask this controller and change what testers can change"
@@ -324,7 +336,8 @@ class Answers:
     table : path, optional
         A TOML file that describes a controller of your own.
     like : str, optional
-        A controller of a real car whose data it has besides, and whose times to answer: ``vw_dsg`` or ``bmw_dkg``.
+        A controller of a real car whose data it has besides, and whose times to answer: ``vw_dsg``, ``bmw_dkg``, or
+        ``gm_t87a`` with a converter. The engine's controller answers beside it.
     memory : path, optional
         A file that keeps trouble codes over restarts.
     doip, elm327 : str, optional
@@ -346,7 +359,7 @@ class Answers:
         if self.table is not None and self.like is not None:
             raise EmulatorConfigError("a controller answers by a table of its own, or like another one, not both")
         if self.like is not None:
-            table_like(self.like)
+            check_personality(self.like)
         _ = self.doip_address
 
     def opened(self, bus: can.BusABC, choice: BusChoice, drive: Drive) -> Answering:

@@ -27,8 +27,9 @@ run_options: Final = (
     ),
     click.option(
         "--answers-like",
-        type=click.Choice(["bmw_dkg", "vw_dsg"]),
-        help="answer as a controller of a real car does: its data, scales and times to answer, besides the own ones",
+        type=click.Choice(["bmw_dkg", "gm_t87a", "vw_dsg"]),
+        help="answer as controllers of a real car do, the engine's beside the transmission's: data, scales and times "
+        "to answer; gm_t87a is an automatic (--scenario lockup)",
     ),
     click.option(
         "--doip",

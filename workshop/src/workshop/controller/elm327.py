@@ -227,6 +227,7 @@ class ElmReply:
     lines: tuple[str, ...] = ()
     monitors: bool = False  # whether frames of the bus follow
     awaited: int | None = None  # service whose final response follows
+    is_from_car: bool = False  # whether the vehicle was asked
 
 
 class Interpreter:
@@ -235,18 +236,28 @@ class Interpreter:
     Parameters
     ----------
     addressing, transport
-        CAN identifiers and ISO-TP of the controller.
+        CAN identifiers and ISO-TP of the controller, which alone may need patience.
     ask
         Asks the controller.
     bitrate
         Of the bus [bit/s]; None: 500,000.
+    others
+        Identifiers of further controllers, which have the same ISO-TP and protocol, and what asks them.
     """
 
-    def __init__(self, addressing: Addressing, transport: Transport, ask: Ask, bitrate: int | None = None) -> None:
+    def __init__(
+        self,
+        addressing: Addressing,
+        transport: Transport,
+        ask: Ask,
+        bitrate: int | None = None,
+        others: Mapping[Addressing, Ask] = MappingProxyType({}),
+    ) -> None:
         self.settings = Settings()
         self._ids = addressing
         self._transport = transport
         self._ask = ask
+        self._controllers = {addressing: ask, **others}
         self._is_standard = addressing.response_id <= LARGEST_STANDARD_ID
         slow, fast = (CAN_11_250, CAN_11_500) if self._is_standard else (CAN_29_250, CAN_29_500)
         self._protocol = slow if bitrate == HALF_BITRATE else fast
@@ -262,9 +273,8 @@ class Interpreter:
             self.settings, line = apply_command(self.settings, words[2:])
             return ElmReply(monitors=True) if line == MONITOR else ElmReply(lines=(line,))
         if re.fullmatch(r"[0-9A-F]{2,}", words):
-            return self._execute_request(
-                bytes.fromhex(words[: len(words) & ~1])
-            )  # an odd last digit is the expected number of answers
+            data = bytes.fromhex(words[: len(words) & ~1])  # an odd last digit is the expected number of answers
+            return replace(self._execute_request(data), is_from_car=True)
         return ElmReply(lines=(UNKNOWN,))
 
     def _execute_request(self, data: bytes) -> ElmReply:
@@ -305,19 +315,26 @@ class Interpreter:
 
     def _request(self, payload: bytes) -> ElmReply:
         header = self._header()
-        is_heard = self.settings.extended_address is None and header in {self._ids.functional_id, self._ids.request_id}
-        if not payload or not is_heard:
+        is_to_all = header == self._ids.functional_id
+        if not payload or self.settings.extended_address is not None:
             return ElmReply(lines=(NO_DATA,))
-        response = self._ask(payload, header == self._ids.functional_id)
+        responses = {
+            ids.response_id: response
+            for ids, ask in self._controllers.items()
+            if header in {ids.functional_id, ids.request_id} and (response := ask(payload, is_to_all)) is not None
+        }
         if not self.settings.shows_responses:
             return ElmReply()
-        if response is None:
-            return ElmReply(lines=(NO_DATA,))
-        is_pending = len(response) == 3 and response[0] == NEGATIVE and response[2] == Nrc.RESPONSE_PENDING
-        return ElmReply(lines=self.lines(response), awaited=payload[0] if is_pending else None)
+        is_pending = bytes([NEGATIVE, payload[0], Nrc.RESPONSE_PENDING]) in responses.values()
+        lines = [line for can_id, response in responses.items() for line in self._lines(response, can_id)]
+        return ElmReply(lines=tuple(lines) or (NO_DATA,), awaited=payload[0] if is_pending else None)
 
     def lines(self, response: bytes) -> tuple[str, ...]:
+        """Return the output for a response that was awaited."""
+        return self._lines(response, self._ids.response_id) or (NO_DATA,)
+
+    def _lines(self, response: bytes, can_id: int) -> tuple[str, ...]:
+        if not self.settings.takes(can_id):
+            return ()
         frames = [_filled(frame, self._transport.padding) for frame in segments(response)]
-        if not self.settings.takes(self._ids.response_id):
-            return (NO_DATA,)
-        return tuple(format_frames(frames, self._ids.response_id, self.settings))
+        return tuple(format_frames(frames, can_id, self.settings))

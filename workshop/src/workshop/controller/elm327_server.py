@@ -1,6 +1,6 @@
-"""ELM327 adapters on a TCP port, one for each client, with a thread each, in front of one controller.
+"""ELM327 adapters on a TCP port, one for each client, with a thread each, in front of the controllers of a vehicle.
 
-Requests go to the controller directly, not over the bus. ``AT MA`` shows the frames that the emulator sends.
+Requests go to the controllers directly, not over the bus. ``AT MA`` shows the frames that the emulator sends.
 """
 
 import queue
@@ -53,6 +53,7 @@ class Client:
         counts: ElmCounts,
         patience_s: float,
         idle_s: float,
+        answer_s: float,
     ) -> None:
         self.number = number  # client number for the controller
         self._connection = connection
@@ -60,6 +61,7 @@ class Client:
         self._counts = counts
         self._patience_s = patience_s
         self._idle_s = idle_s
+        self._answer_s = answer_s
         self._heard = b""
         self._frames: queue.Queue[can.Message] = queue.Queue(MOST_MONITORED)
         self._responses: queue.Queue[bytes] = queue.Queue(MOST_MONITORED)
@@ -101,6 +103,8 @@ class Client:
             self._send_lines([text] if self._interpreter.settings.echoes else [])
             self._waits.set()  # before the request: its response may come at once
             reply = self._interpreter.execute(text)
+            if reply.is_from_car:
+                time.sleep(self._answer_s)
             self._send_lines(reply.lines)
             self._prompt(self._later_lines(reply))
 
@@ -191,6 +195,7 @@ def _emptied(waiting: "queue.Queue[can.Message] | queue.Queue[bytes]") -> None:
 
 MOST_CLIENTS: Final = 8
 IDLE_S: Final = 300.0  # an idle client is disconnected, as by DoIP
+ANSWER_S: Final = 0.07  # of an adapter beside the car's own time: real ones reach 10 to 20 answers a second
 
 
 class ElmServer(ThreadingTCPServer):
@@ -198,14 +203,16 @@ class ElmServer(ThreadingTCPServer):
 
     Parameters
     ----------
-    controller
-        The controller that answers.
+    controller, others
+        The controllers that answer.
     place
         Host and port; port 0: any free one.
     bitrate
         Of the bus [bit/s], which decides the protocol; None: 500,000.
     idle_s
         Time after which an idle client is disconnected [s].
+    answer_s
+        What each request takes beside the time of its controller [s].
 
     Raises
     ------
@@ -219,7 +226,13 @@ class ElmServer(ThreadingTCPServer):
     request_queue_size = MOST_CLIENTS
 
     def __init__(
-        self, controller: Controller, place: tuple[str, int], bitrate: int | None = None, *, idle_s: float = IDLE_S
+        self,
+        controller: Controller,
+        place: tuple[str, int],
+        bitrate: int | None = None,
+        *others: Controller,
+        idle_s: float = IDLE_S,
+        answer_s: float = ANSWER_S,
     ) -> None:
         if controller.table.transport.own_address is not None:
             raise EmulatorConfigError("an ELM327 does not reach a controller with extended addresses")
@@ -231,7 +244,9 @@ class ElmServer(ThreadingTCPServer):
 
         self._controller = controller
         self._bitrate = bitrate
+        self._others = others
         self._idle_s = idle_s
+        self._answer_s = answer_s
         self._is_over = threading.Event()
         self._clients: list[Client] = []
         self._lock = threading.Lock()
@@ -308,8 +323,11 @@ class ElmServer(ThreadingTCPServer):
         with self._lock:
             self.counts.clients += 1
             table, number = self._controller.table, -self.counts.clients  # DoIP connections have positive numbers
-            interpreter = Interpreter(table.addressing, table.transport, partial(self._ask, number), self._bitrate)
-            client = Client(number, connection, interpreter, self.counts, table.timing.p2_star_s, self._idle_s)
+            others = {other.table.addressing: partial(_ask, other, number) for other in self._others}
+            ask = partial(_ask, self._controller, number)
+            interpreter = Interpreter(table.addressing, table.transport, ask, self._bitrate, others)
+            patience_s = table.timing.p2_star_s
+            client = Client(number, connection, interpreter, self.counts, patience_s, self._idle_s, self._answer_s)
             self._clients = [*self._clients, client]
         if self._is_over.is_set():  # connected during the end
             client.end()
@@ -323,5 +341,6 @@ class ElmServer(ThreadingTCPServer):
             with suppress(RecordError):  # the saved state has no sessions
                 self._controller.leave(number)
 
-    def _ask(self, number: int, payload: bytes, is_functional: bool) -> bytes | None:  # noqa: FBT001 - a callable's
-        return self._controller.ask(payload, is_functional=is_functional, client=number)
+
+def _ask(controller: Controller, number: int, payload: bytes, is_functional: bool) -> bytes | None:  # noqa: FBT001 - a callable's
+    return controller.ask(payload, is_functional=is_functional, client=number)

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import TYPE_CHECKING, Final, Self
 
 import can
@@ -252,3 +252,25 @@ class DiagnosticLink:
 
     def _count_broken(self, _error: Exception) -> None:
         self.counts.broken_messages += 1
+
+
+class Links:
+    """Several controllers at one end of a bus; each link is entered for itself."""
+
+    def __init__(self, *links: DiagnosticLink) -> None:
+        self._links = links
+
+    @property
+    def can_ids(self) -> tuple[int, ...]:
+        """Identifiers of the frames that ``feed`` wants."""
+        return tuple({can_id for link in self._links for can_id in link.can_ids})
+
+    @property
+    def counts(self) -> LinkCounts:
+        """Counts of all controllers together."""
+        return LinkCounts(*map(sum, zip(*(astuple(link.counts) for link in self._links), strict=True)))
+
+    def feed(self, message: can.Message) -> None:
+        """Pass a frame from the bus to each; safe for any thread."""
+        for link in self._links:
+            link.feed(message)

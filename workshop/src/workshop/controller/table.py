@@ -269,17 +269,32 @@ def personalities() -> tuple[str, ...]:
     return tuple(sorted(name[len(_LIKE) : -len(".toml")] for name in names if name.startswith(_LIKE)))
 
 
-@cache
-def table_like(name: str, transmission: str = "nominal") -> DiagnosticTable:
-    """Return the table of a transmission with the data and answer times of a controller of a real car.
-
-    Raises ConfigError if there is no such personality.
-    """
+def check_personality(name: str) -> None:
+    """Raise ConfigError if there is no such personality."""
     if name not in personalities():
         raise EmulatorConfigError(f"nobody answers like {name}: there are {', '.join(personalities())}")
+
+
+@cache
+def engine_table() -> DiagnosticTable:
+    """Return the table of the engine's controller beside a transmission's of a real car."""
+    return parse_table(_shipped_text("engine"), "engine.toml")
+
+
+@cache
+def table_like(name: str, transmission: str = "nominal") -> DiagnosticTable:
+    """Return the table of a transmission with the data, addresses and answer times of a controller of a real car.
+
+    Raises ConfigError if there is no such personality, or it is of another kind of transmission.
+    """
+    check_personality(name)
     document, table = tomllib.loads(_shipped_text(f"{_LIKE}{name}")), table_of(transmission)
+    if document["has_converter"] != (transmission in CONVERTERS):
+        what = "an automatic with a converter" if document["has_converter"] else "a dual clutch"
+        raise EmulatorConfigError(f"{name} answers for {what}, and the transmission is {transmission}")
     return replace(
         _with_data(table, document),
+        addressing=replace(table.addressing, **document.get("addressing", {})),
         timing=replace(table.timing, **document["timing"]),
         limits=replace(table.limits, **document["limits"]),
     )

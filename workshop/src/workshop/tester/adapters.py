@@ -45,6 +45,7 @@ _PROTOCOL_11: Final = "ATSP6"
 _SETTINGS: Final = ("ATE0", "ATL0", "ATS0", "ATH0", "ATAL", "ATCAF1", _PROTOCOL_11)  # no echo, no blanks, 500 kbit/s
 _PROTOCOL_29: Final = "ATSP7"
 _PROMPT: Final = b">"
+_NEXT: Final = "is it plugged in, switched on and paired, and is that its port?"
 _NO_ANSWER: Final = ("NODATA", "?", "STOPPED", "SEARCHING", "BUS", "CANERROR", "UNABLE", "BUFFER", "DATAERROR", "ERR")
 
 
@@ -67,8 +68,10 @@ class ElmLine:
         try:
             self._descriptor = _open_port(place, stack)
         except (OSError, termios.error) as exc:
-            raise ControllerError(f"adapter {place}: {getattr(exc, 'strerror', None) or exc.args[-1]}") from exc
+            why = getattr(exc, "strerror", None) or exc.args[-1]
+            raise ControllerError(f"adapter {place}: {why}: {_NEXT}") from exc
         self._address: CanAddress | None = None
+        self._protocol = _SETTINGS[-1]
         self._is_prompted = True  # whether it waits for a command
         self._until_s = 0.0  # end of its time to answer
         self._command("ATZ", RESET_S)
@@ -80,7 +83,9 @@ class ElmLine:
         self._finish()
         if address == self._address:
             return
-        self._command(_PROTOCOL_29 if is_extended(address.request_id) else _PROTOCOL_11)
+        if (protocol := _PROTOCOL_29 if is_extended(address.request_id) else _PROTOCOL_11) != self._protocol:
+            self._command(protocol)
+            self._protocol = protocol
         if is_extended(address.request_id):
             self._command(f"ATCP{address.request_id >> 24:02X}")
         self._command(f"ATSH{address.request_id & 0xFFFFFF:0{6 if is_extended(address.request_id) else 3}X}")
@@ -135,7 +140,7 @@ class ElmLine:
             try:
                 if not select.select([self._descriptor], [], [], LOOK_S)[0]:
                     if time.monotonic() > self._until_s:
-                        raise ControllerError(f"adapter {self._place} does not answer")
+                        raise ControllerError(f"adapter {self._place} does not answer: {_NEXT}")
                     continue
                 piece = os.read(self._descriptor, 4096)
             except OSError as exc:

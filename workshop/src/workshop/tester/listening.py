@@ -43,7 +43,8 @@ def send(bus: can.BusABC, message: can.Message) -> None:
     try:
         bus.send(message, timeout=1.0)
     except (can.CanError, OSError, ValueError) as exc:
-        raise ControllerError(f"the bus does not take a request: {one_line(exc)}") from exc
+        why = f"the bus does not take a request: {one_line(exc)}"
+        raise ControllerError(f"{why}: is the ignition on, and is the bit rate that of the car?") from exc
 
 
 def receive(bus: can.BusABC, patience_s: float) -> can.Message | None:

@@ -29,6 +29,7 @@ from diag_service.mapping.asked_signals import (
     NEGATIVE,
     POSITIVE,
     READ_DATA,
+    READ_LOCAL,
     AskedField,
     DatumId,
     data_in,
@@ -244,7 +245,7 @@ class PollPlan:
         requests: list[DataRequest] = []
         for _, group in groupby(data, key=lambda datum: (datum.request_id, datum.service)):
             batch = list(group)
-            width = (self._fewer or self.rules.together) if batch[0].service == READ_DATA else 1
+            width = 1 if batch[0].service == READ_LOCAL else self._fewer or self.rules.together  # OBD takes six on CAN
             requests += [
                 DataRequest(addresses[batch[at]], tuple(batch[at : at + width])) for at in range(0, len(batch), width)
             ]
@@ -514,6 +515,7 @@ class CanLine:
         self._is_fd = is_fd
         self._goes_on = goes_on
         self._connections: dict[CanAddress, CanConnection] = {}
+        self.patience: Counter[CanAddress] = Counter()  # requests that a controller answered with 78 first
 
     def ask(self, request: bytes, address: CanAddress) -> bytes | None:
         """Return the answer to a request, None if none comes in time; raises ControllerError, OtherTesterError."""
@@ -525,7 +527,7 @@ class CanLine:
             connection.specific_send(request)
         except SilentError:
             return None
-        wait_s, until_s, is_logged = ANSWER_S, time.monotonic() + MOST_PENDING_S, False
+        wait_s, until_s = ANSWER_S, time.monotonic() + MOST_PENDING_S
         other: bytes | None = None
         while time.monotonic() < until_s:
             try:
@@ -533,10 +535,8 @@ class CanLine:
             except TimeoutException:
                 return other
             if is_pending(request, answer):
+                self.patience[address] += wait_s != PENDING_S
                 wait_s = PENDING_S
-                if not is_logged:
-                    is_logged = True
-                    _LOG.log(NOTICE, "%s asks for patience (78): its answer comes too late to be a sample", address)
             elif is_data_answer(request, answer):
                 return answer
             elif answer[0] == request[0] + POSITIVE:
@@ -570,7 +570,12 @@ def line_on(
     with opened_bus(name) as bus:
         watched = WatchedBus(bus, addresses, groups)
         watched.listen(listen_s, goes_on)
-        yield CanLine(watched, is_fd=is_fd, goes_on=goes_on)
+        line = CanLine(watched, is_fd=is_fd, goes_on=goes_on)
+        try:
+            yield line
+        finally:
+            for address, count in line.patience.items():
+                _LOG.log(NOTICE, "%s asked for patience (78) %d times: such answers may be too late", address, count)
 
 
 @asynccontextmanager

@@ -4,15 +4,14 @@ import math
 import shlex
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import IntEnum
 from heapq import heappop, heappush
 from itertools import count
-from operator import itemgetter
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 import can
 import numpy as np
@@ -28,10 +27,19 @@ from dbc.contract import load_contract
 from diag_service.cli import command_line
 from diag_service.commands.options import PROGRAM
 from diag_service.diagnosis.columns import Signal
-from diag_service.errors import ConfigError, ControllerError
+from diag_service.errors import ConfigError, ControllerError, StoppedError
 from diag_service.mapping.asked_signals import NEGATIVE, data_in, sizes_of
 from diag_service.mapping.interpretation import fit_of, open_database
-from diag_service.mapping.mapped_messages import PURPOSE, fitting, missing_for_next, tier_of
+from diag_service.mapping.mapped_messages import (
+    LOCKUP_PURPOSE,
+    PURPOSE,
+    fitting,
+    is_of_lockup,
+    missing_for,
+    missing_for_next,
+    reach_in_words,
+    tier_of,
+)
 from diag_service.mapping.profile import AskingRules, Profile, find_profile, load_shipped, shipped_profiles, to_si
 from diag_service.settings.config import BusConfig
 from diag_service.stopping import Controls
@@ -41,6 +49,7 @@ from workshop.tester.answers import refusal_text
 from workshop.tester.asking import check_time, listen_at, opened_bus
 from workshop.tester.listening import HeardTraffic
 from workshop.tester.signal_asking import (
+    LEAST_ROWS,
     MOST_SILENT,
     NO_GROUPS,
     CanLine,
@@ -57,6 +66,14 @@ PROGRESS_S: Final = 60.0  # from line to line while a drive is recorded
 LOOK_S: Final = 0.1
 HELD_S: Final = 0.5  # frames of several senders come out of order by less
 LOGS: Final = (".log", ".asc", ".blf")  # python-can writes them, and they are read again
+LEAST_SETS_HZ: Final = 1.0  # the longest launches slip for some five seconds, and an estimate needs five rows
+SHUDDER_SETS_HZ: Final = 25.0  # shudder swings 5 to 12 times a second
+_KINDS: Final = {"speeds": ("_rad_s", "_m_s"), "torque": ("_nm",), "pressures": ("_pa",)}  # by ends of names
+_BY_RATE: Final = (  # [sets/s]; emulated, city: at 14 no shift counted, at 24 both clutches became known
+    (20.0, "of shifts and launches: level and changes of both clutches from the second drive on"),
+    (5.0, "of launches alone: level and changes of clutch 1 from the second drive on, clutch 2 unknown"),
+    (0.0, "of launches alone: changes of clutch 1 from the third drive on, no verdict on level, clutch 2 unknown"),
+)
 Show = Callable[[str], object]
 
 
@@ -103,26 +120,29 @@ def try_car(options: TryOptions, controls: Controls) -> None:
         show(f"nothing was sent; --active sends these: {what}")
         return
 
-    def opened(profile: Profile) -> AbstractContextManager[Line]:
+    def opened(asked: Sequence[Profile], listen_s: float) -> AbstractContextManager[Line]:
         if options.adapter is not None:
             return line_through(options.adapter, str(bus.channel), lambda: not controls.stop.is_set)
         return line_on(
             bus,
-            [address_of(asked) for asked in profile.asked.values()],
-            tuple(profile.groups.values()),
+            [address_of(field) for profile in asked for field in profile.asked.values()],
+            [pgn for profile in asked for pgn in profile.groups.values()],
             is_fd=bus.is_fd,
-            listen_s=options.listen,
+            listen_s=listen_s,
             goes_on=lambda: not controls.stop.is_set,
         )
 
     database = None if options.dbc is None else open_database(options.dbc)
-    profile = _best(profiles, opened, database, traffic, show)
+    is_alone = traffic is not None and not traffic.other_testers()
+    with opened(profiles, 0.0 if is_alone else options.listen) as line:
+        trial = _best(profiles, line, database, traffic, show)
+    profile = trial.profile
     rules, groups = _rules(options, profile), tuple(profile.groups.values())
-    with SignalAsker(profile.asked, rules, lambda: opened(profile), options.bitrate, groups) as asker:
-        _measure(asker, options.listen, controls, show)
+    with SignalAsker(profile.asked, rules, lambda: opened([profile], options.listen), options.bitrate, groups) as asker:
+        show(trial.reach(_measure(asker, options.listen, controls)))
         if options.record is not None and not controls.stop.is_set:
             _record(asker, bus, options, controls, show)
-    dbc = [] if options.dbc is None else ["--dbc", str(options.dbc)]
+    dbc = [] if options.dbc is None or not trial.broadcast else ["--dbc", str(options.dbc)]
     words = ["--profile", str(options.profile or profile.name), *dbc]
     if options.record is not None:
         words += _judged(options.record, words, controls, show)
@@ -130,26 +150,24 @@ def try_car(options: TryOptions, controls: Controls) -> None:
 
 
 def _best(
-    profiles: list[Profile],
-    opened: Callable[[Profile], AbstractContextManager[Line]],
-    database: Database | None,
-    traffic: HeardTraffic | None,
-    show: Show,
-) -> Profile:
-    """Return the profile by which most can be diagnosed; raises ControllerError if nothing is told."""
-    ranked: list[tuple[bool, float, int, int, Profile]] = []
+    profiles: Sequence[Profile], line: Line, database: Database | None, traffic: HeardTraffic | None, show: Show
+) -> "Trial":
+    """Return the trial of the profile by which most can be diagnosed; raises ControllerError if nothing is told."""
+    trials, silent = list[Trial](), set[CanAddress]()
     for profile in profiles:
         show(f"profile {profile.name}:")
-        with opened(profile) as line:
-            answered = _ask_each(line, profile, show)
-        count = len(profile.asked) + len(profile.groups)
-        tier, doubt, words = _reached(profile, answered, database, traffic)
-        show(f"  {len(answered)} of {count} signals are told; {words}")
-        if answered:
-            ranked.append((doubt is Doubt.NONE_HEARD, tier or math.inf, -len(answered), doubt, profile))
-    if not ranked:
-        raise ControllerError("no controller tells what one of the profiles asks for: it may be asleep, or another one")
-    return min(ranked, key=itemgetter(slice(4)))[-1]
+        trial = Trial.of(profile, _ask_each(line, profile, silent, show), database, traffic)
+        show(f"  {len(trial.answered)} of {len(profile.asked) + len(profile.groups)} signals are told; {trial}")
+        trials += [trial] if trial.answered else []
+    if trials:
+        return min(trials, key=lambda trial: trial.rank)
+    if silent and all(address_of(field) in silent for profile in profiles for field in profile.asked.values()):
+        ids = ", ".join(id_text(can_id) for can_id in sorted({address.request_id for address in silent}))
+        heard = "nothing is said on the bus, and " if traffic is not None and not traffic.frame_count else ""
+        raise ControllerError(
+            f"{heard}nobody answers at {ids}: switch the ignition on, check plug and bit rate, and try again"
+        )
+    raise ControllerError("no controller tells what one of the profiles asks for: --profile names one of your own")
 
 
 def _show_requests(profile: Profile, rules: AskingRules, show: Show) -> None:
@@ -278,9 +296,9 @@ def _profiles(named: Path | None) -> list[Profile]:
     return asking
 
 
-def _ask_each(line: Line, profile: Profile, show: Show) -> frozenset[Signal]:
-    """Ask for each signal once, and show what is told."""
-    sizes, silent, answered = sizes_of(profile.asked.values()), set[CanAddress](), set[Signal]()
+def _ask_each(line: Line, profile: Profile, silent: set[CanAddress], show: Show) -> frozenset[Signal]:
+    """Ask for each signal once of who is not known to be silent, and show what is told."""
+    sizes, answered = sizes_of(profile.asked.values()), set[Signal]()
     for signal, asked in profile.asked.items():
         question = DataRequest(address_of(asked), (asked.data_id,))
         if question.address in silent:
@@ -319,38 +337,89 @@ class Doubt(IntEnum):
     """Whether what a profile says is broadcast can be."""
 
     HEARD = 0
-    UNKNOWN = 1  # its database is not named, or nothing can be heard
+    UNKNOWN = 1  # it needs nothing that is broadcast, or nothing can be heard
     NONE_HEARD = 2
 
 
-def _reached(
-    profile: Profile, answered: frozenset[Signal], database: Database | None, traffic: HeardTraffic | None
-) -> tuple[Tier | None, Doubt, str]:
-    """Return what the signals that are told suffice for, with those that a database says are broadcast."""
-    broadcast = frozenset(profile.sources) - profile.asked.keys() - profile.groups.keys()
-    messages, _ = fitting(database or load_contract(), profile)
-    doubt = Doubt.UNKNOWN
-    if traffic is None:
-        broadcast = frozenset()
-    elif messages or database is not None:
-        is_heard = any(message.address.can_id in traffic.can_ids for message in messages)
-        doubt = Doubt.HEARD if is_heard else Doubt.NONE_HEARD
-    if database is not None:
-        broadcast &= fit_of(database, profile).signals
-    has_gears = profile.gears is not None
-    tier = tier_of(answered | broadcast, knows_gears=has_gears)
-    more = missing_for_next(answered | broadcast, knows_gears=has_gears)
-    given = f" beside {len(broadcast)} that are broadcast" if broadcast else ""
-    given += ", none of which was heard" if given and doubt is Doubt.NONE_HEARD else ""
-    return tier, doubt, f"{PURPOSE[tier] if tier is not None else 'nothing yet'}{given}{f'; {more}' if more else ''}"
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """What a car tells by one profile: signals that were asked for, and those that a database says are broadcast."""
+
+    profile: Profile
+    answered: frozenset[Signal]
+    broadcast: frozenset[Signal]
+    doubt: Doubt
+
+    @classmethod
+    def of(
+        cls, profile: Profile, answered: frozenset[Signal], database: Database | None, traffic: HeardTraffic | None
+    ) -> Self:
+        broadcast, doubt = frozenset(profile.sources) - profile.asked.keys() - profile.groups.keys(), Doubt.UNKNOWN
+        messages, _ = fitting(database or load_contract(), profile)
+        if traffic is None:
+            broadcast = frozenset()
+        elif messages or (database is not None and not profile.is_of_columns):
+            is_heard = any(message.address.can_id in traffic.can_ids for message in messages)
+            doubt = Doubt.HEARD if is_heard else Doubt.UNKNOWN if profile.is_of_columns else Doubt.NONE_HEARD
+        broadcast &= fit_of(database or open_database(profile.database), profile).signals
+        return cls(profile=profile, answered=answered, broadcast=broadcast, doubt=doubt)
+
+    @property
+    def signals(self) -> frozenset[Signal]:
+        return self.answered if self.doubt is Doubt.NONE_HEARD else self.answered | self.broadcast
+
+    @property
+    def conditions(self) -> dict[str, bool]:
+        """What tiers are asked with: a drive teaches the ratios of gears by two speeds."""
+        speeds = {Signal.VEHICLE_SPEED, Signal.OUTPUT_SPEED}
+        teaches = Signal.ENGINE_SPEED in self.signals and not speeds.isdisjoint(self.signals)
+        return {
+            "knows_gears": teaches or self.profile.gears is not None,
+            "has_converter": is_of_lockup(self.profile.sources.keys()),
+        }
+
+    @property
+    def tier(self) -> Tier | None:
+        return tier_of(self.signals, **self.conditions)
+
+    @property
+    def rank(self) -> tuple[bool, float, int, int]:
+        """By which the best is the least."""
+        return self.doubt is Doubt.NONE_HEARD, self.tier or math.inf, self.doubt, -len(self.answered)
+
+    def __str__(self) -> str:
+        """Return what its signals suffice for, and what the next tier lacks."""
+        reached = reach_in_words(self.signals, knows_gears=self.conditions["knows_gears"])
+        beside = f" beside {len(self.broadcast)} that are broadcast" if self.broadcast else ""
+        beside += ", none of which was heard" if beside and self.doubt is Doubt.NONE_HEARD else ""
+        more = missing_for_next(self.signals, **self.conditions)
+        return f"{reached}{beside}{f'; {more}' if more else ''}"
+
+    def reach(self, rate_hz: float) -> str:
+        """Return what a drive will tell by so many sets a second; raises ControllerError if that is not worth it."""
+        tier, has_converter = self.tier, self.conditions["has_converter"]
+        kinds = [kind for kind, ends in _KINDS.items() if any(signal.value.endswith(ends) for signal in self.signals)]
+        reached = f"{', '.join(kinds)} at {rate_hz:.2g} sets a second"
+        if tier is None or tier is Tier.KINEMATIC:
+            needs = missing_for(Tier.TORQUE if has_converter else Tier.FRICTION, self.signals, **self.conditions)
+            raise ControllerError(f"{reached}: no drive tells anything of friction; {needs}")
+        if rate_hz < LEAST_SETS_HZ:
+            raise ControllerError(f"{reached}: too slow for any drive; it takes {LEAST_SETS_HZ:g}, by another adapter")
+        if has_converter:
+            shudder = "" if rate_hz >= SHUDDER_SETS_HZ else f"; no shudder, which takes {SHUDDER_SETS_HZ:g}"
+            return f"{reached}: {LOCKUP_PURPOSE[tier]}{shudder}"
+        slips = f"slips of {LEAST_ROWS / rate_hz:.2g} s and longer"
+        return f"{reached}: {PURPOSE[tier]} by {slips} {next(text for least, text in _BY_RATE if rate_hz >= least)}"
 
 
-def _measure(asker: SignalAsker, listen_s: float, controls: Controls, show: Show) -> None:
-    """Show how fast a profile is told."""
+def _measure(asker: SignalAsker, listen_s: float, controls: Controls) -> float:
+    """Return how fast a profile is told [sets/s]; raises StoppedError."""
     until_s = time.monotonic() + listen_s + RATE_S
     while not asker.set_count and time.monotonic() < until_s and not controls.stop.is_set:
         time.sleep(0.05)
     begun_s, count = time.monotonic(), asker.set_count
-    while time.monotonic() < begun_s + RATE_S and not controls.stop.is_set:
+    while time.monotonic() < begun_s + RATE_S:
+        if controls.stop.is_set:
+            raise StoppedError("stopped early: nothing was measured")
         time.sleep(0.05)
-    show(f"{(asker.set_count - count) / (time.monotonic() - begun_s):.0f} sets a second")
+    return (asker.set_count - count) / (time.monotonic() - begun_s)
