@@ -44,7 +44,8 @@ class PythonCanSource:
     python-can keeps times as floating-point seconds; they are rounded to whole microseconds, and a message without one
     gets that of its receipt. What an interface loses before python-can hands it over is not known, so
     ``kernel_dropped`` stays 0. Where frames have other times than this machine's, as those of a simulation, silence is
-    not told: in their time it may be short.
+    not told: in their time it may be short. A bus of which ``waits_for_reader`` is true holds its time back until its
+    frames are read; they are read as there is room for them, so that none is dropped.
     """
 
     def __init__(self, bus: can.BusABC, description: str, *, is_owner: bool = True) -> None:
@@ -53,8 +54,10 @@ class PythonCanSource:
         self.description = description
         self._queue = FrameQueue()
         self._received = 0
-        self._own_s: float | None = None  # the last time of a bus whose clock is not this machine's
+        self._waits_for_reader = bool(getattr(bus, "waits_for_reader", False))
+        self._own_s = 0.0 if self._waits_for_reader else None  # the last time of a bus with a clock of its own
         self._still_ns: int | None = None  # the time of all frames until now
+        self._failure: can.CanError | OSError | ValueError | None = None
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(target=self._read, name="python-can reader", daemon=True)
         self._thread.start()
@@ -79,6 +82,8 @@ class PythonCanSource:
         try:
             heard_s: float | None = None  # time of the last frame; None once the silence was marked
             while not self._is_stopping.is_set():
+                if self._waits_for_reader and not self._queue.wait_for_room(POLL_S):
+                    continue
                 asked_s = time.monotonic()
                 messages = self._receive(POLL_S)
                 self._offer(messages)
@@ -98,10 +103,17 @@ class PythonCanSource:
             self._queue.close(error)
 
     def _receive(self, timeout_s: float) -> list[can.Message]:
-        """Wait for one message, then take those that are there already."""
+        """Wait for one message, then take those that are there already; a failure comes after those before it."""
+        if self._failure is not None:
+            raise self._failure
         messages: list[can.Message] = []
         while len(messages) < MESSAGES_PER_BATCH:
-            message = self._bus.recv(timeout=0.0 if messages else timeout_s)
+            try:
+                message = self._bus.recv(timeout=0.0 if messages else timeout_s)
+            except (can.CanError, OSError, ValueError) as exc:
+                self._failure, message = exc, None
+                if not messages:
+                    raise
             if message is None:
                 break
             self._stamp(message)

@@ -139,6 +139,12 @@ class FrameQueue:
         self._error: SourceError | None = None
         self._has_frames = asyncio.Event()
         self._is_urgent = asyncio.Event()
+        self._has_room = threading.Event()
+        self._has_room.set()
+
+    def wait_for_room(self, timeout_s: float) -> bool:
+        """Wait until at most half is full; return whether it is. For a bus that waits for its reader in turn."""
+        return self._has_room.wait(timeout_s)
 
     def offer(self, batch: FrameBatch) -> None:
         """Append frames, as many as fit; to be called from one thread."""
@@ -152,6 +158,8 @@ class FrameQueue:
             self._batches.append(batch if fitting == len(batch) else batch[:fitting])
             self._waiting += fitting
             is_half_full = self._waiting > self._limit // 2
+            if is_half_full:
+                self._has_room.clear()
         if was_empty:
             self._signal(self._has_frames)
         if is_half_full:
@@ -196,6 +204,7 @@ class FrameQueue:
         with self._lock:
             batches, self._batches = list(self._batches), deque()
             self._waiting = 0
+            self._has_room.set()
             if not self._is_closed:
                 self._has_frames.clear()
                 self._is_urgent.clear()
