@@ -25,14 +25,14 @@ export OPENBLAS_NUM_THREADS
 PY = "$(VENV)/bin/python"
 INSTALL = $(PY) -m pip --disable-pip-version-check install -qq
 # Each with a pyproject.toml of its own.
-DISTRIBUTIONS = ./canlog . ./workshop ./fleet
+DISTRIBUTIONS = ./canlog ./can_silkit . ./workshop ./fleet
 SHUFFLED = $(if $(ORDER),--order-seed "$(ORDER)")
 # Run a part, and say when it has ended how long it took: $(call timed,what,command).
 timed = { began=$$(date +%s); { $(2); }; status=$$?; echo "test: $(1): $$(($$(date +%s) - began)) s"; ( exit $$status ); }
 # The ones that print figures of speed and size; studies of accuracy have targets or commands of their own.
 BENCH = estimator fleet_ingest hour live_latency outbox plant readers service_memory
 
-.PHONY: help setup setup-all setup-system demo fleet docs check static static-and-warm test warm test-both test-host test-vcan bench accuracy reproduce operating-curve mismatch lock sbom wheels clean
+.PHONY: help setup setup-all setup-system demo fleet docs check static static-and-warm test warm test-both test-host test-vcan bench accuracy reproduce operating-curve mismatch lock sbom wheels silkit clean
 
 help:
 	@echo "make setup         virtual environment in $(VENV) with the project and what its programs and the demonstration need"
@@ -50,8 +50,9 @@ help:
 	@echo "make operating-curve  how often each verdict is given, against true slope and level; writes into docs"
 	@echo "make mismatch      bias, RMS and coverage where the vehicle differs from the belief; writes into docs"
 	@echo "make setup-system  the Debian packages that 'make test' needs (mosquitto, can-utils, ...)"
-	@echo "make wheels        a wheel of each distribution in build/wheels: the CAN library, the core, workshop, fleet"
+	@echo "make wheels        a wheel of each distribution in build/wheels: the CAN library, SIL Kit, the core, workshop, fleet"
 	@echo "make sbom          the bill of materials of requirements.lock, as CycloneDX JSON; RUNTIME=1 of what runs, with licences"
+	@echo "make silkit        an environment with Python 3.12 or newer, in which the tests of SIL Kit run their programs"
 	@echo "make lock          resolve requirements.lock and requirements-demo.lock again; UPGRADE=1 for newer versions"
 	@echo "Variables: PYTHON=$(PYTHON) (3.11 or newer), VENV=$(VENV)"
 
@@ -81,8 +82,8 @@ $(VENV)/.requirements-installed: requirements-demo.lock | $(VENV)/bin/python
 	@touch "$@"
 
 $(VENV)/.project-installed: $(DISTRIBUTIONS:%=%/pyproject.toml) $(VENV)/.requirements-installed
-	@echo "setup: installing clutchdiag itself, editable: the CAN library, the core, workshop and fleet"
-	@$(INSTALL) --no-deps --no-build-isolation $(DISTRIBUTIONS:%=-e %)
+	@echo "setup: installing clutchdiag itself, editable: the CAN libraries, the core, workshop and fleet"
+	@$(INSTALL) --no-deps --no-build-isolation --ignore-requires-python $(DISTRIBUTIONS:%=-e %)
 	@touch "$@"
 
 # The lock of the programs has the versions of this one, so nothing is installed twice.
@@ -101,8 +102,16 @@ sbom:
 # In wheels for others the distributions require each other by version; otherwise they come from this checkout.
 wheels: setup
 	@rm -rf build/wheels
-	@CLUTCHDIAG_RELEASE=1 $(PY) -m pip --disable-pip-version-check wheel -qq --no-deps --no-build-isolation -w build/wheels $(DISTRIBUTIONS)
+	@CLUTCHDIAG_RELEASE=1 $(PY) -m pip --disable-pip-version-check wheel -qq --no-deps --no-build-isolation --ignore-requires-python -w build/wheels $(DISTRIBUTIONS)
 	@ls build/wheels
+
+# SIL Kit's binding needs a newer Python than the rest; without one its tests are left out, and the end of the run says so.
+silkit: setup-all
+	@if newer=$$(sh .ci/newer-python $(PY)); then \
+	  $(MAKE) --no-print-directory PYTHON="$$newer" VENV=.venv-silkit setup; \
+	else \
+	  echo "silkit: no Python 3.12 or newer is here, and none could be installed: the tests of SIL Kit are left out" >&2; \
+	fi
 
 COMPILE = $(PY) -m uv pip compile $(DISTRIBUTIONS:%=%/pyproject.toml) --no-build-isolation --no-emit-package canlog \
 	  --no-emit-package clutchdiag --generate-hashes --no-emit-index-url --universal \
@@ -146,7 +155,7 @@ mismatch: setup-all
 
 check: static
 	@echo "check: unit and property tests"
-	@$(PY) -m pytest -q -n 2 -m "not vcan and not slow" tests/unit tests/properties canlog/tests workshop/tests fleet/tests
+	@$(PY) -m pytest -q -n 2 -m "not vcan and not slow" tests/unit tests/properties canlog/tests can_silkit/tests workshop/tests fleet/tests
 
 static: setup-all
 	@echo "check: format, lint, types, import contracts, spelling"
@@ -160,7 +169,7 @@ static: setup-all
 	@$(PY) -m check_jsonschema --quiet --builtin-schema vendor.compose-spec docker-compose.yml
 	@$(PY) -m check_jsonschema --quiet --builtin-schema vendor.github-workflows .github/workflows/ci.yml
 
-test: setup-system
+test: setup-system silkit
 	@$(call timed,checks and compiling,$(MAKE) --no-print-directory static-and-warm) && \
 	  $(call timed,tests,$(MAKE) --no-print-directory test-both) && echo "test: all passed, none skipped"
 
@@ -207,5 +216,5 @@ test-vcan: setup-all
 	@$(PY) -m tests.uml.run --time-limit "$(VCAN_LIMIT_S)" -- $(PY) -m pytest -m vcan $(SHUFFLED) $(VCAN_TESTS)
 
 clean:
-	rm -rf "$${XDG_CACHE_HOME:-$$HOME/.cache}/clutchdiag" "$(VENV)" build */build *.egg-info */src/*.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf "$${XDG_CACHE_HOME:-$$HOME/.cache}/clutchdiag" "$(VENV)" .venv-silkit build */build *.egg-info */src/*.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -15,5 +15,6 @@ pytest_plugins = [
     "tests.plugins.order",
     "tests.plugins.postgres",
     "tests.plugins.run_report",
+    "tests.plugins.silkit",
     "tests.plugins.vcan",
 ]

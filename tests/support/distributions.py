@@ -11,6 +11,7 @@ from packaging.requirements import Requirement
 ROOT: Final = Path(__file__).parents[2]
 FOLDERS: Final[Mapping[str, Path]] = {
     "canlog": ROOT / "canlog",
+    "can-silkit": ROOT / "can_silkit",
     "clutchdiag": ROOT,
     "clutchdiag-workshop": ROOT / "workshop",
     "clutchdiag-fleet": ROOT / "fleet",

@@ -1,0 +1,1 @@
+"""Tests of the interface silkit: participants as processes, a registry on loopback."""
