@@ -1,5 +1,6 @@
 """The emulated vehicle from Python: ``Emulator`` drives on a bus or into a log, and prints nothing."""
 
+import math
 import os
 import time
 import uuid
@@ -7,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any, Final, Self
@@ -14,28 +16,31 @@ from typing import Any, Final, Self
 import can
 
 from ecu_emulator import scenario as scenarios
-from ecu_emulator.bus.sender import open_bus
+from ecu_emulator.bus.sender import open_bus, to_messages
 from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_scenario, ns_of, save_dbc, write_log
+from ecu_emulator.drive.orders import LiveOrders
 from ecu_emulator.drive.recording import Drive
+from ecu_emulator.driving.journey import STEERED, PlannedTrip, SteeredTrip, Steering
 from ecu_emulator.errors import EmulatorConfigError
-from ecu_emulator.live import AnswersTesters, BusChoice, SentTruth, answering_of, send
+from ecu_emulator.live import PROMPT, STEADY, AnswersTesters, BusChoice, SentTruth, answering_of, send
 from ecu_emulator.log_formats import DEFAULT_START_NS, RecordFormat
 from ecu_emulator.scenario import DriveName
-from ecu_emulator.scenario.faults import BusFault, SensorFault
+from ecu_emulator.scenario.faults import BusFault, Degradation, Fault, SensorFault
 from ecu_emulator.scenario.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario.scenario_file import parse_fault
 from ecu_emulator.truth import TruthLog, TruthWriter
 
 AnyPath = str | os.PathLike[str]
-AnyFault = SensorFault | BusFault | Mapping[str, object]
+AnyFault = Fault | Mapping[str, object]
 MAX_TRUTHS: Final = 100_000  # of an endless drive the last ones, half a kilobyte each
 VIRTUAL: Final = "virtual"
 POLL_S: Final = 0.01
+MS_TOLERANCE: Final = 1e-6  # of a time in whole milliseconds
 
 
-def fault_of(fault: AnyFault) -> SensorFault | BusFault:
+def fault_of(fault: AnyFault) -> Fault:
     """Return a fault, from its table perhaps; raises ConfigError if it cannot be."""
-    return fault if isinstance(fault, SensorFault | BusFault) else parse_fault(fault)
+    return fault if isinstance(fault, Fault) else parse_fault(fault)
 
 
 def check_word(name: str, word: str | None, words: Sequence[str]) -> None:
@@ -79,13 +84,16 @@ class Emulator:
         Revs in neutral before the drive, with open and with closed clutches.
     is_in_workshop : bool
         Whether the car stands in neutral until a tester starts that routine; needs ``answers``.
-    faults : iterable of SensorFault, BusFault or Mapping
+    faults : iterable of SensorFault, BusFault, Degradation or Mapping
         What goes wrong, besides what the scenario scripts; a mapping has the keys of a scenario's table, such as
         ``{"kind": "loss", "share": 0.2, "start_s": 5}``.
     truth : path, optional
         File for the truth about every shift; ``.truth`` has it in any case. Of a log: by default beside it.
     answers : Answers, optional
         Whether the controller answers testers.
+    is_prompt : bool
+        Whether an order, such as ``add_fault``, is on the bus within a tenth of a second, not after two seconds: frames
+        are made less far ahead, and a busy machine may send them late.
     parked_s : float, optional
         For how long at most a parked car is shown [s]; by default 10 on a bus, all of it in a log.
 
@@ -120,6 +128,7 @@ class Emulator:
         faults: Iterable[AnyFault] = (),
         truth: AnyPath | None = None,
         answers: AnswersTesters | None = None,
+        is_prompt: bool = False,
         parked_s: float | None = None,
     ) -> None:
         if parked_s is not None and not 0.0 <= parked_s <= scenarios.MOST_PARKED_S:
@@ -137,6 +146,7 @@ class Emulator:
             chosen,
             sensor_faults=(*chosen.sensor_faults, *(fault for fault in more if isinstance(fault, SensorFault))),
             bus_faults=(*chosen.bus_faults, *(fault for fault in more if isinstance(fault, BusFault))),
+            causes=(*chosen.causes, *(fault for fault in more if isinstance(fault, Degradation))),
         )
         is_unnamed = interface == VIRTUAL and channel is None
         self._choice = BusChoice(
@@ -150,7 +160,9 @@ class Emulator:
         self._options = {**defaults, **(options or {})}
         self._truth_path = None if truth is None else Path(truth)
         self._answers = answers
+        self._pace = PROMPT if is_prompt else STEADY
         self._parked_s = parked_s
+        self._steering: Steering | None = None  # of a car that is stepped and steered
         self._stop = Event()
         self._thread: Thread | None = None
         self._drive: Drive | None = None
@@ -198,15 +210,68 @@ class Emulator:
         )
         return write_log(self.scenario, log, Event())  # that of the bus is set when the drive there is over
 
+    def step(
+        self, duration_s: float, speed_m_s: float | None = None, pedal_ratio: float | None = None
+    ) -> list[can.Message]:
+        """Drive on for this time, at the caller's pace, and return the frames of it; none once the drive is over.
+
+        Without speed and pedal the car drives what its scenario says, and its frames are those of ``record`` to the
+        bit; a step ends where a trip does. With both somebody else moves the car, a driving simulator for one: gears,
+        clutches and engine follow. What the first step does, all do.
+
+        Parameters
+        ----------
+        duration_s
+            Whole milliseconds.
+        speed_m_s, pedal_ratio
+            Speed of the car at the end of the step, >= 0, and its accelerator pedal, 0..1.
+
+        Raises
+        ------
+        ConfigError
+            If a number cannot be, or the car drives on a bus or otherwise already.
+        """
+        if (speed_m_s is None) != (pedal_ratio is None):
+            raise EmulatorConfigError("speed_m_s and pedal_ratio belong together")
+        duration_ms = round(1000.0 * duration_s)
+        if duration_ms < 1 or abs(1000.0 * duration_s - duration_ms) > MS_TOLERANCE:
+            raise EmulatorConfigError(f"duration_s must be whole milliseconds, got {duration_s}")
+        if self._drive is None:
+            self._be_stepped(is_steered=speed_m_s is not None)
+        if self._drive is None or self._sent is None or self._thread is not None:
+            raise EmulatorConfigError("the car drives on a bus: it cannot be stepped")
+        if (self._steering is None) != (speed_m_s is None):
+            raise EmulatorConfigError("a car is steered in each of its steps, or in none")
+        if self._steering is not None and speed_m_s is not None and pedal_ratio is not None:
+            if not (0.0 <= speed_m_s < math.inf and 0.0 <= pedal_ratio <= 1.0):
+                raise EmulatorConfigError(f"no car has speed_m_s {speed_m_s} and pedal_ratio {pedal_ratio}")
+            self._steering.speed_m_s, self._steering.pedal_ratio = float(speed_m_s), float(pedal_ratio)
+        stretch = None if self._drive.finished else self._drive.advance(duration_ms / 1000.0)
+        if stretch is None:
+            return []
+        self._sent.take(stretch)
+        return to_messages(stretch.frames)
+
+    def _be_stepped(self, *, is_steered: bool) -> None:
+        if self._answers is not None:
+            raise EmulatorConfigError("testers are answered in real time: a car that is stepped has no `answers`")
+        if is_steered:
+            self._steering = steering = Steering()
+            scenario, trip = replace(self.scenario, drive=DriveName.CITY), PlannedTrip(trace=STEERED, parked_s=0.0)
+            self._drive = Drive(scenario, planned=iter([trip]), make_trip=partial(SteeredTrip, steering))
+        else:
+            self._drive = Drive(self.scenario, scenarios.MOST_PARKED_S if self._parked_s is None else self._parked_s)
+        self._sent = SentTruth(self._drive, None, MAX_TRUTHS)
+
     def __enter__(self) -> Self:
-        if self._thread is not None:
+        if self._drive is not None:
             raise EmulatorConfigError("an emulator drives only once; make another one")
         self._drive = Drive(self.scenario, scenarios.LIVE_PARKED_S if self._parked_s is None else self._parked_s)
         bus = self.open_bus()
         try:
             if self._truth_path is not None:
                 self._file = TruthWriter(self._truth_path)
-            self._sent = SentTruth(self._drive, self._file, MAX_TRUTHS)
+            self._sent = SentTruth(self._drive, self._file, MAX_TRUTHS, pace=self._pace)
         except BaseException:
             bus.shutdown()
             raise
@@ -247,7 +312,9 @@ class Emulator:
     @property
     def is_driving(self) -> bool:
         """Whether frames are still going out."""
-        return self._thread is not None and self._thread.is_alive()
+        if self._thread is None:
+            return self._drive is not None and not self._drive.finished
+        return self._thread.is_alive()
 
     @property
     def notices(self) -> tuple[str, ...]:
@@ -264,12 +331,22 @@ class Emulator:
     def add_fault(self, fault: AnyFault) -> None:
         """Have something go wrong from now on; ``start_s`` counts from now.
 
-        Frames are made two seconds ahead: so long it may take until it is on the bus. Raises ConfigError if it cannot
-        happen.
+        Frames are made two seconds ahead, unless the car ``is_prompt``: so long it may take until it is on the bus.
+        Raises ConfigError if it cannot happen.
         """
-        if self._drive is None:
-            raise EmulatorConfigError("the car is not driving yet: name the fault among `faults`")
-        self._drive.add_fault(fault_of(fault))
+        self._orders().add_fault(fault_of(fault))
+
+    def switch_engine(self, *, is_on: bool) -> None:
+        """End the trip and be silent from now on, or begin the next trip; raises ConfigError if there are no trips."""
+        self._orders().switch_engine(is_on=is_on)
+
+    def end_trip(self) -> None:
+        """Park now, and begin the next trip as it is planned; raises ConfigError if there are no trips."""
+        self._orders().end_trip()
+
+    def request_gear(self, gear: int) -> None:
+        """Have a gear engaged, unless the engine would be too fast or too slow; raises ConfigError if there is none."""
+        self._orders().request_gear(gear)
 
     def wait_until(self, t_s: float, timeout_s: float) -> None:
         """Return when the frames up to a time of the drive [s] are sent; raises TimeoutError, or what ended it."""
@@ -312,6 +389,11 @@ class Emulator:
                 )  # fmt: skip
         except BaseException as exc:  # noqa: BLE001 - carried to the thread that waits
             self._error = exc
+
+    def _orders(self) -> LiveOrders:
+        if self._sent is None:
+            raise EmulatorConfigError("the car is not driving yet: name the fault among `faults`")
+        return self._sent.orders
 
     def _running(self) -> Thread:
         if self._thread is None:

@@ -40,6 +40,7 @@ EXIT_TEXT: Final = (
     "4 file; 130, 143 a recording stopped early by SIGINT, SIGTERM; 130 interrupted twice"
 )
 DEFAULT_REVS: Final = "4,4"
+FAULT_OPTIONS: Final = ("clutch", "strength", "quantity", "size", "message", "share", "duration_s")
 DEFAULT_START: Final = "2026-01-01T00:00:00Z"
 _ANSWERING: Final = attached("ecu_emulator.answers")
 
@@ -188,7 +189,12 @@ def command_line() -> None:
 @_drive_options
 @click.option("--truth", type=FILE, help="write the truth about every shift to this file")
 @force_option
-@click.option("--control", metavar="SOCKET", type=FILE, help="take faults at run time on this Unix socket")
+@click.option(
+    "--control",
+    metavar="SOCKET",
+    type=FILE,
+    help="take orders of `control` at run time on this Unix socket",
+)
 @together(*_ANSWERING.get("options", ()))
 @click.option("--alive", type=FILE, help="touch this file while frames go out")
 @click.option(
@@ -249,6 +255,38 @@ def record(stop: _Stop, words: Mapping[str, Any]) -> None:
     log = record_of(commands.LogOptions, {**words, "start_ns": commands.ns_of(words["start_time"])})
     if not commands.record(scenario, log, stop, is_json=words["is_json"], is_forced=words["force"]):
         click.get_current_context().exit(stop.status)
+
+
+@command_line.command(
+    epilog=examples(
+        f"{PROGRAM} control /tmp/car fault glazed_lining --clutch 1 --strength 1.5",
+        f"{PROGRAM} control /tmp/car fault offset --quantity engine_torque_nm --size 20 --duration 5",
+        f"{PROGRAM} control /tmp/car code P0841",
+        f"{PROGRAM} control /tmp/car engine off",
+    )
+)
+@click.argument("socket", type=FILE, help="where the emulator listens")
+@click.argument("order", type=click.Choice(["fault", "code", "engine", "trip", "gear"]), help="what to change")
+@click.argument("name", metavar="KIND|CODE|on|off|end|GEAR", help="of the fault, the trouble code, ...")
+@click.option("--clutch", type=int, help="1 or 2; without it the car's own weak one")
+@click.option("--strength", type=float, help="of what is wrong with the car; 1 is the smallest that matters")
+@click.option("--quantity", help="whose sensor errs, such as engine_torque_nm")
+@click.option("--size", type=float, help="by how much, in the quantity's unit")
+@click.option("--message", help="which message of the bus is struck, such as TCU_Shift (default: all)")
+@click.option("--share", type=float, help="of its frames")
+@click.option("--duration", "duration_s", metavar="S", type=float, help="how long (default: to the end of the drive)")
+@_verbose_option
+@_working
+def control(_stop: _Stop, words: Mapping[str, Any]) -> None:
+    """Give an order to an emulator that runs with --control SOCKET; a gear and the engine need a drive on the road."""
+    from ecu_emulator.drive.orders import ask
+
+    order, name = words["order"], words["name"]
+    given = {key: words[key] for key in FAULT_OPTIONS if words[key] is not None}
+    if order != "fault" and given:
+        raise EmulatorConfigError(f"{', '.join(given)}: of a fault, not of {order}")
+    word = int(name) if order == "gear" and name.isdecimal() else name
+    sys.stdout.write(f"{ask(words['socket'], {'kind': name, **given} if order == 'fault' else {order: word})}\n")
 
 
 @command_line.command(epilog=examples(f"{PROGRAM} dbc -o dct.dbc", f"{PROGRAM} dbc | cantools list -"))

@@ -1,6 +1,5 @@
 """A drive onto a bus in real time: faults asked for meanwhile, and the truth of every shift once it is sent."""
 
-import json
 import logging
 import os
 import socket
@@ -22,13 +21,12 @@ from canlog.e2e.message_contract import message_contracts
 from clutchdiag_io.files import give_sign, make_sign
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.bus.sender import TransmitReport, clock_of, open_bus, transmit
-from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive
+from ecu_emulator.bus.sender import CHUNKS_AHEAD, TransmitReport, clock_of, open_bus, transmit
+from ecu_emulator.drive.orders import NO_CODES, FaultsOfCode, LiveOrders, Ordered, follow
+from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive, DriveStretch
 from ecu_emulator.errors import EmulatorConfigError, RecordError
 from ecu_emulator.progress import driven_text, people, print_json
-from ecu_emulator.scenario.faults import BusFault, SensorFault
 from ecu_emulator.scenario.scenario import Scenario
-from ecu_emulator.scenario.scenario_file import parse_fault
 from ecu_emulator.sensing import MS_PER_S
 from ecu_emulator.truth import (
     EventTruth,
@@ -46,8 +44,6 @@ POLL_S: Final = 0.2  # how soon the end of the drive is noticed
 IDLE_S: Final = 30.0  # a caller who says nothing is left
 OWNER_ONLY: Final = 0o177  # umask
 
-AddFault = Callable[[SensorFault | BusFault], None]
-
 
 class ControlSocket:
     """Listens while the ``with`` block runs, in threads of its own.
@@ -56,8 +52,10 @@ class ControlSocket:
     ----------
     path
         Where the socket shall be; one that a dead process left there is replaced.
-    add_fault
-        Is handed every fault, in those threads; what it raises as ConfigError is the caller's answer.
+    drive
+        Is given every order, in those threads; what it raises as ConfigError is the caller's answer.
+    faults_of_code
+        Faults that lead to each trouble code.
 
     Raises
     ------
@@ -65,14 +63,14 @@ class ControlSocket:
         If the socket cannot be made, or another process listens there.
     """
 
-    def __init__(self, path: Path, add_fault: AddFault) -> None:
+    def __init__(self, path: Path, drive: Ordered, faults_of_code: FaultsOfCode = NO_CODES) -> None:
         class Caller(StreamRequestHandler):
             timeout = IDLE_S
 
             def handle(self) -> None:
                 with suppress(OSError):  # a caller that goes away is no concern of the drive
                     while (line := self.rfile.readline(LINE_BYTES)).endswith(b"\n"):
-                        self.wfile.write(f"{_answer(line, add_fault)}\n".encode())
+                        self.wfile.write(f"{follow(line, drive, faults_of_code)}\n".encode())
                     if len(line) == LINE_BYTES:
                         self.wfile.write(f"error: a line has less than {LINE_BYTES} bytes\n".encode())
 
@@ -99,16 +97,6 @@ class ControlSocket:
             self._path.unlink()
 
 
-def _answer(line: bytes, add_fault: AddFault) -> str:
-    try:
-        add_fault(parse_fault(json.loads(line)))
-    except (ValueError, RecursionError) as exc:
-        return f"error: not JSON: {' '.join(str(exc).split())}"
-    except EmulatorConfigError as exc:
-        return f"error: {' '.join(str(exc).split())}"
-    return "ok"
-
-
 def _remove_dead(path: Path) -> None:
     with suppress(FileNotFoundError):
         if not stat.S_ISSOCK(path.lstat().st_mode):
@@ -122,6 +110,20 @@ def _remove_dead(path: Path) -> None:
                 raise RecordError(f"cannot listen at {path}: another process listens there already")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SendPace:
+    """How far ahead of the bus a drive is computed."""
+
+    stretch_s: float
+    stretches_ahead: int
+
+
+STEADY: Final = SendPace(
+    stretch_s=SHORT_STRETCH_S, stretches_ahead=CHUNKS_AHEAD
+)  # two seconds: punctual on a busy machine
+PROMPT: Final = SendPace(stretch_s=0.02, stretches_ahead=3)  # with the stretch that is sent, an order waits for 80 ms
+
+
 class SentTruth:
     """Yields a drive's frames, and writes the truth of what happened once its frames have been sent.
 
@@ -133,10 +135,16 @@ class SentTruth:
         Writes what is true, as it becomes known.
     max_truths
         How many truths ``log`` holds at most: the latest ones.
+    pace
+        How far ahead it is driven.
     """
 
-    def __init__(self, drive: Drive, writer: TruthWriter | None, max_truths: int = 0) -> None:
+    def __init__(
+        self, drive: Drive, writer: TruthWriter | None, max_truths: int = 0, *, pace: SendPace = STEADY
+    ) -> None:
         self.drive: Final = drive
+        self.orders: Final = LiveOrders(drive)
+        self.pace: Final = pace
         self._writer = writer
         self._ahead: deque[Happened] = deque()  # filled by the thread that drives
         self._happened: deque[Happened] = deque(maxlen=max_truths)
@@ -152,11 +160,19 @@ class SentTruth:
         """The truth about what has been sent; any thread may ask."""
         return truth_log(self.drive.truth, self._happened.copy(), self._totals)
 
-    def frames(self) -> Iterator[EncodedFrames]:
-        """Drive, and yield what is to be sent; may run in a thread of its own."""
-        for stretch in self.drive.stretches(SHORT_STRETCH_S):
+    def frames(self, stop: Event) -> Iterator[EncodedFrames]:
+        """Drive until ``stop`` is set, and yield what is to be sent; may run in a thread of its own."""
+        for stretch in self.drive.stretches(self.pace.stretch_s):
             self._ahead.extend(stretch.truths)
             yield stretch.frames
+            self.orders.stay(stop)
+            if stop.is_set():
+                return
+
+    def take(self, stretch: DriveStretch) -> None:
+        """Take note of a stretch whose frames somebody else sends at once."""
+        self._ahead.extend(stretch.truths)
+        self.sent_until(stretch.end_s)
 
     def sent_until(self, t_s: float) -> None:
         """Write what had happened by this scenario time [s]."""
@@ -294,6 +310,10 @@ class AnsweringController(AbstractContextManager["AnsweringController"], Protoco
         """Where it hears the bus."""
 
     @property
+    def faults_of_code(self) -> FaultsOfCode:
+        """The faults that lead to each of its trouble codes, as far as they are known."""
+
+    @property
     def places(self) -> Sequence[str]:
         """Where else than on the bus it can be asked, for people."""
 
@@ -338,10 +358,10 @@ def run(
     logging.getLogger("can").setLevel(logging.CRITICAL)  # python-can logs what it raises, and more when a bus goes
     console = people()
     drive = Drive(scenario, options.longest_stay_s)
+    pace = STEADY if options.control is None else PROMPT
     with (
         open_bus(choice.interface, choice.channel, choice.bitrate, fd=choice.is_fd) as bus,
         answering_of(answers, bus, choice, scenario, drive) as answering,
-        ControlSocket(options.control, drive.add_fault) if options.control is not None else nullcontext(),
         ExitStack() as begun,
     ):
         if options.alive is not None:
@@ -352,7 +372,10 @@ def run(
         shown_count = 0
         writer = begun.enter_context(TruthWriter(options.truth)) if options.truth is not None else None
         progress = begun.enter_context(console.status("preparing the plant"))
-        sent = SentTruth(drive, writer)
+        sent = SentTruth(drive, writer, pace=pace)
+        if options.control is not None:
+            codes = NO_CODES if answering is None else answering.faults_of_code
+            begun.enter_context(ControlSocket(options.control, sent.orders, codes))
 
         def show(sent_s: float, frame_count: int) -> None:
             nonlocal shown_count
@@ -404,7 +427,14 @@ def send(
             sent.sent_until(sent_s)
             show(sent_s, frame_count)
 
-        report = transmit(answering or bus, sent.frames(), stop, clock=clock, on_progress=progress)
+        report = transmit(
+            answering or bus,
+            sent.frames(stop),
+            stop,
+            clock=clock,
+            on_progress=progress,
+            ahead=sent.pace.stretches_ahead,
+        )
         sent.finish(report)
     result = {
         "scenario": scenario.name,

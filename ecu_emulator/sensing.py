@@ -6,7 +6,7 @@ The result depends on the rows and the seed only, not on how the rows were cut i
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Generic, TypeVar
 
 import numpy as np
@@ -254,6 +254,10 @@ class Chain:
         self._trace = np.empty(0)
         self._first_ms = 0
 
+    def drift(self, sensor: Sensor) -> None:
+        """Err in gain and offset as this sensor does, from the next reading on; delay and noise stay."""
+        self._sensor = replace(self._sensor, gain_ratio=sensor.gain_ratio, offset=sensor.offset)
+
     def restart(self) -> None:
         """Forget the past: what comes next is the beginning of a drive."""
         self._trace = np.empty(0)
@@ -334,6 +338,11 @@ class SensorSuite:
         if fault.quantity not in self._chains:
             known = ", ".join(sorted(NOMINAL_SENSORS.keys() & self._chains.keys()))
             raise EmulatorConfigError(f"quantity {fault.quantity!r} is not on the bus; known: {known}")
+
+    def drift(self, sensors: Sensors) -> None:
+        """Let the chains err in gain and offset as these sensors do, from the next rows on."""
+        for quantity, chain in self._chains.items():
+            chain.drift(sensors.get(quantity, Sensor()))
 
     def switch_on(self, t_s: float) -> None:
         """Let the controllers start at this scenario time [s], as when the ignition is switched on."""

@@ -127,14 +127,16 @@ class ShudderTruth:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultTruth:
-    """One scripted fault that has begun."""
+    """One fault that has begun: a scripted one, or one that somebody asked for."""
 
-    what: str  # quantity or message that it concerns, or the whole bus
+    what: str  # quantity, message or clutch that it concerns, or the whole bus or transmission
     kind: str
-    size: float  # of a sensor fault in the quantity's unit, of a drift per second; of a bus fault the share of frames
+    size: (
+        float  # in the quantity's unit, of a drift per second; share of frames; strength of what is wrong with the car
+    )
     t_start_s: float
     t_end_s: float | None  # None: to the end of the drive
-    count: int  # readings that it touched, frames that it struck or added
+    count: int  # readings that it touched, frames that it struck or added; 0 of what is wrong with the car itself
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

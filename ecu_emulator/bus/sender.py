@@ -232,6 +232,7 @@ def transmit(
     *,
     clock: SendClock | None = None,
     on_progress: Callable[[float, int], None] | None = None,
+    ahead: int = CHUNKS_AHEAD,
 ) -> TransmitReport:
     """Send frames at the times they carry, from now on, until they end or ``stop`` is set.
 
@@ -250,23 +251,25 @@ def transmit(
         In whose time they are due; this machine's by default.
     on_progress : callable
         Called with scenario time [s] and frames sent, about five times a second of this machine's time.
+    ahead : int
+        Chunks that are computed while one is sent.
     """
     clock = WallClock() if clock is None else clock
     transmitter, coming = _Transmitter(bus, clock, stop), iter(chunks)
     with ThreadPoolExecutor(1, "frame producer") as pool:
-        ahead = deque(pool.submit(next, coming, None) for _ in range(CHUNKS_AHEAD))
+        computed = deque(pool.submit(next, coming, None) for _ in range(ahead))
         try:
-            chunk = _next_chunk(ahead, stop)
+            chunk = _next_chunk(computed, stop)
             started_s = clock.now_s() + clock.LEAD_IN_S
             next_progress_s = time.monotonic()
             while chunk is not None:
-                ahead.append(pool.submit(next, coming, None))
+                computed.append(pool.submit(next, coming, None))
                 transmitter.send_chunk(chunk, started_s)
                 if on_progress is not None and len(chunk) and time.monotonic() >= next_progress_s:
                     on_progress(float(chunk.t_s[-1]), transmitter.sent)
                     next_progress_s = time.monotonic() + PROGRESS_PERIOD_S
-                is_ready = ahead[0].done()
-                chunk = _next_chunk(ahead, stop)
+                is_ready = computed[0].done()
+                chunk = _next_chunk(computed, stop)
                 if chunk is not None and len(chunk) and not is_ready:
                     transmitter.underruns += clock.now_s() > started_s + float(chunk.t_s[0])
         finally:

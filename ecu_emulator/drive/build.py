@@ -15,6 +15,7 @@ from clutch_model.pack import friction_law, kinetic_friction
 from clutch_model.units import rad_s_from_rpm
 from ecu_emulator.bus.frames import FrameEncoder
 from ecu_emulator.driving.journey import Car, Departure, DriveConditions, Journey, PlannedTrip, Trip, Warmth
+from ecu_emulator.driving.traffic import SpeedTrace
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant.course import DriveSettings, FrictionFactors
 from ecu_emulator.plant.parameters import PlantParameters, plant_table
@@ -334,6 +335,7 @@ def _child(node: Any, part: str) -> Any:  # noqa: ANN401 - parsed TOML
     return None
 
 
+MakeTrip = Callable[[Car, SpeedTrace, DriveConditions, np.random.Generator], Trip]
 ROAD_MESSAGES: Final = frozenset({"ECM_State", "TCU_Drive"})
 WHOLE_STAY_S: Final = math.inf
 
@@ -412,22 +414,23 @@ def drive_truth(scenario: Scenario, vehicle: BuiltVehicle) -> DriveTruth:
 
 def journey(
     scenario: Scenario,
-    vehicle: BuiltVehicle,
+    vehicle: Callable[[], BuiltVehicle],
     longest_stay_s: float,
     planned: Iterator[PlannedTrip],
     believed: Callable[[], tuple[float, float] | None] = lambda: None,
+    make_trip: MakeTrip = Trip,
 ) -> Journey:
     """Return a drive on the road; a parked car is silent for at most ``longest_stay_s`` [s].
 
-    ``believed`` is asked, as each trip begins, for the touch points that the control believes in. Raises ConfigError if
-    the car cannot be driven under the scenario's conditions.
+    As each trip begins, ``vehicle`` is asked for the car as it is by then, ``believed`` for the touch points that the
+    control believes in. Raises ConfigError if the car cannot be driven under the scenario's conditions.
     """
     ambient = scenario.ambient
     warmth = Warmth(oil_k=ambient.oil_temperature_k, coolant_k=ambient.coolant_temperature_k)
 
     def depart(departure: Departure) -> Trip:
-        return Trip(
-            Car(truth=vehicle.calibration, parameters=vehicle.parameters, touch_pressures_pa=believed()),
+        return make_trip(
+            Car(truth=vehicle().calibration, parameters=vehicle().parameters, touch_pressures_pa=believed()),
             departure.trip.trace,
             DriveConditions(
                 oil_k=departure.warmth.oil_k,

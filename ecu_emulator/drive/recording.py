@@ -3,7 +3,7 @@
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from queue import SimpleQueue
 from typing import Final
 
@@ -14,11 +14,11 @@ from dbc.contract import load_contract
 from ecu_emulator.bus.bus_faults import BusFaults, FrameLoss
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
 from ecu_emulator.drive import build
-from ecu_emulator.driving.journey import Departure, Journey, PlannedTrip, trips
+from ecu_emulator.driving.journey import Departure, Journey, PlannedTrip, Trip, trips
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.plant.state import Col
-from ecu_emulator.scenario.faults import BusFault, SensorFault
+from ecu_emulator.scenario.faults import BusFault, Degradation, Fault
 from ecu_emulator.scenario.scenario import Scenario
 from ecu_emulator.sensing import MS_PER_S, SensorSuite
 from ecu_emulator.shift_control.touch_points import nominal_touch_pressures_pa
@@ -64,6 +64,8 @@ class Drive:
         Of the time for which the car is parked between two trips at most this much [s] is shown.
     planned
         Trips in place of those that the scenario names.
+    make_trip
+        Sets a car in motion on a trip.
 
     Raises
     ------
@@ -76,7 +78,9 @@ class Drive:
         scenario: Scenario,
         longest_stay_s: float = build.WHOLE_STAY_S,
         planned: Iterator[PlannedTrip] | None = None,
+        make_trip: build.MakeTrip = Trip,
     ) -> None:
+        self._make_trip = make_trip
         self._scenario = scenario
         self._vehicle = vehicle = build.build_vehicle(scenario)
         database = load_contract(scenario.transmission)
@@ -99,6 +103,7 @@ class Drive:
         self._bus_faults = BusFaults(scenario.bus_faults, scenario.seed_of_drive, message_contracts(database))
         self.ignition: Final[deque[float]] = deque(maxlen=MOST_STARTS)  # see Answering
         self._asked: SimpleQueue[Callable[[], None]] = SimpleQueue()  # filled by other threads
+        self._causes: list[FaultTruth] = []  # that have come about meanwhile
         self._counts: Counter[type[Happened]] = Counter()
         self._frame_count = 0
         self._end_s = 0.0
@@ -128,14 +133,17 @@ class Drive:
         """What is to be said of a shift that does not end, and so ends the drive; empty: there is none."""
         return self._plant.endless_shift if isinstance(self._plant, Powertrain) else ""
 
-    def add_fault(self, fault: SensorFault | BusFault) -> None:
+    def add_fault(self, fault: Fault) -> None:
         """Have a fault happen; its time counts from the next stretch on. Any thread may call.
 
-        Raises ConfigError if it names a message or quantity that is not on the bus.
+        Raises ConfigError if it names a message or quantity that is not on the bus, or the car cannot be so bad.
         """
         if isinstance(fault, BusFault):
             self._bus_faults.check(fault)
             self._asked.put(lambda: self._bus_faults.add(fault, self._end_s))
+        elif isinstance(fault, Degradation):
+            build.build_vehicle(self._with_cause(fault))
+            self._asked.put(lambda: self._degrade(fault))
         else:
             self._sensors.check(fault)
             self._asked.put(lambda: self._sensors.faults.add(fault, self._end_s))
@@ -149,6 +157,33 @@ class Drive:
         """Have a car on its shift cycles do something before the next stretch. Any thread may call."""
         if isinstance(plant := self._plant, Powertrain):
             self._asked.put(lambda: action(plant))
+
+    def switch_engine(self, *, is_on: bool, stay_s: float = 0.0) -> None:
+        """End the trip, or begin the next one after a stay of this length [s]. Any thread may call.
+
+        Raises ConfigError if the car drives no trips.
+        """
+        journey = self._journey()
+        self._asked.put((lambda: journey.switch_on(stay_s)) if is_on else journey.switch_off)
+
+    def end_trip(self) -> None:
+        """End the trip; the next one begins as it is planned. Any thread may call; raises as ``switch_engine``."""
+        journey = self._journey()
+        self._asked.put(lambda: journey.car.end() if journey.car is not None else None)
+
+    def request_gear(self, gear: int) -> None:
+        """Ask for a gear; what the engine speed forbids is not done. Threads and errors as of ``switch_engine``."""
+        journey = self._journey()
+        if not 1 <= gear <= len(self._vehicle.parameters.gearbox.gear_ratios):
+            raise EmulatorConfigError(
+                f"gear must be 1..{len(self._vehicle.parameters.gearbox.gear_ratios)}, got {gear}"
+            )
+        self._asked.put(lambda: journey.car.request_gear(gear) if journey.car is not None else None)
+
+    @property
+    def is_off(self) -> bool:
+        """Whether the car is parked until the engine is switched on."""
+        return isinstance(self._plant, Journey) and self._plant.is_off
 
     @property
     def transmission(self) -> str:
@@ -173,11 +208,47 @@ class Drive:
     def stretches(self, duration_s: float) -> Iterator[DriveStretch]:
         """Yield the rest of the drive in stretches of this length [s]."""
         while not self.finished:
-            while not self._asked.empty():
-                self._asked.get()()
-            rows = self._plant.advance(duration_s)
-            if len(rows):
-                yield self._stretch(rows)
+            if stretch := self.advance(duration_s):
+                yield stretch
+
+    def advance(self, duration_s: float) -> DriveStretch | None:
+        """Drive on for this time [s], less where a trip ends; None: the car is parked, or there is nothing left."""
+        self.obey()
+        rows = self._plant.advance(duration_s)
+        return self._stretch(rows) if len(rows) else None
+
+    def obey(self) -> None:
+        """Do what was asked for since the last stretch; for the thread that drives."""
+        while not self._asked.empty():
+            self._asked.get()()
+
+    def _journey(self) -> Journey:
+        if isinstance(self._plant, Journey):
+            return self._plant
+        raise EmulatorConfigError("the car drives its shift cycles, not on the road (--drive city)")
+
+    def _with_cause(self, cause: Degradation) -> Scenario:
+        return replace(self._scenario, causes=(*self._scenario.causes, cause))
+
+    def _degrade(self, cause: Degradation) -> None:
+        """Let something be wrong with the car from the next row on."""
+        self._scenario = self._with_cause(cause)
+        vehicle = self._vehicle = build.build_vehicle(self._scenario)
+        plant = self._plant.car if isinstance(self._plant, Journey) else self._plant
+        if plant is not None:  # a parked car sets off with what is wrong by then
+            plant.become(vehicle.calibration, vehicle.parameters)
+        self._sensors.drift(vehicle.sensors)
+        truth = vehicle.causes[-1]
+        self._causes.append(
+            FaultTruth(
+                what="transmission" if truth.clutch is None else f"clutch{truth.clutch}",
+                kind=truth.kind,
+                size=truth.strength,
+                t_start_s=self._end_s,
+                t_end_s=None,
+                count=0,
+            )
+        )
 
     def _made_plant(self, longest_stay_s: float, planned: Iterator[PlannedTrip] | None) -> Powertrain | Journey:
         scenario, vehicle = self._scenario, self._vehicle
@@ -185,7 +256,9 @@ class Drive:
             if scenario.is_on_the_road:
                 rounds = None if scenario.endless else scenario.cycles
                 planned = planned or trips(scenario.drive, scenario.seed_of_drive, rounds)
-                return build.journey(scenario, vehicle, longest_stay_s, planned, lambda: self._touch_pa)
+                return build.journey(
+                    scenario, lambda: self._vehicle, longest_stay_s, planned, lambda: self._touch_pa, self._make_trip
+                )
             settings = build.drive_settings(scenario)
             touch_pa = self._touch_pa
             return Powertrain(vehicle.calibration, vehicle.parameters, settings, touch_pressures_pa=touch_pa)
@@ -199,7 +272,7 @@ class Drive:
         described = [(fault.quantity, fault.kind.value, fault.size) for fault in sensors.faults]
         described += [(fault.message or "bus", fault.kind.value, fault.share) for fault in bus.onsets.faults]
         spans_s, counts = (*sensors.spans_s, *bus.onsets.spans_s), (*sensors.changed_counts, *bus.counts)
-        return tuple(
+        return *self._causes, *(
             FaultTruth(
                 what=what,
                 kind=kind,

@@ -66,8 +66,23 @@ def lower_gear(memory: FloatArray, sense: FloatArray, gear: int, is_pulling: boo
 
 
 @part
+def requested_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> int:
+    """Return the next gear on the way to the one requested; a request that the engine speed forbids is dropped."""
+    gear, wanted = int(memory[tcu_data.CURRENT_GEAR]), int(memory[at.REQUESTED_GEAR])
+    following = gear + 1 if wanted > gear else gear - 1
+    if wanted != gear and not (following > gear and is_highest(gear, law)):
+        speed_rad_s = gear_speed_rad_s(sense, following, law)
+        if idle_rad_s(sense, law) < speed_rad_s < law.driving.choice.down_top_rad_s:
+            return following
+    memory[at.REQUESTED_GEAR] = 0.0
+    return gear
+
+
+@part
 def wanted_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> int:
-    """Return the gear the map asks for now, after the least time in the present one."""
+    """Return the gear that is requested, or the map asks for now, after the least time in the present one."""
+    if memory[at.REQUESTED_GEAR] != 0.0:
+        return requested_gear(memory, sense, law)
     p, gear = law.driving.choice, int(memory[tcu_data.CURRENT_GEAR])
     is_pulling = memory[at.PEDAL] > law.driving.pedal.overrun_ratio
     if memory[tcu_data.DWELL] > p.down_dwell_s:

@@ -69,7 +69,8 @@ LOCKUP_STATE = LAUNCH_RATE + 1  # a LockUpState
 LOCKUP_TIME = LOCKUP_STATE + 1  # in this state
 LOCKUP_SLIP = LOCKUP_TIME + 1  # engine less turbine, smoothed [rad/s]
 START_RATIO = LOCKUP_SLIP + 1  # of the gearbox, as a change of gear begins
-MEMORY_COUNT = START_RATIO + 1
+REQUESTED_GEAR = START_RATIO + 1  # by somebody from outside, until it is engaged; 0: the map alone chooses
+MEMORY_COUNT = REQUESTED_GEAR + 1
 
 # Columns of the table of whims, one row per event.
 WHIM_DELAY = 0  # after the begin of the event [s]; negative: none

@@ -5,7 +5,7 @@ Warm parts cool down while the car is parked; clocks go on.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, dataclass, field, replace
 from itertools import count
 from typing import Final
 
@@ -16,7 +16,7 @@ from clutch_model.calibration import Calibration, nominal_calibration
 from ecu_emulator.driving import indices
 from ecu_emulator.driving.indices import DrivelineState
 from ecu_emulator.driving.laws import DrivingLaw, DrivingParameters, idle_rad_s, nominal_driving
-from ecu_emulator.driving.loop import GRID_S, Road, run
+from ecu_emulator.driving.loop import GRID_S, Road, follow, run
 from ecu_emulator.driving.traffic import CITY, MIXED, MOTORWAY, Range, SpeedTrace, Traffic, public_trace, traffic_trace
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant import state as at
@@ -104,12 +104,26 @@ class Trip(MachineCourse):
     """
 
     def __init__(self, car: Car, trace: SpeedTrace, conditions: DriveConditions, rng: np.random.Generator) -> None:
+        self._car, self._conditions = car, conditions
         law = driving_law(car, conditions)
         check_step(conditions.dt_s, law.drive.plant, law.drive.overall_ratios, starts_in_neutral=True)
         self._law = as_record(law)
         self._road = _road(trace, conditions, rng)
         super().__init__(self._law.drive, car.touch_pressures_pa)
         self._machine = _initial_machine(self._law, conditions)
+
+    def become(self, truth: Calibration, parameters: PlantParameters) -> None:
+        """Go on from the next row with other clutches or surroundings, of which the control does not know."""
+        self._law = as_record(driving_law(replace(self._car, truth=truth, parameters=parameters), self._conditions))
+        self._obey(self._law.drive)
+
+    def end(self) -> None:
+        """End with the next row."""
+        self._road.end[0] = min(self._road.end[0], self._machine.clock[0] + 1)
+
+    def request_gear(self, gear: int) -> None:
+        """Ask for a gear, which is engaged step by step as far as its engine speed allows."""
+        self._machine.memory[indices.REQUESTED_GEAR] = gear
 
     @property
     def finished(self) -> bool:
@@ -120,6 +134,46 @@ class Trip(MachineCourse):
         """Drive on and return the next rows, shape (n, len(Col)); fewer at the end of the trace, none after it."""
         rows = np.empty((round(duration_s * ROWS_PER_S), COLUMN_COUNT))
         return rows[: run(self._machine, self._road, self._law, rows)]
+
+
+@dataclass(slots=True)
+class Steering:
+    """What somebody outside gives a car, until it is changed."""
+
+    speed_m_s: float = 0.0  # reached at the end of the rows to come
+    pedal_ratio: float = 0.0
+
+
+class SteeredTrip(Trip):
+    """A car that moves as fast as somebody outside says, as on rollers, without an end; other arguments as of `Trip`.
+
+    A car that is slowed down with a released pedal is braked, and so is one that is kept at rest.
+    """
+
+    def __init__(
+        self, steering: Steering, car: Car, trace: SpeedTrace, conditions: DriveConditions, rng: np.random.Generator
+    ) -> None:
+        super().__init__(car, trace, conditions, rng)
+        self._steering = steering
+        self._road.end[0] = np.iinfo(np.int64).max
+
+    def advance(self, duration_s: float) -> FloatArray:
+        """Drive on and return the next rows, shape (n, len(Col))."""
+        rows = np.empty((round(duration_s * ROWS_PER_S), COLUMN_COUNT))
+        if self.finished:
+            return rows[:0]
+        before_m_s, steering = float(self._machine.y[at.V]), self._steering
+        slowing_m_s2 = (before_m_s - steering.speed_m_s) / duration_s
+        standing_m_s2 = self._law.driving.driver.standing_brake_m_s2 if steering.speed_m_s == 0.0 else 0.0
+        is_braked = steering.pedal_ratio == 0.0 and slowing_m_s2 > LEAST_BRAKE_M_S2
+        brake_m_s2 = slowing_m_s2 if is_braked else standing_m_s2 * (steering.pedal_ratio == 0.0)
+        speeds_m_s = np.linspace(before_m_s, steering.speed_m_s, len(rows) + 1)[1:]
+        follow(self._machine, self._road, self._law, rows, speeds_m_s, (steering.pedal_ratio, float(brake_m_s2)))
+        return rows
+
+
+LEAST_BRAKE_M_S2: Final = 0.5  # what drag and the engine slow a car down by without its brakes
+STEERED: Final = SpeedTrace(name="steered", t_s=np.array([0.0, 1.0]), speed_m_s=np.zeros(2), grade_ratio=np.zeros(2))
 
 
 def driving_law(car: Car, conditions: DriveConditions) -> DrivingLaw:
@@ -307,6 +361,7 @@ class Journey:
         self._car: Trip | None = None  # None: parked
         self._clock_ms = 0  # scenario time of the next row, time to come in which the car is parked left out
         self._past_m = 0.0  # way of the trips before
+        self._is_off = False
         self.departure: Departure | None = None
 
     @property
@@ -316,8 +371,33 @@ class Journey:
 
     @property
     def finished(self) -> bool:
-        """Whether the last trip is over."""
-        return self.is_parked and self._next_trip is None
+        """Whether the last trip is over, and nobody has switched the engine off to go on later."""
+        return self.is_parked and self._next_trip is None and not self._is_off
+
+    @property
+    def is_off(self) -> bool:
+        """Whether the car is parked until ``switch_on``."""
+        return self._is_off and self.is_parked
+
+    @property
+    def car(self) -> Trip | None:
+        """The car on its trip, None while it is parked."""
+        return self._car
+
+    def switch_off(self) -> None:
+        """End this trip with the next row, and begin none before ``switch_on``."""
+        self._is_off = True
+        if self._car is not None:
+            self._car.end()
+
+    def switch_on(self, stay_s: float) -> None:
+        """Begin the next trip, else the last one again, after a stay of this length [s], all of which is shown."""
+        trip = self._next_trip or (self.departure.trip if self.departure is not None else None)
+        self._is_off = False
+        if trip is not None and self._car is None:
+            self._longest_stay_s, usual_s = stay_s, self._longest_stay_s
+            self._car = self._set_off(replace(trip, parked_s=stay_s))
+            self._longest_stay_s = usual_s
 
     def believe(self, touch_pressures_pa: tuple[float, float]) -> None:
         """Let the control of a car that drives take these for its clutches' touch points."""
@@ -330,7 +410,7 @@ class Journey:
         They belong to one trip, that of ``departure``.
         """
         if self._car is None:
-            if self._next_trip is None:
+            if self._next_trip is None or self._is_off:
                 return np.empty((0, len(Col)))
             self._car = self._set_off(self._next_trip)
         rows = self._car.advance(duration_s)

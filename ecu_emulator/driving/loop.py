@@ -89,27 +89,57 @@ def record_drive(machine: Machine, road: Road, row: FloatArray) -> None:
     row[Col.WANTED_SPEED] = trace_value(road.speeds, machine.clock[0] * tcu_data.PERIOD_S)
 
 
+@part
+def advance_controlled(machine: Machine, road: Road, law: DrivingLaw, row: FloatArray) -> None:
+    """Let the controllers act on what they sense, record a row, and advance the plant by a millisecond."""
+    plant = law.drive.plant
+    if plant.converter.is_there == 0:
+        control(machine.memory, machine.sense, machine.commands, law)
+    else:
+        automatic.control(machine.memory, machine.sense, machine.commands, law)
+    control_engine(machine.memory, machine.sense, machine.commands, law)
+    apply_drive_commands(machine, law)
+    hold_car(machine, plant, law.driving.surroundings.hold_m_s)
+    record_plant(machine, plant, row)
+    record_drive(machine, road, row)
+    advance_millisecond(machine, law.drive.steps_per_millisecond, plant)
+
+
 @kernel
 def run(machine: Machine, road: Road, law: DrivingLaw, rows: FloatArray) -> int:
     """Fill ``rows``, one per millisecond, until they are full or the trace ends; return how many were filled."""
-    plant = law.drive.plant
     for index in range(rows.shape[0]):
         if machine.clock[0] >= road.end[0]:
             return index
         sense_drive(machine, road, law)
         have_whim(machine.memory, road.whims)
         drive(machine.memory, machine.sense, road.speeds, machine.clock[0] * tcu_data.PERIOD_S, law)
-        if plant.converter.is_there == 0:
-            control(machine.memory, machine.sense, machine.commands, law)
-        else:
-            automatic.control(machine.memory, machine.sense, machine.commands, law)
-        control_engine(machine.memory, machine.sense, machine.commands, law)
-        apply_drive_commands(machine, law)
-        hold_car(machine, plant, law.driving.surroundings.hold_m_s)
-        record_plant(machine, plant, rows[index])
-        record_drive(machine, road, rows[index])
-        advance_millisecond(machine, law.drive.steps_per_millisecond, plant)
+        advance_controlled(machine, road, law, rows[index])
     return int(rows.shape[0])
+
+
+@kernel
+def follow(
+    machine: Machine, road: Road, law: DrivingLaw, rows: FloatArray, speeds_m_s: FloatArray, feet: tuple[float, float]
+) -> None:
+    """Fill ``rows``, one per millisecond, while somebody else moves the car and its driver's feet.
+
+    Parameters
+    ----------
+    speeds_m_s : (n,) array
+        Of the car at each row, as rollers would turn its wheels: what pulls or brakes it besides is none of the car's.
+    feet : tuple of two
+        Pedal [ratio] and brake [m/s^2].
+    """
+    memory, pedal = machine.memory, feet[0]
+    for index in range(rows.shape[0]):
+        machine.y[at.V] = speeds_m_s[index]
+        sense_drive(machine, road, law)
+        step = pedal - memory[indices.PEDAL]
+        memory[indices.PEDAL_RATE] += (step - tcu_data.PERIOD_S * memory[indices.PEDAL_RATE]) / _RATE_LAG_S
+        memory[indices.PEDAL], memory[indices.BRAKE] = pedal, feet[1]
+        advance_controlled(machine, road, law, rows[index])
+        rows[index, Col.WANTED_SPEED] = speeds_m_s[index]
 
 
 GRID_S = 0.1  # of the trace as the driver sees it

@@ -252,6 +252,11 @@ class MachineCourse:
         """Let the control take these for its clutches' touch points from the next row on."""
         np.asarray(self._drive_law.actuation.touch_pressure_pa)[:] = touch_pressures_pa
 
+    def _obey(self, law: DriveLaw) -> None:
+        """Let the plant be another one from the next row on; the control goes on as it was."""
+        law.actuation = self._drive_law.actuation  # type: ignore[misc]  # a record, which is mutable: see `as_record`
+        self._drive_law = law
+
     def audit(self) -> None:
         """Keep an account of the energies from now on, which costs a few percent of speed; see `power_balance`."""
         work = self._machine.work._replace(account=np.zeros(3 * ACCOUNT_COUNT))

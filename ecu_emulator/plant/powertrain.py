@@ -55,11 +55,17 @@ class Powertrain(MachineCourse):
         *,
         touch_pressures_pa: tuple[float, float] | None = None,
     ) -> None:
+        self._settings = drive
         law = drive_law(truth, parameters, drive)
         check_step(drive.dt_s, law.plant, law.overall_ratios, starts_in_neutral=drive.has_routine)
         self._law = as_record(law)
         super().__init__(self._law, touch_pressures_pa)
         self._machine = _initial_machine(self._law, drive, parameters.control)
+
+    def become(self, truth: Calibration, parameters: PlantParameters) -> None:
+        """Go on from the next row with other clutches or surroundings, of which the control does not know."""
+        self._law = as_record(drive_law(truth, parameters, self._settings))
+        self._obey(self._law)
 
     @property
     def finished(self) -> bool:

@@ -259,3 +259,7 @@ class BusFault(Scheduled):
             raise EmulatorConfigError(f"skip, 1..{COUNTER_PERIOD - 1}, belongs to a fault of kind skipping_counter")
         if self.kind is BusFaultKind.OVERLOAD and self.message:
             raise EmulatorConfigError("an overload concerns the whole bus: no message")
+
+
+Fault = SensorFault | BusFault | Degradation
+"""What can go wrong while a car drives."""

@@ -9,7 +9,17 @@ from typing import Final
 
 from clutch_model.tables import read_table, record_from
 from ecu_emulator.errors import EmulatorConfigError
-from ecu_emulator.scenario.faults import NOMINAL_SENSORS, BusFault, Sensor, SensorFault, Sensors, split_unit
+from ecu_emulator.scenario.faults import (
+    NOMINAL_SENSORS,
+    BusFault,
+    CauseKind,
+    Degradation,
+    Fault,
+    Sensor,
+    SensorFault,
+    Sensors,
+    split_unit,
+)
 from ecu_emulator.scenario.scenario import ProductionScatter, Scenario, Truth, production_scatter
 
 _SHIPPED: Final = files("ecu_emulator").joinpath("scenarios")
@@ -60,8 +70,8 @@ def scenario_of(table: Mapping[str, object], origin: str) -> Scenario:
         raise EmulatorConfigError(f"{origin}: {exc}") from exc
 
 
-def parse_fault(table: object) -> SensorFault | BusFault:
-    """Return one fault by the keys of its scenario table; a sensor fault names a quantity.
+def parse_fault(table: object) -> Fault:
+    """Return one fault by the keys of its scenario table; a sensor fault names a quantity, a cause is its own kind.
 
     Raises
     ------
@@ -70,6 +80,9 @@ def parse_fault(table: object) -> SensorFault | BusFault:
     """
     if not isinstance(table, Mapping):
         raise EmulatorConfigError(f"a fault must be a table, got {table!r}")
+    word = str(table.get("kind")).replace("_", "-")
+    if word in list(CauseKind):
+        return record_from(Degradation, {**table, "kind": word}, error=EmulatorConfigError)
     kind: type[SensorFault | BusFault] = SensorFault if "quantity" in table else BusFault
     return record_from(kind, table, error=EmulatorConfigError)
 

@@ -52,7 +52,7 @@ ELSEWHERE = {
     "diag-service lake": "tests/integration/test_lake.py",
     "diag-service monitor": "tests/integration/test_service_onlookers.py",
     "ecu-emulator run": "tests/e2e/test_vcan_drive.py",
-    "echo": "tests/integration/test_emulator_control.py",
+    "ecu-emulator control": "tests/integration/test_emulator_control.py",
     "docker compose": "tests/unit/test_dashboards.py",
     "candump": "tests/integration/test_candump_pipe.py",
     "ecu-emulator record -": "tests/integration/test_piped_logs.py",

@@ -13,6 +13,7 @@ def page(table: DiagnosticTable) -> str:
         "Data": _data(table),
         "Conditions": _conditions(table),
         "Trouble codes": _codes(table),
+        "Faults that lead to trouble codes": _faults(table),
         "Routines": _routines(table),
         "OBD parameters": _parameters(table),
         "OBD monitors": _monitors(table),
@@ -112,6 +113,15 @@ def _codes(table: DiagnosticTable) -> str:
             for entry in table.troubles.values()
         ),
     )  # fmt: skip
+
+
+def _faults(table: DiagnosticTable) -> str:
+    codes: dict[str, list[str]] = {}
+    for trouble in table.troubles.values():
+        if trouble.faults:
+            words = (", ".join(f"{key} {value}" for key, value in fault.items()) for fault in trouble.faults)
+            codes.setdefault("; ".join(words), []).append(trouble.code)
+    return _rows(("faults", "codes"), ((faults, ", ".join(group)) for faults, group in codes.items()))
 
 
 def _parameters(table: DiagnosticTable) -> str:

@@ -22,6 +22,7 @@ from clutch_model.calibration import CONVERTERS
 from dbc.contract import load_contract
 from ecu_emulator.bus.sender import FrameSender
 from ecu_emulator.bus.sent_values import OWN_NODE, SentValues, recounted
+from ecu_emulator.drive.orders import FaultsOfCode
 from ecu_emulator.drive.recording import Drive
 from ecu_emulator.errors import EmulatorConfigError, LogFormatExtraError
 from ecu_emulator.live import BusChoice
@@ -204,6 +205,11 @@ class Answering:
         adapter = {} if self.elm327 is None else {"elm327": asdict(self.elm327.counts)}
         disbelieved = {"disbelieved_frames": self._sent.disbelieved_count}
         return {**asdict(self.link.counts), **disbelieved, **over_ip, **adapter, "confirmed": confirmed}
+
+    @property
+    def faults_of_code(self) -> FaultsOfCode:
+        """The faults that lead to each trouble code, as far as the table names them."""
+        return {trouble.code: trouble.faults for trouble in self.controller.table.troubles.values() if trouble.faults}
 
     @property
     def places(self) -> list[str]:

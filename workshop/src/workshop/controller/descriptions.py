@@ -272,6 +272,7 @@ class Trouble:
     age_cycles: int = 40  # passed warm-up cycles until the code is removed
     failed_step: int = 127  # of the fault detection counter
     passed_step: int = 128
+    faults: tuple[Mapping[str, object], ...] = ()  # by the keys of a scenario's table: together they lead to this code
 
     def __post_init__(self) -> None:
         if not _CODE.fullmatch(self.code):
