@@ -16,7 +16,7 @@ from diag_service.service.drive import open_drive
 from ecu_emulator.log_formats import open_log
 from tests.support.damage import DAMAGES, analyse, decoder_of, untrue
 from tests.support.damage import record as record_drive
-from tests.support.hostile import HOSTILE, refusals_of, sqlite_file
+from tests.support.hostile import HOSTILE, refusals_of
 from tests.support.traffic import START_NS, as_received, assert_same, random_frames
 
 FRAMES = random_frames(3_000)
@@ -125,25 +125,15 @@ def test_a_pressure_that_is_held_through_a_shift_makes_no_friction(tmp_path: Pat
         assert all(one.mu_c > 0.05 for one in found)
 
 
-MANY_ROWS = (
-    "INSERT INTO messages WITH RECURSIVE n(i) AS (VALUES(1) UNION ALL SELECT i + 1 FROM n LIMIT 60000)"
-    " SELECT i * 0.01, 291, 0, 0, 0, 1, x'11' FROM n"
-)
-
-
 def record(path: Path) -> None:
     """Write sixty thousand frames."""
-    if path.suffix == ".db":
-        table = "CREATE TABLE messages (ts, arbitration_id, extended, remote, error, dlc, data)"
-        path.write_bytes(sqlite_file(table, MANY_ROWS))
-        return
     with open_log(path.with_suffix("") if path.suffix == ".gz" else path, start_ns=START_NS) as log:
         log.write(random_frames(60_000))
     if path.suffix == ".gz":
         path.write_bytes(gzip.compress(path.with_suffix("").read_bytes()))
 
 
-@pytest.mark.parametrize("suffix", [".log", ".blf", ".mf4", ".log.gz", ".db"])
+@pytest.mark.parametrize("suffix", [".log", ".blf", ".mf4", ".log.gz"])
 def test_a_file_that_shrinks_while_it_is_read_is_counted_as_cut(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"drive{suffix}"
     record(path)

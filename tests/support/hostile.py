@@ -9,12 +9,10 @@ import json
 import lzma
 import os
 import resource
-import sqlite3
 import struct
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -68,14 +66,6 @@ def mf4_loop() -> bytes:
     return mf4(struct.pack("<4s4xQQ", b"##DG", 64, 4) + struct.pack("<4Q", 168, 0, 0, 0) + bytes(8))
 
 
-def sqlite_file(*statements: str) -> bytes:
-    with closing(sqlite3.connect(":memory:")) as database:
-        for statement in statements:
-            database.execute(statement)
-        database.commit()
-        return bytes(database.serialize())
-
-
 TABLE_HEAD = b"Time [s],Engine Speed [rpm],Pressure [kPa]\n"
 TABLE_ROWS = b"".join(b"%d.0,1000,%d\n" % (second, second % 7) for second in range(100))
 
@@ -105,15 +95,12 @@ def hollow(contents: Callable[[], bytes], *, has_end: bool = False) -> Callable[
     return make
 
 
-MESSAGES: Final = "CREATE TABLE messages (ts, arbitration_id, extended, remote, error, dlc, data)"
-HUGE_CELL: Final = "INSERT INTO messages VALUES (1.0, 1, 0, 0, 0, 8, zeroblob(50000000))"
 HOSTILE: Final[Mapping[str, Callable[[Path], object]]] = MappingProxyType({
     "row.csv": written(lambda: TABLE_HEAD + TABLE_ROWS + b"101.0," + b"1," * (32 << 20) + b"\n" + TABLE_ROWS),
     "quotes.csv": written(lambda: TABLE_HEAD + TABLE_ROWS + b'"' * (16 << 20)),
     "bomb.log.xz": written(xz_bomb),
     "line.log": written(lambda: LINE + b"x" * (64 << 20)),
     "loop.mf4": written(mf4_loop),
-    "cell.db": written(lambda: sqlite_file(MESSAGES, HUGE_CELL)),
     "hollow.blf": hollow(endless_blf),
     "hollow.mf4": hollow(mf4),
     "middle-hollow.log": hollow(lambda: LINES, has_end=True),

@@ -258,9 +258,6 @@ GRAMMARS: Mapping[str, Grammar] = MappingProxyType({
     "csv of python-can": Grammar(
         write=_by_python_can(can.CSVWriter), has_fd=True, has_fd_flags=False, has_direction=False
     ),
-    "sqlite": Grammar(
-        write=_by_python_can(can.SqliteWriter), has_fd=True, has_fd_flags=False, has_direction=False, is_text=False
-    ),
     "gvret": Grammar(
         write=by_hand(_gvret(0, "d"), GVRET_HEADER),
         start_us=0, has_fd=True, has_fd_flags=False, has_remote=False, has_error=False, channels=10,

@@ -10,7 +10,6 @@ from functools import partial
 
 from canlog.database.signal_columns import SignalColumn
 from canlog.errors import SourceError
-from canlog.logs import sqlite
 from canlog.logs.asc import FIRST_LINE, AscLog, is_asc_header
 from canlog.logs.blf import MAGIC as BLF_MAGIC
 from canlog.logs.candump import CandumpLog, ConsoleLog
@@ -41,7 +40,6 @@ class LogFormat(StrEnum):
     MF4 = "mf4"
     TRC = "trc"
     CSV = "csv"
-    SQLITE = "sqlite"
     GVRET = "gvret"
     BUSMASTER = "busmaster"
     CRTD = "crtd"
@@ -92,6 +90,7 @@ TYPICAL: Mapping[LogFormat, re.Pattern[bytes]] = {
 ONLY_LISTED = "a list of identifiers, not a log: no times rise, and no identifier comes again with bytes"
 MOST_NAMED = 20  # columns in a complaint
 TAR_MAGIC, TAR_MAGIC_AT = b"ustar", 257
+SQLITE_MAGIC = b"SQLite format 3\0"
 ARCHIVES: Mapping[bytes, str] = {
     b"PK\x03\x04": "zip",
     b"PK\x05\x06": "zip",
@@ -136,11 +135,9 @@ def detect(probe: bytes, choice: str = "") -> Detected:
 def _detect(probe: bytes) -> Detected:
     if not probe.strip():
         raise SourceError("the file is empty")
-    _refuse_archive(probe)
+    _refuse_container(probe)
     if probe.startswith(BLF_MAGIC):
         return Detected(format=LogFormat.BLF, evidence="it begins with LOGG")
-    if probe.startswith(sqlite.MAGIC):
-        return Detected(format=LogFormat.SQLITE, evidence="it begins with SQLite format 3")
     if probe.startswith(CAPTURE_MAGICS):
         capture = capture_of(probe)
         return Detected(format=LogFormat(capture), evidence=f"it begins with the number of {capture}")
@@ -151,14 +148,16 @@ def _detect(probe: bytes) -> Detected:
     return detect_text(probe)
 
 
-def _refuse_archive(probe: bytes) -> None:
+def _refuse_container(probe: bytes) -> None:
     kind = "tar" if probe[TAR_MAGIC_AT:].startswith(TAR_MAGIC) else ""
     if kind := kind or next((kind for magic, kind in ARCHIVES.items() if probe.startswith(magic)), ""):
         raise SourceError(f"a {kind} archive: unpack it first")
+    if probe.startswith(SQLITE_MAGIC):
+        raise SourceError("an SQLite database: if it is a log of python-can, can_logconvert makes a BLF of it")
 
 
 def _detect_as_columns(probe: bytes, choice: str) -> Detected:
-    _refuse_archive(probe)
+    _refuse_container(probe)
     text, complaint = probe.removeprefix(BYTE_ORDER_MARK), SourceError("--columns: no line of it is a frame by that")
     try:
         log = ColumnsLog(choice)

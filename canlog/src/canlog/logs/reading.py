@@ -27,7 +27,6 @@ from canlog.logs.log_counts import (
 )
 from canlog.logs.mf4 import measured_channels, read_mf4
 from canlog.logs.signal_tables import all_columns, read_signal_table
-from canlog.logs.sqlite import check_messages, read_sqlite
 from canlog.logs.streams import (
     STANDARD_INPUT,
     InflatedStream,
@@ -46,7 +45,6 @@ LOAD_FRAMES = 2_000  # the first ones, whose load is checked
 READERS: Mapping[LogFormat, Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]] = {
     LogFormat.BLF: read_blf,
     LogFormat.MF4: read_mf4,
-    LogFormat.SQLITE: read_sqlite,
     LogFormat.PCAP: read_capture,
     LogFormat.PCAPNG: read_capture,
     LogFormat.SIGNALS: read_signal_table,
@@ -136,8 +134,6 @@ class LogReader(Iterator[FrameBatch]):
         self._is_packed = contents.is_packed
         self._opened = None if path == STANDARD_INPUT else path.stat()
         self._bounded = BoundedStream(self._stream, self._counts)
-        if self.format is LogFormat.SQLITE:
-            check_messages(self._stream)
         if contents.detected.is_long:
             self.columns = all_columns(self._stream)
         if self.format is LogFormat.MF4:
@@ -170,7 +166,7 @@ class LogReader(Iterator[FrameBatch]):
     @property
     def size_bytes(self) -> int | None:
         """How much there is to be read; None if that cannot be known before."""
-        is_as_it_is = not self._is_packed and self.format not in {LogFormat.MF4, LogFormat.SQLITE}
+        is_as_it_is = not self._is_packed and self.format is not LogFormat.MF4
         return self._opened.st_size if self._opened is not None and is_as_it_is else None
 
     def __next__(self) -> FrameBatch:

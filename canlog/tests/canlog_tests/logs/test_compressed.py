@@ -14,6 +14,7 @@ import zstandard
 
 from canlog.errors import SourceError
 from canlog.logs import looked_at, read_log
+from canlog.logs.detection import detect
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.streams import Compression, InflatedStream
 
@@ -105,3 +106,8 @@ def test_an_archive_is_refused_with_what_to_do(contents: bytes, kind: str, tmp_p
     with pytest.raises(SourceError, match=f"^{path}: {said}$"):
         read_log(path)
     assert looked_at(path).reason == said
+
+
+def test_a_database_of_frames_is_refused_with_what_converts_it() -> None:
+    with pytest.raises(SourceError, match="can_logconvert makes a BLF of it"):
+        detect(b"SQLite format 3\0" + bytes(84))

@@ -60,7 +60,6 @@ def test_a_header_decides(log_format: LogFormat, header: bytes) -> None:
     ("probe", "log_format"),
     [
         (b"LOGG" + bytes(200), LogFormat.BLF),
-        (b"SQLite format 3\0", LogFormat.SQLITE),
         (b"UnFinMF 4.11", LogFormat.MF4),
         (bytes.fromhex("d4c3b2a102000400000000000000000000000400e3000000"), LogFormat.PCAP),
         (bytes.fromhex("a1b23c4d0002000400000000000000000004000000000071"), LogFormat.PCAP),
