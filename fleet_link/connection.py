@@ -41,42 +41,6 @@ class Message:
     is_retained: bool = False  # kept by the broker from before we asked for it
 
 
-class Arrivals:
-    """Messages that wait to be taken, and how many bytes they hold.
-
-    Parameters
-    ----------
-    max_bytes :
-        Of two batches; None: only their count matters.
-    """
-
-    def __init__(self, max_bytes: int | None) -> None:
-        self._messages: deque[Message] = deque()
-        self._bytes = 0
-        self._batch_bytes = math.inf if max_bytes is None else max_bytes / 2
-
-    def __len__(self) -> int:
-        return len(self._messages)
-
-    def append(self, message: Message) -> None:
-        self._messages.append(message)
-        self._bytes += len(message.payload)
-
-    def has_batch(self, limit: int) -> bool:
-        """Return whether a whole batch waits, by its count or its bytes."""
-        return len(self._messages) >= limit or self._bytes >= self._batch_bytes
-
-    def take(self, limit: int) -> list[Message]:
-        """Return the next messages, one batch at most."""
-        batch: list[Message] = []
-        size = 0
-        while self._messages and len(batch) < limit and size < self._batch_bytes:
-            batch.append(self._messages.popleft())
-            size += len(batch[-1].payload)
-        self._bytes -= size
-        return batch
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Terms:
     """What a connection is made on."""
@@ -297,7 +261,7 @@ class Connection:
         self._is_probing = False  # on a topic that is not among them
         self._refusal: str | None = None  # of a message of the last batch
         self._complaint: str | None = None  # of the socket: TLS says no after the handshake
-        self._inbox = Arrivals(terms.max_unsettled_bytes)
+        self._inbox: deque[Message] = deque()
         self._answered = asyncio.Event()  # a message of ours was acknowledged or refused, or all is lost
         self._arrived = asyncio.Event()  # a message came, or all is lost
         self._wrote = asyncio.Event()  # the socket took some of what we send, or all is lost
@@ -401,9 +365,14 @@ class Connection:
             await self._arrived.wait()
         if self._is_lost.is_set() and (self._terms.max_unsettled is not None or not self._inbox):
             raise LinkDownError(_LOST)
-        if not self._inbox.has_batch(limit):
+        most_bytes = (self._terms.max_unsettled_bytes or math.inf) / 2
+        if len(self._inbox) < limit and sum(len(message.payload) for message in self._inbox) < most_bytes:
             await asyncio.sleep(patience_s)
-        return self._inbox.take(limit)
+        batch, size = list[Message](), 0
+        while self._inbox and len(batch) < limit and size < most_bytes:
+            batch.append(self._inbox.popleft())
+            size += len(batch[-1].payload)
+        return batch
 
     async def _written(self) -> None:
         """Return when all is written to the socket: a broker that does not read must not fill our memory."""

@@ -61,15 +61,9 @@ class History:
 
     def first(self, count: int) -> Self:
         """Return the history as it was after so many rows."""
-        return replace(self._rows(slice(None, count)), is_fluid_newer=False, is_stale=False)
-
-    def since(self, row: int) -> Self:
-        return self._rows(slice(row, None))
-
-    def _rows(self, which: slice) -> Self:
-        columns: dict[str, Any] = {name: getattr(self, name) for name in _COLUMNS}
-        chosen: dict[str, Any] = {name: one if one is None else one[which] for name, one in columns.items()}
-        return replace(self, **chosen)
+        columns = {name: getattr(self, name) for name in _COLUMNS}
+        known: dict[str, Any] = {name: column[:count] for name, column in columns.items() if column is not None}
+        return replace(self, **known, is_fluid_newer=False, is_stale=False)
 
 
 _COLUMNS: Final = tuple(one.name for one in fields(History) if not one.name.startswith(("new_", "left_", "is_")))

@@ -15,7 +15,7 @@ from clutch_results.records import Condition
 from fleet_backend.cli import main
 from fleet_backend.database import open_database, transaction
 from fleet_backend.office_tables import AUDIT
-from fleet_backend.rows import Poison, controller_row, quarantine_row
+from fleet_backend.rows import controller_row, quarantine_row
 from fleet_backend.writer import Batch, Writer
 from tests.golden import CONTROLLER
 from tests.support.fleet import fleet_result, row_of
@@ -35,9 +35,22 @@ def _filled(sqlite_url: str) -> Iterator[Engine]:
     engine = open_database(sqlite_url)
     rows = [row_of(fleet_result(seq, vehicle="worn", condition=Condition.CHANGE_FLUID)) for seq in (1, 2, 3)]
     rows.append(row_of(fleet_result(1, vehicle="good")))
-    poison = Poison(topic="clutchdiag/v1/good/shift", vehicle="good", payload=b"{", reason="identity", detail="[bold]")
     old = datetime.now(UTC) - timedelta(days=30)
-    Writer(engine).store(Batch(shifts=rows, quarantined=[quarantine_row(poison, old)]))
+    Writer(engine).store(
+        Batch(
+            shifts=rows,
+            quarantined=[
+                quarantine_row(
+                    old,
+                    topic="clutchdiag/v1/good/shift",
+                    vehicle="good",
+                    payload=b"{",
+                    reason="identity",
+                    detail="[bold]",
+                )
+            ],
+        )
+    )
     yield engine
     engine.dispose()
 

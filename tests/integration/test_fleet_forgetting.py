@@ -11,7 +11,7 @@ from fleet_backend.database import transaction
 from fleet_backend.errors import UnknownVehicleError
 from fleet_backend.office.retention import forget_vehicle
 from fleet_backend.office_tables import AUDIT
-from fleet_backend.rows import Poison, quarantine_row
+from fleet_backend.rows import quarantine_row
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import NOW
 from tests.support.fleet_page import fill_database, raise_alarms
@@ -31,11 +31,22 @@ def cells(engine: Engine) -> Iterator[str]:
 def _filled(engine: Engine) -> Engine:
     fill_database(engine)
     raise_alarms(engine)
-    poison = Poison(
-        topic=f"clutchdiag/v1/{VEHICLE}/shift", vehicle=VEHICLE, payload=b"{}", reason="schema", detail="of no kind"
-    )
     row: dict[str, object] = {"vehicle": VEHICLE, "calibration_version": "1", "content": "{}"}
-    Writer(engine).store(Batch(quarantined=[quarantine_row(poison, NOW)], calibrations=[row]))
+    Writer(engine).store(
+        Batch(
+            quarantined=[
+                quarantine_row(
+                    NOW,
+                    topic=f"clutchdiag/v1/{VEHICLE}/shift",
+                    vehicle=VEHICLE,
+                    payload=b"{}",
+                    reason="schema",
+                    detail="of no kind",
+                )
+            ],
+            calibrations=[row],
+        )
+    )
     book.acknowledge_open(engine, VEHICLE, 2, book.Note(by="ann", role="workshop", at=NOW, text=None))
     return engine
 

@@ -17,7 +17,7 @@ from paho.mqtt import publish
 from clutch_results.records import Condition
 from fleet_backend.database import open_database
 from fleet_backend.intake import MessageKind
-from fleet_backend.rows import Poison, quarantine_row
+from fleet_backend.rows import quarantine_row
 from fleet_backend.writer import Batch, Writer
 from tests.plugins.broker import Mosquitto
 from tests.support.fleet import NOW, fleet_result, message_of, row_of
@@ -115,8 +115,9 @@ def test_pages_and_watch_tell_how_large_the_fleet_is(postgres_url: str, words: t
     Writer(engine).store(
         Batch(shifts=[row_of(fleet_result(1, vehicle=str(one), condition=one)) for one in (Condition.GOOD, WORN)])
     )
-    poison = Poison(topic="t", vehicle="car1", payload=b"x", reason="schema", detail="")
-    Writer(engine).store(Batch(quarantined=[quarantine_row(poison, NOW)]))
+    Writer(engine).store(
+        Batch(quarantined=[quarantine_row(NOW, topic="t", vehicle="car1", payload=b"x", reason="schema", detail="")])
+    )
     engine.dispose()
     with program(*words, "--database", postgres_url) as port:
         wanted = "clutchdiag_watch_round_timestamp_seconds" if words[0] == "watch" else "clutchdiag_fleet_vehicles"

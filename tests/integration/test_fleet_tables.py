@@ -12,7 +12,7 @@ import pytest
 from clutch_results.records import Condition
 from fleet_backend.cli import main
 from fleet_backend.database import open_database
-from fleet_backend.rows import Poison, quarantine_row
+from fleet_backend.rows import quarantine_row
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
 
@@ -27,9 +27,17 @@ def _database(sqlite_url: str) -> str:
     rows = [row_of(fleet_result(seq, vehicle=VIN, condition=Condition.CHANGE_FLUID)) for seq in (1, 2, 3)]
     rows += [row_of(fleet_result(1, vehicle=name)) for name in (LONGEST, "taxi-1", "taxi-2")]
     detail = "not of the schema:\tdata.estimate [bold]\x1b[31m\nsecond line \udc80"
-    poison = Poison(topic=f"clutchdiag/v1/{VIN}/shift", vehicle=VIN, payload=b"{", reason="identity", detail=detail)
     now = datetime.now(UTC)
-    Writer(engine).store(Batch(shifts=rows, quarantined=[quarantine_row(poison, now)]))
+    Writer(engine).store(
+        Batch(
+            shifts=rows,
+            quarantined=[
+                quarantine_row(
+                    now, topic=f"clutchdiag/v1/{VIN}/shift", vehicle=VIN, payload=b"{", reason="identity", detail=detail
+                )
+            ],
+        )
+    )
     engine.dispose()
     return sqlite_url
 

@@ -23,7 +23,7 @@ from fleet_backend.page.queries import DatabaseSource
 from fleet_backend.page.routes import routes
 from fleet_backend.page.server import address_of, closing_socket, server_of
 from fleet_backend.page.site import Sources, application
-from fleet_backend.rows import Poison, quarantine_row
+from fleet_backend.rows import quarantine_row
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import NOW, fleet_result, row_of
 from tests.support.histories import history
@@ -83,10 +83,21 @@ def fill_database(engine: Engine) -> None:
     """Store a vehicle that ages, one with an alarm, one that is good, new fluid, and poison with markup."""
     worn = [fleet_result(seq, vehicle="worn", condition=Condition.CHANGE_FLUID) for seq in range(1, 5)]
     rows = [row_of(one) for one in (*history(60), *worn, fleet_result(1, vehicle="good.1"))]
-    poison = Poison(
-        topic="clutchdiag/v1/worn/shift", vehicle="worn", payload=MARKUP.encode(), reason="schema", detail=MARKUP
+    Writer(engine).store(
+        Batch(
+            shifts=rows,
+            quarantined=[
+                quarantine_row(
+                    NOW,
+                    topic="clutchdiag/v1/worn/shift",
+                    vehicle="worn",
+                    payload=MARKUP.encode(),
+                    reason="schema",
+                    detail=MARKUP,
+                )
+            ],
+        )
     )
-    Writer(engine).store(Batch(shifts=rows, quarantined=[quarantine_row(poison, NOW)]))
     queries.note_fill(engine, "car1", FLUID, at=datetime(2026, 1, 1, 0, 1, tzinfo=UTC), odometer_m=1.5e4, note=MARKUP)
 
 

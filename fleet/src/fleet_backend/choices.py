@@ -16,11 +16,6 @@ class TrendAxis(StrEnum):
     ODOMETER = "odometer"
     DATE = "date"
 
-    @property
-    def column(self) -> str:
-        """The column of the view ``clutch_trend``."""
-        return {TrendAxis.SHIFT: "shift_number", TrendAxis.ODOMETER: "odometer_m", TrendAxis.DATE: "end_at"}[self]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quotas:

@@ -102,7 +102,7 @@ class Follower:
                 text = dump(event.data) if self._is_json else line_of(event)
                 sys.stdout.write(text + "\n")
         except ContractError as exc:
-            self.left_out[type(exc).__name__.removesuffix("Error").lower()] += 1
+            self.left_out[exc.reason] += 1
             _LOG.warning("left out: %s", exc)
         sys.stdout.flush()
 

@@ -22,7 +22,6 @@ from typing import Final, Protocol, TypeVar
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, DatabaseAwayError, RowRefusedError
 from fleet_backend.intake import (
-    IDENTITY_REASON,
     INGESTED,
     MessageKind,
     Received,
@@ -33,7 +32,7 @@ from fleet_backend.intake import (
     vehicles_there,
 )
 from fleet_backend.writer import Batch, Identity, identity_of
-from fleet_contract import Channel, JsonObject, Outgoing, ack_messages, filter_of, fluid_message
+from fleet_contract import Channel, IdentityError, JsonObject, Outgoing, ack_messages, filter_of, fluid_message
 from fleet_link import BrokerAddress, Connection, JetStream, LinkDownError, LinkError, Message, Terms
 from fleet_link.jetstream import STREAM, subject_of
 
@@ -282,7 +281,9 @@ class Worker:
 
 def _warn_of_strangers(received: Sequence[Received]) -> None:
     """Log messages whose sender is not the vehicle that they name; ``fleet-backend alarms`` lists them, too."""
-    strangers = [item for item in received if item.kind is MessageKind.POISON and item.row["reason"] == IDENTITY_REASON]
+    strangers = [
+        item for item in received if item.kind is MessageKind.POISON and item.row["reason"] == IdentityError.reason
+    ]
     if strangers:
         row = strangers[0].row
         _LOG.warning(

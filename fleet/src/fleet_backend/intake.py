@@ -8,7 +8,6 @@ from types import MappingProxyType
 from typing import Final
 
 from fleet_backend.rows import (
-    Poison,
     Row,
     calibration_rows,
     controller_row,
@@ -26,12 +25,9 @@ from fleet_contract import (
     Address,
     Channel,
     ContractError,
-    IdentityError,
-    MalformedError,
     Outcome,
     Receipt,
     ResultKey,
-    TopicError,
     bundled_events,
     key_of,
     parse_object,
@@ -44,7 +40,6 @@ INGESTED: Final = (
     *(Channel.SHIFT, Channel.BUNDLE, Channel.STATUS),
     *(Channel.METRICS, Channel.CONTROLLER, Channel.FLUID),
 )
-IDENTITY_REASON: Final = "identity"  # of the view identity_alarm too
 _BUNDLE_END: Final = f"/{Channel.BUNDLE.label}"
 CLOCK_ERROR: Final = timedelta(days=1)  # of a vehicle; a moment that is farther ahead is none
 _LONGEST_KEY_PART: Final = 128  # what an acknowledgement can carry
@@ -95,7 +90,7 @@ def receive_all(message: Message, received_at: datetime) -> list[Received]:
         address = Address(vehicle=parse_topic(message.topic).vehicle, channel=Channel.SHIFT)
         events = bundled_events(message.payload)
     except ContractError as exc:
-        return [refuse(message, _reason_of(exc), str(exc), received_at)]
+        return [refuse(message, exc.reason, str(exc), received_at)]
     topic, number = address.topic, message.packet_id
     return [_receive(Message(topic=topic, payload=event, packet_id=number), address, received_at) for event in events]
 
@@ -105,7 +100,7 @@ def receive(message: Message, received_at: datetime) -> Received:
     try:
         address = parse_topic(message.topic)
     except ContractError as exc:
-        return refuse(message, _reason_of(exc), str(exc), received_at)
+        return refuse(message, exc.reason, str(exc), received_at)
     return _receive(message, address, received_at)
 
 
@@ -113,7 +108,7 @@ def _receive(message: Message, address: Address, received_at: datetime) -> Recei
     try:
         incoming = read_event(address, message.payload)
     except ContractError as exc:
-        return refuse(message, _reason_of(exc), str(exc), received_at)
+        return refuse(message, exc.reason, str(exc), received_at)
     channel, data = address.channel, incoming.data
     if channel is Channel.SHIFT and incoming.key is not None:
         row, revisions = shift_row(data), revision_rows(data)
@@ -136,16 +131,10 @@ def _receive(message: Message, address: Address, received_at: datetime) -> Recei
 def refuse(message: Message, reason: str, detail: str, received_at: datetime) -> Received:
     """Return a message as poison; its sender hears of it if the message can still be told from others."""
     address = _address(message.topic)
-    poison = Poison(
-        topic=message.topic,
-        vehicle=None if address is None else address.vehicle,
-        payload=message.payload,
-        reason=reason,
-        detail=detail,
-    )
-    key = None if address is None else _readable_key(address, message.payload)
+    vehicle, key = (None, None) if address is None else (address.vehicle, _readable_key(address, message.payload))
+    row = quarantine_row(received_at, message.topic, vehicle, message.payload, reason=reason, detail=detail)
     receipt = None if key is None else Receipt(key=key, outcome=Outcome.QUARANTINED, reason=f"{reason}: {detail}")
-    return Received(message=message, kind=MessageKind.POISON, row=quarantine_row(poison, received_at), receipt=receipt)
+    return Received(message=message, kind=MessageKind.POISON, row=row, receipt=receipt)
 
 
 def batch_of(received: Sequence[Received]) -> Batch:
@@ -186,13 +175,6 @@ def vehicles_there(received: Iterable[Received]) -> tuple[set[str], set[str]]:
 def _is_of_logs(item: Received) -> bool:
     """Return whether the status is that of an analysis, which no service keeps up to date."""
     return item.row["connected_at"] == moment(NEVER)
-
-
-def _reason_of(exc: ContractError) -> str:
-    for kind, reason in ((TopicError, "topic"), (MalformedError, "malformed"), (IdentityError, IDENTITY_REASON)):
-        if isinstance(exc, kind):
-            return reason
-    return "schema"
 
 
 def _address(topic: str) -> Address | None:

@@ -165,12 +165,6 @@ CLUTCH_TREND: Final = _view(
     *("algorithm_version", "calibration_version", "kind"),
 )
 
-IDENTITY_ALARM: Final = _view("identity_alarm", "vehicle", "raised_at", "last_at", "message_count", "reason")
-
-LAST_SEEN: Final = _view(
-    "last_seen", "vehicle", "is_online", "connected_at", "service_version", "metrics_at", "last_result_at"
-)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableHash:
@@ -221,7 +215,8 @@ def check_vehicle(engine: Engine, vehicle: str) -> None:
 def trend(engine: Engine, vehicle: str, clutch: int, axis: TrendAxis) -> Sequence[Record]:
     """Return the valid estimates of a clutch in the order of an axis; without an odometer none on that axis."""
     table = CLUTCH_TREND
-    along = table.c[axis.column]
+    columns = {TrendAxis.SHIFT: "shift_number", TrendAxis.ODOMETER: "odometer_m", TrendAxis.DATE: "end_at"}
+    along = table.c[columns[axis]]
     return _records(
         engine,
         select(table)
@@ -237,7 +232,8 @@ def clutch_name(engine: Engine, vehicle: str, clutch: int) -> str:
 
 def identity_alarms(engine: Engine) -> Sequence[Record]:
     """Return who is pretended to be, as long as nobody has acknowledged it."""
-    return _records(engine, select(IDENTITY_ALARM).order_by(IDENTITY_ALARM.c.last_at.desc()))
+    view = _view("identity_alarm", "vehicle", "raised_at", "last_at", "message_count", "reason")
+    return _records(engine, select(view).order_by(view.c.last_at.desc()))
 
 
 def acknowledge_quarantine(engine: Engine, vehicle: str, *, by: str, at: datetime) -> int:
@@ -271,8 +267,9 @@ def purge_quarantine(engine: Engine, before: datetime, *, by: str, at: datetime)
 
 def last_seen(engine: Engine) -> Sequence[Record]:
     """Return when each vehicle was heard of, the longest silence first."""
-    table = LAST_SEEN
-    return _records(engine, select(table).order_by(table.c.last_result_at, table.c.vehicle))
+    names = ("vehicle", "is_online", "connected_at", "service_version", "metrics_at", "last_result_at")
+    view = _view("last_seen", *names)
+    return _records(engine, select(view).order_by(view.c.last_result_at, view.c.vehicle))
 
 
 def trouble_codes(engine: Engine) -> Sequence[Record]:

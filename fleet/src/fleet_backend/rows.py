@@ -3,7 +3,6 @@
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
 from hashlib import blake2b, sha256
@@ -75,17 +74,6 @@ _SHOWN_CAUSES: Final = 3
 _HEAD_LENGTH: Final = 2048
 _DETAIL_LENGTH: Final = 500
 _LONGEST_TEXT: Final = 200  # of a fill in a message
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Poison:
-    """A message that cannot be used."""
-
-    topic: str
-    vehicle: str | None
-    payload: bytes
-    reason: str
-    detail: str
 
 
 def shift_row(data: Data) -> Row:
@@ -200,17 +188,18 @@ def controller_row(data: Data) -> Row:
     return {"vehicle": data["vehicle"], "controller": report, "controller_at": moment(data["produced_at"])}
 
 
-def quarantine_row(poison: Poison, received_at: datetime) -> Row:
+def quarantine_row(
+    received_at: datetime, topic: str, vehicle: str | None, payload: bytes, *, reason: str, detail: str
+) -> Row:
     """Return the row that keeps a poison message aside: enough to find its cause, never all of a large one."""
-    digest = sha256(poison.topic.encode("utf-8", "replace") + b"\0" + poison.payload).hexdigest()
     return {
-        "digest": digest,
-        "topic": _shown(poison.topic)[:_DETAIL_LENGTH],
-        "vehicle": poison.vehicle,
-        "reason": poison.reason,
-        "detail": _shown(poison.detail)[:_DETAIL_LENGTH],
-        "size_bytes": len(poison.payload),
-        "head": _shown(poison.payload[:_HEAD_LENGTH].decode("utf-8", "backslashreplace")),
+        "digest": sha256(topic.encode("utf-8", "replace") + b"\0" + payload).hexdigest(),
+        "topic": _shown(topic)[:_DETAIL_LENGTH],
+        "vehicle": vehicle,
+        "reason": reason,
+        "detail": _shown(detail)[:_DETAIL_LENGTH],
+        "size_bytes": len(payload),
+        "head": _shown(payload[:_HEAD_LENGTH].decode("utf-8", "backslashreplace")),
         "received_at": received_at,
     }
 

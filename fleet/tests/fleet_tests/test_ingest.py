@@ -17,7 +17,7 @@ from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, RowRefusedError
 from fleet_backend.ingest import Worker
 from fleet_backend.intake import MessageKind, Received, receive, receive_all
-from fleet_backend.rows import CONTENT, Poison, content_digest, moment, quarantine_row, shift_row
+from fleet_backend.rows import CONTENT, content_digest, moment, quarantine_row, shift_row
 from fleet_backend.schema import FRICTION_COLUMNS
 from fleet_backend.writer import Batch, Identity
 from fleet_contract import JsonObject, Outgoing, bundle_messages, read_message, shift_message, takes_bundles
@@ -219,8 +219,7 @@ ROW = row_of(fleet_result())
 
 @given(st.binary(max_size=200), st.text(max_size=50))
 def test_whatever_came_is_kept_in_printable_text(payload: bytes, detail: str) -> None:
-    poison = Poison(topic=f"x/{detail}", vehicle=None, payload=payload, reason="malformed", detail=detail)
-    row = quarantine_row(poison, NOW)
+    row = quarantine_row(NOW, topic=f"x/{detail}", vehicle=None, payload=payload, reason="malformed", detail=detail)
     for name in ("topic", "detail", "head"):
         text = str(row[name])
         assert text.isprintable()

@@ -70,25 +70,16 @@ class Access:
         if not hmac.compare_digest(secret, self.proxy.secret.encode()):
             raise LoginError("this request did not come through the login proxy")
         name = headers.get(self.proxy.user_header, "")
-        if not is_name(name):
+        if not 0 < len(name) <= _LONGEST_NAME or not name.isprintable():
             raise LoginError("the proxy did not name the user")
-        return Viewer(name=name, role=self.role_of(name), token=self.token_of(name))
-
-    def role_of(self, name: str) -> UserRole:
-        """Return what somebody may do; raises ForbiddenError if nothing."""
         role = self.roles.get(name.casefold(), self.roles.get(ANYBODY))
-        if role is None or not is_name(name):
-            raise ForbiddenError(f"{name[:_LONGEST_NAME]} has no role here")
-        return role
+        if role is None:
+            raise ForbiddenError(f"{name} has no role here")
+        return Viewer(name=name, role=role, token=self.token_of(name))
 
     def token_of(self, name: str) -> str:
         """Return what goes with every change that somebody asks for."""
         return hmac.new(self.key, name.encode(), hashlib.sha256).hexdigest()
-
-
-def is_name(name: str) -> bool:
-    """Return whether this can be the name of somebody."""
-    return 0 < len(name) <= _LONGEST_NAME and name.isprintable()
 
 
 _LEAST_SECRET: Final = 24

@@ -93,12 +93,9 @@ class Keeper:
         self._dues_at = _NEVER
         self._dues_number = 0  # grows whenever one became different
         self._calendar: tuple[tuple[object, ...], Calendar] = ((), ((), ()))  # and of what
-        self._curves: dict[
-            tuple[str, int], tuple[tuple[object, ...], tuple[float, ...]]
-        ] = {}  # and the result up to which
-        self._done: tuple[int, datetime] | None = (
-            None  # snapshot and moment of the dues for which all was worked out ahead
-        )
+        # Levels, and the result up to which they are.
+        self._curves: dict[tuple[str, int], tuple[tuple[object, ...], tuple[float, ...]]] = {}
+        self._done: tuple[int, datetime] | None = None  # snapshot and dues for which all was worked out ahead
         self.complaint: str | None = None  # why the snapshot is older than it should be
 
     def refresh(self) -> bool:
@@ -211,7 +208,7 @@ class Keeper:
             return
         for worst in self.snapshot.worst:
             vehicle, clutches, last = worst.vehicle, self.snapshot.vehicles[worst.vehicle], (worst.stream, worst.seq)
-            is_stale = any(map(self._is_stale, clutches))
+            is_stale = any((row := self.foretold(now)) is None or row.get("of", now) != now for now in clutches)
             if is_stale:
                 rows = foretold_now(self._source.engine, clutches, latest_population(self._source.engine))
                 for now, row in zip(clutches, rows, strict=True):
@@ -223,10 +220,6 @@ class Keeper:
             if (is_stale or is_old) and time.monotonic() >= end_s:
                 return
         self._done = mark
-
-    def _is_stale(self, now: ClutchNow) -> bool:
-        row = self.foretold(now)
-        return row is None or row.get("of", now) != now
 
     def _soon(self, now: datetime) -> frozenset[str]:
         """Return the vehicles whose fluid is due within a month, more probably than not."""
