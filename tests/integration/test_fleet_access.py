@@ -15,7 +15,19 @@ from fleet_backend.office_tables import ALARM, AUDIT
 from fleet_backend.page.access import UserRole, read_access
 from fleet_backend.page.routes import PAGES, routes
 from fleet_backend.page.site import application
-from tests.support.fleet_page import ACCESS, MARKUP, SECRET, fill_database, headers_of, raise_alarms, served, sources_of
+from fleet_backend.writer import Batch, Writer
+from tests.support.fleet import fleet_result, row_of
+from tests.support.fleet_page import (
+    ACCESS,
+    MARKUP,
+    SECRET,
+    asked,
+    fill_database,
+    headers_of,
+    raise_alarms,
+    served,
+    sources_of,
+)
 from tests.support.patience import HANG_S
 
 ALARM_WORDS = {"vehicle": "worn", "clutch": "2", "rule": "verdict", "number": "1"}
@@ -102,6 +114,28 @@ async def test_a_form_that_breaks_off_is_no_error_of_the_server(sqlite_url: str)
 )
 def test_who_comes_past_the_proxy_is_nobody(site: httpx.Client, headers: dict[str, str]) -> None:
     assert site.get("/", headers=headers).status_code == 401
+
+
+def test_a_page_that_is_kept_is_shown_to_whom_it_was_drawn_for(site: httpx.Client) -> None:
+    for _ in range(2):
+        for path in ("/", "/maintenance"):
+            pages = {name: site.get(path, headers=headers_of(name)).text for name in ("ann", "bob", "eve")}
+            for name, page in pages.items():
+                assert [other for other in pages if f"<p>{other} (" in page] == [name], path
+
+
+def test_a_list_is_drawn_once_for_each_reading_of_the_fleet(sqlite_url: str) -> None:
+    engine = open_database(sqlite_url)
+    fill_database(engine)
+    sources = sources_of(engine)
+    first, again = asked(sources, "/", "/")
+    assert (first.text, len(sources.keeper.snapshot.drawn)) == (again.text, 1)
+    Writer(engine).store(Batch(shifts=[row_of(fleet_result(1, vehicle="new"))]))
+    sources.keeper.refresh()
+    assert sources.keeper.snapshot.drawn == {}
+    (later,) = asked(sources, "/")
+    assert ("/vehicles/new" in first.text, "/vehicles/new" in later.text) == (False, True)
+    engine.dispose()
 
 
 def test_who_is_named_twice_is_nobody(site: httpx.Client) -> None:

@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO
+from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, level_at
 from clutch_results.prognosis import History, Outlook, Prognosis, history_of, prognose
 from clutch_results.prognosis.assumptions import KNEE_PROBABILITY, LOAD_LOG_STD, MARGIN_OF_NEW
 from clutch_results.prognosis.channels import DISTANCE_M, ChannelName, channels_of, clocks_of
-from clutch_results.prognosis.prognosis import Reach
+from clutch_results.prognosis.fluid_lives import either
+from clutch_results.prognosis.prognosis import Reach, forecast
 from clutch_results.prognosis.trend import AgedChannel, Future, aged, gram_matrices, passage
 from clutch_results.records import FluidFill, ShiftResult, utc_from_bus_ns
 from tests.support.builders import at
@@ -210,6 +211,22 @@ def test_a_well_known_fall_passes_where_the_line_does() -> None:
     assert p10_m is not None
     assert p90_m is not None
     assert p10_m < median_m < p90_m < 1.05 * 5.0e7
+
+
+@pytest.mark.parametrize("until", [0.9, 0.4, 0.05])
+def test_a_forecast_is_that_of_all_limits_at_all_distances(until: float) -> None:
+    prognosis = prognose(1, past(ageing(COUNT, until=until), step_m=STEP_M), REFERENCE)
+    drawn = forecast(prognosis, 1.0e8)
+    assert drawn is not None
+    assert prognosis.life is not None
+    lefts = np.linspace(-0.2, 1.2, 36)
+    passed = [either(prognosis.life, left, level_at(left)).probability for left in lefts.tolist()]
+    columns = np.maximum.accumulate(passed).T[np.isin(DISTANCE_M, drawn.distance_m)]
+    every = np.transpose([np.interp((0.1, 0.5, 0.9), column, lefts) for column in columns])
+    np.testing.assert_allclose(drawn.quantiles, every, rtol=0.0, atol=1e-6)
+    assert drawn.distance_m[0] == 0.0
+    assert 9.0e7 < drawn.distance_m[-1] <= 1.0e8
+    assert 30 <= len(drawn.distance_m) <= 93
 
 
 @given(
