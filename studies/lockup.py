@@ -119,7 +119,7 @@ def driven(case: LockupCase) -> list[LockupOutcome]:
     car = drawn_car(rng, case.fluid, calibration)
     found = drive(car, rng, case.minutes, calibration)
     finder, estimator = SlipFinder(calibration), LockupEstimator(calibration)
-    state, memory = LockupState.fresh(calibration), ConditionMemory.fresh()
+    state, memory = LockupState.fresh(calibration), ConditionMemory()
     told = []
     for event in [one for batch in batches(found.columns) for one in finder.feed(batch)] + finder.flush():
         state, estimate, swings = estimator.estimate(event, state)

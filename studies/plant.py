@@ -15,6 +15,7 @@ from ecu_emulator.plant.parameters import nominal_parameters
 from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.plant.state import Col
 from studies import bars
+from studies.power_balance import power_balance
 from studies.run import parsed, study_parser
 
 CALIBRATION = nominal_calibration()
@@ -29,13 +30,13 @@ def train(dt_s: float) -> Powertrain:
     return Powertrain(CALIBRATION, PARAMETERS, DriveSettings(dt_s=dt_s))
 
 
-def power_balance(console: Console) -> None:
+def show_power_balance(console: Console) -> None:
     audited = train(DriveSettings().dt_s)
     audited.audit()
     rows = audited.advance(CYCLE_LIMIT_S)
     gears = rows[:, Col.CURRENT_GEAR]
     console.print(f"nominal cycle: {np.count_nonzero(np.diff(gears))} shifts, {rows[-1, Col.T_S]:.2f} s")
-    balance = audited.power_balance
+    balance = power_balance(audited)
     console.print(
         f"power balance: {balance.engine_absolute_j / 1e3:.0f} kJ through the crankshaft, "
         f"residual {balance.residual_ratio:.1e}; clutch heat {balance.clutch_j / 1e3:.1f} kJ, "
@@ -71,7 +72,7 @@ def main() -> None:
     parsed(study_parser(__doc__, is_parallel=False))
     console = Console(markup=False)  # units stand in brackets
     train(DriveSettings().dt_s).advance(0.01)  # compiles, or loads the cache
-    power_balance(console)
+    show_power_balance(console)
     step_halving(console)
     speed(console)
 

@@ -13,7 +13,7 @@ from clutch_model.calibration import clutch_of_gear
 from clutch_model.errors import CalibrationError, DomainError
 from clutch_model.tables import require
 from ecu_emulator.plant import state as at
-from ecu_emulator.plant.audit import ACCOUNT_COUNT, PowerBalance, power_balance
+from ecu_emulator.plant.audit import ACCOUNT_COUNT
 from ecu_emulator.plant.clutch import refresh_contact
 from ecu_emulator.plant.driveline import throttle_flow_kg_s
 from ecu_emulator.plant.integration import Machine, workspace
@@ -258,14 +258,12 @@ class MachineCourse:
         self._drive_law = law
 
     def audit(self) -> None:
-        """Keep an account of the energies from now on, which costs a few percent of speed; see `power_balance`."""
+        """Keep an account of the energies from now on, which costs a few percent of speed."""
         work = self._machine.work._replace(account=np.zeros(3 * ACCOUNT_COUNT))
         self._machine = self._machine._replace(work=work)
         self._start = self._machine.y.copy()
 
     @property
-    def power_balance(self) -> PowerBalance:
-        """Energies since `audit` was called; raises DomainError if it was not."""
-        if self._machine.work.account.size == 0:
-            raise DomainError("there is a power balance only of what is audited")
-        return power_balance(self._machine.work.account, self._start, self._machine.y, self._drive_law.plant)
+    def account(self) -> tuple[FloatArray, FloatArray, FloatArray, PlantLaw]:
+        """The account since `audit` was called, the state then and now, and the law."""
+        return self._machine.work.account, self._start, self._machine.y, self._drive_law.plant

@@ -14,6 +14,7 @@ from ecu_emulator.plant.parameters import nominal_parameters
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.scenario import FluidCondition
 from ecu_emulator.truth import SHUDDER_HZ, ShudderTruth, ShudderWatcher
+from studies.power_balance import power_balance
 from tests.unit.ecu_emulator.driving.drives import WARM_K, conditions, trace
 
 COUNTRY = trace((0, 0), (2, 0), (14, 16), (30, 22), (44, 26), (50, 26), (58, 14), (66, 0), (68, 0))
@@ -51,7 +52,7 @@ def slip_rad_s(rows: FloatArray) -> FloatArray:
 
 
 def test_no_energy_appears_or_gets_lost(audited: tuple[Trip, FloatArray]) -> None:
-    balance = audited[0].power_balance
+    balance = power_balance(audited[0])
     assert abs(balance.residual_ratio) < 1e-6
     assert abs(balance.heat_residual_ratio) < 1e-6
     assert balance.converter_j > balance.clutch_j > 0.0

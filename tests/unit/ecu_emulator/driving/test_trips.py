@@ -22,6 +22,7 @@ from ecu_emulator.driving.traffic import SpeedTrace, public_trace
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario import DriveName
+from studies.power_balance import power_balance
 from tests.support.tolerance import share_within_tolerance
 from tests.unit.ecu_emulator.driving.drives import trace, trip
 
@@ -107,7 +108,7 @@ def test_the_car_keeps_to_its_trace_warm_and_cold(
 
 def test_no_energy_appears_or_gets_lost(audited: tuple[Trip, FloatArray]) -> None:
     whole, _ = audited
-    balance = whole.power_balance
+    balance = power_balance(whole)
     assert abs(balance.residual_ratio) < 1.0e-6
     assert abs(balance.heat_residual_ratio) < 1.0e-6
     assert balance.clutch_j > 5.0e3
