@@ -221,11 +221,6 @@ def film_mobility_m(film_m: float, law: FilmLaw) -> float:
 
 
 @part
-def _squeezed_m_s(net_pa: float, mobility_m: float, viscosity: float) -> float:
-    return -net_pa * mobility_m / viscosity
-
-
-@part
 def film_rate_m_s(film_m: float, applied_pa: float, viscosity: float, is_closed: bool, law: FilmLaw) -> float:  # noqa: FBT001 - a kernel takes its arguments by position
     """Return the rate of the film [m/s], opening included; docs/model.md eq. (7) with its opening rule.
 
@@ -260,7 +255,7 @@ def _closed_rate_m_s(
 ) -> float:
     """Return `film_rate_m_s` of a pack whose piston has taken up its stroke, by what its asperities carry."""
     springs_pa = law.separation_pressure_pa * (1.0 - film_m / law.open_gap_m)
-    squeezed_m_s = _squeezed_m_s(applied_pa - springs_pa - contact_pa, mobility_m, viscosity)
+    squeezed_m_s = -(applied_pa - springs_pa - contact_pa) * mobility_m / viscosity
     return min(squeezed_m_s, _opening_m_s(film_m, law))
 
 

@@ -45,11 +45,7 @@ class EventKind(StrEnum):
 
 
 SLIPS_IN_GEAR: Final = frozenset({EventKind.LAUNCH, EventKind.CREEP, EventKind.CLOSING, EventKind.SLIP})
-
-
 _OTHERS: Final = {EventKind.REGEAR, EventKind.MICRO_SLIP, EventKind.RUN_UP_OPEN, EventKind.RUN_UP_CLOSED}
-
-
 GEAR_CHANGES: Final = frozenset(EventKind) - SLIPS_IN_GEAR - _OTHERS  # from one clutch to the other
 
 

@@ -257,13 +257,9 @@ def curve_picture(
     what = "friction coefficient over slip speed, estimate with band, new fluid, thresholds"
     y = Axis.around("friction coefficient", new, low, high, levels)
     plot = Plot(f"{title_of(clutch, element)}: {what}", x, y, width=size[0], height=size[1])
-    _draw_thresholds(plot, reference.mu_c)
+    for ratio, style in _THRESHOLDS:
+        plot.level(ratio * reference.mu_c, style, f"{style}: {100.0 * ratio:.0f} %")
     plot.line(slip_rpm, new, "line new dashed")
     plot.band(slip_rpm, low, high, f"band clutch{clutch}")
     plot.line(slip_rpm, mean, f"line strong clutch{clutch}")
     return plot.markup()
-
-
-def _draw_thresholds(plot: Plot, new_mu_c: float) -> None:
-    for ratio, style in _THRESHOLDS:
-        plot.level(ratio * new_mu_c, style, f"{style}: {100.0 * ratio:.0f} %")

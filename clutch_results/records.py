@@ -19,7 +19,6 @@ from typing import Any, Final, Self, TypeVar
 import msgspec
 import numpy as np
 
-from canlog.arrays import FloatArray
 from clutch_model.calibration import TorqueSource
 from clutch_results.event_kinds import EndReason, EventKind, MicroSlip, ShiftIndices, ShiftQuality
 from clutchdiag_io.program import legible_record
@@ -33,7 +32,7 @@ LEAST_SLIP_ROWS = 5  # of a table, in a slip phase: three numbers of the balance
 
 def to_plain(record: object) -> JsonObject:
     """Return the fields of a record as plain values; floats survive the round trip bit by bit."""
-    plain = msgspec.to_builtins(record, enc_hook=_array_to_list)
+    plain = msgspec.to_builtins(record, enc_hook=lambda v: dict(v) if isinstance(v, Mapping) else v.tolist())
     return {key: list(value) if isinstance(value, tuple) else value for key, value in plain.items()}
 
 
@@ -42,15 +41,7 @@ def from_plain(table: object, kind: type[RecordT]) -> RecordT:
 
     Raises ValueError, which says which value cannot be one of the record.
     """
-    return msgspec.convert(table, kind, dec_hook=_list_to_array)
-
-
-def _array_to_list(value: FloatArray | Mapping[object, object]) -> object:
-    return dict(value) if isinstance(value, Mapping) else value.tolist()
-
-
-def _list_to_array(_: type, value: object) -> FloatArray:
-    return np.array(value, dtype=np.float64)
+    return msgspec.convert(table, kind, dec_hook=lambda _, value: np.array(value, np.float64))
 
 
 class Tier(IntEnum):

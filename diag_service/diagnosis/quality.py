@@ -320,11 +320,13 @@ def plausibility_faults(event: Event, signals: AlignedSignals, clutch: SlippingC
     """Return why the signals of a shift, once put on one clock, cannot all be true; empty if they can."""
     apart_rad_s = signals.speeds_apart_rad_s
     is_change = event.from_gear != event.to_gear
+    start = signals.grid_s.searchsorted(0.0)  # before a launch the engine may be started
+    at_hub_rad_s = signals.engine_speed.on_grid[start:] - signals.hub_speed.on_grid[start:]  # tied by a torsion damper
     most_at_hub_rad_s = LIMITS.speeds_rad_s if is_change else LIMITS.launch_speeds_rad_s
     faults = {
         Reason.SENSOR_FROZEN: any(is_frozen(event.columns[signal], signal) for signal in BALANCE_SIGNALS),
         Reason.SPEEDS_DISAGREE: speed_gap_rad_s(event, signals, clutch) > LIMITS.speeds_rad_s + apart_rad_s
-        or hub_gap_rad_s(signals) > most_at_hub_rad_s + apart_rad_s,
+        or _largest_mean(at_hub_rad_s, LIMITS.speeds_mean_s) > most_at_hub_rad_s + apart_rad_s,
         Reason.PRESSURE_OFF_COMMAND: _misses_command(signals, clutch),
     }
     return tuple(reason for reason, is_there in faults.items() if is_there)
@@ -377,13 +379,6 @@ def speed_gap_rad_s(event: Event, signals: AlignedSignals, clutch: SlippingClutc
         is_settling = abs(float(closed[middle:].mean() - closed[:middle].mean())) > LIMITS.settling_rad_s
         gaps.append(0.0 if is_settling else abs(float(closed.mean())))
     return max(gaps, default=0.0)
-
-
-def hub_gap_rad_s(signals: AlignedSignals) -> float:
-    """Return the largest mean difference [rad/s] between engine and hub, which a torsion damper ties together."""
-    start = signals.grid_s.searchsorted(0.0)  # before a launch the engine may be started
-    apart_rad_s = signals.engine_speed.on_grid[start:] - signals.hub_speed.on_grid[start:]
-    return _largest_mean(apart_rad_s, LIMITS.speeds_mean_s)
 
 
 def geared_stretches(event: Event, grid_s: FloatArray, clutch: SlippingClutch) -> list[slice]:

@@ -40,7 +40,7 @@ class Belief:
     """All that is believed of a vehicle after its events so far; one record, which a store keeps."""
 
     state: Posterior | LockupState
-    memory: ConditionMemory = field(default_factory=ConditionMemory.fresh)
+    memory: ConditionMemory = field(default_factory=ConditionMemory)
     since_ns: int | None = None  # start of the first event that the state rests on; None: not known
     meaning: SignalMeaning = field(default_factory=SignalMeaning)  # of this run: no store keeps it
 
@@ -303,7 +303,7 @@ class Stages:
 
     def conclude_of_earlier_fluid(self, event: Event) -> Diagnosis:
         """Diagnose an event of a fluid before the present one by itself; what is believed of the present one stays."""
-        unknown = replace(self.element.with_new_fluid(self.belief, ""), memory=ConditionMemory.fresh())
+        unknown = replace(self.element.with_new_fluid(self.belief, ""), memory=ConditionMemory())
         diagnosis = self.element.conclude(unknown, event)
         self.belief = replace(self.belief, meaning=diagnosis.belief.meaning)
         return replace(diagnosis, belief=self.belief)

@@ -236,11 +236,6 @@ class ConditionMemory:
     course: VehicleCourse = field(default_factory=VehicleCourse)  # of all that causes are told by
     refused: tuple[int, int] = (0, 0)  # of each clutch, since one could be used: sensors contradicted each other
 
-    @classmethod
-    def fresh(cls) -> Self:
-        """Return the memory of a vehicle not judged before."""
-        return cls()
-
     def with_new_fluid(self, filled_at: str, old: Posterior | None = None) -> Self:
         """Return the memory after a fluid fill: no verdict yet, and what contradicted the old fluid is forgotten.
 

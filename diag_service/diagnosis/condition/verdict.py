@@ -332,7 +332,9 @@ def decide(  # noqa: PLR0911 - each rule may end it
     if (bad := _standing(Condition.WATCH, watch, watch_at, previous, previous_cause, facts)) is not None:
         return bad
     is_sure = margin.stdev <= SURE_MARGIN_STD_RATIO * reference_margin
-    if not is_sure and _may_be_thin(own_thin, common_thin, previous):
+    may_be_thin = own_thin > (LEAVE_PROBABILITY if previous is Condition.GOOD else THIN_PROBABILITY)
+    may_be_thin |= common_thin > COMMON_THIN_PROBABILITY and previous is not Condition.GOOD
+    if not is_sure and may_be_thin:  # too likely to be called good, by its own clutch or by both together
         by_either = max(own_thin, common_thin)
         return nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({likely(by_either)}): {facts}")
     if launches.speak:
@@ -383,13 +385,6 @@ def decide_up_to_scale(
     if (bad := _standing(Condition.WATCH, watch, watch_at, previous, previous_cause, facts)) is not None:
         return bad
     return nothing(Silence.LEVEL_UNKNOWN, f"engine torque is {slope.torque.replace('_', ' ')}, not measured: {facts}")
-
-
-def _may_be_thin(thin: float, common_thin: float, previous: Condition) -> bool:
-    """Return whether a margin is too likely thin to be called good, by its own clutch or by both together."""
-    if previous is Condition.GOOD:
-        return thin > LEAVE_PROBABILITY
-    return thin > THIN_PROBABILITY or common_thin > COMMON_THIN_PROBABILITY
 
 
 def _facts(friction: FrictionEstimate, level: NormalDist, since: FrictionTrend | None, told_by: str) -> str:

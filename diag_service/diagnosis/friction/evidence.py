@@ -240,11 +240,8 @@ class Evidence:
     @classmethod
     def of_readings(cls, rows: Sequence[int], reading: Sequence[float], variance: Sequence[float]) -> Self:
         """Return the evidence of independent readings of single parameters, in these rows, each with a variance."""
-        matrix, vector, value = (
-            np.zeros((PARAMETER_COUNT, PARAMETER_COUNT)),
-            np.zeros(PARAMETER_COUNT),
-            np.array(reading),
-        )
+        matrix, vector = np.zeros((PARAMETER_COUNT, PARAMETER_COUNT)), np.zeros(PARAMETER_COUNT)
+        value = np.array(reading)
         matrix[rows, rows], vector[rows] = 1.0 / np.array(variance), value / variance
         constant = float((value**2 / variance).sum())
         return cls(matrix=matrix, vector=vector, constant=constant, count=len(rows))

@@ -172,19 +172,9 @@ class FilmTrack(NamedTuple):
     contact_pa: FloatArray  # (n,) P_C
     viscous_nm: FloatArray  # (n,) T_V, sign of the slip
     open_nm: FloatArray  # (n,) the part of it that goes as the drag of an open pack does
-    doubt_nm: FloatArray  # (n,) standard deviation of the rest of it: how far the film of a closing pack is not known
+    doubt_nm: FloatArray  # (n,) standard deviation of the rest: how far the film of a closing pack is not known
     clutch_k: FloatArray  # (n,) temperature of the pack
     final_clutch_k: float
-
-
-class _Rows(NamedTuple):
-    """What the kernel fills of a `FilmTrack`."""
-
-    contact_pa: FloatArray
-    viscous_nm: FloatArray
-    open_nm: FloatArray
-    doubt_nm: FloatArray
-    clutch_k: FloatArray
 
 
 class _Pack(NamedTuple):
@@ -196,7 +186,7 @@ class _Pack(NamedTuple):
     piston_pa: FloatArray
     slip_rad_s: FloatArray
     open_drag_ratio: float
-    rows: _Rows
+    rows: FilmTrack
 
 
 class _State(NamedTuple):
@@ -247,7 +237,7 @@ def integrate_films(
     """
     length = len(drives[0].piston_pa)
     count = length if stop is None else min(stop, length)
-    rows_of_packs = np.empty((2, len(_Rows._fields), -(-count // step)))
+    rows_of_packs = np.empty((2, len(FilmTrack._fields) - 1, -(-count // step)))
     packs = [
         _Pack(
             law=law.film,
@@ -256,7 +246,7 @@ def integrate_films(
             piston_pa=np.ascontiguousarray(drive.piston_pa[0:count:step]),
             slip_rad_s=np.ascontiguousarray(drive.slip_rad_s[0:count:step]),
             open_drag_ratio=drive.open_drag_ratio,
-            rows=_Rows(*rows),
+            rows=FilmTrack._make((*rows, drive.clutch_k)),
         )
         for law, drive, rows in zip(laws, drives, rows_of_packs, strict=True)
     ]
@@ -309,7 +299,8 @@ def _warmed_k(pack: _Pack, k: int, at: _State, step_s: float) -> tuple[float, fl
     viscosity = viscosity_pa_s(at.clutch_k, heat.a_pa_s, heat.b_k, heat.pole_k)
     open_nm, closing_nm = film_torques_nm(slip, point.film_m, viscosity, point.shear, pack.open_drag_ratio, law)
     openness = _openness(point.film_m, law)
-    doubt = _doubt(openness, at.film_rate_1_s, pack.piston_pa[k], law)
+    is_hovering = openness > 0.0 and abs(pack.piston_pa[k] - piston_pressure_pa(0.0, law)) < _HOVER_PA
+    doubt = 1.0 if is_hovering else min(_DOUBT_RISE * openness + _TIMING_S * at.film_rate_1_s, 1.0)
     viscous_nm = open_nm + closing_nm
     rows.contact_pa[k], rows.viscous_nm[k] = point.contact_pa, viscous_nm
     rows.open_nm[k] = open_nm + min(_DOUBT_RISE * openness, 1.0) * closing_nm
@@ -347,14 +338,6 @@ def _whole_nm(
 ) -> float:
     open_nm, closing_nm = film_torques_nm(slip_rad_s, film_m, viscosity, shear, open_drag_ratio, law)
     return open_nm + closing_nm
-
-
-@part
-def _doubt(openness: float, film_rate_1_s: float, piston_pa: float, law: FilmLaw) -> float:
-    """Return the standard deviation of what a film shears, as a ratio to that torque; docs/model.md "Estimator"."""
-    if openness > 0.0 and abs(piston_pa - piston_pressure_pa(0.0, law)) < _HOVER_PA:
-        return 1.0
-    return min(_DOUBT_RISE * openness + _TIMING_S * film_rate_1_s, 1.0)
 
 
 @part

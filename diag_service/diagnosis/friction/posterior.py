@@ -315,16 +315,14 @@ class _StoredEvent:
 
 def _stored(event: JudgedEvent) -> JsonObject:
     evidence = event.evidence
-    return to_plain(
-        _StoredEvent(
-            clutch=event.clutch,
-            end_ns=event.end_ns,
-            lower=evidence.matrix[_LOWER],
-            vector=evidence.vector,
-            constant=evidence.constant,
-            count=evidence.count,
-        )
-    )
+    return {
+        "clutch": event.clutch,
+        "end_ns": event.end_ns,
+        "lower": evidence.matrix[_LOWER].tolist(),
+        "vector": evidence.vector.tolist(),
+        "constant": evidence.constant,
+        "count": evidence.count,
+    }
 
 
 def _restored(stored: _StoredEvent) -> JudgedEvent:
@@ -478,50 +476,30 @@ def trend(state: Posterior, clutch: int) -> FrictionTrend | None:
         return None
     known, rows = state.fusion.knowledge, FRICTION_ROWS[clutch - 1]
     gain = state.torque_gain + float(known.mean[_GAIN])
-    now, then = known.mean[rows].tolist(), baseline.mean.tolist()
+    now, then = known.mean[rows], baseline.mean
     doubt = 0.0 if state.torque is TorqueSource.MEASURED else MODELLED_STD_RATIO
-    spread = known.covariance[rows, rows], baseline.covariance, (state.fusion.error_transition @ baseline.cross)[rows]
-    mu_c, mu_s = map(
-        _Change.of, now, then, zip(*(covariance.diagonal().tolist() for covariance in spread), strict=True)
-    )
+    both = (state.fusion.error_transition @ baseline.cross)[rows].diagonal()
+    of_now, of_then = known.covariance[rows, rows].diagonal(), baseline.covariance.diagonal()
+    std = np.sqrt(np.maximum(of_now + of_then - 2.0 * both, 0.0))
+    by_now, by_then = 1.0 / then, now / then**2
+    std_ratio = np.sqrt(np.maximum(by_now**2 * of_now + by_then**2 * of_then - 2.0 * by_now * by_then * both, 0.0))
+    change_c, change_s = ((now - then) / gain).tolist()
+    ratio_c, ratio_s = (now / then - 1.0).tolist()
+    std_c, std_s = (std / gain).tolist()
+    std_ratio_c, std_ratio_s = np.hypot(std_ratio, doubt).tolist()
     return FrictionTrend(
-        change_mu_c=mu_c.difference / gain,
-        change_mu_s=mu_s.difference / gain,
-        std_change_mu_c=mu_c.std / gain,
-        std_change_mu_s=mu_s.std / gain,
-        change_mu_c_ratio=mu_c.ratio,
-        change_mu_s_ratio=mu_s.ratio,
-        std_change_mu_c_ratio=math.hypot(mu_c.std_ratio, doubt),
-        std_change_mu_s_ratio=math.hypot(mu_s.std_ratio, doubt),
+        change_mu_c=change_c,
+        change_mu_s=change_s,
+        std_change_mu_c=std_c,
+        std_change_mu_s=std_s,
+        change_mu_c_ratio=ratio_c,
+        change_mu_s_ratio=ratio_s,
+        std_change_mu_c_ratio=std_ratio_c,
+        std_change_mu_s_ratio=std_ratio_s,
         baseline_end_bus_ns=baseline.end_ns,
         baseline_shift_count=baseline.shift_count,
         later_shift_count=later_count,
     )
-
-
-class _Change(NamedTuple):
-    """What became of one coefficient, times a factor."""
-
-    difference: float
-    std: float
-    ratio: float
-    std_ratio: float
-
-    @classmethod
-    def of(cls, now: float, then: float, spread: tuple[float, float, float]) -> Self:
-        """Return it, by the variances of both values and their covariance."""
-        return cls(
-            difference=now - then,
-            std=_std_of_difference(1.0, 1.0, spread),
-            ratio=now / then - 1.0,
-            std_ratio=_std_of_difference(1.0 / then, now / then**2, spread),
-        )
-
-
-def _std_of_difference(by_now: float, by_then: float, spread: tuple[float, float, float]) -> float:
-    """Return the deviation of ``by_now * now - by_then * then``, by the variances of both and their covariance."""
-    now, then, both = spread
-    return math.sqrt(max(by_now**2 * now + by_then**2 * then - 2.0 * by_now * by_then * both, 0.0))
 
 
 def clutch_ratio(known: Knowledge) -> ClutchRatio:

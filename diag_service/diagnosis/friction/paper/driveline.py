@@ -244,15 +244,6 @@ class SteadyKalman:
             kalman.predict_steadystate()
         return Rated(value=samples[0] + states[:, 0], rate=states[:, 1])
 
-    def rate_noise_1_s(self, period_s: float) -> float:
-        """Return the standard deviation of the rate per standard deviation of white noise in the samples [1/s].
-
-        That of an alpha-beta tracker, which is what a steady filter of two states is.
-        """
-        beta = period_s * self.rate_gain_1_s
-        alpha = self.value_gain - beta
-        return math.sqrt(2.0 / (alpha * (4.0 - 2.0 * alpha - beta))) * beta / period_s
-
 
 def _kalman_filter() -> Any:  # noqa: ANN401 - filterpy is untyped
     with warnings.catch_warnings():
@@ -294,7 +285,10 @@ def quiet_filter(period_s: float, sample_std: float, rate_std: float) -> SteadyK
     from scipy.optimize import brentq  # noqa: PLC0415 - as said above
 
     def excess(tracking_decade: float) -> float:
-        return tracker(tracking_decade, period_s).rate_noise_1_s(period_s) * sample_std / rate_std - 1.0
+        steady = tracker(tracking_decade, period_s)  # an alpha-beta tracker, whose noise of the rate is known
+        beta = period_s * steady.rate_gain_1_s
+        alpha = steady.value_gain - beta
+        return math.sqrt(2.0 / (alpha * (4.0 - 2.0 * alpha - beta))) * beta / period_s * sample_std / rate_std - 1.0
 
     return tracker(float(brentq(excess, *TRACKING_DECADES)), period_s)
 

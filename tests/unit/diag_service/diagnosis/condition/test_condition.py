@@ -66,7 +66,7 @@ def test_a_verdict_stays_until_its_cause_is_unlikely() -> None:
 
 
 def test_a_verdict_does_not_stay_for_another_cause_than_its_own() -> None:
-    memory, verdict = judge(ConditionMemory.fresh(), uncertain_scale(believed(0.119, 0.137)), 1, CALIBRATION)
+    memory, verdict = judge(ConditionMemory(), uncertain_scale(believed(0.119, 0.137)), 1, CALIBRATION)
     assert verdict.reason.startswith(Cause.SHUDDER)
     assert ConditionMemory.from_json(memory.to_json()).grounds == (Cause.SHUDDER, None)
     sound_slope = uncertain_scale(believed(0.116, 0.098))  # whose level is low, but not for sure
@@ -122,7 +122,7 @@ def test_of_a_margin_hardly_known_a_change_is_said_only_if_it_is_nearly_certain(
 
 
 def test_each_clutch_has_its_own_memory() -> None:
-    memory, _ = judge(ConditionMemory.fresh(), believed(0.119, 0.137), 2, CALIBRATION)
+    memory, _ = judge(ConditionMemory(), believed(0.119, 0.137), 2, CALIBRATION)
     assert memory.conditions == (Condition.NO_VERDICT, Condition.CHANGE_FLUID)
     assert ConditionMemory.from_json(memory.to_json()).to_json() == memory.to_json()
 
@@ -159,7 +159,7 @@ def test_friction_lost_since_the_baseline_is_told_although_the_level_is_uncertai
 ) -> None:
     assert condition_of(uncertain_scale(aged(1.0))) is Condition.GOOD
     state = uncertain_scale(aged(ratio))
-    _, verdict = judge(ConditionMemory.fresh(), state, 1, CALIBRATION)
+    _, verdict = judge(ConditionMemory(), state, 1, CALIBRATION)
     assert verdict.condition is expected
     assert ("lost since the baseline" in verdict.reason) is (expected is not Condition.GOOD)
     assert verdict.trend is not None
@@ -168,7 +168,7 @@ def test_friction_lost_since_the_baseline_is_told_although_the_level_is_uncertai
 
 
 def test_the_scatter_of_shifts_comes_with_the_verdict_once_there_were_enough() -> None:
-    state, memory = believed(0.1361, 0.12), ConditionMemory.fresh()
+    state, memory = believed(0.1361, 0.12), ConditionMemory()
     for number in range(1, LEAST_SHIFT_COUNT + 1):
         assert judge(memory, state, 2, CALIBRATION)[1].shift_scatter is None
         memory = memory.with_shift(shift_estimate(number), state)
@@ -180,7 +180,7 @@ def test_the_scatter_of_shifts_comes_with_the_verdict_once_there_were_enough() -
 
 
 def test_only_shifts_that_entered_the_running_state_scatter() -> None:
-    memory, estimate = ConditionMemory.fresh(), shift_estimate()
+    memory, estimate = ConditionMemory(), shift_estimate()
     refused = replace(estimate, reasons=(Reason.NOT_UPDATED,))
     assert memory.with_shift(refused, believed(0.14, 0.12)) is memory
     assert memory.with_shift(rejected(shift_result()).estimate, believed(0.14, 0.12)) is memory
@@ -189,7 +189,7 @@ def test_only_shifts_that_entered_the_running_state_scatter() -> None:
     assert memory.with_shift(estimate, believed(0.14, 0.12)) != memory
 
 
-GOOD_MEMORY = ConditionMemory.fresh().to_json()
+GOOD_MEMORY = ConditionMemory().to_json()
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,7 @@ AGREES, CONTRADICTS, MISFITS = Fit.AGREES, Fit.CONTRADICTS, Fit.MISFITS
 
 def after(*reasons: Reason | None) -> ConditionMemory:
     """Return the memory after some shifts, each with the reason against it."""
-    memory = ConditionMemory.fresh()
+    memory = ConditionMemory()
     for reason in reasons:
         shift = shift_estimate()
         if reason is Reason.NOT_UPDATED:
@@ -259,7 +259,7 @@ def test_what_sound_drives_may_hold_costs_no_verdict(fits: tuple[Fit, ...]) -> N
 
 
 def test_events_whose_sensors_contradict_each_other_take_the_verdict_back_until_one_can_be_used() -> None:
-    memory, state = ConditionMemory.fresh(), believed(0.14, 0.119)
+    memory, state = ConditionMemory(), believed(0.14, 0.119)
     ours, other = shift_result().estimate, replace(shift_result().estimate, clutch=1)
     refused = replace(ours, status=Status.REJECTED, reasons=(Reason.PRESSURE_OFF_COMMAND,), friction=None)
     late = replace(refused, reasons=(Reason.FRAMES_MISSING,))
@@ -291,7 +291,7 @@ def test_new_fluid_has_no_verdict_yet_and_does_not_inherit_what_the_old_one_cont
 
 def test_what_new_fluid_does_not_bring_back_is_the_linings() -> None:
     worn = aged(0.85)  # fluid and lining together have lost 15 %
-    memory = ConditionMemory.fresh().with_new_fluid(FILLED_AT, worn)
+    memory = ConditionMemory().with_new_fluid(FILLED_AT, worn)
     assert ConditionMemory.from_json(memory.to_json()).to_json() == memory.to_json()
     _, before = judge(memory, believed(0.14, 0.119, shift_count=0), 1, CALIBRATION)
     assert before.lining is None  # no shift with the new fluid yet
@@ -305,7 +305,7 @@ def test_what_new_fluid_does_not_bring_back_is_the_linings() -> None:
 
 def test_it_says_while_it_learns_the_vehicle() -> None:
     new = believed(0.14, 0.119)
-    _, verdict = judge(ConditionMemory.fresh(), new, 1, CALIBRATION)
+    _, verdict = judge(ConditionMemory(), new, 1, CALIBRATION)
     assert verdict.calibration_ratio == 0.0
     assert verdict.reason.endswith(", calibrating: 0 %")
     half, known = new.known.covariance.copy(), new.known.covariance.copy()
@@ -314,14 +314,14 @@ def test_it_says_while_it_learns_the_vehicle() -> None:
     for covariance, ratio, text in ((half, 0.4, "calibrating: 40 %"), (known, 0.9, "")):
         state = replace(Posterior.of(Knowledge(mean=new.known.mean, covariance=covariance), CALIBRATION),
                         folded_counts=(5, 5))  # fmt: skip
-        _, verdict = judge(ConditionMemory.fresh(), state, 1, CALIBRATION)
+        _, verdict = judge(ConditionMemory(), state, 1, CALIBRATION)
         assert verdict.calibration_ratio == pytest.approx(ratio)
         assert verdict.reason.endswith(text)
         assert ("calibrating" in verdict.reason) is bool(text)
 
 
 def modelled(state: Posterior) -> ClutchVerdict:
-    return judge(ConditionMemory.fresh(), replace(state, torque=TorqueSource.MODELLED), 1, CALIBRATION)[1]
+    return judge(ConditionMemory(), replace(state, torque=TorqueSource.MODELLED), 1, CALIBRATION)[1]
 
 
 def test_without_measured_torque_slope_and_change_are_judged_and_the_level_is_not() -> None:

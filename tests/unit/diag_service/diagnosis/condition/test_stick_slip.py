@@ -47,7 +47,7 @@ def series(value: FloatArray | float) -> Series:
 
 
 def launched(*reslips_rad_s: float | None) -> ConditionMemory:
-    memory = ConditionMemory.fresh()
+    memory = ConditionMemory()
     for reslip_rad_s in reslips_rad_s:
         memory = memory.with_launch(told(reslip_rad_s))
     return memory

@@ -37,7 +37,7 @@ def stretches(fluid: str, seed: int = 900) -> list[Event]:
 
 @cache
 def diagnosed(fluid: str, seed: int = 900) -> tuple[LockupState, list[tuple[ShiftEstimate, ClutchVerdict]]]:
-    state, memory, told = LockupState.fresh(CALIBRATION), ConditionMemory.fresh(), []
+    state, memory, told = LockupState.fresh(CALIBRATION), ConditionMemory(), []
     for event in stretches(fluid, seed):
         state, estimate, swings = ESTIMATOR.estimate(event, state)
         memory, verdict = judge_lockup(memory.with_fit(estimate).with_shudder(swings), state, CALIBRATION, swings)
@@ -48,7 +48,7 @@ def diagnosed(fluid: str, seed: int = 900) -> tuple[LockupState, list[tuple[Shif
 def test_slip_whose_sensors_contradict_each_other_takes_the_verdict_back() -> None:
     state, told = diagnosed("worn", 903)
     refused = replace(told[-1][0], status=Status.REJECTED, reasons=(Reason.SPEEDS_DISAGREE,))
-    memory = ConditionMemory.fresh()
+    memory = ConditionMemory()
     for count in range(REFUSED_COUNT):
         assert memory.refused == (count, 0)
         assert judge_lockup(memory, state, CALIBRATION, None)[1].condition is Condition.CHANGE_FLUID
