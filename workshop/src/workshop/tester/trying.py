@@ -151,12 +151,12 @@ def try_car(options: TryOptions, controls: Controls) -> None:
 
 def _best(
     profiles: Sequence[Profile], line: Line, database: Database | None, traffic: HeardTraffic | None, show: Show
-) -> "Trial":
+) -> "CarTrial":
     """Return the trial of the profile by which most can be diagnosed; raises ControllerError if nothing is told."""
-    trials, silent = list[Trial](), set[CanAddress]()
+    trials, silent = list[CarTrial](), set[CanAddress]()
     for profile in profiles:
         show(f"profile {profile.name}:")
-        trial = Trial.of(profile, _ask_each(line, profile, silent, show), database, traffic)
+        trial = CarTrial.of(profile, _ask_each(line, profile, silent, show), database, traffic)
         show(f"  {len(trial.answered)} of {len(profile.asked) + len(profile.groups)} signals are told; {trial}")
         trials += [trial] if trial.answered else []
     if trials:
@@ -342,7 +342,7 @@ class Doubt(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Trial:
+class CarTrial:
     """What a car tells by one profile: signals that were asked for, and those that a database says are broadcast."""
 
     profile: Profile
