@@ -1,7 +1,7 @@
 """The Python that README.md and pages of docs/ show runs as it stands, and files that they show are read.
 
-Blocks of docs/controller.md for odxtools and python-OBD are run where those libraries are:
-tests/integration/test_uds_pdx.py, tests/e2e/test_obd.py.
+Blocks for odxtools (docs/sovd.md) and python-OBD (docs/controller.md) are run where those libraries are:
+tests/integration/test_sovd.py, tests/e2e/test_obd.py.
 """
 
 import asyncio

@@ -1,14 +1,11 @@
 """A tool that knows a controller by its PDX alone: what it asks is answered, what is answered it understands."""
 
-import re
-from ast import literal_eval
 from collections.abc import Iterator
 from random import Random
 from typing import Any
 
 import pytest
 
-from tests.support.documents import page_text
 from tests.support.uds.full_table import full_table
 from tests.support.uds.pdx_client import PdxClient, read_back, templates_compiled_once
 from tests.tools.pdx.package import FILE, pdx_package
@@ -44,14 +41,3 @@ def test_obd_is_a_layer_of_its_own_of_which_everything_is_answered_and_understoo
 def test_the_package_that_ships_is_that_of_the_table_that_ships() -> None:
     assert FILE.read_bytes() == pdx_package(shipped_table())
     assert read_back(FILE.read_bytes()).short_name == "TCU"
-
-
-def test_the_page_reads_the_package() -> None:
-    (block,) = re.findall(
-        r"^```python\n(import odxtools .*?)^```", page_text("docs/controller.md"), re.MULTILINE | re.DOTALL
-    )
-    *body, last = block.splitlines()
-    names: dict[str, Any] = {}
-    exec("\n".join(body), names)  # noqa: S102 - what the page is for
-    code, _, shown = last.partition("  # ")
-    assert eval(code, names) == literal_eval(shown)  # noqa: S307 - likewise

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import odxtools
 from odxtools.addressing import Addressing
+from odxtools.admindata import AdminData
 from odxtools.comparaminstance import ComparamInstance
 from odxtools.complexcomparam import ComplexValue
 from odxtools.database import Database
@@ -24,6 +25,7 @@ from odxtools.diaglayers.diaglayertype import DiagLayerType
 from odxtools.diaglayers.protocol import Protocol
 from odxtools.diaglayers.protocolraw import ProtocolRaw
 from odxtools.diagservice import DiagService
+from odxtools.docrevision import DocRevision
 from odxtools.nameditemlist import NamedItemList
 from odxtools.odxlink import DocType
 from odxtools.parentref import ParentRef
@@ -58,15 +60,50 @@ FILE: Final = Path(__file__).parents[3] / "workshop/src/workshop/controller/tcu.
 _STACK: Final = "ISO_15765_3_on_ISO_15765_2"
 _TRANSPORT: Final = "ISO_15765_2"
 _APPLICATION: Final = "ISO_15765_3"
-_BASE: Final = (f"{_STACK}.odx-c", f"{_TRANSPORT}.odx-cs", f"{_APPLICATION}.odx-cs")  # beside this file
+_IP_STACK: Final = "ISO_14229_5_on_ISO_13400_2"
+_IP_TRANSPORT: Final = "ISO_13400_2"
+_IP_APPLICATION: Final = "ISO_14229_5"
+_BASE: Final = (  # beside this file; names are those that Eclipse OpenSOVD's classic diagnostic adapter has
+    f"{_STACK}.odx-c", f"{_TRANSPORT}.odx-cs", f"{_APPLICATION}.odx-cs",
+    f"{_IP_STACK}.odx-c", f"{_IP_TRANSPORT}.odx-cs", f"{_IP_APPLICATION}.odx-cs",
+)  # fmt: skip
+_ON_CAN, _ON_IP, _OBD_ON_CAN = "UDS_CAN", "UDS_Ethernet_DoIP", "OBD_on_CAN"  # likewise the first two
+_SOFTWARE: Final = 0xF189  # data whose text is the revision of the package
 _LARGEST_STANDARD_ID: Final = 0x7FF
 _US_PER_S: Final = 1e6
 _S3_RATIO: Final = 0.4  # S3 of the tester to that of the controller: 2 s of 5 s, ISO 14229-2
 
 
 def communication_values(table: DiagnosticTable, protocol: str) -> list[ComparamInstance]:
+    """Return what a tester must know to speak a protocol with the controller."""
+    values = _over_ip(table) if protocol == _ON_IP else _on_can(table)
+    return [
+        ComparamInstance(value=entry, protocol_snref=protocol, spec_ref=subset.ref("COMPARAM", name))
+        for subset_name, entries in values.items()
+        for subset in [Document(subset_name, DocType.COMPARAM_SUBSET)]
+        for name, entry in entries.items()
+    ]
+
+
+def _over_ip(table: DiagnosticTable) -> dict[str, dict[str, str | ComplexValue]]:
+    doip, timing = table.doip, table.timing
+    return {
+        _IP_TRANSPORT: {
+            "CP_DoIPLogicalGatewayAddress": str(doip.logical_address),
+            "CP_DoIPLogicalFunctionalAddress": str(doip.functional_address),
+            "CP_UniqueRespIdTable": [str(doip.logical_address), "0", xml_text(table.name)],
+        },
+        _IP_APPLICATION: {
+            "CP_P6Max": str(round(timing.p2_s * _US_PER_S)),
+            "CP_P6Star": str(round(timing.p2_star_s * _US_PER_S)),
+            "CP_TesterPresentTime": str(round(_S3_RATIO * timing.s3_s * _US_PER_S)),
+        },
+    }
+
+
+def _on_can(table: DiagnosticTable) -> dict[str, dict[str, str | ComplexValue]]:
     transport, timing = table.transport, table.timing
-    values: dict[str, dict[str, str | ComplexValue]] = {
+    return {
         _TRANSPORT: {
             "CP_CanFuncReqFormat": _format(table, table.addressing.functional_id),
             "CP_CanFuncReqId": str(table.addressing.functional_id),
@@ -83,12 +120,6 @@ def communication_values(table: DiagnosticTable, protocol: str) -> list[Comparam
             "CP_TesterPresentTime": str(round(_S3_RATIO * timing.s3_s * _US_PER_S)),
         },
     }
-    return [
-        ComparamInstance(value=entry, protocol_snref=protocol, spec_ref=subset.ref("COMPARAM", name))
-        for subset_name, entries in values.items()
-        for subset in [Document(subset_name, DocType.COMPARAM_SUBSET)]
-        for name, entry in entries.items()
-    ]
 
 
 def _identifiers(table: DiagnosticTable) -> ComplexValue:
@@ -117,6 +148,7 @@ def _separation_us(coded_time: int) -> int:
 
 
 _LOCKED: Final = 0  # the security level of a controller that is not unlocked
+_REVISED: Final = "2026-01-01T00:00:00"
 _ZIP_DATE: Final = (2026, 1, 1, 0, 0, 0)  # of every file: a package says what the table says, not when it was asked
 _DATE: Final = (re.compile(rb'CREATION-DATE="[^"]*"'), b'CREATION-DATE="2026-01-01T00:00:00"')
 _UNIX: Final = 3
@@ -138,10 +170,13 @@ def pdx_package(table: DiagnosticTable) -> bytes:
     """Return the bytes of a PDX file that describes what a table describes."""
     database = Database(use_weakrefs=False)
     database.short_name = short_name(table.name)
-    database.diag_layer_containers.append(_container(table, database.short_name, "UDS_on_CAN"))
+    database.diag_layer_containers.append(_container(table, database.short_name, _ON_CAN))
     if table.obd is not None:
         name = f"{database.short_name}_OBD"
-        database.diag_layer_containers.append(_container(table, name, "OBD_on_CAN"))
+        database.diag_layer_containers.append(_container(table, name, _OBD_ON_CAN))
+    ip = Document(_ON_IP, DocType.CONTAINER)
+    spoken = NamedItemList([_protocol(ip, _ON_IP, _IP_STACK)])
+    database.diag_layer_containers.append(DiagLayerContainer(**ip.named("CONTAINER", _ON_IP), protocols=spoken))
     for name in _BASE:
         database.add_odx_file(Path(__file__).with_name(name))
     database.refresh()
@@ -168,17 +203,24 @@ def _undated(package: Path) -> bytes:
 def _container(table: DiagnosticTable, name: str, protocol: str) -> DiagLayerContainer:
     """Return a controller as a base variant with its services by one protocol, and the protocol."""
     layer = _Layer(table, name)
-    spoken = ProtocolRaw(
-        **layer.dictionary.named("LAYER", protocol),
-        variant_type=DiagLayerType.PROTOCOL,
-        comparam_spec_ref=Document(_STACK, DocType.COMPARAM_SPEC).ref("SPEC", _STACK),
-        prot_stack_snref=_STACK,
-    )
+    software = table.data.get(_SOFTWARE)
+    label = (software.initial if software is not None else None) or "0"
     return DiagLayerContainer(
         **layer.dictionary.named("CONTAINER", name, table.name),
-        protocols=NamedItemList([Protocol(diag_layer_raw=spoken)]),
+        admin_data=AdminData(doc_revisions=[DocRevision(revision_label=xml_text(label), date=_REVISED)]),
+        protocols=NamedItemList([_protocol(layer.dictionary, protocol, _STACK)]),
         base_variants=NamedItemList([BaseVariant(diag_layer_raw=layer.variant(protocol))]),
     )
+
+
+def _protocol(document: Document, name: str, stack: str) -> Protocol:
+    spoken = ProtocolRaw(
+        **document.named("LAYER", name),
+        variant_type=DiagLayerType.PROTOCOL,
+        comparam_spec_ref=Document(stack, DocType.COMPARAM_SPEC).ref("SPEC", stack),
+        prot_stack_snref=stack,
+    )
+    return Protocol(diag_layer_raw=spoken)
 
 
 class _Layer:
@@ -195,7 +237,7 @@ class _Layer:
     def variant(self, protocol: str) -> BaseVariantRaw:
         """Return the layer, with all that the controller answers by a protocol."""
         table, dictionary = self._table, self.dictionary
-        is_obd = protocol.startswith("OBD")
+        is_obd = protocol == _OBD_ON_CAN
         offered = ObdServices(table, table.obd, dictionary) if is_obd and table.obd else UdsServices(table, dictionary)
         names = Names()
         services = {names.new(service.name): service for service in offered}
@@ -203,6 +245,8 @@ class _Layer:
         codes = {int(nrc): nrc.name.lower().replace("_", " ") for nrc in Nrc}
         code = value("response_code", dictionary.simple("negative response code", worded(codes)), 1)
         named = dictionary.named
+        spoken: dict[str, Document] = {protocol: dictionary}
+        spoken |= {} if is_obd else {_ON_IP: Document(_ON_IP, DocType.CONTAINER)}
         requests = (
             Request(**named("REQUEST", name), parameters=placed((_id(entry.number), *entry.request)))
             for name, entry in services.items()
@@ -226,8 +270,8 @@ class _Layer:
             negative_responses=NamedItemList(negative),
             diag_data_dictionary_spec=dictionary.spec(),
             state_charts=NamedItemList([] if is_obd else self._charts()),
-            comparam_refs=communication_values(table, protocol),
-            parent_refs=[ParentRef(layer_ref=dictionary.ref("LAYER", protocol))],
+            comparam_refs=[value for name in spoken for value in communication_values(table, name)],
+            parent_refs=[ParentRef(layer_ref=document.ref("LAYER", name)) for name, document in spoken.items()],
         )  # fmt: skip
 
     def _comm(self, name: str, service: OdxService, *, has_states: bool) -> DiagService:

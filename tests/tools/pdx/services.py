@@ -38,7 +38,12 @@ _TRAFFIC: Final = ("enable receiving and sending", "enable receiving, disable se
                    "disable receiving, enable sending", "disable receiving and sending")  # fmt: skip
 _MESSAGES: Final = {1: "normal messages", 2: "network management", 3: "normal messages and network management"}
 _SETTINGS: Final = {sessions.CODES_ON: "trouble codes on", sessions.CODES_OFF: "trouble codes off"}
-_ACTIONS: Final = {sessions.START: "Start", sessions.STOP: "Stop", sessions.RESULTS: "Results of"}
+# Stacks for SOVD look for these words at the end of a name.
+_ACTIONS: Final = {
+    sessions.START: "Start",
+    sessions.STOP: "Stop",
+    sessions.RESULTS: "RequestResults",
+}
 _STATUS_BITS: Final = (
     "test failed", "test failed this operation cycle", "pending", "confirmed", "test not completed since last clear",
     "test failed since last clear", "test not completed this operation cycle", "warning indicator requested",
@@ -218,7 +223,7 @@ class UdsServices(_Services):
                     (begin, constant("status", status), *(results if status == sessions.COMPLETED else ()))
                     for status in _routine_states(routine, sub)
                 )
-                asked, name = (begin, *(options if sub == sessions.START else ())), f"{verb} {routine.name}"
+                asked, name = (begin, *(options if sub == sessions.START else ())), f"{routine.name} {verb}"
                 if sub != sessions.STOP or routine.can_be_stopped:
                     yield self.service(name, number, "ROUTINE", asked, *responses, sub=sub, access=routine.access)
 
