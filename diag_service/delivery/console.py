@@ -13,6 +13,7 @@ from clutchdiag_io.console import PeopleConsole, plain_table
 from clutchdiag_io.people import PLUS_MINUS, SHORT_PLUS_MINUS, half_width, plus_minus
 from clutchdiag_io.program import discard
 from diag_service.delivery.reporters import ControllerNews, JsonLinesReporter, News, PipeReporter, Reporter
+from diag_service.diagnosis.lockup.slope import slope_lines
 from diag_service.diagnosis.summary import (
     Summary,
     capability_line,
@@ -97,7 +98,7 @@ class ConsoleReporter:
                 self._line(Text(f"{name_of(result.verdict.clutch, result.verdict.element)}: {line}"))
         loads = (load_line(load) for _, load in sorted(summary.loads.items()))
         causes = cause_lines(newest_causes(summary.latest))
-        for line in (*causes, *loads, *map(str, summary.relative)):
+        for line in (*causes, *loads, *map(str, summary.relative), *slope_lines(summary.lockup)):
             self._line(Text(line))
         if self._is_detailed:
             self._show_for_specialists(summary)

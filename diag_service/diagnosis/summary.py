@@ -146,6 +146,7 @@ def _listed(channels: Iterable[int]) -> str:
 
 
 if TYPE_CHECKING:  # a live service tells no friction up to a scale
+    from diag_service.diagnosis.lockup.slope import LockupSlope
     from diag_service.diagnosis.prediction import RelativeFriction
 
 SUMMARY_SCHEMA = "clutchdiag/summary/v1"
@@ -242,6 +243,7 @@ class Summary:
     fluid: FluidFill | None = None  # that is in, if its fill is known
     loads: Mapping[int, Load] = field(default_factory=dict)  # what each clutch had to bear
     relative: "tuple[RelativeFriction, ...]" = ()  # of a log whose signals tell friction up to a scale
+    lockup: "LockupSlope | None" = None  # of a log whose signals tell no level of a lock-up clutch
 
     @property
     def latest(self) -> tuple[ShiftResult, ...]:
@@ -253,7 +255,7 @@ class Summary:
     def order(self) -> orders.Order:
         """What the vehicle is told, by the last result of each clutch, earlier runs counted."""
         known = {**{result.verdict.clutch: result for result in self.latest}, **self.earlier}
-        return order_by(known.values(), self.fluid, self.capability.elements)
+        return order_by(known.values(), self.fluid, self.capability.elements, self.lockup)
 
 
 def latest_of(results: Iterable[ShiftResult]) -> tuple[ShiftResult, ...]:
@@ -362,7 +364,12 @@ def _since_at(result: ShiftResult) -> datetime | None:
     return None if since_ns is None else datetime.fromisoformat(utc_from_bus_ns(since_ns))
 
 
-def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None, elements: Iterable[str] = ()) -> orders.Order:
+def order_by(
+    results: Iterable[ShiftResult],
+    fluid: FluidFill | None,
+    elements: Iterable[str] = (),
+    lockup: "LockupSlope | None" = None,
+) -> orders.Order:
     """Return the order for a vehicle by the last result of each clutch and the fluid that is in."""
     findings = [
         orders.ClutchFinding(
@@ -380,7 +387,8 @@ def order_by(results: Iterable[ShiftResult], fluid: FluidFill | None, elements: 
         )
         for result in results
     ]
-    return orders.order_of(findings, None if fluid is None else datetime.fromisoformat(fluid.filled_at), elements)
+    order = orders.order_of(findings, None if fluid is None else datetime.fromisoformat(fluid.filled_at), elements)
+    return order if findings or lockup is None else replace(order, reasons=(lockup.withheld,))
 
 
 def gaps_line(gaps: tuple[Gap, ...]) -> str:
@@ -416,6 +424,7 @@ def summary_record(summary: Summary) -> JsonObject:
         "capability": capability,
         **({"loads": [to_plain(load) for _, load in sorted(summary.loads.items())]} if summary.loads else {}),
         **({"relative_friction": [to_plain(friction) for friction in summary.relative]} if summary.relative else {}),
+        **({} if summary.lockup is None else {"lockup_slope": to_plain(summary.lockup)}),
         "logs": [log_record(log) for log in summary.contributions.logs],
         "idle": list(summary.contributions.idle),
     }
@@ -482,7 +491,7 @@ def capability_line(summary: Summary) -> str:
     has_shifts = any(summary.shifts.by_status.values())
     if not has_shifts and not summary.frames.on_bus:
         return "no frame came: check the channel, the bit rate, and whether the ignition is on"
-    parts = [] if has_shifts else ["no shift was found"]
+    parts = [] if has_shifts or summary.lockup else ["no shift was found"]
     if capability.tier is Tier.FRICTION and capability.torque.is_modelled:
         parts.append(TORQUE_TEXT[capability.torque])
     if capability.tier is Tier.FRICTION and has_shifts:

@@ -70,7 +70,8 @@ class Findings:
 
     @property
     def order(self) -> Order:
-        return order_by(self.latest, self.fills[-1] if self.fills else None, self._elements)
+        lockup = None if self.summary is None else self.summary.lockup
+        return order_by(self.latest, self.fills[-1] if self.fills else None, self._elements, lockup)
 
     @property
     def _elements(self) -> tuple[str, ...]:

@@ -186,7 +186,8 @@ def _curves(findings: Findings) -> Iterator[tuple[records.ClutchVerdict, Markup]
 
 def _unseen(findings: Findings) -> Iterator[str]:
     """Yield what was not seen and why, and what became of the frames."""
-    engaged = {result.estimate.clutch for result in findings.results}
+    summary = findings.summary
+    engaged = {result.estimate.clutch for result in findings.results} | ({1} if summary and summary.lockup else set())
     yield from (
         f"{findings.title(clutch)}: no event engaged it." for clutch in findings.clutches if clutch not in engaged
     )
@@ -200,7 +201,6 @@ def _unseen(findings: Findings) -> Iterator[str]:
     refused = Counter(result.estimate.status for result in findings.results)[records.Status.REJECTED]
     if refused:
         yield f"{refused} of {events_text(len(findings.results))} were rejected: their data could not be believed."
-    summary = findings.summary
     if summary is None:
         yield "A store keeps only results. The report of a log tells what happened to its frames."
         return

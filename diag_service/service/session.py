@@ -231,7 +231,8 @@ class Session:
             _LOG.error("frame counts do not add up: %s", frames_line(frames))
         summary = replace(self.summary(frames, unpublished_count), gaps=gaps, contributions=contributions)
         if self.survey is not None:
-            summary = replace(summary, relative=self.survey.relative_frictions())
+            slope = self.survey.slopes.slope()
+            summary = replace(summary, relative=self.survey.relative_frictions(), lockup=slope)
         self.reporter.report(summary)
         if frames.on_bus and not frames.decoded and not frames.rejected_count:
             _LOG.log(NOTICE, "%s", NOTHING_KNOWN)

@@ -3,7 +3,7 @@
 ``batch -> Decoder -> Columns -> EventFinder -> Event -> gate -> Element.conclude(belief, event) -> Diagnosis``
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, Final, Protocol
 
@@ -11,7 +11,7 @@ from canlog.frames import FrameBatch
 from clutch_model.calibration import Calibration, TorqueSource
 from clutch_results.event_kinds import DATED_NS
 from clutch_results.records import ClutchVerdict, Reason, ShiftEstimate, Status, Tier
-from diag_service.diagnosis.columns import Signal
+from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.condition.causes import CauseJudge
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge, judge_lockup, no_verdict
 from diag_service.diagnosis.condition.shift_quality import ShiftScorer, measure
@@ -269,6 +269,7 @@ class Stages:
         self.element: Element = kind_of(calibration)(decoder, calibration, basis, self.reach)
         self._finder = self.element.finder()
         self.belief = belief or Belief.fresh(calibration)
+        self.watch: Callable[[ColumnBatch], None] = lambda _columns: None  # called with all columns, before any event
 
     def feed(self, batch: FrameBatch) -> list[Diagnosis]:
         """Return the diagnoses of the shifts that these frames complete."""
@@ -276,8 +277,12 @@ class Stages:
 
     def segment(self, batch: FrameBatch) -> list[Event]:
         """Return the shifts that these frames complete; quick."""
-        events = (event for columns in self.decoder.stream(batch) for event in self._finder.feed(columns))
-        return self.decoder.marked(events)
+        return self.decoder.marked(self._events(self.decoder.stream(batch)))
+
+    def _events(self, batches: Iterable[ColumnBatch]) -> Iterator[Event]:
+        for columns in batches:
+            self.watch(columns)
+            yield from self._finder.feed(columns)
 
     @property
     def is_expecting(self) -> bool:
@@ -291,7 +296,7 @@ class Stages:
 
     def flush(self) -> list[Event]:
         """End the segment: return what is still open; frames that come later begin another one."""
-        events = [event for columns in self.decoder.drain() for event in self._finder.feed(columns)]
+        events = list(self._events(self.decoder.drain()))
         self.decoder.interrupt()
         return self.decoder.marked(events + self._finder.flush())
 

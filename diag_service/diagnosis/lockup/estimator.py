@@ -1,6 +1,6 @@
 """Stretches of a drive with about a minute of slip of the lock-up clutch: where they lie, and what each says."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -27,10 +27,6 @@ from diag_service.diagnosis.lockup.state import (
 )
 from diag_service.diagnosis.shifts.tracking import Bounds, EventFinder, SampleHistory, held_values
 
-BAND_HZ: Final = (5.0, 20.0)
-STEP_S: Final = 0.01
-SLOWEST_S: Final = 0.02  # from sample to sample: half of its rate is above the band
-WINDOW: Final = 128  # steps
 LINE_HZ: Final = 2.0  # to either side of a line: what a window of this length makes of it
 LEAST_SHARE: Final = 0.6  # of what swings in the band
 LEAST_SWING_RATIO: Final = 0.25  # amplitude of the line over mean slip
@@ -40,44 +36,63 @@ ORDER_HZ: Final = 1.0
 ENGINE_SHARE: Final = 0.6  # engine's swing over the turbine's: it has several times the inertia, so it swings less
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SwingBand:
+    """Where swings of slip are looked for, and in windows of how many steps."""
+
+    step_s: float = 0.01
+    slowest_s: float = 0.02  # from sample to sample: half of its rate is above the band
+    window: int = 128
+    band_hz: tuple[float, float] = (5.0, 20.0)
+    line_hz: float = LINE_HZ
+
+
 def shudder(samples: LockupSamples, calibration: Calibration) -> Shudder | None:
     """Return what swings in a stretch; None where signals are too slow, or the clutch never slips for long enough."""
-    at_s = (samples.t_ns - samples.t_ns[0]) / NS_PER_S
-    if float(np.median(np.diff(at_s))) > SLOWEST_S:
+    carries_pa = calibration.clutches[0].touch_pressure_pa + LEAST_PRESSURE_PA
+    noise = calibration.noise.engine_speed_rad_s**2 + calibration.noise.input_speed_rad_s**2
+    return swings(samples, SwingBand(), carries_pa, noise)
+
+
+def swings(samples: LockupSamples, band: SwingBand, carries_pa: float, noise_rad2_s2: float = 0.0) -> Shudder | None:
+    """Return what swings within a band while a clutch has more than some pressure, by sensors with some variance."""
+    at_s, window = (samples.t_ns - samples.t_ns[0]) / NS_PER_S, band.window
+    if float(np.median(np.diff(at_s))) > band.slowest_s:
         return None
-    grid_s = np.arange(0.0, at_s[-1], STEP_S)
+    grid_s = np.arange(0.0, at_s[-1], band.step_s)
     slip = np.interp(grid_s, at_s, samples.slip_rad_s)
     engine = np.interp(grid_s, at_s, samples.engine_rad_s)
-    pressed_pa = np.interp(grid_s, at_s, samples.pressure_pa) - calibration.clutches[0].touch_pressure_pa
-    starts = np.arange(0, len(grid_s) - WINDOW + 1, WINDOW // 2)
+    pressure_pa = np.interp(grid_s, at_s, samples.pressure_pa)
+    starts = np.arange(0, len(grid_s) - window + 1, window // 2)
     if not len(starts):
         return None
-    rows = starts[:, None] + np.arange(WINDOW)
+    rows = starts[:, None] + np.arange(window)
     slips, mean = slip[rows], slip[rows].mean(axis=1)
-    trend = np.linspace(-0.5, 0.5, WINDOW)
+    trend = np.linspace(-0.5, 0.5, window)
     rise = slips @ trend / (trend @ trend)
     held = (
-        (pressed_pa[rows].min(axis=1) > LEAST_PRESSURE_PA)
+        (pressure_pa[rows].min(axis=1) > carries_pa)
         & (mean > LEAST_SLIP_RAD_S)
         & (mean < MOST_SLIP_RAD_S)
-        & (np.abs(rise) < MOST_SLIP_RATE_RAD_S2 * WINDOW * STEP_S)
+        & (np.abs(rise) < MOST_SLIP_RATE_RAD_S2 * window * band.step_s)
     )
     if not held.any():
         return None
     mean, engine = mean[held], engine[rows][held]
     turning_hz = engine.mean(axis=1) / (2.0 * np.pi)
-    frequency_hz = np.fft.rfftfreq(WINDOW, STEP_S)
+    frequency_hz = np.fft.rfftfreq(window, band.step_s)
     power = _power(slips[held])
-    in_band = (frequency_hz >= BAND_HZ[0]) & (frequency_hz <= BAND_HZ[1])
-    noise = calibration.noise.engine_speed_rad_s**2 + calibration.noise.input_speed_rad_s**2
-    floor = 2.0 * noise / WINDOW
+    in_band = (frequency_hz >= band.band_hz[0]) & (frequency_hz <= band.band_hz[1])
+    floor = 2.0 * noise_rad2_s2 / window
     swing = np.maximum(power - floor, 0.0) * in_band
     line_hz = frequency_hz[swing.argmax(axis=1)]
-    on_line = np.abs(frequency_hz - line_hz[:, None]) <= LINE_HZ
+    on_line = np.abs(frequency_hz - line_hz[:, None]) <= band.line_hz
     line = (swing * on_line).sum(axis=1)
     total = swing.sum(axis=1)
     amplitude = np.sqrt(2.0 * line)
-    by_engine = np.abs(line_hz - np.outer(ORDERS, turning_hz)).min(axis=0) < ORDER_HZ
+    orders_hz = np.outer(ORDERS, turning_hz)
+    orders_hz = np.abs(orders_hz - np.rint(orders_hz * band.step_s) / band.step_s)  # as rows show what is too fast
+    by_engine = np.abs(line_hz - orders_hz).min(axis=0) < ORDER_HZ
     by_engine &= (_power(engine) * on_line).sum(axis=1) > ENGINE_SHARE**2 * (
         _power(engine - slips[held]) * on_line
     ).sum(axis=1)
@@ -96,10 +111,11 @@ def shudder(samples: LockupSamples, calibration: Calibration) -> Shudder | None:
 
 def _power(rows: FloatArray) -> FloatArray:
     """Return by frequency how rows vary about a parabola, so that the sum of a row is that variance."""
-    taper = np.hanning(WINDOW)
-    slow, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, WINDOW), 3))
+    window = rows.shape[1]
+    taper = np.hanning(window)
+    slow, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, window), 3))
     rest = rows - rows @ slow @ slow.T
-    power: FloatArray = 2.0 * np.abs(np.fft.rfft(rest * taper)) ** 2 / (WINDOW * (taper @ taper))
+    power: FloatArray = 2.0 * np.abs(np.fft.rfft(rest * taper)) ** 2 / (window * (taper @ taper))
     return power
 
 

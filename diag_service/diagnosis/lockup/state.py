@@ -81,7 +81,7 @@ class Blocks:
         return float(np.count_nonzero(self.kind == Kind.SLIPPING)) * BLOCK_NS / NS_PER_S
 
 
-def samples_of(columns: Columns) -> LockupSamples | None:
+def samples_of(columns: Columns, longest_gap_ns: int = LONGEST_GAP_NS) -> LockupSamples | None:
     """Return the signals at common times; None where one of them is missing."""
     if any(signal not in columns or len(columns[signal].t_ns) < LEAST_SAMPLES for signal in LOCKUP_SIGNALS):
         return None
@@ -100,7 +100,7 @@ def samples_of(columns: Columns) -> LockupSamples | None:
     for signal in LOCKUP_SIGNALS:
         t_ns = columns[signal].t_ns
         after = np.clip(t_ns.searchsorted(speed.t_ns), 1, len(t_ns) - 1)
-        is_bridged |= t_ns[after] - t_ns[after - 1] > LONGEST_GAP_NS
+        is_bridged |= t_ns[after] - t_ns[after - 1] > longest_gap_ns
 
     sump = columns.get(Signal.SUMP_TEMPERATURE)
     has_oil = sump is not None and len(sump.t_ns) > 0  # a message may stop amid a drive
