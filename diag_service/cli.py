@@ -443,13 +443,15 @@ def decode(controls: Controls, **words: Any) -> None:
 @click.option(
     "--halves", is_flag=True, help="predict the second half from the first (default: each shift from all others)"
 )
+@click.option("--each-log", is_flag=True, help="predict the shifts of each log from the other logs alone")
 @json_option
 @working
 def predict(controls: Controls, **words: Any) -> None:
     """Predict shifts of logs from the others, and show how well it went.
 
     Friction, up to a scale, is found in some shifts; given the pressures and the first speed of another, it predicts
-    the course of engine speed while the clutch slips, with intervals. Needs engine speed, both clutch pressures, and
+    the course of engine speed while the clutch slips, with intervals. If these fail their own blind test, none is
+    shown. Needs engine speed, both clutch pressures, and
     speeds behind the clutches or ratios; no torque, no drawing.
     """
     from clutch_model.units import pa_from_bar

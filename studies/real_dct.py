@@ -3,115 +3,57 @@
     python -m studies.real_dct drive-a.csv drive-b.csv --vehicles 12
 
 The profile is what ``diag-service signals`` proposes from the first table. No shift tells anything of its own
-prediction: each is left out, or only the first half is known. Emulated cars are predicted each from its own shifts.
-Downshifts are predicted from the other downshifts, launches from all power upshifts: none of one clutch are many.
+prediction: each is left out, or only the first half or other logs are known. Emulated cars are predicted from their own
+shifts, then from other cars.
 """
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 from scipy.special import stdtrit
 
-from canlog.arrays import FloatArray
-from canlog.logs import read_log
-from clutch_model.calibration import nominal_calibration
-from clutch_results.event_kinds import EventKind
 from demo.drawing import as_svg, drawing_style
-from diag_service.api.learning import (
+from diag_service.api.learning import slip_phases
+from diag_service.diagnosis.blind_test import (
     OURS,
+    BlindTest,
     PredictedShift,
-    left_out_one_by_one,
+    blind_test,
+    each_left_out,
+    each_log,
     scores,
-    second_half_from_first,
-    slip_phases,
+    second_half,
 )
-from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.prediction import (
-    DELAY_STD_S,
-    FREEDOM,
-    LEAST_EVENTS,
-    LEAST_ROWS,
-    PRESSURES,
-    STEP_RATIO,
-    STEP_S,
-    TORQUE_SOURCES,
-    Prediction,
-    Scales,
-    SlipPhase,
-    Standing,
-    fitted,
-)
-from diag_service.diagnosis.shifts.shifts import DriveFinder
+from diag_service.diagnosis.prediction import SlipPhase, Standing
 from diag_service.mapping.interpretation import Interpretation, interpret
 from diag_service.mapping.learning import proposed_profile
 from diag_service.stopping import Trigger
 from ecu_emulator.cli import main as emulator
-from studies.builders import written
+from studies.builders import OF_FRICTION, written
 from studies.run import parsed, study_parser
 
 RPM = 30.0 / np.pi  # of rad/s
-
-
-def _mean_rate(known: Sequence[SlipPhase], phase: SlipPhase) -> float:
-    own = [one for one in known if one.clutch == phase.clutch] or known
-    return float(np.mean([one.change_rad_s[-1] / one.t_s[-1] for one in own]))
-
-
-def _line_of_pressure(known: Sequence[SlipPhase], phase: SlipPhase) -> float:
-    rates = [one.change_rad_s[-1] / one.t_s[-1] for one in known]
-    slope, level = np.polyfit([one.mean_pa for one in known], rates, 1)
-    return float(slope * phase.mean_pa + level)
-
-
-def _nearest_shift(known: Sequence[SlipPhase], phase: SlipPhase) -> float:
-    nearest = min(known, key=lambda one: (one.to_gear != phase.to_gear, abs(one.mean_pa - phase.mean_pa)))
-    return float(nearest.change_rad_s[-1] / nearest.t_s[-1])
-
-
-SIMPLER: Final[Mapping[str, Callable[[Sequence[SlipPhase], SlipPhase], float]]] = {
-    "mean rate of the clutch": _mean_rate,
-    "line through mean pressure": _line_of_pressure,
-    "nearest shift": _nearest_shift,
+GROUP = 10  # cars, each of which is predicted from the others
+LEFT_OUT: Final = OF_FRICTION | {"Input Shaft 1 Speed", "Input Shaft 2 Speed", "Current Gear"}
+TUNES: Final = {
+    "control.torque_phase_s": (0.06, 0.1),  # the handover
+    "control.upshift_inertia_phase_s": (0.18, 0.45),
+    "control.spark_reduction_ratio": (0.3, 0.6),
+    "control.overlap_gain_ratio": (1.0, 1.2),
 }
-"""Rates of engine speed from other shifts, each a straight line through the slip phase."""
 
 
-def predicted_simply(name: str, known: Sequence[SlipPhase], phase: SlipPhase) -> Prediction:
-    """Return what a simpler model says of a shift; its deviation is what it misses on the known ones, each left out."""
-    rate = SIMPLER[name]
-    missed = [
-        rate([other for other in known if other is not one], one) * one.t_s[-1] - one.change_rad_s[-1] for one in known
-    ]
-    mean = rate(known, phase) * phase.t_s[1:]
-    std = float(np.sqrt(np.mean(np.square(missed)))) * phase.t_s[1:] / phase.t_s[-1]
-    return Prediction(mean_rad_s=mean, scale_rad_s=std, freedom=float(len(known)))
-
-
-def beside_simpler(shown: PredictedShift, known: Sequence[SlipPhase]) -> PredictedShift:
-    """Return a shift with what simpler models say of it from the same others."""
-    simpler = {name: predicted_simply(name, known, shown.phase) for name in SIMPLER}
-    return replace(shown, predictions={**shown.predictions, **simpler})
-
-
-def each_from_others(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[PredictedShift]:
-    """Yield every shift with what the others say of it."""
-    for one in left_out_one_by_one(named, touch_pa):
-        yield beside_simpler(one, [other for _, other in named if other is not one.phase])
-
-
-def half_from_half(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[PredictedShift]:
-    """Yield the shifts of the second half with what those of the first say."""
-    known = [phase for _, phase in named[: (len(named) + 1) // 2]]
-    for one in second_half_from_first(named, touch_pa):
-        yield beside_simpler(one, known)
-
-
-SPLITS = {"each from all others": each_from_others, "second half from the first": half_from_half}
+SPLITS = {
+    "each from all others": each_left_out,
+    "second half from the first": second_half,
+    "each log from the others": each_log,
+}
 
 
 def meaning_of(table: Path, folder: Path) -> Interpretation:
@@ -135,94 +77,64 @@ def power_upshifts(named: Sequence[tuple[str, SlipPhase]]) -> list[tuple[str, Sl
     return [one for one in named if one[1].sign > 0.0 and one[1].is_powered]
 
 
-def launches(table: Path, meaning: Interpretation) -> Iterator[SlipPhase]:
-    """Yield the slip of each launch: clutch 1 drags a shaft that turns by the first ratio; clutch 2 is open."""
-    decoder, calibration = meaning.decoder(), nominal_calibration()
-    gears = decoder.gears
-    if gears is None or Signal.ENGINE_SPEED not in decoder.signals:
-        return
-    finder = DriveFinder(decoder.signals, calibration, gears)
-    with read_log(table) as reader:
-        events = [event for part in decoder.whole(reader) for event in finder.feed(part)]
-    for event in (*events, *finder.flush()):
-        engine, over = event.columns.get(Signal.ENGINE_SPEED), event.columns.get(gears.over)
-        if event.kind is not EventKind.LAUNCH or engine is None or over is None:
-            continue
-        slip_rad_s = engine.value - gears.ratios[0] * np.interp(engine.t_ns, over.t_ns, over.value)
-        rows = (engine.t_ns >= event.start_ns) & (engine.t_ns <= event.end_ns)
-        rows &= np.logical_and.accumulate((slip_rad_s > 0.0) | (engine.t_ns < event.start_ns))
-        if rows.sum() < LEAST_ROWS:
-            continue
-        source = next((event.columns[one] for one in TORQUE_SOURCES if one in event.columns), None)
-        pressures = [event.columns[PRESSURES[clutch]] for clutch in (1, 2)]
-        on_pa, off_pa = (np.column_stack([(one.t_ns - event.start_ns) / 1e9, one.value]) for one in pressures)
-        t_s = (engine.t_ns[rows] - event.start_ns) / 1e9
-        drive = np.array([[0.0, 1.0]])
-        if source is not None:
-            drive = np.column_stack([(source.t_ns - event.start_ns) / 1e9 - t_s[0], source.value])
-        on_pa[:, 0] -= t_s[0]
-        off_pa[:, 0] -= t_s[0]
-        yield SlipPhase(
-            number=event.number, from_gear=2, to_gear=1, is_powered=True, start_ns=event.start_ns, t_s=t_s - t_s[0],
-            speed_rad_s=engine.value[rows], slip_rad_s=slip_rad_s[rows], on_pa=on_pa, off_pa=off_pa, drive=drive,
-        )  # fmt: skip
+def emulated(vehicles: int, cycles: int, folder: Path) -> Iterator[tuple[list[tuple[str, SlipPhase]], float | None]]:
+    """Yield the power upshifts of emulated cars at 27 rows a second, on rough ground and handed over quickly.
 
-
-def launched(parameters: FloatArray, scales: Scales, phase: SlipPhase) -> float:
-    """Return the change of engine speed in a launch [rad/s]: no clutch of another gear holds the engine."""
-    drive, drag, gain, _, touch, delay = parameters
-    t_s = np.arange(0.0, phase.t_s[-1], STEP_S)
-    torque = drive * np.interp(t_s, *phase.drive.T) / scales.drive - drag
-    above_pa = np.interp(t_s + delay * DELAY_STD_S, *phase.on_pa.T) - scales.touch_pa - touch * scales.touch_std_pa
-    carried = gain * np.maximum(above_pa, 0.0) / scales.pressure_pa
-    return float(scales.rate_rad_s2 * STEP_S * (torque - carried).sum())
-
-
-def launch_lines(
-    tables: Sequence[Path], meaning: Interpretation, known: Sequence[SlipPhase], touch_pa: float | None
-) -> Iterator[str]:
-    """Yield what the power upshifts say of each launch: the change of engine speed while its clutch slips."""
-    model = fitted(known, touch_pa)
-    steps = STEP_RATIO * np.eye(len(model.parameters))
-    for path in tables:
-        for phase in launches(path, meaning):
-            said, true = launched(model.parameters, model.scales, phase), float(phase.change_rad_s[-1])
-            moved = [launched(model.parameters + one, model.scales, phase) for one in steps]
-            slope = (np.array(moved) - said) / STEP_RATIO
-            scale = np.hypot(np.sqrt(slope @ model.covariance @ slope), model.scatter.scales_rad_s(np.array(said)))
-            half = float(scale * stdtrit(FREEDOM, 0.95))
-            yield (
-                f"launch of {path.name}, {phase.t_s[-1]:.2f} s, {len(phase.t_s)} rows: engine speed changes by "
-                f"{true:.0f} rad/s, predicted {said:.0f} +- {half:.0f} (90 %)"
-            )
-
-
-def emulated(vehicles: int, cycles: int, folder: Path) -> Iterator[PredictedShift]:
-    """Yield the power upshifts of emulated cars at 27 rows a second, each predicted from the others of its car."""
+    Each has a tune of its own; the noise of the output speed scatters its ratios by 1.5 %.
+    """
     for seed in range(1, vehicles + 1):
-        log, table = folder / f"{seed}.log", folder / f"{seed}.csv"
-        emulator(["record", str(log), "--seed", str(seed), "--cycles", str(cycles)])
-        written(log, table, np.random.default_rng(seed))
-        named, touch_pa = slips([table], meaning_of(table, folder))
-        yield from each_from_others(power_upshifts(named), touch_pa)
+        rng = np.random.default_rng(seed)
+        tune = {name: rng.uniform(*ends) for name, ends in TUNES.items()}
+        scenario, log, path = (folder / f"{seed}.{suffix}" for suffix in ("toml", "log", "csv"))
+        lines = [
+            f'name = "tune {seed}"',
+            f"cycles = {cycles}",
+            "[truth.plant]",
+            *(f'"{k}" = {v}' for k, v in tune.items()),
+        ]
+        scenario.write_text("\n".join(lines), encoding="utf-8")
+        emulator(["record", str(log), "--seed", str(seed), "--scenario", str(scenario)])
+        written(log, path, rng, left_out=LEFT_OUT)
         log.unlink()
+        rows = pd.read_csv(path)
+        rows["Output Shaft Speed [rpm]"] *= rng.normal(1.0, 0.015, len(rows))
+        rows.to_csv(path, index=False)
+        named, touch_pa = slips([path], meaning_of(path, folder))
+        yield power_upshifts(named), touch_pa
 
 
-def table(title: str, shown: Sequence[PredictedShift], what: str = "power upshifts") -> Iterator[str]:
-    """Yield what each model was worth, as a table."""
-    found = scores(shown)
+def of_each_log(test: BlindTest) -> Iterator[BlindTest]:
+    """Yield the same of each log by itself."""
+    for name in dict.fromkeys([one.log for one in test.shown] + [log for log, *_ in test.unknown]):
+        yield BlindTest(
+            shown=[one for one in test.shown if one.log == name],
+            unknown=[one for one in test.unknown if one[0] == name],
+        )
+
+
+def emulated_lines(title: str, tests: Sequence[BlindTest]) -> Iterator[str]:
+    """Yield what predictions of emulated cars are worth, those that are refused left out."""
+    passed = [test for test in tests if not test.why_refused]
+    yield f"\nEmulated, from {title}: {len(passed)} of {len(tests)} cars are predicted"
+    yield from table("Those", BlindTest(shown=[one for test in passed for one in test.shown]))
+
+
+def table(title: str, test: BlindTest, what: str = "power upshifts") -> Iterator[str]:
+    """Yield what each model was worth, as a table, and what is not predicted."""
+    yield f"\n{title}: {len(test.shown)} {what}; not predicted: {test.why_refused or 'none'}"
+    for (log, why), count in Counter((log, why) for log, _, why in test.unknown).items():
+        yield f"{log}: {count} not predicted: {why}"
+    if not test.shown:
+        return
+    found = scores(test.shown)
     best = min(score["crps_rad_s"] for name, score in found.items() if name != OURS)
-    yield f"\n{title}: {len(shown)} {what}\n"
-    yield "| model | median error | CRPS rad/s | ends in 50 % | in 90 % | samples in 50 % | in 90 % |"
+    yield "\n| model | median error | CRPS rad/s | ends in 50 % | in 90 % | samples in 50 % | in 90 % |"
     yield "|---|---|---|---|---|---|---|"
     for name, score in found.items():
         inside = (score[key] for key in ("inside_50", "inside_90", "samples_inside_50", "samples_inside_90"))
         shares = " | ".join(f"{100 * one:.0f} %" for one in inside)
         yield f"| {name} | {100 * score['median_error_ratio']:.1f} % | {score['crps_rad_s']:.2f} | {shares} |"
-    left = [one.predictions[OURS].mean_rad_s[-1] / one.phase.change_rad_s[-1] - 1.0 for one in shown]
-    spread = 100 * float(np.percentile(np.abs(left), 68))
-    yield f"\nCRPS over that of the best simpler model: {found[OURS]['crps_rad_s'] / best:.2f}; "
-    yield f"68 of 100 shifts are predicted within {spread:.1f} % of their change"
+    yield f"\nCRPS over that of the best simpler model: {found[OURS]['crps_rad_s'] / best:.2f}"
 
 
 def picture(shown: PredictedShift) -> str:
@@ -258,23 +170,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if options.tables:
-            meaning = meaning_of(options.tables[0], folder)
-            named, touch_pa = slips(options.tables, meaning)
-            upshifts, downshifts = power_upshifts(named), [one for one in named if one[1].sign < 0.0]
+            named, touch_pa = slips(options.tables, meaning_of(options.tables[0], folder))
+            downshifts = [one for one in named if one[1].sign < 0.0]
             for title, split in SPLITS.items():
-                shown = list(split(upshifts, touch_pa))
-                print("\n".join(table(f"Recorded, {title}", shown)), flush=True)
-                if options.picture and split is each_from_others:
-                    drawn = max(shown[1:], key=lambda one: len(one.phase.t_s))
+                test = blind_test(power_upshifts(named), touch_pa, split)
+                print("\n".join(table(f"Recorded, {title}", test)), flush=True)
+                if options.picture and split is each_left_out and test.shown:
+                    drawn = max(test.shown[1:] or test.shown, key=lambda one: len(one.phase.t_s))
                     options.picture.write_text(picture(drawn), encoding="utf-8")
-            if len(downshifts) > LEAST_EVENTS:
-                shown = list(each_from_others(downshifts, touch_pa))
-                print("\n".join(table("Recorded, each from all others", shown, "downshifts")))
-            known = [phase for _, phase in upshifts]
-            print("\n" + "\n".join(launch_lines(options.tables, meaning, known, touch_pa)), flush=True)
-        if options.vehicles:
-            shown = list(emulated(options.vehicles, options.cycles, folder))
-            print("\n".join(table("Emulated, each from all others of its car", shown)))
+            print("\n".join(table("Recorded, each from all others", blind_test(downshifts, touch_pa), "downshifts")))
+        cars = list(emulated(options.vehicles, options.cycles, folder))
+        print(
+            *emulated_lines("its own", [blind_test(named, touch_pa) for named, touch_pa in cars]), sep="\n", flush=True
+        )
+        groups = [cars[place : place + GROUP] for place in range(0, len(cars), GROUP)]
+        tests = [blind_test([one for named, _ in group for one in named], None, each_log) for group in groups]
+        print(
+            *emulated_lines("others, ten by ten", [by_log for test in tests for by_log in of_each_log(test)]), sep="\n"
+        )
 
 
 if __name__ == "__main__":

@@ -1,12 +1,10 @@
 """What logs teach of a vehicle: predictions of its shifts, its description."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
-
-import numpy as np
 
 from canlog.logs import read_log
 from canlog.logs.reading import Watch
@@ -16,16 +14,13 @@ from clutchdiag_io.people import PLUS_MINUS, half_width, plus_minus
 from clutchdiag_io.program import legible
 from diag_service.api.choices import AnyPath, AnyPaths, optional_path, path_list
 from diag_service.console import SILENT, ReadingLine, collected_notices
+from diag_service.diagnosis.blind_test import BlindTest, blind_test, each_left_out, each_log, scores, second_half
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.prediction import (
-    LEAST_EVENTS,
     PRESSURES,
     NoPhase,
-    Prediction,
     SlipPhase,
     Standing,
-    fitted,
-    predicted,
     slip_phase,
 )
 from diag_service.diagnosis.shifts.gear_tracking import tracker_for
@@ -33,7 +28,7 @@ from diag_service.diagnosis.shifts.shifts import PRE_NS
 from diag_service.diagnosis.shifts.tracking import NS_PER_S, EventFinder
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation
-from diag_service.mapping.learning import COMMANDS, LearnedVehicle, VehicleSurvey
+from diag_service.mapping.learning import BEHIND, COMMANDS, LearnedVehicle, VehicleSurvey
 from diag_service.mapping.mapped_messages import missing_for_next
 from diag_service.mapping.vehicle_file import description_toml
 from diag_service.settings.config import write_text
@@ -45,10 +40,7 @@ if TYPE_CHECKING:
 
 PREDICT_SCHEMA: Final = "clutchdiag/predict/v1"
 LEARN_SCHEMA: Final = "clutchdiag/learn/v1"
-BEHIND: Final = (Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED)
-OURS: Final = "friction"
 AFTER_NS: Final = NS_PER_S // 2  # behind a gear change: its slip is nearly closed there
-QUANTILES: Final = (np.arange(400) + 0.5) / 400.0
 
 
 def predict(
@@ -58,6 +50,7 @@ def predict(
     *,
     touch_pa: float | None = None,
     is_by_halves: bool = False,
+    is_by_log: bool = False,
 ) -> list[dict[str, Any]]:
     """Predict shifts of logs from the others, as ``diag-service predict`` does (docs/logs.md).
 
@@ -71,12 +64,15 @@ def predict(
         Touch point of the clutches [Pa]; None: the pressure in gear at standstill.
     is_by_halves
         Whether the second half is predicted from the first; else each shift from all others.
+    is_by_log
+        Whether the shifts of each log are predicted from the other logs alone.
 
     Returns
     -------
     list of dict
-        A record for each kind of gear change of which there are enough: ``shifts`` with the recorded change of engine
-        speed [rad/s] and what each model said of it, and ``scores``.
+        A record for each kind of gear change: ``shifts`` with the recorded change of engine speed [rad/s] and what
+        each model said of it, and ``scores``. If these fail, ``refused`` says why and there are no ``shifts``;
+        ``unknown`` are those that nothing is said of.
 
     Raises
     ------
@@ -84,7 +80,7 @@ def predict(
         If a log or the database cannot be read, or the profile lacks what a prediction needs.
     """
     options = PredictOptions(
-        logs=path_list(paths), touch_pa=touch_pa, halves=is_by_halves,
+        logs=path_list(paths), touch_pa=touch_pa, halves=is_by_halves, each_log=is_by_log,
         profile=optional_path(profile), dbc=optional_path(dbc),
     )  # fmt: skip
     with collected_notices():
@@ -132,15 +128,6 @@ def learn(
         return learned_record(learn_vehicle(options, Controls()))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PredictedShift:
-    """One shift, left out of what it was predicted from, and what was said of it, by the name of the model."""
-
-    log: str
-    phase: SlipPhase
-    predictions: dict[str, Prediction]
-
-
 def slip_phases(
     log: Path, meaning: Interpretation, standing: Standing, stop: Trigger, watch: Watch | None = None, columns: str = ""
 ) -> tuple[list[SlipPhase], list[NoPhase]]:
@@ -159,78 +146,17 @@ def slip_phases(
     return phases, [outcome for outcome in outcomes if isinstance(outcome, NoPhase)]
 
 
-def left_out_one_by_one(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[PredictedShift]:
-    """Yield every slip phase with what the others say of it; raises ValueError if they are too few."""
-    for log, phase in named:
-        yield _shown(log, phase, [other for _, other in named if other is not phase], touch_pa)
-
-
-def second_half_from_first(named: Sequence[tuple[str, SlipPhase]], touch_pa: float | None) -> Iterator[PredictedShift]:
-    """Yield the slip phases of the second half with what those of the first say; raises ValueError if too few."""
-    half = (len(named) + 1) // 2
-    for log, phase in named[half:]:
-        yield _shown(log, phase, [other for _, other in named[:half]], touch_pa)
-
-
-def _shown(log: str, phase: SlipPhase, known: Sequence[SlipPhase], touch_pa: float | None) -> PredictedShift:
-    return PredictedShift(log=log, phase=phase, predictions={OURS: predicted(fitted(known, touch_pa), phase)})
-
-
-def scores(shown: Sequence[PredictedShift]) -> dict[str, dict[str, float]]:
-    """Return what the model was worth at the ends of the slip phases, and over all their samples.
-
-    ``crps_rad_s``, the continuous ranked probability score, is an error that a too narrow or too wide interval
-    enlarges; ``inside_50`` and ``inside_90`` are how many of 1 lay inside these intervals.
-    """
-    return {name: _score([(shift.phase, shift.predictions[name]) for shift in shown]) for name in shown[0].predictions}
-
-
-def _score(pairs: Sequence[tuple[SlipPhase, Prediction]]) -> dict[str, float]:
-    ends = [
-        (prediction.mean_rad_s[-1], prediction.scale_rad_s[-1], prediction.freedom, phase.change_rad_s[-1])
-        for phase, prediction in pairs
-    ]
-    every = [
-        (mean, scale, prediction.freedom, true)
-        for phase, prediction in pairs
-        for mean, scale, true in zip(prediction.mean_rad_s, prediction.scale_rad_s, phase.change_rad_s, strict=True)
-    ]
-    errors = [abs(mean / true - 1.0) for mean, _, _, true in ends]
-    return {
-        "median_error_ratio": float(np.median(errors)),
-        "crps_rad_s": float(np.mean([_crps(*prediction) for prediction in ends])),
-        **{f"inside_{part}": inside_ratio(ends, part) for part in (50, 90)},
-        **{f"samples_inside_{part}": inside_ratio(every, part) for part in (50, 90)},
-    }
-
-
-def _crps(mean: float, scale: float, freedom: float, true: float) -> float:
-    from scipy.special import stdtrit  # noqa: PLC0415 - a large library
-
-    drawn = mean + scale * stdtrit(freedom, QUANTILES)
-    return float(np.mean(np.abs(drawn - true)) - 0.5 * np.mean(np.abs(drawn[:, None] - drawn)))
-
-
-def inside_ratio(predictions: Sequence[tuple[float, float, float, float]], part: int) -> float:
-    from scipy.special import stdtrit  # noqa: PLC0415 - a large library
-
-    return float(
-        np.mean([abs(true - mean) < scale * stdtrit(f, 0.5 + part / 200.0) for mean, scale, f, true in predictions])
-    )
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Predicted:
     """The gear changes of some logs: each predicted from others, by kind, and those that cannot be."""
 
-    groups: dict[str, list[PredictedShift]]  # only those of which there are enough
-    too_few: dict[str, int]
+    tests: dict[str, BlindTest]
     not_used: list[tuple[str, NoPhase]]  # log, and why
     touch_pa: float | None
 
     def records(self) -> list[dict[str, object]]:
         """Return what ``--json`` prints, a record for each kind of gear change."""
-        return [_record(title, shown, self.touch_pa) for title, shown in self.groups.items()]
+        return [_record(title, test, self.touch_pa) for title, test in self.tests.items() if test.shown or test.unknown]
 
 
 def predict_shifts(options: PredictOptions, controls: Controls, line: ReadingLine = SILENT) -> Predicted:
@@ -256,21 +182,21 @@ def predict_shifts(options: PredictOptions, controls: Controls, line: ReadingLin
         "other upshifts": [(log, phase) for log, phase in used if phase.sign > 0.0 and not phase.is_powered],
         "downshifts": [(log, phase) for log, phase in used if phase.sign < 0.0],
     }
-    split = second_half_from_first if options.halves else left_out_one_by_one
-    shown, too_few = dict[str, list[PredictedShift]](), dict[str, int]()
-    for title, group in groups.items():
-        if ((len(group) + 1) // 2 if options.halves else len(group) - 1) < LEAST_EVENTS:
-            too_few[title] = len(group)
-        else:
-            shown[title] = list(split(group, touch_pa))
-    return Predicted(groups=shown, too_few=too_few, not_used=without, touch_pa=touch_pa)
+    split = second_half if options.halves else each_log if options.each_log else each_left_out
+    tests = {title: blind_test(group, touch_pa, split) for title, group in groups.items()}
+    return Predicted(tests=tests, not_used=without, touch_pa=touch_pa)
 
 
-def _record(title: str, shown: Sequence[PredictedShift], touch_pa: float | None) -> dict[str, object]:
+def _record(title: str, test: BlindTest, touch_pa: float | None) -> dict[str, object]:
+    why = test.why_refused
     return {
         "schema": PREDICT_SCHEMA,
         "group": title,
         "touch_pa": touch_pa,
+        "refused": why or None,
+        "unknown": [
+            {"log": log, "number": phase.number, "reason": reason} for log, phase, reason in test.unknown
+        ],
         "shifts": [
             {
                 "log": shift.log, "number": shift.phase.number, "from_gear": shift.phase.from_gear,
@@ -281,9 +207,9 @@ def _record(title: str, shown: Sequence[PredictedShift], touch_pa: float | None)
                            "freedom": prediction.freedom} for name, prediction in shift.predictions.items()
                 },
             }
-            for shift in shown
+            for shift in test.shown if not why
         ],
-        "scores": scores(shown),
+        "scores": scores(test.shown) if test.shown else {},
     }  # fmt: skip
 
 
@@ -330,22 +256,16 @@ def _learned(options: LearnOptions, stop: Trigger, watch: Watch) -> LearnedVehic
     if (known is None and learned.ratios is None) or not {*PRESSURES.values()} <= signals:
         return learned
     meaning = meaning.with_gears(known or learned.ratios)
-    phases = [phase for log in logs for phase in slip_phases(log, meaning, Standing(), stop, watch, columns)[0]]
-    return survey.learned([phase for phase in phases if phase.sign > 0.0 and phase.is_powered])
+    slips = ((log, slip_phases(log, meaning, Standing(), stop, watch, columns)[0]) for log in logs)
+    upshifts = [(str(log), one) for log, phases in slips for one in phases if one.sign > 0.0 and one.is_powered]
+    return survey.learned([phase for _, phase in upshifts], [log for log, _ in upshifts])
 
 
 def summary_lines(learned: LearnedVehicle) -> Iterator[str]:
     """Yield what was learned and what was not, a line each."""
+    yield from filter(None, (learned.held_run,))
     yield f"{PLUS_MINUS}:"
-    if not learned.gears:
-        yield "gears: none was driven for long with its clutch closed"
-    for number, gear in learned.gears.items():
-        name = "the pressures do not tell its clutch" if gear.clutch is None else f"clutch {gear.clutch}"
-        yield f"gear {number}: ratio {gear.ratio.ratio:.4g} ± {half_width(gear.ratio.std, '{:.2g}')}, {name}"
-    if learned.gears and not learned.are_named:
-        yield "gears are numbered from the highest ratio that was driven: no signal names them"
-    if learned.gears and learned.ratios is None:
-        yield "not every gear was driven with its clutch closed for long: complete [gears] by hand"
+    yield from _gear_lines(learned)
     if learned.is_swapped:
         yield "clutch 1 carries the even gears here: name the two pressures the other way round in the profile"
     for clutch in (1, 2):
@@ -358,6 +278,20 @@ def summary_lines(learned: LearnedVehicle) -> Iterator[str]:
         if (gain := learned.gain_rad_s2_pa.get(clutch)) is not None:
             change = plus_minus(rpm_from_rad_s(gain.value), rpm_from_rad_s(gain.std), "{:.3g}", scale=pa_from_bar(1.0))
             yield f"clutch {clutch}: engine speed changes by {change} rpm/s a bar ({gain.origin})"
+
+
+def _gear_lines(learned: LearnedVehicle) -> Iterator[str]:
+    if not learned.gears:
+        yield "gears: none was driven for long with its clutch closed"
+    for number, gear in learned.gears.items():
+        name = "the pressures do not tell its clutch" if gear.clutch is None else f"clutch {gear.clutch}"
+        yield f"gear {number}: ratio {gear.ratio.ratio:.4g} ± {half_width(gear.ratio.std, '{:.2g}')}, {name}"
+    if learned.gears and not learned.are_named:
+        yield "gears are numbered from the highest ratio that was driven: no signal names them"
+    for number, count in learned.unclosed.items():
+        yield f"gear {number}: driven for {count} samples, in which its clutch was not closed for long: no ratio"
+    if learned.gears and learned.ratios is None:
+        yield "not every gear has its ratio: complete [gears] by hand"
 
 
 def _lag_text(learned: LearnedVehicle, clutch: int) -> str:
@@ -386,6 +320,7 @@ def learned_record(learned: LearnedVehicle) -> dict[str, object]:
         "over": learned.over.value,
         "gears": {number: {**gear.ratio._asdict(), "clutch": gear.clutch} for number, gear in gears.items()},
         "gears_are_named": learned.are_named,
+        "held_run": learned.held_run or None,
         **clutches,
         "rates_hz": {signal.value: rate for signal, rate in learned.rates_hz.items()},
     }

@@ -1,6 +1,7 @@
 """``diag-service learn``, ``calibrate`` and ``predict``: what is known of a vehicle, for people."""
 
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -11,19 +12,15 @@ from clutchdiag_io.console import PeopleConsole, plain_table
 from clutchdiag_io.people import PLUS_MINUS, digits, half_width, plus_minus
 from diag_service.api.calibration import FoundCalibration, calibrate_vehicle
 from diag_service.api.learning import (
-    OURS,
-    PredictedShift,
-    inside_ratio,
     learn_vehicle,
     learned_record,
     predict_shifts,
-    scores,
     summary_lines,
 )
 from diag_service.console import ReadingLine, write_record
+from diag_service.diagnosis.blind_test import OURS, PredictedShift, levels, scores
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration
-from diag_service.diagnosis.prediction import LEAST_EVENTS
 from diag_service.diagnosis.summary import GAP_TEXT
 from diag_service.settings.options import LearnOptions, PredictOptions
 from diag_service.stopping import Controls
@@ -71,10 +68,14 @@ def predict(options: PredictOptions, controls: Controls) -> None:
     console = PeopleConsole(stderr=options.json)
     for record in predicted.records() if options.json else ():
         sys.stdout.write(dump(record) + "\n")
-    for title, shown in predicted.groups.items() if not options.json else ():
-        console.print_all(_lines(title, shown))
-    for title, count in predicted.too_few.items():
-        console.print(f"{title}: {count}, too few to predict one from others ({LEAST_EVENTS} others are needed)")
+    for title, test in predicted.tests.items():
+        if why := test.why_refused:
+            console.print(f"{title}: not predicted: {why}")
+        elif not options.json:
+            console.print_all(_lines(title, test.shown))
+        for (log, unknown), count in Counter((log, reason) for log, _, reason in test.unknown).items():
+            console.print(f"{log}: {count} of the {title} not predicted: {unknown}")
+    console.print("launches are not predicted: from rest, the sign and gain that gear changes teach do not hold")
     for log, unused in predicted.not_used:
         console.print(f"{log}: {unused.event.from_gear}-{unused.event.to_gear} not used: {unused.reason}")
     if predicted.touch_pa is not None:
@@ -89,7 +90,8 @@ def _lines(title: str, shown: Sequence[PredictedShift]) -> Iterator[str]:
     for shift in shown:
         prediction, true = shift.predictions[OURS], float(shift.phase.change_rad_s[-1])
         mean, scale = float(prediction.mean_rad_s[-1]), float(prediction.scale_rad_s[-1])
-        inside = ["yes" if inside_ratio([(mean, scale, prediction.freedom, true)], part) else "no" for part in (50, 90)]
+        level = levels(prediction, shift.phase.change_rad_s)[-1]
+        inside = ["yes" if level < part / 100.0 else "no" for part in (50, 90)]
         std = scale * (prediction.freedom / (prediction.freedom - 2.0)) ** 0.5  # of Student's distribution
         gears, spread = (
             f"{shift.phase.from_gear}-{shift.phase.to_gear}",

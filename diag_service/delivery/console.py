@@ -98,7 +98,8 @@ class ConsoleReporter:
                 self._line(Text(f"{name_of(result.verdict.clutch, result.verdict.element)}: {line}"))
         loads = (load_line(load) for _, load in sorted(summary.loads.items()))
         causes = cause_lines(newest_causes(summary.latest))
-        for line in (*causes, *loads, *map(str, summary.relative), *slope_lines(summary.lockup)):
+        surveyed = (*map(str, summary.relative), *slope_lines(summary.lockup), *filter(None, (summary.held_run,)))
+        for line in (*causes, *loads, *surveyed):
             self._line(Text(line))
         if self._is_detailed:
             self._show_for_specialists(summary)

@@ -11,7 +11,7 @@ drawing is needed, and no engine torque. Pressures are read ``delay_s`` apart fr
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product, starmap
 from typing import Final, NamedTuple
 
@@ -29,9 +29,12 @@ from diag_service.diagnosis.events import Event
 STEP_S: Final = 0.002  # of the integration
 STEP_RATIO: Final = 0.02  # of a difference quotient
 LEFT_OLD_GEAR: Final = 0.08  # of the step between the gears: by so much the engine has left the old one
+LEFT_SCATTER, MOST_LEFT = 2.0, 0.3  # or by so many times the scatter of the rows before, up to this part of the step
+HANDED_OVER: Final = 0.4  # of the off-going clutch's pressure: with so much the on-coming one begins to take over
 LEAST_ROWS: Final = 2  # samples of engine speed in a slip phase, its first included
 LEAST_EVENTS: Final = 4  # to find parameters from
 LEAST_OF_CLUTCH: Final = 2  # to hold one against the other
+MOST_STD: Final = 0.2  # of a shift's friction over the others: beyond it even a worn-out clutch would not show
 MOST_EVENTS: Final = 100  # that are held against each other
 SLIP_RAD_S: Final = 100.0  # that slopes are counted in
 PERCENT: Final = 100.0
@@ -46,6 +49,8 @@ ROUNDS: Final = 8  # of finding parameters and what is left unexplained in turn
 GAIN_RATIOS: Final = (0.0, 0.02, 0.04, 0.07, 0.1, 0.15, 0.2)
 FREEDOM: Final = 4.0  # of Student's t
 MOST_LEVERAGE: Final = 0.8  # of a sample on its own fit: beyond it what is left over is too small to be scaled up
+WIDENING_PRIOR: Final = 1.0  # errors of the stated width that count beside those of the shifts left out
+LEAST_CERTAIN: Final = 2.0  # deviations of a gain above zero: with less, not even its sign is held
 TOUCH_STD_PA, DELAY_STD_S = 1.5e4, 0.015
 STANDING_RAD_S: Final = 0.5  # of the output shaft: slower, the car stands
 HELD_PA: Final = 0.3e5  # what is less is an empty piston, not a clutch that is held at its touch point
@@ -92,6 +97,11 @@ class SlipPhase:
         """Mean pressure of the on-coming clutch."""
         return float(np.interp(self.t_s, *self.on_pa.T).mean())
 
+    @property
+    def course(self) -> FloatArray:
+        """What a shift is like: mean pressure [Pa], first slip [rad/s], mean of what tells the torque; (3,)."""
+        return np.array([self.mean_pa, np.abs(self.slip_rad_s[0]), np.interp(self.t_s, *self.drive.T).mean()])
+
 
 class NoPhase(NamedTuple):
     """A gear change that cannot be predicted, and why."""
@@ -118,18 +128,25 @@ def slip_phase(event: Event, gears: GearRatios | None = None) -> SlipPhase | NoP
         return NoPhase(event, "neither speeds behind the clutches nor ratios and a speed behind the gears")
     on_slip, off_slip = engine.value - inputs[0], engine.value - inputs[1]
     step = float(np.median((inputs[1] - inputs[0])[:3]))
-    has_left = (off_slip * -np.sign(step) > LEFT_OLD_GEAR * abs(step)) & (engine.t_ns >= event.start_ns)
+    is_before = engine.t_ns < event.start_ns
+    scatter = 1.4826 * float(np.median(np.abs(off_slip[is_before]))) if is_before.any() else 0.0
+    least = min(max(LEFT_OLD_GEAR * abs(step), LEFT_SCATTER * scatter), MOST_LEFT * abs(step))
+    has_left = (off_slip * -np.sign(step) > least) & ~is_before
     if not has_left.any() or has_left[0]:
         return NoPhase(event, "the engine never leaves the old gear")
     locked = np.flatnonzero((on_slip * np.sign(step) <= 0.0) & (np.cumsum(has_left) > 0))
     stop = int(locked[0]) if len(locked) else len(on_slip)
-    # Rows scatter: one that seems to have left is not the beginning while a later one is in the old gear.
-    first = int(np.flatnonzero(~has_left[:stop])[-1])
+    # Rows scatter: one that seems to have left is not the beginning while a later one is in the old gear, or while the
+    # on-coming clutch has no pressure.
+    clutch = clutch_of_gear(event.to_gear)
+    both = (columns[PRESSURES[which]] for which in (clutch, 3 - clutch))
+    on_pa, off_pa = (np.interp(engine.t_ns, pressure.t_ns, pressure.value) for pressure in both)
+    takes_over = on_pa > HANDED_OVER * np.maximum(off_pa, HELD_PA)
+    first = int(np.flatnonzero(~(has_left & takes_over)[:stop])[-1])
     if not len(locked) or stop - first < LEAST_ROWS:
         return NoPhase(event, f"not enough samples in the slip ({stop - first} of at least {LEAST_ROWS})")
     start_ns = int(engine.t_ns[first])
     t_s = (engine.t_ns[first:stop] - start_ns) / NS_PER_S
-    clutch = clutch_of_gear(event.to_gear)
     source = next(
         (columns[signal] for signal in TORQUE_SOURCES if signal in columns and len(columns[signal].t_ns)), None
     )
@@ -225,6 +242,27 @@ class Model:
     parameters: FloatArray
     covariance: FloatArray
     scatter: PredictionScatter
+    reach: FloatArray  # (2, 3): least and most of what the shifts were like, `SlipPhase.course`
+    shift_widening: float = 1.0  # by which errors of shifts that are left out are wider than stated
+    drive_widening: float | None = None  # likewise of whole drives; None where there is one only
+
+    def outside(self, phase: SlipPhase) -> float:
+        """Return how far a shift is outside the trained range, over that range."""
+        least, most = self.reach
+        beyond = np.maximum(phase.course - most, least - phase.course) / np.maximum(most - least, 1e-9)
+        return max(0.0, float(beyond.max()))
+
+    def why_unknown(self, phase: SlipPhase, *, is_of_another: bool = False) -> str:
+        """Return why nothing is said of a shift, of another drive or of one that was learnt from; empty if it is."""
+        place = 1 + phase.clutch
+        gain, std = self.parameters[place], np.sqrt(self.covariance[place, place])
+        if is_of_another and self.drive_widening is None:
+            return "learnt from one drive alone: how far another is from it nobody knows"
+        if gain < LEAST_CERTAIN * std:
+            return f"the gain of clutch {phase.clutch} is not held, perhaps not even its sign"
+        if self.outside(phase) > 1.0:
+            return "its pressure, slip or torque is too far outside what was learnt"
+        return ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -236,11 +274,15 @@ class Prediction:
     freedom: float
 
 
-def fitted(phases: Sequence[SlipPhase], touch_pa: float | None = None) -> Model:
+def fitted(phases: Sequence[SlipPhase], touch_pa: float | None = None, logs: Sequence[str] = ()) -> Model:
     """Return the model that some slip phases show, by least squares with weak priors.
+
+    Its widths are those of a jackknife over shifts and, where there are several, over drives.
 
     Parameters
     ----------
+    logs
+        Of which drive each of them is; empty: all of one.
     touch_pa
         Touch point, if it is known to 15 kPa; None: it is looked for between nothing and the lowest mean pressure.
 
@@ -273,15 +315,58 @@ def fitted(phases: Sequence[SlipPhase], touch_pa: float | None = None) -> Model:
         covariance = np.asarray(np.linalg.inv(slopes.T @ slopes), np.float64)
         leverage = np.einsum("ij,jk,ik->i", slopes, covariance, slopes)[: len(measured)]
         scatter = _likeliest(means, (means - measured) / np.sqrt(1.0 - np.minimum(leverage, MOST_LEVERAGE)), ends)
-    return Model(scales=scales, parameters=point, covariance=covariance, scatter=scatter)
+    courses = np.array([phase.course for phase in phases])
+    model = Model(
+        scales=scales, parameters=point, covariance=covariance, scatter=scatter,
+        reach=np.stack([courses.min(axis=0), courses.max(axis=0)]),
+    )  # fmt: skip
+    slopes, looks = _jacobian(_priors, point), [_look(model, phase) for phase in phases]
+    information = slopes.T @ slopes + sum(look.design.T @ look.design for look in looks)
+    model = replace(model, covariance=np.asarray(np.linalg.inv(information), np.float64))
+    drives = [[look for look, of in zip(looks, logs, strict=True) if of == log] for log in dict.fromkeys(logs)]
+    return replace(
+        model,
+        shift_widening=_widening(model, [[look] for look in looks]),
+        drive_widening=_widening(model, drives) if len(drives) > 1 else None,
+    )
 
 
-def predicted(model: Model, phase: SlipPhase) -> Prediction:
-    """Return what a model says of a slip phase, given its pressures and its first speeds."""
+def _widening(model: Model, blocks: Sequence[Sequence["_Look"]]) -> float:
+    """Return by how much the errors of shifts whose block is left out are wider than the model says: a likeliest scale.
+
+    Leaving a block out is linearised: its residuals grow by its leverage, the parameters' covariance by what it told.
+    Of each shift the last sample counts.
+    """
+    errors = list[float]()
+    for block in blocks:
+        size = np.concatenate([look.size_rad_s * look.outlying for look in block])
+        design, left = (
+            np.concatenate([look.design for look in block]),
+            np.concatenate([look.left_rad_s for look in block]),
+        )
+        reached, ends = model.covariance @ design.T, np.cumsum([len(look.left_rad_s) for look in block]) - 1
+        growth = np.linalg.inv(np.eye(len(left)) - design @ reached)
+        covariance, last = model.covariance + reached @ growth @ reached.T, design[ends] * size[ends, None]
+        variance = np.einsum("ij,jk,ik->i", last, covariance, last) + [look.size_rad_s[-1] ** 2 for look in block]
+        errors += ((growth @ (left / size) * size)[ends] / np.sqrt(variance)).tolist()
+    squares, square = np.square(errors), 1.0
+    for _ in range(10 * ROUNDS):
+        outlying = (FREEDOM + 1.0) * squares / (FREEDOM + squares / square)
+        square = (WIDENING_PRIOR + float(outlying.sum())) / (WIDENING_PRIOR + len(squares))
+    return float(np.sqrt(square))
+
+
+def predicted(model: Model, phase: SlipPhase, *, is_of_another: bool = False) -> Prediction:
+    """Return what a model says of a slip phase, given its pressures and its first speeds.
+
+    Of another drive than those it was fitted to, and outside what was trained, intervals are wider.
+    """
     mean, slopes = simulated(model.parameters, model.scales, phase), _slopes(model, phase)
     variance = np.einsum("ij,jk,ik->i", slopes, model.covariance, slopes)
     variance += model.scatter.scales_rad_s(mean) ** 2
-    return Prediction(mean_rad_s=mean, scale_rad_s=np.sqrt(variance), freedom=FREEDOM)
+    wider = max(model.shift_widening, (model.drive_widening or 0.0) if is_of_another else 0.0)
+    wider *= 1.0 + model.outside(phase)
+    return Prediction(mean_rad_s=mean, scale_rad_s=wider * np.sqrt(variance), freedom=FREEDOM)
 
 
 def _jacobian(function: Callable[[FloatArray], FloatArray], parameters: FloatArray) -> FloatArray:
@@ -400,6 +485,14 @@ class RelativeFriction:
     slope_s_rad: Relative  # against slip
     trend: Relative  # from the first of these shifts to the last
 
+    @property
+    def silence(self) -> str:
+        """That the shifts tell nothing, if each is known too badly; else empty."""
+        best = min(ratio.std for ratio in self.shifts.values())
+        return f"tells nothing: friction of a shift is known to ± {2.0 * PERCENT * best:.0f} % at best" * (
+            best > MOST_STD
+        )
+
     def __str__(self) -> str:
         """Return the same as one line for people."""
         ratios = ", ".join(
@@ -407,7 +500,8 @@ class RelativeFriction:
         )
         slope, trend = self.slope_s_rad * (PERCENT * PER_1000_RPM), self.trend * PERCENT
         return (
-            f"clutch {self.clutch}, friction of each power upshift over its others: {ratios}; "
+            f"clutch {self.clutch}{self.silence and f' {self.silence}'}, "
+            f"friction of each power upshift over its others: {ratios}; "
             f"{plus_minus(slope.value, slope.std, '{:+.1f}')} % {SLOPE_UNIT} of slip; "
             f"{plus_minus(trend.value, trend.std, '{:+.1f}')} % from the first to the last ({PLUS_MINUS})"
         )
@@ -470,16 +564,19 @@ class _Look(NamedTuple):
     phase: SlipPhase
     slopes: FloatArray
     left_rad_s: FloatArray  # of what was measured, by the model
-    covariance: FloatArray
+    size_rad_s: FloatArray
     outlying: FloatArray  # by how much each sample counts less, as the tails of Student's t have it
+
+    @property
+    def design(self) -> FloatArray:
+        """The slopes, as each sample counts."""
+        return self.slopes / (self.size_rad_s * self.outlying)[:, None]
 
 
 def _look(model: Model, phase: SlipPhase) -> _Look:
-    mean, scatter = simulated(model.parameters, model.scales, phase), model.scatter
-    left = phase.change_rad_s - mean
-    covariance = np.diag(np.full(len(mean), scatter.speed_rad_s**2)) + scatter.gain_ratio**2 * np.outer(mean, mean)
-    outlying = np.sqrt((FREEDOM + (left / scatter.scales_rad_s(mean)) ** 2) / (FREEDOM + 1.0))
-    return _Look(phase, _slopes(model, phase), left, FREEDOM / (FREEDOM - 2.0) * covariance, np.maximum(outlying, 1.0))
+    mean = simulated(model.parameters, model.scales, phase)
+    left, size = phase.change_rad_s - mean, model.scatter.scales_rad_s(mean)
+    return _Look(phase, _slopes(model, phase), left, size, np.sqrt((FREEDOM + (left / size) ** 2) / (FREEDOM + 1.0)))
 
 
 def _beside(
@@ -494,8 +591,11 @@ def _beside(
     slopes = _jacobian(_priors, model.parameters)
     information, pull = np.eye(count + 1), np.zeros(count + 1)  # a course of 100 % is its own weak prior
     information[:-1, :-1], pull[:-1] = slopes.T @ slopes, -slopes.T @ _priors(model.parameters)
-    for phase, sensitivities, left, covariance, outlying in looks:
-        design, spread = np.column_stack([sensitivities, np.zeros(len(left))]), outlying
+    for phase, sensitivities, left, _, outlying in looks:
+        design, spread = np.column_stack([sensitivities, np.zeros(len(left))]), np.maximum(outlying, 1.0)
+        mean, scatter = phase.change_rad_s - left, model.scatter
+        covariance = np.diag(np.full(len(mean), scatter.speed_rad_s**2)) + scatter.gain_ratio**2 * np.outer(mean, mean)
+        covariance *= FREEDOM / (FREEDOM - 2.0)
         if (course := courses.get(phase.number)) is not None:
             ratios = (1.0 + sign * step * course for sign in (1.0, -1.0))
             both = [simulated(model.parameters, model.scales, phase, ratio) for ratio in ratios]

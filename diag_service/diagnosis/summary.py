@@ -244,6 +244,7 @@ class Summary:
     loads: Mapping[int, Load] = field(default_factory=dict)  # what each clutch had to bear
     relative: "tuple[RelativeFriction, ...]" = ()  # of a log whose signals tell friction up to a scale
     lockup: "LockupSlope | None" = None  # of a log whose signals tell no level of a lock-up clutch
+    held_run: str = ""  # what a clutch carried in a log in one gear, for people
 
     @property
     def latest(self) -> tuple[ShiftResult, ...]:
@@ -425,6 +426,7 @@ def summary_record(summary: Summary) -> JsonObject:
         **({"loads": [to_plain(load) for _, load in sorted(summary.loads.items())]} if summary.loads else {}),
         **({"relative_friction": [to_plain(friction) for friction in summary.relative]} if summary.relative else {}),
         **({} if summary.lockup is None else {"lockup_slope": to_plain(summary.lockup)}),
+        **({"held_run": summary.held_run} if summary.held_run else {}),
         "logs": [log_record(log) for log in summary.contributions.logs],
         "idle": list(summary.contributions.idle),
     }

@@ -22,12 +22,20 @@ from canlog.logs import STANDARD_INPUT, read_log, shown_name, table_columns
 from canlog.logs.reading import Watch
 from canlog.logs.streams import never
 from clutch_model.calibration import clutch_of_gear
-from clutch_model.units import NS_PER_S
+from clutch_model.units import NS_PER_S, bar_from_pa
 from clutchdiag_io.people import digits
 from clutchdiag_io.program import legible
 from dbc.contract import DBC_PATH
-from diag_service.diagnosis.columns import ColumnBatch, GearRatios, Signal
-from diag_service.diagnosis.prediction import HELD_PA, LEAST_EVENTS, SlipPhase, fitted
+from diag_service.diagnosis.columns import NO_SAMPLES, ColumnBatch, GearRatios, Signal
+from diag_service.diagnosis.prediction import (
+    HELD_PA,
+    LEAST_CERTAIN,
+    LEAST_EVENTS,
+    LEAST_OF_CLUTCH,
+    TORQUE_SOURCES,
+    SlipPhase,
+    fitted,
+)
 from diag_service.errors import StoppedError
 from diag_service.mapping import proposal
 from diag_service.mapping.decoder import Decoder
@@ -56,6 +64,9 @@ LEAST_CLOSED_PA: Final = 2.5e5  # beyond the touch point of any type
 MOVING_PA: Final = 0.5e5  # a command that moves by less tells no lag
 SURE: Final = 0.9  # share of the samples
 PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
+BEHIND: Final = (Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED)
+MS_PER_S: Final = 1e3
+HARDEST: Final = 0.95  # quantile of loads over pressure: a few rows may be damaged
 COMMANDS: Final = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMMAND)
 GEARS: Final = (Signal.TARGET_GEAR, Signal.CURRENT_GEAR)
 BAND, MOST_BAND = 0.03, 0.09  # of ratios around a gear's: a speed that grows moves them by that, rough ground by more
@@ -64,7 +75,9 @@ GROWTH_S: Final = 0.3  # over which the gain of speed is a mean
 MOST_GROWTH: Final = 0.5  # in that time, as a part of the speed
 OUTLYING: Final = 4.0
 OWN_SKEW_S: Final = 0.007  # by which the skew of a gear differs from that of all: a driveline winds up
-_TIME, _GEAR, _ENGINE, _OVER, _GROWTH, _FIRST = range(6)  # the columns that are kept; clutch pressures are the last
+_TIME, _GEAR, _ENGINE, _OVER, _GROWTH, _LOAD, _FIRST = range(
+    7
+)  # the columns that are kept; clutch pressures are the last
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,6 +115,8 @@ class LearnedVehicle:
         default_factory=dict
     )  # of the engine's speed: friction up to a scale
     rates_hz: Mapping[Signal, float] = field(default_factory=dict)  # at which signals came
+    held_run: str = ""  # what a clutch carried where one gear alone was driven
+    unclosed: Mapping[int, int] = field(default_factory=dict)  # samples of driven gears that tell no ratio
 
     @property
     def ratios(self) -> GearRatios | None:
@@ -136,6 +151,7 @@ class VehicleSurvey:
         self._lags: dict[int, list[float]] = {1: [], 2: []}
         self._periods_s: dict[Signal, list[float]] = {}
         self._has_gear = False
+        self._load: Signal | None = None
 
     def add(self, batch: ColumnBatch) -> None:
         """Take up one batch."""
@@ -155,6 +171,10 @@ class VehicleSurvey:
         if gear is not None:
             known = np.searchsorted(gear.t_ns, over.t_ns, side="right") - 1
             rows[:, _GEAR] = np.where(known >= 0, gear.value[np.maximum(known, 0)], np.nan)
+        if (
+            load := next((one for one in TORQUE_SOURCES if len(batch.columns.get(one, NO_SAMPLES).t_ns)), None)
+        ) is not None:
+            rows[:, _LOAD], self._load = _read(batch.columns[load], over), load
         for place, (signal, asked) in enumerate(zip(PRESSURES, COMMANDS, strict=True)):
             if (pressure := batch.columns.get(signal)) is not None and len(pressure.t_ns):
                 rows[:, _FIRST + place] = _read(pressure, over)
@@ -171,8 +191,8 @@ class VehicleSurvey:
             self.rows, self._step, self._skip = [np.concatenate(self.rows)[::2]], 2 * self._step, 0
             self._count = len(self.rows[0])
 
-    def learned(self, phases: Sequence[SlipPhase] = ()) -> LearnedVehicle:
-        """Return what all that says; slip phases of power upshifts tell gains.
+    def learned(self, phases: Sequence[SlipPhase] = (), logs: Sequence[str] = ()) -> LearnedVehicle:
+        """Return what all that says; slip phases of power upshifts tell gains, ``logs`` of which drive each is.
 
         They tell no touch point: friction that falls with slip moves where a line through them meets zero by 20 to
         60 kPa, more than a type is known to.
@@ -180,7 +200,7 @@ class VehicleSurvey:
         rows = np.concatenate([np.empty((0, _FIRST + len(PRESSURES))), *self.rows])
         gears = _gears_of(rows, are_named=self._has_gear)
         held = {clutch: found for clutch in (1, 2) if (found := _held(rows, gears, clutch)) is not None}
-        gains = _gains(phases, held)
+        gains = _gains(phases, held, logs)
         lags = {clutch: np.array(found) for clutch, found in self._lags.items() if len(found) >= LEAST_EVENTS}
         rates_hz = {one: 1.0 / float(np.median(found)) for one, found in self._periods_s.items() if min(found) > 0.0}
         return LearnedVehicle(
@@ -191,6 +211,8 @@ class VehicleSurvey:
             lag_s={one: _middle(lag_s, 1.0 / rates_hz.get(PRESSURES[one - 1], np.inf)) for one, lag_s in lags.items()},
             gain_rad_s2_pa=gains,
             rates_hz=rates_hz,
+            held_run=_held_run(rows, gears, self._load),
+            unclosed=_unclosed(rows, gears) if self._has_gear else {},
         )
 
 
@@ -339,19 +361,57 @@ def _held(rows: FloatArray, gears: Mapping[int, LearnedGear], clutch: int) -> Le
     return LearnedValue(value=middle, std=float(np.hypot(HOLD_STD_PA, spread)), origin="held in gear at standstill")
 
 
-def _gains(phases: Sequence[SlipPhase], held: Mapping[int, LearnedValue]) -> dict[int, LearnedValue]:
-    """Return what slip phases of power upshifts tell of the gains of clutches; beside an unknown touch point, less."""
+def _unclosed(rows: FloatArray, gears: Mapping[int, LearnedGear]) -> dict[int, int]:
+    """Return how many samples there are of gears that were driven, but tell no ratio."""
+    numbers, counts = np.unique(rows[(rows[:, _OVER] > STANDING) & (rows[:, _GEAR] >= 1.0), _GEAR], return_counts=True)
+    told = zip(numbers.astype(int).tolist(), counts.tolist(), strict=True)
+    return {gear: count for gear, count in told if count >= LEAST_SAMPLES and gear not in gears}
+
+
+def _held_run(rows: FloatArray, gears: Mapping[int, LearnedGear], source: Signal | None) -> str:
+    """Return what a clutch carried, for people, if one gear alone was driven and it hardly ever slipped; else empty."""
+    number, gear = next(iter(gears.items()), (0, None))
+    if gear is None or gear.clutch is None or len(gears) > 1 or _unclosed(rows, gears):
+        return ""
+    driven = rows[(rows[:, _OVER] > LEAST_SPEED * rows[:, _OVER].max()) & (rows[:, _ENGINE] > 0.0)]
+    is_closed = np.abs(driven[:, _ENGINE] / driven[:, _OVER] / gear.ratio.ratio - 1.0) < MOST_BAND
+    closed = driven[is_closed & (driven[:, _FIRST + gear.clutch - 1] > HELD_PA)]
+    if len(closed) < SURE * len(driven):
+        return ""
+    load, pressure_pa = closed[:, _LOAD], closed[:, _FIRST + gear.clutch - 1]
+    ratios = np.nan_to_num(load) / pressure_pa
+    hardest = int(np.abs(ratios - np.quantile(ratios, HARDEST)).argmin())
+    carried = {
+        None: "it did not slip",
+        Signal.ENGINE_TORQUE: f"it carries at least {digits(load[hardest])} Nm",
+        Signal.INJECTION_TIME: f"it carries at least what {digits(MS_PER_S * load[hardest])} ms of injection make",
+    }[source]
+    return (
+        f"driven in gear {number} alone, as on a dynamometer: clutch {gear.clutch} was held, and {carried} "
+        f"at {digits(bar_from_pa(pressure_pa[hardest]))} bar; no shift tells its friction"
+    )
+
+
+def _gains(
+    phases: Sequence[SlipPhase], held: Mapping[int, LearnedValue], logs: Sequence[str]
+) -> dict[int, LearnedValue]:
+    """Return what slip phases of power upshifts tell of the gains of clutches; beside an unknown touch point, less.
+
+    Both clutches are fitted together. Where not even the sign is held, there is no gain.
+    """
     gains = dict[int, LearnedValue]()
+    if len(phases) < LEAST_EVENTS:
+        return gains
+    touch_pa = float(np.mean([known.value for known in held.values()])) if held else None
+    model = fitted(phases, touch_pa, logs)
+    unit = model.scales.rate_rad_s2 / model.scales.pressure_pa
+    wider = max(model.shift_widening, model.drive_widening or 0.0)
     for clutch in (1, 2):
-        own = [one for one in phases if one.clutch == clutch]
-        if len(own) < LEAST_EVENTS:
-            continue
-        known = held.get(clutch)
-        model = fitted(own, None if known is None else known.value)
-        unit, place = model.scales.rate_rad_s2 / model.scales.pressure_pa, 1 + clutch
-        value, std = abs(float(model.parameters[place])), float(np.sqrt(model.covariance[place, place]))
+        count, place = sum(phase.clutch == clutch for phase in phases), 1 + clutch
+        value, std = float(model.parameters[place]), wider * float(np.sqrt(model.covariance[place, place]))
         std = float(np.hypot(std, GAIN_LAW_RATIO * value))
-        gains[clutch] = LearnedValue(value=unit * value, std=unit * std, origin=f"slip of {len(own)} upshifts")
+        if count >= LEAST_OF_CLUTCH and value > LEAST_CERTAIN * std:
+            gains[clutch] = LearnedValue(value=unit * value, std=unit * std, origin=f"slip of {count} upshifts")
     return gains
 
 
@@ -462,7 +522,7 @@ def _shown_ratios(
     log: Path, database: Database, best: Mapping[Signal, Sequence[proposal.Candidate]], columns: str
 ) -> tuple[Signal, Mapping[int, proposal.GearRatio]]:
     """Return over which speed a log shows the ratios of which gears; none where they are not needed."""
-    over = next((one for one in (Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED) if one in best), None)
+    over = next((one for one in BEHIND if one in best), None)
     knows_slip = tier_of(best.keys()) is not None and best.keys() & {Signal.INPUT1_SPEED, Signal.INPUT_SPEED}
     if log == STANDARD_INPUT or over is None or knows_slip or is_of_lockup(best.keys()):
         return Signal.OUTPUT_SPEED, {}

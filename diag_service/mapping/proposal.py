@@ -32,8 +32,8 @@ from diag_service.mapping.units import (
 TYPICAL_TORQUE_NM: Final = 200.0  # of the most fuel: some scale must be assumed
 ASSUMED_FRICTION_NM: Final = 25.0  # of an engine without fuel
 # Widths of the band in which the ratios of a closed clutch lie, as parts of them; rough ground or a tool that asks for
-# one speed after the other scatters them. Neighbouring gears are twice the widest apart.
-WINDOWS: Final = (0.01, 0.015, 0.02, 0.03)
+# one speed after the other scatters them. Neighbouring gears are three times the widest apart.
+WINDOWS: Final = (0.01, 0.015, 0.02, 0.03, 0.045)
 LEAST_SAMPLES: Final = 10
 LEAST_SHARE: Final = 0.2  # of a gear's samples in that band: else its clutch was never closed for long
 MOST_ODD: Final = 100  # values at either end, one of a thousand, that may be damage
@@ -70,6 +70,7 @@ def densest(ratios: FloatArray, least_share: float = LEAST_SHARE) -> GearRatio |
 
 
 MIN_SCORE: Final = 3.0
+PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
 _NEVER: Final = re.compile(
     r"crc|check|chk|alive|counter|_bz$|status|qbit|fault|error|fehler|warn|lamp|req|anf(ord|_)|wunsch|begr|limit|max|min|grad"
     r"|offset|display|disp|anzeige|cluster|volt",
@@ -244,7 +245,18 @@ def candidates(statistics: Iterable[SignalStatistics]) -> dict[Signal, list[Cand
         if candidate.signal not in best:
             taken.add(candidate.statistics.place)
         best.setdefault(candidate.signal, []).append(candidate)
+    _in_one_unit(best)
     return best
+
+
+def _in_one_unit(best: dict[Signal, list[Candidate]]) -> None:
+    """Read the pressures of both clutches in one unit: that of the header, else that of the higher one."""
+    if len(pair := [best[signal][0] for signal in PRESSURES if signal in best]) < len(PRESSURES):
+        return
+    leader = max(pair, key=lambda one: (bool(one.statistics.unit), one.statistics.highest))
+    for other in pair:
+        if other.statistics.is_column and not other.statistics.unit and leader.statistics.is_column:
+            best[other.signal][0] = replace(other, reading=leader.reading)
 
 
 def _surroundings(statistics: Iterable[SignalStatistics], listed: Mapping[str, Signal]) -> Surroundings:
@@ -331,7 +343,7 @@ def gears_text(over: Signal, ratios: Mapping[int, GearRatio]) -> str:
         for gear, one in sorted(ratios.items())
     ]
     mark = "" if is_complete(ratios) else "# "
-    missing = [] if not mark else ["# Complete it: not every gear was driven with its clutch closed for long."]
+    missing = [] if not mark else ["# Complete it: not every gear shows its ratio."]
     values = ", ".join(f"{one.ratio:.4g}" for _, one in sorted(ratios.items()))
     shown = [f"# {PLUS_MINUS}:", *shown, *missing]
     lines = ["", *shown, f"{mark}[gears]", f'{mark}over = "{over.value}"', f"{mark}ratios = [{values}]"]

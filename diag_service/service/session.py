@@ -231,8 +231,12 @@ class Session:
             _LOG.error("frame counts do not add up: %s", frames_line(frames))
         summary = replace(self.summary(frames, unpublished_count), gaps=gaps, contributions=contributions)
         if self.survey is not None:
-            slope = self.survey.slopes.slope()
-            summary = replace(summary, relative=self.survey.relative_frictions(), lockup=slope)
+            summary = replace(
+                summary,
+                relative=self.survey.relative_frictions(),
+                lockup=self.survey.slopes.slope(),
+                held_run=self.survey.held_run,
+            )
         self.reporter.report(summary)
         if frames.on_bus and not frames.decoded and not frames.rejected_count:
             _LOG.log(NOTICE, "%s", NOTHING_KNOWN)

@@ -143,6 +143,7 @@ class PredictOptions(MeaningOptions):
     logs: tuple[Path, ...]
     touch_pa: float | None = None  # touch point of the clutches; None: the pressure in gear at standstill
     halves: bool = False
+    each_log: bool = False
     json: bool = False
 
 

@@ -125,3 +125,23 @@ def test_the_shift_whose_friction_was_lower_is_told_up_to_a_scale() -> None:
         inside += [abs(one.value - ratios[number]) < 2.0 * one.std for number, one in shifts]
     assert len(inside) == 12 * len(ratios)
     assert np.mean(inside) >= 0.9
+
+
+def test_a_slip_phase_does_not_begin_before_the_on_coming_clutch_has_pressure() -> None:
+    event = upshift()
+    output, t_s = event.columns[Signal.OUTPUT_SPEED], np.arange(0.0, 2.0, ROW_S)
+    skewed = replace(output, value=np.where((t_s > 0.82) & (t_s < 1.0), 1.07, 1.0) * output.value)  # rough ground
+    on_pa = series(t_s, np.interp(t_s, [0.98, 1.06], [0.0, 4e5]))
+    off_pa = series(t_s, np.interp(t_s, [0.98, 1.06], [4e5, 0.0]))
+    pressures = {Signal.CLUTCH1_PRESSURE: off_pa, Signal.CLUTCH2_PRESSURE: on_pa}
+    found = slip_phase(replace(event, columns={**event.columns, Signal.OUTPUT_SPEED: skewed, **pressures}), GEARS)
+    assert isinstance(found, SlipPhase)
+    assert found.start_ns >= 960_000_000
+
+
+def test_shifts_that_are_known_badly_say_first_that_they_tell_nothing() -> None:
+    phases = with_friction(np.ones(6), np.random.default_rng(3))
+    clear = next(relative_friction(phases, TOUCH_PA))
+    vague = replace(clear, shifts={number: replace(one, std=0.4) for number, one in clear.shifts.items()})
+    assert (clear.silence, vague.silence) == ("", "tells nothing: friction of a shift is known to ± 80 % at best")
+    assert str(vague).startswith("clutch 1 tells nothing: friction of a shift is known to ± 80 % at best, friction of")

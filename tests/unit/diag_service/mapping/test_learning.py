@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from canlog.arrays import FloatArray, Series
+from diag_service.api.learning import summary_lines
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.mapping.learning import LearnedVehicle, VehicleSurvey
 
@@ -53,3 +54,41 @@ def test_the_ratio_of_each_gear_is_found_and_its_deviation_holds(scatter_ratio: 
     assert np.mean(np.abs(off) < 2.0) >= 0.9
     widest = max(one.ratio.std / one.ratio.ratio for each in drives for one in each.gears.values())
     assert widest < max(0.01, 1.5 * scatter_ratio)
+
+
+def one_gear(other_rows: int = 0, *, slip: float = 0.0) -> LearnedVehicle:
+    """Return what a run on a dynamometer tells: the third gear, held by clutch 1, while torque and pressure rise."""
+    t_s = np.asarray(ROW_S * np.arange(400), np.float64)
+    output_rad_s, torque_nm = np.linspace(40.0, 100.0, 400), np.linspace(40.0, 80.0, 400)
+    gears = np.where(np.arange(400) < other_rows, 2.0, 3.0)
+    open_clutch = np.where(gears == 2.0, np.linspace(1.2, 9.0, 400), 1.0)  # the other gear is never held
+    values: dict[Signal, FloatArray] = {
+        Signal.ENGINE_SPEED: RATIOS[2] * output_rad_s * np.linspace(1.0 + slip, 1.0, 400) * open_clutch,
+        Signal.OUTPUT_SPEED: output_rad_s,
+        Signal.ENGINE_TORQUE: torque_nm,
+        Signal.TARGET_GEAR: gears,
+        Signal.CLUTCH1_PRESSURE: np.full(400, 8e5),
+        Signal.CLUTCH2_PRESSURE: np.zeros(400),
+    }
+    survey = VehicleSurvey(Signal.OUTPUT_SPEED)
+    columns = {signal: series(t_s, value) for signal, value in values.items()}
+    survey.add(ColumnBatch(columns=columns, watermark_ns=int(1e9 * t_s[-1]), breaks_before=False))
+    return survey.learned()
+
+
+def test_a_run_in_one_gear_is_told_with_the_torque_that_its_clutch_carried() -> None:
+    assert one_gear().held_run == (
+        "driven in gear 3 alone, as on a dynamometer: clutch 1 was held, and it carries at least "
+        "77.99 Nm at 8 bar; no shift tells its friction"
+    )
+
+
+def test_a_run_with_slip_or_in_two_gears_proves_no_capacity() -> None:
+    assert one_gear(slip=0.6).held_run == ""
+    assert one_gear(other_rows=60).held_run == ""
+
+
+def test_a_driven_gear_without_a_ratio_is_called_driven() -> None:
+    learned = one_gear(other_rows=60)
+    assert ([*learned.gears], learned.unclosed) == ([3], {2: 60})
+    assert any(line.startswith("gear 2: driven for 60 samples") for line in summary_lines(learned))

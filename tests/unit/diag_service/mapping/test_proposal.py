@@ -1,10 +1,13 @@
 """Profiles proposed from names, units and values, and what comes of them."""
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from canlog.decode.signals import Decoded
 from diag_service.diagnosis.columns import Signal
 from diag_service.mapping.profile import load_profile
 from diag_service.mapping.proposal import SignalStatistics, candidates, profile_text
@@ -68,3 +71,16 @@ def test_the_proposal_is_a_profile(tmp_path: Path) -> None:
     path = tmp_path / "car.toml"
     path.write_text(text, encoding="utf-8")
     assert load_profile(path).sources.keys() == {Signal.CLUTCH1_PRESSURE}
+
+
+@pytest.mark.parametrize(("first_unit", "unit"), [("", "kPa"), ("psi", "psi")])
+def test_pressures_of_both_clutches_have_one_unit(first_unit: str, unit: str) -> None:
+    first, second = (
+        SignalStatistics(message=name, signal=name, unit="", is_column=True)
+        for name in ("Clutch 1 Pressure", "Clutch 2 Pressure")
+    )
+    first = replace(first, unit=first_unit)
+    first.add(Decoded(value=np.arange(0.0, 30.0), is_good=None))  # of a clutch that was hardly closed: by itself bar
+    second.add(Decoded(value=np.arange(0.0, 990.0, 5.86), is_good=None))
+    best = candidates([first, second])
+    assert [best[signal][0].unit for signal in (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)] == [unit, unit]
