@@ -179,6 +179,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                     drawn = max(test.shown[1:] or test.shown, key=lambda one: len(one.phase.t_s))
                     options.picture.write_text(picture(drawn), encoding="utf-8")
             print("\n".join(table("Recorded, each from all others", blind_test(downshifts, touch_pa), "downshifts")))
+        if not options.vehicles:
+            return
         cars = list(emulated(options.vehicles, options.cycles, folder))
         print(
             *emulated_lines("its own", [blind_test(named, touch_pa) for named, touch_pa in cars]), sep="\n", flush=True

@@ -3,7 +3,7 @@
 No prediction is better than one whose interval does not hold: those that fail are refused, with the reason.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
@@ -96,43 +96,33 @@ def blind_test(
 _RATE, _PRESSURE, _CLUTCH, _GEAR, _DURATION = range(5)  # of a row for each shift
 
 
-def _mean_rate(known: FloatArray, asked: FloatArray) -> float:
-    alike = known[known[:, _CLUTCH] == asked[_CLUTCH]]
-    return float((alike if len(alike) else known)[:, _RATE].mean())
+SIMPLER: Final = ("mean rate of the clutch", "line through mean pressure", "nearest shift")
 
 
-def _line_of_pressure(known: FloatArray, asked: FloatArray) -> float:
-    rate, pressure = known[:, _RATE], known[:, _PRESSURE]
+def _rates_rad_s2(known: FloatArray, asked: FloatArray) -> FloatArray:
+    """Return the rate of engine speed that each simpler model expects of a shift, in the order of ``SIMPLER``."""
+    rate, pressure, is_alike = known[:, _RATE], known[:, _PRESSURE], known[:, _CLUTCH] == asked[_CLUTCH]
     off = pressure - pressure.mean()
-    return float(rate.mean() + off @ rate / max(float(off @ off), 1.0) * (asked[_PRESSURE] - pressure.mean()))
-
-
-def _nearest_shift(known: FloatArray, asked: FloatArray) -> float:
-    distances = np.abs(known[:, _PRESSURE] - asked[_PRESSURE])
-    return float(known[np.lexsort((distances, known[:, _GEAR] != asked[_GEAR]))[0], _RATE])
-
-
-SIMPLER: Final[Mapping[str, Callable[[FloatArray, FloatArray], float]]] = {  # rates of engine speed, from others
-    "mean rate of the clutch": _mean_rate,
-    "line through mean pressure": _line_of_pressure,
-    "nearest shift": _nearest_shift,
-}
+    line = rate.mean() + off @ rate / max(float(off @ off), 1.0) * (asked[_PRESSURE] - pressure.mean())
+    nearest = np.lexsort((np.abs(pressure - asked[_PRESSURE]), known[:, _GEAR] != asked[_GEAR]))[0]
+    return np.array([(rate[is_alike] if is_alike.any() else rate).mean(), line, rate[nearest]])
 
 
 def predicted_simply(known: Sequence[SlipPhase], asked: SlipPhase) -> dict[str, Prediction]:
     """Return what simpler models say of a shift; their deviations are what they miss on the known ones, left out."""
-    rows = np.array([
-        (one.change_rad_s[-1] / one.t_s[-1], one.mean_pa, one.clutch, one.to_gear, one.t_s[-1])
+    *rows, last = (
+        np.array([one.change_rad_s[-1] / one.t_s[-1], one.mean_pa, one.clutch, one.to_gear, one.t_s[-1]])
         for one in (*known, asked)
-    ])  # fmt: skip
-    rows, last, said = rows[:-1], rows[-1], dict[str, Prediction]()
-    for name, rate in SIMPLER.items():
-        missed = [
-            (rate(np.delete(rows, place, 0), row) - row[_RATE]) * row[_DURATION] for place, row in enumerate(rows)
-        ]
-        std = float(np.sqrt(np.mean(np.square(missed)))) * asked.t_s[1:] / asked.t_s[-1]
-        said[name] = Prediction(mean_rad_s=rate(rows, last) * asked.t_s[1:], scale_rad_s=std, freedom=float(len(known)))
-    return said
+    )
+    table, t_s = np.array(rows), asked.t_s[1:]
+    missed = [
+        (_rates_rad_s2(np.delete(table, place, 0), row) - row[_RATE]) * row[_DURATION] for place, row in enumerate(rows)
+    ]
+    stds_rad_s2 = np.sqrt(np.mean(np.square(missed), axis=0)) / asked.t_s[-1]
+    return {
+        name: Prediction(mean_rad_s=rate * t_s, scale_rad_s=std * t_s, freedom=float(len(known)))
+        for name, rate, std in zip(SIMPLER, _rates_rad_s2(table, last), stds_rad_s2, strict=True)
+    }
 
 
 def levels(said: Prediction, true_rad_s: FloatArray) -> FloatArray:

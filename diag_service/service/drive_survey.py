@@ -7,7 +7,7 @@ from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.lockup.slope import SlopeSurvey
 from diag_service.diagnosis.prediction import RelativeFriction, RelativeSurvey
-from diag_service.mapping.learning import BEHIND, PRESSURES, VehicleSurvey
+from diag_service.mapping.learning import BEHIND, VehicleSurvey
 from diag_service.mapping.proposal import Ranges
 from diag_service.service.stages import Stages
 
@@ -25,7 +25,7 @@ class DriveSurvey:
         self._has_slopes = stages.reach.tier is Tier.TORQUE and stages.reach.asked["has_converter"]
         signals = stages.decoder.signals
         over = next((speed for speed in BEHIND if speed in signals), None)
-        self._vehicle = None if over is None or not {*PRESSURES} <= signals else VehicleSurvey(over)
+        self._vehicle = None if over is None else VehicleSurvey(over)
         stages.watch = self._watch
 
     def _watch(self, columns: ColumnBatch) -> None:
