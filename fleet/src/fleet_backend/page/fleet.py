@@ -91,7 +91,7 @@ class Keeper:
         self._whole_at = self.snapshot.read_at
         self._dues: dict[tuple[str, int], Row] = {}  # as the watch foretold them, or we
         self._dues_at = _NEVER
-        self._dues_number = 0  # grows whenever one became different
+        self.dues_number = 0  # grows whenever one became different
         self._calendar: tuple[tuple[object, ...], Calendar] = ((), ((), ()))  # and of what
         # Levels, and the result up to which they are.
         self._curves: dict[tuple[str, int], tuple[tuple[object, ...], tuple[float, ...]]] = {}
@@ -121,7 +121,7 @@ class Keeper:
             changed = {name for name, clutches in fresh.items() if clutches != last.vehicles.get(name)}
         for row in self._source.dues(self._dues_at):
             self._dues[row["vehicle"], row["clutch"]] = row
-            self._dues_number += 1
+            self.dues_number += 1
             self._dues_at = max(self._dues_at, row["judged_at"])
         alarmed = self._source.alarmed()
         self._fills_mark, self._fluids, self._whole_at = mark, fluids, now if is_whole else self._whole_at
@@ -173,7 +173,7 @@ class Keeper:
         Overdue clutches are first, those without a day last. Vehicles are counted that are due now, in this week and
         the next ones, later and without a day; the largest type is first.
         """
-        mark = (self.snapshot.number, self._dues_number, today)
+        mark = (self.snapshot.number, self.dues_number, today)
         if self._calendar[0] != mark:
             self._calendar = mark, self._calendar_of(self.snapshot, today)
         return self._calendar[1]
@@ -213,7 +213,7 @@ class Keeper:
                 rows = foretold_now(self._source.engine, clutches, latest_population(self._source.engine))
                 for now, row in zip(clutches, rows, strict=True):
                     self._dues[vehicle, now.clutch] = {**row, "of": now}
-                self._dues_number += 1
+                self.dues_number += 1
             is_old = self._curves.get((vehicle, worst.clutch), ((), ()))[0] != last
             if is_old:
                 self._curves[vehicle, worst.clutch] = last, levels_of(self._source.engine, vehicle, worst.clutch)

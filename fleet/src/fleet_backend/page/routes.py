@@ -74,13 +74,14 @@ LARGEST_DRAWN: Final = 200_000
 
 
 def drawn_once(draw: Callable[[Request], Response]) -> Callable[[Request], Response]:
-    """Return a route that draws each page once while the snapshot holds: it is made of that alone."""
+    """Return a route that draws each page once while snapshot and days hold: it is made of these alone."""
 
     @wraps(draw)
     def answer(request: Request) -> Response:
         keeper = sources_of(request).keeper
         drawn = keeper.snapshot.drawn
-        key = (str(request.url), request.headers.get("if-none-match"), viewer_of(request), keeper.complaint)
+        who, state = viewer_of(request), (keeper.dues_number, keeper.complaint)
+        key = (str(request.url), request.headers.get("if-none-match"), who, state)
         if key not in drawn:
             made = draw(request)
             if len(drawn) >= MOST_DRAWN or len(made.body) > LARGEST_DRAWN:
