@@ -20,7 +20,8 @@ from typing import Any, Final
 import can
 
 NS_PER_S: Final = 1e9
-AHEAD_S: Final = 0.25  # of virtual time: how far a program that sends may be ahead, so that threads change seldom
+AHEAD_NS: Final = 250_000_000  # of virtual time: how far a program that sends may be ahead,
+NEAR_NS: Final = 50_000_000  # and how near time has come when it goes on, so that threads change seldom
 INBOX_FRAMES: Final = 8_192  # a second and a half of a full bus of 500 kbit/s
 OUTBOX_FRAMES: Final = 65_536
 GATHER_FRAMES: Final = 64  # a reader is woken for so many at once
@@ -71,12 +72,12 @@ class SimulationClock:
         """
         self.raise_if_ended()
         self.sender, self.due_s = threading.get_ident(), max(self.due_s, deadline_s)
-        self.due_ns, wake_ns = round(self.due_s * NS_PER_S), round((deadline_s - AHEAD_S) * NS_PER_S)
+        self.due_ns = round(self.due_s * NS_PER_S)
         self.let_go()
-        if self.step_ns >= wake_ns:
+        if self.step_ns >= self.due_ns - AHEAD_NS:
             return
         with self._turn:
-            self.wake_ns = wake_ns
+            self.wake_ns = wake_ns = self.due_ns - NEAR_NS
             while self.step_ns < wake_ns and not stop.is_set():
                 self.raise_if_ended()
                 self._turn.wait(LONGEST_WAIT_S)
@@ -235,7 +236,6 @@ class SilKitBus(can.BusABC):
         return self._message(*received), False
 
     def _has_come(self, timeout_s: float | None) -> bool:
-        """Wait for a frame."""
         deadline_s = math.inf if timeout_s is None else time.monotonic() + timeout_s
         self._is_reading = True
         self._begin()
