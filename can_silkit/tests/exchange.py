@@ -44,6 +44,8 @@ def send(bus: SilKitBus, frame_count: int) -> None:
         if number % FRAMES_PER_MS == 0:
             bus.clock.sleep_until(number // FRAMES_PER_MS / 1e3, stop)
         bus.send(frame(number))
+    if bus.recv(0.0) is not None:
+        sys.exit("the sender hears itself")
 
 
 def receive(bus: SilKitBus, frame_count: int) -> dict[str, object]:

@@ -32,8 +32,7 @@ PATIENCE_S: Final = 10.0  # of this machine's time, after which a simulation tha
 GOODBYE_S: Final = 5.0  # of this machine's time without a step, after which nobody waits for the others any more
 EXTENDED, REMOTE, FD, RATE_SWITCH, PASSIVE_SENDER = 1 << 9, 1 << 4, 1 << 12, 1 << 13, 1 << 14  # SIL Kit's frame flags
 ERROR: Final = 1 << 31  # ours, for what came as an error event
-ERROR_EVENT: Final = struct.Struct("<I8s")  # SocketCAN's error class, and its eight bytes
-MEDIA_TYPE: Final = "application/vnd.can-silkit.error"
+ERROR_EVENT: Final = struct.Struct("<I8s")  # SocketCAN's error class, and its eight bytes; the sender's name follows
 QUIET: Final = "{Logging: {Sinks: []}, Experimental: {TimeSynchronization: {EnableMessageAggregation: Auto}}}"
 
 Outgoing = tuple[int, Callable[..., None], tuple[Any, ...]]  # when it is due [ns], what sends it, with what
@@ -173,9 +172,10 @@ class SilKitBus(can.BusABC):
             silkit.LifecycleConfiguration(silkit.OperationMode.Coordinated)
         )
         self._controller = self._participant.create_can_controller(channel, channel)
+        self._hears_itself = receive_own_messages
         directions = silkit.TransmitDirection.TXRX if receive_own_messages else silkit.TransmitDirection.RX
         self._controller.add_frame_handler(self._on_frame, int(directions))
-        spec = silkit.PubSubSpec(f"can-silkit/errors/{channel}", MEDIA_TYPE)
+        spec = silkit.PubSubSpec(f"can-silkit/errors/{channel}", "application/vnd.can-silkit.error")
         self._errors = self._participant.create_data_publisher("errors", spec)
         self._participant.create_data_subscriber("heard errors", spec, self._on_error)
         rates = int(bitrate), int(data_bitrate), 0
@@ -183,8 +183,7 @@ class SilKitBus(can.BusABC):
         lifecycle.set_communication_ready_handler(lambda: (controller.set_baud_rate(*rates), controller.start()))
         lifecycle.create_time_sync_service().set_simulation_step_handler(self._on_step, round(float(step_s) * NS_PER_S))
         self._lifecycle = lifecycle
-        self._thread = threading.Thread(target=self._live, name="SIL Kit lifecycle", daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._live, name="SIL Kit lifecycle", daemon=True).start()
         super().__init__(channel, **others)
         self._is_closed = False
 
@@ -307,8 +306,9 @@ class SilKitBus(can.BusABC):
         self._keep(event.timestamp, frame.can_id, frame.flags, frame.dlc, frame.data)
 
     def _on_error(self, _: object, event: Any) -> None:  # noqa: ANN401 - SIL Kit's
-        can_id, data = ERROR_EVENT.unpack(event.data)
-        self._keep(event.timestamp, can_id, ERROR, len(data), data)
+        can_id, data = ERROR_EVENT.unpack_from(event.data)
+        if self._hears_itself or event.data[ERROR_EVENT.size :] != self._name.encode():  # SIL Kit's events come back
+            self._keep(event.timestamp, can_id, ERROR, len(data), data)
 
     def _keep(self, *received: Any) -> None:  # noqa: ANN401 - what `_message` takes
         if self._is_reading or len(self._inbox) < INBOX_FRAMES:
@@ -318,7 +318,7 @@ class SilKitBus(can.BusABC):
 
     def _packed(self, msg: can.Message) -> tuple[Callable[..., None], tuple[Any, ...]]:
         if msg.is_error_frame:
-            return self._errors.publish, (ERROR_EVENT.pack(msg.arbitration_id, bytes(msg.data).ljust(8, b"\0")),)
+            return self._errors.publish, (ERROR_EVENT.pack(msg.arbitration_id, bytes(msg.data)) + self._name.encode(),)
         flags = (
             EXTENDED * msg.is_extended_id + REMOTE * msg.is_remote_frame + FD * msg.is_fd
             + RATE_SWITCH * msg.bitrate_switch + PASSIVE_SENDER * msg.error_state_indicator
