@@ -72,9 +72,7 @@ REQUEST_PRIORITY: Final = 6
 REST_S: Final = 0.05  # pause while nothing is due
 ANSWER_S: Final = LATEST_NS / 1e9  # a later answer is no sample
 BUSY_PAUSE_S: Final = 0.1
-NOT_NOW: Final = frozenset(
-    {0x22, 0x24, 0x26, *range(0x81, 0x94)}
-)  # refusals by the present state of the car (ISO 14229-1)
+NOT_NOW: Final = frozenset({0x22, 0x24, 0x26, *range(0x81, 0x94)})  # refusals by the present state (ISO 14229-1)
 AGAIN_S: Final = 10.0  # until such data are asked for again
 MOST_SILENT: Final = 3  # consecutive requests without an answer, or with an invalid one
 FIRST_PAUSE_S: Final = 1.0
