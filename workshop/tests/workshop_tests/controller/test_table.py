@@ -8,7 +8,7 @@ from ecu_emulator.errors import EmulatorConfigError
 from tests.support.documents import page_text
 from tests.tools.uds_tables import page
 from workshop.controller.memory import TestResult
-from workshop.controller.table import parse_table, shipped_table
+from workshop.controller.table import parse_table, shipped_table, table_like
 from workshop_tests.controller.bench import Bench
 
 TEXT = (Path(__file__).parents[4] / "workshop/src/workshop/controller/tcu.toml").read_text(encoding="utf-8")
@@ -107,3 +107,13 @@ def test_the_dialogue_of_the_document_is_what_the_controller_answers() -> None:
         if said == "7f 31 78":
             bench.finish(0x0301)
             said = bench.wait(0.1)
+
+
+def test_a_personality_is_of_its_own_kind_of_transmission() -> None:
+    table = table_like("gm_t87a", "lockup")
+    assert (table.addressing.request_id, table.addressing.response_id) == (0x7E2, 0x7EA)
+    assert {0x1941, 0x1942, 0x194F, 0x281C, 0x19D4, 0x199A} <= table.data.keys()
+    with pytest.raises(EmulatorConfigError, match="gm_t87a answers for an automatic with a converter"):
+        table_like("gm_t87a")
+    with pytest.raises(EmulatorConfigError, match="vw_dsg answers for a dual clutch"):
+        table_like("vw_dsg", "lockup")

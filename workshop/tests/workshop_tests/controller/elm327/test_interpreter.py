@@ -1,11 +1,12 @@
 """An ELM327 line by line, as its data sheet has it, in front of the emulated controller."""
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 
 from workshop.controller.elm327 import Interpreter
-from workshop.controller.table import shipped_table
+from workshop.controller.table import engine_table, shipped_table
 from workshop_tests.controller.bench import Bench
 
 
@@ -112,3 +113,20 @@ def test_headers_say_who_is_asked_and_filters_who_is_heard() -> None:
     for commands in (("ATCF 7E0", "ATCM 7F0"), ("ATAR",)):
         assert [adapter.say(command) for command in commands] == [["OK"]] * len(commands)
         assert adapter.say("010C") == ["41 0C 0C AF "]
+
+
+def test_each_controller_is_asked_by_its_header_and_all_by_the_functional_one() -> None:
+    transmission, engine = Bench(table=shipped_table()), Bench(table=engine_table())
+
+    def ask(bench: Bench, payload: bytes, is_functional: bool) -> bytes | None:
+        return bytes.fromhex(bench.ask(payload.hex(), to_all=is_functional)) or None
+
+    table, others = transmission.table, {engine.table.addressing: partial(ask, engine)}
+    adapter = Interpreter(table.addressing, table.transport, partial(ask, transmission), None, others)
+    for line in ("ATS0", "ATSP6"):
+        adapter.execute(line)
+    told = {}
+    for header in ("7E0", "7E1", "7E2", "7DF"):
+        adapter.execute(f"ATSH {header}")
+        told[header] = list(adapter.execute("010D").lines)
+    assert told == {"7E0": ["410D00"], "7E1": ["410D00"], "7E2": ["NO DATA"], "7DF": ["410D00", "410D00"]}
