@@ -162,6 +162,7 @@ BLOCKS = {
     ("docs/operations.md", "sql"): "tests/integration/test_lake.py",
     ("docs/own-car.md", "toml"): "tests/integration/test_python_page.py",
     ("docs/python.md", "python"): "tests/integration/test_python_page.py",
+    ("docs/sovd.md", "python"): "tests/integration/test_sovd.py",
     ("docs/verdict.md", "python"): "tests/integration/test_python_page.py",
     ("examples/gateway/README.md", "console"): "tests/integration/test_image_example.py",
 }
