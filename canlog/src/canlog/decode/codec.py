@@ -56,8 +56,8 @@ class SignalBlock:
     def decode(self, words: PayloadWords) -> dict[str, Decoded]:
         raw = np.empty((len(self._fields), len(words)), np.int64)  # no plain signal has 64 bits
         bits = raw.view(np.uint64)
-        for row, field in enumerate(self._fields):
-            bits[row] = words.word(field.first_byte, is_big=field.is_big)
+        for place, field in enumerate(self._fields):
+            bits[place] = words.word(field.first_byte, is_big=field.is_big)
         bits <<= self._left
         bits >>= self._right
         raw ^= self._sign
@@ -67,8 +67,10 @@ class SignalBlock:
         value += self._offset
         signals: dict[str, Decoded] = {}
         for name, table in self._tables.items():
-            at = self._row_of.get(name)
-            signals[name] = table.decode(words) if at is None else table.judged(value[at], raw[at])
+            if (row := self._row_of.get(name)) is None:
+                signals[name] = table.decode(words)
+            else:
+                signals[name] = table.judged(value[row], raw[row]) if table.is_checked else Decoded(value[row], None)
         return signals
 
 

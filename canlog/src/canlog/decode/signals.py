@@ -299,7 +299,8 @@ class SignalTable:
     code: IntegerCode | FloatCode
     selectors: tuple[Selector, ...]
     needed_bytes: int  # the least of a payload that holds the signal and the multiplexers above it
-    is_plain: bool  # an integer that a float holds, in one word: one compiled pass reads all of a message
+    is_plain: bool  # an integer that a float holds, in one word: all of a message are read together
+    is_checked: bool  # some of its values may be no measurements
 
     def decode(self, words: PayloadWords) -> Decoded:
         raw, present = self.field.raw(words), self.presence(words) if self.selectors else None
@@ -392,6 +393,7 @@ def compile_signal(
         selectors=selectors,
         needed_bytes=1 + max(field.last_byte, *(selector.field.last_byte for selector in selectors), 0),
         is_plain=isinstance(code, IntegerCode) and code.is_exact_in_float and not field.spill,
+        is_checked=isinstance(code, FloatCode) or code.raw_range != code.raw_limits or len(codes) > 0,
     )
 
 
