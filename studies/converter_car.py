@@ -34,6 +34,7 @@ class ConverterCar:
     torque_gain: float = 1.0
     torque_offset_nm: float = 0.0
     torque_wander_nm: float = 1.5  # of the torque model, with a time constant of five seconds
+    followed_ratio: float = 0.0  # of it and the offset, by the pressure that is fed forward
     area_ratio: float = 1.0
     zero_pa: float = 0.0
     touch_pa: float = 0.0
@@ -138,11 +139,12 @@ def drive(
     )
     targets = np.repeat(rng.uniform(20.0, 60.0, count // 8000 + 1) * np.pi / 30.0, 8000)[:count]
     oil_k = 363.15 - (363.15 - 313.15) * np.exp(-np.arange(count) * STEP_S / 500.0)
-    out = np.empty((count // SAMPLE_STEPS, 7))
-    _simulate(laws, capacity, gain, wanted, targets, oil_k, rng.standard_normal(count), RATIOS, out)
-    engine, turbine_speed, torque, pressure, gear, output, mode = out.T
-    size = len(engine)
+    out = np.empty((count // SAMPLE_STEPS, 8))
+    chance, size = rng.standard_normal(count), len(out)
     wander = _wander(rng, size, car.torque_wander_nm, 5.0)
+    misread = np.repeat(car.followed_ratio * (car.torque_offset_nm + wander), SAMPLE_STEPS)
+    _simulate(laws, capacity, gain, wanted, targets, oil_k, chance, misread, RATIOS, out)
+    engine, turbine_speed, torque, pressure, gear, output, mode, command = out.T
     t_ns = np.arange(1, size + 1) * round(STEP_S * SAMPLE_STEPS * NS_PER_S)
     late = np.concatenate((torque[:2], torque[:-2]))
     read = {
@@ -151,6 +153,8 @@ def drive(
         Signal.ENGINE_TORQUE: car.torque_gain * late + car.torque_offset_nm + wander
         + rng.normal(0.0, noise.engine_torque_nm, size),
         Signal.LOCKUP_PRESSURE: pressure + car.zero_pa + rng.normal(0.0, noise.pressure_pa, size),
+        Signal.LOCKUP_PRESSURE_COMMAND: command,
+        Signal.LOCKUP_SLIP_COMMAND: np.where(mode > 0.0, targets[::SAMPLE_STEPS][:size], 0.0),
     }  # fmt: skip
     columns = {signal: _series(t_ns, value, 10) for signal, value in read.items()}
     columns[Signal.CURRENT_GEAR] = _series(t_ns[::2], gear[::2], 20)
@@ -204,6 +208,7 @@ def _simulate(  # noqa: PLR0915 - the equations of one step
     target_rad_s: FloatArray,
     oil_k: FloatArray,
     chance: FloatArray,
+    misread_nm: FloatArray,
     ratios: FloatArray,
     out: FloatArray,
 ) -> None:
@@ -234,7 +239,7 @@ def _simulate(  # noqa: PLR0915 - the equations of one step
             mode = 2 if held_s > 3.0 else 1
             goal = target_rad_s[step] + max(0.0, 25.0 * (1.0 - held_s / 1.5))
             held_s += dt
-            carried = max(torque, 5.0)
+            carried = max(torque + misread_nm[step], 5.0)
             base = laws.touch_pa + carried / (0.13 * laws.torque_per_pa)
             trim_pa = min(max(trim_pa + dt * 6e3 * (slip - goal), -1.5e5), 3e5)
             command = max(base + trim_pa + 3e3 * min(max(slip - goal, -10.0), 10.0), 0.0) * min(1.0, held_s / 0.3)
@@ -286,6 +291,7 @@ def _simulate(  # noqa: PLR0915 - the equations of one step
             out[row, 4] = gear + 1
             out[row, 5] = v / wheel_m
             out[row, 6] = mode
+            out[row, 7] = command
 
 
 def batches(columns: dict[Signal, Series], span_s: float = 10.0) -> list[ColumnBatch]:

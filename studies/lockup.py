@@ -3,11 +3,12 @@
 A car of the type is drawn (torque gain 3 %, offset, inertia, piston area, pressure zero, touch point, capacities of the
 converter 5 % and their shape, Stribeck speed, temperature, driveline; half with a rough road, half with a weak
 cylinder) and driven once with each of three fluids, cold at first. Its plant is one of first principles beside the
-emulator's; or it is the emulator's, frames and all, on a UDDS. A verdict is wrong that the drawn friction contradicts.
+emulator's. A verdict is wrong that the drawn friction contradicts.
+With ``--scan`` its pressure follows the torque as it is read, and a scan tool tells it as commanded.
 
     python -m studies.lockup --vehicles 100 --seed 410000
-    python -m studies.lockup --emulator --vehicles 10
     python -m studies.lockup --vehicles 10 --minutes 60
+    python -m studies.lockup --scan --vehicles 60 --misread 6
 """
 
 import sys
@@ -15,33 +16,27 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from scipy.interpolate import PchipInterpolator
 
+from canlog.arrays import FloatArray
 from clutch_model.calibration import Calibration, shipped_calibration
 from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from clutch_results.event_kinds import MicroSlip
-from clutch_results.records import ClutchVerdict, Condition
-from dbc.contract import load_contract
+from clutch_results.records import Condition
+from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge_lockup
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder
+from diag_service.diagnosis.lockup.slope import LEAST_SEEN, RPM_10_RAD_S, SlipBlocks, SlopeSurvey, cut
 from diag_service.diagnosis.lockup.state import MICRO_SLIP_RAD_S, LockupState
-from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.profile import find_profile
-from diag_service.service.stages import Diagnosis, Stages
-from ecu_emulator.bus.frames import merge
-from ecu_emulator.drive.recording import Drive
-from ecu_emulator.scenario.scenario_file import load_scenario
-from ecu_emulator.truth import ShudderTruth
-from studies.builders import FLUIDS as CONDITIONS
-from studies.builders import STRETCH_S, to_batch
 from studies.converter_car import FLUIDS, ConverterCar, batches, drawn_car, drive
 from studies.drive_accuracy import coverage
 from studies.run import over_drives, parsed, root_mean_square, study_parser
+from studies.scan_tool import of_automatic
 
 FIRST_SEED: Final = 410_000  # seeds below 1,000 were looked at while the estimator was made
 MOMENTS_S: Final = (120.0, 300.0, 600.0)  # of slip
@@ -56,7 +51,18 @@ class LockupCase:
     seed: int
     fluid: str
     minutes: float
-    is_emulated: bool
+    misread_nm: float = 0.0  # by which its torque model errs beyond what is drawn
+
+
+class ScanOutcome(NamedTuple):
+    """What a scan tool tells of one drive: mean and interval of each slope, and its truth [s/rad]."""
+
+    case: LockupCase
+    slopes: FloatArray  # (2, 4): with the converter, and of the lining alone; (0, 4): too little slip
+    slip_s: float
+    feed_forward_r2: float
+    shudder_s: float  # true
+    is_seen: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,36 +88,8 @@ class LockupOutcome:
     is_seen: bool
 
 
-def emulated(case: LockupCase) -> list[LockupOutcome]:
-    """Drive the emulated car along a UDDS, and diagnose its frames."""
-    base, calibration = load_scenario("lockup"), shipped_calibration("lockup")
-    scatter = replace(base.scatter, torque_gain_ratio=calibration.uncertainty.torque_gain_ratio)
-    fluid = replace(base.fluid, condition=dict(zip(FLUIDS, CONDITIONS, strict=True))[case.fluid])
-    emulator = Drive(replace(base, seed=case.seed, fluid=fluid, scatter=scatter))
-    decoder = Decoder(load_contract("lockup"), find_profile(Path("lockup")))
-    stages = Stages(decoder, calibration)
-    diagnoses: list[Diagnosis] = []
-    shudder_s = 0.0
-    for stretch in emulator.stretches(STRETCH_S):
-        shudder_s += sum(one.t_end_s - one.t_start_s for one in stretch.truths if isinstance(one, ShudderTruth))
-        diagnoses += stages.feed(to_batch(merge([stretch.frames])))
-    diagnoses += [stages.conclude(event) for event in stages.flush()]
-    true = emulator.truth
-    car = ConverterCar(
-        mu_c=true.mu_c[0],
-        mu_s=true.mu_s[0],
-        torque_gain=1.0 + true.drawn["torque_gain_ratio"],
-        area_ratio=1.0 + true.drawn["clutch1_piston_area_ratio"],
-    )
-    told = [(one.belief.lockup, one.verdict) for one in diagnoses]
-    is_seen = bool(diagnoses) and any(diagnoses[-1].belief.memory.launches[0].juddered)
-    return [outcome_of(case, car, calibration, told, shudder_s, is_seen=is_seen)]
-
-
 def driven(case: LockupCase) -> list[LockupOutcome]:
     """Drive and diagnose."""
-    if case.is_emulated:
-        return emulated(case)
     calibration = shipped_calibration("lockup")
     if calibration.converter is None:
         raise ValueError("no converter")
@@ -120,42 +98,89 @@ def driven(case: LockupCase) -> list[LockupOutcome]:
     found = drive(car, rng, case.minutes, calibration)
     finder, estimator = SlipFinder(calibration), LockupEstimator(calibration)
     state, memory = LockupState.fresh(calibration), ConditionMemory()
-    told = []
+    looks, wrong, waiting, final = list[LockupLook](), list[str](), list(MOMENTS_S), Condition.NO_VERDICT
     for event in [one for batch in batches(found.columns) for one in finder.feed(batch)] + finder.flush():
         state, estimate, swings = estimator.estimate(event, state)
         memory, verdict = judge_lockup(memory.with_fit(estimate).with_shudder(swings), state, calibration, swings)
-        told.append((state, verdict))
-    is_seen = any(memory.launches[0].juddered)
-    return [outcome_of(case, car, calibration, told, found.true_shudder_s, is_seen=is_seen)]
-
-
-def outcome_of(
-    case: LockupCase,
-    car: ConverterCar,
-    calibration: Calibration,
-    told: Sequence[tuple[LockupState, ClutchVerdict]],
-    shudder_s: float,
-    *,
-    is_seen: bool,
-) -> LockupOutcome:
-    """Return what states and verdicts of one drive are worth."""
-    looks, wrong, waiting, final = list[LockupLook](), list[str](), list(MOMENTS_S), Condition.NO_VERDICT
-    for state, verdict in told:
         final = verdict.condition
-        if is_wrong(verdict.condition, car, calibration):
+        if is_wrong(final, car, calibration):
             wrong.append(f"{final.name.lower()} after {state.slip_s:.0f} s: {verdict.reason}")
         while waiting and state.slip_s >= waiting[0]:
             looks.append(look(waiting.pop(0), state.micro_slip(None), car))
-    if told and told[-1][0].shift_count:
-        looks.append(look(END, told[-1][0].micro_slip(None), car))
-    return LockupOutcome(
-        case=case,
-        looks=tuple(looks),
-        wrong=tuple(wrong),
-        final=final.name.lower(),
-        shudder_s=shudder_s,
-        is_seen=is_seen,
-    )
+    if state.shift_count:
+        looks.append(look(END, state.micro_slip(None), car))
+    return [
+        LockupOutcome(
+            case=case,
+            looks=tuple(looks),
+            wrong=tuple(wrong),
+            final=final.name.lower(),
+            shudder_s=found.true_shudder_s,
+            is_seen=any(memory.launches[0].juddered),
+        )
+    ]
+
+
+def scanned(case: LockupCase) -> list[ScanOutcome]:
+    """Drive, let a scan tool tell it, and take its slope."""
+    calibration, rng = shipped_calibration("lockup"), np.random.default_rng(case.seed)
+    car = drawn_car(rng, case.fluid, calibration)
+    wander_nm = float(np.hypot(car.torque_wander_nm, case.misread_nm))
+    car = replace(car, torque_wander_nm=wander_nm, followed_ratio=1.0)
+    found = drive(car, rng, case.minutes, calibration)
+    columns = of_automatic(found.columns, rng)
+    turbine, slip = columns[Signal.TURBINE_SPEED], columns[Signal.LOCKUP_SLIP]
+    engine = np.interp(slip.t_ns, turbine.t_ns, turbine.value) + slip.value
+    columns[Signal.ENGINE_SPEED] = replace(slip, value=engine)
+    survey = SlopeSurvey(is_commanded=True)
+    survey.feed(ColumnBatch(columns=columns, watermark_ns=int(slip.t_ns[-1])))
+    rows, told = survey.rows(), survey.slope()
+    if rows is None or told is None:
+        raise ValueError("the scan tool lacks a signal")
+    truth = true_slopes(car, cut(*rows)[0], calibration)
+    pairs = [(told.slopes[0].together, truth[0]), (told.slopes[0].lining, truth[1])] if told.slopes else []
+    slopes = [(slope.mean_s_rad, slope.low_s_rad, slope.high_s_rad, true) for slope, true in pairs]
+    is_seen = told.shudder is not None and told.shudder.seen_count >= LEAST_SEEN
+    values = np.reshape(np.array(slopes, np.float64), (-1, 4))
+    return [ScanOutcome(case, values, told.slip_s, told.feed_forward_r2, found.true_shudder_s, is_seen)]
+
+
+def true_slopes(car: ConverterCar, blocks: SlipBlocks, calibration: Calibration) -> tuple[float, float]:
+    """Return the slope of clutch and converter together at the speeds of some blocks, and of the lining [s/rad]."""
+    slip, turbine, torque = blocks.slip_rad_s, blocks.engine_rad_s - blocks.slip_rad_s, blocks.torque_nm
+    laws = calibration.converter
+    if laws is None:
+        raise ValueError("no converter")
+    capacity = PchipInterpolator(laws.speed_ratios, np.array(laws.capacities_nm_s2) * car.capacity_ratios)
+
+    def oil_nm(slip_rad_s: FloatArray) -> FloatArray:
+        return np.asarray(capacity(turbine / (turbine + slip_rad_s)) * (turbine + slip_rad_s) ** 2)
+
+    lining = np.maximum(torque - oil_nm(slip), 0.0)
+    fading = np.exp(-slip / car.stribeck_speed_rad_s)
+    rise = (car.mu_c - car.mu_s) / car.stribeck_speed_rad_s * fading / (car.mu_c + (car.mu_s - car.mu_c) * fading)
+    both = rise * lining + (oil_nm(slip + 0.1) - oil_nm(slip - 0.1)) / 0.2
+    return float(both.sum() / torque.sum()), float((rise * lining).sum() / lining.sum())
+
+
+def scan_lines(outcomes: Sequence[ScanOutcome]) -> Iterator[str]:
+    """Yield how slopes by scan tools hold, of all drives and by fluid."""
+    with_slope = [one for one in outcomes if len(one.slopes)]
+    for fluid in (*FLUIDS, "all"):
+        some = np.array([one.slopes for one in with_slope if fluid in (one.case.fluid, "all")])
+        for place, what in enumerate(("with converter", "lining alone")):
+            mean, low, high, true = 100.0 * RPM_10_RAD_S * some[:, place].T
+            decided = (low > 0.0) | (high < 0.0)
+            yield (
+                f"{fluid}, {what}: {len(mean)} drives, true {true.mean():+.2f} % per 10 rpm, off by "
+                f"{root_mean_square(mean - true):.2f}, 90 % stated {(high - low).mean() / 2.0:.2f}, covers "
+                f"{np.mean((low <= true) & (true <= high)):.1%}, sign right {np.mean(mean * true > 0.0):.1%}, decided "
+                f"{np.count_nonzero(decided)}, of these wrong {np.count_nonzero(decided & (mean * true < 0.0))}"
+            )
+    minutes = np.median([one.slip_s for one in outcomes]) / 60.0
+    r2 = np.median([one.feed_forward_r2 for one in outcomes])
+    yield f"no slope in {len(outcomes) - len(with_slope)} drives; medians: {minutes:.1f} min of slip, R2 {r2:.2f}"
+    yield from shudder_lines(outcomes)
 
 
 def is_wrong(condition: Condition, car: ConverterCar, calibration: Calibration) -> bool:
@@ -209,6 +234,11 @@ def lines(outcomes: Sequence[LockupOutcome]) -> Iterator[str]:
         if one.wrong:
             yield f"seed {one.case.seed}, {one.case.fluid}: {len(one.wrong)} wrong verdicts, the first: {one.wrong[0]}"
     yield f"drives with a wrong verdict at any moment: {sum(bool(one.wrong) for one in outcomes)} of {len(outcomes)}"
+    yield from shudder_lines(outcomes)
+
+
+def shudder_lines(outcomes: Sequence[LockupOutcome | ScanOutcome]) -> Iterator[str]:
+    """Yield how many drives with shudder were seen."""
     true = [one.is_seen for one in outcomes if one.shudder_s >= SHUDDERS_S]
     none = [one.is_seen for one in outcomes if one.shudder_s == 0.0]
     yield f"true shudder seen in {sum(true)} of {len(true)} drives, made up in {sum(none)} of {len(none)}"
@@ -221,11 +251,17 @@ def main() -> int:
     parser = study_parser(__doc__, seed=FIRST_SEED)
     parser.add_argument("--vehicles", type=int, default=100)
     parser.add_argument("--minutes", type=float, default=30.0)
-    parser.add_argument("--emulator", action="store_true", help="the emulated car along a UDDS, frames and all")
+    parser.add_argument("--scan", action="store_true", help="a scan tool tells it, pressure is commanded")
+    parser.add_argument(
+        "--misread", type=float, default=0.0, help="error of the torque model beyond what is drawn [Nm]"
+    )
     options = parsed(parser, vehicles=5)
-    case = partial(LockupCase, minutes=options.minutes, is_emulated=options.emulator)
     seeds = range(options.seed, options.seed + options.vehicles)
+    case = partial(LockupCase, minutes=options.minutes, misread_nm=options.misread)
     cases = [case(seed=seed, fluid=fluid) for seed in seeds for fluid in FLUIDS]
+    if options.scan:
+        print("\n".join(scan_lines(over_drives(scanned, cases, options.workers, options.kept))))
+        return 0
     outcomes = over_drives(driven, cases, options.workers, options.kept)
     console = Console(markup=False, width=170)
     for fluid in FLUIDS:

@@ -1,15 +1,16 @@
-"""A table of signals beside a log, as a scan tool writes it: few rows, uneven, columns apart within a row."""
+"""Tables of signals as scan tools write them: few rows, uneven, columns apart; or each channel at its own rate."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 import canlog
-from canlog.arrays import FloatArray, Int64Array
+from canlog.arrays import FloatArray, Int64Array, Series
 from dbc.contract import load_contract
+from diag_service.diagnosis.columns import Signal
 
 PRESSURE_STEP_KPA: Final = 5.86
 KPA_PER_BAR: Final = 100.0
@@ -82,3 +83,27 @@ def _rows_s(times_ns: list[Int64Array], options: TableOptions, rng: np.random.Ge
     rows_s = np.arange(first_s, last_s, 1.0 / options.rate_hz)
     rows_s = np.sort(rows_s + rng.normal(0.0, options.jitter_s, len(rows_s)))
     return rows_s[rows_s > first_s - SETTLED_S]  # before it some column has no value at all
+
+
+RPM: Final = np.pi / 30.0
+AUTOMATIC: Final[Mapping[Signal, tuple[float, float]]] = {  # of each channel: period [s], and steps of its values [SI]
+    **dict.fromkeys((Signal.TURBINE_SPEED, Signal.LOCKUP_SLIP, Signal.LOCKUP_SLIP_COMMAND), (0.03, 0.125 * RPM)),
+    Signal.LOCKUP_PRESSURE_COMMAND: (0.03, 62.5),
+    Signal.ENGINE_TORQUE: (0.03, 0.5),
+    Signal.CURRENT_GEAR: (0.03, 1.0),
+    Signal.SUMP_TEMPERATURE: (0.5, 1.0),
+}
+
+
+def of_automatic(columns: Mapping[Signal, Series], rng: np.random.Generator) -> dict[Signal, Series]:
+    """Return what a scan tool makes of an automatic: each channel at uneven times of its own, in whole steps."""
+    speed, turbine = columns[Signal.ENGINE_SPEED], columns[Signal.TURBINE_SPEED]
+    columns = {**columns, Signal.LOCKUP_SLIP: replace(speed, value=speed.value - turbine.value)}
+    told, end_s = dict[Signal, Series](), speed.t_ns[-1] / NS_PER_S - ENDING_S
+    for signal, (period_s, step) in AUTOMATIC.items():
+        rows_s = np.cumsum(rng.uniform(0.67, 1.37, int(end_s / period_s)) * period_s) + SETTLED_S
+        rows_ns = np.round(1e3 * rows_s[rows_s < end_s]).astype(np.int64) * 1_000_000
+        value = columns[signal].value[np.searchsorted(columns[signal].t_ns, rows_ns, side="right") - 1]
+        value = np.round(value / step) * step
+        told[signal] = Series(t_ns=rows_ns, sequence=np.full(len(rows_ns), -1), value=value)
+    return told
