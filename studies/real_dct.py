@@ -30,7 +30,7 @@ from diag_service.diagnosis.blind_test import (
     scores,
     second_half,
 )
-from diag_service.diagnosis.prediction import SlipPhase, Standing
+from diag_service.diagnosis.slip_phase import SlipPhase, Standing
 from diag_service.mapping.interpretation import Interpretation, interpret
 from diag_service.mapping.learning import proposed_profile
 from diag_service.stopping import Trigger

@@ -16,16 +16,10 @@ from diag_service.api.choices import AnyPath, AnyPaths, optional_path, path_list
 from diag_service.console import SILENT, ReadingLine, collected_notices
 from diag_service.diagnosis.blind_test import BlindTest, blind_test, each_left_out, each_log, scores, second_half
 from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.prediction import (
-    PRESSURES,
-    NoPhase,
-    SlipPhase,
-    Standing,
-    slip_phase,
-)
 from diag_service.diagnosis.shifts.gear_tracking import tracker_for
 from diag_service.diagnosis.shifts.shifts import PRE_NS
 from diag_service.diagnosis.shifts.tracking import NS_PER_S, EventFinder
+from diag_service.diagnosis.slip_phase import PRESSURES, NoPhase, SlipPhase, Standing, slip_phase
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.mapping.learning import BEHIND, COMMANDS, LearnedVehicle, VehicleSurvey

@@ -10,7 +10,8 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from canlog.arrays import FloatArray
-from diag_service.diagnosis.prediction import LEAST_EVENTS, Prediction, SlipPhase, fitted, predicted
+from diag_service.diagnosis.prediction import LEAST_EVENTS, Prediction, fitted, predicted
+from diag_service.diagnosis.slip_phase import SlipPhase
 
 OURS: Final = "friction"
 MOST_CRPS_RATIO: Final = 0.6  # of the best simpler model's: with more, friction tells too little of these shifts

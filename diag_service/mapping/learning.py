@@ -27,15 +27,8 @@ from clutchdiag_io.people import digits
 from clutchdiag_io.program import legible
 from dbc.contract import DBC_PATH
 from diag_service.diagnosis.columns import NO_SAMPLES, ColumnBatch, GearRatios, Signal
-from diag_service.diagnosis.prediction import (
-    HELD_PA,
-    LEAST_CERTAIN,
-    LEAST_EVENTS,
-    LEAST_OF_CLUTCH,
-    TORQUE_SOURCES,
-    SlipPhase,
-    fitted,
-)
+from diag_service.diagnosis.prediction import LEAST_CERTAIN, LEAST_EVENTS, LEAST_OF_CLUTCH, fitted
+from diag_service.diagnosis.slip_phase import HELD_PA, TORQUE_SOURCES, SlipPhase
 from diag_service.errors import StoppedError
 from diag_service.mapping import proposal
 from diag_service.mapping.decoder import Decoder

@@ -7,7 +7,8 @@ import pytest
 
 from canlog.arrays import FloatArray
 from diag_service.diagnosis.blind_test import OURS, BlindTest, blind_test, each_log, levels, scores, second_half
-from diag_service.diagnosis.prediction import Prediction, SlipPhase, fitted, predicted
+from diag_service.diagnosis.prediction import Prediction, fitted, predicted
+from diag_service.diagnosis.slip_phase import SlipPhase
 from tests.unit.diag_service.diagnosis.test_prediction import TOUCH_PA, phase
 
 

@@ -10,7 +10,8 @@ from canlog.arrays import FloatArray, Series
 from clutch_results.event_kinds import EndReason
 from diag_service.diagnosis.columns import GearRatios, Signal
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.prediction import SlipPhase, fitted, predicted, relative_friction, simulated, slip_phase
+from diag_service.diagnosis.prediction import fitted, predicted, relative_friction, simulated
+from diag_service.diagnosis.slip_phase import SlipPhase, slip_phase
 
 TOUCH_PA, ROW_S = 1.4e5, 0.03
 GEARS = GearRatios(over=Signal.OUTPUT_SPEED, ratios=(4.0, 2.5, 1.7, 1.2))
