@@ -28,7 +28,7 @@ from clutchdiag_io.program import legible
 from dbc.contract import DBC_PATH
 from diag_service.diagnosis.columns import NO_SAMPLES, ColumnBatch, GearRatios, Signal
 from diag_service.diagnosis.prediction import LEAST_CERTAIN, LEAST_EVENTS, LEAST_OF_CLUTCH, fitted
-from diag_service.diagnosis.slip_phase import HELD_PA, TORQUE_SOURCES, SlipPhase
+from diag_service.diagnosis.slip_phase import HELD_PA, SlipPhase
 from diag_service.errors import StoppedError
 from diag_service.mapping import proposal
 from diag_service.mapping.decoder import Decoder
@@ -59,6 +59,7 @@ SURE: Final = 0.9  # share of the samples
 PRESSURES: Final = (Signal.CLUTCH1_PRESSURE, Signal.CLUTCH2_PRESSURE)
 BEHIND: Final = (Signal.OUTPUT_SPEED, Signal.VEHICLE_SPEED)
 MS_PER_S: Final = 1e3
+LOADS: Final = (Signal.INJECTION_TIME, Signal.ENGINE_TORQUE)  # beside injection, torque may be modelled by it
 HARDEST: Final = 0.95  # quantile of loads over pressure: a few rows may be damaged
 COMMANDS: Final = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMMAND)
 GEARS: Final = (Signal.TARGET_GEAR, Signal.CURRENT_GEAR)
@@ -164,9 +165,7 @@ class VehicleSurvey:
         if gear is not None:
             known = np.searchsorted(gear.t_ns, over.t_ns, side="right") - 1
             rows[:, _GEAR] = np.where(known >= 0, gear.value[np.maximum(known, 0)], np.nan)
-        if (
-            load := next((one for one in TORQUE_SOURCES if len(batch.columns.get(one, NO_SAMPLES).t_ns)), None)
-        ) is not None:
+        if (load := next((one for one in LOADS if len(batch.columns.get(one, NO_SAMPLES).t_ns)), None)) is not None:
             rows[:, _LOAD], self._load = _read(batch.columns[load], over), load
         for place, (signal, asked) in enumerate(zip(PRESSURES, COMMANDS, strict=True)):
             if (pressure := batch.columns.get(signal)) is not None and len(pressure.t_ns):
