@@ -32,28 +32,24 @@ LEAST_ROWS: Final = 5  # in a block; and blocks with an open clutch, for the con
 LONGEST_GAP_NS: Final = NS_PER_S // 4  # between them
 LEAST_CLUSTERS: Final = 4  # of ten seconds, for a slope
 SLIP_RAD_S: Final = (0.4, 10.0)  # 4 rpm: closer a tooth decides; 95 rpm: more is not held
-MOST_SLIP_STEP_RAD_S: Final = 1.6  # within a block
-MOST_PRESSURE_STEP: Final = 0.2  # likewise, over the pressure
-MOST_RATE_RAD_S2: Final = 20.0  # of the engine
-SETTLED_S: Final = 4.0  # after pressure came: the piston fills, and slip goes down its ramp
-OPENED_S: Final = 1.0  # after it went
+MOST_SLIP_STEP_RAD_S, MOST_PRESSURE_STEP = 1.6, 0.2  # within a block, of pressure over its mean
+SETTLED_S, OPENED_S = 4.0, 1.0  # after pressure came (the piston fills, slip goes down its ramp), and after it went
 OFF_RATIO: Final = 0.1  # of high pressure: below it the clutch is open
 OPEN_SLIP_RAD_S, OPEN_RATIO = 2.0, 0.15  # and over engine speed: near lock the converter's torque is proportional to it
-LEAST_TURNING_RAD_S: Final = 60.0  # of the turbine
+MOST_RATE_RAD_S2, LEAST_TURNING_RAD_S = 20.0, 60.0  # of the engine, of the turbine
 APPLIED_RAD_S: Final = 3.0  # slip of an application at its end
 LOCKED_RAD_S, LEAST_LOCKED = 0.05, 100  # slip that is wanted of a clutch that is to be locked, and its rows
 BIN_K: Final = 10.0  # of oil temperature
 FEED_FORWARD_R2: Final = 0.8  # of pressure by torque: beyond it pressure is what the torque model makes of it
 RPM_10_RAD_S: Final = 10.0 * math.pi / 30.0
-# Known before any row, as mean and standard deviation:
+Known = tuple[float, float]  # mean and standard deviation, before any row:
 LINING_S_RAD: Final = (0.0, 0.03 / RPM_10_RAD_S)  # wet linings: a sixth of mu over a Stribeck speed of 57 rpm
 CONVERTER_NMS2: Final = (0.03, 0.02)  # of converters of 240 to 300 mm: torque over slip and speed near lock
 INERTIA_KG_M2: Final = (0.25, 0.15)  # of engine and impeller
 TORQUE_MODEL_NM: Final = (0.0, 6.0)  # by which torque models err, as an offset or over 100 rad/s of the engine
 CURVED: Final = (0.0, 0.1)  # torque at twice the mean pressure, off its line over pressure
 BY_HEAT_1_K: Final = (0.0, 3e-3)  # of friction
-LAG_S: Final = (0.0, 0.15)  # of pressure behind its command
-FREE: Final = 1e6  # deviation of what nothing is known of
+LAG_S, FREE = (0.0, 0.15), 1e6  # of pressure behind its command; deviation of what nothing is known of
 NEARER_RATIO, SHAPE_RATIO = 1.1, 0.15  # of k under 50 rpm of slip over that at 100: capacity falls ever faster to lock
 ALIKE_RATIO, ALIKE_OF_MEANS = 0.1, 0.5  # of the torque model's error goes along with wanted slip, with means of slip
 LEAST_SEEN: Final = 3  # windows that swing: one or two may be chance
@@ -185,9 +181,8 @@ class SlopeSurvey:
         samples, wanted = samples_of(columns, LONGEST_GAP_NS), columns.get(Signal.LOCKUP_SLIP_COMMAND)
         if samples is None:
             return None
-        if wanted is None:
-            return samples, np.full(len(samples.t_ns), np.nan)
-        return samples, np.interp(samples.t_ns, wanted.t_ns, wanted.value)
+        t_ns = samples.t_ns
+        return samples, np.full(len(t_ns), np.nan) if wanted is None else np.interp(t_ns, wanted.t_ns, wanted.value)
 
 
 _WANTED: Final = LOCKUP_SIGNALS | SLIP_SIGNALS | {Signal.SUMP_TEMPERATURE}
@@ -299,9 +294,6 @@ def cut(samples: LockupSamples, wanted_rad_s: FloatArray) -> tuple[SlipBlocks, S
     return blocks.where(is_steady & slips), blocks.where(is_steady & opens)
 
 
-Known = tuple[float, float]  # mean and standard deviation
-
-
 def converter_of(blocks: SlipBlocks) -> Known:
     """Return torque over slip and engine speed near lock [N m s2], by blocks with an open clutch if there are some."""
     if len(blocks.t_s) < LEAST_ROWS:
@@ -309,7 +301,7 @@ def converter_of(blocks: SlipBlocks) -> Known:
     own = blocks.slip_rad_s * blocks.engine_rad_s
     columns = np.column_stack([own, np.ones(len(own)), blocks.engine_rate_rad_s2])
     known = (CONVERTER_NMS2, TORQUE_MODEL_NM, INERTIA_KG_M2)
-    mean, covariance = fitted(columns, blocks.torque_nm, known, blocks.clusters)
+    mean, covariance = fitted(columns, blocks.torque_nm, known, blocks.clusters, ALIKE_RATIO)
     k_nms2 = NEARER_RATIO * float(mean[0])
     return k_nms2, math.hypot(NEARER_RATIO * math.sqrt(covariance[0, 0]), SHAPE_RATIO * k_nms2)
 
@@ -347,11 +339,7 @@ def slope_of(blocks: SlipBlocks, k_nms2: Known, oil_k: tuple[float, float] | Non
 
 
 def fitted(
-    columns: FloatArray,
-    torque_nm: FloatArray,
-    known: Sequence[Known],
-    clusters: Sequence[Int64Array],
-    alike_ratio: float = ALIKE_RATIO,
+    columns: FloatArray, torque_nm: FloatArray, known: Sequence[Known], clusters: Sequence[Int64Array], alike: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return mean (p,) and covariance (p, p) of coefficients by least squares beside what is known of them.
 
@@ -368,6 +356,6 @@ def fitted(
     weight = columns @ np.linalg.inv(information + prior * variance)[0]
     alone = variance * float(weight @ weight)
     as_one = [float((np.bincount(numbers, weight * left) ** 2).sum()) / alone for numbers in clusters]
-    variance *= max(1.0, *as_one) + alike_ratio**2 * len(off)
+    variance *= max(1.0, *as_one) + alike**2 * len(off)
     covariance = np.asarray(np.linalg.inv(information / variance + prior), np.float64)
     return means + covariance @ (columns.T @ off) / variance, covariance
