@@ -1,4 +1,4 @@
-"""The plant on its nominal cycle: power balance, error of the step, speed.
+"""The plant on its nominal cycle: error of the step, speed.
 
 python -m studies.plant
 """
@@ -15,7 +15,6 @@ from ecu_emulator.plant.parameters import nominal_parameters
 from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.plant.state import Col
 from studies import bars
-from studies.power_balance import power_balance
 from studies.run import parsed, study_parser
 
 CALIBRATION = nominal_calibration()
@@ -28,20 +27,6 @@ STEPS_S = (2.5e-4, 2.0e-4, 1.0e-4)
 
 def train(dt_s: float) -> Powertrain:
     return Powertrain(CALIBRATION, PARAMETERS, DriveSettings(dt_s=dt_s))
-
-
-def show_power_balance(console: Console) -> None:
-    audited = train(DriveSettings().dt_s)
-    audited.audit()
-    rows = audited.advance(CYCLE_LIMIT_S)
-    gears = rows[:, Col.CURRENT_GEAR]
-    console.print(f"nominal cycle: {np.count_nonzero(np.diff(gears))} shifts, {rows[-1, Col.T_S]:.2f} s")
-    balance = power_balance(audited)
-    console.print(
-        f"power balance: {balance.engine_absolute_j / 1e3:.0f} kJ through the crankshaft, "
-        f"residual {balance.residual_ratio:.1e}; clutch heat {balance.clutch_j / 1e3:.1f} kJ, "
-        f"residual {balance.heat_residual_ratio:.1e}"
-    )
 
 
 def step_halving(console: Console) -> None:
@@ -72,7 +57,6 @@ def main() -> None:
     parsed(study_parser(__doc__, is_parallel=False))
     console = Console(markup=False)  # units stand in brackets
     train(DriveSettings().dt_s).advance(0.01)  # compiles, or loads the cache
-    show_power_balance(console)
     step_halving(console)
     speed(console)
 

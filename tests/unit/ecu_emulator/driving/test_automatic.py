@@ -14,7 +14,7 @@ from ecu_emulator.plant.parameters import nominal_parameters
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario.scenario import FluidCondition
 from ecu_emulator.truth import SHUDDER_HZ, ShudderTruth, ShudderWatcher
-from studies.power_balance import power_balance
+from tests.support.power_balance import power_balance
 from tests.unit.ecu_emulator.driving.drives import WARM_K, conditions, trace
 
 COUNTRY = trace((0, 0), (2, 0), (14, 16), (30, 22), (44, 26), (50, 26), (58, 14), (66, 0), (68, 0))

@@ -22,7 +22,7 @@ from ecu_emulator.driving.traffic import SpeedTrace, public_trace
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario import DriveName
-from studies.power_balance import power_balance
+from tests.support.power_balance import power_balance
 from tests.support.tolerance import share_within_tolerance
 from tests.unit.ecu_emulator.driving.drives import trace, trip
 

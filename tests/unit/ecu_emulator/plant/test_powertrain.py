@@ -12,8 +12,8 @@ from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters, p
 from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control import tcu_data
-from studies.power_balance import power_balance
 from tests.support.cycles import CYCLE_SHIFTS, FloatArray, powertrain
+from tests.support.power_balance import power_balance
 
 SHORT_S = 4.0
 
