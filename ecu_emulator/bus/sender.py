@@ -16,7 +16,7 @@ import numpy as np
 
 from canlog.errors import SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG
-from canlog.live import opening, pythoncan
+from canlog.live import multicast, opening, pythoncan
 from canlog.live.socketcan import RECEIVE_BUFFER_BYTES, open_socket
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.errors import BusError
@@ -302,7 +302,7 @@ def open_bus(
     bitrate: int | None = None,
     *,
     fd: bool = False,
-    options: Mapping[str, Any] = opening.NOTHING,
+    options: Mapping[str, Any] = multicast.NOTHING,
 ) -> can.BusABC:
     """Open a bus; what is not given comes from CAN_INTERFACE, CAN_CHANNEL and can.conf, as with python-can's tools.
 

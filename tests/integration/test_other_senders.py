@@ -13,7 +13,7 @@ from pathlib import Path
 import can
 import pytest
 
-from canlog.live.opening import MulticastBus
+from canlog.live.multicast import MulticastBus
 from ecu_emulator.live import WORTH_SAYING, OtherSenders
 from tests.support.patience import HANG_S
 from tests.support.replay import UdpBus, free_bus

@@ -18,7 +18,7 @@ from can.interfaces.socketcan import SocketcanBus
 from can.interfaces.virtual import VirtualBus
 
 from canlog.frames import join
-from canlog.live.opening import MulticastBus
+from canlog.live.multicast import MulticastBus
 from canlog.logs import read_log
 
 if TYPE_CHECKING:

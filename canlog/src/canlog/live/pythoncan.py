@@ -23,7 +23,7 @@ from canlog.frames import (
     FrameBatch,
     batch_of,
 )
-from canlog.live import opening
+from canlog.live import multicast
 from canlog.live.sources import SILENCE_S, BusSilence, FrameQueue, SourceCounts
 
 POLL_S = 0.1  # how soon the thread notices that it shall stop
@@ -194,14 +194,14 @@ def open_bus(
     bitrate: int | None,
     *,
     fd: bool,
-    options: Mapping[str, Any] = opening.NOTHING,
+    options: Mapping[str, Any] = multicast.NOTHING,
 ) -> can.BusABC:
     """Open a python-can bus; ``udp_multicast`` keeps to this machine unless ``hop_limit`` is configured.
 
     Raises SourceError if the interface is unknown, its driver is missing, or the channel cannot be opened.
     """
     try:
-        return opening.open_bus(interface, channel, bitrate, fd=fd, options=options)
+        return multicast.open_bus(interface, channel, bitrate, fd=fd, options=options)
     except (can.CanError, OSError, ValueError, TypeError, ImportError, RuntimeError) as exc:
         raise SourceError(f"CAN interface {interface} {channel or ''} cannot be opened: {one_line(exc)}") from exc
 

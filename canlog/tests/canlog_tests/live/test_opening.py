@@ -10,7 +10,7 @@ import pytest
 
 from canlog.live import BusSilence, medium, pythoncan
 from canlog.live.medium import open_medium
-from canlog.live.opening import MulticastBus, open_bus
+from canlog.live.multicast import MulticastBus, open_bus
 from canlog.live.pythoncan import PythonCanSource
 from tests.support.patience import HANG_S
 from tests.support.replay import UdpBus, free_bus
