@@ -74,7 +74,7 @@ def test_every_file_is_listed_with_what_it_was_taken_for(folder: Path, capsys: p
         "no log: the file is empty",
         "no log: a broken link",
     )
-    assert "the SQLite file has no table of messages as python-can writes it" in listed["other.db"]
+    assert "if it is a log of python-can, can_logconvert" in listed["other.db"]
     assert any(
         line.startswith(f"{folder}/torn.blf: not a log after all: no CAN frame in this blf log") for line in said
     )

@@ -176,8 +176,8 @@ def test_a_log_without_pressures_has_fewer_parts_and_says_so(tmp_path: Path) -> 
     missing = {"touch_error_pa", "fill_error_s", "tie_up_nm", "temperature_rise_k"}
     assert len(scored(without)) == len(scored(whole)) == 10
     for (_, more, _), (_, fewer, _) in zip(scored(whole), scored(without), strict=True):
-        assert all(getattr(fewer, name) is None for name in missing)
-        assert all(getattr(more, name) is not None for name in missing)
+        assert all(getattr(fewer.parts, name) is None for name in missing)
+        assert all(getattr(more.parts, name) is not None for name in missing)
         assert fewer.parts.flare_rad_s == pytest.approx(more.parts.flare_rad_s, abs=1.0)
         assert fewer.parts.lock_rate_rad_s2 is not None
     untold = "jerk, torque hole, tie up, fill error, touch error, temperature rise"

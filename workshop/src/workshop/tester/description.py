@@ -6,6 +6,7 @@ import struct
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from enum import StrEnum
 from importlib.util import find_spec
@@ -367,8 +368,8 @@ def _description(layer: Any) -> Description:  # noqa: ANN401 - of a library with
         data={**STANDARD_DATA, **data},
         troubles=tuple(_troubles(layer)),
         routines=routines,
-        request_id=_or_none(layer.get_can_receive_id),
-        response_id=_or_none(layer.get_can_send_id),
+        request_id=_can_id(layer.get_can_receive_id, layer),
+        response_id=_can_id(layer.get_can_send_id, layer),
         readers=readers,
     )
 
@@ -435,12 +436,13 @@ def _name(service: Any) -> str:  # noqa: ANN401 - see above
     return str(name)
 
 
-def _or_none(find: Any) -> int | None:  # noqa: ANN401 - a method of the library
-    try:
-        can_id = find()
-    except Exception:  # noqa: BLE001 - a file without parameters of communication
-        return None
-    return None if can_id is None else int(can_id)
+def _can_id(find: Any, layer: Any) -> int | None:  # noqa: ANN401 - a method of the library, and its owner
+    """Return the identifier by the first of a controller's protocols that has one: DoIP has none."""
+    for protocol in (None, *getattr(layer, "protocols", ())):
+        with suppress(Exception):  # a file without parameters of communication
+            if (can_id := find(protocol)) is not None:
+                return int(can_id)
+    return None
 
 
 _TABLE: Final = read_table(Path(__file__).parent / "standard.toml", "the description", ConfigError)

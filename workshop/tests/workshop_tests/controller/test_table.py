@@ -87,7 +87,8 @@ def test_the_page_lists_each_service_datum_routine_and_code() -> None:
     assert table.obd is not None
     kinds = (table.services, table.data, table.conditions, table.troubles, table.routines)
     of_obd = (table.obd.pids, table.obd.monitors, table.obd.infos)
-    assert len(rows) == sum(len(kind) + 1 for kind in (*kinds, *of_obd))  # a head each
+    fault_sets = {str(trouble.faults) for trouble in table.troubles.values() if trouble.faults}
+    assert len(rows) == sum(len(kind) + 1 for kind in (*kinds, *of_obd, fault_sets))  # a head each
 
 
 def test_the_dialogue_of_the_document_is_what_the_controller_answers() -> None:
