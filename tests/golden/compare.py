@@ -44,7 +44,7 @@ CALIBRATED = "routine"
 PAGES = {"fleet": "/", "vehicle": "/vehicles/case2", "maintenance": "/maintenance"}
 TABLES = {"result": "position", "state": "vehicle", "fill": "vehicle, filled_at"}  # and the order of their rows
 _WRITTEN_AT = ("connected_at", "disconnected_at")
-_MOMENT = re.compile(r"20(?!26-01-01)\d\d-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|\+00:00)?|read at \d\d:\d\d:\d\d")
+_MOMENT = re.compile(r"20(?!26-01-01)\d\d-\d\d-\d\d([T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|\+00:00)?)?|read at \d\d:\d\d:\d\d")
 
 Faces = dict[str, str]  # what is seen, by its kind
 
