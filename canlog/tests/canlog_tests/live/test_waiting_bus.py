@@ -25,8 +25,8 @@ class Simulation(can.BusABC):
         super().__init__(channel="nowhere")
         self._left = deque(range(frame_count))
 
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        raise NotImplementedError
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 - python-can's
+        raise can.CanOperationError("who only reads sends nothing")
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:  # noqa: ARG002 - python-can's
         if not self._left:
