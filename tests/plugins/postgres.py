@@ -27,17 +27,6 @@ def postgres_server() -> Iterator[PostgresServer]:
         server.close()
 
 
-@pytest.fixture
-def own_postgres() -> Iterator[PostgresServer]:
-    """Return a running server that belongs to one test, which may kill or pause it."""
-    server = PostgresServer()
-    try:
-        server.start()
-        yield server
-    finally:
-        server.close()
-
-
 @pytest.fixture(scope="session")
 def postgres_template(postgres_server: PostgresServer) -> str:
     """Return the name of a database with the present schema, to be copied."""

@@ -1,21 +1,16 @@
 """What cantools decodes, signal by signal: the reference for the compiled tables."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 from cantools.database.errors import DecodeError, Error
-from cantools.database.namedsignalvalue import NamedSignalValue
 
 FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-NumberAndText = tuple[float | None, str | None]
-Named = dict[str, NumberAndText]
 
 
 def is_sound(message: Message) -> bool:
@@ -83,58 +78,3 @@ def same_bits(actual: FloatArray, wanted: FloatArray) -> bool:
         np.array_equal(np.isnan(actual), is_nan)
         and np.array_equal(actual[~is_nan].view(np.uint64), wanted[~is_nan].view(np.uint64))
     )
-
-
-@dataclass(frozen=True, slots=True)
-class Readings:
-    """One signal in some payloads, as cantools reads it."""
-
-    number: FloatArray  # (n,)
-    is_there: BoolArray  # (n,) whether it is in the payload
-    text: list[str | None]  # (n,) the name of its value, None where it has none
-
-
-def readings(message: Message, signals: Mapping[str, Signal], payloads: Sequence[bytes]) -> dict[str, Readings]:
-    """Return signals in payloads of any length, each number and its text; as ``reference`` where cantools gives up."""
-    is_plain = is_sound(message) and all(name == signal.name for name, signal in signals.items())
-    alone = {name: _alone(message, signal) for name, signal in signals.items()}
-    found: dict[str, list[NumberAndText]] = {name: [] for name in signals}
-    for payload in payloads:
-        whole = _both(message, payload) if is_plain else None
-        for name, signal in signals.items():
-            values = whole if whole is not None else _both(alone[name], payload) or {}
-            number, text = values.get(signal.name, (None, None))
-            found[name].append((number, text if _is_whole(signal, number) else None))
-    return {
-        name: Readings(
-            np.array([math.nan if number is None else number for number, _ in pairs], np.float64),
-            np.array([number is not None for number, _ in pairs], np.bool_),
-            [text for _, text in pairs],
-        )
-        for name, pairs in found.items()
-    }
-
-
-def _both(message: Message, payload: bytes) -> Named | None:
-    """Return number and text of the signals of one payload; None if cantools cannot tell."""
-    try:
-        numbers = message.decode_simple(payload, decode_choices=False, allow_truncated=True)
-        texts = message.decode_simple(payload, decode_choices=True, allow_truncated=True)
-    except DecodeError:
-        return None
-    except (ValueError, OverflowError):  # it looks up a text for a float that is no number
-        if len(message.signals) > 1:
-            return None
-        texts = numbers
-    return {
-        name: (float(value), str(text) if isinstance(text := texts[name], NamedSignalValue) else None)
-        for name, value in numbers.items()
-        if isinstance(value, int | float)
-    }
-
-
-def _is_whole(signal: Signal, number: float | None) -> bool:
-    """Return whether a value can have a text: cantools gives a float the text of its whole part, we do not."""
-    if not signal.conversion.is_float or number is None:
-        return True
-    return float((number - signal.offset) / signal.scale).is_integer()

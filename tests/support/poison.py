@@ -8,7 +8,6 @@ from fleet_contract import shift_message
 from tests.support.fleet import fleet_result
 
 _KINDS: Final = 8
-_READABLE: Final = frozenset({4, 5})  # a result with a wrong number, and one of another vehicle
 
 
 def poison_messages(count: int) -> list[tuple[str, bytes]]:
@@ -26,11 +25,6 @@ def poison_messages(count: int) -> list[tuple[str, bytes]]:
     )
     assert len(kinds) == _KINDS
     return [kinds[number % _KINDS](number + 1) for number in range(count)]
-
-
-def readable_count(count: int) -> int:
-    """Return how many of so many name a result, so that their sender can be told."""
-    return sum(number % _KINDS in _READABLE for number in range(count))
 
 
 def _changed(event: dict[str, object], **data: object) -> bytes:

@@ -16,7 +16,7 @@ from clutch_results.records import shift_record
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, RowRefusedError
 from fleet_backend.ingest import Worker
-from fleet_backend.intake import MessageKind, Received, receive, receive_all
+from fleet_backend.intake import MessageKind, receive, receive_all
 from fleet_backend.rows import CONTENT, content_digest, moment, quarantine_row, shift_row
 from fleet_backend.schema import FRICTION_COLUMNS
 from fleet_backend.writer import Batch, Identity
@@ -142,14 +142,6 @@ async def test_vehicles_hear_whether_bundles_are_taken(*, reach_us: bool, are_wa
     assert takes_bundles(read_message(ack.topic, ack.payload).data) is (reach_us and are_wanted)
 
 
-FILL: JsonObject = {
-    "filled_at": "2026-01-01T00:00:00.000000Z",
-    "odometer_m": 61_200_000.0,
-    "product": "DCTF-II",
-    "note": None,
-}
-
-
 async def test_a_vehicle_that_goes_hears_nothing_and_one_that_comes_that_there_is_no_fill() -> None:
     records = Records()
     await worker_of(records).process(records, [delivered(messages_v1()["status-offline"])])
@@ -167,12 +159,6 @@ def changed(message: Message, **data: object) -> Message:
     event = json.loads(message.payload)
     event["data"] |= data
     return replace(message, payload=json.dumps(event).encode())
-
-
-def poison(message: Message, reason: str) -> Received:
-    received = receive(message, NOW)
-    assert (received.kind, received.row["reason"]) == (MessageKind.POISON, reason), received.row["detail"]
-    return received
 
 
 def bundle(*payloads: bytes) -> Message:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from workshop.controller.doip import Ask, Close, Send, Step, advanced, closed, opened, received, responded
+from workshop.controller.doip import Ask, Close, Send, Step, opened, received
 from workshop.controller.table import DoipEntity
 
 ENTITY = DoipEntity()
@@ -38,26 +38,11 @@ class Desk:
         for number in numbers:
             self.step = opened(self.step, number, self.t_s)
 
-    def activate(self, number: int, tester: int = 0x0E00) -> str:
-        self.open(number)
-        return self.put(number, activation(tester))[16:]
-
     def put(self, number: int, *pieces: bytes) -> str:
         """Let bytes come in, in these pieces; return what that connection was told."""
         for data in pieces:
             self._do(received(self.entity, self.step, number, data, self.t_s))
         return self.told(number)
-
-    def respond(self, number: int, response: bytes | None, *, is_final: bool = True) -> str:
-        self._do(responded(self.entity, self.step, number, response, self.t_s, is_final=is_final))
-        return self.told(number)
-
-    def hang_up(self, number: int) -> None:
-        self._do(closed(self.entity, self.step, number, self.t_s))
-
-    def wait(self, duration_s: float) -> None:
-        self.t_s += duration_s
-        self._do(advanced(self.entity, self.step, self.t_s))
 
     def told(self, number: int) -> str:
         """Return what a connection was told since it was asked for last."""

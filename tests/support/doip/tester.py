@@ -106,10 +106,6 @@ class Tester:
         key = int("".join(seed), 16) ^ MASK
         assert self.ask(f"27 02 {key:08x}") == "67 02"
 
-    def is_closed(self) -> bool:
-        """Return whether the other side says no more."""
-        return self.socket.recv(1) == b""
-
     def _exactly(self, count: int) -> bytes:
         data = b""
         while len(data) < count:

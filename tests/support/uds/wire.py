@@ -37,7 +37,7 @@ def parked_controller(
     return Controller(table, values=lambda: PARKED, clock=clock, chance=secrets.token_bytes, store=store)
 
 
-_IS_PENDING = re.compile("03 7f (..) 78")
+_IS_PENDING = re.compile("03 7f .. 78")
 
 
 class Wire:
@@ -50,7 +50,6 @@ class Wire:
         store: MemoryFile | None = None,
     ) -> None:
         self._heard: queue.Queue[can.Message] = queue.Queue()
-        self._promised = "none"  # the service of which 78 was heard last
         self.controller = parked_controller(transport, clock=clock, store=store)
         self.link = DiagnosticLink(self.controller, self._heard.put)
 
@@ -71,8 +70,8 @@ class Wire:
 
     def get(self) -> str:
         """Return the next frame of the controller, other than that an answer takes its time, as on a busy machine."""
-        while (found := _IS_PENDING.search(frame := self.get_any())) is not None:
-            self._promised = found[1]
+        while _IS_PENDING.search(frame := self.get_any()):
+            pass
         return frame
 
     def get_any(self) -> str:
@@ -87,18 +86,3 @@ class Wire:
             return bytes(self._heard.get(timeout=duration_s).data).hex(" ")
         except queue.Empty:
             return ""
-
-    def forget(self) -> int:
-        """Throw away what was heard so far; return how many frames that was."""
-        count = 0
-        while not self._heard.empty():
-            self._heard.get_nowait()
-            count += 1
-        return count
-
-    def is_quiet(self) -> bool:
-        """Return whether nothing but what 78 had promised was heard, once a later request has been answered."""
-        self.put("02 3e 00")
-        while (frame := self.get()).startswith(f"03 7f {self._promised} "):
-            pass
-        return frame.startswith("02 7e 00")
