@@ -52,20 +52,3 @@ def test_a_public_class_has_its_name_for_itself() -> None:
                     homes[node.name].append(module)
     assert len(homes) > 500
     assert {name: where for name, where in homes.items() if len(where) > 1} == {}
-
-
-def test_kernels_are_found() -> None:
-    found = {one.name: parameters(one) for _, text in modules("canlog") for one in kernels(text)}
-    assert len(found) > 20
-    many = ast.parse("@kernel\ndef f(a, b, c, d, e, /, g, h, i, *, j, k): ...")
-    assert [parameters(one) for one in kernels(ast.unparse(many))] == [10]
-
-
-def test_tests_of_a_vcan_are_where_make_test_looks_for_them() -> None:
-    mark = "pytest.mark." + "vcan"
-    users = {
-        path.relative_to(ROOT).parts[1]
-        for path in (ROOT / "tests").rglob("test_*.py")
-        if mark in path.read_text("utf-8")
-    }
-    assert users <= {"e2e", "integration"}

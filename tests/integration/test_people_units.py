@@ -9,14 +9,12 @@ import pytest
 
 from clutch_model.units import for_people
 from clutch_results.records import shift_record
-from clutchdiag_io.pages.content import number
-from clutchdiag_io.people import PER_1000_RPM, SLOPE_UNIT, digits
+from clutchdiag_io.people import SLOPE_UNIT, digits
 from diag_service.commands.store import shift_lines
 from tests.golden.compare import RECORDINGS
 from tests.integration.test_plus_minus import FACES
 from tests.support.builders import shift_result
 from tests.support.in_process import ended
-from workshop.tester.trouble import values_text
 
 TOO_MANY = re.compile(r"\d\.\d{7}|e[+-]\d")
 SI = re.compile(r"\w*_(?:pa|k|m_s\d?|rad_s\d?|s_rad|rad|nm|j)\b|\S*\brad\b\S*|\[(?:K|Pa|J|m|m/s)\]")
@@ -84,16 +82,6 @@ def test_a_touch_point_is_given_in_bar() -> None:
     assert "touch point of the clutches in bar" in " ".join(ended("predict", "--help").out.split())
 
 
-def test_all_is_100_percent() -> None:
-    assert number(1.0, "{:.1%}") == '<data value="1.0">100 %</data>'
-
-
-def test_a_slope_has_one_unit() -> None:
-    label, per_1000_rpm, unit = for_people("slope_s_rad", 1.0)
-    assert (label, unit) == ("slope", SLOPE_UNIT)
-    assert per_1000_rpm == pytest.approx(PER_1000_RPM)
-
-
 @pytest.mark.parametrize(
     ("value", "text"),
     [(0.1209111254, "0.1209"), (61001.2615, "61001"), (2.48, "2.48"), (88.98, "88.98"), (0.0, "0"), (-0.5, "-0.5"),
@@ -123,7 +111,3 @@ def test_what_is_stored_of_a_shift_is_shown_for_people_and_kept_in_si() -> None:
     assert {"odometer  1.234 km", "sump_temperature  80 °C", "slip_energy  8.4 kJ"} <= set(lines)
     assert not [line for line in lines if TOO_MANY.search(line)]
     assert record["sump_temperature_k"] == 353.15
-
-
-def test_what_a_controller_tells_has_few_digits() -> None:
-    assert values_text({"pressure [bar]": 2.4812345678}) == "2.481 bar"

@@ -11,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from canlog.arrays import FloatArray
-from canlog.e2e.profile1 import counter_of, crc_is_valid, data_id_remainder
 from ecu_emulator.bus.bus_faults import error_frames
 from ecu_emulator.bus.frames import SIGNAL_OF, EncodedFrames, FrameEncoder, joined
 from ecu_emulator.log_formats import open_log
@@ -61,27 +60,6 @@ def test_payload_is_what_cantools_encodes(name: str, seed: int) -> None:
         }
         signals |= {"Crc8": int(payload[0]), "AliveCounter": row % 15}
         assert message.encode(signals, strict=True) == payload.tobytes()
-
-
-@pytest.mark.parametrize("name", sorted(CONTRACTS))
-def test_frames_are_protected(name: str) -> None:
-    frames = FrameEncoder(DATABASE).encode(readings(name, np.arange(40.0), np.random.default_rng(1)))
-    data_id = CONTRACTS[name].data_id
-    assert data_id is not None
-    assert crc_is_valid(frames.data, data_id_remainder(data_id)).all()
-    assert counter_of(frames.data).tolist() == [row % 15 for row in range(40)]
-    assert set(frames.can_id.tolist()) == {CONTRACTS[name].can_id}
-
-
-@pytest.mark.parametrize("name", sorted(CONTRACTS))
-def test_nan_becomes_the_code_for_not_available(name: str) -> None:
-    encoder = FrameEncoder(DATABASE)
-    values = {quantity: np.array([math.nan]) for quantity in encoder.quantities(name)}
-    frames = encoder.encode(Readings(message=name, t_s=np.zeros(1), values=values))
-    message = DATABASE.get_message_by_name(name)
-    texts = message.decode(frames.data[0].tobytes())
-    assert isinstance(texts, dict)
-    assert {str(texts[signal]) for signal in CONTRACTS[name].signals} == {"NotAvailable"}
 
 
 @pytest.mark.parametrize(

@@ -12,23 +12,13 @@ from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters, p
 from ecu_emulator.plant.powertrain import Powertrain
 from ecu_emulator.plant.state import Col
 from ecu_emulator.shift_control import tcu_data
-from tests.support.cycles import CYCLE_SHIFTS, FloatArray, powertrain
+from tests.support.cycles import CYCLE_SHIFTS, FloatArray
 from tests.support.power_balance import power_balance
-
-SHORT_S = 4.0
-
 
 @pytest.fixture(scope="module")
 def rows(driven_cycle: tuple[Powertrain, FloatArray]) -> FloatArray:
     _, rows = driven_cycle
     return rows
-
-
-def test_the_same_seed_gives_the_same_drive_to_the_bit() -> None:
-    drive = DriveSettings(seed=7, vary_ratio=0.05)
-    first, second = (powertrain(drive).advance(SHORT_S) for _ in range(2))
-    assert np.array_equal(first, second)
-    assert not np.array_equal(first, powertrain(DriveSettings(seed=8, vary_ratio=0.05)).advance(SHORT_S))
 
 
 def test_the_target_leads_the_current_gear_through_a_shift(rows: FloatArray) -> None:
