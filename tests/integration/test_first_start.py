@@ -88,13 +88,6 @@ def test_a_signal_ends_a_demonstration_that_compiles(tmp_path: Path) -> None:
     assert len(list((tmp_path / "cache").rglob("*.nbi"))) < FEW_KERNELS
 
 
-def test_a_signal_ends_an_emulator_that_compiles(tmp_path: Path) -> None:
-    with first_started(tmp_path, "ecu_emulator", "run", "-i", "virtual", "-c", "any") as program:
-        status, said, kernels = ended_by(signal.SIGTERM, program, tmp_path)
-    assert (status, kernels < FEW_KERNELS) == (0, True), said
-    assert "stopped early" in said
-
-
 def test_a_live_service_has_compiled_what_a_first_burst_needs() -> None:
     script = (
         "from canlog.e2e.late_frames import catch_up\n"

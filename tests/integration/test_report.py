@@ -82,22 +82,18 @@ def test_single_shifts_of_a_log_are_shown_where_all_is_asked_for(log_report: Pat
     [
         (("report", "drive.log", "-o", "page.txt"), 2, "a report is written as .html or .pdf"),
         (("report", "nowhere.log", "-o", "page.html"), 3, "nowhere.log"),
-        (("report", "car1.sqlite", "-o", "there.htm"), 2, "there.htm is there already; --force writes over it"),
         (("report", "car1.sqlite", "drive.log", "-o", "page.html"), 2, "is a store"),
         (("report", "car1.sqlite", "--vehicle", "ghost", "-o", "page.html"), 4, "no results of ghost; it has car1"),
         (("history", "drive.log"), 4, "is not a result store"),
         (("history", "nowhere.sqlite"), 4, "there is no store"),
         (("history", "car1.sqlite", "--rows", "0"), 2, "--rows must be 1 or more"),
         (("history", "car1.sqlite", "--peers", "car1.sqlite"), 2, "car1.sqlite: "),
-        (("history", "car1.sqlite", "--peers", "nowhere.json"), 2, "nowhere.json: "),
         (("show", "car1.sqlite", "99"), 4, "has no shift 99; the newest is 3"),
-        (("show", "drive.log", "1"), 4, "is not a result store"),
         (("fluid-changed", "car1.sqlite", "--at", "yesterday"), 2, "is not a date"),
         (("fluid-changed", "car1.sqlite", "--at", "2999-01-01"), 2, "still to come"),
         (("fluid-changed", "car1.sqlite", "--at", "1026-01-31"), 2, "--at 1026-01-31 is too long ago"),
         (("fluid-changed", "car1.sqlite", "--odometer", "nan"), 2, "--odometer must be 0 km or more"),
         (("fluid-changed", "car1.sqlite", "--product", "a\nb"), 2, "--product must be"),
-        (("fluid-changed", "nowhere.sqlite"), 4, "there is no store"),
     ],
 )
 def test_what_cannot_be_told_is_one_clear_line(
@@ -105,7 +101,6 @@ def test_what_cannot_be_told_is_one_clear_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     fill_store(Path("car1.sqlite"), history(3))
-    Path("there.htm").touch()
     Path("drive.log").write_text("(1.000000) can0 123#00\n", encoding="utf-8")
     ended(*words).assert_one_line(status, complaint)
     assert not list(tmp_path.glob("*.html"))

@@ -77,11 +77,3 @@ def test_a_record_changed_at_one_place(event: dict[str, object], kind: str, data
         else:
             del target[path[-1]]  # type: ignore[attr-defined]
     assert is_described(name, record) == ORACLES[name].is_valid(record)
-
-
-@pytest.mark.parametrize("kind", sorted({"status", "metrics", "config"} & set(KINDS)))
-def test_a_line_end_is_part_of_a_name(kind: str) -> None:
-    record = copy.deepcopy(RECORDS[KINDS.index(kind)]["data"])
-    record["vehicle"] += "\n"
-    assert not is_described(kind, record)
-    assert not ORACLES[kind].is_valid(record)

@@ -18,7 +18,6 @@ ROOT = Path(__file__).parents[3]
 COMPOSE = read_compose(ROOT / "docker-compose.yml")
 SERVICES: dict[str, Service] = COMPOSE["services"]
 OURS = {name: service for name, service in SERVICES.items() if "build" in service}
-LAST = read_stages(ROOT / "Dockerfile")[-1]
 LONGEST_START_S = 30
 EXACT = re.compile(r"[a-z0-9./-]+:v?\d+\.\d+(\.\d+)?(-[a-z0-9-]+)?")
 
@@ -70,13 +69,6 @@ def test_a_file_that_grows_old_is_not_well(name: str, age_s: float | None, tmp_p
         os.utime(path, (time.time() - age_s,) * 2)
     done = subprocess.run(["/bin/sh", "-c", text.replace(inside, str(path))], capture_output=True, check=False)
     assert (done.returncode == 0) == is_well
-
-
-def test_the_image_runs_as_a_number_that_is_not_root() -> None:
-    (user,) = [entry.text for entry in LAST.instructions if entry.name == "USER"]
-    assert re.fullmatch(r"[1-9]\d*:[1-9]\d*", user)
-    (made,) = [entry.text for entry in LAST.instructions if entry.name == "RUN" and "useradd" in entry.text]
-    assert f"--uid {user.partition(':')[0]} " in made
 
 
 STAGES = read_stages(ROOT / "Dockerfile")

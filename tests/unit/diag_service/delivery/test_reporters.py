@@ -1,13 +1,9 @@
 """What people and the next program in a pipe get to see."""
 
-import io
-import json
 from dataclasses import replace
 
-from rich.console import Console
-
-from clutch_results.records import Reason, ShiftResult, ShiftStatistics, shift_record
-from diag_service.delivery import JsonLinesReporter, MemoryReporter, News, PipeReporter
+from clutch_results.records import Reason, ShiftResult, ShiftStatistics
+from diag_service.delivery import MemoryReporter, News, PipeReporter
 from diag_service.diagnosis.summary import FrameCounts, Summary
 from tests.support.builders import rejected, shift_result
 
@@ -33,26 +29,6 @@ def numbers() -> Summary:
     statistics = statistics.with_shift(shift_result(2), is_new=False)
     statistics = statistics.with_shift(interrupted(3), is_new=True)
     return Summary(vehicle="car1", frames=FRAMES, shifts=statistics, unpublished_count=2)
-
-
-def test_json_lines_hold_records_only() -> None:
-    out, people = io.StringIO(), io.StringIO()
-    reporter = JsonLinesReporter(out, Console(file=people))
-    reporter.report("vcan0")
-    reporter.report(shift_result(1))
-    reporter.report(numbers())
-    shift, summary = (json.loads(line) for line in out.getvalue().splitlines())
-    assert shift == shift_record(shift_result(1))
-    assert summary["frames"]["rejected"] == {"bad_crc": 12, "repeated": 0, "short": 1}
-    assert summary["shifts"] == {
-        "by_status": {"valid": 2, "rejected": 1, "unobserved": 0},
-        "by_reason": {"interrupted": 1},
-        "stored": 2,
-        "already_stored": 1,
-        "unpublished": 2,
-    }
-    assert [clutch["clutch"] for clutch in summary["clutches"]] == [1, 2]
-    assert people.getvalue() == "listening on vcan0\n"
 
 
 def test_a_broken_pipe_is_told_once_and_then_nothing_is_written() -> None:

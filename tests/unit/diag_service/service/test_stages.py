@@ -42,13 +42,6 @@ def test_a_conclusion_changes_nothing_of_what_was_believed() -> None:
     assert before.to_json() == stored != once.belief.to_json()
 
 
-def test_what_is_stored_is_believed_again() -> None:
-    stages = new_stages()
-    for shift in shifts():
-        stages.conclude(shift)
-    assert Belief.from_json(*stages.belief.to_json(), CALIBRATION).to_json() == stages.belief.to_json()
-
-
 def test_an_event_of_the_fluid_before_is_judged_by_itself() -> None:
     stages = new_stages()
     first = stages.conclude(shifts()[0])

@@ -15,6 +15,7 @@ from ecu_emulator.shift_control import tcu_data
 from tests.support.cycles import CYCLE_SHIFTS, FloatArray
 from tests.support.power_balance import power_balance
 
+
 @pytest.fixture(scope="module")
 def rows(driven_cycle: tuple[Powertrain, FloatArray]) -> FloatArray:
     _, rows = driven_cycle
@@ -35,12 +36,8 @@ CONTROL = nominal_parameters().control
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("cycles", 0),
         ("seed", -1),
-        ("pedal_ratio", 0.1),
         ("vary_ratio", 0.5),
-        ("initial_oil_k", 273.15),
-        ("open_revs", 21),
         ("dt_s", 1e-3),
         ("dt_s", 1.5e-4),
         ("dt_s", float("nan")),
@@ -50,11 +47,6 @@ def test_a_setting_outside_its_range_is_named(name: str, value: object) -> None:
     assert name in {field.name for field in fields(DriveSettings)}
     with pytest.raises(CalibrationError, match=name):
         replace(DriveSettings(), **{name: value})  # type: ignore[arg-type]  # wrong on purpose
-
-
-def test_friction_that_is_gone_is_no_factor() -> None:
-    with pytest.raises(CalibrationError, match="mu_c1"):
-        FrictionFactors(mu_c1=0.0)
 
 
 def test_cycles_vary_with_the_seed_and_a_longer_drive_begins_alike() -> None:
@@ -105,16 +97,3 @@ def changed(section: str, key: str, value: object) -> dict[str, object]:
 def test_a_number_outside_its_range_is_named(section: str, key: str, value: object, message: str) -> None:
     with pytest.raises(CalibrationError, match=message):
         PlantParameters.from_mapping(changed(section, key, value))
-
-
-def test_unknown_and_missing_keys_are_named() -> None:
-    with pytest.raises(CalibrationError, match=r"sump\.colour is unknown"):
-        PlantParameters.from_mapping(changed("sump", "colour", 1.0))
-    table = plant_table()
-    del table["sump"]
-    with pytest.raises(CalibrationError, match="sump is missing"):
-        PlantParameters.from_mapping(table)
-    table = plant_table()
-    table["shaft"] = [{}]
-    with pytest.raises(CalibrationError, match="exactly 2"):
-        PlantParameters.from_mapping(table)
