@@ -132,11 +132,6 @@ def test_files_named_in_the_text_exist(document: Path) -> None:
     assert [name for name in named if not any((place / name).exists() for place in places)] == []
 
 
-def test_the_model_numbers_every_equation_of_the_source() -> None:
-    text = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
-    assert [number for number in range(1, 19) if f"| ({number}) |" not in text] == []
-
-
 @pytest.mark.parametrize("name", FOLDERS)
 def test_every_package_data_pattern_matches_a_file(name: str) -> None:
     patterns = pyproject(name)["tool"]["setuptools"]["package-data"]

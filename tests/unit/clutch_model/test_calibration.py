@@ -8,6 +8,24 @@ from clutch_model.calibration import Calibration, calibration_toml, nominal_cali
 from clutch_model.errors import CalibrationError
 
 
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        (("viscosity", "a_pa_s"), -1.0, "viscosity"),
+        (("viscosity", "pole_k"), 300.0, "pole_k"),
+        (("input_side", "engine_inertia_kg_m2"), 0.0, "engine_inertia_kg_m2"),
+        (("input_side", "hub_inertia_kg_m2"), "0.04", "must be a number"),
+        (("noise", "pressure_pa"), float("nan"), "finite"),
+        (("noise", "pressure_pa"), 0.0, r"noise\.pressure_pa must be > 0"),
+    ],
+)
+def test_a_number_outside_its_range_is_named(path: tuple[str, str], value: object, message: str) -> None:
+    table = shipped_table()
+    table[path[0]][path[1]] = value
+    with pytest.raises(CalibrationError, match=message):
+        Calibration.from_mapping(table)
+
+
 @pytest.mark.parametrize("mu_s", [0.14, 0.15])
 def test_friction_that_would_shudder_with_new_fluid_is_no_belief(mu_s: float, tmp_path: Path) -> None:
     path = tmp_path / "car.toml"

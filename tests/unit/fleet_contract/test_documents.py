@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from jsonschema import Draft202012Validator
 from ruamel.yaml import YAML
 from vss_tools.main import get_trees
 from vss_tools.model import VSSDataDatatype
@@ -132,6 +133,16 @@ def test_the_code_reads_the_golden_message(name: str) -> None:
     message = read_message(MESSAGES[name].topic, golden(name))
     assert message.data == event["data"]
     assert (message.event_id, message.source, message.time) == (event["id"], event["source"], event["time"])
+
+
+NAMES = sorted(path.name.removesuffix("-v1.json") for path in SCHEMA_FOLDER.glob("*.json"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_schema_of_ours_is_one(name: str) -> None:
+    Draft202012Validator.check_schema(schema(name))
+    compile_schema(schema(name))
+    assert schema(name)["$id"] == f"urn:clutchdiag:{name}:v1"
 
 
 def refusal(schema_part: Mapping[str, object], value: object) -> str:
