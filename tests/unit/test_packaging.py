@@ -2,6 +2,7 @@
 
 import importlib
 import re
+import subprocess
 from importlib.metadata import distribution, entry_points
 from pathlib import Path
 from types import ModuleType
@@ -10,6 +11,7 @@ import pytest
 
 import ecu_emulator
 from tests.support.distributions import FOLDERS, PACKAGES, ROOT, SOURCES, extras_of, pyproject, requirements
+from tests.support.patience import HANG_S
 
 SUBPACKAGES = sorted(
     ".".join((package, *path.parent.relative_to(folder).parts))
@@ -132,6 +134,11 @@ def test_files_named_in_the_text_exist(document: Path) -> None:
     assert [name for name in named if not any((place / name).exists() for place in places)] == []
 
 
+def test_the_model_numbers_every_equation_of_the_source() -> None:
+    text = (ROOT / "docs" / "model.md").read_text(encoding="utf-8")
+    assert [number for number in range(1, 19) if f"| ({number}) |" not in text] == []
+
+
 @pytest.mark.parametrize("name", FOLDERS)
 def test_every_package_data_pattern_matches_a_file(name: str) -> None:
     patterns = pyproject(name)["tool"]["setuptools"]["package-data"]
@@ -147,3 +154,14 @@ def test_every_package_data_pattern_matches_a_file(name: str) -> None:
 @pytest.mark.parametrize("name", FOLDERS)
 def test_every_distribution_has_the_licence(name: str) -> None:
     assert (FOLDERS[name] / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "is_well"), [("true", "true", True), ("false", "true", False), ("true", "false", False)]
+)
+def test_a_part_of_the_tests_that_fails_fails_the_whole(tmp_path: Path, first: str, second: str, is_well: bool) -> None:
+    (timed,) = re.findall(r"^timed = .*$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    makefile = tmp_path / "Makefile"
+    makefile.write_text(f"{timed}\nall:\n\t@$(call timed,a,{first}) && $(call timed,b,{second})\n", encoding="utf-8")
+    ended = subprocess.run(["make", "-f", str(makefile)], capture_output=True, check=False, timeout=HANG_S)
+    assert (ended.returncode == 0) is is_well
