@@ -15,22 +15,37 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.shifts.tracking import held_values
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.mapped_messages import MessageColumns, fitting, signal_name
-from diag_service.mapping.profile import BusSource, Profile, SignalSource, load_profile
+from diag_service.mapping.profile import BusSource, Profile, SignalSource, load_profile, load_shipped
 
 Drive = Mapping[Signal, Series]
 LESS = 10.0  # of a signal that is subtracted: some loss
 TIMES = 400.0  # of a signal that multiplies: some standard torque
+LINE_PRESSURE_PA = 8e5
 
 
-def drive_of(log: Path) -> dict[Signal, Series]:
-    """Return all canonical signals of a recording of our bus, with those that other vehicles have instead of ours."""
-    decoder = Decoder(load_contract(), load_profile())
+def columns_of(log: Path, decoder: Decoder) -> dict[Signal, Series]:
+    """Return the canonical signals of a whole log."""
     pieces: dict[Signal, list[Series]] = {}
     for batch in read_log(log):
         for columns in decoder.feed(batch):
             for signal, series in columns.columns.items():
                 pieces.setdefault(signal, []).append(series)
-    drive = {signal: _joined(series) for signal, series in pieces.items()}
+    return {signal: _joined(series) for signal, series in pieces.items()}
+
+
+def lockup_drive_of(log: Path) -> dict[Signal, Series]:
+    """Return the canonical signals of a recording of our automatic's bus, with those that its controller tells."""
+    drive = columns_of(log, Decoder(load_contract("lockup"), load_shipped("lockup")))
+    engine, pressure = drive[Signal.ENGINE_SPEED], drive[Signal.LOCKUP_PRESSURE]
+    drive[Signal.LOCKUP_SLIP] = _like(engine, engine.value - _at(drive, Signal.TURBINE_SPEED, engine.t_ns))
+    drive[Signal.LOCKUP_PRESSURE_COMMAND] = pressure
+    drive[Signal.LINE_PRESSURE_COMMAND] = _like(pressure, np.full(len(pressure.t_ns), LINE_PRESSURE_PA))
+    return drive
+
+
+def drive_of(log: Path) -> dict[Signal, Series]:
+    """Return all canonical signals of a recording of our bus, with those that other vehicles have instead of ours."""
+    drive = columns_of(log, Decoder(load_contract(), load_profile()))
     target = drive[Signal.TARGET_GEAR]
     engaging = _at(drive, Signal.TARGET_GEAR, target.t_ns) % 2 == 1
     shaft = np.where(engaging, *(_at(drive, one, target.t_ns) for one in (Signal.INPUT1_SPEED, Signal.INPUT2_SPEED)))

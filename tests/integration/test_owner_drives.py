@@ -1,0 +1,52 @@
+"""Half an hour behind a quick adapter, whose dialogue is made from a recording: the answer that an owner reads."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diag_service.mapping.profile import load_shipped
+from ecu_emulator.cli import main as emulator
+from tests.support.asked import dialogue_of, write_candump
+from tests.support.in_process import ended
+from tests.support.recode import Drive, drive_of, lockup_drive_of
+
+pytestmark = pytest.mark.slow
+
+QUICK_S = (0.005, 0.03)  # from a request to its answer; an old ELM327 needs 0.1
+
+
+def recorded(folder: Path, scenario: str) -> Path:
+    """Return a log of a drive through a city."""
+    log = folder / "bus.log"
+    assert (
+        emulator(["record", str(log), "--scenario", scenario, "--drive", "udds", "--cycles", "1", "--seed", "3"]) == 0
+    )
+    return log
+
+
+def asked(folder: Path, drive: Drive, name: str) -> Path:
+    """Return the log of a tester that asked by a shipped profile all the time."""
+    profile, log = load_shipped(name), folder / "asked.log"
+    write_candump(log, dialogue_of(drive, profile, np.random.default_rng(1), answer_s=QUICK_S))
+    return log
+
+
+def test_the_worn_fluid_of_a_dsg_is_to_be_changed_after_one_drive(tmp_path: Path) -> None:
+    log, car = asked(tmp_path, drive_of(recorded(tmp_path, "case2")), "vw_dsg"), tmp_path / "car.toml"
+    learnt = ended("learn", log, "--profile", "vw_dsg", "-o", car)
+    assert learnt.status == 0, learnt.err
+    run = ended("analyze", log, "--profile", "vw_dsg", "--vehicle-file", car)
+    assert run.status == 0, run.err
+    assert "Change the fluid now.\nClutch 1: it can shudder" in run.out
+    assert "Why: aged fluid" in run.out
+
+
+def test_a_gm_automatic_tells_its_slope_after_one_drive_and_why_no_level(tmp_path: Path) -> None:
+    log = asked(tmp_path, lockup_drive_of(recorded(tmp_path, "lockup")), "gm_t87a")
+    run = ended("analyze", log, "--profile", "gm_t87a")
+    assert run.status == 0, run.err
+    (together,) = [line for line in run.out.splitlines() if "all temperatures" in line]
+    assert "rises, positive with 9" in together
+    assert "The level of friction is withheld: pressure is commanded" in run.out
+    assert "Shudder: none" in run.out
