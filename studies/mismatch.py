@@ -5,19 +5,23 @@ does, and with production scatter on top, which shows whether the stated deviati
 
     python -m studies.mismatch --seeds 18
 
-writes ``docs/mismatch.md``.
+writes ``mismatch.md``, ``.csv`` and ``.svg`` into ``docs``.
 """
 
+import csv
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from io import StringIO
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from clutch_results.records import FrictionEstimate, Status
+from demo.drawing import CLUTCH_COLOUR, as_svg, drawing_style
 from diag_service.diagnosis.friction.evidence import REFERENCE_K
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.service.stages import Diagnosis
@@ -33,7 +37,8 @@ from studies.drive_accuracy import driven as driven_road
 from studies.mismatch_rows import BY_NAME, ROWS, Mismatch
 from studies.run import over_drives, parsed, percent, root_mean_square, study_parser
 
-PAGE = Path(__file__).parent.parent / "docs" / "mismatch.md"
+DOCS = Path(__file__).parent.parent / "docs"
+STEM = "mismatch"
 NOISE_ONLY, SCATTERED = "noise_only", "ideal"
 SCENARIOS = (NOISE_ONLY, SCATTERED)
 FIRST_SEED = 62_000  # seeds below were looked at while priors and gates were chosen
@@ -164,22 +169,53 @@ def line_of(name: str, results: Sequence[MismatchOutcome]) -> MismatchLine:
     )
 
 
-def table(lines: Sequence[MismatchLine]) -> Iterator[str]:
-    """Yield the Markdown table; a row whose interval does not hold is set in bold."""
-    yield (
-        "| effect | bias mu_C, mu_S % | RMS mu_C, mu_S % | in 2 random std % | with scatter: RMS mu_C, mu_S % "
-        "| in 2 total std, mu_C, mu_S % | shifts not used % | wrong verdicts |"
-    )
-    yield "|---|---|---|---|---|---|---|---|"
-    for line in lines:
-        name = line.name if line.holds else f"**{line.name}** (below 90 %)"
-        yield (
-            f"| {name} | {line.bias_percent[0]:+.2f}, {line.bias_percent[1]:+.2f} "
-            f"| {line.rms_percent[0]:.2f}, {line.rms_percent[1]:.2f} | {percent(line.random_coverage)} "
-            f"| {line.scattered_rms_percent[0]:.2f}, {line.scattered_rms_percent[1]:.2f} "
-            f"| {percent(line.total_coverage[0])}, {percent(line.total_coverage[1])} "
-            f"| {100.0 * line.unused_shifts:.1f} | {line.wrong_verdicts} |"
-        )
+HEADINGS: Final = (
+    "effect", "bias mu_C %", "bias mu_S %", "RMS mu_C %", "RMS mu_S %", "in 2 random std %", "scattered RMS mu_C %",
+    "scattered RMS mu_S %", "in 2 total std mu_C %", "in 2 total std mu_S %", "shifts not used %", "wrong verdicts",
+)  # fmt: skip
+
+
+def cells(line: MismatchLine) -> Iterator[str]:
+    """Yield the figures of one row as texts, in the order of the headings."""
+    yield line.name
+    yield from (f"{value:+.2f}" for value in line.bias_percent)
+    yield from (f"{value:.2f}" for value in line.rms_percent)
+    yield percent(line.random_coverage)
+    yield from (f"{value:.2f}" for value in line.scattered_rms_percent)
+    yield from map(percent, line.total_coverage)
+    yield f"{100.0 * line.unused_shifts:.1f}"
+    yield f"{line.wrong_verdicts}"
+
+
+def comma_separated(lines: Sequence[MismatchLine]) -> str:
+    """Return all figures as CSV, with the way each effect acts."""
+    stream = StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([*HEADINGS, "how it acts"])
+    writer.writerows([*cells(line), BY_NAME[line.name].way] for line in lines)
+    return stream.getvalue()
+
+
+def picture(lines: Sequence[MismatchLine]) -> str:
+    """Return the SVG: bias without scatter and RMS with it, a row for each effect."""
+    places = np.arange(len(lines))[::-1]
+    with drawing_style():
+        figure = Figure(figsize=(9.6, 7.2), layout="constrained")
+        panels = figure.subplots(1, 2, sharey=True)
+        for number, name in enumerate(("mu_C", "mu_S")):
+            bias = [line.bias_percent[number] for line in lines]
+            rms = [line.scattered_rms_percent[number] for line in lines]
+            for panel, values in zip(panels, (bias, rms), strict=True):
+                panel.plot(values, places, "os"[number], color=CLUTCH_COLOUR[number + 1], label=name)
+        panels[0].axvline(0.0, color="black", linewidth=0.8)
+        panels[0].set_xlabel("bias without scatter [%]")
+        panels[1].set_xlabel("RMS with scatter [%]")
+        panels[0].set_yticks(places, [line.name for line in lines])
+        for panel in panels:
+            panel.margins(x=0.05, y=0.02)
+        panels[1].set_xlim(left=0.0)
+        panels[1].legend()
+        return as_svg(figure)
 
 
 def failures(lines: Sequence[MismatchLine]) -> Iterator[str]:
@@ -196,19 +232,18 @@ def failures(lines: Sequence[MismatchLine]) -> Iterator[str]:
 def document(lines: Sequence[MismatchLine], seeds: int, first_seed: int, road: Sequence[str] = ()) -> str:
     """Return the whole page; ``road`` are lines about drives on the road."""
     source = (
-        "Made by `make mismatch`; do not edit. The effects are defined in "
-        "[model.md](model.md#effects-the-estimator-does-not-model)."
+        "Made by `make mismatch`; do not edit. "
+        f"[{STEM}.csv]({STEM}.csv) has all figures and says how each effect acts. "
+        "[The model](model.md#effects-the-estimator-does-not-model) defines the effects."
     )
     scope = (
-        f"Running estimate after {CYCLES} cycles, seeds {first_seed} to {first_seed + seeds - 1}, fluids "
-        f"{', '.join(FLUIDS)} in turn, both clutches. Every row is driven twice over the same seeds: `{NOISE_ONLY}`, "
-        f"where the effect is all that is wrong, and `{SCATTERED}`, with production scatter on top. Without scatter "
-        "the scale is right, so that bias and RMS there are those of the scale-free values. Coverage is the share of "
-        "truths within two stated standard deviations: the random one, which knows sensor noise only, without "
-        "scatter; the total one with scatter. A share rests on "
-        f"{2 * seeds} estimates for a parameter, so that 90 % means at most {int(0.2 * seeds)} outside: a row just "
-        "below or above is not proven to be either. A bias that changes sign with the fluid cancels; RMS shows it."
+        f"Each effect is driven {seeds} times for {CYCLES} cycles, seeds from {first_seed}, fluids {', '.join(FLUIDS)} "
+        f"in turn. `{NOISE_ONLY}` has nothing but the effect; there the scale is right. `{SCATTERED}` has production "
+        "scatter on top. A random deviation knows sensor noise only. A share of truths inside two deviations rests on "
+        f"{2 * seeds} estimates for a parameter: 90 % means at most {int(0.2 * seeds)} outside. "
+        "A bias that changes sign with the fluid cancels; RMS shows it."
     )
+    wrong = sum(line.wrong_verdicts for line in lines)
     return "\n".join(
         [
             "# Where the vehicle differs from the belief",
@@ -217,17 +252,13 @@ def document(lines: Sequence[MismatchLine], seeds: int, first_seed: int, road: S
             "",
             scope,
             "",
-            *table(lines),
+            f"![bias and RMS of mu_C and mu_S for each effect]({STEM}.svg)",
             "",
-            "## Where the stated interval does not hold",
+            f"Wrong verdicts at the end of a drive: {wrong}.",
             "",
             *failures(lines),
             "",
             *road,
-            "## How each effect acts",
-            "",
-            *(f"- {row.name}: {row.way}." for row in ROWS[1:]),
-            "",
         ]
     )
 
@@ -237,17 +268,16 @@ def road_section(vehicles: int, jobs: int) -> Iterator[str]:
     yield "## On the road"
     yield ""
     yield (
-        "Vehicles drawn with all that `python -m studies.self_calibration --mismatch` draws, film, oil and lining "
-        f"included, whom the service has never met: one drive each, {vehicles} vehicles a row, seeds from "
-        f"{ROAD_SEED}. Coverage is that of the absolute values at every moment looked at: after 2, 5, 10 and 30 "
-        "events, and at the end."
+        "Vehicles that the service has never met, drawn as `python -m studies.self_calibration --mismatch` draws them: "
+        f"one drive each, {vehicles} a row, seeds from {ROAD_SEED}. Shares count after 2, 5, 10 and 30 events, and at "
+        "the end; RMS is that of the end."
     )
     yield ""
     yield (
-        "| drive | oil at the start, degC | in 2 total std, mu_C, mu_S % | at the end: RMS mu_C, mu_S % "
-        "| scale-free RMS mu_C, mu_S % | in 2 std % | drives with a wrong verdict at any moment |"
+        "| drive, oil degC | in 2 total std, mu_C, mu_S % | RMS mu_C, mu_S % | scale-free RMS mu_C, mu_S % "
+        "| in 2 std % | drives with a wrong verdict |"
     )
-    yield "|---|---|---|---|---|---|---|"
+    yield "|---|---|---|---|---|---|"
     case = partial(RoadCase, is_plain=False, has_mismatch=True, loss_ratio=0.0)
     for row, (trace, oil_degc) in enumerate(DRIVES):
         seeds = range(ROAD_SEED + 100 * row, ROAD_SEED + 100 * row + vehicles)
@@ -267,18 +297,18 @@ def _road_line(trace: str, oil_degc: float, outcomes: list[RoadOutcome]) -> str:
     free_inside = float(np.mean(np.abs(free) <= 2.0 * free_std))
     wrong = sum(bool(one.wrong_verdicts) for one in outcomes)
     return (
-        f"| {trace.upper()} | {oil_degc:.0f} | {percent(inside[0])}, {percent(inside[1])} "
+        f"| {trace.upper()}, {oil_degc:.0f} | {percent(inside[0])}, {percent(inside[1])} "
         f"| {root_mean_square(absolute[:, 0]):.2f}, {root_mean_square(absolute[:, 1]):.2f} "
         f"| {root_mean_square(free[:, 0]):.2f}, {root_mean_square(free[:, 1]):.2f} | {percent(free_inside)} | {wrong} |"
     )
 
 
 def main() -> int:
-    """Run the study and write its page."""
+    """Run the study, and write its page, table and picture."""
     parser = study_parser(__doc__, seed=FIRST_SEED)
     parser.add_argument("--seeds", type=int, default=18)
     parser.add_argument("--road", type=int, default=12, help="vehicles for each kind of drive on the road; 0: none")
-    parser.add_argument("--output", type=Path, default=PAGE)
+    parser.add_argument("--output", type=Path, default=DOCS, help="folder")
     parser.add_argument(
         "--row", action="append", choices=sorted(BY_NAME), metavar="NAME", help="print this row only, write nothing"
     )
@@ -290,11 +320,12 @@ def main() -> int:
     results = over_drives(outcomes, cases, arguments.workers, arguments.kept)
     lines = [line_of(row.name, results) for row in rows]
     if arguments.row:
-        print("\n".join(table(lines)))
+        print("\n".join(" | ".join(row) for row in (HEADINGS, *map(cells, lines))))
         return 0
     road = list(road_section(arguments.road, arguments.workers)) if arguments.road else []
     page = document(lines, arguments.seeds, arguments.seed, road)
-    arguments.output.write_text(page, encoding="utf-8")
+    for suffix, text in (("md", page), ("csv", comma_separated(lines)), ("svg", picture(lines))):
+        (arguments.output / f"{STEM}.{suffix}").write_text(text, encoding="utf-8")
     print(page)
     return 0
 

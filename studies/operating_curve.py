@@ -4,7 +4,7 @@ Each drive goes the whole way in memory, with production scatter: another vehicl
 
     python -m studies.operating_curve --seeds 14 --long-seeds 2
 
-writes ``verdict-operating-curve.md``, ``.csv`` and ``.svg`` into ``docs``.
+prints the shares, and writes ``verdict-operating-curve.csv`` and ``.svg`` into ``docs``.
 """
 
 import csv
@@ -190,36 +190,6 @@ def table(shares: Shares, axis: CurveAxis) -> Iterator[str]:
         yield f"| {value:.4g} | " + " | ".join(cells) + " |"
 
 
-def document(shares: Shares, drives: int, first_seed: int) -> str:
-    """Return the whole page."""
-    scope = (
-        f"{drives} drives of scenario `{SCENARIO}` (production scatter on), seeds {first_seed} to "
-        f"{first_seed + drives - 1}, each a vehicle of its own; both clutches are judged. A cell gives the share of "
-        "`no_verdict` / `good` / `watch` / `change_fluid` in percent and, in brackets, how many verdicts it counts. "
-        '"One shift" is the first shift in which the clutch engages. Thirty cycles were driven at every other point '
-        "and with few vehicles: read them as examples."
-    )
-    lines = [
-        "# The verdict's operating curve",
-        "",
-        "Made by `make operating-curve`; do not edit. What it says of the thresholds is in [verdict.md](verdict.md).",
-        "",
-        scope,
-        "",
-        f"![shares of the verdicts]({STEM}.svg)",
-        "",
-        "## Against the slope, at the nominal mu_C",
-        "",
-        *table(shares, CurveAxis.SLOPE),
-        "",
-        "## Against the level, at the nominal mu_S/mu_C",
-        "",
-        *table(shares, CurveAxis.LEVEL),
-        "",
-    ]
-    return "\n".join(lines)
-
-
 def comma_separated(shares: Shares) -> str:
     """Return the counts as CSV."""
     stream = StringIO()
@@ -257,7 +227,7 @@ def picture(shares: Shares) -> str:
 
 
 def main() -> int:
-    """Run the study and write its page, picture and table."""
+    """Run the study, write its picture and table, and print the shares."""
     parser = study_parser(__doc__, seed=FIRST_SEED)
     parser.add_argument("--seeds", type=int, default=14, help="vehicles for each point, up to three cycles")
     parser.add_argument("--long-seeds", type=int, default=2, help="vehicles for every other point, thirty cycles")
@@ -265,12 +235,10 @@ def main() -> int:
     arguments = parsed(parser, seeds=1, long_seeds=0, output=None)
     cases = cases_of(arguments.seeds, arguments.long_seeds, arguments.seed)
     shares = shares_of(over_drives(outcomes, cases, arguments.workers, arguments.kept))
-    page = document(shares, len(cases), arguments.seed)
-    for suffix, text in (
-        () if arguments.output is None else (("md", page), ("csv", comma_separated(shares)), ("svg", picture(shares)))
-    ):
-        (arguments.output / f"{STEM}.{suffix}").write_text(text, encoding="utf-8")
-    print(page)
+    if arguments.output is not None:
+        for suffix, text in (("csv", comma_separated(shares)), ("svg", picture(shares))):
+            (arguments.output / f"{STEM}.{suffix}").write_text(text, encoding="utf-8")
+    print("\n\n".join("\n".join(table(shares, axis)) for axis in CurveAxis))
     return 0
 
 
