@@ -21,7 +21,7 @@ from canlog.e2e.message_contract import message_contracts
 from clutchdiag_io.files import give_sign, make_sign
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.bus.sender import CHUNKS_AHEAD, TransmitReport, clock_of, open_bus, transmit
+from ecu_emulator.bus.sender import CHUNKS_AHEAD, TransmitReport, WallClock, clock_of, open_bus, transmit
 from ecu_emulator.drive.orders import NO_CODES, FaultsOfCode, LiveOrders, Ordered, follow
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive, DriveStretch
 from ecu_emulator.errors import EmulatorConfigError, RecordError
@@ -121,6 +121,7 @@ class SendPace:
 STEADY: Final = SendPace(
     stretch_s=SHORT_STRETCH_S, stretches_ahead=CHUNKS_AHEAD
 )  # two seconds: punctual on a busy machine
+AHEAD: Final = SendPace(stretch_s=2.0, stretches_ahead=2)  # in virtual time, which waits: the least work
 PROMPT: Final = SendPace(stretch_s=0.02, stretches_ahead=3)  # with the stretch that is sent, an order waits for 80 ms
 
 
@@ -358,7 +359,6 @@ def run(
     logging.getLogger("can").setLevel(logging.CRITICAL)  # python-can logs what it raises, and more when a bus goes
     console = people()
     drive = Drive(scenario, options.longest_stay_s)
-    pace = STEADY if options.control is None else PROMPT
     with (
         open_bus(choice.interface, choice.channel, choice.bitrate, fd=choice.is_fd) as bus,
         answering_of(answers, bus, choice, scenario, drive) as answering,
@@ -372,7 +372,8 @@ def run(
         shown_count = 0
         writer = begun.enter_context(TruthWriter(options.truth)) if options.truth is not None else None
         progress = begun.enter_context(console.status("preparing the plant"))
-        sent = SentTruth(drive, writer, pace=pace)
+        steady = STEADY if isinstance(clock_of(bus), WallClock) else AHEAD
+        sent = SentTruth(drive, writer, pace=steady if options.control is None else PROMPT)
         if options.control is not None:
             codes = NO_CODES if answering is None else answering.faults_of_code
             begun.enter_context(ControlSocket(options.control, sent.orders, codes))
