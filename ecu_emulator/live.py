@@ -118,9 +118,7 @@ class SendPace:
     stretches_ahead: int
 
 
-STEADY: Final = SendPace(
-    stretch_s=SHORT_STRETCH_S, stretches_ahead=CHUNKS_AHEAD
-)  # two seconds: punctual on a busy machine
+STEADY: Final = SendPace(stretch_s=SHORT_STRETCH_S, stretches_ahead=CHUNKS_AHEAD)  # two seconds: punctual
 AHEAD: Final = SendPace(stretch_s=2.0, stretches_ahead=2)  # in virtual time, which waits: the least work
 PROMPT: Final = SendPace(stretch_s=0.02, stretches_ahead=3)  # with the stretch that is sent, an order waits for 80 ms
 
