@@ -219,12 +219,21 @@ class SilKitBus(can.BusABC):
         with self._turn:
             self._is_leaving = True
             self._turn.notify_all()
-            count, since_s = 0, time.monotonic()
-            while self._clock.end is None and self._clock.step_count and time.monotonic() - since_s < GOODBYE_S:
-                if self._clock.step_count != count:
-                    count, since_s = self._clock.step_count, time.monotonic()
-                self._turn.wait(LONGEST_WAIT_S)
+            self._wait_for_end()
+            is_stuck = self._clock.end is None and self._clock.step_count and self._leaves_ns < sys.maxsize
+        if is_stuck:  # others take no step: they get no last frame, but must not wait for ever
+            self._lifecycle.stop(f"{self._name} leaves")
+            with self._turn:
+                self._wait_for_end()
         del self._controller, self._errors, self._lifecycle, self._participant
+
+    def _wait_for_end(self) -> None:
+        """Wait for the end of the simulation as long as it takes steps; the turn is held."""
+        count, since_s = 0, time.monotonic()
+        while self._clock.end is None and self._clock.step_count and time.monotonic() - since_s < GOODBYE_S:
+            if self._clock.step_count != count:
+                count, since_s = self._clock.step_count, time.monotonic()
+            self._turn.wait(LONGEST_WAIT_S)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if not (self._inbox or self._has_come(timeout)):

@@ -54,6 +54,15 @@ def stopped(service: Popen[str]) -> str:
     return out + err
 
 
+def until_a_shift(emulator: Popen[str], truth: Path) -> None:
+    """Return when a shift has been driven."""
+    deadline_s = time.monotonic() + HANG_S
+    while '"shift"' not in (truth.read_text("utf-8") if truth.exists() else ""):
+        assert emulator.poll() is None
+        assert time.monotonic() < deadline_s
+        time.sleep(0.01)
+
+
 def test_a_drive_in_virtual_time_gives_the_results_of_its_recording_to_the_bit(
     simulations: Simulations, tmp_path: Path
 ) -> None:
@@ -78,11 +87,7 @@ def test_a_registry_may_end_and_a_service_joins_the_next_simulation(simulations:
     service = simulations.start("diag-service", "run", *BUS, "--store", str(tmp_path / "live.sqlite"), step_s=0.01)
     simulations.begin("ecu-emulator", "diag-service")
     emulator = simulations.start("ecu-emulator", "run", *BUS, *DRIVE, "--json", "--truth", str(tmp_path / "truth"))
-    deadline_s = time.monotonic() + HANG_S
-    while '"shift"' not in ((tmp_path / "truth").read_text("utf-8") if (tmp_path / "truth").exists() else ""):
-        assert emulator.poll() is None
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
+    until_a_shift(emulator, tmp_path / "truth")
     simulations.end_registry()  # amid the drive: participants go on among themselves
     out, err = emulator.communicate(timeout=HANG_S)
     assert emulator.returncode == 0, err
@@ -110,11 +115,17 @@ def test_without_a_registry_or_a_simulation_it_says_what_to_start(simulations: S
     assert f"no SIL Kit registry at {simulations.uri} takes 'ecu-emulator': silkit-registry" in err
 
 
-def test_who_is_left_alone_by_the_others_says_so(simulations: Simulations) -> None:
-    service = simulations.start("diag-service", "run", *BUS, "--duration", "0.5", step_s=0.01)
+@pytest.mark.parametrize("is_held", [False, True])
+def test_who_is_left_alone_by_the_others_says_so(simulations: Simulations, tmp_path: Path, *, is_held: bool) -> None:
+    service = simulations.start("diag-service", "run", *BUS, step_s=0.01)
     simulations.begin("ecu-emulator", "diag-service")
-    emulator = simulations.start("ecu-emulator", "run", *BUS, "--scenario", "noise_only", "--cycles", "500")
-    service.communicate(timeout=HANG_S)
+    endless = ("--scenario", "noise_only", "--cycles", "500", "--truth", str(tmp_path / "truth"))
+    emulator = simulations.start("ecu-emulator", "run", *BUS, *endless)
+    until_a_shift(emulator, tmp_path / "truth")
+    if is_held:  # takes no step while the service leaves
+        emulator.send_signal(signal.SIGSTOP)
+    stopped(service)
+    emulator.send_signal(signal.SIGCONT)
     _, err = emulator.communicate(timeout=HANG_S)
     assert emulator.returncode == 3
     assert "frames: the simulation has ended" in err
