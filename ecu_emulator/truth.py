@@ -131,9 +131,7 @@ class FaultTruth:
 
     what: str  # quantity, message or clutch that it concerns, or the whole bus or transmission
     kind: str
-    size: (
-        float  # in the quantity's unit, of a drift per second; share of frames; strength of what is wrong with the car
-    )
+    size: float  # in the unit, of a drift per second; share of frames; strength of what is wrong with the car
     t_start_s: float
     t_end_s: float | None  # None: to the end of the drive
     count: int  # readings that it touched, frames that it struck or added; 0 of what is wrong with the car itself

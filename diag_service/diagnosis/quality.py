@@ -217,9 +217,7 @@ class Gate:
     """What the data of an event are worth, found before anything is estimated from them."""
 
     quality: DataQuality
-    samples: (
-        EventSamples | Reason | None
-    )  # what tells friction, or why nothing does; None: the vehicle has no such signals
+    samples: EventSamples | Reason | None  # what tells friction, or why nothing does; None: no such signals
     against: tuple[Reason, ...]  # why the data must not be believed; empty if they may, or there are none to believe
 
 

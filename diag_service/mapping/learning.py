@@ -39,9 +39,7 @@ from diag_service.mapping.proposal import LEAST_SAMPLES, LEAST_SPEED, GearRatio,
 
 MOST_ROWS: Final = 400_000  # that are kept of all drives: beyond, every second one goes
 STRETCH_S: Final = 1.0  # samples that are further apart are of another stretch, whose error is its own
-LEAST_CLUSTER: Final = (
-    0.01  # of all samples: so many lie in the band of a gear that is driven, where no signal names it
-)
+LEAST_CLUSTER: Final = 0.01  # of all samples lie in the band of a gear that is driven, where no signal names it
 APART_RATIO: Final = 0.06  # neighbouring gears are further apart
 CLOSED_PA: Final = 0.3e5  # the pressure of a closed clutch is higher by more than this
 STEADY_PA: Final = 0.15e5  # spread of a pressure that is held
@@ -69,9 +67,7 @@ GROWTH_S: Final = 0.3  # over which the gain of speed is a mean
 MOST_GROWTH: Final = 0.5  # in that time, as a part of the speed
 OUTLYING: Final = 4.0
 OWN_SKEW_S: Final = 0.02  # by which the skew of a gear differs from that of all: a driveline winds up; 100 drawn cars
-_TIME, _GEAR, _ENGINE, _OVER, _GROWTH, _LOAD, _FIRST = range(
-    7
-)  # the columns that are kept; clutch pressures are the last
+_TIME, _GEAR, _ENGINE, _OVER, _GROWTH, _LOAD, _FIRST = range(7)  # columns that are kept; pressures are the last
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,9 +101,7 @@ class LearnedVehicle:
     are_named: bool  # the gears, by a signal; else they are numbered from the highest ratio that was driven
     touch_pa: Mapping[int, LearnedValue] = field(default_factory=dict)  # by clutch, as all that follows
     lag_s: Mapping[int, LearnedValue] = field(default_factory=dict)  # of a pressure behind its command
-    gain_rad_s2_pa: Mapping[int, LearnedValue] = field(
-        default_factory=dict
-    )  # of the engine's speed: friction up to a scale
+    gain_rad_s2_pa: Mapping[int, LearnedValue] = field(default_factory=dict)  # of the engine: friction up to scale
     rates_hz: Mapping[Signal, float] = field(default_factory=dict)  # at which signals came
     held_run: str = ""  # what a clutch carried where one gear alone was driven
     unclosed: Mapping[int, int] = field(default_factory=dict)  # samples of driven gears that tell no ratio

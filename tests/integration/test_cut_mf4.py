@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from canlog.errors import SourceError
 from canlog.frames import FrameBatch, join
 from canlog.logs import read_log
 from canlog.logs.log_counts import LogCounts
@@ -79,3 +80,14 @@ def test_an_unfinished_file_that_ends_anywhere_gives_every_whole_record(
         assert_beginning(batch)
         assert len(batch) == whole
         assert counts.unfinished
+
+
+def test_a_channel_outside_its_records_is_refused(plain: Path, tmp_path: Path) -> None:
+    contents = bytearray(plain.read_bytes())
+    with asammdf.MDF(plain) as mdf:
+        (time, *_), *_ = (group.channels for group in mdf.groups)
+        offset_at = time.address + 24 + 8 * time.links_nr + 4  # behind header, links, four small fields
+    assert contents[offset_at : offset_at + 4] == time.byte_offset.to_bytes(4, "little")
+    contents[offset_at : offset_at + 4] = (0x7FFF_0000).to_bytes(4, "little")
+    with pytest.raises(SourceError, match=r"outside its records"):
+        read(bytes(contents), tmp_path)

@@ -129,9 +129,7 @@ SUFFIX_OF_FORMAT: Final[Mapping[TableFormat, str]] = {
     table_format: suffix for suffix, table_format in FORMAT_OF_SUFFIX.items()
 }
 STREAMED: Final = frozenset({TableFormat.CSV, TableFormat.JSON_LINES, TableFormat.ARROW})
-ARROW_COMPRESSION: Final = (
-    "lz4"  # most cells of a wide table are empty, and take longer to be written than to be packed
-)
+ARROW_COMPRESSION: Final = "lz4"  # most cells of a wide table are empty: writing takes longer than packing
 _TEXT: Final = "string"
 
 

@@ -418,9 +418,7 @@ class JudgedEvent:
 
 
 MOST_APART: Final = 9.0  # chi-square of two numbers, 1 % by chance: what is beyond is left out, or a step
-LEAST_BY_CHANCE: Final = (
-    1.5  # expected chi-square, of at most 2: the first event of a clutch tests nothing but its prior
-)
+LEAST_BY_CHANCE: Final = 1.5  # expected chi-square, at most 2: the first event of a clutch tests only its prior
 STATED_COUNT: Final = 5.0  # degrees of freedom that scatter as stated, before any event: those of three events
 SCATTER_FORGETTING: Final = 0.99  # weight of an event after each later one: some hundred count
 

@@ -19,9 +19,7 @@ from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 
 J1939: Final = "j1939"
 PDU2_FORMATS: Final = 240
-FIRST_FAST_GROUP: Final = (
-    0x1_0000  # from here on, in data page 1, a frame may be a piece of a longer message of NMEA 2000
-)
+FIRST_FAST_GROUP: Final = 0x1_0000  # from here on, in data page 1, a frame may be a piece of a message of NMEA 2000
 NULL_ADDRESS: Final = 0xFE  # written in databases for any sender
 STANDARD_IDS: Final = 0x800
 ANY: Final = -1  # sender or channel: the first one that is heard

@@ -226,9 +226,7 @@ class E2eStates:
 
     def judge(self, t_ns: Int64Array, verdicts: FrameVerdicts) -> tuple[E2eChange, ...]:
         """Return the changes of state that frames bring about, those by silence until the last of them included."""
-        room = np.empty(
-            (4 * len(t_ns) + len(self._names), 3), np.int64
-        )  # by silence, taken back, by a loss, by the frame
+        room = np.empty((4 * len(t_ns) + len(self._names), 3), np.int64)  # by silence, taken back, a loss, the frame
         count = judge_messages(self._memory, verdicts, t_ns, room)
         return tuple(
             E2eChange(t_ns=when, message=self._names[slot], state=E2eState(state))

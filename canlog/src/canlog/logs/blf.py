@@ -226,9 +226,7 @@ LAYOUTS = {1: MESSAGE, 86: MESSAGE, 100: FD_MESSAGE, 101: FD_MESSAGE_64, 2: ERRO
 ABSENT = ObjectLayout(data=-1)
 
 
-LAYOUT_TABLE: Int64Array = np.array(
-    [astuple(LAYOUTS.get(kind, ABSENT)) for kind in range(MOST_KINDS)], np.int64
-)  # a row for each kind of object
+LAYOUT_TABLE: Int64Array = np.array([astuple(LAYOUTS.get(kind, ABSENT)) for kind in range(MOST_KINDS)], np.int64)
 
 
 class ObjectStream:

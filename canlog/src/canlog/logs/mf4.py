@@ -66,6 +66,7 @@ FORMULA, TO_NUMBERS = 3, range(9)  # kinds of conversion; the last two name numb
 SAFE_FORMULA = re.compile(r"[-+*/(). \dEeX]{1,200}")
 PLAIN_BUS_EVENTS = 0x0004  # flag of a channel group: its records are frames; those of signals decoded of them lack it
 BUS_FRAMES = re.compile(r"(?:CAN|LIN|FLX|ETH|MOST|KLINE|K)_?\w*(?:Frame|Error|Event|Message)\w*")
+WORD_BYTES = 8
 LONGEST_TEXT = 64 * 1024
 TEXT_IN_XML = re.compile(r"<TX>(.*?)</TX>", re.DOTALL)
 MOST_CHANNELS = 20_000  # with their groups
@@ -398,6 +399,7 @@ def frame_kind(group: Untyped) -> str | None:
 def read_group(mdf: Untyped, number: int, kind: str, start_ns: int, counts: LogCounts) -> Iterator[FrameBatch]:
     """Yield the frames of one group; what is missing at its end is counted."""
     stated, done = int(mdf.groups[number].channel_group.cycles_nr), 0
+    check_records(mdf, number)
     while done < stated:
         signal = mdf.get(
             kind, group=number, raw=False, record_offset=done, record_count=min(FRAMES_PER_READ, stated - done)
@@ -414,6 +416,18 @@ def read_group(mdf: Untyped, number: int, kind: str, start_ns: int, counts: LogC
             counts.reject(LogReject.MALFORMED, f"record {done + int(bad[0]) + 1} of group {number}", len(bad))
         done += len(signal.samples)
         yield batch[is_frame] if len(bad) else batch
+
+
+def check_records(mdf: Untyped, number: int) -> None:
+    """Raise SourceError if a channel lies outside its records by more than a word: asammdf would crash there."""
+    group = mdf.groups[number]
+    end = group.channel_group.samples_byte_nr + group.channel_group.invalidation_bytes_nr + WORD_BYTES
+    for channel, layout in zip(group.channels, mdf._mdf._prepare_record(group), strict=True):  # noqa: SLF001 - it alone knows
+        if layout is None or layout[0].names:  # of several, each of which is checked
+            continue
+        _, size, first, _ = layout
+        if not 0 <= first <= first + size < end:
+            raise SourceError(f"group {number}: channel {channel.name!r} lies outside its records")
 
 
 def frames_of(
