@@ -15,6 +15,7 @@ from diag_service.diagnosis.slip_phase import SlipPhase
 
 OURS: Final = "friction"
 MOST_CRPS_RATIO: Final = 0.6  # of the best simpler model's: with more, friction tells too little of these shifts
+LEAST_TRIED: Final = 8  # of fewer, one alone inside the intervals of 50 % would speak against nothing
 LEAST_CHANCE: Final = 0.05  # that true intervals hold so few shifts: with less, they are not true
 QUANTILES: Final = (np.arange(400) + 0.5) / 400.0
 
@@ -41,8 +42,8 @@ class BlindTest:
     @property
     def why_refused(self) -> str:
         """What speaks against these predictions; empty if they pass."""
-        if len(self.shown) < LEAST_EVENTS:
-            return f"{len(self.shown)} are too few to try predictions on, {LEAST_EVENTS} are needed"
+        if len(self.shown) < LEAST_TRIED:
+            return f"{len(self.shown)} are too few to try predictions on, {LEAST_TRIED} are needed"
         from scipy.stats import binom  # noqa: PLC0415 - a large library
 
         found = scores(self.shown)

@@ -38,7 +38,7 @@ def test_changes_that_no_pressure_explains_are_refused() -> None:
 def test_too_few_shifts_are_refused() -> None:
     test = blind_test(drive("a", 3, count=4), TOUCH_PA)
     assert [reason for *_, reason in test.unknown] == ["3 others are too few, 4 are needed"] * 4
-    assert test.why_refused == "0 are too few to try predictions on, 4 are needed"
+    assert test.why_refused == "0 are too few to try predictions on, 8 are needed"
 
 
 def test_a_drive_tells_nothing_of_another_until_two_are_known() -> None:
