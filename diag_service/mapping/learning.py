@@ -66,7 +66,7 @@ ROUNDS: Final = 4  # until a band is where its ratios are
 GROWTH_S: Final = 0.3  # over which the gain of speed is a mean
 MOST_GROWTH: Final = 0.5  # in that time, as a part of the speed
 OUTLYING: Final = 4.0
-OWN_SKEW_S: Final = 0.02  # by which the skew of a gear differs from that of all: a driveline winds up; 100 drawn cars
+OWN_SKEW_S: Final = 0.02  # by which the skew of a gear differs from that of all: a driveline winds up (40 drawn cars)
 _TIME, _GEAR, _ENGINE, _OVER, _GROWTH, _LOAD, _FIRST = range(7)  # columns that are kept; pressures are the last
 
 

@@ -80,7 +80,7 @@ class Baseline:
 
 
 RECENT_COUNT: Final = 12  # events judged together: some six of each clutch
-FRICTION_DRIFT_STD: Final = 2e-5  # of mu per event, 1e-6 by age: a fluid loses 0.15 in its life; thousands fade
+FRICTION_DRIFT_STD: Final = 2e-5  # of mu per event; a fluid loses 1e-6: with this, older events fade over thousands
 OFFSET_DRIFT_NM: Final = 0.005  # per event: warm-up of the torque model
 PRESSURE_DRIFT_PA: Final = 5.0  # per event: warm-up of the pressure sensors
 VISCOSITY_DRIFT_RATIO: Final = 0.01  # per event: an oil that warms up follows a law of its own

@@ -190,7 +190,7 @@ def base_of(values: Iterable[str], names: Sequence[str]) -> tuple[int, str]:
     plain = [value for value in bare if value.isdigit()]
     lettered = len(bare) - len(plain)
     words = {name.casefold() for name in names}
-    tells_kind = any(column.role is Role.EXTENDED for column in named_columns(names))  # else digits do
+    tells_kind = any(column.role is Role.EXTENDED for column in named_columns(names))  # else the digits tell it
     between = (
         []
         if tells_kind
