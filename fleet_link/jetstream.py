@@ -45,6 +45,17 @@ def covers(pattern: str, subject: str) -> bool:
     return len(theirs) == len(ours) and all(part in {"*", other} for part, other in zip(theirs, ours, strict=True))
 
 
+def _heed_cancellation() -> None:
+    """Raise CancelledError if this task was asked to end, and nothing has.
+
+    A cancellation that meets a message or the end of the connection is lost in nats-py, and in ``asyncio.wait_for`` up
+    to Python 3.11: the caller would go on for ever.
+    """
+    task = asyncio.current_task()
+    if task is not None and task.cancelling():
+        raise asyncio.CancelledError
+
+
 class JetStream:
     """One connection, from `open` to `close`; its worker is one of a group that shares the stream."""
 
@@ -91,6 +102,7 @@ class JetStream:
                 await made._prepare(filters, group)
         except (Error, OSError, TimeoutError) as exc:
             await made.close()
+            _heed_cancellation()
             raise LinkDownError(" ".join(str(exc).split()) or type(exc).__name__) from exc
         except BaseException:
             await made.close()
@@ -115,11 +127,9 @@ class JetStream:
         fetched: list[Msg] = []
         try:
             while not fetched:
-                with contextlib.suppress(TimeoutError):
-                    fetched = await self._subscription.fetch(1, _EXPIRES_S)
+                fetched = await self._fetch(1, _EXPIRES_S)
             if limit > 1:
-                with contextlib.suppress(TimeoutError):
-                    fetched += await self._subscription.fetch(limit - 1, max(patience_s, _LEAST_PATIENCE_S))
+                fetched += await self._fetch(limit - 1, max(patience_s, _LEAST_PATIENCE_S))
         except Error as exc:
             raise LinkDownError(str(exc) or _LOST) from exc
         numbered = list(enumerate(fetched, self._count + 1))
@@ -129,6 +139,15 @@ class JetStream:
             Message(topic=message.subject.replace(".", "/"), payload=message.data, packet_id=number)
             for number, message in numbered
         ]
+
+    async def _fetch(self, limit: int, patience_s: float) -> "list[Msg]":
+        _heed_cancellation()
+        try:
+            return await self._subscription.fetch(limit, patience_s)
+        except TimeoutError:
+            return []
+        finally:
+            _heed_cancellation()
 
     def send(self, messages: Iterable[Outgoing]) -> None:
         """Send messages with the next `collect`; who does not get them asks again."""

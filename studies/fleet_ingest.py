@@ -53,7 +53,8 @@ def workers(address: str, database: str, count: int, options: Sequence[str]) -> 
         logs = [stack.enter_context(NamedTemporaryFile("w+", encoding="utf-8")) for _ in range(count)]
         for log in logs:
             child = subprocess.Popen(command, stderr=log)
-            stack.callback(child.wait)
+            stack.callback(child.kill)  # if it does not end by itself
+            stack.callback(child.wait, TIMEOUT_S)
             stack.callback(child.terminate)
             while "listening" not in Path(log.name).read_text(encoding="utf-8"):
                 if child.poll() is not None:
