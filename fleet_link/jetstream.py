@@ -46,11 +46,7 @@ def covers(pattern: str, subject: str) -> bool:
 
 
 def _heed_cancellation() -> None:
-    """Raise CancelledError if this task was asked to end, and nothing has.
-
-    A cancellation that meets a message or the end of the connection is lost in nats-py, and in ``asyncio.wait_for`` up
-    to Python 3.11: the caller would go on for ever.
-    """
+    """Raise CancelledError if this task is to end: nats-py and Python 3.11 lose a cancellation that meets a message."""
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError
@@ -100,12 +96,11 @@ class JetStream:
                 )
                 made._is_trying = False
                 await made._prepare(filters, group)
-        except (Error, OSError, TimeoutError) as exc:
+        except BaseException as exc:
             await made.close()
             _heed_cancellation()
-            raise LinkDownError(" ".join(str(exc).split()) or type(exc).__name__) from exc
-        except BaseException:
-            await made.close()
+            if isinstance(exc, Error | OSError):
+                raise LinkDownError(" ".join(str(exc).split()) or type(exc).__name__) from exc
             raise
         return made
 
@@ -123,15 +118,20 @@ class JetStream:
         """
         from nats.errors import Error  # noqa: PLC0415 - an extra
 
-        await self._flush()
         fetched: list[Msg] = []
         try:
+            await self._flush()
             while not fetched:
-                fetched = await self._fetch(1, _EXPIRES_S)
+                _heed_cancellation()
+                with contextlib.suppress(TimeoutError):
+                    fetched = await self._subscription.fetch(1, _EXPIRES_S)
             if limit > 1:
-                fetched += await self._fetch(limit - 1, max(patience_s, _LEAST_PATIENCE_S))
+                with contextlib.suppress(TimeoutError):
+                    fetched += await self._subscription.fetch(limit - 1, max(patience_s, _LEAST_PATIENCE_S))
         except Error as exc:
             raise LinkDownError(str(exc) or _LOST) from exc
+        finally:
+            _heed_cancellation()
         numbered = list(enumerate(fetched, self._count + 1))
         self._count += len(fetched)
         self._replies |= {number: message.reply for number, message in numbered}
@@ -139,15 +139,6 @@ class JetStream:
             Message(topic=message.subject.replace(".", "/"), payload=message.data, packet_id=number)
             for number, message in numbered
         ]
-
-    async def _fetch(self, limit: int, patience_s: float) -> "list[Msg]":
-        _heed_cancellation()
-        try:
-            return await self._subscription.fetch(limit, patience_s)
-        except TimeoutError:
-            return []
-        finally:
-            _heed_cancellation()
 
     def send(self, messages: Iterable[Outgoing]) -> None:
         """Send messages with the next `collect`; who does not get them asks again."""
@@ -208,13 +199,8 @@ class JetStream:
         self._subscription = await manager.pull_subscribe_bind(group, STREAM)
 
     async def _flush(self) -> None:
-        from nats.errors import Error  # noqa: PLC0415 - an extra
-
-        try:
-            while self._outbox:
-                await self._client.publish(*self._outbox.popleft())
-        except Error as exc:
-            raise LinkDownError(str(exc) or _LOST) from exc
+        while self._outbox:
+            await self._client.publish(*self._outbox.popleft())
 
     async def _complain(self, error: Exception) -> None:
         """Raise LinkDownError while connecting, which the library would retry."""

@@ -89,12 +89,8 @@ class MqttLink:
 
     async def lost(self) -> None:
         """Return when the connection is lost, or when a certificate was renewed."""
-        while self._tls is not None and self._tls.fingerprint() == self._tls_fingerprint:
-            done, _ = await asyncio.wait((self._reader,), timeout=self._renewal_period_s)
-            if done:
-                return
-        if self._tls is None:
-            await asyncio.wait((self._reader,))
+        while not self._reader.done() and (self._tls is None or self._tls.fingerprint() == self._tls_fingerprint):
+            await asyncio.wait((self._reader,), timeout=self._renewal_period_s)
 
     async def end(self) -> None:
         self._reader.cancel()

@@ -11,7 +11,7 @@ import logging
 import math
 import random
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractAsyncContextManager
+from contextlib import AbstractAsyncContextManager, suppress
 from dataclasses import asdict
 
 from canlog.errors import NOTICE
@@ -197,8 +197,6 @@ class Outbox:
         """Wait longer after each failure, at random so that a fleet does not come back as one; ``close`` ends it."""
         longest_s = min(self.limits.longest_pause_s, self.limits.first_pause_s * 2.0 ** min(failure_count, 10))
         pause_s = longest_s * (0.5 + 0.5 * random.random())  # noqa: S311 - spreads load, guards nothing
-        try:
+        with suppress(TimeoutError):
             async with asyncio.timeout(pause_s):
                 await self._closing.wait()
-        except TimeoutError:
-            return

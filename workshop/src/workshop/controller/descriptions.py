@@ -324,12 +324,6 @@ _LONGEST_PID: Final = 64  # bytes; those of J1979-DA have 41 at most
 _LONGEST_INFO: Final = 0xFF
 
 
-class ObdProfile(StrEnum):
-    """How OBD is spoken: by services 01 to 0A (SAE J1979)."""
-
-    CLASSIC = "classic"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pid:
     """A PID: its fields have sources, or it has a constant value."""

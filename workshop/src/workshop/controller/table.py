@@ -13,7 +13,7 @@ from clutch_model.calibration import CONVERTERS
 from clutch_model.tables import record_from
 from ecu_emulator.errors import EmulatorConfigError
 from workshop.controller import descriptions
-from workshop.controller.descriptions import AccessRule, DataIdentifier, ObdProfile, Routine, Trouble
+from workshop.controller.descriptions import AccessRule, DataIdentifier, Routine, Trouble
 from workshop.controller.iso14229 import DEFAULT_SESSION
 
 
@@ -237,7 +237,7 @@ class TableFile:
     routine: tuple[Routine, ...] = ()
     trouble: tuple[Trouble, ...] = ()
     extended: tuple[descriptions.ExtendedRecord, ...] = ()
-    obd: ObdProfile | None = None
+    obd: bool = False  # whether SAE J1979 is answered
     obd_clear_conditions: tuple[str, ...] = ()
     pid: tuple[descriptions.Pid, ...] = ()
     vehicle_info: tuple[descriptions.VehicleInfo, ...] = ()
@@ -370,7 +370,7 @@ def _table(document: dict[str, Any]) -> DiagnosticTable:
 
 
 def _obd(file: TableFile) -> descriptions.Obd | None:
-    if file.obd is None:
+    if not file.obd:
         if unused := [key for key in ("monitor", "obd_clear_conditions", "pid", "vehicle_info") if getattr(file, key)]:
             raise EmulatorConfigError(f"{unused[0]} is there, but key obd is missing: it says how OBD is spoken")
         return None
