@@ -214,9 +214,9 @@ def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: Sensor
 
 
 COLD_SPAN_K: Final = 60.0  # below `WORKING_K` the deviations of a cold pack are those of docs/model.md (19b)
-FILM_MOBILITY_LOG: Final = 0.5  # natural logarithm: there a film may yield more slowly by this; more than one deviation
+FILM_MOBILITY_LOG: Final = 1.0  # natural logarithm: there a film may yield more slowly by this; more than one deviation
 LEAST_SECANT: Final = 0.2  # natural logarithm: for a smaller step the tangent of a film is near enough
-COLD_DOUBT_RATIO: Final = 0.25  # standard deviation over the torque that the slower film changes while it closes
+COLD_DOUBT_RATIO: Final = 0.4  # standard deviation over the torque that the slower film changes while it closes
 MIN_EXCESS = 0.05  # of slip over Stribeck speed: keeps powers with an exponent below 1 finite at zero slip
 DOUBT_RATIO = 0.01  # standard deviation over a clutch's torque: laws of friction and film hold no better at each moment
 IDLE_RATIO = 0.1  # of the noise: a clutch whose impulses are smaller has no derivatives by film and Stribeck curve

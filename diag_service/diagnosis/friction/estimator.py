@@ -60,17 +60,17 @@ COLD_STD: Final = {
     STATE_COUNT + Considered.CONTACT_STIFFNESS: 0.04,  # ratio
     STATE_COUNT + Considered.FILM_MOBILITY: 0.2,  # natural logarithm
     STATE_COUNT + Considered.OPEN_DRAG: 0.3,  # natural logarithm
-    STATE_COUNT + Considered.TORQUE_GAIN: 0.006,  # ratio: a film whose law is not known is no scale for torques
-    STATE_COUNT + Considered.ENGINE_INERTIA: 0.006,  # ratio
+    STATE_COUNT + Considered.TORQUE_GAIN: 0.02,  # ratio: a film whose law is not known is no scale for torques
+    STATE_COUNT + Considered.ENGINE_INERTIA: 0.02,  # ratio
 }
 """Standard deviations of the parameters of one event `COLD_SPAN_K` below `WORKING_K`; docs/model.md (19b)."""
 _COLD_VARIANCE: Final = np.zeros(PARAMETER_COUNT)
 _COLD_VARIANCE[list(COLD_STD)] = np.square(list(COLD_STD.values()))
 OPEN_DRAG_SPEED_LOG: Final = 0.7  # natural logarithm, at any temperature: packs drag twice or half as much
 FRICTION_RATIO: Final = 0.01  # of mu, at any temperature: each event spreads heat, oil and load otherwise
-COLD_FRICTION_RATIO: Final = 0.008  # of mu, added `COLD_SPAN_K` below work: no law of the cold holds in every car
-MOST_FILM_SHARE: Final = 0.55  # of the torque in the slip window: beyond it friction is not estimated
-MOST_SLOW_FILM_SHARE: Final = 0.65  # likewise of a film that yields more slowly
+COLD_FRICTION_RATIO: Final = 0.03  # of mu, added `COLD_SPAN_K` below work: no law of the cold holds in every car
+MOST_FILM_SHARE: Final = 0.4  # of the torque in the slip window: beyond it friction is not estimated
+MOST_SLOW_FILM_SHARE: Final = 0.5  # likewise of a film that yields more slowly
 
 
 def event_variance(balance: Balance, clutch: int, noise: NoiseModel) -> FloatArray:

@@ -114,6 +114,7 @@ def server_of(sources: Sources) -> uvicorn.Server:
         proxy_headers=False,
         timeout_graceful_shutdown=_GRACE_S,
         http=HeadersInTime,
+        ws="none",
     )
     return _Server(config)
 
