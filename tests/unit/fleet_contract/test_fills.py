@@ -52,6 +52,7 @@ def test_without_fills_none_is_meant() -> None:
     ("odometer_m", "before_m", "after_m", "complaint"),
     [
         (None, 1e8, 1e7, ""),
+        (1.95e8, 1.9e8, 2e8, ""),
         (HIGHEST_M, None, None, ""),
         (HIGHEST_M + 1.0, None, None, "no car has driven that far"),
         (2e8 + READING_M, 1.9e8, 2e8, ""),
