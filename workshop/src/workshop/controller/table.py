@@ -372,7 +372,7 @@ def _table(document: dict[str, Any]) -> DiagnosticTable:
 def _obd(file: TableFile) -> descriptions.Obd | None:
     if not file.obd:
         if unused := [key for key in ("monitor", "obd_clear_conditions", "pid", "vehicle_info") if getattr(file, key)]:
-            raise EmulatorConfigError(f"{unused[0]} is there, but key obd is missing: it says how OBD is spoken")
+            raise EmulatorConfigError(f"{unused[0]} is there, but not obd = true: OBD is not answered")
         return None
     return descriptions.Obd(
         clear_conditions=file.obd_clear_conditions,
