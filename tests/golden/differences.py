@@ -10,7 +10,7 @@ import llvmlite.binding as llvm
 import numpy as np
 from scipy import linalg
 
-RELATIVE = 1e-9  # where the arithmetic is another machine's
+RELATIVE = 1e-7  # where the arithmetic is another machine's
 _NUMBER = re.compile(r"(-?\d+(?:\.\d+)?)")
 
 
@@ -51,19 +51,21 @@ def differences(before: str, now: str, *, is_exact: bool) -> Iterator[str]:
 def _is_rounded_alike(before: str, now: str) -> bool:
     if not (_NUMBER.fullmatch(before) and _NUMBER.fullmatch(now)):
         return before == now
-    places = len(before.partition(".")[2])
-    return abs(float(before) - float(now)) <= 1.01 * 10.0**-places
+    one, other, places = float(before), float(now), len(before.partition(".")[2])
+    return abs(one - other) <= max(1.01 * 10.0**-places, RELATIVE * abs(one))
 
 
-def _differing(before: object, now: object, place: str) -> Iterator[str]:
+def _differing(before: object, now: object, place: str, scale: float = 0.0) -> Iterator[str]:
     if isinstance(before, dict) and isinstance(now, dict) and before.keys() == now.keys():
         for key in before:
             yield from _differing(before[key], now[key], f"{place}.{key}")
     elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
+        # Of a matrix what is next to nothing beside the rest is a difference of large numbers: all rounding.
+        scale = max((abs(one) for one in before if isinstance(one, float)), default=0.0)
         for number, (one, other) in enumerate(zip(before, now, strict=True)):
-            yield from _differing(one, other, f"{place}[{number}]")
+            yield from _differing(one, other, f"{place}[{number}]", scale)
     elif isinstance(before, float) and isinstance(now, float):
-        if abs(before - now) > RELATIVE * max(abs(before), abs(now), 1e-6):
+        if abs(before - now) > RELATIVE * max(abs(before), abs(now), scale, 1e-6):
             yield f"{place}: {before!r}, now {now!r}"
     elif before != now:
         yield f"{place}: {before!r}, now {now!r}"

@@ -62,16 +62,20 @@ def assert_as_on_time(outcome: Outcome) -> None:
     assert f"{outcome.counts.late} late, in bursts" in frames_line(outcome.counts)
 
 
-@pytest.mark.parametrize("place", range(3))
-@pytest.mark.parametrize("step_s", [AT_ONCE_S, QUICK_S, SLOW_S])
-@pytest.mark.parametrize("stall_s", [0.16, 0.5, 1.1, 5.0])
+@pytest.mark.parametrize(
+    ("place", "stall_s", "step_s"),
+    [
+        (0, 0.16, SLOW_S), (0, 1.1, AT_ONCE_S), (0, 5.0, QUICK_S), (1, 0.5, QUICK_S), (1, 1.1, SLOW_S),
+        (1, 5.0, AT_ONCE_S), (2, 0.16, AT_ONCE_S), (2, 0.5, SLOW_S), (2, 1.1, QUICK_S),
+    ],
+)  # fmt: skip
 def test_shifts_of_which_all_frames_came_in_a_burst_are_estimated(place: int, stall_s: float, step_s: float) -> None:
     outcome = diagnosed([after_stalls(frames(), [(stall_places()[place], stall_s)], step_s)])
     assert_as_on_time(outcome)
     assert outcome.counts.late > 400 * min(stall_s, 3.0)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_machine_that_stalls_again_and_again_loses_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)
     stalls_s = [(at, rng.uniform(0.02, 0.3)) for at in sorted(rng.uniform(0.5, DURATION_S - 0.5, 10))]
@@ -81,8 +85,7 @@ def test_a_machine_that_stalls_again_and_again_loses_nothing(seed: int) -> None:
         assert reasons(outcome) <= {Reason.TIME_UNSURE}
 
 
-@pytest.mark.parametrize("jitter_s", [0.01, 0.05, 0.1, 0.2])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("jitter_s", "seed"), [(0.01, 0), (0.05, 1), (0.1, 2), (0.2, 0)])
 def test_a_reading_time_that_jitters_accuses_no_sensor(jitter_s: float, seed: int) -> None:
     by_ns = np.random.default_rng(seed).uniform(0.0, 1e9 * jitter_s, len(frames())).astype(np.int64)
     outcome = diagnosed([replace(frames(), t_ns=np.maximum.accumulate(frames().t_ns + by_ns))])
@@ -97,16 +100,17 @@ def at_looks(looks_ns: Int64Array) -> FrameBatch:
     return replace(frames(), t_ns=looks_ns[np.searchsorted(looks_ns, frames().t_ns)])
 
 
-@pytest.mark.parametrize("first_ms", [0.0, 0.5, 2.5, 7.0])  # after the first frame; a cycle is sent within 6 ms
-@pytest.mark.parametrize("tick_s", [0.0125, 0.013, 0.02, 0.03, 0.05, 0.1, 0.2])
+@pytest.mark.parametrize(  # how long after the first frame; a cycle is sent within 6 ms
+    ("tick_s", "first_ms"),
+    [(0.0125, 7.0), (0.013, 0.0), (0.02, 0.5), (0.02, 2.5), (0.03, 7.0), (0.05, 0.0), (0.1, 2.5), (0.2, 0.5)],
+)
 def test_shifts_are_estimated_from_what_a_reader_saw_that_looks_now_and_then(tick_s: float, first_ms: float) -> None:
     looks_s = 1e-3 * first_ms + tick_s * np.arange(DURATION_S / tick_s + 1)
     outcome = diagnosed([at_looks(frames().t_ns[0] + np.rint(1e9 * looks_s).astype(np.int64))])
     assert_as_on_time(outcome)
 
 
-@pytest.mark.parametrize("jitter_s", [1e-5, 1e-3, 1e-2])
-@pytest.mark.parametrize("tick_s", [0.02, 0.05, 0.1, 0.2])
+@pytest.mark.parametrize(("tick_s", "jitter_s"), [(0.02, 1e-2), (0.05, 1e-5), (0.1, 1e-3), (0.2, 1e-2)])
 def test_a_reader_that_looks_now_and_then_need_not_keep_time(tick_s: float, jitter_s: float) -> None:
     """But for one in step with a cycle that it cuts in two: what of the cycle came before the rest is not told."""
     steps_s = np.random.default_rng(1).uniform(tick_s, tick_s + jitter_s, round(DURATION_S / tick_s) + 1)
@@ -115,8 +119,13 @@ def test_a_reader_that_looks_now_and_then_need_not_keep_time(tick_s: float, jitt
     assert_as_on_time(outcome)
 
 
-@pytest.mark.parametrize("first_ms", [0.0, 1.5, 5.5, 9.0])
-@pytest.mark.parametrize("tick_ms", [5.0, 7.5, 9.99, 10.0, 10.01, 12.5, 20.01, 30.01, 50.01, 120.02, 250.0])
+@pytest.mark.parametrize(
+    ("tick_ms", "first_ms"),
+    [
+        (5.0, 0.0), (7.5, 1.5), (9.99, 5.5), (9.99, 0.0), (10.0, 1.5), (10.0, 9.0), (10.01, 5.5), (12.5, 0.0),
+        (20.01, 9.0), (30.01, 1.5), (50.01, 5.5), (120.02, 0.0), (250.0, 9.0),
+    ],
+)  # fmt: skip
 def test_a_reader_in_step_with_the_senders_finds_the_shifts_and_accuses_no_sensor(
     tick_ms: float, first_ms: float
 ) -> None:
@@ -156,8 +165,7 @@ def test_frames_behind_a_cut_are_not_late(quick_frames: int) -> None:
     assert outcome.diagnoses[-1].estimate.status is Status.VALID
 
 
-@pytest.mark.parametrize("stall_s", [0.5, 2.0])
-@pytest.mark.parametrize("step_s", [AT_ONCE_S, QUICK_S, SLOW_S])
+@pytest.mark.parametrize(("stall_s", "step_s"), [(0.5, QUICK_S), (2.0, SLOW_S)])
 def test_how_a_late_stream_is_cut_changes_nothing(stall_s: float, step_s: float) -> None:
     late = after_stalls(frames(), [(stall_places()[1], stall_s)], step_s)
     for size in (1, 37):
