@@ -191,6 +191,7 @@ warm: setup-all
 	  $(PY) -m diag_service analyze "$$folder/warm.log" --json && \
 	  $(PY) -c 'from clutchdiag_io.program import choose_kernel_cache as choose; choose(); \
 	    from ecu_emulator.drive.recording import Drive; from ecu_emulator.scenario.scenario_file import load_scenario; \
+	    from ecu_emulator import Emulator; Emulator("ideal").step(0.01, 1.0, 0.2); \
 	    next(iter(Drive(load_scenario("lockup")).stretches(10.0))); \
 	    from diag_service.service.bus_run import warm_up; warm_up()'; } >"$$folder/said" 2>&1 || { \
 	  cat "$$folder/said" >&2; exit 1; }

