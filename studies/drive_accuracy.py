@@ -10,6 +10,7 @@ are counted in events that were used. *Scale-free* is friction times gain and pi
     python -m studies.drive_accuracy --plain                         # vehicles just like their type, noise only
     python -m studies.drive_accuracy --plain --known                 # the same, and nothing but friction is unknown
     python -m studies.drive_accuracy --mismatch --loss 0.05
+    python -m studies.drive_accuracy --row "w_S x 1.5" --oil-degc 85  # one effect of studies.mismatch
     python -m studies.drive_accuracy --other-laws --oil-degc -10     # open packs, oil and film obey other laws
     python -m studies.drive_accuracy --loss 0.05 --burst 3           # three frames of a message are lost in a row
     python -m studies.drive_accuracy --transmission gs7              # a seven-speed transmission
@@ -41,6 +42,7 @@ from ecu_emulator.scenario.scenario import Scenario, WorkshopRoutine
 from ecu_emulator.scenario.scenario_file import load_scenario
 from studies.builders import FLUIDS, STRETCH_S, TRACES, in_oil, new_stages, planned, to_batch
 from studies.drawn_vehicle import Vehicle, draw, with_other_laws
+from studies.mismatch_rows import BY_NAME, MATCHED
 from studies.run import over_drives, parsed, root_mean_square, study_parser
 
 FIRST_SEED: Final = 95_000  # seeds below were looked at while priors and gates were chosen
@@ -71,6 +73,7 @@ class Case:
     is_known: bool = False  # the vehicle is believed to be what it is
     has_other_laws: bool = False  # of open packs, oil and film
     transmission: str = "nominal"
+    row: str = MATCHED.name  # of the mismatch table
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +115,7 @@ def scenario_of(case: Case) -> tuple[Scenario, Vehicle | None]:
         base = vehicle.scenario(0, WorkshopRoutine())
     effects = replace(base.effects, frame_loss_ratio=case.loss_ratio if case.burst == 1 else 0.0)
     base = replace(base, transmission=case.transmission, drive=DriveName.CITY, effects=effects)
+    base = base if case.row == MATCHED.name else BY_NAME[case.row].applied(base)
     return in_oil(base, case.oil_degc), vehicle
 
 
@@ -128,7 +132,7 @@ def driven(case: Case) -> list[DriveOutcome]:
         batch = to_batch(merge([stretch.frames]))
         diagnoses += stages.feed(batch if case.burst == 1 else without_bursts(batch, case.loss_ratio, case.burst, rng))
     diagnoses += [stages.conclude(event) for event in stages.flush()]
-    true = np.array([[drive.truth.mu_c[m], drive.truth.mu_s[m]] for m in range(2)])
+    true = np.array([[drive.truth.mu_c[m], drive.truth.mu_s[m]] for m in range(2)]) * BY_NAME[case.row].friction_ratio
     return [outcome_of(diagnoses, true, vehicle, scenario.fluid.condition)]
 
 
@@ -305,6 +309,7 @@ def main() -> int:
         "--known", action="store_true", help="with --plain: believed to be so, as calibrated beyond doubt"
     )
     parser.add_argument("--mismatch", action="store_true", help="film, oil and lining unlike the belief as well")
+    parser.add_argument("--row", choices=BY_NAME, default=MATCHED.name, help="one effect of the mismatch table as well")
     parser.add_argument("--other-laws", action="store_true", help="laws of cold oil that the estimator does not have")
     parser.add_argument("--loss", type=float, default=0.0, help="share of the frames that are lost")
     parser.add_argument("--burst", type=int, default=1, help="frames of one message that are lost in a row")
@@ -315,7 +320,7 @@ def main() -> int:
     case = partial(
         Case, trace=options.trace, oil_degc=options.oil_degc, is_plain=options.plain, has_mismatch=options.mismatch,
         loss_ratio=options.loss, burst=options.burst, is_known=options.known,
-        has_other_laws=options.other_laws, transmission=options.transmission,
+        has_other_laws=options.other_laws, transmission=options.transmission, row=options.row,
     )  # fmt: skip
     cases = [case(seed=seed) for seed in range(options.seed, options.seed + options.vehicles)]
     outcomes = over_drives(driven, cases, options.workers, options.kept)

@@ -22,11 +22,8 @@ from matplotlib.figure import Figure
 
 from clutch_results.records import FrictionEstimate, Status
 from demo.drawing import CLUTCH_COLOUR, as_svg, drawing_style
-from diag_service.diagnosis.friction.evidence import REFERENCE_K
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.service.stages import Diagnosis
-from ecu_emulator.plant.clutch import friction_ratio
-from ecu_emulator.plant.parameters import nominal_parameters
 from ecu_emulator.scenario.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario
 from studies.builders import FLUIDS, diagnose
@@ -91,8 +88,7 @@ def outcomes(case: MismatchCase) -> list[MismatchOutcome]:
     """Make one drive and compare its running estimate with the truth at the temperature for which it is stated."""
     diagnoses, truth = diagnose(scenario_of(case))
     used = sum(map(is_used, diagnoses)) / (CYCLES * SHIFTS_PER_CYCLE)
-    lining = nominal_parameters().lining._replace(fade_per_k=BY_NAME[case.row].effects.friction_fade_per_k)
-    fade = friction_ratio(REFERENCE_K, lining)
+    fade = BY_NAME[case.row].friction_ratio
     true = {"mu_c": truth.drive.mu_c, "mu_s": truth.drive.mu_s}
 
     final = {one.verdict.clutch: one.verdict.condition for one in diagnoses}

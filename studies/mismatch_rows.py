@@ -3,6 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from diag_service.diagnosis.friction.evidence import REFERENCE_K
+from ecu_emulator.plant.clutch import friction_ratio
+from ecu_emulator.plant.parameters import nominal_parameters
 from ecu_emulator.scenario.scenario import Effects, Scenario
 
 TORQUE = ("engine_torque_nm",)
@@ -27,6 +30,12 @@ class Mismatch:
             sensors[quantity] = replace(sensors[quantity], lag_s=lag_s)
         truth = replace(scenario.truth, calibration={**scenario.truth.calibration, **self.truth})
         return replace(scenario, effects=self.effects, sensors=sensors, truth=truth)
+
+    @property
+    def friction_ratio(self) -> float:
+        """Friction at the temperature for which it is stated, over what is drawn."""
+        lining = nominal_parameters().lining._replace(fade_per_k=self.effects.friction_fade_per_k)
+        return friction_ratio(REFERENCE_K, lining)
 
 
 def exponent_of(exponent: float) -> dict[str, object]:

@@ -106,7 +106,7 @@ def is_carried_by_film(balance: Balance, clutch: int) -> bool:
     return False
 
 
-ALGORITHM_VERSION = "torque-impulse-16"
+ALGORITHM_VERSION = "torque-impulse-17"
 MAX_PASS_COUNT = 4  # linearisations: the first events of a vehicle move latencies beyond the reach of one
 CONVERGED = 0.2  # of a standard deviation
 NEAR_STEP = 0.5  # standard deviations of the type: a shorter step keeps the Jacobian

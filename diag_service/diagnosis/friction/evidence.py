@@ -267,6 +267,10 @@ class Knowledge:
         return np.sqrt(self.covariance.diagonal())
 
 
+CURVE_MODEL_RATIO: Final = 0.03  # of mu_S, per ratio by which a vehicle's Stribeck speed is another: it is linearised
+_CURVE: Final = STATE_COUNT + Considered.STRIBECK_SPEED
+
+
 class Prior(NamedTuple):
     """The prior before the first event."""
 
@@ -283,6 +287,24 @@ class Prior(NamedTuple):
         """Return a covariance of which what events tell is scaled by a ratio; docs/model.md, equation (38)."""
         scaled = whole / np.maximum(self.std, np.sqrt(whole.diagonal()))  # what drifts was no better known before
         return ratio * whole + (1.0 - ratio) * (scaled @ self.information @ scaled.T)
+
+    def with_own_curve(self, known: Knowledge) -> Knowledge:
+        """Return knowledge that holds a vehicle's Stribeck speed to its type's only as far as it is like it; (39).
+
+        The prior's variance of it is the one that makes what the events show likeliest, and at least the type's.
+        """
+        prior, variance = float(self.std[_CURVE]) ** 2, float(known.covariance[_CURVE, _CURVE])
+        told, away = 1.0 / variance - 1.0 / prior, float(known.mean[_CURVE])
+        own = (away / (variance * told)) ** 2 - 1.0 / told if told > 0.0 else 0.0
+        if own <= prior:
+            return known
+        missing, column = 1.0 / prior - 1.0 / own, known.covariance[:, _CURVE]
+        gain = missing / (1.0 - missing * variance)
+        mean = known.mean + gain * away * column
+        covariance = known.covariance + gain * np.outer(column, column)
+        static = [State.MU_S1, State.MU_S2]
+        covariance[static, static] += (CURVE_MODEL_RATIO * mean[_CURVE] * mean[static]) ** 2
+        return Knowledge(mean=mean, covariance=covariance)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

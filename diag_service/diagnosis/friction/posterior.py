@@ -141,12 +141,12 @@ class Posterior:
 
     @property
     def stated(self) -> Knowledge:
-        """What is known, with its covariance scaled by the scatter of events; docs/model.md, equation (38)."""
+        """What is known, its covariance scaled by the scatter of events, its curve its own; docs/model.md (38), (39)."""
         known = self.fusion.knowledge
-        if not self.apart_by_chance:
-            return known
-        ratio = EventScatter(self.apart, self.apart_by_chance).ratio
-        return Knowledge(mean=known.mean, covariance=self.prior.stated(known.covariance, ratio))
+        if self.apart_by_chance:
+            ratio = EventScatter(self.apart, self.apart_by_chance).ratio
+            known = Knowledge(mean=known.mean, covariance=self.prior.stated(known.covariance, ratio))
+        return self.prior.with_own_curve(known)
 
     def without(self, place: int) -> Knowledge:
         """Return the posterior without one of the recent events."""

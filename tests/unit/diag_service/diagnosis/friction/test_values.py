@@ -142,3 +142,35 @@ def test_nothing_is_compared_before_there_is_something_to_compare_with() -> None
     frozen = replace(of(known, (0, BASELINE_SHIFT_COUNT)), baselines=(None, baseline))
     assert trend(frozen, 1) is None
     assert trend(frozen, 2) is None  # the baseline is all that is known
+
+
+CURVE = STATE_COUNT + Considered.STRIBECK_SPEED
+
+
+def of_a_curve(shown: float, std: float) -> Evidence:
+    """Return evidence of a Stribeck speed with which mu_S of clutch 1 goes, and of that friction to a hundredth."""
+    row = np.zeros(PARAMETER_COUNT)
+    row[1], row[CURVE] = 1.0, 0.02
+    friction_at = 0.12 + 0.02 * shown
+    alone = Evidence.of_readings([CURVE], [shown], [std**2])
+    matrix = np.outer(row, row) / 1e-6
+    seen = Evidence(matrix=matrix, vector=row * friction_at / 1e-6, constant=friction_at**2 / 1e-6, count=1)
+    return Evidence.sum([alone, seen])
+
+
+def test_a_vehicle_whose_curve_is_like_its_types_costs_nothing() -> None:
+    known = fuse(base(), of_a_curve(0.1, 0.15)).knowledge
+    assert FRESH.prior.with_own_curve(known) is known
+
+
+@pytest.mark.parametrize("shown", [0.5, -0.4])
+def test_a_vehicle_of_another_curve_is_held_to_its_type_as_loosely_as_its_events_are_likeliest(shown: float) -> None:
+    evidence, start = of_a_curve(shown, 0.15), base()
+    freed = FRESH.prior.with_own_curve(fuse(start, evidence).knowledge)
+    covariance = start.covariance.copy()
+    covariance[CURVE, CURVE] = shown**2 - 0.15**2  # of all variances the one that makes such a reading likeliest
+    loose = fuse(Knowledge(mean=start.mean, covariance=covariance), evidence).knowledge
+    assert freed.mean == pytest.approx(loose.mean, rel=0.01, abs=1e-9)
+    others = [place for place in range(PARAMETER_COUNT) if place not in {1, 3}]
+    assert freed.covariance[others, others] == pytest.approx(loose.covariance[others, others], rel=0.01)
+    assert freed.covariance[1, 1] > loose.covariance[1, 1]  # its curve is followed along a line only
