@@ -6,12 +6,14 @@ cause, sound cars, pairs, and faults that no signature knows, and how reliable t
 
     python -m studies.causes --lives 8 --seed 700000 --workers 1
     python -m studies.causes --lives 70 --seed 820000 --only unknown sound --workers 2
+    python -m studies.causes --other-laws --lives 3             # cars whose film, spring, drag, ... nobody has told
     python -m studies.causes --fit --lives 12 --seed 600000      # writes the signatures, from lives drawn wider
 """
 
 import sys
+import tomllib
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -81,6 +83,7 @@ class CauseLife:
     kinds: tuple[CauseKind, ...] = ()
     unknown: int | None = None  # place in UNKNOWN
     strength: float = RELEVANT
+    laws: tuple[str, ...] = ()  # of LAWS: in what the car is another than its type, from the beginning
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,6 +93,28 @@ class CauseLived:
     life: CauseLife
     truths: tuple[tuple[str, int | None, float], ...]  # cause, clutch, and which way
     moments: tuple[VehicleCourse, ...]  # sound and grown, of the last one all events
+
+
+def _factor(rng: np.random.Generator, most: float) -> float:
+    return float(np.exp(rng.uniform(-np.log(most), np.log(most))))
+
+
+LAWS: Final[Mapping[str, Callable[[np.random.Generator], Effects]]] = {
+    "film": lambda rng: Effects(film_mobility_ratio=_factor(rng, 3.0), viscosity_ratio=_factor(rng, 1.2)),
+    "spring": lambda rng: Effects(contact_stiffness_ratio=_factor(rng, 1.4), spring_force_n=rng.uniform(-25.0, 25.0)),
+    "drag": lambda rng: Effects(open_drag_ratio=_factor(rng, 3.0), open_drag_limit_nm=rng.choice([0.0, 4.0, 15.0])),
+    "lining": lambda rng: Effects(stribeck_speed_ratio=_factor(rng, 1.35), friction_fade_per_k=rng.uniform(0.0, 0.002)),
+    "sensors": lambda rng: Effects(motoring_torque_ratio=_factor(rng, 1.1), piston_area_ratio=_factor(rng, 1.01)),
+}
+
+
+def effects_of(life: CauseLife, share: float) -> Effects:
+    """Return what is true of a car from the beginning, and of what no signature knows if a share of it is there."""
+    drawn = [LAWS[law](np.random.default_rng([life.seed, place])) for place, law in enumerate(life.laws)]
+    if life.unknown is not None and share > 0.0:
+        drawn.append(UNKNOWN[life.unknown])
+    changed: dict[str, Any] = {name: value for one in drawn for name, value in one.switched_on().items()}
+    return Effects(**changed)
 
 
 def scenario_of(life: CauseLife, drive: int, share: float, rng: np.random.Generator) -> Scenario:
@@ -103,7 +128,7 @@ def scenario_of(life: CauseLife, drive: int, share: float, rng: np.random.Genera
         driver=Driver(pedal_ratio=float(rng.uniform(0.35, 0.6))),
         ambient=Ambient(oil_temperature_k=oil_k, coolant_temperature_k=min(oil_k, float(rng.uniform(340.0, 360.0)))),
         causes=causes,
-        effects=UNKNOWN[life.unknown] if life.unknown is not None and share > 0.0 else Effects(),
+        effects=effects_of(life, share),
     )
 
 
@@ -304,9 +329,8 @@ def lives_to_fit(count: int, seed: int) -> Iterator[CauseLife]:
         yield CauseLife(seed=seed + number, kinds=kinds, strength=float(rng.uniform(*FIT_STRENGTHS)))
 
 
-def judged(found: Sequence[CauseLived], console: Console) -> bool:
+def judged(found: Sequence[CauseLived], judge: CauseJudge, console: Console) -> bool:
     """Print all tables; return whether everything that is asked for was reached."""
-    judge = CauseJudge(nominal_calibration())
     outcomes = [CauseOutcome.of(one, judge) for one in found]
     console.print(confusion(outcomes))
     single, sound, pairs, unknown = ([one for one in outcomes if group_of(one.life) == group] for group in GROUPS)
@@ -345,14 +369,20 @@ def main() -> int:
     parser.add_argument("--lives", type=int, default=8, help="of each cause")
     parser.add_argument("--only", nargs="+", choices=GROUPS, default=GROUPS, help="lives of these alone")
     parser.add_argument("--fit", action="store_true", help="write the signatures instead")
+    parser.add_argument("--signatures", type=Path, default=SIGNATURES, help="to be written or used (those that ship)")
+    parser.add_argument(
+        "--other-laws", nargs="*", choices=LAWS, help="cars are other than their type: by these laws, or by all"
+    )
     options = parsed(parser, lives=1, only=(SOUND, "pairs"))
     lives = list((lives_to_fit if options.fit else lives_to_judge)(options.lives, options.seed))
-    lives = [life for life in lives if group_of(life) in options.only]
+    laws = () if options.other_laws is None else tuple(options.other_laws or LAWS)
+    lives = [replace(life, laws=laws) for life in lives if group_of(life) in options.only]
     found = over_drives(lived, lives, options.workers, options.kept)
     if options.fit:
-        SIGNATURES.write_text(written(fitted(found)), encoding="utf-8")
+        options.signatures.write_text(written(fitted(found)), encoding="utf-8")
         return 0
-    return 0 if judged(found, Console(markup=False, width=160)) else 1
+    judge = CauseJudge(nominal_calibration(), {**described(), **tomllib.loads(options.signatures.read_text("utf-8"))})
+    return 0 if judged(found, judge, Console(markup=False, width=160)) else 1
 
 
 if __name__ == "__main__":

@@ -30,7 +30,6 @@ from rich.table import Table
 from canlog.arrays import FloatArray
 from canlog.frames import FrameBatch
 from clutch_model.calibration import SHIPPED, Calibration, Uncertainty, shipped_calibration
-from clutch_model.units import degc_from_k
 from clutch_results.records import Condition, FrictionEstimate, ScaleFreeFriction, Status
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.posterior import friction, scale_free
@@ -48,7 +47,6 @@ from studies.run import over_drives, parsed, root_mean_square, study_parser
 FIRST_SEED: Final = 95_000  # seeds below were looked at while priors and gates were chosen
 MOMENTS: Final = (2, 5, 10, 30)  # events used, of the table by moments
 END: Final = 0
-BAND_K: Final = 20.0  # of oil temperature
 FAR_STD: Final = 4.0
 KNOWN_RATIO: Final = 0.03  # of the scatter of the type: what is left for a vehicle that is known
 PLANT_STEP_S: Final = 1e-3  # the plant holds the engine's torque for one
@@ -82,7 +80,6 @@ class DriveLook:
 
     moment: int  # events used, END: all
     clutch: int
-    oil_degc: float
     absolute: tuple[float, float]
     absolute_std: tuple[float, float]
     free: tuple[float, float]
@@ -170,11 +167,10 @@ def outcome_of(diagnoses: Sequence[Diagnosis], true: FloatArray, vehicle: Vehicl
         if estimate.status is not Status.VALID or estimate.reasons:
             continue
         used_count += 1
-        oil_degc = float(degc_from_k(estimate.conditions.sump_temperature_k or 0.0))
-        looks += _looks(used_count, diagnosis.belief.posterior, oil_degc, true, shown)
+        looks += _looks(used_count, diagnosis.belief.posterior, true, shown)
         if estimate.scale_free is not None:
             alone.append((estimate.kind.value, *_error(estimate.scale_free, shown[estimate.clutch - 1])))
-    looks += _looks(END, diagnoses[-1].belief.posterior, 0.0, true, shown)
+    looks += _looks(END, diagnoses[-1].belief.posterior, true, shown)
     return DriveOutcome(
         looks=tuple(looks),
         statuses=Counter(
@@ -201,7 +197,7 @@ def _final_verdicts(diagnoses: Sequence[Diagnosis]) -> tuple[str, ...]:
     return tuple(last[clutch] for clutch in sorted(last))
 
 
-def _looks(moment: int, state: Posterior, oil_degc: float, true: FloatArray, shown: FloatArray) -> Iterator[DriveLook]:
+def _looks(moment: int, state: Posterior, true: FloatArray, shown: FloatArray) -> Iterator[DriveLook]:
     for clutch in (1, 2):
         if not state.shift_counts[clutch - 1]:
             continue
@@ -210,7 +206,6 @@ def _looks(moment: int, state: Posterior, oil_degc: float, true: FloatArray, sho
         yield DriveLook(
             moment=moment,
             clutch=clutch,
-            oil_degc=oil_degc,
             absolute=_pair(absolute),
             absolute_std=_pair(absolute_std),
             free=_pair(free),
@@ -280,24 +275,6 @@ def kinds_table(outcomes: Sequence[DriveOutcome]) -> Table:
     return table
 
 
-def bands_table(outcomes: Sequence[DriveOutcome]) -> Table:
-    """Return the coverage by temperature of the oil."""
-    table = Table(
-        "oil, degC", "estimates", "absolute, within 2 std", "scale-free, within 2 std", title="By temperature"
-    )
-    looks = [look for outcome in outcomes for look in outcome.looks if look.moment != END]
-    by_band: dict[int, list[DriveLook]] = {}
-    for look in looks:
-        by_band.setdefault(int(look.oil_degc // BAND_K), []).append(look)
-    for band, some in sorted(by_band.items()):
-        cells = []
-        for name in ("absolute", "free"):
-            errors, stds = (np.array([getattr(look, key) for look in some]) for key in (name, f"{name}_std"))
-            cells.append(coverage(errors, stds))
-        table.add_row(f"{band * BAND_K:.0f} to {(band + 1) * BAND_K:.0f}", str(len(some)), *cells)
-    return table
-
-
 def main() -> int:
     """Drive all vehicles and print the tables; return 1 if a verdict was wrong."""
     parser = study_parser(__doc__, seed=FIRST_SEED)
@@ -325,7 +302,7 @@ def main() -> int:
     cases = [case(seed=seed) for seed in range(options.seed, options.seed + options.vehicles)]
     outcomes = over_drives(driven, cases, options.workers, options.kept)
     console = Console(markup=False, width=150)
-    for table in (moments_table(outcomes), kinds_table(outcomes), bands_table(outcomes)):
+    for table in (moments_table(outcomes), kinds_table(outcomes)):
         console.print(table)
     verdicts = Counter((one.fluid, ", ".join(one.final_verdicts)) for one in outcomes)
     for (fluid, final), count in sorted(verdicts.items()):

@@ -268,6 +268,7 @@ class Knowledge:
 
 
 CURVE_MODEL_RATIO: Final = 0.03  # of mu_S, per ratio by which a vehicle's Stribeck speed is another: it is linearised
+CURVE_MOST_STD_RATIO: Final = 0.3  # by which linings of any type differ in their Stribeck speed
 _CURVE: Final = STATE_COUNT + Considered.STRIBECK_SPEED
 
 
@@ -296,11 +297,14 @@ class Prior(NamedTuple):
         prior, variance = float(self.std[_CURVE]) ** 2, float(known.covariance[_CURVE, _CURVE])
         told, away = 1.0 / variance - 1.0 / prior, float(known.mean[_CURVE])
         own = (away / (variance * told)) ** 2 - 1.0 / told if told > 0.0 else 0.0
+        own = min(own, CURVE_MOST_STD_RATIO**2)
         if own <= prior:
             return known
         missing, column = 1.0 / prior - 1.0 / own, known.covariance[:, _CURVE]
         gain = missing / (1.0 - missing * variance)
         mean = known.mean + gain * away * column
+        if abs(mean[_CURVE]) > 2.0 * CURVE_MOST_STD_RATIO:  # no lining is like that: something else does not fit
+            return known
         covariance = known.covariance + gain * np.outer(column, column)
         static = [State.MU_S1, State.MU_S2]
         covariance[static, static] += (CURVE_MODEL_RATIO * mean[_CURVE] * mean[static]) ** 2

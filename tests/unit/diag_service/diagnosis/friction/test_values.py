@@ -10,6 +10,7 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge
 from diag_service.diagnosis.friction.evidence import (
+    CURVE_MOST_STD_RATIO,
     FRICTION_COUNT,
     PARAMETER_COUNT,
     STATE_COUNT,
@@ -163,14 +164,22 @@ def test_a_vehicle_whose_curve_is_like_its_types_costs_nothing() -> None:
     assert FRESH.prior.with_own_curve(known) is known
 
 
-@pytest.mark.parametrize("shown", [0.5, -0.4])
+@pytest.mark.parametrize("shown", [0.5, -0.3])
 def test_a_vehicle_of_another_curve_is_held_to_its_type_as_loosely_as_its_events_are_likeliest(shown: float) -> None:
     evidence, start = of_a_curve(shown, 0.15), base()
     freed = FRESH.prior.with_own_curve(fuse(start, evidence).knowledge)
     covariance = start.covariance.copy()
-    covariance[CURVE, CURVE] = shown**2 - 0.15**2  # of all variances the one that makes such a reading likeliest
+    covariance[CURVE, CURVE] = min(
+        shown**2 - 0.15**2, CURVE_MOST_STD_RATIO**2
+    )  # of all variances the one that makes such a reading likeliest
     loose = fuse(Knowledge(mean=start.mean, covariance=covariance), evidence).knowledge
     assert freed.mean == pytest.approx(loose.mean, rel=0.01, abs=1e-9)
     others = [place for place in range(PARAMETER_COUNT) if place not in {1, 3}]
     assert freed.covariance[others, others] == pytest.approx(loose.covariance[others, others], rel=0.01)
     assert freed.covariance[1, 1] > loose.covariance[1, 1]  # its curve is followed along a line only
+
+
+@pytest.mark.parametrize("shown", [-4.0, -1.2, 3.0])
+def test_what_no_lining_is_like_is_no_curve_of_its_own(shown: float) -> None:
+    known = fuse(base(), of_a_curve(shown, 0.05)).knowledge
+    assert FRESH.prior.with_own_curve(known) is known
