@@ -1,13 +1,15 @@
 """Lives of emulated cars: what is wrong with them is named, sound ones are called sound; a run tells it to people."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import studies.causes
 from canlog.logs import read_log
 from clutch_model.calibration import TorqueSource, nominal_calibration
-from clutch_results.records import shift_from, shift_record
+from clutch_results.records import Condition, Reason, Status, shift_from, shift_record
 from dbc.contract import load_contract
 from diag_service import analyze
 from diag_service.cli import main as service
@@ -15,10 +17,12 @@ from diag_service.diagnosis.condition.causes import SOUND, CauseJudge
 from diag_service.diagnosis.summary import cause_lines
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
-from diag_service.service.stages import Stages
+from diag_service.service.stages import Diagnosis, Stages
 from ecu_emulator.cli import main as emulator
+from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.faults import CauseKind
-from studies.causes import CauseLife, CauseOutcome, lived
+from studies.builders import new_stages, to_batch
+from studies.causes import BETWEEN_NS, CauseLife, CauseOutcome, lived, scenario_of
 
 JUDGE = CauseJudge(nominal_calibration())
 DRIVES = 4  # with the fault, of ten events each
@@ -38,6 +42,23 @@ def test_a_sound_life_stays_sound(monkeypatch: pytest.MonkeyPatch) -> None:
     outcome = CauseOutcome.of(life, JUDGE)
     assert outcome.stated[0][0] == SOUND
     assert not outcome.accused
+
+
+def test_a_pressure_sensor_that_drifts_is_named_though_its_last_events_are_refused() -> None:
+    """Controlled by its command the pressure stays, so that the clutch seems to change until nothing fits any more."""
+    rng, stages, passed_ns, found = np.random.default_rng(7003), new_stages(), 0, list[Diagnosis]()
+    for drive in range(9):
+        scenario = scenario_of(CauseLife(seed=7003), drive, 0.0, rng)
+        sensors, name = dict(scenario.sensors), "clutch1_pressure_pa"
+        sensors[name] = replace(sensors[name], gain_ratio=1.0 - 0.07 * min(max((drive - 3) / 4, 0.0), 1.0))
+        batch = to_batch(frames_of(replace(scenario, sensors=sensors))[0])
+        found += stages.feed(replace(batch, t_ns=batch.t_ns + passed_ns)) + list(map(stages.conclude, stages.flush()))
+        passed_ns += int(batch.t_ns[-1] - batch.t_ns[0]) + BETWEEN_NS
+    last = [one for one in found if one.estimate.clutch == 1][-1]
+    assert (last.estimate.status, last.estimate.reasons) == (Status.REJECTED, (Reason.PRESSURE_OFF_COMMAND,))
+    assert last.verdict.condition is Condition.NO_VERDICT
+    assert last.verdict.causes is not None
+    assert [(one.cause, one.clutch) for one in last.verdict.causes.likely[:1]] == [("pressure-sensor", 1)]
 
 
 @pytest.fixture(name="log", scope="module")

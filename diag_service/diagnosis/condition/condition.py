@@ -121,7 +121,7 @@ BEGIN_COUNT: Final = 40  # events of the first stretch: a few drives
 LEAST_COUNT: Final = 6.0  # of the last one, before anything is said of causes: of fewer most is wrong
 FILLED_COUNT: Final = 15.0  # of the first ones after a fill
 FORGETTING: Final = 0.97  # weight of an event after each later one: some thirty count
-JUDGED_EVERY: Final = 35  # events: a cause does not come within one, and a judgement takes as long as an event
+JUDGED_EVERY: Final = 10  # events: a judgement takes as long as an event, a sensor that drifts is soon refused
 SENSORS: Final = frozenset({"torque-sensor", "pressure-sensor"})
 SENSOR_SHARE: Final = 0.5  # that a sensor drifts: more, and its clutch is not judged
 MEASURED: Final = ("pressure_lag_s", "pressure_reach_ratio", "pressure_short_pa", "fill_time_s", "believed_touch_pa")
@@ -235,6 +235,13 @@ class ConditionMemory:
     launches: tuple[Launches, Launches] = (Launches(), Launches())  # with this fluid
     course: VehicleCourse = field(default_factory=VehicleCourse)  # of all that causes are told by
     refused: tuple[int, int] = (0, 0)  # of each clutch, since one could be used: sensors contradicted each other
+
+    @property
+    def causes(self) -> Causes | None:
+        """What is told of causes: of a clutch whose data contradict each other only that a sensor drifts."""
+        contradicting = [clutch for clutch, count in enumerate(self.refused, start=1) if count >= REFUSED_COUNT]
+        is_told = all(self.course.sensor_share(clutch) >= SENSOR_SHARE for clutch in contradicting)
+        return self.course.found if is_told else None
 
     def with_new_fluid(self, filled_at: str, old: Posterior | None = None) -> Self:
         """Return the memory after a fluid fill: no verdict yet, and what contradicted the old fluid is forgotten.
@@ -420,7 +427,7 @@ def judge(
         calibration_ratio=progress,
         advice=advice(clutch, finding.condition, finding.ground, finding.probability),
         slope=slope if known else None,
-        causes=None if max(memory.refused) >= REFUSED_COUNT else memory.course.found,
+        causes=memory.causes,
     )
     return memory.with_finding(clutch, finding), verdict
 
