@@ -267,7 +267,7 @@ class Knowledge:
         return np.sqrt(self.covariance.diagonal())
 
 
-CURVE_MODEL_RATIO: Final = 0.03  # of mu_S, per ratio by which a vehicle's Stribeck speed is another: it is linearised
+CURVE_MODEL_RATIO: Final = 0.06  # of mu_S, per ratio by which a vehicle's Stribeck speed is another: it is linearised
 CURVE_MOST_STD_RATIO: Final = 0.3  # by which linings of any type differ in their Stribeck speed
 _CURVE: Final = STATE_COUNT + Considered.STRIBECK_SPEED
 
@@ -292,12 +292,11 @@ class Prior(NamedTuple):
     def with_own_curve(self, known: Knowledge) -> Knowledge:
         """Return knowledge that holds a vehicle's Stribeck speed to its type's only as far as it is like it; (39).
 
-        The prior's variance of it is the one that makes what the events show likeliest, and at least the type's.
+        The prior's deviation of it is what the events show of the vehicle alone, and at least the type's.
         """
         prior, variance = float(self.std[_CURVE]) ** 2, float(known.covariance[_CURVE, _CURVE])
         told, away = 1.0 / variance - 1.0 / prior, float(known.mean[_CURVE])
-        own = (away / (variance * told)) ** 2 - 1.0 / told if told > 0.0 else 0.0
-        own = min(own, CURVE_MOST_STD_RATIO**2)
+        own = min((away / (variance * told)) ** 2, CURVE_MOST_STD_RATIO**2) if told > 0.0 else 0.0
         if own <= prior:
             return known
         missing, column = 1.0 / prior - 1.0 / own, known.covariance[:, _CURVE]

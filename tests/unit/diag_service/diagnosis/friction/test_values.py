@@ -160,12 +160,12 @@ def of_a_curve(shown: float, std: float) -> Evidence:
 
 
 def test_a_vehicle_whose_curve_is_like_its_types_costs_nothing() -> None:
-    known = fuse(base(), of_a_curve(0.1, 0.15)).knowledge
+    known = fuse(base(), of_a_curve(0.05, 0.15)).knowledge
     assert FRESH.prior.with_own_curve(known) is known
 
 
 @pytest.mark.parametrize("shown", [0.5, -0.3])
-def test_a_vehicle_of_another_curve_is_held_to_its_type_as_loosely_as_its_events_are_likeliest(shown: float) -> None:
+def test_a_vehicle_of_another_curve_is_held_to_its_type_as_loosely_as_it_differs(shown: float) -> None:
     evidence, start = of_a_curve(shown, 0.15), base()
     freed = FRESH.prior.with_own_curve(fuse(start, evidence).knowledge)
     covariance = start.covariance.copy()
