@@ -5,13 +5,11 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import can
-import psutil
 import pytest
 
 from canlog.live.medium import open_medium
@@ -20,10 +18,8 @@ from tests.support.patience import HANG_S
 from tests.support.service import environment
 
 COMPILING = "first start: compiling, takes about 20 s\n"
-POLL_S = 0.02
 FEW_KERNELS = 15  # of some hundred that a drive needs, and of some fifty that a diagnosis needs
-ROOT = Path(__file__).parents[2]
-RECORDING = ROOT / "tests" / "golden" / "recordings" / "case2.log.xz"
+RECORDING = Path(__file__).parents[2] / "tests" / "golden" / "recordings" / "case2.log.xz"
 
 
 @contextmanager
@@ -70,22 +66,6 @@ def test_a_signal_ends_a_program_that_compiles_and_nothing_is_left(
     assert "stopped early" in said
     assert kernels < FEW_KERNELS
     assert {path.name for path in tmp_path.iterdir()} == {"cache", "drive.log"}
-
-
-def test_a_signal_ends_a_demonstration_that_compiles(tmp_path: Path) -> None:
-    """It does not wait for a program that is amid a kernel, which may take as long as it likes: here for ever."""
-    log = tmp_path / "demo-output" / "ecu-emulator.log"
-    with first_started(ROOT, "demo", "--output", str(log.parent), NUMBA_CACHE_DIR=str(tmp_path / "cache")) as demo:
-        while not (log.exists() and log.read_text(encoding="utf-8").endswith(COMPILING)):
-            assert demo.poll() is None
-            time.sleep(POLL_S)
-        (emulator,) = psutil.Process(demo.pid).children()
-        emulator.suspend()
-        demo.send_signal(signal.SIGINT)
-        _, said = demo.communicate(timeout=HANG_S)
-        assert not emulator.is_running()
-    assert (demo.returncode, said) == (130, "\ndemo: interrupted\n")
-    assert len(list((tmp_path / "cache").rglob("*.nbi"))) < FEW_KERNELS
 
 
 def test_a_live_service_has_compiled_what_a_first_burst_needs() -> None:

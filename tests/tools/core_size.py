@@ -1,9 +1,5 @@
-"""How much code the core needs: all that service, logs, emulator and ingest import, directly or not, in lines.
+"""How much code the core needs: all that service, logs, emulator and ingest import, directly or not, in lines."""
 
-python -m tests.tools.core_size
-"""
-
-from collections import Counter
 from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -42,22 +38,3 @@ def line_count(modules: Iterable[str]) -> int:
     """Return the lines of the files of modules."""
     specs = (find_spec(name) for name in modules)
     return sum(len(Path(spec.origin).read_bytes().splitlines()) for spec in specs if spec is not None and spec.origin)
-
-
-def main() -> None:
-    """Print the parts of the core and their sum."""
-    graph = import_graph()
-    for name, modules in CORE.items():
-        found = closure(graph, modules)
-        print(f"{name:9} {line_count(found):6} lines, {len(found)} modules")
-    core = closure(graph, [one for modules in CORE.values() for one in modules])
-    print(f"{'core':9} {line_count(core):6} lines, {len(core)} modules")
-    rooms = Counter[str]()
-    for name in core:
-        rooms[".".join(name.split(".")[:2])] += line_count([name])
-    for room, count in rooms.most_common(20):
-        print(f"  {count:6} {room}")
-
-
-if __name__ == "__main__":
-    main()

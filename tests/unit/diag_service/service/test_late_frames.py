@@ -110,15 +110,6 @@ def test_shifts_are_estimated_from_what_a_reader_saw_that_looks_now_and_then(tic
     assert_as_on_time(outcome)
 
 
-@pytest.mark.parametrize(("tick_s", "jitter_s"), [(0.02, 1e-2), (0.05, 1e-5), (0.1, 1e-3), (0.2, 1e-2)])
-def test_a_reader_that_looks_now_and_then_need_not_keep_time(tick_s: float, jitter_s: float) -> None:
-    """But for one in step with a cycle that it cuts in two: what of the cycle came before the rest is not told."""
-    steps_s = np.random.default_rng(1).uniform(tick_s, tick_s + jitter_s, round(DURATION_S / tick_s) + 1)
-    looks_s = 5e-3 + np.cumsum(steps_s)
-    outcome = diagnosed([at_looks(frames().t_ns[0] + np.rint(1e9 * looks_s).astype(np.int64))])
-    assert_as_on_time(outcome)
-
-
 @pytest.mark.parametrize(
     ("tick_ms", "first_ms"),
     [
