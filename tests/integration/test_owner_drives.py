@@ -1,4 +1,4 @@
-"""Ten minutes behind a quick adapter, whose dialogue is made from a recording: the answer that an owner reads."""
+"""One drive behind a quick adapter, whose dialogue is made from a recording: the answer that an owner reads."""
 
 from pathlib import Path
 
@@ -16,12 +16,10 @@ pytestmark = pytest.mark.slow
 QUICK_S = (0.005, 0.03)  # from a request to its answer; an old ELM327 needs 0.1
 
 
-def recorded(folder: Path, scenario: str) -> Path:
-    """Return a log of a hasty drive."""
+def recorded(folder: Path, scenario: str, trace: str) -> Path:
+    """Return a log of a drive along a trace."""
     log = folder / "bus.log"
-    assert (
-        emulator(["record", str(log), "--scenario", scenario, "--drive", "us06", "--cycles", "1", "--seed", "3"]) == 0
-    )
+    assert emulator(["record", str(log), "--scenario", scenario, "--drive", trace, "--cycles", "1", "--seed", "3"]) == 0
     return log
 
 
@@ -33,16 +31,17 @@ def asked(folder: Path, drive: Drive, name: str) -> Path:
 
 
 def test_the_worn_fluid_of_a_dsg_is_to_be_changed_after_one_drive(tmp_path: Path) -> None:
-    log, car = asked(tmp_path, drive_of(recorded(tmp_path, "case2")), "vw_dsg"), tmp_path / "car.toml"
+    log, car = asked(tmp_path, drive_of(recorded(tmp_path, "case2", "udds")), "vw_dsg"), tmp_path / "car.toml"
     learnt = ended("learn", log, "--profile", "vw_dsg", "-o", car)
     assert learnt.status == 0, learnt.err
     run = ended("analyze", log, "--profile", "vw_dsg", "--vehicle-file", car)
     assert run.status == 0, run.err
     assert "Change the fluid now.\nClutch 1: it can shudder" in run.out
+    assert "Why: aged fluid" in run.out
 
 
 def test_a_gm_automatic_tells_its_slope_after_one_drive_and_why_no_level(tmp_path: Path) -> None:
-    log = asked(tmp_path, lockup_drive_of(recorded(tmp_path, "lockup")), "gm_t87a")
+    log = asked(tmp_path, lockup_drive_of(recorded(tmp_path, "lockup", "us06")), "gm_t87a")
     run = ended("analyze", log, "--profile", "gm_t87a")
     assert run.status == 0, run.err
     (together,) = [line for line in run.out.splitlines() if "all temperatures" in line]

@@ -269,6 +269,7 @@ class Knowledge:
 
 CURVE_MODEL_RATIO: Final = 0.06  # of mu_S, per ratio by which a vehicle's Stribeck speed is another: it is linearised
 CURVE_MOST_STD_RATIO: Final = 0.3  # by which linings of any type differ in their Stribeck speed
+CURVE_LEAST_TOLD: Final = 0.1  # of what the type tells of it: a few events are no witness
 _CURVE: Final = STATE_COUNT + Considered.STRIBECK_SPEED
 
 
@@ -292,11 +293,13 @@ class Prior(NamedTuple):
     def with_own_curve(self, known: Knowledge) -> Knowledge:
         """Return knowledge that holds a vehicle's Stribeck speed to its type's only as far as it is like it; (39).
 
-        The prior's deviation of it is what the events show of the vehicle alone, and at least the type's.
+        The prior's deviation of it is what events alone show of the vehicle, and at least the type's.
         """
         prior, variance = float(self.std[_CURVE]) ** 2, float(known.covariance[_CURVE, _CURVE])
         told, away = 1.0 / variance - 1.0 / prior, float(known.mean[_CURVE])
-        own = min((away / (variance * told)) ** 2, CURVE_MOST_STD_RATIO**2) if told > 0.0 else 0.0
+        if told < CURVE_LEAST_TOLD / prior:
+            return known
+        own = min((away / (variance * told)) ** 2, CURVE_MOST_STD_RATIO**2)
         if own <= prior:
             return known
         missing, column = 1.0 / prior - 1.0 / own, known.covariance[:, _CURVE]
