@@ -296,9 +296,9 @@ class Prior(NamedTuple):
         The prior's deviation of it is what events alone show of the vehicle, and at least the type's.
         """
         prior, variance = float(self.std[_CURVE]) ** 2, float(known.covariance[_CURVE, _CURVE])
-        told, away = 1.0 / variance - 1.0 / prior, float(known.mean[_CURVE])
-        if told < CURVE_LEAST_TOLD / prior:
+        if variance == 0.0 or prior < (1.0 + CURVE_LEAST_TOLD) * variance:  # certain, or hardly told
             return known
+        told, away = 1.0 / variance - 1.0 / prior, float(known.mean[_CURVE])
         own = min((away / (variance * told)) ** 2, CURVE_MOST_STD_RATIO**2)
         if own <= prior:
             return known

@@ -141,7 +141,7 @@ class Posterior:
 
     @property
     def stated(self) -> Knowledge:
-        """What is known, its covariance scaled by the scatter of events, its curve its own; docs/model.md (38)."""
+        """What is known, its covariance scaled by the scatter of events, its curve its own; docs/model.md, (38)."""
         known = self.fusion.knowledge
         if self.apart_by_chance:
             ratio = EventScatter(self.apart, self.apart_by_chance).ratio

@@ -17,6 +17,7 @@ from diag_service.diagnosis.friction.evidence import (
     Considered,
     Evidence,
     Knowledge,
+    Prior,
     fuse,
     prior_covariance,
 )
@@ -34,6 +35,7 @@ from diag_service.diagnosis.friction.posterior import (
 CALIBRATION = nominal_calibration()
 FRESH = Posterior.fresh(CALIBRATION)
 GAIN = STATE_COUNT + Considered.TORQUE_GAIN
+CURVE = STATE_COUNT + Considered.STRIBECK_SPEED
 AREAS = (STATE_COUNT + Considered.PISTON_AREA1, STATE_COUNT + Considered.PISTON_AREA2)
 STATE_SCALE = np.array([0.002] * FRICTION_COUNT + [5.0] + [8e3] * 4)
 NUMBERS_OF_A_SHIFT = 10
@@ -145,9 +147,6 @@ def test_nothing_is_compared_before_there_is_something_to_compare_with() -> None
     assert trend(frozen, 2) is None  # the baseline is all that is known
 
 
-CURVE = STATE_COUNT + Considered.STRIBECK_SPEED
-
-
 def of_a_curve(shown: float, std: float) -> Evidence:
     """Return evidence of a Stribeck speed with which mu_S of clutch 1 goes, and of that friction to a hundredth."""
     row = np.zeros(PARAMETER_COUNT)
@@ -159,19 +158,21 @@ def of_a_curve(shown: float, std: float) -> Evidence:
     return Evidence.sum([alone, seen])
 
 
-def test_a_vehicle_whose_curve_is_like_its_types_costs_nothing() -> None:
-    known = fuse(base(), of_a_curve(0.05, 0.15)).knowledge
+def test_a_curve_like_its_types_costs_nothing_and_one_that_is_certain_stays() -> None:
+    known, covariance = fuse(base(), of_a_curve(0.05, 0.15)).knowledge, base().covariance
     assert FRESH.prior.with_own_curve(known) is known
+    covariance[CURVE, :] = covariance[:, CURVE] = 0.0
+    certain = fuse(Knowledge(mean=base().mean, covariance=covariance), of_a_curve(0.5, 0.15)).knowledge
+    assert Prior.of(covariance).with_own_curve(certain) is certain
 
 
 @pytest.mark.parametrize("shown", [0.5, -0.3])
 def test_a_vehicle_of_another_curve_is_held_to_its_type_as_loosely_as_it_differs(shown: float) -> None:
     evidence, start = of_a_curve(shown, 0.15), base()
+    start.covariance[1, 1] = 1.0  # friction by itself tells nothing of the curve
     freed = FRESH.prior.with_own_curve(fuse(start, evidence).knowledge)
     covariance = start.covariance.copy()
-    covariance[CURVE, CURVE] = min(
-        shown**2 - 0.15**2, CURVE_MOST_STD_RATIO**2
-    )  # of all variances the one that makes such a reading likeliest
+    covariance[CURVE, CURVE] = min(shown**2, CURVE_MOST_STD_RATIO**2)
     loose = fuse(Knowledge(mean=start.mean, covariance=covariance), evidence).knowledge
     assert freed.mean == pytest.approx(loose.mean, rel=0.01, abs=1e-9)
     others = [place for place in range(PARAMETER_COUNT) if place not in {1, 3}]
