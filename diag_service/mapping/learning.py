@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from cantools.database.can import Database
 
-from canlog.arrays import BoolArray, FloatArray, Series
+from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
 from canlog.database.addressing import NOBODY, why_wrong
 from canlog.database.signal_columns import columns_database
 from canlog.decode.codec import Codec
@@ -38,6 +38,7 @@ from diag_service.mapping.profile import Profile
 from diag_service.mapping.proposal import LEAST_SAMPLES, LEAST_SPEED, GearRatio, densest, is_complete
 
 MOST_ROWS: Final = 400_000  # that are kept of all drives: beyond, every second one goes
+SETTLED_S: Final = 0.25  # after a stretch began: before, the clutch that takes over may still slip
 STRETCH_S: Final = 1.0  # samples that are further apart are of another stretch, whose error is its own
 LEAST_CLUSTER: Final = 0.01  # of all samples lie in the band of a gear that is driven, where no signal names it
 APART_RATIO: Final = 0.06  # neighbouring gears are further apart
@@ -66,6 +67,8 @@ ROUNDS: Final = 4  # until a band is where its ratios are
 GROWTH_S: Final = 0.3  # over which the gain of speed is a mean
 MOST_GROWTH: Final = 0.5  # in that time, as a part of the speed
 OUTLYING: Final = 4.0
+LEAST_SCATTER: Final = 1e-12  # of samples without noise
+SPEED_RATIO: Final = 1e-3  # by which two speeds' scales differ: whole revolutions that are cut off, at 1,000 rpm
 OWN_SKEW_S: Final = 0.02  # by which the skew of a gear differs from that of all: a driveline winds up (40 drawn cars)
 _TIME, _GEAR, _ENGINE, _OVER, _GROWTH, _LOAD, _FIRST = range(7)  # columns that are kept; pressures are the last
 
@@ -299,20 +302,16 @@ def _at_constant_speed(rows: FloatArray, ratios: FloatArray, bands: Mapping[int,
     is_of = (gears[:, None] == np.array(order)).astype(np.float64)
     growth_1_s, measured = rows[places, _GROWTH], np.log(ratios[places])
     design = np.column_stack([is_of, growth_1_s])
-    kept = np.ones(len(measured), np.bool_)
+    stretches, is_settled = _stretches(rows[places, _TIME], gears)
+    kept = is_settled
     for _ in range(2):
         found = np.linalg.lstsq(design[kept], measured[kept], rcond=None)[0]
         left = measured - design @ found
-        kept = np.abs(left) <= OUTLYING * 1.4826 * np.median(np.abs(left[kept])) + 1e-9
-    starts = np.concatenate(([True], (np.diff(rows[places, _TIME]) > STRETCH_S) | (np.diff(gears) != 0)))
-    stretches = np.cumsum(starts)
-    lengths = np.bincount(stretches)[stretches]
-    scaled = (design / np.sqrt(lengths)[:, None])[kept]
-    counts = np.bincount(stretches[kept])
-    means = np.bincount(stretches[kept], left[kept])[counts > 0] / counts[counts > 0]
-    freedom = len(means) - len(order)  # too few stretches tell nothing of their own errors
-    variance = float(means @ means) / freedom if freedom >= len(order) else float(np.var(left[kept]))
-    covariance = variance * np.linalg.pinv(scaled.T @ scaled)
+        kept = is_settled & (np.abs(left) <= OUTLYING * 1.4826 * np.median(np.abs(left[kept])) + 1e-9)
+    scale = _deviations(left[kept], stretches[kept], len(order))
+    design = design[kept] / scale[:, None]
+    found = np.linalg.lstsq(design, measured[kept] / scale, rcond=None)[0]
+    covariance = np.linalg.pinv(design.T @ design)
     result = {}
     for place, gear in enumerate(order):
         own = kept & (gears == gear)
@@ -320,9 +319,32 @@ def _at_constant_speed(rows: FloatArray, ratios: FloatArray, bands: Mapping[int,
         told_1_s = min(max(0.0, low_1_s), high_1_s)
         value = float(np.exp(found[place] + found[-1] * told_1_s))
         skewed = np.hypot(OWN_SKEW_S * middle_1_s, found[-1] * told_1_s)
-        std = value * float(np.hypot(np.sqrt(covariance[place, place]), skewed))
+        std = value * float(np.sqrt(covariance[place, place] + skewed**2 + SPEED_RATIO**2))
         result[gear] = GearRatio(value, std, int(np.count_nonzero(own)))
     return result
+
+
+def _stretches(t_s: FloatArray, gears: Int64Array) -> tuple[Int64Array, BoolArray]:
+    """Return which stretch each sample is of, and whether its clutch has taken over for good."""
+    starts = np.concatenate(([True], (np.diff(t_s) > STRETCH_S) | (np.diff(gears) != 0)))
+    stretches = np.cumsum(starts) - 1
+    first_s, last_s = t_s[starts], t_s[np.append(starts[1:], True)]
+    is_short = last_s - first_s < 2.0 * SETTLED_S
+    return stretches, is_short[stretches] | (t_s - first_s[stretches] > SETTLED_S)
+
+
+def _deviations(left: FloatArray, stretches: Int64Array, gear_count: int) -> FloatArray:
+    """Return a deviation for each sample, so that a stretch weighs by its own error and by what its samples scatter.
+
+    Too few stretches tell nothing of their own errors: then one is as far off as a sample.
+    """
+    _, of_stretch, lengths = np.unique(stretches, return_inverse=True, return_counts=True)
+    within = float(np.var(left)) / lengths
+    means = np.bincount(of_stretch, left) / lengths
+    freedom = len(means) - gear_count
+    known = float(means @ means) / freedom - float(within.mean()) if freedom >= gear_count else float(np.var(left))
+    deviations: FloatArray = np.sqrt((max(0.0, known) + within) * lengths)[of_stretch] + LEAST_SCATTER
+    return deviations
 
 
 def _clutch(rows: FloatArray) -> int | None:

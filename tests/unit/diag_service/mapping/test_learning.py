@@ -56,6 +56,25 @@ def test_the_ratio_of_each_gear_is_found_and_its_deviation_holds(scatter_ratio: 
     assert widest < max(0.01, 1.5 * scatter_ratio)
 
 
+def test_rows_of_a_clutch_that_still_takes_over_move_no_ratio() -> None:
+    t_s = np.asarray(ROW_S * np.arange(3 * ROWS), np.float64)
+    gears = np.repeat([3, 2] * (ROWS // 40), 60)
+    taking_over = np.where(np.arange(len(gears)) % 60 < 6, 1.04, 1.0)  # for two tenths of two seconds
+    noise = np.random.default_rng(3).normal(1.0, 0.015, len(gears))
+    values: dict[Signal, FloatArray] = {
+        Signal.ENGINE_SPEED: 100.0 * RATIOS[gears - 1] * taking_over * noise,
+        Signal.OUTPUT_SPEED: np.full(len(gears), 100.0),
+        Signal.TARGET_GEAR: gears.astype(np.float64),
+        Signal.CLUTCH1_PRESSURE: np.where(gears == 3, 8e5, 0.0),
+        Signal.CLUTCH2_PRESSURE: np.where(gears == 3, 0.0, 8e5),
+    }
+    survey = VehicleSurvey(Signal.OUTPUT_SPEED)
+    columns = {signal: series(t_s, value) for signal, value in values.items()}
+    survey.add(ColumnBatch(columns=columns, watermark_ns=int(1e9 * t_s[-1]), breaks_before=False))
+    for gear, one in survey.learned().gears.items():
+        assert one.ratio.ratio == pytest.approx(RATIOS[gear - 1], rel=2e-3)
+
+
 def one_gear(other_rows: int = 0, *, slip: float = 0.0) -> LearnedVehicle:
     """Return what a run on a dynamometer tells: the third gear, held by clutch 1, while torque and pressure rise."""
     t_s = np.asarray(ROW_S * np.arange(400), np.float64)
