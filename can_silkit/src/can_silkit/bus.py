@@ -5,6 +5,7 @@ all that is due is handed over, for one that reads until there is room. Nothing 
 """
 
 import asyncio
+import ctypes
 import errno
 import logging
 import math
@@ -282,6 +283,8 @@ class SilKitBus(can.BusABC):
     def _on_step(self, now_ns: int, _duration_ns: int) -> None:
         """Wait for the program, then send what is due; SIL Kit calls this, and holds the simulation meanwhile."""
         clock = self._clock
+        if clock.step_count == 0:  # of SIL Kit's thread: else Python makes and forgets a state of it in each call
+            ctypes.pythonapi.PyGILState_Ensure()
         clock.step_ns = now_ns
         clock.step_count += 1
         has_news = self._has_waiting_reader and len(self._inbox) >= GATHER_FRAMES
