@@ -1,5 +1,7 @@
 """What every test run loads; fixtures live in tests/plugins, one subject per module."""
 
+import gc
+
 from hypothesis import HealthCheck, settings
 
 # A busy machine is no fault of the code.
@@ -18,3 +20,9 @@ pytest_plugins = [
     "tests.plugins.silkit",
     "tests.plugins.vcan",
 ]
+
+
+def pytest_collection_finish() -> None:
+    """Spare the garbage collector what all tests are made of: it lives as long as they do."""
+    gc.collect()
+    gc.freeze()

@@ -6,8 +6,9 @@ of its answer: the controller read it some time between the two.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -325,26 +326,30 @@ def data_in(
     request: bytes, answer: bytes, request_id: int, sizes: dict[DatumId, int]
 ) -> list[tuple[DatumId, bytes]] | str:
     """Return the data of an answer, or why it cannot be read; data that nobody looks for are none."""
-    service = request[0]
-    width = 2 if service == READ_DATA else 1
-    asked = [
-        DatumId(request_id, service, int.from_bytes(request[at : at + width]))
-        for at in range(1, len(request) + 1 - width, width)
-    ]
-    if not any(datum in sizes for datum in asked):
+    asked, width = _asked_data(request, request_id), 2 if request[0] == READ_DATA else 1
+    known = {name: datum for name, datum in asked.items() if datum in sizes}
+    if not known:
         return []
-    if any(datum not in sizes for datum in asked):
+    if len(known) < len(asked):
         return "data of unknown length beside those that are looked for"
     pieces, at = list[tuple[DatumId, bytes]](), 1
     while at < len(answer):
-        datum = DatumId(request_id, service, int.from_bytes(answer[at : at + width]))
-        if datum not in asked or datum in dict(pieces):
+        datum = known.pop(answer[at : at + width], None)
+        if datum is None:
             return "an answer with other numbers than were asked for, or of another length than the profile says"
         at += width + sizes[datum]
         if at > len(answer):
             return "an answer of another length than the profile says"
         pieces.append((datum, answer[at - sizes[datum] : at]))
     return pieces
+
+
+@lru_cache(maxsize=256)  # a tester asks for the same again and again
+def _asked_data(request: bytes, request_id: int) -> Mapping[bytes, DatumId]:
+    """Return the data that a request names, by their numbers as an answer repeats them."""
+    width = 2 if request[0] == READ_DATA else 1
+    numbers = (request[at : at + width] for at in range(1, len(request) + 1 - width, width))
+    return {number: DatumId(request_id, request[0], int.from_bytes(number)) for number in numbers}
 
 
 def _frames_of(samples: Sequence[_Sample]) -> FrameBatch:

@@ -61,7 +61,7 @@ def find(seed_count: int, cycles: int) -> PaperFindings:
     tell("the Cramér-Rao bound")
     bounds = {key: bound for driven in drives for key, bound in bounds_percent(driven).items()}
     tell("noisy sensor sets")
-    noisy_found = noisy_errors(drives, setup, seeds)
+    (noisy_found,) = noisy_errors(drives, [setup], seeds)
     tell("what passes the gates")
     evidence = [found for driven in drives for found in static_evidence(driven, setup, few)]
     tell("other readings of the text")

@@ -100,14 +100,24 @@ def noiseless_errors(drives: Sequence[PaperDrive], setup: Setup) -> Errors:
     return errors_of({drive.case: [fitted(analysed(drive.signals, setup), setup.gates)] for drive in drives}, drives)
 
 
-def noisy_errors(drives: Sequence[PaperDrive], setup: Setup, seeds: range) -> Errors:
-    """Return the errors over many draws of the noise."""
-    found: dict[PaperCase, list[tuple[PaperEstimate, PaperEstimate]]] = {}
+def noisy_errors(drives: Sequence[PaperDrive], setups: Sequence[Setup], seeds: range) -> list[Errors]:
+    """Return the errors of each setup over many draws of the noise; those that differ in gates share an analysis."""
+    found: list[dict[PaperCase, list[tuple[PaperEstimate, PaperEstimate]]]] = [{} for _ in setups]
     for drive in drives:
         for seed in seeds:
-            analysis = analysed(noisy(drive.signals, seed), setup)
-            found.setdefault(drive.case, []).append(fitted(analysis, setup.gates))
-    return errors_of(found, drives)
+            signals, known = noisy(drive.signals, seed), list[tuple[Setup, PaperEstimates]]()
+            for setup, of_setup in zip(setups, found, strict=True):
+                analysis = next((one for like, one in known if is_alike(like, setup)), None)
+                if analysis is None:
+                    analysis = analysed(signals, setup)
+                    known.append((setup, analysis))
+                of_setup.setdefault(drive.case, []).append(fitted(analysis, setup.gates))
+    return [errors_of(of_setup, drives) for of_setup in found]
+
+
+def is_alike(one: Setup, other: Setup) -> bool:
+    """Return whether both read the signals alike."""
+    return one.tables is other.tables and one.differentiators == other.differentiators
 
 
 def error_percent(estimated: float, true: float) -> float:

@@ -64,10 +64,9 @@ def readings(
     seeds: range,
 ) -> list[Reading]:
     """Return what every decision does to the noisy errors."""
-    return [
-        Reading(name=name, errors=noisy_errors(drives, one, seeds))
-        for name, one in variants(setup, other_tables, drives[0]).items()
-    ]
+    setups = variants(setup, other_tables, drives[0])
+    found = noisy_errors(drives, list(setups.values()), seeds)
+    return [Reading(name=name, errors=errors) for name, errors in zip(setups, found, strict=True)]
 
 
 def known_film_errors(drives: Sequence[PaperDrive], setup: Setup) -> Errors:

@@ -17,7 +17,7 @@ from tests.support.histories import fill_store, history
 from tests.support.in_process import ended
 
 HIGHEST_PX = 9000  # of a telephone's page; a name that is broken letter by letter made 13,000
-WIDTHS_PX = (390, 768, 1280)
+WIDTHS_PX = (390, 1280)
 LONG_NAME = "Workshop-of-the-northern-depot_sweeper-with-trailer_no.0000000017"[:64]
 _TABLES_ONLY = ("fleet", "maintenance")
 

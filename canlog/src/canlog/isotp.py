@@ -64,12 +64,12 @@ class Reassembler:
 
     def feed(self, batch: FrameBatch) -> list[Transfer]:
         """Return the messages that frames complete: those of the pairs, and of requests to all controllers."""
-        transfers = list[Transfer]()
-        for row in range(len(batch)):
-            channel, can_id = int(batch.channel[row]), int(batch.can_id[row])
+        transfers, payload, width = list[Transfer](), batch.data.tobytes(), batch.data.shape[1]
+        columns = (batch.t_ns.tolist(), batch.channel.tolist(), batch.can_id.tolist(), batch.length.tolist())
+        for row, (t_ns, channel, can_id, length) in enumerate(zip(*columns, strict=True)):
             peer = (channel, self._peers[can_id]) if can_id in self._peers else None
-            data = batch.data[row, : batch.length[row]].tobytes()
-            if transfer := self._add(int(batch.t_ns[row]), (channel, can_id), peer, data):
+            data = payload[row * width : row * width + length]
+            if transfer := self._add(t_ns, (channel, can_id), peer, data):
                 transfers.append(transfer)
         return transfers
 
