@@ -193,7 +193,11 @@ warm: setup-all
 	    from ecu_emulator.drive.recording import Drive; from ecu_emulator.scenario.scenario_file import load_scenario; \
 	    from ecu_emulator import Emulator; Emulator("ideal").step(0.01, 1.0, 0.2); \
 	    next(iter(Drive(load_scenario("lockup")).stretches(10.0))); \
-	    from diag_service.service.bus_run import warm_up; warm_up()'; } >"$$folder/said" 2>&1 || { \
+	    from diag_service.service.bus_run import warm_up; warm_up()' && \
+	  if [ -x .venv-silkit/bin/python ]; then \
+	    .venv-silkit/bin/python -m ecu_emulator record "$$folder/newer.log" --scenario noise_only --cycles 1 && \
+	    .venv-silkit/bin/python -m diag_service analyze "$$folder/newer.log" --json; \
+	  fi; } >"$$folder/said" 2>&1 || { \
 	  cat "$$folder/said" >&2; exit 1; }
 
 # The guest has one processor and mostly waits for real time, so it runs beside; what it said follows, and how long it

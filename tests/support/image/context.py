@@ -7,7 +7,9 @@ from pathlib import Path, PurePosixPath
 from typing import Self
 
 # Made by tools, never part of a fresh clone.
-NOT_CLONED = frozenset({".git", ".venv", ".mypy_cache", ".ruff_cache", ".pytest_cache", ".hypothesis", "__pycache__"})
+NOT_CLONED = frozenset(
+    {".git", ".venv", ".venv-silkit", ".mypy_cache", ".ruff_cache", ".pytest_cache", ".hypothesis", "__pycache__"}
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
