@@ -35,39 +35,25 @@ EXTRAS = {
 }
 
 
+def pip(*words: str | Path) -> None:
+    """Have pip fetch nothing, and mind no version of Python: can-silkit says on 3.11, too, what it needs."""
+    command = [sys.executable, "-m", "pip", *words, "-q", "--no-deps", "--no-index", "--ignore-requires-python"]
+    environment = {**os.environ, "CLUTCHDIAG_RELEASE": "1"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 @pytest.fixture(name="wheels", scope="module")
 def _wheels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Build all from copies, as a release does: building leaves files beside the sources."""
     folder = tmp_path_factory.mktemp("wheels")
-    files = subprocess.run(
-        ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True
-    ).stdout.splitlines()
-    for name in files:
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True)
+    for name in listed.stdout.splitlines():
         if (ROOT / name).is_file() and not name.startswith(("tests/", "benchmarks/", "docs/")):
             (folder / "sources" / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ROOT / name, folder / "sources" / name)
     places = [folder / "sources" / place.relative_to(ROOT) for place in FOLDERS.values()]
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "pip",
-            "wheel",
-            "-q",
-            "--no-deps",
-            "--no-index",
-            "--no-build-isolation",
-            "--ignore-requires-python",
-            "-w",
-            folder,
-            *places,
-        ],
-        env={**os.environ, "CLUTCHDIAG_RELEASE": "1"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    pip("wheel", "--no-build-isolation", "-w", folder, *places)
     return {name: next(folder.glob(f"{name.replace('-', '_')}-*.whl")) for name in FOLDERS}
 
 
@@ -92,15 +78,7 @@ def test_a_wheel_works_with_what_it_requires_and_nothing_else(
     needed = [name, *BELOW[name]]
     linked_environment(tmp_path / "env", distributions_of(requirements(name, *EXTRAS.get(name, ()))))
     python = tmp_path / "env" / "bin" / "python"
-    done = subprocess.run(
-        [sys.executable, "-m", "pip", "--python", str(python), "install", "-q", "--no-deps", "--no-index"]
-        + ["--ignore-requires-python"]  # can-silkit says on Python 3.11, too, what it needs
-        + [str(wheels[one]) for one in needed],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    pip("--python", python, "install", *(wheels[one] for one in needed))
     alone = PlainInstall(python=python)
     packages = [folder.name for folder in PACKAGES.values() if folder.parent == SOURCES[name]]
     told = alone.run("-c", LOAD_ALL, *packages, cwd=tmp_path)
@@ -112,6 +90,5 @@ def test_a_wheel_works_with_what_it_requires_and_nothing_else(
     if name == "clutchdiag":
         without = alone.run("-c", "from diag_service.cli import main; main(['--help'])", cwd=tmp_path).out
         run = alone.run("-c", "from ecu_emulator.cli import main; main(['run', '--help'])", cwd=tmp_path).out
-        assert [
-            word for word in ("dtc", "scan", "--diagnostics", "--answers-like", "--doip") if word in without + run
-        ] == []
+        later = ("dtc", "scan", "--diagnostics", "--answers-like", "--doip")
+        assert [word for word in later if word in without + run] == []

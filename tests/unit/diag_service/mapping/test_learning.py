@@ -1,5 +1,7 @@
 """What drives tell of a vehicle: the ratios of gears whose rows scatter, as on rough ground."""
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 
@@ -21,6 +23,14 @@ def series(t_s: FloatArray, value: FloatArray) -> Series:
     return Series(t_ns=t_ns, sequence=np.full(len(t_ns), -1), value=value)
 
 
+def told(t_s: FloatArray, values: Mapping[Signal, FloatArray]) -> LearnedVehicle:
+    """Return what signals at the same times tell."""
+    survey = VehicleSurvey(Signal.OUTPUT_SPEED)
+    columns = {signal: series(t_s, value) for signal, value in values.items()}
+    survey.add(ColumnBatch(columns=columns, watermark_ns=int(1e9 * t_s[-1]), breaks_before=False))
+    return survey.learned()
+
+
 def rough_drive(scatter_ratio: float, seed: int) -> LearnedVehicle:
     """Return what a drive tells that holds each gear twice, slipping at first, and whose speeds scatter row by row."""
     rng, gears = np.random.default_rng(seed), np.repeat([*range(6), *range(6)], ROWS // 2)
@@ -31,17 +41,14 @@ def rough_drive(scatter_ratio: float, seed: int) -> LearnedVehicle:
     own = rng.standard_t(4, len(gears)) / np.sqrt(2.0)
     rough = 1.0 + scatter_ratio * np.asarray(np.convolve(own, [0.8, 0.6], "same"), np.float64)
     is_odd = gears % 2 == 0
-    survey = VehicleSurvey(Signal.OUTPUT_SPEED)
-    values: dict[Signal, FloatArray] = {
+    values = {
         Signal.ENGINE_SPEED: RATIOS[gears] * output_rad_s * slip,
         Signal.OUTPUT_SPEED: output_rad_s * rough,
         Signal.TARGET_GEAR: gears + 1.0,
         Signal.CLUTCH1_PRESSURE: np.where(is_odd, 8e5, 0.0),
         Signal.CLUTCH2_PRESSURE: np.where(is_odd, 0.0, 8e5),
     }
-    columns = {signal: series(t_s, value) for signal, value in values.items()}
-    survey.add(ColumnBatch(columns=columns, watermark_ns=int(1e9 * t_s[-1]), breaks_before=False))
-    return survey.learned()
+    return told(t_s, values)
 
 
 @pytest.mark.parametrize("scatter_ratio", [0.002, 0.016, 0.03])
@@ -61,17 +68,14 @@ def test_rows_of_a_clutch_that_still_takes_over_move_no_ratio() -> None:
     gears = np.repeat([3, 2] * (ROWS // 40), 60)
     taking_over = np.where(np.arange(len(gears)) % 60 < 6, 1.04, 1.0)  # for two tenths of two seconds
     noise = np.random.default_rng(3).normal(1.0, 0.015, len(gears))
-    values: dict[Signal, FloatArray] = {
+    values = {
         Signal.ENGINE_SPEED: 100.0 * RATIOS[gears - 1] * taking_over * noise,
         Signal.OUTPUT_SPEED: np.full(len(gears), 100.0),
         Signal.TARGET_GEAR: gears.astype(np.float64),
         Signal.CLUTCH1_PRESSURE: np.where(gears == 3, 8e5, 0.0),
         Signal.CLUTCH2_PRESSURE: np.where(gears == 3, 0.0, 8e5),
     }
-    survey = VehicleSurvey(Signal.OUTPUT_SPEED)
-    columns = {signal: series(t_s, value) for signal, value in values.items()}
-    survey.add(ColumnBatch(columns=columns, watermark_ns=int(1e9 * t_s[-1]), breaks_before=False))
-    for gear, one in survey.learned().gears.items():
+    for gear, one in told(t_s, values).gears.items():
         assert one.ratio.ratio == pytest.approx(RATIOS[gear - 1], rel=2e-3)
 
 
@@ -81,7 +85,7 @@ def one_gear(other_rows: int = 0, *, slip: float = 0.0) -> LearnedVehicle:
     output_rad_s, torque_nm = np.linspace(40.0, 100.0, 400), np.linspace(40.0, 80.0, 400)
     gears = np.where(np.arange(400) < other_rows, 2.0, 3.0)
     open_clutch = np.where(gears == 2.0, np.linspace(1.2, 9.0, 400), 1.0)  # the other gear is never held
-    values: dict[Signal, FloatArray] = {
+    values = {
         Signal.ENGINE_SPEED: RATIOS[2] * output_rad_s * np.linspace(1.0 + slip, 1.0, 400) * open_clutch,
         Signal.OUTPUT_SPEED: output_rad_s,
         Signal.ENGINE_TORQUE: torque_nm,
@@ -89,10 +93,7 @@ def one_gear(other_rows: int = 0, *, slip: float = 0.0) -> LearnedVehicle:
         Signal.CLUTCH1_PRESSURE: np.full(400, 8e5),
         Signal.CLUTCH2_PRESSURE: np.zeros(400),
     }
-    survey = VehicleSurvey(Signal.OUTPUT_SPEED)
-    columns = {signal: series(t_s, value) for signal, value in values.items()}
-    survey.add(ColumnBatch(columns=columns, watermark_ns=int(1e9 * t_s[-1]), breaks_before=False))
-    return survey.learned()
+    return told(t_s, values)
 
 
 def test_a_run_in_one_gear_is_told_with_the_torque_that_its_clutch_carried() -> None:
