@@ -291,8 +291,9 @@ def _at_constant_speed(rows: FloatArray, ratios: FloatArray, bands: Mapping[int,
     """Return the ratios of gears, freed of what both speeds are apart in time while the car gains speed.
 
     ln(ratio) = ln(ratio of the gear) + skew * d ln(speed)/dt, with a skew that is nearly one for all gears. The samples
-    of a stretch have one error. Nothing is extrapolated: a gear that was driven only while the car gained speed is told
-    at the least gain, as its speeds are recorded there, and what the skew makes of it is a part of the deviation.
+    of a stretch share an error beside their own. Nothing is extrapolated: a gear that was driven only while the car
+    gained speed is told at the least gain, as its speeds are recorded there, and what the skew makes of it is a part of
+    the deviation.
     """
     if not bands:
         return {}
