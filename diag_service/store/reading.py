@@ -72,7 +72,7 @@ class StoreReader:
         rows = self._connection.execute("SELECT DISTINCT vehicle FROM result ORDER BY vehicle")
         known = [str(vehicle) for (vehicle,) in rows]
         if not known:
-            raise StoreError(f"store {self.where} holds no results")
+            raise StoreError(f"store {self.where} holds no results; a drive without a shift leaves none: name its log")
         if named is None and len(known) > 1:
             raise StoreError(f"store {self.where} has several vehicles: name one by --vehicle, of {', '.join(known)}")
         if named is not None and named not in known:
