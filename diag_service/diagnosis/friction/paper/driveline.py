@@ -233,23 +233,22 @@ class SteadyKalman:
 
     def __call__(self, samples: FloatArray, period_s: float) -> Rated:
         """Return the filtered signal and rate; the filter starts at the first sample, at rest."""
-        kalman = _kalman_filter()
-        kalman.F = np.array([[1.0, period_s], [0.0, 1.0]])
-        kalman.H = np.array([[1.0, 0.0]])
-        kalman.K = np.linalg.solve(kalman.F, [[self.value_gain], [self.rate_gain_1_s]])  # L = F*K
-        states = np.empty((len(samples), 2))
-        for row, departure in zip(states, samples - samples[0], strict=True):
-            row[:] = kalman.x[:, 0]
-            kalman.update_steadystate(departure)
-            kalman.predict_steadystate()
+        # With a settled gain it is a g-h filter: L = F*K, K = (g, h/T).
+        h = self.rate_gain_1_s * period_s
+        tracking = _gh_filter(period_s, self.value_gain - h, h)
+        departures = (samples - samples[0]).tolist()
+        states = np.empty((len(departures), 2))
+        for row, departure in zip(states, departures, strict=True):
+            tracking.update(departure)
+            row[:] = tracking.x_prediction, tracking.dx_prediction
         return Rated(value=samples[0] + states[:, 0], rate=states[:, 1])
 
 
-def _kalman_filter() -> Any:  # noqa: ANN401 - filterpy is untyped
+def _gh_filter(period_s: float, g: float, h: float) -> Any:  # noqa: ANN401 - filterpy is untyped
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it loads matplotlib, whose own dependencies are deprecated
-        from filterpy.kalman import KalmanFilter  # noqa: PLC0415 - as said above
-    return KalmanFilter(dim_x=2, dim_z=1)
+        from filterpy.gh import GHFilter  # noqa: PLC0415 - as said above
+    return GHFilter(x=0.0, dx=0.0, dt=period_s, g=g, h=h)
 
 
 def steady_kalman(period_s: float, rate_variance: float, sample_variance: float) -> SteadyKalman:
