@@ -64,8 +64,8 @@ COMMANDS: Final = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMM
 GEARS: Final = (Signal.TARGET_GEAR, Signal.CURRENT_GEAR)
 BAND, MOST_BAND = 0.03, 0.09  # of ratios around a gear's: a speed that grows moves them by that, rough ground by more
 ROUNDS: Final = 4  # until a band is where its ratios are
-GROWTH_S: Final = 0.3  # over which the gain of speed is a mean
-MOST_GROWTH: Final = 0.5  # in that time, as a part of the speed
+GROWTH_S: Final = 0.8  # over which the gain of speed is a line
+MOST_GROWTH_1_S: Final = 1.7  # of the logarithm of the speed
 OUTLYING: Final = 4.0
 LEAST_SCATTER: Final = 1e-12  # of samples without noise
 SPEED_RATIO: Final = 1e-3  # by which two speeds' scales differ: whole revolutions that are cut off, at 1,000 rpm
@@ -211,11 +211,20 @@ def _read(series: Series, other: Series) -> FloatArray:
 
 
 def _growth_1_s(t_s: FloatArray, speed: FloatArray) -> FloatArray:
-    """Return how fast the logarithm of a speed grows, as a mean over a short time."""
-    after = np.minimum(np.searchsorted(t_s, t_s + 0.5 * GROWTH_S), len(t_s) - 1)
-    before = np.maximum(np.searchsorted(t_s, t_s - 0.5 * GROWTH_S) - 1, 0)
-    span_s = np.maximum(t_s[after] - t_s[before], 1e-3)
-    growth: FloatArray = (speed[after] - speed[before]) / span_s / np.maximum(np.abs(speed), 1e-3)
+    """Return how fast the logarithm of a speed grows: the slope of a line through the speeds around each sample.
+
+    Two speeds of 1.5 % scatter say too little: what they scatter makes the skew of engine and wheels look smaller.
+    """
+    late_s = t_s - t_s[0]
+    first, behind = t_s.searchsorted(t_s - 0.5 * GROWTH_S), t_s.searchsorted(t_s + 0.5 * GROWTH_S, side="right")
+
+    def mean(value: FloatArray) -> FloatArray:
+        total = np.concatenate(([0.0], np.cumsum(value)))
+        return (total[behind] - total[first]) / (behind - first)
+
+    middle_s, middle = mean(late_s), mean(speed)
+    spread_s2 = np.maximum(mean(late_s**2) - middle_s**2, 1e-6)
+    growth: FloatArray = (mean(late_s * speed) - middle_s * middle) / spread_s2 / np.maximum(np.abs(middle), 1e-3)
     return growth
 
 
@@ -250,7 +259,7 @@ def _gears_of(rows: FloatArray, *, are_named: bool) -> Mapping[int, LearnedGear]
     moving = rows[rows[:, _OVER] > STANDING, _OVER]
     high = float(np.quantile(moving, 0.99, method="lower")) if len(moving) else 0.0  # one damaged value says nothing
     is_fast = rows[:, _OVER] > LEAST_SPEED * high
-    is_steady = np.abs(rows[:, _GROWTH]) * GROWTH_S < MOST_GROWTH  # a mean says nothing of a start from rest
+    is_steady = np.abs(rows[:, _GROWTH]) < MOST_GROWTH_1_S  # a line says nothing of a start from rest
     driven = rows[is_fast & is_steady & (rows[:, _ENGINE] > 0.0)]
     ratios = driven[:, _ENGINE] / driven[:, _OVER] if len(driven) else np.empty(0)
     higher_pa = np.abs(driven[:, _FIRST] - driven[:, _FIRST + 1])
