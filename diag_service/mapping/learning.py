@@ -213,18 +213,15 @@ def _read(series: Series, other: Series) -> FloatArray:
 def _growth_1_s(t_s: FloatArray, speed: FloatArray) -> FloatArray:
     """Return how fast the logarithm of a speed grows: the slope of a line through the speeds around each sample.
 
-    Two speeds of 1.5 % scatter say too little: what they scatter makes the skew of engine and wheels look smaller.
+    Two speeds that scatter by 1.5 % say too little: their scatter would hide the skew of engine and wheels.
     """
-    late_s = t_s - t_s[0]
     first, behind = t_s.searchsorted(t_s - 0.5 * GROWTH_S), t_s.searchsorted(t_s + 0.5 * GROWTH_S, side="right")
-
-    def mean(value: FloatArray) -> FloatArray:
-        total = np.concatenate(([0.0], np.cumsum(value)))
-        return (total[behind] - total[first]) / (behind - first)
-
-    middle_s, middle = mean(late_s), mean(speed)
-    spread_s2 = np.maximum(mean(late_s**2) - middle_s**2, 1e-6)
-    growth: FloatArray = (mean(late_s * speed) - middle_s * middle) / spread_s2 / np.maximum(np.abs(middle), 1e-3)
+    late_s = t_s - t_s[0]
+    totals = np.cumsum([late_s, speed, late_s**2, late_s * speed], axis=1)
+    totals = np.concatenate([np.zeros((4, 1)), totals], axis=1)
+    middle_s, middle, square_s2, product = (totals[:, behind] - totals[:, first]) / (behind - first)
+    slope = (product - middle_s * middle) / np.maximum(square_s2 - middle_s**2, 1e-6)
+    growth: FloatArray = slope / np.maximum(np.abs(middle), 1e-3)
     return growth
 
 

@@ -5,14 +5,13 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from canlog.arrays import FloatArray, Series
+from canlog.arrays import FloatArray, Int64Array, Series
 from diag_service.api.learning import summary_lines
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.mapping.learning import LearnedVehicle, VehicleSurvey
 
-RATIOS: FloatArray = np.array(
-    [10.11, 7.42, 5.75, 4.46, 3.51, 2.89]
-)  # engine over output, of a real six-speed side-by-side
+# Engine over output, of a real six-speed side-by-side.
+RATIOS: FloatArray = np.array([10.11, 7.42, 5.75, 4.46, 3.51, 2.89])
 ROW_S = 0.037
 ROWS = 600  # of a gear
 SLIPPING = 0.35  # of them
@@ -21,6 +20,16 @@ SLIPPING = 0.35  # of them
 def series(t_s: FloatArray, value: FloatArray) -> Series:
     t_ns = np.rint(1e9 * t_s).astype(np.int64)
     return Series(t_ns=t_ns, sequence=np.full(len(t_ns), -1), value=value)
+
+
+def in_gear(gears: Int64Array) -> dict[Signal, FloatArray]:
+    """Return what tells which gear is engaged."""
+    is_odd = gears % 2 == 1
+    return {
+        Signal.TARGET_GEAR: gears.astype(np.float64),
+        Signal.CLUTCH1_PRESSURE: np.where(is_odd, 8e5, 0.0),
+        Signal.CLUTCH2_PRESSURE: np.where(is_odd, 0.0, 8e5),
+    }
 
 
 def told(t_s: FloatArray, values: Mapping[Signal, FloatArray]) -> LearnedVehicle:
@@ -40,15 +49,9 @@ def rough_drive(scatter_ratio: float, seed: int) -> LearnedVehicle:
     slip = 1.0 + np.where(within < SLIPPING, rng.uniform(0.05, 0.4, 12).repeat(ROWS // 2) * (1.0 - within), 0.0)
     own = rng.standard_t(4, len(gears)) / np.sqrt(2.0)
     rough = 1.0 + scatter_ratio * np.asarray(np.convolve(own, [0.8, 0.6], "same"), np.float64)
-    is_odd = gears % 2 == 0
-    values = {
-        Signal.ENGINE_SPEED: RATIOS[gears] * output_rad_s * slip,
-        Signal.OUTPUT_SPEED: output_rad_s * rough,
-        Signal.TARGET_GEAR: gears + 1.0,
-        Signal.CLUTCH1_PRESSURE: np.where(is_odd, 8e5, 0.0),
-        Signal.CLUTCH2_PRESSURE: np.where(is_odd, 0.0, 8e5),
-    }
-    return told(t_s, values)
+    engine_rad_s = RATIOS[gears] * output_rad_s * slip
+    speeds = {Signal.ENGINE_SPEED: engine_rad_s, Signal.OUTPUT_SPEED: output_rad_s * rough}
+    return told(t_s, speeds | in_gear(gears + 1))
 
 
 @pytest.mark.parametrize("scatter_ratio", [0.002, 0.016, 0.03])
@@ -68,15 +71,26 @@ def test_rows_of_a_clutch_that_still_takes_over_move_no_ratio() -> None:
     gears = np.repeat([3, 2] * (ROWS // 40), 60)
     taking_over = np.where(np.arange(len(gears)) % 60 < 6, 1.04, 1.0)  # for two tenths of two seconds
     noise = np.random.default_rng(3).normal(1.0, 0.015, len(gears))
-    values = {
-        Signal.ENGINE_SPEED: 100.0 * RATIOS[gears - 1] * taking_over * noise,
-        Signal.OUTPUT_SPEED: np.full(len(gears), 100.0),
-        Signal.TARGET_GEAR: gears.astype(np.float64),
-        Signal.CLUTCH1_PRESSURE: np.where(gears == 3, 8e5, 0.0),
-        Signal.CLUTCH2_PRESSURE: np.where(gears == 3, 0.0, 8e5),
-    }
-    for gear, one in told(t_s, values).gears.items():
+    engine_rad_s = 100.0 * RATIOS[gears - 1] * taking_over * noise
+    speeds = {Signal.ENGINE_SPEED: engine_rad_s, Signal.OUTPUT_SPEED: np.full(len(gears), 100.0)}
+    for gear, one in told(t_s, speeds | in_gear(gears)).gears.items():
         assert one.ratio.ratio == pytest.approx(RATIOS[gear - 1], rel=2e-3)
+
+
+def test_an_engine_speed_that_is_read_later_moves_no_ratio_of_a_gear_that_only_gains_speed() -> None:
+    late_s, period_s, swing = 0.1, 400 * ROW_S, 0.12
+    t_s = np.asarray(ROW_S * np.arange(3 * ROWS), np.float64)
+    turn = 2.0 * np.pi * t_s / period_s
+    gears = np.where(turn % (2.0 * np.pi) < 0.5 * np.pi, 1, 2)
+    output_rad_s, growth_1_s = 40.0 * np.exp(swing * np.sin(turn)), swing * np.cos(turn) * 2.0 * np.pi / period_s
+    engine_rad_s = RATIOS[gears - 1] * output_rad_s * np.exp(-late_s * growth_1_s)
+    off = np.zeros(2)
+    for seed in range(12):
+        scattering = output_rad_s * np.random.default_rng(seed).normal(1.0, 0.015, len(t_s))
+        speeds = {Signal.ENGINE_SPEED: engine_rad_s, Signal.OUTPUT_SPEED: scattering}
+        found = told(t_s, speeds | in_gear(gears)).gears
+        off += [found[gear].ratio.ratio / RATIOS[gear - 1] - 1.0 for gear in (1, 2)]
+    assert np.abs(off / 12.0).max() < 1e-3
 
 
 def one_gear(other_rows: int = 0, *, slip: float = 0.0) -> LearnedVehicle:
