@@ -3,9 +3,10 @@
 import errno
 import os
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from enum import StrEnum
+from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, ClassVar, Final, TypeVar, cast, get_args, get_origin, get_type_hints
@@ -84,12 +85,12 @@ def record_from(
     """
     if not isinstance(table, Mapping):
         raise error(f"{prefix.rstrip('. :')} must be a table, got {table!r}".lstrip())
-    hints = {name: hint for name, hint in get_type_hints(kind).items() if get_origin(hint) is not ClassVar}
+    hints, optional = _known(cast("Any", kind))
     members = {name: hint for name, hint in hints.items() if name not in given}
     for key in sorted(set(table) - set(members)):
         raise error(f"{prefix}{key} is unknown; known: {', '.join(sorted(members))}")
     for key in members:
-        if key not in table and key not in _optional(kind):
+        if key not in table and key not in optional:
             raise error(f"{prefix}{key} is missing")
     values = {key: _member(members[key], value, f"{prefix}{key}", error) for key, value in table.items()}
     if not is_dataclass(kind):
@@ -100,10 +101,13 @@ def record_from(
         raise error(f"{prefix}{exc}") from exc
 
 
-def _optional(kind: Any) -> Iterable[str]:  # noqa: ANN401 - a class of records
+@cache
+def _known(kind: Any) -> tuple[dict[str, Any], Collection[str]]:  # noqa: ANN401 - a class of records
+    """Return the annotations of the members of a record, and which of them have a value of their own."""
+    hints = {name: hint for name, hint in get_type_hints(kind).items() if get_origin(hint) is not ClassVar}
     if not is_dataclass(kind):
-        return kind._field_defaults.keys() if hasattr(kind, "_field_defaults") else ()
-    return [member.name for member in fields(kind) if not member.default is member.default_factory is MISSING]
+        return hints, kind._field_defaults.keys() if hasattr(kind, "_field_defaults") else ()
+    return hints, [member.name for member in fields(kind) if not member.default is member.default_factory is MISSING]
 
 
 def _member(hint: Any, value: object, where: str, error: type[Exception]) -> Any:  # noqa: ANN401 - as annotated

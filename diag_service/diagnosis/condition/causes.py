@@ -170,7 +170,7 @@ class CauseJudge:
         moved |= {places | other for places, other in combinations(both, 2)} | {frozenset([n]) for n in range(COUNT)}
         for places in sorted(moved, key=sorted):
             for times in _ELSE_FLOORS:
-                spread = np.where(np.isin(range(COUNT), list(places)), times * np.sqrt(self._floor), 0.0)
+                spread = times * np.sqrt(self._floor) * [place in places for place in range(COUNT)]
                 yield ELSE, spread, prior_else / len(moved) / len(_ELSE_FLOORS)
 
     def _together(self, some: Sequence[tuple[int, ...]], strength: tuple[float, float]) -> Hypotheses:
