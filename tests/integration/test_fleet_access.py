@@ -23,8 +23,8 @@ from tests.support.fleet_page import (
     SECRET,
     asked,
     fill_database,
+    filled,
     headers_of,
-    raise_alarms,
     served,
     sources_of,
 )
@@ -42,13 +42,7 @@ PEOPLE = (NOBODY, STRANGER, VIEWER, WORKSHOP)
 
 @pytest.fixture(name="database", scope="module")
 def _database(sqlite_template: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
-    path = tmp_path_factory.mktemp("access") / "fleet.sqlite"
-    path.write_bytes(sqlite_template.read_bytes())
-    engine = open_database(f"sqlite:///{path}")
-    fill_database(engine)
-    raise_alarms(engine)
-    engine.dispose()
-    return f"sqlite:///{path}"
+    return filled(sqlite_template, tmp_path_factory.mktemp("access"))
 
 
 @pytest.fixture(name="site", scope="module")

@@ -15,20 +15,14 @@ import httpx
 import pytest
 from playwright.sync_api import ConsoleMessage
 
-from fleet_backend.database import open_database
 from tests.support.browsing import Words, chromium, new_page, words_seen
-from tests.support.fleet_page import fill_database, served
+from tests.support.fleet_page import filled, served
 from tests.support.patience import HANG_S
 
 
 @pytest.fixture(name="address", scope="module")
 def _address(sqlite_template: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    path = tmp_path_factory.mktemp("overview") / "fleet.sqlite"
-    path.write_bytes(sqlite_template.read_bytes())
-    engine = open_database(f"sqlite:///{path}")
-    fill_database(engine)
-    engine.dispose()
-    with served(f"sqlite:///{path}") as address:
+    with served(filled(sqlite_template, tmp_path_factory.mktemp("overview"), has_alarms=False)) as address:
         yield address
 
 

@@ -25,7 +25,7 @@ from fleet_backend.schema import SHIFT_RESULT
 from fleet_backend.writer import Batch, Writer
 from tests.support.browsing import chromium, complaints_of, new_page, refused_in
 from tests.support.fleet import NOW, fleet_result, message_of, row_of
-from tests.support.fleet_page import ACCESS, MARKUP, fill_database, headers_of, raise_alarms, served
+from tests.support.fleet_page import ACCESS, MARKUP, filled, headers_of, served
 from tests.support.histories import fill_store, history
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
@@ -51,13 +51,7 @@ FRICTION = ("mu_c", "std_mu_c", "mu_s", "std_mu_s")
 
 @pytest.fixture(name="database", scope="module")
 def _database(sqlite_template: Path, tmp_path_factory: pytest.TempPathFactory) -> str:
-    path = tmp_path_factory.mktemp("page") / "fleet.sqlite"
-    path.write_bytes(sqlite_template.read_bytes())
-    engine = open_database(f"sqlite:///{path}")
-    fill_database(engine)
-    raise_alarms(engine)
-    engine.dispose()
-    return f"sqlite:///{path}"
+    return filled(sqlite_template, tmp_path_factory.mktemp("page"))
 
 
 @pytest.fixture(name="address", scope="module")

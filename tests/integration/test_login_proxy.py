@@ -12,10 +12,9 @@ from pathlib import Path
 import httpx
 import pytest
 
-from fleet_backend.database import open_database
 from fleet_backend.page.access import read_access
 from tests.support.documents import page_text
-from tests.support.fleet_page import SECRET, fill_database, raise_alarms, served
+from tests.support.fleet_page import SECRET, filled, served
 from tests.support.patience import HANG_S
 from tests.support.ports import free_port
 
@@ -57,17 +56,12 @@ def nginx(folder: Path, page: str, port: int) -> Iterator[None]:
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # of sockets that only ask whether nginx listens
 def test_people_come_through_the_proxy_alone(sqlite_template: Path, tmp_path: Path) -> None:
-    database = tmp_path / "fleet.sqlite"
-    database.write_bytes(sqlite_template.read_bytes())
-    engine = open_database(f"sqlite:///{database}")
-    fill_database(engine)
-    raise_alarms(engine)
-    engine.dispose()
+    database = filled(sqlite_template, tmp_path)
     (tmp_path / "proxy.secret").write_text(SECRET, encoding="utf-8")
     (tmp_path / "proxy.secret").chmod(0o600)
     (tmp_path / "access.toml").write_text(page_text("docs/deploy/access-proxy.toml"), encoding="utf-8")
     access, port = read_access(tmp_path / "access.toml"), free_port()
-    with served(f"sqlite:///{database}", access) as page, nginx(tmp_path, page, port):
+    with served(database, access) as page, nginx(tmp_path, page, port):
         certificates = ssl.create_default_context(cafile=tmp_path / "fleet.crt")
         certificates.check_hostname = False  # it is of the name that readers would call
         address, headers = f"https://127.0.0.1:{port}", {"Host": HOST}

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -131,6 +132,18 @@ def told(asked_of: Engine | Sources, path: str) -> Any:  # noqa: ANN401 - JSON
 def raise_alarms(engine: Engine) -> None:
     """Hold what is stored against the rules, two months later."""
     Watch(engine, Orders(), lambda: NOW).round(judging_s=HANG_S)
+
+
+def filled(template: Path, folder: Path, *, has_alarms: bool = True) -> str:
+    """Return the address of a database that is filled so, and of which alarms were raised."""
+    path = folder / "fleet.sqlite"
+    path.write_bytes(template.read_bytes())
+    engine = open_database(f"sqlite:///{path}")
+    fill_database(engine)
+    if has_alarms:
+        raise_alarms(engine)
+    engine.dispose()
+    return f"sqlite:///{path}"
 
 
 @contextmanager
