@@ -13,7 +13,7 @@ from tests.support.recode import Drive, drive_of, lockup_drive_of
 
 pytestmark = pytest.mark.slow
 
-QUICK_S = (0.005, 0.03)  # from a request to its answer; an old ELM327 needs 0.1
+QUICK_S, USUAL_S = (0.005, 0.03), (0.02, 0.06)  # from a request to its answer; an old ELM327 needs 0.1
 
 
 def recorded(folder: Path, scenario: str, trace: str) -> Path:
@@ -23,15 +23,16 @@ def recorded(folder: Path, scenario: str, trace: str) -> Path:
     return log
 
 
-def asked(folder: Path, drive: Drive, name: str) -> Path:
+def asked(folder: Path, drive: Drive, name: str, answer_s: tuple[float, float]) -> Path:
     """Return the log of a tester that asked by a shipped profile all the time."""
     profile, log = load_shipped(name), folder / "asked.log"
-    write_candump(log, dialogue_of(drive, profile, np.random.default_rng(1), answer_s=QUICK_S))
+    write_candump(log, dialogue_of(drive, profile, np.random.default_rng(1), answer_s=answer_s))
     return log
 
 
 def test_the_worn_fluid_of_a_dsg_is_to_be_changed_after_one_drive(tmp_path: Path) -> None:
-    log, car = asked(tmp_path, drive_of(recorded(tmp_path, "case2", "udds")), "vw_dsg"), tmp_path / "car.toml"
+    bus, car = recorded(tmp_path, "case2", "udds"), tmp_path / "car.toml"
+    log = asked(tmp_path, drive_of(bus), "vw_dsg", USUAL_S)
     learnt = ended("learn", log, "--profile", "vw_dsg", "-o", car)
     assert learnt.status == 0, learnt.err
     run = ended("analyze", log, "--profile", "vw_dsg", "--vehicle-file", car)
@@ -41,7 +42,7 @@ def test_the_worn_fluid_of_a_dsg_is_to_be_changed_after_one_drive(tmp_path: Path
 
 
 def test_a_gm_automatic_tells_its_slope_after_one_drive_and_why_no_level(tmp_path: Path) -> None:
-    log = asked(tmp_path, lockup_drive_of(recorded(tmp_path, "lockup", "us06")), "gm_t87a")
+    log = asked(tmp_path, lockup_drive_of(recorded(tmp_path, "lockup", "us06")), "gm_t87a", QUICK_S)
     run = ended("analyze", log, "--profile", "gm_t87a")
     assert run.status == 0, run.err
     (together,) = [line for line in run.out.splitlines() if "all temperatures" in line]

@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -57,18 +57,12 @@ class Vehicle:
 
 @contextmanager
 def vehicle(channel: str, *controllers: Controller, is_fd: bool = False) -> Iterator[Vehicle]:
-    with can.Bus(channel, "virtual", fd=is_fd) as near:
-        links = [DiagnosticLink(controller, near.send, is_fd=is_fd) for controller in controllers]
+    with can.Bus(channel, "virtual", fd=is_fd) as near, ExitStack() as stack:
+        links = [stack.enter_context(DiagnosticLink(one, near.send, is_fd=is_fd)) for one in controllers]
         bus = Vehicle(channel, *links, near=near)
-        for link in links:
-            link.__enter__()
-        try:
-            with can.Notifier(near, [bus.hear], timeout=0.05):
-                yield bus
-        finally:
-            bus.end()
-            for link in links:
-                link.__exit__(None, None, None)
+        stack.callback(bus.end)
+        stack.enter_context(can.Notifier(near, [bus.hear], timeout=0.05))
+        yield bus
 
 
 @pytest.fixture(scope="module")
