@@ -89,9 +89,8 @@ def record_from(
     members = {name: hint for name, hint in hints.items() if name not in given}
     for key in sorted(set(table) - set(members)):
         raise error(f"{prefix}{key} is unknown; known: {', '.join(sorted(members))}")
-    for key in members:
-        if key not in table and key not in optional:
-            raise error(f"{prefix}{key} is missing")
+    for key in [one for one in members if one not in table and one not in optional]:
+        raise error(f"{prefix}{key} is missing")
     values = {key: _member(members[key], value, f"{prefix}{key}", error) for key, value in table.items()}
     if not is_dataclass(kind):
         values = {key: float(value) if members[key] is float else value for key, value in values.items()}

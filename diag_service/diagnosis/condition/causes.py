@@ -131,16 +131,13 @@ class CauseJudge:
         self._table = described() if table is None else table
         fresh = Posterior.fresh(calibration).base
         self._type_mean = fresh.mean
-        self._precision = np.linalg.inv(
-            fresh.covariance + 1e-12 * np.diag(np.maximum(fresh.covariance.diagonal(), 1.0))
-        )
+        least = 1e-12 * np.diag(np.maximum(fresh.covariance.diagonal(), 1.0))
+        self._precision = np.linalg.inv(fresh.covariance + least)
         self._type = _as_described(fresh.mean)
         self._floor = np.array([self._table["floor"].get(name, 1e-5) for name in FEATURES]) ** 2
         self.signatures = signatures(self._table)
         self._means = np.array([signature.mean for signature in self.signatures])
-        self._spreads = np.array(
-            [np.hypot(signature.spread, MODEL_SHARE * signature.mean) for signature in self.signatures]
-        )
+        self._spreads = np.array([np.hypot(one.spread, MODEL_SHARE * one.mean) for one in self.signatures])
         self._priors = np.array([signature.prior for signature in self.signatures])
         unknown, count = list(self._unknown()), len(self.signatures)
         known = [self._together([(n,) for n in range(count)], strength) for strength in STRENGTHS]
