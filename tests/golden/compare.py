@@ -95,7 +95,7 @@ def pages(folder: Path) -> Faces:
         received = [Message(topic=shift.topic, payload=shift.payload, packet_id=1) for shift in shifts]
         Writer(engine).store(batch_of([receive(message, NOW) for message in received]))
     engine.dispose()
-    with served(database) as address:
+    with served(database, now=NOW) as address:  # the calendar begins with a day
         return {name: _MOMENT.sub("MOMENT", _text(f"{address}{path}")) for name, path in PAGES.items()}
 
 

@@ -147,7 +147,7 @@ def filled(template: Path, folder: Path, *, has_alarms: bool = True) -> str:
 
 
 @contextmanager
-def served(database: str, access: Access | None = None, *, port: int = 0) -> Iterator[str]:
+def served(database: str, access: Access | None = None, *, port: int = 0, now: datetime | None = None) -> Iterator[str]:
     """Serve the page of a database in a thread of its own, and yield its address without the last slash."""
     engine = open_database(database, must_exist=True, is_read_only=True)
     writer = open_database(database, must_exist=True)
@@ -155,7 +155,8 @@ def served(database: str, access: Access | None = None, *, port: int = 0) -> Ite
     keeper.refresh()
     keeper.work_ahead(float("inf"))
     with closing_socket("127.0.0.1", port) as listener:
-        sources = Sources(engine=engine, keeper=keeper, access=access or Access(), writer=writer if access else None)
+        clock, writes = (lambda: now or datetime.now(UTC)), writer if access else None
+        sources = Sources(engine=engine, keeper=keeper, access=access or Access(), writer=writes, now=clock)
         server = server_of(sources)
         thread = threading.Thread(target=asyncio.run, args=(server.serve(sockets=[listener]),), name="fleet page")
         thread.start()
