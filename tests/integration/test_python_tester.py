@@ -10,12 +10,9 @@ import pytest
 
 import diag_service
 import workshop
-from tests.integration.test_tester import MASK, SLIPS, Vehicle, told, vehicle
+from tests.integration.test_tester import MASK, Vehicle, slipping, told, vehicle
 from tests.support.in_process import ended, never_a_program
 from tests.support.patience import HANG_S
-from tests.support.uds.wire import parked_controller
-from workshop.controller.controller import Controller
-from workshop.controller.memory import TestResult as Result
 from workshop.tester.commands import data_record, routine_record
 from workshop.tester.polling import ControllerReport
 from workshop.tester.trouble import trouble_record
@@ -25,16 +22,8 @@ BUS = ("-i", "virtual", "-c", CHANNEL, "--listen", "0.05", "--timeout", "20", "-
 
 
 @pytest.fixture(scope="module")
-def controller() -> Controller:
-    controller = parked_controller()
-    for _ in range(20):
-        controller.report(SLIPS, Result.FAILED)
-    return controller
-
-
-@pytest.fixture(scope="module")
-def car(controller: Controller) -> Iterator[Vehicle]:
-    with vehicle(CHANNEL, controller) as car:
+def car() -> Iterator[Vehicle]:
+    with vehicle(CHANNEL, slipping()) as car:
         yield car
 
 

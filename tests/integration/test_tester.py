@@ -65,12 +65,17 @@ def vehicle(channel: str, *controllers: Controller, is_fd: bool = False) -> Iter
         yield bus
 
 
-@pytest.fixture(scope="module")
-def controller() -> Controller:
+def slipping() -> Controller:
+    """Return a controller that has found that a clutch slips."""
     controller = parked_controller()
     for _ in range(20):
         controller.report(SLIPS, Result.FAILED)
     return controller
+
+
+@pytest.fixture(scope="module")
+def controller() -> Controller:
+    return slipping()
 
 
 @pytest.fixture(scope="module")

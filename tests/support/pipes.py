@@ -1,15 +1,30 @@
-"""Standard input as a pipe into which a thread writes: pieces of any size, with pauses where a test wants them."""
+"""Standard input as a pipe into which a thread writes, with pauses where a test wants them; what is no plain file."""
 
 import os
+import socket
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
 from tests.support.patience import HANG_S
 
 Step = bytes | Callable[[], object]  # what is written, or what is done or waited for in between
+
+
+def a_socket(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+
+
+NO_PLAIN_FILES: Mapping[str, Callable[[Path], None]] = {
+    "pipe": os.mkfifo,
+    "directory": Path.mkdir,
+    "socket": a_socket,
+    "device": lambda path: path.symlink_to("/dev/zero"),
+}
 
 
 @contextmanager

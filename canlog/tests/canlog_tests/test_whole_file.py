@@ -1,14 +1,12 @@
 """Files are read and written whole, or not at all."""
 
-import os
-import socket
-from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
 
 from canlog.errors import OutputError
 from canlog.files import read_small_file, replacing
+from tests.support.pipes import NO_PLAIN_FILES
 
 
 def write(path: Path, content: bytes, failure: Exception | None = None) -> None:
@@ -48,23 +46,10 @@ def test_two_who_write_the_same_do_not_mix(tmp_path: Path) -> None:
     assert path.read_bytes() == b"first"
 
 
-def a_socket(path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as listener:
-        listener.bind(str(path))
-
-
-OTHERS: Mapping[str, Callable[[Path], None]] = {
-    "pipe": os.mkfifo,
-    "directory": Path.mkdir,
-    "socket": a_socket,
-    "device": lambda path: path.symlink_to("/dev/zero"),
-}
-
-
-@pytest.mark.parametrize("kind", OTHERS)
+@pytest.mark.parametrize("kind", NO_PLAIN_FILES)
 def test_what_is_no_file_is_refused_at_once(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "it"
-    OTHERS[kind](path)
+    NO_PLAIN_FILES[kind](path)
     with pytest.raises(OSError, match=kind):
         read_small_file(path)
 

@@ -1,34 +1,21 @@
 """Files of which a library is going to read all are looked at before: they must be plain, and not too large."""
 
 import os
-import socket
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from clutch_model.tables import read_toml_file
 from clutchdiag_io.files import check_plain_file
-
-
-def a_socket(path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as listener:
-        listener.bind(str(path))
-
-
-OTHERS: Mapping[str, Callable[[Path], None]] = {
-    "pipe": os.mkfifo,
-    "directory": Path.mkdir,
-    "socket": a_socket,
-    "device": lambda path: path.symlink_to("/dev/zero"),
-}
+from tests.support.pipes import NO_PLAIN_FILES
 
 
 @pytest.mark.parametrize("use", [check_plain_file, read_toml_file])
-@pytest.mark.parametrize("kind", OTHERS)
+@pytest.mark.parametrize("kind", NO_PLAIN_FILES)
 def test_what_is_no_file_is_refused_at_once(kind: str, use: Callable[[Path], object], tmp_path: Path) -> None:
     path = tmp_path / "it"
-    OTHERS[kind](path)
+    NO_PLAIN_FILES[kind](path)
     with pytest.raises(OSError, match=kind):
         use(path)
 

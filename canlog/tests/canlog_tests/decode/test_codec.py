@@ -11,7 +11,7 @@ from cantools.database.can.signal import Signal
 from cantools.database.errors import DecodeError
 
 from canlog.decode.codec import Codec, FrameFate, MessageValues
-from canlog.frames import EXTENDED_FLAG, FD_FLAG, FrameBatch
+from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, FrameBatch
 from tests.support.batches import frames_at
 from tests.support.cantools_oracle import reference, same_bits
 from tests.support.wire import DATABASE
@@ -125,3 +125,22 @@ def test_a_frame_of_a_group_that_is_longer_is_short_or_a_piece_by_its_page(can_i
     message = Message(can_id, "M", 14, [Signal("A", start=0, length=8)], is_extended_frame=True, protocol="j1939")
     batch = frames_at([0], can_id | EXTENDED_FLAG, 8, np.ones(64))
     assert np.flatnonzero(Codec([message]).match(batch).counts[0]).tolist() == [fate]
+
+
+def test_every_frame_has_one_fate_and_what_nobody_asked_for_is_left_out() -> None:
+    first, second = (Signal(name, start=start, length=8) for name, start in (("A", 0), ("B", 8)))
+    codec = Codec(
+        [Message(0x100, "M", 8, [first, second]), Message(0x101, "Long", 20, [first]), Message(1, "None", 8, [])]
+    )
+    flagged = 0x100 | np.array([REMOTE_FLAG, ERROR_FLAG, REMOTE_FLAG | ERROR_FLAG])
+    batch = frames_at(np.arange(10), [0x100, 0x100, 0x100, 0x101, 0x101, 1, 0x7FF, *flagged], [8, 8, 1, *[8] * 7])
+
+    def fates(codec: Codec) -> list[dict[str, int]]:
+        return [{fate.name: row[fate] for fate in FrameFate if row[fate]} for row in codec.match(batch).counts]
+
+    own, long, none = {"DECODED": 2, "SHORT": 1}, {"TRANSPORTED": 2}, {"WITHOUT_SIGNALS": 1}
+    nobody = {"UNKNOWN": 1, "REMOTE": 1, "ERROR": 2}
+    assert fates(codec) == [own, long, none, nobody]
+    assert fates(codec.only({(0, "B")})) == [own, {}, none, nobody | {"LEFT_OUT": 2}]
+    assert fates(codec.only({(1, "A")})) == [{}, long, none, nobody | {"LEFT_OUT": 3}]
+    assert [[*found.signals] for found in codec.only({(0, "B")}).decode(batch)] == [["B"], []]
