@@ -66,6 +66,8 @@ BAND, MOST_BAND = 0.03, 0.09  # of ratios around a gear's: a speed that grows mo
 ROUNDS: Final = 4  # until a band is where its ratios are
 GROWTH_S: Final = 0.8  # over which the gain of speed is a line
 MOST_GROWTH_1_S: Final = 1.7  # of the logarithm of the speed
+FASTEST: Final = 1e5  # rad/s or m/s: no damaged value hides all that come behind it
+DAMAGED_ROWS: Final = 5  # of which two that are damaged tell no gain of speed
 OUTLYING: Final = 4.0
 LEAST_SCATTER: Final = 1e-12  # of samples without noise
 SPEED_RATIO: Final = 1e-3  # by which two speeds' scales differ: whole revolutions that are cut off, at 1,000 rpm
@@ -215,9 +217,13 @@ def _growth_1_s(t_s: FloatArray, speed: FloatArray) -> FloatArray:
 
     Two speeds that scatter by 1.5 % say too little: their scatter would hide the skew of engine and wheels.
     """
-    first, behind = t_s.searchsorted(t_s - 0.5 * GROWTH_S), t_s.searchsorted(t_s + 0.5 * GROWTH_S, side="right")
-    late_s = t_s - t_s[0]
-    totals = np.cumsum([late_s, speed, late_s**2, late_s * speed], axis=1)
+    from scipy.ndimage import median_filter  # noqa: PLC0415 - it takes a while to load
+
+    own, half_s = np.arange(len(t_s)), 0.5 * GROWTH_S  # three samples at least, however seldom they come
+    first = np.minimum(t_s.searchsorted(t_s - half_s), np.maximum(own - 1, 0))
+    behind = np.maximum(t_s.searchsorted(t_s + half_s, side="right"), np.minimum(own + 2, len(t_s)))
+    late_s, told = t_s - t_s[0], median_filter(np.nan_to_num(np.clip(speed, -FASTEST, FASTEST)), DAMAGED_ROWS)
+    totals = np.cumsum([late_s, told, late_s**2, late_s * told], axis=1)
     totals = np.concatenate([np.zeros((4, 1)), totals], axis=1)
     middle_s, middle, square_s2, product = (totals[:, behind] - totals[:, first]) / (behind - first)
     slope = (product - middle_s * middle) / np.maximum(square_s2 - middle_s**2, 1e-6)
