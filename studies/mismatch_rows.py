@@ -55,6 +55,9 @@ _CONTACT = "the film settles elsewhere: other transients, the same equilibrium l
 _GROOVES = "the real film follows the pressure faster than the believed one"
 _LAG = "an unmodelled lag, far beyond the latency that the calibration allows for (3.5 ms of torque, 1 ms of pressure)"
 _RIPPLE = "the speed moves within a segment, and its mean over the segment does not"
+_PISTON = "the real piston pushes harder than believed, which is taken for friction"
+_SPRING = "the touch point, which is estimated, shifts by about 0.06 bar, a little more than its prior deviation"
+_SAMPLED = "the service takes the speed for the mean of a segment, and so for half a segment older than it is"
 _DAMPING = "other vibrations; the balance of the input side does not contain them"
 _MOTORING = "a gain error on negative torque only; it acts in downshifts"
 _FRAMES = "fewer samples"
@@ -83,22 +86,10 @@ ROWS: tuple[Mismatch, ...] = (
     Mismatch(name="grooves, film mobility x 2", way=_GROOVES, effects=Effects(film_mobility_ratio=2.0)),
     Mismatch(name="grooves, film mobility x 4", way=_GROOVES, effects=Effects(film_mobility_ratio=4.0)),
     Mismatch(name="film mobility x 0.25", way=_TIGHT, effects=Effects(film_mobility_ratio=0.25)),
-    Mismatch(
-        name="A_K x 1.01",
-        way="the real piston pushes harder than believed, which is taken for friction",
-        effects=Effects(piston_area_ratio=1.01),
-    ),
-    Mismatch(
-        name="spring force + 30 N",
-        way="the touch point, which is estimated, shifts by about 0.06 bar, a little more than its prior deviation",
-        effects=Effects(spring_force_n=30.0),
-    ),
+    Mismatch(name="A_K x 1.01", way=_PISTON, effects=Effects(piston_area_ratio=1.01)),
+    Mismatch(name="spring force + 30 N", way=_SPRING, effects=Effects(spring_force_n=30.0)),
     Mismatch(name="crank ripple 0.5", way=_RIPPLE, effects=Effects(crank_ripple_ratio=0.5)),
-    Mismatch(
-        name="engine speed sampled, not averaged",
-        way="the service takes the speed for the mean of a segment, and so for half a segment older than it is",
-        effects=Effects(engine_speed_is_sampled=True),
-    ),
+    Mismatch(name="engine speed sampled, not averaged", way=_SAMPLED, effects=Effects(engine_speed_is_sampled=True)),
     Mismatch(
         name="crank ripple 0.5, engine speed sampled",
         way="the firing ripple aliases into the balance as slow speed errors, times the engine's inertia",

@@ -132,9 +132,9 @@ def emulated_lines(title: str, tests: Sequence[BlindTest]) -> Iterator[str]:
     yield from table("Those", BlindTest(shown=[one for test in passed for one in test.shown]))
 
 
-def table(title: str, test: BlindTest, what: str = "power upshifts") -> Iterator[str]:
+def table(title: str, test: BlindTest, why_refused: str = "", what: str = "power upshifts") -> Iterator[str]:
     """Yield what each model was worth, as a table, and what is not predicted."""
-    yield f"\n{title}: {len(test.shown)} {what}; not predicted: {test.why_refused or 'none'}"
+    yield f"\n{title}: {len(test.shown)} {what}; not predicted: {why_refused or 'none'}"
     for (log, why), count in Counter((log, why) for log, _, why in test.unknown).items():
         yield f"{log}: {count} not predicted: {why}"
     if not test.shown:
@@ -187,11 +187,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
             downshifts = [one for one in named if one[1].sign < 0.0]
             for title, split in SPLITS.items():
                 test = blind_test(power_upshifts(named), touch_pa, split)
-                print("\n".join(table(f"Recorded, {title}", test)), flush=True)
+                print("\n".join(table(f"Recorded, {title}", test, test.why_refused)), flush=True)
                 if options.picture and split is each_left_out and test.shown:
                     drawn = max(test.shown[1:] or test.shown, key=lambda one: len(one.phase.t_s))
                     options.picture.write_text(picture(drawn), encoding="utf-8")
-            print("\n".join(table("Recorded, each from all others", blind_test(downshifts, touch_pa), "downshifts")))
+            test = blind_test(downshifts, touch_pa)
+            print("\n".join(table("Recorded, each from all others", test, test.why_refused, "downshifts")))
         if not options.vehicles:
             return
         cars = list(emulated(options.vehicles, options.cycles, folder))
@@ -200,9 +201,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(*emulated_lines("its own", [blind_test(car.named, car.touch_pa) for car in cars]), sep="\n", flush=True)
         groups = [cars[place : place + GROUP] for place in range(0, len(cars), GROUP)]
         tests = [blind_test([one for car in group for one in car.named], None, each_log) for group in groups]
-        print(
-            *emulated_lines("others, ten by ten", [by_log for test in tests for by_log in of_each_log(test)]), sep="\n"
-        )
+        by_log = [one for test in tests for one in of_each_log(test)]
+        print(*emulated_lines("others, ten by ten", by_log), sep="\n")
 
 
 if __name__ == "__main__":
