@@ -1,5 +1,6 @@
 """What every test run loads; fixtures live in tests/plugins, one subject per module."""
 
+import atexit
 import gc
 
 from hypothesis import HealthCheck, settings
@@ -26,3 +27,4 @@ def pytest_collection_finish() -> None:
     """Spare the garbage collector what all tests are made of: it lives as long as they do."""
     gc.collect()
     gc.freeze()
+    atexit.register(gc.unfreeze)  # or libraries say at the end what was not given back to them

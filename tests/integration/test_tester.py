@@ -73,9 +73,7 @@ def slipping() -> Controller:
     return controller
 
 
-@pytest.fixture(scope="module")
-def controller() -> Controller:
-    return slipping()
+controller = pytest.fixture(scope="module")(slipping)
 
 
 @pytest.fixture(scope="module")
