@@ -14,22 +14,19 @@ from tests.support.patience import HANG_S
 Payload = dict[str, Any]
 
 
-class Subscriber:
-    """Collects the data of every message under ``clutchdiag/v1`` in a session that the broker keeps for it."""
+class Session:
+    """A client whose session the broker keeps; ``take`` gets each message."""
 
-    def __init__(self, port: int, username: str | None = None, password: str | None = None) -> None:
-        self._lock = threading.Lock()
-        self._messages: list[tuple[str, Payload, bool]] = []
-        self._ready = threading.Event()
-        self._client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id="backend", clean_session=False)
-        self._client.username_pw_set(username, password)
+    def __init__(self, port: int, name: str, topic: str, take: Callable[[mqtt.MQTTMessage], None]) -> None:
+        self._port, self._ready = port, threading.Event()
+        self._client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=name, clean_session=False)
         self._client.reconnect_delay_set(min_delay=1, max_delay=1)
-        self._client.on_connect = lambda client, *_: client.subscribe("clutchdiag/v1/#", qos=1)
+        self._client.on_connect = lambda client, *_: client.subscribe(topic, qos=1)
         self._client.on_subscribe = lambda *_: self._ready.set()
-        self._client.on_message = self._keep
-        self._client.connect("127.0.0.1", port)
+        self._client.on_message = lambda _client, _userdata, message: take(message)
 
     def __enter__(self) -> Self:
+        self._client.connect("127.0.0.1", self._port)
         self._client.loop_start()
         assert self._ready.wait(HANG_S)
         return self
@@ -37,6 +34,16 @@ class Subscriber:
     def __exit__(self, *_: object) -> None:
         self._client.disconnect()
         self._client.loop_stop()
+
+
+class Subscriber(Session):
+    """Collects the data of every message under ``clutchdiag/v1``."""
+
+    def __init__(self, port: int, username: str | None = None, password: str | None = None) -> None:
+        super().__init__(port, "backend", "clutchdiag/v1/#", self._keep)
+        self._client.username_pw_set(username, password)
+        self._lock = threading.Lock()
+        self._messages: list[tuple[str, Payload, bool]] = []
 
     def payloads(self, suffix: str) -> list[Payload]:
         """Return what came on the topics that end so, oldest first."""
@@ -64,7 +71,7 @@ class Subscriber:
         with self._lock:
             return [(topic, payload.get("seq", payload.get("status"))) for topic, payload, _ in self._messages]
 
-    def _keep(self, _client: mqtt.Client, _userdata: object, message: mqtt.MQTTMessage) -> None:
+    def _keep(self, message: mqtt.MQTTMessage) -> None:
         data = read_message(message.topic, bytes(message.payload)).data
         with self._lock:
             self._messages.append((message.topic, data, message.retain))

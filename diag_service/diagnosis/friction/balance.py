@@ -103,8 +103,7 @@ class Torques(NamedTuple):
             direction = np.clip(slip_rad_s / SIGN_WIDTH_RAD_S, -1.0, 1.0)
             lever_m3[m] = contact_levers_m3(slip_rad_s, direction, law.friction, law.film.contact_factor_m3)
             parts_nm[m, :2] = lever_m3[m] * track.contact_pa[rows]
-            clutch_k = warmed[m].clutch_k[rows]  # what the laws of cold oil err by, alike, makes a kelvin two
-            parts_nm[m, 2:4] = parts_nm[m, :2] * (clutch_k - REFERENCE_K + np.minimum(clutch_k - WORKING_K, 0.0))
+            parts_nm[m, 2:4] = parts_nm[m, :2] * (warmed[m].clutch_k[rows] - REFERENCE_K)
             parts_nm[m, 4], parts_nm[m, 5] = track.viscous_nm[rows], track.open_nm[rows]
         return cls(lever_m3=lever_m3, contact_nm=parts_nm[:, :2], parts_nm=parts_nm)
 
@@ -216,7 +215,7 @@ def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: Sensor
 COLD_SPAN_K: Final = 60.0  # below `WORKING_K` the deviations of a cold pack are those of docs/model.md (19b)
 FILM_MOBILITY_LOG: Final = 1.0  # natural logarithm: there a film may yield more slowly by this; more than one deviation
 LEAST_SECANT: Final = 0.2  # natural logarithm: for a smaller step the tangent of a film is near enough
-COLD_DOUBT_RATIO: Final = 0.4  # standard deviation over the torque that the slower film changes while it closes
+COLD_DOUBT_RATIO: Final = 0.25  # standard deviation over the torque that the slower film changes while it closes
 MIN_EXCESS = 0.05  # of slip over Stribeck speed: keeps powers with an exponent below 1 finite at zero slip
 DOUBT_RATIO = 0.01  # standard deviation over a clutch's torque: laws of friction and film hold no better at each moment
 IDLE_RATIO = 0.1  # of the noise: a clutch whose impulses are smaller has no derivatives by film and Stribeck curve

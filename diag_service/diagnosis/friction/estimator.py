@@ -53,13 +53,13 @@ from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
 from diag_service.diagnosis.quality import SlippingClutch, plausibility_faults
 
 COLD_STD: Final = {
-    State.TOUCH1: 4e3,  # [Pa]
-    State.TOUCH2: 4e3,
-    STATE_COUNT + Considered.VISCOSITY: 0.04,  # ratio
-    STATE_COUNT + Considered.PRESSURE_LATENCY: 0.004,  # [s]: a film closes or opens earlier or later
-    STATE_COUNT + Considered.CONTACT_STIFFNESS: 0.04,  # ratio
-    STATE_COUNT + Considered.FILM_MOBILITY: 0.2,  # natural logarithm
-    STATE_COUNT + Considered.OPEN_DRAG: 0.3,  # natural logarithm
+    State.TOUCH1: 2.8e3,  # [Pa]
+    State.TOUCH2: 2.8e3,
+    STATE_COUNT + Considered.VISCOSITY: 0.028,  # ratio
+    STATE_COUNT + Considered.PRESSURE_LATENCY: 0.0028,  # [s]: a film closes or opens earlier or later
+    STATE_COUNT + Considered.CONTACT_STIFFNESS: 0.028,  # ratio
+    STATE_COUNT + Considered.FILM_MOBILITY: 0.14,  # natural logarithm
+    STATE_COUNT + Considered.OPEN_DRAG: 0.2,  # natural logarithm
     STATE_COUNT + Considered.TORQUE_GAIN: 0.02,  # ratio: a film whose law is not known is no scale for torques
     STATE_COUNT + Considered.ENGINE_INERTIA: 0.02,  # ratio
 }
@@ -68,7 +68,7 @@ _COLD_VARIANCE: Final = np.zeros(PARAMETER_COUNT)
 _COLD_VARIANCE[list(COLD_STD)] = np.square(list(COLD_STD.values()))
 OPEN_DRAG_SPEED_LOG: Final = 0.7  # natural logarithm, at any temperature: packs drag twice or half as much
 FRICTION_RATIO: Final = 0.01  # of mu, at any temperature: each event spreads heat, oil and load otherwise
-COLD_FRICTION_RATIO: Final = 0.03  # of mu, added `COLD_SPAN_K` below work: no law of the cold holds in every car
+COLD_FRICTION_RATIO: Final = 0.015  # of mu, added `COLD_SPAN_K` below work: no law of the cold holds in every car
 MOST_FILM_SHARE: Final = 0.4  # of the torque in the slip window: beyond it friction is not estimated
 MOST_SLOW_FILM_SHARE: Final = 0.5  # likewise of a film that yields more slowly
 
@@ -106,7 +106,7 @@ def is_carried_by_film(balance: Balance, clutch: int) -> bool:
     return False
 
 
-ALGORITHM_VERSION = "torque-impulse-17"
+ALGORITHM_VERSION = "torque-impulse-18"
 MAX_PASS_COUNT = 4  # linearisations: the first events of a vehicle move latencies beyond the reach of one
 CONVERGED = 0.2  # of a standard deviation
 NEAR_STEP = 0.5  # standard deviations of the type: a shorter step keeps the Jacobian

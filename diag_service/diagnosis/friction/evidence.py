@@ -425,6 +425,8 @@ def _saved(information: FloatArray, gradient: FloatArray) -> FloatArray:
     return np.asarray((gradient * step).sum(axis=-1))
 
 
+ODD_COST: Final = 20.0  # chi-square of two numbers, in units of the vehicle's own scatter
+_MEDIAN_BY_CHANCE: Final = 2.0 * math.log(2.0)  # of chi-square of two numbers
 STEP_COST: Final = 55.0  # chi-square: more than leaving two events out, less than three
 SMALL_STEP_COST: Final = 24.0  # of a step for which no event is left out: by chance two more numbers save it in 6e-6
 LEAST_SCATTER: Final = 0.18  # ratio to the variance that events are granted: a smaller one counts as this
@@ -489,6 +491,23 @@ def judge(base: Knowledge, events: Sequence[JudgedEvent]) -> Judgement:
     judged = Judgement(fusion=fuse(base, together(events, best.is_used)), is_used=best.is_used, cost=best.cost)
     for first, cost in (*_where_changed(events, best.is_used), *_where_stepped(events, best, judged.fusion.knowledge)):
         judged = min(judged, _with_change(base, events, first, cost), key=lambda choice: choice.cost)
+    return judged if judged.first_changed is not None else _without_odd(base, events, judged)
+
+
+def _without_odd(base: Knowledge, events: Sequence[JudgedEvent], judged: Judgement) -> Judgement:
+    """Return the judgement without events that differ far more from the others than these do from each other.
+
+    What is stated holds for vehicles of all kinds; the median event shows what it is worth in this one; (25a).
+    """
+    is_used = list(judged.is_used)
+    while is_used.count(True) > SCATTER_COUNT:
+        rows, known = np.flatnonzero(is_used).tolist(), judged.fusion.knowledge
+        apart = [step_since(known, events[row].evidence, events[row].clutch)[0] for row in rows]
+        scatter = min(max(float(np.median(apart)) / _MEDIAN_BY_CHANCE, LEAST_SCATTER), 1.0)
+        if max(apart) < ODD_COST * scatter:
+            break
+        is_used[rows[apart.index(max(apart))]] = False
+        judged = judged._replace(fusion=fuse(base, together(events, is_used)), is_used=tuple(is_used))
     return judged
 
 

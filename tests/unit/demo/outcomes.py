@@ -5,8 +5,9 @@ from dataclasses import replace
 from clutch_model.calibration import clutch_of_gear
 from clutch_results.records import ClutchVerdict, Condition, ShiftResult
 from demo.outcome import FrameAccount, Outcome
-from ecu_emulator.truth import DriveTruth, ShiftTruth, Totals, TruthLog
+from ecu_emulator.truth import ShiftTruth, Totals, TruthLog
 from tests.support.builders import friction_estimate, shift_result
+from tests.unit.ecu_emulator.truth.test_records import DRIVE
 
 GEARS = ((1, 2), (2, 3), (3, 4), (4, 5), (5, 6), (6, 5), (5, 4), (4, 3), (3, 2), (2, 1))
 FRICTION = friction_estimate()
@@ -67,18 +68,7 @@ def good_outcome() -> Outcome:
         },
         order="Nothing to do.",
         truth=TruthLog(
-            drive=DriveTruth(
-                scenario="ideal",
-                vehicle="car1",
-                seed=1,
-                vehicle_seed=1,
-                drive_seed=1,
-                cycles=1,
-                fluid="ideal",
-                mu_c=(FRICTION.mu_c, FRICTION.mu_c),
-                mu_s=(FRICTION.mu_s, FRICTION.mu_s),
-                drawn={},
-            ),
+            drive=replace(DRIVE, mu_c=(FRICTION.mu_c,) * 2, mu_s=(FRICTION.mu_s,) * 2),
             shifts=tuple(true_shift(number) for number in numbers),
             totals=Totals(shifts=len(GEARS), duration_s=40.6, frames=1000),
         ),

@@ -7,12 +7,12 @@ import pytest
 
 from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
-from clutch_results.event_kinds import EndReason, EventKind
+from clutch_results.event_kinds import EndReason, EventKind, Shudder
 from clutch_results.records import Condition, ShiftEstimate, StickSlip
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge
 from diag_service.diagnosis.condition.shift_quality import measure
-from diag_service.diagnosis.condition.verdict import LAUNCH_WINDOW
+from diag_service.diagnosis.condition.verdict import LAUNCH_WINDOW, Launches, RunningScatter
 from diag_service.diagnosis.events import Event
 from tests.support.builders import shift_estimate
 from tests.unit.diag_service.diagnosis.condition.test_condition import believed
@@ -89,3 +89,26 @@ def test_judder_alone_is_no_verdict_but_it_holds_back_a_good_one() -> None:
     assert verdict.condition is Condition.NO_VERDICT
     assert verdict.advice is not None
     assert "it slips again after it has stuck" in verdict.advice
+
+
+@pytest.mark.parametrize(("count", "odds"), [(1, 1.0), (2, 10.0), (3, 20.0), (9, 20.0)])
+def test_judder_is_a_witness_of_bounded_weight(count: int, odds: float) -> None:
+    negative = Launches(juddered=(True,) * count + (False,) * 5).probability_negative(0.5)
+    assert negative / (1.0 - negative) == pytest.approx(odds)
+
+
+def test_twenty_launches_are_remembered_and_noise_is_no_judder() -> None:
+    memory = launched(*[8.0] * 5, *[5.1] * 15, *[5.3] * 3).launches[0]
+    assert memory.reported == StickSlip(launch_count=20, judder_count=5)
+
+
+@pytest.mark.parametrize(("seen", "windows", "swung"), [(2, 10, 0), (3, 10, 1), (3, 100, 0), (4, 100, 1)])
+def test_a_stretch_swings_by_windows_and_by_their_share(seen: int, windows: int, swung: int) -> None:
+    shudder = Shudder(window_count=windows, seen_count=seen, frequency_hz=None, amplitude_rad_s=0.0)
+    assert Launches().with_swings(shudder).reported == StickSlip(launch_count=1, judder_count=swung)
+
+
+@pytest.mark.parametrize(("name", "sound"), [("variance_mu_c", ()), ("variance_mu_s", ()), ("shift_count", (0, 1))])
+def test_a_scatter_that_no_shifts_have_is_damaged(name: str, sound: tuple[int, ...]) -> None:
+    scatter = RunningScatter(variance_mu_c=1e-6, variance_mu_s=1e-6, shift_count=0)
+    assert tuple(value for value in (-1, 0, 1) if replace(scatter, **{name: value}).is_possible) == sound
