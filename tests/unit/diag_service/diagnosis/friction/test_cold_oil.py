@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from clutch_model.calibration import nominal_calibration
 from clutch_model.units import k_from_degc
@@ -11,6 +12,7 @@ from diag_service.diagnosis.alignment import GRID_S, usable_samples
 from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
+from diag_service.diagnosis.friction.balance import Torques
 from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films, pack_laws
 from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts
 
@@ -32,6 +34,15 @@ def in_oil(event: Event, degc: float) -> Event:
     oil = event.columns[Signal.SUMP_TEMPERATURE]
     cold = replace(oil, value=np.full(len(oil.value), k_from_degc(degc)))
     return replace(event, columns={**event.columns, Signal.SUMP_TEMPERATURE: cold})
+
+
+def test_friction_is_known_less_by_every_kelvin_away_from_work() -> None:
+    drive = PressureDrive(piston_pa=GRID, slip_rad_s=np.full(len(GRID), SLIP_RAD_S), oil_k=350.0, clutch_k=350.0)
+    packs_k = (np.full(len(GRID), k_from_degc(degc)) for degc in (100.0, 20.0))
+    hot, cool = (track_of([3e5, 3e5], 80.0)._replace(clutch_k=pack_k) for pack_k in packs_k)
+    torques = Torques.of((drive, drive), (hot, cool), (hot, cool), pack_laws(CALIBRATION), slice(100, 200))
+    for parts_nm, kelvin in zip(torques.parts_nm, (10.0, -70.0), strict=True):
+        assert parts_nm[2] == pytest.approx(kelvin * parts_nm[0])
 
 
 def test_where_the_film_carries_the_torque_nothing_is_said_of_friction() -> None:
