@@ -1,7 +1,5 @@
 """What a clutch in cold oil still says of its friction."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -9,12 +7,10 @@ from clutch_model.calibration import nominal_calibration
 from clutch_model.units import k_from_degc
 from clutch_results.records import Reason, Status
 from diag_service.diagnosis.alignment import GRID_S, usable_samples
-from diag_service.diagnosis.columns import Signal
-from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.balance import Torques
 from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films, pack_laws
-from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts
+from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts, in_oil
 
 CALIBRATION = nominal_calibration()
 GRID = np.arange(0.0, 1.0, GRID_S)
@@ -27,13 +23,6 @@ def track_of(piston_pa: list[float], oil_degc: float) -> FilmTrack:
     oil_k = k_from_degc(oil_degc)
     drive = PressureDrive(piston_pa=pressure, slip_rad_s=np.full(len(GRID), SLIP_RAD_S), oil_k=oil_k, clutch_k=oil_k)
     return integrate_films((drive, drive), pack_laws(CALIBRATION))[0]
-
-
-def in_oil(event: Event, degc: float) -> Event:
-    """Return an event with another oil temperature."""
-    oil = event.columns[Signal.SUMP_TEMPERATURE]
-    cold = replace(oil, value=np.full(len(oil.value), k_from_degc(degc)))
-    return replace(event, columns={**event.columns, Signal.SUMP_TEMPERATURE: cold})
 
 
 def test_friction_is_known_less_by_every_kelvin_away_from_work() -> None:

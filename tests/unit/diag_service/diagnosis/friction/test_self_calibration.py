@@ -7,53 +7,21 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from clutch_results.event_kinds import EndReason
-from clutch_results.records import Reason
-from dbc.contract import load_contract
-from diag_service.diagnosis.alignment import Resampled, usable_signals
 from diag_service.diagnosis.events import Event
-from diag_service.diagnosis.friction.balance import Balance, measurements_of, noise_of
-from diag_service.diagnosis.friction.drives import SlipWindow, measured_drives, slip_window
-from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, Measurement, State
-from diag_service.diagnosis.friction.film import VehicleLaws
+from diag_service.diagnosis.friction.evidence import STATE_COUNT, State
 from diag_service.diagnosis.friction.posterior import Posterior
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
-from diag_service.diagnosis.shifts.run_ups import RunUpFinder
-from diag_service.diagnosis.shifts.shifts import ShiftFinder
-from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.profile import load_profile
-from ecu_emulator.drive.recording import frames_of
-from ecu_emulator.scenario.scenario import Scenario, Truth, WorkshopRoutine
-from studies.builders import to_batch
+from ecu_emulator.scenario.scenario import Truth, WorkshopRoutine
 from tests.support.builders import drive_scenario
+from tests.unit.diag_service.diagnosis.shifts_of_a_drive import events_of
 
 NOMINAL = nominal_calibration()
 TORQUE_LATENCY_S, PRESSURE_LATENCY_S, SPEED_LATENCY_S = 0.023, 0.011, 0.004
 GAIN, OFFSET_NM, INERTIA = 1.03, -6.0, 0.96
 SPEEDS = ("engine_speed_rad_s", "hub_speed_rad_s", "input1_speed_rad_s", "input2_speed_rad_s")
-
-AS_DRIVEN = Posterior.fresh(NOMINAL).known.mean.copy()
-"""Parameters of the emulated vehicle, whose readings are not late."""
-AS_DRIVEN[STATE_COUNT + Considered.TORQUE_LATENCY] = -NOMINAL.bias.torque_latency_s
-AS_DRIVEN[STATE_COUNT + Considered.PRESSURE_LATENCY] = -NOMINAL.bias.pressure_latency_s
-
-
-def seen(scenario: Scenario) -> tuple[tuple[Event, ...], tuple[Event, ...]]:
-    frames, _ = frames_of(scenario)
-    decoder, shift_finder, run_up_finder = (
-        Decoder(load_contract(), load_profile()),
-        ShiftFinder(),
-        RunUpFinder(NOMINAL),
-    )
-    shifts: list[Event] = []
-    run_ups: list[Event] = []
-    for columns in decoder.feed(to_batch(frames)):
-        shifts += shift_finder.feed(columns)
-        run_ups += run_up_finder.feed(columns)
-    return tuple(shifts + shift_finder.flush()), tuple(run_ups + run_up_finder.flush())
 
 
 @lru_cache
@@ -70,7 +38,9 @@ def unlike_its_type() -> tuple[tuple[Event, ...], tuple[Event, ...]]:
         sensors[name] = replace(sensors[name], latency_s=PRESSURE_LATENCY_S)
     inertia_kg_m2 = INERTIA * NOMINAL.input_side.engine_inertia_kg_m2
     truth = Truth(calibration={"input_side.engine_inertia_kg_m2": inertia_kg_m2})
-    return seen(replace(base, sensors=sensors, truth=truth, routine=WorkshopRoutine(open_revs=4, closed_revs=4)))
+    return events_of(
+        replace(base, sensors=sensors, truth=truth, routine=WorkshopRoutine(open_revs=4, closed_revs=4)), NOMINAL
+    )
 
 
 def found(shifts: Sequence[Event], run_ups: Sequence[Event]) -> SelfCalibration:
@@ -145,54 +115,3 @@ def test_an_interrupted_rev_is_not_used() -> None:
     shifts, run_ups = unlike_its_type()
     broken = [replace(run_up, end_reason=EndReason.INTERRUPTED) for run_up in run_ups]
     assert found(shifts, broken).run_up_counts == (0, 0)
-
-
-@lru_cache
-def without_noise() -> tuple[tuple[Event, ...], tuple[Event, ...]]:
-    base = drive_scenario(seed=5)
-    sensors = {name: replace(sensor, noise_std=0.0) for name, sensor in base.sensors.items()}
-    return seen(replace(base, sensors=sensors, routine=WorkshopRoutine(open_revs=1, closed_revs=1)))
-
-
-def test_noise_of_one_signal_for_engine_and_hub_is_in_what_both_share_with_the_residual() -> None:
-    event, laws = without_noise()[0][0], VehicleLaws.of(NOMINAL).displaced(AS_DRIVEN)
-    signals = usable_signals(event, laws)
-    assert not isinstance(signals, Reason)
-    one = signals.engine_speed
-    overlaps = []
-    for hub in (one, Resampled(one.times_s, one.value.copy(), signals.grid_s)):
-        rows = replace(signals, hub_speed=hub, row_s=0.04)
-        drives = measured_drives(rows, AS_DRIVEN, None, event.start_ns, laws.packs)
-        found = slip_window(rows, drives, laws.packs)
-        assert found is not None
-        there = Balance(rows, found[0], drives, laws, AS_DRIVEN)
-        (seen,) = measurements_of(there, noise_of(rows))
-        assert seen.overlap is not None
-        overlaps.append(seen.overlap[STATE_COUNT + np.array([Considered.TORQUE_GAIN, Considered.ENGINE_INERTIA])])
-    (gain, inertia), (apart_gain, apart_inertia) = overlaps
-    assert gain < 1.1 * apart_gain < 0.0
-    assert inertia < 1.1 * apart_inertia < 0.0
-
-
-def shift_residual(event: Event, at: FloatArray, window: SlipWindow | None) -> tuple[Measurement, SlipWindow]:
-    laws = VehicleLaws.of(NOMINAL).displaced(at)
-    signals = usable_signals(event, laws)
-    assert not isinstance(signals, Reason)
-    drives = measured_drives(signals, at, None, event.start_ns, laws.packs)
-    found = slip_window(signals, drives, laws.packs)
-    assert found is not None
-    chosen = window or found[0]
-    there = Balance(signals, chosen, drives, laws, at)
-    (seen,) = measurements_of(there, noise_of(signals))
-    return seen, chosen
-
-
-def test_a_shift_tells_only_the_product_of_torque_gain_and_inertia() -> None:
-    seen, _ = shift_residual(without_noise()[0][0], AS_DRIVEN, None)
-    assert seen.overlap is not None
-    laws = VehicleLaws.of(NOMINAL).displaced(AS_DRIVEN)
-    gain, side = laws.bias.torque_gain, laws.input_side
-    turned_ratio = 1.0 + side.hub_inertia_kg_m2 / side.engine_inertia_kg_m2
-    by_gain, by_inertia = STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA
-    assert gain * seen.jacobian[:, by_gain] == pytest.approx(turned_ratio * seen.jacobian[:, by_inertia])
-    assert gain * seen.overlap[by_gain] == pytest.approx(turned_ratio * seen.overlap[by_inertia])
