@@ -100,8 +100,6 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
             (folder / name).unlink(missing_ok=True)
         console.print(f"bus:    {medium.explanation}", soft_wrap=True)
         parts = Parts(options.began_s)
-        await _warm_up(options, console)
-        parts.end("kernels and a recording")
         scan_tool = ScanTool()
         outcome, points = await _drive(options, medium, console, scan_tool, parts)
         console.print(ageing.ageing_table(points))
@@ -140,16 +138,6 @@ class Parts:
         self.took_s[name] = self._since_s - before_s
 
 
-async def _warm_up(options: DemoOptions, console: Console) -> None:
-    """Record and analyse the same drive once: compiles the kernels of both programs."""
-    takes = "about 10 s, a minute more where kernels are still to be compiled"
-    console.print(f"both programs once without a bus: {takes} ... ", end="", soft_wrap=True)
-    began_s, recording = time.monotonic(), options.folder / RECORDING
-    await run(EMULATOR, "record", recording, "--force", *options.drive, folder=options.folder)
-    await run(SERVICE, "analyze", recording, "--json", folder=options.folder)
-    console.print(f"{time.monotonic() - began_s:.0f} s")
-
-
 async def _drive(
     options: DemoOptions, medium: Medium, console: Console, scan_tool: ScanTool, parts: Parts
 ) -> tuple[Outcome, list[Point]]:
@@ -163,7 +151,8 @@ async def _drive(
         else:
             address, url, whose = options.broker, options.broker_url or "", "yours"
         console.print(f"broker: {address}, {whose}; topics clutchdiag/v1/{vehicle}/#", soft_wrap=True)
-        console.print("starting the service on the bus: about 4 s")
+        takes = "about 6 s, half a minute more where kernels are still to be compiled"
+        console.print(f"starting the service on the bus, and recording the drive once beside it: {takes}")
         broker = {"CLUTCHDIAG_BROKER": url}  # not an argument: it may hold a password
         subscriber = program(BACKEND, "follow", "-", vehicle, "--json", folder=folder, environment=broker)
         results = await stack.enter_async_context(subscriber)
@@ -178,9 +167,11 @@ async def _drive(
             folder=folder, environment=medium.environment,
         )  # fmt: skip
         async with _watched(heard.listen(results), service):
+            # Each program compiles its kernels while the other does.
+            await run(EMULATOR, "record", folder / RECORDING, "--force", *options.drive, folder=folder)
             if not await heard.within(READY_S, lambda: heard.is_online):
                 raise DemoError(f"the service did not announce itself within {READY_S:.0f} s")
-            parts.end("service")
+            parts.end("kernels, recording and service")
             takes_s = max(options.shifts * SHIFT_S, ageing.TAKES_S)
             drive = (
                 f"driving {options.shifts} shifts on the bus in real time; each line as MQTT delivers it, {PLUS_MINUS}"

@@ -31,10 +31,7 @@ def test_a_candump_of_a_car_that_is_asked_says_the_same_to_the_bit(
 ) -> None:
     log, words = tmp_path / "bus.log", ["--profile", profile]
     words += ["--vehicle-file", str(known_gears(tmp_path))] if like == "bmw_dkg" else []
-    with (
-        candump(vcan, log),
-        listening(tmp_path / "service", vcan, *words, "--active") as live,
-    ):
+    with candump(vcan, log), listening(tmp_path / "service", vcan, *words, "--active") as live:
         with emulator(tmp_path / "car", vcan, "--scenario", "case2", "--answers-like", like, "--cycles", "5") as car:
             live.wait_for(lambda: len(live.out.splitlines()) >= SHIFT_COUNT)
             car.send(signal.SIGTERM)

@@ -85,7 +85,7 @@ def test_aged_fluid_is_found(tmp_path: Path) -> None:
     took = re.search(r"^took: .*$", said, re.MULTILINE)
     assert took is not None, said
     parts = re.sub(r"\d+ s", "", took.group()).replace(" ", "")
-    assert parts == "took:kernelsandarecording,service,driving,pictures"
+    assert parts == "took:kernels,recordingandservice,driving,pictures"
     sixth = read_truth(folder / "truth.jsonl").shifts[SHIFTS - 1]
     assert sixth.t_end_s < LONGEST_S
     assert (folder / "ageing.svg").read_text(encoding="utf-8").startswith("<?xml")

@@ -87,10 +87,7 @@ def test_friction_is_found_from_answers_alone_and_beside_broadcast_frames(
 
 @pytest.mark.parametrize(
     ("wrong", "text"),
-    [
-        (("scale = 0.05", "scale = 0.025"), "of what this type has new"),
-        (("0x38EB", "0x38EA"), "none of 3 events fits"),
-    ],
+    [(("scale = 0.05", "scale = 0.025"), "of what this type has new"), (("0x38EB", "0x38EA"), "none of 3 events fits")],
 )
 def test_a_profile_for_another_car_is_found_out_and_nothing_is_estimated(
     log: Path, drive: Drive, wrong: tuple[str, str], text: str
@@ -112,9 +109,7 @@ def numbered(key: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("text", "together", "is_defined"),
-    [(DSG, 8, True), (numbered("local"), 1, False)],
-    ids=["define", "local"],
+    ("text", "together", "is_defined"), [(DSG, 8, True), (numbered("local"), 1, False)], ids=["define", "local"]
 )
 async def test_a_bus_on_which_somebody_asks_says_what_its_recording_says(
     log: Path, drive: Drive, text: str, together: int, *, is_defined: bool
@@ -134,10 +129,7 @@ async def live_results(log: Path, profile: Path) -> list[ShiftResult]:
     """Return what a bus says on which a recording is played, which must be what the recording says."""
     recorded, frames = diag_service.analyze(log, profile=profile), join(list(read_log(log)))
     found: list[ShiftResult] = []
-    with (
-        can.Bus("asked drive", "virtual", preserve_timestamps=True) as near,
-        can.Bus("asked drive", "virtual") as far,
-    ):
+    with can.Bus("asked drive", "virtual", preserve_timestamps=True) as near, can.Bus("asked drive", "virtual") as far:
         async with asyncio.timeout(HANG_S), diag_service.diagnose(far, profile=profile) as live:
             for t_ns, can_id, length, data in zip(
                 frames.t_ns.tolist(), frames.can_id.tolist(), frames.length.tolist(), frames.data, strict=True

@@ -27,9 +27,7 @@ class Transport:
     channel: str
 
 
-@pytest.fixture(
-    params=["virtual", "udp_multicast", pytest.param("socketcan", marks=pytest.mark.vcan)],
-)
+@pytest.fixture(params=["virtual", "udp_multicast", pytest.param("socketcan", marks=pytest.mark.vcan)])
 def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Transport:
     interface = str(request.param)
     if interface == "socketcan":

@@ -2,13 +2,9 @@
 
 import json
 import re
-import shutil
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 from typing import Any
-from zipfile import ZipFile
 
 import can
 import pytest
@@ -16,6 +12,7 @@ import pytest
 from canlog import load_database
 from tests.support.distributions import PACKAGES, ROOT
 from tests.support.plain_install import PlainInstall, distributions_of, linked_environment
+from tests.support.wheels import built_wheels, install
 
 FOLDER = ROOT / "canlog"
 DATABASE = """VERSION ""
@@ -53,35 +50,13 @@ print(json.dumps({{
 """
 
 
-@pytest.fixture(name="wheel", scope="module")
-def _wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build the wheel from a copy: building leaves files beside the sources."""
-    folder = tmp_path_factory.mktemp("wheel")
-    shutil.copytree(FOLDER, folder / "canlog", ignore=shutil.ignore_patterns("__pycache__", "build", "*.egg-info"))
-    pip("wheel", "-q", "--no-deps", "--no-index", "--no-build-isolation", "-w", folder, folder / "canlog")
-    (wheel,) = folder.glob("canlog-*.whl")
-    return wheel
-
-
 @pytest.fixture(name="alone", scope="module")
-def _alone(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> PlainInstall:
+def _alone(shared_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> PlainInstall:
     """Install it; what it requires is linked, so that nothing is fetched."""
     folder = tmp_path_factory.mktemp("alone")
     extras = library()["optional-dependencies"]
     linked_environment(folder, distributions_of([*library()["dependencies"], *extras["pandas"], *extras["polars"]]))
-    python = folder / "bin" / "python"
-    pip("--python", python, "install", "-q", "--no-deps", "--no-index", wheel)
-    return PlainInstall(python=python)
-
-
-def pip(*words: str | Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "pip", "--disable-pip-version-check", *words],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    return install(folder, built_wheels(shared_folder)["canlog"])
 
 
 def library() -> dict[str, Any]:
@@ -113,12 +88,6 @@ def write_drive(folder: Path) -> list[dict[str, float]]:
     return expected
 
 
-def test_the_wheel_holds_the_library_and_nothing_else(wheel: Path) -> None:
-    held = {name for name in ZipFile(wheel).namelist() if ".dist-info/" not in name}
-    sources = {path.relative_to(FOLDER / "src").as_posix() for path in (FOLDER / "src").rglob("*.py")}
-    assert held == sources | {"canlog/py.typed"}
-
-
 def test_three_lines_read_a_log_into_pandas_and_polars(alone: PlainInstall, tmp_path: Path) -> None:
     expected = write_drive(tmp_path)
     done = alone.run("-W", "error", "-c", WATCHED, cwd=tmp_path, NUMBA_CACHE_DIR=str(tmp_path / "cache"))
@@ -133,11 +102,3 @@ def test_three_lines_read_a_log_into_pandas_and_polars(alone: PlainInstall, tmp_
     assert Path(told["home"]).is_relative_to(alone.python.parents[1])
     assert told["compiled"]
     assert [name for name in told["compiled"] if not name.startswith(("canlog.", "numba."))] == []
-
-
-def test_importing_it_loads_no_library(alone: PlainInstall, tmp_path: Path) -> None:
-    program = (
-        "import sys, canlog; print([name for name in ('numpy', 'numba', 'cantools', 'can') if name in sys.modules])"
-    )
-    done = alone.run("-c", program, cwd=tmp_path)
-    assert (done.out, done.err) == ("[]\n", "")

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import polars as pl
+import pyarrow as pa
 import pytest
 
 import canlog
@@ -20,6 +21,7 @@ BO_ 257 Gear: 2 A
  SG_ Current m0 : 8|4@1+ (1,0) [0|7] "" A
  SG_ Target m1 : 8|4@1+ (1,0) [0|7] "" A
 VAL_ 256 State 0 "idle" 1 "running" ;
+VAL_ 256 Speed 65535 "NotAvailable" ;
 """
 LOG = """(1.000000) can0 100#0400000000000001
 (1.001000) can0 101#0003
@@ -30,6 +32,7 @@ LOG = """(1.000000) can0 100#0400000000000001
 this is no frame
 (1.006000) can0 100#R
 (1.007000) can0 100#0C00000000000000
+(1.008000) can0 00000123##1112233445566778899AABBCC
 """
 T_NS = {1: 1_001_000_000, 3: 1_003_000_000}
 
@@ -47,12 +50,23 @@ def _log(drive: Path) -> canlog.Log:
 
 
 def test_the_frames_are_those_of_the_file(log: canlog.Log) -> None:
-    assert len(log) == len(log.frames) == 8
+    assert len(log) == len(log.frames) == 9
     assert log.frames.can_id.tolist()[:4] == [0x100, 0x101, 0x100, 0x101]
-    assert log.frames.data[3].tolist() == [1, 4, 0, 0, 0, 0, 0, 0]
+    assert log.frames.data[3, :8].tolist() == [1, 4, 0, 0, 0, 0, 0, 0]
     assert log.format is canlog.LogFormat.CANDUMP
-    assert len(log) == 8
-    assert repr(log) == f"<canlog.Log {log.path}: candump, 8 frames>"
+    assert repr(log) == f"<canlog.Log {log.path}: candump, 9 frames>"
+
+
+def test_frames_are_a_table_without_a_database(drive: Path) -> None:
+    table = canlog.read(drive).frames_to_arrow()
+    *_, remote, _, extended = rows = table.to_pylist()
+    assert [row["channel"] for row in rows] == [0] * 5 + [1] + [0] * 3
+    assert (rows[0]["data"], remote["data"]) == (bytes.fromhex("0400000000000001"), b"")
+    assert extended["data"] == bytes.fromhex("112233445566778899AABBCC")
+    kinds = [(row["is_extended"], row["is_fd"], row["is_remote"]) for row in (remote, extended)]
+    assert kinds == [(False, False, True), (True, True, False)]
+    assert pl.from_arrow(table)["data"].to_list() == table.to_pandas()["data"].tolist()  # type: ignore[index]
+    assert np.asarray(table["time"].cast(pa.int64())).tolist()[:2] == [10**9, 10**9 + 1_000_000]
 
 
 def test_every_frame_and_line_is_accounted_for(log: canlog.Log) -> None:
@@ -61,7 +75,7 @@ def test_every_frame_and_line_is_accounted_for(log: canlog.Log) -> None:
     assert {fate.name: count for fate, count in log.account.fates.items() if count} == {
         "DECODED": 5,
         "SHORT": 1,
-        "UNKNOWN": 1,
+        "UNKNOWN": 2,
         "REMOTE": 1,
     }
     assert log.losses == [
@@ -74,10 +88,11 @@ def test_signals_are_arrays_in_the_order_of_the_frames(log: canlog.Log) -> None:
     signals = log.signals()
     assert list(signals) == ["Engine.Speed", "Engine.State", "Gear.Page", "Gear.Current", "Gear.Target"]
     speed = signals["Engine.Speed"]
-    assert speed.value.tolist() == [1.0, 2.0, 16383.75, 3.0]  # one of a short frame, one beyond its range
+    assert speed.value.tolist() == pytest.approx([1.0, 2.0, np.nan, 3.0], nan_ok=True)  # one is of a short frame
+    assert log.signals(is_raw=True)["Engine.Speed"].value[2] == 16383.75  # a code that says: not available
     assert speed.unit == "rpm"
     assert np.diff(speed.t_ns).tolist() == [2_000_000, 2_000_000, 3_000_000]
-    assert signals["Engine.State"].value.tolist() == [1.0, 7.0, 0.0]
+    assert signals["Engine.State"].value.tolist() == [1.0, 7.0, 0.0]  # 7 is outside its range, but sent
     assert (signals["Gear.Current"].t_ns.tolist(), signals["Gear.Current"].value.tolist()) == ([T_NS[1]], [3.0])
     assert (signals["Gear.Target"].t_ns.tolist(), signals["Gear.Target"].value.tolist()) == ([T_NS[3]], [4.0])
 

@@ -71,10 +71,7 @@ def _lines(drive_log: Path) -> list[bytes]:
 def _halves(lines: list[bytes], tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Return a drive in two logs, one after the other, whose formats number the same bus 0 and 1."""
     folder, half = tmp_path_factory.mktemp("halves"), len(lines) // 2
-    return [
-        written(folder / "monday.log", lines[:half]),
-        written(folder / "tuesday.log", on(1, lines[half:])),
-    ]
+    return [written(folder / "monday.log", lines[:half]), written(folder / "tuesday.log", on(1, lines[half:]))]
 
 
 @pytest.fixture(name="buses", scope="module", params=[0, 1], ids=["numbered alike", "numbered apart"])

@@ -143,7 +143,7 @@ def test_a_dashboard_shows_the_quantities_of_the_page(fleet: Connection) -> None
 
 
 ONLY_HERE = {  # numbers of a clutch that the page leaves to its JSON
-    *("clutch", "advice", "shifts", "P(slope < 0)", "running mu_C ±", "running mu_S", "running mu_S ±"),
+    *("clutch", "advice", "shifts", "P(slope < 0)", "running mu_C ±", "running mu_S", "running mu_S ±")
 }
 
 

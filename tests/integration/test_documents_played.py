@@ -89,7 +89,8 @@ def played_lines(page: str) -> list[Shown]:
     return [one for one in block_lines(page) if place_of(one.line) is None]
 
 
-PLAYED_PAGES = [page for page in PAGES if played_lines(page)]
+TOGETHER = ("README.md", "docs/tutorial.md")  # which begin with the same log, and say the same of it
+PLAYED_PAGES = [TOGETHER, *((page,) for page in PAGES if page not in TOGETHER and played_lines(page))]
 
 
 @pytest.fixture(name="workshop", scope="module")
@@ -127,12 +128,15 @@ def _stage(workshop: Path, tmp_path: Path, sqlite_url: str, monkeypatch: pytest.
     return stage
 
 
-@pytest.mark.parametrize("page", PLAYED_PAGES)
-def test_the_commands_of_a_page_run_in_their_order(page: str, stage: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    if not any(one.line.startswith("ecu-emulator record drive.log") for one in played_lines(page)):
+@pytest.mark.parametrize("pages", PLAYED_PAGES, ids=" ".join)
+def test_the_commands_of_a_page_run_in_their_order(
+    pages: Sequence[str], stage: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = dict.fromkeys(one.line for page in pages for one in played_lines(page))
+    if not any(one.startswith("ecu-emulator record drive.log") for one in lines):
         shutil.copy("monday.log", "drive.log")  # what a page supposes that does not make one
-    for shown in played_lines(page):
-        line, _, target = shown.line.partition(" > ")
+    for shown in lines:
+        line, _, target = shown.partition(" > ")
         program, *words = shlex.split(line)
         with (
             (stage / (target.strip() or "out")).open("w", encoding="utf-8") as out,
@@ -141,7 +145,7 @@ def test_the_commands_of_a_page_run_in_their_order(page: str, stage: Path, monke
         ):
             patch.setattr("sys.stdout", out)
             status = PROGRAMS[program](words)
-        assert status == 0, shown.line
+        assert status == 0, shown
 
 
 def test_what_is_not_run_here_is_run_where_it_is_said() -> None:

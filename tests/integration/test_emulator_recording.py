@@ -6,10 +6,10 @@ import pytest
 from canlog.e2e.message_contract import message_contracts
 from canlog.e2e.profile1 import COUNTER_PERIOD, counter_of, crc_is_valid, data_id_remainder
 from dbc.contract import load_contract
-from ecu_emulator.bus.frames import EncodedFrames, merge
+from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.drive.build import ROAD_MESSAGES
 from ecu_emulator.drive.recording import Drive, frames_of
-from ecu_emulator.truth import ShiftTruth, TruthLog
+from ecu_emulator.truth import TruthLog
 from tests.support.builders import drive_scenario
 
 
@@ -58,17 +58,3 @@ def test_the_truth_reaches_the_bus_only_through_what_sensors_see() -> None:
     assert len(fresh) > 700
     assert np.array_equal(fresh.t_s, aged.t_s)
     assert np.array_equal(fresh.data, aged.data)
-
-
-def test_the_same_scenario_gives_the_same_frames_in_any_stretches(recorded: tuple[EncodedFrames, TruthLog]) -> None:
-    frames, truth = recorded
-    drive = Drive(drive_scenario("noise_only"))
-    stretches = list(drive.stretches(0.777))
-    again = merge([stretch.frames for stretch in stretches])
-    assert np.array_equal(again.t_s, frames.t_s)
-    assert np.array_equal(again.can_id, frames.can_id)
-    assert np.array_equal(again.data, frames.data)
-    happened = [one for stretch in stretches for one in stretch.truths]
-    assert tuple(one for one in happened if isinstance(one, ShiftTruth)) == truth.shifts
-    assert drive.totals == truth.totals
-    assert drive.finished

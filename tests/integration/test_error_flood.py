@@ -4,9 +4,7 @@ import asyncio
 import re
 import signal
 import struct
-import threading
 from pathlib import Path
-from typing import Self
 
 import can
 import numpy as np
@@ -20,6 +18,7 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from tests.integration.test_service_onlookers import fetch
 from tests.support.batches import frames_at
+from tests.support.beside import Beside
 from tests.support.bus_end import raw_socket
 from tests.support.service import service
 from tests.support.wire import START_NS
@@ -64,26 +63,18 @@ HEARD, MORE = 20_000, 1_000_000  # error frames: before the service is stopped, 
 PACKED = struct.Struct("=IB3x8s")
 
 
-class Flood:
+class Flood(Beside):
     """Error frames as fast as a vcan takes them, while entered or until so many are sent."""
 
     def __init__(self, channel: str, kind: int) -> None:
-        self._thread = threading.Thread(target=self._send, args=(channel, PACKED.pack(ERROR_FLAG | kind, 8, bytes(8))))
-        self._is_over = threading.Event()
+        super().__init__()
+        self._channel, self._frame = channel, PACKED.pack(ERROR_FLAG | kind, 8, bytes(8))
         self.left = 2**62
 
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._is_over.set()
-        self._thread.join()
-
-    def _send(self, channel: str, frame: bytes) -> None:
-        with raw_socket(channel) as raw:
+    def _work(self) -> None:
+        with raw_socket(self._channel) as raw:
             while self.left > 0 and not self._is_over.is_set():
-                raw.send(frame)
+                raw.send(self._frame)
                 self.left -= 1
 
 

@@ -119,10 +119,7 @@ def test_a_database_that_is_paused_costs_time_and_bounded_memory(
     tmp_path: Path, broker: Mosquitto, postgres_server: PostgresServer, postgres_url: str, engine: Engine
 ) -> None:
     sent = messages(200)
-    with (
-        worker(tmp_path, broker.url, postgres_url, "--batch", "50") as pid,
-        ResendingEdge(broker.port) as edge,
-    ):
+    with worker(tmp_path, broker.url, postgres_url, "--batch", "50") as pid, ResendingEdge(broker.port) as edge:
         edge.keep(sent[:100])
         edge.deliver()
         before = psutil.Process(pid).memory_info().rss

@@ -13,7 +13,7 @@ from typing import Literal
 
 import httpx
 import pytest
-from playwright.sync_api import ConsoleMessage
+from playwright.sync_api import Browser, ConsoleMessage
 
 from tests.support.browsing import Words, chromium, new_page, words_seen
 from tests.support.fleet_page import filled, served
@@ -26,38 +26,43 @@ def _address(sqlite_template: Path, tmp_path_factory: pytest.TempPathFactory) ->
         yield address
 
 
-def test_the_overview_has_one_row_a_vehicle_and_columns_that_sort(address: str) -> None:
+@pytest.fixture(name="browser", scope="module")
+def _browser() -> Iterator[Browser]:
+    """Yield a browser for all tests, which ask for it behind the server: it goes before that waits for it."""
     with chromium() as browser:
-        page = new_page(browser)
-        page.goto(address)
-        names = page.locator("tbody th")
-        assert names.all_text_contents() == ["worn", "car1", "good.1"]
-        for count in ("1 change fluid", "1 watch", "1 good"):
-            assert page.get_by_role("link", name=count, exact=True).count() == 1
-        for way, found in (("ascending", ["car1", "good.1", "worn"]), ("descending", ["worn", "good.1", "car1"])):
-            page.get_by_role("columnheader", name="vehicle").get_by_role("link").click()
-            page.locator(f"th[aria-sort={way}]").wait_for()
-            assert names.all_text_contents() == found
-        page.get_by_role("link", name="1 watch", exact=True).click()
-        page.wait_for_url("**condition=watch")
-        assert names.all_text_contents() == ["car1"]
+        yield browser
 
 
-def test_moments_are_shown_in_local_time_on_demand(address: str) -> None:
-    with chromium() as browser:
-        context = browser.new_context(timezone_id="Asia/Kolkata")
-        context.set_default_timeout(1000.0 * HANG_S)
-        page = context.new_page()
-        page.goto(address)
-        row = page.get_by_role("row", name="worn")
-        assert row.locator("time").last.text_content() == "2026-01-01 00:00"
-        page.get_by_role("button", name="Local time").click()
-        assert row.locator("time").last.text_content() == "2026-01-01 05:30"
-        assert page.get_by_role("columnheader", name="last event (local)").count() == 1
-        page.goto(f"{address}/vehicles/worn")  # the choice is kept
-        assert page.locator("time", has_text="2026-01-01 05:30:").count() >= 1
-        page.get_by_role("button", name="Local time", pressed=True).click()
-        assert page.locator("time", has_text="2026-01-01 05:30").count() == 0
+def test_the_overview_has_one_row_a_vehicle_and_columns_that_sort(address: str, browser: Browser) -> None:
+    page = new_page(browser)
+    page.goto(address)
+    names = page.locator("tbody th")
+    assert names.all_text_contents() == ["worn", "car1", "good.1"]
+    for count in ("1 change fluid", "1 watch", "1 good"):
+        assert page.get_by_role("link", name=count, exact=True).count() == 1
+    for way, found in (("ascending", ["car1", "good.1", "worn"]), ("descending", ["worn", "good.1", "car1"])):
+        page.get_by_role("columnheader", name="vehicle").get_by_role("link").click()
+        page.locator(f"th[aria-sort={way}]").wait_for()
+        assert names.all_text_contents() == found
+    page.get_by_role("link", name="1 watch", exact=True).click()
+    page.wait_for_url("**condition=watch")
+    assert names.all_text_contents() == ["car1"]
+
+
+def test_moments_are_shown_in_local_time_on_demand(address: str, browser: Browser) -> None:
+    context = browser.new_context(timezone_id="Asia/Kolkata")
+    context.set_default_timeout(1000.0 * HANG_S)
+    page = context.new_page()
+    page.goto(address)
+    row = page.get_by_role("row", name="worn")
+    assert row.locator("time").last.text_content() == "2026-01-01 00:00"
+    page.get_by_role("button", name="Local time").click()
+    assert row.locator("time").last.text_content() == "2026-01-01 05:30"
+    assert page.get_by_role("columnheader", name="last event (local)").count() == 1
+    page.goto(f"{address}/vehicles/worn")  # the choice is kept
+    assert page.locator("time", has_text="2026-01-01 05:30:").count() >= 1
+    page.get_by_role("button", name="Local time", pressed=True).click()
+    assert page.locator("time", has_text="2026-01-01 05:30").count() == 0
 
 
 def test_the_list_is_a_table_for_other_programs_too(address: str) -> None:
@@ -103,10 +108,15 @@ def read_vehicle(words: Sequence[Words]) -> tuple[str, str, str, str]:
     return title.text.removeprefix("Vehicle "), badge.colour, order, km
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_screenshot_tells_who_is_worst_what_to_do_and_how_far_it_goes(
-    address: str, scheme: Literal["light", "dark"]
-) -> None:
+LOOKS: tuple[tuple[Literal["light", "dark"], int], ...] = (
+    ("light", 390),
+    ("dark", 768),
+    ("light", 1280),
+    ("dark", 1280),
+)
+
+
+def test_a_screenshot_tells_who_is_worst_what_to_do_and_how_far_it_goes(address: str, browser: Browser) -> None:
     """Whoever looks for three seconds sees words and colours of the first screen; scripts may be switched off."""
     with httpx.Client(base_url=address, trust_env=False) as client:
         worst = client.get("/api/v1/vehicles").json()["vehicles"][0]
@@ -117,46 +127,46 @@ def test_a_screenshot_tells_who_is_worst_what_to_do_and_how_far_it_goes(
         }
     told = (worst["vehicle"], worst["order"].split(". ")[0] + ".", f"{left_m / 1000.0:,.0f}")
     assert told == ("worn", "Change the fluid now.", "0")
-    with chromium() as browser:
-        for width_px in (390, 768, 1280):
-            context = browser.new_context(
-                java_script_enabled=False, viewport={"width": width_px, "height": 900}, color_scheme=scheme
-            )
-            page = context.new_page()
-            page.goto(address)
-            assert read_list(words_seen(page)) == told, width_px
-            if width_px == 1280:
-                page.goto(f"{address}/maintenance")
-                assert read_list(words_seen(page)) == told
-            page.goto(f"{address}/vehicles/worn")
-            assert read_vehicle(words_seen(page)) == (told[0], "red", told[1], "0 km left"), width_px
-            page.goto(f"{address}/vehicles/car1")
-            name, colour, order, km = read_vehicle(words_seen(page))
-            assert (name, colour, order) == ("car1", "yellow", "Have the fluid changed at the next service."), width_px
-            assert re.search(r"[0-9,]+ km left \([89]0 % sure\)", km), width_px
-            context.close()
+    for scheme, width_px in LOOKS:
+        context = browser.new_context(
+            java_script_enabled=False, viewport={"width": width_px, "height": 900}, color_scheme=scheme
+        )
+        page = context.new_page()
+        page.goto(address)
+        assert read_list(words_seen(page)) == told, width_px
+        if width_px == 1280:
+            page.goto(f"{address}/maintenance")
+            assert read_list(words_seen(page)) == told
+        page.goto(f"{address}/vehicles/worn")
+        assert read_vehicle(words_seen(page)) == (told[0], "red", told[1], "0 km left"), width_px
+        page.goto(f"{address}/vehicles/car1")
+        name, colour, order, km = read_vehicle(words_seen(page))
+        assert (name, colour, order) == ("car1", "yellow", "Have the fluid changed at the next service."), width_px
+        assert re.search(r"[0-9,]+ km left \([89]0 % sure\)", km), width_px
+        context.close()
 
 
 def heard(said: list[str], message: ConsoleMessage) -> None:
     said.append(message.text)
 
 
-def test_a_click_in_the_chart_leads_to_an_event_and_without_scripts_its_picture_stays(address: str) -> None:
-    with chromium() as browser:
-        for width_px in (390, 768, 1280):
-            page, refused = new_page(browser, width_px), list[str]()
-            page.on("console", partial(heard, refused))
-            page.goto(f"{address}/vehicles/car1")
-            page.locator(".chart .u-over").hover()
-            page.get_by_text("A click opens the event.").wait_for()
-            page.locator(".chart .u-over").click()
-            page.wait_for_url("**/vehicles/car1/shift?stream=*")
-            assert str(page.locator("h1").text_content()).endswith(" of car1")
-            assert refused == []  # by the policy for contents
-        plain = browser.new_context(java_script_enabled=False).new_page()
-        plain.goto(f"{address}/vehicles/car1")
-        assert plain.locator("figure.fan svg.plot").is_visible()
-        assert plain.locator(".chart").count() == 0
+def test_a_click_in_the_chart_leads_to_an_event_and_without_scripts_its_picture_stays(
+    address: str, browser: Browser
+) -> None:
+    for width_px in (390, 1280):
+        page, refused = new_page(browser, width_px), list[str]()
+        page.on("console", partial(heard, refused))
+        page.goto(f"{address}/vehicles/car1")
+        page.locator(".chart .u-over").hover()
+        page.get_by_text("A click opens the event.").wait_for()
+        page.locator(".chart .u-over").click()
+        page.wait_for_url("**/vehicles/car1/shift?stream=*")
+        assert str(page.locator("h1").text_content()).endswith(" of car1")
+        assert refused == []  # by the policy for contents
+    plain = browser.new_context(java_script_enabled=False).new_page()
+    plain.goto(f"{address}/vehicles/car1")
+    assert plain.locator("figure.fan svg.plot").is_visible()
+    assert plain.locator(".chart").count() == 0
 
 
 def test_the_chart_library_is_the_one_that_its_note_names() -> None:
@@ -166,32 +176,30 @@ def test_the_chart_library_is_the_one_that_its_note_names() -> None:
     assert {one.name for one in folder.iterdir()} == {"LICENSE", "VERSION.txt", *(name for _, name in told)}
 
 
-def test_the_list_can_be_of_a_range_of_time(address: str) -> None:
-    with chromium() as browser:
-        page = new_page(browser)
-        page.goto(address)
-        page.get_by_text("Filters").click()
-        page.get_by_label("Last event from").fill("2026-01-02")
-        page.get_by_role("button", name="Show").click()
-        page.wait_for_url("**since=2026-01-02**")
-        page.get_by_text("No vehicle matches these filters.").wait_for()
-        page.goto(f"{address}/?since=2026-01-01&until=2026-01-01")
-        assert page.locator("tbody th").all_text_contents() == ["worn", "car1", "good.1"]
-        page.get_by_text("Filters").click()
-        assert page.get_by_label("Last event to").input_value() == "2026-01-01"
+def test_the_list_can_be_of_a_range_of_time(address: str, browser: Browser) -> None:
+    page = new_page(browser)
+    page.goto(address)
+    page.get_by_text("Filters").click()
+    page.get_by_label("Last event from").fill("2026-01-02")
+    page.get_by_role("button", name="Show").click()
+    page.wait_for_url("**since=2026-01-02**")
+    page.get_by_text("No vehicle matches these filters.").wait_for()
+    page.goto(f"{address}/?since=2026-01-01&until=2026-01-01")
+    assert page.locator("tbody th").all_text_contents() == ["worn", "car1", "good.1"]
+    page.get_by_text("Filters").click()
+    assert page.get_by_label("Last event to").input_value() == "2026-01-01"
     with httpx.Client(base_url=address, trust_env=False) as client:
         wrong = client.get("/api/v1/vehicles?until=yesterday")
         assert (wrong.status_code, "until" in wrong.json()["detail"]) == (400, True)
 
 
-def test_maintenance_has_a_lane_a_type_with_the_weeks_to_come(address: str) -> None:
-    with chromium() as browser:
-        page = new_page(browser)
-        page.goto(f"{address}/maintenance")
-        table = page.get_by_role("region", name="Table: Vehicles due, a lane a type: in which week")
-        heads = table.locator("thead th").all_text_contents()
-        assert (heads[:3], heads[-2:], len(heads)) == (["type", "now", "this week"], ["later", "no day"], 12)
-        lanes = [row.locator("td").all_text_contents() for row in table.locator("tbody tr").all()]
-        counts = [[int(text) if text != "–" else 0 for text in lane] for lane in lanes]
-        assert [sum(lane) for lane in counts] == [2, 1]  # the largest type first
-        assert counts[0][0] == 1  # the worn one is due now
+def test_maintenance_has_a_lane_a_type_with_the_weeks_to_come(address: str, browser: Browser) -> None:
+    page = new_page(browser)
+    page.goto(f"{address}/maintenance")
+    table = page.get_by_role("region", name="Table: Vehicles due, a lane a type: in which week")
+    heads = table.locator("thead th").all_text_contents()
+    assert (heads[:3], heads[-2:], len(heads)) == (["type", "now", "this week"], ["later", "no day"], 12)
+    lanes = [row.locator("td").all_text_contents() for row in table.locator("tbody tr").all()]
+    counts = [[int(text) if text != "–" else 0 for text in lane] for lane in lanes]
+    assert [sum(lane) for lane in counts] == [2, 1]  # the largest type first
+    assert counts[0][0] == 1  # the worn one is due now

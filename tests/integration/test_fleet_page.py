@@ -177,7 +177,7 @@ def test_a_real_browser_shows_every_page_to_everybody(address: str, database: st
         writer.dispose()
         page.get_by_text("the newest 5 of 5 events").wait_for(state="attached")
         assert refused == []  # by the policy for contents
-        complaints |= {f"{path}, refused": refused_in(browser, address + path) for path in PAGES[:-1]}
+        complaints |= {f"{path}, refused": refused_in(browser, address + path) for path in (*LISTS[1:], SHIFT)}
         complaints["alarms with their forms"] = acknowledge_by_keyboard(browser, workshop)
         complaints |= complaints_of_print(browser, address)
     assert complaints == {key: [] for key in complaints}

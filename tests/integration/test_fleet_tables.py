@@ -61,11 +61,7 @@ def test_a_pipe_gets_a_line_per_record_in_columns(
 
 
 @pytest.mark.parametrize(
-    "words",
-    [
-        *(["trend", "{}", "2"], ["fill", "{}", "oil"], ["alarms", "--acknowledge", "{}"]),
-    ],
-    ids=" ".join,
+    "words", [*(["trend", "{}", "2"], ["fill", "{}", "oil"], ["alarms", "--acknowledge", "{}"])], ids=" ".join
 )
 @pytest.mark.parametrize(("name", "hint"), [("taxi1", "did you mean taxi-1, taxi-2?"), ("zzz", "fleet-backend seen")])
 def test_an_unknown_vehicle_is_an_error(

@@ -14,7 +14,7 @@ from tests.support.in_process import ended
 @pytest.fixture(name="log", scope="module")
 def _log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("lockup") / "old.log"
-    Emulator("lockup", fluid="case2", seed=13).record(path)
+    Emulator("lockup", fluid="case2", seed=13, drive="us06").record(path)
     return path
 
 

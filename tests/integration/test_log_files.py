@@ -12,11 +12,7 @@ from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.log_formats import open_log
 from tests.support.traffic import START_NS, as_received, assert_same, random_frames
 
-SUFFIXES = {
-    LogFormat.CANDUMP: ".log",
-    LogFormat.BLF: ".blf",
-    LogFormat.MF4: ".mf4",
-}
+SUFFIXES = {LogFormat.CANDUMP: ".log", LogFormat.BLF: ".blf", LogFormat.MF4: ".mf4"}
 FRAMES = random_frames(20_000)
 
 

@@ -24,10 +24,7 @@ FAST = [
     Measured("nEng\\ETKC:1", "rpm", SPEED, 0.25),
     Measured("pCl1\\ETKC:1", "bar", PRESSURE, 0.001, -1.0, dtype="<u2"),
 ]
-SLOW = [
-    Measured("TOil", "degC", TEMPERATURE, 0.1, -40.0, SLOW_S > 15.0),
-    Measured("nEng\\ETKC:1", "rpm", SLOW_S),
-]
+SLOW = [Measured("TOil", "degC", TEMPERATURE, 0.1, -40.0, SLOW_S > 15.0), Measured("nEng\\ETKC:1", "rpm", SLOW_S)]
 GROUPS = [(FAST_S, FAST), (SLOW_S, SLOW)]
 COLUMNS = [("nEng\\ETKC:1", "rpm"), ("pCl1\\ETKC:1", "bar"), ("TOil", "degC"), ("nEng\\ETKC:1 (2)", "rpm")]
 

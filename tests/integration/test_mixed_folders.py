@@ -70,10 +70,7 @@ def test_every_file_is_listed_with_what_it_was_taken_for(folder: Path, capsys: p
     assert listed["archive.zip"] == "no log: a zip archive: unpack it first"
     assert "not a log of a known format" in listed["picture.png"]
     assert "a message database (DBC): it belongs behind --dbc" in listed["car.dbc"]
-    assert (listed["empty.log"], listed["gone.log"]) == (
-        "no log: the file is empty",
-        "no log: a broken link",
-    )
+    assert (listed["empty.log"], listed["gone.log"]) == ("no log: the file is empty", "no log: a broken link")
     assert "if it is a log of python-can, can_logconvert" in listed["other.db"]
     assert any(
         line.startswith(f"{folder}/torn.blf: not a log after all: no CAN frame in this blf log") for line in said

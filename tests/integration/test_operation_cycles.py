@@ -22,8 +22,8 @@ LIFE = 43
 
 
 def day(car: TripCar) -> None:
-    """Drive three sound trips, the first one with a cold engine."""
-    for coolant_k in (COLD, WARM, WARM):
+    """Drive two sound trips, the first one with a cold engine."""
+    for coolant_k in (COLD, WARM):
         car.park()
         car.drive(coolant_k)
 

@@ -1,12 +1,18 @@
 """One drive behind a quick adapter, whose dialogue is made from a recording: the answer that an owner reads."""
 
+from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from canlog.frames import FrameBatch
 from diag_service.mapping.profile import load_shipped
-from ecu_emulator.cli import main as emulator
+from ecu_emulator import Emulator
+from ecu_emulator.bus.frames import merge
+from ecu_emulator.drive.recording import Drive as Driven
+from studies.builders import STRETCH_S, to_batch
 from tests.support.asked import dialogue_of, write_candump
 from tests.support.in_process import ended
 from tests.support.recode import Drive, drive_of, lockup_drive_of
@@ -16,11 +22,11 @@ pytestmark = pytest.mark.slow
 QUICK_S, USUAL_S = (0.005, 0.03), (0.02, 0.06)  # from a request to its answer; an old ELM327 needs 0.1
 
 
-def recorded(folder: Path, scenario: str, trace: str) -> Path:
-    """Return a log of a drive along a trace."""
-    log = folder / "bus.log"
-    assert emulator(["record", str(log), "--scenario", scenario, "--drive", trace, "--cycles", "1", "--seed", "3"]) == 0
-    return log
+def driven(scenario: str, trace: str, duration_s: float) -> Iterator[FrameBatch]:
+    """Yield what is said on the bus in the beginning of a drive along a trace."""
+    car = Driven(Emulator(scenario, drive=trace, seed=3).scenario)
+    for stretch in islice(car.stretches(STRETCH_S), round(duration_s / STRETCH_S)):
+        yield to_batch(merge([stretch.frames]))
 
 
 def asked(folder: Path, drive: Drive, name: str, answer_s: tuple[float, float]) -> Path:
@@ -31,8 +37,8 @@ def asked(folder: Path, drive: Drive, name: str, answer_s: tuple[float, float]) 
 
 
 def test_the_worn_fluid_of_a_dsg_is_to_be_changed_after_one_drive(tmp_path: Path) -> None:
-    bus, car = recorded(tmp_path, "case2", "udds"), tmp_path / "car.toml"
-    log = asked(tmp_path, drive_of(bus), "vw_dsg", USUAL_S)
+    car = tmp_path / "car.toml"
+    log = asked(tmp_path, drive_of(driven("case2", "udds", 780.0)), "vw_dsg", USUAL_S)
     learnt = ended("learn", log, "--profile", "vw_dsg", "-o", car)
     assert learnt.status == 0, learnt.err
     run = ended("analyze", log, "--profile", "vw_dsg", "--vehicle-file", car)
@@ -42,7 +48,7 @@ def test_the_worn_fluid_of_a_dsg_is_to_be_changed_after_one_drive(tmp_path: Path
 
 
 def test_a_gm_automatic_tells_its_slope_after_one_drive_and_why_no_level(tmp_path: Path) -> None:
-    log = asked(tmp_path, lockup_drive_of(recorded(tmp_path, "lockup", "us06")), "gm_t87a", QUICK_S)
+    log = asked(tmp_path, lockup_drive_of(driven("lockup", "us06", 300.0)), "gm_t87a", QUICK_S)
     run = ended("analyze", log, "--profile", "gm_t87a")
     assert run.status == 0, run.err
     (together,) = [line for line in run.out.splitlines() if "all temperatures" in line]

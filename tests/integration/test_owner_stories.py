@@ -18,11 +18,12 @@ from tests.support.ports import free_port
 from workshop.controller.answers import Answers
 from workshop.controller.controller import Controller
 from workshop.controller.elm327_server import ElmServer
+from workshop.tester import trying
 
 pytestmark = pytest.mark.asks
 
 TRIALS = 5  # on a machine that is far too slow for an adapter
-DRIVEN_S = "10"
+DRIVEN_S = "6"
 NEXT_STEP = "switch the ignition on, check plug and bit rate, and try again"
 
 
@@ -83,7 +84,10 @@ def only_speeds() -> Controller:
     return transmission
 
 
-def test_a_car_that_tells_speeds_alone_is_refused_before_the_drive(tmp_path: Path) -> None:
+def test_a_car_that_tells_speeds_alone_is_refused_before_the_drive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trying, "RATE_S", 1.0)
     log = tmp_path / "drive.log"
     with ElmServer(only_speeds(), ("127.0.0.1", 0), None, engine()) as server:
         words = ("--adapter", f"elm327://{server.place}", "--profile", "vw_dsg", "--active", "--record", log)

@@ -1,4 +1,4 @@
-"""All of a page can be seen and read, on a telephone and on a desk: fleet, maintenance, vehicles, a report."""
+"""All of a page can be seen and read, on a telephone and on a desk; reports: test_report.py."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -10,13 +10,10 @@ from clutch_results.records import Condition
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
 from fleet_backend.writer import Batch, Writer
-from tests.support.browsing import chromium, complaints_of, cut_in, height_of, new_page
+from tests.support.browsing import HIGHEST_PX, chromium, complaints_of, cut_in, height_of, new_page
 from tests.support.fleet import fleet_result, row_of
 from tests.support.fleet_page import fill_database, served
-from tests.support.histories import fill_store, history
-from tests.support.in_process import ended
 
-HIGHEST_PX = 9000  # of a telephone's page; a name that is broken letter by letter made 13,000
 WIDTHS_PX = (390, 1280)
 LONG_NAME = "Workshop-of-the-northern-depot_sweeper-with-trailer_no.0000000017"[:64]
 _TABLES_ONLY = ("fleet", "maintenance")
@@ -24,7 +21,7 @@ _TABLES_ONLY = ("fleet", "maintenance")
 
 @contextmanager
 def pages(folder: Path) -> Iterator[Mapping[str, str]]:
-    """Make a fleet and a report in a folder, and yield the addresses of their pages by name."""
+    """Make a fleet in a folder, and yield the addresses of their pages by name."""
     database = f"sqlite:///{folder / 'fleet.sqlite'}"
     engine = open_database(database)
     migrate(engine)
@@ -33,17 +30,12 @@ def pages(folder: Path) -> Iterator[Mapping[str, str]]:
     others = [fleet_result(1, vehicle=f"van-{number:02}", condition=Condition.WATCH) for number in range(12)]
     Writer(engine).store(Batch(shifts=[row_of(one) for one in (*worn, *others)]))
     engine.dispose()
-    fill_store(folder / "car1.sqlite", history(60))
-    made = ended("report", folder / "car1.sqlite", "-o", folder / "car1.html")
-    if made.status != 0:
-        raise RuntimeError(made.err)
     with served(database) as address:
         yield {
             "fleet": address + "/",
             "maintenance": f"{address}/maintenance",
             "vehicle": f"{address}/vehicles/car1",
             "long-name": f"{address}/vehicles/{LONG_NAME}",
-            "report": (folder / "car1.html").as_uri(),
         }
 
 

@@ -14,8 +14,7 @@ from rich.console import Console, RenderableType
 
 from canlog.traffic import TrafficMeter
 from clutch_results.records import shift_record
-from clutchdiag_io.console import PeopleConsole
-from demo.outcome import live_line, tables
+from demo.outcome import tables
 from diag_service.api.analysis import draw_fan
 from diag_service.api.learning import summary_lines
 from diag_service.commands import inspect, learn
@@ -26,7 +25,6 @@ from diag_service.mapping.learning import LearnedGear, LearnedValue, LearnedVehi
 from diag_service.mapping.proposal import GearRatio, gears_text
 from diag_service.report.history import history_lines
 from diag_service.report.page import fan_for, html_of
-from fleet_backend import report
 from fleet_backend.database import open_database
 from fleet_backend.follow import _finding
 from fleet_backend.migrate import migrate
@@ -75,26 +73,6 @@ def follow() -> str:
     return _finding(shift_record(shift_result(1)))
 
 
-def fleet() -> str:
-    row = {"vehicle": "car1", "condition": "good", "mu_c": FRICTION.mu_c, "element": None, "clutch": 1, "mu_s": None}
-    row |= {"running_mu_c": FRICTION.mu_c, "running_std_mu_c": FRICTION.std_mu_c, "end_at": None, "fluid": None}
-    row |= {"random_std_mu_c": FRICTION.std_mu_c, "running_mu_s": FRICTION.mu_s, "running_std_mu_s": FRICTION.std_mu_s}
-    out = io.StringIO()
-    PeopleConsole(file=out).print(report.trend_table("car1", [row]))
-    return out.getvalue().replace("±0", "± 0")
-
-
-def table() -> str:
-    row = {name: getattr(FRICTION, name) for name in ("mu_c", "mu_s", "slope_s_rad")}
-    row |= {"mu_c_high": FRICTION.mu_c + 2.0 * FRICTION.std_mu_c, "mu_s_high": FRICTION.mu_s + 2.0 * FRICTION.std_mu_s}
-    row |= {"slope_high_s_rad": FRICTION.slope_s_rad + 2.0 * FRICTION.std_slope_s_rad}
-    words = dict.fromkeys(("condition", "action", "order"), "nothing") | {"vehicle": "car1"}
-    nothing = dict.fromkeys(("element", "clutch", "end_at", "fluid", "odometer_m", "shift_count"))
-    out = io.StringIO()
-    PeopleConsole(file=out).print(report.fleet_table([words | nothing | row | {"probability_negative_slope": 0.001}]))
-    return out.getvalue()
-
-
 def page(path: str) -> str:
     """Return a page of a fleet of one vehicle."""
     with TemporaryDirectory() as folder:
@@ -113,8 +91,6 @@ FACES: dict[str, Callable[[], str]] = {
     "history": lambda: printed(*history_lines(findings(4), (1, 2), most_rows=9)),
     "report": lambda: html_of(findings(4), "2026-03-01T12:00:00.000000Z", is_full=True),
     "fleet-backend follow": follow,
-    "fleet-backend trend": fleet,
-    "fleet-backend table": table,
     **{f"fleet page {path}": partial(page, path) for path in (SHIFT, "/vehicles/car1")},
 }
 
@@ -128,7 +104,7 @@ def test_every_face_of_a_result_shows_one_half_width_and_says_which(face: str) -
         assert f"{2.0 * mu_c.std_mu_c:.4f}" in text
         assert f"± {mu_c.std_mu_c:.4f}" not in text
         return
-    assert (MU_C[:-1] if face == "fleet-backend table" else MU_C) in text
+    assert MU_C in text
     assert "0.0012" not in text
 
 
@@ -150,10 +126,6 @@ def test_intervals_of_frames_scatter_by_two_of_their_deviations() -> None:
     cells = dict(zip(("bus", "id", "message", *inspect._HEAD), inspect._row(row, ""), strict=True))
     assert float(cells["period ms"]) == pytest.approx(10.0, abs=0.02)
     assert float(cells[SHORT]) == pytest.approx(2.0, abs=0.02)
-
-
-def test_a_line_as_it_comes_shows_the_same() -> None:
-    assert f"{FRICTION.mu_c:.4f} ± {MU_C}  mu_S {FRICTION.mu_s:.4f} ± {MU_S}" in str(live_line(shift_result(1)))
 
 
 def test_what_is_calibrated_or_learned_shows_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

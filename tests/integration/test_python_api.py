@@ -123,7 +123,7 @@ def test_a_part_of_a_drive_is_told_as_such(drive_log: Path, tmp_path: Path) -> N
 
 def test_importing_it_loads_no_library() -> None:
     program = (
-        "import sys, diag_service, ecu_emulator, ecu_emulator.pytest_plugin, diag_service.pytest_plugin\n"
+        "import sys, canlog, diag_service, ecu_emulator, ecu_emulator.pytest_plugin, diag_service.pytest_plugin\n"
         "print([name for name in ('numpy', 'numba', 'cantools', 'can', 'click', 'asyncio') if name in sys.modules])\n"
         "print(sorted(diag_service.__all__) == sorted(set(dir(diag_service)) & set(diag_service.__all__)))"
     )

@@ -43,10 +43,7 @@ def counts_say(running: Service, text: str) -> bool:
     return f"diag-service: {text}" in running.err
 
 
-@pytest.mark.parametrize(
-    ("number", "delay_s"),
-    [(signal.SIGINT, 0.0), (signal.SIGTERM, 0.4)],
-)
+@pytest.mark.parametrize(("number", "delay_s"), [(signal.SIGINT, 0.0), (signal.SIGTERM, 0.4)])
 def test_a_signal_while_starting_ends_it_cleanly(
     tmp_path: Path, bus: UdpBus, number: signal.Signals, delay_s: float
 ) -> None:

@@ -9,11 +9,7 @@ from ecu_emulator.cli import main as emulator
 from tests.support.in_process import ended
 from tests.support.terminal import before_head, in_broken_pipe, in_terminal, on_full_disk
 
-COMMANDS = (
-    ("diag_service", "inspect", "{log}"),
-    ("diag_service", "analyze", "{log}"),
-    ("ecu_emulator", "scenarios"),
-)
+COMMANDS = (("diag_service", "inspect", "{log}"), ("diag_service", "analyze", "{log}"), ("ecu_emulator", "scenarios"))
 FOLDER = ("diag_service", "analyze", "--jobs", "1", "{folder}")
 
 

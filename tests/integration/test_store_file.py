@@ -13,12 +13,7 @@ from typing import Any
 import pytest
 
 from diag_service.errors import StoreError
-from diag_service.store import (
-    SCHEMA_VERSION,
-    ResultStore,
-    VehicleState,
-    Versions,
-)
+from diag_service.store import SCHEMA_VERSION, ResultStore, VehicleState, Versions
 from tests.support.builders import shift_result
 
 STATE = VehicleState(filter_state={"mark": 1}, condition={}, versions=Versions(algorithm="a", calibration="c"))

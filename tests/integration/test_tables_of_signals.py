@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import diag_service
+from clutch_results.records import shift_record
 from dbc.contract import load_contract
 from diag_service.mapping.profile import PROFILE_PATH
 from ecu_emulator.cli import main as emulator
@@ -158,18 +159,19 @@ def test_an_automatic_is_told_its_tier_and_its_units_are_questioned(tmp_path: Pa
         assert "column 'trans_fluid_temp_c' is read in 'degF', but something speaks for 'degC'" in run.err
 
 
-def asked(folder: Path, rate_hz: float) -> tuple[list[dict[str, Any]], str]:
-    """Return what is found in a table of a car with 20 gear changes, and what is shown of it."""
-    log, table, profile = folder / "car.log", folder / "car.csv", folder / "car.toml"
+@pytest.fixture(name="car_log", scope="module")
+def _car_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the log of a car with 20 gear changes."""
+    log = tmp_path_factory.mktemp("car") / "car.log"
     assert emulator(["record", str(log), "--seed", "5", "--cycles", "2"]) == 0
-    written(log, table, np.random.default_rng(5), rate_hz=rate_hz, left_out=OUTPUT - OF_FRICTION)
+    return log
+
+
+def test_friction_is_told_from_few_rows_with_wider_intervals(car_log: Path, tmp_path: Path) -> None:
+    table, profile = tmp_path / "car.csv", tmp_path / "car.toml"
+    written(car_log, table, np.random.default_rng(5), rate_hz=27.0, left_out=OUTPUT - OF_FRICTION)
     profile.write_text(ended("signals", table).out, encoding="utf-8")
-    return analysed(table, "--profile", profile), ended("analyze", table, "--profile", profile).out
-
-
-@pytest.mark.parametrize("rate_hz", [50.0, 27.0])
-def test_friction_is_told_from_few_rows_with_wider_intervals(tmp_path: Path, rate_hz: float) -> None:
-    found, _ = asked(tmp_path, rate_hz)
+    found = analysed(table, "--profile", profile)
     assert [one["kind"] for one in found] == 2 * (5 * ["power_on_upshift"] + 5 * ["coast_downshift"])
     estimates = [one["friction"] for one in found if one["status"] == "valid"]
     assert len(estimates) == 20
@@ -181,20 +183,18 @@ def test_friction_is_told_from_few_rows_with_wider_intervals(tmp_path: Path, rat
 
 
 @pytest.mark.parametrize("origin", ["modelled", "without_cut"])
-def test_injected_fuel_tells_friction_up_to_a_scale(tmp_path: Path, origin: str) -> None:
-    log, table, profile = tmp_path / "car.log", tmp_path / "car.csv", tmp_path / "car.toml"
-    assert emulator(["record", str(log), "--seed", "5", "--cycles", "2"]) == 0
-    written(log, table, np.random.default_rng(5), rate_hz=50.0, left_out=OUTPUT - OF_FRICTION)
+def test_injected_fuel_tells_friction_up_to_a_scale(car_log: Path, tmp_path: Path, origin: str) -> None:
+    table, profile = tmp_path / "car.csv", tmp_path / "car.toml"
+    written(car_log, table, np.random.default_rng(5), rate_hz=50.0, left_out=OUTPUT - OF_FRICTION)
     with_fuel(table, np.random.default_rng(5))
     proposed = ended("signals", table).out
     assert tomllib.loads(proposed)["signals"]["engine_torque_nm"]["origin"] == "without_cut"
     profile.write_text(proposed.replace('origin = "without_cut"', f'origin = "{origin}"'), encoding="utf-8")
-    found = analysed(table, "--profile", profile)
+    found: list[dict[str, Any]] = [shift_record(one) for one in diag_service.analyze(table, profile=profile).results]
     shown = ended("analyze", table, "--profile", profile).out
     assert "engine torque is modelled, not measured" in shown
     assert {one["verdict"]["condition"] for one in found} == {"no_verdict"}
     assert all(one["friction"] is one["verdict"]["friction"] is one["verdict"]["level_ratio"] is None for one in found)
-    assert all(one.estimate.friction is None for one in diag_service.analyze(table, profile=profile).results)
     if origin == "without_cut":
         assert [one["reasons"] for one in found] == len(found) * [["torque_unknown"]]
         assert "[torque unknown]" in shown
@@ -213,19 +213,16 @@ def test_injected_fuel_tells_friction_up_to_a_scale(tmp_path: Path, origin: str)
     assert "mu_S over mu_C" in report.read_text(encoding="utf-8")
 
 
-def test_without_torque_the_shifts_of_a_clutch_are_held_against_each_other(tmp_path: Path) -> None:
-    log, table, profile, page = (tmp_path / f"car.{suffix}" for suffix in ("log", "csv", "toml", "html"))
-    assert emulator(["record", str(log), "--seed", "5", "--cycles", "2"]) == 0
+def test_without_torque_the_shifts_of_a_clutch_are_held_against_each_other(car_log: Path, tmp_path: Path) -> None:
+    table, profile, page = (tmp_path / f"car.{suffix}" for suffix in ("csv", "toml", "html"))
     rng, inputs = np.random.default_rng(5), {"Input Shaft 1 Speed", "Input Shaft 2 Speed"}
-    written(log, table, rng, left_out=OF_FRICTION | inputs)
+    written(car_log, table, rng, left_out=OF_FRICTION | inputs)
     with_fuel(table, rng)
     profile.write_text(ended("signals", table).out, encoding="utf-8")
     found = diag_service.analyze(table, profile=profile)
     clutches = {one["clutch"]: one for one in found.summary["relative_friction"]}
-    assert {clutch: len(one["shifts"]) for clutch, one in clutches.items()} == {
-        1: 4,
-        2: 6,
-    }  # power upshifts of two cycles
+    upshifts = {clutch: len(one["shifts"]) for clutch, one in clutches.items()}
+    assert upshifts == {1: 4, 2: 6}  # under power, of two cycles
     for one in clutches.values():  # the fluid was the same
         assert all(abs(shift["value"] - 1.0) < 3.0 * shift["std"] < 0.6 for shift in one["shifts"].values())
         assert abs(one["trend"]["value"]) < 3.0 * one["trend"]["std"]

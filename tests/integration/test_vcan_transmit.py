@@ -4,7 +4,6 @@ import json
 import threading
 import time
 from contextlib import suppress
-from typing import Self
 
 import pytest
 
@@ -12,6 +11,7 @@ from canlog.live.socketcan import grow_receive_buffer
 from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
 from ecu_emulator.cli import main
 from ecu_emulator.errors import BusError
+from tests.support.beside import Beside
 from tests.support.bus_end import RECEIVE_BYTES, raw_socket
 from tests.support.patience import HANG_S
 from tests.support.starvation import StarvationWatch, undisturbed
@@ -24,27 +24,21 @@ pytestmark = pytest.mark.vcan
 DOWN_S = 10.0
 
 
-class Listener:
+class Listener(Beside):
     """Counts the frames of an interface while it is entered, also after that was down."""
 
     def __init__(self, vcan: str) -> None:
+        super().__init__()
         self._raw = raw_socket(vcan)
         grow_receive_buffer(self._raw, int(RECEIVE_BYTES))
         self._raw.settimeout(0.2)
-        self._is_over = threading.Event()
-        self._thread = threading.Thread(target=self._listen, name="listener")
         self.frame_count = 0
 
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
     def __exit__(self, *_: object) -> None:
-        self._is_over.set()
-        self._thread.join()
+        super().__exit__()
         self._raw.close()
 
-    def _listen(self) -> None:
+    def _work(self) -> None:
         is_last = False
         while not is_last:
             is_last = self._is_over.is_set()

@@ -51,9 +51,11 @@ class Simulations:
         """Start a system controller: the simulation begins when these are there."""
         self._start(["system-controller", "-u", self.uri, "-l", "off", *participants], self._folder / "controller.log")
 
-    def start(self, program: str, *words: str, step_s: float = 0.001) -> "subprocess.Popen[str]":
-        """Start a program that finds the registry."""
-        settings = {"registry": self.uri, "step_s": step_s}
+    def start(
+        self, program: str, *words: str, step_s: float = 0.001, registry: str | None = None
+    ) -> "subprocess.Popen[str]":
+        """Start a program that finds the registry, or looks for another."""
+        settings = {"registry": registry or self.uri, "step_s": step_s}
         process = subprocess.Popen(
             [PROGRAMS / program, *words],
             env={**os.environ, "CAN_CONFIG": json.dumps(settings), "COLUMNS": "200"},

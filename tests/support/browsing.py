@@ -18,6 +18,7 @@ from tests.support.patience import HANG_S
 
 NOTHING: Mapping[str, str] = MappingProxyType({})
 FOLD_PX = 4  # a pixel or two of rounding
+HIGHEST_PX = 9000  # of a telephone's page; a name that is broken letter by letter made 13,000
 
 
 @contextmanager

@@ -3,16 +3,15 @@
 import socket
 import struct
 import subprocess
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import cycle
 from pathlib import Path
-from typing import Self
 
 import psutil
 
+from tests.support.beside import Beside
 from tests.support.patience import HANG_S
 from tests.support.wire import CONTRACTS, DATABASE
 
@@ -78,14 +77,13 @@ def wait_for_shift(channel: str, from_gear: int, frame_count: int = 1) -> None:
     raise TimeoutError(f"no shift from gear {from_gear} within {HANG_S:g} s")
 
 
-class Stranger:
+class Stranger(Beside):
     """Sends unknown identifiers, wrong CRCs and short frames in turn while it is entered; counts what it sent."""
 
     def __init__(self, channel: str, pause_s: float) -> None:
+        super().__init__()
         self._channel = channel
         self._pause_s = pause_s
-        self._is_over = threading.Event()
-        self._thread = threading.Thread(target=self._send, name="stranger")
         speeds, pressures = CONTRACTS["TCU_InputSpeeds"].can_id, CONTRACTS["TCU_Pressures"].can_id
         self._kinds = {
             "ignored": _FRAME.pack(STRANGER_ID, 8, b"stranger"),
@@ -93,14 +91,6 @@ class Stranger:
             "short": _FRAME.pack(pressures, 3, b"cut"),
         }
         self.sent = dict.fromkeys(self._kinds, 0)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._is_over.set()
-        self._thread.join()
 
     @property
     def total(self) -> int:
@@ -114,7 +104,7 @@ class Stranger:
                 raw.send(self._kinds["ignored"])
         self.sent["ignored"] += count
 
-    def _send(self) -> None:
+    def _work(self) -> None:
         kinds = cycle(self._kinds.items())
         with raw_socket(self._channel) as raw:
             while not self._is_over.wait(self._pause_s):

@@ -14,11 +14,7 @@ PAGES = (
     "workshop/README.md",
     *sorted(f"docs/{page.name}" for page in (ROOT / "docs").glob("*.md")),
 )
-MODULES = {
-    "ecu-emulator": "ecu_emulator",
-    "diag-service": "diag_service",
-    "fleet-backend": "fleet_backend",
-}
+MODULES = {"ecu-emulator": "ecu_emulator", "diag-service": "diag_service", "fleet-backend": "fleet_backend"}
 """Programs by the name that users type, and the module that is run for each."""
 
 _BLOCK = re.compile(r"^( *)```sh\n(.*?)^\1```", re.MULTILINE | re.DOTALL)

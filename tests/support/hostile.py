@@ -15,6 +15,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 from types import MappingProxyType
 from typing import Final
 
@@ -144,5 +145,9 @@ def refusal_of(path: str) -> Refusal:
 
 if __name__ == "__main__":
     vars(sys)["modules"]["asammdf"] = None  # as programs keep it from being loaded before it is needed
+    with NamedTemporaryFile(suffix=".log") as sound:  # read first, so that no fork has to load what reads
+        sound.write(LINES)
+        sound.flush()
+        what_is_said(sound.name)
     for one in sys.argv[1:]:
         print(json.dumps(asdict(refusal_of(one))))

@@ -11,13 +11,13 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 
 from canlog.e2e.profile1 import COUNTER_PERIOD
 from ecu_emulator.bus.frames import FrameEncoder
 from ecu_emulator.sensing import Readings
+from tests.support.beside import Beside
 from tests.support.service import Ended, Service, service
 from tests.support.wire import CONTRACTS, DATABASE
 from tests.uml.vcan import create_vcan, ip_link
@@ -42,25 +42,16 @@ def shift_payloads() -> list[bytes]:
     return [bytes(row) for row in frames.data]
 
 
-class ShiftSender:
+class ShiftSender(Beside):
     """Sends gears at their cycle time while it is entered; an interface that is away only makes it wait."""
 
     def __init__(self, channel: str) -> None:
+        super().__init__()
         self.channel = channel
         self.is_shifting = threading.Event()
-        self._is_over = threading.Event()
         self._begin = 0  # of the payloads, for the counter that comes next
-        self._thread = threading.Thread(target=self._send, name="shift sender")
 
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._is_over.set()
-        self._thread.join()
-
-    def _send(self) -> None:
+    def _work(self) -> None:
         while not self._is_over.is_set():
             with suppress(OSError), socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as raw:
                 raw.bind((self.channel,))

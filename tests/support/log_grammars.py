@@ -285,11 +285,5 @@ GRAMMARS: Mapping[str, Grammar] = MappingProxyType({
 
 
 PACKERS: Mapping[str, Callable[[bytes], bytes]] = MappingProxyType(
-    {
-        "plain": bytes,
-        "gzip": gzip.compress,
-        "xz": lzma.compress,
-        "bzip2": bz2.compress,
-        "zstd": zstandard.compress,
-    }
+    {"plain": bytes, "gzip": gzip.compress, "xz": lzma.compress, "bzip2": bz2.compress, "zstd": zstandard.compress}
 )

@@ -9,6 +9,7 @@ from cantools.database.can import Database, Message
 
 from canlog.arrays import FloatArray, Int64Array, Series
 from canlog.database.loading import load_database
+from canlog.frames import FrameBatch
 from canlog.logs import read_log
 from dbc.contract import load_contract
 from diag_service.diagnosis.columns import Signal
@@ -23,17 +24,17 @@ TIMES = 400.0  # of a signal that multiplies: some standard torque
 LINE_PRESSURE_PA = 8e5
 
 
-def columns_of(log: Path, decoder: Decoder) -> dict[Signal, Series]:
-    """Return the canonical signals of a whole log."""
+def columns_of(log: Path | Iterable[FrameBatch], decoder: Decoder) -> dict[Signal, Series]:
+    """Return the canonical signals of a whole log, or of its frames."""
     pieces: dict[Signal, list[Series]] = {}
-    for batch in read_log(log):
+    for batch in read_log(log) if isinstance(log, Path) else log:
         for columns in decoder.feed(batch):
             for signal, series in columns.columns.items():
                 pieces.setdefault(signal, []).append(series)
     return {signal: _joined(series) for signal, series in pieces.items()}
 
 
-def lockup_drive_of(log: Path) -> dict[Signal, Series]:
+def lockup_drive_of(log: Path | Iterable[FrameBatch]) -> dict[Signal, Series]:
     """Return the canonical signals of a recording of our automatic's bus, with those that its controller tells."""
     drive = columns_of(log, Decoder(load_contract("lockup"), load_shipped("lockup")))
     engine, pressure = drive[Signal.ENGINE_SPEED], drive[Signal.LOCKUP_PRESSURE]
@@ -43,7 +44,7 @@ def lockup_drive_of(log: Path) -> dict[Signal, Series]:
     return drive
 
 
-def drive_of(log: Path) -> dict[Signal, Series]:
+def drive_of(log: Path | Iterable[FrameBatch]) -> dict[Signal, Series]:
     """Return all canonical signals of a recording of our bus, with those that other vehicles have instead of ours."""
     drive = columns_of(log, Decoder(load_contract(), load_profile()))
     target = drive[Signal.TARGET_GEAR]

@@ -5,14 +5,14 @@ rejects such a shift is right. Nothing is measured by how fast a test runs.
 """
 
 import subprocess
-import threading
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from functools import wraps
 from itertools import pairwise
 from pathlib import Path
-from typing import ParamSpec, Self, TypeVar
+from typing import ParamSpec, TypeVar
 
+from tests.support.beside import Beside
 from tests.support.service import Record
 from tests.support.wire import CONTRACTS
 
@@ -40,28 +40,19 @@ def undisturbed(attempt: Callable[[int], OutcomeT], is_disturbed: Callable[[Outc
     return attempt(TRIES - 1)
 
 
-class StarvationWatch:
+class StarvationWatch(Beside):
     """Measures, while it is entered, how much too late this machine wakes a thread that sleeps."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.worst_s = 0.0
-        self._is_over = threading.Event()
-        self._thread = threading.Thread(target=self._look, name="starvation watch", daemon=True)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._is_over.set()
-        self._thread.join()
 
     @property
     def is_starved(self) -> bool:
         """Whether the machine was too busy for claims of real time."""
         return self.worst_s > STARVED_S
 
-    def _look(self) -> None:
+    def _work(self) -> None:
         while not self._is_over.is_set():
             due_s = time.monotonic() + WAKE_EVERY_S
             time.sleep(WAKE_EVERY_S)

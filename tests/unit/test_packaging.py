@@ -2,8 +2,6 @@
 
 import importlib
 import re
-import subprocess
-from importlib.metadata import distribution, entry_points
 from pathlib import Path
 from types import ModuleType
 
@@ -11,7 +9,6 @@ import pytest
 
 import ecu_emulator
 from tests.support.distributions import FOLDERS, PACKAGES, ROOT, SOURCES, extras_of, pyproject, requirements
-from tests.support.patience import HANG_S
 
 SUBPACKAGES = sorted(
     ".".join((package, *path.parent.relative_to(folder).parts))
@@ -61,30 +58,11 @@ def test_a_package_exports_exactly_its_public_names(name: str) -> None:
     assert {entry for entry in exported if not entry.startswith("__")} == set(public)
 
 
-@pytest.mark.parametrize("name", FOLDERS)
-def test_its_programs_are_installed(name: str) -> None:
-    installed = {entry.name: entry.value for entry in entry_points(group="console_scripts") if entry.dist is not None}
-    wanted = pyproject(name)["project"].get("scripts", {})
-    assert {program: installed.get(program) for program in wanted} == wanted
-    scripts = [entry for entry in distribution(name).entry_points if entry.group == "console_scripts"]
-    assert all(callable(entry.load()) for entry in scripts)
-
-
 @pytest.mark.parametrize("lock", LOCKS)
 def test_the_lock_names_no_machine(lock: str) -> None:
     text = "\n".join(lock_lines(lock))
     assert re.findall(r"https?://|file:|--(?:extra-)?index-url|--find-links|--trusted-host", text) == []
     assert re.findall(r"(?:^|\s)(?:/|~|[A-Z]:\\)\S+", text) == []
-
-
-@pytest.mark.parametrize("lock", LOCKS)
-def test_everything_in_the_lock_has_a_version_and_a_hash(lock: str) -> None:
-    lines = lock_lines(lock)
-    starts = [index for index, line in enumerate(lines) if line and not line.startswith((" ", "#"))]
-    assert starts
-    for index in starts:
-        assert PIN.fullmatch(lines[index])
-        assert re.fullmatch(r" {4}--hash=sha256:[0-9a-f]{64}(?: \\)?", lines[index + 1])
 
 
 def test_the_lock_holds_every_direct_requirement() -> None:
@@ -154,14 +132,3 @@ def test_every_package_data_pattern_matches_a_file(name: str) -> None:
 @pytest.mark.parametrize("name", FOLDERS)
 def test_every_distribution_has_the_licence(name: str) -> None:
     assert (FOLDERS[name] / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("first", "second", "is_well"), [("true", "true", True), ("false", "true", False), ("true", "false", False)]
-)
-def test_a_part_of_the_tests_that_fails_fails_the_whole(tmp_path: Path, first: str, second: str, is_well: bool) -> None:
-    (timed,) = re.findall(r"^timed = .*$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
-    makefile = tmp_path / "Makefile"
-    makefile.write_text(f"{timed}\nall:\n\t@$(call timed,a,{first}) && $(call timed,b,{second})\n", encoding="utf-8")
-    ended = subprocess.run(["make", "-f", str(makefile)], capture_output=True, check=False, timeout=HANG_S)
-    assert (ended.returncode == 0) is is_well

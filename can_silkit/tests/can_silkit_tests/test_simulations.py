@@ -1,9 +1,11 @@
 """Coordinated virtual time: frames between two processes, emulator and service, and a registry that ends."""
 
 import json
+import re
 import signal
 import sqlite3
 import time
+from collections.abc import Callable
 from pathlib import Path
 from subprocess import Popen
 
@@ -11,6 +13,7 @@ import pytest
 
 from tests.plugins.silkit import ROOT, Simulations
 from tests.support.patience import HANG_S
+from tests.support.ports import free_port
 
 pytestmark = [pytest.mark.silkit, pytest.mark.slow]
 
@@ -36,70 +39,57 @@ def results(store: Path) -> list[dict[str, object]]:
     return [{key: value for key, value in shift.items() if key not in OF_A_RUN} for shift in kept]
 
 
-def drive(simulations: Simulations) -> dict[str, object]:
-    """Drive a cycle in a simulation with the service, and return what the emulator says of it."""
-    simulations.begin("ecu-emulator", "diag-service")
-    emulator = simulations.start("ecu-emulator", "run", *BUS, *DRIVE, "--json")
-    out, err = emulator.communicate(timeout=HANG_S)
-    assert emulator.returncode == 0, err
-    sent: dict[str, object] = json.loads(out)
-    return sent
-
-
-def stopped(service: Popen[str]) -> str:
-    """Ask a service to stop, and return what it has said."""
-    service.send_signal(signal.SIGINT)
-    out, err = service.communicate(timeout=HANG_S)
-    assert service.returncode == 0, err
+def ended(program: Popen[str], status: int = 0) -> str:
+    """Return what a program has said that ends so."""
+    out, err = program.communicate(timeout=HANG_S)
+    assert program.returncode == status, out + err
     return out + err
 
 
-def until_a_shift(emulator: Popen[str], truth: Path) -> None:
-    """Return when a shift has been driven."""
+def until(is_reached: Callable[[], bool], driven_by: Popen[str]) -> None:
+    """Return when a drive has come so far."""
     deadline_s = time.monotonic() + HANG_S
-    while '"shift"' not in (truth.read_text("utf-8") if truth.exists() else ""):
-        assert emulator.poll() is None
+    while not is_reached():
+        assert driven_by.poll() is None
         assert time.monotonic() < deadline_s
         time.sleep(0.01)
 
 
-def test_a_drive_in_virtual_time_gives_the_results_of_its_recording_to_the_bit(
+def test_results_are_those_of_a_recording_to_the_bit_though_a_registry_ends_and_another_simulation_follows(
     simulations: Simulations, tmp_path: Path
 ) -> None:
-    live, recorded, log = tmp_path / "live.sqlite", tmp_path / "recorded.sqlite", tmp_path / "drive.log"
-    for program, *words in (
-        ("ecu-emulator", "record", str(log), *DRIVE, "--start-time", "1970-01-01"),
-        ("diag-service", "analyze", str(log), "--store", str(recorded)),
-    ):
-        done = simulations.start(program, *words)
-        _, err = done.communicate(timeout=HANG_S)
-        assert done.returncode == 0, err
+    live, recorded, log, truth = (tmp_path / name for name in ("live.sqlite", "recorded.sqlite", "drive.log", "truth"))
+    ended(simulations.start("ecu-emulator", "record", str(log), *DRIVE, "--start-time", "1970-01-01"))
+    ended(simulations.start("diag-service", "analyze", str(log), "--store", str(recorded)))
     service = simulations.start("diag-service", "run", *BUS, "--store", str(live), step_s=0.01)
-    sent = drive(simulations)
-    said = stopped(service)
-    assert (sent["frames_given_up"], sent["overruns"], sent["underruns"]) == (0, 0, 0)
-    assert f"{sent['frames_sent']} frames, {sent['frames_sent']} decoded, 0 ignored, 0 rejected, 0 dropped" in said
-    assert len(results(live)) == 10
-    assert results(live) == results(recorded)
-
-
-def test_a_registry_may_end_and_a_service_joins_the_next_simulation(simulations: Simulations, tmp_path: Path) -> None:
-    service = simulations.start("diag-service", "run", *BUS, "--store", str(tmp_path / "live.sqlite"), step_s=0.01)
     simulations.begin("ecu-emulator", "diag-service")
-    emulator = simulations.start("ecu-emulator", "run", *BUS, *DRIVE, "--json", "--truth", str(tmp_path / "truth"))
-    until_a_shift(emulator, tmp_path / "truth")
+    emulator = simulations.start("ecu-emulator", "run", *BUS, *DRIVE, "--json", "--truth", str(truth))
+    until(lambda: truth.exists() and '"shift"' in truth.read_text("utf-8"), emulator)
     simulations.end_registry()  # amid the drive: participants go on among themselves
-    out, err = emulator.communicate(timeout=HANG_S)
-    assert emulator.returncode == 0, err
+    sent = json.loads(ended(emulator).splitlines()[0])
+    assert (sent["frames_given_up"], sent["overruns"], sent["underruns"]) == (0, 0, 0)
+
     simulations.start_registry()
-    counts = [json.loads(out)["frames_sent"], drive(simulations)["frames_sent"]]
-    said = stopped(service)
+    simulations.begin("ecu-emulator", "diag-service")
+    endless = simulations.start("ecu-emulator", "run", *BUS, "--scenario", "noise_only", "--cycles", "500")
+    until(lambda: len(results(live)) > 10, endless)
+    endless.send_signal(signal.SIGSTOP)  # takes no step while the service leaves
+    service.send_signal(signal.SIGINT)
+    said = ended(service)
+    endless.send_signal(signal.SIGCONT)
+    assert "frames: the simulation has ended" in ended(endless, 3)
     assert "the simulation has ended; waiting for its return" in said
-    assert f"{sum(counts)} frames, {sum(counts)} decoded" in said
+    (count,) = re.findall(r"(\d+) frames, \1 decoded, 0 ignored, 0 rejected, 0 dropped", said)
+    assert int(count) > sent["frames_sent"]
+    assert len(results(recorded)) == 10
+    assert results(live)[:10] == results(recorded)
 
 
 def test_without_a_registry_or_a_simulation_it_says_what_to_start(simulations: Simulations) -> None:
     alone = simulations.start("ecu-emulator", "run", *BUS, *DRIVE)
+    nowhere = f"silkit://127.0.0.1:{free_port()}"
+    nobody = simulations.start("ecu-emulator", "run", *BUS, *DRIVE, registry=nowhere)
+    assert f"no SIL Kit registry at {nowhere} takes 'ecu-emulator': silkit-registry" in ended(nobody, 3)
     assert alone.stderr is not None
     said = ""
     while "silkit-system-controller ecu-emulator OTHERS" not in said:
@@ -107,25 +97,4 @@ def test_without_a_registry_or_a_simulation_it_says_what_to_start(simulations: S
         assert line, said
         said += line
     alone.send_signal(signal.SIGINT)
-    assert alone.wait(timeout=HANG_S) == 0
-    simulations.end_registry()
-    nobody = simulations.start("ecu-emulator", "run", *BUS, *DRIVE)
-    _, err = nobody.communicate(timeout=HANG_S)
-    assert nobody.returncode == 3
-    assert f"no SIL Kit registry at {simulations.uri} takes 'ecu-emulator': silkit-registry" in err
-
-
-@pytest.mark.parametrize("is_held", [False, True])
-def test_who_is_left_alone_by_the_others_says_so(simulations: Simulations, tmp_path: Path, *, is_held: bool) -> None:
-    service = simulations.start("diag-service", "run", *BUS, step_s=0.01)
-    simulations.begin("ecu-emulator", "diag-service")
-    endless = ("--scenario", "noise_only", "--cycles", "500", "--truth", str(tmp_path / "truth"))
-    emulator = simulations.start("ecu-emulator", "run", *BUS, *endless)
-    until_a_shift(emulator, tmp_path / "truth")
-    if is_held:  # takes no step while the service leaves
-        emulator.send_signal(signal.SIGSTOP)
-    stopped(service)
-    emulator.send_signal(signal.SIGCONT)
-    _, err = emulator.communicate(timeout=HANG_S)
-    assert emulator.returncode == 3
-    assert "frames: the simulation has ended" in err
+    ended(alone)

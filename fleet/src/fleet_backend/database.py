@@ -84,7 +84,7 @@ def transaction(engine: Engine) -> Iterator[Connection]:
     RowRefusedError
         If it does not take the values.
     DatabaseError
-        If tables are missing or forbidden.
+        If tables are missing or forbidden, or what others made of ours is in the way.
     """
     with translated(engine), engine.begin() as connection:
         yield connection
@@ -97,7 +97,8 @@ def translated(engine: Engine) -> Iterator[None]:
         yield
     except exc.DBAPIError as error:
         text = f"database {place_of(engine)}: {_first_line(error)}"
-        if isinstance(error, exc.ProgrammingError) or _sqlite_code(error) in _NOT_OURS:
+        state = str(getattr(error.orig, "sqlstate", ""))  # of PostgreSQL; class 2B: others' objects stand on ours
+        if isinstance(error, exc.ProgrammingError) or state.startswith("2B") or _sqlite_code(error) in _NOT_OURS:
             advice = "; it is damaged, put a backup in its place" if _sqlite_code(error) in _DAMAGED else ""
             raise DatabaseError(f"{text}{advice}") from error
         if isinstance(error, exc.IntegrityError | exc.DataError):

@@ -22,12 +22,7 @@ MASK = 0x5AA5C33C
 
 @contextmanager
 def entity(
-    *,
-    store: MemoryFile | None = None,
-    port: int = 0,
-    host: str = "127.0.0.1",
-    reset_s: float = 0.3,
-    **settings: float,
+    *, store: MemoryFile | None = None, port: int = 0, host: str = "127.0.0.1", reset_s: float = 0.3, **settings: float
 ) -> Iterator[tuple[Controller, DoipServer]]:
     """Run an entity of a parked car; settings are those of the table."""
     table = full_table()

@@ -65,6 +65,7 @@ class PlainImage:
             "HOME": str(root / "nowhere"),
         }
         self._is_made = (root / "made").exists()
+        self._files = () if self._is_made else tuple(context_files(source))
         if not self._is_made:
             (root / "tmp").mkdir(parents=True)
             self.path(f"/var/cache/{PROJECT}").mkdir(parents=True)
@@ -114,7 +115,7 @@ class PlainImage:
             assert all(self.path(source).exists() for source in copy.sources)
             self._show_packages()
             return
-        for file in context_files(self._source):
+        for file in self._files:
             for source in copy.sources:
                 if f"{file}/".startswith(f"{source}/"):
                     inside = Path(file).relative_to(source) if file != source else Path(Path(file).name)

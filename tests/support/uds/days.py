@@ -40,13 +40,7 @@ class Bus:
 class TripCar:
     """The car; all of its time is in the hands of the test."""
 
-    def __init__(
-        self,
-        *,
-        memory: Path | None = None,
-        table: str = "",
-        ignition: deque[float] | None = None,
-    ) -> None:
+    def __init__(self, *, memory: Path | None = None, table: str = "", ignition: deque[float] | None = None) -> None:
         self.t_s = 0.0
         self.bus = Bus()
         self._messages = (database := load_contract()).messages

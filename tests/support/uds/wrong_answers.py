@@ -2,7 +2,9 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 from tests.support.in_process import ended
@@ -45,10 +47,7 @@ HARMLESS: Final = {  # valid answers: the truth said more than once, and other v
     *((name, "other identifier") for name in ("10 session", "19 01 count", "19 02 codes", "27 seed")),
     ("10 session", "head alone"),  # the edition of 2006
 }
-DETAILS: Final = {
-    "19 04 snapshots": "snapshots",
-    "19 06 extended data": "extended_data",
-}
+DETAILS: Final = {"19 04 snapshots": "snapshots", "19 06 extended data": "extended_data"}
 UNREAD: Final = {("31 start", way) for way in ("a byte short", "a byte long")}  # valid: maker's own bytes
 
 
@@ -85,12 +84,18 @@ def _claims(run: Ended) -> object:
     return {name: record[name] for name in ("codes", "cleared", "routine") if name in record}
 
 
+@cache
+def _truth(name: str) -> Any:  # noqa: ANN401 - JSON
+    """Return what is stated of a controller that answers rightly."""
+    channel = f"right {name}"
+    with TemporaryDirectory() as folder, wrong_ecu(channel):
+        return _claims(ended(*_words(QUESTIONS[name][1], channel, Path(folder))))
+
+
 def told(name: str, way: str, folder: Path) -> Told:
     """Ask a controller that answers wrongly in this way, and return what was told beside what is true."""
     begins, command = QUESTIONS[name]
     channel = f"wrong {name} {way}"
-    with wrong_ecu(channel):
-        truth = _claims(ended(*_words(command, channel, folder)))
     with wrong_ecu(channel, Fault(request=begins, way=WAYS[way])):
         run = ended(*_words(command, channel, folder))
     claims = _claims(run)
@@ -102,7 +107,7 @@ def told(name: str, way: str, folder: Path) -> Told:
         way=way,
         status=run.status,
         words=run.err.strip() if run.status else str(claims),
-        is_true=_is_true(run, claims, truth, (name, way), is_valid=is_same or (name, way) in HARMLESS),
+        is_true=_is_true(run, claims, _truth(name), (name, way), is_valid=is_same or (name, way) in HARMLESS),
     )
 
 

@@ -19,15 +19,7 @@ from tests.tools.pdx.elements import (
     worded,
 )
 from workshop.controller import descriptions, iso14229, memory
-from workshop.controller.descriptions import (
-    AccessRule,
-    Coding,
-    DataIdentifier,
-    DatumField,
-    Pid,
-    Routine,
-    VehicleInfo,
-)
+from workshop.controller.descriptions import AccessRule, Coding, DataIdentifier, DatumField, Pid, Routine, VehicleInfo
 from workshop.controller.iso14229 import ObdService
 from workshop.controller.iso14229 import Service as Number
 from workshop.controller.services import data, obd, sessions, trouble
@@ -39,11 +31,7 @@ _TRAFFIC: Final = ("enable receiving and sending", "enable receiving, disable se
 _MESSAGES: Final = {1: "normal messages", 2: "network management", 3: "normal messages and network management"}
 _SETTINGS: Final = {sessions.CODES_ON: "trouble codes on", sessions.CODES_OFF: "trouble codes off"}
 # Stacks for SOVD look for these words at the end of a name.
-_ACTIONS: Final = {
-    sessions.START: "Start",
-    sessions.STOP: "Stop",
-    sessions.RESULTS: "RequestResults",
-}
+_ACTIONS: Final = {sessions.START: "Start", sessions.STOP: "Stop", sessions.RESULTS: "RequestResults"}
 _STATUS_BITS: Final = (
     "test failed", "test failed this operation cycle", "pending", "confirmed", "test not completed since last clear",
     "test failed since last clear", "test not completed this operation cycle", "warning indicator requested",

@@ -2,7 +2,7 @@
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from typing import ParamSpec, TypeVar
 
@@ -101,11 +101,11 @@ async def test_numbers_are_told_at_once_and_each_minute_whatever_connection_ther
     store, broker, told = ResultStore.in_memory(), Broker(90.0, 500.0), list[tuple[float, float]]()
     put(store, [1, 2])
 
-    def message(numbers: dict[str, float]) -> Outgoing:
+    def message(numbers: Mapping[str, float]) -> Outgoing:
         told.append((asyncio.get_running_loop().time(), numbers["outbox_sent_count"]))
         return metrics_message("car1", NOW, numbers)
 
-    outbox = Outbox(store, "car1", broker.connect, "broker", metrics=message, limits=LIMITS)  # type: ignore[arg-type]
+    outbox = Outbox(store, "car1", broker.connect, "broker", metrics=message, limits=LIMITS)
     sender = asyncio.create_task(outbox.run())
     await asyncio.sleep(250.0)
     assert [time_s for time_s, _ in told] == pytest.approx([0.0, 60.0, 120.0, 180.0, 240.0])

@@ -1,6 +1,7 @@
 """Blind tests: shifts made by the law pass, shifts that no pressure explains are refused, other drives are wider."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,8 +19,13 @@ def drive(name: str, seed: int, gain: float = 1.0, count: int = 8) -> list[tuple
     return [(name, phase(rng, 2 + place % 3, noise_rad_s=2.0, gain=gain)) for place in range(count)]
 
 
+@cache
+def of_the_law() -> BlindTest:
+    return blind_test(drive("a", 1), TOUCH_PA)
+
+
 def test_shifts_of_the_law_pass_and_beat_each_simpler_model() -> None:
-    test = blind_test(drive("a", 1), TOUCH_PA)
+    test = of_the_law()
     assert (len(test.shown), test.unknown, test.why_refused) == (8, [], "")
     found = scores(test.shown)
     assert min(found, key=lambda name: found[name]["crps_rad_s"]) == OURS
@@ -97,13 +103,12 @@ def test_the_level_of_an_interval_is_that_of_a_table_of_t(true_rad_s: float, lev
 
 
 def test_intervals_that_hold_too_few_are_refused() -> None:
-    test = blind_test(drive("a", 1), TOUCH_PA)
 
     def narrow(said: Prediction, true_rad_s: FloatArray) -> Prediction:
         return replace(said, mean_rad_s=1.001 * true_rad_s, scale_rad_s=1e-9 * np.abs(true_rad_s))
 
     shown = [
         replace(one, predictions={**one.predictions, OURS: narrow(one.predictions[OURS], one.phase.change_rad_s)})
-        for one in test.shown
+        for one in of_the_law().shown
     ]
     assert BlindTest(shown=shown).why_refused == "intervals of 50 % hold 0 % of the shifts"

@@ -65,10 +65,14 @@ def assert_as_on_time(outcome: Outcome) -> None:
 @pytest.mark.parametrize(
     ("place", "stall_s", "step_s"),
     [
-        (0, 0.16, SLOW_S), (0, 1.1, AT_ONCE_S), (0, 5.0, QUICK_S), (1, 0.5, QUICK_S), (1, 1.1, SLOW_S),
-        (1, 5.0, AT_ONCE_S), (2, 0.16, AT_ONCE_S), (2, 0.5, SLOW_S), (2, 1.1, QUICK_S),
+        (0, 0.16, SLOW_S),
+        (0, 5.0, QUICK_S),
+        (1, 1.1, SLOW_S),
+        (1, 5.0, AT_ONCE_S),
+        (2, 0.16, AT_ONCE_S),
+        (2, 1.1, QUICK_S),
     ],
-)  # fmt: skip
+)
 def test_shifts_of_which_all_frames_came_in_a_burst_are_estimated(place: int, stall_s: float, step_s: float) -> None:
     outcome = diagnosed([after_stalls(frames(), [(stall_places()[place], stall_s)], step_s)])
     assert_as_on_time(outcome)
@@ -85,7 +89,7 @@ def test_a_machine_that_stalls_again_and_again_loses_nothing(seed: int) -> None:
         assert reasons(outcome) <= {Reason.TIME_UNSURE}
 
 
-@pytest.mark.parametrize(("jitter_s", "seed"), [(0.01, 0), (0.05, 1), (0.1, 2), (0.2, 0)])
+@pytest.mark.parametrize(("jitter_s", "seed"), [(0.01, 0), (0.05, 1), (0.2, 0)])
 def test_a_reading_time_that_jitters_accuses_no_sensor(jitter_s: float, seed: int) -> None:
     by_ns = np.random.default_rng(seed).uniform(0.0, 1e9 * jitter_s, len(frames())).astype(np.int64)
     outcome = diagnosed([replace(frames(), t_ns=np.maximum.accumulate(frames().t_ns + by_ns))])
@@ -101,8 +105,7 @@ def at_looks(looks_ns: Int64Array) -> FrameBatch:
 
 
 @pytest.mark.parametrize(  # how long after the first frame; a cycle is sent within 6 ms
-    ("tick_s", "first_ms"),
-    [(0.0125, 7.0), (0.013, 0.0), (0.02, 0.5), (0.02, 2.5), (0.03, 7.0), (0.05, 0.0), (0.1, 2.5), (0.2, 0.5)],
+    ("tick_s", "first_ms"), [(0.0125, 7.0), (0.013, 0.0), (0.02, 2.5), (0.05, 0.0), (0.2, 0.5)]
 )
 def test_shifts_are_estimated_from_what_a_reader_saw_that_looks_now_and_then(tick_s: float, first_ms: float) -> None:
     looks_s = 1e-3 * first_ms + tick_s * np.arange(DURATION_S / tick_s + 1)
@@ -112,11 +115,8 @@ def test_shifts_are_estimated_from_what_a_reader_saw_that_looks_now_and_then(tic
 
 @pytest.mark.parametrize(
     ("tick_ms", "first_ms"),
-    [
-        (5.0, 0.0), (7.5, 1.5), (9.99, 5.5), (9.99, 0.0), (10.0, 1.5), (10.0, 9.0), (10.01, 5.5), (12.5, 0.0),
-        (20.01, 9.0), (30.01, 1.5), (50.01, 5.5), (120.02, 0.0), (250.0, 9.0),
-    ],
-)  # fmt: skip
+    [(5.0, 0.0), (9.99, 5.5), (10.0, 1.5), (10.01, 5.5), (12.5, 0.0), (20.01, 9.0), (120.02, 0.0), (250.0, 9.0)],
+)
 def test_a_reader_in_step_with_the_senders_finds_the_shifts_and_accuses_no_sensor(
     tick_ms: float, first_ms: float
 ) -> None:

@@ -34,14 +34,7 @@ CONTROL = nominal_parameters().control
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("seed", -1),
-        ("vary_ratio", 0.5),
-        ("dt_s", 1e-3),
-        ("dt_s", 1.5e-4),
-        ("dt_s", float("nan")),
-    ],
+    ("name", "value"), [("seed", -1), ("vary_ratio", 0.5), ("dt_s", 1e-3), ("dt_s", 1.5e-4), ("dt_s", float("nan"))]
 )
 def test_a_setting_outside_its_range_is_named(name: str, value: object) -> None:
     assert name in {field.name for field in fields(DriveSettings)}

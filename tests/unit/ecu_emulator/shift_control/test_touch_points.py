@@ -4,13 +4,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from ecu_emulator.shift_control.touch_points import (
-    FINE_PA,
-    Felt,
-    PressureSteps,
-    Sample,
-    finding_of,
-)
+from ecu_emulator.shift_control.touch_points import FINE_PA, Felt, PressureSteps, Sample, finding_of
 
 STEPS = PressureSteps(clutch=1, top_pa=1.44e5, down_pa=FINE_PA, count=9)
 

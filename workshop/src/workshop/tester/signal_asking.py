@@ -525,16 +525,16 @@ class CanLine:
             connection.specific_send(request)
         except SilentError:
             return None
-        wait_s, until_s = ANSWER_S, time.monotonic() + MOST_PENDING_S
-        other: bytes | None = None
-        while time.monotonic() < until_s:
+        begun_s, other, is_patient = time.monotonic(), None, False
+        until_s = begun_s + ANSWER_S
+        while (left_s := until_s - time.monotonic()) > 0.0:
             try:
-                answer = connection.specific_wait_frame(wait_s)
+                answer = connection.specific_wait_frame(left_s)
             except TimeoutException:
                 return other
-            if is_pending(request, answer):
-                self.patience[address] += wait_s != PENDING_S
-                wait_s = PENDING_S
+            if is_pending(request, answer):  # this alone gives it more time: answers to others do not
+                self.patience[address] += not is_patient
+                is_patient, until_s = True, min(time.monotonic() + PENDING_S, begun_s + MOST_PENDING_S)
             elif is_data_answer(request, answer):
                 return answer
             elif answer[0] == request[0] + POSITIVE:

@@ -46,12 +46,7 @@ class Bench:
         self.state = tested(self.table, self.state, self.codes[code], result, moment)
 
     def finish(self, routine: int) -> None:
-        self.state = finished(
-            self.state,
-            self.table,
-            routine,
-            Instant(t_s=self.t_s, values=self.values),
-        )
+        self.state = finished(self.state, self.table, routine, Instant(t_s=self.t_s, values=self.values))
 
     def fail(self, routine: int) -> None:
         self.state = failed(self.state, routine)

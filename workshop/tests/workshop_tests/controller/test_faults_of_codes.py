@@ -39,8 +39,9 @@ def stored_codes(faults: Faults) -> Iterator[set[str]]:
     monitoring, drive = Monitoring(controller), Drive(load_scenario("ideal"))
     for number, stretch in enumerate(drive.stretches(MONITOR_PERIOD_S)):
         frames = stretch.frames
-        for t_s, can_id, payload in zip(frames.t_s.tolist(), frames.can_id.tolist(), frames.data, strict=True):
-            sent.note(can_id, payload.tobytes(), t_s)
+        latest = dict(zip(frames.can_id.tolist(), range(len(frames.t_s)), strict=True))  # of each message
+        for can_id, row in latest.items():
+            sent.note(can_id, frames.data[row].tobytes(), float(frames.t_s[row]))
         now_s[0] = stretch.end_s
         if sent.has_all(SENSED):
             monitoring.judge({**sent.now({}), **sent.silences}, now_s[0])

@@ -2,8 +2,9 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from itertools import islice
+from itertools import islice, pairwise
 
+import numpy as np
 import pytest
 
 from dbc.contract import load_contract
@@ -82,12 +83,12 @@ def driven(fluid: str, *faults: SensorFault) -> Iterator[dict[str, float]]:
 
 
 def sensed(frames: EncodedFrames, transmission: str = "nominal") -> Iterator[dict[str, float]]:
-    values, next_s = SentValues(load_contract(transmission)), STEP_S
-    for t_s, can_id, data in zip(frames.t_s.tolist(), frames.can_id.tolist(), frames.data, strict=True):
-        if t_s >= next_s:
-            next_s += STEP_S
-            yield dict(values.now({}))
-        values.note(can_id, data.tobytes())
+    values, looks_s = SentValues(load_contract(transmission)), np.arange(0.0, frames.t_s[-1], STEP_S)
+    for first, end in pairwise(np.searchsorted(frames.t_s, looks_s)):
+        latest = dict(zip(frames.can_id[first:end].tolist(), frames.data[first:end], strict=True))
+        for can_id, data in latest.items():
+            values.note(can_id, data.tobytes())
+        yield values.now({})
 
 
 def failed_on_drive(fluid: str, *faults: SensorFault) -> dict[str, int]:
@@ -110,23 +111,9 @@ def failures(moments: Iterable[dict[str, float]], limits: MonitorLimits = NOMINA
 def test_a_sound_drive_fails_nothing_and_tests_every_gear(fluid: str) -> None:
     count = failed_on_drive(fluid)
     assert set(count) >= {
-        "P0811",
-        "P0218",
-        "P2787",
-        "P0711",
-        "P0841",
-        "P0868",
-        "P0746",
-        "P0747",
-        "P0776",
-        "P0777",
-        "P0715",
-        "P0716",
-        "P0780",
-        "P0731",
-        "P0735",
-        "P0729",
-    }
+        "P0811", "P0218", "P2787", "P0711", "P0841", "P0868", "P0746", "P0747", "P0776", "P0777", "P0715", "P0716",
+        "P0780", "P0731", "P0735", "P0729",
+    }  # fmt: skip
     assert {code: failures for code, failures in count.items() if failures} == {}
 
 
@@ -144,12 +131,10 @@ def test_a_fault_of_a_drive_is_found(quantity: str, kind: SensorFaultKind, size:
     assert failed_on_drive("ideal", SensorFault(quantity=quantity, kind=kind, size=size, start_s=5.0))[code] >= 5
 
 
-@pytest.mark.parametrize("quantity", ["clutch1_pressure_pa", "clutch2_pressure_pa"])
-def test_a_pressure_sensor_that_reads_too_low_is_not_called_low_line_pressure(quantity: str) -> None:
-    biased = SensorFault(quantity=quantity, kind=SensorFaultKind.OFFSET, size=-3e5, start_s=5.0)
+def test_a_pressure_sensor_that_reads_too_low_is_not_called_low_line_pressure() -> None:
+    biased = SensorFault(quantity="clutch2_pressure_pa", kind=SensorFaultKind.OFFSET, size=-3e5, start_s=5.0)
     failed = {code for code, count in failed_on_drive("ideal", biased).items() if count}
-    assert failed & {"P0841", "P0846"} == {"P0841" if quantity.startswith("clutch1") else "P0846"}
-    assert "P0868" not in failed
+    assert failed & {"P0841", "P0846", "P0868"} == {"P0846"}
 
 
 CONVERTER_LIMITS = MonitorLimits(

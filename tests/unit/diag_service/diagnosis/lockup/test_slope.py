@@ -15,12 +15,7 @@ K_NMS2 = 0.0145
 
 
 def columns_of(
-    lining_s_rad: float,
-    *,
-    minutes: float = 12.0,
-    error_nm: float = 0.0,
-    moves: bool = True,
-    swing_hz: float = 0.0,
+    lining_s_rad: float, *, minutes: float = 12.0, error_nm: float = 0.0, moves: bool = True, swing_hz: float = 0.0
 ) -> dict[Signal, Series]:
     """Return a drive in which torque obeys the law, every minute open for 12 s; pressure follows the torque as read.
 

@@ -29,10 +29,7 @@ KIND = PeerGroup(vehicle_type="dct", fluid="75W")
 
 def life(loss_per_m: float, *, kind: PeerGroup = KIND, doubt: float = 0.1) -> Ageing:
     course = Course(start=1.02, start_std=0.05, loss_per_m=loss_per_m, loss_std_per_m=doubt * loss_per_m)
-    return Ageing(
-        kind=kind,
-        courses={ChannelName.MARGIN: course},
-    )
+    return Ageing(kind=kind, courses={ChannelName.MARGIN: course})
 
 
 def fleet(count: int, *, log_std: float, kind: PeerGroup = KIND, seed: int = 1) -> list[Ageing]:

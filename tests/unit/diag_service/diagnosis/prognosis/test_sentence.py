@@ -14,13 +14,7 @@ UNKNOWN = "How far the fluid will go cannot be said yet."
 
 
 def reach(p10_m: float | None, p90_m: float | None, chance: float) -> Reach:
-    return Reach(
-        p10_m=p10_m,
-        p50_m=None,
-        p90_m=p90_m,
-        probability_before_service=chance,
-        passage=NEVER,
-    )
+    return Reach(p10_m=p10_m, p50_m=None, p90_m=p90_m, probability_before_service=chance, passage=NEVER)
 
 
 def prognosis(outlook: Outlook, change: Reach | None = None, *, clutch: int = 2, left_out_count: int = 0) -> Prognosis:

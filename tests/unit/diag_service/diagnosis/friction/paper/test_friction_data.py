@@ -5,13 +5,7 @@ import pytest
 
 from clutch_model.calibration import nominal_calibration
 from clutch_model.pack import contact_pressure_pa, film_law, shear_factor_difference
-from diag_service.diagnosis.friction.paper.method import (
-    NOISELESS_GATES,
-    NOISY_GATES,
-    FrictionData,
-    fit,
-    friction_data,
-)
+from diag_service.diagnosis.friction.paper.method import NOISELESS_GATES, NOISY_GATES, FrictionData, fit, friction_data
 
 CALIBRATION = nominal_calibration()
 CLUTCH = CALIBRATION.clutches[1]
