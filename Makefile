@@ -211,10 +211,10 @@ test-both: setup-all
 	  [ $$on_host -eq 0 ] && [ $$on_vcan -eq 0 ]; \
 	}
 
-# Four workers keep two cores busy: half of them wait, for a drive in real time, a broker or a process that was killed.
+# Six workers keep two cores busy: most of them wait, for a drive in real time, a broker or a process that was killed.
 test-host: setup-all
 	@echo "test: on this machine, $$(uname -sr)"
-	@$(PY) -m pytest -m "not vcan" -n 4 --dist worksteal $(SHUFFLED)
+	@$(PY) -m pytest -m "not vcan" -n 6 --dist worksteal $(SHUFFLED)
 
 test-vcan: setup-all
 	@echo "test: on a real vcan"

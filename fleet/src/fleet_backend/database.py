@@ -101,9 +101,8 @@ def translated(engine: Engine) -> Iterator[None]:
         if isinstance(error, exc.ProgrammingError) or state.startswith("2B") or _sqlite_code(error) in _NOT_OURS:
             advice = "; it is damaged, put a backup in its place" if _sqlite_code(error) in _DAMAGED else ""
             raise DatabaseError(f"{text}{advice}") from error
-        if isinstance(error, exc.IntegrityError | exc.DataError):
-            raise RowRefusedError(text) from error
-        raise DatabaseAwayError(text) from error
+        refused = RowRefusedError if isinstance(error, exc.IntegrityError | exc.DataError) else DatabaseAwayError
+        raise refused(text) from error
     except UnicodeDecodeError as error:  # SQLite's own words about it are no text
         raise DatabaseError(f"database {place_of(engine)}: damaged; put a backup in its place") from error
     except exc.StatementError as error:  # a value that the driver cannot even send
