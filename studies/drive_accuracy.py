@@ -4,11 +4,10 @@ Each vehicle is drawn as ``studies.self_calibration`` draws it (torque gain, off
 zeros, touch points, latencies) and driven once along a trace, with one of three fluids. It goes the whole way in
 memory: plant, sensors, frames, decoding, events, estimate, verdict, beginning with what is known of the type. Moments
 are counted in events that were used. *Scale-free* is friction times gain and piston area, which driving can tell.
+*Slip under load* is that of the plant, in seconds; it is used within an event whose friction enters the estimate.
 
     python -m studies.drive_accuracy --vehicles 30                   # warm UDDS, uncalibrated
     python -m studies.drive_accuracy --trace wltc --oil-degc -10
-    python -m studies.drive_accuracy --plain                         # vehicles just like their type, noise only
-    python -m studies.drive_accuracy --plain --known                 # the same, and nothing but friction is unknown
     python -m studies.drive_accuracy --mismatch --loss 0.05
     python -m studies.drive_accuracy --row "w_S x 1.5" --oil-degc 85  # one effect of studies.mismatch
     python -m studies.drive_accuracy --other-laws --oil-degc -10     # open packs, oil and film obey other laws
@@ -19,27 +18,29 @@ are counted in events that were used. *Scale-free* is friction times gain and pi
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from canlog.arrays import FloatArray
+from canlog.arrays import BoolArray, FloatArray
 from canlog.frames import FrameBatch
-from clutch_model.calibration import SHIPPED, Calibration, Uncertainty, shipped_calibration
-from clutch_results.records import Condition, FrictionEstimate, ScaleFreeFriction, Status
+from clutch_model.calibration import SHIPPED, shipped_calibration
+from clutch_results.records import Condition, FrictionEstimate, ScaleFreeFriction, ShiftEstimate, Status
 from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.posterior import friction, scale_free
 from diag_service.service.stages import Diagnosis
 from ecu_emulator.bus.frames import merge
 from ecu_emulator.drive.recording import Drive
+from ecu_emulator.driving.journey import Trip
+from ecu_emulator.plant.state import Col
 from ecu_emulator.scenario import DriveName
 from ecu_emulator.scenario.scenario import Scenario, WorkshopRoutine
-from ecu_emulator.scenario.scenario_file import load_scenario
-from studies.builders import FLUIDS, STRETCH_S, TRACES, in_oil, new_stages, planned, to_batch
+from ecu_emulator.truth import BEGUN_SLIP_RAD_S, PRESSED_NM
+from studies.builders import EPOCH_US, STRETCH_S, TRACES, in_oil, new_stages, planned, to_batch
 from studies.drawn_vehicle import Vehicle, draw, with_other_laws
 from studies.mismatch_rows import BY_NAME, MATCHED
 from studies.run import over_drives, parsed, root_mean_square, study_parser
@@ -48,8 +49,10 @@ FIRST_SEED: Final = 95_000  # seeds below were looked at while priors and gates 
 MOMENTS: Final = (2, 5, 10, 30)  # events used, of the table by moments
 END: Final = 0
 FAR_STD: Final = 4.0
-KNOWN_RATIO: Final = 0.03  # of the scatter of the type: what is left for a vehicle that is known
-PLANT_STEP_S: Final = 1e-3  # the plant holds the engine's torque for one
+US_PER_ROW: Final = 1000  # of the plant
+TORQUE: Final = [Col.CLUTCH1_TORQUE, Col.CLUTCH2_TORQUE]
+DRAG: Final = [Col.VISCOUS1_TORQUE, Col.VISCOUS2_TORQUE]
+SHAFTS: Final = [Col.INPUT1_SPEED, Col.INPUT2_SPEED]
 WRONG: Final = {  # verdicts that would be wrong
     "ideal": {Condition.WATCH, Condition.CHANGE_FLUID},
     "case1": {Condition.GOOD},
@@ -64,14 +67,16 @@ class Case:
     seed: int
     trace: str
     oil_degc: float
-    is_plain: bool
     has_mismatch: bool
     loss_ratio: float
     burst: int = 1  # frames of one message that are lost in a row
-    is_known: bool = False  # the vehicle is believed to be what it is
     has_other_laws: bool = False  # of open packs, oil and film
     transmission: str = "nominal"
     row: str = MATCHED.name  # of the mismatch table
+
+
+Fate = tuple[str, str, str]
+"""Kind, status and reasons of an event."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,25 +96,20 @@ class DriveOutcome:
     """One drive: looks at the running estimate, what became of the events, and the verdicts."""
 
     looks: tuple[DriveLook, ...]
-    statuses: Counter[tuple[str, str, str]]  # kind, status, reasons
+    statuses: Counter[Fate]  # of events
+    slip_ms: Counter[Fate]  # under load, within them
+    whole_slip_ms: int  # of the drive
     alone: tuple[tuple[str, FloatArray, FloatArray], ...]  # kind, scale-free errors and deviations of single events
     wrong_verdicts: tuple[str, ...]  # at any moment: of which clutch, after how many of its events, why
     final_verdicts: tuple[str, ...]
     fluid: str
 
 
-def scenario_of(case: Case) -> tuple[Scenario, Vehicle | None]:
-    """Return what is driven, and the vehicle if it is not just like its type."""
-    vehicle = None if case.is_plain else draw(case.seed, has_mismatch=case.has_mismatch)
-    if vehicle is not None:
-        vehicle = replace(vehicle, transmission=case.transmission)
-    if vehicle is not None and case.has_other_laws:
-        vehicle = with_other_laws(vehicle)
-    if vehicle is None:
-        base = load_scenario("noise_only")
-        base = replace(base, seed=case.seed, fluid=replace(base.fluid, condition=FLUIDS[case.seed % len(FLUIDS)]))
-    else:
-        base = vehicle.scenario(0, WorkshopRoutine())
+def scenario_of(case: Case) -> tuple[Scenario, Vehicle]:
+    """Return what is driven, and the vehicle."""
+    vehicle = replace(draw(case.seed, has_mismatch=case.has_mismatch), transmission=case.transmission)
+    vehicle = with_other_laws(vehicle) if case.has_other_laws else vehicle
+    base = vehicle.scenario(0, WorkshopRoutine())
     effects = replace(base.effects, frame_loss_ratio=case.loss_ratio if case.burst == 1 else 0.0)
     base = replace(base, transmission=case.transmission, drive=DriveName.CITY, effects=effects)
     base = base if case.row == MATCHED.name else BY_NAME[case.row].applied(base)
@@ -119,10 +119,9 @@ def scenario_of(case: Case) -> tuple[Scenario, Vehicle | None]:
 def driven(case: Case) -> list[DriveOutcome]:
     """Drive and diagnose."""
     scenario, vehicle = scenario_of(case)
-    drive = Drive(scenario, planned=iter([planned(case.trace)]))
-    calibration = shipped_calibration(case.transmission)
-    calibration = known_vehicle(calibration) if case.is_known else calibration
-    stages = new_stages(calibration)
+    slips: list[BoolArray] = []
+    drive = Drive(scenario, planned=iter([planned(case.trace)]), make_trip=partial(WatchedTrip, slips))
+    stages = new_stages(shipped_calibration(case.transmission))
     diagnoses: list[Diagnosis] = []
     rng = np.random.default_rng(case.seed)
     for stretch in drive.stretches(STRETCH_S):
@@ -130,7 +129,38 @@ def driven(case: Case) -> list[DriveOutcome]:
         diagnoses += stages.feed(batch if case.burst == 1 else without_bursts(batch, case.loss_ratio, case.burst, rng))
     diagnoses += [stages.conclude(event) for event in stages.flush()]
     true = np.array([[drive.truth.mu_c[m], drive.truth.mu_s[m]] for m in range(2)]) * BY_NAME[case.row].friction_ratio
-    return [outcome_of(diagnoses, true, vehicle, scenario.fluid.condition)]
+    outcome, does_slip = outcome_of(diagnoses, true, vehicle, scenario.fluid.condition), np.concatenate(slips)
+    slip_ms = Counter[Fate]()
+    for one in [one.estimate for one in diagnoses]:
+        first, last = ((t_ns // 1000 - EPOCH_US) // US_PER_ROW for t_ns in (one.start_ns, one.end_ns))
+        slip_ms[fate_of(one)] += int(does_slip[max(first, 0) : last].sum())
+    return [replace(outcome, slip_ms=slip_ms, whole_slip_ms=int(does_slip.sum()))]
+
+
+class WatchedTrip(Trip):
+    """A trip that notes in which of its rows, one a millisecond, a pressed clutch slips."""
+
+    def __init__(self, slips: list[BoolArray], *course: Any) -> None:  # noqa: ANN401 - as of a trip
+        super().__init__(*course)
+        self._slips = slips
+
+    def advance(self, duration_s: float) -> FloatArray:
+        rows = super().advance(duration_s)
+        is_pressed = np.abs(rows[:, TORQUE] - rows[:, DRAG]) > PRESSED_NM
+        first, second = (is_pressed & (np.abs(rows[:, [Col.HUB_SPEED]] - rows[:, SHAFTS]) > BEGUN_SLIP_RAD_S)).T
+        self._slips.append(first | second)
+        return rows
+
+
+def fate_of(estimate: ShiftEstimate) -> Fate:
+    """Return what became of an event."""
+    return estimate.kind.value, estimate.status.value, ", ".join(estimate.reasons)
+
+
+def used_of(counts: Counter[Fate], kind: str = "") -> int:
+    """Return how much of a kind, or of all, belongs to events whose friction enters the running estimate."""
+    return sum(count for (of, status, why), count in counts.items()
+               if (of == kind or not kind) and status == Status.VALID and not why)  # fmt: skip
 
 
 def without_bursts(batch: FrameBatch, ratio: float, burst: int, rng: np.random.Generator) -> FrameBatch:
@@ -144,27 +174,15 @@ def without_bursts(batch: FrameBatch, ratio: float, burst: int, rng: np.random.G
     return batch[is_kept]
 
 
-def known_vehicle(calibration: Calibration) -> Calibration:
-    """Return the calibration of somebody who knows the vehicle: no latencies, and next to no scatter."""
-    scatter = {one.name: KNOWN_RATIO * getattr(calibration.uncertainty, one.name) for one in fields(Uncertainty)}
-    return replace(
-        calibration,
-        uncertainty=replace(calibration.uncertainty, **scatter),
-        bias=replace(calibration.bias, torque_latency_s=PLANT_STEP_S / 2.0, pressure_latency_s=0.0),
-    )
-
-
-def outcome_of(diagnoses: Sequence[Diagnosis], true: FloatArray, vehicle: Vehicle | None, fluid: str) -> DriveOutcome:
+def outcome_of(diagnoses: Sequence[Diagnosis], true: FloatArray, vehicle: Vehicle, fluid: str) -> DriveOutcome:
     """Return what the diagnoses of one drive say; ``true`` are ``(mu_c, mu_s)`` of each clutch."""
-    shown = true.copy()
-    if vehicle is not None:
-        shown *= vehicle.torque_gain * (1.0 + np.array(vehicle.area_ratios))[:, None]
+    shown = true * vehicle.torque_gain * (1.0 + np.array(vehicle.area_ratios))[:, None]
     looks: list[DriveLook] = []
     alone = []
     used_count = 0
     for diagnosis in diagnoses:
         estimate = diagnosis.estimate
-        if estimate.status is not Status.VALID or estimate.reasons:
+        if not used_of(Counter([fate_of(estimate)])):
             continue
         used_count += 1
         looks += _looks(used_count, diagnosis.belief.posterior, true, shown)
@@ -173,9 +191,9 @@ def outcome_of(diagnoses: Sequence[Diagnosis], true: FloatArray, vehicle: Vehicl
     looks += _looks(END, diagnoses[-1].belief.posterior, true, shown)
     return DriveOutcome(
         looks=tuple(looks),
-        statuses=Counter(
-            (one.estimate.kind.value, one.estimate.status.value, ", ".join(one.estimate.reasons)) for one in diagnoses
-        ),
+        statuses=Counter(fate_of(one.estimate) for one in diagnoses),
+        slip_ms=Counter(),
+        whole_slip_ms=0,
         alone=tuple(alone),
         wrong_verdicts=tuple(_wrong_verdicts(diagnoses, fluid)),
         final_verdicts=_final_verdicts(diagnoses),
@@ -254,17 +272,19 @@ def moments_table(outcomes: Sequence[DriveOutcome]) -> Table:
 def kinds_table(outcomes: Sequence[DriveOutcome]) -> Table:
     """Return what single events say, and what became of them."""
     table = Table(
-        "kind", "events", "used", "left out", "mu_C", "mu_S", "stated", "within 2 std", "why not",
-        title="Single events, scale-free, RMS error in %",
+        "kind", "events", "used", "left out", "slip, s", "of it used", "mu_C", "mu_S", "stated", "within 2 std",
+        "why not", title="Single events, scale-free, RMS error in %",
     )  # fmt: skip
-    statuses = sum((outcome.statuses for outcome in outcomes), Counter[tuple[str, str, str]]())
+    statuses = sum((outcome.statuses for outcome in outcomes), Counter[Fate]())
+    slip_ms = sum((outcome.slip_ms for outcome in outcomes), Counter[Fate]())
     for kind in sorted({kind for kind, _, _ in statuses}):
         mine = {key[1:]: count for key, count in statuses.items() if key[0] == kind}
-        used = sum(count for (status, why), count in mine.items() if status == Status.VALID and not why)
         out = sum(count for (status, why), count in mine.items() if status != Status.UNOBSERVED and why)
         why = ", ".join(f"{count} {reasons}" for (_, reasons), count in sorted(mine.items()) if reasons)
         alone = [one[1:] for outcome in outcomes for one in outcome.alone if one[0] == kind]
-        cells = [kind.replace("_", " "), str(sum(mine.values())), str(used), str(out)]
+        whole_ms = sum(ms for (of, *_), ms in slip_ms.items() if of == kind)
+        cells = [kind.replace("_", " "), str(sum(mine.values())), str(used_of(statuses, kind)), str(out)]
+        cells += [f"{whole_ms / 1e3:.0f}", f"{used_of(slip_ms, kind) / max(whole_ms, 1):.0%}"]
         if alone:
             errors, stds = (np.array([one[k] for one in alone]) for k in range(2))
             cells += [f"{root_mean_square(errors[:, k]):.2f}" for k in range(2)]
@@ -281,10 +301,6 @@ def main() -> int:
     parser.add_argument("--vehicles", type=int, default=30)
     parser.add_argument("--trace", default="udds", choices=TRACES)
     parser.add_argument("--oil-degc", type=float, default=80.0)
-    parser.add_argument("--plain", action="store_true", help="vehicles just like their type")
-    parser.add_argument(
-        "--known", action="store_true", help="with --plain: believed to be so, as calibrated beyond doubt"
-    )
     parser.add_argument("--mismatch", action="store_true", help="film, oil and lining unlike the belief as well")
     parser.add_argument("--row", choices=BY_NAME, default=MATCHED.name, help="one effect of the mismatch table as well")
     parser.add_argument("--other-laws", action="store_true", help="laws of cold oil that the estimator does not have")
@@ -292,18 +308,18 @@ def main() -> int:
     parser.add_argument("--burst", type=int, default=1, help="frames of one message that are lost in a row")
     parser.add_argument("--transmission", choices=SHIPPED, default="nominal")
     options = parsed(parser, vehicles=6)
-    if options.known and not options.plain:
-        parser.error("--known goes with --plain: no other vehicle is known")
     case = partial(
-        Case, trace=options.trace, oil_degc=options.oil_degc, is_plain=options.plain, has_mismatch=options.mismatch,
-        loss_ratio=options.loss, burst=options.burst, is_known=options.known,
-        has_other_laws=options.other_laws, transmission=options.transmission, row=options.row,
+        Case, trace=options.trace, oil_degc=options.oil_degc, has_mismatch=options.mismatch,
+        loss_ratio=options.loss, burst=options.burst, has_other_laws=options.other_laws,
+        transmission=options.transmission, row=options.row,
     )  # fmt: skip
     cases = [case(seed=seed) for seed in range(options.seed, options.seed + options.vehicles)]
     outcomes = over_drives(driven, cases, options.workers, options.kept)
     console = Console(markup=False, width=150)
     for table in (moments_table(outcomes), kinds_table(outcomes)):
         console.print(table)
+    whole_ms, used_ms = sum(one.whole_slip_ms for one in outcomes), sum(used_of(one.slip_ms) for one in outcomes)
+    console.print(f"slip under load: {whole_ms / 1e3:.0f} s, {used_ms / whole_ms:.1%} of it in events that are used")
     verdicts = Counter((one.fluid, ", ".join(one.final_verdicts)) for one in outcomes)
     for (fluid, final), count in sorted(verdicts.items()):
         console.print(f"{fluid}: {count} drives end with {final}")

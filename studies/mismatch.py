@@ -274,7 +274,7 @@ def road_section(vehicles: int, jobs: int) -> Iterator[str]:
         "| in 2 std % | drives with a wrong verdict |"
     )
     yield "|---|---|---|---|---|---|"
-    case = partial(RoadCase, is_plain=False, has_mismatch=True, loss_ratio=0.0)
+    case = partial(RoadCase, has_mismatch=True, loss_ratio=0.0)
     for row, (trace, oil_degc) in enumerate(DRIVES):
         seeds = range(ROAD_SEED + 100 * row, ROAD_SEED + 100 * row + vehicles)
         outcomes = over_drives(driven_road, [case(seed=seed, trace=trace, oil_degc=oil_degc) for seed in seeds], jobs)

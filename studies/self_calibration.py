@@ -6,21 +6,17 @@ speeds 0..10 ms late (uniform). Its first drive, workshop routine and three cycl
 cycles alone, with four revs, with the whole routine. Two more drives of three cycles are then estimated with the
 calibration of the whole routine, frozen, and compared.
 
-The shipped calibration also allows for linings and oil unlike its type, which these vehicles do not have.
-``--belief drawn`` takes a calibration that knows that: what it says to scatter is what is drawn.
-
 *Scale-free* is what a result calls so: friction times gain and piston area, without the common scale that driving
-cannot tell. *mu times gain* leaves the area in, of which 1 % is drawn.
+cannot tell.
 
     python -m studies.self_calibration --vehicles 102
-    python -m studies.self_calibration --belief drawn
     python -m studies.self_calibration --mismatch      # film, viscosity, w_S, K_c and touch point unlike the belief
     python -m studies.self_calibration --trace wltc --oil-degc -10 --other-laws     # from one drive on the road
 """
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -46,8 +42,6 @@ FIRST_SEED = 27_000  # seeds below were looked at while priors and gates were ch
 REV_COUNT = 20
 FEW_REVS = 4
 LABELS = ("mu_C 1", "mu_S 1", "mu_C 2", "mu_S 2")
-SLOPE_OF_INTEREST = 0.006
-KNOWN_RATIO = 1e-3  # what is as the calibration says
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,10 +53,7 @@ class CalibrationRow:
     absolute: tuple[float, ...] = ()
     absolute_std: tuple[float, ...] = ()
     scale_free: tuple[float, ...] = ()  # of mu times gain of the torque reading and piston area
-    times_gain: tuple[float, ...] = ()  # of mu times the gain only
     scale_free_std: tuple[float, ...] = ()
-    slope_signs: tuple[bool, ...] = ()  # of the clutches whose coefficients differ enough: whether it is right
-    clutch_ratio: tuple[float, ...] = ()  # of mu_C, of mu_S
     gain: float = 0.0
     inertia_over_gain: float = 0.0  # the product of inertia and gain of the reading: driving shows it
     torque_latency_ms: float = 0.0
@@ -71,24 +62,7 @@ class CalibrationRow:
     trend: tuple[float, ...] = ()  # of the same coefficient between two drives
 
 
-def drawn_belief() -> Calibration:
-    """Return the calibration of the type with what ``draw`` scatters, and without what it does not."""
-    nominal = nominal_calibration()
-    return replace(
-        nominal,
-        uncertainty=replace(
-            nominal.uncertainty,
-            viscosity_ratio=KNOWN_RATIO,
-            stribeck_speed_ratio=KNOWN_RATIO,
-            contact_stiffness_ratio=KNOWN_RATIO,
-        ),
-    )
-
-
-BELIEFS: Mapping[str, Callable[[], Calibration]] = {"shipped": nominal_calibration, "drawn": drawn_belief}
-
-
-def study(vehicle: Vehicle, start: Calibration) -> list[CalibrationRow]:
+def study(vehicle: Vehicle) -> list[CalibrationRow]:
     """Drive one vehicle three times and return its rows, calibrated from what is believed of its type."""
     routine = WorkshopRoutine(open_revs=REV_COUNT, closed_revs=REV_COUNT)
     frames, truth = frames_of(vehicle.scenario(0, routine))
@@ -98,7 +72,7 @@ def study(vehicle: Vehicle, start: Calibration) -> list[CalibrationRow]:
     rows = []
     found: SelfCalibration | str = ""
     for kind, used in (("cycles alone", []), (f"+ {FEW_REVS} revs", opened[:FEW_REVS]), ("workshop", run_ups)):
-        found = self_calibrate(shifts, used, start, "study")
+        found = self_calibrate(shifts, used, nominal_calibration(), "study")
         rows.append(
             CalibrationRow(kind=kind, problem=found) if isinstance(found, str) else judged(kind, vehicle, found, true)
         )
@@ -108,7 +82,7 @@ def study(vehicle: Vehicle, start: Calibration) -> list[CalibrationRow]:
     return rows
 
 
-def road_study(case: Case, start: Calibration) -> list[CalibrationRow]:
+def road_study(case: Case) -> list[CalibrationRow]:
     """Drive one vehicle along a trace and return what its events calibrate; a road has no revs in neutral."""
     scenario, vehicle = scenario_of(case)
     if vehicle is None:
@@ -121,7 +95,7 @@ def road_study(case: Case, start: Calibration) -> list[CalibrationRow]:
     )
     for columns in decoder.whole(to_batch(merge([stretch.frames])) for stretch in drive.stretches(STRETCH_S)):
         shifts += finder.feed(columns)
-    found = self_calibrate(shifts + finder.flush(), [], start, "study")
+    found = self_calibrate(shifts + finder.flush(), [], nominal_calibration(), "study")
     kind = f"{case.trace} from {case.oil_degc:g} degC"
     if isinstance(found, str):
         return [CalibrationRow(kind=kind, problem=found)]
@@ -173,14 +147,7 @@ def judged(kind: str, vehicle: Vehicle, found: SelfCalibration, true: FloatArray
         absolute=_percent(errors),
         absolute_std=_percent(std / mu),
         scale_free=_percent(scaled * found_by_area / (true * vehicle.torque_gain * by_area) - 1.0),
-        times_gain=_percent(scaled / (true * vehicle.torque_gain) - 1.0),
         scale_free_std=_percent(scaled_std / scaled),
-        slope_signs=tuple(
-            bool((mu[row] > mu[row + 1]) == (true[row] > true[row + 1]))
-            for row in (0, 2)
-            if abs(true[row] - true[row + 1]) >= SLOPE_OF_INTEREST
-        ),
-        clutch_ratio=_percent((1.0 + errors[:2]) / (1.0 + errors[2:]) - 1.0),
         gain=100.0 * (bias.torque_gain / vehicle.torque_gain - 1.0),
         inertia_over_gain=100.0 * (product / (vehicle.torque_gain * (1.0 + vehicle.inertia_ratio)) - 1.0),
         torque_latency_ms=1e3 * (bias.torque_latency_s - vehicle.torque_latency_s + vehicle.speed_latency_s),
@@ -210,10 +177,8 @@ def report(rows: Sequence[CalibrationRow]) -> Iterator[str]:
             continue
         absolute = np.array([row.absolute for row in chosen])
         scale_free = np.array([row.scale_free for row in chosen])
-        ratio = np.array([row.clutch_ratio for row in chosen])
         yield f"  {'RMS error, %':16}" + "".join(f"{label:>9}" for label in (*LABELS, "all"))
         yield _errors("scale-free", scale_free)
-        yield _errors("mu times gain", np.array([row.times_gain for row in chosen]))
         yield _errors("absolute", absolute)
         for name, errors, std in (
             ("scale-free", scale_free, np.array([row.scale_free_std for row in chosen])),
@@ -224,10 +189,6 @@ def report(rows: Sequence[CalibrationRow]) -> Iterator[str]:
                 f"  {name}: stated std {root_mean_square(std):.2f} %, {100.0 * inside.mean():.1f} % "
                 f"of {inside.size} within 2 std"
             )
-        yield (
-            f"  clutch ratio: RMS mu_C {root_mean_square(ratio[:, 0]):.2f} %"
-            f"  mu_S {root_mean_square(ratio[:, 1]):.2f} %"
-        )
         for name, values, unit in (
             ("torque gain", [row.gain for row in chosen], "%"),
             ("inertia over gain", [row.inertia_over_gain for row in chosen], "%"),
@@ -236,8 +197,6 @@ def report(rows: Sequence[CalibrationRow]) -> Iterator[str]:
             ("torque offset", [row.offset_nm for row in chosen], "Nm"),
         ):
             yield f"  {name}: RMS {root_mean_square(np.array(values)):.2f} {unit}, bias {np.mean(values):+.2f} {unit}"
-        signs = [sign for row in chosen for sign in row.slope_signs]
-        yield f"  slope sign right in {sum(signs)} of {len(signs)} (coefficients that differ by {SLOPE_OF_INTEREST})"
 
 
 def _errors(name: str, errors: FloatArray) -> str:
@@ -252,7 +211,6 @@ def main() -> int:
     parser.add_argument(
         "--mismatch", action="store_true", help="vehicles whose films and linings are unlike the belief"
     )
-    parser.add_argument("--belief", choices=list(BELIEFS), default="shipped", help="what the calibration allows for")
     parser.add_argument("--trace", choices=TRACES, help="from one drive on the road")
     parser.add_argument("--oil-degc", type=float, default=80.0, help="with --trace")
     parser.add_argument(
@@ -260,21 +218,19 @@ def main() -> int:
     )
     arguments = parsed(parser, vehicles=4)
     seeds = range(arguments.seed, arguments.seed + arguments.vehicles)
-    start = BELIEFS[arguments.belief]()
     if arguments.trace is None:
         vehicles = [draw(seed, has_mismatch=arguments.mismatch) for seed in seeds]
-        rows = over_drives(partial(study, start=start), vehicles, arguments.workers, arguments.kept)
+        rows = over_drives(study, vehicles, arguments.workers, arguments.kept)
     else:
         case = partial(
-            Case, trace=arguments.trace, oil_degc=arguments.oil_degc, is_plain=False, has_mismatch=arguments.mismatch,
+            Case, trace=arguments.trace, oil_degc=arguments.oil_degc, has_mismatch=arguments.mismatch,
             loss_ratio=0.0, has_other_laws=arguments.other_laws,
         )  # fmt: skip
         cases = [case(seed=seed) for seed in seeds]
-        rows = over_drives(partial(road_study, start=start), cases, arguments.workers, arguments.kept)
+        rows = over_drives(road_study, cases, arguments.workers, arguments.kept)
     print(
         f"self-calibration, {arguments.trace or f'{CYCLES} cycles'}, seeds {seeds[0]}..{seeds[-1]}"
         + (", film, viscosity, w_S, K_c and touch point unlike the belief" if arguments.mismatch else "")
-        + f", {arguments.belief} belief"
     )
     print("\n".join(report(rows)))
     return 0

@@ -216,7 +216,7 @@ def main() -> int:
     parser.add_argument("--tables", nargs="+", default=NAMES, choices=NAMES)
     options = parsed(parser, vehicles=1, traces=["udds"])
     cases = [
-        Case(seed=seed, trace=trace, oil_degc=80.0, is_plain=False, has_mismatch=False, loss_ratio=0.0)
+        Case(seed=seed, trace=trace, oil_degc=80.0, has_mismatch=False, loss_ratio=0.0)
         for seed in range(options.seed, options.seed + options.vehicles)
         for trace in options.traces
     ]

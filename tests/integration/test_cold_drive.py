@@ -13,7 +13,6 @@ def test_cold_oil_of_another_kind_misleads_nobody() -> None:
         seed=120013,
         trace="udds",
         oil_degc=-10.0,
-        is_plain=False,
         has_mismatch=False,
         has_other_laws=True,
         loss_ratio=0.0,

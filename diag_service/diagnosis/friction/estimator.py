@@ -69,8 +69,7 @@ _COLD_VARIANCE[list(COLD_STD)] = np.square(list(COLD_STD.values()))
 OPEN_DRAG_SPEED_LOG: Final = 0.7  # natural logarithm, at any temperature: packs drag twice or half as much
 FRICTION_RATIO: Final = 0.01  # of mu, at any temperature: each event spreads heat, oil and load otherwise
 COLD_FRICTION_RATIO: Final = 0.015  # of mu, added `COLD_SPAN_K` below work: no law of the cold holds in every car
-MOST_FILM_SHARE: Final = 0.4  # of the torque in the slip window: beyond it friction is not estimated
-MOST_SLOW_FILM_SHARE: Final = 0.5  # likewise of a film that yields more slowly
+MOST_FILM_SHARE: Final = 0.5  # of the torque in the slip window: beyond it friction is not estimated
 
 
 def event_variance(balance: Balance, clutch: int, noise: NoiseModel) -> FloatArray:
@@ -95,18 +94,18 @@ def is_carried_by_film(balance: Balance, clutch: int) -> bool:
     lever_m3 = balance.torques.lever_m3[clutch - 1, :, rows.start - first : rows.stop - first]
     by_friction_m3 = np.abs(balance.at[FRICTION_ROWS[clutch - 1]] @ lever_m3)
 
-    films = [(balance.tracks[clutch - 1], MOST_FILM_SHARE)]
+    tracks = [balance.tracks[clutch - 1]]
     if balance.film_steps[clutch - 1] >= LEAST_SECANT:
-        films.append((slower_films(balance, balance.measured)[clutch - 1], MOST_SLOW_FILM_SHARE))
-    for track, most in films:
+        tracks.append(slower_films(balance, balance.measured)[clutch - 1])
+    for track in tracks:
         contact = float((by_friction_m3 * track.contact_pa[rows]).sum())
         film = float(np.abs(track.viscous_nm[rows]).sum())
-        if film > most * max(film + contact, 1e-9):
+        if film > MOST_FILM_SHARE * max(film + contact, 1e-9):
             return True
     return False
 
 
-ALGORITHM_VERSION = "torque-impulse-18"
+ALGORITHM_VERSION = "torque-impulse-19"
 MAX_PASS_COUNT = 4  # linearisations: the first events of a vehicle move latencies beyond the reach of one
 CONVERGED = 0.2  # of a standard deviation
 NEAR_STEP = 0.5  # standard deviations of the type: a shorter step keeps the Jacobian
