@@ -86,23 +86,19 @@ def event_variance(balance: Balance, clutch: int, noise: NoiseModel) -> FloatArr
 def is_carried_by_film(balance: Balance, clutch: int) -> bool:
     """Return whether the film may carry so much of a clutch's torque that nothing is said of friction.
 
-    As believed, or if it yields as slowly as it may in the cold: where that film would not close, a belief that it does
-    is no evidence.
+    In the cold that of a film which yields as slowly as it may: where it would not close, a belief that it does is no
+    evidence.
     """
     rows = balance.window.slip_rows
     first = balance.weights.rows.start
     lever_m3 = balance.torques.lever_m3[clutch - 1, :, rows.start - first : rows.stop - first]
     by_friction_m3 = np.abs(balance.at[FRICTION_ROWS[clutch - 1]] @ lever_m3)
 
-    tracks = [balance.tracks[clutch - 1]]
-    if balance.film_steps[clutch - 1] >= LEAST_SECANT:
-        tracks.append(slower_films(balance, balance.measured)[clutch - 1])
-    for track in tracks:
-        contact = float((by_friction_m3 * track.contact_pa[rows]).sum())
-        film = float(np.abs(track.viscous_nm[rows]).sum())
-        if film > MOST_FILM_SHARE * max(film + contact, 1e-9):
-            return True
-    return False
+    is_cold = balance.film_steps[clutch - 1] >= LEAST_SECANT
+    track = (slower_films(balance, balance.measured) if is_cold else balance.tracks)[clutch - 1]
+    contact = float((by_friction_m3 * track.contact_pa[rows]).sum())
+    film = float(np.abs(track.viscous_nm[rows]).sum())
+    return film > MOST_FILM_SHARE * max(film + contact, 1e-9)
 
 
 ALGORITHM_VERSION = "torque-impulse-19"
