@@ -86,7 +86,6 @@ ROWS: tuple[Mismatch, ...] = (
     Mismatch(name="grooves, film mobility x 2", way=_GROOVES, effects=Effects(film_mobility_ratio=2.0)),
     Mismatch(name="grooves, film mobility x 4", way=_GROOVES, effects=Effects(film_mobility_ratio=4.0)),
     Mismatch(name="film mobility x 0.25", way=_TIGHT, effects=Effects(film_mobility_ratio=0.25)),
-    Mismatch(name="film mobility x 0.5", way=_TIGHT, effects=Effects(film_mobility_ratio=0.5)),
     Mismatch(name="A_K x 1.01", way=_PISTON, effects=Effects(piston_area_ratio=1.01)),
     Mismatch(name="spring force + 30 N", way=_SPRING, effects=Effects(spring_force_n=30.0)),
     Mismatch(name="crank ripple 0.5", way=_RIPPLE, effects=Effects(crank_ripple_ratio=0.5)),
@@ -121,4 +120,6 @@ ROWS: tuple[Mismatch, ...] = (
         ),
     ),
 )
-BY_NAME: Mapping[str, Mismatch] = {row.name: row for row in ROWS}
+# Of single drives alone: the table has what is on both sides of it.
+HALF = Mismatch(name="film mobility x 0.5", way=_TIGHT, effects=Effects(film_mobility_ratio=0.5))
+BY_NAME: Mapping[str, Mismatch] = {row.name: row for row in (*ROWS, HALF)}

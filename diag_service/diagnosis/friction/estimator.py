@@ -24,6 +24,7 @@ from diag_service.diagnosis.friction.balance import (
 )
 from diag_service.diagnosis.friction.drives import (
     PackTemperatures,
+    SlipWindow,
     measured_drives,
     on_other_grid,
     rows_in_slip,
@@ -69,7 +70,7 @@ _COLD_VARIANCE[list(COLD_STD)] = np.square(list(COLD_STD.values()))
 OPEN_DRAG_SPEED_LOG: Final = 0.7  # natural logarithm, at any temperature: packs drag twice or half as much
 FRICTION_RATIO: Final = 0.01  # of mu, at any temperature: each event spreads heat, oil and load otherwise
 COLD_FRICTION_RATIO: Final = 0.015  # of mu, added `COLD_SPAN_K` below work: no law of the cold holds in every car
-MOST_FILM_SHARE: Final = 0.5  # of the torque in the slip window: beyond it friction is not estimated
+MOST_FILM_SHARE: Final = 0.5  # of the torque in a piece of the slip window: beyond it friction is not told there
 
 
 def event_variance(balance: Balance, clutch: int, noise: NoiseModel) -> FloatArray:
@@ -83,22 +84,25 @@ def event_variance(balance: Balance, clutch: int, noise: NoiseModel) -> FloatArr
     return variance
 
 
-def is_carried_by_film(balance: Balance, clutch: int) -> bool:
-    """Return whether the film may carry so much of a clutch's torque that nothing is said of friction.
+def telling_part(balance: Balance, clutch: int) -> Balance | None:
+    """Return the balance on those pieces in which the film carries little enough to tell friction; None: there is none.
 
-    In the cold that of a film which yields as slowly as it may: where it would not close, a belief that it does is no
-    evidence.
+    Of a launch in the cold these are the ones after its film has closed. There the film is one that yields as slowly as
+    it may: where that would not close, a belief that it does is no evidence.
     """
-    rows = balance.window.slip_rows
-    first = balance.weights.rows.start
-    lever_m3 = balance.torques.lever_m3[clutch - 1, :, rows.start - first : rows.stop - first]
-    by_friction_m3 = np.abs(balance.at[FRICTION_ROWS[clutch - 1]] @ lever_m3)
-
+    rows = balance.weights.rows
     is_cold = balance.film_steps[clutch - 1] >= LEAST_SECANT
     track = (slower_films(balance, balance.measured) if is_cold else balance.tracks)[clutch - 1]
-    contact = float((by_friction_m3 * track.contact_pa[rows]).sum())
-    film = float(np.abs(track.viscous_nm[rows]).sum())
-    return film > MOST_FILM_SHARE * max(film + contact, 1e-9)
+    by_friction_m3 = np.abs(balance.at[FRICTION_ROWS[clutch - 1]] @ balance.torques.lever_m3[clutch - 1])
+    film_nm = np.abs(track.viscous_nm[rows])
+    excess_nm = film_nm - MOST_FILM_SHARE * (film_nm + by_friction_m3 * track.contact_pa[rows])
+    spans = [(piece, slice(piece.first - rows.start, piece.stop - rows.start)) for piece in balance.window.pieces]
+    telling = tuple([piece for piece, span in spans if piece.is_rest or excess_nm[span].sum() <= 0.0])
+    if len(telling) == len(spans):
+        return balance
+    if all(piece.is_rest for piece in telling):
+        return None
+    return Balance(balance.signals, SlipWindow.of(telling), balance.measured, balance.laws, balance.at)
 
 
 ALGORITHM_VERSION = "torque-impulse-19"
@@ -175,8 +179,8 @@ def linearise(  # noqa: PLR0911 - each stage may find that it ends there
         is_too_few = 0 < row_count < noise.least_count
         return NotLinearised(Reason.FEW_SAMPLES, row_count) if is_too_few else NotLinearised(Reason.NO_SLIP_WINDOW)
     window, clutch = window_and_clutch
-    balance = Balance(signals, window, drives, laws, at)
-    if is_carried_by_film(balance, clutch):
+    balance = telling_part(Balance(signals, window, drives, laws, at), clutch)
+    if balance is None:
         return NotLinearised(Reason.NO_SLIP_WINDOW)
     if balance.sample_count < noise.least_count:
         return NotLinearised(Reason.FEW_SAMPLES, balance.sample_count)

@@ -30,7 +30,7 @@ from diag_service.diagnosis.friction.drives import (
     slip_window,
     zeros_measured,
 )
-from diag_service.diagnosis.friction.estimator import chi_square_gate, event_variance, is_carried_by_film
+from diag_service.diagnosis.friction.estimator import chi_square_gate, event_variance, telling_part
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
     NAMES,
@@ -362,16 +362,16 @@ def _linearised_shifts(
         window, clutch = window_and_clutch
         balance = Balance(signals, window, drives, laws, at)
         packs = PackTemperatures(clutch_k=balance.final_clutch_k, at_ns=event.end_ns)
-        if not is_carried_by_film(balance, clutch):
+        if (telling := telling_part(balance, clutch)) is not None:
             noise = noise_of(signals)
-            evidence = Evidence.of(measurements_of(balance, noise), at, variance=event_variance(balance, clutch, noise))
+            evidence = Evidence.of(measurements_of(telling, noise), at, variance=event_variance(telling, clutch, noise))
             yield _Linearised(
                 balance=evidence,
                 zeros=zeros_measured(signals, laws.noise.pressure_pa),
                 misfit=evidence.chi_square(at) / evidence.count,
                 clutch=clutch,
                 number=event.number,
-                window=window,
+                window=telling.window,
                 grid_s=signals.grid_s,
                 is_cold=min(balance.final_clutch_k) < WORKING_K,
             )
