@@ -131,9 +131,9 @@ def driven(case: Case) -> list[DriveOutcome]:
     true = np.array([[drive.truth.mu_c[m], drive.truth.mu_s[m]] for m in range(2)]) * BY_NAME[case.row].friction_ratio
     outcome, does_slip = outcome_of(diagnoses, true, vehicle, scenario.fluid.condition), np.concatenate(slips)
     slip_ms = Counter[Fate]()
-    for one in [one.estimate for one in diagnoses]:
-        first, last = ((t_ns // 1000 - EPOCH_US) // US_PER_ROW for t_ns in (one.start_ns, one.end_ns))
-        slip_ms[fate_of(one)] += int(does_slip[max(first, 0) : last].sum())
+    for estimate in [one.estimate for one in diagnoses]:
+        first, last = ((t_ns // 1000 - EPOCH_US) // US_PER_ROW for t_ns in (estimate.start_ns, estimate.end_ns))
+        slip_ms[fate_of(estimate)] += int(does_slip[max(first, 0) : last].sum())
     return [replace(outcome, slip_ms=slip_ms, whole_slip_ms=int(does_slip.sum()))]
 
 
