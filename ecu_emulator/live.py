@@ -28,16 +28,7 @@ from ecu_emulator.errors import EmulatorConfigError, RecordError
 from ecu_emulator.progress import driven_text, people, print_json
 from ecu_emulator.scenario.scenario import Scenario
 from ecu_emulator.sensing import MS_PER_S
-from ecu_emulator.truth import (
-    EventTruth,
-    Happened,
-    ShiftTruth,
-    Totals,
-    TruthLog,
-    TruthWriter,
-    known_at_s,
-    truth_log,
-)
+from ecu_emulator.truth import EventTruth, Happened, ShiftTruth, Totals, TruthLog, TruthWriter, known_at_s, truth_log
 
 LINE_BYTES: Final = 4096
 POLL_S: Final = 0.2  # how soon the end of the drive is noticed

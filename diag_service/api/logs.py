@@ -147,13 +147,7 @@ class FolderContent:
     others: tuple[LeftOut, ...]
 
 
-def read(
-    paths: AnyPaths,
-    dbc: AnyPath | None = None,
-    *,
-    is_strict: bool = False,
-    columns: str = "",
-) -> "canlog.Log":
+def read(paths: AnyPaths, dbc: AnyPath | None = None, *, is_strict: bool = False, columns: str = "") -> "canlog.Log":
     """Return the frames of logs and their signals as arrays or tables, as ``diag-service decode`` writes them.
 
     Parameters
@@ -182,10 +176,7 @@ def read(
 
 
 def decode(
-    paths: AnyPaths,
-    output: AnyPath,
-    dbc: AnyPath | None = None,
-    choice: "canlog.TableChoice | None" = None,
+    paths: AnyPaths, output: AnyPath, dbc: AnyPath | None = None, choice: "canlog.TableChoice | None" = None
 ) -> list[str]:
     """Write the signals of logs as a table of any size, as ``diag-service decode`` does.
 
@@ -214,11 +205,7 @@ def decode(
 
 
 def inspect(
-    path: AnyPath,
-    dbc: AnyPath | None = None,
-    *,
-    bitrate: int = DEFAULT_BITRATE,
-    columns: str = "",
+    path: AnyPath, dbc: AnyPath | None = None, *, bitrate: int = DEFAULT_BITRATE, columns: str = ""
 ) -> Inspection:
     """Return what traffic a log holds, as ``diag-service inspect`` shows it.
 

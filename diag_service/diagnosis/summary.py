@@ -179,10 +179,7 @@ class Gap(StrEnum):
     LOG_CUT = "log_cut"  # the file is cut off
 
 
-GAP_TEXT = {
-    Gap.STOPPED: "stopped early",
-    Gap.LOG_CUT: "a log is cut off",
-}
+GAP_TEXT = {Gap.STOPPED: "stopped early", Gap.LOG_CUT: "a log is cut off"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

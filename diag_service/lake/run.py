@@ -26,13 +26,7 @@ from canlog.tables.decoding import Plan, decode_logs
 from clutch_results.records import dump, iso_utc
 from diag_service.batch.drives import drive_of
 from diag_service.batch.tables import Entry
-from diag_service.batch.worker import (
-    DEADLY,
-    Analyst,
-    run_in_pool,
-    run_in_processes,
-    settings_digest,
-)
+from diag_service.batch.worker import DEADLY, Analyst, run_in_pool, run_in_processes, settings_digest
 from diag_service.errors import ConfigError, StoreError
 from diag_service.lake.parts import (
     DATE_CHARACTERS,

@@ -224,30 +224,17 @@ _GEARS: Final[Requirement] = (
 )
 _REQUIREMENTS: Final[dict[Tier, tuple[Requirement, ...]]] = {
     Tier.FRICTION: (_GEARS, *((frozenset({signal}),) for signal in Signal if signal in MANDATORY - GEAR_PAIR)),
-    Tier.TORQUE: (
-        _SPEED,
-        _GEARS,
-        _TORQUE,
-        (TORQUE_COMMANDS, frozenset({Signal.CLUTCH_TORQUE})),
-        (INPUT_PAIR, INPUT),
-    ),
+    Tier.TORQUE: (_SPEED, _GEARS, _TORQUE, (TORQUE_COMMANDS, frozenset({Signal.CLUTCH_TORQUE})), (INPUT_PAIR, INPUT)),
     Tier.KINEMATIC: (_SPEED, (*_GEARS, frozenset({Signal.CURRENT_GEAR}))),
 }
 
-_SLIP: Final[Requirement] = (
-    frozenset({Signal.LOCKUP_SLIP}),
-    frozenset({Signal.ENGINE_SPEED, Signal.TURBINE_SPEED}),
-)
+_SLIP: Final[Requirement] = (frozenset({Signal.LOCKUP_SLIP}), frozenset({Signal.ENGINE_SPEED, Signal.TURBINE_SPEED}))
 _LOCKUP_REQUIREMENTS: Final[dict[Tier, tuple[Requirement, ...]]] = {
     Tier.FRICTION: (
         (frozenset({Signal.ENGINE_SPEED}), SUMMED_SIGNALS),
         *((frozenset({signal}),) for signal in Signal if signal in LOCKUP_SIGNALS - {Signal.ENGINE_SPEED}),
     ),
-    Tier.TORQUE: (
-        _SLIP,
-        _TORQUE,
-        (frozenset({Signal.LOCKUP_PRESSURE_COMMAND}), frozenset({Signal.LOCKUP_PRESSURE})),
-    ),
+    Tier.TORQUE: (_SLIP, _TORQUE, (frozenset({Signal.LOCKUP_PRESSURE_COMMAND}), frozenset({Signal.LOCKUP_PRESSURE}))),
     Tier.KINEMATIC: (_SLIP,),
 }
 

@@ -17,13 +17,7 @@ from canlog.files import replacing
 from clutch_model.units import NS_PER_S, bar_from_pa, rpm_from_rad_s
 from clutch_results import records
 from clutch_results.event_kinds import DATED_NS, events_text
-from clutch_results.pictures import (
-    UNFORETOLD,
-    Fan,
-    curve_picture,
-    fan_of,
-    fan_picture,
-)
+from clutch_results.pictures import UNFORETOLD, Fan, curve_picture, fan_of, fan_picture
 from clutch_results.prognosis import Prognosis
 from clutch_results.prognosis.sentence import distance_left
 from clutch_results.shift_course import COURSE_HEAD, course_lines, course_row, courses, load_line, loads

@@ -341,11 +341,7 @@ class ConditionMemory:
             del plain["fluid_since"], plain["linings"]
         if not self.course.event_count:
             del plain["course"]
-        for name, blank in {
-            "launches": (Launches(), Launches()),
-            "grounds": (None, None),
-            "refused": (0, 0),
-        }.items():
+        for name, blank in {"launches": (Launches(), Launches()), "grounds": (None, None), "refused": (0, 0)}.items():
             if getattr(self, name) == blank:
                 del plain[name]
         return {"format": MEMORY_FORMAT} | plain | names

@@ -10,7 +10,7 @@ chi-square, and so does a step of friction: the cheapest selection is believed.
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cache
 from typing import Final, NamedTuple, Self
@@ -195,6 +195,12 @@ class Evidence:
             constant=sum([evidence.constant for evidence in some]),
             count=sum([evidence.count for evidence in some]),
         )
+
+    def weighted(self, weight: float) -> Self:
+        """Return the same, each residual with this weight."""
+        if weight == 1.0:
+            return self
+        return replace(self, matrix=weight * self.matrix, vector=weight * self.vector, constant=weight * self.constant)
 
     @classmethod
     def of(
@@ -426,6 +432,7 @@ def _saved(information: FloatArray, gradient: FloatArray) -> FloatArray:
 
 
 ODD_COST: Final = 20.0  # chi-square of two numbers, in units of the vehicle's own scatter
+TAIL_FREEDOM: Final = 4.0  # degrees of freedom of Student's t, by which events scatter about their vehicle
 _MEDIAN_BY_CHANCE: Final = 2.0 * math.log(2.0)  # of chi-square of two numbers
 STEP_COST: Final = 55.0  # chi-square: more than leaving two events out, less than three
 SMALL_STEP_COST: Final = 24.0  # of a step for which no event is left out: by chance two more numbers save it in 6e-6
@@ -464,11 +471,12 @@ class EventScatter(NamedTuple):
         """Observed over stated variance of events."""
         return (STATED_COUNT + self.apart) / (STATED_COUNT + self.by_chance)
 
-    def with_event(self, known: Knowledge, event: JudgedEvent) -> "EventScatter":
-        """Return it after an event which is part of what is known."""
-        apart, _, by_chance = step_since(known, event.evidence, event.clutch)
+    def with_event(self, known: Knowledge, event: JudgedEvent, weight: float = 1.0) -> "EventScatter":
+        """Return it after an event which is part of what is known, with some weight."""
+        weighted, _, by_chance = step_since(known, event.evidence.weighted(weight), event.clutch)
         if by_chance < LEAST_BY_CHANCE:
             return self
+        apart = weighted / weight
         if event.is_off_like_others:
             apart = max(apart, by_chance)
         return EventScatter(
@@ -480,34 +488,46 @@ class Judgement(NamedTuple):
     """The cheapest selection of some events, and its posterior."""
 
     fusion: Fusion
-    is_used: tuple[bool, ...]
+    weights: tuple[float, ...]  # of the events, 0 to 1: 0 is left out
     cost: float  # chi-square, and what leaving out costs
     first_changed: int | None = None  # from that event on its clutch has another friction
+
+    @property
+    def is_used(self) -> tuple[bool, ...]:
+        """Whether each event belongs."""
+        return tuple([weight > 0.0 for weight in self.weights])
+
+    def weighted(self, base: Knowledge, events: Sequence[JudgedEvent], weights: Sequence[float]) -> Self:
+        """Return the same judgement with other weights of the events."""
+        return self._replace(fusion=fuse(base, together(events, weights)), weights=tuple(map(float, weights)))
 
 
 def judge(base: Knowledge, events: Sequence[JudgedEvent]) -> Judgement:
     """Return the judgement on events, the oldest first, with a prior."""
     best = selected(base, [event.evidence for event in events])
-    judged = Judgement(fusion=fuse(base, together(events, best.is_used)), is_used=best.is_used, cost=best.cost)
+    weights = tuple(map(float, best.is_used))
+    judged = Judgement(fusion=fuse(base, together(events, weights)), weights=weights, cost=best.cost)
     for first, cost in (*_where_changed(events, best.is_used), *_where_stepped(events, best, judged.fusion.knowledge)):
         judged = min(judged, _with_change(base, events, first, cost), key=lambda choice: choice.cost)
-    return judged if judged.first_changed is not None else _without_odd(base, events, judged)
+    return judged if judged.first_changed is not None else _weighted(base, events, judged)
 
 
-def _without_odd(base: Knowledge, events: Sequence[JudgedEvent], judged: Judgement) -> Judgement:
-    """Return the judgement without events that differ far more from the others than these do from each other.
+def _weighted(base: Knowledge, events: Sequence[JudgedEvent], judged: Judgement) -> Judgement:
+    """Return the judgement in which events count less the more they differ from the others, far odder ones nothing.
 
-    What is stated holds for vehicles of all kinds; the median event shows what it is worth in this one; (25a).
+    What is stated holds for vehicles of all kinds; the median event shows what it is worth in this one; (25a), (25b).
     """
     is_used = list(judged.is_used)
     while is_used.count(True) > SCATTER_COUNT:
         rows, known = np.flatnonzero(is_used).tolist(), judged.fusion.knowledge
-        apart = [step_since(known, events[row].evidence, events[row].clutch)[0] for row in rows]
-        scatter = min(max(float(np.median(apart)) / _MEDIAN_BY_CHANCE, LEAST_SCATTER), 1.0)
-        if max(apart) < ODD_COST * scatter:
-            break
-        is_used[rows[apart.index(max(apart))]] = False
-        judged = judged._replace(fusion=fuse(base, together(events, is_used)), is_used=tuple(is_used))
+        apart = np.array([step_since(known, events[row].evidence, events[row].clutch)[0] for row in rows])
+        apart /= min(max(float(np.median(apart)) / _MEDIAN_BY_CHANCE, LEAST_SCATTER), 1.0)
+        if apart.max() < ODD_COST:
+            weights = np.zeros(len(events))
+            weights[rows] = np.minimum((TAIL_FREEDOM + 2.0) / (TAIL_FREEDOM + apart), 1.0)
+            return judged.weighted(base, events, weights.tolist())
+        is_used[rows[apart.argmax()]] = False
+        judged = judged.weighted(base, events, is_used)
     return judged
 
 
@@ -558,14 +578,14 @@ def _with_change(base: Knowledge, events: Sequence[JudgedEvent], first: int, ste
     since = selected(known, [event.evidence for event in newer])
     return Judgement(
         fusion=fuse(known, together(newer, since.is_used)),
-        is_used=(*until.is_used, *since.is_used),
+        weights=(*until.is_used, *since.is_used),
         cost=until.cost + since.cost + step_cost,
         first_changed=first,
     )
 
 
-def together(events: Sequence[JudgedEvent], is_used: Sequence[bool]) -> Evidence:
-    return Evidence.sum([event.evidence for event, used in zip(events, is_used, strict=False) if used])
+def together(events: Sequence[JudgedEvent], weights: Sequence[float]) -> Evidence:
+    return Evidence.sum([one.evidence.weighted(weight) for one, weight in zip(events, weights, strict=False) if weight])
 
 
 def after_change(known: Knowledge, clutch: int) -> Knowledge:

@@ -216,10 +216,7 @@ def pack_laws(calibration: Calibration) -> PackLaws:
 
 
 def integrate_films(
-    drives: tuple[PressureDrive, PressureDrive],
-    laws: PackLaws,
-    stop: int | None = None,
-    step: int = 1,
+    drives: tuple[PressureDrive, PressureDrive], laws: PackLaws, stop: int | None = None, step: int = 1
 ) -> tuple[FilmTrack, FilmTrack]:
     """Integrate film and pack temperature of both clutches; docs/model.md eq. (7) and section "Thermal".
 

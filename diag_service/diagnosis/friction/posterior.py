@@ -101,7 +101,7 @@ class Posterior:
 
     base: Knowledge  # without the recent events
     recent: tuple[JudgedEvent, ...]  # the oldest first
-    is_used: tuple[bool, ...]  # of the recent events: whether it belongs
+    weights: tuple[float, ...]  # of the recent events, 0 to 1: 0 is left out
     fusion: Fusion  # of the base and the recent events that belong
     folded_counts: tuple[int, int] = (0, 0)  # events in the base that speak of the friction of clutch 1 and 2
     baselines: tuple[Baseline | None, Baseline | None] = (None, None)  # against the base
@@ -126,7 +126,7 @@ class Posterior:
         return cls(
             base=base,
             recent=(),
-            is_used=(),
+            weights=(),
             fusion=fuse(base, Evidence.none()),
             prior=Prior.of(base.covariance),
             torque=calibration.torque,
@@ -148,10 +148,15 @@ class Posterior:
             known = Knowledge(mean=known.mean, covariance=self.prior.stated(known.covariance, ratio))
         return self.prior.with_own_curve(known)
 
+    @property
+    def is_used(self) -> tuple[bool, ...]:
+        """Whether each of the recent events belongs."""
+        return tuple([weight > 0.0 for weight in self.weights])
+
     def without(self, place: int) -> Knowledge:
         """Return the posterior without one of the recent events."""
-        is_used = [used and other != place for other, used in enumerate(self.is_used)]
-        return fuse(self.base, together(self.recent, is_used)).knowledge
+        weights = [0.0 if other == place else weight for other, weight in enumerate(self.weights)]
+        return fuse(self.base, together(self.recent, weights)).knowledge
 
     @property
     def shift_counts(self) -> tuple[int, int]:
@@ -171,20 +176,21 @@ class Posterior:
         """
         recent = (*self.recent, event)
         judged = judge(self.base, recent)
-        state = replace(self, recent=recent, is_used=judged.is_used, fusion=judged.fusion)
+        state = replace(self, recent=recent, weights=judged.weights, fusion=judged.fusion)
         if judged.first_changed is not None:
             state = _changed(state, judged.first_changed)
         elif len(recent) > RECENT_COUNT:
             if earlier is None or judged.is_used[0] != self.is_used[0]:
                 earlier = _folded(state, 1)
-            state = _together(replace(earlier, recent=recent[1:], is_used=judged.is_used[1:]))
+            state = _together(replace(earlier, recent=recent[1:], weights=judged.weights[1:]))
             # Where all belong they do so beside an older base, too: it differs by the drift of one event.
             evidences = [recent.evidence for recent in state.recent]
             is_sure = all(judged.is_used) and is_cheap(state.fusion.chi_square, evidences)
             state = state if is_sure else _judged(state)
-        if not state.is_used or not state.is_used[-1]:
+        if not any(state.weights[-1:]):
             return state
-        scatter = EventScatter(self.apart, self.apart_by_chance).with_event(state.fusion.knowledge, event)
+        scatter = EventScatter(self.apart, self.apart_by_chance)
+        scatter = scatter.with_event(state.fusion.knowledge, event, state.weights[-1])
         return replace(state, apart=scatter.apart, apart_by_chance=scatter.by_chance)
 
     def with_oldest_folded(self) -> "Posterior":
@@ -203,7 +209,7 @@ class Posterior:
 
     def to_json(self) -> JsonObject:
         """Return the state as JSON-ready values; floats survive the round trip bit by bit."""
-        plain = to_plain(replace(self, recent=(), is_used=()))
+        plain = to_plain(replace(self, recent=()))
         stored = {name: plain[name] for name in _STORED}
         return {"format": STATE_FORMAT, "recent": [_stored(event) for event in self.recent]} | stored
 
@@ -237,17 +243,22 @@ class Posterior:
                 value = getattr(record, name)
                 if value.shape != shape or not np.all(np.isfinite(value)):
                     raise ValueError(f"not a running state: bad {name} of a {type(record).__name__}")
-        return _judged(replace(blank, recent=recent, **{name: getattr(stored, name) for name in _STORED}))
+        state = replace(blank, recent=recent, **{name: getattr(stored, name) for name in _STORED})
+        if stored.weights is None:
+            return _judged(state)
+        if len(stored.weights) != len(recent) or not all(0.0 <= weight <= 1.0 for weight in stored.weights):
+            raise ValueError("not a running state: bad weights of recent events")
+        return _together(state)
 
 
 def _together(state: Posterior) -> Posterior:
     """Return the state with what its base and those events say that are used."""
-    return replace(state, fusion=fuse(state.base, together(state.recent, state.is_used)))
+    return replace(state, fusion=fuse(state.base, together(state.recent, state.weights)))
 
 
 def _judged(state: Posterior) -> Posterior:
     judged = judge(state.base, state.recent)
-    return replace(state, is_used=judged.is_used, fusion=judged.fusion)
+    return replace(state, weights=judged.weights, fusion=judged.fusion)
 
 
 def _changed(state: Posterior, first: int) -> Posterior:
@@ -261,10 +272,10 @@ def _changed(state: Posterior, first: int) -> Posterior:
 def _folded(state: Posterior, count: int) -> Posterior:
     """Return the state with the oldest recent events in the base, as far as they belong; its fusion stays as it was."""
     base, counts, baselines = state.base, state.folded_counts, state.baselines
-    for event, used in zip(state.recent[:count], state.is_used, strict=False):
-        if not used:
+    for event, weight in zip(state.recent[:count], state.weights, strict=False):
+        if not weight:
             continue
-        news = fuse(base, event.evidence)
+        news = fuse(base, event.evidence.weighted(weight))
         base = news.knowledge.less_sure(_DRIFT)
         baselines = both_clutches(baseline and baseline.after(news.error_transition) for baseline in baselines)
         counts = with_clutch(counts, event.clutch, counts[event.clutch - 1] + 1)
@@ -278,7 +289,7 @@ def _folded(state: Posterior, count: int) -> Posterior:
         state,
         base=base,
         recent=state.recent[count:],
-        is_used=state.is_used[count:],
+        weights=state.weights[count:],
         folded_counts=counts,
         baselines=baselines,
     )
@@ -292,6 +303,7 @@ class _Stored:
     folded_counts: tuple[int, int]
     baselines: tuple[Baseline | None, Baseline | None]
     packs: PackTemperatures | None
+    weights: tuple[float, ...] | None = None  # None: of an earlier version, which did not store them
     apart: float = 0.0
     apart_by_chance: float = 0.0
 

@@ -183,11 +183,7 @@ NEARLY_CONVERGED = 0.3  # a slip window that begins a sample earlier or later fr
 MAX_MISFIT_SHARE = 1 / 3  # of the shifts
 MAX_DEPARTURE = 5.0  # standard deviations of the type
 MAX_MEAN_MISFIT = 2.0  # of the shifts used: beyond it this is not the vehicle type that the calibration describes
-LOOSE_STD = {
-    Considered.TORQUE_LATENCY: 0.015,
-    Considered.PRESSURE_LATENCY: 0.010,
-    Considered.MOTORING_GAIN: 0.05,
-}
+LOOSE_STD = {Considered.TORQUE_LATENCY: 0.015, Considered.PRESSURE_LATENCY: 0.010, Considered.MOTORING_GAIN: 0.05}
 """What a vehicle that never calibrated itself may differ by from its type, where that is more than the type states."""
 LEAST_STD = 1e-6  # of what a type calls certain: a covariance must have an inverse
 
@@ -422,9 +418,7 @@ def _calibrated(start: Calibration, laws: VehicleLaws) -> Calibration:
             ),
             geometry=replace(clutch.geometry, piston_area_m2=law.film.piston_area_m2),
             film=replace(
-                clutch.film,
-                contact_stiffness_pa=law.film.contact_stiffness_pa,
-                mobility_ratio=law.mobility_ratio,
+                clutch.film, contact_stiffness_pa=law.film.contact_stiffness_pa, mobility_ratio=law.mobility_ratio
             ),
         )
         for clutch, law in zip(start.clutches, laws.packs, strict=True)
@@ -454,9 +448,7 @@ def _concluded(
         point,
         version=version,
         joint=JointUncertainty(
-            names=NUISANCE_NAMES,
-            std=tuple(std.tolist()),
-            correlation=tuple(tuple(row) for row in correlation.tolist()),
+            names=NUISANCE_NAMES, std=tuple(std.tolist()), correlation=tuple(tuple(row) for row in correlation.tolist())
         ),
     )
     at = np.concatenate((mean[:STATE_COUNT], np.zeros(len(Considered))))  # about the new calibration

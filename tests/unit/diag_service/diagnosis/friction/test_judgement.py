@@ -19,9 +19,11 @@ from diag_service.diagnosis.friction.evidence import (
     Knowledge,
     Measurement,
     State,
+    fuse,
     judge,
     prior_covariance,
     prior_mean,
+    together,
 )
 from diag_service.diagnosis.friction.posterior import Posterior
 
@@ -160,3 +162,17 @@ def test_one_that_is_odd_among_many_is_left_out(scatter: float, left_out: list[i
     seen = [event(number, 1 + number % 2, (1.022 if number == 3 else 1.0) * MU, rng) for number in range(12)]
     assert all(judge(base(), seen[:8]).is_used)
     assert [row for row, used in enumerate(judge(base(), seen).is_used) if not used] == left_out
+
+
+def test_one_that_differs_counts_less_as_student_t_has_it() -> None:
+    quiet = cast("np.random.Generator", Scaled(0.0))
+    seen = [event(number, 1, (1.01 if number == 3 else 1.0) * MU, quiet) for number in range(12)]
+    judged = judge(base(), seen)
+    assert all(judged.is_used)
+    assert judged.weights[3] < 0.5
+    assert min(judged.weights[:3] + judged.weights[4:]) == 1.0
+    moved, moved_in_full = (
+        fuse(base(), together(seen, weights)).knowledge.mean[0] - MU[0] for weights in (judged.weights, (1.0,) * 12)
+    )
+    assert 0.0 < moved < 0.6 * moved_in_full
+    assert judged.fusion.knowledge.mean[0] == pytest.approx(MU[0] + moved, rel=1e-9)

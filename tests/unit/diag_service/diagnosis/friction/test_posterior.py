@@ -30,34 +30,34 @@ MU = np.array([0.140, 0.120])
 STD = 0.001
 
 
-def event(number: int, clutch: int, mu: np.ndarray, rng: np.random.Generator) -> JudgedEvent:
-    """Return an event that sees friction and, less sharply, something of everything else."""
+def event(number: int, clutch: int, mu: np.ndarray, rng: np.random.Generator, noise: float = 1.0) -> JudgedEvent:
+    """Return an event that sees friction and, less sharply, all else; ``noise`` is over what is stated."""
     at, std = Posterior.fresh(CALIBRATION).known.mean, Posterior.fresh(CALIBRATION).known.std()
     slope = 0.05 * rng.normal(size=(24, PARAMETER_COUNT)) / std
     slope[:, FRICTION_ROWS[0]] = slope[:, FRICTION_ROWS[1]] = 0.0
     slope[:, FRICTION_ROWS[clutch - 1]] = np.tile(np.eye(2), (12, 1)) / STD / np.sqrt(12.0)
     truth = at.copy()
     truth[FRICTION_ROWS[clutch - 1]] = mu
-    residual = slope @ (truth - at) + rng.normal(size=24)
+    residual = slope @ (truth - at) + noise * rng.normal(size=24)
     measured = Measurement(residual=residual, jacobian=slope, covariance=np.eye(24))
     return JudgedEvent(clutch=clutch, end_ns=number, evidence=Evidence.of([measured], at))
 
 
-def driven(count: int, seed: int = 0, mu: Callable[[int], np.ndarray] = lambda _: MU) -> Posterior:
+def driven(count: int, seed: int = 0, mu: Callable[[int], np.ndarray] = lambda _: MU, noise: float = 1.0) -> Posterior:
     """Return what is known after some events of both clutches in turn."""
     rng, state = np.random.default_rng(seed), Posterior.fresh(CALIBRATION)
     for number in range(count):
-        state = state.with_event(event(number, 1 + number % 2, mu(number), rng))
+        state = state.with_event(event(number, 1 + number % 2, mu(number), rng, noise))
     return state
 
 
 def test_nothing_is_lost_when_events_become_part_of_the_base() -> None:
-    """But for the drift of a few events, the whole is what all events say at once."""
+    """But for the drift of a few events, the whole is what all events say at once, if none differs from the others."""
     rng = np.random.default_rng(0)
     total = Evidence.none()
     for number in range(30):
-        total = Evidence.sum((total, event(number, 1 + number % 2, MU, rng).evidence))
-    at_once, state = fuse(Posterior.fresh(CALIBRATION).base, total).knowledge, driven(30)
+        total = Evidence.sum((total, event(number, 1 + number % 2, MU, rng, 0.1).evidence))
+    at_once, state = fuse(Posterior.fresh(CALIBRATION).base, total).knowledge, driven(30, noise=0.1)
     assert len(state.recent) == RECENT_COUNT
     assert state.shift_counts == (15, 15)
     std = at_once.std()
@@ -145,11 +145,18 @@ def damaged(change: Callable[[Any], object]) -> JsonObject:
         damaged(lambda table: table["recent"][0].update(clutch=3)),
         damaged(lambda table: table["recent"][0].update(constant=float("inf"))),
         damaged(lambda table: table.update(folded_counts=None)),
+        damaged(lambda table: table["weights"].pop()),
+        damaged(lambda table: table["weights"].append(2.0) or table["weights"].pop(0)),
     ],
 )
 def test_a_damaged_state_is_refused(table: JsonObject) -> None:
     with pytest.raises(ValueError, match="running state"):
         Posterior.from_json(table, CALIBRATION)
+
+
+def test_events_of_a_state_that_stores_no_weights_are_judged_anew() -> None:
+    old = Posterior.from_json(damaged(lambda table: table.pop("weights")), CALIBRATION)
+    assert old.weights == pytest.approx(Posterior.from_json(json.loads(SAVED), CALIBRATION).weights, abs=0.2)
 
 
 SCALES = 10.0 ** np.random.default_rng(0).uniform(-4.0, 4.0, PARAMETER_COUNT)  # coefficients, pascals, seconds
