@@ -11,12 +11,7 @@ from clutch_results.records import dump
 from clutchdiag_io.console import PeopleConsole, plain_table
 from clutchdiag_io.people import PLUS_MINUS, digits, half_width, plus_minus
 from diag_service.api.calibration import FoundCalibration, calibrate_vehicle
-from diag_service.api.learning import (
-    learn_vehicle,
-    learned_record,
-    predict_shifts,
-    summary_lines,
-)
+from diag_service.api.learning import learn_vehicle, learned_record, predict_shifts, summary_lines
 from diag_service.console import ReadingLine, write_record
 from diag_service.diagnosis.blind_test import OURS, PredictedShift, levels, scores
 from diag_service.diagnosis.friction.posterior import friction as friction_of

@@ -431,8 +431,8 @@ def _saved(information: FloatArray, gradient: FloatArray) -> FloatArray:
     return np.asarray((gradient * step).sum(axis=-1))
 
 
-ODD_COST: Final = 20.0  # chi-square of two numbers, in units of the vehicle's own scatter
-TAIL_FREEDOM: Final = 4.0  # degrees of freedom of Student's t, by which events scatter about their vehicle
+SOUND_COST: Final = 5.0  # chi-square of two numbers, in units of the vehicle's own scatter: 8 % by chance
+ODD_COST: Final = 20.0  # likewise: what differs so much counts nothing, in between less and less
 _MEDIAN_BY_CHANCE: Final = 2.0 * math.log(2.0)  # of chi-square of two numbers
 STEP_COST: Final = 55.0  # chi-square: more than leaving two events out, less than three
 SMALL_STEP_COST: Final = 24.0  # of a step for which no event is left out: by chance two more numbers save it in 6e-6
@@ -513,7 +513,7 @@ def judge(base: Knowledge, events: Sequence[JudgedEvent]) -> Judgement:
 
 
 def _weighted(base: Knowledge, events: Sequence[JudgedEvent], judged: Judgement) -> Judgement:
-    """Return the judgement in which events count less the more they differ from the others, far odder ones nothing.
+    """Return the judgement in which events that differ from the others count less, and far odder ones nothing.
 
     What is stated holds for vehicles of all kinds; the median event shows what it is worth in this one; (25a), (25b).
     """
@@ -524,7 +524,7 @@ def _weighted(base: Knowledge, events: Sequence[JudgedEvent], judged: Judgement)
         apart /= min(max(float(np.median(apart)) / _MEDIAN_BY_CHANCE, LEAST_SCATTER), 1.0)
         if apart.max() < ODD_COST:
             weights = np.zeros(len(events))
-            weights[rows] = np.minimum((TAIL_FREEDOM + 2.0) / (TAIL_FREEDOM + apart), 1.0)
+            weights[rows] = np.minimum((ODD_COST - apart) / (ODD_COST - SOUND_COST), 1.0)
             return judged.weighted(base, events, weights.tolist())
         is_used[rows[apart.argmax()]] = False
         judged = judged.weighted(base, events, is_used)

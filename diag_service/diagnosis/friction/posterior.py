@@ -243,12 +243,12 @@ class Posterior:
                 value = getattr(record, name)
                 if value.shape != shape or not np.all(np.isfinite(value)):
                     raise ValueError(f"not a running state: bad {name} of a {type(record).__name__}")
-        state = replace(blank, recent=recent, **{name: getattr(stored, name) for name in _STORED})
-        if stored.weights is None:
-            return _judged(state)
-        if len(stored.weights) != len(recent) or not all(0.0 <= weight <= 1.0 for weight in stored.weights):
+        # An earlier version stored none: what belonged counted in full.
+        weights = stored.weights or tuple(map(float, judge(stored.base, recent).is_used))
+        if len(weights) != len(recent) or not all(0.0 <= weight <= 1.0 for weight in weights):
             raise ValueError("not a running state: bad weights of recent events")
-        return _together(state)
+        told = {name: getattr(stored, name) for name in _STORED} | {"weights": weights}
+        return _together(replace(blank, recent=recent, **told))
 
 
 def _together(state: Posterior) -> Posterior:

@@ -164,7 +164,7 @@ def test_one_that_is_odd_among_many_is_left_out(scatter: float, left_out: list[i
     assert [row for row, used in enumerate(judge(base(), seen).is_used) if not used] == left_out
 
 
-def test_one_that_differs_counts_less_as_student_t_has_it() -> None:
+def test_one_that_comes_near_to_being_odd_counts_less() -> None:
     quiet = cast("np.random.Generator", Scaled(0.0))
     seen = [event(number, 1, (1.01 if number == 3 else 1.0) * MU, quiet) for number in range(12)]
     judged = judge(base(), seen)
