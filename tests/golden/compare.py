@@ -59,7 +59,11 @@ def recording(name: str, folder: Path, broker: Mosquitto) -> Faces:
         # A connection that was lost says "offline" too, before the results come by the next one.
         subscriber.wait(
             lambda heard: (
-                len(heard.payloads("/shift")) >= shift_count
+                len(shifts := heard.payloads("/shift")) >= shift_count
+                and all(
+                    [state["seq"] for state in heard.payloads(f"/clutch/{clutch}")[-1:]] == [seq]
+                    for clutch, seq in {one["verdict"]["clutch"]: one["seq"] for one in shifts}.items()
+                )
                 and [status["status"] for status in heard.payloads("/status")[-1:]] == ["offline"]
             )
         )

@@ -26,7 +26,6 @@ from diag_service.diagnosis.friction.evidence import (
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
-    EventScatter,
     Evidence,
     Fusion,
     JudgedEvent,
@@ -39,6 +38,7 @@ from diag_service.diagnosis.friction.evidence import (
     judge,
     prior_covariance,
     prior_mean,
+    step_since,
     together,
     type_std,
 )
@@ -77,6 +77,36 @@ class Baseline:
     def after(self, error_transition: FloatArray) -> Self:
         """Return the baseline after news that leave this of the earlier error."""
         return replace(self, cross=error_transition @ self.cross)
+
+
+MOST_APART: Final = 9.0  # chi-square of two numbers, 1 % by chance: what is beyond is left out, or a step
+LEAST_BY_CHANCE: Final = 1.5  # expected chi-square, at most 2: the first event of a clutch tests only its prior
+STATED_COUNT: Final = 5.0  # degrees of freedom that scatter as stated, before any event: those of three events
+SCATTER_FORGETTING: Final = 0.99  # weight of an event after each later one: some hundred count
+
+
+class EventScatter(NamedTuple):
+    """Scatter of the friction of single events; docs/model.md, equation (38)."""
+
+    apart: float = 0.0  # chi-square that events would save, older ones faded, had each a friction of its own
+    by_chance: float = 0.0  # its expectation with the stated deviations
+
+    @property
+    def ratio(self) -> float:
+        """Observed over stated variance of events."""
+        return (STATED_COUNT + self.apart) / (STATED_COUNT + self.by_chance)
+
+    def with_event(self, known: Knowledge, event: JudgedEvent, weight: float = 1.0) -> "EventScatter":
+        """Return it after an event which is part of what is known, with some weight."""
+        weighted, _, by_chance = step_since(known, event.evidence.weighted(weight), event.clutch)
+        if by_chance < LEAST_BY_CHANCE:
+            return self
+        apart = weighted / weight
+        if event.is_off_like_others:
+            apart = max(apart, by_chance)
+        return EventScatter(
+            SCATTER_FORGETTING * self.apart + min(apart, MOST_APART), SCATTER_FORGETTING * self.by_chance + by_chance
+        )
 
 
 RECENT_COUNT: Final = 12  # events judged together: some six of each clutch

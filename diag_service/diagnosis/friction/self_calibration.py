@@ -38,7 +38,6 @@ from diag_service.diagnosis.friction.evidence import (
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
-    EventScatter,
     Evidence,
     JudgedEvent,
     Knowledge,
@@ -50,7 +49,7 @@ from diag_service.diagnosis.friction.evidence import (
     prior_mean,
 )
 from diag_service.diagnosis.friction.film import PressureDrive, VehicleLaws, integrate_films
-from diag_service.diagnosis.friction.posterior import Posterior
+from diag_service.diagnosis.friction.posterior import EventScatter, Posterior
 
 MOMENT_COUNT = 24  # the torque of a run-up has steps; more moments see little but their interpolation
 

@@ -13,7 +13,6 @@ from diag_service.diagnosis.friction.evidence import (
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
-    EventScatter,
     Evidence,
     JudgedEvent,
     Knowledge,
@@ -25,7 +24,7 @@ from diag_service.diagnosis.friction.evidence import (
     prior_mean,
     together,
 )
-from diag_service.diagnosis.friction.posterior import Posterior
+from diag_service.diagnosis.friction.posterior import EventScatter, Posterior
 
 STD = 0.001  # of friction seen in one event
 MU = np.array([0.140, 0.120])
