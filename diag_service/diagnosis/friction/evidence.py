@@ -548,7 +548,7 @@ def _with_change(base: Knowledge, events: Sequence[JudgedEvent], first: int, ste
     since = selected(known, [event.evidence for event in newer])
     return Judgement(
         fusion=fuse(known, together(newer, since.is_used)),
-        weights=(*until.is_used, *since.is_used),
+        weights=tuple(map(float, (*until.is_used, *since.is_used))),
         cost=until.cost + since.cost + step_cost,
         first_changed=first,
     )

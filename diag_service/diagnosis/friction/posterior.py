@@ -273,11 +273,11 @@ class Posterior:
                 value = getattr(record, name)
                 if value.shape != shape or not np.all(np.isfinite(value)):
                     raise ValueError(f"not a running state: bad {name} of a {type(record).__name__}")
-        # An earlier version stored none: what belonged counted in full.
-        weights = stored.weights or tuple(map(float, judge(stored.base, recent).is_used))
-        if len(weights) != len(recent) or not all(0.0 <= weight <= 1.0 for weight in weights):
+        # An earlier version stored no weights: what belonged counted in full.
+        kept = judge(stored.base, recent).is_used if stored.weights is None else stored.weights
+        if len(kept) != len(recent) or not all(0.0 <= weight <= 1.0 for weight in kept):
             raise ValueError("not a running state: bad weights of recent events")
-        told = {name: getattr(stored, name) for name in _STORED} | {"weights": weights}
+        told = {name: getattr(stored, name) for name in _STORED} | {"weights": tuple(map(float, kept))}
         return _together(replace(blank, recent=recent, **told))
 
 

@@ -167,7 +167,7 @@ def _rates(
     diff_nm = np.zeros(len(Index))
     diff_inertia_kg_m2 = driveline.output.inertia_kg_m2
     for m, (ratio, shaft) in enumerate(zip(ratios, driveline.shafts, strict=True)):
-        speed, twist, torque = (Index.INPUT1_SPEED + 2 * m, Index.SHAFT1_TWIST + 2 * m, Index.CLUTCH1_TORQUE + m)
+        speed, twist, torque = Index.INPUT1_SPEED + 2 * m, Index.SHAFT1_TWIST + 2 * m, Index.CLUTCH1_TORQUE + m
         rate[Index.HUB_SPEED, torque] = -1.0 / side.hub_inertia_kg_m2
         rate[speed] = -shafts[m] / shaft.clutch_inertia_kg_m2
         rate[speed, speed] -= shaft.clutch_damping_nms_rad / shaft.clutch_inertia_kg_m2

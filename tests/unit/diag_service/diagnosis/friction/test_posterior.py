@@ -146,6 +146,7 @@ def damaged(change: Callable[[Any], object]) -> JsonObject:
         damaged(lambda table: table["recent"][0].update(constant=float("inf"))),
         damaged(lambda table: table.update(folded_counts=None)),
         damaged(lambda table: table["weights"].pop()),
+        damaged(lambda table: table["weights"].clear()),
         damaged(lambda table: table["weights"].append(2.0) or table["weights"].pop(0)),
     ],
 )
