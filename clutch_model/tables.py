@@ -57,12 +57,7 @@ def read_table(path: Path, what: str, error: type[Exception] = CalibrationError)
 
 
 def record_from(
-    kind: type[RecordT],
-    table: object,
-    prefix: str = "",
-    *,
-    error: type[Exception] = CalibrationError,
-    **given: object,
+    kind: type[RecordT], table: object, prefix: str = "", *, error: type[Exception] = CalibrationError, **given: object
 ) -> RecordT:
     """Return a record, a dataclass or a named tuple, whose members have the names of a table's keys.
 

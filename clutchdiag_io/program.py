@@ -68,12 +68,7 @@ def _write_out() -> None:
 
 
 def complain(
-    program: str,
-    exc: Exception,
-    statuses: Sequence[tuple[Kinds, int]],
-    *,
-    is_verbose: bool = False,
-    hint: str = "",
+    program: str, exc: Exception, statuses: Sequence[tuple[Kinds, int]], *, is_verbose: bool = False, hint: str = ""
 ) -> int:
     """Write one line about an error, if asked for also where it came from, and return the exit status.
 

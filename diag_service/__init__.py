@@ -18,12 +18,7 @@ if typing.TYPE_CHECKING:
     from diag_service.api.analysis import Analysis, PaperAnalysis, ResultTable, analyze, analyze_by_paper
     from diag_service.api.calibration import calibrate
     from diag_service.api.choices import Delivery, Poll
-    from diag_service.api.expectations import (
-        expect_frames,
-        expect_same_frames,
-        expect_shifts,
-        expect_verdict,
-    )
+    from diag_service.api.expectations import expect_frames, expect_same_frames, expect_shifts, expect_verdict
     from diag_service.api.folders import FolderAnalysis, analyze_folders
     from diag_service.api.learning import learn, predict
     from diag_service.api.live import BackgroundDiagnosis, LiveDiagnosis, diagnose

@@ -339,13 +339,7 @@ def calibrate(controls: Controls, **words: Any) -> None:
 )
 @logs_argument("log file, or folder of files; - is standard input")
 @together(dbc_option, _match_option, _columns_option)
-@click.option(
-    "-b",
-    "--bitrate",
-    type=int,
-    default=500_000,
-    help="bit rate for which the bus load is given [bit/s]",
-)
+@click.option("-b", "--bitrate", type=int, default=500_000, help="bit rate for which the bus load is given [bit/s]")
 @json_option
 @working
 def inspect(controls: Controls, **words: Any) -> None:

@@ -1,13 +1,6 @@
 """What vehicle and fleet backend agree on: topics, envelope, schemas, receipts. Neither application is known here."""
 
-from fleet_contract.errors import (
-    ContractError,
-    IdentityError,
-    MalformedError,
-    SchemaError,
-    TopicError,
-    VariableError,
-)
+from fleet_contract.errors import ContractError, IdentityError, MalformedError, SchemaError, TopicError, VariableError
 from fleet_contract.messages import (
     MAX_BUNDLED,
     NEVER,

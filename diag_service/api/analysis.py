@@ -329,12 +329,7 @@ class PaperAnalysis:
     notices: tuple[str, ...]
 
 
-def analyze_by_paper(
-    paths: AnyPaths,
-    *,
-    is_strict: bool = False,
-    **meaning: Unpack[LogMeaning],
-) -> PaperAnalysis:
+def analyze_by_paper(paths: AnyPaths, *, is_strict: bool = False, **meaning: Unpack[LogMeaning]) -> PaperAnalysis:
     """Analyse the logs of one drive as ``diag-service analyze --estimator paper`` does; arguments as of ``analyze``.
 
     Raises what ``analyze`` raises.

@@ -93,12 +93,7 @@ class FoundCalibration:
             yield key, value, calibration.std(key), float(before[row])
 
 
-def calibrate(
-    paths: AnyPaths,
-    *,
-    output: AnyPath | None = None,
-    **meaning: Unpack[LogMeaning],
-) -> SelfCalibration:
+def calibrate(paths: AnyPaths, *, output: AnyPath | None = None, **meaning: Unpack[LogMeaning]) -> SelfCalibration:
     """Find one vehicle's sensor errors and inertia from its logs, as ``diag-service calibrate`` does.
 
     Parameters

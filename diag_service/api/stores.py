@@ -35,13 +35,7 @@ MOST_CHARACTERS: Final = 200  # of a name or a note
 _CLOCK_ERROR: Final = timedelta(minutes=5)  # by which the clocks of people and machines may differ
 
 
-def write_report(
-    paths: AnyPaths,
-    output: AnyPath,
-    *,
-    is_full: bool = False,
-    **meaning: Unpack[LogMeaning],
-) -> int:
+def write_report(paths: AnyPaths, output: AnyPath, *, is_full: bool = False, **meaning: Unpack[LogMeaning]) -> int:
     """Write what the logs of a drive, or a store, say as one HTML page: ``diag-service report``.
 
     Parameters

@@ -75,12 +75,7 @@ def leave_to_parent(is_shown: bool) -> None:  # noqa: FBT001 - a pool hands argu
 
 
 def run_in_processes(
-    work: Callable[[Task], Result],
-    tasks: Sequence[Task],
-    jobs: int,
-    stop: Trigger,
-    *,
-    is_shown: bool,
+    work: Callable[[Task], Result], tasks: Sequence[Task], jobs: int, stop: Trigger, *, is_shown: bool
 ) -> Iterator[tuple[Task, Future[Result]]]:
     """Yield tasks as they are done, in no order; when told to stop, those that were begun.
 

@@ -57,10 +57,7 @@ TO_SI: Final[Mapping[str, Mapping[str, Conversion]]] = {
         ("lbft", "lb-ft", "lb·ft", "lb.ft", "lbf·ft", "lbf-ft", "ftlb", "ft-lb", "ft·lb", "ft-lbs", "ftlbf"),
         Conversion(1.355818),
     ),
-    "ratio": {
-        **dict.fromkeys(("%", "percent", "unit_percent"), Conversion(0.01)),
-        "": SAME,
-    },
+    "ratio": {**dict.fromkeys(("%", "percent", "unit_percent"), Conversion(0.01)), "": SAME},
     "k": {
         **dict.fromkeys(
             ("degc", "°c", "℃", "c", "deg", "degreesc", "celsius", "unit_degrecelsi"),

@@ -13,7 +13,7 @@ from clutch_results.event_kinds import DATED_NS
 from clutch_results.records import ClutchVerdict, Reason, ShiftEstimate, Status, Tier
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.condition.causes import CauseJudge
-from diag_service.diagnosis.condition.condition import ConditionMemory, judge, judge_lockup, no_verdict
+from diag_service.diagnosis.condition.condition import ConditionMemory, VehicleCourse, judge, judge_lockup, no_verdict
 from diag_service.diagnosis.condition.shift_quality import ShiftScorer, measure
 from diag_service.diagnosis.condition.verdict import Silence
 from diag_service.diagnosis.events import Event
@@ -196,7 +196,8 @@ class DualClutch:
         for clutch in (1, 2):
             if state.folded_counts[clutch - 1] < before.folded_counts[clutch - 1]:  # they grow until it has changed
                 memory = memory.with_changed_friction(clutch)
-        course = memory.course.with_event(estimate, before, state)
+        course = VehicleCourse() if before.is_unlike_type else memory.course  # it begins again
+        course = course.with_event(estimate, before, state)
         if self._has_scale and course.is_due:
             course = replace(course, found=self._causes.judge(course))
         memory = memory.with_fit(estimate).with_shift(estimate, before).with_launch(estimate, course)

@@ -194,13 +194,7 @@ def _synchroniser_rate(law: PlantLaw, overall_ratios: Sequence[float], gear: int
 
 
 def idle_machine(
-    cycles: FloatArray,
-    law: PlantLaw,
-    oil_k: float,
-    *,
-    memory_count: int,
-    sense_count: int,
-    command_count: int,
+    cycles: FloatArray, law: PlantLaw, oil_k: float, *, memory_count: int, sense_count: int, command_count: int
 ) -> Machine:
     """Return a machine at time 0: the manifold as at idle, oil and clutches warm, both clutches open, all else 0.
 

@@ -3,14 +3,7 @@
 import enum
 import typing
 
-__all__ = [
-    "LIVE_PARKED_S",
-    "MASS_RANGE_KG",
-    "MOST_PARKED_S",
-    "OIL_RANGE_DEGC",
-    "PARKED_RANGE_S",
-    "DriveName",
-]
+__all__ = ["LIVE_PARKED_S", "MASS_RANGE_KG", "MOST_PARKED_S", "OIL_RANGE_DEGC", "PARKED_RANGE_S", "DriveName"]
 
 OIL_RANGE_DEGC: typing.Final = (-15.0, 130.0)
 MASS_RANGE_KG: typing.Final = (900.0, 3500.0)

@@ -134,10 +134,7 @@ _TEXT: Final = "string"
 
 
 def open_columns(
-    output: BinaryIO,
-    table_format: TableFormat,
-    kinds: Mapping[str, str],
-    metadata: Mapping[str, Mapping[str, str]],
+    output: BinaryIO, table_format: TableFormat, kinds: Mapping[str, str], metadata: Mapping[str, Mapping[str, str]]
 ) -> ColumnSink:
     """Begin a table of columns, named with their types as of ``ParquetTable``.
 

@@ -105,7 +105,7 @@ def telling_part(balance: Balance, clutch: int) -> Balance | None:
     return Balance(balance.signals, SlipWindow.of(telling), balance.measured, balance.laws, balance.at)
 
 
-ALGORITHM_VERSION = "torque-impulse-20"
+ALGORITHM_VERSION = "torque-impulse-21"
 MAX_PASS_COUNT = 4  # linearisations: the first events of a vehicle move latencies beyond the reach of one
 CONVERGED = 0.2  # of a standard deviation
 NEAR_STEP = 0.5  # standard deviations of the type: a shorter step keeps the Jacobian
@@ -244,7 +244,20 @@ class Estimator:
         contradict each other, or that does not fit the model, is rejected; one that fits, but contradicts the others,
         is shown and left out, until three of the clutch agree that it has changed. One with anything ``against`` its
         data is described and rejected; it leaves no trace in what is known, and is not even held against the others.
+        Where the first events have led to a vehicle unlike its type, they are left out, and it begins again once.
         """
+        begun = state.begun_again() if state.is_unlike_type else state
+        now, estimate = self._estimate(event, samples, begun, against)
+        if begun is not state:
+            left = [one for one, is_used in zip(state.recent, state.is_used, strict=True) if is_used]
+            revisions = [self._revised(one, begun.known, now, is_used=False) for one in left]
+            estimate = replace(estimate, revisions=(*revisions, *estimate.revisions))
+        return now, estimate
+
+    def _estimate(
+        self, event: Event, samples: EventSamples | Reason, state: Posterior, against: tuple[Reason, ...]
+    ) -> tuple[Posterior, ShiftEstimate]:
+        """Return the same, without a new beginning."""
         if isinstance(samples, Reason):
             is_unknown = samples is Reason.TORQUE_UNKNOWN
             return state, without_friction(event, Status.UNOBSERVED if is_unknown else Status.REJECTED, samples)
@@ -298,21 +311,25 @@ class Estimator:
         for place, (event, is_used) in enumerate(zip(state.recent[:-1], state.is_used, strict=False)):
             if before.get(id(event), is_used) == is_used:
                 continue
-            known = self._unknown_friction(state.without(place), event.clutch)
-            alone = fuse(known, event.evidence)
-            reasons = () if is_used else (_why_left_out(known, alone, event.evidence.count),)
-            is_valid = reasons in {(), (Reason.NOT_UPDATED,)}
-            friction, free = both_frictions(state, event.clutch, alone.knowledge) if is_valid else (None, None)
-            is_measured = state.torque is TorqueSource.MEASURED
-            yield Revision(
-                clutch=event.clutch,
-                end_bus_ns=event.end_ns,
-                status=Status.VALID if is_valid else Status.REJECTED,
-                reasons=reasons,
-                friction=friction if is_measured else None,
-                scale_free=free,
-                slope=None if free is None or is_measured else FrictionSlope.of(free, state.torque),
-            )
+            yield self._revised(event, state.without(place), state, is_used=is_used)
+
+    def _revised(self, event: JudgedEvent, others: Knowledge, state: Posterior, *, is_used: bool) -> Revision:
+        """Return an earlier event as it is judged now; ``others`` is what is known without it."""
+        known = self._unknown_friction(others, event.clutch)
+        alone = fuse(known, event.evidence)
+        reasons = () if is_used else (_why_left_out(known, alone, event.evidence.count),)
+        is_valid = reasons in {(), (Reason.NOT_UPDATED,)}
+        friction, free = both_frictions(state, event.clutch, alone.knowledge) if is_valid else (None, None)
+        is_measured = state.torque is TorqueSource.MEASURED
+        return Revision(
+            clutch=event.clutch,
+            end_bus_ns=event.end_ns,
+            status=Status.VALID if is_valid else Status.REJECTED,
+            reasons=reasons,
+            friction=friction if is_measured else None,
+            scale_free=free,
+            slope=None if free is None or is_measured else FrictionSlope.of(free, state.torque),
+        )
 
     def _unknown_friction(self, known: Knowledge, clutch: int) -> Knowledge:
         """Return knowledge with the prior of one clutch's friction in place of what is known of it."""

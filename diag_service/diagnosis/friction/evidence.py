@@ -273,10 +273,20 @@ class Knowledge:
         return np.sqrt(self.covariance.diagonal())
 
 
-CURVE_MODEL_RATIO: Final = 0.06  # of mu_S, per ratio by which a vehicle's Stribeck speed is another: it is linearised
-CURVE_MOST_STD_RATIO: Final = 0.3  # by which linings of any type differ in their Stribeck speed
-CURVE_LEAST_TOLD: Final = 0.1  # of what the type tells of it: a few events are no witness
-_CURVE: Final = STATE_COUNT + Considered.STRIBECK_SPEED
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OwnLaw:
+    """A law of friction in which a vehicle may be unlike its type, where events tell of it."""
+
+    row: int  # of the parameter
+    most_std: float  # by which linings of any type differ in it
+    static_ratio: float = 0.0  # of mu_S, per unit of the parameter: it is linearised
+
+
+OWN_LAWS: Final = (
+    OwnLaw(row=STATE_COUNT + Considered.STRIBECK_SPEED, most_std=0.3, static_ratio=0.06),
+    OwnLaw(row=STATE_COUNT + Considered.FRICTION_TEMPERATURE, most_std=0.002),
+)
+LEAST_TOLD: Final = 0.1  # of what the type tells of it: a few events are no witness
 
 
 class Prior(NamedTuple):
@@ -296,26 +306,27 @@ class Prior(NamedTuple):
         scaled = whole / np.maximum(self.std, np.sqrt(whole.diagonal()))  # what drifts was no better known before
         return ratio * whole + (1.0 - ratio) * (scaled @ self.information @ scaled.T)
 
-    def with_own_curve(self, known: Knowledge) -> Knowledge:
-        """Return knowledge that holds a vehicle's Stribeck speed to its type's only as far as it is like it; (39).
+    def with_own_law(self, law: OwnLaw, known: Knowledge) -> Knowledge:
+        """Return knowledge that holds a vehicle to a law of its type only as far as it is like it; (39).
 
         The prior's deviation of it is what events alone show of the vehicle, and at least the type's.
         """
-        prior, variance = float(self.std[_CURVE]) ** 2, float(known.covariance[_CURVE, _CURVE])
-        if variance == 0.0 or prior < (1.0 + CURVE_LEAST_TOLD) * variance:  # certain, or hardly told
+        row = law.row
+        prior, variance = float(self.std[row]) ** 2, float(known.covariance[row, row])
+        if variance == 0.0 or prior < (1.0 + LEAST_TOLD) * variance:  # certain, or hardly told
             return known
-        told, away = 1.0 / variance - 1.0 / prior, float(known.mean[_CURVE])
-        own = min((away / (variance * told)) ** 2, CURVE_MOST_STD_RATIO**2)
+        told, away = 1.0 / variance - 1.0 / prior, float(known.mean[row])
+        own = min((away / (variance * told)) ** 2, law.most_std**2)
         if own <= prior:
             return known
-        missing, column = 1.0 / prior - 1.0 / own, known.covariance[:, _CURVE]
+        missing, column = 1.0 / prior - 1.0 / own, known.covariance[:, row]
         gain = missing / (1.0 - missing * variance)
         mean = known.mean + gain * away * column
-        if abs(mean[_CURVE]) > 2.0 * CURVE_MOST_STD_RATIO:  # no lining is like that: something else does not fit
+        if abs(mean[row]) > 2.0 * law.most_std:  # no lining is like that: something else does not fit
             return known
         covariance = known.covariance + gain * np.outer(column, column)
         static = [State.MU_S1, State.MU_S2]
-        covariance[static, static] += (CURVE_MODEL_RATIO * mean[_CURVE] * mean[static]) ** 2
+        covariance[static, static] += (law.static_ratio * mean[row] * mean[static]) ** 2
         return Knowledge(mean=mean, covariance=covariance)
 
 

@@ -23,6 +23,7 @@ from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
     FRICTION_ROWS,
+    OWN_LAWS,
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
@@ -109,7 +110,8 @@ class EventScatter(NamedTuple):
         )
 
 
-RECENT_COUNT: Final = 12  # events judged together: some six of each clutch
+MOST_UNLIKE: Final = float(PARAMETER_COUNT)  # chi-square of all parameters about those of the type
+RECENT_COUNT: Final = 16  # events judged together: some eight of each clutch
 FRICTION_DRIFT_STD: Final = 2e-5  # of mu per event; a fluid loses 1e-6: with this, older events fade over thousands
 OFFSET_DRIFT_NM: Final = 0.005  # per event: warm-up of the torque model
 PRESSURE_DRIFT_PA: Final = 5.0  # per event: warm-up of the pressure sensors
@@ -139,6 +141,7 @@ class Posterior:
     prior: Prior
     apart: float = 0.0  # chi-square that events would save, older ones faded, had each a friction of its own
     apart_by_chance: float = 0.0  # likewise, were deviations as stated
+    may_begin_again: bool = True  # no event is part of the base yet, and it has not begun again before
     torque: TorqueSource = TorqueSource.MEASURED
     torque_gain: float = 1.0  # of the calibration: the parameters say by how much it is wrong
     stribeck_speed_rad_s: tuple[float, float] = (1.0, 1.0)  # likewise
@@ -176,12 +179,29 @@ class Posterior:
         if self.apart_by_chance:
             ratio = EventScatter(self.apart, self.apart_by_chance).ratio
             known = Knowledge(mean=known.mean, covariance=self.prior.stated(known.covariance, ratio))
-        return self.prior.with_own_curve(known)
+        for law in OWN_LAWS:
+            known = self.prior.with_own_law(law, known)
+        return known
 
     @property
     def is_used(self) -> tuple[bool, ...]:
         """Whether each of the recent events belongs."""
         return tuple([weight > 0.0 for weight in self.weights])
+
+    @property
+    def is_unlike_type(self) -> bool:
+        """Whether the first events have led further from their type than vehicles are: docs/model.md, (25c)."""
+        if not self.may_begin_again:
+            return False
+        of_events = together(self.recent, self.weights).chi_square(self.fusion.knowledge.mean)
+        return self.fusion.chi_square - of_events > MOST_UNLIKE
+
+    def begun_again(self) -> "Posterior":
+        """Return the state before the first event, which does not begin again a second time."""
+        nothing = fuse(self.base, Evidence.none())
+        return replace(
+            self, recent=(), weights=(), fusion=nothing, apart=0.0, apart_by_chance=0.0, may_begin_again=False
+        )
 
     def without(self, place: int) -> Knowledge:
         """Return the posterior without one of the recent events."""
@@ -322,6 +342,7 @@ def _folded(state: Posterior, count: int) -> Posterior:
         weights=state.weights[count:],
         folded_counts=counts,
         baselines=baselines,
+        may_begin_again=state.may_begin_again and not count,
     )
 
 
@@ -336,6 +357,7 @@ class _Stored:
     weights: tuple[float, ...] | None = None  # None: of an earlier version, which did not store them
     apart: float = 0.0
     apart_by_chance: float = 0.0
+    may_begin_again: bool = False  # of an earlier version, which did not begin again
 
 
 _STORED: Final = tuple(_Stored.__dataclass_fields__)

@@ -25,13 +25,7 @@ from canlog.database.addressing import (
     rows_by_slot,
 )
 from canlog.database.not_available import no_value_codes
-from canlog.decode.signals import (
-    WORD_BITS,
-    Decoded,
-    PayloadWords,
-    SignalTable,
-    compile_signal,
-)
+from canlog.decode.signals import WORD_BITS, Decoded, PayloadWords, SignalTable, compile_signal
 from canlog.errors import DefinitionError
 from canlog.frames import ERROR_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
 

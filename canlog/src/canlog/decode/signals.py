@@ -351,11 +351,7 @@ def _judged(
 
 
 def compile_signal(
-    message: Message,
-    signal: Signal,
-    *,
-    check_range: bool = True,
-    codes: tuple[CodeRange, ...] = (),
+    message: Message, signal: Signal, *, check_range: bool = True, codes: tuple[CodeRange, ...] = ()
 ) -> SignalTable:
     """Return the table of one signal.
 

@@ -114,12 +114,7 @@ def held_rows(t_ns: Int64Array) -> int:
 
 @kernel
 def catch_up(
-    schedules: Schedules,
-    begun: CatchingUp,
-    t_ns: Int64Array,
-    slot: Int64Array,
-    data: UInt8Array,
-    sent_ns: Int64Array,
+    schedules: Schedules, begun: CatchingUp, t_ns: Int64Array, slot: Int64Array, data: UInt8Array, sent_ns: Int64Array
 ) -> tuple[int, CatchingUp]:
     """Fill in when frames were sent until all are on time, or one comes before its forerunner; return how many."""
     latest_ns, received_ns, begun_late_ns, since, least_late_ns, most_late_ns, counted, skipped, _ = begun

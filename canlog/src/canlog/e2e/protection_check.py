@@ -13,14 +13,7 @@ import numpy as np
 from cantools.database.can import Message
 
 from canlog.arrays import Int64Array, Records, UInt8Array, UInt32Array
-from canlog.database.addressing import (
-    ANY,
-    NOBODY,
-    MessageAddress,
-    address_book,
-    find_slots,
-    message_address,
-)
+from canlog.database.addressing import ANY, NOBODY, MessageAddress, address_book, find_slots, message_address
 from canlog.e2e.alive_counter import IN_SEQUENCE, forget, fresh_links, judge, note_unusable
 from canlog.e2e.late_frames import LateFrames
 from canlog.e2e.message_contract import message_contract
@@ -112,12 +105,7 @@ class FrameTotals(NamedTuple):
 
 @kernel
 def judge_frames(
-    rules: Records,
-    links: Records,
-    origins: Origins,
-    frames: FrameColumns,
-    verdicts: FrameVerdicts,
-    totals: FrameTotals,
+    rules: Records, links: Records, origins: Origins, frames: FrameColumns, verdicts: FrameVerdicts, totals: FrameTotals
 ) -> None:
     """Judge frames in their order: fill the verdicts but for the slot, move the states on, add to the counts."""
     for row in range(frames.t_ns.size):

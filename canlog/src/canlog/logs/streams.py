@@ -236,11 +236,7 @@ class PipeStream(io.RawIOBase):
     is_live = True  # a short reading shall be used at once
 
     def __init__(
-        self,
-        descriptor: int,
-        is_stopped: Callable[[], bool] = never,
-        *,
-        file: BinaryIO | None = None,
+        self, descriptor: int, is_stopped: Callable[[], bool] = never, *, file: BinaryIO | None = None
     ) -> None:
         super().__init__()
         self._file = file

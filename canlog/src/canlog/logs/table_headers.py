@@ -189,12 +189,7 @@ def _haltech_header(lines: Sequence[str], rows: Sequence[Sequence[str]]) -> Tabl
 
 
 def _header_of(
-    rows: Sequence[Sequence[str]],
-    names: Sequence[str],
-    units: Sequence[str],
-    place: int,
-    first: int,
-    separator: str,
+    rows: Sequence[Sequence[str]], names: Sequence[str], units: Sequence[str], place: int, first: int, separator: str
 ) -> TableHeader | None:
     """Return the header whose names and units are these, in rows up to the first of values; None if it is none."""
     width = len(names)

@@ -186,10 +186,7 @@ class ChannelNames:
     """
 
     def __init__(self) -> None:
-        self.words = NameWords(
-            numbers=np.zeros(MOST_CHANNELS, np.uint8),
-            hashes=np.zeros(MOST_CHANNELS, np.int64),
-        )
+        self.words = NameWords(numbers=np.zeros(MOST_CHANNELS, np.uint8), hashes=np.zeros(MOST_CHANNELS, np.int64))
         self._count = 0
 
     def __len__(self) -> int:

@@ -236,10 +236,7 @@ class Plan:
 
     @classmethod
     def of(
-        cls,
-        messages: Sequence[Message],
-        shape: TableShape = TableShape.WIDE,
-        values: Values = Values.NUMBERS,
+        cls, messages: Sequence[Message], shape: TableShape = TableShape.WIDE, values: Values = Values.NUMBERS
     ) -> "Plan":
         codec = Codec(messages)
         return cls(codec=codec, names=table_names(codec.tables), shape=shape, values=values)

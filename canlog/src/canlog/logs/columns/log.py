@@ -327,10 +327,7 @@ def is_list(batch: FrameBatch, columns: Sequence[Column]) -> bool:
 HEADER_LINES_LOOKED_AT = 200  # Vehicle Spy lists up to a hundred networks before
 SAMPLE_LINES = 2_000
 ENOUGH_BYTES = 8  # of a table without lengths: a frame with so many is whole
-HALF_BYTE_AT_END = {
-    HEXADECIMAL: re.compile(rb"[^0-9A-Fa-f][0-9A-Fa-f]\n"),
-    DECIMAL: re.compile(rb"[^0-9][0-9]{1,2}\n"),
-}
+HALF_BYTE_AT_END = {HEXADECIMAL: re.compile(rb"[^0-9A-Fa-f][0-9A-Fa-f]\n"), DECIMAL: re.compile(rb"[^0-9][0-9]{1,2}\n")}
 WHOLE_BYTE_AT_END = re.compile(rb"[0-9A-Fa-f]{2}[\"\s]*$")
 LABELLED = re.compile(rb"\d+\.\d+,[0-9A-Fa-f]{3,8},[0-8](?:,[0-9A-Fa-f]{2}){0,8},[RT]\s*")  # R: regular, T: injected
 LABELLED_COLUMNS = "time=1:s,id=2:hex,length=3,data=4-11"  # of HCRL's car hacking data set, which has no header

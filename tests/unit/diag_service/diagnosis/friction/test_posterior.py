@@ -69,6 +69,30 @@ def test_nothing_is_lost_when_events_become_part_of_the_base() -> None:
     assert np.delete(grown, drifting) == pytest.approx(np.ones(PARAMETER_COUNT - 1), rel=0.05)
 
 
+def with_latencies(count: int, latency_s: float) -> Posterior:
+    """Return what is known after events that show pressures so much later than those of the type."""
+    row, state = STATE_COUNT + Considered.PRESSURE_LATENCY, Posterior.fresh(CALIBRATION)
+    for number in range(count):
+        shown = Evidence.of_readings([row], [latency_s], [0.005**2])
+        state = state.with_event(JudgedEvent(clutch=1 + number % 2, end_ns=number, evidence=shown))
+    return state
+
+
+def test_a_vehicle_unlike_its_type_begins_again_once_and_only_with_its_first_events() -> None:
+    assert not with_latencies(6, 0.020).is_unlike_type
+    unlike, again = with_latencies(6, 0.040), with_latencies(6, 0.040).begun_again()
+    assert unlike.is_unlike_type
+    assert (again.recent, again.shift_counts) == ((), (0, 0))
+    assert np.array_equal(again.known.mean, Posterior.fresh(CALIBRATION).known.mean)
+    for one in unlike.recent:
+        again = again.with_event(one)
+    assert np.array_equal(again.known.mean, unlike.known.mean)
+    assert not again.is_unlike_type
+    assert not with_latencies(RECENT_COUNT + 1, 0.040).is_unlike_type
+    assert Posterior.from_json(unlike.to_json(), CALIBRATION).is_unlike_type
+    assert not Posterior.from_json(again.to_json(), CALIBRATION).is_unlike_type
+
+
 def test_a_change_begins_the_count_anew_and_keeps_the_rest() -> None:
     before = driven(20)
     state = driven(26, mu=lambda number: MU * (0.8 if number >= 20 and number % 2 else 1.0))

@@ -10,13 +10,14 @@ from canlog.arrays import FloatArray
 from clutch_model.calibration import nominal_calibration
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge
 from diag_service.diagnosis.friction.evidence import (
-    CURVE_MOST_STD_RATIO,
     FRICTION_COUNT,
+    OWN_LAWS,
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
     Evidence,
     Knowledge,
+    Measurement,
     Prior,
     fuse,
     prior_covariance,
@@ -35,7 +36,8 @@ from diag_service.diagnosis.friction.posterior import (
 CALIBRATION = nominal_calibration()
 FRESH = Posterior.fresh(CALIBRATION)
 GAIN = STATE_COUNT + Considered.TORQUE_GAIN
-CURVE = STATE_COUNT + Considered.STRIBECK_SPEED
+OWN_CURVE, OWN_FALL = OWN_LAWS
+CURVE = OWN_CURVE.row
 AREAS = (STATE_COUNT + Considered.PISTON_AREA1, STATE_COUNT + Considered.PISTON_AREA2)
 STATE_SCALE = np.array([0.002] * FRICTION_COUNT + [5.0] + [8e3] * 4)
 NUMBERS_OF_A_SHIFT = 10
@@ -160,19 +162,19 @@ def of_a_curve(shown: float, std: float) -> Evidence:
 
 def test_a_curve_like_its_types_costs_nothing_and_one_that_is_certain_stays() -> None:
     known, covariance = fuse(base(), of_a_curve(0.05, 0.15)).knowledge, base().covariance
-    assert FRESH.prior.with_own_curve(known) is known
+    assert FRESH.prior.with_own_law(OWN_CURVE, known) is known
     covariance[CURVE, :] = covariance[:, CURVE] = 0.0
     certain = fuse(Knowledge(mean=base().mean, covariance=covariance), of_a_curve(0.5, 0.15)).knowledge
-    assert Prior.of(covariance).with_own_curve(certain) is certain
+    assert Prior.of(covariance).with_own_law(OWN_CURVE, certain) is certain
 
 
 @pytest.mark.parametrize("shown", [0.5, -0.3])
 def test_a_vehicle_of_another_curve_is_held_to_its_type_as_loosely_as_it_differs(shown: float) -> None:
     evidence, start = of_a_curve(shown, 0.15), base()
     start.covariance[1, 1] = 1.0  # friction by itself tells nothing of the curve
-    freed = FRESH.prior.with_own_curve(fuse(start, evidence).knowledge)
+    freed = FRESH.prior.with_own_law(OWN_CURVE, fuse(start, evidence).knowledge)
     covariance = start.covariance.copy()
-    covariance[CURVE, CURVE] = min(shown**2, CURVE_MOST_STD_RATIO**2)
+    covariance[CURVE, CURVE] = min(shown**2, OWN_CURVE.most_std**2)
     loose = fuse(Knowledge(mean=start.mean, covariance=covariance), evidence).knowledge
     assert freed.mean == pytest.approx(loose.mean, rel=0.01, abs=1e-9)
     others = [place for place in range(PARAMETER_COUNT) if place not in {1, 3}]
@@ -183,4 +185,15 @@ def test_a_vehicle_of_another_curve_is_held_to_its_type_as_loosely_as_it_differs
 @pytest.mark.parametrize("shown", [-4.0, -1.2, 3.0])
 def test_what_no_lining_is_like_is_no_curve_of_its_own(shown: float) -> None:
     known = fuse(base(), of_a_curve(shown, 0.05)).knowledge
-    assert FRESH.prior.with_own_curve(known) is known
+    assert FRESH.prior.with_own_law(OWN_CURVE, known) is known
+
+
+def test_friction_that_falls_four_times_as_fast_as_its_types_is_believed_where_events_tell() -> None:
+    fall, truth, row = -0.002, base().mean[0], np.zeros(PARAMETER_COUNT)  # fall: ratio per kelvin
+    row[0], row[OWN_FALL.row] = 1.0, 0.14 * 40.0  # of packs that are 40 K above the reference
+    seen = Measurement(residual=np.array([0.14 * 40.0 * fall]), jacobian=row[None], covariance=np.eye(1) * 1e-6)
+    told = Evidence.of_readings([OWN_FALL.row], [fall], [0.00025**2])
+    known = fuse(base(), Evidence.sum([Evidence.of([seen], base().mean), told])).knowledge
+    freed = FRESH.prior.with_own_law(OWN_FALL, known)
+    assert freed.mean[OWN_FALL.row] == pytest.approx(fall, abs=0.0002)
+    assert abs(freed.mean[0] - truth) < min(freed.std()[0], 0.3 * abs(known.mean[0] - truth))
