@@ -15,7 +15,7 @@ from demo.fleet.brokers import NatsServer
 from diag_service.delivery import Acknowledge, MqttConnector, Outbox
 from diag_service.store import ResultStore
 from fleet_backend.choices import Pace
-from fleet_backend.database import open_database, transaction
+from fleet_backend.database import transaction
 from fleet_backend.ingest import FILTERS, Worker, connected
 from fleet_backend.schema import QUARANTINE, SHIFT_RESULT
 from fleet_backend.writer import Writer
@@ -35,13 +35,6 @@ def _server(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Mosquitt
     server.start()
     yield server
     server.stop()
-
-
-@pytest.fixture(name="engine")
-def _engine(sqlite_url: str) -> Iterator[Engine]:
-    engine = open_database(sqlite_url)
-    yield engine
-    engine.dispose()
 
 
 @asynccontextmanager
@@ -65,13 +58,13 @@ async def working(server: Mosquitto | NatsServer, engine: Engine) -> AsyncIterat
 
 
 async def test_one_bad_result_of_a_bundle_is_put_aside_and_the_others_are_stored(
-    server: Mosquitto | NatsServer, engine: Engine
+    server: Mosquitto | NatsServer, sqlite_engine: Engine
 ) -> None:
     messages = [shift_message(shift_record(fleet_result(seq))) for seq in (1, 2, 3)]
     messages[1] = replace(messages[1], payload=messages[1].payload.replace(b'"quality":0.9', b'"quality":9.0'))
     (bundle,) = bundle_messages(messages)
     address = parse_broker(f"mqtt://127.0.0.1:{server.port}")
-    async with working(server, engine), asyncio.timeout(HANG_S):
+    async with working(server, sqlite_engine), asyncio.timeout(HANG_S):
         vehicle = await Connection.open(address, Terms(is_version_5=False, identifier="car1"))
         await vehicle.subscribe(["clutchdiag/v1/car1/ack"])
         await vehicle.publish_all([bundle])
@@ -81,7 +74,7 @@ async def test_one_bad_result_of_a_bundle_is_put_aside_and_the_others_are_stored
     outcomes = [(receipt.key.seq, receipt.outcome) for receipt in receipts_of(ack)]
     assert outcomes == [(1, Outcome.ACCEPTED), (2, Outcome.QUARANTINED), (3, Outcome.ACCEPTED)]
     assert takes_bundles(ack)
-    with transaction(engine) as connection:
+    with transaction(sqlite_engine) as connection:
         assert connection.execute(select(SHIFT_RESULT.c.seq)).scalars().all() == [1, 3]
         (kept,) = connection.execute(select(QUARANTINE.c.topic, QUARANTINE.c.head)).all()
     assert kept.topic == "clutchdiag/v1/car1/shift"
@@ -89,7 +82,7 @@ async def test_one_bad_result_of_a_bundle_is_put_aside_and_the_others_are_stored
 
 
 async def test_a_vehicle_learns_that_it_may_and_after_its_restart_sends_bundles(
-    server: Mosquitto | NatsServer, engine: Engine, tmp_path: Path
+    server: Mosquitto | NatsServer, sqlite_engine: Engine, tmp_path: Path
 ) -> None:
     address = BrokerAddress(host="127.0.0.1", port=server.port)
     connector = MqttConnector(address, "clutchdiag-car1", is_persistent=True)
@@ -104,7 +97,7 @@ async def test_a_vehicle_learns_that_it_may_and_after_its_restart_sends_bundles(
                 await until(lambda: not store.unpublished_count("car1"))
             assert store.takes_bundles()
 
-    async with working(server, engine), asyncio.timeout(HANG_S):
+    async with working(server, sqlite_engine), asyncio.timeout(HANG_S):
         await deliver(range(1, 2))
         watcher = await Connection.open(
             parse_broker(f"mqtt://{address}"), Terms(is_version_5=False, identifier="other")
@@ -114,5 +107,5 @@ async def test_a_vehicle_learns_that_it_may_and_after_its_restart_sends_bundles(
         seen = [message.topic.rpartition("/")[2] for message in await watcher.collect(10, 0.1)]
         await watcher.close()
     assert seen == ["bundle"] * 3
-    with transaction(engine) as connection:
+    with transaction(sqlite_engine) as connection:
         assert connection.execute(select(func.count()).select_from(SHIFT_RESULT)).scalar_one() == 121

@@ -11,22 +11,17 @@ from canlog.arrays import FloatArray, Series
 from clutch_model.calibration import nominal_calibration
 from clutch_results.event_kinds import EndReason
 from clutch_results.records import Reason, ShiftEstimate, Status, shift_from, shift_record
-from dbc.contract import load_contract
 from diag_service.diagnosis.alignment import usable_samples
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.posterior import scale_free
-from diag_service.diagnosis.shifts.shifts import ShiftFinder
 from diag_service.diagnosis.summary import with_revisions
-from diag_service.mapping.decoder import Decoder
-from diag_service.mapping.profile import load_profile
-from ecu_emulator.drive.recording import frames_of
 from fleet_contract import Channel
 from fleet_contract.schema_check import check_data
 from tests.support.builders import drive_scenario, shift_result
-from tests.support.wire import received
+from tests.support.shifts_of_a_drive import changed, events_of, without
 
 CALIBRATION = nominal_calibration()
 FACTORS = {"ideal": (1.0, 1.0), "case1": (0.95, 1.05), "case2": (0.85, 1.15)}
@@ -35,9 +30,7 @@ FACTORS = {"ideal": (1.0, 1.0), "case1": (0.95, 1.05), "case2": (0.85, 1.15)}
 @cache
 def shifts(fluid: str = "ideal", seed: int = 77, cycles: int = 1) -> tuple[Event, ...]:
     """Return the shifts of an emulated drive as the service finds them."""
-    frames, _ = frames_of(drive_scenario(fluid=fluid, seed=seed, cycles=cycles))
-    decoder, finder = Decoder(load_contract(), load_profile()), ShiftFinder()
-    return tuple(event for columns in decoder.feed(received(frames)) for event in finder.feed(columns))
+    return events_of(drive_scenario(fluid=fluid, seed=seed, cycles=cycles), CALIBRATION)[0]
 
 
 def followed(events: tuple[Event, ...]) -> Iterator[tuple[Posterior, ShiftEstimate]]:
@@ -47,14 +40,7 @@ def followed(events: tuple[Event, ...]) -> Iterator[tuple[Posterior, ShiftEstima
         yield state, estimate
 
 
-def changed(event: Event, signal: Signal, change: Callable[[FloatArray, FloatArray], FloatArray]) -> Event:
-    """Return the shift with one signal's values changed by a function of time since its start [s] and value."""
-    series = event.columns[signal]
-    value = change((series.t_ns - event.start_ns) * np.float64(1e-9), series.value)
-    return replace(event, columns={**event.columns, signal: replace(series, value=value)})
-
-
-def without(series: Series, first_ns: int, stop_ns: int) -> Series:
+def cut(series: Series, first_ns: int, stop_ns: int) -> Series:
     keep = (series.t_ns < first_ns) | (series.t_ns >= stop_ns)
     return replace(series, t_ns=series.t_ns[keep], sequence=series.sequence[keep], value=series.value[keep])
 
@@ -79,10 +65,8 @@ def test_friction_is_found_within_its_interval(fluid: str) -> None:
 
 
 def test_a_foreign_bus_without_commands_is_still_estimated() -> None:
-    event = shifts()[1]
-    commands = (Signal.CLUTCH1_PRESSURE_COMMAND, Signal.CLUTCH2_PRESSURE_COMMAND)
-    bare = {signal: series for signal, series in event.columns.items() if signal not in commands}
-    ((_, estimate),) = followed((replace(event, columns=bare),))
+    bare = without(without(shifts()[1], Signal.CLUTCH1_PRESSURE_COMMAND), Signal.CLUTCH2_PRESSURE_COMMAND)
+    ((_, estimate),) = followed((bare,))
     assert estimate.status is Status.VALID
     assert estimate.scale_free is not None
     assert estimate.scale_free.mu_c == pytest.approx(0.140, abs=4 * estimate.scale_free.std_mu_c)
@@ -120,7 +104,7 @@ def test_a_signal_that_is_not_there_for_a_while_is_missed_wherever_it_is(
 ) -> None:
     event = shifts()[0]
     first_ns, last_ns = (event.start_ns + round(at_s * 1e9) for at_s in (from_s, until_s))
-    gap = {**event.columns, signal: without(event.columns[signal], first_ns, last_ns)}
+    gap = {**event.columns, signal: cut(event.columns[signal], first_ns, last_ns)}
     ((_, estimate),) = followed((replace(event, columns=gap),))
     assert estimate.reasons == (Reason.FRAMES_MISSING,)
     assert estimate.friction is None
@@ -148,12 +132,7 @@ def test_frames_that_are_late_together_are_not_missing(catches_up: bool, reasons
     [
         (lambda event: replace(event, end_reason=EndReason.INTERRUPTED), Reason.INTERRUPTED),
         (lambda event: replace(event, end_reason=EndReason.TOO_LONG), Reason.INTERRUPTED),
-        (
-            lambda event: replace(
-                event, columns={key: one for key, one in event.columns.items() if key != Signal.HUB_SPEED}
-            ),
-            Reason.SIGNAL_MISSING,
-        ),
+        (lambda event: without(event, Signal.HUB_SPEED), Reason.SIGNAL_MISSING),
         (
             lambda event: changed(event, Signal.SUMP_TEMPERATURE, lambda _, value: value * 0 + 200.0),
             Reason.OUT_OF_RANGE,

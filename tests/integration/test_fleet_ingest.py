@@ -72,15 +72,8 @@ def paused(pid: int) -> Iterator[None]:
             process.resume()
 
 
-@pytest.fixture(name="engine")
-def _engine(postgres_url: str) -> Iterator[Engine]:
-    opened = open_database(postgres_url)
-    yield opened
-    opened.dispose()
-
-
 def test_tripled_shuffled_and_a_day_late_is_the_same_table(
-    tmp_path: Path, broker: Mosquitto, postgres_url: str, engine: Engine
+    tmp_path: Path, broker: Mosquitto, postgres_url: str, postgres_engine: Engine
 ) -> None:
     sent = messages(50) + messages(50, algorithm="algorithm-2")
     late = sent * 3
@@ -89,7 +82,7 @@ def test_tripled_shuffled_and_a_day_late_is_the_same_table(
         for first in range(0, len(late), 60):
             edge.keep(late[first : first + 60])
             edge.deliver()
-    assert queries.table_hash(engine) == clean_hash(tmp_path, sent)
+    assert queries.table_hash(postgres_engine) == clean_hash(tmp_path, sent)
 
 
 def test_a_worker_killed_at_any_step_loses_and_doubles_nothing(
@@ -116,7 +109,7 @@ def test_a_worker_killed_at_any_step_loses_and_doubles_nothing(
 
 
 def test_a_database_that_is_paused_costs_time_and_bounded_memory(
-    tmp_path: Path, broker: Mosquitto, postgres_server: PostgresServer, postgres_url: str, engine: Engine
+    tmp_path: Path, broker: Mosquitto, postgres_server: PostgresServer, postgres_url: str, postgres_engine: Engine
 ) -> None:
     sent = messages(200)
     with worker(tmp_path, broker.url, postgres_url, "--batch", "50") as pid, ResendingEdge(broker.port) as edge:
@@ -131,11 +124,11 @@ def test_a_database_that_is_paused_costs_time_and_bounded_memory(
         edge.deliver()
     assert edge.sent_count > len(sent)  # more was on its way than the worker takes
     assert grown < 16 * 2**20
-    assert queries.table_hash(engine) == clean_hash(tmp_path, sent)
+    assert queries.table_hash(postgres_engine) == clean_hash(tmp_path, sent)
 
 
 def test_poison_is_kept_aside_and_does_not_delay_the_good(
-    tmp_path: Path, broker: Mosquitto, postgres_url: str, engine: Engine
+    tmp_path: Path, broker: Mosquitto, postgres_url: str, postgres_engine: Engine
 ) -> None:
     sent, poison = messages(50), poison_messages(240)
     with worker_here(broker.url, postgres_url), ResendingEdge(broker.port) as edge:
@@ -149,11 +142,11 @@ def test_poison_is_kept_aside_and_does_not_delay_the_good(
             info.wait_for_publish(HANG_S)
         client.disconnect()
         client.loop_stop()
-        _wait_until(lambda: len(queries.quarantined(engine, 5000)) == len(set(poison)))
-    reasons = {str(record["reason"]) for record in queries.quarantined(engine, 5000)}
+        _wait_until(lambda: len(queries.quarantined(postgres_engine, 5000)) == len(set(poison)))
+    reasons = {str(record["reason"]) for record in queries.quarantined(postgres_engine, 5000)}
     assert reasons == {"malformed", "schema", "identity", "topic"}
-    assert queries.table_hash(engine) == clean_hash(tmp_path, sent)
-    assert [alarm["vehicle"] for alarm in queries.identity_alarms(engine)] == ["car9"]
+    assert queries.table_hash(postgres_engine) == clean_hash(tmp_path, sent)
+    assert [alarm["vehicle"] for alarm in queries.identity_alarms(postgres_engine)] == ["car9"]
 
 
 def _is_dead(pid: int) -> bool:
@@ -168,23 +161,23 @@ def _wait_until(is_done: Callable[[], bool], timeout_s: float = HANG_S) -> None:
 
 
 def test_results_of_logs_tell_their_calibration_and_nothing_of_a_connection(
-    drive_log: Path, broker: Mosquitto, engine: Engine
+    drive_log: Path, broker: Mosquitto, postgres_engine: Engine
 ) -> None:
     at = datetime(2026, 1, 5, tzinfo=UTC)
     live = {"service_version": "1", "algorithm_version": "a", "calibration_version": "live"}
-    Writer(engine).store(Batch(statuses=[{"vehicle": "car1", "is_online": True, "connected_at": at, **live}]))
-    with worker_here(broker.url, engine.url.render_as_string(hide_password=False)):
+    Writer(postgres_engine).store(Batch(statuses=[{"vehicle": "car1", "is_online": True, "connected_at": at, **live}]))
+    with worker_here(broker.url, postgres_engine.url.render_as_string(hide_password=False)):
         for name in ("car1", "car2"):
             assert ended("analyze", drive_log, "--json", "--vehicle", name, "--broker", broker.url).status == 0
         told = select(CALIBRATION.c.vehicle, CALIBRATION.c.content)
         deadline_s = time.monotonic() + HANG_S
         found: dict[str, str] = {}
-        while len(found) < 2 or queries.result_count(engine) < 2 * SHIFT_COUNT:
+        while len(found) < 2 or queries.result_count(postgres_engine) < 2 * SHIFT_COUNT:
             assert time.monotonic() < deadline_s
-            with engine.connect() as connection:
+            with postgres_engine.connect() as connection:
                 found = {str(vehicle): str(content) for vehicle, content in connection.execute(told)}
     assert {json.loads(content)["vehicle_type"] for content in found.values()} == {nominal_calibration().name}
-    seen = {str(row["vehicle"]): row for row in queries.last_seen(engine)}
+    seen = {str(row["vehicle"]): row for row in queries.last_seen(postgres_engine)}
     assert (bool(seen["car1"]["is_online"]), seen["car1"]["service_version"]) == (True, "1")
     assert (seen["car2"]["is_online"], seen["car2"]["connected_at"]) == (None, None)
     with Subscriber(broker.port) as late:

@@ -1,7 +1,6 @@
 """Results by months: they gain months ahead, and go when they are old."""
 
 import io
-from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, date, datetime
 
@@ -13,7 +12,7 @@ from fleet_backend import queries, report
 from fleet_backend.ageing.results import results_of
 from fleet_backend.choices import Quotas, TrendAxis
 from fleet_backend.cli import main
-from fleet_backend.database import open_database, transaction
+from fleet_backend.database import transaction
 from fleet_backend.intake import MessageKind, Received, batch_of, receive_all
 from fleet_backend.months import RANK, keep_months, partitions
 from fleet_backend.office.retention import retain
@@ -28,13 +27,6 @@ from tests.support.fleet import fleet_result, message_of, row_of
 NOW = datetime(2026, 6, 15, 12, tzinfo=UTC)
 
 
-@pytest.fixture(name="months")
-def _months(postgres_url: str) -> Iterator[Engine]:
-    opened = open_database(postgres_url)
-    yield opened
-    opened.dispose()
-
-
 def made_at(moment: str, seq: int = 1, **others: str) -> Row:
     return row_of(fleet_result(seq, produced_at=f"{moment}T00:00:00.000000Z", **others))  # type: ignore[arg-type]
 
@@ -45,21 +37,23 @@ def place_of_rows(engine: Engine) -> dict[str, int]:
         return {str(name): int(count) for name, count in found}
 
 
-def test_months_are_made_ahead_and_take_what_waited_for_them(months: Engine) -> None:
+def test_months_are_made_ahead_and_take_what_waited_for_them(postgres_engine: Engine) -> None:
     end = datetime.now(UTC).year + 3
-    Writer(months).store(Batch(shifts=[made_at(f"{end}-02-03"), made_at("2020-01-01", 2), made_at("2999-01-01", 3)]))
-    assert place_of_rows(months) == {"shift_result_after": 2, "shift_result_before": 1}
-    before = queries.table_hash(months)
-    made = keep_months(months, datetime(end, 2, 1, tzinfo=UTC), 1)
+    Writer(postgres_engine).store(
+        Batch(shifts=[made_at(f"{end}-02-03"), made_at("2020-01-01", 2), made_at("2999-01-01", 3)])
+    )
+    assert place_of_rows(postgres_engine) == {"shift_result_after": 2, "shift_result_before": 1}
+    before = queries.table_hash(postgres_engine)
+    made = keep_months(postgres_engine, datetime(end, 2, 1, tzinfo=UTC), 1)
     assert made[-1] == date(end, 3, 1)
-    assert place_of_rows(months)[f"shift_result_{end}_02"] == 1
-    assert queries.table_hash(months) == before
-    assert keep_months(months, datetime(end, 2, 1, tzinfo=UTC), 1) == []
-    assert place_of_rows(months)["shift_result_before"] == 1
-    assert keep_months(months, datetime(2021, 1, 1, tzinfo=UTC), 0, 12)[0] == date(2020, 1, 1)
-    assert place_of_rows(months)["shift_result_2020_01"] == 1
-    assert queries.table_hash(months) == before
-    names = [one.name for one in partitions(months)]
+    assert place_of_rows(postgres_engine)[f"shift_result_{end}_02"] == 1
+    assert queries.table_hash(postgres_engine) == before
+    assert keep_months(postgres_engine, datetime(end, 2, 1, tzinfo=UTC), 1) == []
+    assert place_of_rows(postgres_engine)["shift_result_before"] == 1
+    assert keep_months(postgres_engine, datetime(2021, 1, 1, tzinfo=UTC), 0, 12)[0] == date(2020, 1, 1)
+    assert place_of_rows(postgres_engine)["shift_result_2020_01"] == 1
+    assert queries.table_hash(postgres_engine) == before
+    names = [one.name for one in partitions(postgres_engine)]
     assert (names[0], names[-2:]) == ("shift_result_before", [f"shift_result_{end}_03", "shift_result_after"])
 
 
@@ -153,9 +147,11 @@ def test_revisions_come_and_go_with_their_results(engine: Engine) -> None:
     assert (one.revisions, other.kind, other.revisions) == ([told], MessageKind.WITHHELD, ())
 
 
-def test_the_commands_say_what_they_did(months: Engine, sqlite_url: str, capsys: pytest.CaptureFixture[str]) -> None:
-    Writer(months).store(Batch(shifts=[made_at("2020-01-01"), made_at("2020-02-01", 2)]))
-    place = ["--database", months.url.render_as_string(hide_password=False)]
+def test_the_commands_say_what_they_did(
+    postgres_engine: Engine, sqlite_url: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Writer(postgres_engine).store(Batch(shifts=[made_at("2020-01-01"), made_at("2020-02-01", 2)]))
+    place = ["--database", postgres_engine.url.render_as_string(hide_password=False)]
     assert main(["partitions", *place]) == 0
     assert "shift_result_before" in capsys.readouterr().out
     assert main(["retain", *place, "--months", "12"]) == 0

@@ -2,7 +2,6 @@
 
 import asyncio
 import sqlite3
-from collections.abc import Iterator
 from contextlib import AbstractAsyncContextManager, closing
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from sqlalchemy import Engine
 from diag_service.delivery import Acknowledge, Link, MqttConnector, Outbox
 from diag_service.store import ResultStore
 from fleet_backend import queries
-from fleet_backend.database import open_database
 from fleet_link import BrokerAddress
 from tests.golden import earlier
 from tests.plugins.broker import Mosquitto
@@ -22,17 +20,10 @@ from tests.support.patience import HANG_S
 GOLDEN = Path(__file__).parents[1] / "golden"
 
 
-@pytest.fixture(name="engine")
-def _engine(sqlite_url: str) -> Iterator[Engine]:
-    opened = open_database(sqlite_url)
-    yield opened
-    opened.dispose()
-
-
 @pytest.mark.broker
 @pytest.mark.parametrize(("name", "waiting"), [("store-v1.sql", 2), ("edge.sql", 37)])
 async def test_the_store_of_an_earlier_version_drains_into_the_present_backend(
-    tmp_path: Path, broker: Mosquitto, sqlite_url: str, engine: Engine, name: str, waiting: int
+    tmp_path: Path, broker: Mosquitto, sqlite_url: str, sqlite_engine: Engine, name: str, waiting: int
 ) -> None:
     path = tmp_path / "edge.sqlite"
     if name == "edge.sql":
@@ -50,4 +41,4 @@ async def test_the_store_of_an_earlier_version_drains_into_the_present_backend(
         outbox = Outbox(store, "car1", connect, "the broker", acknowledge=Acknowledge.BACKEND)
         left = await outbox.close(asyncio.create_task(outbox.run()), timeout_s=HANG_S)
     assert left == 0
-    assert queries.result_count(engine) == waiting
+    assert queries.result_count(sqlite_engine) == waiting

@@ -1,7 +1,7 @@
 """Fluid fills between vehicle and fleet, over a real broker, also after a restart of everything."""
 
 import asyncio
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager, closing
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,7 +14,7 @@ from diag_service.delivery import DeliveryLimits, MqttConnector, Outbox
 from diag_service.store import ResultStore, withdraw_fill
 from fleet_backend import queries
 from fleet_backend.choices import Pace
-from fleet_backend.database import open_database, transaction
+from fleet_backend.database import transaction
 from fleet_backend.ingest import FILTERS, Worker, connected
 from fleet_backend.schema import FLUID_FILL
 from fleet_backend.writer import Writer
@@ -28,13 +28,6 @@ pytestmark = pytest.mark.broker
 QUICK = DeliveryLimits(first_pause_s=0.05, longest_pause_s=0.1)
 OWN = FluidFill(vehicle="car1", filled_at="2026-01-01T00:00:00.000000Z", odometer_m=61_200_000.0, product="DCTF-II")
 OF_THE_FLEET = datetime(2026, 2, 1, 12, tzinfo=UTC)
-
-
-@pytest.fixture(name="engine")
-def _engine(sqlite_url: str) -> Iterator[Engine]:
-    engine = open_database(sqlite_url)
-    yield engine
-    engine.dispose()
 
 
 def utc_now() -> datetime:
@@ -85,34 +78,34 @@ def known_to_the_fleet(engine: Engine) -> list[tuple[datetime, str, float | None
 
 
 async def test_a_fill_that_is_taken_back_at_either_end_is_so_at_both(
-    broker: Mosquitto, engine: Engine, tmp_path: Path
+    broker: Mosquitto, sqlite_engine: Engine, tmp_path: Path
 ) -> None:
     path = tmp_path / "car1.sqlite"
-    async with world(broker, engine, path) as store:
+    async with world(broker, sqlite_engine, path) as store:
         put(store, range(1, 4))
         store.add_fills([OWN])
-        await until(lambda: len(known_to_the_fleet(engine)) == 1)
-    queries.note_fill(engine, "car1", "DCTF 75W", at=OF_THE_FLEET, odometer_m=None, note=None)
-    queries.withdraw_fill(engine, "car1", datetime(2026, 1, 1, tzinfo=UTC), by="ann")
-    async with world(broker, engine, path) as store:
+        await until(lambda: len(known_to_the_fleet(sqlite_engine)) == 1)
+    queries.note_fill(sqlite_engine, "car1", "DCTF 75W", at=OF_THE_FLEET, odometer_m=None, note=None)
+    queries.withdraw_fill(sqlite_engine, "car1", datetime(2026, 1, 1, tzinfo=UTC), by="ann")
+    async with world(broker, sqlite_engine, path) as store:
         await until(lambda: [fill.product for fill in store.fills("car1")] == ["DCTF 75W"])
     withdraw_fill(path, "car1", None)
-    async with world(broker, engine, path) as store:
-        await until(lambda: known_to_the_fleet(engine) == [])
+    async with world(broker, sqlite_engine, path) as store:
+        await until(lambda: known_to_the_fleet(sqlite_engine) == [])
         assert store.fills("car1") == []
-    async with world(broker, engine, path) as store:  # nothing that is told brings them back
+    async with world(broker, sqlite_engine, path) as store:  # nothing that is told brings them back
         put(store, [4])
         await until(lambda: store.unpublished_count("car1") == 0)
-        assert (store.fills("car1"), known_to_the_fleet(engine)) == ([], [])
+        assert (store.fills("car1"), known_to_the_fleet(sqlite_engine)) == ([], [])
 
 
 async def test_a_vehicle_that_stays_connected_hears_what_the_fleet_notes_meanwhile(
-    broker: Mosquitto, engine: Engine, tmp_path: Path
+    broker: Mosquitto, sqlite_engine: Engine, tmp_path: Path
 ) -> None:
-    async with at_work(broker, engine, tmp_path / "car1.sqlite") as (store, outbox):
+    async with at_work(broker, sqlite_engine, tmp_path / "car1.sqlite") as (store, outbox):
         put(store, range(1, 4))
         outbox.wake()
-        await until(lambda: store.unpublished_count("car1") == 0 and queries.result_count(engine) == 3)
-        queries.note_fill(engine, "car1", "DCTF 75W", at=OF_THE_FLEET, odometer_m=None, note=None)
+        await until(lambda: store.unpublished_count("car1") == 0 and queries.result_count(sqlite_engine) == 3)
+        queries.note_fill(sqlite_engine, "car1", "DCTF 75W", at=OF_THE_FLEET, odometer_m=None, note=None)
         outbox.publish_state(metrics_message("car1", iso_utc(utc_now()), {"outbox_sent_count": 3}))  # each minute
         await until(lambda: [fill.product for fill in store.fills("car1")] == ["DCTF 75W"])

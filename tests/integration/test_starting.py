@@ -20,21 +20,22 @@ RUNNING = f"import time\ndef main():\n    print('here', flush=True)\n    time.sl
 ASKING = "import click\ndef main():\n    print('here', flush=True)\n    raise click.Abort\n"
 
 
-@pytest.mark.parametrize("source", [LOADING, RUNNING, ASKING], ids=["loading", "running", "asking"])
-def test_ctrl_c_ends_a_program_that_heeds_nothing_yet_without_a_word(tmp_path: Path, source: str) -> None:
-    (tmp_path / "slow_program.py").write_text(source, encoding="utf-8")
-    with subprocess.Popen(
-        [sys.executable, "-c", START],
-        env={"PYTHONPATH": f"{tmp_path}:{REPOSITORY}"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as program:
+def signalled(folder: Path, source: str, sent: signal.Signals, start: str, *words: str) -> tuple[int, str, str]:
+    """Return how a program ends that gets a signal as soon as it has begun, and what it says from then on."""
+    (folder / "slow_program.py").write_text(source, encoding="utf-8")
+    command, place = [sys.executable, "-c", start, *words], {"PYTHONPATH": f"{folder}:{REPOSITORY}"}
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, env=place, stdout=pipe, stderr=pipe, text=True) as program:
         assert program.stdout is not None
         assert program.stdout.readline() == "here\n"
-        program.send_signal(signal.SIGINT)
+        program.send_signal(sent)
         out, err = program.communicate(timeout=HANG_S)
-    assert (program.returncode, out, err) == (130, "", "")
+    return program.returncode, out, err
+
+
+@pytest.mark.parametrize("source", [LOADING, RUNNING, ASKING], ids=["loading", "running", "asking"])
+def test_ctrl_c_ends_a_program_that_heeds_nothing_yet_without_a_word(tmp_path: Path, source: str) -> None:
+    assert signalled(tmp_path, source, signal.SIGINT, START) == (130, "", "")
 
 
 def test_it_is_hardly_looked_for_garbage_while_a_program_loads_nor_when_it_ends(tmp_path: Path) -> None:
@@ -53,28 +54,13 @@ def test_it_is_hardly_looked_for_garbage_while_a_program_loads_nor_when_it_ends(
 
 @pytest.mark.parametrize(("word", "status"), [("serve", 0), ("table", -signal.SIGTERM)])
 def test_a_service_that_is_stopped_while_it_loads_ends_well(tmp_path: Path, word: str, status: int) -> None:
-    (tmp_path / "slow_program.py").write_text(LOADING, encoding="utf-8")
     start = START.replace("'slow_program'", "'slow_program', ('serve',)")
-    with subprocess.Popen(
-        [sys.executable, "-c", start, word],
-        env={"PYTHONPATH": f"{tmp_path}:{REPOSITORY}"},
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as program:
-        assert program.stdout is not None
-        assert program.stdout.readline() == "here\n"
-        program.send_signal(signal.SIGTERM)
-        program.communicate(timeout=HANG_S)
-    assert program.returncode == status
+    assert signalled(tmp_path, LOADING, signal.SIGTERM, start, word)[0] == status
 
 
 def test_every_program_begins_so_and_loads_nothing_of_others_before() -> None:
-    scripts = [
-        one
-        for name in ("clutchdiag", "clutchdiag-fleet")
-        for one in distribution(name).entry_points
-        if one.group == "console_scripts"
-    ]
+    points = [*distribution("clutchdiag").entry_points, *distribution("clutchdiag-fleet").entry_points]
+    scripts = [one for one in points if one.group == "console_scripts"]
     assert len(scripts) == 3
     for one in scripts:
         code = (

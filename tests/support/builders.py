@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
-from clutch_model.calibration import clutch_of_gear
+from clutch_model.calibration import clutch_of_gear, nominal_calibration
 from clutch_results.records import (
     ClutchRatio,
     ClutchVerdict,
@@ -21,6 +21,8 @@ from clutch_results.records import (
     Status,
 )
 from diag_service.diagnosis.condition.verdict import advice
+from diag_service.diagnosis.friction.evidence import STATE_COUNT, Considered, Evidence, JudgedEvent
+from diag_service.diagnosis.friction.posterior import Posterior
 from ecu_emulator.scenario.scenario import FluidCondition, Scenario
 from ecu_emulator.scenario.scenario_file import load_scenario
 
@@ -145,3 +147,12 @@ def drive_scenario(name: str = "noise_only", *, fluid: str = "ideal", seed: int 
     scenario = load_scenario(name)
     condition = FluidCondition(fluid)
     return replace(scenario, fluid=replace(scenario.fluid, condition=condition), seed=seed, cycles=cycles)
+
+
+def with_latencies(count: int, latency_s: float) -> Posterior:
+    """Return what is known after events that show pressures so much later than those of the type."""
+    row, state = STATE_COUNT + Considered.PRESSURE_LATENCY, Posterior.fresh(nominal_calibration())
+    for number in range(count):
+        shown = Evidence.of_readings([row], [latency_s], [0.005**2])
+        state = state.with_event(JudgedEvent(clutch=1 + number % 2, end_ns=number, evidence=shown))
+    return state

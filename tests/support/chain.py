@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from canlog.frames import FrameBatch, join
@@ -13,7 +14,10 @@ from diag_service.diagnosis.summary import FrameCounts
 from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.profile import load_profile
 from diag_service.service.stages import Diagnosis, Stages
+from ecu_emulator.drive.recording import Drive
 from fleet_contract import JsonObject
+from tests.support.builders import drive_scenario
+from tests.support.wire import received
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,3 +48,18 @@ def diagnosed(batches: Iterable[FrameBatch]) -> Outcome:
     found = [diagnosis for batch in batches for diagnosis in stages.feed(batch)]
     found += [stages.conclude(event) for event in stages.flush()]
     return Outcome(diagnoses=tuple(found), counts=stages.decoder.counts)
+
+
+DRIVE_S = 10.0  # three shifts
+
+
+@cache
+def drive_frames() -> FrameBatch:
+    """Return the frames of the first seconds of a drive."""
+    return received(next(Drive(drive_scenario("ideal")).stretches(DRIVE_S)).frames)
+
+
+@cache
+def whole_drive() -> Outcome:
+    """Return what they say at once."""
+    return diagnosed([drive_frames()])

@@ -336,6 +336,7 @@ class Fusion:
 
     knowledge: Knowledge
     chi_square: float  # at the posterior mean: of the residuals, and of the distance from the prior
+    distance: float  # chi-square of the posterior mean about the prior's
     information: FloatArray  # (PARAMETER_COUNT, PARAMETER_COUNT) of the evidence
 
     @property
@@ -347,7 +348,7 @@ class Fusion:
 def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
     """Return the posterior of ``earlier`` and evidence; a parameter without variance stays as it is."""
     if not evidence.count:  # then all parameters stay, to the last digit
-        return Fusion(knowledge=earlier, chi_square=0.0, information=evidence.matrix)
+        return Fusion(knowledge=earlier, chi_square=0.0, distance=0.0, information=evidence.matrix)
     std = np.sqrt(earlier.covariance.diagonal())
     scale = np.outer(std, std)
     correlation = np.divide(earlier.covariance, scale, out=np.zeros_like(scale), where=scale > 0.0)
@@ -359,6 +360,7 @@ def fuse(earlier: Knowledge, evidence: Evidence) -> Fusion:
     return Fusion(
         knowledge=Knowledge(mean=earlier.mean + step, covariance=covariance),
         chi_square=evidence.chi_square(earlier.mean) - float(gradient @ step),
+        distance=float(step @ (gradient - evidence.matrix @ step)),
         information=evidence.matrix,
     )
 
@@ -451,6 +453,7 @@ LEAST_SCATTER: Final = 0.18  # ratio to the variance that events are granted: a 
 SCATTER_COUNT: Final = 8  # of events that show by how much they differ
 PLAIN_STEP_RATIO: Final = 0.04  # of mu_C: a smaller change, against the scatter of a few events, is none
 STEP_COUNT: Final = 3  # of the newest events of a clutch, which agree that it has changed
+SHARED_PART: Final = 0.5  # of what a step costs: so much must be saved without the event that shows it most
 STEP_COUNTS: Final = (3, 4, 5, 6)  # of events since a change that is too small for any of them to be left out
 _PRIOR: Final = np.eye(2) / FRICTION_PRIOR_STD**2  # information on a step
 
@@ -521,8 +524,15 @@ def _where_stepped(events: Sequence[JudgedEvent], best: Selection, known: Knowle
             saved, ratio, _ = step_since(known, together(events[first:], best.is_used[first:]), events[-1].clutch)
             if LEAST_SCATTER * cost < saved < cost and abs(ratio) > PLAIN_STEP_RATIO:
                 cost *= _scatter(events, best, known, saved)
-            if saved > cost:
+            if saved > cost and _shared(events, best, known, rows[-count:]) > SHARED_PART * cost:
                 yield first, cost
+
+
+def _shared(events: Sequence[JudgedEvent], best: Selection, known: Knowledge, rows: Sequence[int]) -> float:
+    """Return what chi-square would lose by a step that some events show, without the one that shows it most."""
+    without = [[used and place != row for place, used in enumerate(best.is_used)][rows[0] :] for row in rows]
+    since = [together(events[rows[0] :], is_used) for is_used in without]
+    return min([step_since(known, one, events[-1].clutch)[0] for one in since])
 
 
 def _scatter(events: Sequence[JudgedEvent], best: Selection, known: Knowledge, saved: float) -> float:

@@ -191,10 +191,7 @@ class Posterior:
     @property
     def is_unlike_type(self) -> bool:
         """Whether the first events have led further from their type than vehicles are: docs/model.md, (25c)."""
-        if not self.may_begin_again:
-            return False
-        of_events = together(self.recent, self.weights).chi_square(self.fusion.knowledge.mean)
-        return self.fusion.chi_square - of_events > MOST_UNLIKE
+        return self.may_begin_again and self.fusion.distance > MOST_UNLIKE
 
     def begun_again(self) -> "Posterior":
         """Return the state before the first event, which does not begin again a second time."""

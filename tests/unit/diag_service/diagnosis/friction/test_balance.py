@@ -27,7 +27,7 @@ from diag_service.diagnosis.friction.film import VehicleLaws
 from diag_service.diagnosis.friction.posterior import Posterior
 from ecu_emulator.scenario.scenario import WorkshopRoutine
 from tests.support.builders import drive_scenario
-from tests.unit.diag_service.diagnosis.shifts_of_a_drive import events_of, in_oil
+from tests.support.shifts_of_a_drive import events_of, in_oil
 
 NOMINAL = nominal_calibration()
 GAIN, INERTIA = STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA

@@ -10,7 +10,7 @@ from diag_service.diagnosis.alignment import GRID_S, usable_samples
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.balance import Torques
 from diag_service.diagnosis.friction.film import FilmTrack, PressureDrive, integrate_films, pack_laws
-from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts, in_oil
+from tests.support.shifts_of_a_drive import first_shifts, in_oil
 
 CALIBRATION = nominal_calibration()
 GRID = np.arange(0.0, 1.0, GRID_S)

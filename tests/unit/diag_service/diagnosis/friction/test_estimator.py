@@ -14,18 +14,10 @@ from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import Estimator, Posterior
 from diag_service.diagnosis.friction.estimator import FULL_WINDOW_S, without_friction, zero_has_jumped
-from diag_service.diagnosis.friction.evidence import (
-    FRICTION_ROWS,
-    STATE_COUNT,
-    STEP_COUNT,
-    Considered,
-    Evidence,
-    JudgedEvent,
-    Knowledge,
-    State,
-)
+from diag_service.diagnosis.friction.evidence import FRICTION_ROWS, STEP_COUNT, Knowledge, State
 from diag_service.diagnosis.friction.posterior import friction
-from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts, thinned
+from tests.support.builders import with_latencies
+from tests.support.shifts_of_a_drive import changed, first_shifts, thinned
 
 CALIBRATION = nominal_calibration()
 ESTIMATOR = Estimator(CALIBRATION)
@@ -114,14 +106,11 @@ def test_three_contradictions_in_a_row_start_the_friction_afresh() -> None:
 
 def test_the_first_events_of_a_vehicle_that_they_make_unlike_its_type_are_left_out() -> None:
     event = first_shifts()[0]
-    late = Evidence.of_readings([STATE_COUNT + Considered.PRESSURE_LATENCY], [0.040], [0.002**2])
-    unlike = FRESH
-    for number in range(2):  # one alone would not belong
-        unlike = unlike.with_event(JudgedEvent(clutch=CLUTCH, end_ns=number, evidence=late))
+    unlike = with_latencies(6, 0.040)
     assert unlike.is_unlike_type
     state, estimate = estimated(event, unlike)
     told = [(revision.end_bus_ns, revision.status) for revision in estimate.revisions]
-    assert told == [(0, Status.REJECTED), (1, Status.REJECTED)]
+    assert told == [(number, Status.REJECTED) for number in range(6)]
     assert replace(state, may_begin_again=True).to_json() == estimated(event)[0].to_json()
     assert estimate.friction == estimated(event)[1].friction
 

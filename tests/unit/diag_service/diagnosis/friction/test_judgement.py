@@ -113,6 +113,16 @@ def test_a_change_too_small_for_any_event_to_be_left_out_is_followed_as_well(lev
     assert changed.fusion.knowledge.mean[:2] == pytest.approx(level * MU, abs=4.0 * STD)
 
 
+@pytest.mark.parametrize(("levels", "first_changed"), [([1.2, 1.0, 1.0], None), ([1.2, 1.2, 1.2], 9)])
+def test_one_bad_event_with_two_sound_ones_that_tell_little_is_no_change(
+    levels: list[float], first_changed: int | None
+) -> None:
+    quiet = cast("np.random.Generator", Scaled(0.2))
+    both = enumerate([1.0] * 9 + levels)
+    seen = [event(number, 1, level * MU, quiet, std=0.01 if number < 10 else 0.02) for number, level in both]
+    assert judge(base(), seen).first_changed == first_changed
+
+
 def test_a_change_of_one_clutch_leaves_the_other_alone() -> None:
     rng = np.random.default_rng(3)
     both = [

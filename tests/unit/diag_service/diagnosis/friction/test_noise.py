@@ -21,7 +21,7 @@ from diag_service.diagnosis.friction.balance import (
 from diag_service.diagnosis.friction.drives import measured_drives, slip_window
 from diag_service.diagnosis.friction.film import VehicleLaws
 from diag_service.diagnosis.friction.posterior import Posterior
-from tests.unit.diag_service.diagnosis.shifts_of_a_drive import first_shifts
+from tests.support.shifts_of_a_drive import first_shifts
 
 CALIBRATION = nominal_calibration()
 AT = Posterior.fresh(CALIBRATION).known.mean

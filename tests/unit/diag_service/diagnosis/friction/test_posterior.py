@@ -24,6 +24,7 @@ from diag_service.diagnosis.friction.evidence import (
 )
 from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, RECENT_COUNT, Posterior, friction, trend
 from fleet_contract import JsonObject
+from tests.support.builders import with_latencies
 
 CALIBRATION = nominal_calibration()
 MU = np.array([0.140, 0.120])
@@ -67,15 +68,6 @@ def test_nothing_is_lost_when_events_become_part_of_the_base() -> None:
     assert 1.0 < grown[drifting] < 1.5
     assert np.delete(moved, drifting) == pytest.approx(np.zeros(PARAMETER_COUNT - 1), abs=0.1)
     assert np.delete(grown, drifting) == pytest.approx(np.ones(PARAMETER_COUNT - 1), rel=0.05)
-
-
-def with_latencies(count: int, latency_s: float) -> Posterior:
-    """Return what is known after events that show pressures so much later than those of the type."""
-    row, state = STATE_COUNT + Considered.PRESSURE_LATENCY, Posterior.fresh(CALIBRATION)
-    for number in range(count):
-        shown = Evidence.of_readings([row], [latency_s], [0.005**2])
-        state = state.with_event(JudgedEvent(clutch=1 + number % 2, end_ns=number, evidence=shown))
-    return state
 
 
 def test_a_vehicle_unlike_its_type_begins_again_once_and_only_with_its_first_events() -> None:

@@ -16,7 +16,7 @@ from diag_service.diagnosis.friction.posterior import friction as friction_of
 from diag_service.diagnosis.friction.self_calibration import SelfCalibration, self_calibrate
 from ecu_emulator.scenario.scenario import Truth, WorkshopRoutine
 from tests.support.builders import drive_scenario
-from tests.unit.diag_service.diagnosis.shifts_of_a_drive import events_of
+from tests.support.shifts_of_a_drive import events_of
 
 NOMINAL = nominal_calibration()
 TORQUE_LATENCY_S, PRESSURE_LATENCY_S, SPEED_LATENCY_S = 0.023, 0.011, 0.004

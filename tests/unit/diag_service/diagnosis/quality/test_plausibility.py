@@ -16,7 +16,7 @@ from diag_service.diagnosis.friction import Posterior
 from diag_service.diagnosis.friction.drives import measured_drives, slip_window
 from diag_service.diagnosis.friction.film import pack_laws
 from diag_service.diagnosis.quality import SlippingClutch, is_frozen, plausibility_faults
-from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts
+from tests.support.shifts_of_a_drive import changed, first_shifts
 
 CALIBRATION = nominal_calibration()
 COUNT = 180

@@ -12,7 +12,7 @@ from clutch_results.records import Reason
 from diag_service.diagnosis.alignment import GRID_S, AlignedSignals, usable_signals
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, Signal
 from diag_service.diagnosis.events import Event
-from tests.unit.diag_service.diagnosis.shifts_of_a_drive import changed, first_shifts, thinned, without
+from tests.support.shifts_of_a_drive import changed, first_shifts, thinned, without
 
 CALIBRATION = nominal_calibration()
 
