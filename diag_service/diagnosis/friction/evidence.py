@@ -531,8 +531,7 @@ def _where_stepped(events: Sequence[JudgedEvent], best: Selection, known: Knowle
 def _shared(events: Sequence[JudgedEvent], best: Selection, known: Knowledge, rows: Sequence[int]) -> float:
     """Return what chi-square would lose by a step that some events show, without the one that shows it most."""
     without = [[used and place != row for place, used in enumerate(best.is_used)][rows[0] :] for row in rows]
-    since = [together(events[rows[0] :], is_used) for is_used in without]
-    return min([step_since(known, one, events[-1].clutch)[0] for one in since])
+    return min([step_since(known, together(events[rows[0] :], used), events[-1].clutch)[0] for used in without])
 
 
 def _scatter(events: Sequence[JudgedEvent], best: Selection, known: Knowledge, saved: float) -> float:

@@ -163,6 +163,7 @@ class Posterior:
             fusion=fuse(base, Evidence.none()),
             prior=Prior.of(base.covariance),
             torque=calibration.torque,
+            may_begin_again=calibration.joint is None,  # a vehicle is not unlike its own calibration: that does not fit
             torque_gain=calibration.bias.torque_gain,
             stribeck_speed_rad_s=both_clutches(clutch.friction.stribeck_speed_rad_s for clutch in calibration.clutches),
         )
