@@ -388,15 +388,16 @@ def judge(
     launches = memory.launches[index]
     first, second = calibration.clutches[0].friction, calibration.clutches[1].friction
     common = common_margin(state, stated, (first.mu_c - first.mu_s, second.mu_c - second.mu_s))
+    progress = calibration_ratio(state, calibration)
     is_cold = state.packs is not None and state.packs.clutch_k[index] < COLD_K
+    is_unsure = is_cold or progress < CALIBRATED_RATIO
     slope = None if state.torque is TorqueSource.MEASURED else FrictionSlope.of(free, state.torque)
     rest = since, reference, shift_count, memory.conditions[index], memory.grounds[index], launches
     if slope is None:
-        finding = decide(now, *rest, common, is_cold=is_cold)
+        finding = decide(now, *rest, common, is_unsure=is_unsure)
     else:
-        finding = decide_up_to_scale(slope, *rest, is_cold=is_cold)
+        finding = decide_up_to_scale(slope, *rest, is_unsure=is_unsure)
     tells_level = known and slope is None
-    progress = calibration_ratio(state, calibration)
     if memory.misfit_text:
         finding = nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)
     elif (refused_count := memory.refused[index]) >= REFUSED_COUNT:

@@ -36,8 +36,9 @@ WATCH_PROBABILITY = 0.80  # to look again costs less than a workshop visit
 THIN_PROBABILITY = 0.01  # of a thin margin, to call a fluid good before that: a drive is judged a hundred times
 EARLY_MARGIN_STD_RATIO = 0.15  # worse known, the margin of one clutch is believed only as far as both together say so
 COLD_K = 333.15  # of a pack: below it nobody knows the laws of film and drag well, and a drive has many looks at them
-UNSURE_CHANGE_PROBABILITY = 0.99  # in the cold, and until the margin is known to EARLY_MARGIN_STD_RATIO
-COLD_WATCH_PROBABILITY = 0.98  # likewise in the cold
+UNSURE_CHANGE_PROBABILITY = 0.99  # in the cold, of a vehicle still calibrating, and of a margin known to no 0.15
+UNSURE_LEVEL_PROBABILITY = 0.98  # likewise to watch low friction, which a film or a fade of unknown law feigns
+UNSURE_MARGIN_PROBABILITY = 0.85  # of a thin margin, but for one known to no 0.15: a difference is feigned less
 SLIP_PROBABILITY = 0.999  # of a lock-up clutch, for either: its slip is judged every minute, for hours
 COMMON_THIN_PROBABILITY = 0.003  # the same by both clutches together: they slip in one oil
 LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
@@ -83,6 +84,13 @@ class Silence(StrEnum):
     PART_OF_DRIVE = "only a part of the drive was seen; measure again on a whole one"
 
 
+_CHANGE: Final = (Cause.SHUDDER, Cause.LEVEL_LOW, Cause.LOSS_LARGE)
+_WARM_AT: Final = dict.fromkeys(Cause, WATCH_PROBABILITY) | dict.fromkeys(_CHANGE, CHANGE_PROBABILITY)
+_EARLY_AT: Final = dict.fromkeys(_CHANGE, UNSURE_CHANGE_PROBABILITY) | dict.fromkeys(
+    (Cause.LEVEL_FALLING, Cause.LOSS_BEGUN), UNSURE_LEVEL_PROBABILITY
+)
+_UNSURE_AT: Final = {**_EARLY_AT, Cause.MARGIN_THIN: UNSURE_MARGIN_PROBABILITY}
+_SLIP_AT: Final = dict.fromkeys(Cause, SLIP_PROBABILITY)
 _WHAT: Final = {
     Cause.SHUDDER: "it can shudder",
     Cause.LEVEL_LOW: f"its friction is below {_PERCENT * CHANGE_LEVEL_RATIO:.0f} % of new",
@@ -272,7 +280,7 @@ def decide(  # noqa: PLR0911 - each rule may end it
     launches: Launches,
     common: NormalDist,
     *,
-    is_cold: bool = False,
+    is_unsure: bool = False,
     counted: str = SHIFTS,
 ) -> Finding:
     """Return the verdict on a clutch.
@@ -291,15 +299,12 @@ def decide(  # noqa: PLR0911 - each rule may end it
         Which of its launches juddered.
     common
         Which part of the new fluid's margin is left by both clutches together.
-    is_cold
-        Whether the pack is colder than ``COLD_K``: a bad verdict then takes more to be given.
+    is_unsure
+        Whether the pack is colder than ``COLD_K``, or the vehicle still calibrating: a bad verdict then takes more.
     counted
         What the events are, in many; launches are then such events, too.
     """
-    change_at = UNSURE_CHANGE_PROBABILITY if is_cold else CHANGE_PROBABILITY
-    watch_at = COLD_WATCH_PROBABILITY if is_cold else WATCH_PROBABILITY
-    if counted != SHIFTS:
-        change_at = watch_at = SLIP_PROBABILITY
+    give_at = _UNSURE_AT if is_unsure else _WARM_AT
     if shift_count < MIN_SHIFT_COUNT:
         few, some = (Silence.FEW_SHIFTS, "shift(s)") if counted == SHIFTS else (Silence.FEW_EVENTS, counted)
         return nothing(few, f"{shift_count} usable {some}, {MIN_SHIFT_COUNT} needed")
@@ -307,12 +312,12 @@ def decide(  # noqa: PLR0911 - each rule may end it
     margin = NormalDist(friction.mu_c - friction.mu_s, friction.std_slope_s_rad * reference.stribeck_speed_rad_s)
     level = NormalDist(friction.mu_c / reference.mu_c, friction.std_mu_c / reference.mu_c)
     own_thin, common_thin = margin.cdf(WATCH_MARGIN_RATIO * reference_margin), common.cdf(WATCH_MARGIN_RATIO)
-    negative, thin = friction.probability_negative_slope, own_thin
-    if margin.stdev > EARLY_MARGIN_STD_RATIO * reference_margin:  # one clutch may be misread; both rarely are
-        negative, thin = min(negative, common.cdf(0.0)), min(own_thin, common_thin)
-        change_at = max(change_at, UNSURE_CHANGE_PROBABILITY)
-    elif own_thin > 0.5:  # then both together tell better
-        thin = max(own_thin, common_thin)
+    is_early = margin.stdev > EARLY_MARGIN_STD_RATIO * reference_margin
+    negative, thin = friction.probability_negative_slope, _thin(own_thin, common_thin, is_early=is_early)
+    if is_early:
+        negative, give_at = min(negative, common.cdf(0.0)), give_at | _EARLY_AT
+    if counted != SHIFTS:
+        give_at = _SLIP_AT
     facts = _facts(friction, level, since, f"{shift_count} {counted}")
     facts += f", {launches.text(counted)}" if launches.speak else ""
     change = {
@@ -320,7 +325,7 @@ def decide(  # noqa: PLR0911 - each rule may end it
         Cause.LEVEL_LOW: level.cdf(CHANGE_LEVEL_RATIO),
         Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
     }
-    if (bad := _standing(Condition.CHANGE_FLUID, change, change_at, previous, previous_cause, facts)) is not None:
+    if (bad := _standing(Condition.CHANGE_FLUID, change, give_at, previous, previous_cause, facts)) is not None:
         return bad
     if margin.stdev > MAX_MARGIN_STD_RATIO * reference_margin:
         return nothing(Silence.MARGIN_UNSURE, f"mu_C - mu_S known to {margin.stdev:.4f} only: {facts}")
@@ -329,7 +334,7 @@ def decide(  # noqa: PLR0911 - each rule may end it
         Cause.LEVEL_FALLING: level.cdf(WATCH_LEVEL_RATIO),
         Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO),
     }
-    if (bad := _standing(Condition.WATCH, watch, watch_at, previous, previous_cause, facts)) is not None:
+    if (bad := _standing(Condition.WATCH, watch, give_at, previous, previous_cause, facts)) is not None:
         return bad
     is_sure = margin.stdev <= SURE_MARGIN_STD_RATIO * reference_margin
     may_be_thin = own_thin > (LEAVE_PROBABILITY if previous is Condition.GOOD else THIN_PROBABILITY)
@@ -343,6 +348,13 @@ def decide(  # noqa: PLR0911 - each rule may end it
     return Finding(condition=Condition.GOOD, reason=facts, ground=None, probability=1.0 - max(watch.values()))
 
 
+def _thin(own: float, common: float, *, is_early: bool) -> float:
+    """Return the probability of a thin margin by that of a clutch and of both: one may be misread, both rarely are."""
+    if own > 0.5:  # then both together tell better
+        return common if is_early else max(own, common)
+    return min(own, common) if is_early else own
+
+
 def decide_up_to_scale(
     slope: FrictionSlope,
     since: FrictionTrend | None,
@@ -352,14 +364,13 @@ def decide_up_to_scale(
     previous_cause: Cause | None,
     launches: Launches,
     *,
-    is_cold: bool,
+    is_unsure: bool,
 ) -> Finding:
     """Return the verdict on a clutch whose level of friction is not known; arguments as of `decide`.
 
     Slope and change are told without it. That friction is low, or sound, is not.
     """
-    change_at = UNSURE_CHANGE_PROBABILITY if is_cold else CHANGE_PROBABILITY
-    watch_at = COLD_WATCH_PROBABILITY if is_cold else WATCH_PROBABILITY
+    give_at = _UNSURE_AT if is_unsure else _WARM_AT
     if shift_count < MIN_SHIFT_COUNT:
         return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed")
     facts = ", ".join((
@@ -375,14 +386,14 @@ def decide_up_to_scale(
     }
     margin_ratio = 1.0 - reference.mu_s / reference.mu_c
     if slope.std_mu_s_ratio > EARLY_MARGIN_STD_RATIO * margin_ratio:
-        change_at = max(change_at, UNSURE_CHANGE_PROBABILITY)
-    if (bad := _standing(Condition.CHANGE_FLUID, change, change_at, previous, previous_cause, facts)) is not None:
+        give_at = give_at | _EARLY_AT
+    if (bad := _standing(Condition.CHANGE_FLUID, change, give_at, previous, previous_cause, facts)) is not None:
         return bad
     watch = {Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO)}
     if slope.std_mu_s_ratio <= MAX_MARGIN_STD_RATIO * margin_ratio:
         margin = NormalDist(1.0 - slope.mu_s_ratio, slope.std_mu_s_ratio)
         watch[Cause.MARGIN_THIN] = margin.cdf(WATCH_MARGIN_RATIO * margin_ratio)
-    if (bad := _standing(Condition.WATCH, watch, watch_at, previous, previous_cause, facts)) is not None:
+    if (bad := _standing(Condition.WATCH, watch, give_at, previous, previous_cause, facts)) is not None:
         return bad
     return nothing(Silence.LEVEL_UNKNOWN, f"engine torque is {slope.torque.replace('_', ' ')}, not measured: {facts}")
 
@@ -419,16 +430,18 @@ def _lost(since: FrictionTrend | None, level_ratio: float) -> float:
 def _standing(
     condition: Condition,
     causes: Mapping[Cause, float],
-    give_at: float,
+    give_at: Mapping[Cause, float],
     previous: Condition,
     previous_cause: Cause | None,
     facts: str,
 ) -> Finding | None:
     """Return a bad verdict by its likeliest cause, or by that for which it was given; None: no cause is likely."""
-    cause = max(causes, key=causes.__getitem__)
-    if previous is condition and causes[cause] < give_at:  # earlier programs kept no cause
-        cause, give_at = cause if previous_cause is None else previous_cause, LEAVE_PROBABILITY
+    given = [cause for cause, probability in causes.items() if probability >= give_at[cause]]
+    cause = max(given or causes, key=causes.__getitem__)
+    if not given and previous_cause is not None:  # earlier programs kept no cause
+        cause = previous_cause
     probability = causes.get(cause, 0.0)
+    if not given and (previous is not condition or probability < LEAVE_PROBABILITY):
+        return None
     reason = f"{cause} ({likely(probability)}): {facts}"
-    finding = Finding(condition=condition, reason=reason, ground=cause, probability=probability)
-    return finding if probability >= give_at else None
+    return Finding(condition=condition, reason=reason, ground=cause, probability=probability)

@@ -70,6 +70,7 @@ _COLD_VARIANCE[list(COLD_STD)] = np.square(list(COLD_STD.values()))
 OPEN_DRAG_SPEED_LOG: Final = 0.7  # natural logarithm, at any temperature: packs drag twice or half as much
 FRICTION_RATIO: Final = 0.01  # of mu, at any temperature: each event spreads heat, oil and load otherwise
 COLD_FRICTION_RATIO: Final = 0.015  # of mu, added `COLD_SPAN_K` below work: no law of the cold holds in every car
+COLD_LEAST_SCATTER: Final = 0.5  # ratio to the stated variance of events: cold ones err alike in part
 MOST_FILM_SHARE: Final = 0.5  # of the torque in a piece of the slip window: beyond it friction is not told there
 
 
@@ -105,7 +106,7 @@ def telling_part(balance: Balance, clutch: int) -> Balance | None:
     return Balance(balance.signals, SlipWindow.of(telling), balance.measured, balance.laws, balance.at)
 
 
-ALGORITHM_VERSION = "torque-impulse-21"
+ALGORITHM_VERSION = "torque-impulse-22"
 MAX_PASS_COUNT = 4  # linearisations: the first events of a vehicle move latencies beyond the reach of one
 CONVERGED = 0.2  # of a standard deviation
 NEAR_STEP = 0.5  # standard deviations of the type: a shorter step keeps the Jacobian
@@ -463,9 +464,10 @@ def _rejected(estimate: ShiftEstimate, *reasons: Reason) -> ShiftEstimate:
 
 def _judged_event(event: Event, linearisation: Linearisation) -> JudgedEvent:
     # Laws of film, oil and drag in the cold, and what curves through few rows leave out, are wrong alike in all events.
-    is_off = linearisation.noise.is_alike or min(linearisation.balance.final_clutch_k) < WORKING_K
+    least = COLD_LEAST_SCATTER if min(linearisation.balance.final_clutch_k) < WORKING_K else 0.0
+    least = 1.0 if linearisation.noise.is_alike else least
     return JudgedEvent(
-        clutch=linearisation.clutch, end_ns=event.end_ns, evidence=linearisation.evidence, is_off_like_others=is_off
+        clutch=linearisation.clutch, end_ns=event.end_ns, evidence=linearisation.evidence, least_scatter=least
     )
 
 

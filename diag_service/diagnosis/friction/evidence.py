@@ -465,7 +465,7 @@ class JudgedEvent:
     clutch: int  # 1 or 2, the one that slipped
     end_ns: int
     evidence: Evidence
-    is_off_like_others: bool = False  # it shares errors with other events, so they scatter less than they err
+    least_scatter: float = 0.0  # ratio to the stated variance: it shares errors with others, so they scatter less
 
 
 class Judgement(NamedTuple):

@@ -102,9 +102,7 @@ class EventScatter(NamedTuple):
         weighted, _, by_chance = step_since(known, event.evidence.weighted(weight), event.clutch)
         if by_chance < LEAST_BY_CHANCE:
             return self
-        apart = weighted / weight
-        if event.is_off_like_others:
-            apart = max(apart, by_chance)
+        apart = max(weighted / weight, event.least_scatter * by_chance)
         return EventScatter(
             SCATTER_FORGETTING * self.apart + min(apart, MOST_APART), SCATTER_FORGETTING * self.by_chance + by_chance
         )

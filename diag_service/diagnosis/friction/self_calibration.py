@@ -308,7 +308,7 @@ def _scatter(known: Knowledge, used: Sequence[_Linearised]) -> EventScatter:
     for linearised in used:
         if linearised.clutch:
             event = JudgedEvent(
-                clutch=linearised.clutch, end_ns=0, evidence=linearised.balance, is_off_like_others=linearised.is_cold
+                clutch=linearised.clutch, end_ns=0, evidence=linearised.balance, least_scatter=float(linearised.is_cold)
             )
             scatter = scatter.with_event(known, event)
     return scatter
