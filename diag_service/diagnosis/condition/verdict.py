@@ -10,6 +10,7 @@ one order of what both of them say.
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from operator import itemgetter
 from statistics import NormalDist
 from typing import Final, Self
 
@@ -36,9 +37,9 @@ WATCH_PROBABILITY = 0.80  # to look again costs less than a workshop visit
 THIN_PROBABILITY = 0.01  # of a thin margin, to call a fluid good before that: a drive is judged a hundred times
 EARLY_MARGIN_STD_RATIO = 0.15  # worse known, the margin of one clutch is believed only as far as both together say so
 COLD_K = 333.15  # of a pack: below it nobody knows the laws of film and drag well, and a drive has many looks at them
-UNSURE_CHANGE_PROBABILITY = 0.99  # in the cold, of a vehicle still calibrating, and of a margin known to no 0.15
+UNSURE_CHANGE_PROBABILITY = 0.99  # in the cold, while a vehicle calibrates, and until its margin is known to 0.15
 UNSURE_LEVEL_PROBABILITY = 0.98  # likewise to watch low friction, which a film or a fade of unknown law feigns
-UNSURE_MARGIN_PROBABILITY = 0.85  # of a thin margin, but for one known to no 0.15: a difference is feigned less
+UNSURE_MARGIN_PROBABILITY = 0.85  # of a thin margin in the cold, and while a vehicle calibrates
 SLIP_PROBABILITY = 0.999  # of a lock-up clutch, for either: its slip is judged every minute, for hours
 COMMON_THIN_PROBABILITY = 0.003  # the same by both clutches together: they slip in one oil
 LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
@@ -337,11 +338,8 @@ def decide(  # noqa: PLR0911 - each rule may end it
     if (bad := _standing(Condition.WATCH, watch, give_at, previous, previous_cause, facts)) is not None:
         return bad
     is_sure = margin.stdev <= SURE_MARGIN_STD_RATIO * reference_margin
-    may_be_thin = own_thin > (LEAVE_PROBABILITY if previous is Condition.GOOD else THIN_PROBABILITY)
-    may_be_thin |= common_thin > COMMON_THIN_PROBABILITY and previous is not Condition.GOOD
-    if not is_sure and may_be_thin:  # too likely to be called good, by its own clutch or by both together
-        by_either = max(own_thin, common_thin)
-        return nothing(Silence.MARGIN_UNSURE, f"too early to say, {Cause.MARGIN_THIN} ({likely(by_either)}): {facts}")
+    if (doubt := _doubt(watch, own_thin, common_thin, previous, is_sure=is_sure)) is not None:
+        return nothing(Silence.MARGIN_UNSURE, f"too early to say, {doubt[0]} ({likely(doubt[1])}): {facts}")
     if launches.speak:
         why, what = (Silence.LAUNCHES_JUDDER, "launches") if counted == SHIFTS else (Silence.SLIP_SWINGS, counted)
         return nothing(why, f"its {what} contradict its friction: {facts}")
@@ -353,6 +351,18 @@ def _thin(own: float, common: float, *, is_early: bool) -> float:
     if own > 0.5:  # then both together tell better
         return common if is_early else max(own, common)
     return min(own, common) if is_early else own
+
+
+def _doubt(
+    watch: Mapping[Cause, float], own_thin: float, common_thin: float, previous: Condition, *, is_sure: bool
+) -> tuple[Cause, float] | None:
+    """Return a cause that is too likely for a fluid to be called good, by its own clutch or by both together."""
+    may_be_thin = own_thin > (LEAVE_PROBABILITY if previous is Condition.GOOD else THIN_PROBABILITY)
+    may_be_thin |= common_thin > COMMON_THIN_PROBABILITY and previous is not Condition.GOOD
+    if may_be_thin and not is_sure:
+        return Cause.MARGIN_THIN, max(own_thin, common_thin)
+    likeliest = max(watch.items(), key=itemgetter(1))
+    return likeliest if likeliest[1] >= WATCH_PROBABILITY else None
 
 
 def decide_up_to_scale(

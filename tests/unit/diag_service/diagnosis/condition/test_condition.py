@@ -8,18 +8,34 @@ import pytest
 from clutch_model.calibration import TorqueSource, nominal_calibration
 from clutch_results.records import ClutchVerdict, Condition, Reason, Status
 from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, Fit, judge
-from diag_service.diagnosis.condition.verdict import LEAST_SHIFT_COUNT, Cause
-from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, FRICTION_ROWS, STATE_COUNT, Considered, Knowledge
+from diag_service.diagnosis.condition.verdict import COLD_K, LEAST_SHIFT_COUNT, Cause
+from diag_service.diagnosis.friction.drives import PackTemperatures
+from diag_service.diagnosis.friction.evidence import (
+    FRICTION_COUNT,
+    FRICTION_ROWS,
+    STATE_COUNT,
+    Considered,
+    Knowledge,
+    State,
+)
 from diag_service.diagnosis.friction.posterior import BASELINE_SHIFT_COUNT, Baseline, Posterior, friction
 from tests.support.builders import rejected, shift_estimate, shift_result
 
 CALIBRATION = nominal_calibration()
+LEARNT = [
+    *range(State.TORQUE_OFFSET, STATE_COUNT),
+    *(STATE_COUNT + of for of in (Considered.VISCOSITY, Considered.TORQUE_LATENCY, Considered.PRESSURE_LATENCY)),
+]
 
 
-def believed(mu_c: float, mu_s: float, *, std: float = 0.001, shift_count: int = 5) -> Posterior:
+def believed(
+    mu_c: float, mu_s: float, *, std: float = 0.001, shift_count: int = 5, is_calibrating: bool = False
+) -> Posterior:
     """Return a running state with the friction of both clutches known to ``std``."""
     known = Posterior.fresh(CALIBRATION).known
     mean, covariance = known.mean.copy(), known.covariance.copy()
+    if not is_calibrating:
+        covariance[LEARNT, LEARNT] *= 0.1**2
     mean[:FRICTION_COUNT] = [mu_c, mu_s, mu_c, mu_s]
     covariance[:FRICTION_COUNT, :FRICTION_COUNT] = np.eye(FRICTION_COUNT) * std**2
     state = Posterior.of(Knowledge(mean=mean, covariance=covariance), CALIBRATION)
@@ -119,6 +135,16 @@ def test_of_a_margin_hardly_known_a_change_is_said_only_if_it_is_nearly_certain(
     assert 0.95 < told[-0.0120][0] < 0.99 < told[-0.0160][0]
     assert 0.95 < told[-0.0025][0] < 0.99
     assert [said for _, said in told.values()] == [Condition.NO_VERDICT, *[Condition.CHANGE_FLUID] * 2]
+
+
+def test_in_the_cold_and_while_a_vehicle_calibrates_a_low_level_must_be_surer_than_a_thin_margin() -> None:
+    """A film of unknown law feigns a level: sound cold clutches were said to have 79 % of their friction."""
+    for mu_c, mu_s, unsure in ((0.1211, 0.1001, Condition.NO_VERDICT), (0.1330, 0.1255, Condition.WATCH)):
+        warm = believed(mu_c, mu_s, std=0.0016)
+        cold = replace(warm, packs=PackTemperatures(clutch_k=(COLD_K - 1.0, COLD_K - 1.0), at_ns=1))
+        calibrating = believed(mu_c, mu_s, std=0.0016, is_calibrating=True)
+        assert condition_of(warm) is Condition.WATCH
+        assert condition_of(cold) is condition_of(calibrating) is unsure, mu_c
 
 
 def test_each_clutch_has_its_own_memory() -> None:
@@ -304,7 +330,7 @@ def test_what_new_fluid_does_not_bring_back_is_the_linings() -> None:
 
 
 def test_it_says_while_it_learns_the_vehicle() -> None:
-    new = believed(0.14, 0.119)
+    new = believed(0.14, 0.119, is_calibrating=True)
     _, verdict = judge(ConditionMemory(), new, 1, CALIBRATION)
     assert verdict.calibration_ratio == 0.0
     assert verdict.reason.endswith(", calibrating: 0 %")

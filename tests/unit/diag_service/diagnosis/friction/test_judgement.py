@@ -1,6 +1,7 @@
 """Which of the last events are believed, and from where on a clutch is another one; events are simple on purpose."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -163,6 +164,18 @@ def test_by_how_much_events_differ_is_learned_from_them_and_scales_what_they_tel
     friction, gain = slice(0, 2), STATE_COUNT + Considered.TORQUE_GAIN
     assert told[friction] == pytest.approx(np.sqrt(learned) * known[friction], rel=0.01)
     assert told[gain] == pytest.approx(known[gain], rel=1e-6)  # of which they tell nothing
+
+
+def test_events_that_err_alike_narrow_what_is_stated_only_so_far() -> None:
+    rng, ratios = cast("np.random.Generator", Scaled(0.3)), []
+    events = [event(number, 1 + number % 2, MU, rng) for number in range(60)]
+    for least in (0.0, 0.5, 1.0):
+        state = Posterior.fresh(nominal_calibration())
+        for one in events:
+            state = state.with_event(replace(one, least_scatter=least))
+        ratios.append(EventScatter(state.apart, state.apart_by_chance).ratio)
+    assert ratios[0] < 0.3
+    assert ratios[1:] == pytest.approx([0.5, 1.0], abs=0.1)
 
 
 @pytest.mark.parametrize(("scatter", "left_out"), [(0.3, [3]), (1.0, [])])
