@@ -294,9 +294,7 @@ def unjudged(result: ShiftResult, gaps: tuple[Gap, ...]) -> ShiftResult:
         result.verdict,
         condition=Condition.NO_VERDICT,
         reason=gaps_line(gaps),
-        advice=advice(
-            result.verdict.clutch, Condition.NO_VERDICT, Silence.PART_OF_DRIVE, element=result.verdict.element
-        ),
+        advice=advice(result.verdict.clutch, Silence.PART_OF_DRIVE, element=result.verdict.element),
         causes=None,
     )
     return replace(result, verdict=verdict)

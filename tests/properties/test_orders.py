@@ -80,11 +80,11 @@ ORDERS = {
 def sentences(clutch: int, condition: Condition) -> st.SearchStrategy[str | None]:
     if condition in CAUSES:
         cause, sure = st.sampled_from(CAUSES[condition]), st.floats(0.2, 1.0)
-        own = st.builds(lambda one, chance: advice(clutch, condition, one, chance), cause, sure)
+        own = st.builds(lambda one, chance: advice(clutch, one, chance), cause, sure)
     elif condition is Condition.GOOD:
-        own = st.floats(0.2, 1.0).map(lambda chance: advice(clutch, condition, None, chance))
+        own = st.floats(0.2, 1.0).map(lambda chance: advice(clutch, None, chance))
     else:
-        own = st.sampled_from(Silence).map(lambda one: advice(clutch, condition, one))
+        own = st.sampled_from(Silence).map(lambda one: advice(clutch, one))
     return own | st.sampled_from([text.format(clutch) for text in EARLIER[condition]]) | st.none()
 
 

@@ -114,7 +114,7 @@ def shift_result(seq: int = 1, *, vehicle: str = "car1", stream: str = STREAM, t
             shift_scatter=ShiftScatter(std_mu_c=0.0021, std_mu_s=0.0047, shift_count=18),
             trend=friction_trend(),
             clutch_ratio=ClutchRatio(mu_c_ratio=1.004, mu_s_ratio=0.991, std_mu_c_ratio=0.014, std_mu_s_ratio=0.017),
-            advice=advice(estimate.clutch, Condition.GOOD, None, 0.999),
+            advice=advice(estimate.clutch, None, 0.999),
         ),
         algorithm_version="algorithm-1",
         calibration_version="1+0123456789ab",

@@ -68,7 +68,7 @@ def _result(seq: int, age: float, noise: float, vehicle: str, stream: str) -> Sh
         friction=running,
         level_ratio=mu_c / _REFERENCE.mu_c,
         shift_count=(seq + 1) // 2,
-        advice=advice(result.estimate.clutch, condition, cause, 0.91),
+        advice=advice(result.estimate.clutch, cause, 0.91),
         trend=None if seq < 30 else result.verdict.trend,
     )
     estimate = replace(

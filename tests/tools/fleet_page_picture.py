@@ -72,7 +72,7 @@ def aged(result: ShiftResult, loss: float, number: int, rng: np.random.Generator
         condition=condition,
         friction=running,
         level_ratio=level,
-        advice=advice(clutch, condition, cause, 0.97),
+        advice=advice(clutch, cause, 0.97),
     )
     end = START + timedelta(days=DAYS * result.seq + 0.1 * number)
     end_ns = int(end.timestamp() * 1e9)

@@ -422,7 +422,7 @@ def judge(
         lining=lining.change(free) if lining is not None and known else None,
         stick_slip=launches.reported,
         calibration_ratio=progress,
-        advice=advice(clutch, finding.condition, finding.ground, finding.probability),
+        advice=advice(clutch, finding.ground, finding.probability),
         slope=slope if known else None,
         causes=memory.causes,
     )
@@ -460,7 +460,7 @@ def judge_lockup(
         scale_free=state.scale_free() if known else None,
         common_scale_std_ratio=state.scale_ratio() if known else None,
         trend=since,
-        advice=advice(1, finding.condition, finding.ground, finding.probability, element),
+        advice=advice(1, finding.ground, finding.probability, element),
         micro_slip=state.micro_slip(shudder) if known else None,
         element=element,
     )
@@ -481,5 +481,5 @@ def no_verdict(clutch: int, missing: str, silence: Silence = Silence.SIGNALS_MIS
         level_ratio=None,
         friction=None,
         shift_count=0,
-        advice=advice(clutch, Condition.NO_VERDICT, silence),
+        advice=advice(clutch, silence),
     )

@@ -33,13 +33,14 @@ MIN_SHIFT_COUNT = 3  # of two that disagree nobody knows which is wrong
 MAX_MARGIN_STD_RATIO = 0.25  # of the reference margin: beyond it the slope is anyone's guess
 SURE_MARGIN_STD_RATIO = 0.05  # likewise: until it is known so well, more shifts will tell a thin margin from a good one
 CHANGE_PROBABILITY = 0.95  # a workshop visit costs: be sure
-WATCH_PROBABILITY = 0.80  # to look again costs less than a workshop visit
+WATCH_PROBABILITY = 0.80  # of friction that is low or falls: to look again costs less than a workshop visit
+WATCH_MARGIN_PROBABILITY = 0.70  # of a thin margin: films and torques of unknown law feign a level, rarely a difference
 THIN_PROBABILITY = 0.01  # of a thin margin, to call a fluid good before that: a drive is judged a hundred times
 EARLY_MARGIN_STD_RATIO = 0.15  # worse known, the margin of one clutch is believed only as far as both together say so
 COLD_K = 333.15  # of a pack: below it nobody knows the laws of film and drag well, and a drive has many looks at them
 UNSURE_CHANGE_PROBABILITY = 0.99  # in the cold, while a vehicle calibrates, and until its margin is known to 0.15
-UNSURE_LEVEL_PROBABILITY = 0.98  # likewise to watch low friction, which a film or a fade of unknown law feigns
-UNSURE_MARGIN_PROBABILITY = 0.85  # of a thin margin in the cold, and while a vehicle calibrates
+UNSURE_LEVEL_PROBABILITY = 0.98  # to watch low friction, in the first two of these cases
+EARLY_MARGIN_PROBABILITY = 0.80  # to watch a thin margin, in the last one
 SLIP_PROBABILITY = 0.999  # of a lock-up clutch, for either: its slip is judged every minute, for hours
 COMMON_THIN_PROBABILITY = 0.003  # the same by both clutches together: they slip in one oil
 LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
@@ -86,11 +87,15 @@ class Silence(StrEnum):
 
 
 _CHANGE: Final = (Cause.SHUDDER, Cause.LEVEL_LOW, Cause.LOSS_LARGE)
-_WARM_AT: Final = dict.fromkeys(Cause, WATCH_PROBABILITY) | dict.fromkeys(_CHANGE, CHANGE_PROBABILITY)
-_EARLY_AT: Final = dict.fromkeys(_CHANGE, UNSURE_CHANGE_PROBABILITY) | dict.fromkeys(
-    (Cause.LEVEL_FALLING, Cause.LOSS_BEGUN), UNSURE_LEVEL_PROBABILITY
-)
-_UNSURE_AT: Final = {**_EARLY_AT, Cause.MARGIN_THIN: UNSURE_MARGIN_PROBABILITY}
+_LEVEL: Final = (Cause.LEVEL_FALLING, Cause.LOSS_BEGUN)
+_SURE_AT: Final = {
+    **dict.fromkeys(_CHANGE, CHANGE_PROBABILITY),
+    **dict.fromkeys(_LEVEL, WATCH_PROBABILITY),
+    Cause.MARGIN_THIN: WATCH_MARGIN_PROBABILITY,
+}
+_UNSURE_CHANGE_AT: Final = dict.fromkeys(_CHANGE, UNSURE_CHANGE_PROBABILITY)
+_UNSURE_AT: Final = _SURE_AT | _UNSURE_CHANGE_AT | dict.fromkeys(_LEVEL, UNSURE_LEVEL_PROBABILITY)
+_EARLY_AT: Final = {**_UNSURE_CHANGE_AT, Cause.MARGIN_THIN: EARLY_MARGIN_PROBABILITY}
 _SLIP_AT: Final = dict.fromkeys(Cause, SLIP_PROBABILITY)
 _WHAT: Final = {
     Cause.SHUDDER: "it can shudder",
@@ -102,19 +107,13 @@ _WHAT: Final = {
 }
 
 
-def advice(
-    clutch: int,
-    condition: Condition,
-    ground: Cause | Silence | None,
-    probability: float = 0.0,
-    element: str | None = None,
-) -> str:
+def advice(clutch: int, ground: Cause | Silence | None, probability: float = 0.0, element: str | None = None) -> str:
     """Return the sentence on a clutch, by its name if it has one of its own.
 
     Parameters
     ----------
-    condition, ground :
-        The verdict and what it rests on: a cause, or why there is none; None where nothing speaks against the fluid.
+    ground :
+        What the verdict rests on: a cause, or why there is none; None where nothing speaks against the fluid.
     probability :
         That the cause is there; of a good fluid, that none of them is.
     """
@@ -123,8 +122,7 @@ def advice(
         return f"{title}: {ground}."
     if ground is None:
         return f"{title}: its friction is sound ({_percent(probability)} sure)."
-    given_at = CHANGE_PROBABILITY if condition is Condition.CHANGE_FLUID else WATCH_PROBABILITY
-    return f"{title}: {_WHAT[ground]} ({_until_called_off(probability, given_at)})."
+    return f"{title}: {_WHAT[ground]} ({_until_called_off(probability, _SURE_AT[ground])})."
 
 
 def _until_called_off(probability: float, given_at: float) -> str:
@@ -305,7 +303,7 @@ def decide(  # noqa: PLR0911 - each rule may end it
     counted
         What the events are, in many; launches are then such events, too.
     """
-    give_at = _UNSURE_AT if is_unsure else _WARM_AT
+    give_at = _UNSURE_AT if is_unsure else _SURE_AT
     if shift_count < MIN_SHIFT_COUNT:
         few, some = (Silence.FEW_SHIFTS, "shift(s)") if counted == SHIFTS else (Silence.FEW_EVENTS, counted)
         return nothing(few, f"{shift_count} usable {some}, {MIN_SHIFT_COUNT} needed")
@@ -380,7 +378,7 @@ def decide_up_to_scale(
 
     Slope and change are told without it. That friction is low, or sound, is not.
     """
-    give_at = _UNSURE_AT if is_unsure else _WARM_AT
+    give_at = _UNSURE_AT if is_unsure else _SURE_AT
     if shift_count < MIN_SHIFT_COUNT:
         return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed")
     facts = ", ".join((

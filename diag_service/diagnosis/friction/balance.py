@@ -63,7 +63,7 @@ from diag_service.diagnosis.friction.film import (
 
 MAX_MOMENT_COUNT = 24  # beyond it the quadrature, not the noise, limits
 SAMPLES_PER_MOMENT = 2  # of the engine torque: a sine that turns faster than every second sample shows is told by none
-WORKING_K: Final = 353.15  # of a pack, 80 degC: colder, films follow laws that differ from car to car; model.md (19b)
+WORKING_K: Final = 353.15  # of a pack, 80 degC: colder, films follow laws that differ from car to car
 
 
 class ClutchMoments(NamedTuple):
@@ -128,8 +128,8 @@ class Balance:
         ``(mu_c, mu_s)`` of clutch 1 and 2 among the parameters.
     final_clutch_k
         Temperature of each pack at the end of the cut [K].
-    coldness, film_steps
-        How cold each pack is in the slip, and by which logarithm its film may yield more slowly for that.
+    film_steps
+        By which logarithm the film of each pack may yield more slowly, for it is cold in the slip.
     known_nms : (k,) array
         Impulses of the hub and of the films' shear [N m s], with the sign of the balance.
     """
@@ -157,8 +157,7 @@ class Balance:
         counts = [max(3, min(MAX_MOMENT_COUNT, count // SAMPLES_PER_MOMENT)) for count in sample_counts]
         self.weights = sines(window, counts)
         self.tracks = integrate_films(measured, laws.packs)
-        self.coldness = coldness(self.tracks, window.slip_rows)
-        self.film_steps = [FILM_MOBILITY_LOG * cold for cold in self.coldness]
+        self.film_steps = [FILM_MOBILITY_LOG * cold for cold in coldness(self.tracks, window.slip_rows)]
         self.final_clutch_k = self.tracks[0].final_clutch_k, self.tracks[1].final_clutch_k
         self.torques = Torques.of(measured, self.tracks, self.tracks, laws.packs, self.weights.rows)
         self._moments = weigh(self.weights, self.torques)
@@ -212,7 +211,7 @@ def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: Sensor
     return reading_nm - negative_nm + corrected_nm, corrected_nm
 
 
-COLD_SPAN_K: Final = 60.0  # below `WORKING_K` the deviations of a cold pack are those of docs/model.md (19b)
+COLD_SPAN_K: Final = 60.0  # below `WORKING_K` a pack is as cold as stated deviations mean it
 FILM_MOBILITY_LOG: Final = 1.0  # natural logarithm: there a film may yield more slowly by this; more than one deviation
 LEAST_SECANT: Final = 0.2  # natural logarithm: for a smaller step the tangent of a film is near enough
 COLD_DOUBT_RATIO: Final = 0.25  # standard deviation over the torque that the slower film changes while it closes

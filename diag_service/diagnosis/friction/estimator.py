@@ -53,35 +53,18 @@ from diag_service.diagnosis.friction.film import VehicleLaws
 from diag_service.diagnosis.friction.posterior import Posterior, both_frictions
 from diag_service.diagnosis.quality import SlippingClutch, plausibility_faults
 
-COLD_STD: Final = {
-    State.TOUCH1: 2.8e3,  # [Pa]
-    State.TOUCH2: 2.8e3,
-    STATE_COUNT + Considered.VISCOSITY: 0.028,  # ratio
-    STATE_COUNT + Considered.PRESSURE_LATENCY: 0.0028,  # [s]: a film closes or opens earlier or later
-    STATE_COUNT + Considered.CONTACT_STIFFNESS: 0.028,  # ratio
-    STATE_COUNT + Considered.FILM_MOBILITY: 0.14,  # natural logarithm
-    STATE_COUNT + Considered.OPEN_DRAG: 0.2,  # natural logarithm
-    STATE_COUNT + Considered.TORQUE_GAIN: 0.02,  # ratio: a film whose law is not known is no scale for torques
-    STATE_COUNT + Considered.ENGINE_INERTIA: 0.02,  # ratio
-}
-"""Standard deviations of the parameters of one event `COLD_SPAN_K` below `WORKING_K`; docs/model.md (19b)."""
-_COLD_VARIANCE: Final = np.zeros(PARAMETER_COUNT)
-_COLD_VARIANCE[list(COLD_STD)] = np.square(list(COLD_STD.values()))
 OPEN_DRAG_SPEED_LOG: Final = 0.7  # natural logarithm, at any temperature: packs drag twice or half as much
 FRICTION_RATIO: Final = 0.01  # of mu, at any temperature: each event spreads heat, oil and load otherwise
-COLD_FRICTION_RATIO: Final = 0.015  # of mu, added `COLD_SPAN_K` below work: no law of the cold holds in every car
 COLD_LEAST_SCATTER: Final = 0.5  # ratio to the stated variance of events: cold ones err alike in part
 MOST_FILM_SHARE: Final = 0.5  # of the torque in a piece of the slip window: beyond it friction is not told there
 
 
-def event_variance(balance: Balance, clutch: int, noise: NoiseModel) -> FloatArray:
+def event_variance(balance: Balance, noise: NoiseModel) -> FloatArray:
     """Return the variance of an event's own parameters about those of the vehicle, shape (PARAMETER_COUNT,)."""
-    cold = balance.coldness[clutch - 1]
-    variance = _COLD_VARIANCE * cold**2
-    variance[STATE_COUNT + Considered.OPEN_DRAG] += OPEN_DRAG_SPEED_LOG**2
-    variance[[STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA]] += noise.scale_ratio**2
-    ratio = FRICTION_RATIO + COLD_FRICTION_RATIO * cold
-    variance[:FRICTION_COUNT] = (ratio * balance.at[:FRICTION_COUNT]) ** 2
+    variance = np.zeros(PARAMETER_COUNT)
+    variance[STATE_COUNT + Considered.OPEN_DRAG] = OPEN_DRAG_SPEED_LOG**2
+    variance[[STATE_COUNT + Considered.TORQUE_GAIN, STATE_COUNT + Considered.ENGINE_INERTIA]] = noise.scale_ratio**2
+    variance[:FRICTION_COUNT] = (FRICTION_RATIO * balance.at[:FRICTION_COUNT]) ** 2
     return variance
 
 
@@ -187,7 +170,7 @@ def linearise(  # noqa: PLR0911 - each stage may find that it ends there
         return NotLinearised(Reason.FEW_SAMPLES, balance.sample_count)
     measurements = measurements_of(balance, noise, near.measurements if near else ())
     zeros = zeros_measured(signals, laws.noise.pressure_pa)
-    evidence = Evidence.of(measurements, at, zeros, event_variance(balance, clutch, noise))
+    evidence = Evidence.of(measurements, at, zeros, event_variance(balance, noise))
     if not np.isfinite(evidence.constant):  # by laws that no lining or oil has
         return NotLinearised(Reason.MISFIT)
     return Linearisation(

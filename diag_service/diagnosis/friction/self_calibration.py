@@ -359,7 +359,7 @@ def _linearised_shifts(
         packs = PackTemperatures(clutch_k=balance.final_clutch_k, at_ns=event.end_ns)
         if (telling := telling_part(balance, clutch)) is not None:
             noise = noise_of(signals)
-            evidence = Evidence.of(measurements_of(telling, noise), at, variance=event_variance(telling, clutch, noise))
+            evidence = Evidence.of(measurements_of(telling, noise), at, variance=event_variance(telling, noise))
             yield _Linearised(
                 balance=evidence,
                 zeros=zeros_measured(signals, laws.noise.pressure_pa),
