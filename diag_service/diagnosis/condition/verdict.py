@@ -445,9 +445,7 @@ def _standing(
 ) -> Finding | None:
     """Return a bad verdict by its likeliest cause, or by that for which it was given; None: no cause is likely."""
     given = [cause for cause, probability in causes.items() if probability >= give_at[cause]]
-    cause = max(given or causes, key=causes.__getitem__)
-    if not given and previous_cause is not None:  # earlier programs kept no cause
-        cause = previous_cause
+    cause = max(given or causes, key=causes.__getitem__) if given or previous_cause is None else previous_cause
     probability = causes.get(cause, 0.0)
     if not given and (previous is not condition or probability < LEAVE_PROBABILITY):
         return None
