@@ -55,7 +55,7 @@ from diag_service.diagnosis.quality import SlippingClutch, plausibility_faults
 
 OPEN_DRAG_SPEED_LOG: Final = 0.7  # natural logarithm, at any temperature: packs drag twice or half as much
 FRICTION_RATIO: Final = 0.01  # of mu, at any temperature: each event spreads heat, oil and load otherwise
-COLD_LEAST_SCATTER: Final = 0.5  # ratio to the stated variance of events: cold ones err alike in part
+COLD_LEAST_SCATTER: Final = 0.7  # ratio to the stated variance of events: cold ones err alike in part
 MOST_FILM_SHARE: Final = 0.5  # of the torque in a piece of the slip window: beyond it friction is not told there
 
 
