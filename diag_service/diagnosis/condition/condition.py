@@ -28,11 +28,15 @@ from clutch_results.records import (
     to_plain,
 )
 from diag_service.diagnosis.condition.verdict import (
+    CALIBRATING_AT,
+    COLD_AT,
     COLD_K,
     FIT_WINDOW,
     MAX_MISFIT_SHARE,
     MIN_MISFIT_COUNT,
     NEW_FLUID_CONTRADICTIONS,
+    SLIP_AT,
+    SURE_AT,
     Cause,
     Finding,
     Launches,
@@ -390,13 +394,10 @@ def judge(
     common = common_margin(state, stated, (first.mu_c - first.mu_s, second.mu_c - second.mu_s))
     progress = calibration_ratio(state, calibration)
     is_cold = state.packs is not None and state.packs.clutch_k[index] < COLD_K
-    is_unsure = is_cold or progress < CALIBRATED_RATIO
+    give_at = COLD_AT if is_cold else CALIBRATING_AT if progress < CALIBRATED_RATIO else SURE_AT
     slope = None if state.torque is TorqueSource.MEASURED else FrictionSlope.of(free, state.torque)
     rest = since, reference, shift_count, memory.conditions[index], memory.grounds[index], launches
-    if slope is None:
-        finding = decide(now, *rest, common, is_unsure=is_unsure)
-    else:
-        finding = decide_up_to_scale(slope, *rest, is_unsure=is_unsure)
+    finding = decide(now, *rest, common, give_at) if slope is None else decide_up_to_scale(slope, *rest, give_at)
     tells_level = known and slope is None
     if memory.misfit_text:
         finding = nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)
@@ -445,7 +446,9 @@ def judge_lockup(
     left = NormalDist(now.mu_c - now.mu_s, now.std_slope_s_rad * reference.stribeck_speed_rad_s)
     margin = left / (reference.mu_c - reference.mu_s)
     previous = memory.conditions[0], memory.grounds[0]
-    finding = decide(now, since, reference, state.shift_count, *previous, launches, margin, counted=SLIP_MINUTES)
+    finding = decide(
+        now, since, reference, state.shift_count, *previous, launches, margin, SLIP_AT, counted=SLIP_MINUTES
+    )
     if memory.misfit_text:
         finding = nothing(Silence.CONVERTER_MISFIT, memory.misfit_text.partition(";")[0])
     elif memory.refused[0] >= REFUSED_COUNT:

@@ -38,9 +38,9 @@ WATCH_MARGIN_PROBABILITY = 0.70  # of a thin margin: films and torques of unknow
 THIN_PROBABILITY = 0.01  # of a thin margin, to call a fluid good before that: a drive is judged a hundred times
 EARLY_MARGIN_STD_RATIO = 0.15  # worse known, the margin of one clutch is believed only as far as both together say so
 COLD_K = 333.15  # of a pack: below it nobody knows the laws of film and drag well, and a drive has many looks at them
-UNSURE_CHANGE_PROBABILITY = 0.99  # in the cold, while a vehicle calibrates, and until its margin is known to 0.15
-UNSURE_LEVEL_PROBABILITY = 0.98  # to watch low friction, in the first two of these cases
-EARLY_MARGIN_PROBABILITY = 0.80  # to watch a thin margin, in the last one
+UNSURE_CHANGE_PROBABILITY = 0.99  # in the cold, and until the margin is known to EARLY_MARGIN_STD_RATIO
+UNSURE_LEVEL_PROBABILITY = 0.98  # to watch low friction, in the cold and while a vehicle calibrates
+EARLY_MARGIN_PROBABILITY = 0.80  # to watch a thin margin, until it is known so well
 SLIP_PROBABILITY = 0.999  # of a lock-up clutch, for either: its slip is judged every minute, for hours
 COMMON_THIN_PROBABILITY = 0.003  # the same by both clutches together: they slip in one oil
 LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
@@ -88,15 +88,17 @@ class Silence(StrEnum):
 
 _CHANGE: Final = (Cause.SHUDDER, Cause.LEVEL_LOW, Cause.LOSS_LARGE)
 _LEVEL: Final = (Cause.LEVEL_FALLING, Cause.LOSS_BEGUN)
-_SURE_AT: Final = {
+SURE_AT: Final = {
     **dict.fromkeys(_CHANGE, CHANGE_PROBABILITY),
     **dict.fromkeys(_LEVEL, WATCH_PROBABILITY),
     Cause.MARGIN_THIN: WATCH_MARGIN_PROBABILITY,
 }
+"""From which probability of its cause on a bad verdict is given."""
 _UNSURE_CHANGE_AT: Final = dict.fromkeys(_CHANGE, UNSURE_CHANGE_PROBABILITY)
-_UNSURE_AT: Final = _SURE_AT | _UNSURE_CHANGE_AT | dict.fromkeys(_LEVEL, UNSURE_LEVEL_PROBABILITY)
+CALIBRATING_AT: Final = SURE_AT | dict.fromkeys(_LEVEL, UNSURE_LEVEL_PROBABILITY)
+COLD_AT: Final = CALIBRATING_AT | _UNSURE_CHANGE_AT
+SLIP_AT: Final = dict.fromkeys(Cause, SLIP_PROBABILITY)
 _EARLY_AT: Final = {**_UNSURE_CHANGE_AT, Cause.MARGIN_THIN: EARLY_MARGIN_PROBABILITY}
-_SLIP_AT: Final = dict.fromkeys(Cause, SLIP_PROBABILITY)
 _WHAT: Final = {
     Cause.SHUDDER: "it can shudder",
     Cause.LEVEL_LOW: f"its friction is below {_PERCENT * CHANGE_LEVEL_RATIO:.0f} % of new",
@@ -122,7 +124,7 @@ def advice(clutch: int, ground: Cause | Silence | None, probability: float = 0.0
         return f"{title}: {ground}."
     if ground is None:
         return f"{title}: its friction is sound ({_percent(probability)} sure)."
-    return f"{title}: {_WHAT[ground]} ({_until_called_off(probability, _SURE_AT[ground])})."
+    return f"{title}: {_WHAT[ground]} ({_until_called_off(probability, SURE_AT[ground])})."
 
 
 def _until_called_off(probability: float, given_at: float) -> str:
@@ -278,8 +280,8 @@ def decide(  # noqa: PLR0911 - each rule may end it
     previous_cause: Cause | None,
     launches: Launches,
     common: NormalDist,
+    give_at: dict[Cause, float],
     *,
-    is_unsure: bool = False,
     counted: str = SHIFTS,
 ) -> Finding:
     """Return the verdict on a clutch.
@@ -298,12 +300,11 @@ def decide(  # noqa: PLR0911 - each rule may end it
         Which of its launches juddered.
     common
         Which part of the new fluid's margin is left by both clutches together.
-    is_unsure
-        Whether the pack is colder than ``COLD_K``, or the vehicle still calibrating: a bad verdict then takes more.
+    give_at
+        From which probability of its cause on a bad verdict is given, where the margin is known.
     counted
         What the events are, in many; launches are then such events, too.
     """
-    give_at = _UNSURE_AT if is_unsure else _SURE_AT
     if shift_count < MIN_SHIFT_COUNT:
         few, some = (Silence.FEW_SHIFTS, "shift(s)") if counted == SHIFTS else (Silence.FEW_EVENTS, counted)
         return nothing(few, f"{shift_count} usable {some}, {MIN_SHIFT_COUNT} needed")
@@ -313,10 +314,8 @@ def decide(  # noqa: PLR0911 - each rule may end it
     own_thin, common_thin = margin.cdf(WATCH_MARGIN_RATIO * reference_margin), common.cdf(WATCH_MARGIN_RATIO)
     is_early = margin.stdev > EARLY_MARGIN_STD_RATIO * reference_margin
     negative, thin = friction.probability_negative_slope, _thin(own_thin, common_thin, is_early=is_early)
-    if is_early:
+    if is_early and counted == SHIFTS:
         negative, give_at = min(negative, common.cdf(0.0)), give_at | _EARLY_AT
-    if counted != SHIFTS:
-        give_at = _SLIP_AT
     facts = _facts(friction, level, since, f"{shift_count} {counted}")
     facts += f", {launches.text(counted)}" if launches.speak else ""
     change = {
@@ -371,14 +370,12 @@ def decide_up_to_scale(
     previous: Condition,
     previous_cause: Cause | None,
     launches: Launches,
-    *,
-    is_unsure: bool,
+    give_at: dict[Cause, float],
 ) -> Finding:
     """Return the verdict on a clutch whose level of friction is not known; arguments as of `decide`.
 
     Slope and change are told without it. That friction is low, or sound, is not.
     """
-    give_at = _UNSURE_AT if is_unsure else _SURE_AT
     if shift_count < MIN_SHIFT_COUNT:
         return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed")
     facts = ", ".join((
@@ -438,7 +435,7 @@ def _lost(since: FrictionTrend | None, level_ratio: float) -> float:
 def _standing(
     condition: Condition,
     causes: Mapping[Cause, float],
-    give_at: Mapping[Cause, float],
+    give_at: dict[Cause, float],
     previous: Condition,
     previous_cause: Cause | None,
     facts: str,

@@ -283,7 +283,7 @@ class OwnLaw:
 
 
 OWN_LAWS: Final = (
-    OwnLaw(row=STATE_COUNT + Considered.STRIBECK_SPEED, most_std=0.3, static_ratio=0.14),
+    OwnLaw(row=STATE_COUNT + Considered.STRIBECK_SPEED, most_std=0.3, static_ratio=0.10),
     OwnLaw(row=STATE_COUNT + Considered.FRICTION_TEMPERATURE, most_std=0.002),
 )
 LEAST_TOLD: Final = 0.1  # of what the type tells of it: a few events are no witness
