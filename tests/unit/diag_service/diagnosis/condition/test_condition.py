@@ -145,6 +145,9 @@ def test_in_the_cold_and_while_a_vehicle_calibrates_a_low_level_must_be_surer_th
         calibrating = believed(mu_c, mu_s, std=0.0016, is_calibrating=True)
         assert condition_of(warm) is Condition.WATCH
         assert condition_of(cold) is condition_of(calibrating) is unsure, mu_c
+    shudder = believed(0.123, 0.1255, std=0.0008, is_calibrating=True)
+    assert 0.95 < friction(shudder, 1).probability_negative_slope < 0.99
+    assert condition_of(shudder) is Condition.CHANGE_FLUID
 
 
 def test_each_clutch_has_its_own_memory() -> None:
