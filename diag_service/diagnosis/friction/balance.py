@@ -211,7 +211,7 @@ def motoring_corrected_nm(reading_nm: FloatArray, offset_nm: float, bias: Sensor
     return reading_nm - negative_nm + corrected_nm, corrected_nm
 
 
-COLD_SPAN_K: Final = 60.0  # below `WORKING_K` a pack is as cold as stated deviations mean it
+COLD_SPAN_K: Final = 60.0  # so far below `WORKING_K` the doubts of a cold film hold in full
 FILM_MOBILITY_LOG: Final = 1.0  # natural logarithm: there a film may yield more slowly by this; more than one deviation
 LEAST_SECANT: Final = 0.2  # natural logarithm: for a smaller step the tangent of a film is near enough
 COLD_DOUBT_RATIO: Final = 0.25  # standard deviation over the torque that the slower film changes while it closes
