@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from rich.console import Console
@@ -182,16 +182,17 @@ def fitted(lives: Sequence[CauseLived]) -> dict[str, Any]:
             change = judge.change(one.moments[-1].begun, one.moments[-1].now)
             scale = one.life.strength * np.maximum(change.shown, 1e-3) * (sign if told["is_either_way"] else 1.0)
             order = MIRRORED if clutch == 2 and told["is_of_one_clutch"] else slice(None)
-            rows[kind].append(((change.mean / scale)[order], (change.covariance.diagonal() / scale**2)[order]))
+            noise = np.where(change.shown > 0.0, change.covariance.diagonal() / scale**2, np.inf)
+            rows[kind].append(((change.mean / scale)[order], noise[order]))
     fits = {kind: _mean_of(some) for kind, some in rows.items()}
-    away = [(value - fits[kind][0]) ** 2 - noise for kind, some in rows.items() for value, noise in some]
-    wander = np.maximum(np.percentile(away, WANDER_PERCENTILE, axis=0), 0.0)  # of what a cause does not move by itself
+    away = [(value - fits[kind].mean) ** 2 - noise for kind, some in rows.items() for value, noise in some]
+    wander = np.percentile(np.maximum(away, 0.0), WANDER_PERCENTILE, axis=0)  # of what a cause does not move by itself
     moves: dict[str, dict[str, list[float]]] = {}
-    for kind, (mean, own, noise) in fits.items():
-        count, typical = len(rows[kind]), np.sqrt(noise)
-        error, signal = np.sqrt(np.maximum(own, noise) / count), np.abs(mean) / typical
+    for kind, (mean, own, noise, told) in fits.items():
+        typical = np.sqrt(noise)
+        error, signal = np.sqrt(np.maximum(own, noise) / told), np.abs(mean) / typical
         usual = wander * min(signal.max(), 1.0) ** 2 + (USUAL_SPREAD * mean) ** 2
-        spread = np.sqrt((np.maximum(own - noise, 0.0) * count + FEW * usual) / (count + FEW))
+        spread = np.sqrt((np.maximum(own - noise, 0.0) * told + FEW * usual) / (told + FEW))
         is_moved = ((np.abs(mean) > 2.5 * error) & (signal > 0.25)) | (signal == signal.max())
         moves[kind] = {
             FEATURES[place]: [_rounded(mean[place] * is_moved[place]), _rounded(WIDER * spread[place])]
@@ -208,14 +209,25 @@ def written(table: dict[str, Any]) -> str:
     return "\n".join((*lines, ""))
 
 
-def _mean_of(rows: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mean, variance and noise of what some lives moved, the better known ones counting more."""
+class _Fit(NamedTuple):
+    """What some lives moved, each (COUNT,)."""
+
+    mean: FloatArray
+    variance: FloatArray  # from life to life
+    noise: FloatArray  # variance of what a single one tells
+    told: FloatArray  # lives that tell it, at least 1
+
+
+def _mean_of(rows: Sequence[tuple[FloatArray, FloatArray]]) -> _Fit:
+    """Return what some lives moved, the better known ones counting more; what one does not tell has infinite noise."""
     values, noise = (np.array(column) for column in zip(*rows, strict=True))
-    weights = 1.0 / (noise + np.median(noise, axis=0))
+    told = np.ma.masked_invalid(noise)
+    count = np.maximum(told.count(axis=0), 1)
+    weights = 1.0 / (told + np.ma.median(told, axis=0))  # type: ignore[no-untyped-call]
     weights /= weights.sum(axis=0)
-    mean = (weights * values).sum(axis=0)
-    own = (weights * (values - mean) ** 2).sum(axis=0) * len(rows) / max(len(rows) - 1, 1)
-    return mean, own, (weights * noise).sum(axis=0)
+    mean = (weights * values).sum(axis=0).filled(0.0)
+    own = (weights * (values - mean) ** 2).sum(axis=0).filled(0.0) * count / np.maximum(count - 1, 1)
+    return _Fit(mean, own, (weights * told).sum(axis=0).filled(np.inf), count)
 
 
 def _rounded(value: float) -> float:

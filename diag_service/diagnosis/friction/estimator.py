@@ -89,7 +89,7 @@ def telling_part(balance: Balance, clutch: int) -> Balance | None:
     return Balance(balance.signals, SlipWindow.of(telling), balance.measured, balance.laws, balance.at)
 
 
-ALGORITHM_VERSION = "torque-impulse-22"
+ALGORITHM_VERSION = "torque-impulse-23"
 MAX_PASS_COUNT = 4  # linearisations: the first events of a vehicle move latencies beyond the reach of one
 CONVERGED = 0.2  # of a standard deviation
 NEAR_STEP = 0.5  # standard deviations of the type: a shorter step keeps the Jacobian

@@ -273,19 +273,13 @@ class Knowledge:
         return np.sqrt(self.covariance.diagonal())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OwnLaw:
-    """A law of friction in which a vehicle may be unlike its type, where events tell of it."""
-
-    row: int  # of the parameter
-    most_std: float  # by which linings of any type differ in it
-    static_ratio: float = 0.0  # of mu_S, per unit of the parameter: it is linearised
-
-
-OWN_LAWS: Final = (
-    OwnLaw(row=STATE_COUNT + Considered.STRIBECK_SPEED, most_std=0.3, static_ratio=0.10),
-    OwnLaw(row=STATE_COUNT + Considered.FRICTION_TEMPERATURE, most_std=0.002),
-)
+OWN_LAWS: Final = {  # parameters of friction, and the standard deviation of linings of any type
+    STATE_COUNT + Considered.STRIBECK_SPEED: 0.3,
+    STATE_COUNT + Considered.FRICTION_TEMPERATURE: 0.002,
+}
+_CURVE: Final = STATE_COUNT + np.array([Considered.STRIBECK_SPEED, Considered.STRIBECK_EXPONENT])
+_CURVE_DOUBT: Final = np.array([0.2, 1.0])  # of mu_S, per square of these: the curve is linearised
+_MOST_MOVED: Final = np.array([0.3, 0.15])  # beyond it friction has changed meanwhile: that is no curve
 LEAST_TOLD: Final = 0.1  # of what the type tells of it: a few events are no witness
 
 
@@ -306,28 +300,33 @@ class Prior(NamedTuple):
         scaled = whole / np.maximum(self.std, np.sqrt(whole.diagonal()))  # what drifts was no better known before
         return ratio * whole + (1.0 - ratio) * (scaled @ self.information @ scaled.T)
 
-    def with_own_law(self, law: OwnLaw, known: Knowledge) -> Knowledge:
+    def with_own_laws(self, known: Knowledge) -> Knowledge:
+        """Return knowledge that holds a vehicle to its type only as far as it is like it; docs/model.md, (39)."""
+        for row in OWN_LAWS:
+            known = self.with_own_law(row, known)
+        static, covariance = [State.MU_S1, State.MU_S2], known.covariance.copy()
+        doubt = float(np.linalg.norm(_CURVE_DOUBT * np.minimum(np.abs(known.mean[_CURVE]), _MOST_MOVED) ** 2))
+        covariance[static, static] += (doubt * known.mean[static]) ** 2
+        return replace(known, covariance=covariance)
+
+    def with_own_law(self, row: int, known: Knowledge) -> Knowledge:
         """Return knowledge that holds a vehicle to a law of its type only as far as it is like it; (39).
 
         The prior's deviation of it is what events alone show of the vehicle, and at least the type's.
         """
-        row = law.row
-        prior, variance = float(self.std[row]) ** 2, float(known.covariance[row, row])
+        prior, variance, most_std = float(self.std[row]) ** 2, float(known.covariance[row, row]), OWN_LAWS[row]
         if variance == 0.0 or prior < (1.0 + LEAST_TOLD) * variance:  # certain, or hardly told
             return known
         told, away = 1.0 / variance - 1.0 / prior, float(known.mean[row])
-        own = min((away / (variance * told)) ** 2, law.most_std**2)
+        own = min((away / (variance * told)) ** 2, most_std**2)
         if own <= prior:
             return known
         missing, column = 1.0 / prior - 1.0 / own, known.covariance[:, row]
         gain = missing / (1.0 - missing * variance)
         mean = known.mean + gain * away * column
-        if abs(mean[row]) > 2.0 * law.most_std:  # no lining is like that: something else does not fit
+        if abs(mean[row]) > 2.0 * most_std:  # no lining is like that: something else does not fit
             return known
-        covariance = known.covariance + gain * np.outer(column, column)
-        static = [State.MU_S1, State.MU_S2]
-        covariance[static, static] += (law.static_ratio * mean[row] * mean[static]) ** 2
-        return Knowledge(mean=mean, covariance=covariance)
+        return Knowledge(mean=mean, covariance=known.covariance + gain * np.outer(column, column))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

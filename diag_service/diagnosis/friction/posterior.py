@@ -23,7 +23,6 @@ from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,
     FRICTION_ROWS,
-    OWN_LAWS,
     PARAMETER_COUNT,
     STATE_COUNT,
     Considered,
@@ -178,9 +177,7 @@ class Posterior:
         if self.apart_by_chance:
             ratio = EventScatter(self.apart, self.apart_by_chance).ratio
             known = Knowledge(mean=known.mean, covariance=self.prior.stated(known.covariance, ratio))
-        for law in OWN_LAWS:
-            known = self.prior.with_own_law(law, known)
-        return known
+        return self.prior.with_own_laws(known)
 
     @property
     def is_used(self) -> tuple[bool, ...]:

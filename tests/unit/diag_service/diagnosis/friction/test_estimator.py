@@ -59,7 +59,7 @@ def test_a_sound_shift_is_valid_and_enters_the_state() -> None:
     assert state.packs is not None
     assert state.packs.at_ns == event.end_ns
     assert estimate.conditions.clutch_temperature_k == state.packs.clutch_k[CLUTCH - 1]
-    assert astuple(friction(state, CLUTCH)) == pytest.approx(astuple(estimate.friction), rel=1e-9)  # nothing else yet
+    assert astuple(friction(state, CLUTCH)) == pytest.approx(astuple(estimate.friction), rel=1e-5)  # nothing else yet
     other = FRICTION_ROWS[0]  # the other clutch was let go
     assert state.known.mean[other] == pytest.approx(FRESH.known.mean[other], abs=1e-3)
     assert state.known.std()[other] == pytest.approx(FRESH.known.std()[other], rel=0.02)

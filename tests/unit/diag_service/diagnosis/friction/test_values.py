@@ -36,8 +36,8 @@ from diag_service.diagnosis.friction.posterior import (
 CALIBRATION = nominal_calibration()
 FRESH = Posterior.fresh(CALIBRATION)
 GAIN = STATE_COUNT + Considered.TORQUE_GAIN
-OWN_CURVE, OWN_FALL = OWN_LAWS
-CURVE = OWN_CURVE.row
+CURVE, FALL = OWN_LAWS
+EXPONENT = STATE_COUNT + Considered.STRIBECK_EXPONENT
 AREAS = (STATE_COUNT + Considered.PISTON_AREA1, STATE_COUNT + Considered.PISTON_AREA2)
 STATE_SCALE = np.array([0.002] * FRICTION_COUNT + [5.0] + [8e3] * 4)
 NUMBERS_OF_A_SHIFT = 10
@@ -83,6 +83,8 @@ def drive(rng: np.random.Generator) -> tuple[Posterior, FloatArray, FloatArray]:
     """Return the state after many shifts, and the true parameters at the baseline and now."""
     known = base()
     then = known.mean + np.linalg.cholesky(known.covariance) @ rng.normal(size=PARAMETER_COUNT)
+    for row in (CURVE, EXPONENT):  # here all is linear: what a curve leaves out of that is not in the errors
+        known.covariance[row, :] = known.covariance[:, row] = then[row] = 0.0
     known = fuse(known, shifts(BASELINE_SHIFT_COUNT, then, rng)).knowledge
     baselines = [
         Baseline.of(clutch, known, end_ns=BASELINE_SHIFT_COUNT, count=BASELINE_SHIFT_COUNT) for clutch in (1, 2)
@@ -162,38 +164,52 @@ def of_a_curve(shown: float, std: float) -> Evidence:
 
 def test_a_curve_like_its_types_costs_nothing_and_one_that_is_certain_stays() -> None:
     known, covariance = fuse(base(), of_a_curve(0.05, 0.15)).knowledge, base().covariance
-    assert FRESH.prior.with_own_law(OWN_CURVE, known) is known
+    assert FRESH.prior.with_own_law(CURVE, known) is known
     covariance[CURVE, :] = covariance[:, CURVE] = 0.0
     certain = fuse(Knowledge(mean=base().mean, covariance=covariance), of_a_curve(0.5, 0.15)).knowledge
-    assert Prior.of(covariance).with_own_law(OWN_CURVE, certain) is certain
+    assert Prior.of(covariance).with_own_law(CURVE, certain) is certain
 
 
 @pytest.mark.parametrize("shown", [0.5, -0.3])
 def test_a_vehicle_of_another_curve_is_held_to_its_type_as_loosely_as_it_differs(shown: float) -> None:
     evidence, start = of_a_curve(shown, 0.15), base()
     start.covariance[1, 1] = 1.0  # friction by itself tells nothing of the curve
-    freed = FRESH.prior.with_own_law(OWN_CURVE, fuse(start, evidence).knowledge)
+    freed = FRESH.prior.with_own_law(CURVE, fuse(start, evidence).knowledge)
     covariance = start.covariance.copy()
-    covariance[CURVE, CURVE] = min(shown**2, OWN_CURVE.most_std**2)
+    covariance[CURVE, CURVE] = min(shown**2, OWN_LAWS[CURVE] ** 2)
     loose = fuse(Knowledge(mean=start.mean, covariance=covariance), evidence).knowledge
     assert freed.mean == pytest.approx(loose.mean, rel=0.01, abs=1e-9)
-    others = [place for place in range(PARAMETER_COUNT) if place not in {1, 3}]
-    assert freed.covariance[others, others] == pytest.approx(loose.covariance[others, others], rel=0.01)
-    assert freed.covariance[1, 1] > loose.covariance[1, 1]  # its curve is followed along a line only
+    assert freed.covariance == pytest.approx(loose.covariance, rel=0.01, abs=1e-9)
+
+
+@pytest.mark.parametrize(("of_speed", "of_exponent", "doubt"), [(0.0, 0.0, 0.0), (0.25, 0.0, 0.0125), (0.0, 0.1, 0.01)])
+def test_mu_s_of_a_curve_that_has_moved_is_less_sure(of_speed: float, of_exponent: float, doubt: float) -> None:
+    """A curve is followed along a line: what that leaves out grows with the square of how far it moves."""
+    known = Knowledge(mean=base().mean.copy(), covariance=np.zeros_like(base().covariance))
+    known.mean[[CURVE, EXPONENT]] = of_speed, of_exponent
+    for sign in (1.0, -1.0):
+        stated = FRESH.prior.with_own_laws(Knowledge(mean=sign * known.mean, covariance=known.covariance))
+        assert stated.std()[:4] == pytest.approx(doubt * known.mean[:4] * [0.0, 1.0, 0.0, 1.0])
+
+
+def test_a_curve_that_moves_further_than_any_has_changed_meanwhile_and_is_not_less_sure_for_it() -> None:
+    known = Knowledge(mean=base().mean.copy(), covariance=np.zeros_like(base().covariance))
+    known.mean[EXPONENT] = 0.8  # a fluid that ages within some dozen events
+    assert FRESH.prior.with_own_laws(known).std()[1] == pytest.approx(0.0225 * known.mean[1])
 
 
 @pytest.mark.parametrize("shown", [-4.0, -1.2, 3.0])
 def test_what_no_lining_is_like_is_no_curve_of_its_own(shown: float) -> None:
     known = fuse(base(), of_a_curve(shown, 0.05)).knowledge
-    assert FRESH.prior.with_own_law(OWN_CURVE, known) is known
+    assert FRESH.prior.with_own_law(CURVE, known) is known
 
 
 def test_friction_that_falls_four_times_as_fast_as_its_types_is_believed_where_events_tell() -> None:
     fall, truth, row = -0.002, base().mean[0], np.zeros(PARAMETER_COUNT)  # fall: ratio per kelvin
-    row[0], row[OWN_FALL.row] = 1.0, 0.14 * 40.0  # of packs that are 40 K above the reference
+    row[0], row[FALL] = 1.0, 0.14 * 40.0  # of packs that are 40 K above the reference
     seen = Measurement(residual=np.array([0.14 * 40.0 * fall]), jacobian=row[None], covariance=np.eye(1) * 1e-6)
-    told = Evidence.of_readings([OWN_FALL.row], [fall], [0.00025**2])
+    told = Evidence.of_readings([FALL], [fall], [0.00025**2])
     known = fuse(base(), Evidence.sum([Evidence.of([seen], base().mean), told])).knowledge
-    freed = FRESH.prior.with_own_law(OWN_FALL, known)
-    assert freed.mean[OWN_FALL.row] == pytest.approx(fall, abs=0.0002)
+    freed = FRESH.prior.with_own_law(FALL, known)
+    assert freed.mean[FALL] == pytest.approx(fall, abs=0.0002)
     assert abs(freed.mean[0] - truth) < min(freed.std()[0], 0.3 * abs(known.mean[0] - truth))
