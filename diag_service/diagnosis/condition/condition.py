@@ -37,6 +37,7 @@ from diag_service.diagnosis.condition.verdict import (
     NEW_FLUID_CONTRADICTIONS,
     SLIP_AT,
     SURE_AT,
+    UNSURE_UP_TO_SCALE_AT,
     Cause,
     Finding,
     Launches,
@@ -394,8 +395,9 @@ def judge(
     common = common_margin(state, stated, (first.mu_c - first.mu_s, second.mu_c - second.mu_s))
     progress = calibration_ratio(state, calibration)
     is_cold = state.packs is not None and state.packs.clutch_k[index] < COLD_K
-    give_at = COLD_AT if is_cold else CALIBRATING_AT if progress < CALIBRATED_RATIO else SURE_AT
     slope = None if state.torque is TorqueSource.MEASURED else FrictionSlope.of(free, state.torque)
+    unsure_at = UNSURE_UP_TO_SCALE_AT if slope is not None else COLD_AT if is_cold else CALIBRATING_AT
+    give_at = unsure_at if is_cold or progress < CALIBRATED_RATIO else SURE_AT
     rest = since, reference, shift_count, memory.conditions[index], memory.grounds[index], launches
     finding = decide(now, *rest, common, give_at) if slope is None else decide_up_to_scale(slope, *rest, give_at)
     tells_level = known and slope is None

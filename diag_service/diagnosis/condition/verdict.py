@@ -41,6 +41,7 @@ COLD_K = 333.15  # of a pack: below it nobody knows the laws of film and drag we
 UNSURE_CHANGE_PROBABILITY = 0.99  # in the cold, and until the margin is known to EARLY_MARGIN_STD_RATIO
 UNSURE_LEVEL_PROBABILITY = 0.98  # to watch low friction, in the cold and while a vehicle calibrates
 EARLY_MARGIN_PROBABILITY = 0.80  # to watch a thin margin, until it is known so well
+MAX_SLOPE_STD_RATIO = 0.5  # of the reference margin, by a modelled torque: worse known, a sure slope is no lining's
 SLIP_PROBABILITY = 0.999  # of a lock-up clutch, for either: its slip is judged every minute, for hours
 COMMON_THIN_PROBABILITY = 0.003  # the same by both clutches together: they slip in one oil
 LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
@@ -97,6 +98,7 @@ SURE_AT: Final = {
 _UNSURE_CHANGE_AT: Final = dict.fromkeys(_CHANGE, UNSURE_CHANGE_PROBABILITY)
 CALIBRATING_AT: Final = SURE_AT | dict.fromkeys(_LEVEL, UNSURE_LEVEL_PROBABILITY)
 COLD_AT: Final = CALIBRATING_AT | _UNSURE_CHANGE_AT
+UNSURE_UP_TO_SCALE_AT: Final = COLD_AT | {Cause.MARGIN_THIN: UNSURE_LEVEL_PROBABILITY}  # a model feigns that, too
 SLIP_AT: Final = dict.fromkeys(Cause, SLIP_PROBABILITY)
 _EARLY_AT: Final = {**_UNSURE_CHANGE_AT, Cause.MARGIN_THIN: EARLY_MARGIN_PROBABILITY}
 _WHAT: Final = {
@@ -385,17 +387,15 @@ def decide_up_to_scale(
         f"{shift_count} shifts",
         *((launches.text(SHIFTS),) if launches.speak else ()),
     ))  # fmt: skip
-    change = {
-        Cause.SHUDDER: launches.probability_negative(slope.probability_negative),
-        Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
-    }
-    margin_ratio = 1.0 - reference.mu_s / reference.mu_c
-    if slope.std_mu_s_ratio > EARLY_MARGIN_STD_RATIO * margin_ratio:
-        give_at = give_at | _EARLY_AT
+    std_ratio = slope.std_mu_s_ratio / (margin_ratio := 1.0 - reference.mu_s / reference.mu_c)
+    falls = slope.probability_negative if std_ratio <= MAX_SLOPE_STD_RATIO else 0.0
+    change = {Cause.SHUDDER: launches.probability_negative(falls), Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO)}
+    if std_ratio > EARLY_MARGIN_STD_RATIO:
+        give_at = {cause: max(at, _EARLY_AT.get(cause, at)) for cause, at in give_at.items()}
     if (bad := _standing(Condition.CHANGE_FLUID, change, give_at, previous, previous_cause, facts)) is not None:
         return bad
     watch = {Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO)}
-    if slope.std_mu_s_ratio <= MAX_MARGIN_STD_RATIO * margin_ratio:
+    if std_ratio <= MAX_MARGIN_STD_RATIO:
         margin = NormalDist(1.0 - slope.mu_s_ratio, slope.std_mu_s_ratio)
         watch[Cause.MARGIN_THIN] = margin.cdf(WATCH_MARGIN_RATIO * margin_ratio)
     if (bad := _standing(Condition.WATCH, watch, give_at, previous, previous_cause, facts)) is not None:

@@ -277,6 +277,7 @@ OWN_LAWS: Final = {  # parameters of friction, and the standard deviation of lin
     STATE_COUNT + Considered.STRIBECK_SPEED: 0.3,
     STATE_COUNT + Considered.FRICTION_TEMPERATURE: 0.002,
 }
+_STATIC: Final = [State.MU_S1, State.MU_S2]
 _CURVE: Final = STATE_COUNT + np.array([Considered.STRIBECK_SPEED, Considered.STRIBECK_EXPONENT])
 _CURVE_DOUBT: Final = np.array([0.2, 1.0])  # of mu_S, per square of these: the curve is linearised
 _MOST_MOVED: Final = np.array([0.3, 0.15])  # beyond it friction has changed meanwhile: that is no curve
@@ -301,32 +302,23 @@ class Prior(NamedTuple):
         return ratio * whole + (1.0 - ratio) * (scaled @ self.information @ scaled.T)
 
     def with_own_laws(self, known: Knowledge) -> Knowledge:
-        """Return knowledge that holds a vehicle to its type only as far as it is like it; docs/model.md, (39)."""
-        for row in OWN_LAWS:
-            known = self.with_own_law(row, known)
-        static, covariance = [State.MU_S1, State.MU_S2], known.covariance.copy()
-        doubt = float(np.linalg.norm(_CURVE_DOUBT * np.minimum(np.abs(known.mean[_CURVE]), _MOST_MOVED) ** 2))
-        covariance[static, static] += (doubt * known.mean[static]) ** 2
-        return replace(known, covariance=covariance)
+        """Return knowledge that holds a vehicle to its type only as far as it is like it; docs/model.md, (39).
 
-    def with_own_law(self, row: int, known: Knowledge) -> Knowledge:
-        """Return knowledge that holds a vehicle to a law of its type only as far as it is like it; (39).
-
-        The prior's deviation of it is what events alone show of the vehicle, and at least the type's.
+        The prior's deviation of such a law is what events alone show of the vehicle, and at least the type's.
         """
-        prior, variance, most_std = float(self.std[row]) ** 2, float(known.covariance[row, row]), OWN_LAWS[row]
-        if variance == 0.0 or prior < (1.0 + LEAST_TOLD) * variance:  # certain, or hardly told
-            return known
-        told, away = 1.0 / variance - 1.0 / prior, float(known.mean[row])
-        own = min((away / (variance * told)) ** 2, most_std**2)
-        if own <= prior:
-            return known
-        missing, column = 1.0 / prior - 1.0 / own, known.covariance[:, row]
-        gain = missing / (1.0 - missing * variance)
-        mean = known.mean + gain * away * column
-        if abs(mean[row]) > 2.0 * most_std:  # no lining is like that: something else does not fit
-            return known
-        return Knowledge(mean=mean, covariance=known.covariance + gain * np.outer(column, column))
+        mean, covariance = known.mean, known.covariance.copy()
+        for row, most_std in OWN_LAWS.items():
+            prior, variance, away = float(self.std[row]) ** 2, float(covariance[row, row]), float(mean[row])
+            if variance == 0.0 or prior < (1.0 + LEAST_TOLD) * variance:  # certain, or hardly told
+                continue
+            own = min((away / (1.0 - variance / prior)) ** 2, most_std**2)
+            missing, column = 1.0 / prior - 1.0 / max(own, prior), covariance[:, row]
+            gain = missing / (1.0 - missing * variance)
+            if abs(away) * (1.0 + gain * variance) <= 2.0 * most_std:  # no lining is like more: that does not fit
+                mean, covariance = mean + gain * away * column, covariance + gain * np.outer(column, column)
+        doubt = np.linalg.norm(_CURVE_DOUBT * np.minimum(np.abs(mean[_CURVE]), _MOST_MOVED) ** 2)
+        covariance[_STATIC, _STATIC] += (doubt * mean[_STATIC]) ** 2
+        return Knowledge(mean=mean, covariance=covariance)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -374,3 +374,14 @@ def test_without_measured_torque_slope_and_change_are_judged_and_the_level_is_no
         Condition.CHANGE_FLUID, "too much friction lost since the baseline",
     )  # fmt: skip
     assert modelled(believed(0.125, 0.137, shift_count=2)).condition is Condition.NO_VERDICT
+
+
+def test_without_measured_torque_a_slope_that_is_hardly_known_is_none() -> None:
+    """Sound cold cars were told to change their fluid: mu_S 131 +- 25 % of mu_C, as no lining has it."""
+    assert modelled(believed(0.10, 0.15, std=0.01)).condition is Condition.NO_VERDICT
+
+
+def test_without_measured_torque_a_thin_margin_must_be_surer_in_the_cold() -> None:
+    warm = believed(0.133, 0.1265, std=0.0025)  # 84 % likely to be thin
+    cold = replace(warm, packs=PackTemperatures(clutch_k=(COLD_K - 1.0, COLD_K - 1.0), at_ns=1))
+    assert (modelled(warm).condition, modelled(cold).condition) == (Condition.WATCH, Condition.NO_VERDICT)
