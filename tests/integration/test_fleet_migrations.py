@@ -60,7 +60,9 @@ def schema_of(engine: Engine) -> set[str]:
         url = engine.url.set(drivername="postgresql").render_as_string(hide_password=False)
         told = subprocess.run(["pg_dump", "--schema-only", "-d", url], check=True, capture_output=True, text=True)
         parts = re.split(r";\n\n", re.sub(r"^(--|\\).*$", "", told.stdout, flags=re.MULTILINE))
-        return {" ".join(one.split()) for one in parts if not re.search(r"shift_result_\d{4}_\d\d|FOR VALUES FROM", one)}
+        return {
+            " ".join(one.split()) for one in parts if not re.search(r"shift_result_\d{4}_\d\d|FOR VALUES FROM", one)
+        }
     with transaction(engine) as connection:
         made = connection.exec_driver_sql("SELECT name, sql FROM sqlite_master WHERE type <> 'table'")
         found = {f"{name}: {' '.join(str(sql).split())}" for name, sql in made}
