@@ -184,7 +184,7 @@ def fitted(lives: Sequence[CauseLived]) -> dict[str, Any]:
             order = MIRRORED if clutch == 2 and told["is_of_one_clutch"] else slice(None)
             noise = np.where(change.shown > 0.0, change.covariance.diagonal() / scale**2, np.inf)
             rows[kind].append(((change.mean / scale)[order], noise[order]))
-    fits = {kind: _mean_of(some) for kind, some in rows.items()}
+    fits = {kind: mean_of(some) for kind, some in rows.items()}
     away = [(value - fits[kind].mean) ** 2 - noise for kind, some in rows.items() for value, noise in some]
     wander = np.percentile(np.maximum(away, 0.0), WANDER_PERCENTILE, axis=0)  # of what a cause does not move by itself
     moves: dict[str, dict[str, list[float]]] = {}
@@ -209,7 +209,7 @@ def written(table: dict[str, Any]) -> str:
     return "\n".join((*lines, ""))
 
 
-class _Fit(NamedTuple):
+class Fit(NamedTuple):
     """What some lives moved, each (COUNT,)."""
 
     mean: FloatArray
@@ -218,7 +218,7 @@ class _Fit(NamedTuple):
     told: FloatArray  # lives that tell it, at least 1
 
 
-def _mean_of(rows: Sequence[tuple[FloatArray, FloatArray]]) -> _Fit:
+def mean_of(rows: Sequence[tuple[FloatArray, FloatArray]]) -> Fit:
     """Return what some lives moved, the better known ones counting more; what one does not tell has infinite noise."""
     values, noise = (np.array(column) for column in zip(*rows, strict=True))
     told = np.ma.masked_invalid(noise)
@@ -227,7 +227,7 @@ def _mean_of(rows: Sequence[tuple[FloatArray, FloatArray]]) -> _Fit:
     weights /= weights.sum(axis=0)
     mean = (weights * values).sum(axis=0).filled(0.0)
     own = (weights * (values - mean) ** 2).sum(axis=0).filled(0.0) * count / np.maximum(count - 1, 1)
-    return _Fit(mean, own, (weights * told).sum(axis=0).filled(np.inf), count)
+    return Fit(mean, own, (weights * told).sum(axis=0).filled(np.inf), count)
 
 
 def _rounded(value: float) -> float:

@@ -22,7 +22,7 @@ from ecu_emulator.cli import main as emulator
 from ecu_emulator.drive.recording import frames_of
 from ecu_emulator.scenario.faults import CauseKind
 from studies.builders import new_stages, to_batch
-from studies.causes import BETWEEN_NS, CauseLife, CauseOutcome, lived, scenario_of
+from studies.causes import BETWEEN_NS, CauseLife, CauseOutcome, lived, mean_of, scenario_of
 
 JUDGE = CauseJudge(nominal_calibration())
 DRIVES = 4  # with the fault, of ten events each
@@ -59,6 +59,15 @@ def test_a_pressure_sensor_that_drifts_is_named_though_its_last_events_are_refus
     assert last.verdict.condition is Condition.NO_VERDICT
     assert last.verdict.causes is not None
     assert [(one.cause, one.clutch) for one in last.verdict.causes.likely[:1]] == [("pressure-sensor", 1)]
+
+
+def test_lives_that_do_not_tell_a_quantity_leave_what_others_tell_of_it() -> None:
+    """Most cars with water in their oil tell nothing of their pressures: all their events are refused."""
+    told, silent = (np.array([0.004, 0.0]), np.array([1e-8, np.inf])), (np.zeros(2), np.full(2, np.inf))
+    fit = mean_of([told, silent, silent, told, silent])
+    assert fit.mean == pytest.approx([0.004, 0.0])
+    assert fit.noise.tolist() == pytest.approx([1e-8, np.inf])
+    assert fit.told.tolist() == [2, 1]
 
 
 @pytest.fixture(name="log", scope="module")
