@@ -188,11 +188,11 @@ def fitted(lives: Sequence[CauseLived]) -> dict[str, Any]:
     away = [(value - fits[kind].mean) ** 2 - noise for kind, some in rows.items() for value, noise in some]
     wander = np.percentile(np.maximum(away, 0.0), WANDER_PERCENTILE, axis=0)  # of what a cause does not move by itself
     moves: dict[str, dict[str, list[float]]] = {}
-    for kind, (mean, own, noise, told) in fits.items():
+    for kind, (mean, own, noise, life_count) in fits.items():
         typical = np.sqrt(noise)
-        error, signal = np.sqrt(np.maximum(own, noise) / told), np.abs(mean) / typical
+        error, signal = np.sqrt(np.maximum(own, noise) / life_count), np.abs(mean) / typical
         usual = wander * min(signal.max(), 1.0) ** 2 + (USUAL_SPREAD * mean) ** 2
-        spread = np.sqrt((np.maximum(own - noise, 0.0) * told + FEW * usual) / (told + FEW))
+        spread = np.sqrt((np.maximum(own - noise, 0.0) * life_count + FEW * usual) / (life_count + FEW))
         is_moved = ((np.abs(mean) > 2.5 * error) & (signal > 0.25)) | (signal == signal.max())
         moves[kind] = {
             FEATURES[place]: [_rounded(mean[place] * is_moved[place]), _rounded(WIDER * spread[place])]
@@ -209,25 +209,25 @@ def written(table: dict[str, Any]) -> str:
     return "\n".join((*lines, ""))
 
 
-class Fit(NamedTuple):
+class MeanMove(NamedTuple):
     """What some lives moved, each (COUNT,)."""
 
     mean: FloatArray
     variance: FloatArray  # from life to life
     noise: FloatArray  # variance of what a single one tells
-    told: FloatArray  # lives that tell it, at least 1
+    life_count: FloatArray  # of those that tell it, at least 1
 
 
-def mean_of(rows: Sequence[tuple[FloatArray, FloatArray]]) -> Fit:
+def mean_of(rows: Sequence[tuple[FloatArray, FloatArray]]) -> MeanMove:
     """Return what some lives moved, the better known ones counting more; what one does not tell has infinite noise."""
-    values, noise = (np.array(column) for column in zip(*rows, strict=True))
-    told = np.ma.masked_invalid(noise)
-    count = np.maximum(told.count(axis=0), 1)
-    weights = 1.0 / (told + np.ma.median(told, axis=0))  # type: ignore[no-untyped-call]
+    values = np.array([value for value, _ in rows])
+    noise = np.ma.masked_invalid([noise for _, noise in rows])
+    life_count = np.maximum(noise.count(axis=0), 1)
+    weights = 1.0 / (noise + np.ma.median(noise, axis=0))  # type: ignore[no-untyped-call]
     weights /= weights.sum(axis=0)
     mean = (weights * values).sum(axis=0).filled(0.0)
-    own = (weights * (values - mean) ** 2).sum(axis=0).filled(0.0) * count / np.maximum(count - 1, 1)
-    return Fit(mean, own, (weights * told).sum(axis=0).filled(np.inf), count)
+    own = (weights * (values - mean) ** 2).sum(axis=0).filled(0.0) * life_count / np.maximum(life_count - 1, 1)
+    return MeanMove(mean, own, (weights * noise).sum(axis=0).filled(np.inf), life_count)
 
 
 def _rounded(value: float) -> float:

@@ -337,7 +337,7 @@ def is_frozen(series: Series, signal: Signal) -> bool:
     says nothing: it may well rest.
     """
     value = series.value
-    edges = np.concatenate(([0], 1 + np.flatnonzero(value[1:] != value[:-1]), [len(value)]))  # of runs of one value
+    edges = np.flatnonzero(np.diff(value, prepend=np.nan, append=np.nan) != 0.0)  # of runs of one value
     lengths = np.diff(edges)
     run_count, first, longest = len(lengths), int(edges[lengths.argmax()]), int(lengths.max())
     if signal is not Signal.ENGINE_TORQUE and value[first] <= _LEAST:

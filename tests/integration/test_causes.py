@@ -67,7 +67,7 @@ def test_lives_that_do_not_tell_a_quantity_leave_what_others_tell_of_it() -> Non
     fit = mean_of([told, silent, silent, told, silent])
     assert fit.mean == pytest.approx([0.004, 0.0])
     assert fit.noise.tolist() == pytest.approx([1e-8, np.inf])
-    assert fit.told.tolist() == [2, 1]
+    assert fit.life_count.tolist() == [2, 1]
 
 
 @pytest.fixture(name="log", scope="module")
