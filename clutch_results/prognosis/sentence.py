@@ -55,7 +55,8 @@ def _line(prognoses: Sequence[Prognosis], action: Action, element: str | None) -
     known = [prognosis.change_fluid for prognosis in prognoses if prognosis.change_fluid is not None]
     if action is Action.NEW_FLUID or not known:
         counts = ", ".join(f"{name_of(prognosis.clutch, element)} has {prognosis.row_count}" for prognosis in prognoses)
-        return f"No prognosis yet: it takes {LEAST_ROWS} usable results of a clutch with this fluid; {counts}."
+        least = f"No prognosis yet: it takes {LEAST_ROWS} usable results of a clutch with this fluid"
+        return f"{least}; {counts}." if counts else f"{least}."
     first = soonest(prognoses)
     if first is None:
         p10_m = _least_m(known)

@@ -43,6 +43,10 @@ def test_few_results_are_named() -> None:
     assert said(*few) == said(*few, action=Action.NEW_FLUID) == expected
 
 
+def test_a_vehicle_without_results_has_none_to_count() -> None:
+    assert said() == "No prognosis yet: it takes 8 usable results of a clutch with this fluid."
+
+
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
