@@ -210,7 +210,7 @@ def picture(lines: Sequence[MismatchLine]) -> str:
         for panel in panels:
             panel.margins(x=0.05, y=0.02)
         panels[1].set_xlim(left=0.0)
-        panels[1].legend()
+        panels[1].legend(loc="lower right")
         return as_svg(figure)
 
 
