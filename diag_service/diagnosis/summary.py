@@ -194,7 +194,7 @@ class FrameCounts:
     queue_dropped: int = 0
     rejected: Mapping[str, int] = field(default_factory=dict)  # reason -> frames
     missing: int = 0  # never on this side of the bus, as alive counters tell
-    late: int = 0  # decoded, but held back on the way: they came in bursts
+    late: int = 0  # held back on the way: they came in bursts, or behind frames that were sent later
     invalid_values: int = 0  # not available or out of range, in decoded frames
     invalid: Mapping[str, Mapping[str, int]] = field(default_factory=dict)  # the same: signal -> reason -> values
     invalid_at_first: Mapping[str, int] = field(default_factory=dict)  # of these before a signal's first real value
@@ -436,7 +436,7 @@ def frames_line(frames: FrameCounts) -> str:
     parts.append(f"{frames.kernel_dropped + frames.queue_dropped} dropped")
     parts.append(f"{frames.missing} missing")
     if frames.late:
-        parts.append(f"{frames.late} late, in bursts")
+        parts.append(f"{frames.late} late, in bursts or behind later ones")
     parts.append(f"{frames.invalid_values} values not available")
     if any(frames.unreadable.values()):
         parts.append(_with_reasons("unreadable in the log", frames.unreadable))

@@ -11,11 +11,13 @@ from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
 from canlog.database.addressing import NOBODY, kernel_filters, sorted_by_slot
 from canlog.decode.compiled import SignalRules, decode_signal, pick_word, signal_rules
 from canlog.decode.signals import NO_INVALID, InvalidCounts, PayloadWords, UInt64Array, payload_words
+from canlog.e2e.bus_time import BusTime
 from canlog.e2e.e2e_state import E2eState, E2eStates
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
-from canlog.frames import MAX_GAP_NS, BusTrouble, FrameBatch, empty_batch, is_error, reports
+from canlog.frames import BusTrouble, FrameBatch, empty_batch, is_error, reports
 from canlog.jit import kernel, part
 from canlog.logs.log_counts import LEAST_PER_S, WATCHED_FRAMES
+from canlog.time_order import in_order
 from clutch_model.units import NS_PER_S
 from diag_service.diagnosis.columns import (
     SUMMED_SIGNALS,
@@ -231,6 +233,7 @@ class Decoder:
         self._whole_ns: int | None = None  # since when all times are whole seconds
         self._whole_count = 0
         self._has_whole_seconds = False
+        self._arrival, self._time = BusTime(self._monitor.book), BusTime(self._monitor.book)  # as received, as sent
         self._rhythm = Rhythm(min((mapped.period_ns for mapped in self._messages if mapped.period_ns > 0), default=0))
 
     @property
@@ -295,7 +298,7 @@ class Decoder:
             ignored=int(counts[FrameReason.UNKNOWN_ID]),
             rejected={reason.name.lower(): count for reason, count in _rejected(counts).items()},
             missing=int(self._monitor.missing.sum()),
-            late=int(self._monitor.held_back.sum()) + self._monitor.late.count,
+            late=int(self._monitor.held_back.sum()) + self._monitor.late.count + self._arrival.late_count,
             invalid_values=sum(sum(reasons.values()) for reasons in invalid.values()),
             invalid=invalid,
             invalid_at_first={signal.value: count for signal, count in self._invalid_at_first.items() if count},
@@ -369,14 +372,18 @@ class Decoder:
         if self._goes_on(batch):
             self._monitor.late.learn(batch)
             self.last_ns = int(batch.t_ns[-1])
-            return [self._decode(batch, breaks_before=False)]
+            columns, verdicts = self._decode(batch, breaks_before=False)
+            for bus_time in (self._arrival, self._time):
+                bus_time.go_on(batch.t_ns, verdicts)
+            return [columns]
+        batch, _ = in_order(replace(batch, t_ns=self._arrival.walk(batch).t_ns))
         parts: Iterable[FrameBatch] = (batch,)
         late = self._monitor.late
         if len(batch) or not late.is_idle:
             before_ns = int(batch.t_ns[0]) if self.last_ns is None else self.last_ns
             parts = late.parts(batch, before_ns, is_last=is_last)
         return [
-            self._decode(segment, breaks_before=breaks)
+            self._decode(segment, breaks_before=breaks)[0]
             for part in parts
             for segment, breaks in self._segments(part.plain())
         ]
@@ -402,9 +409,7 @@ class Decoder:
         """Cut a batch where bus time goes back or stands still for too long, and where the controller left the bus."""
         if not len(batch):
             return
-        before_ns = batch.t_ns[0] if self.last_ns is None else self.last_ns
-        steps_ns = np.diff(batch.t_ns, prepend=before_ns)
-        is_jump = (steps_ns < 0) | (steps_ns > MAX_GAP_NS)
+        is_jump = self._time.walk(batch).is_break
         is_jump[0] |= self._is_interrupted
         is_break = is_jump | reports(batch, BusTrouble.BUS_OFF)
         # A controller that is off says so again and again: one stretch, until there is something else to hear.
@@ -417,8 +422,8 @@ class Decoder:
         for start, stop in zip(starts, [*starts[1:], len(batch)], strict=True):
             yield batch[start:stop], start in jumps
 
-    def _decode(self, segment: FrameBatch, *, breaks_before: bool) -> ColumnBatch:
-        """Return the columns of frames without a jump of bus time between them."""
+    def _decode(self, segment: FrameBatch, *, breaks_before: bool) -> tuple[ColumnBatch, FrameVerdicts]:
+        """Return the columns of frames without a jump of bus time between them, and the verdict on each."""
         if breaks_before:
             self._monitor.reset()
             self._e2e.reset()
@@ -429,13 +434,14 @@ class Decoder:
             columns = self._with_engine_speed(columns)
         if len(self._seen) < self._signal_count:
             self._seen |= columns.keys()
-        return ColumnBatch(
+        batch = ColumnBatch(
             columns=columns,
             watermark_ns=int(segment.t_ns[-1]),
             breaks_before=breaks_before,
             bad_frame_ns=bad_frame_ns,
             e2e_changes=self._e2e.judge(segment.t_ns, verdicts),
         )
+        return batch, verdicts
 
     def _with_engine_speed(self, columns: Columns) -> Columns:
         """Return columns with engine speed at the times of slip, if turbine speed is known there."""
@@ -507,5 +513,6 @@ def _bad_frame_ns(segment: FrameBatch, verdicts: FrameVerdicts) -> Int64Array:
     Frames of another channel or sender are no failures of those that are followed.
     """
     is_rejected = (verdicts.reason >= FrameReason.SHORT) & (verdicts.reason <= FrameReason.WRONG_SEQUENCE)
+    is_rejected |= verdicts.reason == FrameReason.OUT_OF_ORDER
     counts = is_rejected + np.maximum(verdicts.missing, 0)
     return np.repeat(segment.t_ns, counts) if counts.any() else _NEVER

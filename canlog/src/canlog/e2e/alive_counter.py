@@ -63,6 +63,7 @@ class LinkState:
     assumed_ns: int  # when that began
     assumed_sequence: int
     held_back: int  # frames that came right behind the one before: that one was late
+    heard_ns: int  # last accepted frame, with or without a counter; BEFORE_ALL_NS before the first
 
 
 LINK_TYPE: Final = np.dtype([(name, np.int64) for name in LinkState.__annotations__])
@@ -80,6 +81,7 @@ def forget(links: Records) -> None:
     """Forget counters and times, after a jump of bus time; sequence numbers go on."""
     for name in set(LinkState.__annotations__) - {"sequence", "held_back"}:
         links[name] = _NONE if name.endswith("counter") else 0
+    links["heard_ns"] = BEFORE_ALL_NS
 
 
 @part

@@ -13,7 +13,15 @@ import numpy as np
 from cantools.database.can import Message
 
 from canlog.arrays import Int64Array, Records, UInt8Array, UInt32Array
-from canlog.database.addressing import ANY, NOBODY, MessageAddress, address_book, find_slots, message_address
+from canlog.database.addressing import (
+    ANY,
+    NOBODY,
+    AddressBook,
+    MessageAddress,
+    address_book,
+    find_slots,
+    message_address,
+)
 from canlog.e2e.alive_counter import IN_SEQUENCE, forget, fresh_links, judge, note_unusable
 from canlog.e2e.late_frames import LateFrames
 from canlog.e2e.message_contract import message_contract
@@ -41,11 +49,21 @@ class FrameReason(IntEnum):
     WRONG_SEQUENCE = 6  # the counter moved further than time permits
     OTHER_CHANNEL = 7  # of a message that is followed on another channel
     OTHER_SENDER = 8  # of a J1939 message that is followed from another source address
+    OUT_OF_ORDER = 9  # it lies before the last accepted frame of its message
 
 
-_OK, _UNKNOWN_ID, _REMOTE_OR_ERROR, _SHORT, _BAD_CRC, _REPEATED, _WRONG_SEQUENCE, _OTHER_CHANNEL, _OTHER_SENDER = (
-    int(reason) for reason in FrameReason
-)
+(
+    _OK,
+    _UNKNOWN_ID,
+    _REMOTE_OR_ERROR,
+    _SHORT,
+    _BAD_CRC,
+    _REPEATED,
+    _WRONG_SEQUENCE,
+    _OTHER_CHANNEL,
+    _OTHER_SENDER,
+    _OUT_OF_ORDER,
+) = (int(reason) for reason in FrameReason)
 _SEQUENCE_REASONS: Final = (_OK, _REPEATED, _WRONG_SEQUENCE)  # by the verdict on the counter
 
 
@@ -122,6 +140,8 @@ def judge_frames(
                 reason = soundness(rule, frames.length[row], frames.data, row)
                 if reason != _OK:
                     note_unusable(links[slot])
+                elif frames.t_ns[row] < links[slot].heard_ns:
+                    reason = _OUT_OF_ORDER
                 else:
                     keep_origin(rule, channel, sender)
             if reason == _OK and rule.is_protected:
@@ -130,6 +150,8 @@ def judge_frames(
                 reason = _SEQUENCE_REASONS[outcome]
                 sequence = links[slot].sequence if outcome == IN_SEQUENCE else _NONE
                 totals.missing[slot] += missing
+            if reason == _OK:
+                links[slot].heard_ns = frames.t_ns[row]
         verdicts.reason[row], verdicts.sequence[row], verdicts.missing[row] = reason, sequence, missing
         totals.frames[slot if slot != NOBODY else totals.missing.size, reason] += 1
         totals.marked[channel, reason] += 1
@@ -240,6 +262,11 @@ class LinkMonitor:
         frames = FrameColumns(batch.t_ns, batch.can_id, batch.length, batch.data, batch.channel)
         judge_frames(self._rules, self._links, self._origins, frames, verdicts, self._totals)
         return verdicts
+
+    @property
+    def book(self) -> AddressBook:
+        """By which its messages are known."""
+        return self._book
 
 
 def _rules_of(messages: Sequence[Message], addresses: Sequence[MessageAddress]) -> Records:

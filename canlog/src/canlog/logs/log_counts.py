@@ -41,6 +41,8 @@ class LogCounts:
     jumps_ahead: int = 0  # frames after a silence that ends a segment
     first_jump: str = ""  # where and how far, for people
     repeated: int = 0  # frames that equal the one before, time and all
+    late: int = 0  # frames that stood later than their times, and were put in order
+    most_late_ns: int = 0  # by how much at most
     unfinished: bool = False  # its writer did not close it: frames may be missing at its end
     notes: tuple[str, ...] = ()  # what had to be assumed, for people: a unit, a date that is not understood
 
@@ -76,6 +78,8 @@ class LogCounts:
         self.jumps_ahead += other.jumps_ahead
         self.first_jump = self.first_jump or other.first_jump
         self.repeated += other.repeated
+        self.late += other.late
+        self.most_late_ns = max(self.most_late_ns, other.most_late_ns)
         self.first_rejected = self.first_rejected or other.first_rejected
         for reason, count in other.rejected.items():
             self.reject(reason, "", count)
@@ -103,11 +107,14 @@ def assumed_texts(counts: LogCounts) -> Iterator[str]:
 
 
 def odd_texts(counts: LogCounts) -> Iterator[str]:
-    """Yield what is odd about the frames that were read: times that jump, frames that are there twice."""
+    """Yield what is odd about the frames that were read: times that jump, frames that are there twice or late."""
     if jumps := counts.jumps_back + counts.jumps_ahead:
         yield f"{jumps} jumps of time, {counts.jumps_back} of them back, the first: {counts.first_jump}"
     if counts.repeated:
         yield f"{counts.repeated} frames repeat the one before, time included"
+    if counts.late:
+        by_ms = f"{counts.most_late_ns / 1e6:.3f}".rstrip("0").rstrip(".")
+        yield f"{counts.late} frames stand up to {by_ms} ms later than their times, and were put in order"
 
 
 class BoundedStream:

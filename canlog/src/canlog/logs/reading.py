@@ -40,6 +40,7 @@ from canlog.logs.streams import (
     wait_for_reader,
 )
 from canlog.logs.text_log import reader_of
+from canlog.time_order import TimeOrder
 
 LOAD_FRAMES = 2_000  # the first ones, whose load is checked
 READERS: Mapping[LogFormat, Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]] = {
@@ -117,7 +118,7 @@ def _reader_of(contents: Contents) -> Callable[[BinaryIO, LogCounts], Iterator[F
 
 
 class LogReader(Iterator[FrameBatch]):
-    """The frames of one log, once, oldest first as far as it is in order.
+    """The frames of one log, once, oldest first; only a recording behind another one may begin earlier.
 
     A strict one stops with an error at the first line, object or record that is no frame and not meant to be anything
     else, at the first jump of time, and where the file is cut off.
@@ -141,7 +142,8 @@ class LogReader(Iterator[FrameBatch]):
             self.evidence += f"; {len(self.columns)} measured channels, no frames of a bus" * bool(self.columns)
             for note in notes:
                 self._counts.note(note)
-        self._batches = _reader_of(contents)(cast("BinaryIO", self._bounded), self._counts)
+        self._order = TimeOrder()
+        self._batches = self._order.ordered(_reader_of(contents)(cast("BinaryIO", self._bounded), self._counts))
         self._watch = TimeWatch(self._counts)
         self._is_strict = is_strict
         self._is_first = True
@@ -151,6 +153,7 @@ class LogReader(Iterator[FrameBatch]):
     @property
     def counts(self) -> LogCounts:
         """What has been found until now."""
+        self._counts.late, self._counts.most_late_ns = self._order.late_count, self._order.most_late_ns
         return self._counts.snapshot()
 
     @property

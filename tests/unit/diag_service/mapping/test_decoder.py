@@ -1,10 +1,14 @@
 """Frames become canonical columns in SI units; what does not fit or may not be used is told and counted."""
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from canlog.e2e.protection_check import FrameReason
 from canlog.frames import ERROR_FLAG, FrameBatch, join
+from canlog.time_order import LATE_NS
 from clutch_model.units import pa_from_bar
 from diag_service.diagnosis.columns import Signal
 from diag_service.errors import ConfigError
@@ -107,7 +111,7 @@ def test_bad_and_missing_frames_are_timed() -> None:
     assert counts.is_balanced
 
 
-@pytest.mark.parametrize("shift_ns", [-1000, -3_600_000_000_000, 1_000_001_000, 86_400_000_000_000])
+@pytest.mark.parametrize("shift_ns", [-101_000_000, -3_600_000_000_000, 1_000_001_000, 86_400_000_000_000])
 @pytest.mark.parametrize("together", [True, False])
 def test_jump_of_bus_time_starts_a_new_segment(shift_ns: int, together: bool) -> None:
     first = received(drive(0.5))
@@ -121,6 +125,64 @@ def test_jump_of_bus_time_starts_a_new_segment(shift_ns: int, together: bool) ->
     assert stage.counts.missing == 0
     sequences = [part.columns[Signal.HUB_SPEED].sequence.tolist() for part in parts]
     assert sequences == [list(range(50)), list(range(50, 100))]
+
+
+def in_batches(frames: FrameBatch, *ends: int) -> list[FrameBatch]:
+    return [frames[first:end] for first, end in pairwise([0, *ends, len(frames)])]
+
+
+def test_live_frames_that_come_behind_later_ones_are_late_and_end_nothing() -> None:
+    frames = received(drive(1.0))
+    hub = np.flatnonzero(frames.can_id == CONTRACTS["TCU_InputSpeeds"].can_id)[50]
+    swapped = np.arange(len(frames))
+    swapped[hub : hub + 5] = *range(hub + 1, hub + 5), hub
+    stage, straight = decoder(), decoder()
+    parts = [part for batch in in_batches(frames[swapped], hub + 4) for part in stage.feed(batch)]
+    expected = [part for batch in in_batches(frames, hub + 5) for part in straight.feed(batch)]
+    assert [part.breaks_before for part in parts] == [False, False]
+    for signal in (Signal.HUB_SPEED, Signal.ENGINE_SPEED):
+        samples, sent = (
+            np.concatenate([part.columns[signal].t_ns for part in both if signal in part.columns])
+            for both in (parts, expected)
+        )
+        assert samples.tolist() == sent.tolist()
+    assert (stage.counts.late, straight.counts.late) == (1, 0)
+    assert stage.counts.rejected == {}
+
+
+def test_a_live_frame_behind_a_later_one_of_its_message_is_out_of_order() -> None:
+    frames = received(drive(1.0))
+    hubs = np.flatnonzero(frames.can_id == CONTRACTS["TCU_InputSpeeds"].can_id)[50:52]
+    kept = np.delete(np.arange(len(frames)), hubs[0])
+    at = int(np.flatnonzero(kept == hubs[1])[0]) + 1
+    stage = decoder()
+    parts = [part for batch in in_batches(frames[np.insert(kept, at, hubs[0])], at) for part in stage.feed(batch)]
+    assert [part.breaks_before for part in parts] == [False, False]
+    assert stage.counts.rejected == {"out_of_order": 1}
+    assert stage.counts.late == 1
+    missed_ns, came_ns = frames.t_ns[hubs[::-1]].tolist()
+    assert [part.bad_frame_ns.tolist() for part in parts if len(part.bad_frame_ns)] == [[missed_ns], [came_ns]]
+    assert stage.counts.is_balanced
+
+
+@pytest.mark.parametrize("off_ns", [-10_000, -150_000_000, -20_000_000_000, 500_000_000, 5_000_000_000])
+def test_frames_of_no_message_end_nothing_and_move_no_watermark_far(off_ns: int) -> None:
+    frames = received(drive(1.0))
+    others = replace(frames[::7], can_id=np.full(len(frames[::7]), 0x3E9, np.uint32), t_ns=frames.t_ns[::7] + off_ns)
+    order = np.argsort(np.concatenate((frames.t_ns, frames.t_ns[::7] + 1)), kind="stable")
+    mixed = join([frames, others])[order]
+    stage, alone = decoder(), decoder()
+    cut = range(50, len(mixed), 50)
+    parts = [part for batch in in_batches(mixed, *cut) for part in stage.feed(batch)]
+    (whole,) = alone.feed(frames)
+    assert not any(part.breaks_before for part in parts)
+    samples = np.concatenate([part.columns[Signal.HUB_SPEED].t_ns for part in parts])
+    assert samples.tolist() == whole.columns[Signal.HUB_SPEED].t_ns.tolist()
+    latest_ns = np.maximum.accumulate([frames.t_ns[0], *frames.t_ns])
+    behind = [np.searchsorted(frames.t_ns, part.columns[Signal.HUB_SPEED].t_ns[-1]) for part in parts]
+    ahead_ns = [part.watermark_ns - latest_ns[at] for part, at in zip(parts, behind, strict=True)]
+    assert max(ahead_ns) <= LATE_NS
+    assert (stage.counts.late, stage.counts.ignored) == (0, len(others))
 
 
 def profile(**changes: BusSource | None) -> Profile:
