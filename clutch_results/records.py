@@ -81,6 +81,8 @@ class Reason(StrEnum):
     SATURATED = "saturated"  # signals at the end of their scale
     IMPLAUSIBLE = "implausible"  # sensors contradict each other
     CALIBRATION_OLD = "calibration_old"
+    NO_COMMON_TIME = "no_common_time"  # the samples of its signals have no stretch of time in common
+    INTERNAL_ERROR = "internal_error"  # the program failed over it: nothing is said of it, nothing was learnt from it
     WHOLE_SECONDS = "times_in_whole_seconds"  # of many samples each: when in a second they were taken nobody knows
     LOW_DATA_QUALITY = "low_trust"  # each flaw alone would pass, together they do not
 

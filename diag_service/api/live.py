@@ -24,7 +24,7 @@ from diag_service.service.snapshot import Snapshot, frame_counts
 from diag_service.settings.config import BusConfig, DiagnosisConfig, default_store
 from diag_service.settings.options import LiveOptions, bus_config, diagnosis_config
 from diag_service.stopping import Controls
-from diag_service.store import ResultStore
+from diag_service.store import KeptEvents, ResultStore
 
 if TYPE_CHECKING:
     import can
@@ -387,7 +387,7 @@ def run(
     path = None if onlooker is not None else options.store or default_store(config.vehicle)
     decoder = config.interpretation().decoder()
     with opened_store(config, path, keeps_results=True) as store:
-        session = Session(config, decoder, store, None, reporter)
+        session = Session(config, decoder, store, None, reporter, kept_events=KeptEvents.beside(path))
         asyncio.run(serve_bus(config, bus, store, session, controls, onlooker))
 
 

@@ -345,6 +345,8 @@ def aligned(samples: EventSamples, sensing: Sensing, other: AlignedSignals | Non
     duration_s = (event.end_ns - event.start_ns) * NS_TO_S
     # Whole steps after the shift's start: a latency that is found more exactly must not move the points.
     grid_s = GRID_S * np.arange(math.ceil(history_s / GRID_S), math.ceil(duration_s / GRID_S), dtype=np.float64)
+    if not len(grid_s):
+        return Reason.NO_COMMON_TIME
 
     is_seen = np.ones(len(grid_s), np.bool_)
     for start_s, stop_s in gaps:

@@ -13,6 +13,7 @@ from typing import Any, Final
 from canlog.errors import NOTICE, ExtraMissingError
 from canlog.live import BusOpener, LiveSource, ReadSchedule, SupervisedSource, supervise
 from canlog.logs import read_log
+from canlog.time_order import compile_order
 from clutch_model.calibration import nominal_calibration
 from clutchdiag_io.program import attached
 from dbc.contract import load_contract
@@ -163,6 +164,7 @@ def warm_up() -> None:
     calibration = nominal_calibration()
     decoder = Decoder(load_contract(), load_profile())
     decoder.sources.late.compile()
+    compile_order()
     stages = Stages(decoder, calibration)
     for batch in read_log(RECORDING):
         stages.feed(batch)

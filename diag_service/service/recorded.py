@@ -29,6 +29,7 @@ from diag_service.service.session import SenderWatch, Session
 from diag_service.service.stages import Stages
 from diag_service.settings.config import DiagnosisConfig
 from diag_service.stopping import Trigger
+from diag_service.store import KeptEvents
 
 if TYPE_CHECKING:  # which knows what the core does without
     from diag_service.service.drive_survey import DriveSurvey
@@ -167,7 +168,8 @@ def run_recorded(
     ) as logs:
         stream = stream_of_drive((log.path for log in logs), meaning.files)
         with opened_store(config, store_path, keeps_results=False) as store:
-            session = Session(config, decoder, store, stream, reporter, survey=survey)
+            kept_events = KeptEvents.beside(store_path)
+            session = Session(config, decoder, store, stream, reporter, survey=survey, kept_events=kept_events)
 
             def process(event: Event) -> None:
                 session.process(event)

@@ -5,6 +5,7 @@
 
 import logging
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -18,9 +19,19 @@ from clutch_model.calibration import Calibration
 from clutch_model.fingerprint import fingerprint
 from clutch_results.event_kinds import DATED_NS
 from clutch_results.loads import Load, borne
-from clutch_results.records import ShiftResult, ShiftStatistics, iso_utc, parse_shift, utc_from_bus_ns
+from clutch_results.records import (
+    Reason,
+    ShiftResult,
+    ShiftStatistics,
+    Status,
+    iso_utc,
+    parse_shift,
+    utc_from_bus_ns,
+)
 from diag_service.delivery import Reporter
+from diag_service.diagnosis.condition.condition import failed_verdict
 from diag_service.diagnosis.events import Event
+from diag_service.diagnosis.friction.estimator import without_friction
 from diag_service.diagnosis.summary import (
     NO_LOGS,
     Contributions,
@@ -31,11 +42,11 @@ from diag_service.diagnosis.summary import (
     latest_of,
     of_present_fluid,
 )
-from diag_service.errors import StoreFullError
+from diag_service.errors import DiagServiceError, StoreFullError
 from diag_service.mapping.decoder import Decoder
-from diag_service.service.stages import Belief, Stages, kind_of
+from diag_service.service.stages import Belief, Diagnosis, Stages, kind_of
 from diag_service.settings.config import DiagnosisConfig
-from diag_service.store import ResultStore, VehicleState, Versions
+from diag_service.store import KeptEvents, ResultStore, VehicleState, Versions
 from fleet_contract.errors import ResultError
 
 if TYPE_CHECKING:  # a live service has none
@@ -121,6 +132,7 @@ class Session:
         *,
         utc_now: Callable[[], str] = utc_now,  # the clock of a live stream
         max_pending_count: int = MAX_PENDING_COUNT,  # results in memory while the disk is full
+        kept_events: KeptEvents | None = None,  # over which the program failed
         survey: "type[DriveSurvey] | None" = None,
     ) -> None:
         self.vehicle, self._versions = config.vehicle, versions_for(config.calibration)
@@ -139,6 +151,7 @@ class Session:
         self._earlier = last_results(store, self.vehicle, self._versions)  # until this run has later ones
         self._pending: deque[tuple[ShiftResult, VehicleState | None]] = deque()  # what a full disk did not take yet
         self._max_pending_count = max_pending_count
+        self._kept_events = kept_events or KeptEvents(None)
         self._is_disk_full = False
         self._is_doubted = False  # whether that was logged
         self.given_up_count = 0  # results that never found room on the disk
@@ -261,7 +274,7 @@ class Session:
     def _diagnose(self, event: Event) -> tuple[ShiftResult, VehicleState | None]:
         conclude = self.stages.conclude_of_earlier_fluid if self._note_fluid(event) else self.stages.conclude
         with self.progress.working(Stage.ESTIMATE):
-            diagnosis = conclude(event)
+            diagnosis = self._concluded(conclude, event)
         if (doubt := self.stages.belief.meaning.doubt) and not self._is_doubted:
             self._is_doubted = True
             _LOG.warning("nothing is estimated: %s", doubt)
@@ -282,6 +295,23 @@ class Session:
             return result, None
         state, memory = diagnosis.belief.to_json()
         return result, VehicleState(filter_state=state, condition=memory, versions=self._versions)
+
+    def _concluded(self, conclude: Callable[[Event], Diagnosis], event: Event) -> Diagnosis:
+        """Return the diagnosis of an event; one over which the program fails is put aside, and the run goes on."""
+        belief = self.stages.belief
+        try:
+            return conclude(event)
+        except DiagServiceError:
+            raise  # it says what the user does next
+        except Exception as exc:  # noqa: BLE001 - one event, whatever is wrong with it, must not end the others
+            path = self._kept_events.keep(event, traceback.format_exc())
+            where = "" if path is None else f"; its signals are in {path}, for a report of the fault"
+            _LOG.error("event %d is left out: unexpected %s: %s%s", event.number, type(exc).__name__, exc, where)
+            self.stages.belief = belief
+            estimate = without_friction(event, Status.REJECTED, Reason.INTERNAL_ERROR)
+            known = {result.estimate.clutch: result.verdict for result in self.latest}
+            verdict = known.get(estimate.clutch) or failed_verdict(estimate.clutch)
+            return Diagnosis(estimate=estimate, verdict=verdict, belief=belief)
 
 
 def versions_for(calibration: Calibration) -> Versions:

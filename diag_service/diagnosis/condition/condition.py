@@ -488,3 +488,9 @@ def no_verdict(clutch: int, missing: str, silence: Silence = Silence.SIGNALS_MIS
         shift_count=0,
         advice=advice(clutch, silence),
     )
+
+
+def failed_verdict(clutch: int) -> ClutchVerdict:
+    """Return what is said of a clutch of which nothing is known but an event over which the program failed."""
+    verdict = no_verdict(clutch, "", Silence.INTERNAL_ERROR)
+    return replace(verdict, reason="the program failed over its event")

@@ -84,6 +84,7 @@ class Silence(StrEnum):
         "its last events were refused, ten or more, because its sensors contradict each other or the commands; have "
         "them looked at"
     )
+    INTERNAL_ERROR = "this program failed over its last event; what was known before stands, the next events will tell"
     PART_OF_DRIVE = "only a part of the drive was seen; measure again on a whole one"
 
 

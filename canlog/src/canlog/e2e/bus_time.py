@@ -11,7 +11,7 @@ import numpy as np
 from canlog.arrays import BoolArray, Int64Array, Records
 from canlog.database.addressing import NOBODY, AddressBook, find_slots
 from canlog.e2e.protection_check import FrameVerdicts
-from canlog.frames import BEFORE_ALL_NS, MAX_GAP_NS, FrameBatch
+from canlog.frames import BEFORE_ALL_NS, MAX_GAP_NS, FrameBatch, empty_batch
 from canlog.jit import kernel
 from canlog.time_order import LATE_NS
 
@@ -71,6 +71,7 @@ class BusTime:
         self._book = book
         self._moments = np.zeros(1, _MOMENT_TYPE)
         self.forget()
+        self.walk(empty_batch())  # compiles now: the first real batch must not wait for the compiler
 
     @property
     def late_count(self) -> int:
