@@ -2,7 +2,7 @@
 
 import asyncio
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import can
 import numpy as np
@@ -11,12 +11,16 @@ import pytest
 from canlog.errors import SourceError
 from canlog.frames import BRS_FLAG, ESI_FLAG, FD_FLAG, MAX_GAP_NS, FrameBatch, join
 from canlog.live import BusOpener, BusSilence, FrameSource
+from dbc.contract import load_contract
+from diag_service.mapping.decoder import Decoder
+from diag_service.mapping.profile import load_profile
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.bus.sender import TransmitReport, open_bus, transmit
 from tests.support.patience import HANG_S
 from tests.support.replay import free_bus
 from tests.support.starvation import again_if_starved
 from tests.support.traffic import as_received, assert_same_contents, random_frames
+from tests.support.wire import CONTRACTS, drive
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +42,10 @@ def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
     for name, value in bus.variables.items():
         monkeypatch.setenv(name, value)
     return Transport(interface, bus.group)
+
+
+def followed_ids() -> list[int]:
+    return [CONTRACTS[source.message_name].can_id for source in load_profile().sources.values()]
 
 
 async def collect(source: FrameSource) -> list[FrameBatch]:
@@ -113,6 +121,25 @@ async def test_a_bus_that_falls_silent_says_so_and_is_heard_again(transport: Tra
     first, second = np.split(join(heard).t_ns, [20])
     assert len(second) == 20
     assert second[0] - first[-1] > MAX_GAP_NS  # a new stretch by its times as well
+
+
+async def test_two_senders_at_once_break_no_segment(transport: Transport) -> None:
+    own = drive(2.0)
+    others = random_frames(600, mean_gap_s=1.0 / 300.0)
+    others = replace(others, can_id=np.full(len(others), 0x3E9, np.uint32))
+    source = await BusOpener(transport.interface, transport.channel).open()
+    collector = asyncio.create_task(collect(source))
+    await asyncio.gather(*(asyncio.to_thread(send, transport, frames) for frames in (own, others)))
+    await received(source, len(own) + len(others))
+    await source.aclose()
+    batches, decoder = await collector, Decoder(load_contract(), load_profile())
+    columns = list(decoder.whole(batches))
+    breaks = sum(part.breaks_before for part in columns)
+    is_own = np.isin(join(batches).can_id, own.can_id)
+    silences = np.diff(np.maximum.accumulate(join(batches).t_ns[is_own])) > MAX_GAP_NS  # of a busy machine
+    assert breaks <= np.count_nonzero(silences)
+    assert decoder.counts.ignored == len(others) + int(np.count_nonzero(~np.isin(own.can_id, followed_ids())))
+    assert decoder.counts.is_balanced
 
 
 async def test_remote_and_error_frames_carry_their_flags(transport: Transport) -> None:
