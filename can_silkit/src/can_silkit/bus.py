@@ -373,6 +373,13 @@ class SilKitBus(can.BusABC):
         deadline_s = time.monotonic() + NEWS_S
         while not self._observer.has_shut_down(self._name) and time.monotonic() < deadline_s:
             time.sleep(LONGEST_WAIT_S)
+        return self._failure()
+
+    def _failure(self) -> str | None:
+        """Return why the simulation cannot go on, None if it can; who is to blame may be heard a moment later."""
+        deadline_s = time.monotonic() + NEWS_S
+        while self._observer.failure and not self._observer.errors() and time.monotonic() < deadline_s:
+            time.sleep(LONGEST_WAIT_S)
         return self._observer.failure
 
     def _set_end(self, end: str, *, is_regular: bool = False) -> None:
@@ -387,7 +394,7 @@ class SilKitBus(can.BusABC):
         while self._clock.end is None:
             self._has_changed.wait(LOOK_S)
             self._has_changed.clear()
-            if (failure := self._observer.failure) is not None:
+            if (failure := self._failure()) is not None:
                 self._give_up(failure)
                 return
             for error in self._observer.errors().difference(told):
