@@ -5,6 +5,7 @@ import os
 import socket
 import stat
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
@@ -21,6 +22,7 @@ from canlog.e2e.message_contract import message_contracts
 from clutchdiag_io.files import give_sign, make_sign
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames
+from ecu_emulator.bus.pace import Pace, WallPace, pace_of
 from ecu_emulator.bus.sender import CHUNKS_AHEAD, TransmitReport, WallClock, clock_of, open_bus, transmit
 from ecu_emulator.drive.orders import NO_CODES, FaultsOfCode, LiveOrders, Ordered, follow
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive, DriveStretch
@@ -194,9 +196,8 @@ MIXED_BUS: Final = (
     "warning: another sender on this bus uses this emulator's identifiers ({:03X} for one), "
     "probably a second emulator; nothing can be estimated from a mixture: give each a bus of its own"
 )
+LONGEST_STEP_RATIO: Final = 0.5  # of the shortest cycle; 20 of 20 shifts are valid with it, 10 with a whole cycle
 WORTH_SAYING: Final = 10  # frames; fewer may be the last ones of an emulator that has just been stopped
-LISTEN_S: Final = 0.1
-JOIN_S: Final = 5.0
 STANDARD_MASK: Final = 0x7FF
 EXTENDED_MASK: Final = 0x1FFFFFFF
 
@@ -214,6 +215,8 @@ class OtherSenders:
         Called once, in that thread, with the identifier of a frame, as soon as it cannot be chance.
     wanted_ids, pass_on
         Identifiers of frames that somebody else on this end wants, and who is handed them, in that thread.
+    pace
+        In whose time it listens.
     """
 
     def __init__(
@@ -224,41 +227,41 @@ class OtherSenders:
         *,
         wanted_ids: Sequence[int] = (),
         pass_on: Callable[[can.Message], None] = lambda _: None,
+        pace: Pace | None = None,
     ) -> None:
         self._bus = bus
         self._can_ids = frozenset(can_ids)
         self._on_heard = on_heard
         self._wanted_ids = tuple(wanted_ids)
         self._pass_on = pass_on
-        self._is_over = threading.Event()
-        self._thread = threading.Thread(target=self._listen, name="other senders", daemon=True)
+        self._pace = WallPace() if pace is None else pace
+        self._stack = ExitStack()
         self.frame_count = 0
 
     def __enter__(self) -> Self:
         self._bus.set_filters([_filter(can_id) for can_id in (*sorted(self._can_ids), *self._wanted_ids)])
-        self._thread.start()
+        self._stack.enter_context(self._pace.listening(self._listen, "other senders"))
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._is_over.set()
-        self._thread.join(JOIN_S)
+        self._stack.close()
 
-    def _listen(self) -> None:
-        while not self._is_over.is_set():
-            try:
-                message = self._bus.recv(timeout=LISTEN_S)
-            except (can.CanError, OSError, ValueError):
-                self._is_over.wait(LISTEN_S)  # whoever sends will say what is wrong with the bus
-                continue
-            if message is None:
-                continue
-            is_plain = not (message.is_error_frame or message.is_extended_id)
-            if not is_plain or message.arbitration_id not in self._can_ids:
-                self._pass_on(message)
-                continue
-            self.frame_count += 1
-            if self.frame_count == WORTH_SAYING:
-                self._on_heard(message.arbitration_id)
+    def _listen(self, timeout_s: float) -> bool:
+        try:
+            message = self._bus.recv(timeout=timeout_s)
+        except (can.CanError, OSError, ValueError):
+            time.sleep(timeout_s)  # whoever sends will say what is wrong with the bus
+            return False
+        if message is None:
+            return False
+        is_plain = not (message.is_error_frame or message.is_extended_id)
+        if not is_plain or message.arbitration_id not in self._can_ids:
+            self._pass_on(message)
+            return True
+        self.frame_count += 1
+        if self.frame_count == WORTH_SAYING:
+            self._on_heard(message.arbitration_id)
+        return True
 
 
 def _filter(can_id: int) -> can.typechecking.CanFilter:
@@ -396,15 +399,19 @@ def send(
     """Send a drive in real time and return how that went, as ``--json`` prints it.
 
     ``say`` gets lines for people, ``show`` five times a second the scenario time [s] and the frames sent. Raises
-    BusError, RecordError if the bus goes away, or a file cannot be written.
+    ConfigError, BusError, RecordError if time passes in steps that are too long for the drive, the bus goes away, or a
+    file cannot be written.
     """
     clock = clock_of(bus)
+    contracts = message_contracts(load_contract(scenario.transmission)).values()
+    check_step(clock.step_s, [max(contract.cycle_ms, scenario.effects.least_cycle_ms) for contract in contracts])
     with OtherSenders(
         bus,
-        [contract.can_id for contract in message_contracts(load_contract(scenario.transmission)).values()],
+        [contract.can_id for contract in contracts],
         lambda can_id: say(MIXED_BUS.format(can_id)),
         wanted_ids=answering.link.can_ids if answering is not None else (),
         pass_on=answering.link.feed if answering is not None else lambda _: None,
+        pace=WallPace() if answering is None else pace_of(bus),
     ) as others:
         for line in answering.places if answering is not None else ():
             say(line)
@@ -447,6 +454,17 @@ def send(
     return result
 
 
+def check_step(step_s: float, cycles_ms: Sequence[int]) -> None:
+    """Raise ConfigError if frames that leave at whole steps [s] would be as late as a good part of their cycle."""
+    shortest_s = min(cycle_ms for cycle_ms in cycles_ms if cycle_ms) / MS_PER_S
+    if step_s > LONGEST_STEP_RATIO * shortest_s:
+        raise EmulatorConfigError(
+            f"a step of {step_s:g} s is too long: frames leave at whole steps, and the shortest cycle of this car is "
+            f"{shortest_s:g} s, so that shifts would be rejected as late; at most {LONGEST_STEP_RATIO * shortest_s:g} "
+            "s are possible (step_s in CAN_CONFIG or can.conf)"
+        )
+
+
 def answering_of(
     answers: AnswersTesters | None, bus: can.BusABC, choice: BusChoice, scenario: Scenario, drive: Drive
 ) -> AbstractContextManager[AnsweringController | None]:
@@ -461,7 +479,8 @@ def answering_of(
 
 
 def _report_text(report: TransmitReport) -> str:
-    state = "complete" if report.is_complete else "stopped early"
+    early = "the simulation has ended early" if report.simulation_ended else "stopped early"
+    state = "complete" if report.is_complete else early
     p50, p95, p99, most = (
         f"{value_s * MS_PER_S:.2f}"
         for value_s in (report.lateness_p50_s, report.lateness_p95_s, report.lateness_p99_s, report.lateness_max_s)

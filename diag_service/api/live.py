@@ -262,17 +262,19 @@ class LiveDiagnosis:
         self._session = session = await asyncio.to_thread(
             lambda: Session(self._config, self._config.interpretation().decoder(), store, None, reporter)
         )
-        self._source, schedule = await self._open_bus(session)
+        self._source, schedule, named = await self._open_bus(session)
         self._summary = await diagnose_source(
-            self._source, schedule, self._config, self._named, store, session, self._controls, self._is_listening.set
+            self._source, schedule, self._config, named, store, session, self._controls, self._is_listening.set
         )
 
-    async def _open_bus(self, session: Session) -> tuple[LiveSource, ReadSchedule]:
+    async def _open_bus(self, session: Session) -> tuple[LiveSource, ReadSchedule, BusConfig]:
         if self._bus is None:
             return await open_live(self._named, session)
         from canlog.live.pythoncan import PythonCanSource  # noqa: PLC0415 - SocketCAN does without python-can
 
-        return PythonCanSource(self._bus, str(self._bus.channel_info), is_owner=False), ReadSchedule()
+        named, description = self._named, str(self._bus.channel_info)
+        source = PythonCanSource(self._bus, description, is_owner=False, duration_s=named.duration_s)
+        return source, ReadSchedule(), replace(named, duration_s=None) if source.has_own_time else named
 
     def _hand_over(self, result: ShiftResult) -> None:
         """Take a result in the thread that found it."""
@@ -312,6 +314,7 @@ def diagnose(
     is_fd: bool = False,
     is_only_mapped: bool = False,
     duration_s: float | None = None,
+    is_once: bool = False,
     store: choices.AnyPath | None = None,
     store_budget_mib: int | None = None,
     delivery: choices.Delivery | None = None,
@@ -332,7 +335,9 @@ def diagnose(
     is_only_mapped
         Whether the kernel discards, uncounted, all messages that are not needed.
     duration_s
-        When to stop [s].
+        When to stop [s], in the time of a bus that has its own, as a simulation has.
+    is_once
+        Whether the diagnosis ends with the bus that was named, as with a simulation that ends.
     store
         SQLite file for results and running state; without one they are kept in memory.
     vehicle, dbc, profile, calibration, store_budget_mib, delivery
@@ -365,8 +370,8 @@ def diagnose(
     if bus is not None and asks:
         raise ConfigError("an open bus has only one reader: name the bus, which is opened once more to ask on it")
     options = LiveOptions(
-        interface=interface, channel=channel, bitrate=bitrate, fd=is_fd, duration=duration_s, active=asks,
-        adapter=adapter, only_mapped=is_only_mapped, store_budget=store_budget_mib,
+        interface=interface, channel=channel, bitrate=bitrate, fd=is_fd, duration=duration_s, once=is_once,
+        active=asks, adapter=adapter, only_mapped=is_only_mapped, store_budget=store_budget_mib,
         **choices.sent_to(delivery), **choices.named(meaning),
     )  # fmt: skip
     bus_named = replace(bus_config(options), poll=choices.poll_config(poll))

@@ -117,7 +117,8 @@ open_bus_options = together(
 bus_options = together(
     open_bus_options,
     setting("--only-mapped", is_flag=True, help="let the kernel discard other messages, uncounted"),
-    setting("--duration", metavar="S", type=float, help="stop after this many seconds"),
+    setting("--duration", metavar="S", type=float, help="stop after so many seconds, of a simulation in its own time"),
+    setting("--once", is_flag=True, help="end with the bus, such as a simulation, instead of waiting for its return"),
     setting("--metrics", metavar="[HOST:]PORT", help="serve /metrics, /livez and /readyz there (default: nowhere)"),
 )
 poll_options = together(

@@ -6,6 +6,7 @@ import os
 import socket
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, ExitStack, aclosing, nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -34,8 +35,10 @@ from diag_service.store import ResultStore
 _LOG = logging.getLogger(__name__)
 
 
-async def open_live(config: BusConfig, session: Session) -> tuple[SupervisedSource, ReadSchedule]:
+async def open_live(config: BusConfig, session: Session) -> tuple[SupervisedSource, ReadSchedule, BusConfig]:
     """Open a bus that is opened again whenever it was away; return it with the schedule that ``run_live`` is to fill.
+
+    The configuration returned has no duration where the bus counts it, in its own time.
 
     Raises SourceError if it cannot be opened now.
     """
@@ -43,9 +46,11 @@ async def open_live(config: BusConfig, session: Session) -> tuple[SupervisedSour
     filters = session.stages.decoder.kernel_filters if config.is_filtered else ()
     schedule = ReadSchedule()
     opener = BusOpener(
-        config.interface, config.channel, config.bitrate, fd=config.is_fd, filters=filters, schedule=schedule
-    )
-    return await supervise(opener), schedule
+        config.interface, config.channel, config.bitrate, fd=config.is_fd, filters=filters, schedule=schedule,
+        duration_s=config.duration_s,
+    )  # fmt: skip
+    source = await supervise(opener, is_once=config.is_once)
+    return source, schedule, replace(config, duration_s=None) if opener.counts_duration else config
 
 
 async def serve_bus(
@@ -57,7 +62,7 @@ async def serve_bus(
     onlooker: Callable[[Snapshot], None] | None = None,
 ) -> None:
     """Diagnose a live bus into a session until it is told to stop; ``onlooker`` sees how it stands."""
-    source, schedule = await open_live(bus, session)
+    source, schedule, bus = await open_live(bus, session)
     session.reporter.report(f"{source.description} for {config.vehicle}, results in {store.where}")
     now_s = asyncio.get_running_loop().time
     taker = SnapshotTaker(source, session, now_s(), bus.bitrate)

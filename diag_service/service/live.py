@@ -5,7 +5,7 @@ import logging
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from contextlib import suppress
 
-from canlog.errors import NOTICE, SourceError
+from canlog.errors import NOTICE, BusEndedError, SourceError
 from canlog.live import BusSilence, LinkBreak, LiveSource, ReadSchedule
 from diag_service.delivery import Outbox
 from diag_service.diagnosis.events import Event
@@ -86,6 +86,8 @@ class _Work:
             helpers = [tasks.create_task(task, name=name) for name, task in beside.items()]
             try:
                 await self._read(source, schedule)
+            except BusEndedError as exc:
+                _LOG.log(NOTICE, "%s", exc)
             except SourceError as exc:
                 failure = exc
             await self._process(self._session.stages.flush())

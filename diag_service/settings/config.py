@@ -94,6 +94,7 @@ class BusConfig:
     bitrate: int | None
     is_fd: bool
     duration_s: float | None = None
+    is_once: bool = False  # whether the run ends with the bus, instead of waiting for its return
     is_filtered: bool = False  # whether the kernel discards what no mapped signal needs
     metrics: ListenAddress | None = None  # where to serve metrics and health checks
     poll: PollConfig | None = None  # None: trouble codes are not asked for

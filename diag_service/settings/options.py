@@ -82,6 +82,7 @@ class LiveOptions(DeliveryOptions):
     fd: bool = False
     only_mapped: bool = False
     duration: float | None = None  # [s]
+    once: bool = False
     metrics: str | None = None
     poll: float | None = None  # [s]
     adapter: str | None = None
@@ -267,6 +268,7 @@ def bus_config(options: LiveOptions) -> BusConfig:
         bitrate=options.bitrate,
         is_fd=options.fd,
         duration_s=options.duration,
+        is_once=options.once,
         is_filtered=options.only_mapped,
         metrics=parse_listen_address(options.metrics) if options.metrics else None,
         poll=_poll(options),

@@ -95,6 +95,7 @@ class TransmitReport:
     overruns: int  # frames more than half of the shortest cycle late
     underruns: int  # times the next frames were not computed when they were due
     is_complete: bool  # False if stopped before the end
+    simulation_ended: bool  # before the drive was complete: another participant ended it in order
 
 
 class FrameSender(Protocol):
@@ -109,6 +110,12 @@ class SendClock(Protocol):
 
     LEAD_IN_S: float
     """From the first chunk to the first deadline [s]."""
+    step_s: float
+    """Frames leave at whole steps of so long [s], 0: at any time."""
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether this time has come to its regular end, as that of a simulation."""
 
     def now_s(self) -> float:
         """Return the time [s], as frames carry it."""
@@ -121,6 +128,8 @@ class WallClock:
     """The time of this machine; steps of its wall clock are not those of the drive."""
 
     LEAD_IN_S = 0.05
+    step_s = 0.0
+    has_ended = False
 
     def __init__(self) -> None:
         self._wall_s = time.time() - time.monotonic()  # once
@@ -165,6 +174,8 @@ class _Transmitter:
             try:
                 self._clock.sleep_until(deadline_s, self._stop)
             except can.CanError as exc:
+                if self._clock.has_ended:
+                    return
                 raise self._gone(exc) from exc
             if self._stop.is_set():
                 return
@@ -172,7 +183,7 @@ class _Transmitter:
                 self._lateness.add(due_s, self._clock.now_s() - deadline_s)
                 self._send(message)
 
-    def report(self, duration_s: float, *, is_complete: bool) -> TransmitReport:
+    def report(self, duration_s: float, *, is_driven: bool) -> TransmitReport:
         return TransmitReport(
             frames_sent=self.sent,
             frames_given_up=self.given_up,
@@ -187,7 +198,8 @@ class _Transmitter:
             drift_ppm=self._lateness.drift_ppm,
             overruns=self._lateness.overruns,
             underruns=self.underruns,
-            is_complete=is_complete,
+            is_complete=is_driven and not self._stop.is_set(),
+            simulation_ended=self._clock.has_ended and not is_driven,
         )
 
     def _gone(self, error: can.CanError) -> BusError:
@@ -200,6 +212,8 @@ class _Transmitter:
             try:
                 self._bus.send(message)
             except can.CanError as exc:
+                if self._clock.has_ended:
+                    return
                 if exc.error_code in BUS_GONE:
                     raise self._gone(exc) from exc
                 is_down = exc.error_code == errno.ENETDOWN
@@ -262,7 +276,7 @@ def transmit(
             chunk = _next_chunk(computed, stop)
             started_s = clock.now_s() + clock.LEAD_IN_S
             next_progress_s = time.monotonic()
-            while chunk is not None:
+            while chunk is not None and not clock.has_ended:
                 computed.append(pool.submit(next, coming, None))
                 transmitter.send_chunk(chunk, started_s)
                 if on_progress is not None and len(chunk) and time.monotonic() >= next_progress_s:
@@ -274,7 +288,7 @@ def transmit(
                     transmitter.underruns += clock.now_s() > started_s + float(chunk.t_s[0])
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
-    return transmitter.report(max(0.0, clock.now_s() - started_s), is_complete=not stop.is_set())
+    return transmitter.report(max(0.0, clock.now_s() - started_s), is_driven=chunk is None)
 
 
 def to_messages(frames: EncodedFrames, epoch_s: float = 0.0) -> list[can.Message]:

@@ -52,10 +52,10 @@ class Simulations:
         self._start(["system-controller", "-u", self.uri, "-l", "off", *participants], self._folder / "controller.log")
 
     def start(
-        self, program: str, *words: str, step_s: float = 0.001, registry: str | None = None
-    ) -> "subprocess.Popen[str]":
+        self, program: str, *words: str, step_s: float = 0.001, registry: str | None = None, patience_s: float = HANG_S,
+    ) -> "subprocess.Popen[str]":  # fmt: skip
         """Start a program that finds the registry, or looks for another."""
-        settings = {"registry": registry or self.uri, "step_s": step_s}
+        settings = {"registry": registry or self.uri, "step_s": step_s, "patience_s": patience_s}
         process = subprocess.Popen(
             [PROGRAMS / program, *words],
             env={**os.environ, "CAN_CONFIG": json.dumps(settings), "COLUMNS": "200"},

@@ -20,3 +20,9 @@ def test_without_the_binding_it_says_what_to_install(monkeypatch: pytest.MonkeyP
 def test_a_step_that_cannot_be_is_refused(step_s: float) -> None:
     with pytest.raises(ValueError, match=r"step_s must be above 0 and at most 0\.1 s"):
         can.Bus("CAN1", interface="silkit", step_s=step_s)
+
+
+@pytest.mark.parametrize("patience_s", [0.0, -1.0, float("nan")])
+def test_patience_that_cannot_be_is_refused(patience_s: float) -> None:
+    with pytest.raises(ValueError, match=r"patience_s must be above 0 s"):
+        can.Bus("CAN1", interface="silkit", patience_s=patience_s)

@@ -14,6 +14,7 @@ import pytest
 from tests.plugins.silkit import ROOT, Simulations
 from tests.support.patience import HANG_S
 from tests.support.ports import free_port
+from tests.tools.silkit_partners import STORIES, play
 
 pytestmark = [pytest.mark.silkit, pytest.mark.slow]
 
@@ -73,16 +74,53 @@ def test_results_are_those_of_a_recording_to_the_bit_though_a_registry_ends_and_
     simulations.begin("ecu-emulator", "diag-service")
     endless = simulations.start("ecu-emulator", "run", *BUS, "--scenario", "noise_only", "--cycles", "500")
     until(lambda: len(results(live)) > 10, endless)
-    endless.send_signal(signal.SIGSTOP)  # takes no step while the service leaves
     service.send_signal(signal.SIGINT)
     said = ended(service)
-    endless.send_signal(signal.SIGCONT)
-    assert "frames: the simulation has ended" in ended(endless, 3)
+    assert "the simulation has ended early: " in ended(endless)
     assert "the simulation has ended; waiting for its return" in said
     (count,) = re.findall(r"(\d+) frames, \1 decoded, 0 ignored, 0 rejected, 0 dropped", said)
     assert int(count) > sent["frames_sent"]
     assert len(results(recorded)) == 10
     assert results(live)[:10] == results(recorded)
+
+
+@pytest.mark.parametrize("name", STORIES)
+def test_partners_of_another_make_end_crash_hang_and_join_late(name: str, simulations: Simulations) -> None:
+    assert play(STORIES[name], simulations, hang_s=HANG_S).faults == []
+
+
+def test_a_partner_that_hangs_does_not_keep_one_who_leaves(simulations: Simulations) -> None:
+    simulations.begin("ecu-emulator", "diag-service")
+    service = simulations.start("diag-service", "monitor", *BUS, step_s=0.01, patience_s=10.0)
+    endless = simulations.start("ecu-emulator", "run", *BUS, "--scenario", "noise_only", "--cycles", "500", "--json")
+    assert endless.stderr is not None
+    while "sending on" not in endless.stderr.readline():
+        assert endless.poll() is None
+    time.sleep(3.0)  # amid the drive, or before it: it must end in both cases
+    endless.send_signal(signal.SIGSTOP)
+    service.send_signal(signal.SIGINT)
+    ended(service)
+    endless.send_signal(signal.SIGCONT)
+    endless.send_signal(signal.SIGINT)
+    endless.communicate(timeout=HANG_S)
+
+
+def test_a_duration_counts_in_the_time_of_the_simulation(simulations: Simulations, tmp_path: Path) -> None:
+    log = tmp_path / "drive.log"
+    ended(simulations.start("ecu-emulator", "record", str(log), *DRIVE, "--start-time", "1970-01-01"))
+    due_s = [float(line[1 : line.index(")")]) for line in log.read_text("ascii").splitlines()]
+    simulations.begin("ecu-emulator", "diag-service")
+    service = simulations.start("diag-service", "monitor", *BUS, "--duration", "20", step_s=0.01)
+    emulator = simulations.start("ecu-emulator", "run", *BUS, *DRIVE)
+    (count,) = re.findall(r"(\d+) frames, \1 decoded, 0 ignored", ended(service))
+    assert int(count) == sum(t_s < 20.0 for t_s in due_s)
+    assert "the simulation has ended early: " in ended(emulator)
+
+
+def test_a_step_as_long_as_the_cycle_of_the_messages_is_refused(simulations: Simulations) -> None:
+    said = ended(simulations.start("ecu-emulator", "run", *BUS, *DRIVE, step_s=0.01), 2)
+    assert "a step of 0.01 s is too long: frames leave at whole steps" in said
+    assert "at most 0.005 s" in said
 
 
 def test_without_a_registry_or_a_simulation_it_says_what_to_start(simulations: Simulations) -> None:

@@ -13,6 +13,10 @@ class SourceError(CanlogError):
     """A bus or a log cannot be opened or read: check the interface or the file."""
 
 
+class BusEndedError(SourceError):
+    """A bus has come to its regular end, such as that of a simulation: there is nothing more to read."""
+
+
 class ExtraMissingError(SourceError):
     """A library that only an extra brings is not installed: install it."""
 

@@ -10,9 +10,11 @@ import numpy as np
 
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames, FrameEncoder, merge
+from ecu_emulator.bus.pace import WallPace
 from ecu_emulator.bus.sender import to_messages
 from ecu_emulator.sensing import Readings
 from workshop.controller.answers import Answering, Answers
+from workshop.controller.inquiry import ThreadInquiry
 
 STEP_S = 0.5
 TRIP_STEPS = 12
@@ -48,7 +50,7 @@ class TripCar:
         self._ignition: deque[float] = deque([0.0]) if ignition is None else ignition
         self.answering = Answering(
             self.bus, Answers(table=table or None, memory=memory), ignition=self._ignition,
-            clock=lambda: 1000.0 + self.t_s,
+            inquiry=ThreadInquiry(WallPace(lambda: 1000.0 + self.t_s)),
         )  # fmt: skip
 
     def park(self, duration_s: float = PARKED_S) -> None:

@@ -3,16 +3,19 @@
 The transport library breaks off a message in progress at an unknown frame; the standard ignores that frame.
 """
 
+from collections.abc import Callable
 from enum import IntEnum
-from typing import Final
+from typing import Any, Final
 
 import isotp
+from isotp.tools import Timer
 
 LARGEST_STANDARD_ID: Final = 0x7FF
 SHORT: Final = 8  # bytes of a classic frame
 LONGEST_SHORT_LENGTH: Final = 0xFFF  # of a message whose length has 12 bits
 LONGEST_PAUSE: Final = 0x7F  # 127 ms: what a reserved separation time means
 ABORT: Final = 0x32  # flow control: overflow
+NS_PER_S: Final = 1e9
 
 
 class FrameType(IntEnum):
@@ -22,6 +25,41 @@ class FrameType(IntEnum):
     FIRST = 1
     CONSECUTIVE = 2
     FLOW_CONTROL = 3
+
+
+class ClockTimer(Timer):
+    """A timer of the transport library that goes by a given clock."""
+
+    def __init__(self, now_s: Callable[[], float], timeout_s: float) -> None:
+        super().__init__(timeout_s)
+        self._now_s = now_s
+
+    def start(self, timeout: float | None = None) -> None:
+        super().start(timeout)
+        self.start_time = round(self._now_s() * NS_PER_S)
+
+    def elapsed_ns(self) -> int:
+        return 0 if self.start_time is None else round(self._now_s() * NS_PER_S) - self.start_time
+
+
+class TransportLayer(isotp.TransportLayerLogic):
+    """The transport library's logic, whose pauses and timeouts go by a given clock [s], such as virtual time."""
+
+    def __init__(self, now_s: Callable[[], float], **settings: Any) -> None:  # noqa: ANN401 - the library's
+        self._now_s = now_s
+        super().__init__(**settings)
+        self.timer_tx_stmin = ClockTimer(now_s, 0.0)
+
+    def _start_rx_fc_timer(self) -> None:
+        self.timer_rx_fc = self._started(self.params.rx_flowcontrol_timeout)
+
+    def _start_rx_cf_timer(self) -> None:
+        self.timer_rx_cf = self._started(self.params.rx_consecutive_frame_timeout)
+
+    def _started(self, timeout_ms: float) -> ClockTimer:
+        timer = ClockTimer(self._now_s, timeout_ms / 1e3)
+        timer.start()
+        return timer
 
 
 def isotp_address(sent_id: int, heard_id: int, own_byte: int, other_byte: int | None) -> isotp.Address:

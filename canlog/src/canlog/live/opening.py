@@ -3,12 +3,16 @@
 import asyncio
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import can
 
 from canlog.errors import SourceError
 from canlog.live.socketcan import SocketCanSource, restart_controller
 from canlog.live.sources import FrameSource, ReadSchedule
+
+if TYPE_CHECKING:
+    from canlog.live.pythoncan import PythonCanSource
 
 SOCKETCAN = "socketcan"
 
@@ -33,7 +37,8 @@ class BusOpener:
 
     Interface, channel, bit rate and ``fd`` are as python-can names them; what is not given comes from
     ``CAN_INTERFACE``, ``CAN_CHANNEL`` and ``CAN_BITRATE``, then from ``can.conf``. Filters, identifiers with masks, and
-    schedule are for SocketCAN; other interfaces give everything at once.
+    schedule are for SocketCAN; other interfaces give everything at once. A bus with a time of its own, as a simulation
+    has, is left after ``duration_s`` of that time; ``counts_duration`` tells whether this one is.
     """
 
     def __init__(
@@ -45,11 +50,19 @@ class BusOpener:
         fd: bool = False,
         filters: Sequence[tuple[int, int]] = (),
         schedule: ReadSchedule | None = None,
+        duration_s: float | None = None,
     ) -> None:
         self._schedule = schedule
+        self._left_s = duration_s
+        self._timed: PythonCanSource | None = None  # the last bus that had a time of its own
         self._given = (interface, channel, bitrate, fd)
         self._filters = filters
         self._settings: BusSettings | None = None
+
+    @property
+    def counts_duration(self) -> bool:
+        """Whether the bus that was opened has a time of its own, in which the duration counts."""
+        return self._timed is not None
 
     async def open(self) -> FrameSource:
         """Open the bus; when this returns, it receives.
@@ -70,7 +83,11 @@ class BusOpener:
             bus = await asyncio.to_thread(
                 pythoncan.open_bus, settings.interface, settings.channel, settings.bitrate, fd=settings.fd
             )
-            return pythoncan.PythonCanSource(bus, settings.description)
+            if self._timed is not None and self._left_s is not None:
+                self._left_s = max(0.0, self._left_s - self._timed.time_s)
+            source = pythoncan.PythonCanSource(bus, settings.description, duration_s=self._left_s)
+            self._timed = source if source.has_own_time else None
+            return source
         if not settings.channel:
             raise SourceError("no CAN channel given: name the interface, for example -i socketcan -c vcan0")
         return SocketCanSource(settings.channel, fd=settings.fd, filters=self._filters, schedule=self._schedule)

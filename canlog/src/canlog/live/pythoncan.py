@@ -9,7 +9,7 @@ from typing import Any, Final, Self
 
 import can
 
-from canlog.errors import SourceError
+from canlog.errors import BusEndedError, SourceError
 from canlog.frames import (
     BRS_FLAG,
     ERROR_FLAG,
@@ -45,10 +45,13 @@ class PythonCanSource:
     gets that of its receipt. What an interface loses before python-can hands it over is not known, so
     ``kernel_dropped`` stays 0. Where frames have other times than this machine's, as those of a simulation, silence is
     not told: in their time it may be short. A bus of which ``waits_for_reader`` is true holds its time back until its
-    frames are read; they are read as there is room for them, so that none is dropped.
+    frames are read; they are read as there is room for them, so that none is dropped. With ``leave_at`` and ``time_s``
+    a bus has a time of its own, in which ``duration_s`` counts; ``has_ended`` says that it failed because it is over.
     """
 
-    def __init__(self, bus: can.BusABC, description: str, *, is_owner: bool = True) -> None:
+    def __init__(
+        self, bus: can.BusABC, description: str, *, is_owner: bool = True, duration_s: float | None = None
+    ) -> None:
         self._bus = bus
         self._is_owner = is_owner
         self.description = description
@@ -57,6 +60,10 @@ class PythonCanSource:
         self._waits_for_reader = bool(getattr(bus, "waits_for_reader", False))
         self._own_s = 0.0 if self._waits_for_reader else None  # the last time of a bus with a clock of its own
         self._still_ns: int | None = None  # the time of all frames until now
+        self.has_own_time = hasattr(bus, "leave_at")
+        self._duration_s = duration_s if self.has_own_time else None
+        if self._duration_s is not None:
+            bus.leave_at(self._duration_s)  # type: ignore[attr-defined]
         self._failure: can.CanError | OSError | ValueError | None = None
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(target=self._read, name="python-can reader", daemon=True)
@@ -65,6 +72,11 @@ class PythonCanSource:
     @property
     def counts(self) -> SourceCounts:
         return SourceCounts(received=self._received, queue_dropped=self._queue.dropped)
+
+    @property
+    def time_s(self) -> float:
+        """The time [s] of a bus that has its own."""
+        return float(getattr(self._bus, "time_s", 0.0))
 
     def __aiter__(self) -> AsyncIterator[FrameBatch | BusSilence]:
         return aiter(self._queue)
@@ -96,7 +108,12 @@ class PythonCanSource:
                 self._offer(self._receive(0.0))
             error = None
         except (can.CanError, OSError, ValueError) as exc:
-            error = SourceError(f"{self.description} cannot be read: {one_line(exc)}")
+            if not getattr(self._bus, "has_ended", False):
+                error = SourceError(f"{self.description} cannot be read: {one_line(exc)}")
+            elif self._duration_s is not None and self.time_s >= self._duration_s:
+                error = None
+            else:
+                error = BusEndedError(f"{self.description}: {one_line(exc)}")
         finally:
             if self._is_owner:
                 self._bus.shutdown()

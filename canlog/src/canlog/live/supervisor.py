@@ -131,11 +131,15 @@ class SupervisedSource:
     """The frames of a bus over all its openings, with a ``LinkBreak`` wherever it was away.
 
     Frames received before a failure come first, then the break, then what is heard after the return. Iteration ends
-    with ``aclose`` only.
+    with ``aclose``, or after the duration for which a bus was opened; with ``is_once`` it fails when the bus does, with
+    BusEndedError if that was its regular end.
     """
 
-    def __init__(self, opener: Opener, first: FrameSource, backoff: Backoff | None = None) -> None:
+    def __init__(
+        self, opener: Opener, first: FrameSource, backoff: Backoff | None = None, *, is_once: bool = False
+    ) -> None:
         self._opener = opener
+        self._is_once = is_once
         self._backoff = backoff or Backoff()
         self._source: FrameSource | None = first
         self.description = first.description
@@ -167,6 +171,8 @@ class SupervisedSource:
                         self._note(part)
                     yield part
             except SourceError as exc:
+                if self._is_once:
+                    raise
                 problem = str(exc)
             else:
                 return
@@ -233,15 +239,15 @@ class SupervisedSource:
             await asyncio.sleep(self._backoff.restart_s)
 
 
-async def supervise(opener: Opener) -> SupervisedSource:
-    """Open a bus for the first time and keep it open from then on.
+async def supervise(opener: Opener, *, is_once: bool = False) -> SupervisedSource:
+    """Open a bus for the first time and keep it open from then on, unless it is to be read once.
 
     Raises
     ------
     SourceError
         If it cannot be opened now: most likely the wrong bus was named.
     """
-    return SupervisedSource(opener, await opener.open())
+    return SupervisedSource(opener, await opener.open(), is_once=is_once)
 
 
 def _now_s() -> float:

@@ -90,6 +90,13 @@ async def test_it_is_opened_again_until_that_works(caplog: pytest.LogCaptureFixt
     assert levels == [logging.WARNING, NOTICE] * 2
 
 
+async def test_a_bus_that_is_read_once_is_not_waited_for() -> None:
+    source = SupervisedSource(Script(), ShortSource(numbered(1, 2), failure="went down"), QUICK, is_once=True)
+    with pytest.raises(SourceError, match="went down"):
+        await parts_of(source, 2)
+    assert source.counts.received == 2
+
+
 @in_virtual_time
 async def test_a_controller_that_is_bus_off_is_asked_to_restart_now_and_then(caplog: pytest.LogCaptureFixture) -> None:
     script = Script(refusal="Operation not permitted")

@@ -6,7 +6,7 @@ from collections import deque
 import can
 import pytest
 
-from canlog.errors import SourceError
+from canlog.errors import BusEndedError, SourceError
 from canlog.frames import FrameBatch, join
 from canlog.live.pythoncan import PythonCanSource
 from canlog.live.sources import FrameQueue
@@ -49,6 +49,38 @@ async def test_every_frame_is_read_and_the_first_has_time_zero() -> None:
             await read()
     assert join(batches).t_ns.tolist() == list(range(0, FRAMES * 1_000_000, 1_000_000))
     assert (source.counts.received, source.counts.queue_dropped) == (FRAMES, 0)
+
+
+class Leaving(Simulation):
+    """Ends in order, at a time that may be set."""
+
+    has_ended = True
+    time_s = 100.0
+    left_at_s: float | None = None
+
+    def leave_at(self, t_s: float) -> None:
+        self.left_at_s = t_s
+
+
+async def read(source: PythonCanSource) -> int:
+    async with asyncio.timeout(HANG_S):
+        return sum([len(batch) async for batch in source if isinstance(batch, FrameBatch)])
+
+
+async def test_the_regular_end_is_told_from_a_failure() -> None:
+    with pytest.raises(BusEndedError, match="the simulation has ended"):
+        await read(PythonCanSource(Leaving(10), "a simulation"))
+    with pytest.raises(SourceError, match="cannot be read") as raised:
+        await read(PythonCanSource(Simulation(10), "a simulation"))
+    assert not isinstance(raised.value, BusEndedError)
+
+
+async def test_a_duration_is_counted_by_a_bus_with_a_time_of_its_own() -> None:
+    simulation = Leaving(10)
+    assert await read(PythonCanSource(simulation, "a simulation", duration_s=100.0)) == 10
+    assert simulation.left_at_s == 100.0
+    with pytest.raises(BusEndedError):  # others ended it before
+        await read(PythonCanSource(Leaving(10), "a simulation", duration_s=101.0))
 
 
 async def test_there_is_room_until_half_of_a_queue_is_full() -> None:

@@ -35,6 +35,7 @@ VALUES: dict[str, str | int | float | bool] = {
     "fd": True,
     "only_mapped": True,
     "duration": 12.5,
+    "once": True,
     "metrics": "9100",
     "poll": 30.0,
     "adapter": "elm327:/dev/rfcomm0",
@@ -43,7 +44,10 @@ VALUES: dict[str, str | int | float | bool] = {
     "reply": "7E8",
     "description": "gearbox.toml",
 }
-UNSET = dict.fromkeys(VALUES) | {**dict.fromkeys(("fd", "only_mapped", "active"), False), "acknowledge": "broker"}
+UNSET = dict.fromkeys(VALUES) | {
+    **dict.fromkeys(("fd", "only_mapped", "once", "active"), False),
+    "acknowledge": "broker",
+}
 
 
 @pytest.fixture(autouse=True)

@@ -129,16 +129,20 @@ class SteppedClock:
     """The time of a simulation: it passes only as somebody waits for it."""
 
     LEAD_IN_S = 0.25
+    step_s = 0.001
 
-    def __init__(self, last_s: float) -> None:
+    def __init__(self, last_s: float, *, is_regular: bool = False) -> None:
         self._now_s = 0.0
         self._last_s = last_s
+        self._is_regular = is_regular
+        self.has_ended = False
 
     def now_s(self) -> float:
         return self._now_s
 
     def sleep_until(self, deadline_s: float, stop: threading.Event) -> None:  # noqa: ARG002 - the protocol's
         if deadline_s > self._last_s:
+            self.has_ended = self._is_regular
             raise can.CanOperationError("the simulation has ended")
         self._now_s = deadline_s
 
@@ -149,7 +153,15 @@ class PacedBus(AnsweringBus):
         self.clock = clock
 
 
-def test_the_clock_of_a_bus_paces_the_frames_and_its_end_is_an_error(stop: threading.Event) -> None:
+def test_the_regular_end_of_a_simulation_ends_the_transmission(stop: threading.Event) -> None:
+    frames = random_frames(2_000, mean_gap_s=1.0)
+    with PacedBus(SteppedClock(last_s=100.0, is_regular=True)) as bus:
+        report = transmit(bus, chunks(frames), stop, clock=clock_of(bus))
+    assert report.frames_sent == len(bus.taken) == int((frames.t_s + 0.25 <= 100.0).sum())
+    assert (report.is_complete, report.simulation_ended) == (False, True)
+
+
+def test_the_clock_of_a_bus_paces_the_frames_and_its_failure_is_an_error(stop: threading.Event) -> None:
     frames = random_frames(2_000, mean_gap_s=1.0)  # half an hour
     with PacedBus(SteppedClock(last_s=1e5)) as bus:
         report = transmit(bus, chunks(frames), stop, clock=clock_of(bus))

@@ -2,15 +2,11 @@
 
 import math
 import os
-import random
 import secrets
-import threading
-import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack, closing
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
@@ -29,6 +25,7 @@ from ecu_emulator.live import BusChoice
 from workshop.controller.controller import Controller, MemoryFile
 from workshop.controller.doip_server import DoipAddress, DoipServer, parse_place
 from workshop.controller.elm327_server import ElmServer
+from workshop.controller.inquiry import Inquiry, ThreadInquiry, inquiry_of
 from workshop.controller.iso14229 import DtcStatus
 from workshop.controller.monitoring import MONITOR_PERIOD_S, Monitoring
 from workshop.controller.monitors import SENSED, SENSED_OF_CONVERTER
@@ -39,7 +36,7 @@ from workshop.controller.requested_tasks import (
     clear_if_requested,
 )
 from workshop.controller.services.data import STARTING
-from workshop.controller.table import Timing, check_personality, engine_table, load_table, table_like, table_of
+from workshop.controller.table import check_personality, engine_table, load_table, table_like, table_of
 
 RUNNING_RAD_S: Final = 30.0  # engine speed above that of a starter
 LEAST_LOOK_S: Final = 0.8 * MONITOR_PERIOD_S  # time of the drive between two samples of the monitors
@@ -62,8 +59,8 @@ class Answering:
         The car that performs routines; None: it performs none.
     ignition
         Times of the drive [s] at which the ignition is switched on, the first frame included; consumed here.
-    clock
-        Returns monotonic time [s].
+    inquiry
+        In whose time it answers; that of this machine by default.
 
     Raises
     ------
@@ -80,7 +77,7 @@ class Answering:
         bitrate: int | None = None,
         performer: Drive | None = None,
         ignition: deque[float] | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        inquiry: Inquiry | None = None,
     ) -> None:
         try:
             from workshop.controller.link import DiagnosticLink, Links  # noqa: PLC0415 - an extra
@@ -88,7 +85,9 @@ class Answering:
             raise LogFormatExtraError("diagnostics need can-isotp: pip install './workshop[diagnostics]'") from exc
         self._bus = bus
         self._stack = ExitStack()
-        self._clock = clock
+        self._inquiry = inquiry = ThreadInquiry() if inquiry is None else inquiry
+        self._pace = inquiry.pace
+        self._clock = clock = self._pace.now_s
         self._began_s = clock()
         self._ignition: deque[float] = deque() if ignition is None else ignition
         self._switched_on_s = math.inf  # next, time of the bus
@@ -111,13 +110,9 @@ class Answering:
         self._driven_s = -math.inf  # drive time of the newest frame, also where sending lags behind
         self._looked_s = -math.inf  # drive time of the last sample of the monitors
         self._engine_ran_s = 0.0  # since the controller was switched on
-        self._is_over = threading.Event()
-        self._watcher = threading.Thread(target=self._watch, name="monitors", daemon=True)
-        self._error: BaseException | None = None
         shipped = table_of(transmission) if options.like is None else table_like(options.like, transmission)
         described = shipped if options.table is None else load_table(Path(options.table))
         engine = () if options.like is None else (engine_table(),)
-        times = random.Random()  # noqa: S311 - no secret: how long an answer takes
         store = (
             None if options.memory is None else self._stack.enter_context(MemoryFile(Path(options.memory), described))
         )
@@ -129,7 +124,7 @@ class Answering:
                     clock=clock,
                     chance=secrets.token_bytes,
                     store=store if table is described else None,
-                    work=partial(_work, table.timing, times),
+                    work=inquiry.work(table.timing),
                 )
                 for table in (described, *engine)
             )
@@ -141,7 +136,8 @@ class Answering:
             self._routine = None if performer is None else RequestedRoutine(performer, self.controller)
             self._adaptation = None if performer is None else RequestedAdaptation(performer, self.controller)
             self._links = [
-                DiagnosticLink(controller, bus.send, is_fd=is_fd) for controller in (self.controller, *others)
+                DiagnosticLink(controller, bus.send, is_fd=is_fd, inquiry=inquiry)
+                for controller in (self.controller, *others)
             ]
             self.link = Links(*self._links)
             doip = options.doip_address
@@ -154,25 +150,23 @@ class Answering:
             raise
 
     def __enter__(self) -> Self:
-        parts: tuple[AbstractContextManager[object] | None, ...] = (self.elm327, *self._links, self.doip)
+        parts: tuple[AbstractContextManager[object] | None, ...] = (
+            self._inquiry, self.elm327, *self._links, self.doip
+        )  # fmt: skip
         try:
             for part in parts:
                 if part is not None:
                     self._stack.enter_context(part)
+            self._stack.enter_context(self._pace.looking(self._watch, MONITOR_PERIOD_S, "monitors"))
         except BaseException:
             self._stack.close()
             raise
-        self._watcher.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._is_over.set()
-        self._watcher.join()
         self._stack.__exit__(kind, error, trace)
-        if self._error is not None and error is None:
-            raise self._error
 
     def send(self, message: can.Message) -> None:
         """Put a frame on the bus, unless a tester has switched this controller's messages off (28) or reset it (11)."""
@@ -259,17 +253,13 @@ class Answering:
             self._monitoring.judge(values, driven_s)
 
     def _watch(self) -> None:
-        """Run monitors and routines until the end."""
-        try:
-            while not self._is_over.wait(MONITOR_PERIOD_S):
-                self.watch()
-                if self._routine is not None:
-                    self._routine.step(self._driven)
-                if self._adaptation is not None:
-                    self._adaptation.step(self._values())
-                    clear_if_requested(self.controller, self._monitoring, self._adaptation)
-        except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
-            self._error = exc
+        """Run monitors and routines."""
+        self.watch()
+        if self._routine is not None:
+            self._routine.step(self._driven)
+        if self._adaptation is not None:
+            self._adaptation.step(self._values())
+            clear_if_requested(self.controller, self._monitoring, self._adaptation)
 
     def _note_reset(self) -> None:
         """Begin anew once a tester has reset the controller, alive counters included."""
@@ -317,11 +307,6 @@ class Answering:
             **(self._sent.silences if self.controller.state.communication.receives_normal else {}),
         }
         return self._sent.now(more)
-
-
-def _work(timing: Timing, times: random.Random) -> None:
-    """Sleep for half of the time to answer."""
-    time.sleep(times.uniform(timing.least_answer_s, timing.most_answer_s) / 2.0)
 
 
 def place_text(what: str, place: str, *, is_exposed: bool) -> str:
@@ -377,8 +362,9 @@ class Answers:
             If the table, the memory, the bus or an address cannot be used, or can-isotp is not installed.
         """
         return Answering(
-            bus, self, is_fd=choice.is_fd, bitrate=choice.bitrate, performer=drive, ignition=drive.ignition
-        )
+            bus, self, is_fd=choice.is_fd, bitrate=choice.bitrate, performer=drive, ignition=drive.ignition,
+            inquiry=inquiry_of(bus),
+        )  # fmt: skip
 
     @property
     def doip_address(self) -> DoipAddress | None:

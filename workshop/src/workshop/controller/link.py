@@ -1,27 +1,24 @@
 """A controller on a bus: ISO-TP (ISO 15765-2) by can-isotp, beside other traffic."""
 
 import logging
+import math
 import queue
-import threading
-import time
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING, Final, Self
+from types import TracebackType
+from typing import Final, Self
 
 import can
 import isotp
 
 from ecu_emulator.errors import EmulatorConfigError
 from workshop.controller.controller import TICK_S, Controller
+from workshop.controller.inquiry import Asked, Inquiry, ThreadInquiry
 from workshop.controller.iso14229 import NEGATIVE, Nrc
 from workshop.controller.server import AGAIN_RATIO, KEEP_ALIVE, PENDING_RATIO
-from workshop.isotp_frames import LARGEST_STANDARD_ID, isotp_address, single_payload, usable
-
-if TYPE_CHECKING:
-    from workshop.controller.state import Reply
+from workshop.isotp_frames import LARGEST_STANDARD_ID, TransportLayer, isotp_address, single_payload, usable
 
 MOST_FRAMES: Final = 4096  # waiting frames; further ones are dropped and counted
 MOST_REQUESTS: Final = 32  # waiting requests
@@ -45,7 +42,7 @@ class LinkCounts:
 
 
 class DiagnosticLink:
-    """Answers while the ``with`` block runs, in its own thread, the only user of the transport layer.
+    """Answers while the ``with`` block runs, at its own pace, the only user of the transport layer.
 
     Parameters
     ----------
@@ -55,6 +52,8 @@ class DiagnosticLink:
         Puts a frame on the bus; may raise ``can.CanError``.
     is_fd
         Whether responses go out in CAN FD frames.
+    inquiry
+        In whose time the controller is asked, entered elsewhere; that of this machine by default.
 
     Raises
     ------
@@ -62,8 +61,17 @@ class DiagnosticLink:
         If the transport layer refuses the settings of the table.
     """
 
-    def __init__(self, controller: Controller, send: Callable[[can.Message], None], *, is_fd: bool = False) -> None:
+    def __init__(
+        self,
+        controller: Controller,
+        send: Callable[[can.Message], None],
+        *,
+        is_fd: bool = False,
+        inquiry: Inquiry | None = None,
+    ) -> None:
         self._controller = controller
+        self._inquiry, self._is_owner = (ThreadInquiry(), True) if inquiry is None else (inquiry, False)
+        self._pace = self._inquiry.pace
         self._send = send
         self._is_fd = is_fd
         self._ids = controller.table.addressing
@@ -72,19 +80,18 @@ class DiagnosticLink:
         self._frames: queue.Queue[can.Message | None] = queue.Queue(MOST_FRAMES)
         self._requests: deque[tuple[bytes, bool]] = deque()
         self._next: isotp.CanMessage | None = None
-        self._pool = ThreadPoolExecutor(1, "diagnostics asks")
-        self._asking: Future[Reply] | None = None
+        self._asking: Asked | None = None
         self._asked, self._pending_s, self._has_promised = b"", 0.0, False
-        self._is_over = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="diagnostics", daemon=True)
+        self._next_tick_s = -math.inf
+        self._stack = ExitStack()
         self._layer = self._made_layer()
         self.counts = LinkCounts()
-        self._error: BaseException | None = None
 
     def _made_layer(self) -> isotp.TransportLayerLogic:
         transport = self._transport
         try:
-            return isotp.TransportLayerLogic(
+            return TransportLayer(
+                self._pace.now_s,
                 rxfn=self._take_frame,
                 txfn=self._send_frame,
                 address=isotp_address(
@@ -118,14 +125,15 @@ class DiagnosticLink:
         return self._ids.request_id, self._ids.functional_id
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        if self._is_owner:
+            self._stack.enter_context(self._inquiry)
+        self._stack.enter_context(self._pace.listening(self._serve, "diagnostics"))
         return self
 
-    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
-        self._is_over.set()
-        self._thread.join()
-        if self._error is not None and error is None:
-            raise self._error
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
 
     def feed(self, message: can.Message) -> None:
         """Queue a frame from the bus; safe for any thread; frames for others are ignored."""
@@ -138,29 +146,21 @@ class DiagnosticLink:
         except queue.Full:
             self.counts.dropped_frames += 1
 
-    def _run(self) -> None:
-        try:
-            self._serve()
-        except BaseException as exc:  # noqa: BLE001 - carried to the caller's thread, which raises it
-            self._error = exc
-        finally:
-            self._pool.shutdown()
-
-    def _serve(self) -> None:
-        next_tick_s = time.monotonic()
-        while not self._is_over.is_set():
-            self._process_next(self._patience_s())
-            self._layer.process()
-            while (received := self._layer.recv()) is not None:
-                self._enqueue(bytes(received), is_functional=False)
-            now_s = time.monotonic()
-            self._process_requests(now_s)
-            if now_s >= next_tick_s:
-                next_tick_s = now_s + TICK_S
-                if self._layer.transmitting() or self._layer.is_rx_active():
-                    self._controller.hold_session()
-                self._respond(self._controller.tick())
-            self._layer.process()
+    def _serve(self, patience_s: float) -> bool:
+        """Take a frame, if one comes for so long [s], and do what is due; return whether further frames wait."""
+        self._process_next(min(patience_s, self._patience_s()))
+        self._layer.process()
+        while (received := self._layer.recv()) is not None:
+            self._enqueue(bytes(received), is_functional=False)
+        now_s = self._pace.now_s()
+        self._process_requests(now_s)
+        if now_s >= self._next_tick_s:
+            self._next_tick_s = now_s + TICK_S
+            if self._layer.transmitting() or self._layer.is_rx_active():
+                self._controller.hold_session()
+            self._respond(self._controller.tick())
+        self._layer.process()
+        return not self._frames.empty()
 
     def _patience_s(self) -> float:
         """Return how long to wait for a frame [s]: until the next frame of a response is due."""
@@ -213,8 +213,7 @@ class DiagnosticLink:
             self._asked, is_functional = self._requests.popleft()
             self.counts.requests += 1
             self._pending_s, self._has_promised = now_s + PENDING_RATIO * self._controller.table.timing.p2_s, False
-            self._asking = self._pool.submit(self._controller.reply_to, self._asked, is_functional=is_functional)
-            self._asking.add_done_callback(lambda _: self._wake())
+            self._asking = self._inquiry.ask(self._controller, self._asked, is_functional, self._wake)
         if self._asking is None:
             return
         if self._asking.done():
