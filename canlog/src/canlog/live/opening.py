@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import can
 
 from canlog.errors import SourceError
-from canlog.live.socketcan import SocketCanSource, restart_controller
+from canlog.live.socketcan import SOCKETCAN, SocketCanSource, named_channel, restart_controller
 from canlog.live.sources import FrameSource, ReadSchedule
-
-SOCKETCAN = "socketcan"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,9 +69,9 @@ class BusOpener:
                 pythoncan.open_bus, settings.interface, settings.channel, settings.bitrate, fd=settings.fd
             )
             return pythoncan.PythonCanSource(bus, settings.description)
-        if not settings.channel:
-            raise SourceError("no CAN channel given: name the interface, for example -i socketcan -c vcan0")
-        return SocketCanSource(settings.channel, fd=settings.fd, filters=self._filters, schedule=self._schedule)
+        return SocketCanSource(
+            named_channel(settings.channel), fd=settings.fd, filters=self._filters, schedule=self._schedule
+        )
 
     async def restart(self) -> str | None:
         """Ask the controller to leave bus-off; return why that cannot be, None if it was accepted."""
