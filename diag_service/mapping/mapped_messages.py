@@ -296,7 +296,7 @@ def missing_for(wanted: Tier, signals: AbstractSet[Signal], *, knows_gears: bool
     sentence = f"{purpose} {'need' if ' and ' in purpose else 'needs'} {', '.join(missing)}"
     is_commanded = Signal.LOCKUP_PRESSURE_COMMAND in signals and Signal.LOCKUP_PRESSURE not in signals
     if has_converter and is_commanded and wanted is Tier.FRICTION:
-        sentence += " as measured: the lag and scale of a commanded pressure are not known, and its controller learns"
+        sentence += " as measured: delay and scale of a commanded one are unknown, and the controller changes them"
     return sentence
 
 
@@ -305,7 +305,7 @@ def lacking(
 ) -> tuple[Requirement, ...]:
     """Return what a tier lacks: of each requirement that is not met what its alternatives lack, the least first."""
     unmet = _unmet(wanted, signals, knows_gears=knows_gears, has_converter=has_converter)
-    lacks = [dict.fromkeys(alternative - signals for alternative in requirement) for requirement in unmet]
+    lacks = [dict.fromkeys(frozenset(alternative - signals) for alternative in requirement) for requirement in unmet]
     least = ([each for each in every if not any(other < each for other in every)] for every in lacks)
     return tuple(tuple(sorted(alternatives, key=len)) for alternatives in least)
 

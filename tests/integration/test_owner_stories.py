@@ -59,9 +59,9 @@ def story(folder: Path, profile: str, like_car: tuple[str, str, str]) -> tuple[s
 
 
 SLOW = (
-    r"They come [1-4](\.[0-9])? times a second: only slow starts from standstill can be judged, in which the clutch "
-    r"slips for [0-9.]+ s. From the third drive on you learn whether the friction of clutch 1 changes, but not how "
-    r"good it is. Clutch 2 stays unknown. A faster adapter tells more."
+    r"The values come [1-4](\.[0-9])? times a second: only slow starts from standstill can be judged, in which the "
+    r"clutch slips for [0-9.]+ s. From the third drive on you learn whether the friction of clutch 1 changes, but not "
+    r"how good it is. Clutch 2 stays unknown. A faster adapter tells more."
 )
 
 
@@ -69,7 +69,7 @@ SLOW = (
 def test_a_dual_clutch_and_an_elm327_from_plug_in_to_verdict(tmp_path: Path, like: str) -> None:
     said, log = story(tmp_path, like, (like, "case2", "cycle"))
     assert said.startswith(f"{like} fits best: the car answers 9 of 9 values ")
-    assert "By these a drive can tell the friction of both clutches." in said
+    assert "From these values a drive can tell the friction of both clutches." in said
     assert re.search(SLOW, said)
     assert "drive now, through all gears, accelerating and rolling" in said
     assert f"$ diag-service analyze {log} --profile {like}" in said
@@ -85,8 +85,9 @@ def test_a_gm_automatic_and_an_elm327_from_plug_in_to_verdict(tmp_path: Path) ->
     said, log = story(tmp_path, "gm_t87a", ("gm_t87a", "lockup", "udds"))
     assert said.startswith("gm_t87a fits best: the car answers 6 of 6 values turbine speed ")
     assert (
-        "By these a drive can tell whether friction of the lock-up clutch rises with slip (good) or falls (it can "
-        "shudder). How good the friction is stays unknown: the car tells the commanded pressure, not the measured one."
+        "From these values a drive can tell whether friction of the lock-up clutch rises with slip (good) or falls (it "
+        "can shudder). How good the friction is stays unknown: the car tells the commanded pressure, not the measured "
+        "one."
     ) in said
     assert "times a second. Shudder itself is too fast for that: it takes 25 times a second." in said
     words = ("analyze", str(log), "--profile", "gm_t87a", "--calibration", "lockup")
@@ -127,9 +128,8 @@ def test_a_car_that_tells_speeds_alone_is_refused_before_the_drive(tmp_path: Pat
     assert not log.exists()
     run.assert_one_line(
         3,
-        "no drive would tell anything of friction: that also takes engine torque, clutch 1 pressure, clutch 2 "
-        "pressure, which the car does not tell by this profile. If you know a profile that asks for these, name it by "
-        "--profile",
+        "no drive would tell anything of friction: it also takes engine torque, clutch 1 pressure, clutch 2 pressure, "
+        "and this car does not answer for them. A profile of your own may ask in another way: --profile names it",
     )
 
 

@@ -61,8 +61,8 @@ def test_values_rate_and_how_to_go_on_are_told() -> None:
     said = " ".join(run.out.split())
     assert "dct_asked fits best: the car answers 6 of 6 values engine torque 120 Nm" in said
     assert "clutch 1 pressure 4 bar" in said
-    assert "7 more are broadcast By these a drive can tell the friction of both clutches." in said
-    assert re.search(r"They come [0-9.]+ times a second", said)
+    assert "7 more values are broadcast From these values a drive can tell the friction of both clutches." in said
+    assert re.search(r"The values come [0-9.]+ times a second", said)
     assert "diag-service run -i virtual -c try-2 --profile dct_asked --active" in said
     assert ear.services() == {0x22}
 

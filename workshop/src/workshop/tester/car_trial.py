@@ -114,9 +114,9 @@ class CarTrial:
         if self.broadcast:
             is_unheard = self.doubt is Doubt.NONE_HEARD
             more = "would be broadcast, but none of their messages was heard" if is_unheard else "are broadcast"
-            lines.append(f"  {len(self.broadcast)} more {more}")
+            lines.append(f"  {len(self.broadcast)} more values {more}")
         if self.is_enough and self.tier is not None:
-            suffices = f"By these a drive can tell {self.transmission.purpose[self.tier]}."
+            suffices = f"From these values a drive can tell {self.transmission.purpose[self.tier]}."
             lacks = self.transmission.lacks(self.answered, self._needed(Tier.FRICTION))
             lines.append(" ".join(filter(None, (suffices, lacks))))
         return "\n".join(lines)
@@ -131,8 +131,8 @@ class CarTrial:
         if not self.is_enough:
             least = Tier.TORQUE if self.conditions["has_converter"] else Tier.FRICTION
             raise ControllerError(
-                f"no drive would tell anything of friction: that also takes {self._needed(least)}, which the car does "
-                "not tell by this profile. If you know a profile that asks for these, name it by --profile"
+                f"no drive would tell anything of friction: it also takes {self._needed(least)}, and this car does not "
+                "answer for them. A profile of your own may ask in another way: --profile names it"
             )
 
     def promise(self, rate_hz: float) -> str:
@@ -144,4 +144,4 @@ class CarTrial:
                 f"{LEAST_SETS_HZ:g}. Try a faster adapter"
             )
         promise = "" if self.tier is None else self.transmission.promise(self.tier, rate_hz)
-        return f"They come {rate_hz:.2g} times a second{promise}."
+        return f"The values come {rate_hz:.2g} times a second{promise}."
