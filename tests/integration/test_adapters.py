@@ -3,7 +3,10 @@
 import os
 import pty
 import termios
-from contextlib import ExitStack
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from socketserver import StreamRequestHandler, TCPServer
 
 import pytest
 
@@ -44,3 +47,42 @@ def test_a_port_with_nobody_at_it_names_the_rates_that_were_tried() -> None:
     finally:
         os.close(near)
         os.close(far)
+
+
+@contextmanager
+def scripted(lines: Mapping[str, str]) -> Iterator[str]:
+    """Yield the place of an adapter on the network that answers each line so, and all others with OK."""
+
+    class Adapter(StreamRequestHandler):
+        def handle(self) -> None:
+            heard = b""
+            while piece := self.request.recv(4096):
+                *commands, heard = (heard + piece).split(b"\r")
+                for command in commands:
+                    self.wfile.write(f"{lines.get(command.decode(), 'OK')}\r\r>".encode("ascii"))
+
+    with TCPServer(("127.0.0.1", 0), Adapter) as server:
+        thread = threading.Thread(target=server.handle_request)
+        thread.start()
+        try:
+            yield f"127.0.0.1:{server.server_address[1]}"
+        finally:
+            thread.join()
+
+
+@pytest.mark.parametrize(
+    ("output", "answer"),
+    [
+        ("7F2278", "7F2278"),  # its time for an answer was over
+        ("7F2278\r6238EB0190", "6238EB0190"),
+        ("7F2231\r6238EB0190", "6238EB0190"),  # the refusal is that of the request before
+        ("7F2221", "7F2221"),
+    ],
+)
+def test_an_adapter_tells_late_answers_from_those_that_were_asked_for(output: str, answer: str) -> None:
+    lines = {"22009A": "NO DATA"} if "31" in output else {}
+    with scripted({**lines, "2238EB": output}) as place, ExitStack() as stack:
+        line = ElmLine(place, stack, lambda: True)
+        for request in lines:
+            assert line.ask(bytes.fromhex(request), GEARBOX) is None
+        assert line.ask(PRESSURE, GEARBOX) == bytes.fromhex(answer)

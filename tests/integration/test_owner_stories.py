@@ -14,7 +14,7 @@ import pytest
 
 from diag_service.mapping.profile import load_shipped
 from ecu_emulator import Emulator
-from tests.integration.test_signal_asking import VALUES, Canned, controller, engine, heard
+from tests.integration.test_signal_asking import VALUES, Canned, controller, engine, heard, wait_for
 from tests.integration.test_tester import vehicle
 from tests.support.in_process import ended
 from tests.support.patience import HANG_S
@@ -159,9 +159,41 @@ def test_a_car_that_is_starting_is_waited_for() -> None:
     with busy_car("owner-starts", starts_after_s=2.0):
         run = ended("try", "-i", "virtual", "-c", "owner-starts", "--listen", "0.05", "--profile", "vw_dsg", "--active")
     assert run.status == 0, run.err
-    assert f"{BUSY} 30 s at most\n" in run.out
+    assert f"{BUSY} 60 s at most\n" in run.out
     assert "vw_dsg fits best: the car answers 9 of 9 values\n" in run.out
     assert "refused" not in run.out
+
+
+def test_a_car_that_is_silent_while_it_is_busy_is_waited_for() -> None:
+    """As an emulated car, whose compiler leaves its controller no time for answers."""
+    channel, words = "owner-silent", ("--listen", "0.05", "--profile", "dct_asked", "--active")
+    requests = [f"22{asked.number:04X}" for asked in load_shipped("dct_asked").asked.values()]
+    with can.Bus(channel, "virtual") as near:
+        canned = Canned(near, dict.fromkeys(requests, ("03 7F 22 21",)))
+
+        def start() -> None:
+            wait_for(lambda: canned.begun_count >= 2)
+            canned.answers.clear()
+            wait_for(lambda: canned.begun_count >= 8)
+            canned.answers |= {request: (f"05 62 {request[2:]} 01 90",) for request in requests}
+
+        starting = threading.Thread(target=start)
+        with can.Notifier(near, [canned], timeout=0.05):
+            starting.start()
+            run = ended("try", "-i", "virtual", "-c", channel, *words)
+            starting.join()
+    assert "dct_asked fits best: the car answers 6 of 6 values\n" in run.out
+
+
+def test_what_a_controller_leaves_unanswered_does_not_end_the_questions() -> None:
+    channel, words = "owner-partly", ("--listen", "0.05", "--profile", "dct_asked", "--active")
+    *requests, last = [f"22{asked.number:04X}" for asked in load_shipped("dct_asked").asked.values()]
+    with can.Bus(channel, "virtual") as near:
+        answered = {request: (f"05 62 {request[2:]} 01 90",) for request in (requests[0], last)}
+        with can.Notifier(near, [Canned(near, answered)], timeout=0.05):
+            run = ended("try", "-i", "virtual", "-c", channel, *words)
+    assert "dct_asked fits best: the car answers 2 of 6 values\n" in run.out
+    assert "  no answer: input shaft 1 speed, input shaft 2 speed, clutch 1 pressure, clutch 2 pressure\n" in run.out
 
 
 def test_a_car_that_stays_busy_is_called_busy() -> None:

@@ -138,6 +138,8 @@ class CarTrial:
     def promise(self, rate_hz: float) -> str:
         """Return what a drive will tell by so many sets a second; raises ControllerError if that is nothing."""
         self.check()
+        if not rate_hz:
+            raise ControllerError("the car has stopped answering: leave the ignition on, and try again")
         if rate_hz < LEAST_SETS_HZ:
             raise ControllerError(
                 f"all values came {rate_hz:.2g} times a second, which is too slow for any drive: it takes "

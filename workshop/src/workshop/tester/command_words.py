@@ -171,7 +171,7 @@ def scan(controls: Controls, **words: Any) -> None:
 @click.option("--dry-run", is_flag=True, help="show the requests byte by byte and send nothing, whatever else is said")
 @_listen_option
 @click.option(
-    "--patience", metavar="S", type=float, default=30.0, help="how long a controller that is busy is asked again"
+    "--patience", metavar="S", type=float, default=60.0, help="how long a controller that is busy is asked again"
 )
 @click.option(
     "--record", type=FILE, help="record a drive (.log, .asc, .blf), learn the vehicle from it, and diagnose it"

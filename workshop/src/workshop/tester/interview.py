@@ -69,8 +69,15 @@ def value_words(signal: Signal, value: float) -> str:
     return f"{signal_words(signal)} {digits(amount)} {unit}".rstrip()
 
 
+def _delay(answer: bytes | None, *, is_busy: bool) -> Outcome | None:
+    """Return what a controller does instead of an answer, None if that is no delay; who is busy may be silent, too."""
+    if answer is None:
+        return Outcome.BUSY if is_busy else None
+    return _LATER.get(answer[2]) if answer[0] == NEGATIVE and len(answer) > 2 else None
+
+
 class Interview:
-    """Asks the controllers of a car for single data; who does not answer is given up, and asked no more.
+    """Asks the controllers of a car for single data; who answers nothing at all is given up, and asked no more.
 
     Parameters
     ----------
@@ -90,6 +97,7 @@ class Interview:
         self.patience_s = patience_s
         self._show = show
         self._goes_on = goes_on
+        self._heard: set[CanAddress] = set()
         self._until_s: dict[CanAddress, float] = {}  # of patience with who is busy
 
     def replies(self, profile: Profile) -> Iterator[Reply]:
@@ -108,7 +116,7 @@ class Interview:
         reply = partial(Reply, question=question, signals=signals)
         answer = self._ask(question)
         if answer is None:
-            return reply(outcome=self.given_up[question.address])
+            return reply(outcome=self.given_up.get(question.address, Outcome.SILENT))
         if answer[0] == NEGATIVE:
             return reply(outcome=Outcome.REFUSED, detail=refusal_text(answer[2] if len(answer) > 2 else 0))
         (datum,) = question.data
@@ -124,20 +132,21 @@ class Interview:
         return reply(outcome=Outcome.TOLD if values else Outcome.EMPTY, values=values)
 
     def _ask(self, question: DataRequest) -> bytes | None:
-        """Return the answer to a question; None from a controller that is given up, now or before."""
-        silent_count = 0
-        while question.address not in self.given_up:
-            answer = self._line.ask(question.request, question.address)
-            if answer is None:
-                silent_count += 1
-                if silent_count >= MOST_SILENT:
-                    self.given_up[question.address] = Outcome.SILENT
-                continue
-            delay = _LATER.get(answer[2]) if answer[0] == NEGATIVE and len(answer) > 2 else None
-            if delay is None:
-                self._until_s.pop(question.address, None)
+        """Return the answer to a question; None without, and from a controller that is given up."""
+        address, silent_count = question.address, 0
+        while address not in self.given_up and silent_count < MOST_SILENT:
+            answer = self._line.ask(question.request, address)
+            delay = _delay(answer, is_busy=address in self._until_s)
+            if delay is not None:
+                self._wait_for(address, delay)
+            elif answer is not None:
+                self._heard.add(address)
+                self._until_s.pop(address, None)
                 return answer
-            self._wait_for(question.address, delay)
+            else:
+                silent_count += 1
+        if address not in self._heard:
+            self.given_up.setdefault(address, Outcome.SILENT)
         return None
 
     def _wait_for(self, address: CanAddress, delay: Outcome) -> None:
