@@ -231,9 +231,9 @@ def _learned(options: LearnOptions, stop: Trigger, watch: Watch) -> LearnedVehic
     logs, columns = options.logs, options.columns
     config = diagnosis_config(replace(options, calibration=None))  # the logs tell, not the type that is assumed
     meaning = as_proposed(config, logs, lambda: stop.is_set).interpretation()
-    signals = meaning.decoder().signals
     if is_of_lockup(meaning.profile.sources.keys()):
         raise ConfigError("learn describes dual clutches: for a lock-up clutch, analyze takes --calibration lockup")
+    signals = meaning.decoder().signals
     known = meaning.profile.gears
     over = known.over if known is not None else next((speed for speed in BEHIND if speed in signals), None)
     if over is None or Signal.ENGINE_SPEED not in signals:
