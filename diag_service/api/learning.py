@@ -23,7 +23,7 @@ from diag_service.diagnosis.slip_phase import PRESSURES, NoPhase, SlipPhase, Sta
 from diag_service.errors import ConfigError, StoppedError
 from diag_service.mapping.interpretation import Interpretation
 from diag_service.mapping.learning import BEHIND, COMMANDS, LearnedVehicle, VehicleSurvey
-from diag_service.mapping.mapped_messages import missing_for_next
+from diag_service.mapping.mapped_messages import is_of_lockup, missing_for_next
 from diag_service.mapping.vehicle_file import description_toml
 from diag_service.settings.config import write_text
 from diag_service.settings.options import LearnOptions, PredictOptions, as_proposed, check_replaceable, diagnosis_config
@@ -231,13 +231,13 @@ def _learned(options: LearnOptions, stop: Trigger, watch: Watch) -> LearnedVehic
     logs, columns = options.logs, options.columns
     config = diagnosis_config(replace(options, calibration=None))  # the logs tell, not the type that is assumed
     meaning = as_proposed(config, logs, lambda: stop.is_set).interpretation()
+    if is_of_lockup(meaning.profile.sources.keys()):
+        raise ConfigError("learn describes dual clutches: for a lock-up clutch, analyze takes --calibration lockup")
     signals = meaning.decoder().signals
     known = meaning.profile.gears
     over = known.over if known is not None else next((speed for speed in BEHIND if speed in signals), None)
     if over is None or Signal.ENGINE_SPEED not in signals:
-        raise ConfigError(
-            "nothing can be learned without engine_speed_rad_s and output_speed_rad_s or vehicle_speed_m_s"
-        )
+        raise ConfigError("nothing can be learned without engine speed and output shaft speed or road speed")
     survey = VehicleSurvey(over)
     for log in logs:
         decoder = meaning.decoder()
@@ -267,7 +267,7 @@ def summary_lines(learned: LearnedVehicle) -> Iterator[str]:
             pressure = f"{plus_minus(bar_from_pa(touch.value), bar_from_pa(touch.std), '{:.2f}')} bar"
             yield f"clutch {clutch}: touch point {pressure} ({touch.origin})"
         else:
-            yield f"clutch {clutch}: touch point not in the logs, assumed"
+            yield f"clutch {clutch}: touch point assumed: the logs do not tell it"
         yield f"clutch {clutch}: {_lag_text(learned, clutch)}"
         if (gain := learned.gain_rad_s2_pa.get(clutch)) is not None:
             change = plus_minus(rpm_from_rad_s(gain.value), rpm_from_rad_s(gain.std), "{:.3g}", scale=pa_from_bar(1.0))
@@ -285,15 +285,15 @@ def _gear_lines(learned: LearnedVehicle) -> Iterator[str]:
     for number, count in learned.unclosed.items():
         yield f"gear {number}: driven for {count} samples, in which its clutch was not closed for long: no ratio"
     if learned.gears and learned.ratios is None:
-        yield "not every gear has its ratio: complete [gears] by hand"
+        yield "not every gear was driven for long: drive once more through all of them, or complete [gears] by hand"
 
 
 def _lag_text(learned: LearnedVehicle, clutch: int) -> str:
     if (lag := learned.lag_s.get(clutch)) is not None:
-        return f"pressure {plus_minus(lag.value, lag.std, '{:.0f}', scale=1e3)} ms behind its command"
+        return f"pressure {plus_minus(lag.value, lag.std, '{:.0f}', scale=1e3)} ms behind the commanded one"
     if COMMANDS[clutch - 1] in learned.rates_hz:
-        return "lag of the pressure not told: its command moves too little, or not as the pressure does"
-    return "lag of the pressure not told: the profile names no commanded pressure"
+        return "delay of its pressure unknown: the commanded pressure moves too little, or not as the pressure does"
+    return "delay of its pressure unknown: the profile has no commanded pressure"
 
 
 def learned_record(learned: LearnedVehicle) -> dict[str, object]:

@@ -51,7 +51,7 @@ def learn(options: LearnOptions, controls: Controls) -> None:
     """Learn a vehicle, and write and show its description."""
     with ReadingLine() as line:
         learned = learn_vehicle(options, controls, line)
-    last = f"description in {options.output}: what is assumed there, a drawing or a data sheet tells better"
+    last = f"written to {options.output}; a drawing or data sheet can replace what is assumed there"
     record = {**learned_record(learned), "output": str(options.output)}
     write_record(record, (*summary_lines(learned), last), as_json=options.json)
 

@@ -1,6 +1,6 @@
 """Canonical signals of a profile, found in a database: which messages carry them, each in SI, and what they allow."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from typing import Final
@@ -18,6 +18,7 @@ from clutch_results.records import Tier
 from diag_service.diagnosis.columns import BALANCE_SIGNALS, LOCKUP_SIGNALS, SLIP_SIGNALS, SUMMED_SIGNALS, Signal
 from diag_service.errors import ConfigError
 from diag_service.mapping.profile import AskedSource, BusSource, Profile, SignalSource, to_si
+from diag_service.mapping.signal_words import listed
 from diag_service.mapping.units import Conversion
 
 NS_PER_MS: Final = 1_000_000
@@ -289,14 +290,24 @@ def missing_for(wanted: Tier, signals: AbstractSet[Signal], *, knows_gears: bool
     """Return one sentence: what a tier is and lacks."""
     purpose = (LOCKUP_PURPOSE if has_converter else PURPOSE)[wanted].removesuffix(", no level")
     missing = (
-        " or ".join(dict.fromkeys(_joined(alternative - signals) for alternative in requirement))
-        for requirement in _unmet(wanted, signals, knows_gears=knows_gears, has_converter=has_converter)
+        " or ".join(listed(alternative, " and ") for alternative in requirement)
+        for requirement in lacking(wanted, signals, knows_gears=knows_gears, has_converter=has_converter)
     )
     sentence = f"{purpose} {'need' if ' and ' in purpose else 'needs'} {', '.join(missing)}"
     is_commanded = Signal.LOCKUP_PRESSURE_COMMAND in signals and Signal.LOCKUP_PRESSURE not in signals
     if has_converter and is_commanded and wanted is Tier.FRICTION:
-        sentence += " as measured: the lag and scale of a commanded pressure are not known, and its controller learns"
+        sentence += " as measured: delay and scale of a commanded one are unknown, and the controller changes them"
     return sentence
+
+
+def lacking(
+    wanted: Tier, signals: AbstractSet[Signal], *, knows_gears: bool, has_converter: bool
+) -> tuple[Requirement, ...]:
+    """Return what a tier lacks: of each requirement that is not met what its alternatives lack, the least first."""
+    unmet = _unmet(wanted, signals, knows_gears=knows_gears, has_converter=has_converter)
+    lacks = [dict.fromkeys(frozenset(alternative - signals) for alternative in requirement) for requirement in unmet]
+    least = ([each for each in every if not any(other < each for other in every)] for every in lacks)
+    return tuple(tuple(sorted(alternatives, key=len)) for alternatives in least)
 
 
 def why_no_friction(
@@ -316,7 +327,3 @@ def _unmet(
             continue
         if not any(alternative <= signals for alternative in requirement):
             yield requirement
-
-
-def _joined(signals: Iterable[Signal]) -> str:
-    return " and ".join(signal.value for signal in Signal if signal in set(signals))

@@ -17,7 +17,6 @@ import numpy as np
 from canlog.errors import SourceError
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG
 from canlog.live import multicast, opening, pythoncan
-from canlog.live.socketcan import RECEIVE_BUFFER_BYTES, open_socket
 from ecu_emulator.bus.frames import EncodedFrames
 from ecu_emulator.errors import BusError
 
@@ -325,8 +324,6 @@ def open_bus(
     """
     try:
         settings = opening.complete_settings(interface, channel, bitrate, fd=fd)
-        if settings.interface == opening.SOCKETCAN and settings.channel:  # python-can would leave a socket open
-            open_socket(settings.channel, fd=settings.fd, receive_buffer_bytes=RECEIVE_BUFFER_BYTES).close()
         return pythoncan.open_bus(
             settings.interface, settings.channel, settings.bitrate, fd=settings.fd, options=options
         )

@@ -61,7 +61,7 @@ def test_a_car_of_other_ratios_is_described(car: tuple[Path, list[float]], tmp_p
     assert set(told["pressure_lag_s"]) == {"1", "2"}
     assert told["touch_pressure_pa"] == {}  # this car holds no clutch at standstill
     text = (tmp_path / "car.toml").read_text(encoding="utf-8")
-    assert "# clutch 1: touch point not in the logs, assumed" in text
+    assert "# clutch 1: touch point assumed: the logs do not tell it" in text
     calibration, gears = read_description(tmp_path / "car.toml")
     assert calibration.clutches == nominal_calibration().clutches
     assert gears is not None

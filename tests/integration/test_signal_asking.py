@@ -283,8 +283,8 @@ def test_patience_is_counted_and_told_once(channel: str, tmp_path: Path, caplog:
     caplog.set_level(NOTICE)
     with canned(channel, "03 7F 22 78", GOOD), asked(pressure_profile(tmp_path), channel) as asker:
         wait_for(lambda: asker.set_count >= 3)
-    assert caplog.text.count("asked for patience (78)") == 1
-    assert "7E1 (answers 7E9) asked for patience (78)" in caplog.text
+    assert caplog.text.count("asked for more time (78)") == 1
+    assert "7E1 (answers 7E9) asked for more time (78)" in caplog.text
 
 
 def samples_in(profile: Path, frames: Sequence[can.Message]) -> set[float]:

@@ -90,6 +90,16 @@ def told(*words: str | Path) -> dict[str, Any]:
     return record
 
 
+@pytest.mark.parametrize("channel", [("-c", "no_can99"), ()], ids=["no interface", "no name"])
+@pytest.mark.parametrize("command", [("try",), ("dtc",), ("did", "F190"), ("scan",), ("routine", "0302", "start")])
+def test_a_bus_that_cannot_be_opened_is_told_as_the_service_tells_it(
+    command: tuple[str, ...], channel: tuple[str, ...]
+) -> None:
+    where = ("-i", "socketcan", *channel)
+    run, served = ended(*command, *where), ended("monitor", *where)
+    assert (run.status, run.err.splitlines()[-1]) == (3, served.err.splitlines()[-1])
+
+
 def test_without_leave_a_bus_is_listened_to_only(car: Vehicle) -> None:
     car.heard.clear()
     words = (["dtc"], ["did", "F190"], ["routine", "0302", "start"], ["scan", "--first", "7E0"])

@@ -41,7 +41,7 @@ def test_torque_only(drive_log: Path, tmp_path: Path) -> None:
     assert statistics.mean(ratios(ended)) == pytest.approx(1.0, abs=0.1)  # production scatter included
     assert not says_friction(ended)
     capability = ended.summary["capability"]
-    assert (capability["tier"], capability["missing"]) == (2, "friction needs clutch1_pressure_pa, clutch2_pressure_pa")
+    assert (capability["tier"], capability["missing"]) == (2, "friction needs clutch 1 pressure, clutch 2 pressure")
 
 
 def test_speeds_and_gears_only_with_ratios_for_gears(drive_log: Path, tmp_path: Path) -> None:
@@ -70,5 +70,5 @@ def test_a_log_without_shifts_is_accounted_for(drive_log: Path, tmp_path: Path) 
     assert "profile j1939: 12 of 12 signals, tier 3; torque capacity needs" in ended.err
     lines = len(drive_log.read_bytes().splitlines())
     assert f"{lines} frames, 0 decoded, {lines} ignored" in ended.out
-    assert "no shift was found; the signals do not show shifts: shift time and slip need engine_speed" in ended.out
+    assert "no shift was found; the signals do not show shifts: shift time and slip need engine speed" in ended.out
     assert "mapped by profile j1939, but never seen: engine_speed_rad_s, pedal_ratio" in ended.out

@@ -1,5 +1,6 @@
 """``diag-service try`` before the emulated controller: nothing unless allowed, then values, rate, and how to go on."""
 
+import re
 import shlex
 import signal
 import sys
@@ -33,8 +34,24 @@ def test_without_leave_nothing_is_sent() -> None:
         run = ended("try", "-i", "virtual", "-c", "try-1", "--listen", "0.05", "--profile", "vw_dsg")
         assert not ear.frames
     assert run.status == 0, run.err
+    said = "nothing was heard in 0.05 s\nnothing was sent; --active sends requests by vw_dsg: reading services alone"
+    assert run.out == f"{said}; --dry-run shows them byte by byte\n"
+
+
+def test_a_dry_run_shows_the_requests_byte_by_byte() -> None:
+    words = ("--listen", "0.05", "--profile", "vw_dsg", "--active", "--dry-run")
+    with heard("try-8") as ear:
+        run = ended("try", "-i", "virtual", "-c", "try-8", *words)
+        assert not ear.frames
+    assert run.status == 0, run.err
     assert "vw_dsg would ask for 100C at 7E1, 380C at 7E1" in " ".join(run.out.split())
-    assert "nothing was sent" in run.out
+    assert "  7E1: 22 10 0C 38 0C 38 0D 38 EB 38 EA\n" in run.out
+
+
+def test_a_database_that_is_not_there_is_told_before_anything_is_heard() -> None:
+    run = ended("try", "-i", "virtual", "-c", "try-9", "--dbc", "nofile", "--active")
+    run.assert_one_line(2, "cannot read the database nofile")
+    assert not run.out
 
 
 def test_values_rate_and_how_to_go_on_are_told() -> None:
@@ -42,9 +59,10 @@ def test_values_rate_and_how_to_go_on_are_told() -> None:
         run = ended("try", "-i", "virtual", "-c", "try-2", "--listen", "0.05", "--profile", "dct_asked", "--active")
     assert run.status == 0, run.err
     said = " ".join(run.out.split())
-    assert "clutch1_pressure = 4 bar (38EB at 7E1)" in said
-    assert "6 of 6 signals are told; tier 1 (friction) beside 7 that are broadcast" in said
-    assert "sets a second" in said
+    assert "dct_asked fits best: the car answers 6 of 6 values engine torque 120 Nm" in said
+    assert "clutch 1 pressure 4 bar" in said
+    assert "7 more values are broadcast From these values a drive can tell the friction of both clutches." in said
+    assert re.search(r"The values come [0-9.]+ times a second", said)
     assert "diag-service run -i virtual -c try-2 --profile dct_asked --active" in said
     assert ear.services() == {0x22}
 
@@ -95,7 +113,7 @@ def test_the_commands_of_the_page_ask_as_it_says() -> None:
             assert ("nothing was sent" in run.out) == ("--active" not in one)
             assert ear.requests() or "--adapter" in one or "--active" not in one
             assert "--active" in one or not ear.requests()
-    assert "clutch1_pressure = 4 bar (38EB at 7E1)" in run.out
+    assert "  clutch 1 pressure 4 bar\n" in run.out
 
 
 def is_told(log: Path) -> bool:

@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING
 import can
 
 from canlog.errors import SourceError
-from canlog.live.socketcan import SocketCanSource, restart_controller
+from canlog.live.socketcan import SOCKETCAN, SocketCanSource, named_channel, restart_controller
 from canlog.live.sources import FrameSource, ReadSchedule
 
 if TYPE_CHECKING:
     from canlog.live.pythoncan import PythonCanSource
-
-SOCKETCAN = "socketcan"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,9 +86,9 @@ class BusOpener:
             source = pythoncan.PythonCanSource(bus, settings.description, duration_s=self._left_s)
             self._timed = source if source.has_own_time else None
             return source
-        if not settings.channel:
-            raise SourceError("no CAN channel given: name the interface, for example -i socketcan -c vcan0")
-        return SocketCanSource(settings.channel, fd=settings.fd, filters=self._filters, schedule=self._schedule)
+        return SocketCanSource(
+            named_channel(settings.channel), fd=settings.fd, filters=self._filters, schedule=self._schedule
+        )
 
     async def restart(self) -> str | None:
         """Ask the controller to leave bus-off; return why that cannot be, None if it was accepted."""

@@ -24,6 +24,7 @@ from canlog.frames import (
     batch_of,
 )
 from canlog.live import multicast
+from canlog.live.socketcan import SOCKETCAN, check_interface
 from canlog.live.sources import SILENCE_S, BusSilence, FrameQueue, SourceCounts
 
 POLL_S = 0.1  # how soon the thread notices that it shall stop
@@ -217,6 +218,8 @@ def open_bus(
 
     Raises SourceError if the interface is unknown, its driver is missing, or the channel cannot be opened.
     """
+    if interface == SOCKETCAN:
+        check_interface(channel, fd=fd)
     try:
         return multicast.open_bus(interface, channel, bitrate, fd=fd, options=options)
     except (can.CanError, OSError, ValueError, TypeError, ImportError, RuntimeError) as exc:

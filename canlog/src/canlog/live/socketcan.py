@@ -26,6 +26,7 @@ from canlog.frames import (
 from canlog.live.bus_clock import BusClock, clock_alarm
 from canlog.live.sources import RELAXED_S, SILENCE_S, URGENT_S, BusSilence, FrameQueue, ReadSchedule, SourceCounts
 
+SOCKETCAN = "socketcan"  # as python-can calls it
 RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024  # about ten thousand frames: some seconds of a full bus
 SO_RCVBUFFORCE = 33  # linux/socket.h
 SO_TIMESTAMPNS = 35
@@ -89,6 +90,18 @@ def kernel_drops(raw: socket.socket) -> int:
     """Return how many frames the kernel could not put into this socket's receive buffer."""
     memory = raw.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, struct.calcsize(MEMINFO_FORMAT))
     return int(struct.unpack(MEMINFO_FORMAT, memory)[MEMINFO_DROPS])
+
+
+def named_channel(channel: str | None) -> str:
+    """Return the name of an interface; raises SourceError without."""
+    if not channel:
+        raise SourceError("no CAN channel given: name the interface, for example -i socketcan -c vcan0")
+    return channel
+
+
+def check_interface(channel: str | None, *, fd: bool) -> None:
+    """Raise SourceError if an interface cannot be opened: python-can's driver says less, and leaves a socket open."""
+    open_socket(named_channel(channel), fd=fd, receive_buffer_bytes=RECEIVE_BUFFER_BYTES).close()
 
 
 def opening_failed(channel: str, error: OSError) -> SourceError:

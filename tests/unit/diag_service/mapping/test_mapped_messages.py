@@ -102,11 +102,11 @@ def test_tiers(signals: frozenset[Signal], tier: Tier | None) -> None:
 
 def test_what_is_missing_is_named() -> None:
     assert missing_for_next(DCT) == ""
-    assert missing_for_next(DCT - PRESSURES) == "friction needs clutch1_pressure_pa, clutch2_pressure_pa"
+    assert missing_for_next(DCT - PRESSURES) == "friction needs clutch 1 pressure, clutch 2 pressure"
     assert missing_for_next(DCT - PRESSURES - TORQUES) == (
-        "torque capacity needs engine_torque_nm, "
-        "clutch1_torque_command_nm and clutch2_torque_command_nm or clutch_torque_nm"
+        "torque capacity needs engine torque, clutch torque or commanded clutch 1 torque and commanded clutch 2 torque"
     )
-    assert missing_for_next({Signal.ENGINE_SPEED}).startswith(
-        "shift time and slip need current_gear and target_gear or "
+    assert missing_for_next({Signal.ENGINE_SPEED}) == (
+        "shift time and slip need current gear or input shaft speed and target gear "
+        "or input shaft 1 speed and input shaft 2 speed and target gear"
     )

@@ -232,10 +232,10 @@ def test_tiers_of_a_lockup_clutch_are_told_before_the_drive(signals: frozenset[S
 
 def test_a_commanded_pressure_is_told_to_be_none() -> None:
     missing = missing_for_next(COMMANDED, has_converter=True)
-    assert missing.startswith("friction of the lock-up clutch needs lockup_pressure_pa as measured:")
+    assert missing.startswith("friction of the lock-up clutch needs lock-up pressure as measured:")
     assert missing_for_next(MEASURED, has_converter=True) == ""
     assert missing_for_next(COMMANDED - {Signal.ENGINE_TORQUE}, has_converter=True) == (
-        "slope of friction of the lock-up clutch over slip needs engine_torque_nm"
+        "slope of friction of the lock-up clutch over slip needs engine torque"
     )
 
 

@@ -3,28 +3,33 @@
 Requests and answers are copied to a virtual bus of this process, where the diagnosis reads them as on any bus.
 """
 
+import logging
 import os
 import select
 import socket
 import termios
 import time
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
 from urllib.parse import urlsplit
 
 import can
 
+from canlog.errors import NOTICE
 from canlog.isotp import segments
-from diag_service.errors import ConfigError, ControllerError, RefusedError, SilentError, StoppedError
+from diag_service.errors import ConfigError, ControllerError, PendingError, RefusedError, SilentError, StoppedError
 from diag_service.mapping.profile import AskingRules
 from workshop.tester.addresses import CanAddress, hexadecimal, is_extended
 from workshop.tester.answers import (
     MOST_PENDING_S,
     NEGATIVE,
+    PENDING,
     PENDING_S,
     POSITIVE,
+    OpenRequests,
     TesterTiming,
     is_data_answer,
     is_pending,
@@ -41,19 +46,27 @@ CONNECT_S: Final = 5.0
 RESET_S: Final = 3.0  # after ATZ
 ANSWER_S: Final = 1.0  # the adapter reports NO DATA earlier
 LOOK_S: Final = 0.1
+TRIED_S: Final = 1.5  # at each rate of a serial port
+SPEEDS: Final = {38_400: termios.B38400, 115_200: termios.B115200, 9_600: termios.B9600}  # of ELM327, STN and clones
+NOTHING: Final = b"\0"  # the data sheet of the ELM327: such characters are to be ignored
+_INPUT_SPEED, _OUTPUT_SPEED = 4, 5  # of the attributes of a terminal
 _PROTOCOL_11: Final = "ATSP6"
 _SETTINGS: Final = ("ATE0", "ATL0", "ATS0", "ATH0", "ATAL", "ATCAF1", _PROTOCOL_11)  # no echo, no blanks, 500 kbit/s
 _PROTOCOL_29: Final = "ATSP7"
 _PROMPT: Final = b">"
 _NEXT: Final = "is it plugged in, switched on and paired, and is that its port?"
 _NO_ANSWER: Final = ("NODATA", "?", "STOPPED", "SEARCHING", "BUS", "CANERROR", "UNABLE", "BUFFER", "DATAERROR", "ERR")
+_LOG: Final = logging.getLogger(__name__)
 
 
 class Line(Protocol):
     """Access to controllers."""
 
     def ask(self, request: bytes, address: CanAddress) -> bytes | None:
-        """Return the answer to a request, None if none comes; raises ControllerError."""
+        """Return the answer to a request; raises ControllerError.
+
+        "Response pending" (78) if nothing else follows it in time; None: there is no answer.
+        """
 
 
 class ElmLine:
@@ -66,14 +79,18 @@ class ElmLine:
         self._goes_on = goes_on
         self._place = place
         try:
-            self._descriptor = _open_port(place, stack)
+            port = _open_port(place, stack)
         except (OSError, termios.error) as exc:
             why = getattr(exc, "strerror", None) or exc.args[-1]
             raise ControllerError(f"adapter {place}: {why}: {_NEXT}") from exc
+        self._descriptor = port.descriptor
         self._address: CanAddress | None = None
+        self._waiting: dict[CanAddress, OpenRequests] = {}
         self._protocol = _SETTINGS[-1]
         self._is_prompted = True  # whether it waits for a command
         self._until_s = 0.0  # end of its time to answer
+        if port.rates_baud:
+            self._set_rate(port.rates_baud)
         self._command("ATZ", RESET_S)
         for setting in _SETTINGS:
             self._command(setting)
@@ -95,24 +112,45 @@ class ElmLine:
     def ask(self, request: bytes, address: CanAddress) -> bytes | None:
         """Return the answer to a request before the prompt, which comes after a timeout for further answers.
 
-        None: there is no answer. Raises ControllerError, StoppedError.
+        What is returned without one is as `Line` says. Raises ControllerError, StoppedError.
         """
         self.select(address)
-        text = request.hex().upper()
+        text, waiting = request.hex().upper(), self._waiting.setdefault(address, OpenRequests(is_data_answer))
         self._begin(text, ANSWER_S)
+        waiting.begin(request, time.monotonic())
         most_s, count = time.monotonic() + MOST_PENDING_S, 0
         other: bytes | None = None
+        pending: bytes | None = None
         for output in self._read_outputs():
             messages = messages_in(output.removeprefix(text))  # some adapters echo in spite of ATE0
             for answer in messages[count:]:
                 if is_pending(request, answer):
-                    self._until_s = min(time.monotonic() + PENDING_S, most_s)
-                elif is_data_answer(request, answer):
+                    pending, self._until_s = answer, min(time.monotonic() + PENDING_S, most_s)
+                elif (answered := waiting.answered_by(answer)) == request:
                     return answer
-                elif answer[0] == request[0] + POSITIVE:
+                elif answered is None and answer[0] == request[0] + POSITIVE:
                     other = answer
             count = len(messages)
-        return other
+        return other or pending
+
+    def _set_rate(self, rates_baud: Sequence[int]) -> None:
+        """Set the first rate at which the adapter is understood, and tell it; raises ControllerError, StoppedError."""
+        for rate_baud in rates_baud:
+            _set_speed(self._descriptor, rate_baud)
+            if self._is_understood():
+                _LOG.log(NOTICE, "adapter %s: %d baud", self._place, rate_baud)
+                return
+        *others, last = map(str, rates_baud)
+        raise ControllerError(f"adapter {self._place} does not answer at {', '.join(others)} or {last} baud: {_NEXT}")
+
+    def _is_understood(self) -> bool:
+        """Return whether the adapter says what it is in characters that it can have sent."""
+        self._begin("ATI", TRIED_S)
+        try:
+            *_, output = self._read_outputs()
+        except SilentError:
+            return False
+        return output.isascii()
 
     def _command(self, text: str, wait_s: float = ANSWER_S) -> None:
         self._begin(text, wait_s)
@@ -140,14 +178,14 @@ class ElmLine:
             try:
                 if not select.select([self._descriptor], [], [], LOOK_S)[0]:
                     if time.monotonic() > self._until_s:
-                        raise ControllerError(f"adapter {self._place} does not answer: {_NEXT}")
+                        raise SilentError(f"adapter {self._place} does not answer: {_NEXT}")
                     continue
                 piece = os.read(self._descriptor, 4096)
             except OSError as exc:
                 raise ControllerError(f"adapter {self._place}: {exc.strerror or exc}") from exc
             if not piece:
                 raise ControllerError(f"adapter {self._place} has hung up")
-            received += piece
+            received += piece.replace(NOTHING, b"")
             self._is_prompted = _PROMPT in received
             lines, end, _ = received.rpartition(_PROMPT if self._is_prompted else b"\r")
             if end:
@@ -177,21 +215,32 @@ def messages_in(text: str) -> list[bytes]:
     return messages
 
 
-def _open_port(place: str, stack: ExitStack) -> int:
-    """Return the descriptor of a TCP connection or of a serial port."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Port:
+    """An open way to an adapter."""
+
+    descriptor: int
+    rates_baud: tuple[int, ...] = ()  # of a serial port, to be tried in this order
+
+
+def _open_port(place: str, stack: ExitStack) -> Port:
+    """Return a TCP connection or a serial port; raises OSError, termios.error."""
     if place.startswith("/"):
         descriptor = os.open(place, os.O_RDWR | os.O_NOCTTY)
         stack.callback(os.close, descriptor)
         tty.setraw(descriptor)
-        settings = termios.tcgetattr(descriptor)
-        settings[4] = settings[5] = termios.B38400
-        termios.tcsetattr(descriptor, termios.TCSANOW, settings)
-        return descriptor
+        return Port(descriptor=descriptor, rates_baud=tuple(SPEEDS))
     host, _, port = place.rpartition(":")
     connection = socket.create_connection((host.strip("[]"), int(port)), timeout=CONNECT_S)
     stack.callback(connection.close)
     connection.setblocking(True)
-    return connection.fileno()
+    return Port(descriptor=connection.fileno())
+
+
+def _set_speed(descriptor: int, rate_baud: int) -> None:
+    settings = termios.tcgetattr(descriptor)
+    settings[_INPUT_SPEED] = settings[_OUTPUT_SPEED] = SPEEDS[rate_baud]
+    termios.tcsetattr(descriptor, termios.TCSANOW, settings)
 
 
 class DoipLine:
@@ -204,12 +253,14 @@ class DoipLine:
         """Do nothing: the node is the controller."""
 
     def ask(self, request: bytes, address: CanAddress) -> bytes | None:
-        """Return the answer to a request, None if there is none; raises ControllerError, StoppedError."""
+        """Return the answer to a request as `Line` says; raises ControllerError, StoppedError."""
         del address  # the node is the controller
         try:
             return self._tester.ask(request)
         except RefusedError as exc:
             return bytes([NEGATIVE, request[0], exc.code])
+        except PendingError:
+            return bytes([NEGATIVE, request[0], PENDING])
         except SilentError:
             return None
 

@@ -1,7 +1,7 @@
 """Validity of answers, texts of refusals, timing of the tester (ISO 14229-1, ISO 14229-2)."""
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -10,6 +10,7 @@ POSITIVE: Final = 0x40  # added to the service in a positive response
 NEGATIVE: Final = 0x7F
 PENDING_S: Final = 5.0  # after response pending (78), for data that are polled
 MOST_PENDING_S: Final = 30.0  # total time with response pending
+LATEST_S: Final = 5.0  # of an answer without "response pending": the longest P2* of a controller (ISO 14229-2)
 SUPPRESS: Final = 0x80  # suppressPosRspMsgIndicationBit of a sub-function
 
 BUSY: Final = 0x21
@@ -100,6 +101,36 @@ def is_data_answer(request: bytes, response: bytes) -> bool:
     if response[:1] == bytes([request[0] + POSITIVE]):
         return response[1 : 1 + width] in asked
     return response[:2] == bytes([NEGATIVE, request[0]])
+
+
+class OpenRequests:
+    """Requests to one controller that wait for an answer, so that a late one is not taken for that of the next request.
+
+    A controller answers in order. A refusal names a service and no data: it belongs to the oldest open request.
+
+    Parameters
+    ----------
+    belongs
+        Whether a response can be that to a request.
+    """
+
+    def __init__(self, belongs: Callable[[bytes, bytes], bool]) -> None:
+        self._belongs = belongs
+        self._open: list[tuple[bytes, float]] = []  # with the time of each
+
+    def begin(self, request: bytes, now_s: float) -> None:
+        """Add a request; what was not answered for long is lost."""
+        waiting = [(earlier, sent_s) for earlier, sent_s in self._open if now_s - sent_s < LATEST_S]
+        self._open = [*waiting, (request, now_s)]
+
+    def answered_by(self, response: bytes) -> bytes | None:
+        """Return the request that a response answers, which is open no more; None: it answers none."""
+        for at, (request, _) in enumerate(self._open):
+            if self._belongs(request, response):
+                first = at if response[0] == NEGATIVE else 0  # data prove that all before is answered, or lost
+                del self._open[first : at + 1]
+                return request
+        return None
 
 
 def fault(request: bytes, response: bytes) -> str:

@@ -171,6 +171,9 @@ def scan(controls: Controls, **words: Any) -> None:
 @click.option("--dry-run", is_flag=True, help="show the requests byte by byte and send nothing, whatever else is said")
 @_listen_option
 @click.option(
+    "--patience", metavar="S", type=float, default=60.0, help="how long a controller that is busy is asked again"
+)
+@click.option(
     "--record", type=FILE, help="record a drive (.log, .asc, .blf), learn the vehicle from it, and diagnose it"
 )
 @click.option("--duration", metavar="S", type=float, help="how long that drive is (default: until Ctrl-C)")
@@ -179,8 +182,9 @@ def scan(controls: Controls, **words: Any) -> None:
 def try_car(controls: Controls, **words: Any) -> None:
     """Find out what a car tells a tester, and how to go on.
 
-    Listen, ask for each signal of the profiles that ask, show the values and how many sets a second come, and say what
-    that suffices for; with --record also after a drive. Only reading services are sent, and nothing without --active.
+    Listen, ask for each value of the profiles that ask, show what the car answers by the best of them and how fast, and
+    say what that suffices for; with --record also after a drive. -v shows every answer. Only reading services are sent,
+    and nothing without --active.
     """
     from workshop.tester.trying import TryOptions, try_car
 

@@ -25,10 +25,12 @@ from workshop.tester.answers import (
     SESSION,
     STOPPED,
     DialogueCounts,
+    OpenRequests,
     TesterTiming,
     belongs,
     fault,
     hex_text,
+    is_pending,
     refusal_text,
     request_text,
 )
@@ -308,14 +310,17 @@ class Dialogue:
         ControllerError
             If the connection is broken.
         """
-        busy = silent = 0
+        busy, silent, begun_s = 0, 0, time.monotonic()
         while True:
             try:
                 return self._ask_once(request)
             except RefusedError as exc:
                 busy += 1
-                if exc.code != BUSY or busy > self.timing.most_busy:
+                if exc.code != BUSY:
                     raise
+                if busy > self.timing.most_busy:
+                    asked = f"asked for {request_text(request)} {busy} times in {time.monotonic() - begun_s:.0f} s"
+                    raise RefusedError(f"{self.where} is busy ({asked}): try again later", BUSY) from exc
                 self.counts.busy += 1
                 self._rest(self.timing.busy_pause_s * 2.0 ** (busy - 1))
             except PendingError:  # it has received the request
@@ -438,11 +443,13 @@ class _Matching(BaseConnection):
         self._inner = inner
         self._counts = counts
         self._goes_on = goes_on
+        self._waiting = OpenRequests(belongs)
         self.request = self.stray = b""
 
     def begin(self, request: bytes) -> None:
         """Set the request whose answers are passed on."""
         self.request, self.stray = request, b""
+        self._waiting.begin(request, time.monotonic())
 
     def open(self) -> "_Matching":
         self._inner.open()
@@ -473,7 +480,9 @@ class _Matching(BaseConnection):
                 payload = b""
             if not self._goes_on():
                 raise StoppedError(STOPPED)
-            if payload is None or belongs(self.request, payload):
+            if payload is None or is_pending(self.request, payload):
+                return payload
+            if payload and self._waiting.answered_by(payload) == self.request:
                 return payload
             self._counts.stray += bool(payload)
             self.stray = payload or self.stray

@@ -53,7 +53,15 @@ from workshop.tester.addresses import (
     is_extended,
     is_request,
 )
-from workshop.tester.answers import BUSY, MOST_PENDING_S, PENDING_S, is_data_answer, is_pending, refusal_text
+from workshop.tester.answers import (
+    BUSY,
+    MOST_PENDING_S,
+    PENDING_S,
+    OpenRequests,
+    is_data_answer,
+    is_pending,
+    refusal_text,
+)
 from workshop.tester.asking import AskingThread, opened_bus
 from workshop.tester.dialogue import CanConnection, TimeoutException
 from workshop.tester.listening import LISTEN_S, receive, send
@@ -391,7 +399,7 @@ class SignalAsker(AskingThread):
         answer = self._send(line, request, question.address, expected)
         if answer is None and not self.goes_on:
             return False
-        if answer is None:
+        if answer is None or is_pending(request, answer):
             self._leave_alone(question.address)
             return False
         self._silent[question.address] = 0
@@ -403,6 +411,7 @@ class SignalAsker(AskingThread):
             return self._has_data(question, answer)
         code = answer[2] if answer[0] == NEGATIVE and len(answer) > 2 else 0
         if code == BUSY:
+            self._log_once(f"{id_text(question.can_id)} is busy (21): it is asked again")
             self._free_s = time.monotonic() + BUSY_PAUSE_S
         elif question.data[0] in self.plan.defined:
             _LOG.log(NOTICE, "%s is not there any more (%s): it is defined anew", question, refusal_text(code))
@@ -452,7 +461,10 @@ class SignalAsker(AskingThread):
         if self._logged_hz is None or abs(rate_hz / self._logged_hz - 1.0) > LOGGED_RATIO:
             self._logged_hz = rate_hz
             _LOG.log(
-                NOTICE, "%.0f sets a second: enough for shifts that slip for %.2g s", rate_hz, LEAST_ROWS / rate_hz
+                NOTICE,
+                "all values come %.0f times a second: enough where a clutch slips for %.2g s",
+                rate_hz,
+                LEAST_ROWS / rate_hz,
             )
 
 
@@ -512,34 +524,39 @@ class CanLine:
         self._bus = cast("can.BusABC", bus)  # a connection uses `recv` and `send` only
         self._is_fd = is_fd
         self._goes_on = goes_on
-        self._connections: dict[CanAddress, CanConnection] = {}
+        self._connections: dict[CanAddress, tuple[CanConnection, OpenRequests]] = {}
         self.patience: Counter[CanAddress] = Counter()  # requests that a controller answered with 78 first
 
     def ask(self, request: bytes, address: CanAddress) -> bytes | None:
-        """Return the answer to a request, None if none comes in time; raises ControllerError, OtherTesterError."""
+        """Return the answer to a request; raises ControllerError, OtherTesterError.
+
+        "Response pending" (78) if nothing else follows it in time; None: there is no answer.
+        """
         if address not in self._connections:
-            self._connections[address] = CanConnection(self._bus, address, is_fd=self._is_fd, goes_on=self._goes_on)
-        connection = self._connections[address]
+            connection = CanConnection(self._bus, address, is_fd=self._is_fd, goes_on=self._goes_on)
+            self._connections[address] = connection, OpenRequests(is_data_answer)
+        connection, waiting = self._connections[address]
         connection.empty_rxqueue()
         try:
             connection.specific_send(request)
         except SilentError:
             return None
-        begun_s, other, is_patient = time.monotonic(), None, False
+        begun_s, other, pending = time.monotonic(), None, None
+        waiting.begin(request, begun_s)
         until_s = begun_s + ANSWER_S
         while (left_s := until_s - time.monotonic()) > 0.0:
             try:
                 answer = connection.specific_wait_frame(left_s)
             except TimeoutException:
-                return other
+                break
             if is_pending(request, answer):  # this alone gives it more time: answers to others do not
-                self.patience[address] += not is_patient
-                is_patient, until_s = True, min(time.monotonic() + PENDING_S, begun_s + MOST_PENDING_S)
-            elif is_data_answer(request, answer):
+                self.patience[address] += pending is None
+                pending, until_s = answer, min(time.monotonic() + PENDING_S, begun_s + MOST_PENDING_S)
+            elif (answered := waiting.answered_by(answer)) == request:
                 return answer
-            elif answer[0] == request[0] + POSITIVE:
-                other = answer  # probably to an earlier request; used if nothing else comes
-        return other
+            elif answered is None and answer[0] == request[0] + POSITIVE:
+                other = answer  # of data that nobody asked for; used if nothing else comes
+        return other or pending
 
     def ask_group(self, group: GroupQuestion) -> bytes | None:
         """Request a parameter group of all and return it, None after the timeout; raises ControllerError."""
@@ -573,7 +590,9 @@ def line_on(
             yield line
         finally:
             for address, count in line.patience.items():
-                _LOG.log(NOTICE, "%s asked for patience (78) %d times: such answers may be too late", address, count)
+                _LOG.log(
+                    NOTICE, "%s asked for more time (78), requests: %d; such answers may be too late", address, count
+                )
 
 
 @asynccontextmanager
