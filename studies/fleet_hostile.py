@@ -7,6 +7,7 @@ over sessions, floods, retains, leaves wills and huge sessions, fills the broker
 """
 
 import asyncio
+import math
 import re
 import ssl
 import subprocess
@@ -26,6 +27,7 @@ from nats.aio.client import Client as NatsClient
 from nats.aio.msg import Msg
 from nats.errors import Error as NatsError
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
+from sqlalchemy import Engine
 
 from demo.fleet.brokers import Mosquitto, NatsServer
 from diag_service.delivery import Acknowledge, DeliveryLimits, MqttConnector, Outbox
@@ -36,9 +38,20 @@ from fleet_backend.migrate import migrate
 from fleet_link import BrokerAddress, TlsFiles
 from studies.builders import shift_result
 from studies.fleet_ingest import workers
+from studies.fleet_properties import (
+    KEPT,
+    UNPACKED,
+    RawVehicle,
+    filling_messages,
+    hostile_context,
+    peak_bytes,
+    slow_messages,
+)
 from studies.run import parsed, study_parser
 
 HANG_S = 120.0  # longer than anything takes
+MOST_BROKER_BYTES = 150 * 2**20
+DELIVERED_S = 90.0  # in which a fleet's results are taken, or never
 LATER_S = 60.0  # than usual, at most
 MANY_TOPICS, MANY_PARTS = 1_200, 1_040  # of 100 kB: retained, and of quality 2 that are never released
 KEPT_MB = 50.0  # by which a broker may grow, at most
@@ -254,8 +267,13 @@ def fleet_broker(folder: Path, certificates: Path) -> Mosquitto:
     return Mosquitto(folder, lines, is_durable=False)
 
 
-async def deliver(certificates: Path, port: int, names: Sequence[str], seqs: Iterable[int]) -> float:
-    """Deliver what vehicles have, results of these positions each, and return how long it took [s]."""
+async def deliver(
+    certificates: Path, port: int, names: Sequence[str], seqs: Iterable[int], *, pause_s: float = 0.05
+) -> float:
+    """Deliver what vehicles have, results of these positions each, and return how long it took [s].
+
+    Between the results of a vehicle there is a pause; raises TimeoutError if they are not taken in time.
+    """
     begin_s = time.monotonic()
     async with AsyncExitStack() as stack:
         stores, outboxes = {}, {}
@@ -273,8 +291,8 @@ async def deliver(certificates: Path, port: int, names: Sequence[str], seqs: Ite
             for name in names:
                 stores[name].add(shift_result(number, vehicle=name), STATE)
                 outboxes[name].wake()
-            await asyncio.sleep(0.05)
-        async with asyncio.timeout(90.0):
+            await asyncio.sleep(pause_s)
+        async with asyncio.timeout(DELIVERED_S):
             while any(stores[name].unpublished_count(name) for name in names):  # noqa: ASYNC110 - nobody tells
                 await asyncio.sleep(0.01)
     return time.monotonic() - begin_s
@@ -320,6 +338,66 @@ TRACES = {
         },
     },
 }
+
+
+@contextmanager
+def fleet_of(folder: Path, names: Sequence[str]) -> Iterator[tuple[Path, Mosquitto, Engine]]:
+    """Yield certificates, a Mosquitto as docs/deploy has it and a worker's database, for as long as the block lasts."""
+    certificates = certify(folder / "certificates", "broker", *names, BAD, "fleet-backend")
+    write_access(certificates, (*names, BAD))
+    place, url = folder / "mosquitto", f"sqlite:///{folder}/fleet.sqlite"
+    place.mkdir()
+    engine = open_database(url)
+    migrate(engine)
+    broker = fleet_broker(place, certificates)
+    broker.start()
+    files = tls_files(certificates, "fleet-backend")
+    words = ["--ca", str(files.authority), "--cert", str(files.certificate), "--key", str(files.key), "--group", GROUP]
+    with ExitStack() as stack:
+        stack.callback(engine.dispose)
+        stack.callback(broker.stop)
+        stack.enter_context(workers(f"mqtts://127.0.0.1:{broker.port}", url, 1, words))
+        yield certificates, broker, engine
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PropertiesOutcome:
+    """What came of messages that are all properties."""
+
+    took_s: float  # for the results of another vehicle; infinite: not all came
+    stored_count: int
+    taken_count: int  # hostile messages that the broker took
+    aside: frozenset[str]  # why the backend put messages aside
+    aside_count: int
+    broker_bytes: int  # at most
+    kept_count: int  # messages that were to fill the broker, and were taken
+
+
+async def attack_by_properties(
+    folder: Path, results: int, slow_count: int = UNPACKED, filling_count: int = KEPT
+) -> PropertiesOutcome:
+    """Let a vehicle deliver while another sends messages that are all properties."""
+    topic = f"clutchdiag/v1/{BAD}/shift"
+    with fleet_of(folder, ["car1"]) as (certificates, broker, engine):
+        vehicle = RawVehicle(broker.port, BAD, hostile_context(certificates, BAD))
+        taken_count = await asyncio.to_thread(vehicle.send, slow_messages(topic, slow_count))
+        filling = asyncio.create_task(asyncio.to_thread(vehicle.send, filling_messages(topic, filling_count)))
+        try:
+            took_s = await deliver(certificates, broker.port, ["car1"], range(1, results + 1), pause_s=0.0)
+        except TimeoutError:
+            took_s = math.inf
+        vehicle.stop()
+        kept_count = await filling
+        aside = queries.quarantined(engine, 1_000)
+        return PropertiesOutcome(
+            took_s=took_s,
+            stored_count=queries.result_count(engine),
+            taken_count=taken_count,
+            aside=frozenset(str(record["detail"]) for record in aside),
+            aside_count=len(aside),
+            broker_bytes=peak_bytes(broker.pid),
+            kept_count=kept_count,
+        )
 
 
 async def attack(
