@@ -1,7 +1,7 @@
 """One MQTT connection: many messages in flight, refusals as errors, batches acknowledged when they are stored.
 
-It speaks through paho-mqtt alone, by its public interface. aiomqtt, which is built on it, tells nobody that a broker
-refused a message, and acknowledges what it received before anyone has kept it.
+It speaks through paho-mqtt alone, by its public interface but for what `packets` bounds. aiomqtt, which is built on
+it, tells nobody that a broker refused a message, and acknowledges what it received before anyone has kept it.
 """
 
 import asyncio

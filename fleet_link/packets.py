@@ -8,7 +8,8 @@ from typing import Any, Final
 
 from paho.mqtt.client import Client
 from paho.mqtt.enums import MQTTErrorCode, MQTTProtocolVersion
-from paho.mqtt.exception import MalformedPacket
+
+from fleet_link.address import LinkError
 
 MOST_PROPERTY_BYTES: Final = 1_024  # of a message: far above a correlation or a trace
 MOST_ANSWER_BYTES: Final = 4_096  # of the broker's own packets, which have a reason in words at most
@@ -16,6 +17,10 @@ _PUBLISH: Final = 0x30
 _KIND: Final = 0xF0  # the bits of a packet's first byte that hold its kind
 _QOS: Final = 0x06
 _HEAD_BYTES: Final = 2 + 65_535 + 2 + 4  # before properties and payload: the longest topic, packet id, a length
+
+
+class PacketError(LinkError):
+    """A broker sends what is no packet, or an answer that is too long: the connection is at its end."""
 
 
 def excess_of(property_bytes: int) -> str | None:
@@ -26,7 +31,7 @@ def excess_of(property_bytes: int) -> str | None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Delivery:
+class PublishParts:
     """What a PUBLISH holds; its content is everything behind the fixed header."""
 
     head_end: int  # of topic and packet id
@@ -34,11 +39,11 @@ class Delivery:
     payload_start: int
 
 
-def read_delivery(first: int, content: bytes | bytearray, *, is_version_5: bool) -> Delivery:
-    """Return where the parts of a PUBLISH begin; raises MalformedPacket if these are beyond its end."""
+def read_publish(first: int, content: bytes | bytearray, *, is_version_5: bool) -> PublishParts:
+    """Return where the parts of a PUBLISH begin; raises PacketError if these are beyond its end."""
     head_end = 2 + int.from_bytes(content[:2]) + (2 if first & _QOS else 0)
     if not is_version_5:
-        return Delivery(head_end=head_end, property_bytes=0, payload_start=head_end)
+        return PublishParts(head_end=head_end, property_bytes=0, payload_start=head_end)
     property_bytes = digit = 0
     for place in range(4):  # MQTT 5.0, 1.5.5: a variable byte integer has four bytes at most
         if head_end + place >= len(content):
@@ -47,8 +52,8 @@ def read_delivery(first: int, content: bytes | bytearray, *, is_version_5: bool)
         property_bytes |= (digit & 0x7F) << (7 * place)
         if digit < 0x80:
             start = head_end + place + 1 + property_bytes
-            return Delivery(head_end=head_end, property_bytes=property_bytes, payload_start=start)
-    raise MalformedPacket("properties without a length")
+            return PublishParts(head_end=head_end, property_bytes=property_bytes, payload_start=start)
+    raise PacketError("properties without a length")
 
 
 class BoundedClient(Client):
@@ -78,20 +83,19 @@ class BoundedClient(Client):
         if packet["command"] & _KIND == _PUBLISH:
             packet["packet"] = self._bounded(packet["command"], packet["packet"], packet["remaining_length"])
         elif packet["remaining_length"] > MOST_ANSWER_BYTES:
-            raise MalformedPacket(f"an answer of {packet['remaining_length']} bytes, more than {MOST_ANSWER_BYTES}")
+            raise PacketError(f"an answer of {packet['remaining_length']} bytes, more than {MOST_ANSWER_BYTES}")
         return super()._packet_handle()
 
     def _bounded(self, first: int, content: bytearray, length: int) -> bytearray:
         """Return a PUBLISH without its properties; without its payload, too, if that is too long."""
-        delivery = read_delivery(first, content, is_version_5=self._is_version_5)
-        if length < delivery.payload_start:
-            raise MalformedPacket("properties beyond the end of a packet")
-        self.unread_bytes, self.excess = delivery.property_bytes, excess_of(delivery.property_bytes)
+        parts = read_publish(first, content, is_version_5=self._is_version_5)
+        if length < parts.payload_start:
+            raise PacketError("properties beyond the end of a packet")
+        self.unread_bytes, self.excess = parts.property_bytes, excess_of(parts.property_bytes)
         if length > self._max_packet_bytes:
-            self.unread_bytes = length - delivery.head_end
+            self.unread_bytes = length - parts.head_end
             self.excess = self.excess or f"{length} bytes, more than {self._max_packet_bytes}"
-            content = content[: delivery.head_end] + (b"\0" if self._is_version_5 else b"")
+            content = content[: parts.head_end] + (b"\0" if self._is_version_5 else b"")
         elif self._is_version_5:
-            del content[delivery.head_end : delivery.payload_start]
-            content[delivery.head_end : delivery.head_end] = b"\0"
+            content[parts.head_end : parts.payload_start] = b"\0"
         return content

@@ -2,8 +2,10 @@
 
 It has a certificate of its own and the brokers are as docs/deploy has them. It subscribes to what is others', takes
 over sessions, floods, retains, leaves wills and huge sessions, fills the broker's memory, listens on the port of NATS.
+Then two attacks of their own: messages that are all properties, and readers of the page who do not read.
 
     python -m studies.fleet_hostile
+    python -m studies.fleet_hostile --only properties
 """
 
 import asyncio
@@ -14,12 +16,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Final
 
 import paho.mqtt.client as mqtt
 import psutil
@@ -35,22 +39,26 @@ from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
-from fleet_link import BrokerAddress, TlsFiles
+from fleet_link import BrokerAddress, Connection, Terms, TlsFiles, VersionRefusedError
 from studies.builders import shift_result
 from studies.fleet_ingest import workers
 from studies.fleet_properties import (
     KEPT,
     UNPACKED,
+    UNPACKED_PROPERTIES,
     RawVehicle,
     filling_messages,
     hostile_context,
     peak_bytes,
     slow_messages,
 )
+from studies.fleet_readers import READERS, VEHICLES, attack_by_readers
 from studies.run import parsed, study_parser
 
 HANG_S = 120.0  # longer than anything takes
+TAKEN_S = 60.0  # in which the results of a vehicle are stored, at most
 MOST_BROKER_BYTES = 150 * 2**20
+MOST_PAGE_BYTES = 256 * 2**20  # the limit of docker-compose.yml
 DELIVERED_S = 90.0  # in which a fleet's results are taken, or never
 LATER_S = 60.0  # than usual, at most
 MANY_TOPICS, MANY_PARTS = 1_200, 1_040  # of 100 kB: retained, and of quality 2 that are never released
@@ -400,6 +408,20 @@ async def attack_by_properties(
         )
 
 
+async def refuses_version_5(folder: Path) -> bool:
+    """Return whether a nats-server refuses a connection of MQTT 5, and with it the properties of messages."""
+    server = NatsServer(folder)
+    server.start()
+    try:
+        connection = await Connection.open(BrokerAddress(host="127.0.0.1", port=server.port), Terms())
+    except VersionRefusedError:
+        return True
+    finally:
+        server.stop()
+    await connection.close()
+    return False
+
+
 async def attack(
     folder: Path, kind: str, names: Sequence[str], shifts: int, topic_count: int = TOPICS, part_count: int = PARTS
 ) -> AttackOutcome:
@@ -456,20 +478,16 @@ async def attack(
     )
 
 
-def main() -> int:
-    """Print the figures; return 0 if all keep their aims."""
-    parser = study_parser(__doc__, is_parallel=False)
-    parser.add_argument("--vehicles", type=int, default=20)
-    parser.add_argument("--results", type=int, default=50, help="of each")
-    options = parsed(parser, vehicles=5, results=20)
-    names, is_kept = [f"car{number}" for number in range(1, options.vehicles + 1)], True
+def vehicles_kept(names: Sequence[str], results: int) -> bool:
+    """Play a vehicle that means ill on both brokers, print the figures, and return whether all keep their aims."""
+    is_kept = True
     for kind in TRACES:
         with TemporaryDirectory() as folder:
-            found = asyncio.run(attack(Path(folder), kind, names, options.results, MANY_TOPICS, MANY_PARTS))
-        lost_count = 2 * options.vehicles * options.results - found.stored_count
+            found = asyncio.run(attack(Path(folder), kind, names, results, MANY_TOPICS, MANY_PARTS))
+        lost_count = 2 * len(names) * results - found.stored_count
         later_s, unseen = found.took_s - found.usual_s, found.unseen(kind)
         print(
-            f"{kind}: {options.vehicles * options.results} results usually in {found.usual_s:.1f} s, under attack in"
+            f"{kind}: {len(names) * results} results usually in {found.usual_s:.1f} s, under attack in"
             f" {found.took_s:.1f} s (aim {LATER_S:g} s later at most), {lost_count} lost; {len(found.granted)}"
             f" subscriptions granted, {len(found.heard)} messages heard; the broker grew by"
             f" {found.kept_bytes / 1e6:.0f} MB for {found.sent_bytes / 1e6:.0f} MB (aim {KEPT_MB:g} MB at most);"
@@ -478,7 +496,62 @@ def main() -> int:
         )
         is_kept = is_kept and later_s <= LATER_S and found.kept_bytes <= KEPT_MB * 1e6
         is_kept = is_kept and not (lost_count or found.granted or found.heard or unseen)
-    return 0 if is_kept else 1
+    return is_kept
+
+
+def properties_kept(results: int) -> bool:
+    """Play messages that are all properties, print the figures, and return whether all keep their aims."""
+    with TemporaryDirectory() as folder:
+        outcome = asyncio.run(attack_by_properties(Path(folder), results))
+    with TemporaryDirectory() as folder:
+        is_refused = asyncio.run(refuses_version_5(Path(folder)))
+    print(
+        f"properties, mosquitto: {outcome.stored_count} of {results} results of another vehicle stored in"
+        f" {outcome.took_s:.1f} s (aim {TAKEN_S:g} s at most); of {UNPACKED} messages of {UNPACKED_PROPERTIES}"
+        f" properties {outcome.aside_count} put aside; messages to fill the broker that it took: {outcome.kept_count};"
+        f" it had {outcome.broker_bytes / 2**20:.0f} MiB (aim {MOST_BROKER_BYTES / 2**20:g} MiB at most)\n"
+        f"properties, nats: MQTT 5 is {'refused' if is_refused else 'TAKEN'}",
+        flush=True,
+    )
+    is_kept = outcome.stored_count == results and outcome.took_s <= TAKEN_S and outcome.aside_count == UNPACKED
+    return is_kept and outcome.broker_bytes <= MOST_BROKER_BYTES and not outcome.kept_count and is_refused
+
+
+def readers_kept() -> bool:
+    """Play readers who do not read, print the figures, and return whether all keep their aims."""
+    with TemporaryDirectory() as folder:
+        outcome = attack_by_readers(Path(folder))
+    print(
+        f"readers: {READERS} ask for {VEHICLES} vehicles and do not read: the page has"
+        f" {outcome.before_bytes / 2**20:.0f} MiB before, {outcome.most_bytes / 2**20:.0f} MiB at most (aim"
+        f" {MOST_PAGE_BYTES / 2**20:g} MiB), {outcome.after_bytes / 2**20:.0f} MiB after; others had"
+        f" {outcome.answered_count} of {outcome.asked_count} answers; {outcome.left_count} of {READERS} were left",
+        flush=True,
+    )
+    is_kept = outcome.most_bytes <= MOST_PAGE_BYTES and outcome.left_count == READERS
+    return is_kept and outcome.answered_count == outcome.asked_count
+
+
+def main() -> int:
+    """Print the figures; return 0 if all keep their aims."""
+    parser = study_parser(__doc__, is_parallel=False)
+    parser.add_argument("--vehicles", type=int, default=20)
+    parser.add_argument("--results", type=int, default=50, help="of each")
+    parser.add_argument("--others", type=int, default=1_000, help="results of a vehicle beside one of properties")
+    parser.add_argument("--only", choices=list(ATTACKS), help="one of the attacks")
+    options = parsed(parser, vehicles=5, results=20)
+    attacks = ATTACKS if options.only is None else {options.only: ATTACKS[options.only]}
+    outcomes = [is_kept(options) for is_kept in attacks.values()]  # each is played, whatever became of the others
+    return 0 if all(outcomes) else 1
+
+
+ATTACKS: Final[Mapping[str, Callable[[Namespace], bool]]] = {
+    "vehicles": lambda options: vehicles_kept(
+        [f"car{number}" for number in range(1, options.vehicles + 1)], options.results
+    ),
+    "properties": lambda options: properties_kept(options.others),
+    "readers": lambda _: readers_kept(),
+}
 
 
 if __name__ == "__main__":
