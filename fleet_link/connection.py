@@ -1,7 +1,7 @@
 """One MQTT connection: many messages in flight, refusals as errors, batches acknowledged when they are stored.
 
-It speaks through paho-mqtt alone, by its public interface. aiomqtt, which is built on it, tells nobody that a broker
-refused a message, and acknowledges what it received before anyone has kept it.
+It speaks through paho-mqtt alone, by its public interface but for what `packets` bounds. aiomqtt, which is built on
+it, tells nobody that a broker refused a message, and acknowledges what it received before anyone has kept it.
 """
 
 import asyncio
@@ -23,9 +23,11 @@ from paho.mqtt.reasoncodes import ReasonCode
 
 from fleet_contract import Outgoing
 from fleet_link.address import BrokerAddress, LinkDownError, MessageRefusedError, VersionRefusedError
+from fleet_link.packets import BoundedClient
 
 AT_MOST_ONCE: Final = 0
 AT_LEAST_ONCE: Final = 1
+MAX_PACKET_BYTES: Final = 262_144  # far above any message of the contract, properties and all
 _MOST_WAITING: Final = 1_000  # of what wants an answer: a broker that gives none must not fill our memory
 _PAHO_LOG: Final = logging.getLogger("mqtt")
 _PAHO_LOG.setLevel(logging.WARNING)  # it would tell of every packet
@@ -39,6 +41,13 @@ class Message:
     payload: bytes
     packet_id: int  # for its acknowledgement to the broker; 0 needs none
     is_retained: bool = False  # kept by the broker from before we asked for it
+    unread_bytes: int = 0  # of properties, which nobody reads, and of a payload that is too long
+    excess: str | None = None  # what is too long about it: it is to be put aside
+
+    @property
+    def size_bytes(self) -> int:
+        """Of topic, properties and payload, as it was sent."""
+        return len(self.topic.encode()) + self.unread_bytes + len(self.payload)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,19 +64,20 @@ class Terms:
     max_in_flight: int = 20  # messages of ours without an answer, unless the broker takes fewer
     max_unsettled: int | None = None  # messages that we hold and have not settled; None: settled as they come
     max_unsettled_bytes: int | None = None  # of them; half of it is a batch, whatever its count
-    max_packet_bytes: int | None = None  # the broker keeps longer ones from us
+    max_packet_bytes: int = MAX_PACKET_BYTES  # the broker keeps longer ones from us; of others the head is taken
     is_key_private: bool = True  # a key that others may read is refused
 
 
-def make_client(address: BrokerAddress, terms: Terms) -> Client:
+def make_client(address: BrokerAddress, terms: Terms) -> BoundedClient:
     """Return a client that has not connected yet; raises AddressError if a certificate cannot be used."""
-    client = Client(
+    client = BoundedClient(
         CallbackAPIVersion.VERSION2,
         client_id=terms.identifier,
         clean_session=None if terms.is_version_5 else not terms.session_s,
         protocol=MQTTProtocolVersion.MQTTv5 if terms.is_version_5 else MQTTProtocolVersion.MQTTv311,
         reconnect_on_failure=False,
         manual_ack=terms.max_unsettled is not None,
+        max_packet_bytes=terms.max_packet_bytes,
     )
     client.enable_logger(_PAHO_LOG)
     client.max_inflight_messages_set(terms.max_in_flight)
@@ -91,8 +101,7 @@ def connect(client: Client, address: BrokerAddress, terms: Terms) -> None:
         properties.SessionExpiryInterval = terms.session_s
     if terms.max_unsettled is not None:
         properties.ReceiveMaximum = terms.max_unsettled
-    if terms.max_packet_bytes is not None:
-        properties.MaximumPacketSize = terms.max_packet_bytes
+    properties.MaximumPacketSize = terms.max_packet_bytes
     clean_start = not terms.session_s
     client.connect(address.host, address.port, terms.keepalive_s, clean_start=clean_start, properties=properties)
 
@@ -366,12 +375,12 @@ class Connection:
         if self._is_lost.is_set() and (self._terms.max_unsettled is not None or not self._inbox):
             raise LinkDownError(_LOST)
         most_bytes = (self._terms.max_unsettled_bytes or math.inf) / 2
-        if len(self._inbox) < limit and sum(len(message.payload) for message in self._inbox) < most_bytes:
+        if len(self._inbox) < limit and sum(message.size_bytes for message in self._inbox) < most_bytes:
             await asyncio.sleep(patience_s)
         batch, size = list[Message](), 0
         while self._inbox and len(batch) < limit and size < most_bytes:
             batch.append(self._inbox.popleft())
-            size += len(batch[-1].payload)
+            size += batch[-1].size_bytes
         return batch
 
     async def _written(self) -> None:
@@ -387,7 +396,7 @@ class Connection:
             if message.packet_id:
                 self._client.ack(message.packet_id, AT_LEAST_ONCE)
                 self.unsettled_count -= 1
-                self._unsettled_bytes -= len(message.payload)
+                self._unsettled_bytes -= message.size_bytes
         if not self._is_overfull:
             self._socket_loop.resume()
 
@@ -474,13 +483,19 @@ class Connection:
         limit = self._terms.max_unsettled
         if not packet_id and limit is not None and len(self._inbox) >= limit:
             return  # QoS 0 knows no limit, and promises nothing
-        payload, is_retained = bytes(message.payload), bool(message.retain)
-        arrived = Message(topic=message.topic, payload=payload, packet_id=packet_id, is_retained=is_retained)
+        arrived = Message(
+            topic=message.topic,
+            payload=bytes(message.payload),
+            packet_id=packet_id,
+            is_retained=bool(message.retain),
+            unread_bytes=self._client.unread_bytes,
+            excess=self._client.excess,
+        )
         self._inbox.append(arrived)
         self._arrived.set()
         if packet_id:
             self.unsettled_count += 1
-            self._unsettled_bytes += len(message.payload)
+            self._unsettled_bytes += arrived.size_bytes
         if self._is_overfull:
             self._socket_loop.pause()
 

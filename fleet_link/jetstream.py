@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, Self
 from fleet_contract import Outgoing
 from fleet_link.address import BrokerAddress, LinkDownError
 from fleet_link.connection import Message
+from fleet_link.packets import excess_of
 
 if TYPE_CHECKING:
     from nats.aio.client import Client
@@ -50,6 +51,18 @@ def _heed_cancellation() -> None:
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError
+
+
+def _arrived(message: "Msg", number: int) -> Message:
+    """Return what the stream delivered; headers are what properties are in MQTT."""
+    header_bytes = sum(len(name) + len(text) for name, text in (message.headers or {}).items())
+    return Message(
+        topic=message.subject.replace(".", "/"),
+        payload=message.data,
+        packet_id=number,
+        unread_bytes=header_bytes,
+        excess=excess_of(header_bytes),
+    )
 
 
 class JetStream:
@@ -135,10 +148,7 @@ class JetStream:
         numbered = list(enumerate(fetched, self._count + 1))
         self._count += len(fetched)
         self._replies |= {number: message.reply for number, message in numbered}
-        return [
-            Message(topic=message.subject.replace(".", "/"), payload=message.data, packet_id=number)
-            for number, message in numbered
-        ]
+        return [_arrived(message, number) for number, message in numbered]
 
     def send(self, messages: Iterable[Outgoing]) -> None:
         """Send messages with the next `collect`; who does not get them asks again."""

@@ -52,7 +52,9 @@ class BrokerDisk(StrEnum):
     DELETED = "deleted"  # as shipped, and its file is lost once
 
 
-_BOUNDS: Final = ("max_qos 1", "message_size_limit 262144", "memory_limit 209715200")  # as docker-compose.yml has them
+_BOUNDS: Final = (  # as docker-compose.yml has them
+    *("max_qos 1", "max_packet_size 262144", "message_size_limit 262144", "memory_limit 209715200"),
+)
 _BROKER_LINES: Final = {
     BrokerDisk.SAVED: _BOUNDS,
     BrokerDisk.DEFAULT: (*_BOUNDS, "autosave_interval 1800", "autosave_on_changes false"),

@@ -2,23 +2,28 @@
 
 It has a certificate of its own and the brokers are as docs/deploy has them. It subscribes to what is others', takes
 over sessions, floods, retains, leaves wills and huge sessions, fills the broker's memory, listens on the port of NATS.
+Then two attacks of their own: messages that are all properties, and readers of the page who do not read.
 
     python -m studies.fleet_hostile
+    python -m studies.fleet_hostile --only properties
 """
 
 import asyncio
+import math
 import re
 import ssl
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Final
 
 import paho.mqtt.client as mqtt
 import psutil
@@ -26,6 +31,7 @@ from nats.aio.client import Client as NatsClient
 from nats.aio.msg import Msg
 from nats.errors import Error as NatsError
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
+from sqlalchemy import Engine
 
 from demo.fleet.brokers import Mosquitto, NatsServer
 from diag_service.delivery import Acknowledge, DeliveryLimits, MqttConnector, Outbox
@@ -33,12 +39,27 @@ from diag_service.store import ResultStore, VehicleState, Versions
 from fleet_backend import queries
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
-from fleet_link import BrokerAddress, TlsFiles
+from fleet_link import BrokerAddress, Connection, Terms, TlsFiles, VersionRefusedError
 from studies.builders import shift_result
 from studies.fleet_ingest import workers
+from studies.fleet_properties import (
+    KEPT,
+    UNPACKED,
+    UNPACKED_PROPERTIES,
+    RawVehicle,
+    filling_messages,
+    hostile_context,
+    peak_bytes,
+    slow_messages,
+)
+from studies.fleet_readers import READERS, VEHICLES, attack_by_readers
 from studies.run import parsed, study_parser
 
 HANG_S = 120.0  # longer than anything takes
+TAKEN_S = 60.0  # in which the results of a vehicle are stored, at most
+MOST_BROKER_BYTES = 150 * 2**20
+MOST_PAGE_BYTES = 256 * 2**20  # the limit of docker-compose.yml
+DELIVERED_S = 90.0  # in which a fleet's results are taken, or never
 LATER_S = 60.0  # than usual, at most
 MANY_TOPICS, MANY_PARTS = 1_200, 1_040  # of 100 kB: retained, and of quality 2 that are never released
 KEPT_MB = 50.0  # by which a broker may grow, at most
@@ -254,8 +275,13 @@ def fleet_broker(folder: Path, certificates: Path) -> Mosquitto:
     return Mosquitto(folder, lines, is_durable=False)
 
 
-async def deliver(certificates: Path, port: int, names: Sequence[str], seqs: Iterable[int]) -> float:
-    """Deliver what vehicles have, results of these positions each, and return how long it took [s]."""
+async def deliver(
+    certificates: Path, port: int, names: Sequence[str], seqs: Iterable[int], *, pause_s: float = 0.05
+) -> float:
+    """Deliver what vehicles have, results of these positions each, and return how long it took [s].
+
+    Between the results of a vehicle there is a pause; raises TimeoutError if they are not taken in time.
+    """
     begin_s = time.monotonic()
     async with AsyncExitStack() as stack:
         stores, outboxes = {}, {}
@@ -273,8 +299,8 @@ async def deliver(certificates: Path, port: int, names: Sequence[str], seqs: Ite
             for name in names:
                 stores[name].add(shift_result(number, vehicle=name), STATE)
                 outboxes[name].wake()
-            await asyncio.sleep(0.05)
-        async with asyncio.timeout(90.0):
+            await asyncio.sleep(pause_s)
+        async with asyncio.timeout(DELIVERED_S):
             while any(stores[name].unpublished_count(name) for name in names):  # noqa: ASYNC110 - nobody tells
                 await asyncio.sleep(0.01)
     return time.monotonic() - begin_s
@@ -320,6 +346,81 @@ TRACES = {
         },
     },
 }
+
+
+@contextmanager
+def fleet_of(folder: Path, names: Sequence[str]) -> Iterator[tuple[Path, Mosquitto, Engine]]:
+    """Yield certificates, a Mosquitto as docs/deploy has it and a worker's database, for as long as the block lasts."""
+    certificates = certify(folder / "certificates", "broker", *names, BAD, "fleet-backend")
+    write_access(certificates, (*names, BAD))
+    place, url = folder / "mosquitto", f"sqlite:///{folder}/fleet.sqlite"
+    place.mkdir()
+    engine = open_database(url)
+    migrate(engine)
+    broker = fleet_broker(place, certificates)
+    broker.start()
+    files = tls_files(certificates, "fleet-backend")
+    words = ["--ca", str(files.authority), "--cert", str(files.certificate), "--key", str(files.key), "--group", GROUP]
+    with ExitStack() as stack:
+        stack.callback(engine.dispose)
+        stack.callback(broker.stop)
+        stack.enter_context(workers(f"mqtts://127.0.0.1:{broker.port}", url, 1, words))
+        yield certificates, broker, engine
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PropertiesOutcome:
+    """What came of messages that are all properties."""
+
+    took_s: float  # for the results of another vehicle; infinite: not all came
+    stored_count: int
+    taken_count: int  # hostile messages that the broker took
+    aside: frozenset[str]  # why the backend put messages aside
+    aside_count: int
+    broker_bytes: int  # at most
+    kept_count: int  # messages that were to fill the broker, and were taken
+
+
+async def attack_by_properties(
+    folder: Path, results: int, slow_count: int = UNPACKED, filling_count: int = KEPT
+) -> PropertiesOutcome:
+    """Let a vehicle deliver while another sends messages that are all properties."""
+    topic = f"clutchdiag/v1/{BAD}/shift"
+    shift_result()  # the first takes its time, which is none of the broker's
+    with fleet_of(folder, ["car1"]) as (certificates, broker, engine):
+        vehicle = RawVehicle(broker.port, BAD, hostile_context(certificates, BAD))
+        taken_count = await asyncio.to_thread(vehicle.send, slow_messages(topic, slow_count))
+        filling = asyncio.create_task(asyncio.to_thread(vehicle.send, filling_messages(topic, filling_count)))
+        try:
+            took_s = await deliver(certificates, broker.port, ["car1"], range(1, results + 1), pause_s=0.0)
+        except TimeoutError:
+            took_s = math.inf
+        vehicle.stop()
+        kept_count = await filling
+        aside = queries.quarantined(engine, 1_000)
+        return PropertiesOutcome(
+            took_s=took_s,
+            stored_count=queries.result_count(engine),
+            taken_count=taken_count,
+            aside=frozenset(str(record["detail"]) for record in aside),
+            aside_count=len(aside),
+            broker_bytes=peak_bytes(broker.pid),
+            kept_count=kept_count,
+        )
+
+
+async def refuses_version_5(folder: Path) -> bool:
+    """Return whether a nats-server refuses a connection of MQTT 5, and with it the properties of messages."""
+    server = NatsServer(folder)
+    server.start()
+    try:
+        connection = await Connection.open(BrokerAddress(host="127.0.0.1", port=server.port), Terms())
+    except VersionRefusedError:
+        return True
+    finally:
+        server.stop()
+    await connection.close()
+    return False
 
 
 async def attack(
@@ -378,20 +479,16 @@ async def attack(
     )
 
 
-def main() -> int:
-    """Print the figures; return 0 if all keep their aims."""
-    parser = study_parser(__doc__, is_parallel=False)
-    parser.add_argument("--vehicles", type=int, default=20)
-    parser.add_argument("--results", type=int, default=50, help="of each")
-    options = parsed(parser, vehicles=5, results=20)
-    names, is_kept = [f"car{number}" for number in range(1, options.vehicles + 1)], True
+def vehicles_kept(names: Sequence[str], results: int) -> bool:
+    """Play a vehicle that means ill on both brokers, print the figures, and return whether all keep their aims."""
+    is_kept = True
     for kind in TRACES:
         with TemporaryDirectory() as folder:
-            found = asyncio.run(attack(Path(folder), kind, names, options.results, MANY_TOPICS, MANY_PARTS))
-        lost_count = 2 * options.vehicles * options.results - found.stored_count
+            found = asyncio.run(attack(Path(folder), kind, names, results, MANY_TOPICS, MANY_PARTS))
+        lost_count = 2 * len(names) * results - found.stored_count
         later_s, unseen = found.took_s - found.usual_s, found.unseen(kind)
         print(
-            f"{kind}: {options.vehicles * options.results} results usually in {found.usual_s:.1f} s, under attack in"
+            f"{kind}: {len(names) * results} results usually in {found.usual_s:.1f} s, under attack in"
             f" {found.took_s:.1f} s (aim {LATER_S:g} s later at most), {lost_count} lost; {len(found.granted)}"
             f" subscriptions granted, {len(found.heard)} messages heard; the broker grew by"
             f" {found.kept_bytes / 1e6:.0f} MB for {found.sent_bytes / 1e6:.0f} MB (aim {KEPT_MB:g} MB at most);"
@@ -400,7 +497,63 @@ def main() -> int:
         )
         is_kept = is_kept and later_s <= LATER_S and found.kept_bytes <= KEPT_MB * 1e6
         is_kept = is_kept and not (lost_count or found.granted or found.heard or unseen)
-    return 0 if is_kept else 1
+    return is_kept
+
+
+def properties_kept(results: int) -> bool:
+    """Play messages that are all properties, print the figures, and return whether all keep their aims."""
+    with TemporaryDirectory() as folder:
+        outcome = asyncio.run(attack_by_properties(Path(folder), results))
+    with TemporaryDirectory() as folder:
+        is_refused = asyncio.run(refuses_version_5(Path(folder)))
+    print(
+        f"properties, mosquitto: {outcome.stored_count} of {results} results of another vehicle stored in"
+        f" {outcome.took_s:.1f} s (aim {TAKEN_S:g} s at most); of {UNPACKED} messages of {UNPACKED_PROPERTIES}"
+        f" properties {outcome.aside_count} put aside; messages to fill the broker that it took: {outcome.kept_count};"
+        f" it had {outcome.broker_bytes / 2**20:.0f} MiB (aim {MOST_BROKER_BYTES / 2**20:g} MiB at most)\n"
+        f"properties, nats: MQTT 5 is {'refused' if is_refused else 'TAKEN'}",
+        flush=True,
+    )
+    is_kept = outcome.stored_count == results and outcome.took_s <= TAKEN_S and outcome.aside_count == UNPACKED
+    return is_kept and outcome.broker_bytes <= MOST_BROKER_BYTES and not outcome.kept_count and is_refused
+
+
+def readers_kept(vehicles: int) -> bool:
+    """Play readers who do not read, print the figures, and return whether all keep their aims."""
+    with TemporaryDirectory() as folder:
+        outcome = attack_by_readers(Path(folder), vehicles)
+    print(
+        f"readers: {READERS} ask for {vehicles} vehicles and do not read: the page has"
+        f" {outcome.before_bytes / 2**20:.0f} MiB before, {outcome.most_bytes / 2**20:.0f} MiB at most (aim"
+        f" {MOST_PAGE_BYTES / 2**20:g} MiB), {outcome.after_bytes / 2**20:.0f} MiB after; others had"
+        f" {outcome.answered_count} of {outcome.asked_count} answers; {outcome.left_count} of {READERS} were left",
+        flush=True,
+    )
+    is_kept = outcome.most_bytes <= MOST_PAGE_BYTES and outcome.left_count == READERS
+    return is_kept and outcome.answered_count == outcome.asked_count
+
+
+def main() -> int:
+    """Print the figures; return 0 if all keep their aims."""
+    parser = study_parser(__doc__, is_parallel=False)
+    parser.add_argument("--vehicles", type=int, default=20)
+    parser.add_argument("--results", type=int, default=50, help="of each")
+    parser.add_argument("--others", type=int, default=1_000, help="results of a vehicle beside one of properties")
+    parser.add_argument("--shown", type=int, default=VEHICLES, help="vehicles of a page whose readers do not read")
+    parser.add_argument("--only", choices=list(ATTACKS), help="one of the attacks")
+    options = parsed(parser, vehicles=5, results=20, others=200, shown=5_000)
+    attacks = ATTACKS if options.only is None else {options.only: ATTACKS[options.only]}
+    outcomes = [is_kept(options) for is_kept in attacks.values()]  # each is played, whatever became of the others
+    return 0 if all(outcomes) else 1
+
+
+ATTACKS: Final[Mapping[str, Callable[[Namespace], bool]]] = {
+    "vehicles": lambda options: vehicles_kept(
+        [f"car{number}" for number in range(1, options.vehicles + 1)], options.results
+    ),
+    "properties": lambda options: properties_kept(options.others),
+    "readers": lambda options: readers_kept(options.shown),
+}
 
 
 if __name__ == "__main__":

@@ -70,6 +70,7 @@ class Mosquitto:
             *(["autosave_interval 1", "autosave_on_changes true"] if is_durable else []),
             "max_inflight_messages 0",
             "max_queued_messages 0",
+            "max_packet_size 262144",
             *(["user root"] if os.getuid() == 0 else []),
             *access,
             *lines,

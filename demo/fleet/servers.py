@@ -38,7 +38,8 @@ def mosquitto(folder: Path, lines: Sequence[str] = ()) -> Iterator[int]:
         raise DemoError("mosquitto is not installed (Debian package mosquitto)")
     port = free_port()
     config = folder / "mosquitto.conf"
-    own = [f"listener {port} {HOST}", "allow_anonymous true", *(["user root"] if os.getuid() == 0 else [])]
+    own = [f"listener {port} {HOST}", "allow_anonymous true", "max_packet_size 262144"]
+    own += ["user root"] if os.getuid() == 0 else []
     config.write_text("\n".join([*own, *lines]) + "\n", encoding="utf-8")
     with (folder / "mosquitto.log").open("wb") as log:
         process = subprocess.Popen([program, "-c", str(config)], stdout=log, stderr=subprocess.STDOUT)

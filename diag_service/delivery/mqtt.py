@@ -104,6 +104,9 @@ class MqttLink:
                     self._handle(message)
 
     def _handle(self, message: Message) -> None:
+        if message.excess is not None:
+            _LOG.warning("a message to this service is ignored: %s: %s", message.topic, message.excess)
+            return
         try:
             incoming = read_message(message.topic, message.payload)
             if hear := self._hearers.get(incoming.address.channel):

@@ -16,6 +16,7 @@ from diag_service.delivery import Acknowledge, DeliveryLimits, MqttConnector, Ou
 from diag_service.store import ResultStore
 from fleet_contract import Receipt, ack_messages
 from fleet_link import BrokerAddress
+from studies.fleet_properties import RawVehicle, slow_messages
 from tests.plugins.broker import Mosquitto
 from tests.support.acknowledger import Acknowledger
 from tests.support.doomed_edge import NEW_COUNT, Step
@@ -52,6 +53,20 @@ async def test_a_broker_alone_does_not_empty_the_outbox(store: ResultStore, brok
         assert store.unpublished_count("car1") == 3
         with Acknowledger(broker.port):
             await until(lambda: store.unpublished_count("car1") == 0)
+
+
+async def test_a_vehicle_ignores_acknowledgements_that_are_all_properties(
+    store: ResultStore, broker: Mosquitto, caplog: pytest.LogCaptureFixture
+) -> None:
+    put(store, range(1, 4))
+    hostile = RawVehicle(broker.port, "bad")
+    ignored = "a message to this service is ignored: clutchdiag/v1/car1/ack: 250000 bytes of properties, more than 1024"
+    async with running(store, broker) as outbox:
+        await until(lambda: outbox.counts.sent >= 3)
+        assert await asyncio.to_thread(hostile.send, slow_messages("clutchdiag/v1/car1/ack", 3)) == 3
+        with Acknowledger(broker.port):
+            await until(lambda: store.unpublished_count("car1") == 0)
+    assert [record.getMessage() for record in caplog.records].count(ignored) == 3
 
 
 async def test_the_broker_forgets_everything_and_nothing_is_lost(store: ResultStore, broker: Mosquitto) -> None:

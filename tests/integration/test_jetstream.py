@@ -5,13 +5,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from threading import Thread
 
+import nats
 import pytest
 
 from clutch_results.records import shift_record
 from demo.fleet.brokers import NatsServer
 from fleet_backend.ingest import FILTERS, connected
 from fleet_contract import Receipt, ack_messages, key_of, shift_message
-from fleet_link import Connection, LinkDownError, Terms, parse_broker
+from fleet_link import Connection, LinkDownError, Terms, VersionRefusedError, parse_broker
 from tests.support.certificates import certify, tls_files
 from tests.support.fleet import fleet_result
 from tests.support.fleet_broker import DEPLOY, write_access
@@ -64,6 +65,29 @@ def test_a_result_waits_on_disk_until_it_is_settled_and_its_receipt_reaches_the_
             await vehicle.close()
 
     asyncio.run(run())
+
+
+async def test_version_5_is_refused_and_with_it_the_properties_of_messages(server: NatsServer) -> None:
+    address = parse_broker(f"mqtt://127.0.0.1:{server.port}")
+    with pytest.raises(VersionRefusedError, match=r"\[code:132\] Unsupported protocol version"):
+        await Connection.open(address, Terms(timeout_s=HANG_S))
+    vehicle = await Connection.open(address, Terms(is_version_5=False))
+    await vehicle.close()
+
+
+async def test_headers_are_bounded_as_properties_are(server: NatsServer) -> None:
+    address = parse_broker(server.url, may_be_nats=True)
+    async with connected(address, FILTERS, max_unsettled=20) as inbox, asyncio.timeout(HANG_S):
+        sender = await nats.connect(server.url)
+        for header_bytes in (10, 2_000):
+            await sender.publish("clutchdiag.v1.car1.shift", b"payload", headers={"h": "x" * (header_bytes - 1)})
+            await sender.flush()
+        await sender.close()
+        arrived = [*await inbox.collect(1, 0.0), *await inbox.collect(1, 0.0)]
+    assert [(message.unread_bytes, message.excess) for message in arrived] == [
+        (10, None),
+        (2_000, "2000 bytes of properties, more than 1024"),
+    ]
 
 
 def test_a_cancellation_that_meets_a_message_ends_the_wait(server: NatsServer) -> None:

@@ -60,6 +60,10 @@ class NotFoundError(PageError, status=404, title="There is no such page"):
     """There is no such thing: look at another one."""
 
 
+class BusyError(PageError, status=503, title="Too many answers are on their way"):
+    """Others are slow to read: ask again soon."""
+
+
 class LoginError(PageError, status=401, title="You are not logged in"):
     """Nobody knows who asks: log in."""
 

@@ -40,7 +40,6 @@ GROUP: Final = "ingest"  # of workers that share what comes, unless another name
 KEEPALIVE_S: Final = 15  # a dead broker is known after 1.5 times this
 MOST_IN_FLIGHT: Final = 100  # receipts without the broker's answer; the others go without one
 USUAL_BYTES: Final = 4096  # of one of the messages that may be unsettled: a result alone has less, most bundles more
-MAX_PACKET_BYTES: Final = 262_144  # far above any result; the broker keeps longer packets from us
 _LOG: Final = logging.getLogger(__name__)
 
 
@@ -57,7 +56,6 @@ async def connected(address: BrokerAddress, filters: Sequence[str], *, max_unset
         max_unsettled=max_unsettled,
         max_unsettled_bytes=max_unsettled * USUAL_BYTES,
         max_in_flight=MOST_IN_FLIGHT,
-        max_packet_bytes=MAX_PACKET_BYTES,
         is_key_private=False,  # a container's secrets are its only user's, whatever their mode says
     )
     connection: Connection | JetStream

@@ -1,7 +1,7 @@
 """Messages become rows and receipts; those that break the contract become rows of the quarantine, with a reason."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from enum import Enum, auto
 from types import MappingProxyType
@@ -25,6 +25,7 @@ from fleet_contract import (
     Address,
     Channel,
     ContractError,
+    MalformedError,
     Outcome,
     Receipt,
     ResultKey,
@@ -84,6 +85,8 @@ _STATES: Final[Mapping[Channel, tuple[MessageKind, Callable[[Mapping[str, object
 
 def receive_all(message: Message, received_at: datetime) -> list[Received]:
     """Return a message, or each result of a bundle, with its rows."""
+    if message.excess is not None:
+        return [refuse(message, MalformedError.reason, message.excess, received_at)]
     if not message.topic.endswith(_BUNDLE_END):
         return [receive(message, received_at)]
     try:
@@ -91,8 +94,9 @@ def receive_all(message: Message, received_at: datetime) -> list[Received]:
         events = bundled_events(message.payload)
     except ContractError as exc:
         return [refuse(message, exc.reason, str(exc), received_at)]
-    topic, number = address.topic, message.packet_id
-    return [_receive(Message(topic=topic, payload=event, packet_id=number), address, received_at) for event in events]
+    alone = [Message(topic=address.topic, payload=event, packet_id=message.packet_id) for event in events]
+    alone[0] = replace(alone[0], unread_bytes=message.unread_bytes)
+    return [_receive(event, address, received_at) for event in alone]
 
 
 def receive(message: Message, received_at: datetime) -> Received:
@@ -132,7 +136,15 @@ def refuse(message: Message, reason: str, detail: str, received_at: datetime) ->
     """Return a message as poison; its sender hears of it if the message can still be told from others."""
     address = _address(message.topic)
     vehicle, key = (None, None) if address is None else (address.vehicle, _readable_key(address, message.payload))
-    row = quarantine_row(received_at, message.topic, vehicle, message.payload, reason=reason, detail=detail)
+    row = quarantine_row(
+        received_at,
+        message.topic,
+        vehicle,
+        message.payload,
+        unread_bytes=message.unread_bytes,
+        reason=reason,
+        detail=detail,
+    )
     receipt = None if key is None else Receipt(key=key, outcome=Outcome.QUARANTINED, reason=f"{reason}: {detail}")
     return Received(message=message, kind=MessageKind.POISON, row=row, receipt=receipt)
 

@@ -58,7 +58,7 @@ class QuotaGate:
         vehicle = str(item.row["vehicle"] or "")
         known, news = (counts.setdefault(vehicle, list(_ZERO)) for counts in (self._known, self._news))
         kinds = (MessageKind.SHIFT, MessageKind.POISON)
-        more = [*(int(item.kind is kind) for kind in kinds), len(item.message.payload), 0]
+        more = [*(int(item.kind is kind) for kind in kinds), item.message.size_bytes, 0]
         counts_of = zip(self._limits, known, more, strict=True)
         if any(limit and count and before + count > limit for limit, before, count in counts_of):
             if not known[-1]:

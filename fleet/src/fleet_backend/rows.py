@@ -189,7 +189,14 @@ def controller_row(data: Data) -> Row:
 
 
 def quarantine_row(
-    received_at: datetime, topic: str, vehicle: str | None, payload: bytes, *, reason: str, detail: str
+    received_at: datetime,
+    topic: str,
+    vehicle: str | None,
+    payload: bytes,
+    *,
+    reason: str,
+    detail: str,
+    unread_bytes: int = 0,
 ) -> Row:
     """Return the row that keeps a poison message aside: enough to find its cause, never all of a large one."""
     return {
@@ -198,7 +205,7 @@ def quarantine_row(
         "vehicle": vehicle,
         "reason": reason,
         "detail": _shown(detail)[:_DETAIL_LENGTH],
-        "size_bytes": len(payload),
+        "size_bytes": len(topic.encode("utf-8", "replace")) + unread_bytes + len(payload),
         "head": _shown(payload[:_HEAD_LENGTH].decode("utf-8", "backslashreplace")),
         "received_at": received_at,
     }

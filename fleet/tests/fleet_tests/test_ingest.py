@@ -186,6 +186,27 @@ def test_what_cannot_be_unpacked_is_one_message_kept_aside() -> None:
     assert received.row["reason"] == "topic"
 
 
+def test_what_is_too_long_is_kept_aside_unread_and_its_size_is_that_of_all_its_parts() -> None:
+    """Of what can still be told from others the sender hears, so that it does not come again."""
+    hostile = replace(GOOD, unread_bytes=250_000, excess="250000 bytes of properties, more than 1024")
+    (received,) = receive_all(hostile, NOW)
+    size_bytes = len(GOOD.topic) + 250_000 + len(GOOD.payload)
+    assert (received.kind, received.row["reason"], received.row["size_bytes"]) == (
+        *(MessageKind.POISON, "malformed"),
+        size_bytes,
+    )
+    assert received.row["detail"] == hostile.excess
+    assert received.receipt is not None
+    (received,) = receive_all(replace(hostile, topic="clutchdiag/v1/car1/bundle"), NOW)
+    assert (received.kind, received.receipt) == (MessageKind.POISON, None)
+
+
+def test_properties_of_a_bundle_count_once() -> None:
+    sizes = [item.message.size_bytes for item in receive_all(bundle(GOOD.payload, GOOD.payload), NOW)]
+    packed = replace(bundle(GOOD.payload, GOOD.payload), unread_bytes=1_000)
+    assert [item.message.size_bytes for item in receive_all(packed, NOW)] == [sizes[0] + 1_000, sizes[1]]
+
+
 @pytest.mark.parametrize(
     ("name", "said", "kept"),
     [
@@ -210,7 +231,7 @@ def test_whatever_came_is_kept_in_printable_text(payload: bytes, detail: str) ->
         text = str(row[name])
         assert text.isprintable()
         assert text.encode().decode() == text
-    assert row["size_bytes"] == len(payload)
+    assert row["size_bytes"] == len(f"x/{detail}".encode()) + len(payload)
 
 
 @pytest.mark.parametrize(("name", "known"), [("shift", -3664896956469182395), ("shift-rejected", -5958550621060343079)])

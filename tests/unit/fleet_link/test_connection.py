@@ -24,7 +24,7 @@ from tests.support.patience import HANG_S
 
 ACCEPTED = bytes([0x20, 3, 0, 0, 0])  # CONNACK of MQTT 5 without properties
 AT_MOST_TWO = bytes([0x20, 6, 0, 0, 3, 0x21, 0, 2])  # with a Receive Maximum of 2
-UNSUBSCRIBE = 10  # the kind of a packet
+CONNACK, UNSUBSCRIBE, DISCONNECT = 2, 10, 14  # kinds of packets
 SHORT = Terms(timeout_s=0.2, stall_s=0.2)  # where silence is waited for; what a busy machine delays is given LONG
 LONG = Terms(timeout_s=HANG_S)
 
@@ -96,7 +96,9 @@ async def test_nothing_more_is_taken_from_a_broker_that_reads_nothing() -> None:
     "terms",
     [
         Terms(timeout_s=HANG_S, max_unsettled=10, keepalive_s=1),
-        Terms(timeout_s=HANG_S, max_unsettled=60, max_unsettled_bytes=100, keepalive_s=1),  # ten messages of ten bytes
+        Terms(
+            timeout_s=HANG_S, max_unsettled=60, max_unsettled_bytes=110, keepalive_s=1
+        ),  # ten of eleven bytes with their topic
     ],
 )
 async def test_a_broker_that_sends_more_than_it_may_is_read_no_further(terms: Terms) -> None:
@@ -128,6 +130,83 @@ async def test_a_broker_that_sends_more_than_it_may_is_read_no_further(terms: Te
             found += unsettled
         assert [message.packet_id for message in found] == list(range(1, count + 1))
         await connection.close()
+
+
+def of_length(length: int) -> bytes:
+    """Return a variable byte integer."""
+    digits = bytearray()
+    while length >= 128:
+        digits.append(128 | length % 128)
+        length //= 128
+    return bytes([*digits, length])
+
+
+def delivery(packet_id: int, payload: bytes, properties: bytes = b"") -> bytes:
+    """Return a PUBLISH of MQTT 5 with QoS 1."""
+    content = b"\0\1t" + packet_id.to_bytes(2) + of_length(len(properties)) + properties + payload
+    return b"\x32" + of_length(len(content)) + content
+
+
+USER_PROPERTY = bytes([38, 0, 0, 0, 0])  # without a name and a value
+
+
+@pytest.mark.parametrize(
+    ("user_property", "count", "payload_bytes", "kept_bytes", "excess"),
+    [
+        (USER_PROPERTY, 0, 1, 1, None),
+        (USER_PROPERTY, 10, 1, 1, None),
+        (USER_PROPERTY, 50_000, 1, 1, "250000 bytes of properties, more than 1024"),
+        (b"\xff", 2_000, 1, 1, "2000 bytes of properties, more than 1024"),  # which cannot be unpacked
+        (b"\xff", 1, 1, 1, None),
+        (USER_PROPERTY, 0, 300_000, 0, "300006 bytes, more than 262144"),
+        (USER_PROPERTY, 0, 5_000_000, 0, "5000006 bytes, more than 262144"),
+        (USER_PROPERTY, 50_000, 5_000_000, 0, "250000 bytes of properties, more than 1024"),
+    ],
+)
+async def test_properties_are_counted_and_not_unpacked(
+    user_property: bytes, count: int, payload_bytes: int, kept_bytes: int, excess: str | None
+) -> None:
+    """paho-mqtt needs 4.5 s for 50,000 of them; a broker may send what it was told not to."""
+    hostile = delivery(1, bytes(payload_bytes), user_property * count)
+
+    async def send(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await packet(reader)
+        writer.write(ACCEPTED + hostile + delivery(2, b"a result"))
+        while True:
+            await packet(reader)
+
+    async with broker(send) as address:
+        connection = await Connection.open(address, Terms(timeout_s=HANG_S, max_unsettled=10))
+        async with asyncio.timeout(HANG_S):
+            batch = await connection.collect(1, 0.0) + await connection.collect(1, 0.0)
+        connection.acknowledge(batch)
+        await connection.close()
+    assert [(one.packet_id, len(one.payload), one.excess) for one in batch] == [(1, kept_bytes, excess), (2, 8, None)]
+    sizes = [len(b"t") + len(user_property) * count + payload_bytes, len(b"ta result")]
+    assert [abs(one.size_bytes - size) <= 4 for one, size in zip(batch, sizes, strict=True)] == [True, True]
+
+
+@pytest.mark.parametrize("kind", [CONNACK, DISCONNECT])
+async def test_a_broker_whose_own_answer_is_all_properties_is_left(kind: int) -> None:
+    properties = of_length(250_000) + USER_PROPERTY * 50_000
+    content = (b"\0\0" if kind == CONNACK else b"\0") + properties
+    answer = bytes([kind << 4]) + of_length(len(content)) + content
+
+    async def answer_at_length(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await packet(reader)
+        writer.write(answer if kind == CONNACK else ACCEPTED + answer)
+        await reader.read()
+
+    async def listen(address: BrokerAddress) -> None:
+        connection = await Connection.open(address, LONG)
+        try:
+            await connection.collect(1, 0.0)
+        finally:
+            await connection.close()
+
+    async with broker(answer_at_length) as address:
+        with pytest.raises(LinkDownError):
+            await asyncio.wait_for(listen(address), HANG_S)
 
 
 async def test_no_more_is_in_flight_than_the_broker_takes() -> None:

@@ -3,10 +3,11 @@
 import csv
 import io
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from datetime import date, datetime, timedelta
 from functools import wraps
+from itertools import chain
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -51,6 +52,7 @@ from fleet_backend.office_tables import ALARM
 from fleet_backend.page import queries
 from fleet_backend.page.access import UserRole
 from fleet_backend.page.fleet import WEEKS, FleetSnapshot, vehicle_type
+from fleet_backend.page.flight import Streamed, text_pieces
 from fleet_backend.page.questions import (
     ORDERS,
     Acknowledgement,
@@ -61,7 +63,19 @@ from fleet_backend.page.questions import (
     VehicleQuery,
     VehiclesQuery,
 )
-from fleet_backend.page.site import API, asked, encoded, form_of, is_api, is_known, page, sources_of, viewer_of
+from fleet_backend.page.site import (
+    API,
+    asked,
+    encoded,
+    form_of,
+    is_api,
+    is_known,
+    listed,
+    page,
+    sources_of,
+    streamed,
+    viewer_of,
+)
 from fleet_backend.page.wording import M_PER_KM, STEPS, address
 from fleet_backend.queries import Row
 from fleet_contract.orders import UNKNOWN_FLUID, Action, name_of
@@ -84,7 +98,7 @@ def drawn_once(draw: Callable[[Request], Response]) -> Callable[[Request], Respo
         key = (str(request.url), request.headers.get("if-none-match"), who, state)
         if key not in drawn:
             made = draw(request)
-            if len(drawn) >= MOST_DRAWN or len(made.body) > LARGEST_DRAWN:
+            if len(drawn) >= MOST_DRAWN or isinstance(made, Streamed) or len(made.body) > LARGEST_DRAWN:
                 return made
             drawn[key] = made
         kept: Response = drawn[key]
@@ -108,11 +122,10 @@ def vehicles(request: Request) -> Response:
         key = ORDERS[query.sort.removeprefix("-")]
         matching = sorted(matching, key=lambda now: (key(now), now.vehicle), reverse=query.sort.startswith("-"))
     if request.url.path == CSV_PATH:
-        return _csv(matching[query.offset : query.offset + query.limit])
+        return streamed(request, _csv(matching[query.offset : query.offset + query.limit]), "text/csv")
     rows, next_offset = _part(request, query, matching)
     counts = sum(map(Counter, snapshot.strips.values()), Counter[str]())
     answer = {
-        "vehicles": rows,
         "matching_count": len(matching),
         "vehicle_count": len(snapshot.worst),
         "counts": {severity.value: counts[severity.value] for severity in Severity},
@@ -122,8 +135,8 @@ def vehicles(request: Request) -> Response:
         "next": next_offset,
     }
     if is_api(request):
-        return encoded(answer)
-    context = _list(request, query, answer) | {
+        return listed(request, answer, "vehicles", rows)
+    context = _list(request, query, {"vehicles": rows, **answer}) | {
         "csv_href": address(CSV_PATH, **_filters(query)),
         "heads": [_head(text, name, query) for text, name in _COLUMNS],
         "orders": _ORDERS,
@@ -136,12 +149,15 @@ def vehicles(request: Request) -> Response:
     return page(request, "fleet.html", context, mark=snapshot.number)
 
 
-def _csv(rows: Sequence[ClutchNow]) -> Response:
-    out, names = io.StringIO(), [field.name for field in fields(ClutchNow)]
-    table = csv.writer(out)
-    table.writerow(names)
-    table.writerows(map(attrgetter(*names), rows))
-    return Response(out.getvalue(), media_type="text/csv")
+def _csv(rows: Sequence[ClutchNow]) -> Iterator[bytes]:
+    names = [field.name for field in fields(ClutchNow)]
+    return text_pieces(map(_csv_line, chain([names], map(attrgetter(*names), rows))))
+
+
+def _csv_line(values: Iterable[object]) -> str:
+    out = io.StringIO()
+    csv.writer(out).writerow(values)
+    return out.getvalue()
 
 
 CSV_PATH: Final = "/vehicles.csv"
@@ -389,12 +405,16 @@ def maintenance(request: Request) -> Response:
     keeper, today = sources.keeper, sources.now().date()
     clutches, lanes = keeper.calendar(today)
     rows, next_offset = _part(request, query, clutches)
-    dues = [due_of(now, keeper.foretold(now), today) for now in rows]
-    answer = {"clutches": dues, "clutch_count": len(clutches), "next": next_offset}
+
+    def due(now: ClutchNow) -> Due:
+        return due_of(now, keeper.foretold(now), today)
+
+    answer = {"clutch_count": len(clutches), "next": next_offset}
     if is_api(request):
-        return encoded(answer)
+        return listed(request, answer, "clutches", rows, due)
+    dues = list(map(due, rows))
     context = {"weeks": _weeks(dues, today), "lanes": (_lane_heads(today), lanes)}
-    return page(request, "maintenance.html", _list(request, query, answer) | context)
+    return page(request, "maintenance.html", _list(request, query, {"clutches": dues, **answer}) | context)
 
 
 def _lane_heads(today: date) -> list[str]:

@@ -31,6 +31,9 @@ _BACKLOG: Final = 128
 _NICE: Final = 5  # ingest workers on the same machine go first
 _THREADS: Final = 6  # that answer requests; more would wait for the interpreter's lock
 HEADERS_S: Final = 10.0  # from the first byte of a request, or the connection, to the end of its head
+STALLED_S: Final = 10.0  # in which a reader takes some of what is to be sent
+MOST_CONNECTIONS: Final = 256  # at once; others are told that the server is busy
+_UNSENT_BYTES: Final = 131_072  # of a connection in the system's memory, which would hold megabytes of it
 _GRACE_S: Final = 3  # for readers who are being answered when the server is told to stop
 _LOG: Final = logging.getLogger(__name__)
 
@@ -78,6 +81,7 @@ def closing_socket(host: str, port: int) -> Iterator[socket.socket]:
     # Only where the protocol is named does asyncio send small answers at once, not 40 ms later.
     with socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP) as listener:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _UNSENT_BYTES)  # connections inherit it
         try:
             listener.bind((host, port))
             listener.listen(_BACKLOG)
@@ -113,20 +117,42 @@ def server_of(sources: Sources) -> uvicorn.Server:
         server_header=False,
         proxy_headers=False,
         timeout_graceful_shutdown=_GRACE_S,
-        http=HeadersInTime,
+        http=ReaderInTime,
+        limit_concurrency=MOST_CONNECTIONS,
         ws="none",
     )
     return _Server(config)
 
 
-class HeadersInTime(H11Protocol):
-    """A connection that is closed unless the head of each request arrives within `HEADERS_S`."""
+class ReaderInTime(H11Protocol):
+    """A connection that is closed unless its reader asks and reads.
+
+    The head of each request arrives within `HEADERS_S`, and `STALLED_S` do not pass twice without a byte that leaves.
+    """
 
     _timer: asyncio.TimerHandle | None = None
+    _watch: asyncio.TimerHandle | None = None
+    _resumed_count = 0  # how often the reader has taken so much that there was room for more
+    _unsent: tuple[int, int] | None = None  # bytes, and the count above, when it was looked last
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as the class has it
         super().connection_made(transport)
         self._start_timer()
+        self._look()
+
+    def resume_writing(self) -> None:
+        """Note that the reader reads."""
+        super().resume_writing()
+        self._resumed_count += 1
+
+    def _look(self) -> None:
+        """End a connection of which nothing left since the last look; bytes behind an answer's end count, too."""
+        unsent = self.transport.get_write_buffer_size(), self._resumed_count
+        if unsent[0] and unsent == self._unsent:
+            self.transport.abort()
+            return
+        self._unsent = unsent
+        self._watch = self.loop.call_later(STALLED_S, self._look)
 
     def data_received(self, data: bytes) -> None:
         """Stop the timer once a head is whole; bytes of a body start none."""
@@ -138,6 +164,8 @@ class HeadersInTime(H11Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._stop_timer()
+        if self._watch is not None:
+            self._watch.cancel()
         super().connection_lost(exc)
 
     def _start_timer(self) -> None:

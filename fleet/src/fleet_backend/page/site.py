@@ -3,7 +3,7 @@
 import asyncio
 import hmac
 import logging
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -26,10 +26,19 @@ from starlette.templating import Jinja2Templates
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from clutchdiag_io.pages.content import templates_of
-from fleet_backend.errors import AskError, DatabaseError, FleetBackendError, ForbiddenError, LoginError, PageError
+from fleet_backend.errors import (
+    AskError,
+    BusyError,
+    DatabaseError,
+    FleetBackendError,
+    ForbiddenError,
+    LoginError,
+    PageError,
+)
 from fleet_backend.page import wording
 from fleet_backend.page.access import NOBODY, Access, UserRole, Viewer
 from fleet_backend.page.fleet import Keeper
+from fleet_backend.page.flight import MOST_WHOLE, Flight, Pieces, Streamed, json_pieces
 
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 API: Final = "/api/v1"
@@ -37,9 +46,11 @@ NAVIGATION: Final = (("/", "Fleet"), ("/maintenance", "Maintenance"), ("/alarms"
 _FORM: Final = "application/x-www-form-urlencoded"
 _LONGEST_FORM: Final = 16_384  # bytes
 _FORM_S: Final = 10.0  # for all of its bytes
+_JSON: Final = "application/json"
 _TOKEN: Final = "token"  # noqa: S105 - the name of a field
 _LOG: Final = logging.getLogger(__name__)
 QueryT = TypeVar("QueryT")
+RowT = TypeVar("RowT")
 Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
 
 
@@ -52,6 +63,7 @@ class Sources:
     access: Access = field(default_factory=Access)
     writer: Engine | None = None  # where somebody may change something
     now: Callable[[], datetime] = lambda: datetime.now(UTC)
+    flight: Flight = field(default_factory=Flight)
 
 
 _POLICY: Final = "; ".join(
@@ -131,7 +143,8 @@ def application(sources: Sources, routes: list[BaseRoute], lifespan: Lifespan | 
         backend=Login(sources.access),
         on_error=lambda conn, exc: _error_answer(conn, exc.__cause__),
     )
-    inside = Starlette(routes=routes, exception_handlers=handlers, middleware=[login], lifespan=lifespan)
+    pieces = Middleware(Pieces, flight=sources.flight, busy=_busy)
+    inside = Starlette(routes=routes, exception_handlers=handlers, middleware=[pieces, login], lifespan=lifespan)
     inside.state.sources = sources
     for name in _TEMPLATES.env.list_templates(["html"]):
         _TEMPLATES.env.get_template(name)  # the first reader does not wait until it is compiled
@@ -208,7 +221,29 @@ def _checked(pairs: list[tuple[str, str]], query: type[QueryT]) -> QueryT:
 
 def encoded(answer: object) -> Response:
     """Return an answer as JSON."""
-    return Response(msgspec.json.encode(answer), media_type="application/json")
+    return Response(msgspec.json.encode(answer), media_type=_JSON)
+
+
+def listed(
+    request: Request,
+    answer: Mapping[str, object],
+    name: str,
+    rows: Sequence[RowT],
+    made: Callable[[RowT], object] = lambda row: row,
+) -> Response:
+    """Return an answer as JSON, with what is made of rows under a name; a long one is made while it is sent."""
+    if len(rows) <= MOST_WHOLE:
+        return encoded({name: [made(row) for row in rows], **answer})
+    return streamed(request, json_pieces(answer, name, rows, made), _JSON)
+
+
+def streamed(request: Request, pieces: Iterable[bytes], media_type: str) -> Response:
+    """Return an answer that is made while it is sent."""
+    return Streamed(pieces, media_type, sources_of(request).flight, _busy)
+
+
+def _busy(scope: Scope) -> Response:
+    return _error_answer(Request(scope), BusyError("Others are slow to read theirs. Ask again in a few seconds."))
 
 
 def is_known(request: Request, mark: int) -> bool:
