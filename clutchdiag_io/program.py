@@ -94,18 +94,21 @@ def complain(
 def refusal(*paths: Path | None, is_forced: bool) -> str:
     """Return why these files must not be written; empty if they may be, as devices and pipes always may."""
     given = [path.absolute() for path in paths if path is not None]
-    for path in given:
-        if given.count(path) > 1 and (path.is_file() or not path.exists()):
-            return f"two outputs cannot both be {path}"
-    there = next((path for path in paths if path is not None and not is_forced and path.is_file()), None)
+    try:
+        for path in given:
+            if given.count(path) > 1 and (path.is_file() or not path.exists()):
+                return f"two outputs cannot both be {path}"
+        there = next((path for path in paths if path is not None and path.is_file() and not is_forced), None)
+    except OSError as exc:
+        return f"cannot write {exc.filename}: {exc.strerror}"
     return "" if there is None else f"{there} is there already; --force writes over it"
 
 
 def replacement_refusal(path: Path, *, is_forced: bool) -> str:
     """Return why a new file must not take the place of this one; a device or a pipe would be gone for all others."""
-    if path.exists() and not path.is_file():
-        return f"{path} is not a plain file and cannot be replaced"
-    return refusal(path, is_forced=is_forced)
+    if complaint := refusal(path, is_forced=is_forced):
+        return complaint
+    return f"{path} is not a plain file and cannot be replaced" if path.exists() and not path.is_file() else ""
 
 
 def legible(text: str) -> str:

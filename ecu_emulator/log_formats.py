@@ -17,7 +17,7 @@ import can
 import numpy as np
 
 from canlog.arrays import Int64Array
-from canlog.files import replacing
+from canlog.files import is_plain_file, is_there, replacing
 from canlog.frames import ERROR_FLAG, EXTENDED_FLAG, PAYLOAD_BYTES
 from clutchdiag_io.command_line import STANDARD_STREAM
 from ecu_emulator.bus.frames import EncodedFrames
@@ -217,7 +217,7 @@ def open_log(
     if log_format is None:
         known = ", ".join(f"{suffix} ({name})" for suffix, name in _FORMAT_OF_SUFFIX.items())
         raise RecordError(f"{path}: no log format has the suffix {path.suffix!r}; there are {known}")
-    if path.exists() and not path.is_file():
+    if is_there(path) and not is_plain_file(path):
         raise RecordError(f"cannot write {path}: not a regular file")
     with replacing(path, RecordError) as part:
         with part.open("wb") as stream:

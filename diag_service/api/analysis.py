@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Unpack
 from canlog.column_files import arrow_schema, row_table
 from canlog.errors import NOTICE, OutputError
 from canlog.extras import load_extra
+from canlog.files import is_folder
 from canlog.logs.reading import Watch
 from clutch_model.calibration import Calibration
 from clutch_results.pictures import LIMITS, MOMENT_ROWS, Fan
@@ -274,7 +275,7 @@ def analyze(
         If the store cannot be opened or written.
     """
     logs = path_list(paths)
-    if folder := next((path for path in logs if path.is_dir()), None):
+    if folder := next(filter(is_folder, logs), None):
         raise ConfigError(f"{folder} is a folder, in which every log is a drive: analyze_folders")
     options = AnalyzeOptions(
         logs=logs, store=optional_path(store), store_budget=store_budget_mib, strict=is_strict,

@@ -15,6 +15,7 @@ from cantools.database.can import Message
 from canlog.column_files import STREAMED, SUFFIX_OF_FORMAT, TableFormat, load_pyarrow
 from canlog.database.signal_columns import SignalColumn, columns_database
 from canlog.errors import NOTICE, OutputError, SourceError
+from canlog.files import is_folder, is_there
 from canlog.logs import STANDARD_INPUT, shown_name, table_columns
 from canlog.tables.account import DecodeAccount, account_record, frame_texts, losses
 from canlog.tables.decoding import DecodedLogs, Plan, TableChoice, TableShape, decode_logs, default_shape
@@ -38,9 +39,9 @@ BUILT_IN_FITS_NOT: Final = (
 
 def arranged(options: DecodeOptions) -> tuple[DecodeOptions, bool]:
     """Return the options with their layout, and whether each log becomes tables of its own."""
-    has_folders = any(path.is_dir() for path in options.logs if path != STANDARD_INPUT)
-    options = replace(options, layout=options.layout or default_shape(options.output, is_folder=has_folders))
-    return options, has_folders or (options.output.is_dir() and options.layout != "messages")
+    has_folders = any(is_folder(path) for path in options.logs if path != STANDARD_INPUT)
+    options = replace(options, layout=options.layout or default_shape(options.output, is_of_folder=has_folders))
+    return options, has_folders or (is_folder(options.output) and options.layout != "messages")
 
 
 def decode_together(
@@ -119,7 +120,7 @@ def _check_messages(folder: Path, plan: Plan, table_format: TableFormat, *, is_f
     """Raise ConfigError if tables of messages must not be written to a folder; other tables are no concern."""
     if plan.shape is not TableShape.MESSAGES:
         return
-    if folder.exists() and not folder.is_dir():
+    if is_there(folder) and not is_folder(folder):
         raise ConfigError(f"{folder} is not a folder: each message becomes a table of its own")
     there = [] if is_forced else tables_there(folder, message_files(plan.names, table_format))
     if there:
@@ -250,15 +251,15 @@ def _tasks(options: DecodeOptions, suffix: str) -> tuple[list[TableTask], list[L
     """
     if STANDARD_INPUT in options.logs:
         raise ConfigError("tables of a folder are written by several processes: standard input does not go with them")
-    if options.output.exists() and not options.output.is_dir():
+    if is_there(options.output) and not is_folder(options.output):
         raise ConfigError(f"{options.output} is not a folder: each log of a folder becomes a table of its own")
     tasks, left_out = list[TableTask](), list[LeftOut]()
     for path in options.logs:
-        if path.is_dir() and options.output.resolve().is_relative_to(path.resolve()):
+        if is_folder(path) and options.output.resolve().is_relative_to(path.resolve()):
             raise ConfigError(f"{options.output} lies in {path}: the next run would take tables for logs")
         drives, others = find_drives([path], columns=options.columns)
         left_out += others
-        home = path if path.is_dir() else path.parent
+        home = path if is_folder(path) else path.parent
         for log in (log for drive in drives for log in drive.paths):
             name = log.relative_to(home)
             columns = () if options.dbc is not None else table_columns(log, columns=options.columns)

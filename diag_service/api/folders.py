@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Unpack
 
 from canlog.errors import NOTICE, SourceError
+from canlog.files import is_there
 from clutch_model.calibration import Calibration
 from clutch_results.records import shift_from
 from diag_service.api.analysis import Analysis, ResultTable
@@ -167,7 +168,7 @@ def analyze_drives(
     jobs, output, config = job_count(options.jobs), options.output, diagnosis_config(options)
     if output is not None:
         check_output(output)  # now, not after hours
-        check_replaceable(output, is_forced=options.force or _journal_of(output).exists())
+        check_replaceable(output, is_forced=options.force or is_there(_journal_of(output)))
     if config.broker is not None:
         _LOG.warning("results of folders are not published")
         config = replace(config, broker=None, acknowledge=Acknowledge.BROKER)

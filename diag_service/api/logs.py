@@ -17,6 +17,7 @@ from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.e2e.message_contract import message_contract
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import InputLeftError, SourceError
+from canlog.files import is_folder
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from canlog.logs import STANDARD_INPUT, LogReader, read_log
 from canlog.logs.reading import Watch
@@ -249,7 +250,7 @@ def inspect_logs(
     """Yield what logs hold, of each folder first which files are logs, and why one cannot be read after all."""
     messages = messages_of(options, lambda: controls.stop.is_set)
     for path in options.logs:
-        if path == STANDARD_INPUT or not path.is_dir():
+        if path == STANDARD_INPUT or not is_folder(path):
             yield _inspected(path, messages, options, controls.stop, line.watch)
             continue
         logs, others = split_folder(path, options.columns)

@@ -1,5 +1,6 @@
 """Which drives are meant by files and folders."""
 
+import errno
 import hashlib
 import os
 from collections import Counter
@@ -8,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from canlog.errors import SourceError
+from canlog.files import is_folder
 from canlog.logs import looked_at
 from diag_service.errors import ConfigError
 from diag_service.settings.config import check_vehicle
@@ -76,7 +78,7 @@ def find_drives(
     Raises ConfigError if a folder holds no log or bears no name of a vehicle, or a log is named twice.
     Raises SourceError if a path is not there or cannot be read.
     """
-    folders = [path for path in paths if path.is_dir()]
+    folders = [path for path in paths if is_folder(path)]
     named = [path for path in paths if path not in folders]
     drives, left_out = [drive_of(named)] if named else [], list[LeftOut]()
     for folder in folders:
@@ -117,7 +119,12 @@ def _vehicle_of(log: Path, folder: Path) -> str:
 
 
 def split_folder(folder: Path, columns: str = "") -> tuple[list[RecognisedLog], list[LeftOut]]:
-    """Return the logs in a folder and below, by name, and what else is there, each with why it is that."""
+    """Return the logs in a folder and below, by name, and what else is there, each with why it is that.
+
+    Raises SourceError if this user may not look into it.
+    """
+    if not os.access(folder, os.R_OK | os.X_OK):
+        raise SourceError(f"{folder}: {os.strerror(errno.EACCES)}")
     logs, others, read = list[RecognisedLog](), list[LeftOut](), dict[Path, Path]()
     inside = list(folder.rglob("*"))
     for path in sorted(filter(Path.exists, inside), key=lambda path: (path.is_symlink(), path)):

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Self
 
 from canlog.column_files import BOOL_TYPE, TIME_TYPE, ParquetTable, load_pyarrow
-from canlog.files import replacing
+from canlog.files import is_folder, replacing
 from clutch_results.records import REVISIONS, dump
 from clutchdiag_io.files import OPEN_FLAGS, PRIVATE_MODE, keep_private, lock
 from clutchdiag_io.program import legible
@@ -134,7 +134,7 @@ def check_output(path: Path) -> None:
         raise ConfigError(f"{path}: results are written as {', '.join(_WRITERS)}")
     if suffix == PARQUET:
         load_pyarrow()
-    if not path.parent.is_dir():
+    if not is_folder(path.parent):
         raise StoreError(f"cannot write {path}: {os.strerror(errno.ENOENT)}")
 
 

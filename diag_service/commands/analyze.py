@@ -10,6 +10,7 @@ from typing import Final
 from rich.table import Table
 
 from canlog.errors import NOTICE
+from canlog.files import is_folder
 from canlog.logs import STANDARD_INPUT
 from clutch_results.records import dump
 from clutchdiag_io.console import PeopleConsole, plain_table
@@ -45,7 +46,7 @@ def analyze(options: AnalyzeOptions, controls: Controls) -> None:
     if stored := [log for log in options.logs if isinstance(log, str)]:
         raise ConfigError(f"{stored[0]}: what is in a store is analysed into a lake: --lake PLACE")
     _refuse(options, {"scheduler", "signals", "time_limit", "retry"}, "is for a lake: --lake PLACE says where")
-    if any(path.is_dir() for path in options.paths if path != STANDARD_INPUT):
+    if any(is_folder(path) for path in options.paths if path != STANDARD_INPUT):
         _analyze_folders(options, controls)
         return
     for_folders = {"vehicle_from"} if options.output else {"vehicle_from", "jobs"}

@@ -8,6 +8,7 @@ from typing import Final
 
 from rich.text import Text
 
+from canlog.files import read_small_file
 from clutch_model.units import for_people, reading_of
 from clutch_results.prognosis import Population, population_from
 from clutch_results.records import dump
@@ -42,8 +43,10 @@ def history(options: HistoryOptions) -> None:
 def _population(path: Path) -> Population:
     """Return what a fleet taught, as ``fleet-backend peers --write`` wrote it."""
     try:
-        return population_from(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, RecursionError) as exc:
+        return population_from(json.loads(read_small_file(path)))
+    except OSError as exc:
+        raise ConfigError(f"cannot read {path}: {exc.strerror}") from exc
+    except (ValueError, RecursionError) as exc:
         raise ConfigError(f"{path}: {exc}") from exc
 
 

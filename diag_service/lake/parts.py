@@ -72,7 +72,9 @@ class Place:
         """Return the files below, by name; none where there is no such folder.
 
         What a killed process has not finished writing is none of them, unless it is asked for. A folder of this machine
-        that nobody may look into is told.
+        into which this user may not look is told.
+
+        Raises StoreError if the folder itself is one.
         """
         with _translated("look into", self.address):
             try:
@@ -139,18 +141,21 @@ class Place:
 
     def _walked(self, under: str) -> dict[str, Any]:
         """Return the files below a folder of this machine; fsspec tells of no folder that it may not read."""
-        listed = dict[str, Any]()
-        for folder, _, names in os.walk(Path(self._files.path, under), onerror=_tell):
+        top, listed = Path(self._files.path, under), dict[str, Any]()
+
+        def tell(error: OSError) -> None:
+            if not isinstance(error, PermissionError):  # it is not there, or has gone meanwhile
+                return
+            if Path(error.filename) == top:
+                raise StoreError(f"cannot look into {top}: {error.strerror}") from error
+            _LOG.warning("left out: %s: %s", error.filename, error.strerror)
+
+        for folder, _, names in os.walk(top, onerror=tell):
             for name in (Path(folder, name).relative_to(self._files.path).as_posix() for name in names):
                 listed[name] = {"type": "file", "size": 0}
                 with suppress(FileNotFoundError):  # a link that leads nowhere: a file that nobody can read
                     listed[name] = self._files.info(name)
         return listed
-
-
-def _tell(error: OSError) -> None:
-    if isinstance(error, PermissionError):  # else it is not there, or has gone meanwhile
-        _LOG.warning("left out: %s: %s", error.filename, error.strerror)
 
 
 @contextmanager

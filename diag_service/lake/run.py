@@ -21,6 +21,7 @@ from urllib.parse import urlsplit
 from canlog.column_files import TableFormat
 from canlog.errors import SourceError
 from canlog.extras import load_extra
+from canlog.files import is_plain_file
 from canlog.logs import looked_at
 from canlog.tables.decoding import Plan, decode_logs
 from clutch_results.records import dump, iso_utc
@@ -256,7 +257,7 @@ def find_logs(places: Sequence[str], lake: Place, vehicle: str, *, has_vehicles:
             raise ConfigError(f"{address}: logs and lake must not contain each other")
         held = place.held()
         if not held:
-            what = "is a file: a lake is made of folders and stores" if Path(address).is_file() else "holds no log"
+            what = "is a file: a lake is made of folders and stores" if is_plain_file(Path(address)) else "holds no log"
             raise ConfigError(f"{address} {what}")
         for name, file in held.items():
             log_vehicle = check_vehicle(name.partition("/")[0] if "/" in name else "") if has_vehicles else vehicle

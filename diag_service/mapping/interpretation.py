@@ -11,6 +11,7 @@ from cantools.database.can import Database
 from canlog.database.loading import bus_of, load_database
 from canlog.database.signal_columns import columns_database
 from canlog.errors import NOTICE
+from canlog.files import is_folder
 from canlog.logs import STANDARD_INPUT, table_columns
 from canlog.logs.streams import never
 from clutch_results.records import Tier
@@ -43,7 +44,7 @@ def open_database(
 
     Raises DefinitionError, and SourceError if one of the logs cannot be read.
     """
-    tables = () if path is not None else [log for log in logs if log == STANDARD_INPUT or not log.is_dir()]
+    tables = () if path is not None else [log for log in logs if log == STANDARD_INPUT or not is_folder(log)]
     if named := [column for log in tables for column in table_columns(log, is_stopped=is_stopped, columns=columns)]:
         return columns_database(named)
     if path is None or path == DBC_PATH:

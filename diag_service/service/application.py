@@ -12,6 +12,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Final, TypeVar
 
+from canlog.files import is_there
 from clutch_results.records import ServiceStatus, status_record
 from clutchdiag_io.program import legible
 from diag_service import delivery
@@ -29,7 +30,7 @@ _LOG = logging.getLogger(__name__)
 @contextmanager
 def opened_store(config: DiagnosisConfig, path: Path | None, *, keeps_results: bool) -> Iterator[ResultStore]:
     """Open a store, None: one in memory. A run that fails leaves none behind that it began, unless it holds results."""
-    new = path if path is not None and not path.exists() else None
+    new = path if path is not None and not is_there(path) else None
     with closing(ResultStore.open(path, config.budget_bytes)) as store:
         try:
             yield store

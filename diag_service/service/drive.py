@@ -14,7 +14,7 @@ import numpy as np
 
 from canlog.e2e.protection_check import FrameReason, LinkMonitor
 from canlog.errors import SourceError
-from canlog.files import open_plain_file
+from canlog.files import is_plain_file, open_plain_file
 from canlog.frames import FrameBatch
 from canlog.logs import STANDARD_INPUT, LogReader, merged_by_time, read_log
 from canlog.logs.log_counts import assumed_texts, lost_texts, odd_texts
@@ -64,7 +64,7 @@ def check_distinct(paths: Sequence[Path]) -> None:
     """Raise ``ConfigError`` where a recording is there twice; what is no file, its reader complains of."""
     if paths.count(STANDARD_INPUT) > 1:
         raise ConfigError("standard input is given twice")
-    files = [path for path in paths if path != STANDARD_INPUT and path.is_file()]
+    files = [path for path in paths if path != STANDARD_INPUT and is_plain_file(path)]
     for number, path in enumerate(files):
         for other in files[:number]:
             if path.samefile(other):

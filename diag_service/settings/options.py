@@ -14,6 +14,7 @@ from typing import Literal
 from cantools.database.can import Message
 
 from canlog.errors import NOTICE
+from canlog.files import is_folder
 from canlog.logs import STANDARD_INPUT, table_columns
 from canlog.logs.streams import never
 from clutch_model.calibration import Calibration, nominal_calibration
@@ -312,7 +313,7 @@ def _proposed(config: DiagnosisConfig, logs: Sequence[Path], is_stopped: Callabl
     if config.dbc is not None or config.profile is not None:
         return None
     log, columns = next(iter(logs), STANDARD_INPUT), config.columns
-    if log == STANDARD_INPUT or log.is_dir() or not table_columns(log, is_stopped=is_stopped, columns=columns):
+    if log == STANDARD_INPUT or is_folder(log) or not table_columns(log, is_stopped=is_stopped, columns=columns):
         return None
     text = proposed_profile(log, is_stopped=is_stopped, columns=columns)
     proposed = replace(profile_of(tomllib.loads(text), log), name=PROPOSED)

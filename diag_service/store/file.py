@@ -16,6 +16,7 @@ from fleet_contract.errors import ResultError
 
 APPLICATION_ID: Final = 0x434C4449  # "CLDI", in the header of every store
 SCHEMA_VERSION: Final = 6
+EMPTY: Final = 0  # the version of a database in which nothing is yet
 
 WAITING, DELIVERED, QUARANTINED = range(3)  # values of result.published
 
@@ -105,8 +106,17 @@ _BUSY_TIMEOUT_S: Final = 5.0  # for a person who reads the store with another pr
 _NO_ROOM: Final = frozenset({
     *(sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR_WRITE, sqlite3.SQLITE_IOERR_FSYNC, sqlite3.SQLITE_IOERR_SHMSIZE)
 })  # fmt: skip
-_DAMAGED: Final = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
 _PRIMARY: Final = 0xFF  # of a result code of SQLite
+_NO_CODE: Final = 0  # of an error that Python found
+_DAMAGED: Final = "store {where} is damaged: {exc}; put a copy in its place, or move it away to begin a new one"
+_CLOSED: Final = "store {where} cannot be written: this user may not write it, or nobody may in its folder"
+_UNUSABLE: Final = "cannot use store {where}: {exc}"
+_SENTENCES: Final = {
+    sqlite3.SQLITE_CORRUPT: _DAMAGED,
+    sqlite3.SQLITE_NOTADB: "{where} is not a result store: {exc}; if it was one, put a copy in its place",
+    sqlite3.SQLITE_CANTOPEN: _CLOSED,
+    sqlite3.SQLITE_READONLY: _CLOSED,
+}
 STORE_FAILURES: Final = (sqlite3.Error, ValueError, TypeError, ArithmeticError)
 _MARK_AT, _LONGEST_LOCK = 32, 256  # in a lock [bytes]: behind the process stands the mark
 _LOG = logging.getLogger(__name__)
@@ -205,36 +215,48 @@ def translated(where: str) -> Iterator[None]:
 
 def store_error(where: str, exc: Exception) -> StoreError:
     """Return the StoreError for an error of SQLite, or for one over damaged content."""
-    code = getattr(exc, "sqlite_errorcode", None)
-    if not isinstance(exc, sqlite3.Error) or (code is not None and code & _PRIMARY in _DAMAGED):
-        return StoreError(
-            f"store {where} is damaged: {exc}; put a copy in its place, or move it away to begin a new one"
-        )
-    return (StoreFullError if code in _NO_ROOM else StoreError)(f"cannot use store {where}: {exc}")
+    sentence = _SENTENCES.get(primary_code(exc), _UNUSABLE) if isinstance(exc, sqlite3.Error) else _DAMAGED
+    kind = StoreFullError if getattr(exc, "sqlite_errorcode", _NO_CODE) in _NO_ROOM else StoreError
+    return kind(sentence.format(where=where, exc=exc))
+
+
+def primary_code(exc: sqlite3.Error) -> int:
+    """Return what kind of error of SQLite it is; 0 if SQLite itself has not seen it."""
+    return getattr(exc, "sqlite_errorcode", _NO_CODE) & _PRIMARY
 
 
 def _prepare(connection: sqlite3.Connection, path: Path) -> None:
     """Check whose file it is, create the tables of a new one, and make every commit durable."""
+    form = form_of(connection, path)
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("PRAGMA synchronous = FULL")
+    if form == EMPTY:
+        create_tables(connection)
+    elif form < SCHEMA_VERSION:
+        migrate(connection, form)
+
+
+def is_of_another_program(connection: sqlite3.Connection) -> bool:
+    """Return whether a database is no store and not empty."""
     (application_id,) = connection.execute("PRAGMA application_id").fetchone()
     (version,) = connection.execute("PRAGMA user_version").fetchone()
     (table_count,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
-    if application_id != APPLICATION_ID and (table_count or application_id):
+    return application_id != APPLICATION_ID and bool(application_id or version or table_count)
+
+
+def form_of(connection: sqlite3.Connection, path: Path) -> int:
+    """Return the schema version of a store, or EMPTY of a database that is to become one.
+
+    Raises StoreError for a database of another program, and for a store of a form that a later program made.
+    """
+    if is_of_another_program(connection):
         raise StoreError(f"{path} is an SQLite file of another program, not a result store")
-    refuse_newer(version, path)
-    connection.execute("PRAGMA journal_mode = WAL")
-    connection.execute("PRAGMA synchronous = FULL")
-    if not table_count:
-        create_tables(connection)
-    elif version < SCHEMA_VERSION:
-        migrate(connection, version)
-
-
-def refuse_newer(version: int, path: Path) -> None:
-    """Raise StoreError for a store of a form that a later program made."""
+    version = int(connection.execute("PRAGMA user_version").fetchone()[0])
     if version > SCHEMA_VERSION:
         raise StoreError(
             f"store {path} was written by a newer diag-service (schema {version}, this one knows {SCHEMA_VERSION})"
         )
+    return version
 
 
 def parsed(text: str, where: str) -> ShiftResult:

@@ -1,5 +1,6 @@
 """A store that is only read: results and fills of fluid, without owning it, also while its service runs."""
 
+import errno
 import json
 import os
 import sqlite3
@@ -15,14 +16,23 @@ from canlog.files import open_plain_file
 from clutch_results.event_kinds import DATED_NS
 from clutch_results.records import FluidFill, ShiftResult, iso_utc
 from diag_service.errors import ConfigError, StoreError
-from diag_service.store.file import APPLICATION_ID, connect, parsed, refuse_newer, translated
+from diag_service.store.file import (
+    EMPTY,
+    connect,
+    form_of,
+    is_of_another_program,
+    parsed,
+    primary_code,
+    store_error,
+    translated,
+)
 from fleet_contract import JsonObject
 from fleet_contract.orders import SAME_WITHIN, distinct, fill_meant, odometer_complaint
 
-_MODES: Final = ("mode=rw", "mode=ro", "mode=ro&immutable=1")  # the last where nothing may be written beside it
 _MAGIC: Final = b"SQLite format 3\0"
-_APPLICATION_ID: Final = slice(68, 72)  # of the header, big-endian
 _POSITIONS: Final = 2**63  # SQLite counts no further
+# SQLite may not write what it keeps beside a store; where nothing waits there, it reads the file alone.
+_CLOSED: Final = frozenset({sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,10 +44,17 @@ class Row:
 
 
 def is_store(path: Path) -> bool:
-    """Return whether a file is a store of results, by its first bytes."""
+    """Return whether a file is to be opened as a store of results: SQLite reads it, and it is of no other program.
+
+    One that SQLite cannot read counts as a store: whoever opens it says why.
+    """
     with suppress(OSError), open_plain_file(path) as file:
-        head = file.read(_APPLICATION_ID.stop)
-        return head.startswith(_MAGIC) and head[_APPLICATION_ID] == APPLICATION_ID.to_bytes(4, "big")
+        if file.read(len(_MAGIC)) == _MAGIC:
+            try:
+                with closing(_connect(path)) as connection, translated(str(path)):
+                    return not is_of_another_program(connection)
+            except StoreError:
+                return True
     return False
 
 
@@ -52,13 +69,12 @@ class StoreReader:
     @contextmanager
     def open(cls, path: Path) -> Iterator[Self]:
         """Open a store for reading while entered; raises StoreError if it is none that this program can read."""
-        if not path.is_file():
-            raise StoreError(f"there is no store {path}")
-        if not is_store(path):
-            raise StoreError(f"{path} is not a result store")
         with closing(_connect(path)) as connection, translated(str(path)):
-            (version,) = connection.execute("PRAGMA user_version").fetchone()
-            refuse_newer(version, path)
+            if form_of(connection, path) == EMPTY:
+                raise StoreError(
+                    f"store {path} is empty; of a copy that was made while its service ran {_log_of(path).name} is"
+                    " missing: copy both"
+                )
             yield cls(connection, str(path))
 
     def vehicle(self, named: str | None) -> str:
@@ -105,13 +121,41 @@ class StoreReader:
 
 
 def _connect(path: Path) -> sqlite3.Connection:
-    """Open a database for queries, in the first mode that the file and its folder allow."""
+    """Open a database for queries; raises StoreError, which says what is in the way."""
+    _check_readable(path)
     address = f"file:{quote(os.fsencode(path.absolute()))}"
+    for mode in ("mode=rw", "mode=ro"):
+        try:
+            return _opened(f"{address}?{mode}")
+        except sqlite3.Error as exc:
+            if primary_code(exc) not in _CLOSED:
+                raise store_error(str(path), exc) from exc
+    with suppress(FileNotFoundError):
+        if _log_of(path).stat().st_size:
+            raise StoreError(
+                f"store {path} cannot be read where it is: its last results are in {_log_of(path).name}, and the folder"
+                " cannot be written, as SQLite must to read them; copy both files elsewhere"
+            )
     with translated(str(path)):
-        for mode in _MODES[:-1]:
-            with suppress(sqlite3.OperationalError):
-                return _opened(f"{address}?{mode}")
-        return _opened(f"{address}?{_MODES[-1]}")
+        return _opened(f"{address}?mode=ro&immutable=1")
+
+
+def _log_of(path: Path) -> Path:
+    """Return where SQLite keeps what is not in the file of a store yet."""
+    return path.with_name(f"{path.name}-wal")
+
+
+def _check_readable(path: Path) -> None:
+    """Raise StoreError if there is no store, or this user may not read one of its files."""
+    for file in (path, _log_of(path)):
+        try:
+            open_plain_file(file).close()
+        except FileNotFoundError as exc:
+            if file == path:
+                raise StoreError(f"there is no store {path}") from exc
+        except OSError as exc:
+            advice = "; be the user whose service keeps it, or ask for a copy" if exc.errno == errno.EACCES else ""
+            raise StoreError(f"cannot read store {path}: {exc.strerror} ({file.name}){advice}") from exc
 
 
 def _opened(address: str) -> sqlite3.Connection:
@@ -227,8 +271,7 @@ _HOW: Final = (("<=", "DESC"), (">", "ASC"))  # before a fill, after it
 
 
 def _open(path: Path) -> sqlite3.Connection:
-    if not path.is_file():
-        raise StoreError(f"there is no store {path}")
+    _check_readable(path)
     return connect(path)
 
 

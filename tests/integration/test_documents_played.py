@@ -157,7 +157,7 @@ def test_what_is_not_run_here_is_run_where_it_is_said() -> None:
 
 BLOCKS = {
     ("README.md", "python"): "tests/integration/test_python_page.py",
-    ("CONTRIBUTING.md", "python"): "tests/integration/test_python_page.py",
+    ("CONTRIBUTING.md", "python"): "tests/integration/test_log_format_recipe.py",
     ("canlog/README.md", "python"): "tests/integration/test_canlog_alone.py",
     ("docs/controller.md", "python"): "tests/integration/test_python_page.py",
     ("docs/fleet.md", "sql"): "tests/integration/test_fleet_backup.py",

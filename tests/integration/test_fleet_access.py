@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from fleet_backend.database import open_database, transaction
 from fleet_backend.office_tables import ALARM, AUDIT
 from fleet_backend.page.access import UserRole, read_access
 from fleet_backend.page.routes import PAGES, routes
-from fleet_backend.page.site import application
+from fleet_backend.page.site import LOOPBACK, application, host_of
 from fleet_backend.writer import Batch, Writer
 from tests.support.fleet import fleet_result, row_of
 from tests.support.fleet_page import (
@@ -222,6 +223,57 @@ def test_a_fill_is_noted_on_the_page_once_and_taken_back(site: httpx.Client, dat
         ("ann", "workshop", "note fluid fill"),
         ("ann", "workshop", "withdraw fluid fill"),
     ]
+
+
+FILLS = 20
+
+
+@pytest.mark.parametrize("kind", ["sqlite_url", "postgres_url"])
+def test_of_equal_fills_at_once_one_is_noted_and_each_is_answered(kind: str, request: pytest.FixtureRequest) -> None:
+    """Whoever comes second hears that it is noted already; nobody is told to try again."""
+    url = request.getfixturevalue(kind)
+    engine = open_database(url)
+    fill_database(engine)
+    engine.dispose()
+    ann, action = headers_of("ann"), "/vehicles/worn/fluid"
+    with served(url, ACCESS) as address, httpx.Client(base_url=address, timeout=HANG_S, trust_env=False) as client:
+        words = {"token": token_of(client, "ann"), "product": "DCTF-II", "at": "2026-02-01T10:00"}
+        with ThreadPoolExecutor(FILLS) as pool:
+            answers = list(pool.map(lambda _: client.post(action, headers=ann, data=words), range(FILLS)))
+        told = client.get("/api/v1/vehicles/worn", headers=ann).json()
+    assert sorted(answer.status_code for answer in answers) == [303, *[400] * (FILLS - 1)]
+    assert {"is noted already" in answer.text for answer in answers if answer.status_code == 400} == {True}
+    assert [fill["product"] for fill in told["fills"]] == ["DCTF-II"]
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "127.0.0.1:x@evil", "127.0.0.1@evil", "evil@127.0.0.1", "127.0.0.1:80:80", "127.0.0.1:99999999",
+        "127.0.0.1:-1", "127.0.0.1:8 0", "127.0.0.1 evil", "127.0.0.1,evil", "127.0.0.1/evil", "127.0.0.1#",
+        "127.0.0.1?", "127.0.0.1\\evil", "[::1]evil", "[::1]:x", "[::1", "::1", "[127.0.0.1]", "localhost.",
+        "evil:127.0.0.1", ":80", "", "\t",
+    ],
+)  # fmt: skip
+def test_a_host_that_is_not_exactly_ours_is_refused(host: str) -> None:
+    assert host_of(host) not in LOOPBACK
+
+
+@pytest.mark.parametrize("name", LOOPBACK)
+def test_our_own_names_are_ours_with_and_without_a_port(name: str) -> None:
+    assert {host_of(name), host_of(f"{name}:8080"), host_of(name.upper())} == {name}
+
+
+def test_the_server_answers_to_no_other_host(site: httpx.Client) -> None:
+    for host in ("127.0.0.1:x@evil", "127.0.0.1@evil", "evil", "[::1]evil"):
+        assert site.get("/", headers={"host": host, **headers_of("ann")}).status_code == 421, host
+
+
+@pytest.mark.parametrize("origin", ["http://[", "http://evil", "http://127.0.0.1@evil", "null", "127.0.0.1"])
+def test_a_form_of_a_strange_origin_is_refused(site: httpx.Client, origin: str) -> None:
+    words = {"token": token_of(site, "ann"), "product": "DCTF-II"}
+    answer = site.post("/vehicles/worn/fluid", headers={"origin": origin, **headers_of("ann")}, data=words)
+    assert answer.status_code == 403
 
 
 GOOD = """

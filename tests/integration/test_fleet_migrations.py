@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
-from sqlalchemy import Engine, bindparam, column, inspect, table, text
+from sqlalchemy import Engine, bindparam, column, create_engine, inspect, make_url, table, text
 
 from clutch_results.records import Condition
 from fleet_backend import queries
@@ -118,6 +118,18 @@ def test_a_database_of_another_program_is_left_alone_and_told_what_to_do(new: En
     for use in (check_schema, migrate):
         with pytest.raises(DatabaseError, match=told):
             use(new)
+
+
+def test_a_database_without_an_encoding_is_named_with_what_to_do(postgres_url: str) -> None:
+    """Of SQL_ASCII the driver gives bytes in place of text."""
+    engine = create_engine(make_url(postgres_url).set(drivername="postgresql+psycopg"), isolation_level="AUTOCOMMIT")
+    with engine.connect() as connection:
+        connection.execute(text("CREATE DATABASE anything ENCODING 'SQL_ASCII' LOCALE 'C' TEMPLATE template0"))
+    engine.dispose()
+    engine = open_database(make_url(postgres_url).set(database="anything").render_as_string(hide_password=False))
+    with pytest.raises(DatabaseError, match=r"anything.*encoding SQL_ASCII.*ENCODING 'UTF8'"):
+        migrate(engine)
+    engine.dispose()
 
 
 def test_an_interrupted_migration_leaves_the_schema_before_it(empty: Engine) -> None:

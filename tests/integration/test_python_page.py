@@ -24,9 +24,6 @@ from udsoncan.configs import default_client_config
 import canlog
 import diag_service
 import ecu_emulator
-from canlog.frames import TX_FLAG
-from canlog.logs.log_counts import LogCounts
-from canlog.logs.text_log import frames_of
 from clutch_results.prognosis import Prognosis
 from diag_service.delivery import Outbox
 from diag_service.mapping.profile import load_profile
@@ -148,21 +145,6 @@ def test_every_public_name_is_documented(package: object) -> None:
                "DiagServiceError", "EmulatorError", "PublishError", "ResultError", "ResultTable", "FolderAnalysis",
                "PaperAnalysis", "LiveDiagnosis", "Recording"}  # fmt: skip
     assert [name for name in names if name not in records and f"{name}" not in pages and name != "__version__"] == []
-
-
-def test_the_layout_reads_a_log() -> None:
-    layout: dict[str, Any] = {"__name__": "howto"}
-    run(block("CONTRIBUTING.md", "class Plain"), layout)
-    counts = LogCounts()
-    text = b"# plain-can 1\n1767225600.001000 1 0B0 rx 2 51 D0\n1767225600.5 2 18FEF100 tx 1 07\n1.5 1 0B0 rx 2 51"
-    batch = frames_of(layout["Plain"](), text, counts)
-    assert batch.t_ns.tolist() == [1_767_225_600_001_000_000, 1_767_225_600_500_000_000]
-    assert batch.can_id.tolist() == [0x0B0, 0x98FEF100]
-    assert [bytes(row[:length]) for row, length in zip(batch.data, batch.length, strict=True)] == [b"\x51\xd0", b"\x07"]
-    assert batch.channel.tolist() == [1, 2]
-    assert batch.flags.tolist() == [0, TX_FLAG]
-    assert counts.skipped == 1
-    assert sum(counts.rejected.values()) == 1
 
 
 async def test_the_link_takes_what_the_outbox_holds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -44,6 +44,28 @@ def open_plain_file(path: Path) -> FileIO:
     return file
 
 
+def is_folder(path: Path) -> bool:
+    """Return whether there is a folder; what this user may not look at is none: whoever opens it hears why."""
+    return stat.S_ISDIR(_mode_of(path))
+
+
+def is_plain_file(path: Path) -> bool:
+    """Return whether there is a plain file, as ``is_folder`` does."""
+    return stat.S_ISREG(_mode_of(path))
+
+
+def is_there(path: Path) -> bool:
+    """Return whether there is something, as ``is_folder`` does."""
+    return bool(_mode_of(path))
+
+
+def _mode_of(path: Path) -> int:
+    try:
+        return path.stat().st_mode
+    except (OSError, ValueError):  # a name that no file can have
+        return 0
+
+
 def _check_kind(path: Path, status: os.stat_result) -> None:
     mode = status.st_mode
     if stat.S_ISDIR(mode):

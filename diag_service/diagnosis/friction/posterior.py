@@ -237,7 +237,7 @@ class Posterior:
         return replace(state, apart=scatter.apart, apart_by_chance=scatter.by_chance)
 
     def with_oldest_folded(self) -> "Posterior":
-        """Return the same with room for one more event: of twelve the oldest is in the base, if it belongs as yet."""
+        """Return the same with room for one more event: of sixteen the oldest is in the base, if it belongs as yet."""
         return self if len(self.recent) < RECENT_COUNT else _together(_folded(self, 1))
 
     def agrees_with(self, earlier: "Posterior") -> bool:

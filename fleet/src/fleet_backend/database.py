@@ -111,7 +111,7 @@ def translated(engine: Engine) -> Iterator[None]:
 
 def _open_postgres(url: URL, *, is_read_only: bool) -> Engine:
     engine = create_engine(url.set(drivername="postgresql+psycopg"), connect_args=_POSTGRES_OPTIONS)
-    event.listen(engine, "connect", _prepare_postgres)
+    event.listen(engine, "connect", _prepare_postgres, insert=True)  # before the dialect reads what the server says
     return engine.execution_options(postgresql_readonly=True) if is_read_only else engine
 
 
@@ -133,16 +133,20 @@ def _open_sqlite(url: URL, *, must_exist: bool, is_read_only: bool) -> Engine:
 
 
 def _find_file(path: Path) -> None:
-    """Raise DatabaseError unless there is such a file; SQLite would make an empty one."""
-    if path.is_file():
-        return
-    if path.exists():
-        raise DatabaseError(f"{path} is not a file")
+    """Raise DatabaseError unless there is such a file, and this user may read it; SQLite would make an empty one."""
+    try:
+        path.open("rb").close()
+    except FileNotFoundError as exc:
+        raise DatabaseError(f"there is no database {path};{_hint(path)} fleet-backend migrate creates one") from exc
+    except OSError as exc:
+        raise DatabaseError(f"cannot open the database {path}: {exc.strerror}") from exc
+
+
+def _hint(path: Path) -> str:
     with contextlib.suppress(OSError):
-        near = get_close_matches(path.name, [entry.name for entry in path.parent.iterdir()], n=1)
-        if near:
-            raise DatabaseError(f"there is no database {path}; is it {near[0]}? fleet-backend migrate creates one")
-    raise DatabaseError(f"there is no database {path}; fleet-backend migrate creates one")
+        if near := get_close_matches(path.name, [entry.name for entry in path.parent.iterdir()], n=1):
+            return f" is it {near[0]}?"
+    return ""
 
 
 def _make_file(path: Path) -> None:
@@ -151,10 +155,21 @@ def _make_file(path: Path) -> None:
         create_private(path)
     except OSError as error:
         raise BackendConfigError(f"cannot make {path}: {error.strerror}") from error
+    _find_file(path)
 
 
 def _prepare_postgres(connection: Any, _record: object) -> None:  # noqa: ANN401 - a driver's, which is an extra
-    """Compile no plans: where there are many months these look dear, and compiling takes longer than they do."""
+    """Compile no plans: where there are many months these look dear, and compiling takes longer than they do.
+
+    Raises DatabaseError for a database without an encoding.
+    """
+    if connection.info.parameter_status("server_encoding") == "SQL_ASCII":  # its texts come as bytes
+        name = connection.info.dbname
+        connection.close()
+        raise DatabaseError(
+            f"database {name} has the encoding SQL_ASCII, in which no text is safe: "
+            "CREATE DATABASE ... ENCODING 'UTF8' TEMPLATE template0"
+        )
     connection.execute("SET jit = off")
     connection.commit()
 

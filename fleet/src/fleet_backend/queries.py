@@ -307,7 +307,7 @@ def note_fill(
     if at - datetime.now(UTC) > SAME_WITHIN:  # until then no result would be of any known fluid
         raise BackendConfigError(f"a fill at {at.isoformat()} is yet to come")
     with transaction(engine) as connection:
-        if not _has(connection, select(VEHICLE.c.vehicle).where(VEHICLE.c.vehicle == vehicle)):
+        if not _has(connection, _changing(vehicle)):
             raise UnknownVehicleError(f"of vehicle {vehicle} there are no results and no state")
         near = select(FLUID_FILL.c.filled_at).where(
             FLUID_FILL.c.vehicle == vehicle,
@@ -333,10 +333,16 @@ def note_fill(
     return at
 
 
+def _changing(vehicle: str) -> Select[tuple[str]]:
+    """Return the statement after which others who change the fills of a vehicle wait; its results still come in."""
+    return select(VEHICLE.c.vehicle).where(VEHICLE.c.vehicle == vehicle).with_for_update(key_share=True)
+
+
 def withdraw_fill(engine: Engine, vehicle: str, at: datetime | None, *, by: str, role: str = COMMAND_LINE) -> datetime:
     """Take back the last fill of a vehicle, or the one nearest a moment; return which. ConfigError if there is none."""
     table = FLUID_FILL.c
     with transaction(engine) as connection:
+        connection.execute(_changing(vehicle))
         known: Sequence[datetime] = connection.scalars(select(table.filled_at).where(table.vehicle == vehicle)).all()
         meant = fill_meant(known, lambda filled_at: filled_at, at)
         if meant is None:

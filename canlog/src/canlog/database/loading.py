@@ -13,7 +13,7 @@ from cantools.database.can import Database, Message
 
 from canlog.database.addressing import J1939, is_of_groups
 from canlog.errors import NOTICE, DefinitionError
-from canlog.files import read_small_file
+from canlog.files import is_there, read_small_file
 
 if TYPE_CHECKING:
     from cantools.database.can.signal import Signal
@@ -286,7 +286,7 @@ def _format_of(text: str, path: Path) -> DatabaseFormat:
 def bus_of(path: Path) -> tuple[Path, str]:
     """Return the file and the bus that ``FILE#BUS`` names; without a bus, or if there is such a file, no bus."""
     name, mark, bus = path.name.rpartition(_BUS_MARK)
-    if not mark or not name or path.exists():
+    if not mark or not name or is_there(path):
         return path, ""
     return path.with_name(name), bus
 

@@ -17,7 +17,7 @@ from canlog.column_files import FORMAT_OF_SUFFIX, ColumnSink, TableFormat, load_
 from canlog.database.loading import database_of
 from canlog.decode.codec import HAS_VALUES, Codec
 from canlog.errors import DefinitionError, OutputError, SourceError
-from canlog.files import replacing
+from canlog.files import is_folder, replacing
 from canlog.frames import FrameBatch
 from canlog.logs import STANDARD_INPUT, LogReader
 from canlog.logs.reading import Watch
@@ -429,12 +429,12 @@ class TableChoice:
 EVERY_SIGNAL: Final = TableChoice()
 
 
-def default_shape(output: Path, *, is_folder: bool = False) -> TableShapeName:
+def default_shape(output: Path, *, is_of_folder: bool = False) -> TableShapeName:
     """Return the default shape: a folder has a table for each message, a file is one wide table.
 
-    ``is_folder``: whatever the output is called, since each of several logs gets a folder of its own there.
+    ``is_of_folder``: whatever the output is called, since each of several logs gets a folder of its own there.
     """
-    is_one_table = str(output) == "-" or (output.suffix != "" and not output.is_dir() and not is_folder)
+    is_one_table = str(output) == "-" or (output.suffix != "" and not is_folder(output) and not is_of_folder)
     return "wide" if is_one_table else "messages"
 
 

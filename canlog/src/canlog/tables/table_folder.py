@@ -12,6 +12,7 @@ from typing import BinaryIO, Final, cast
 
 from canlog.column_files import SUFFIX_OF_FORMAT, TableFormat
 from canlog.errors import OutputError
+from canlog.files import is_plain_file, is_there
 from canlog.tables.layouts import TableNames
 
 LONGEST_BYTES: Final = 160  # of a name without number and suffix; systems take 255
@@ -130,7 +131,7 @@ def table_folder(folder: Path, names: Mapping[int, str]) -> Iterator[TableFolder
         Of the files of messages, by slot.
     """
     part = folder / f".{os.getpid()}-{next(_NUMBERS)}.part"
-    is_new = not folder.exists()
+    is_new = not is_there(folder)
     try:
         folder.mkdir(exist_ok=True)
         part.mkdir()
@@ -155,4 +156,4 @@ def message_files(names: TableNames, table_format: TableFormat) -> dict[int, str
 
 def tables_there(folder: Path, names: Mapping[int, str]) -> list[Path]:
     """Return which tables of messages are in a folder already."""
-    return [path for name in names.values() if (path := folder / name).is_file()]
+    return [path for name in names.values() if is_plain_file(path := folder / name)]

@@ -343,8 +343,15 @@ GRID_STRIDE = round(PERIOD_S / GRID_S)
 WHEEL_STD_RAD_S = 0.05  # mean of two wheels, quantisation included
 OPEN_STD_NM = 2.0  # drag of an open clutch
 SHIFT_PHASES = (1.0, 3.0)  # prefill to inertia: until the clutch has stuck
-LOOSE = {Index.FLYWHEEL_TWIST: 0.2, Index.OUTPUT_TWIST: 0.5, Index.WHEEL_ACCELERATION: 20.0}
-LOOSE |= {Index.SHAFT1_TWIST: 0.1, Index.SHAFT2_TWIST: 0.1, Index.CLUTCH1_TORQUE: 500.0, Index.CLUTCH2_TORQUE: 500.0}
+LOOSE = {
+    Index.FLYWHEEL_TWIST: 0.2,
+    Index.OUTPUT_TWIST: 0.5,
+    Index.WHEEL_ACCELERATION: 20.0,
+    Index.SHAFT1_TWIST: 0.1,
+    Index.SHAFT2_TWIST: 0.1,
+    Index.CLUTCH1_TORQUE: 500.0,
+    Index.CLUTCH2_TORQUE: 500.0,
+}
 LOOSE_SPEED_RAD_S = 50.0
 
 

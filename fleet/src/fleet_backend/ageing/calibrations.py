@@ -76,8 +76,9 @@ def _calibration(record: Mapping[str, Any]) -> KnownCalibration | None:
     names = [field.name for field in fields(FrictionCurve)]  # newer programs tell more
     try:
         curves = tuple(
-            FrictionCurve(**{name: float(curve[name]) for name in names}) for curve in record["new_friction"]
+            FrictionCurve(**{name: float(curve[name]) for name in names if name in curve})
+            for curve in record["new_friction"]
         )
-    except (CalibrationError, KeyError):
+    except (CalibrationError, KeyError, TypeError):  # a TypeError of what has no default
         return None
     return KnownCalibration(vehicle_type=record["vehicle_type"], new_friction=curves)

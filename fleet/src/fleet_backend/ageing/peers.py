@@ -130,7 +130,7 @@ def write_population(path: Path, population: Population, version: int | None) ->
     try:
         path.write_text(json.dumps(record, ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
     except OSError as exc:
-        raise BackendConfigError(f"{path}: {exc}") from exc
+        raise BackendConfigError(f"cannot write {path}: {exc.strerror}") from exc
 
 
 def latest_population(engine: Engine) -> Population | None:

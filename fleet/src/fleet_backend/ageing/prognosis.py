@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import date, datetime, timedelta
 from typing import Any, Final
 
@@ -63,7 +63,7 @@ def estimate_of(row: Row) -> ShiftEstimate:
     """Return what one event said of the friction; what no prognosis asks for is left out."""
     return ShiftEstimate(
         **{name: row[name] for name in _SAME_IN_ROWS},
-        **{name: kind(**{key: row[key] for key in kind.__annotations__}) for name, kind in _GROUPS.items()},
+        **{name: _group_in(row, kind) for name, kind in _GROUPS.items()},
         start_ns=row["start_bus_ns"],
         end_ns=row["end_bus_ns"],
         status=Status(row["status"]),
@@ -73,6 +73,11 @@ def estimate_of(row: Row) -> ShiftEstimate:
         kind=EventKind(row["kind"]) if row["kind"] in _KINDS else EventKind.SHIFT,  # newer programs may know more
         shift_quality=quality_in(row),
     )
+
+
+def _group_in(row: Row, kind: type[Any]) -> Any:  # noqa: ANN401 - whichever of the groups
+    """Return a group of fields of a row; one without a column takes its default, as a newer field of the message."""
+    return kind(**{field.name: row[field.name] for field in fields(kind) if field.name in row})
 
 
 def _scale_free(row: Row) -> ScaleFreeFriction | None:

@@ -108,7 +108,9 @@ def read_access(path: Path) -> Access:
     """Return who may do what; raises ConfigError, naming the first thing that is wrong."""
     try:
         content = msgspec.toml.decode(path.read_bytes(), type=_AccessFile)
-    except (OSError, ValueError) as exc:
+    except OSError as exc:
+        raise BackendConfigError(f"cannot read {path}: {exc.strerror}") from exc
+    except ValueError as exc:
         raise BackendConfigError(f"{path}: {exc}") from exc
     proxy, roles = content.proxy, {UserRole.VIEWER: content.roles.viewer, UserRole.WORKSHOP: content.roles.workshop}
     if proxy.user_header.casefold() == proxy.secret_header.casefold():

@@ -3,12 +3,13 @@
 import asyncio
 import hmac
 import logging
+import re
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Final, TypeVar
-from urllib.parse import parse_qsl, urlencode, urlsplit
+from urllib.parse import parse_qsl, urlencode
 
 import msgspec
 from jinja2 import Environment
@@ -83,12 +84,13 @@ SAFE_HEADERS: Final = (
 )
 
 
+_HOST: Final = re.compile(r"(\[[0-9a-f:.]+\]|[0-9a-z._-]+)(?::[0-9]{0,5})?")  # RFC 9110, 7.2
+
+
 def host_of(header: str) -> str:
-    """Return the name, without a port, by which a request calls the server: what its header ``Host`` says."""
-    host = header.casefold()
-    if host.startswith("["):
-        return host.partition("]")[0] + "]"
-    return host.rpartition(":")[0] if ":" in host else host
+    """Return the name, without a port, by which a header calls the server; empty if it is not exactly a host."""
+    match = _HOST.fullmatch(header.casefold())
+    return match[1] if match else ""
 
 
 class Guard:
@@ -111,9 +113,12 @@ class Guard:
             await send(message)
 
         app = self._app
-        if scope["type"] == "http" and host_of(Headers(scope=scope).get("host", "")) not in self._names:
+        if scope["type"] == "http" and not self._is_ours(Headers(scope=scope).getlist("host")):
             app = PlainTextResponse("this server has another name\n", status_code=421)
         await app(scope, receive, send_safely)
+
+    def _is_ours(self, hosts: Sequence[str]) -> bool:
+        return [host_of(host) in self._names for host in hosts] == [True]
 
 
 class Login(AuthenticationBackend):
@@ -184,7 +189,8 @@ async def form_of(request: Request, query: type[QueryT], role: UserRole) -> Quer
     if viewer.role < role:
         raise ForbiddenError(f"this takes the role {role.name.lower()}")
     origin, fetched_by = request.headers.get("origin"), request.headers.get("sec-fetch-site", "same-origin")
-    is_other = origin is not None and urlsplit(origin).hostname not in sources_of(request).access.host_names
+    ours = {name.casefold() for name in sources_of(request).access.host_names}
+    is_other = origin is not None and host_of(origin.partition("://")[2]) not in ours
     if fetched_by != "same-origin" or is_other:
         raise ForbiddenError("a page of another site sent this request")
     if request.headers.get("content-type", "").partition(";")[0].strip() != _FORM:

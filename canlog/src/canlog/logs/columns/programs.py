@@ -336,17 +336,23 @@ ROLES: Final[Mapping[str, Column]] = {
     "data": Column(Role.DATA, HEXADECIMAL),
 }  # others are passed over
 # Digits of a time up to its days, hours and so on, and the period of each; 0: the length of the month.
-DAYS, HOURS, MINUTES, SECONDS = 11, 9, 7, 5
-LAPS_US: Final[Mapping[int, int]] = {DAYS: 0, HOURS: DAY_US, MINUTES: 60 * MINUTE_US, SECONDS: MINUTE_US, 3: 1_000_000}
+DAY_DIGITS, HOUR_DIGITS, MINUTE_DIGITS, SECOND_DIGITS, FRACTION_DIGITS = 11, 9, 7, 5, 3
+LAPS_US: Final[Mapping[int, int]] = {
+    DAY_DIGITS: 0,
+    HOUR_DIGITS: DAY_US,
+    MINUTE_DIGITS: 60 * MINUTE_US,
+    SECOND_DIGITS: MINUTE_US,
+    FRACTION_DIGITS: 1_000_000,
+}
 USUAL_NAMES: Final = ("timestamp", "type", "id", "data")
-LAYOUT: Final = Layout(columns=tuple(ROLES[name] for name in USUAL_NAMES), separator=ord(";"))
+CLX000: Final = Layout(columns=tuple(ROLES[name] for name in USUAL_NAMES), separator=ord(";"))
 NO_NAMES: Final = "no line names the columns: the default columns of the loggers are assumed"
 NO_START: Final = "the header has no start time: times count from 1970"
 
 
 class Clx000(TableLog):
     def __init__(self) -> None:
-        super().__init__(LAYOUT)
+        super().__init__(CLX000)
 
     def look_ahead(self, text: bytes) -> None:
         """Find the columns, and from when the times count."""
@@ -376,7 +382,7 @@ class Clx000(TableLog):
             self.notes.append(NO_START)
         year, month, day, *clock = parts if is_date else (1970, 1, 1, 0, 0, 0)
         digits = len(stamp)
-        if digits > DAYS:
+        if digits > DAY_DIGITS:
             columns = tuple(
                 replace(column, parameter=year) if column.role is Role.STAMP else column
                 for column in self.layout.columns
@@ -387,7 +393,7 @@ class Clx000(TableLog):
             return
         lap_us = LAPS_US.get(digits, 0) or calendar.monthrange(year, month)[1] * DAY_US
         # Parts that the times lack are those of the header; the others begin at their least.
-        stated = [day, *clock][: (DAYS - digits) // 2]
+        stated = [day, *clock][: (DAY_DIGITS - digits) // 2]
         least = [1, 0, 0, 0][len(stated) :]
         self.set_layout(replace(self.layout, wrap_us=lap_us))
         self.set_base(_local_us(year, month, *stated, *least) or 0)
