@@ -80,7 +80,7 @@ def before_a_terminal(words: Sequence[str]) -> tuple[int, str]:
     process_id, terminal = pty.fork()
     if process_id == 0:
         os.chdir(ROOT)
-        os.execvpe(words[0], words, {**environment(), "TERM": "dumb", "COLUMNS": "200"})  # noqa: S606 - words of our own
+        os.execvpe(words[0], [*words], {**environment(), "TERM": "dumb", "COLUMNS": "200"})  # noqa: S606 - words of our own
     children: list[psutil.Process] = []
     text = b""
     with nobody_left(process_id) as family, os.fdopen(terminal, "r+b", buffering=0) as screen:
