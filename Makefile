@@ -11,6 +11,7 @@ SCENARIO ?=
 BROKER ?=
 ORDER ?=
 FULL ?=
+OUTPUT ?=
 # Only a hang takes so long: the guest's tests take three minutes, seven beside other work.
 VCAN_LIMIT_S ?= 3600
 # Loading all other tests, which import half of what is installed, takes the guest a minute.
@@ -26,6 +27,8 @@ PY = "$(VENV)/bin/python"
 INSTALL = $(PY) -m pip --disable-pip-version-check install -qq
 # Each with a pyproject.toml of its own.
 DISTRIBUTIONS = ./canlog ./can_silkit . ./workshop ./fleet
+# Where the targets that leave files put them, instead of where help says.
+ELSEWHERE = $(if $(OUTPUT),--output "$(OUTPUT)")
 SHUFFLED = $(if $(ORDER),--order-seed "$(ORDER)")
 # Run a part, and say when it has ended how long it took: $(call timed,what,command).
 timed = { began=$$(date +%s); { $(2); }; status=$$?; echo "test: $(1): $$(($$(date +%s) - began)) s"; ( exit $$status ); }
@@ -47,14 +50,15 @@ help:
 	@echo "make bench         speed and size figures, within ten minutes; FULL=1 for the long runs, an hour of a bus among them"
 	@echo "make accuracy      estimates against the truth over many seeds; SEEDS=n for fewer or more"
 	@echo "make reproduce     tables and pictures of SAE 2015-01-1146 as an HTML report; SEEDS=n draws of the noise"
-	@echo "make operating-curve  how often each verdict is given, against true slope and level; writes into docs"
-	@echo "make mismatch      bias, RMS and coverage where the vehicle differs from the belief; writes into docs"
+	@echo "make operating-curve  how often each verdict is given, against true slope and level; writes into docs, SEEDS=n"
+	@echo "make mismatch      bias, RMS and coverage where the vehicle differs from the belief; writes into docs, SEEDS=n"
 	@echo "make setup-system  the Debian packages that 'make test' needs (mosquitto, can-utils, ...)"
 	@echo "make wheels        a wheel of each distribution in build/wheels: the CAN library, SIL Kit, the core, workshop, fleet"
 	@echo "make sbom          the bill of materials of requirements.lock, as CycloneDX JSON; RUNTIME=1 of what runs, with licences"
 	@echo "make silkit        an environment with Python 3.12 or newer, in which the tests of SIL Kit run their programs"
 	@echo "make lock          resolve requirements.lock and requirements-demo.lock again; UPGRADE=1 for newer versions"
-	@echo "Variables: PYTHON=$(PYTHON) (3.11 or newer), VENV=$(VENV)"
+	@echo "Variables: PYTHON=$(PYTHON) (3.11 or newer), VENV=$(VENV); OUTPUT=folder for the files of demo, fleet, reproduce,"
+	@echo "                   operating-curve and mismatch"
 
 # --- setting up -------------------------------------------------------------------------------------------------------
 
@@ -125,10 +129,10 @@ lock: setup-all
 
 demo:
 	@began=$$(date +%s); $(MAKE) --no-print-directory setup && \
-	  $(PY) -m demo --since "$$began" $(if $(SCENARIO),--scenario "$(SCENARIO)") $(if $(BROKER),--broker "$(BROKER)")
+	  $(PY) -m demo --since "$$began" $(if $(SCENARIO),--scenario "$(SCENARIO)") $(if $(BROKER),--broker "$(BROKER)") $(ELSEWHERE)
 
 fleet: setup-all
-	@$(PY) -m demo.fleet
+	@$(PY) -m demo.fleet $(ELSEWHERE)
 
 docs: setup-all
 	@NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --strict --quiet
@@ -143,13 +147,13 @@ accuracy: setup-all
 	@$(PY) -m studies.accuracy $(if $(SEEDS),--seeds "$(SEEDS)")
 
 reproduce: setup-all
-	@$(PY) -m studies.reproduce $(if $(SEEDS),--seeds "$(SEEDS)")
+	@$(PY) -m studies.reproduce $(if $(SEEDS),--seeds "$(SEEDS)") $(ELSEWHERE)
 
 operating-curve: setup-all
-	@$(PY) -m studies.operating_curve $(if $(SEEDS),--seeds "$(SEEDS)")
+	@$(PY) -m studies.operating_curve $(if $(SEEDS),--seeds "$(SEEDS)") $(ELSEWHERE)
 
 mismatch: setup-all
-	@$(PY) -m studies.mismatch $(if $(SEEDS),--seeds "$(SEEDS)")
+	@$(PY) -m studies.mismatch $(if $(SEEDS),--seeds "$(SEEDS)") $(ELSEWHERE)
 
 # --- checking ---------------------------------------------------------------------------------------------------------
 

@@ -25,7 +25,6 @@ SCENARIO: Final = "ageing"
 TRUTH, PICTURE = "truth.jsonl", "ageing.svg"
 TAKES_S: Final = 25  # on two idle cores, beside a drive on a bus
 EXPLANATION: Final = "a fluid ages within 17 minutes of driving, through a pipe, faster than real time"
-YIELDING: Final = ("nice", "-n", "10")  # to what drives in real time at once
 EVERY: Final = 15  # shifts of the clutch between rows
 COURSE: Final = ("good", "watch", "change fluid")
 
@@ -36,11 +35,9 @@ async def let_age(folder: Path) -> list[Point]:
     try:
         driving = program(
             EMULATOR, "record", "-", "--scenario", SCENARIO, "--truth", folder / TRUTH, "--force",
-            folder=folder, stdout=writing, stop_s=HURRY_S, wrapper=YIELDING,
+            folder=folder, stdout=writing, stop_s=HURRY_S,
         )  # fmt: skip
-        listening = program(
-            SERVICE, "analyze", "-", "--json", folder=folder, stdin=reading, stop_s=HURRY_S, wrapper=YIELDING
-        )
+        listening = program(SERVICE, "analyze", "-", "--json", folder=folder, stdin=reading, stop_s=HURRY_S)
         async with listening as service, driving as emulator:
             for end in (reading, writing):  # each of the two ends when the other has let go
                 os.close(end)

@@ -59,7 +59,8 @@ class Outcome:
     """Everything that a demonstration ends with."""
 
     expected: int  # shifts at least
-    shifts: tuple[ShiftResult, ...]  # as received from the broker
+    shifts: tuple[ShiftResult, ...]
+    origin: str  # of the shifts, for people
     clutches: Mapping[int, ClutchVerdict]  # as the service leaves them
     order: str
     truth: TruthLog
@@ -106,13 +107,15 @@ def compared(friction: FrictionEstimate, mu_c: float, mu_s: float) -> Iterator[t
 
 def complaints(outcome: Outcome) -> list[str]:
     """Return everything that is not as it must be; nothing if the demonstration succeeded."""
-    found = [*_shift_complaints(outcome), *_clutch_complaints(outcome), *_frame_complaints(outcome.frames)]
+    return [*_shift_complaints(outcome), *_clutch_complaints(outcome), *_frame_complaints(outcome.frames)]
+
+
+def lateness_text(outcome: Outcome) -> str | None:
+    """Return that the machine was too busy if the drive was sent late and something is not as it must be, else None."""
     late_s = outcome.frames.lateness_max_s
-    if found and late_s > BUSY_S:
-        found.append(
-            f"this machine was too busy to send in time (at most {late_s:.1f} s late): try again when it is not"
-        )
-    return found
+    if late_s <= BUSY_S or not (found := complaints(outcome)):
+        return None
+    return f"this machine was too busy to send in time (at most {late_s:.1f} s late; {found[0]})"
 
 
 def _shift_complaints(outcome: Outcome) -> Iterator[str]:
@@ -185,7 +188,7 @@ def live_line(result: ShiftResult) -> Text:
 def tables(outcome: Outcome) -> tuple[Table, Table]:
     """Return the single shifts, and the running estimates, which combine all shifts of a clutch, beside the truth."""
     shifts = _table(
-        "Single shifts, as an MQTT subscriber received them, beside the truth",
+        f"Single shifts, {outcome.origin}, beside the truth",
         ("shift", "gears", "clutch"),
         ("P(slope<0)",),
     )

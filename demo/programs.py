@@ -5,8 +5,8 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import AsyncIterator, Coroutine, Mapping, Sequence
-from contextlib import asynccontextmanager, suppress
+from collections.abc import AsyncIterator, Coroutine, Iterator, Mapping, Sequence
+from contextlib import asynccontextmanager, contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
@@ -15,8 +15,10 @@ EMULATOR, SERVICE, BACKEND = "ecu_emulator", "diag_service", "fleet_backend"
 DONE, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 HOST: Final = "127.0.0.1"
 LOOK_S: Final = 0.05
+HANG_S: Final = 900.0  # for what must happen: no machine is so busy that it takes longer, only a hang does
 STOP_S: Final = 15.0  # the service gives its broker five seconds at the end
 HURRY_S: Final = 1.0  # for a program that leaves nothing behind: it may be amid a kernel that takes ten to compile
+OWN_GROUP: Final = 0  # of processes: a terminal's Ctrl-C reaches the demonstration alone, which ends its children
 STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 EXTRA_OF: Final = {
     **dict.fromkeys(("amqtt", "matplotlib", "doipclient", "isotp", "udsoncan"), ".[demo]"),
@@ -59,6 +61,30 @@ def to_its_end(name: str, work: Coroutine[None, None, int]) -> int:
         return FAILED
 
 
+@contextmanager
+def foreground() -> Iterator[None]:
+    """Be alone in the foreground of the terminal at standard input: its Ctrl-C does not reach ``make`` or children.
+
+    ``make`` would end with 130 at a Ctrl-C, whatever becomes of what it runs.
+    """
+    before = os.tcgetpgrp(sys.stdin.fileno())
+    is_alone = os.getpgrp() == os.getpid()
+    if is_alone or before != os.getpgrp():  # the latter in the background, where no key reaches us
+        yield
+        return
+    # To give the terminal back is a background's write; to stop at Ctrl-Z would leave the terminal to nobody.
+    kept = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGTTOU, signal.SIGTSTP)}
+    os.setpgid(0, 0)
+    os.tcsetpgrp(sys.stdin.fileno(), os.getpgrp())
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # the terminal is gone
+            os.tcsetpgrp(sys.stdin.fileno(), before)
+        for number, handler in kept.items():
+            signal.signal(number, handler)
+
+
 class Program:
     """A running child; standard output goes to ``NAME.out``, standard error to ``NAME.log``."""
 
@@ -94,6 +120,12 @@ class Program:
             await asyncio.sleep(LOOK_S)
         raise DemoError(f"{self.name} ended before its time: {self.last_words}")
 
+    async def finish(self) -> None:
+        """Ask the program to end, and return when it has ended well; raises DemoError if it ended badly."""
+        with suppress(ProcessLookupError):
+            self._process.send_signal(signal.SIGINT)
+        await self.wait()
+
     async def wait(self) -> None:
         """Return when the program has ended well; raises DemoError with its last words if it ended badly."""
         status = await self._process.wait()
@@ -124,16 +156,15 @@ async def program(
     stdin: int = asyncio.subprocess.DEVNULL,
     stdout: int | None = None,
     stop_s: float = STOP_S,
-    wrapper: Sequence[str] = (),
 ) -> AsyncIterator[Program]:
     """Start a module as a program, with ends of pipes where they are given; it does not outlive the block."""
     inherited = {name: value for name, value in os.environ.items() if not name.startswith(_OWN_VARIABLES)}
     out_file, log_file = output_files(module, folder)
     with out_file.open("wb") as out, log_file.open("wb") as log:
         process = await asyncio.create_subprocess_exec(
-            *wrapper, sys.executable, "-m", module, *map(str, arguments),
+            sys.executable, "-m", module, *map(str, arguments),
             stdin=stdin, stdout=out if stdout is None else stdout, stderr=log,
-            env={**inherited, **(environment or {})},
+            env={**inherited, **(environment or {})}, process_group=OWN_GROUP,
         )  # fmt: skip
     child = Program(module, folder, process, stop_s)
     try:

@@ -320,6 +320,7 @@ def main() -> int:
         return 0
     road = list(road_section(arguments.road, arguments.workers)) if arguments.road else []
     page = document(lines, arguments.seeds, arguments.seed, road)
+    arguments.output.mkdir(parents=True, exist_ok=True)
     for suffix, text in (("md", page), ("csv", comma_separated(lines)), ("svg", picture(lines))):
         (arguments.output / f"{STEM}.{suffix}").write_text(text, encoding="utf-8")
     print(page)

@@ -231,11 +231,12 @@ def main() -> int:
     parser = study_parser(__doc__, seed=FIRST_SEED)
     parser.add_argument("--seeds", type=int, default=14, help="vehicles for each point, up to three cycles")
     parser.add_argument("--long-seeds", type=int, default=2, help="vehicles for every other point, thirty cycles")
-    parser.add_argument("--output", type=Path, default=DOCS)
+    parser.add_argument("--output", type=Path, default=DOCS, help="folder")
     arguments = parsed(parser, seeds=1, long_seeds=0, output=None)
     cases = cases_of(arguments.seeds, arguments.long_seeds, arguments.seed)
     shares = shares_of(over_drives(outcomes, cases, arguments.workers, arguments.kept))
     if arguments.output is not None:
+        arguments.output.mkdir(parents=True, exist_ok=True)
         for suffix, text in (("csv", comma_separated(shares)), ("svg", picture(shares))):
             (arguments.output / f"{STEM}.{suffix}").write_text(text, encoding="utf-8")
     print("\n\n".join("\n".join(table(shares, axis)) for axis in CurveAxis))

@@ -7,17 +7,20 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AsyncExitStack, closing, contextmanager, suppress
+from contextlib import AsyncExitStack, closing, contextmanager, nullcontext, suppress
+from http import HTTPStatus
+from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import Final
+from urllib.parse import urlsplit
 
-from rich.console import Console
-
+from clutchdiag_io.console import PeopleConsole
 from demo.fleet.servers import PostgresServer, mosquitto, program_folder
 from demo.programs import (
     BACKEND,
     DONE,
     EMULATOR,
+    HANG_S,
     HOST,
     LOOK_S,
     SERVICE,
@@ -25,6 +28,7 @@ from demo.programs import (
     DemoError,
     ExtraMissingError,
     check_extra,
+    foreground,
     output_files,
     program,
     run,
@@ -35,7 +39,6 @@ PROGRAM: Final = "fleet"
 CYCLES: Final = 2
 WORKERS: Final = 2
 OLD_DRIVES_DAYS: Final = 3650  # the emulated drives have dates of their own
-ARRIVAL_S: Final = 60.0  # from the last shift to the last row
 BROKER_LINES: Final = ("max_inflight_messages 0", "max_queued_messages 0")  # docs/operations.md, MQTT
 USUAL_PORT: Final = 8090  # of the page
 FLUIDS: Final = {"taxi-1": ("ideal", "fresh"), "taxi-2": ("case1", "worn"), "taxi-3": ("case2", "aged")}
@@ -51,8 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"{PROGRAM}: error: {exc}\n")
         return USAGE
     options.output.mkdir(parents=True, exist_ok=True)
-    console, stays = Console(highlight=False), sys.stdin.isatty()
-    return to_its_end(PROGRAM, run_fleet(options.output, options.cycles, console, stays=stays))
+    console, stays = PeopleConsole(highlight=False), sys.stdin.isatty()
+    with foreground() if stays else nullcontext():
+        return to_its_end(PROGRAM, run_fleet(options.output, options.cycles, console, stays=stays))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -70,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-async def run_fleet(folder: Path, cycles: int, console: Console, *, stays: bool) -> int:
+async def run_fleet(folder: Path, cycles: int, console: PeopleConsole, *, stays: bool) -> int:
     """Drive the vehicles, bring their results into the database, and show the fleet; all files go to ``folder``.
 
     At the end its page is there, and ``stays`` until somebody presses Ctrl-C.
@@ -99,20 +103,19 @@ async def run_fleet(folder: Path, cycles: int, console: Console, *, stays: bool)
         counts = [await _drive(first, folder, cycles, broker, console)]
         counts += await asyncio.gather(*(_drive(name, folder, cycles, broker, console) for name in others))
         await _arrival(folder, database, sum(counts))
-        for name, (_, fluid) in FLUIDS.items():
-            await _backend(folder, "fill", database, name, fluid, "--at", "2025-12-01")
+        fills = [(name, fluid, "--at", "2025-12-01") for name, (_, fluid) in FLUIDS.items()]
+        await asyncio.gather(*(_backend(folder, "fill", database, *fill) for fill in fills))
         took_s = time.monotonic() - began_s
         console.print(f"database  {sum(counts)} results of {len(counts)} vehicles, {took_s:.0f} s\n")
         await _backend(folder, "watch", database, "--once", "--silence-days", str(OLD_DRIVES_DAYS))
         for question in ("table", "alarms"):
-            answer = await _backend(folder, question, database, "--width", str(console.width))
-            console.print(answer, markup=False, soft_wrap=True)
+            console.print(await _backend(folder, question, database))
         await _show_page(_subfolder(folder, "page"), database, console, stays=stays)
     return DONE
 
 
 @contextmanager
-def _database(folder: Path, console: Console) -> Iterator[str]:
+def _database(folder: Path, console: PeopleConsole) -> Iterator[str]:
     """Yield the address of an empty database: PostgreSQL where it is installed."""
     if program_folder() is None:
         console.print("database  SQLite, since PostgreSQL is not installed (Debian package postgresql)")
@@ -128,12 +131,13 @@ def _database(folder: Path, console: Console) -> Iterator[str]:
         yield server.create("fleet")
 
 
-async def _drive(name: str, folder: Path, cycles: int, broker: str, console: Console) -> int:
+async def _drive(name: str, folder: Path, cycles: int, broker: str, console: PeopleConsole) -> int:
     """Record a drive, analyse it and publish its results; return how many there are."""
     place, (scenario, fluid) = _subfolder(folder, name), FLUIDS[name]
     log = place / "drive.log"
     began_s = time.monotonic()
-    await run(EMULATOR, "record", log, "--scenario", scenario, "--cycles", str(cycles), folder=place)
+    driving = ("--scenario", scenario, "--cycles", str(cycles), "--force")  # over the drive of an earlier demonstration
+    await run(EMULATOR, "record", log, *driving, folder=place)
     analysis = ("analyze", log, "--json", "--vehicle", name, "--broker", broker, "--acknowledge", "backend")
     lines = (await run(SERVICE, *analysis, folder=place)).splitlines()
     count = len([line for line in lines if json.loads(line)["schema"] == "clutchdiag/shift/v1"])
@@ -143,24 +147,25 @@ async def _drive(name: str, folder: Path, cycles: int, broker: str, console: Con
 
 
 async def _arrival(folder: Path, database: str, count: int) -> None:
-    deadline_s = time.monotonic() + ARRIVAL_S
+    deadline_s = time.monotonic() + HANG_S
     while not (await _backend(folder, "hash", database)).endswith(f"  {count} results\n"):
         if time.monotonic() > deadline_s:
-            raise DemoError(f"not all of the {count} results arrived within {ARRIVAL_S:g} s")
+            raise DemoError(f"not all of the {count} results arrived within {HANG_S:g} s")
         await asyncio.sleep(0.5)
 
 
 async def _until(is_so: Callable[[], bool], what: str) -> None:
-    deadline_s = time.monotonic() + ARRIVAL_S
+    deadline_s = time.monotonic() + HANG_S
     while not is_so():
         if time.monotonic() > deadline_s:
-            raise DemoError(f"it took more than {ARRIVAL_S:g} s until {what}")
+            raise DemoError(f"it took more than {HANG_S:g} s until {what}")
         await asyncio.sleep(LOOK_S)
 
 
 async def _backend(folder: Path, command: str, database: str, *more: str) -> str:
     """Run a command of the backend and return what it said."""
-    return await run(BACKEND, command, "--database", database, *more, folder=_subfolder(folder, "questions"))
+    place = _subfolder(_subfolder(folder, "questions"), "-".join((command, *more[:1])))
+    return await run(BACKEND, command, "--database", database, *more, folder=place)
 
 
 def _subfolder(folder: Path, name: str) -> Path:
@@ -169,15 +174,16 @@ def _subfolder(folder: Path, name: str) -> Path:
     return path
 
 
-async def _show_page(folder: Path, database: str, console: Console, *, stays: bool) -> None:
+async def _show_page(folder: Path, database: str, console: PeopleConsole, *, stays: bool) -> None:
     """Serve the page of a database and say what is to be seen there; it ``stays`` until somebody presses Ctrl-C."""
     command = ("serve", "--database", database, "--listen", f"{HOST}:{_page_port()}")
     async with program(BACKEND, *command, folder=folder) as server:
         address = (await anext(server.lines())).split()[0]
-        console.print(f"page      {address}", highlight=False)
+        size_bytes = len(await asyncio.to_thread(_answer, address))
+        console.print(f"page      {address} answered with {size_bytes / 1e3:.0f} kB")
         console.print(
             f"look at   the worst first; {list(FLUIDS)[-1]}: its trend with bands and limits, and how far its "
-            "fluid will go; an event of it: friction over slip; Alarms; Changes"
+            "fluid will go; an event of it: friction over slip; Alarms; Maintenance"
         )
         if stays:
             console.print("          Ctrl-C ends the page, the database and the broker")
@@ -185,6 +191,22 @@ async def _show_page(folder: Path, database: str, console: Console, *, stays: bo
                 await server.wait()
         else:
             console.print("          nobody sits at a terminal, so all of it ends now")
+
+
+def _answer(address: str) -> bytes:
+    """Return the page at an address; raises DemoError if the server does not answer with one."""
+    place = urlsplit(address)
+    connection = HTTPConnection(str(place.hostname), place.port, timeout=HANG_S)
+    with closing(connection):
+        try:
+            connection.request("GET", place.path or "/")
+            answer = connection.getresponse()
+            page = answer.read()
+        except (OSError, HTTPException) as exc:
+            raise DemoError(f"the page at {address} does not answer: {exc}") from exc
+    if answer.status != HTTPStatus.OK:
+        raise DemoError(f"the page at {address} answers with status {answer.status}")
+    return page
 
 
 def _page_port() -> int:

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from demo.programs import HOST, DemoError, free_port, last_line
+from demo.programs import HOST, OWN_GROUP, DemoError, free_port, last_line
 
 _PROGRAM_FOLDERS: Final = ("/usr/local/sbin", "/usr/sbin", "/sbin")
 ROLE: Final = "clutchdiag"
@@ -42,7 +42,9 @@ def mosquitto(folder: Path, lines: Sequence[str] = ()) -> Iterator[int]:
     own += ["user root"] if os.getuid() == 0 else []
     config.write_text("\n".join([*own, *lines]) + "\n", encoding="utf-8")
     with (folder / "mosquitto.log").open("wb") as log:
-        process = subprocess.Popen([program, "-c", str(config)], stdout=log, stderr=subprocess.STDOUT)
+        process = subprocess.Popen(
+            [program, "-c", str(config)], stdout=log, stderr=subprocess.STDOUT, process_group=OWN_GROUP
+        )
     try:
         _wait_until_it_listens(process, port)
         yield port
@@ -112,6 +114,7 @@ class PostgresServer:
                 stderr=subprocess.STDOUT,
                 cwd="/",
                 user=self._owner,
+                process_group=OWN_GROUP,
             )
         deadline_s = time.monotonic() + _START_S
         while self._answer("pg_isready", "-q", "-h", HOST, "-p", str(self.port)) != 0:

@@ -22,6 +22,7 @@ ROOT = Path(__file__).parents[2]
 INTERRUPTED = 130
 AGED = ["verdict: clutch 1 change fluid", "verdict: clutch 2 change fluid"]
 SHIFTS, LONGEST_S = 6, 25.0  # driven on the bus, and within which time: with the start of programs half a minute
+STOPPED_S = 5.0  # of the sender: longer than from one shift to the next, and than what a service bridges
 SCANNED = "scan tool: no trouble codes"
 
 pytestmark = pytest.mark.slow
@@ -59,15 +60,15 @@ def test_aged_fluid_is_found(tmp_path: Path) -> None:
         folder = tmp_path / str(number)
         with demo(folder, "--scenario", "case2") as process:
             said, _ = process.communicate(timeout=HANG_S)
+        assert process.returncode == 0, said  # on the busiest machine
         return process.returncode, said, folder
 
     def is_disturbed(outcome: tuple[int, str, Path]) -> bool:
-        status, said, folder = outcome
-        transmitted = folder / "ecu-emulator.out"
-        if (status, verdicts(said), said.splitlines()[-1:]) == (0, AGED, [SCANNED]) or not transmitted.exists():
+        _, said, folder = outcome
+        if (verdicts(said), said.splitlines()[-1:]) == (AGED, [SCANNED]) and "too busy" not in said:
             return False
-        sent = json.loads(transmitted.read_text(encoding="utf-8") or "{}")
-        return bool(sent.get("lateness_max_s", 0.0) > STARVED_S)
+        sent = json.loads((folder / "ecu-emulator.out").read_text(encoding="utf-8"))
+        return bool(sent["lateness_max_s"] > STARVED_S)
 
     status, said, folder = undisturbed(attempt, is_disturbed)
     assert status == 0, said
@@ -89,6 +90,31 @@ def test_aged_fluid_is_found(tmp_path: Path) -> None:
     sixth = read_truth(folder / "truth.jsonl").shifts[SHIFTS - 1]
     assert sixth.t_end_s < LONGEST_S
     assert (folder / "ageing.svg").read_text(encoding="utf-8").startswith("<?xml")
+
+
+def test_a_machine_that_is_too_busy_gets_the_drive_in_virtual_time(tmp_path: Path) -> None:
+    """A sender that stands still for a while is what other work does to it, at its worst: a shift gives no estimate."""
+    with demo(tmp_path, "--scenario", "case2") as process:
+        assert process.stdout is not None
+        said = ""
+        for line in process.stdout:
+            said += line
+            if "after its end" in line:
+                break
+        (driver,) = (
+            one for one in psutil.Process(process.pid).children() if one.cmdline()[1:4] == ["-m", "ecu_emulator", "run"]
+        )
+        driver.suspend()
+        time.sleep(STOPPED_S)
+        driver.resume()
+        said += process.communicate(timeout=HANG_S)[0]
+        status = process.returncode
+    assert status == 0, said
+    assert "this machine was too busy to send in time (at most " in said
+    assert "the same drive once more, in virtual time, from its recording" in said
+    assert "Single shifts, as the service finds them in the recording, beside the truth" in said
+    assert "unexplained: 0" in said
+    assert verdicts(said) == AGED, said
 
 
 def verdicts(said: str) -> list[str]:

@@ -1,6 +1,5 @@
 """The commands in the documents' shell blocks are run, page by page, or named with the test that runs their like."""
 
-import re
 import shlex
 import shutil
 import subprocess
@@ -18,9 +17,24 @@ from clutch_results.records import Condition
 from fleet_backend.database import open_database
 from fleet_backend.writer import Batch, Writer
 from studies.builders import written
-from tests.support.documents import PAGES, ROOT, Shown, block_lines, page_text
+from tests.support.documents import PAGES, ROOT, Shown, block_lines
 from tests.support.fleet import fleet_result, row_of
 from tests.support.in_process import workers_here
+from tests.tools.play_documents import (
+    BLOCKS,
+    LEFT_TO_OTHERS,
+    LINES,
+    OWN_FILES,
+    TARGETS,
+    Elsewhere,
+    elsewhere,
+    helped_targets,
+    make_help,
+    makes,
+    shown_blocks,
+    unlisted,
+)
+from tests.tools.play_documents import main as play_documents
 
 
 def _system(program: str, words: Sequence[str]) -> int:
@@ -33,60 +47,11 @@ PROGRAMS: Mapping[str, Callable[[Sequence[str]], int]] = {
     "fleet-backend": fleet_backend.cli.main,
     **{name: partial(_system, name) for name in ("openssl", "sed")},
 }
-ELSEWHERE = {
-    "make demo": "tests/e2e/test_demo.py",
-    "make test": ".ci/run",
-    "make check": "Makefile",
-    "make setup-all": ".ci/run",
-    ".venv/bin/pre-commit": ".pre-commit-config.yaml",
-    "sudo modprobe": "tests/uml/vcan.py",
-    "diag-service run": "tests/e2e/test_vcan_drive.py",
-    "diag-service try": "tests/integration/test_trying.py",
-    **dict.fromkeys(
-        ("diag-service dtc", "diag-service did", "diag-service routine", "diag-service scan"),
-        "tests/integration/test_tester.py",
-    ),
-    "diag-service analyze s3://fleet/logs": "tests/e2e/test_cluster.py",
-    "dask": "tests/e2e/test_cluster.py",
-    "diag-service analyze logs --lake": "tests/integration/test_lake.py",
-    "diag-service lake": "tests/integration/test_lake.py",
-    "diag-service monitor": "tests/integration/test_service_onlookers.py",
-    "ecu-emulator run": "tests/e2e/test_vcan_drive.py",
-    "ecu-emulator control": "tests/integration/test_emulator_control.py",
-    "docker compose": "tests/unit/test_dashboards.py",
-    "candump": "tests/integration/test_candump_pipe.py",
-    "ecu-emulator record -": "tests/integration/test_piped_logs.py",
-    "ecu-emulator record city.log": "tests/integration/test_road_drive.py",
-    "ecu-emulator record first.log": "tests/integration/test_calibrate_story.py",
-    "diag-service calibrate first.log": "tests/integration/test_calibrate_story.py",
-    "ecu-emulator record later.log": "tests/integration/test_calibrate_story.py",
-    "diag-service analyze later.log": "tests/integration/test_calibrate_story.py",
-    **dict.fromkeys(("diag-service learn", "diag-service analyze drive-b.csv"), "tests/integration/test_learn.py"),
-    "export": "tests/integration/test_fleet_cli.py",
-    "fleet-backend ingest": "tests/e2e/test_fleet_chaos.py",
-    "fleet-backend follow": "tests/integration/test_follow.py",
-    "fleet-backend migrate": "tests/integration/test_fleet_cli.py",
-    "fleet-backend partitions": "tests/integration/test_fleet_months.py",
-    "fleet-backend serve": "tests/integration/test_fleet_page.py",
-    "fleet-backend watch": "tests/integration/test_fleet_alarms.py",
-    "fleet-backend alarms --acknowledge": "tests/integration/test_fleet_cli.py",
-    "curl": "tests/integration/test_fleet_page.py",
-    "pip install": "tests/integration/test_canlog_alone.py",
-    "pip-audit": "CONTRIBUTING.md",
-    "pg_dump": "tests/integration/test_fleet_backup.py",
-    "pg_restore": "tests/integration/test_fleet_backup.py",
-    "python -c": "tests/integration/test_fleet_backup.py",
-}
-"""What needs a bus, a broker, root or minutes, by the beginning of its line, and where it is run or checked instead."""
-
-
-def place_of(line: str) -> str | None:
-    """Return where a command is run instead of here; None: here."""
-    return next((place for start, place in ELSEWHERE.items() if f"{line} ".startswith(f"{start} ")), None)
+ELSEWHERE = {**LINES, **LEFT_TO_OTHERS}
 
 
 def played_lines(page: str) -> list[Shown]:
-    return [one for one in block_lines(page) if place_of(one.line) is None]
+    return [shown for shown in block_lines(page) if elsewhere(shown.line, ELSEWHERE) is None]
 
 
 TOGETHER = ("README.md", "docs/tutorial.md")  # which begin with the same log, and say the same of it
@@ -102,6 +67,7 @@ def _workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, seed in (("monday.log", 1), ("tuesday.blf", 2), ("logs/one.log", 3)):
         drive = ["record", str(folder / name), "--scenario", "noise_only", "--cycles", "1", "--seed", str(seed)]
         assert ecu_emulator.cli.main(drive) == 0
+    shutil.copy(folder / "monday.log", folder / "drive.log")
     for name, log in (("drive.csv", "monday.log"), ("drive-a.csv", "monday.log"), ("drive-b.csv", "logs/one.log")):
         written(folder / log, folder / name, np.random.default_rng(1), left_out=frozenset())
     for name in ("drive-a.csv", "drive-b.csv"):  # to predict each of fewer gear changes is enough
@@ -133,8 +99,9 @@ def test_the_commands_of_a_page_run_in_their_order(
     pages: Sequence[str], stage: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lines = dict.fromkeys(one.line for page in pages for one in played_lines(page))
-    if not any(one.startswith("ecu-emulator record drive.log") for one in lines):
-        shutil.copy("monday.log", "drive.log")  # what a page supposes that does not make one
+    for made in OWN_FILES:
+        if makes("\n".join(lines), made):
+            (stage / made).unlink()
     for shown in lines:
         line, _, target = shown.partition(" > ")
         program, *words = shlex.split(line)
@@ -149,36 +116,24 @@ def test_the_commands_of_a_page_run_in_their_order(
 
 
 def test_what_is_not_run_here_is_run_where_it_is_said() -> None:
-    lines = [one.line for page in PAGES for one in block_lines(page)]
-    for start, place in ELSEWHERE.items():
+    lines = [shown.line for page in PAGES for shown in block_lines(page)]
+    for start, why in ELSEWHERE.items():
         assert any(f"{line} ".startswith(f"{start} ") for line in lines), f"no page shows {start!r} any more"
+        assert (ROOT / why.place).exists(), why.place
+
+
+def test_every_block_and_every_make_target_is_played_or_has_a_reason() -> None:
+    assert list(unlisted()) == []
+    assert shown_blocks() == set(BLOCKS)
+    for place in (*BLOCKS.values(), *(how.place for how in TARGETS.values() if isinstance(how, Elsewhere))):
         assert (ROOT / place).exists(), place
 
 
-BLOCKS = {
-    ("README.md", "python"): "tests/integration/test_python_page.py",
-    ("CONTRIBUTING.md", "python"): "tests/integration/test_log_format_recipe.py",
-    ("canlog/README.md", "python"): "tests/integration/test_canlog_alone.py",
-    ("docs/controller.md", "python"): "tests/integration/test_python_page.py",
-    ("docs/fleet.md", "sql"): "tests/integration/test_fleet_backup.py",
-    ("docs/logs.md", "python"): "tests/integration/test_python_page.py",
-    ("docs/logs.md", "sql"): "tests/integration/test_decode_formats.py",
-    ("docs/operations.md", "sql"): "tests/integration/test_lake.py",
-    ("docs/own-car.md", "toml"): "tests/integration/test_python_page.py",
-    ("docs/python.md", "python"): "tests/integration/test_python_page.py",
-    ("docs/sovd.md", "python"): "tests/integration/test_sovd.py",
-    ("docs/verdict.md", "python"): "tests/integration/test_python_page.py",
-    ("examples/gateway/README.md", "console"): "tests/integration/test_image_example.py",
-}
-"""Where the blocks of a page that are no shell's are run; one of no language is a drawing, or what was printed."""
+def test_a_new_target_is_missed() -> None:
+    assert set(helped_targets(make_help() + "make polish        the car\n")) - set(TARGETS) == {"polish"}
 
 
-def test_every_block_of_every_page_is_run_somewhere() -> None:
-    pages = [*PAGES, *(str(path.relative_to(ROOT)) for path in (ROOT / "examples").rglob("*.md"))]
-    shown = {
-        (page, language) for page in pages for language in re.findall(r"^ *```(\S+)$", page_text(page), re.MULTILINE)
-    }
-    assert {one for one in shown if one[1] not in {"sh", "text"}} == set(BLOCKS)  # text is output
-    assert {page for page, language in shown if language == "sh"} <= set(PAGES)
-    for place in BLOCKS.values():
-        assert (ROOT / place).exists(), place
+@pytest.mark.parametrize("word", ["docs/verdict.md", "make sbom"])
+def test_the_tool_plays_what_is_quick(word: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert play_documents([word]) == 0
+    assert "ended well; git status is as it was" in capsys.readouterr().out

@@ -54,6 +54,7 @@ def good_outcome() -> Outcome:
     return Outcome(
         expected=len(GEARS),
         shifts=tuple(shift(number) for number in numbers),
+        origin="as a subscriber received them",
         clutches={
             clutch: ClutchVerdict(
                 clutch=clutch,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from clutch_results.records import FrictionEstimate
-from demo.outcome import FrameAccount, Outcome, complaints, frame_account
+from demo.outcome import FrameAccount, Outcome, complaints, frame_account, lateness_text
 from tests.unit.demo.outcomes import FRICTION, good_frames, good_outcome
 
 
@@ -63,6 +63,15 @@ def test_frames_that_do_not_add_up_are_named(frames: FrameAccount, complaint: st
 )
 def test_a_loss_that_was_noticed_is_explained(frames: FrameAccount) -> None:
     assert complaints(with_frames(frames)) == []
+
+
+def test_only_a_drive_that_was_sent_late_and_failed_is_blamed_on_a_busy_machine() -> None:
+    late = replace(good_frames(), lateness_max_s=2.34)
+    assert lateness_text(with_frames(late)) is None
+    assert lateness_text(with_frames(replace(good_frames(), given_up=3))) is None
+    assert lateness_text(with_frames(replace(late, given_up=3))) == (
+        "this machine was too busy to send in time (at most 2.3 s late; the bus did not take 3 frames)"
+    )
 
 
 def test_the_account_takes_the_reports_of_both_programs() -> None:
