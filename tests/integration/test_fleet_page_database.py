@@ -1,5 +1,7 @@
 """What the page reads from each database: lists in parts, plans that read no whole table."""
 
+import csv
+import io
 import json
 import re
 from collections.abc import Iterator
@@ -8,6 +10,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
+from rich.console import Console
 from sqlalchemy import Connection, Engine, event, text
 
 from clutch_results.event_kinds import EventKind, PackHeat, ShiftParts, ShiftQuality
@@ -16,6 +19,7 @@ from clutch_results.prognosis import history_of, prognose
 from clutch_results.prognosis.sentence import outlook_line
 from clutch_results.records import Causes, Condition, LikelyCause, Reason, Revision, ShiftResult, Status
 from fleet_backend import queries
+from fleet_backend.ageing.prognosis import foretold_now
 from fleet_backend.ageing.results import results_of, shift_of
 from fleet_backend.alarms.rules import AlarmRule
 from fleet_backend.choices import TrendAxis
@@ -25,11 +29,13 @@ from fleet_backend.intake import batch_of, receive_all
 from fleet_backend.office.watching import Orders
 from fleet_backend.office.watching import Watch as WatchOfOffice
 from fleet_backend.page.fleet import Keeper
-from fleet_backend.page.queries import DatabaseSource
+from fleet_backend.page.queries import DatabaseSource, keep_dues
 from fleet_backend.page.routes import NEWEST
 from fleet_backend.page.site import Sources
+from fleet_backend.report import fleet_table
 from fleet_backend.writer import Batch, Writer
 from fleet_contract.orders import Action
+from tests.support.builders import friction_estimate
 from tests.support.fleet import NOW, fleet_result, message_of, row_of
 from tests.support.fleet_page import asked, sources_of, told
 from tests.support.histories import CALIBRATION, history
@@ -254,6 +260,32 @@ def test_maintenance_is_by_day_over_all_parts_and_the_watch_keeps_it(engine: Eng
     assert {one["due_from"] for one in again if one["vehicle"] == "car2"} == {None}
     others = [one for one in foretold if one["vehicle"] != "car2"]
     assert [one for one in again if one["vehicle"] != "car2"] == others
+
+
+def test_km_left_of_a_fluid_without_a_trend_stand_wherever_the_fleet_is_listed(engine: Engine) -> None:
+    """The vehicle's page says "at least so many": the lists say the same."""
+    new = [replace(one, estimate=replace(one.estimate, friction=friction_estimate())) for one in history(60)]
+    Writer(engine).store(Batch(shifts=list(map(row_of, new))))
+    sources = sources_of(engine)
+    sources.keeper.work_ahead(float("inf"))
+    answer = told(sources, "/vehicles/car1")
+    assert "No trend yet" in answer["outlook"]
+    least_m = min(clutch["outlook"]["change_fluid"]["p10_m"] for clutch in answer["clutches"])
+    assert least_m > 0.0
+    dues = told(sources, "/maintenance")["clutches"]
+    assert [(due["left_m"], due["least_left_m"]) for due in dues] == [(None, least_m)] * 2
+    words = f"at least {float(f'{least_m / 1000.0:.2g}'):,.0f} (90 % sure)"
+    for page in asked(sources, "/", "/maintenance"):
+        assert words in re.sub("<[^>]*>", "", page.text)
+    (row,) = csv.DictReader(io.StringIO(asked(sources, "/vehicles.csv")[0].text))
+    assert (row["left_m"], float(row["least_left_m"])) == ("", least_m)
+    keep_dues(engine, {"car1": foretold_now(engine, sources.keeper.snapshot.vehicles["car1"], None)}, NOW)
+    records = queries.with_distances(engine, queries.worst_first(engine))
+    assert [record["least_left_m"] for record in records] == [least_m, least_m]
+    console = Console(width=300, file=io.StringIO())
+    with console.capture() as shown:
+        console.print(fleet_table(records))
+    assert words.removesuffix(" (90 % sure)") in shown.get()
 
 
 class Watch:

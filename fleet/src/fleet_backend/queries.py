@@ -29,7 +29,7 @@ from sqlalchemy import (
 from fleet_backend.choices import TrendAxis
 from fleet_backend.database import transaction
 from fleet_backend.errors import BackendConfigError, UnknownVehicleError
-from fleet_backend.office_tables import COMMAND_LINE, note_change
+from fleet_backend.office_tables import COMMAND_LINE, FLUID_DUE, note_change
 from fleet_backend.schema import (
     CLUTCH,
     FLUID_FILL,
@@ -197,6 +197,33 @@ def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
         }
         for place, row in enumerate(clutches, 1)
     ][:limit]
+
+
+def distances_of(action: str, end_at: datetime, row: Row | None) -> tuple[float | None, float | None]:
+    """Return how far a fluid lasts from the last event on, by its row of the table: with 50 %, and at least (90 %)."""
+    if action == orders.Action.CHANGE_NOW:
+        return 0.0, 0.0
+    if row is None:
+        return None, None
+    half, a_day_m = row["half_by"], row["distance_a_day_m"]
+    left_m = None if half is None or a_day_m is None else max((half - end_at.date()).days, 0) * a_day_m
+    return left_m, row["least_left_m"]
+
+
+def with_distances(engine: Engine, records: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return running conditions with how far the fluid lasts, as far as the watch foretold that of what holds now."""
+    with transaction(engine) as connection:
+        dues: dict[tuple[str, int], Row] = {
+            (row["vehicle"], row["clutch"]): row for row in connection.execute(select(FLUID_DUE)).mappings()
+        }
+    distances = list[dict[str, Any]]()
+    for record in records:
+        row = dues.get((record["vehicle"], record["clutch"]))
+        if row is not None and (row["action"], row["fluid_since"]) != (record["action"], record["fluid_since"]):
+            row = None
+        left_m, least_m = distances_of(record["action"], record["end_at"], row)
+        distances.append({**record, "left_m": left_m, "least_left_m": least_m})
+    return distances
 
 
 def check_vehicle(engine: Engine, vehicle: str) -> None:

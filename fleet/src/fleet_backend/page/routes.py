@@ -108,7 +108,8 @@ def vehicles(request: Request) -> Response:
         key = ORDERS[query.sort.removeprefix("-")]
         matching = sorted(matching, key=lambda now: (key(now), now.vehicle), reverse=query.sort.startswith("-"))
     if request.url.path == CSV_PATH:
-        return _csv(matching[query.offset : query.offset + query.limit])
+        shown, today = matching[query.offset : query.offset + query.limit], sources.now().date()
+        return _csv([(now, due_of(now, keeper.foretold(now), today)) for now in shown])
     rows, next_offset = _part(request, query, matching)
     counts = sum(map(Counter, snapshot.strips.values()), Counter[str]())
     answer = {
@@ -136,14 +137,16 @@ def vehicles(request: Request) -> Response:
     return page(request, "fleet.html", context, mark=snapshot.number)
 
 
-def _csv(rows: Sequence[ClutchNow]) -> Response:
+def _csv(rows: Sequence[tuple[ClutchNow, Due]]) -> Response:
     out, names = io.StringIO(), [field.name for field in fields(ClutchNow)]
-    table = csv.writer(out)
-    table.writerow(names)
-    table.writerows(map(attrgetter(*names), rows))
+    table, values_of = csv.writer(out), attrgetter(*names)
+    table.writerow([*names, *_OF_DUE])
+    table.writerows([*values_of(now), *_due_values(due)] for now, due in rows)
     return Response(out.getvalue(), media_type="text/csv")
 
 
+_OF_DUE: Final = ("due_from", "left_m", "least_left_m")
+_due_values: Final = attrgetter(*_OF_DUE)
 CSV_PATH: Final = "/vehicles.csv"
 _TILES: Final = {"due": "due within 30 days", "silent": "silent for 14 days", "alarm": "with an open alarm"}
 _COLUMNS: Final = (  # and by which word each sorts
