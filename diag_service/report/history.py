@@ -51,7 +51,10 @@ class FluidPeriod:
 
 def periods_of(findings: Findings, clutch: int) -> list[FluidPeriod]:
     """Return the results of a clutch, fluid by fluid; a fluid without any is one of them too."""
-    dated = [(row, records.utc_from_bus_ns(row.result.estimate.start_ns)) for row in findings.rows]
+    dated = [
+        (row, records.utc_from_bus_ns(result.estimate.start_ns))
+        for row, result in zip(findings.rows, findings.results, strict=True)
+    ]
     fills: list[records.FluidFill | None] = [None, *findings.fills]
     periods = []
     for fill, following in zip(fills, [*fills[1:], None], strict=True):
@@ -93,7 +96,7 @@ def history_lines(
     left_out = f"; {findings.left_out_count} of other versions are left out" if findings.left_out_count else ""
     yield Text(f"{findings.vehicle}: {events_text(len(findings.rows))}{left_out}")
     yield from order_lines(findings.order)
-    yield from map(Text, cause_lines(newest_causes(findings.latest)))
+    yield from map(Text, cause_lines(newest_causes(findings.latest, findings.today_ns)))
     peers = peers_of(findings, population)
     known = "" if peers is None else f" Before its own results: as {peers.life_count} lives of its peers."
     yield Text(outlook_of(findings, prognoses_of(findings, population)) + known)

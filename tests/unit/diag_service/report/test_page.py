@@ -13,6 +13,7 @@ from rich.text import Text
 
 from canlog.arrays import Series
 from clutch_model.calibration import TorqueSource, nominal_calibration
+from clutch_results.clocks import NO_TODAY
 from clutch_results.curves import WATCH_MARGIN_RATIO, margin_left
 from clutch_results.event_kinds import EndReason
 from clutch_results.prognosis import ChannelName, PeerGroup, Peers, Population, Usual
@@ -347,9 +348,9 @@ def test_prognoses_begin_with_what_a_fleet_taught() -> None:
 def test_a_store_gives_the_results_of_its_newest_versions(tmp_path: Path) -> None:
     old = Versions(algorithm="impulse-0", calibration=VERSIONS.calibration)
     fill_store(tmp_path / "car1.sqlite", [of_version(one, old) for one in history(3)] + history(8), [fill_at(5)])
-    found = findings_of_store(tmp_path / "car1.sqlite", None, CALIBRATION)
+    found = findings_of_store(tmp_path / "car1.sqlite", None, CALIBRATION, NO_TODAY)
     assert (len(found.rows), found.left_out_count, found.versions) == (8, 3, VERSIONS)
     assert found.calibration == CALIBRATION
     assert found.fills == (fill_at(5),)
     other = replace(CALIBRATION, version="another")
-    assert findings_of_store(tmp_path / "car1.sqlite", "car1", other).calibration is None
+    assert findings_of_store(tmp_path / "car1.sqlite", "car1", other, NO_TODAY).calibration is None
