@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console
 from sqlalchemy import Connection, Engine, event, text
 
+from clutch_results.clocks import nanoseconds
 from clutch_results.event_kinds import EventKind, PackHeat, ShiftParts, ShiftQuality
 from clutch_results.pictures import MOST_POINTS
 from clutch_results.prognosis import history_of, prognose
@@ -367,3 +368,40 @@ def test_results_are_as_later_ones_have_judged_them_whichever_came_first(engine:
     shown = shift_of(engine, bad.vehicle, bad.stream, bad.seq)
     assert shown is not None
     assert (shown["status"], shown["reasons"], shown["friction"]) == ("rejected", ("misfit",), None)
+
+
+def test_a_vehicle_begins_with_odometer_and_fluid_and_says_what_alarmed_once(engine: Engine) -> None:
+    rows = [
+        row_of(fleet_result(seq, vehicle="worn", condition=Condition.CHANGE_FLUID, clutch=1 + seq % 2))
+        for seq in range(1, 7)
+    ]
+    Writer(engine).store(Batch(shifts=[row | {"odometer_m": 6.05e7} for row in rows]))
+    WatchOfOffice(engine, Orders(), lambda: NOW).round()
+    vehicle, alarms = (
+        re.sub("<[^>]*>", "", page.text) for page in asked(sources_of(engine), "/vehicles/worn", "/alarms")
+    )
+    assert "Odometer 60,500 km, no fill of the fluid noted" in vehicle
+    assert vehicle.index("Odometer") < vehicle.index("Change the fluid now.")
+    (happened,) = re.findall("alarm verdict of clutch 1 and verdict of clutch 2: (.*)", vehicle)
+    assert happened.startswith("Change the fluid now.")
+    assert vehicle.count("Change the fluid now.") == 2  # the order, and what alarmed
+    assert (alarms.count("Change the fluid now."), alarms.count("as above")) == (1, 1)
+    queries.note_fill(engine, "worn", "DCTF 75W", at=NOW, odometer_m=None, note=None)
+    assert "Odometer 60,500 km, DCTF 75W since 2026-03-01" in re.sub(
+        "<[^>]*>", "", asked(sources_of(engine), "/vehicles/worn")[0].text
+    )
+
+
+def test_dates_of_more_than_a_day_after_their_receipt_are_told_with_the_order(engine: Engine) -> None:
+    ahead = fleet_result(7, stream="a", condition=Condition.CHANGE_FLUID)
+    ahead = replace(ahead, estimate=replace(ahead.estimate, end_ns=nanoseconds("2101-10-01T00:00:00Z")))
+    Writer(engine).store(Batch(shifts=[row_of(ahead), row_of(fleet_result(1, vehicle="good"))]))
+    told_of = {row["vehicle"]: row["order"] for row in queries.worst_first(engine)}
+    note = (
+        "The vehicle's clock was wrong: results are dated up to 2101-10-01, after their receipt; they count as of "
+        "that. Set the clock."
+    )
+    assert told_of["car1"].endswith(note)
+    assert "clock" not in told_of["good"]
+    (now,) = DatabaseSource(engine).clutches_of(["car1"])
+    assert now.order == told_of["car1"]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import datetime
 from enum import Enum, auto
 from types import MappingProxyType
 from typing import Any, Final
@@ -19,6 +19,7 @@ from fleet_backend.rows import (
     shift_row,
     status_row,
 )
+from fleet_backend.schema import CLOCK_ERROR
 from fleet_backend.writer import Batch
 from fleet_contract import (
     NEVER,
@@ -41,7 +42,6 @@ INGESTED: Final = (
     *(Channel.METRICS, Channel.CONTROLLER, Channel.FLUID),
 )
 _BUNDLE_END: Final = f"/{Channel.BUNDLE.label}"
-CLOCK_ERROR: Final = timedelta(days=1)  # of a vehicle; a moment that is farther ahead is none
 FILL_AHEAD: Final = (
     "a fluid fill at {:%Y-%m-%d %H:%M} UTC is yet to come: set the clock of the vehicle, and take the fill back there "
     "(diag-service fluid-changed --undo)"

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from difflib import get_close_matches
 from hashlib import sha256
@@ -31,6 +31,7 @@ from fleet_backend.database import transaction
 from fleet_backend.errors import BackendConfigError, UnknownVehicleError
 from fleet_backend.office_tables import COMMAND_LINE, FLUID_DUE, note_change
 from fleet_backend.schema import (
+    CLOCK_ERROR,
     CLUTCH,
     FLUID_FILL,
     HAPPENED_AT,
@@ -83,6 +84,7 @@ def with_orders(
     for vehicle, clutches in by_vehicle.items():
         filled_at, product = fluids.get(vehicle, (None, clutches[0]["fluid"]))
         order = orders.order_of([_finding(row, names) for row in clutches], filled_at)
+        order = replace(order, notes=(*order.notes, *_clock_notes(clutches)))
         added = {"action": order.action.value, "order": order.text, "fluid_since": filled_at, "fluid": product}
         for row in clutches:
             record, element = dict(row), names.get((vehicle, row["clutch"]))
@@ -92,6 +94,16 @@ def with_orders(
                 record.update(condition_reason=orders.UNKNOWN_FLUID, advice=unseen)
             del record["running_since_bus_ns"], record["happened_at"]
             yield record | added | {"element": element}
+
+
+def _clock_notes(rows: Iterable[Row]) -> Iterator[str]:
+    """Yield that dates of the last results of a vehicle are later than their receipt, if any are."""
+    ahead = [row["end_at"] for row in rows if row["end_at"] - row["stored_at"] > CLOCK_ERROR]
+    if ahead:
+        yield (
+            f"The vehicle's clock was wrong: results are dated up to {max(ahead):%Y-%m-%d}, after their receipt; they "
+            "count as of that. Set the clock."
+        )
 
 
 def since_of(row: Row) -> datetime | None:
@@ -180,7 +192,7 @@ def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
     names = ("vehicle", "stream", "seq", "algorithm_version", "calibration_version")
     made_at = literal_column("fleet_worst_first.produced_at", UtcDateTime())  # leads to one month in PostgreSQL
     same = and_(*(result[name] == last[name] for name in names), result.produced_at == made_at)
-    statement = select(FLEET_WORST_FIRST, result.causes, result.running_since_bus_ns)
+    statement = select(FLEET_WORST_FIRST, result.causes, result.running_since_bus_ns, result.stored_at)
     statement = statement.join_from(FLEET_WORST_FIRST, SHIFT_RESULT, same)
     with transaction(engine) as connection:
         rows = connection.execute(statement.order_by(last.place)).mappings()

@@ -17,9 +17,9 @@ from clutch_results.records import iso_utc, shift_record
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, RowRefusedError
 from fleet_backend.ingest import Worker
-from fleet_backend.intake import CLOCK_ERROR, MessageKind, receive, receive_all
+from fleet_backend.intake import MessageKind, receive, receive_all
 from fleet_backend.rows import CONTENT, content_digest, moment, quarantine_row, shift_row
-from fleet_backend.schema import FRICTION_COLUMNS
+from fleet_backend.schema import CLOCK_ERROR, FRICTION_COLUMNS
 from fleet_backend.writer import Batch, Identity
 from fleet_contract import (
     JsonObject,
