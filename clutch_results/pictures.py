@@ -25,12 +25,12 @@ from clutch_results.prognosis.history import UNSEEN_M
 from clutch_results.prognosis.prognosis import M_PER_KM
 from clutch_results.prognosis.sentence import soonest
 from clutch_results.records import Condition, FluidFill, FrictionEstimate, ShiftResult, utc_from_bus_ns
-from clutchdiag_io.pages.plot import HEIGHT, WIDTH, Axis, Plot, broken
+from clutchdiag_io.pages.plot import HEIGHT, MARGIN_PX, WIDTH, Axis, Plot, broken
 from clutchdiag_io.people import STDS
 from fleet_contract.orders import Action, title_of
 
 MOST_POINTS: Final = 600  # of a trend; a screen shows no more
-MOST_MOMENTS: Final = 8  # names of moments do not overlap too much
+MOST_MOMENTS: Final = 8  # the last ones
 _SLIP_RAD_S: Final = rad_s_from_rpm(np.linspace(0.0, 400.0, 121))
 THRESHOLD_KEYS: Final = (  # style and text
     ("watch", f"watch below {100.0 * WATCH_LEVEL_RATIO:.0f} % of new"),
@@ -44,7 +44,10 @@ MOST_AHEAD_M: Final = 1.575e8  # no fan goes farther
 SHOWN_PERCENT: Final = (-120.0, 160.0)  # a margin that is little known may be anywhere
 FAN_SIZE: Final = (640, 280)
 UNFORETOLD: Final = (Action.CHANGE_NOW, Action.FIND_CAUSE, Action.NEW_FLUID)
-MOMENT_ROWS: Final = 3  # in which names of moments stand, so that neighbours do not overlap
+MARK_ROWS: Final = 5  # in which names of moments stand; what has no room in them is a line without a name
+LETTER: Final = 17.0  # pixels of a picture of full width, where a small screen draws it small
+MARK_GAP: Final = 12.0  # pixels between a line and the next name
+LATE_SHARE: Final = 0.75  # of the axis: behind it names stand before their lines, as `Plot.moment` sets them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +61,17 @@ class Past:
     std: FloatArray  # (n,)
     events: tuple[tuple[str, int], ...]  # stream and position of each
     drawn: tuple[FloatArray, ...] = ()  # thinned, gaps at new fluid: places, margins, two deviations, numbers of events
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mark:
+    """A moment as it is drawn: a line, and its name in a row where it covers no other; None: it has no name."""
+
+    place: float  # on the axis
+    kind: str
+    text: str
+    row: int | None
+    ends: tuple[float, float]  # of the name, on the axis
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,6 +91,23 @@ class Fan:
         shown = [np.clip(edge, *SHOWN_PERCENT) for edge in edges]
         y = Axis.around("friction margin [%]", [-12.0, 112.0], *shown, margin_ratio=0.0)
         return Axis.around(self.label, *(past.along for past in self.pasts), self.ahead, margin_ratio=0.02), y
+
+    @property
+    def marks(self) -> tuple[Mark, ...]:
+        """The moments and today, each once, with names that do not overprint each other."""
+        today = [(float(self.ahead[0]), "today", "today")] if len(self.ahead) else []
+        x, marks = self.axes[0], list[Mark]()
+        pixel = (x.high - x.low) / (FAN_SIZE[0] - MARGIN_PX)
+        for place, kind, text in dict.fromkeys((*today, *self.moments)):  # today has a name whatever else has none
+            width, is_late = (LETTER * len(text) + MARK_GAP) * pixel, place > x.low + LATE_SHARE * (x.high - x.low)
+            ends = (place - width, place) if is_late else (place, place + width)
+            near = [
+                mark for mark in marks if mark.row is not None and mark.ends[0] < ends[1] and ends[0] < mark.ends[1]
+            ]
+            free = (row for row in range(MARK_ROWS) if all(mark.row != row for mark in near))
+            row = None if any(mark.text == text for mark in near) else next(free, None)
+            marks.append(Mark(place=place, kind=kind, text=text, row=row, ends=ends))
+        return tuple(marks)
 
 
 def fan_of(
@@ -192,7 +223,6 @@ def fan_picture(fan: Fan) -> Markup:
     if len(fan.ahead):
         plot.band(fan.ahead, fan.quantiles[0], fan.quantiles[2], "band ahead")
         plot.line(fan.ahead, np.where(fan.quantiles[1] > y.low, fan.quantiles[1], np.nan), "line dashed ahead")
-        plot.moment(float(fan.ahead[0]), "today", "today", row=MOMENT_ROWS)
     for past in reversed(fan.pasts):
         along, left, wide, _ = past.drawn
         if past is first:
@@ -200,8 +230,8 @@ def fan_picture(fan: Fan) -> Markup:
         plot.line(along, left, f"line {'strong ' if past is first else ''}clutch{past.clutch}")
     for level, style, text in LIMITS:
         plot.level(level, style, text, is_left=True)
-    for turn, (place, kind, text) in enumerate(fan.moments):
-        plot.moment(place, kind, text, row=turn % MOMENT_ROWS)
+    for mark in fan.marks:
+        plot.moment(mark.place, mark.kind, mark.text if mark.row is not None else "", row=mark.row or 0)
     return plot.markup()
 
 
@@ -234,7 +264,7 @@ def fan_record(fan: Fan) -> dict[str, Any]:
         "range": [low, high],
         "pasts": pasts,
         "streams": streams,
-        "moments": fan.moments,
+        "marks": [(mark.place, mark.text, mark.row) for mark in fan.marks],
         "ahead": fan.ahead.tolist(),
         "quantiles": quantiles.round(2).tolist(),
     }

@@ -553,6 +553,11 @@ def verdict_from(table: object) -> ClutchVerdict:
         raise ResultError(f"incomplete {Channel.CLUTCH.schema_name} record: {exc}") from exc
 
 
+def fill_words(fill: FluidFill) -> str:
+    """Return the moment of a fill for people."""
+    return f"{fill.filled_at[:16].replace('T', ' ')} UTC"
+
+
 def fill_record(fill: FluidFill) -> JsonObject:
     """Return a fluid fill as it stands in a message; of which vehicle the message says."""
     left_out = {"vehicle"} if fill.is_withdrawn else {"vehicle", "is_withdrawn"}

@@ -35,6 +35,11 @@ def moment_words(at: datetime, form: str = "%Y-%m-%d %H:%M") -> str:
     return at.astimezone(UTC).strftime(form) if is_dated(at) else NOT_SET
 
 
+def km_words(distance_m: float) -> str:
+    """Return a distance [m] in kilometres with two digits that mean something."""
+    return f"{round(float(f'{distance_m / 1000.0:.2g}')):,d}"
+
+
 def digits(value: float) -> str:
     """Return a number with four significant digits at most, and no digit before the point lost: 0.1209, 12346."""
     if value == 0.0 or not isfinite(value):

@@ -108,8 +108,12 @@ class Suspect(NamedTuple):
 
 
 _SOUND: Final = "sound"
-_MENDED_BY_FLUID: Final = frozenset({_SOUND, "aged-fluid", "renewed-fluid"})
+_RENEWED: Final = "renewed-fluid"
+_MENDED_BY_FLUID: Final = frozenset({_SOUND, "aged-fluid", _RENEWED})
 _OF_THE_FLUID: Final = {"water": "water in the fluid", "wrong-fluid": "another fluid than specified"}
+NOT_NOTED: Final = (
+    "Was the fluid changed? Friction is as after a fill that nobody noted; diag-service fluid-changed notes it."
+)
 _BLAMED: Final = frozenset({"change_fluid", "watch"})
 LIKELIER: Final = 0.5  # so likely what new fluid alone does not mend holds back an order to change it
 NEARLY_CERTAIN: Final = 0.9  # and gives one where nothing is said against the fluid
@@ -133,6 +137,7 @@ class ClutchFinding:
     end_at: datetime  # of the event
     since_at: datetime | None = None  # what was known goes back to an event of then; None: to none of another drive
     suspects: tuple[Suspect, ...] = ()  # of the vehicle, the likeliest first
+    is_renewed: bool = False  # friction has risen since the baseline, by more than it does with one fluid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,10 +147,11 @@ class Order:
     action: Action
     sentence: str
     reasons: tuple[str, ...]  # a sentence for each clutch, clutch 1 first
+    notes: tuple[str, ...] = ()  # what else is to be known, such as that dates contradict the odometer
 
     @property
     def text(self) -> str:
-        return " ".join((self.sentence, *self.reasons))
+        return " ".join((self.sentence, *self.reasons, *self.notes))
 
 
 def is_of_earlier_fluid(end_at: datetime, filled_at: datetime | None, since_at: datetime | None = None) -> bool:
@@ -200,9 +206,10 @@ def order_of(findings: Iterable[ClutchFinding], filled_at: datetime | None, elem
     if filled_at is not None and not known:
         action = Action.NEW_FLUID
         sentence = f"New fluid since {filled_at:%Y-%m-%d %H:%M} UTC: nothing is known of it yet."
+    is_unnoted = filled_at is None and newest is not None and _is_renewed(newest, known.values())
     titles = (title_of(clutch, names.get(clutch)) for clutch in clutches)
     reasons = tuple(f"{title}: {text}." for title, text in zip(titles, texts, strict=True))
-    return Order(action=action, sentence=sentence, reasons=reasons)
+    return Order(action=action, sentence=sentence, reasons=reasons, notes=(NOT_NOTED,) if is_unnoted else ())
 
 
 def _decide(conditions: list[str], texts: list[str]) -> tuple[Action, str]:
@@ -223,6 +230,13 @@ def _beside_fluid(suspects: Iterable[Suspect], conditions: list[str]) -> Suspect
     first = max(others, key=lambda suspect: suspect.probability, default=None)
     least = NEARLY_CERTAIN if _BLAMED.isdisjoint(conditions) else LIKELIER
     return None if first is None or first.probability < least else first
+
+
+def _is_renewed(newest: ClutchFinding, findings: Iterable[ClutchFinding]) -> bool:
+    """Return whether friction is as after a fill: the likely causes say so, or it has risen where they say nothing."""
+    if newest.suspects:
+        return any(suspect.cause == _RENEWED and suspect.probability >= LIKELIER for suspect in newest.suspects)
+    return any(finding.is_renewed for finding in findings)
 
 
 def _likely(probability: float) -> str:

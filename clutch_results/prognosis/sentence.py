@@ -11,6 +11,7 @@ from typing import Final
 
 from clutch_results.prognosis.assumptions import HORIZON_M, LEAST_ROWS
 from clutch_results.prognosis.prognosis import M_PER_KM, PERCENT, Outlook, Prognosis, Reach
+from clutchdiag_io.people import km_words
 from fleet_contract.orders import Action, name_of
 
 LIKELY: Final = 0.5  # so likely the limit comes before the service: then an order that waits for it is not all
@@ -37,14 +38,33 @@ def distance_left(prognoses: Sequence[Prognosis], action: Action) -> str:
     """Return what `outlook_line` says of the distance in a few words, for a headline."""
     if action is Action.CHANGE_NOW:
         return "0 km left"
-    known = [prognosis.change_fluid for prognosis in prognoses if prognosis.change_fluid is not None]
-    first = soonest(prognoses)
-    if action in {Action.FIND_CAUSE, Action.NEW_FLUID} or not known or (first is not None and not _is_told(first)):
+    least_m, first = least_left_m(prognoses, action), soonest(prognoses)
+    if least_m is None:
         return "km left: not known yet"
     if first is not None:
         return _range(first).removeprefix("in ").replace("within", "at most").replace(" km", " km left")
-    least_m = _least_m(known)
-    return f"at least {_km(least_m)} km left (90 % sure)" if least_m > 0.0 else "km left: not known yet"
+    return at_least(least_m, " km left")
+
+
+def least_left_m(prognoses: Sequence[Prognosis], action: Action) -> float | None:
+    """Return the distance that the fluid lasts at least, 90 % sure; None: not known."""
+    if action is Action.CHANGE_NOW:
+        return 0.0
+    known, first = _reaches(prognoses), soonest(prognoses)
+    if action in {Action.FIND_CAUSE, Action.NEW_FLUID} or not known:
+        return None
+    if first is not None:
+        return _least_m([first]) if _is_told(first) else None
+    return least_m if (least_m := _least_m(known)) > 0.0 else None
+
+
+def at_least(distance_m: float, unit: str = "") -> str:
+    """Return a distance that is the least, 90 % sure, in kilometres."""
+    return f"at least {km_words(distance_m)}{unit} (90 % sure)"
+
+
+def _reaches(prognoses: Iterable[Prognosis]) -> list[Reach]:
+    return [prognosis.change_fluid for prognosis in prognoses if prognosis.change_fluid is not None]
 
 
 def _line(prognoses: Sequence[Prognosis], action: Action, element: str | None) -> str:
@@ -52,18 +72,16 @@ def _line(prognoses: Sequence[Prognosis], action: Action, element: str | None) -
         return "No prognosis: the fluid is to be changed now."
     if action is Action.FIND_CAUSE:
         return "No prognosis of the fluid before that was seen to."
-    known = [prognosis.change_fluid for prognosis in prognoses if prognosis.change_fluid is not None]
+    known = _reaches(prognoses)
     if action is Action.NEW_FLUID or not known:
-        counts = ", ".join(f"{name_of(prognosis.clutch, element)} has {prognosis.row_count}" for prognosis in prognoses)
-        least = f"No prognosis yet: it takes {LEAST_ROWS} usable results of a clutch with this fluid"
-        return f"{least}; {counts}." if counts else f"{least}."
+        return _too_few(prognoses, element)
     first = soonest(prognoses)
     if first is None:
         p10_m = _least_m(known)
         return (
             _UNKNOWN
             if not p10_m > 0.0  # nor where it is no number
-            else f"No trend yet: left in, the fluid lasts at least {_km(p10_m)} km (90 % sure)."
+            else f"No trend yet: left in, the fluid lasts {at_least(p10_m, ' km')}."
         )
     if not _is_told(first):
         return _UNKNOWN
@@ -73,6 +91,20 @@ def _line(prognoses: Sequence[Prognosis], action: Action, element: str | None) -
         f"{begin}, it reaches its limit {_range(first)}; {_percent(chance)} "
         f"that this is within the next {prognoses[0].service_distance_m / M_PER_KM:,.0f} km."
     )
+
+
+def _too_few(prognoses: Sequence[Prognosis], element: str | None) -> str:
+    """Return what a prognosis waits for: results, or of a fill that was noted late a drive that begins after it."""
+    enough = [prognosis for prognosis in prognoses if prognosis.change_fluid is not None]
+    if enough:
+        counts = " and ".join(f"{each.row_count} usable results of {name_of(each.clutch, element)}" for each in enough)
+        return (
+            "No prognosis before the next drive: what is known of the clutches rests on the earlier fluid, too, for "
+            f"the fill was noted after {counts} with the new one."
+        )
+    counts = ", ".join(f"{name_of(prognosis.clutch, element)} has {prognosis.row_count}" for prognosis in prognoses)
+    least = f"No prognosis yet: it takes {LEAST_ROWS} usable results of a clutch with this fluid"
+    return f"{least}; {counts}." if counts else f"{least}."
 
 
 def _least_m(known: Iterable[Reach]) -> float:
@@ -105,15 +137,10 @@ def _range(when: Reach) -> str:
     if when.p10_m is None:
         return f"in more than {HORIZON_M / M_PER_KM:,.0f} km"
     if when.p90_m is None:
-        return f"in more than {_km(when.p10_m)} km (90 % sure)"
+        return f"in more than {km_words(when.p10_m)} km (90 % sure)"
     if when.p10_m == 0.0:
-        return f"within {_km(when.p90_m)} km (90 % sure)"
-    return f"in {_km(when.p10_m)} to {_km(when.p90_m)} km (80 % sure)"
-
-
-def _km(distance_m: float) -> str:
-    """Return a distance [m] in kilometres with two digits that mean something."""
-    return f"{round(float(f'{distance_m / M_PER_KM:.2g}')):,d}"
+        return f"within {km_words(when.p90_m)} km (90 % sure)"
+    return f"in {km_words(when.p10_m)} to {km_words(when.p90_m)} km (80 % sure)"
 
 
 def _percent(probability: float) -> str:

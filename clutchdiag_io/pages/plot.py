@@ -15,6 +15,7 @@ from clutchdiag_io.pages.content import FloatArray
 
 WIDTH, HEIGHT = 720, 310
 _LEFT, _RIGHT, _TOP, _BOTTOM = 62, 24, 14, 50  # with room for larger letters on a small screen
+MARGIN_PX: Final = _LEFT + _RIGHT  # beside what is drawn
 _TICK_COUNT: Final = 6
 _FARTHEST: Final = 1e150  # of what an axis shows: a span of more is no number
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
@@ -96,12 +97,13 @@ class Plot:
         self._words(text, place[0], float(height) - 4, f"{place[1]} {style}")
 
     def moment(self, x: float, style: str, text: str, *, row: int = 0) -> None:
-        """Draw a vertical line through the picture, with its name at the upper end, some lines of text below it."""
+        """Draw a vertical line through the picture, with its name, if any, some lines of text below the upper end."""
         place = self._pixels_x(np.array([x]))[0]
         self._path(f"M{_text(place)} {_TOP}V{self._height - _BOTTOM}", f"moment {style}")
         is_late = place > (self._right + _RIGHT) * 0.75
         side = (-4, "end") if is_late else (4, "begin")
-        self._words(text, place + side[0], _TOP + 9 + _LINE * row, f"{side[1]} {style}")
+        if text:
+            self._words(text, place + side[0], _TOP + 9 + _LINE * row, f"{side[1]} {style}")
 
     def markup(self) -> Markup:
         """Return the picture as it may stand in a page: every text in it is escaped."""

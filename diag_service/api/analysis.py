@@ -12,7 +12,7 @@ from canlog.extras import load_extra
 from canlog.files import is_folder
 from canlog.logs.reading import Watch
 from clutch_model.calibration import Calibration
-from clutch_results.pictures import LIMITS, MOMENT_ROWS, Fan
+from clutch_results.pictures import LIMITS, Fan
 from clutch_results.records import ClutchVerdict, ShiftResult, dump, shift_record, verdict_from
 from clutchdiag_io.people import PLUS_MINUS
 from clutchdiag_io.program import legible
@@ -391,10 +391,10 @@ def draw_fan(fan: Fan | None, name: str) -> "Figure":
         along, left, wide, _ = past.drawn
         colour = CLUTCH_COLOUR[past.clutch]
         axes.plot(along, left, color=colour, lw=2.2 if past is first else 1.2, label=past.title)
-        if past is first:
-            axes.fill_between(
-                along, left - wide, left + wide, color=colour, alpha=BAND_OPACITY, lw=0.0, label=PLUS_MINUS
-            )
+        axes.fill_between(
+            along, left - wide, left + wide, color=colour, alpha=BAND_OPACITY, lw=0.0,
+            label=PLUS_MINUS if past is first else None,
+        )  # fmt: skip
     bottom, top = min(-12.0, axes.get_ylim()[0]), max(112.0, axes.get_ylim()[1])
     if len(fan.ahead):
         low, middle, high = fan.quantiles
@@ -408,10 +408,15 @@ def draw_fan(fan: Fan | None, name: str) -> "Figure":
         axes.annotate(
             text, (0.0, limit), (4.0, 3.0), axes.get_yaxis_transform(), "offset points", color=KIND_COLOUR[kind]
         )
-    for turn, (place, kind, text) in enumerate(fan.moments):
-        colour, at = KIND_COLOUR.get(kind, MUTED), (3.0, -12.0 - 11.0 * (turn % MOMENT_ROWS))
-        axes.axvline(place, color=colour, lw=1.0, ls="--")
-        axes.annotate(text, (place, 1.0), at, axes.get_xaxis_transform(), "offset points", color=colour, fontsize=8.0)
+    for mark in fan.marks:
+        colour, side = KIND_COLOUR.get(mark.kind, MUTED), 1.0 if mark.ends[0] == mark.place else -1.0
+        axes.axvline(mark.place, color=colour, lw=1.0, ls="--")
+        if mark.row is not None:
+            at, align = (3.0 * side, -12.0 - 11.0 * mark.row), "left" if side > 0.0 else "right"
+            axes.annotate(
+                mark.text, (mark.place, 1.0), at, axes.get_xaxis_transform(), "offset points",
+                color=colour, fontsize=8.0, ha=align,
+            )  # fmt: skip
     axes.set_ylim(bottom, top)
     axes.set_xlabel(fan.label)
     figure.legend(loc="outside upper left", ncols=5, frameon=False, fontsize=8.0)

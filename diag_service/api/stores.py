@@ -9,6 +9,7 @@ from typing import Any, Final, Unpack
 from canlog.logs import STANDARD_INPUT
 from canlog.logs.reading import Watch
 from clutch_model.calibration import nominal_calibration, read_calibration
+from clutch_results.clocks import nanoseconds
 from clutch_results.records import FluidFill, ShiftResult, iso_utc, shift_from
 from diag_service.api.choices import AnyPath, AnyPaths, LogMeaning, named, path_list
 from diag_service.console import SILENT, ReadingLine, collected_notices
@@ -100,7 +101,10 @@ def past_of(options: HistoryOptions) -> Findings:
     """Return what a store holds of a vehicle; raises ConfigError or StoreError."""
     path = options.calibration
     return findings_of_store(
-        options.store, options.vehicle, nominal_calibration() if path is None else read_calibration(path)
+        options.store,
+        options.vehicle,
+        nominal_calibration() if path is None else read_calibration(path),
+        nanoseconds(utc_now()),
     )
 
 
@@ -205,7 +209,8 @@ def _findings_of(options: ReportOptions, stop: Trigger, watch: Watch) -> Finding
         return findings_of_logs(config, options.logs, stop, watch=watch)
     if len(options.logs) > 1:
         raise ConfigError(f"{store} is a store: a report is of one store, or of the logs of one drive")
-    return findings_of_store(store, options.vehicle or config.calibration.vehicle, config.calibration)
+    vehicle = options.vehicle or config.calibration.vehicle
+    return findings_of_store(store, vehicle, config.calibration, nanoseconds(utc_now()))
 
 
 def store_among(paths: Iterable[Path | str]) -> Path | None:

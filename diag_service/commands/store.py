@@ -11,7 +11,7 @@ from rich.text import Text
 from canlog.files import read_small_file
 from clutch_model.units import for_people, reading_of
 from clutch_results.prognosis import Population, population_from
-from clutch_results.records import dump
+from clutch_results.records import dump, fill_words
 from clutchdiag_io.console import PeopleConsole
 from clutchdiag_io.people import PLUS_MINUS, STDS, digits
 from clutchdiag_io.program import legible
@@ -59,7 +59,7 @@ def fluid_changed(options: FluidOptions) -> None:
     """Note the fill in the store; a service that is running takes it up before its next shift."""
     if options.undo:
         fill = withdraw_fluid(options)
-        sys.stdout.write(f"{fill.vehicle}: the fill at {fill.filled_at} is taken back\n")
+        sys.stdout.write(f"{fill.vehicle}: the fill at {fill_words(fill)} is taken back\n")
         return
     fill = note_fluid(
         options.store,
@@ -71,7 +71,7 @@ def fluid_changed(options: FluidOptions) -> None:
         is_insisted=options.insist,
     )
     sys.stdout.write(
-        f"{fill.vehicle}: {fill.product or 'new fluid'} since {fill.filled_at}; "
+        f"{fill.vehicle}: {fill.product or 'new fluid'} since {fill_words(fill)}; "
         "the next shift after that begins a new baseline, what is known of sensors and lining stays\n"
     )
 

@@ -97,7 +97,7 @@ class ConsoleReporter:
             if line := slope_line(result.verdict):
                 self._line(Text(f"{name_of(result.verdict.clutch, result.verdict.element)}: {line}"))
         loads = (load_line(load) for _, load in sorted(summary.loads.items()))
-        causes = cause_lines(newest_causes(summary.latest))
+        causes = cause_lines(newest_causes(summary.latest, summary.today_ns))
         surveyed = (*map(str, summary.relative), *slope_lines(summary.lockup), *filter(None, (summary.held_run,)))
         for line in (*causes, *loads, *surveyed):
             self._line(Text(line))
@@ -138,7 +138,8 @@ def standard_output_reporter(stop: Trigger, *, as_json: bool, is_detailed: bool)
 def order_lines(order: Order) -> list[Text]:
     """Return the order for a vehicle, and what each clutch says."""
     style = _CONDITION_STYLE[Condition[SHOWN_AS[order.action].upper()]]
-    return [Text(order.sentence, style=style), *(Text(reason) for reason in order.reasons)]
+    notes = (Text(note, style="yellow") for note in order.notes)
+    return [Text(order.sentence, style=style), *map(Text, order.reasons), *notes]
 
 
 def shift_head(*, is_detailed: bool = True) -> Text:

@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
 from itertools import islice, takewhile
+from operator import itemgetter
 from typing import Final
 
 from canlog.errors import NOTICE
-from clutch_results.event_kinds import DATED_NS
+from clutch_results.clocks import nanoseconds
 from clutch_results.records import (
     FluidFill,
     ShiftResult,
@@ -24,7 +25,7 @@ from clutch_results.records import (
     shift_record,
 )
 from diag_service.delivery.reporters import DeliveryLimits, Link
-from diag_service.diagnosis.summary import of_present_fluid, order_by
+from diag_service.diagnosis.summary import latest_of, of_present_fluid, order_by
 from diag_service.errors import PublishError, PublishRefusedError
 from diag_service.store import ResultStore
 from fleet_contract import Outcome, Outgoing, Receipt, bundle_messages, clutch_message, fluid_message, raw_shift_message
@@ -277,7 +278,7 @@ class Deliverer:
         self._has_news = False  # since results were last found overdue
         self._is_silent = False
         self._asked_s = 0.0  # when a silent backend was last asked [s of the loop]
-        self._newest: dict[int, tuple[tuple[int, int], ShiftResult]] = {}  # of each clutch, by end and position
+        self._newest: dict[int, tuple[int, ShiftResult]] = {}  # of each clutch, and its position
         self._told: dict[str, bytes] = {}  # topic of the state of a clutch -> what was sent there
         self.wake = asyncio.Event()  # set when there is something new to do
         self._fluid = FluidExchange(state, link, self.wake)
@@ -288,7 +289,7 @@ class Deliverer:
             await self._link.listen(self._state.vehicle, self._add_receipts)
         await self._link.hear_fills(self._state.vehicle, self._fluid.hear)
         await asyncio.to_thread(self._state.bundling.begin)
-        latest = await asyncio.to_thread(self._state.store.latest, self._state.vehicle)
+        latest = await asyncio.to_thread(self._state.store.ends, self._state.vehicle)
         messages = [*greetings, *await asyncio.to_thread(self._states, latest)]
         if messages:
             await self._link.send(messages)
@@ -339,7 +340,7 @@ class Deliverer:
     async def _send_held_states(self) -> None:
         if self._are_states_held and not self._state.holds_states:
             self._are_states_held = False
-            latest = await asyncio.to_thread(self._state.store.latest, self._state.vehicle)
+            latest = await asyncio.to_thread(self._state.store.ends, self._state.vehicle)
             await self._link.send(await asyncio.to_thread(self._states, latest))
 
     @property
@@ -446,19 +447,17 @@ class Deliverer:
             return []
         made_by = {(result.algorithm_version, result.calibration_version) for _, result in self._newest.values()}
         if len(made_by | {(row.key.algorithm_version, row.key.calibration_version) for row in rows}) > 1:
-            self._newest, rows = {}, self._state.store.latest(self._state.vehicle)  # none but those made like the last
-        for row in {
-            (row.key.stream, row.clutch): row for row in sorted(rows, key=lambda result: result.position)
-        }.values():
-            result = parse_shift(row.text)
-            before, end_ns = self._newest.get(row.clutch, ((0, 0), None))[0], result.estimate.end_ns
-            rank = (end_ns if end_ns >= DATED_NS else max(before[0], end_ns)), row.position
-            if before < rank:
-                self._newest[row.clutch] = rank, result
-        fluid = self._state.store.fluid_at(self._state.vehicle, iso_utc(datetime.now(UTC)))
-        known = [result for _, result in self._newest.values()]
-        order = order_by(known, fluid)
-        states = (clutch_record(shift_record(result), order) for result in of_present_fluid(known, fluid))
+            self._newest, rows = {}, self._state.store.ends(self._state.vehicle)  # none but those made like the last
+        now = iso_utc(datetime.now(UTC))
+        today_ns, fluid = nanoseconds(now), self._state.store.fluid_at(self._state.vehicle, now)
+        last = {(row.key.stream, row.clutch): row for row in sorted(rows, key=lambda result: result.position)}
+        results = {row.position: parse_shift(row.text) for row in last.values()} | dict(self._newest.values())
+        positions = {id(result): position for position, result in results.items()}
+        for result in latest_of((results[position] for position in sorted(results)), today_ns):
+            self._newest[result.estimate.clutch] = positions[id(result)], result
+        known = [result for _, result in sorted(self._newest.values(), key=itemgetter(0))]
+        order = order_by(known, fluid, today_ns=today_ns)
+        states = (clutch_record(shift_record(result), order) for result in of_present_fluid(known, fluid, today_ns))
         news = [message for message in map(clutch_message, states) if self._told.get(message.topic) != message.payload]
         self._told.update({message.topic: message.payload for message in news})
         return news

@@ -5,9 +5,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from datetime import datetime
 from enum import StrEnum
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Final, Self
 
 from clutch_model.calibration import TorqueSource
+from clutch_results.clocks import NO_TODAY, chronicle_of
 from clutch_results.event_kinds import DATED_NS
 from clutch_results.loads import Load
 from clutch_results.records import (
@@ -15,6 +16,7 @@ from clutch_results.records import (
     ClutchVerdict,
     Condition,
     FluidFill,
+    FrictionTrend,
     Reason,
     ShiftResult,
     ShiftStatistics,
@@ -25,10 +27,11 @@ from clutch_results.records import (
     to_plain,
     utc_from_bus_ns,
 )
-from clutchdiag_io.people import half_width, plus_minus
+from clutchdiag_io.people import STDS, half_width, plus_minus
 from diag_service.diagnosis.condition.verdict import Silence, advice, likely
 from fleet_contract import JsonObject, orders
 
+RENEWED_RATIO: Final = 0.08  # by which mu_C rises with one fluid at most; after a fill by 15 % and more
 OTHER_CHANNEL = "other_channel"
 OF_NO_MESSAGE = "remote_or_error"  # the only rejection that says nothing of a message
 
@@ -242,25 +245,31 @@ class Summary:
     relative: "tuple[RelativeFriction, ...]" = ()  # of a log whose signals tell friction up to a scale
     lockup: "LockupSlope | None" = None  # of a log whose signals tell no level of a lock-up clutch
     held_run: str = ""  # what a clutch carried in a log in one gear, for people
+    today_ns: int = NO_TODAY  # when the run was summed up, since 1970
 
     @property
     def latest(self) -> tuple[ShiftResult, ...]:
         """The last result of each clutch, clutch 1 first; of a part of a drive and of old fluid none has a verdict."""
         newest = (unjudged(result, self.gaps) for _, result in sorted(self.shifts.latest.items()))
-        return of_present_fluid(newest, self.fluid)
+        return of_present_fluid(newest, self.fluid, self.today_ns)
 
     @property
     def order(self) -> orders.Order:
         """What the vehicle is told, by the last result of each clutch, earlier runs counted."""
         known = {**{result.verdict.clutch: result for result in self.latest}, **self.earlier}
-        return order_by(known.values(), self.fluid, self.capability.elements, self.lockup)
+        elements, lockup = self.capability.elements, self.lockup
+        return order_by(known.values(), self.fluid, elements, lockup, today_ns=self.today_ns)
 
 
-def latest_of(results: Iterable[ShiftResult]) -> tuple[ShiftResult, ...]:
-    """Return the last result of each clutch, clutch 1 first: by the end of its event, without a date by its place."""
+def latest_of(results: Iterable[ShiftResult], today_ns: int = NO_TODAY) -> tuple[ShiftResult, ...]:
+    """Return the last result of each clutch, clutch 1 first: by the end of its event, without a date by its place.
+
+    Where dates cannot be believed on a day the odometer decides.
+    """
     latest, last_ns = dict[int, ShiftResult](), dict[int, int]()
-    for result in results:
-        clutch, end_ns = result.estimate.clutch, result.estimate.end_ns
+    results = tuple(results)
+    for result, dated in zip(results, chronicle_of(results, (), today_ns).results, strict=True):
+        clutch, end_ns = result.estimate.clutch, dated.estimate.end_ns
         if end_ns < DATED_NS or end_ns >= last_ns.get(clutch, 0):
             latest[clutch] = result
         last_ns[clutch] = max(end_ns, last_ns.get(clutch, 0))
@@ -300,9 +309,9 @@ def unjudged(result: ShiftResult, gaps: tuple[Gap, ...]) -> ShiftResult:
     return replace(result, verdict=verdict)
 
 
-def newest_causes(results: Iterable[ShiftResult]) -> Causes | None:
+def newest_causes(results: Iterable[ShiftResult], today_ns: int = NO_TODAY) -> Causes | None:
     """Return what is known last of why a vehicle is as it is; its order goes by the same result."""
-    newest = max(results, key=lambda result: result.estimate.end_ns, default=None)
+    newest = max(chronicle_of(results, (), today_ns).results, key=lambda result: result.estimate.end_ns, default=None)
     return None if newest is None else newest.verdict.causes
 
 
@@ -322,20 +331,32 @@ def cause_lines(causes: Causes | None) -> list[str]:
     return lines if causes.test is None else [*lines, f"  {causes.test}"]
 
 
-def of_present_fluid(results: Iterable[ShiftResult], fluid: FluidFill | None) -> tuple[ShiftResult, ...]:
+def of_present_fluid(
+    results: Iterable[ShiftResult], fluid: FluidFill | None, today_ns: int = NO_TODAY
+) -> tuple[ShiftResult, ...]:
     """Return the last results of clutches; those of an earlier fluid without what they say of that."""
-    filled_at = None if fluid is None else datetime.fromisoformat(fluid.filled_at)
-    return tuple(_of_fluid(result, filled_at) for result in results)
+    results, filled_at = tuple(results), None if fluid is None else datetime.fromisoformat(fluid.filled_at)
+    dated = chronicle_of(results, _fills(fluid), today_ns).results
+    return tuple(_of_fluid(*pair, filled_at) for pair in zip(results, dated, strict=True))
 
 
-def of_own_fluid(results: Iterable[ShiftResult], fills: Sequence[FluidFill]) -> list[ShiftResult]:
+def of_own_fluid(
+    results: Iterable[ShiftResult], fills: Sequence[FluidFill], today_ns: int = NO_TODAY
+) -> list[ShiftResult]:
     """Return results without what they say of a fluid before their own: a fill that is noted late finds such ones."""
-    moments = [datetime.fromisoformat(fill.filled_at) for fill in fills]
-    return [_of_fluid(result, max((at for at in moments if at < _end_at(result)), default=None)) for result in results]
+    results, moments = tuple(results), [datetime.fromisoformat(fill.filled_at) for fill in fills]
+    dated = chronicle_of(results, fills, today_ns).results
+    filled = (max((at for at in moments if at < _end_at(result)), default=None) for result in dated)
+    return [_of_fluid(*trio) for trio in zip(results, dated, filled, strict=True)]
 
 
-def _of_fluid(result: ShiftResult, filled_at: datetime | None) -> ShiftResult:
-    if not orders.is_of_earlier_fluid(_end_at(result), filled_at, _since_at(result)):
+def _fills(fluid: FluidFill | None) -> tuple[FluidFill, ...]:
+    return () if fluid is None else (fluid,)
+
+
+def _of_fluid(result: ShiftResult, dated: ShiftResult, filled_at: datetime | None) -> ShiftResult:
+    """Return a result without what it says of an earlier fluid; ``dated`` is the same by a date to be believed."""
+    if not orders.is_of_earlier_fluid(_end_at(dated), filled_at, _since_at(dated)):
         return result
     verdict = ClutchVerdict(
         clutch=result.verdict.clutch,
@@ -365,8 +386,15 @@ def order_by(
     fluid: FluidFill | None,
     elements: Iterable[str] = (),
     lockup: "LockupSlope | None" = None,
+    *,
+    today_ns: int = NO_TODAY,
+    doubts: Sequence[str] = (),
 ) -> orders.Order:
-    """Return the order for a vehicle by the last result of each clutch and the fluid that is in."""
+    """Return the order for a vehicle by the last result of each clutch and the fluid that is in.
+
+    ``doubts`` say of more results than these why their dates cannot be believed on a day.
+    """
+    chronicle = chronicle_of(results, _fills(fluid), today_ns)
     findings = [
         orders.ClutchFinding(
             clutch=result.verdict.clutch,
@@ -376,15 +404,21 @@ def order_by(
             reason=result.verdict.reason,
             end_at=_end_at(result),
             since_at=_since_at(result),
+            is_renewed=_is_renewed(result.verdict.trend),
             suspects=tuple(
                 orders.Suspect(likely.cause, likely.clutch, likely.probability)
                 for likely in (() if result.verdict.causes is None else result.verdict.causes.likely)
             ),
         )
-        for result in results
+        for result in chronicle.results
     ]
     order = orders.order_of(findings, None if fluid is None else datetime.fromisoformat(fluid.filled_at), elements)
+    order = replace(order, notes=(*order.notes, *(doubts or chronicle.doubts)))
     return order if findings or lockup is None else replace(order, reasons=(lockup.withheld,))
+
+
+def _is_renewed(since: FrictionTrend | None) -> bool:
+    return since is not None and since.change_mu_c_ratio > RENEWED_RATIO + STDS * since.std_change_mu_c_ratio
 
 
 def gaps_line(gaps: tuple[Gap, ...]) -> str:

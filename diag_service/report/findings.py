@@ -9,6 +9,7 @@ from canlog.logs import shown_name
 from canlog.logs.reading import Watch
 from clutch_model.calibration import Calibration, TorqueSource
 from clutch_model.units import NS_PER_S
+from clutch_results.clocks import NO_TODAY, Chronicle, chronicle_of
 from clutch_results.event_kinds import DATED_NS, GEAR_CHANGES
 from clutch_results.records import FluidFill, ShiftResult, Status, utc_from_bus_ns
 from clutchdiag_io.people import NOT_SET
@@ -59,10 +60,16 @@ class Findings:
     fills: tuple[FluidFill, ...] = ()  # the earliest first
     examples: tuple[Example, ...] = ()  # one that was used and one that was not, if there were
     left_out_count: int = 0  # results of other versions
+    today_ns: int = NO_TODAY  # when the findings were asked for, since 1970
 
     @property
     def results(self) -> tuple[ShiftResult, ...]:
-        return tuple(row.result for row in self.rows)
+        """The results by dates that can be believed."""
+        return self._chronicle.results
+
+    @property
+    def _chronicle(self) -> Chronicle:
+        return chronicle_of((row.result for row in self.rows), self.fills, self.today_ns)
 
     @property
     def is_dated(self) -> bool:
@@ -71,7 +78,8 @@ class Findings:
     @property
     def order(self) -> Order:
         lockup = None if self.summary is None else self.summary.lockup
-        return order_by(self.latest, self.fills[-1] if self.fills else None, self._elements, lockup)
+        fluid, doubts = self.fills[-1] if self.fills else None, self._chronicle.doubts
+        return order_by(self.latest, fluid, self._elements, lockup, today_ns=self.today_ns, doubts=doubts)
 
     @property
     def _elements(self) -> tuple[str, ...]:
@@ -135,11 +143,12 @@ def findings_of_logs(
         calibration=config.calibration,
         summary=summary,
         examples=album.examples,
+        today_ns=summary.today_ns,
     )
 
 
-def findings_of_store(path: Path, named: str | None, calibration: Calibration) -> Findings:
-    """Return what a store holds of a vehicle, by the versions of its newest result.
+def findings_of_store(path: Path, named: str | None, calibration: Calibration, today_ns: int) -> Findings:
+    """Return what a store holds of a vehicle, by the versions of its newest result; dates are held against today.
 
     Raises StoreError if it is none, has no results of the vehicle that was named, or several vehicles and none was.
     """
@@ -149,15 +158,18 @@ def findings_of_store(path: Path, named: str | None, calibration: Calibration) -
         fills = tuple(store.fills(vehicle))
     versions = _versions(rows[-1].result)
     same = [row for row in rows if _versions(row.result) == versions]
-    revised = of_own_fluid(with_revisions(row.result for row in same), fills)
+    revised, fluid = of_own_fluid(with_revisions(row.result for row in same), fills, today_ns), fills[-1:]
     return Findings(
         vehicle=vehicle,
         sources=(path.name,),
         rows=tuple(replace(row, result=result) for row, result in zip(same, revised, strict=True)),
-        latest=of_present_fluid(latest_of(row.result for row in same), fills[-1] if fills else None),
+        latest=of_present_fluid(
+            latest_of((row.result for row in same), today_ns), fluid[0] if fluid else None, today_ns
+        ),
         versions=versions,
         calibration=_made_with(versions, calibration),
         fills=fills,
+        today_ns=today_ns,
         left_out_count=len(rows) - len(same),
     )
 

@@ -24,6 +24,7 @@ from fleet_contract import JsonObject
 HISTORY_SCHEMA: Final = "clutchdiag/history/v1"
 UNKNOWN_FLUID: Final = "fluid of unknown age"
 _NONE: Final = "-"
+_UNKNOWN: Final = "not known yet (a baseline takes some 25 shifts of a clutch), or there was no other fluid"
 _MINUTE: Final = 16  # characters of an ISO moment up to its minutes
 
 
@@ -51,7 +52,10 @@ class FluidPeriod:
 
 def periods_of(findings: Findings, clutch: int) -> list[FluidPeriod]:
     """Return the results of a clutch, fluid by fluid; a fluid without any is one of them too."""
-    dated = [(row, records.utc_from_bus_ns(row.result.estimate.start_ns)) for row in findings.rows]
+    dated = [
+        (row, records.utc_from_bus_ns(result.estimate.start_ns))
+        for row, result in zip(findings.rows, findings.results, strict=True)
+    ]
     fills: list[records.FluidFill | None] = [None, *findings.fills]
     periods = []
     for fill, following in zip(fills, [*fills[1:], None], strict=True):
@@ -93,7 +97,7 @@ def history_lines(
     left_out = f"; {findings.left_out_count} of other versions are left out" if findings.left_out_count else ""
     yield Text(f"{findings.vehicle}: {events_text(len(findings.rows))}{left_out}")
     yield from order_lines(findings.order)
-    yield from map(Text, cause_lines(newest_causes(findings.latest)))
+    yield from map(Text, cause_lines(newest_causes(findings.latest, findings.today_ns)))
     peers = peers_of(findings, population)
     known = "" if peers is None else f" Before its own results: as {peers.life_count} lives of its peers."
     yield Text(outlook_of(findings, prognoses_of(findings, population)) + known)
@@ -185,7 +189,7 @@ def _event_record(row: Row, clutch: int, number: int, fill: records.FluidFill | 
 
 def _fluid_table(title: str, periods: Sequence[FluidPeriod]) -> Table:
     head = ("fluid", "shifts", "mu_C at the end", "since its baseline", "against the first fluid", "verdict")
-    table = plain_table(head, {"fluid", "verdict"}, f"{title}, fluid by fluid; {PLUS_MINUS}")
+    table = plain_table(head, {"fluid", "verdict"}, f"{title}, fluid by fluid; {PLUS_MINUS}; -: {_UNKNOWN}")
     for period in periods:
         verdict = period.last_verdict
         table.add_row(
@@ -204,7 +208,9 @@ def _event_table(title: str, periods: Sequence[FluidPeriod], most_rows: int, *, 
     places = spread(range(len(rows)), most_rows)
     firsts = [sum(len(before.rows) for before in periods[:number]) for number in range(len(periods))]
     fills = [(first, period.fill) for first, period in zip(firsts, periods, strict=True) if period.fill is not None]
-    caption = f"{title}: {len(places)} of {events_text(len(rows))}; shift is the number that 'show' takes; {PLUS_MINUS}"
+    shown = f"{len(places)} of {events_text(len(rows))}, evenly spread, --rows sets how many"
+    shown = shown if len(places) < len(rows) else events_text(len(rows))
+    caption = f"{title}: {shown}; shift is the number that 'show' takes; {PLUS_MINUS}"
     head = ("shift", "end (UTC)" if is_dated else "end in the log", "km", "data", "mu_C", "running mu_C", "verdict")
     table = plain_table(head, {"data", "verdict"}, caption)
     for place in [*places, len(rows)]:

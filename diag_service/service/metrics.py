@@ -124,7 +124,7 @@ def _of_clutches(snapshot: Snapshot) -> Iterator[Metric]:
     yield gauge("clutch_verdict", "1 for the verdict on the clutch and its fluid.", states, *_CLUTCH_LABELS, "verdict")
     orders = {(*_key(result), snapshot.summary.order.text): 1.0 for result in snapshot.clutches}
     yield gauge("clutch_advice_info", "What the vehicle is told; the same for both.", orders, *_CLUTCH_LABELS, "advice")
-    causes = newest_causes(snapshot.clutches)
+    causes = newest_causes(snapshot.clutches, snapshot.summary.today_ns)
     likely = (
         {}
         if causes is None

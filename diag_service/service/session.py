@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 from canlog.errors import NOTICE
 from clutch_model.calibration import Calibration
 from clutch_model.fingerprint import fingerprint
+from clutch_results.clocks import Reading, believed, nanoseconds
 from clutch_results.event_kinds import DATED_NS
 from clutch_results.loads import Load, borne
 from clutch_results.records import (
@@ -29,6 +30,7 @@ from clutch_results.records import (
     utc_from_bus_ns,
 )
 from diag_service.delivery import Reporter
+from diag_service.diagnosis.columns import Signal
 from diag_service.diagnosis.condition.condition import failed_verdict
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction.estimator import without_friction
@@ -148,7 +150,9 @@ class Session:
         self._loads: Mapping[int, Load] = {}
         self.fluid = store.fluid_at(self.vehicle, utc_now())  # that is in now, as far as its fill is known
         self._fluid_since = belief.memory.fluid_since  # of the fluid that the stages judge
-        self._earlier = last_results(store, self.vehicle, self._versions)  # until this run has later ones
+        self._earlier = last_results(
+            store, self.vehicle, self._versions, self._today_ns
+        )  # until this run has later ones
         self._pending: deque[tuple[ShiftResult, VehicleState | None]] = deque()  # what a full disk did not take yet
         self._max_pending_count = max_pending_count
         self._kept_events = kept_events or KeptEvents(None)
@@ -157,10 +161,14 @@ class Session:
         self.given_up_count = 0  # results that never found room on the disk
 
     @property
+    def _today_ns(self) -> int:
+        return nanoseconds(self._utc_now())
+
+    @property
     def latest(self) -> tuple[ShiftResult, ...]:
         """The last result of each clutch, clutch 1 first, of earlier runs too; no verdict where the fluid is newer."""
         known = {**self.statistics.latest, **self._earlier}
-        return of_present_fluid((result for _, result in sorted(known.items())), self.fluid)
+        return of_present_fluid((result for _, result in sorted(known.items())), self.fluid, self._today_ns)
 
     def process(self, event: Event) -> None:
         """Estimate, store and report one shift; one that is stored already is reported again, and changes nothing.
@@ -209,7 +217,11 @@ class Session:
     def _report(self, result: ShiftResult, *, is_new: bool) -> None:
         self.statistics = self.statistics.with_shift(result, is_new=is_new)
         clutch = result.estimate.clutch
-        if is_new and clutch in self._earlier and latest_of((self._earlier[clutch], result)) == (result,):
+        if (
+            is_new
+            and clutch in self._earlier
+            and latest_of((self._earlier[clutch], result), self._today_ns) == (result,)
+        ):
             self._earlier = {other: result for other, result in self._earlier.items() if other != clutch}
         self._loads = borne(self._loads, result.estimate)
         self.reporter.report(result)
@@ -225,6 +237,7 @@ class Session:
             earlier=self._earlier,
             fluid=self.fluid,
             loads=self._loads,
+            today_ns=self._today_ns,
         )
 
     def finish(
@@ -259,7 +272,8 @@ class Session:
 
     def _note_fluid(self, event: Event) -> bool:
         """Let the stages know which fluid the vehicle had at a shift; return whether it was one before theirs."""
-        began_at = utc_from_bus_ns(event.start_ns)
+        start_ns = self._believed_start_ns(event)
+        began_at = utc_from_bus_ns(start_ns)
         fill, since = self._store.fluid_at(self.vehicle, began_at), self._fluid_since
         if fill is not None and self._stream is None:
             self.fluid = fill
@@ -269,7 +283,17 @@ class Session:
             self.stages.note_fluid(since, is_new=is_new)
             if is_new:
                 _LOG.log(NOTICE, "new fluid since %s: a new baseline begins", since)
-        return since is not None and event.start_ns >= DATED_NS and began_at < since
+        return since is not None and start_ns >= DATED_NS and began_at < since
+
+    def _believed_start_ns(self, event: Event) -> int:
+        """Return when an event began: of a log whose clock was wrong, as the odometer tells it by the fills."""
+        fills = [] if self._stream is None else self._store.fills(self.vehicle)
+        series = event.columns.get(Signal.ODOMETER)
+        if not fills or series is None or not len(series.value):
+            return event.start_ns
+        readings = [Reading(t_ns=event.start_ns, odometer_m=float(series.value.mean()), stream=self._stream)]
+        readings += [Reading(t_ns=nanoseconds(fill.filled_at), odometer_m=fill.odometer_m) for fill in fills]
+        return believed(readings, self._today_ns).t_ns[0]
 
     def _diagnose(self, event: Event) -> tuple[ShiftResult, VehicleState | None]:
         conclude = self.stages.conclude_of_earlier_fluid if self._note_fluid(event) else self.stages.conclude
@@ -335,15 +359,15 @@ def resume(store: ResultStore, vehicle: str, versions: Versions, calibration: Ca
     return Belief.fresh(calibration)
 
 
-def last_results(store: ResultStore, vehicle: str, versions: Versions) -> dict[int, ShiftResult]:
+def last_results(store: ResultStore, vehicle: str, versions: Versions, today_ns: int) -> dict[int, ShiftResult]:
     """Return the newest stored result of each clutch, by clutch, if it was made as results are made now."""
-    results: dict[int, ShiftResult] = {}
-    for row in store.latest(vehicle, versions):
+    results: list[ShiftResult] = []
+    for row in store.ends(vehicle, versions):
         try:
-            results[row.clutch] = parse_shift(row.text)
+            results.append(parse_shift(row.text))
         except ResultError as exc:
             _LOG.warning("the last result of clutch %d of %s is left out: %s", row.clutch, vehicle, exc)
-    return results
+    return {result.verdict.clutch: result for result in latest_of(results, today_ns)}
 
 
 @dataclass(slots=True)

@@ -14,7 +14,7 @@ from urllib.parse import quote
 
 from canlog.files import open_plain_file
 from clutch_results.event_kinds import DATED_NS
-from clutch_results.records import FluidFill, ShiftResult, iso_utc
+from clutch_results.records import FluidFill, ShiftResult, fill_words, iso_utc
 from diag_service.errors import ConfigError, StoreError
 from diag_service.store.file import (
     EMPTY,
@@ -246,7 +246,7 @@ def note_fill(path: Path, fill: FluidFill, *, is_insisted: bool = False) -> Flui
         ]
         if near:
             raise StoreError(
-                f"the fill of {fill.vehicle} at {near[0].filled_at} is noted already; --undo takes it back"
+                f"the fill of {fill.vehicle} at {fill_words(near[0])} is noted already; --undo takes it back"
             )
         while any(other.filled_at == fill.filled_at for other in known):  # withdrawn: that moment is taken for good
             fill = replace(fill, filled_at=iso_utc(_moment(fill) + _NEXT))

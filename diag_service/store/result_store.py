@@ -16,7 +16,6 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Final, Self
 
-from clutch_results.event_kinds import DATED_NS
 from clutch_results.records import FluidFill, ShiftResult, StoredResult, dump, shift_record
 from clutchdiag_io.files import keep_private
 from diag_service.errors import StoreError, StoreFullError
@@ -38,14 +37,13 @@ _ROWS: Final = (
     " json_extract(json, '$.produced_at'), json FROM result"
 )
 _KEEP: Final = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
-# Of the last of each stream, which an index finds, those come last that ended last, or came last without a date.
-_LATEST: Final = (
+# The last of each stream, which an index finds.
+_ENDS: Final = (
     " WHERE position IN (SELECT (SELECT position FROM result WHERE vehicle = ?1 AND stream = own.stream"
     " AND clutch = own.clutch AND algorithm_version = ?2 AND calibration_version = ?3 ORDER BY seq DESC LIMIT 1) FROM"
     " (SELECT stream, clutch FROM (SELECT DISTINCT stream FROM result WHERE vehicle = ?1),"
     " (SELECT DISTINCT clutch FROM result WHERE vehicle = ?1)) AS own)"
-    " ORDER BY clutch, CASE WHEN json_extract(json, '$.end_bus_ns') >= ?4 THEN json_extract(json, '$.end_bus_ns')"
-    " ELSE max(json_extract(json, '$.end_bus_ns')) OVER (PARTITION BY clutch ORDER BY position) END, position"
+    " ORDER BY position"
 )
 _OUTCOMES: Final = {Outcome.ACCEPTED: file.DELIVERED, Outcome.QUARANTINED: file.QUARANTINED}
 _END: Final = 2**63 - 1  # beyond the last position and sequence number: SQLite counts no further
@@ -266,13 +264,13 @@ class ResultStore:
         with self._transaction() as sql:
             return str(_value(sql, "connection_secret", uuid.uuid4().hex))
 
-    def latest(self, vehicle: str, versions: Versions | None = None) -> list[StoredResult]:
-        """Return the newest result of each clutch, by the end of its event, of these versions or those stored last."""
+    def ends(self, vehicle: str, versions: Versions | None = None) -> list[StoredResult]:
+        """Return the last result of each clutch in each stream, of these versions or those stored last."""
         made_by = "SELECT algorithm_version, calibration_version FROM result WHERE vehicle = ? ORDER BY position DESC"
         with self._transaction() as sql:
             made_by_versions = sql.execute(made_by, (vehicle,)).fetchone() if versions is None else astuple(versions)
-            rows = sql.execute(_ROWS + _LATEST, (vehicle, *(made_by_versions or ("", "")), DATED_NS))
-            return list({row.clutch: row for row in map(_stored_result, rows)}.values())
+            rows = sql.execute(_ROWS + _ENDS, (vehicle, *(made_by_versions or ("", ""))))
+            return list(map(_stored_result, rows))
 
     def began_after(self, vehicle: str, moment: str) -> bool:
         """Return whether all events of a vehicle ended after a moment; not if none is known or the budget took some."""

@@ -1,5 +1,7 @@
 """What the page reads from each database: lists in parts, plans that read no whole table."""
 
+import csv
+import io
 import json
 import re
 from collections.abc import Iterator
@@ -8,14 +10,17 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
+from rich.console import Console
 from sqlalchemy import Connection, Engine, event, text
 
+from clutch_results.clocks import nanoseconds
 from clutch_results.event_kinds import EventKind, PackHeat, ShiftParts, ShiftQuality
 from clutch_results.pictures import MOST_POINTS
 from clutch_results.prognosis import history_of, prognose
 from clutch_results.prognosis.sentence import outlook_line
 from clutch_results.records import Causes, Condition, LikelyCause, Reason, Revision, ShiftResult, Status
 from fleet_backend import queries
+from fleet_backend.ageing.prognosis import foretold_now
 from fleet_backend.ageing.results import results_of, shift_of
 from fleet_backend.alarms.rules import AlarmRule
 from fleet_backend.choices import TrendAxis
@@ -25,11 +30,13 @@ from fleet_backend.intake import batch_of, receive_all
 from fleet_backend.office.watching import Orders
 from fleet_backend.office.watching import Watch as WatchOfOffice
 from fleet_backend.page.fleet import Keeper
-from fleet_backend.page.queries import DatabaseSource
+from fleet_backend.page.queries import DatabaseSource, keep_dues
 from fleet_backend.page.routes import NEWEST
 from fleet_backend.page.site import Sources
+from fleet_backend.report import fleet_table
 from fleet_backend.writer import Batch, Writer
 from fleet_contract.orders import Action
+from tests.support.builders import friction_estimate
 from tests.support.fleet import NOW, fleet_result, message_of, row_of
 from tests.support.fleet_page import asked, sources_of, told
 from tests.support.histories import CALIBRATION, history
@@ -256,6 +263,32 @@ def test_maintenance_is_by_day_over_all_parts_and_the_watch_keeps_it(engine: Eng
     assert [one for one in again if one["vehicle"] != "car2"] == others
 
 
+def test_km_left_of_a_fluid_without_a_trend_stand_wherever_the_fleet_is_listed(engine: Engine) -> None:
+    """The vehicle's page says "at least so many": the lists say the same."""
+    new = [replace(one, estimate=replace(one.estimate, friction=friction_estimate())) for one in history(60)]
+    Writer(engine).store(Batch(shifts=list(map(row_of, new))))
+    sources = sources_of(engine)
+    sources.keeper.work_ahead(float("inf"))
+    answer = told(sources, "/vehicles/car1")
+    assert "No trend yet" in answer["outlook"]
+    least_m = min(clutch["outlook"]["change_fluid"]["p10_m"] for clutch in answer["clutches"])
+    assert least_m > 0.0
+    dues = told(sources, "/maintenance")["clutches"]
+    assert [(due["left_m"], due["least_left_m"]) for due in dues] == [(None, least_m)] * 2
+    words = f"at least {float(f'{least_m / 1000.0:.2g}'):,.0f} (90 % sure)"
+    for page in asked(sources, "/", "/maintenance"):
+        assert words in re.sub("<[^>]*>", "", page.text)
+    (row,) = csv.DictReader(io.StringIO(asked(sources, "/vehicles.csv")[0].text))
+    assert (row["left_m"], float(row["least_left_m"])) == ("", least_m)
+    keep_dues(engine, {"car1": foretold_now(engine, sources.keeper.snapshot.vehicles["car1"], None)}, NOW)
+    records = queries.with_distances(engine, queries.worst_first(engine))
+    assert [record["least_left_m"] for record in records] == [least_m, least_m]
+    console = Console(width=300, file=io.StringIO())
+    with console.capture() as shown:
+        console.print(fleet_table(records))
+    assert words.removesuffix(" (90 % sure)") in shown.get()
+
+
 class Watch:
     """Collects the statements of a connection with their values."""
 
@@ -335,3 +368,40 @@ def test_results_are_as_later_ones_have_judged_them_whichever_came_first(engine:
     shown = shift_of(engine, bad.vehicle, bad.stream, bad.seq)
     assert shown is not None
     assert (shown["status"], shown["reasons"], shown["friction"]) == ("rejected", ("misfit",), None)
+
+
+def test_a_vehicle_begins_with_odometer_and_fluid_and_says_what_alarmed_once(engine: Engine) -> None:
+    rows = [
+        row_of(fleet_result(seq, vehicle="worn", condition=Condition.CHANGE_FLUID, clutch=1 + seq % 2))
+        for seq in range(1, 7)
+    ]
+    Writer(engine).store(Batch(shifts=[row | {"odometer_m": 6.05e7} for row in rows]))
+    WatchOfOffice(engine, Orders(), lambda: NOW).round()
+    vehicle, alarms = (
+        re.sub("<[^>]*>", "", page.text) for page in asked(sources_of(engine), "/vehicles/worn", "/alarms")
+    )
+    assert "Odometer 60,500 km, no fill of the fluid noted" in vehicle
+    assert vehicle.index("Odometer") < vehicle.index("Change the fluid now.")
+    (happened,) = re.findall("alarm verdict of clutch 1 and verdict of clutch 2: (.*)", vehicle)
+    assert happened.startswith("Change the fluid now.")
+    assert vehicle.count("Change the fluid now.") == 2  # the order, and what alarmed
+    assert (alarms.count("Change the fluid now."), alarms.count("as above")) == (1, 1)
+    queries.note_fill(engine, "worn", "DCTF 75W", at=NOW, odometer_m=None, note=None)
+    assert "Odometer 60,500 km, DCTF 75W since 2026-03-01" in re.sub(
+        "<[^>]*>", "", asked(sources_of(engine), "/vehicles/worn")[0].text
+    )
+
+
+def test_dates_of_more_than_a_day_after_their_receipt_are_told_with_the_order(engine: Engine) -> None:
+    ahead = fleet_result(7, stream="a", condition=Condition.CHANGE_FLUID)
+    ahead = replace(ahead, estimate=replace(ahead.estimate, end_ns=nanoseconds("2101-10-01T00:00:00Z")))
+    Writer(engine).store(Batch(shifts=[row_of(ahead), row_of(fleet_result(1, vehicle="good"))]))
+    told_of = {row["vehicle"]: row["order"] for row in queries.worst_first(engine)}
+    note = (
+        "The vehicle's clock was wrong: results are dated up to 2101-10-01, after their receipt; they count as of "
+        "that. Set the clock."
+    )
+    assert told_of["car1"].endswith(note)
+    assert "clock" not in told_of["good"]
+    (now,) = DatabaseSource(engine).clutches_of(["car1"])
+    assert now.order == told_of["car1"]

@@ -41,7 +41,7 @@ def stored(folder: Path) -> Path:
     between = old.shifts[-1]["end_utc"]
     noted = ended("fluid-changed", path, "--at", between, "--odometer", "12346", "--product", "DCTF-II")
     assert (noted.status, noted.err) == (0, "")
-    assert f"car1: DCTF-II since {between}" in noted.out
+    assert f"car1: DCTF-II since {between[:16].replace('T', ' ')} UTC; " in noted.out
     new = recording("ideal", folder / "new.log", later_s=LATER_S)
     found = ended("analyze", new, "--store", path, "--vehicle", "car1", "--json")
     assert found.status == 0
@@ -98,7 +98,7 @@ def test_a_fill_noted_twice_within_a_day_is_one(tmp_path: Path) -> None:
     path = tmp_path / "car1.sqlite"
     fill_store(path, history(3))
     assert ended("fluid-changed", path, "--at", "2026-02-01T12:00").status == 0
-    said = "the fill of car1 at 2026-02-01T12:00:00.000000Z is noted already; --undo takes it back"
+    said = "the fill of car1 at 2026-02-01 12:00 UTC is noted already; --undo takes it back"
     ended("fluid-changed", path, "--at", "2026-02-02T11:00", "--product", "DCTF").assert_one_line(4, said)
     with closing(ResultStore.open(path)) as store:  # what a fleet tells is kept, and read as one
         later = FluidFill(vehicle="car1", filled_at="2026-02-01T18:00:00.000000Z")
@@ -119,14 +119,14 @@ def test_a_fill_is_taken_back_and_noted_again_at_its_moment(tmp_path: Path) -> N
     assert "New fluid since 2026-02-01 00:00 UTC: nothing is known of it yet." in closed
     assert "at the next service" not in closed
     undone = ended("fluid-changed", path, "--undo")
-    assert undone.out == "car1: the fill at 2026-02-01T00:00:00.000000Z is taken back\n"
+    assert undone.out == "car1: the fill at 2026-02-01 00:00 UTC is taken back\n"
     assert ended("history", path).out == before
     ended("fluid-changed", path, "--undo").assert_one_line(4, "no fill of car1 is noted")
     again = ended("fluid-changed", path, "--at", "2026-02-01", "--product", "DCTF-II")
-    assert "DCTF-II since 2026-02-01T00:00:00.000001Z" in again.out
+    assert "DCTF-II since 2026-02-01 00:00 UTC" in again.out
     assert len(ended("history", path, "--json").records[-1]["fills"]) == 1
     undo = ("fluid-changed", path, "--undo", "--at")
     ended(*undo, "2026-02-02T00:00:01").assert_one_line(4, "no fill of car1 is noted at 2026-02-02T00:00:01.000000Z")
     assert ended("fluid-changed", path, "--at", "2026-02-02T12:00").status == 0
-    assert "2026-02-01T00:00:00.000001Z is taken back" in ended(*undo, "2026-02-01").out  # the moment that was said
-    assert "2026-02-02T12:00:00.000000Z is taken back" in ended(*undo, "2026-02-02").out
+    assert "2026-02-01 00:00 UTC is taken back" in ended(*undo, "2026-02-01").out  # the moment that was said
+    assert "2026-02-02 12:00 UTC is taken back" in ended(*undo, "2026-02-02").out

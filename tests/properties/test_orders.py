@@ -220,6 +220,7 @@ def test_all_who_tell_tell_the_same(known: list[ShiftResult], fluid: FluidFill |
         {
             **row,
             "happened_at": row["end_at"],
+            "stored_at": row["end_at"],
             "shift_count": one.verdict.shift_count,
             "fluid": None,
             "fluid_since": None,

@@ -108,7 +108,7 @@ LEFT_TO_OTHERS: Mapping[str, Elsewhere] = {
 PYTHON_PAGES: Final = (("docs/python.md", "README.md"), ("docs/logs.md",))  # each row in a folder, in this order
 BLOCKS: Mapping[tuple[str, str], str] = {
     ("README.md", "python"): "tests/integration/test_python_page.py",
-    ("CONTRIBUTING.md", "python"): "tests/integration/test_python_page.py",
+    ("CONTRIBUTING.md", "python"): "tests/integration/test_log_format_recipe.py",
     ("canlog/README.md", "python"): "tests/integration/test_canlog_alone.py",
     ("docs/controller.md", "python"): "tests/integration/test_python_page.py",
     ("docs/fleet.md", "sql"): "tests/integration/test_fleet_backup.py",

@@ -160,6 +160,11 @@ class Stretch:
         return type(self)(count=forgetting * self.count + 1.0, lower=lower, vector=vector, sums=sums)
 
     @property
+    def friction_count(self) -> float:
+        """Events by their weights that told a friction."""
+        return float(self.sums[:, -1, 0].sum())
+
+    @property
     def is_possible(self) -> bool:
         """Whether a store can have kept such numbers."""
         blank, arrays = Stretch(), (self.lower, self.vector, self.sums)
@@ -196,8 +201,11 @@ class VehicleCourse:
 
     @property
     def is_due(self) -> bool:
-        """Whether causes are to be told anew: first as soon as they can be, then now and again."""
-        return self.now.count >= LEAST_COUNT and (self.found is None or self.event_count % JUDGED_EVERY == 0)
+        """Whether causes are to be told anew: first as soon as they can be, then now and again.
+
+        Events without friction are not enough: nothing would seem to have moved.
+        """
+        return self.now.friction_count >= LEAST_COUNT and (self.found is None or self.event_count % JUDGED_EVERY == 0)
 
     def with_new_fluid(self) -> Self:
         """Return it after a fill: what was last is of the fluid before."""

@@ -131,11 +131,11 @@ def advice(clutch: int, ground: Cause | Silence | None, probability: float = 0.0
 
 
 def _until_called_off(probability: float, given_at: float) -> str:
-    """Return how sure a cause is; of a verdict that merely stands also what calls it off."""
+    """Return how sure a cause is; of a verdict that merely stands also what to do and what calls it off."""
     if probability >= given_at:
         return f"{_percent(probability)} sure"
     return (
-        f"{_percent(probability)} sure now, at least {_percent(given_at)} before; "
+        f"{_percent(probability)} sure now, at least {_percent(given_at)} before: measure again on another drive; "
         f"the verdict stands until that falls below {_percent(LEAVE_PROBABILITY)}"
     )
 

@@ -245,7 +245,7 @@ def follow(
 @of_database()
 def table(engine: Engine, *, limit: int | None, is_json: bool) -> None:
     """Show the running condition of every clutch, the worst first."""
-    records = queries.worst_first(engine, limit)
+    records = queries.with_distances(engine, queries.worst_first(engine, limit))
     print_records(records, lambda: report.fleet_table(records), is_json=is_json)
 
 

@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
+from datetime import datetime
 from enum import Enum, auto
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from fleet_backend.rows import (
     Row,
@@ -19,6 +19,7 @@ from fleet_backend.rows import (
     shift_row,
     status_row,
 )
+from fleet_backend.schema import CLOCK_ERROR
 from fleet_backend.writer import Batch
 from fleet_contract import (
     NEVER,
@@ -42,7 +43,10 @@ INGESTED: Final = (
     *(Channel.METRICS, Channel.CONTROLLER, Channel.FLUID),
 )
 _BUNDLE_END: Final = f"/{Channel.BUNDLE.label}"
-CLOCK_ERROR: Final = timedelta(days=1)  # of a vehicle; a moment that is farther ahead is none
+FILL_AHEAD: Final = (
+    "a fluid fill at {:%Y-%m-%d %H:%M} UTC is yet to come: set the clock of the vehicle, and take the fill back there "
+    "(diag-service fluid-changed --undo)"
+)
 _LONGEST_KEY_PART: Final = 128  # what an acknowledgement can carry
 
 
@@ -126,10 +130,18 @@ def _receive(message: Message, address: Address, received_at: datetime) -> Recei
             row[name] = received_at  # else it would hold until then, whatever is said after it
         return Received(message=message, kind=kind, row=row, calibrations=calibrations)
     if channel is Channel.FLUID:
+        if (ahead := _fill_ahead(data, received_at)) is not None:
+            return refuse(message, "clock", FILL_AHEAD.format(ahead), received_at)
         return Received(
             message=message, kind=MessageKind.FILLS, row={"vehicle": data["vehicle"]}, fills=fill_rows(data)
         )
     return refuse(message, "topic", "a kind of message that the backend does not keep", received_at)
+
+
+def _fill_ahead(data: Mapping[str, Any], received_at: datetime) -> datetime | None:
+    """Return the moment of a fill that is yet to come; until then no result would be of the fluid that is in."""
+    moments = (moment(fill["filled_at"]) for fill in data["fills"])
+    return next((at for at in moments if at - received_at > CLOCK_ERROR), None)
 
 
 def refuse(message: Message, reason: str, detail: str, received_at: datetime) -> Received:

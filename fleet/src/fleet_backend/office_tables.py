@@ -83,6 +83,7 @@ FLUID_DUE: Final = Table(  # what the watch foretold last; of another action or 
     Column("distance_a_day_m", Double),
     Column("outlook", Text, nullable=False),
     Column("mark", Text),  # of all that it was judged by; null: of programs that did not tell
+    Column("least_left_m", Double),  # that the fluid lasts at least, 90 % sure, from the last event on
 )
 
 POPULATION: Final = Table(

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from difflib import get_close_matches
 from hashlib import sha256
@@ -29,8 +29,9 @@ from sqlalchemy import (
 from fleet_backend.choices import TrendAxis
 from fleet_backend.database import transaction
 from fleet_backend.errors import BackendConfigError, UnknownVehicleError
-from fleet_backend.office_tables import COMMAND_LINE, note_change
+from fleet_backend.office_tables import COMMAND_LINE, FLUID_DUE, note_change
 from fleet_backend.schema import (
+    CLOCK_ERROR,
     CLUTCH,
     FLUID_FILL,
     HAPPENED_AT,
@@ -83,6 +84,7 @@ def with_orders(
     for vehicle, clutches in by_vehicle.items():
         filled_at, product = fluids.get(vehicle, (None, clutches[0]["fluid"]))
         order = orders.order_of([_finding(row, names) for row in clutches], filled_at)
+        order = replace(order, notes=(*order.notes, *_clock_notes(clutches)))
         added = {"action": order.action.value, "order": order.text, "fluid_since": filled_at, "fluid": product}
         for row in clutches:
             record, element = dict(row), names.get((vehicle, row["clutch"]))
@@ -92,6 +94,16 @@ def with_orders(
                 record.update(condition_reason=orders.UNKNOWN_FLUID, advice=unseen)
             del record["running_since_bus_ns"], record["happened_at"]
             yield record | added | {"element": element}
+
+
+def _clock_notes(rows: Iterable[Row]) -> Iterator[str]:
+    """Yield that dates of the last results of a vehicle are later than their receipt, if any are."""
+    ahead = [row["end_at"] for row in rows if row["end_at"] - row["stored_at"] > CLOCK_ERROR]
+    if ahead:
+        yield (
+            f"The vehicle's clock was wrong: results are dated up to {max(ahead):%Y-%m-%d}, after their receipt; they "
+            "count as of that. Set the clock."
+        )
 
 
 def since_of(row: Row) -> datetime | None:
@@ -180,7 +192,7 @@ def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
     names = ("vehicle", "stream", "seq", "algorithm_version", "calibration_version")
     made_at = literal_column("fleet_worst_first.produced_at", UtcDateTime())  # leads to one month in PostgreSQL
     same = and_(*(result[name] == last[name] for name in names), result.produced_at == made_at)
-    statement = select(FLEET_WORST_FIRST, result.causes, result.running_since_bus_ns)
+    statement = select(FLEET_WORST_FIRST, result.causes, result.running_since_bus_ns, result.stored_at)
     statement = statement.join_from(FLEET_WORST_FIRST, SHIFT_RESULT, same)
     with transaction(engine) as connection:
         rows = connection.execute(statement.order_by(last.place)).mappings()
@@ -197,6 +209,33 @@ def worst_first(engine: Engine, limit: int | None = None) -> Sequence[Record]:
         }
         for place, row in enumerate(clutches, 1)
     ][:limit]
+
+
+def distances_of(action: str, end_at: datetime, row: Row | None) -> tuple[float | None, float | None]:
+    """Return how far a fluid lasts from the last event on, by its row of the table: with 50 %, and at least (90 %)."""
+    if action == orders.Action.CHANGE_NOW:
+        return 0.0, 0.0
+    if row is None:
+        return None, None
+    half, a_day_m = row["half_by"], row["distance_a_day_m"]
+    left_m = None if half is None or a_day_m is None else max((half - end_at.date()).days, 0) * a_day_m
+    return left_m, row["least_left_m"]
+
+
+def with_distances(engine: Engine, records: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return running conditions with how far the fluid lasts, as far as the watch foretold that of what holds now."""
+    with transaction(engine) as connection:
+        dues: dict[tuple[str, int], Row] = {
+            (row["vehicle"], row["clutch"]): row for row in connection.execute(select(FLUID_DUE)).mappings()
+        }
+    distances = list[dict[str, Any]]()
+    for record in records:
+        row = dues.get((record["vehicle"], record["clutch"]))
+        if row is not None and (row["action"], row["fluid_since"]) != (record["action"], record["fluid_since"]):
+            row = None
+        left_m, least_m = distances_of(record["action"], record["end_at"], row)
+        distances.append({**record, "left_m": left_m, "least_left_m": least_m})
+    return distances
 
 
 def check_vehicle(engine: Engine, vehicle: str) -> None:

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from clutchdiag_io.console import plain_table
-from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT, STDS, moment_words
+from clutchdiag_io.people import PER_1000_RPM, PLUS_MINUS, SLOPE_UNIT, STDS, km_words, moment_words
 
 NONE: Final = "-"
 
@@ -27,7 +27,7 @@ def write_json(records: Sequence[Record], out: TextIO) -> None:
 def fleet_table(records: Sequence[Record]) -> Table:
     """Return the clutches of the fleet, worst first, with intervals of two standard deviations and what is wrong."""
     return _sheet(
-        f"Fleet, worst first: {len(records)} clutches; {PLUS_MINUS}, slope {SLOPE_UNIT}",
+        f"Fleet, worst first: {len(records)} clutches; {PLUS_MINUS}, slope {SLOPE_UNIT}; km at least: 90 % sure",
         records,
         {
             "vehicle": _plain("vehicle"),
@@ -39,6 +39,7 @@ def fleet_table(records: Sequence[Record]) -> Table:
             "mu_S": _interval("mu_s", "mu_s_high", "{:.3f}"),
             "shifts": _plain("shift_count"),
             "km": _number("odometer_m", "{:.0f}", scale=1e-3),
+            "km left": _km_left,
             "fluid": _plain("fluid"),
             "last shift": _moment("end_at", "%Y-%m-%d"),
             "reason": lambda record: NONE if record["action"] == "nothing" else str(record["order"]),
@@ -221,6 +222,13 @@ def _moment(name: str, form: str = "%Y-%m-%d %H:%M:%S") -> Cell:
         return moment_words(value, form) if isinstance(value, datetime) else NONE
 
     return cell
+
+
+def _km_left(record: Record) -> str:
+    left_m, least_m = record.get("left_m"), record.get("least_left_m")
+    if isinstance(left_m, float):
+        return f"{left_m / 1000.0:,.0f}"
+    return f"at least {km_words(least_m)}" if isinstance(least_m, float) else NONE
 
 
 def _condition(record: Record) -> str:

@@ -4,7 +4,7 @@ What can be derived is not stored: the running condition, trends and alarms are 
 same whatever the order in which results arrive.
 """
 
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Final
 
 from sqlalchemy import (
@@ -44,6 +44,7 @@ SCALE_FREE_COLUMNS: Final = ("mu_c", "mu_s", "std_mu_c", "std_mu_s", "correlatio
 SCALE_FREE: Final = "scale_free_"  # prefix of what driving alone tells, gain and area left out
 
 DATED_NS: Final = people.DATED_NS
+CLOCK_ERROR: Final = timedelta(days=1)  # of a vehicle; a moment that is farther ahead is none
 _DATED: Final = f"{{0}}produced_at >= '{datetime.fromtimestamp(DATED_NS // 10**9, UTC)}'"
 # An undated result is as old as its row: the clock of its vehicle was not set. Months go by this.
 AGED_AT: Final = f"CASE WHEN {_DATED} THEN {{0}}produced_at ELSE {{0}}stored_at END"

@@ -6,21 +6,30 @@ import zlib
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from hashlib import blake2b
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from clutch_results.records import shift_record
+from clutch_results.records import iso_utc, shift_record
 from fleet_backend.choices import Pace
 from fleet_backend.errors import BrokerError, RowRefusedError
 from fleet_backend.ingest import Worker
 from fleet_backend.intake import MessageKind, receive, receive_all
 from fleet_backend.rows import CONTENT, content_digest, moment, quarantine_row, shift_row
-from fleet_backend.schema import FRICTION_COLUMNS
+from fleet_backend.schema import CLOCK_ERROR, FRICTION_COLUMNS
 from fleet_backend.writer import Batch, Identity
-from fleet_contract import JsonObject, Outgoing, bundle_messages, read_message, shift_message, takes_bundles
+from fleet_contract import (
+    JsonObject,
+    Outgoing,
+    bundle_messages,
+    fluid_message,
+    read_message,
+    shift_message,
+    takes_bundles,
+)
 from fleet_link import Message
 from tests.golden import FOLDER as GOLDEN
 from tests.golden import messages_v1
@@ -152,6 +161,34 @@ async def test_a_vehicle_that_goes_hears_nothing_and_one_that_comes_that_there_i
 
 
 GOOD = message_of(fleet_result(7))
+CHANGED_AT = NOW - timedelta(days=3)
+FILL = {"filled_at": "", "odometer_m": None, "product": "DCTF 75W", "note": None}
+
+
+def fluid_of(*moments: datetime, withdrawn: Sequence[datetime] = ()) -> Message:
+    """Return the message of a vehicle that knows fills of some moments, and such as are taken back."""
+    fills: list[JsonObject] = [{**FILL, "filled_at": iso_utc(at)} for at in moments]
+    fills += [{"filled_at": iso_utc(at), "is_withdrawn": True} for at in withdrawn]
+    return delivered(fluid_message("car1", iso_utc(NOW), fills, is_to_vehicle=False))
+
+
+def test_a_fill_that_is_yet_to_come_is_put_aside_with_what_to_do() -> None:
+    received = receive(fluid_of(CHANGED_AT, datetime(2199, 1, 1, tzinfo=UTC)), NOW)
+    assert received.kind is MessageKind.POISON
+    assert (received.row["vehicle"], received.row["reason"]) == ("car1", "clock")
+    assert received.row["detail"] == (
+        "a fluid fill at 2199-01-01 00:00 UTC is yet to come: set the clock of the vehicle, and take the fill back "
+        "there (diag-service fluid-changed --undo)"
+    )
+    assert not received.fills
+
+
+def test_a_fill_within_a_day_and_a_future_one_that_is_taken_back_are_taken() -> None:
+    fills = receive(fluid_of(CHANGED_AT, NOW + CLOCK_ERROR), NOW).fills
+    assert [row["filled_at"] for row in fills] == [CHANGED_AT, NOW + CLOCK_ERROR]
+    withdrawn = receive(fluid_of(CHANGED_AT, withdrawn=[datetime(2199, 1, 1, tzinfo=UTC)]), NOW)
+    assert withdrawn.kind is MessageKind.FILLS
+    assert len(withdrawn.fills) == 2
 
 
 def changed(message: Message, **data: object) -> Message:

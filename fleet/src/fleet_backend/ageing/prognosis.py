@@ -21,7 +21,7 @@ from clutch_results.prognosis import (
     without,
 )
 from clutch_results.prognosis.prognosis import Reach
-from clutch_results.prognosis.sentence import outlook_line, soonest
+from clutch_results.prognosis.sentence import least_left_m, outlook_line, soonest
 from clutch_results.records import (
     ClutchVerdict,
     Condition,
@@ -39,7 +39,7 @@ from clutchdiag_io.people import is_dated
 from fleet_backend.ageing.calibrations import reference_of, type_of
 from fleet_backend.ageing.records import ClutchNow, Due, Fill
 from fleet_backend.ageing.results import fills_of, friction_in, in_order, quality_in, results_of, words_in
-from fleet_backend.queries import Row
+from fleet_backend.queries import Row, distances_of
 from fleet_backend.schema import RUNNING, SCALE_FREE, SCALE_FREE_COLUMNS
 from fleet_contract.orders import Action
 
@@ -54,7 +54,7 @@ NO_PROGNOSIS: Final = (
     "No prognosis: its service has not told what calibration these results are of, or their numbers are of no clutch."
 )
 NOT_YET: Final = "Not foretold yet: fleet-backend watch does so."
-_NOTHING: Final = dict.fromkeys(("half_by", "most_by", "distance_a_day_m")) | {"outlook": NOT_YET}
+_NOTHING: Final = dict.fromkeys(("half_by", "most_by", "distance_a_day_m", "least_left_m")) | {"outlook": NOT_YET}
 # What calculations raise of numbers that keep the contract and are of no clutch; a LinAlgError is a ValueError.
 BEYOND_NUMBERS: Final = (ArithmeticError, ValueError)
 
@@ -287,7 +287,8 @@ def foretold_now(engine: Engine, clutches: Sequence[ClutchNow], population: Popu
 def foretold(clutches: Sequence[ClutchNow], pasts: Sequence[ClutchPast]) -> list[Row]:
     """Return when the fluid of a vehicle is due, a row per clutch; by both prognoses, as both slip in one oil."""
     prognoses = [past.prognosis for past in pasts]
-    reach = soonest(prognosis for prognosis in prognoses if prognosis is not None)
+    known = [prognosis for prognosis in prognoses if prognosis is not None]
+    reach = soonest(known)
     if clutches[0].action == Action.FIND_CAUSE:
         reach = None
     quantiles = (None, None, None) if reach is None else (reach.p10_m, reach.p50_m, reach.p90_m)
@@ -305,6 +306,7 @@ def foretold(clutches: Sequence[ClutchNow], pasts: Sequence[ClutchPast]) -> list
                 "half_by": half_by,
                 "most_by": most_by,
                 "distance_a_day_m": a_day_m,
+                "least_left_m": least_left_m(known, Action(now.action)),
                 "outlook": outlook_text(prognoses, now),
             }
         )
@@ -322,9 +324,8 @@ def due_of(now: ClutchNow, row: Row | None, today: date) -> Due:
     """Return when a fluid is due by its row of the table; None: it is not foretold yet."""
     due_row, is_now = _NOTHING if row is None else row, now.action == Action.CHANGE_NOW
     is_overdue, first = days_of(now, row, today)
-    a_day_m = due_row["distance_a_day_m"]
     half, most = (today if is_now else due_row[name] for name in ("half_by", "most_by"))
-    left_m = None if half is None or a_day_m is None else max((half - now.end_at.date()).days, 0) * a_day_m
+    left_m, least_left_m = distances_of(now.action, now.end_at, row)
     return Due(
         vehicle=now.vehicle,
         clutch=now.clutch,
@@ -334,8 +335,9 @@ def due_of(now: ClutchNow, row: Row | None, today: date) -> Due:
         due_from=first,
         half_by=half,
         most_by=most,
-        left_m=0.0 if is_now else left_m,
-        distance_a_day_m=a_day_m,
+        left_m=left_m,
+        least_left_m=least_left_m,
+        distance_a_day_m=due_row["distance_a_day_m"],
         text=f"{now.order} {due_row['outlook']}",
     )
 

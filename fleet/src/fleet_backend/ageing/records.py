@@ -71,5 +71,6 @@ class Due:
     half_by: date | None
     most_by: date | None
     left_m: float | None  # from the last event until `half_by`
+    least_left_m: float | None  # from there on it lasts at least so far, 90 % sure; known without a trend, too
     distance_a_day_m: float | None
     text: str

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 from clutchdiag_io.people import is_dated
 from fleet_backend.ageing.records import ClutchNow, Severity
-from fleet_backend.intake import CLOCK_ERROR
+from fleet_backend.schema import CLOCK_ERROR
 from fleet_contract.orders import Action, name_of
 
 WHOLE_VEHICLE = 0  # in place of the number of a clutch

@@ -82,6 +82,7 @@ from fleet_contract.orders import UNKNOWN_FLUID, Action, name_of
 
 RowT = TypeVar("RowT")
 MOST_FOR_PEOPLE: Final = 1000  # rows of a page
+AS_ABOVE: Final = "as above"  # in place of a sentence that would stand in the next row again
 NEWEST: Final = 25  # events of each clutch on a page
 MOST_DRAWN: Final = 100  # pages that a snapshot keeps, and the bytes of each: others are drawn whenever they are asked
 LARGEST_DRAWN: Final = 200_000
@@ -122,7 +123,9 @@ def vehicles(request: Request) -> Response:
         key = ORDERS[query.sort.removeprefix("-")]
         matching = sorted(matching, key=lambda now: (key(now), now.vehicle), reverse=query.sort.startswith("-"))
     if request.url.path == CSV_PATH:
-        return streamed(request, _csv(matching[query.offset : query.offset + query.limit]), "text/csv")
+        shown, today = matching[query.offset : query.offset + query.limit], sources.now().date()
+        dues = ((now, due_of(now, keeper.foretold(now), today)) for now in shown)
+        return streamed(request, _csv(dues), "text/csv")
     rows, next_offset = _part(request, query, matching)
     counts = sum(map(Counter, snapshot.strips.values()), Counter[str]())
     answer = {
@@ -149,9 +152,11 @@ def vehicles(request: Request) -> Response:
     return page(request, "fleet.html", context, mark=snapshot.number)
 
 
-def _csv(rows: Sequence[ClutchNow]) -> Iterator[bytes]:
+def _csv(rows: Iterable[tuple[ClutchNow, Due]]) -> Iterator[bytes]:
     names = [field.name for field in fields(ClutchNow)]
-    return text_pieces(map(_csv_line, chain([names], map(attrgetter(*names), rows))))
+    values_of = attrgetter(*names)
+    values = ([*values_of(now), *_due_values(due)] for now, due in rows)
+    return text_pieces(map(_csv_line, chain([[*names, *_OF_DUE]], values)))
 
 
 def _csv_line(values: Iterable[object]) -> str:
@@ -160,6 +165,8 @@ def _csv_line(values: Iterable[object]) -> str:
     return out.getvalue()
 
 
+_OF_DUE: Final = ("due_from", "left_m", "least_left_m")
+_due_values: Final = attrgetter(*_OF_DUE)
 CSV_PATH: Final = "/vehicles.csv"
 _TILES: Final = {"due": "due within 30 days", "silent": "silent for 14 days", "alarm": "with an open alarm"}
 _COLUMNS: Final = (  # and by which word each sorts
@@ -291,6 +298,7 @@ def vehicle(request: Request) -> Response:
         "fan_picture": "" if fan is None else fan_picture(fan),
         "fan_record": None if fan is None else fan_record(fan),
         "left": _left(clutches, fills, prognoses),
+        "odometer_m": max((now.odometer_m for now in clutches if now.odometer_m is not None), default=None),
         "distance": distance_left(prognoses, Action(first.action)).capitalize() if first else "",
         "steps": STEPS.get(Action(first.action), ()) if first else (),
         "happened": sorted(_happened(fills, answer["alarms"]), key=lambda event: event[0], reverse=True),
@@ -325,16 +333,38 @@ def _left(
 def _happened(
     fills: Sequence[Fill], alarms_of_vehicle: Sequence[Row]
 ) -> Iterator[tuple[datetime, str, float | None, str | None]]:
-    """Yield fluid changes and alarms of a vehicle: when, what, at which distance, with which note."""
+    """Yield fluid changes and alarms of a vehicle: when, what, at which distance, with which note.
+
+    Of alarms that were raised at once each sentence stands once.
+    """
     for fill in fills:
         yield fill.filled_at, f"new fluid: {fill.product}", fill.odometer_m, fill.note
-    for row in alarms_of_vehicle:
-        alarm = "alarm" if row["clutch"] is None else f"alarm of {name_of(row['clutch'], row['element'])}"
-        yield row["raised_at"], f"{alarm}: {row['reason']}", None, None
+    raised: dict[tuple[datetime, str], list[str]] = {}
+    for row, sentence in zip(alarms_of_vehicle, _sentences(alarms_of_vehicle), strict=True):
+        alarm = _alarm_name(row)
+        raised.setdefault((row["raised_at"], sentence), []).append(alarm)
         if row["acknowledged_at"] is not None:
-            yield row["acknowledged_at"], f"{alarm} acknowledged by {row['acknowledged_by']}", None, row["note"]
+            yield row["acknowledged_at"], f"alarm {alarm} acknowledged by {row['acknowledged_by']}", None, row["note"]
         if row["cleared_at"] is not None:
-            yield row["cleared_at"], f"{alarm} over", None, None
+            yield row["cleared_at"], f"alarm {alarm} over", None, None
+    for (at, reason), names in raised.items():
+        yield at, f"alarm {' and '.join(names)}: {reason}", None, None
+
+
+def _sentences(alarm_rows: Sequence[Row]) -> list[str]:
+    """Return the reason of each alarm; the longest in its place that was raised of its vehicle at once and holds it."""
+    at_once: dict[tuple[str, datetime], list[str]] = {}
+    for row in alarm_rows:
+        at_once.setdefault((row["vehicle"], row["raised_at"]), []).append(row["reason"])
+    return [
+        max((other for other in at_once[row["vehicle"], row["raised_at"]] if row["reason"] in other), key=len)
+        for row in alarm_rows
+    ]
+
+
+def _alarm_name(row: Row) -> str:
+    """Return the rule of an alarm, and its clutch if it is of one alone."""
+    return str(row["rule"]) if row["clutch"] is None else f"{row['rule']} of {name_of(row['clutch'], row['element'])}"
 
 
 def _causes(request: Request, clutches: Sequence[ClutchNow]) -> Causes | None:
@@ -395,7 +425,12 @@ def alarms(request: Request) -> Response:
     answer = {"alarms": rows, "next": next_offset}
     if is_api(request):
         return encoded(answer)
-    return page(request, "alarms.html", _list(request, query, answer) | {"rules": [rule.value for rule in AlarmRule]})
+    known, reasons = set[tuple[str, str]](), list[str]()
+    for row, sentence in zip(rows, _sentences(rows), strict=True):
+        reasons.append(AS_ABOVE if (row["vehicle"], sentence) in known else sentence)
+        known.add((row["vehicle"], sentence))
+    context = {"rules": [rule.value for rule in AlarmRule], "reasons": reasons}
+    return page(request, "alarms.html", _list(request, query, answer) | context)
 
 
 @drawn_once

@@ -10,6 +10,7 @@ from urllib.parse import quote, urlencode
 from markupsafe import Markup, escape
 
 from clutch_model.units import degc_from_k
+from clutch_results.prognosis.sentence import at_least
 from clutch_results.shift_course import COURSE_HEAD, course_row, load_line
 from clutchdiag_io.pages.content import NONE, number
 from clutchdiag_io.people import PLUS_MINUS, STDS, moment_words
@@ -101,6 +102,7 @@ FILTERS: Final[Mapping[str, Callable[..., Any]]] = MappingProxyType({
     "number": number,
     "half": half_width,
     "km": lambda distance_m: number(distance_m, "{:,.0f}", 1.0 / M_PER_KM),
+    "at_least": at_least,
     "share": lambda value: number(value, "{:.1%}"),
     "moment": moment,
     "badge": badge,

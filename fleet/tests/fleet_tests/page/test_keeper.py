@@ -66,7 +66,7 @@ def test_it_is_counted_who_is_due_silent_or_has_an_alarm() -> None:
 
 def test_a_fluid_past_its_day_has_no_kilometres_left_and_not_less() -> None:
     late, today = clutch_now("a"), NOW.date()
-    days = {"due_from": None, "half_by": late.end_at.date() - timedelta(days=9), "most_by": today}
+    days = {"due_from": None, "half_by": late.end_at.date() - timedelta(days=9), "most_by": today, "least_left_m": 0.0}
     assert due_of(late, {**days, "distance_a_day_m": 4e4, "outlook": ""}, today).left_m == 0.0
 
 

@@ -5,6 +5,7 @@ import re
 from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,10 @@ from rich.text import Text
 
 from canlog.arrays import Series
 from clutch_model.calibration import TorqueSource, nominal_calibration
+from clutch_results.clocks import NO_TODAY
 from clutch_results.curves import WATCH_MARGIN_RATIO, margin_left
 from clutch_results.event_kinds import EndReason
+from clutch_results.pictures import fan_of
 from clutch_results.prognosis import ChannelName, PeerGroup, Peers, Population, Usual
 from clutch_results.prognosis.sentence import soonest
 from clutch_results.records import (
@@ -347,9 +350,24 @@ def test_prognoses_begin_with_what_a_fleet_taught() -> None:
 def test_a_store_gives_the_results_of_its_newest_versions(tmp_path: Path) -> None:
     old = Versions(algorithm="impulse-0", calibration=VERSIONS.calibration)
     fill_store(tmp_path / "car1.sqlite", [of_version(one, old) for one in history(3)] + history(8), [fill_at(5)])
-    found = findings_of_store(tmp_path / "car1.sqlite", None, CALIBRATION)
+    found = findings_of_store(tmp_path / "car1.sqlite", None, CALIBRATION, NO_TODAY)
     assert (len(found.rows), found.left_out_count, found.versions) == (8, 3, VERSIONS)
     assert found.calibration == CALIBRATION
     assert found.fills == (fill_at(5),)
     other = replace(CALIBRATION, version="another")
-    assert findings_of_store(tmp_path / "car1.sqlite", "car1", other).calibration is None
+    assert findings_of_store(tmp_path / "car1.sqlite", "car1", other, NO_TODAY).calibration is None
+
+
+def test_names_of_marks_neither_overprint_nor_repeat_each_other() -> None:
+    """Fills, alarms and worse verdicts come together, as does what is of today."""
+    results = history(60)
+    alarms = [("2026-01-01T00:00:06.000000Z", f"alarm: {rule}") for rule in ("verdict", "verdict", "due", "quality")]
+    fan = fan_of(results, (), [clutch.friction for clutch in CALIBRATION.clutches], alarms=alarms)
+    assert fan is not None
+    marks = replace(fan, moments=(*fan.moments, *((59.0, "watch", "watch"),) * 6), ahead=np.array([60.0, 61.0])).marks
+    assert len({(mark.place, mark.text) for mark in marks}) == len(marks)
+    named = [mark for mark in marks if mark.row is not None]
+    assert {mark.text for mark in named} >= {"watch", "today", "alarm: verdict", "alarm: due"}
+    for first, second in combinations(named, 2):
+        if first.row == second.row:
+            assert first.ends[1] <= second.ends[0] or second.ends[1] <= first.ends[0], (first, second)

@@ -75,15 +75,19 @@ def test_the_outbox_is_ordered_and_forgets_what_was_acknowledged(store: ResultSt
     assert store.unpublished_count("car2") == 1
 
 
-def test_the_latest_result_ended_last_and_was_made_like_the_one_stored_last(store: ResultStore) -> None:
+def test_the_last_of_each_stream_was_made_like_the_one_stored_last(store: ResultStore) -> None:
     older, other = shift_result(1, to_gear=2, stream="older"), shift_result(9, to_gear=2)
     for one in (shift_result(5, to_gear=2), older, shift_result(2, to_gear=3, stream="older")):
         store.add(one, state())
-    assert [(row.key.stream, row.key.seq) for row in store.latest("car1")] == [("older", 2), (other.stream, 5)]
+    assert [(row.key.stream, row.key.seq) for row in store.ends("car1")] == [
+        (other.stream, 5),
+        ("older", 1),
+        ("older", 2),
+    ]
     store.add(replace(other, algorithm_version="another"), state())
-    assert [row.key.algorithm_version for row in store.latest("car1")] == ["another"]
+    assert [row.key.algorithm_version for row in store.ends("car1")] == ["another"]
     own = Versions(algorithm=older.algorithm_version, calibration=older.calibration_version)
-    assert [row.key.seq for row in store.latest("car1", own)] == [2, 5]
+    assert [row.key.seq for row in store.ends("car1", own)] == [5, 1, 2]
 
 
 def test_a_backend_settles_by_key_what_is_here(store: ResultStore) -> None:

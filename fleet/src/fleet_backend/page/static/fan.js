@@ -48,13 +48,12 @@
       across(plot.scales.y.min, 0, "change");
       ctx.fillStyle = ctx.strokeStyle = colour("muted");
       ctx.font = `${12 * devicePixelRatio}px system-ui, sans-serif`;
-      const today = told.ahead.length ? [[told.ahead[0], "", "today"]] : [];
-      [...told.moments, ...today].forEach(([at, , text], turn) => {
+      told.marks.forEach(([at, text, row]) => {
         const x = plot.valToPos(at, "x", true);
         const isLate = x > bbox.left + 0.75 * bbox.width;
         ctx.textAlign = isLate ? "right" : "left";
         ctx.fillRect(x, bbox.top, 1, bbox.height);
-        ctx.fillText(text, x + (isLate ? -4 : 4), bbox.top + (14 + 16 * (turn % 3)) * devicePixelRatio);
+        if (row !== null) ctx.fillText(text, x + (isLate ? -4 : 4), bbox.top + (14 + 16 * row) * devicePixelRatio);
       });
       ctx.restore();
     };

@@ -2,15 +2,16 @@
 
 import re
 from dataclasses import replace
+from typing import Final
 
 import pytest
 
 from clutch_model.calibration import nominal_calibration
-from clutch_results.records import Causes, ClutchVerdict, Condition, LikelyCause
+from clutch_results.records import Causes, ClutchVerdict, Condition, FluidFill, LikelyCause
 from diag_service.diagnosis.condition.condition import ConditionMemory, judge, no_verdict
 from diag_service.diagnosis.condition.verdict import likely
 from diag_service.diagnosis.summary import Gap, order_by, unjudged
-from tests.support.builders import shift_result
+from tests.support.builders import friction_trend, shift_result
 from tests.unit.diag_service.diagnosis.condition.test_condition import believed
 
 CALIBRATION = nominal_calibration()
@@ -36,8 +37,11 @@ def test_a_verdict_says_why_and_how_sure_it_is_and_gives_no_order(mu_c: float, m
     assert verdict_on(mu_c, mu_s).advice == sentence
 
 
-def test_a_verdict_that_merely_stands_says_what_calls_it_off() -> None:
-    told = "(26 % sure now, at least 95 % before; the verdict stands until that falls below 20 %)."
+def test_a_verdict_that_merely_stands_says_what_to_do_and_what_calls_it_off() -> None:
+    told = (
+        "(26 % sure now, at least 95 % before: measure again on another drive; the verdict stands until that falls "
+        "below 20 %)."
+    )
     assert str(verdict_on(0.1295, 0.1285, previous=Condition.CHANGE_FLUID).advice).endswith(told)
 
 
@@ -74,6 +78,34 @@ def test_where_there_is_no_verdict_the_sentence_says_what_would_help(verdict: Cl
     assert verdict.advice is not None
     assert verdict.advice.startswith("Clutch 2: ")
     assert sentence in verdict.advice
+
+
+NOT_NOTED: Final = (
+    "Was the fluid changed? Friction is as after a fill that nobody noted; diag-service fluid-changed notes it."
+)
+
+
+@pytest.mark.parametrize(
+    ("change", "causes", "fluid", "notes"),
+    [
+        (0.17, None, None, (NOT_NOTED,)),
+        (0.06, None, None, ()),  # as friction may rise by itself
+        (-0.17, None, None, ()),
+        (0.17, None, FluidFill(vehicle="car1", filled_at="2025-12-01T00:00:00.000000Z"), ()),
+        (0.01, "renewed-fluid", None, (NOT_NOTED,)),
+        (0.17, "torque-sensor", None, ()),  # a sensor that drifted feigns it
+    ],
+)
+def test_a_fill_that_nobody_noted_is_asked_about(
+    change: float, causes: str | None, fluid: FluidFill | None, notes: tuple[str, ...]
+) -> None:
+    since = replace(friction_trend(), change_mu_c_ratio=change, std_change_mu_c_ratio=0.015)
+    told = None if causes is None else why(causes, 0.93)
+    results = [shift_result(number, to_gear=1 + number) for number in (1, 2)]
+    results = [replace(one, verdict=replace(one.verdict, trend=since, causes=told)) for one in results]
+    order = order_by(results, fluid)
+    assert order.notes == notes
+    assert order.text.endswith(notes or "sure).")
 
 
 def why(cause: str, probability: float, aged: float = 0.05) -> Causes:

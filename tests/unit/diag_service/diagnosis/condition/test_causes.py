@@ -10,6 +10,7 @@ from clutch_results.records import Causes, Condition, LikelyCause, to_plain
 from diag_service.diagnosis.condition.causes import ELSE, SOUND, CauseJudge, described
 from diag_service.diagnosis.condition.condition import (
     BEGIN_COUNT,
+    LEAST_COUNT,
     LOWER,
     MEASURED,
     ConditionMemory,
@@ -19,6 +20,7 @@ from diag_service.diagnosis.condition.condition import (
 )
 from diag_service.diagnosis.friction.evidence import FRICTION_COUNT, NAMES, PARAMETER_COUNT
 from diag_service.diagnosis.friction.posterior import Posterior
+from tests.support.builders import rejected, shift_result
 
 CALIBRATION = nominal_calibration()
 JUDGE = CauseJudge(CALIBRATION)
@@ -184,3 +186,13 @@ def test_a_drifted_sensor_holds_back_the_verdict_on_its_clutch(clutch: int, is_h
     assert verdict.condition is Condition.NO_VERDICT
     assert ("has probably drifted" in verdict.reason) is is_held
     assert verdict.causes == found
+
+
+def test_of_events_without_friction_no_cause_is_told() -> None:
+    """A car of which no friction is measured would pass for one with which nothing is wrong."""
+    silent = rejected(shift_result()).estimate
+    course = VehicleCourse()
+    for _ in range(90):
+        course = course.with_event(silent, FRESH, FRESH)
+        assert not course.is_due
+    assert course.now.count > LEAST_COUNT
