@@ -22,6 +22,7 @@ from odxtools.diagservice import DiagService
 from ecu_emulator import Emulator
 from tests.support.documents import page_text
 from tests.support.doip.tester import Tester, is_pending
+from tests.support.patience import HANG_S
 from tests.support.ports import free_port
 from tests.support.uds.pdx_client import PARKED, PdxClient, read_back, templates_compiled_once
 from tests.tools.pdx.package import FILE
@@ -177,6 +178,7 @@ def test_the_page_reads_faults_and_starts_an_operation_by_the_names_of_the_packa
     with Emulator("ideal", is_endless=True, is_prompt=True, answers=Answers(doip=str(port))) as car:
         for fault in next(trouble.faults for trouble in shipped_table().troubles.values() if trouble.code == order):
             car.add_fault(fault)
+        car.wait_until(1.0, HANG_S)  # its server is there before its first frame
         while len(codes_of(port, 0x04)) <= len("59 02 ff"):
             assert car.is_driving
         with patch("builtins.print", lambda *words: said.append(words)):

@@ -151,8 +151,7 @@ def driven_off(last_m_s: float) -> list[tuple[float, float]]:
     return [(min(2.5 * 0.01 * tick, last_m_s), 0.3) for tick in range(round(40.0 * last_m_s) + 200)]
 
 
-@pytest.mark.parametrize("pedal_ratio", [0.0, 1.0])
-@pytest.mark.parametrize("scenario", ["ideal", "lockup"])
+@pytest.mark.parametrize(("scenario", "pedal_ratio"), [("ideal", 0.0), ("ideal", 1.0), ("lockup", 0.0)])
 def test_a_car_that_is_moved_at_once_finds_its_gear_anew(scenario: str, pedal_ratio: float) -> None:
     """A game sets a car on the road at 100 km/h, and stops it at a wall: both within one tick."""
     start, fast, stopped = [(0.0, 0.0)] * 100, [(FAST_M_S, pedal_ratio)] * 700, [(0.0, 0.0)] * 400
