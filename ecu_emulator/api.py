@@ -20,6 +20,7 @@ from ecu_emulator.bus.sender import open_bus, to_messages
 from ecu_emulator.commands import DriveOptions, LogOptions, Recording, choose_scenario, ns_of, save_dbc, write_log
 from ecu_emulator.drive.orders import LiveOrders
 from ecu_emulator.drive.recording import Drive
+from ecu_emulator.drive.stepping import MS_PER_S, StepGrid
 from ecu_emulator.driving.journey import STEERED, PlannedTrip, SteeredTrip, Steering
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.live import PROMPT, STEADY, AnswersTesters, BusChoice, SentTruth, answering_of, send
@@ -35,12 +36,25 @@ AnyFault = Fault | Mapping[str, object]
 MAX_TRUTHS: Final = 100_000  # of an endless drive the last ones, half a kilobyte each
 VIRTUAL: Final = "virtual"
 POLL_S: Final = 0.01
-MS_TOLERANCE: Final = 1e-6  # of a time in whole milliseconds
+LONGEST_STEP_S: Final = 600.0  # whose rows, half a kilobyte a millisecond, are held in memory
+FASTEST_M_S: Final = 100.0
 
 
 def fault_of(fault: AnyFault) -> Fault:
     """Return a fault, from its table perhaps; raises ConfigError if it cannot be."""
     return fault if isinstance(fault, Fault) else parse_fault(fault)
+
+
+def check_number(name: str, number: float, low: float, high: float) -> None:
+    """Raise ConfigError unless a number is within its range; what is no number is not."""
+    if not low <= number <= high:
+        raise EmulatorConfigError(f"{name} must be {low:g}..{high:g}, got {number:g}")
+
+
+def check_is_number(name: str, number: float | None) -> None:
+    """Raise ConfigError for a number that is none (NaN); without end and not given are allowed."""
+    if number is not None and math.isnan(number):
+        raise EmulatorConfigError(f"{name} must be a number, got nan")
 
 
 def check_word(name: str, word: str | None, words: Sequence[str]) -> None:
@@ -131,8 +145,8 @@ class Emulator:
         is_prompt: bool = False,
         parked_s: float | None = None,
     ) -> None:
-        if parked_s is not None and not 0.0 <= parked_s <= scenarios.MOST_PARKED_S:
-            raise EmulatorConfigError(f"parked_s must be 0..{scenarios.MOST_PARKED_S:g}, got {parked_s:g}")
+        if parked_s is not None:
+            check_number("parked_s", parked_s, 0.0, scenarios.MOST_PARKED_S)
         check_word("fluid", fluid, list(FluidCondition))
         check_word("drive", drive, list(DriveName))
         driven = DriveOptions(
@@ -163,6 +177,7 @@ class Emulator:
         self._pace = PROMPT if is_prompt else STEADY
         self._parked_s = parked_s
         self._steering: Steering | None = None  # of a car that is stepped and steered
+        self._grid = StepGrid()
         self._stop = Event()
         self._thread: Thread | None = None
         self._drive: Drive | None = None
@@ -217,14 +232,16 @@ class Emulator:
 
         Without speed and pedal the car drives what its scenario says, and its frames are those of ``record`` to the
         bit; a step ends where a trip does. With both somebody else moves the car, a driving simulator for one: gears,
-        clutches and engine follow. What the first step does, all do.
+        clutches and engine follow. What the first step does, all do. A car that is moved or stopped at once, as games
+        do, opens its clutches and finds its gear anew.
 
         Parameters
         ----------
         duration_s
-            Whole milliseconds.
+            Any time up to ten minutes, such as 1/60. The car is driven in whole milliseconds; what is left of one is
+            added to the next step.
         speed_m_s, pedal_ratio
-            Speed of the car at the end of the step, >= 0, and its accelerator pedal, 0..1.
+            Speed of the car at the end of the step, 0..100, and its accelerator pedal, 0..1.
 
         Raises
         ------
@@ -233,9 +250,11 @@ class Emulator:
         """
         if (speed_m_s is None) != (pedal_ratio is None):
             raise EmulatorConfigError("speed_m_s and pedal_ratio belong together")
-        duration_ms = round(1000.0 * duration_s)
-        if duration_ms < 1 or abs(1000.0 * duration_s - duration_ms) > MS_TOLERANCE:
-            raise EmulatorConfigError(f"duration_s must be whole milliseconds, got {duration_s}")
+        if not 0.0 < duration_s <= LONGEST_STEP_S:
+            raise EmulatorConfigError(f"duration_s must be above 0, up to {LONGEST_STEP_S:g}, got {duration_s:g}")
+        if speed_m_s is not None and pedal_ratio is not None:
+            check_number("speed_m_s", speed_m_s, 0.0, FASTEST_M_S)
+            check_number("pedal_ratio", pedal_ratio, 0.0, 1.0)
         if self._drive is None:
             self._be_stepped(is_steered=speed_m_s is not None)
         if self._drive is None or self._sent is None or self._thread is not None:
@@ -243,10 +262,9 @@ class Emulator:
         if (self._steering is None) != (speed_m_s is None):
             raise EmulatorConfigError("a car is steered in each of its steps, or in none")
         if self._steering is not None and speed_m_s is not None and pedal_ratio is not None:
-            if not (0.0 <= speed_m_s < math.inf and 0.0 <= pedal_ratio <= 1.0):
-                raise EmulatorConfigError(f"no car has speed_m_s {speed_m_s} and pedal_ratio {pedal_ratio}")
             self._steering.speed_m_s, self._steering.pedal_ratio = float(speed_m_s), float(pedal_ratio)
-        stretch = None if self._drive.finished else self._drive.advance(duration_ms / 1000.0)
+        step_s = self._grid.whole_ms(duration_s) / MS_PER_S
+        stretch = None if self._drive.finished or step_s == 0.0 else self._drive.advance(step_s)
         if stretch is None:
             return []
         self._sent.take(stretch)
@@ -350,6 +368,8 @@ class Emulator:
 
     def wait_until(self, t_s: float, timeout_s: float) -> None:
         """Return when the frames up to a time of the drive [s] are sent; raises TimeoutError, or what ended it."""
+        check_is_number("t_s", t_s)
+        check_is_number("timeout_s", timeout_s)
         deadline_s = time.monotonic() + timeout_s
         while True:
             is_driving = self.is_driving  # asked first: what is sent after that is seen by the next look
@@ -364,6 +384,7 @@ class Emulator:
 
     def wait(self, timeout_s: float | None = None) -> Mapping[str, Any]:
         """Return ``result`` when all has been driven; raises TimeoutError if it has not by then, or what ended it."""
+        check_is_number("timeout_s", timeout_s)
         thread = self._running()
         thread.join(timeout_s)
         if thread.is_alive():

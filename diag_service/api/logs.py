@@ -247,7 +247,10 @@ def profile_for(log: Path, dbc: Path | None, columns: str, controls: Controls, l
 def inspect_logs(
     options: InspectOptions, controls: Controls, line: ReadingLine = SILENT
 ) -> Iterator[Inspection | FolderContent | LeftOut]:
-    """Yield what logs hold, of each folder first which files are logs, and why one cannot be read after all."""
+    """Yield what logs hold, of each folder first which files are logs, and why one cannot be read after all.
+
+    Raises ConfigError if a folder holds no log.
+    """
     messages = messages_of(options, lambda: controls.stop.is_set)
     for path in options.logs:
         if path == STANDARD_INPUT or not is_folder(path):
@@ -255,6 +258,8 @@ def inspect_logs(
             continue
         logs, others = split_folder(path, options.columns)
         yield FolderContent(path=path, logs=tuple(logs), others=tuple(others))
+        if not logs:
+            raise ConfigError(f"{path} holds no log that can be read")
         for log in logs:
             try:
                 inspection = _inspected(log.path, messages, options, controls.stop, line.watch)

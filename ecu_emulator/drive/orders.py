@@ -6,7 +6,7 @@ import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from threading import Event
+from threading import Event, Lock
 from typing import Final, Protocol
 
 from ecu_emulator.drive.recording import Drive
@@ -32,28 +32,49 @@ POLL_S: Final = 0.02  # how soon a car that is off hears that it is switched on
 
 
 class LiveOrders:
-    """Orders to a drive that goes on in real time: a stay with the engine off is as long as the clock says."""
+    """Orders to a drive that goes on in real time: a stay with the engine off is as long as the clock says.
+
+    Orders are carried out in the order in which they come, however many come within one step. Any thread may give one.
+    """
 
     def __init__(self, drive: Drive, clock: Callable[[], float] = time.monotonic) -> None:
         self._drive, self._clock = drive, clock
-        self._off_s: float | None = None  # since when, time of the clock; None: the engine is on
+        self._lock = Lock()
+        self._off_s: float | None = None  # when it was ordered off, time of the clock; None: the engine is on
         self.add_fault: Final = drive.add_fault
-        self.end_trip: Final = drive.end_trip
-        self.request_gear: Final = drive.request_gear
 
     def switch_engine(self, *, is_on: bool) -> None:
         """Switch the engine off with the next frames, or on again; raises ConfigError if it is so already."""
-        if is_on != (self._off_s is not None):
-            raise EmulatorConfigError(f"the engine is {'on' if is_on else 'off'} already")
-        self._drive.switch_engine(is_on=is_on, stay_s=self._clock() - self._off_s if self._off_s is not None else 0.0)
+        with self._lock:
+            if is_on != (self._off_s is not None):
+                raise EmulatorConfigError(f"the engine is {'on' if is_on else 'off'} already")
+            now_s = self._clock()
+            stay_s = 0.0 if self._off_s is None else now_s - self._off_s
+            self._drive.switch_engine(is_on=is_on, stay_s=stay_s)
+            self._off_s = None if is_on else now_s
+
+    def end_trip(self) -> None:
+        """End the trip with the next frames; raises ConfigError if the engine is off, or there are no trips."""
+        with self._lock:
+            self._check_is_on("trip to end")
+            self._drive.end_trip()
+
+    def request_gear(self, gear: int) -> None:
+        """Ask for a gear; raises ConfigError if there is none, the engine is off, or there are no trips."""
+        with self._lock:
+            self._check_is_on("gear to engage")
+            self._drive.request_gear(gear)
+
+    def _check_is_on(self, what: str) -> None:
+        if self._off_s is not None:
+            raise EmulatorConfigError(f"the engine is off: there is no {what}")
 
     def stay(self, stop: Event) -> None:
         """Return as soon as the engine is on, or ``stop`` is set; for the thread that drives."""
         while self._drive.is_off and not stop.is_set():
-            self._off_s = self._clock() if self._off_s is None else self._off_s
-            stop.wait(POLL_S)
             self._drive.obey()
-        self._off_s = None
+            if self._drive.is_off:
+                stop.wait(POLL_S)
 
 
 def follow(line: bytes, drive: Ordered, faults_of_code: FaultsOfCode = NO_CODES) -> str:

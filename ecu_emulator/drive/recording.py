@@ -169,16 +169,15 @@ class Drive:
     def end_trip(self) -> None:
         """End the trip; the next one begins as it is planned. Any thread may call; raises as ``switch_engine``."""
         journey = self._journey()
-        self._asked.put(lambda: journey.car.end() if journey.car is not None else None)
+        self._asked.put(journey.end_trip)
 
     def request_gear(self, gear: int) -> None:
         """Ask for a gear; what the engine speed forbids is not done. Threads and errors as of ``switch_engine``."""
         journey = self._journey()
-        if not 1 <= gear <= len(self._vehicle.parameters.gearbox.gear_ratios):
-            raise EmulatorConfigError(
-                f"gear must be 1..{len(self._vehicle.parameters.gearbox.gear_ratios)}, got {gear}"
-            )
-        self._asked.put(lambda: journey.car.request_gear(gear) if journey.car is not None else None)
+        gears = range(1, len(self._vehicle.parameters.gearbox.gear_ratios) + 1)
+        if gear not in gears:
+            raise EmulatorConfigError(f"gear must be a whole number, 1..{gears[-1]}, got {gear}")
+        self._asked.put(lambda: journey.request_gear(gear))
 
     @property
     def is_off(self) -> bool:
@@ -218,9 +217,16 @@ class Drive:
         return self._stretch(rows) if len(rows) else None
 
     def obey(self) -> None:
-        """Do what was asked for since the last stretch; for the thread that drives."""
-        while not self._asked.empty():
+        """Do what was asked for since the last stretch; for the thread that drives.
+
+        What was asked for behind the end of a trip, or its beginning, waits until that has come.
+        """
+        while not (self._asked.empty() or self._is_at_turn):
             self._asked.get()()
+
+    @property
+    def _is_at_turn(self) -> bool:
+        return isinstance(self._plant, Journey) and self._plant.is_at_turn
 
     def _journey(self) -> Journey:
         if isinstance(self._plant, Journey):

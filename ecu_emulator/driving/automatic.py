@@ -55,7 +55,13 @@ def choose_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> None:
         enter_state(memory, DrivelineState.STANDSTILL.value)
     if not is_standing and memory[at.STATE] == DrivelineState.STANDSTILL.value:
         enter_state(memory, DrivelineState.IN_GEAR.value)
-    wanted = 1 if is_standing else gear_choice.wanted_gear(memory, sense, law)
+    if is_standing:
+        wanted = 1
+    elif gear_choice.is_gear_lost(memory, sense, law):
+        rad_per_m = 1.0 / law.drive.plant.vehicle.wheel_radius_m  # of wheels that no longer slide
+        wanted = gear_choice.highest_pulling_gear(memory, sense, rad_per_m, sense[at.VEHICLE_SPEED], law)
+    else:
+        wanted = gear_choice.wanted_gear(memory, sense, law)
     if wanted != memory[tcu_data.CURRENT_GEAR]:
         begin_event(memory, ManoeuvreKind.NONE.value)
         enter_state(memory, DrivelineState.CHANGING.value)

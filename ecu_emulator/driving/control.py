@@ -114,6 +114,17 @@ def change(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dri
 
 
 @part
+def lose_gear(memory: FloatArray) -> None:
+    """Break off what is going on, shown for a millisecond; then both clutches open, and the gear is found anew."""
+    if memory[at.EVENT_NUMBER] != 0.0 and memory[at.IS_ABORTED] == 0.0:
+        memory[at.IS_ABORTED] = 1.0
+        return
+    memory[tcu_data.TARGET_GEAR] = memory[tcu_data.CURRENT_GEAR]
+    end_event(memory)
+    enter_state(memory, DrivelineState.COASTING_OPEN.value)
+
+
+@part
 def have_whim(memory: FloatArray, whims: FloatArray) -> None:
     """Let the driver's foot do what no trace asks for, some time after an event has begun."""
     if memory[at.WHIM_TIME] > 0.0:
@@ -134,6 +145,9 @@ def control(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: Dr
     commands[tcu_data.SPARK] = 1.0
     commands[at.REQUEST] = at.NO_REQUEST
     commands[at.HILL_BRAKE] = 0.0
+    has_clutch = memory[at.STATE] not in (DrivelineState.STANDSTILL.value, DrivelineState.COASTING_OPEN.value)
+    if has_clutch and gear_choice.is_gear_lost(memory, sense, law):
+        lose_gear(memory)
     state = int(memory[at.STATE])
     if state == DrivelineState.IN_GEAR.value:
         stay_in_gear(memory, sense, commands, law)

@@ -12,6 +12,7 @@ _BRAKING_M_S2 = 0.3
 _FORESEEN_RATIO = 1.5  # of the time of an upshift: a foot that is off by then shall not meet its end
 _LOWEST_SKIPPED_FROM = 4  # 4-2 and above
 _LOWEST_COASTING = 2  # the car rolls out of 2nd gear with open clutches
+_LOST_RATIO = 0.5  # of the idle speed: a higher gear than 2nd that turns its shaft slower has been left behind
 
 
 @part
@@ -46,6 +47,27 @@ def is_foot_coming_off(memory: FloatArray, law: DrivingLaw) -> bool:
     upshift_s = control.prefill_time_s + control.torque_phase_s + control.upshift_inertia_phase_s
     soon = memory[at.PEDAL] + _FORESEEN_RATIO * upshift_s * memory[at.PEDAL_RATE]
     return bool(memory[at.PEDAL] > overrun_ratio >= soon)
+
+
+@part
+def is_gear_lost(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> bool:
+    """Tell whether no change from gear to gear is quick enough: somebody has moved or stopped the car at once."""
+    gear = int(memory[tcu_data.CURRENT_GEAR])
+    speed_rad_s = gear_speed_rad_s(sense, gear, law)
+    if speed_rad_s > law.driving.choice.over_rad_s:
+        return not is_highest(gear, law)
+    return gear > _LOWEST_COASTING and speed_rad_s < _LOST_RATIO * idle_rad_s(sense, law)
+
+
+@part
+def highest_pulling_gear(
+    memory: FloatArray, sense: FloatArray, rad_per_m: float, speed_m_s: float, law: DrivingLaw
+) -> int:
+    """Return the highest gear that turns the engine fast enough at a speed of the car."""
+    gear, least_rad_s = tcu_data.MOST_GEARS, law.driving.choice.up_ratio * low_rad_s(memory, sense, law)
+    while gear > 1 and speed_m_s * rad_per_m * law.drive.overall_ratios[gear] < least_rad_s:
+        gear -= 1
+    return gear
 
 
 @part

@@ -29,7 +29,7 @@ from ecu_emulator.plant.course import (
     check_step,
     idle_machine,
 )
-from ecu_emulator.plant.driveline import ENGAGED, NEUTRAL
+from ecu_emulator.plant.driveline import ENGAGED, GRAVITY_M_S2, NEUTRAL
 from ecu_emulator.plant.integration import Machine
 from ecu_emulator.plant.loop import COLUMN_COUNT
 from ecu_emulator.plant.parameters import PlantParameters, nominal_parameters
@@ -155,6 +155,9 @@ class SteeredTrip(Trip):
     ) -> None:
         super().__init__(car, trace, conditions, rng)
         self._steering = steering
+        vehicle = self._law.drive.plant.vehicle
+        grip_ratio = vehicle.tyre_friction_ratio * vehicle.driven_load_ratio / vehicle.driven_brake_ratio
+        self._most_brake_m_s2 = GRIP_USED_RATIO * grip_ratio * GRAVITY_M_S2
         self._road.end[0] = np.iinfo(np.int64).max
 
     def advance(self, duration_s: float) -> FloatArray:
@@ -166,12 +169,14 @@ class SteeredTrip(Trip):
         slowing_m_s2 = (before_m_s - steering.speed_m_s) / duration_s
         standing_m_s2 = self._law.driving.driver.standing_brake_m_s2 if steering.speed_m_s == 0.0 else 0.0
         is_braked = steering.pedal_ratio == 0.0 and slowing_m_s2 > LEAST_BRAKE_M_S2
-        brake_m_s2 = slowing_m_s2 if is_braked else standing_m_s2 * (steering.pedal_ratio == 0.0)
+        braked_m_s2 = min(slowing_m_s2, self._most_brake_m_s2)  # a wall does the rest
+        brake_m_s2 = braked_m_s2 if is_braked else standing_m_s2 * (steering.pedal_ratio == 0.0)
         speeds_m_s = np.linspace(before_m_s, steering.speed_m_s, len(rows) + 1)[1:]
         follow(self._machine, self._road, self._law, rows, speeds_m_s, (steering.pedal_ratio, float(brake_m_s2)))
         return rows
 
 
+GRIP_USED_RATIO: Final = 0.9  # of what the driven tyres hold: a controller keeps them from locking
 LEAST_BRAKE_M_S2: Final = 0.5  # what drag and the engine slow a car down by without its brakes
 STEERED: Final = SpeedTrace(name="steered", t_s=np.array([0.0, 1.0]), speed_m_s=np.zeros(2), grade_ratio=np.zeros(2))
 
@@ -362,6 +367,8 @@ class Journey:
         self._clock_ms = 0  # scenario time of the next row, time to come in which the car is parked left out
         self._past_m = 0.0  # way of the trips before
         self._is_off = False
+        self._stay_s: float | None = None  # of a car that was switched off and on again; None: as planned
+        self._is_ending = False  # whether the trip, or the one that follows, ends with its next row
         self.departure: Departure | None = None
 
     @property
@@ -372,7 +379,12 @@ class Journey:
     @property
     def finished(self) -> bool:
         """Whether the last trip is over, and nobody has switched the engine off to go on later."""
-        return self.is_parked and self._next_trip is None and not self._is_off
+        return self.is_parked and self._next_trip is None and not self._is_off and self._stay_s is None
+
+    @property
+    def is_at_turn(self) -> bool:
+        """Whether the next row ends a trip, or begins one after an order."""
+        return self._is_ending or self._stay_s is not None
 
     @property
     def is_off(self) -> bool:
@@ -386,18 +398,22 @@ class Journey:
 
     def switch_off(self) -> None:
         """End this trip with the next row, and begin none before ``switch_on``."""
-        self._is_off = True
-        if self._car is not None:
-            self._car.end()
+        self._is_off, self._stay_s = True, None
+        self._is_ending = self._car is not None
 
     def switch_on(self, stay_s: float) -> None:
         """Begin the next trip, else the last one again, after a stay of this length [s], all of which is shown."""
-        trip = self._next_trip or (self.departure.trip if self.departure is not None else None)
-        self._is_off = False
-        if trip is not None and self._car is None:
-            self._longest_stay_s, usual_s = stay_s, self._longest_stay_s
-            self._car = self._set_off(replace(trip, parked_s=stay_s))
-            self._longest_stay_s = usual_s
+        if self._is_off:
+            self._is_off, self._stay_s = False, stay_s
+
+    def end_trip(self) -> None:
+        """End this trip with the next row, or the next trip with its first; none follows: nothing happens."""
+        self._is_ending = self._car is not None or not (self.finished or self._is_off)
+
+    def request_gear(self, gear: int) -> None:
+        """Ask a car on its trip for a gear."""
+        if self._car is not None:
+            self._car.request_gear(gear)
 
     def believe(self, touch_pressures_pa: tuple[float, float]) -> None:
         """Let the control of a car that drives take these for its clutches' touch points."""
@@ -410,9 +426,11 @@ class Journey:
         They belong to one trip, that of ``departure``.
         """
         if self._car is None:
-            if self._next_trip is None or self._is_off:
+            if self.finished or self._is_off:
                 return np.empty((0, len(Col)))
-            self._car = self._set_off(self._next_trip)
+            self._car = self._next_car()
+        if self._is_ending:
+            self._car.end()
         rows = self._car.advance(duration_s)
         rows[:, Col.T_S] = (self._clock_ms + np.arange(len(rows))) / MS_PER_S
         rows[:, Col.DISTANCE] += self._past_m
@@ -424,12 +442,21 @@ class Journey:
             )
         if self._car.finished:
             self._past_m = float(rows[-1, Col.DISTANCE]) if len(rows) else self._past_m
-            self._car = None
+            self._car, self._is_ending = None, False
             self._next_trip = next(self._trips, None)
         return rows
 
-    def _set_off(self, trip: PlannedTrip) -> Trip:
-        self._clock_ms += round(min(trip.parked_s, self._longest_stay_s) * MS_PER_S)
+    def _next_car(self) -> Trip:
+        trip = self._next_trip or (self.departure.trip if self.departure is not None else None)
+        if trip is None:
+            raise EmulatorConfigError("a drive has at least one trip")
+        stay_s, self._stay_s = self._stay_s, None
+        if stay_s is None:
+            return self._set_off(trip, min(trip.parked_s, self._longest_stay_s))
+        return self._set_off(replace(trip, parked_s=stay_s), stay_s)
+
+    def _set_off(self, trip: PlannedTrip, shown_stay_s: float) -> Trip:
+        self._clock_ms += round(shown_stay_s * MS_PER_S)
         least_k = COLDEST_PARKED_K if trip.parked_s > 0.0 else 0.0
         oil_k = cooled_k(self._warmth.oil_k, self._ambient_k, trip.parked_s, OIL_PARKED_TIME_CONSTANT_S)
         coolant_k = cooled_k(self._warmth.coolant_k, self._ambient_k, trip.parked_s, COOLANT_PARKED_TIME_CONSTANT_S)

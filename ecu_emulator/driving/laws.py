@@ -78,6 +78,7 @@ class ChoiceParameters(NamedTuple):
     down_margin_rad_s: float
     top_rad_s: float
     down_top_rad_s: float
+    over_rad_s: float
     up_dwell_s: float
     down_dwell_s: float
     settle_s: float

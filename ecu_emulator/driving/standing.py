@@ -62,10 +62,7 @@ def starting_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> int
     now_rad_s = gear_speed_rad_s(sense, current, law)
     if p.down_ratio * low_rad_s < soon_m_s * per_m_s * law.drive.overall_ratios[current] and now_rad_s < p.top_rad_s:
         return current
-    gear = tcu_data.MOST_GEARS
-    while gear > 1 and soon_m_s * per_m_s * law.drive.overall_ratios[gear] < p.up_ratio * low_rad_s:
-        gear -= 1
-    return gear
+    return gear_choice.highest_pulling_gear(memory, sense, per_m_s, soon_m_s, law)
 
 
 @part
@@ -73,6 +70,8 @@ def gear_while_open(memory: FloatArray, sense: FloatArray, commands: FloatArray,
     """Change gears with both clutches open, the target shown first; True once the right gear is engaged."""
     current, target = int(memory[tcu_data.CURRENT_GEAR]), int(memory[tcu_data.TARGET_GEAR])
     are_open = max(sense[tcu_data.FILL], sense[tcu_data.FILL + 1]) < law.drive.control.preselect_fill_ratio
+    if target == current and not are_open and gear_choice.is_gear_lost(memory, sense, law):
+        return False
     if target == current and are_open:
         target = starting_gear(memory, sense, law)
         if target != current:

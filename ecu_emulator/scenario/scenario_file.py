@@ -12,6 +12,7 @@ from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.scenario.faults import (
     NOMINAL_SENSORS,
     BusFault,
+    BusFaultKind,
     CauseKind,
     Degradation,
     Fault,
@@ -83,6 +84,9 @@ def parse_fault(table: object) -> Fault:
     word = str(table.get("kind")).replace("_", "-")
     if word in list(CauseKind):
         return record_from(Degradation, {**table, "kind": word}, error=EmulatorConfigError)
+    if "kind" in table and "quantity" not in table and table["kind"] not in list(BusFaultKind):
+        kinds = f"{', '.join(BusFaultKind)} (of the bus), {', '.join(CauseKind)} (of the car)"
+        raise EmulatorConfigError(f"kind must be one of {kinds}, got {table['kind']!r}")
     kind: type[SensorFault | BusFault] = SensorFault if "quantity" in table else BusFault
     return record_from(kind, table, error=EmulatorConfigError)
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
+from ecu_emulator import EmulatorConfigError
 from tests.support.documents import ROOT, page_text
 from tests.support.patience import HANG_S
 from tests.support.ports import free_port
@@ -46,6 +47,13 @@ def test_every_example_is_listed_and_played() -> None:
     assert set(re.findall(r"\[(\w+\.py)\]", page_text("examples/bench/README.md"))) == programs
     source = (ROOT / "tests/integration/test_bench_examples.py").read_text(encoding="utf-8")
     assert {name for name in programs if f'output_of("{name}"' in source} == programs
+
+
+def test_a_virtual_car_with_a_cause_that_there_is_not_says_which_there_are(
+    virtual_car: Callable[..., VirtualCar],
+) -> None:
+    with pytest.raises(EmulatorConfigError, match=r"aged-fluid, water, .*, glazed-lining, .* got 'rust'"):
+        virtual_car(cause="rust")
 
 
 def test_a_virtual_car_has_its_cause_its_bus_its_tester_and_its_truth(virtual_car: Callable[..., VirtualCar]) -> None:

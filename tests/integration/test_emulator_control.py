@@ -288,6 +288,60 @@ def test_an_engine_that_is_off_is_silent_for_as_long_as_the_clock_says() -> None
         Drive(drive_scenario()).end_trip()
 
 
+def trip_numbers(drive: Drive, stop: threading.Event, orders: LiveOrders, count: int) -> list[int]:
+    """Return the trips that begin within some stretches of the drive, whose stays end by orders alone."""
+    numbers = list[int]()
+    for _ in range(count):
+        if drive.finished:
+            break
+        stretch = drive.advance(0.02)
+        numbers += [truth.number for truth in stretch.truths if isinstance(truth, TripTruth)] if stretch else []
+        staying = threading.Thread(target=orders.stay, args=(stop,))
+        staying.start()
+        staying.join(HANG_S)
+        assert not staying.is_alive(), "the car waits to be switched on, though it was"
+    return numbers
+
+
+def test_orders_that_come_within_a_step_are_all_carried_out_in_their_order() -> None:
+    """Somebody who presses a button twice means both."""
+    times_s = iter([100.0, 100.001, 107.0, 107.5])
+    drive = Drive(replace(load_scenario("ideal"), drive=DriveName.CITY))
+    orders, stop = LiveOrders(drive, lambda: next(times_s)), threading.Event()
+    assert drive.advance(2.0) is not None
+    orders.switch_engine(is_on=False)
+    with pytest.raises(EmulatorConfigError, match="the engine is off already"):
+        orders.switch_engine(is_on=False)
+    orders.switch_engine(is_on=True)
+    with pytest.raises(EmulatorConfigError, match="the engine is on already"):
+        orders.switch_engine(is_on=True)
+    orders.switch_engine(is_on=False)
+    orders.switch_engine(is_on=True)
+    orders.end_trip()
+    orders.end_trip()
+    assert trip_numbers(drive, stop, orders, 12) == [2, 3]
+    assert drive.finished  # a drive of one trip: it was switched on again twice, and ended for good
+
+
+def test_trips_of_a_day_that_are_ended_at_once_are_all_ended() -> None:
+    drive = Drive(replace(load_scenario("ideal"), drive=DriveName.DAY), longest_stay_s=1.0)
+    orders, stop = LiveOrders(drive), threading.Event()
+    assert drive.advance(2.0) is not None
+    for _ in range(3):
+        orders.end_trip()
+    assert trip_numbers(drive, stop, orders, 8) == [2, 3, 4]
+
+
+def test_a_car_that_is_off_takes_no_order_to_drive() -> None:
+    drive = Drive(replace(load_scenario("ideal"), drive=DriveName.CITY))
+    orders = LiveOrders(drive)
+    orders.switch_engine(is_on=False)
+    with pytest.raises(EmulatorConfigError, match="the engine is off: there is no trip to end"):
+        orders.end_trip()
+    with pytest.raises(EmulatorConfigError, match="the engine is off: there is no gear to engage"):
+        orders.request_gear(3)
+
+
 def test_a_gear_is_engaged_on_request_and_the_map_goes_on_afterwards() -> None:
     drive = Drive(replace(load_scenario("ideal"), drive=DriveName.HWFET))
     assert drive.advance(60.0) is not None  # at 70 km/h in the highest gear
@@ -297,5 +351,5 @@ def test_a_gear_is_engaged_on_request_and_the_map_goes_on_afterwards() -> None:
     assert [(truth.from_gear, truth.to_gear) for truth in stretch.truths if isinstance(truth, EventTruth)][:2] == [
         (6, 5), (5, 4),
     ]  # fmt: skip
-    with pytest.raises(EmulatorConfigError, match=r"gear must be 1\.\.6"):
+    with pytest.raises(EmulatorConfigError, match=r"gear must be a whole number, 1\.\.6"):
         drive.request_gear(7)

@@ -85,6 +85,12 @@ def test_damage_in_a_log_is_counted_and_told(drive_log: Path, tmp_path: Path) ->
         (("analyze", "{log}", "--dbc", "{tmp}/foreign.dbc"), 2, "no message ECM_TorqueSpeed"),
         (("analyze", "{tmp}/empty.log"), 3, "empty.log"),
         (("analyze", "{tmp}/empty"), 2, "holds no log"),
+        (("inspect", "{tmp}/empty"), 2, "holds no log that can be read"),
+        (
+            ("decode", "{log}", "-o", "{tmp}/x.log"),
+            2,
+            "parquet, csv, jsonl or arrow (--format; from Python table_format)",
+        ),
         (("analyze", "{tmp}/pipe"), 3, "it is a pipe, not a plain file"),
         (("analyze", "{log}", "--dbc", "/dev/zero"), 2, "it is a device"),
         (("analyze", "{log}", "--store", "{tmp}/garbage.log"), 4, "not a database"),

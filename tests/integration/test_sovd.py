@@ -19,11 +19,14 @@ import odxtools.exceptions
 import pytest
 from odxtools.diagservice import DiagService
 
+from ecu_emulator import Emulator
 from tests.support.documents import page_text
 from tests.support.doip.tester import Tester, is_pending
+from tests.support.patience import HANG_S
 from tests.support.ports import free_port
 from tests.support.uds.pdx_client import PARKED, PdxClient, read_back, templates_compiled_once
 from tests.tools.pdx.package import FILE
+from workshop import Answers
 from workshop.controller.controller import Controller
 from workshop.controller.doip_server import DoipAddress, DoipServer
 from workshop.controller.iso14229 import DEFAULT_SESSION, Service
@@ -160,17 +163,27 @@ def test_the_package_loads_strictly_and_every_service_of_it_is_answered_over_ip(
     assert len(figures.positive) > len(figures.requests) * 3 // 4
 
 
+def codes_of(port: int, mask: int) -> str:
+    with Tester(port) as tester:
+        return tester.first(f"19 02 {mask:02x}")
+
+
 def test_the_page_reads_faults_and_starts_an_operation_by_the_names_of_the_package() -> None:
+    """The page's order leads to the fault that the car here begins with; the code is there when the page asks."""
     (block,) = re.findall(r"^```python\n(import odxtools .*?)^```", page_text(PAGE), re.MULTILINE | re.DOTALL)
-    controller = Controller(
-        shipped_table(), values=lambda: {**PARKED}, clock=time.monotonic, chance=secrets.token_bytes
-    )
-    place = DoipAddress(host="127.0.0.1", port=free_port())
-    ports = f"0x1011, tcp_port={place.port}, udp_port={place.port}"
+    (order,) = re.findall(r"^ecu-emulator control \S+ code (\w+)", page_text(PAGE), re.MULTILINE)
+    port = free_port()
+    ports = f"0x1011, tcp_port={port}, udp_port={port}"
     said: list[Any] = []
-    with DoipServer(controller, place), patch("builtins.print", lambda *words: said.append(words)):
-        exec(block.replace("0x1011", ports), {"__name__": "page"})  # noqa: S102 - what the page is for
-    (speed,), (codes,), (outcome,) = said
+    with Emulator("ideal", is_endless=True, is_prompt=True, answers=Answers(doip=str(port))) as car:
+        for fault in next(trouble.faults for trouble in shipped_table().troubles.values() if trouble.code == order):
+            car.add_fault(fault)
+        car.wait_until(1.0, HANG_S)  # its server is there before its first frame
+        while len(codes_of(port, 0x04)) <= len("59 02 ff"):
+            assert car.is_driving
+        with patch("builtins.print", lambda *words: said.append(words)):
+            exec(block.replace("0x1011", ports), {"__name__": "page"})  # noqa: S102 - what the page is for
+    (speed,), *codes, (outcome,) = said
     assert speed == {"speed": 46.6}
-    assert codes["trouble_codes"] == []
+    assert codes == [(f"{order}-64",)]  # the failure type behind it: signal plausibility
     assert outcome["response_code"] == "security access denied"

@@ -10,6 +10,7 @@ from dbc.contract import load_contract
 from ecu_emulator import Emulator, EmulatorConfigError
 from ecu_emulator.bus.sent_values import SentValues
 from ecu_emulator.drive.recording import frames_of
+from ecu_emulator.drive.stepping import StepGrid
 from workshop import Answers
 
 CONTRACTS = {contract.can_id: contract for contract in message_contracts(load_contract("nominal")).values()}
@@ -72,17 +73,123 @@ def test_somebody_else_moves_the_car_and_counters_and_checksums_go_on() -> None:
 @pytest.mark.parametrize(
     ("step", "text"),
     [
-        ((0.0105,), "whole milliseconds"),
-        ((0.0,), "whole milliseconds"),
+        ((0.0,), "duration_s must be above 0, up to 600, got 0"),
+        ((-0.01,), "duration_s must be"),
+        ((float("nan"),), "duration_s must be above 0, up to 600, got nan"),
+        ((float("inf"),), "duration_s must be above 0, up to 600, got inf"),
+        ((float("nan"), 5.0, 0.2), "duration_s must be"),
+        ((1e6,), "duration_s must be"),
         ((0.01, 5.0), "belong together"),
-        ((0.01, -1.0, 0.2), "no car has speed_m_s -1"),
-        ((0.01, 5.0, 1.2), "no car has"),
-        ((0.01, float("nan"), 0.2), "no car has"),
+        ((0.01, -1.0, 0.2), "speed_m_s must be 0..100, got -1"),
+        ((0.01, 1e6, 0.2), "speed_m_s must be 0..100, got 1e\\+06"),
+        ((0.01, 5.0, 1.2), "pedal_ratio must be 0..1, got 1.2"),
+        ((0.01, float("nan"), 0.2), "speed_m_s must be 0..100, got nan"),
+        ((0.01, 5.0, float("nan")), "pedal_ratio must be 0..1, got nan"),
     ],
 )
 def test_a_step_that_cannot_be_says_so(step: tuple[float, ...], text: str) -> None:
     with pytest.raises(EmulatorConfigError, match=text):
         Emulator("ideal").step(*step)
+
+
+@pytest.mark.parametrize("ticks_per_s", [30, 60, 144])
+def test_the_ticks_of_games_neither_drift_nor_change_a_frame(ticks_per_s: int) -> None:
+    """Each tick ends at the millisecond nearest to it; the frames are those of any other steps."""
+    game, other = Emulator("case2", seed=7), Emulator("case2", seed=7)
+    ticks = [game.step(1.0 / ticks_per_s) for _ in range(4 * ticks_per_s)]
+    whole = [message for _ in range(4) for message in other.step(1.0)]
+    assert game.sent_s == other.sent_s
+    assert [(frame.timestamp, bytes(frame.data)) for tick in ticks for frame in tick] == [
+        (frame.timestamp, bytes(frame.data)) for frame in whole
+    ]
+
+
+@pytest.mark.parametrize("duration_s", [1.0 / 30.0, 1.0 / 60.0, 0.1])
+def test_an_hour_of_steps_is_an_hour(duration_s: float) -> None:
+    grid, driven_ms = StepGrid(), 0
+    for count in range(1, round(3600.0 / duration_s) + 1):
+        driven_ms += grid.whole_ms(duration_s)
+        assert abs(driven_ms - 1000.0 * count * duration_s) < 0.51
+    assert driven_ms == pytest.approx(3_600_000, abs=1)
+
+
+def test_numbers_that_are_none_are_refused_by_all_that_waits_and_asks() -> None:
+    with Emulator("ideal", drive="city") as car:
+        for gear in (float("nan"), float("inf"), 2.5):
+            with pytest.raises(EmulatorConfigError, match=r"gear must be a whole number, 1\.\.6"):
+                car.request_gear(gear)  # type: ignore[arg-type]  # what a caller without types may hand over
+        with pytest.raises(EmulatorConfigError, match="t_s must be a number, got nan"):
+            car.wait_until(float("nan"), 1.0)
+        with pytest.raises(EmulatorConfigError, match="timeout_s must be a number, got nan"):
+            car.wait_until(1.0, float("nan"))
+        with pytest.raises(EmulatorConfigError, match="timeout_s must be a number, got nan"):
+            car.wait(float("nan"))
+
+
+def shown_of(car: Emulator, course: list[tuple[float, float]]) -> dict[str, list[float]]:
+    """Return speeds and gears that the bus shows after each hundredth of a second at these speeds and pedals.
+
+    Lists end with the course; they begin when a quantity is first known.
+    """
+    values = SentValues(load_contract(car.scenario.transmission))
+    shown: dict[str, list[float]] = {}
+    for speed_m_s, pedal_ratio in course:
+        heard(car, values, speed_m_s, pedal_ratio)
+        for name, value in values.now({}).items():
+            shown.setdefault(name, []).append(value)
+    return shown
+
+
+FAST_M_S = 100.0 / 3.6
+SHAFTS = ("input1_speed_rad_s", "input2_speed_rad_s", "turbine_speed_rad_s")
+# The limiter begins at 600 rad/s; a converter's engine is dragged beyond it until the gear above has come.
+HIGHEST_RAD_S = {"ideal": 650.0, "lockup": 850.0}
+
+
+def driven_off(last_m_s: float) -> list[tuple[float, float]]:
+    """Return the hundredths of a second in which a car gets this fast on its road, and stays so for two seconds."""
+    return [(min(2.5 * 0.01 * tick, last_m_s), 0.3) for tick in range(round(40.0 * last_m_s) + 200)]
+
+
+@pytest.mark.parametrize(("scenario", "pedal_ratio"), [("ideal", 0.0), ("ideal", 1.0), ("lockup", 0.0)])
+def test_a_car_that_is_moved_at_once_finds_its_gear_anew(scenario: str, pedal_ratio: float) -> None:
+    """A game sets a car on the road at 100 km/h, and stops it at a wall: both within one tick."""
+    start, fast, stopped = [(0.0, 0.0)] * 100, [(FAST_M_S, pedal_ratio)] * 700, [(0.0, 0.0)] * 400
+    shown = shown_of(Emulator(scenario), [*start, *fast, *stopped])
+    engine_rad_s = shown["engine_speed_rad_s"]
+    assert max(engine_rad_s) < HIGHEST_RAD_S[scenario]
+    assert max(engine_rad_s[-600:]) < 600.0
+    assert shown["current_gear"][-401] >= 2.0
+    assert shown["current_gear"][-1] == 1.0
+    assert shown["vehicle_speed_m_s"][-1] == pytest.approx(0.0, abs=0.1)
+    assert max(max(shown[name][-100:]) for name in SHAFTS if name in shown) < 20.0
+
+
+@pytest.mark.parametrize("pedal_ratio", [0.0, 0.3])
+def test_a_car_in_its_highest_gear_that_is_stopped_at_once_is_in_first_gear(pedal_ratio: float) -> None:
+    shown = shown_of(Emulator("ideal"), [*driven_off(FAST_M_S), *[(0.0, pedal_ratio)] * 300])
+    assert shown["current_gear"][-301] >= 4.0
+    assert shown["current_gear"][-1] == 1.0
+    assert max(shown["engine_speed_rad_s"]) < HIGHEST_RAD_S["ideal"]
+    for name in ("input1_speed_rad_s", "input2_speed_rad_s"):
+        assert max(shown[name][-300:]) < 400.0
+        assert shown[name][-1] < 20.0
+
+
+def test_a_car_in_a_low_gear_that_is_moved_at_once_spares_its_engine() -> None:
+    shown = shown_of(Emulator("ideal"), [*driven_off(6.0), *[(40.0, 0.3)] * 500])
+    assert shown["current_gear"][-501] <= 2.0
+    assert shown["current_gear"][-1] >= 4.0
+    assert max(shown["engine_speed_rad_s"][-400:]) < HIGHEST_RAD_S["ideal"]
+
+
+def test_hard_braking_turns_no_wheel_backwards() -> None:
+    """Brakes give what the tyres hold; what slows a steered car down beyond that, a wall perhaps, is no brake."""
+    course = driven_off(FAST_M_S)
+    shown = shown_of(Emulator("ideal"), [*course, *[(max(FAST_M_S - 0.3 * tick, 0.0), 0.0) for tick in range(200)]])
+    for name in ("input1_speed_rad_s", "input2_speed_rad_s"):
+        assert max(shown[name][-200:]) < 400.0  # a wheel that runs backwards drives its shafts to the signal's end
+        assert shown[name][-1] < 20.0
 
 
 def test_a_car_has_one_pace_and_one_hand_at_the_wheel() -> None:

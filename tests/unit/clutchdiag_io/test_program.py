@@ -9,8 +9,8 @@ from typing import Any
 import click
 import pytest
 
-from clutchdiag_io.command_line import CONTEXT, FILE, record_of, run, together
-from clutchdiag_io.program import complain
+from clutchdiag_io.command_line import BROUGHT_BY_ANNEXES, CONTEXT, FILE, record_of, run, together
+from clutchdiag_io.program import attached, complain
 
 STATUSES = (((FileNotFoundError, KeyError), 2), (OSError, 3))
 
@@ -75,7 +75,8 @@ def well() -> None:
 
 
 @well.command()
-def clean() -> None:
+@click.option("--bucket", type=int, help="how many")
+def clean(bucket: int | None) -> None:
     """Clean it."""
 
 
@@ -121,7 +122,15 @@ def test_a_command_says_with_which_status_it_ends() -> None:
             "invalid value for '--column': 'x' is not a valid float",
             "oracle answer",
         ),
-        (("answer", "--puase"), "no such option '--puase'. Did you mean '--pause'?", "oracle answer"),
+        (("answer", "--puase"), "no such option '--puase'; did you mean '--pause'?", "oracle answer"),
+        (("answr",), "no such command 'answr'; did you mean 'answer'?", "oracle"),
+        (("answer", "--xyzzy"), "no such option '--xyzzy'", "oracle answer"),
+        (("answer", "--bucket", "2"), "no such option '--bucket'; it is one of well clean", "oracle answer"),
+        (
+            ("well", "clean", "--colur"),
+            "no such option '--colur'; did you mean '--colour' of answer?",
+            "oracle well clean",
+        ),
     ],
 )
 def test_a_complaint_is_one_line_that_names_the_help(
@@ -129,3 +138,32 @@ def test_a_complaint_is_one_line_that_names_the_help(
 ) -> None:
     assert run(oracle, words) == 2
     assert capsys.readouterr() == ("", f"oracle: error: {text} (see {helper} --help)\n")
+
+
+@pytest.mark.parametrize("name", ["diag-service", "ecu-emulator"])
+def test_a_command_of_an_annex_that_is_not_installed_says_what_brings_it(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    @click.group(name, context_settings=CONTEXT)
+    def core() -> None:
+        """Be a program without its annexes."""
+
+    core.command("history")(lambda: None)
+    core.command("run")(lambda: None)
+    brought = [words.split()[1:] for words in BROUGHT_BY_ANNEXES if words.split()[0] == name]
+    assert brought
+    for words in brought:
+        assert run(core, words) == 2
+        err = capsys.readouterr().err
+        assert err.startswith(f"{name}: error: {words[-1]} comes with the distribution clutchdiag-workshop: ")
+        assert "pip install './workshop[" in err
+
+
+def test_what_annexes_bring_is_known_by_name() -> None:
+    """The table that the core has for those who did not install an annex is what the annex attaches."""
+    commands = {f"diag-service {name}" for name in attached("diag_service.commands")}
+    function = click.command()(lambda: None)
+    for option in attached("ecu_emulator.answers")["options"]:
+        function = option(function)
+    options = {f"ecu-emulator run {option.opts[0]}" for option in function.params}
+    assert commands | options == set(BROUGHT_BY_ANNEXES)

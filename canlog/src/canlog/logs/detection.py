@@ -106,6 +106,7 @@ OTHER_FORMATS: Mapping[bytes, str] = {
     b"FormatVersion=": "a message database (SYM): it belongs behind --dbc",
     b"<?xml": "an XML text",
 }
+PAGES: tuple[bytes, ...] = (b"<!doctype html", b"<html")  # in lower case
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -255,6 +256,8 @@ def _counted(log_format: LogFormat, lines: Sequence[bytes]) -> tuple[int, int]:
 
 def _not_known(probe: bytes, hint: str) -> str:
     other = next((name for magic, name in OTHER_FORMATS.items() if probe.startswith(magic)), "")
+    if probe.lstrip().lower().startswith(PAGES):  # whose styles look like columns
+        other = "an HTML page"
     known = f"not a log of a known format ({', '.join(LogFormat)})"
     if not other and (advice := _as_table(probe)):
         return f"{known}: {advice}"

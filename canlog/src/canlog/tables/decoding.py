@@ -422,8 +422,9 @@ class TableChoice:
                 FORMAT_OF_SUFFIX[output.suffix.lower()] if self.table_format is None else TableFormat(self.table_format)
             )
         except (KeyError, ValueError):
-            known = f"{', '.join(FORMAT_OF_SUFFIX)}, or as table_format says: {', '.join(TableFormat)}"
-            raise OutputError(f"{output}: signals are written as {known}") from None
+            *some, last = TableFormat
+            named = f"name it: {', '.join(some)} or {last} (--format; from Python table_format)"
+            raise OutputError(f"{output} says no format, as {', '.join(FORMAT_OF_SUFFIX)} do; {named}") from None
 
 
 EVERY_SIGNAL: Final = TableChoice()

@@ -70,3 +70,15 @@ def test_a_binary_format_names_itself(probe: bytes, log_format: LogFormat) -> No
     found = detect(probe)
     assert found.format is log_format
     assert found.evidence.startswith("it begins with")
+
+
+@pytest.mark.parametrize(
+    "begin", [b"<!DOCTYPE html>\n<html>", b"\n <!doctype HTML>\n<html>", b"<html>", b"<HTML lang=en>"]
+)
+def test_a_page_is_named_and_its_styles_are_no_columns(begin: bytes) -> None:
+    styles = (
+        b"<style>:root { --paper: #fff; --ink: #223; --muted: #567; --rule: #d5d; }\np { a: b; c: d; e: f; g: h; }\n"
+    )
+    with pytest.raises(SourceError, match="an HTML page") as raised:
+        detect(begin + b"\n<head>" + styles * 20)
+    assert "--" not in str(raised.value)
