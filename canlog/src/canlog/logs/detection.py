@@ -18,7 +18,7 @@ from canlog.logs.columns import NO_HEADER, ColumnsLog, header_names, is_list, pr
 from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.programs import CLX000_HEADER, Busmaster, Clx000, Trc
 from canlog.logs.log_counts import LogCounts
-from canlog.logs.table_headers import LEAST_ROWS, table_header
+from canlog.logs.signal_tables import LEAST_ROWS, table_header
 from canlog.logs.text_log import BYTE_ORDER_MARK, TextLog, frames_of
 
 PROBE_BYTES = 64 * 1024

@@ -1,4 +1,4 @@
-"""What the reader of tables made of the tables of the tests; ``python -m canlog_tests.logs.table_goldens`` renews it."""
+"""What was read of the tables of the tests; ``python -m canlog_tests.logs.table_goldens`` renews it."""
 
 import io
 import json

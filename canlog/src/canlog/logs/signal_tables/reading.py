@@ -17,23 +17,11 @@ from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG, FrameBatch, empty_batch, join
 from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.table_headers import (
-    DAY_US,
-    LONG_UNITS,
-    MOST_COLUMNS,
-    MOST_VALUE,
-    PROBE_BYTES,
-    WORD,
-    TableHeader,
-    cells_of,
-    lines_in,
-    moment_us,
-    number_in,
-    place_of,
-    stripped,
-    table_header,
-    ungrouped,
-)
+from canlog.logs.signal_tables.cells import MOST_VALUE, WORD, number_in, ungrouped
+from canlog.logs.signal_tables.clock import DAY_US, moment_us
+from canlog.logs.signal_tables.dialect import cells_of, lines_in, stripped
+from canlog.logs.signal_tables.header import MOST_COLUMNS
+from canlog.logs.signal_tables.table import LONG_UNITS, PROBE_BYTES, TableHeader, place_of, table_header
 
 BLOCK_BYTES: Final = 1024 * 1024
 MOST_ROW_BYTES: Final = 256 * 1024  # whatever is longer is no row
