@@ -18,7 +18,7 @@ from canlog.logs.columns import NO_HEADER, ColumnsLog, header_names, is_list, pr
 from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.programs import CLX000_HEADER, Busmaster, Clx000, Trc
 from canlog.logs.log_counts import LogCounts
-from canlog.logs.signal_tables import LEAST_ROWS, table_header
+from canlog.logs.signal_tables import LEAST_ROWS, NoTable, table_of
 from canlog.logs.text_log import BYTE_ORDER_MARK, TextLog, frames_of
 
 PROBE_BYTES = 64 * 1024
@@ -193,11 +193,13 @@ def detect_text(probe: bytes) -> Detected:
             hint, most = f"{shown} fit {log_format}", frames
     if named := _by_named_columns(text):
         return named
-    if header := table_header(probe):
-        what, is_long = f"line {header.lines} is followed by rows of", header.name_place is not None
-        what += " one value each" if is_long else f" {len(header.columns)} signals"
-        return Detected(format=LogFormat.SIGNALS, evidence=what, columns=header.columns, is_long=is_long)
-    raise SourceError(_not_known(probe, hint))
+    table = table_of(probe)
+    if isinstance(table, NoTable):
+        raise SourceError(_not_known(probe, hint, table))
+    is_long = table.name_place is not None
+    rows = "one value each" if is_long else f"{len(table.columns)} signals"
+    evidence = f"line {table.lines} is followed by rows of {rows}: {'; '.join(table.reasons)}"
+    return Detected(format=LogFormat.SIGNALS, evidence=evidence, columns=table.columns, is_long=is_long)
 
 
 def _by_named_columns(text: bytes) -> Detected | None:
@@ -253,11 +255,13 @@ def _counted(log_format: LogFormat, lines: Sequence[bytes]) -> tuple[int, int]:
     return frames, len(lines) - frames - skipped
 
 
-def _not_known(probe: bytes, hint: str) -> str:
+def _not_known(probe: bytes, hint: str, no_table: NoTable) -> str:
+    """Return why a text is no log."""
     other = next((name for magic, name in OTHER_FORMATS.items() if probe.startswith(magic)), "")
     known = f"not a log of a known format ({', '.join(LogFormat)})"
-    if not other and (advice := _as_table(probe)):
-        return f"{known}: {advice}"
+    advice = "" if other or no_table.is_list else _as_table(probe)
+    if not other and (no_table.why or advice):
+        return f"{known}: {'; '.join(filter(None, (no_table.why, advice)))}"
     return f"{known}: {other or f'only {hint}'}" if other or hint else known
 
 
