@@ -1,7 +1,6 @@
 """One drive, written in every dialect, is read with the same names, units, times and values."""
 
 import random
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -21,10 +20,10 @@ COLUMNS = (SignalColumn("Engine RPM", "rpm"), SignalColumn("Druck", "bar"), Sign
 
 def drive_of(speed_rpm: list[int], pressure_bar: list[float], step_ms: int) -> Drive:
     oil = [80.0 + row // 20 if row % 4 == 0 else None for row in range(COUNT)]
-    series: tuple[Sequence[float | None], ...] = ([float(value) for value in speed_rpm], pressure_bar, oil)
+    speed, pressure, temperature = COLUMNS
     return Drive(
         times_ms=[step_ms * row for row in range(COUNT)],
-        channels={column: (digits, values) for column, digits, values in zip(COLUMNS, (0, 2, 0), series, strict=True)},
+        channels={speed: (0, [*map(float, speed_rpm)]), pressure: (2, pressure_bar), temperature: (0, oil)},
     )
 
 
