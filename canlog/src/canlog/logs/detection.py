@@ -79,7 +79,7 @@ HEADERS: Mapping[LogFormat, re.Pattern[bytes]] = {
 TYPICAL: Mapping[LogFormat, re.Pattern[bytes]] = {
     LogFormat.CONSOLE: re.compile(
         rb"(?:\x1b\[[\d;]*m|\s)*(?:\([-\d.: ]+\)\s+)?(?:\x1b\[[\d;]*m)*\s*"  # colours, a time
-        rb"[\w.-]+[^\n\[{]{0,40}[0-9A-F]{3}\s+[\[{]|DROPCOUNT:"
+        rb"[\w.-]+[^\n\[{]{0,40}[0-9A-F]{1,8}\s+[\[{]|DROPCOUNT:"
     ),
     LogFormat.TRC: re.compile(rb"\s*(?:\d+\)\s+-?[\d.]+\s|;)"),
     LogFormat.CSV: re.compile(rb"[\d.eE+-]+,\s*0x[0-9a-fA-F]+,[01],"),
