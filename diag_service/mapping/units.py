@@ -39,7 +39,7 @@ TO_SI: Final[Mapping[str, Mapping[str, Conversion]]] = {
             Conversion(rad_s_from_rpm(1.0)),
         ),
         **dict.fromkeys(
-            ("min^-1", "min⁻¹", "revs/min", "tr/min", "obr/min", "ot/min", "об/мин"), Conversion(rad_s_from_rpm(1.0))
+            ("min^-1", "min⁻¹", "revs/min", "tr/min", "obr/min", "об/мин"), Conversion(rad_s_from_rpm(1.0))
         ),
         "rad/s": SAME,
     },

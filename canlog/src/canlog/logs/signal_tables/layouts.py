@@ -1,6 +1,7 @@
 """Layouts of programs whose headers are no row of names: each finds its own in the first lines of a table."""
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -153,10 +154,9 @@ def vcds(sheet: Sheet) -> Iterator[Stated]:
     """
     rows = sheet.rows
     for place in range(min(PREAMBLE_ROWS, len(rows) - 2)):
-        clocks = tuple(n for n, cell in enumerate(rows[place]) if cell.strip().upper() in TIMES_OF_VCDS)
         below, last = rows[place + 1], rows[place + 2]
-        stamps = {"".join(below[clock : clock + 1]).strip().upper() for clock in clocks}
-        if len(stamps) != 1 or not _is_stamp(stamps.pop(), len(clocks)):
+        clocks = _clocks_of_vcds(rows[place], below)
+        if not clocks:
             continue
         width = max(len(stripped(row)) for row in (rows[place], below))
         is_of_values = any(NUMBER.fullmatch("".join(last[clock : clock + 1]).strip()) for clock in clocks)
@@ -176,9 +176,25 @@ def vcds(sheet: Sheet) -> Iterator[Stated]:
         )  # fmt: skip
 
 
-def _is_stamp(word: str, count: int) -> bool:
-    """Return whether a word below the times of VCDS is that for a stamp: a known one, or the same below several."""
-    return word in STAMPS_OF_VCDS or (count > 1 and len(word) > 3 and word.isalpha() and word.casefold() not in UNITS)
+def _clocks_of_vcds(times: Sequence[str], below: Sequence[str]) -> tuple[int, ...]:
+    """Return where a word for time stands over the same word for a stamp: a known one, or one that comes twice.
+
+    A channel may be called a time as well; below that stands its unit.
+    """
+    words = {
+        n: word.strip().upper() for n, (time, word) in enumerate(zip(times, below, strict=False)) if _is_time(time)
+    }
+    counts = Counter(words.values())
+    stamps = [word for word, count in counts.items() if word in STAMPS_OF_VCDS or (count > 1 and _may_be_stamp(word))]
+    return tuple(place for place, word in words.items() if word in stamps[:1])
+
+
+def _is_time(cell: str) -> bool:
+    return cell.strip().upper() in TIMES_OF_VCDS
+
+
+def _may_be_stamp(word: str) -> bool:
+    return len(word) > 3 and word.isalpha() and word.casefold() not in UNITS
 
 
 def named(sheet: Sheet) -> Iterator[Stated]:

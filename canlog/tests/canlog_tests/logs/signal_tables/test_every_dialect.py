@@ -7,24 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from canlog.database.signal_columns import SignalColumn, column_id
+from canlog.database.signal_columns import column_id
 from canlog.frames import EXTENDED_FLAG
 from canlog.logs.detection import LogFormat, detect
 from canlog.logs.signal_tables import read_signal_table
-from canlog_tests.logs.signal_tables.dialects import CLOCKS, Dialect, Drive, drawn, written
 from tests.support.batches import read_whole
+from tests.support.table_dialects import CLOCKS, Dialect, Drive, drawn, drive_of, written
 
 COUNT = 60
-COLUMNS = (SignalColumn("Engine RPM", "rpm"), SignalColumn("Druck", "bar"), SignalColumn("Öl", "°C"))
-
-
-def drive_of(speed_rpm: list[int], pressure_bar: list[float], step_ms: int) -> Drive:
-    oil = [80.0 + row // 20 if row % 4 == 0 else None for row in range(COUNT)]
-    speed, pressure, temperature = COLUMNS
-    return Drive(
-        times_ms=[step_ms * row for row in range(COUNT)],
-        channels={speed: (0, [*map(float, speed_rpm)]), pressure: (2, pressure_bar), temperature: (0, oil)},
-    )
 
 
 def is_read(drive: Drive, dialect: Dialect) -> None:

@@ -10,6 +10,7 @@ from typing import Final
 
 from canlog.database.signal_columns import SignalColumn
 
+COLUMNS: Final = (SignalColumn("Engine RPM", "rpm"), SignalColumn("Druck", "bar"), SignalColumn("Öl", "°C"))
 START: Final = datetime(2026, 3, 25, 9, 59, 40, tzinfo=UTC)  # a clock of twelve hours reaches ten within a drive
 
 
@@ -152,3 +153,13 @@ def written(drive: Drive, dialect: Dialect) -> bytes:
 
 def _behind(column: SignalColumn, dialect: Dialect) -> str:
     return f" {column.unit}" if dialect.has_units_in_cells else ""
+
+
+def drive_of(speed_rpm: Sequence[float], pressure_bar: Sequence[float], step_ms: int) -> Drive:
+    """Return a drive of three channels in steady steps; oil is told in every fourth row."""
+    speed, pressure, temperature = COLUMNS
+    oil = [80.0 + row // 20 if row % 4 == 0 else None for row in range(len(speed_rpm))]
+    return Drive(
+        times_ms=[step_ms * row for row in range(len(speed_rpm))],
+        channels={speed: (0, speed_rpm), pressure: (2, pressure_bar), temperature: (0, oil)},
+    )
