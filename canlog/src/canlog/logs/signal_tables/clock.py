@@ -50,7 +50,7 @@ COUNTERS: Final = re.compile(
 """Names of columns that number rows, or what is listed in them."""
 
 
-class ClockReading(Protocol):
+class TimeReading(Protocol):
     """How the cells of a clock are read."""
 
     @property
@@ -136,7 +136,7 @@ class Packed:
 class ReadClock(NamedTuple):
     """How a column of times is read, its times [us], and what had to be assumed."""
 
-    reading: ClockReading
+    reading: TimeReading
     time_us: FloatArray
     notes: tuple[str, ...] = ()
 
@@ -150,7 +150,7 @@ def clock_reading(cells: Sequence[str], column: SignalColumn, marks: Marks = PLA
         reading, notes = _counted(numbers[is_number], column)
         return ReadClock(reading, numbers * reading.unit_us + reading.origin_us, notes)
     month_first, notes = is_month_first([cell for cell in cells if cell])
-    kinds: tuple[ClockReading, ...] = (OfDay(), Dated(is_month_first=month_first), OfHour())
+    kinds: tuple[TimeReading, ...] = (OfDay(), Dated(is_month_first=month_first), OfHour())
     for kind in kinds:
         time_us = kind.times_us(cells, marks)
         if filled and np.isfinite(time_us).sum() >= LEAST_RISING * filled:
@@ -222,11 +222,11 @@ def _plain(name: str) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Clock:
+class RowClock:
     """Where the times of rows stand, and how they are read."""
 
     place: int
-    reading: ClockReading
+    reading: TimeReading
     date_place: int | None = None  # of the days, where times of day have a column of their own
     is_month_first: bool = False  # in it
     base_us: float = 0.0  # that times count from
@@ -236,14 +236,16 @@ class Clock:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NoClock:
+class NoRowClock:
     """Why no column of a table holds its times."""
 
     why: str
     is_list: bool = False  # of things: no log at all
 
 
-def clock_of(columns: Sequence[SignalColumn], cells: Sequence[Sequence[str]], marks: Marks = PLAIN) -> Clock | NoClock:
+def clock_of(
+    columns: Sequence[SignalColumn], cells: Sequence[Sequence[str]], marks: Marks = PLAIN
+) -> RowClock | NoRowClock:
     """Return the clock of the rows of a table, or why there is none.
 
     Parameters
@@ -270,11 +272,11 @@ def clock_of(columns: Sequence[SignalColumn], cells: Sequence[Sequence[str]], ma
 
 def stated_clock(
     places: Sequence[int],
-    reading: ClockReading | None,
+    reading: TimeReading | None,
     columns: Sequence[SignalColumn],
     cells: Sequence[Sequence[str]],
     marks: Marks = PLAIN,
-) -> Clock | NoClock:
+) -> RowClock | NoRowClock:
     """Return the first clock that rises of those that a header states, and perhaps how it is read; or why none does."""
     for place in places:
         read = (
@@ -284,8 +286,8 @@ def stated_clock(
         )
         if read is not None and _rises(cells[place], read):
             why = f"the header says that {columns[place].name!r} holds times"
-            return Clock(place=place, reading=read.reading, why=why, notes=read.notes, time_us=read.time_us)
-    return NoClock(why=f"the times in {columns[places[0]].name!r} cannot be read or do not rise")
+            return RowClock(place=place, reading=read.reading, why=why, notes=read.notes, time_us=read.time_us)
+    return NoRowClock(why=f"the times in {columns[places[0]].name!r} cannot be read or do not rise")
 
 
 def _may_be_first(cells: Sequence[Sequence[str]], names: Sequence[str]) -> bool:
@@ -322,14 +324,14 @@ def _with_days(
     columns: Sequence[SignalColumn],
     cells: Sequence[Sequence[str]],
     days: Sequence[int],
-) -> Clock:
+) -> RowClock:
     """Return a clock, with the column of its days where times of day have one."""
     date_place = next((other for other in days if other != place), None) if isinstance(read.reading, OfDay) else None
     if date_place is None:
-        return Clock(place=place, reading=read.reading, why=why, notes=read.notes, time_us=read.time_us)
+        return RowClock(place=place, reading=read.reading, why=why, notes=read.notes, time_us=read.time_us)
     month_first, notes = is_month_first([cell for cell in cells[date_place] if cell])
     day_us = np.array([_us(moment_of(cell, is_month_first=month_first)) for cell in cells[date_place]])
-    return Clock(
+    return RowClock(
         place=place, reading=read.reading, date_place=date_place, is_month_first=month_first,
         why=f"{why}, on the days of {columns[date_place].name!r}", notes=(*read.notes, *notes),
         time_us=read.time_us + day_us,
@@ -340,15 +342,15 @@ def _us(moment: Moment | None) -> float:
     return np.nan if moment is None else moment.us
 
 
-def _steady_clock(columns: Sequence[SignalColumn], cells: Sequence[Sequence[str]], marks: Marks) -> Clock | None:
+def _steady_clock(columns: Sequence[SignalColumn], cells: Sequence[Sequence[str]], marks: Marks) -> RowClock | None:
     """Return the only column that always rises in steady steps, as a clock does; None if none does, or several do."""
-    found = list[Clock]()
+    found = list[RowClock]()
     for place, column in enumerate(columns if not _is_list(cells) else ()):
         read = clock_reading(cells[place], column, marks) if _is_steady(cells[place], column, marks) else None
         if read is not None:
             why = f"{column.name!r} alone rises in steady steps"
             notes = (f"no column is named as a time: {why}, and is taken as the time", *read.notes)
-            found.append(Clock(place=place, reading=read.reading, why=why, notes=notes, time_us=read.time_us))
+            found.append(RowClock(place=place, reading=read.reading, why=why, notes=notes, time_us=read.time_us))
     return found[0] if len(found) == 1 else None
 
 
@@ -366,18 +368,20 @@ def _is_steady(cells: Sequence[str], column: SignalColumn, marks: Marks) -> bool
     return bool(np.all(steps_us > 0.0) and np.mean(np.abs(steps_us - usual_us) < 0.5 * usual_us) >= STEADY)
 
 
-def _no_clock(names: Sequence[str], cells: Sequence[Sequence[str]], named: Sequence[int]) -> NoClock:
+def _no_clock(names: Sequence[str], cells: Sequence[Sequence[str]], named: Sequence[int]) -> NoRowClock:
     """Return why no column holds times."""
     if named:
         shown = next((cell for cell in cells[named[0]] if cell), "nothing")
-        return NoClock(why=f"the times in {names[named[0]]!r} cannot be read or do not rise; it begins with {shown!r}")
+        return NoRowClock(
+            why=f"the times in {names[named[0]]!r} cannot be read or do not rise; it begins with {shown!r}"
+        )
     if _is_list(cells):
-        return NoClock(why="each row names another thing: a list or catalogue, not a log", is_list=True)
+        return NoRowClock(why="each row names another thing: a list or catalogue, not a log", is_list=True)
     counter = next((name for name, column in zip(names, cells, strict=True) if _counts_rows(column)), None)
     if counter is not None:
         shown = repr(counter) if counter else "the first column"
-        return NoClock(why=f"{shown} only counts the rows, and no other column holds times")
-    return NoClock(why="no column holds times that rise")
+        return NoRowClock(why=f"{shown} only counts the rows, and no other column holds times")
+    return NoRowClock(why="no column holds times that rise")
 
 
 def _rises(cells: Sequence[str], read: ReadClock) -> bool:
@@ -397,10 +401,10 @@ def is_rising(times: Sequence[float] | FloatArray) -> bool:
 
 
 def clocks_of_groups(
-    columns: Sequence[SignalColumn], cells: Sequence[Sequence[str]], clock: Clock, marks: Marks = PLAIN
-) -> Mapping[int, ClockReading]:
+    columns: Sequence[SignalColumn], cells: Sequence[Sequence[str]], clock: RowClock, marks: Marks = PLAIN
+) -> Mapping[int, TimeReading]:
     """Return where the times of further groups are, and how they are read; they are called as those of the row."""
-    called, clocks = _bare(columns[clock.place].name), dict[int, ClockReading]()
+    called, clocks = _bare(columns[clock.place].name), dict[int, TimeReading]()
     begin_us = clock.time_us[np.isfinite(clock.time_us)][0]
     for place, column in enumerate(columns):
         filled = [cell for cell in cells[place] if cell]

@@ -9,8 +9,8 @@ from canlog.database.signal_columns import SignalColumn
 from canlog.logs.signal_tables.cells import NUMBER, PLAIN, Marks, words_for_blanks
 from canlog.logs.signal_tables.clock import (
     MOST_PACE,
-    Clock,
-    ClockReading,
+    RowClock,
+    TimeReading,
     clocks_of_groups,
     pace_of,
     time_places,
@@ -22,12 +22,12 @@ LONG_UNITS: Final = frozenset({"unit", "units", "einheit"})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class ColumnPlan:
     """Which cells of a row are values of what, and where their times are."""
 
     columns: tuple[SignalColumn, ...]
     places: tuple[int, ...]  # of the columns in a row; where a row has one value: that of the values
-    clocks: Mapping[int, ClockReading]
+    clocks: Mapping[int, TimeReading]
     clock_places: tuple[int, ...]  # of the times of each column
     worded: frozenset[int] = frozenset()  # those where words are no values
     units_behind: Mapping[int, str] = field(default_factory=dict)  # their numbers, in these places
@@ -36,8 +36,8 @@ class Plan:
 
 
 def plan_of_values(
-    names: Sequence[str], cells: Sequence[Sequence[str]], clock: Clock, marks: Marks = PLAIN
-) -> Plan | None:
+    names: Sequence[str], cells: Sequence[Sequence[str]], clock: RowClock, marks: Marks = PLAIN
+) -> ColumnPlan | None:
     """Return the plan of a table with a row for each value, as Car Scanner writes; None if it is another one."""
     name_place, value_place, unit_place = (place_of(names, words) for words in (LONG_NAMES, LONG_VALUES, LONG_UNITS))
     if name_place is None or value_place is None or clock.place in {name_place, value_place}:
@@ -50,7 +50,7 @@ def plan_of_values(
     columns = {
         name: SignalColumn(name, unit) for name, unit in reversed(list(zip(signals, units, strict=True))) if name
     }
-    return Plan(
+    return ColumnPlan(
         columns=tuple(columns[name] for name in dict.fromkeys(signals) if name),
         places=(value_place,),
         clocks={clock.place: clock.reading},
@@ -63,11 +63,11 @@ def plan_of_values(
 def plan_of_columns(
     columns: Sequence[SignalColumn],
     cells: Sequence[Sequence[str]],
-    clock: Clock,
+    clock: RowClock,
     payloads: Collection[int] = (),
     stated_clocks: Collection[int] = (),
     marks: Marks = PLAIN,
-) -> Plan:
+) -> ColumnPlan:
     """Return the plan of a table with a column for each signal, and perhaps a clock for each group of them.
 
     A clock of the same name as that of the row begins a group if it begins when that does. Signals behind another
@@ -97,7 +97,7 @@ def plan_of_columns(
         behind = ", ".join(columns[place].name for place in range(other, stop) if blanks.pop(place, None) is not None)
         notes.append(f"{columns[other].name!r} is another clock than that of the rows; left out are {behind}")
     notes += [f"{columns[place].name!r} has no value at {', '.join(words)}" for place, words in blanks.items() if words]
-    return Plan(
+    return ColumnPlan(
         columns=tuple(columns[place] for place in blanks),
         places=tuple(blanks),
         clocks=clocks,

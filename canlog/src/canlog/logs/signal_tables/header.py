@@ -32,7 +32,7 @@ LEAST_KNOWN: Final = 0.5  # of the cells of a row that is one of units, whatever
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Header:
+class HeaderRows:
     """What the rows before the values say: a name and a unit for each column, and where the values begin."""
 
     names: tuple[str, ...]
@@ -62,7 +62,7 @@ def signal_columns(names: Sequence[str], units: Sequence[str] = ()) -> tuple[lis
     return columns, [f"several columns are called {several}: the others are numbered"] * bool(several)
 
 
-def named_header(rows: Sequence[Sequence[str]], place: int, dialect: Dialect) -> Header | None:
+def named_header(rows: Sequence[Sequence[str]], place: int, dialect: Dialect) -> HeaderRows | None:
     """Return the header that begins with a row of names; None if that row names no columns.
 
     Rows of units, sources, addresses or descriptions may follow in any order, or units stand before: units are told by
@@ -80,7 +80,7 @@ def named_header(rows: Sequence[Sequence[str]], place: int, dialect: Dialect) ->
         return None  # that is the header, and this a line before it, perhaps of units
     units, why = _units_of(below, rows[place - 1] if place else ())
     note = f"rows have no cells for the last names in the header: {', '.join(left_out)} left out"
-    return Header(
+    return HeaderRows(
         names=tuple(names), units=tuple(units), place=place, first=first, dialect=dialect,
         why=f"line {place + 1} names the columns{why}", notes=(note,) * bool(left_out),
     )  # fmt: skip

@@ -8,9 +8,9 @@ from typing import Final, NamedTuple
 
 from canlog.logs.dates import moment_of
 from canlog.logs.signal_tables.cells import NUMBER
-from canlog.logs.signal_tables.clock import ClockReading, OfDay, Packed
+from canlog.logs.signal_tables.clock import OfDay, Packed, TimeReading
 from canlog.logs.signal_tables.dialect import Dialect, stripped
-from canlog.logs.signal_tables.header import PREAMBLE_ROWS, UNITS, Header, named_header
+from canlog.logs.signal_tables.header import PREAMBLE_ROWS, UNITS, HeaderRows, named_header
 
 COMMAS: Final = Dialect(separator=",", why="as this program writes")
 BLANKS: Final = Dialect(separator=" ", why="as this program writes")
@@ -28,8 +28,8 @@ class Sheet:
 class Stated(NamedTuple):
     """A header, and what its program is known to write as times; None where the cells must show it."""
 
-    header: Header
-    reading: ClockReading | None = None
+    header: HeaderRows
+    reading: TimeReading | None = None
     base_us: float = 0.0  # that times count from
 
 
@@ -62,7 +62,7 @@ def haltech(sheet: Sheet) -> Iterator[Stated]:
             day_us = midnight.us if midnight is not None else 0.0
     if len(names) > 1:
         why = f"{HALTECH} begins it, and {len(names) - 1} lines name its channels"
-        header = Header(
+        header = HeaderRows(
             names=tuple(names), units=tuple(units), place=first, first=first, dialect=COMMAS, clock_places=(0,), why=why
         )
         yield Stated(header, OfDay(), day_us)
@@ -82,7 +82,7 @@ def race_capture(sheet: Sheet) -> Iterator[Stated]:
             why = f"line {place + 1} has name, unit, range and rate of each channel"
             clocks = tuple(n for n, name in enumerate(names) if name.casefold() == "interval")
             yield Stated(
-                Header(
+                HeaderRows(
                     names=names, units=units, place=place, first=place + 1, dialect=COMMAS, clock_places=clocks, why=why
                 )
             )
@@ -121,7 +121,7 @@ def vbox(sheet: Sheet) -> Iterator[Stated]:
     created = next((day for line in sections.get("", ()) if (day := VBOX_CREATED.search(line))), None)
     midnight = moment_of("{2}-{1:0>2}-{0:0>2}".format(*created.groups())) if created else None
     note = f"times of day are those of UTC on the day of the file: {created[0]}" if created else ""
-    header = Header(
+    header = HeaderRows(
         names=tuple(names), units=tuple(units), place=data, first=data + 1, dialect=BLANKS,
         clock_places=(names.index("time"),), why="sections of a VBOX name its columns", notes=(note,) * bool(note),
     )  # fmt: skip
@@ -169,7 +169,7 @@ def vcds(sheet: Sheet) -> Iterator[Stated]:
         first = place + (2 if is_of_values else 3)
         why = f"{rows[place][clocks[0]].strip()} stands over {below[clocks[0]].strip()} in line {place + 1}, as in VCDS"
         yield Stated(
-            Header(
+            HeaderRows(
                 names=tuple(names), units=tuple(units), place=place, first=first, dialect=sheet.dialect,
                 clock_places=clocks, why=why,
             )

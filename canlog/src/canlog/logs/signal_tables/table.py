@@ -19,10 +19,10 @@ from canlog.logs.signal_tables.cells import (
     unit_behind,
     without_unit,
 )
-from canlog.logs.signal_tables.clock import ClockReading, NoClock, clock_of, stated_clock
+from canlog.logs.signal_tables.clock import NoRowClock, TimeReading, clock_of, stated_clock
 from canlog.logs.signal_tables.columns import plan_of_columns, plan_of_values
 from canlog.logs.signal_tables.dialect import PROBE_ROWS, Dialect, dialect_of, lines_in, stripped
-from canlog.logs.signal_tables.header import Header, signal_columns
+from canlog.logs.signal_tables.header import HeaderRows, signal_columns
 from canlog.logs.signal_tables.layouts import LAYOUTS, Sheet, Stated
 
 PROBE_BYTES: Final = 64 * 1024  # as many as detection sees
@@ -41,7 +41,7 @@ class TableHeader:
     width: int  # cells of a row
     is_ragged: bool  # rows end with their last filled cell
     time_place: int
-    clocks: Mapping[int, ClockReading]  # how the times in a place are read
+    clocks: Mapping[int, TimeReading]  # how the times in a place are read
     date_place: int | None  # of the days, where times of day have a column of their own
     is_month_first: bool  # in it
     base_us: float  # what times count from
@@ -144,7 +144,7 @@ def _table_below(sheet: Sheet, stated: Stated, *, is_cut: bool) -> TableHeader |
         clock = stated_clock(places, stated.reading, columns, cells, marks)
     else:
         clock = clock_of(columns, cells, marks)
-    if isinstance(clock, NoClock):
+    if isinstance(clock, NoRowClock):
         return NoTable(why=clock.why, is_list=clock.is_list)
     plan = plan_of_values(header.names, cells, clock, marks)
     if plan is None:
@@ -174,7 +174,7 @@ def _has_words(row: Sequence[str]) -> bool:
     return len(cells) > 1 and not any(NUMBER.fullmatch(cell) for cell in cells)
 
 
-def _body_of(rows: Sequence[Sequence[str]], header: Header) -> _Body | NoTable:
+def _body_of(rows: Sequence[Sequence[str]], header: HeaderRows) -> _Body | NoTable:
     """Return the first rows of values, up to another header of the same recorder."""
     width = len(header.names)
     repeated = frozenset(map(stripped, rows[header.place : header.first]))

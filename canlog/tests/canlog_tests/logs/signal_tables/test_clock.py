@@ -5,7 +5,7 @@ import pytest
 
 from canlog.database.signal_columns import SignalColumn
 from canlog.logs.signal_tables.cells import Marks
-from canlog.logs.signal_tables.clock import Clock, NoClock, clock_of, pace_of
+from canlog.logs.signal_tables.clock import NoRowClock, RowClock, clock_of, pace_of
 
 COUNT = 40
 DAY_S = 86_400.0
@@ -17,7 +17,7 @@ def column(name: str) -> SignalColumn:
     return SignalColumn(name, "")
 
 
-def found(*columns: tuple[str, list[str]]) -> Clock | NoClock:
+def found(*columns: tuple[str, list[str]]) -> RowClock | NoRowClock:
     return clock_of([column(name) for name, _ in columns], [cells for _, cells in columns])
 
 
@@ -80,7 +80,7 @@ FIRST_S = {
 def test_the_clock_of_a_table(name: str) -> None:
     columns, place, note = CLOCKS[name]
     clock = found(*columns)
-    assert isinstance(clock, Clock)
+    assert isinstance(clock, RowClock)
     assert columns[clock.place][0] == place
     assert clock.why.startswith(repr(place))
     assert not note or note in clock.notes
@@ -112,7 +112,7 @@ NO_CLOCKS: dict[str, tuple[list[tuple[str, list[str]]], str]] = {
 def test_why_there_is_no_clock(name: str) -> None:
     columns, why = NO_CLOCKS[name]
     clock = found(*columns)
-    assert isinstance(clock, NoClock)
+    assert isinstance(clock, NoRowClock)
     assert clock.why.startswith(why)
     assert clock.is_list is why.startswith("each row")
 
@@ -128,5 +128,5 @@ def test_a_pause_and_a_clock_that_begins_again_are_no_other_pace() -> None:
 def test_decimal_commas_are_times_too() -> None:
     cells = [cell.replace(".", ",") for cell in counted(0.1)]
     clock = clock_of([column("Zeit"), column("A")], [cells, VALUES], Marks(decimal=",", grouping=""))
-    assert isinstance(clock, Clock)
+    assert isinstance(clock, RowClock)
     assert clock.time_us[1] == pytest.approx(1e5)
