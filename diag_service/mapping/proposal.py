@@ -353,11 +353,13 @@ def gears_text(over: Signal, ratios: Mapping[int, GearRatio]) -> str:
 def unfit_units(statistics: Iterable[SignalStatistics], known: Container[Signal]) -> Iterator[str]:
     """Yield a sentence for each column that its name makes a signal that is not known, but its unit does not."""
     for stat in (one for one in statistics if one.is_column and one.unit):
-        bare = replace(stat, unit="")
+        bare, listed = replace(stat, unit=""), named_signal(stat.signal)
         called = [
             one
-            for one in KINDS
-            if one not in known and _match(one, stat) and _reading(one, bare, Surroundings(), is_listed=False)
+            for one in ([listed] if listed is not None else KINDS)
+            if one not in known
+            and (one is listed or _match(one, stat))
+            and _reading(one, bare, Surroundings(), is_listed=one is listed)
         ]
         try:
             for signal in called:

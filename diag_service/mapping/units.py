@@ -38,10 +38,15 @@ TO_SI: Final[Mapping[str, Mapping[str, Conversion]]] = {
             ("rpm", "1/min", "/min", "min-1", "r/min", "rev/min", "u/min", "unit_minutinver"),
             Conversion(rad_s_from_rpm(1.0)),
         ),
+        **dict.fromkeys(
+            ("min^-1", "min⁻¹", "revs/min", "tr/min", "obr/min", "об/мин"), Conversion(rad_s_from_rpm(1.0))
+        ),
         "rad/s": SAME,
     },
     "m_s": {
-        **dict.fromkeys(("km/h", "kmh", "kph", "kmph", "unit_kilometerperhour"), Conversion(m_s_from_km_h(1.0))),
+        **dict.fromkeys(
+            ("km/h", "km/hr", "kmh", "kph", "kmph", "unit_kilometerperhour"), Conversion(m_s_from_km_h(1.0))
+        ),
         **dict.fromkeys(("mph", "mi/h"), Conversion(0.44704)),
         "m/s": SAME,
     },
@@ -49,14 +54,18 @@ TO_SI: Final[Mapping[str, Mapping[str, Conversion]]] = {
         **dict.fromkeys(("bar", "unit_bar"), Conversion(pa_from_bar(1.0))),
         **dict.fromkeys(("mbar", "hpa", "unit_millibar"), Conversion(100.0)),
         **dict.fromkeys(("psi", "psig"), Conversion(6894.757)),
+        **dict.fromkeys(("mpa", "n/mm2", "n/mm²"), Conversion(1e6)),  # nobody tells millipascal
+        **dict.fromkeys(("kgf/cm2", "kgf/cm²", "kgf/cm^2", "kg/cm2", "kg/cm²", "kg/cm^2"), Conversion(98_066.5)),
+        "atm": Conversion(101_325.0),
         "kpa": Conversion(1e3),
         "pa": SAME,
     },
     "nm": dict.fromkeys(("nm", "n.m", "n·m", "n*m", "n-m", "unit_newtometer"), SAME)
     | dict.fromkeys(
-        ("lbft", "lb-ft", "lb·ft", "lb.ft", "lbf·ft", "lbf-ft", "ftlb", "ft-lb", "ft·lb", "ft-lbs", "ftlbf"),
+        ("lbft", "lb-ft", "lb·ft", "lb.ft", "lbf·ft", "lbf-ft", "ftlb", "ft-lb", "ft·lb", "ft-lbs", "ftlbf", "lbfft"),
         Conversion(1.355818),
-    ),
+    )
+    | dict.fromkeys(("kgf·m", "kgfm", "kgf-m", "kgf.m", "kgf*m", "kg·m", "kgm"), Conversion(9.80665)),
     "ratio": {**dict.fromkeys(("%", "percent", "unit_percent"), Conversion(0.01)), "": SAME},
     "k": {
         **dict.fromkeys(
@@ -75,6 +84,8 @@ TO_SI: Final[Mapping[str, Mapping[str, Conversion]]] = {
 }
 """Spellings of units, without blanks and in lower case, by the unit that ends a canonical signal's name."""
 
+DEGREE: Final = re.compile(r"(?:[^\w/%]|[âïº½]|deg\.?|grad)+(?=[cf]$)")  # before C or F, damaged or as others write it
+DAMAGE: Final = re.compile(r"â(?=[²³·°µ])")  # UTF-8 that was read as the code page of Windows
 KINDS_OF_UNITS: Final = ("rad_s", "m_s", "ratio", "nm", "pa", "k", "m", "s")  # longest first
 SCALED: Final = re.compile(r"(\d+(?:\.\d+)?)(\D.*)")  # 0.1kpa
 
@@ -86,7 +97,7 @@ def kind_of_unit(signal: Signal) -> str | None:
 
 def conversion(kind: str, unit: str) -> Conversion | None:
     """Return the conversion from a unit or a multiple such as ``0.1 kPa``; None if it is of another kind."""
-    spelled = "".join(unit.split()).lower()
+    spelled = DEGREE.sub("°", DAMAGE.sub("", "".join(unit.split()).lower()))
     if (exact := TO_SI[kind].get(spelled)) is not None:
         return exact
     scaled = SCALED.fullmatch(spelled)

@@ -203,7 +203,7 @@ _LINE = re.compile(
     rb"%(s)s(?:\((?:(?P<date>\d{1,4}-\d\d?-\d\d? \d\d?:\d\d?:\d\d?)|(?P<seconds>\d{1,10}))"
     rb"\.(?P<fraction>\d{1,9})\)|(?!\())"
     rb"%(s)s(?P<name>%(w)s)%(s)s(?:(?P<direction>[RT]X)(?= )%(s)s%(w)s%(s)s%(w)s%(s)s)?+"
-    rb"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})(?=[\x00-\x20])%(s)s"
+    rb"(?P<id>[0-9A-Fa-f]{1,8})(?=[\x00-\x20])%(s)s"
     rb"(?:\{(?P<code>[0-9A-Fa-f])\}|\[(?P<length>\d\d?)\])%(s)s"
     rb"(?:(?P<remote>remote request)|(?P<bytes>%(b)s(?:(?P<between>[ `])%(b)s(?:(?P=between)%(b)s)*+)?)?%(s)s"
     rb"(?:(?P<error>ERRORFRAME)|(?P<mark>['`])(?P<shown>.*)(?P=mark))?)%(s)s"
@@ -230,9 +230,13 @@ def _time_ns(match: re.Match[bytes]) -> int:
     return seconds * NS_PER_S + int((match["fraction"] or b"").ljust(NS_DIGITS, b"0")) // NS_PER_US * NS_PER_US
 
 
-def _identifier(digits: bytes) -> int:
-    """Return an identifier with its flags, -1 if it is too large."""
+def _identifier(digits: bytes, *, is_padded: bool) -> int:
+    """Return an identifier with its flags, -1 if it is too large, or has too few digits where zeros stand before."""
     value = int(digits, 16)
+    if not is_padded and len(digits) < EXTENDED_DIGITS:
+        return value if value <= MAX_STANDARD_ID else value | EXTENDED_FLAG
+    if len(digits) not in {STANDARD_DIGITS, EXTENDED_DIGITS}:
+        return -1
     if len(digits) == STANDARD_DIGITS:
         return value if value <= MAX_STANDARD_ID else -1
     return -1 if value > MAX_ID else value if value & ERROR_FLAG else value | EXTENDED_FLAG
@@ -270,11 +274,17 @@ class ConsoleLog(LineLog):
         super().__init__()
         self._channels = ChannelNames()
         self._base_ns = self._now_ns = 0
-        self._is_delta = False
+        self._is_delta = self._is_padded = False
 
     def look_ahead(self, text: bytes) -> None:
-        """Find out what the times are."""
-        times = list(TIME.finditer(COLOUR.sub(b"", text)))
+        """Find out what the times are, and whether identifiers have zeros before them."""
+        text = COLOUR.sub(b"", text)
+        identifiers = {line["id"] for row in text.splitlines() if (line := _LINE.fullmatch(row))}
+        is_short = {len(digits) not in {STANDARD_DIGITS, EXTENDED_DIGITS} for digits in identifiers}
+        self._is_padded = True not in is_short or any(len(one) > 1 and one.startswith(b"0") for one in identifiers)
+        if not self._is_padded:
+            self.notes.append("identifiers are written without leading zeros: those above 7FF are taken as of 29 bits")
+        times = list(TIME.finditer(text))
         if not times:
             self.notes.append(NO_TIMES)
         elif shown := times[0]["date"]:
@@ -301,7 +311,7 @@ class ConsoleLog(LineLog):
         match = _LINE.fullmatch(line)
         if match is None:
             return MALFORMED
-        t_ns, can_id, length = _time_ns(match), _identifier(match["id"]), _length(match)
+        t_ns, can_id, length = _time_ns(match), _identifier(match["id"], is_padded=self._is_padded), _length(match)
         if min(t_ns, can_id, length) < 0:
             return MALFORMED
         data = bytes(length) if match["remote"] else _payload(match, length)

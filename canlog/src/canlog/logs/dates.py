@@ -1,9 +1,10 @@
-"""Dates in words as programs of all languages write them into the heads of logs."""
+"""Dates and times of day, as programs of all languages write them into the heads of logs and into cells of tables."""
 
 import re
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timezone
+from typing import NamedTuple
 
 US_PER_S, US_PER_MS = 1_000_000, 1_000
 LONGEST_DATE = 100
@@ -41,6 +42,21 @@ WORD = re.compile(r"[^\W\d_]+")
 
 Day = tuple[int, int, int]  # year, month, day
 
+TIME_OF_DAY = re.compile(
+    r"(?:(?P<days>\d+)\s+)?(?P<hour>\d{1,2}):(?P<minute>\d\d):(?P<second>\d\d)(?:[.,:](?P<fraction>\d{1,9}))?"
+    r"(?:\s*(?P<half>[ap])\.?\s?m\.?)?",
+    re.IGNORECASE,
+)
+TO_THE_MINUTE = re.compile(r"(?P<hour>\d{1,2}):(?P<minute>\d\d)(?:\s*(?P<half>[ap])\.?\s?m\.?)?", re.IGNORECASE)
+CELL_DAY = re.compile(
+    r"(?:(?P<year>\d{4})(?P<mark>[-/.])(?P<month>\d\d?)(?P=mark)(?P<day>\d\d?)"
+    r"|(?P<first>\d\d?)(?P<between>[-/.])(?P<second>\d\d?)(?P=between)(?P<last>\d{4}|\d\d)"
+    r"|(?P<of>\d\d?)(?:-|\.? )(?P<word>[^\W\d_]{3,9})(?:-|\.? )(?P<in>\d{4}))"
+    r"(?:[ T,]+(?P<time>\S.*))?",
+    re.DOTALL,
+)
+CENTURY, FIRST_YEAR = 2000, 70  # of years of two digits
+
 
 def date_us(text: bytes) -> int | None:
     """Return a date such as ``Thu Jan  1 10:00:00.005 am 2026`` in microseconds since the epoch, None if it is none.
@@ -72,6 +88,106 @@ def date_us(text: bytes) -> int | None:
     digits = clock["fraction"] or "0"
     fraction_us = int(digits) * US_PER_MS if len(digits) <= MILLISECOND_DIGITS else int(digits.ljust(6, "0")[:6])
     return None if start_s is None else start_s * US_PER_S + fraction_us
+
+
+class Moment(NamedTuple):
+    """What a cell says: microseconds since 1970 in UTC, or since midnight."""
+
+    us: float
+    is_date: bool  # or a time with the days that have passed before it
+
+
+def moment_of(cell: str, *, is_month_first: bool = False) -> Moment | None:
+    """Return a date, with its time of day or without, or a time of day; None if it is neither. No zone means UTC.
+
+    ``is_month_first`` says what is the first number of a date between slashes, such as ``3/4/2026``.
+    """
+    text = cell.strip()
+    if (time := TIME_OF_DAY.fullmatch(text)) is not None:
+        time_us = _time_of_day_us(time)
+        return None if time_us is None else Moment(time_us, is_date=time["days"] is not None)
+    if text[4:5] in {"-", "/"} and (moment := _iso_moment(text)) is not None:
+        return moment
+    found = CELL_DAY.fullmatch(text)
+    day = None if found is None else _cell_day(found, is_month_first=is_month_first)
+    start_us = None if day is None else _day_us(day)
+    if found is None or start_us is None:
+        return None
+    rest = (found["time"] or "").strip()
+    if not rest:
+        return Moment(start_us, is_date=True)
+    time = TIME_OF_DAY.fullmatch(rest) or TO_THE_MINUTE.fullmatch(rest)
+    time_us = None if time is None else _time_of_day_us(time)
+    return None if time_us is None else Moment(start_us + time_us, is_date=True)
+
+
+def is_moment(cell: str) -> bool:
+    """Return whether a cell is a date or a time of day, whichever of day and month is first."""
+    return any(moment_of(cell, is_month_first=is_first) is not None for is_first in (False, True))
+
+
+def is_day(cell: str) -> bool:
+    """Return whether a cell is a date without a time of day."""
+    found = CELL_DAY.fullmatch(cell.strip())
+    return found is not None and not found["time"] and _cell_day(found, is_month_first=False) is not None
+
+
+def is_month_first(cells: Sequence[str]) -> tuple[bool, tuple[str, ...]]:
+    """Return whether months stand before days in dates between slashes, and what had to be assumed.
+
+    A number above twelve shows it, or AM and PM, which the same people write; else whether numbers have leading zeros.
+    """
+    found = [(cell, day) for cell in cells if (day := CELL_DAY.fullmatch(cell.strip())) and day["between"] == "/"]
+    pairs = {(int(day["first"]), int(day["second"])) for _, day in found}
+    if any(first > MOST_MONTHS for first, _ in pairs) or all(first == second for first, second in pairs):
+        return False, ()
+    if any(second > MOST_MONTHS for _, second in pairs) or any(HALF.search(cell.casefold()) for cell, _ in found):
+        return True, ()
+    is_padded = any(day["first"].startswith("0") or day["second"].startswith("0") for _, day in found)
+    order = "day" if is_padded else "month"
+    note = f"{found[0][0]} is taken as a date with the {order} first: no number in it is above 12"
+    return not is_padded, (note,)
+
+
+def _iso_moment(text: str) -> Moment | None:
+    """Return a date of ISO 8601, perhaps with a zone."""
+    try:
+        moment = datetime.fromisoformat(text.replace("/", "-").replace(",", "."))
+    except ValueError:
+        return None
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+    return Moment((moment - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() * US_PER_S, is_date=True)
+
+
+def _time_of_day_us(time: re.Match[str]) -> float | None:
+    parts = time.groupdict()
+    hour = _hour(int(parts["hour"]), None if parts["half"] is None else parts["half"] in "pP")
+    if hour is None:
+        return None
+    fraction = float(f"0.{parts['fraction']}") if parts.get("fraction") else 0.0
+    days, second = int(parts.get("days") or 0), int(parts.get("second") or 0)
+    return (((days * 24 + hour) * 60 + int(parts["minute"])) * 60 + second + fraction) * US_PER_S
+
+
+def _cell_day(found: re.Match[str], *, is_month_first: bool) -> Day | None:
+    """Return the day that a cell tells; None if it names no month."""
+    if found["year"]:
+        return int(found["year"]), int(found["month"]), int(found["day"])
+    if found["word"]:
+        month = month_of(_folded(found["word"].encode()))
+        return None if month is None else (int(found["in"]), month, int(found["of"]))
+    year = int(found["last"])
+    year += (CENTURY if year < FIRST_YEAR else CENTURY - 100) if len(found["last"]) == len("26") else 0
+    first, second = int(found["first"]), int(found["second"])
+    is_swapped = found["between"] == "/" and is_month_first
+    return (year, first, second) if is_swapped else (year, second, first)
+
+
+def _day_us(day: Day) -> float | None:
+    try:
+        return (datetime(*day, tzinfo=UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() * US_PER_S
+    except ValueError:
+        return None
 
 
 def local_midnight_us(time_us: int) -> int:

@@ -18,7 +18,7 @@ from canlog.logs.columns import NO_HEADER, ColumnsLog, header_names, is_list, pr
 from canlog.logs.columns.log import TableLog
 from canlog.logs.columns.programs import CLX000_HEADER, Busmaster, Clx000, Trc
 from canlog.logs.log_counts import LogCounts
-from canlog.logs.table_headers import LEAST_ROWS, table_header
+from canlog.logs.signal_tables import LEAST_ROWS, NoTable, table_of
 from canlog.logs.text_log import BYTE_ORDER_MARK, TextLog, frames_of
 
 PROBE_BYTES = 64 * 1024
@@ -79,7 +79,7 @@ HEADERS: Mapping[LogFormat, re.Pattern[bytes]] = {
 TYPICAL: Mapping[LogFormat, re.Pattern[bytes]] = {
     LogFormat.CONSOLE: re.compile(
         rb"(?:\x1b\[[\d;]*m|\s)*(?:\([-\d.: ]+\)\s+)?(?:\x1b\[[\d;]*m)*\s*"  # colours, a time
-        rb"[\w.-]+[^\n\[{]{0,40}[0-9A-F]{3}\s+[\[{]|DROPCOUNT:"
+        rb"[\w.-]+[^\n\[{]{0,40}[0-9A-F]{1,8}\s+[\[{]|DROPCOUNT:"
     ),
     LogFormat.TRC: re.compile(rb"\s*(?:\d+\)\s+-?[\d.]+\s|;)"),
     LogFormat.CSV: re.compile(rb"[\d.eE+-]+,\s*0x[0-9a-fA-F]+,[01],"),
@@ -194,11 +194,13 @@ def detect_text(probe: bytes) -> Detected:
             hint, most = f"{shown} fit {log_format}", frames
     if named := _by_named_columns(text):
         return named
-    if header := table_header(probe):
-        what, is_long = f"line {header.lines} is followed by rows of", header.name_place is not None
-        what += " one value each" if is_long else f" {len(header.columns)} signals"
-        return Detected(format=LogFormat.SIGNALS, evidence=what, columns=header.columns, is_long=is_long)
-    raise SourceError(_not_known(probe, hint))
+    table = table_of(probe)
+    if isinstance(table, NoTable):
+        raise SourceError(_not_known(probe, hint, table))
+    is_long = table.name_place is not None
+    rows = "one value each" if is_long else f"{len(table.columns)} signals"
+    evidence = f"line {table.lines} is followed by rows of {rows}: {'; '.join(table.reasons)}"
+    return Detected(format=LogFormat.SIGNALS, evidence=evidence, columns=table.columns, is_long=is_long)
 
 
 def _by_named_columns(text: bytes) -> Detected | None:
@@ -254,13 +256,15 @@ def _counted(log_format: LogFormat, lines: Sequence[bytes]) -> tuple[int, int]:
     return frames, len(lines) - frames - skipped
 
 
-def _not_known(probe: bytes, hint: str) -> str:
+def _not_known(probe: bytes, hint: str, no_table: NoTable) -> str:
+    """Return why a text is no log."""
     other = next((name for magic, name in OTHER_FORMATS.items() if probe.startswith(magic)), "")
     if probe.lstrip().lower().startswith(PAGES):  # whose styles look like columns
         other = "an HTML page"
     known = f"not a log of a known format ({', '.join(LogFormat)})"
-    if not other and (advice := _as_table(probe)):
-        return f"{known}: {advice}"
+    advice = "" if other or no_table.is_list else _as_table(probe)
+    if not other and (no_table.why or advice):
+        return f"{known}: {'; '.join(filter(None, (no_table.why, advice)))}"
     return f"{known}: {other or f'only {hint}'}" if other or hint else known
 
 

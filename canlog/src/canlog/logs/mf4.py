@@ -44,9 +44,8 @@ from canlog.frames import (
     rounded_to_us,
 )
 from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.signal_tables import checked_rows
+from canlog.logs.signal_tables import checked_rows, signal_columns
 from canlog.logs.streams import FREE_BYTES, MOST_RATIO
-from canlog.logs.table_headers import signal_columns
 from canlog.logs.text_kernels import IS_LENGTH
 
 HEADER = struct.Struct("<4s4xQQ")  # kind, length with the header, links

@@ -80,7 +80,7 @@ def contents_of(stream: BinaryIO, columns: str = "") -> Contents:
     stream.seek(0)
     if encoding := utf_16_of(probe):
         with stream:
-            return replace(contents_of(temporary_log(as_utf_8(stream, encoding)), columns), is_packed=True)
+            return _recoded(stream, encoding, columns)
     compression, counts = compression_of(probe), LogCounts()
     if compression is None:
         detected = detect(probe, columns)
@@ -90,13 +90,21 @@ def contents_of(stream: BinaryIO, columns: str = "") -> Contents:
     stream = cast("BinaryIO", packed)
     if encoding := utf_16_of(beginning):
         with packed:
-            recoded = temporary_log(as_utf_8(stream, encoding))
-            return replace(contents_of(recoded, columns), counts=counts, is_packed=True)
+            return replace(_recoded(stream, encoding, columns), counts=counts)
     detected = detect(beginning, columns)
     if detected.format not in TEXT_LOGS:
         with packed:
             stream = cast("BinaryIO", temporary_log(iter(lambda: packed.read(COPY_BYTES), b"")))
     return Contents(stream=stream, detected=detected, counts=counts, is_packed=True, columns=columns)
+
+
+def _recoded(stream: BinaryIO, encoding: str, columns: str) -> Contents:
+    """Return the log that a text of two bytes a character is, as UTF-8 in a file that is closed if it is none."""
+    with ExitStack() as opened:
+        recoded = opened.enter_context(temporary_log(as_utf_8(stream, encoding)))
+        contents = replace(contents_of(recoded, columns), is_packed=True)
+        opened.pop_all()
+        return contents
 
 
 def _beginning(packed: InflatedStream) -> bytes:

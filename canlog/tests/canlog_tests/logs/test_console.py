@@ -4,7 +4,8 @@ import pytest
 
 from canlog.frames import BRS_FLAG, ERROR_FLAG, ESI_FLAG, EXTENDED_FLAG, FD_FLAG, REMOTE_FLAG, TX_FLAG, FrameBatch
 from canlog.logs.candump import ConsoleLog
-from canlog.logs.log_counts import LogCounts
+from canlog.logs.detection import LogFormat, detect
+from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.text_log import frames_of
 
 BYTES = "11 22 33 44 55 66 77 88"
@@ -85,3 +86,23 @@ def test_times_since_the_start_and_those_since_the_frame_before_are_told_apart()
     assert found == [0, 20_000, 30_000, 60_000, 70_000]
     assert "since the frame before (candump -t d)" in notes[0]
     assert times("(000.000000)", "(000.010000)", "(000.010000)")[0] == [0, 10_000, 20_000]  # a single period
+
+
+def test_identifiers_without_leading_zeros_tell_their_kind_by_their_value() -> None:
+    identifiers = ["B3", "2AD", "7", "17F000B7", "3CF", "9AB", "1F00"]
+    counts = LogCounts()
+    lines = [f"({737 + n / 100:.2f}) RX0 {text} [2] 00 {n:02X}" for n, text in enumerate(identifiers * 8)]
+    batch, notes = read("\n".join([*lines, ""]), counts)
+    expected = [0x0B3, 0x2AD, 0x007, 0x17F000B7, 0x3CF, 0x9AB, 0x1F00]
+    flags = [0, 0, 0, EXTENDED_FLAG, 0, EXTENDED_FLAG, EXTENDED_FLAG]
+    assert batch.can_id.tolist() == [value | flag for value, flag in zip(expected, flags, strict=True)] * 8
+    assert not counts.rejected
+    assert [note for note in notes if "without leading zeros" in note]
+    assert detect("\n".join(lines).encode()).format is LogFormat.CONSOLE
+
+
+def test_one_short_identifier_among_padded_ones_is_damage() -> None:
+    counts = LogCounts()
+    lines = [f"(1.{n:02d}) can0  {'0A0' if n != 7 else 'A0'}   [1]  {n:02X}" for n in range(40)]
+    assert len(read("\n".join([*lines, ""]), counts)[0]) == 39
+    assert counts.rejected == {LogReject.MALFORMED: 1}

@@ -10,8 +10,7 @@ from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG, FrameBatch
 from canlog.logs.detection import LogFormat, detect
 from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.signal_tables import read_signal_table
-from canlog.logs.table_headers import table_header
+from canlog.logs.signal_tables import read_signal_table, table_header
 from tests.support.batches import read_whole
 
 SPEEDS, PRESSURES = [1000.5, 1001.5, 1002.5, 1003.5], [100.0, 105.86, 111.72, 117.58]

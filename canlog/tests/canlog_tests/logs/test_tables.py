@@ -156,3 +156,11 @@ def test_what_is_no_frame_is_counted_with_its_line(log_format: LogFormat, header
     assert counts.rejected == {LogReject.MALFORMED: 1}
     assert counts.first_rejected == f"line {number}: malformed"
     assert counts.skipped == number - 1
+
+
+def test_times_below_zero_of_many_years_are_amounts_since_1970() -> None:
+    start_us = 1_769_872_318_259_854
+    lines = [f"{-start_us + 1000 * n},00000141,false,Rx,0,2,1A,{n:02X},\n" for n in range(20)]
+    batch, counts = read(LogFormat.GVRET, GVRET_HEADER + "".join(lines).encode())
+    assert batch.t_ns.tolist() == [(start_us + 1000 * n) * 1000 for n in range(20)]
+    assert "times are below zero: their amounts are taken as microseconds since 1970" in counts.notes

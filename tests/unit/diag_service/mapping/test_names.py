@@ -18,7 +18,7 @@ from diag_service.mapping.decoder import Decoder
 from diag_service.mapping.mapped_messages import is_of_lockup, missing_for_next, reach_in_words, tier_of
 from diag_service.mapping.names import named_signal, read_name
 from diag_service.mapping.profile import profile_of
-from diag_service.mapping.proposal import Candidate, SignalStatistics, candidates, profile_text, questioned
+from diag_service.mapping.proposal import Candidate, SignalStatistics, candidates, profile_text, questioned, unfit_units
 from diag_service.mapping.units import USUAL, conversion, told_step
 
 NAMES = {
@@ -208,6 +208,34 @@ def test_a_multiple_of_a_unit_is_one() -> None:
     assert convert is not None
     assert convert(np.array([1013.0])).tolist() == pytest.approx([101_300.0])
     assert conversion("pa", "0.1 rpm") is None
+
+
+SPELLINGS = [
+    ("pa", "MPa", 1e6), ("pa", "kgf/cm2", 98066.5), ("pa", "kgf/cm²", 98066.5), ("pa", "kg/cmÂ²", 98066.5),
+    ("pa", "atm", 101_325.0),
+    ("rad_s", "tr/min", np.pi / 30.0), ("rad_s", "min^-1", np.pi / 30.0), ("m_s", "km/hr", 1.0 / 3.6),
+    ("nm", "NÂ·m", 1.0),
+    ("nm", "kgf·m", 9.80665), ("nm", "lbf ft", 1.355818),
+    *(("k", unit, 274.15) for unit in ("Â°C", ".C", "ºC", "\ufffdC", "deg. C", "ï¿½C")),
+    *(("k", unit, 255.9277777777778) for unit in ("Â°F", ".F", "\ufffdF")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "unit", "value"), SPELLINGS)
+def test_units_are_known_in_many_spellings(kind: str, unit: str, value: float) -> None:
+    convert = conversion(kind, unit)
+    assert convert is not None
+    assert convert(np.array([1.0])).tolist() == pytest.approx([value])
+
+
+def test_a_unit_that_nobody_knows_is_told() -> None:
+    statistics = [
+        column("Engine RPM", np.linspace(800.0, 3000.0, 100), "furlongs"),
+        column("Gear", np.arange(1.0, 6.0)),
+    ]
+    (sentence,) = unfit_units(statistics, candidates(statistics))
+    assert "Engine RPM" in sentence
+    assert "furlongs" in sentence
 
 
 COMMANDED = frozenset({Signal.LOCKUP_SLIP, Signal.TURBINE_SPEED, Signal.LOCKUP_PRESSURE_COMMAND, Signal.ENGINE_TORQUE})

@@ -307,6 +307,7 @@ def _seen(names: Sequence[str]) -> str:
 
 
 LEAST_COLUMNS: Final = 2
+CONTROLS: Final = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")  # that no header of a table holds
 LEAST_RISING: Final = 0.9  # of all steps of a clock; a few may fall where it begins again
 COMMENTS: Final = b"#"
 
@@ -461,7 +462,8 @@ def header_names(text: bytes) -> tuple[str, ...]:
     for line in text.splitlines()[:HEADER_LINES_LOOKED_AT]:
         separator = separator_of(line)
         names = names_in(line, separator)
-        if len(names) > LEAST_COLUMNS and all(name and not _is_number(name) for name in names) and line.isascii():
+        is_text = CONTROLS.search(line) is None
+        if len(names) > LEAST_COLUMNS and all(name and not _is_number(name) for name in names) and is_text:
             return names
     return ()
 

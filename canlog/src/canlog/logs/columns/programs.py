@@ -63,6 +63,9 @@ class PythonCanCsv(TableLog):
         return PYTHON_CAN_HEADER.match(line) is not None
 
 
+EPOCH_US: Final = (10**15, 4 * 10**15)  # of the years 2001 to 2096
+
+
 class GvretCsv(TableLog):
     """The CSV of GVRET devices and SavvyCAN, with or without the column of directions."""
 
@@ -77,10 +80,15 @@ class GvretCsv(TableLog):
         return True
 
     def look_ahead(self, text: bytes) -> None:
-        """Find out the unit of times."""
-        self._unit, note = likely_unit(frames_of(GvretCsv(), text))
+        """Find out the unit of times, and whether those below zero count from 1970 all the same."""
+        frames = frames_of(GvretCsv(), text)
+        self._unit, note = likely_unit(frames)
         self._set_layout(self.layout)
         self.notes += note
+        first_us = int(frames.t_ns[0]) // 1_000 * 10**self._unit if len(frames) else 0
+        if EPOCH_US[0] <= -first_us < EPOCH_US[1]:
+            self.set_base(-2 * first_us)
+            self.notes.append("times are below zero: their amounts are taken as microseconds since 1970")
 
     def _set_layout(self, layout: Layout) -> None:
         self.set_layout(replace(layout, columns=in_unit(layout.columns, self._unit)))

@@ -5,10 +5,9 @@ counted and told, and costs no other cell of its row. Some have a column of time
 a row for each value, with the name of its signal.
 """
 
-import re
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import chain, islice
-from typing import BinaryIO, Final
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain, islice, pairwise
+from typing import BinaryIO, Final, NamedTuple
 
 import numpy as np
 
@@ -16,29 +15,18 @@ from canlog.arrays import FloatArray, Int64Array, UInt32Array
 from canlog.database.signal_columns import SignalColumn, column_id
 from canlog.errors import SourceError
 from canlog.frames import EXTENDED_FLAG, FrameBatch, empty_batch, join
+from canlog.logs.dates import moment_of
 from canlog.logs.log_counts import LogCounts, LogReject
-from canlog.logs.table_headers import (
-    DAY_US,
-    LONG_UNITS,
-    MOST_COLUMNS,
-    MOST_VALUE,
-    PROBE_BYTES,
-    WORD,
-    TableHeader,
-    cells_of,
-    lines_in,
-    moment_us,
-    number_in,
-    place_of,
-    stripped,
-    table_header,
-    ungrouped,
-)
+from canlog.logs.signal_tables.cells import MOST_VALUE, WORD, numbers_in, without_unit
+from canlog.logs.signal_tables.columns import LONG_UNITS, place_of
+from canlog.logs.signal_tables.dialect import lines_in, stripped
+from canlog.logs.signal_tables.header import MOST_COLUMNS, PREAMBLE_ROWS, SECTION
+from canlog.logs.signal_tables.recordings import AS_BEFORE, first_rows, later_header
+from canlog.logs.signal_tables.table import PROBE_BYTES, TableHeader, table_header
 
 BLOCK_BYTES: Final = 1024 * 1024
 MOST_ROW_BYTES: Final = 256 * 1024  # whatever is longer is no row
 MOST_US: Final = 2.0**53  # beyond, a time is not told to the microsecond
-SECTION: Final = re.compile(r"\[[\w ]+\]")  # a title between header and rows
 
 
 def all_columns(stream: BinaryIO) -> tuple[SignalColumn, ...]:
@@ -56,7 +44,7 @@ def all_columns(stream: BinaryIO) -> tuple[SignalColumn, ...]:
     unit_place = place_of(header.names, LONG_UNITS)
     for text, _ in _blocks(stream, LogCounts()):
         for line in lines_in(text):
-            cells = cells_of(line, header.separator)
+            cells = header.row(header.dialect.cells(line))
             if len(cells) >= header.width and stripped(cells) not in header.repeated:
                 name, unit = cells[header.name_place].strip(), "" if unit_place is None else cells[unit_place].strip()
                 if name and len(columns) < MOST_COLUMNS:
@@ -81,9 +69,9 @@ def read_signal_table(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatc
         if len(batch):
             counts.frames += len(batch)
             yield batch
-    if len(table.held_back):
-        counts.frames += len(table.held_back)
-        yield table.held_back
+    if len(batch := table.finish()):
+        counts.frames += len(batch)
+        yield batch
 
 
 class _Table:
@@ -93,127 +81,187 @@ class _Table:
         self._header = header
         self._counts = counts
         self._line = 0
-        self._day_us = 0.0  # that have passed since the first time of day
-        self._last_us = -1.0
-        self._order: list[int | None] | None = None  # where the cells of the header are behind another one
-        self._is_unknown = False  # what is behind a header without times
+        self._laps = {place: _Laps(reading.wraps_us) for place, reading in header.clocks.items()}
+        self._later = AS_BEFORE
+        self._is_new = False  # a header was the last that is not blank
+        self._odd_lines = list[str]()  # before a header that may come, to which they belong then
+        self._last_us: dict[int, float] = {}
         self._ids = np.array([column_id(one.name) | EXTENDED_FLAG for one in header.columns], np.uint32)
-        self.held_back = empty_batch()  # values that are later than those of another clock that are still to come
+        self._held_back = empty_batch()  # values that are later than those of another clock that are still to come
         for note in header.notes:
             counts.note(note)
 
     def read(self, text: bytes, *, is_terminated: bool) -> FrameBatch:
         """Return the values of a block of whole lines; of a last line without its end all but the last cell."""
         header = self._header
-        rows, numbers = self._rows(lines_in(text), is_terminated=is_terminated)
-        columns = list(zip(*rows, strict=True)) if rows else [()] * header.width
-        clocks = {place: self._times_us(columns[place], numbers, unit) for place, unit in header.clocks.items()}
+        rows = self._rows(lines_in(text), is_terminated=is_terminated)
+        columns = list(zip(*rows.cells, strict=True)) if rows.cells else [()] * header.width
+        clocks = {place: self._times_us(place, columns, rows.numbers) for place in header.clocks}
         if header.name_place is not None:
             names = [cell.strip() for cell in columns[header.name_place]]
             ids = np.array([column_id(name) | EXTENDED_FLAG for name in names], np.uint32)
-            return frames_of_values(clocks[header.time_place], self._values(columns[header.places[0]], numbers, 0), ids)
-        values = np.empty((len(rows), len(header.places)), np.float64)
+            values = self._values(columns[header.places[0]], rows.numbers, 0)
+            return frames_of_values(clocks[header.time_place], values, ids)
+        values = np.empty((len(rows.cells), len(header.places)), np.float64)
         for slot, place in enumerate(header.places):
-            values[:, slot] = self._values(columns[place], numbers, slot)
+            values[:, slot] = self._values(columns[place], rows.numbers, slot)
         if len(clocks) == 1:
             return frames_of_rows(clocks[header.time_place], values, self._ids)
-        time_us = np.column_stack([clocks[place] for place in header.clock_places])
-        return self._in_order(frames_of_rows(time_us, values, self._ids), clocks.values())
+        return self._by_times(clocks, values, rows.behind_header)
 
-    def _rows(self, lines: Sequence[str], *, is_terminated: bool) -> tuple[list[list[str]], list[int]]:
-        """Return the cells of the rows of values among some lines, in the order of the header, and their numbers."""
-        header, rows, numbers = self._header, list[list[str]](), list[int]()
+    def finish(self) -> FrameBatch:
+        """Return the values that were held back at the end of the table."""
+        self._reject_odd_lines()
+        return self._held_back
+
+    def _rows(self, lines: Sequence[str], *, is_terminated: bool) -> "_Rows":
+        """Return the rows of values among some lines."""
+        header, rows = self._header, _Rows([], [], [])
         for number, line in enumerate(lines, self._line + 1):
             if number <= header.lines or not line.strip() or SECTION.fullmatch(line.strip()):
                 continue
-            cells = cells_of(line, header.separator)
-            if header.separator == "," and not header.has_decimal_comma and '"' in line:
-                cells = ungrouped(cells)
+            cells = header.dialect.cells(line)
             if number == self._line + len(lines) and not is_terminated:
                 self._counts.cut_off(f"line {number}")
                 cells = [*cells[:-1], *[""] * (header.width - len(cells) + 1)]
-            while len(cells) > header.width and not cells[-1]:
-                cells.pop()
             if self._is_header(cells):
                 continue
-            if self._order is not None and not self._is_unknown:
-                cells = ["" if place is None else "".join(cells[place : place + 1]) for place in self._order]
-            if self._is_unknown:
+            if self._later.is_unknown:
                 self._counts.reject(LogReject.MALFORMED, f"line {number}, behind a header of other columns")
-            elif len(cells) != header.width:
-                self._counts.reject(LogReject.MALFORMED, f"line {number} ({len(cells)} cells, not {header.width})")
+                continue
+            cells = header.row(list(self._later.in_order(cells)))
+            if len(cells) == header.width:
+                self._add(cells, number, rows)
             else:
-                rows.append(cells)
-                numbers.append(number)
+                self._odd_lines.append(f"line {number} ({len(cells)} cells, not {header.width})")
         self._line += len(lines)
-        return rows, numbers
+        if len(self._odd_lines) > PREAMBLE_ROWS:
+            self._reject_odd_lines()
+        return rows
+
+    def _add(self, cells: list[str], number: int, rows: "_Rows") -> None:
+        """Add a row of values; lines before it that were none are no part of a header."""
+        self._reject_odd_lines()
+        if self._is_new:
+            rows.behind_header.append(len(rows.cells))
+        self._is_new = False
+        rows.cells.append(cells)
+        rows.numbers.append(number)
+
+    def _is_header(self, cells: Sequence[str]) -> bool:
+        """Return whether a row is the header again, or another one; cells behind that are found by their names."""
+        later = later_header(cells, self._header)
+        if later is None:
+            return False
+        self._later, self._is_new = later, True
+        if later.new_names:
+            names = ", ".join(sorted(later.new_names))
+            self._counts.note(f"columns that only a later header names are left out: {names}")
+        self._counts.skipped += 1 + len(self._odd_lines)  # what stood before it belongs to it
+        self._odd_lines.clear()
+        return True
+
+    def _reject_odd_lines(self) -> None:
+        """Count lines that have too many or too few cells, and are no part of a header."""
+        for place in self._odd_lines:
+            self._counts.reject(LogReject.MALFORMED, place)
+        self._odd_lines.clear()
+
+    def _by_times(
+        self, clocks: Mapping[int, FloatArray], values: FloatArray, behind_header: Sequence[int]
+    ) -> FrameBatch:
+        """Return values of several clocks by their times, one recording after the other.
+
+        Within a recording they come as far as no clock is behind; the others are held back.
+        """
+        time_us = np.column_stack([clocks[place] for place in self._header.clock_places])
+        before = [np.array([self._last_us.get(place, np.nan)]) for place in clocks]
+        joined = [np.concatenate([last, own]) for last, own in zip(before, clocks.values(), strict=True)]
+        begins = [row - 1 for row in first_rows(joined, [row + 1 for row in behind_header])]
+        batches = list[FrameBatch]()
+        for begin, end in pairwise([*begins, len(values)]):
+            rows = slice(max(begin, 0), end)
+            if begin >= 0:  # a recording ended
+                batches.append(self._held_back)
+                self._held_back = empty_batch()
+            batch = frames_of_rows(time_us[rows], values[rows], self._ids)
+            batches.append(self._in_order(batch, [own[rows] for own in clocks.values()]))
+        for place, own in clocks.items():
+            if np.isfinite(own).any():
+                self._last_us[place] = float(own[np.isfinite(own)][-1])
+        return join(batches)
 
     def _in_order(self, batch: FrameBatch, clocks: Iterable[FloatArray]) -> FrameBatch:
-        """Return values of several clocks by their times, as far as no clock is behind; the others are held back."""
-        batch = join([self.held_back, batch])
+        batch = join([self._held_back, batch])
         batch = batch[np.argsort(batch.t_ns, kind="stable")]
         ends_us = [float(np.nanmax(time_us)) for time_us in clocks if np.isfinite(time_us).any()]
         end = int(np.searchsorted(batch.t_ns, int(min(ends_us, default=0.0)) * 1000, side="right"))
-        self.held_back = batch[end:]
+        self._held_back = batch[end:]
         return batch[:end]
-
-    def _is_header(self, cells: Sequence[str]) -> bool:
-        """Return whether a row is the header again, or another one: cells behind that are found by their names."""
-        header = self._header
-        is_header = "".join(cells[header.time_place :][:1]).strip() in header.clock_words
-        if is_header and stripped(cells) not in header.repeated:
-            places = {name.strip(): place for place, name in reversed(list(enumerate(cells)))}
-            self._order = [places.get(name.strip()) for name in header.names]
-            self._is_unknown = self._order[header.time_place] is None or not any(
-                self._order[place] is not None for place in header.places
-            )
-            if news := places.keys() - {name.strip() for name in header.names} - {""}:
-                self._counts.note(f"columns that only a later header names are left out: {', '.join(sorted(news))}")
-        elif is_header:
-            self._order, self._is_unknown = None, False
-        self._counts.skipped += is_header
-        return is_header
 
     def _values(self, cells: Sequence[str], numbers: Sequence[int], slot: int) -> FloatArray:
         """Return a column as numbers, NaN for blank cells and for those that are none; the latter are counted."""
-        if not self._header.has_decimal_comma:
-            try:
-                values = np.array(cells, np.str_).astype(np.float64) if cells else np.empty(0)
-            except ValueError:
-                values = np.empty(0)
-            if len(values) == len(cells) and np.all(np.isfinite(values)):
-                return values
-        found = np.array([number_in(cell) for cell in cells], np.float64)
+        header, place = self._header, self._header.places[slot]
+        if unit := header.units_behind.get(place):
+            cells = [without_unit(cell, unit) for cell in cells]
+        found = numbers_in(cells, header.marks)
         for row in np.flatnonzero(np.isinf(found)).tolist():
-            if not (self._header.places[slot] in self._header.worded and WORD.fullmatch(cells[row])):
-                name = self._header.columns[slot].name
+            if not (place in header.worded and WORD.fullmatch(cells[row])):
+                name = header.columns[slot].name
                 self._counts.reject(LogReject.MALFORMED, f"line {numbers[row]}, column {name!r}")
         found[np.isinf(found)] = np.nan
         return found
 
-    def _times_us(self, cells: Sequence[str], numbers: Sequence[int], unit: float | None) -> FloatArray:
+    def _times_us(self, place: int, columns: Sequence[Sequence[str]], numbers: Sequence[int]) -> FloatArray:
         """Return the times in a place [us], NaN where there is none; a row without its time is counted."""
-        if unit is not None:
-            with np.errstate(over="ignore"):  # a damaged number
-                times_us = np.array([number_in(cell) for cell in cells], np.float64) * unit
+        header, cells = self._header, columns[place]
+        if unit := header.units_behind.get(place):
+            cells = [without_unit(cell, unit) for cell in cells]
+        times_us = header.clocks[place].times_us(cells, header.marks)
+        if header.date_place is None or place != header.time_place:
+            times_us = self._laps[place].go_on(times_us) + header.base_us
         else:
-            times_us = np.array([self._clock_us(cell) for cell in cells], np.float64)
+            times_us = times_us + self._days_us(columns[header.date_place])
         is_bad = ~(np.abs(times_us) < MOST_US)
         for row in np.flatnonzero(is_bad).tolist():
-            if len(self._header.clocks) == 1 or cells[row].strip():
+            if len(header.clocks) == 1 or cells[row].strip():
                 self._counts.reject(LogReject.MALFORMED, f"line {numbers[row]}, its time")
         times_us[is_bad] = np.nan
         return np.rint(times_us)
 
-    def _clock_us(self, cell: str) -> float:
-        """Return a time of day or a date [us]; times of day go on over midnight."""
-        found, is_date = moment_us(cell)
-        if is_date or np.isnan(found):
-            return found
-        if found + self._day_us < self._last_us - DAY_US / 2.0:
-            self._day_us += DAY_US
-        self._last_us = found + self._day_us
-        return self._last_us + self._header.base_us
+    def _days_us(self, cells: Sequence[str]) -> FloatArray:
+        """Return the days in a column [us]."""
+        days = {cell: moment_of(cell, is_month_first=self._header.is_month_first) for cell in set(cells)}
+        return np.array([np.nan if (day := days[cell]) is None else day.us for cell in cells], np.float64)
+
+
+class _Rows(NamedTuple):
+    """Rows of values, in the order of the first header."""
+
+    cells: list[list[str]]
+    numbers: list[int]  # of their lines
+    behind_header: list[int]  # those before which a header stood
+
+
+class _Laps:
+    """Lets times of a day or an hour go on when they begin again."""
+
+    def __init__(self, wraps_us: float) -> None:
+        self._wraps_us = wraps_us
+        self._last_us = -np.inf  # as it was read
+        self._passed_us = 0.0
+
+    def go_on(self, times_us: FloatArray) -> FloatArray:
+        """Return times that go on."""
+        rows = np.flatnonzero(np.isfinite(times_us))
+        if not self._wraps_us or not len(rows):
+            return times_us
+        read_us = times_us[rows]
+        steps_us = np.diff(read_us, prepend=self._last_us)
+        laps = np.cumsum(steps_us < -self._wraps_us / 2.0)
+        times_us[rows] += self._passed_us + self._wraps_us * laps
+        self._last_us, self._passed_us = float(read_us[-1]), self._passed_us + self._wraps_us * float(laps[-1])
+        return times_us
 
 
 def frames_of_values(time_us: FloatArray, values: FloatArray, ids: UInt32Array) -> FrameBatch:
