@@ -57,6 +57,8 @@ class FastBus:
 class FastBusOpener:
     """Stand in for ``BusOpener``."""
 
+    counts_duration = False
+
     def __init__(self, log: Path, start_ns: int, *_settings: object, **_options: object) -> None:
         self._log = log
         self._start_ns = start_ns
