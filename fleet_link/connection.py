@@ -101,7 +101,7 @@ def connect(client: Client, address: BrokerAddress, terms: Terms) -> None:
         properties.SessionExpiryInterval = terms.session_s
     if terms.max_unsettled is not None:
         properties.ReceiveMaximum = terms.max_unsettled
-        # Not of vehicles: brokers of MQTT 3.1.1 alone, such as amqtt, wait for ever behind properties that they misread.
+        # Not of vehicles: brokers of MQTT 3.1.1 alone, such as amqtt, misread properties and wait for ever.
         properties.MaximumPacketSize = terms.max_packet_bytes
     clean_start = not terms.session_s
     client.connect(address.host, address.port, terms.keepalive_s, clean_start=clean_start, properties=properties)

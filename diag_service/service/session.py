@@ -272,7 +272,7 @@ class Session:
 
     def _note_fluid(self, event: Event) -> bool:
         """Let the stages know which fluid the vehicle had at a shift; return whether it was one before theirs."""
-        start_ns = self._believed_start_ns(event)
+        start_ns = event.start_ns if self._stream is None else self._believed_start_ns(event)
         began_at = utc_from_bus_ns(start_ns)
         fill, since = self._store.fluid_at(self.vehicle, began_at), self._fluid_since
         if fill is not None and self._stream is None:
@@ -287,7 +287,7 @@ class Session:
 
     def _believed_start_ns(self, event: Event) -> int:
         """Return when an event began: of a log whose clock was wrong, as the odometer tells it by the fills."""
-        fills = [] if self._stream is None else self._store.fills(self.vehicle)
+        fills = self._store.fills(self.vehicle)
         series = event.columns.get(Signal.ODOMETER)
         if not fills or series is None or not len(series.value):
             return event.start_ns
@@ -297,8 +297,14 @@ class Session:
 
     def _diagnose(self, event: Event) -> tuple[ShiftResult, VehicleState | None]:
         conclude = self.stages.conclude_of_earlier_fluid if self._note_fluid(event) else self.stages.conclude
+        belief = self.stages.belief
         with self.progress.working(Stage.ESTIMATE):
-            diagnosis = self._concluded(conclude, event)
+            try:
+                diagnosis = conclude(event)
+            except DiagServiceError:
+                raise  # it says what the user does next
+            except Exception as exc:  # noqa: BLE001 - one event, whatever is wrong with it, must not end the others
+                diagnosis = self._left_out(event, exc, belief)
         if (doubt := self.stages.belief.meaning.doubt) and not self._is_doubted:
             self._is_doubted = True
             _LOG.warning("nothing is estimated: %s", doubt)
@@ -320,22 +326,16 @@ class Session:
         state, memory = diagnosis.belief.to_json()
         return result, VehicleState(filter_state=state, condition=memory, versions=self._versions)
 
-    def _concluded(self, conclude: Callable[[Event], Diagnosis], event: Event) -> Diagnosis:
-        """Return the diagnosis of an event; one over which the program fails is put aside, and the run goes on."""
-        belief = self.stages.belief
-        try:
-            return conclude(event)
-        except DiagServiceError:
-            raise  # it says what the user does next
-        except Exception as exc:  # noqa: BLE001 - one event, whatever is wrong with it, must not end the others
-            path = self._kept_events.keep(event, traceback.format_exc())
-            where = "" if path is None else f"; its signals are in {path}, for a report of the fault"
-            _LOG.error("event %d is left out: unexpected %s: %s%s", event.number, type(exc).__name__, exc, where)
-            self.stages.belief = belief
-            estimate = without_friction(event, Status.REJECTED, Reason.INTERNAL_ERROR)
-            known = {result.estimate.clutch: result.verdict for result in self.latest}
-            verdict = known.get(estimate.clutch) or failed_verdict(estimate.clutch)
-            return Diagnosis(estimate=estimate, verdict=verdict, belief=belief)
+    def _left_out(self, event: Event, fault: Exception, belief: Belief) -> Diagnosis:
+        """Return the diagnosis of an event over which the program failed: it is put aside, and belief is as before."""
+        path = self._kept_events.keep(event, "".join(traceback.format_exception(fault)))
+        where = "" if path is None else f"; its signals are in {path}, for a report of the fault"
+        _LOG.error("event %d is left out: unexpected %s: %s%s", event.number, type(fault).__name__, fault, where)
+        self.stages.belief = belief
+        estimate = without_friction(event, Status.REJECTED, Reason.INTERNAL_ERROR)
+        known = {result.estimate.clutch: result.verdict for result in self.latest}
+        verdict = known.get(estimate.clutch) or failed_verdict(estimate.clutch)
+        return Diagnosis(estimate=estimate, verdict=verdict, belief=belief)
 
 
 def versions_for(calibration: Calibration) -> Versions:

@@ -155,7 +155,7 @@ def test_an_automatic_is_told_its_tier_and_its_units_are_questioned(tmp_path: Pa
         run = ended("analyze", table, *words)
         assert run.status == 0
         assert "tier 2 of 3, slope of friction over slip, no level" in run.out + run.err
-        assert "lockup_pressure_pa as measured" in run.out + run.err
+        assert "lock-up pressure as measured" in run.out + run.err
         assert "column 'trans_fluid_temp_c' is read in 'degF', but something speaks for 'degC'" in run.err
 
 

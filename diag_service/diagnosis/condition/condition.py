@@ -124,6 +124,7 @@ class Fit(StrEnum):
 WARM_K: Final = 343.15  # of a pack: below it parameters move with the oil, by laws that differ from car to car
 BEGIN_COUNT: Final = 40  # events of the first stretch: a few drives
 LEAST_COUNT: Final = 6.0  # of the last one, before anything is said of causes: of fewer most is wrong
+LEAST_FRICTION_COUNT: Final = 1.0  # of them that told a friction, by their weights
 FILLED_COUNT: Final = 15.0  # of the first ones after a fill
 FORGETTING: Final = 0.97  # weight of an event after each later one: some thirty count
 JUDGED_EVERY: Final = 10  # events: a judgement takes as long as an event, a sensor that drifts is soon refused
@@ -205,7 +206,8 @@ class VehicleCourse:
 
         Events without friction are not enough: nothing would seem to have moved.
         """
-        return self.now.friction_count >= LEAST_COUNT and (self.found is None or self.event_count % JUDGED_EVERY == 0)
+        is_enough = self.now.count >= LEAST_COUNT and self.now.friction_count >= LEAST_FRICTION_COUNT
+        return is_enough and (self.found is None or self.event_count % JUDGED_EVERY == 0)
 
     def with_new_fluid(self) -> Self:
         """Return it after a fill: what was last is of the fluid before."""
