@@ -31,7 +31,7 @@ def nanoseconds(moment: str) -> int:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reading:
+class DatedOdometer:
     """What clock and odometer of a vehicle said at once."""
 
     t_ns: int
@@ -68,11 +68,12 @@ def chronicle_of(results: Iterable[ShiftResult], fills: Iterable[FluidFill], tod
         The present moment, since 1970.
     """
     results = tuple(results)
+    ends = [(result.stream, result.estimate) for result in results]
     readings = [
-        Reading(t_ns=result.estimate.end_ns, odometer_m=result.estimate.conditions.odometer_m, stream=result.stream)
-        for result in results
+        DatedOdometer(t_ns=estimate.end_ns, odometer_m=estimate.conditions.odometer_m, stream=stream)
+        for stream, estimate in ends
     ]
-    readings += [Reading(t_ns=nanoseconds(fill.filled_at), odometer_m=fill.odometer_m) for fill in fills]
+    readings += [DatedOdometer(t_ns=nanoseconds(fill.filled_at), odometer_m=fill.odometer_m) for fill in fills]
     dates = believed(readings, today_ns)
     if not dates.doubts:
         return Chronicle(results=results)
@@ -94,7 +95,7 @@ def _moved(result: ShiftResult, shift_ns: int, shifts_ns: dict[int, int]) -> Shi
     return replace(result, estimate=replace(estimate, start_ns=start_ns, end_ns=end_ns))
 
 
-def believed(readings: Sequence[Reading], today_ns: int) -> Dates:
+def believed(readings: Sequence[DatedOdometer], today_ns: int) -> Dates:
     """Return when readings were, the first to arrive first; without doubts their own moments."""
     t_ns = np.array([reading.t_ns for reading in readings], np.int64)
     odometer_m = np.array([reading.odometer_m for reading in readings], np.float64)  # None becomes NaN
@@ -120,7 +121,7 @@ def believed(readings: Sequence[Reading], today_ns: int) -> Dates:
     return Dates(t_ns=tuple(moved.tolist()), doubts=doubts)
 
 
-def _ends(readings: Sequence[Reading], is_usable: BoolArray) -> list[int]:
+def _ends(readings: Sequence[DatedOdometer], is_usable: BoolArray) -> list[int]:
     """Return the places of the last usable reading of each stream and of all fills, by arrival."""
     last = {reading.stream or f"fill {place}": place for place, reading in enumerate(readings) if is_usable[place]}
     return sorted(last.values())
@@ -145,7 +146,7 @@ def _falls(odometer_m: FloatArray, earlier: int, later: int) -> float:
 
 
 def _doubted(
-    readings: Sequence[Reading], t_ns: Int64Array, odometer_m: FloatArray, ends: Sequence[int]
+    readings: Sequence[DatedOdometer], t_ns: Int64Array, odometer_m: FloatArray, ends: Sequence[int]
 ) -> Iterator[int]:
     """Yield the places of the ends of streams whose dates have to go for dates and odometers to agree.
 

@@ -22,7 +22,7 @@ from canlog.e2e.message_contract import message_contracts
 from clutchdiag_io.files import give_sign, make_sign
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames
-from ecu_emulator.bus.pace import Pace, WallPace, pace_of
+from ecu_emulator.bus.pace import SendingPace, WallPace, pace_of
 from ecu_emulator.bus.sender import CHUNKS_AHEAD, TransmitReport, WallClock, clock_of, open_bus, transmit
 from ecu_emulator.drive.orders import NO_CODES, FaultsOfCode, LiveOrders, Ordered, follow
 from ecu_emulator.drive.recording import SHORT_STRETCH_S, Drive, DriveStretch
@@ -227,7 +227,7 @@ class OtherSenders:
         *,
         wanted_ids: Sequence[int] = (),
         pass_on: Callable[[can.Message], None] = lambda _: None,
-        pace: Pace | None = None,
+        pace: SendingPace | None = None,
     ) -> None:
         self._bus = bus
         self._can_ids = frozenset(can_ids)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 from canlog.errors import NOTICE
 from clutch_model.calibration import Calibration
 from clutch_model.fingerprint import fingerprint
-from clutch_results.clocks import Reading, believed, nanoseconds
+from clutch_results.clocks import DatedOdometer, believed, nanoseconds
 from clutch_results.event_kinds import DATED_NS
 from clutch_results.loads import Load, borne
 from clutch_results.records import (
@@ -291,8 +291,8 @@ class Session:
         series = event.columns.get(Signal.ODOMETER)
         if not fills or series is None or not len(series.value):
             return event.start_ns
-        readings = [Reading(t_ns=event.start_ns, odometer_m=float(series.value.mean()), stream=self._stream)]
-        readings += [Reading(t_ns=nanoseconds(fill.filled_at), odometer_m=fill.odometer_m) for fill in fills]
+        readings = [DatedOdometer(t_ns=event.start_ns, odometer_m=float(series.value.mean()), stream=self._stream)]
+        readings += [DatedOdometer(t_ns=nanoseconds(fill.filled_at), odometer_m=fill.odometer_m) for fill in fills]
         return believed(readings, self._today_ns).t_ns[0]
 
     def _diagnose(self, event: Event) -> tuple[ShiftResult, VehicleState | None]:

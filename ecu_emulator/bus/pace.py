@@ -10,7 +10,7 @@ LISTEN_S: Final = 0.1  # how soon a thread notices that it is over
 JOIN_S: Final = 5.0  # for a driver that does not return
 
 
-class Pace(Protocol):
+class SendingPace(Protocol):
     """Has something done again and again; what it raises is raised where that ends, unless another error is."""
 
     @property
@@ -122,7 +122,7 @@ class StepPace:
             raise failure
 
 
-def pace_of(bus: object) -> Pace:
+def pace_of(bus: object) -> SendingPace:
     """Return the pace of a bus whose time passes in steps, which then waits for us; else that of this machine."""
     clock = getattr(bus, "clock", None)
     return WallPace() if clock is None else StepPace(clock)

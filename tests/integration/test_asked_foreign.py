@@ -26,7 +26,8 @@ from tests.integration.test_tester import vehicle
 from tests.support.ports import free_port
 from tests.support.uds.udsoncan_client import CONFIG, ISO_TP, Number
 from workshop.controller.doip_server import DoipAddress, DoipServer
-from workshop.tester.signal_asking import SignalAsker, address_of, line_on
+from workshop.tester.can_line import line_on
+from workshop.tester.signal_asking import SignalAsker, address_of
 
 pytestmark = pytest.mark.asks
 

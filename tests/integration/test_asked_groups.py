@@ -16,7 +16,8 @@ from tests.integration.test_signal_asking import Ear, heard, wait_for
 from tests.plugins.asked_services import SentByUs
 from tests.support.asked import batch_of
 from workshop.tester.addresses import GROUP_REQUEST
-from workshop.tester.signal_asking import GROUP_S, PollPlan, SignalAsker, line_on
+from workshop.tester.can_line import line_on
+from workshop.tester.signal_asking import GROUP_S, PollPlan, SignalAsker
 
 pytestmark = pytest.mark.asks
 

@@ -12,7 +12,7 @@ from workshop.tester.addresses import CanAddress
 from workshop.tester.answers import BUSY, OpenRequests, belongs, is_data_answer
 from workshop.tester.answers import TesterTiming as Timing
 from workshop.tester.asking import dialogue_on
-from workshop.tester.signal_asking import line_on
+from workshop.tester.can_line import line_on
 
 pytestmark = pytest.mark.asks
 

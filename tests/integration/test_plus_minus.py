@@ -147,10 +147,10 @@ def test_bands_of_a_picture_are_two_deviations_wide() -> None:
     fan = fan_for(findings(4))
     assert fan is not None
     figure = draw_fan(fan, "car1")
-    band, *_ = figure.axes[0].collections
-    assert band.get_label() == SAID
-    first = fan.pasts[0]
-    edges = np.asarray(band.get_paths()[0].vertices)[:, 1]
-    assert (edges.max(), edges.min()) == pytest.approx(
-        ((first.left + 2.0 * first.std).max(), (first.left - 2.0 * first.std).min())
-    )
+    bands = figure.axes[0].collections[: len(fan.pasts)]
+    assert [band.get_label() for band in bands if not str(band.get_label()).startswith("_")] == [SAID]
+    for band, past in zip(bands, reversed(fan.pasts), strict=True):  # the first one is drawn on top
+        edges = np.asarray(band.get_paths()[0].vertices)[:, 1]
+        assert (edges.max(), edges.min()) == pytest.approx(
+            ((past.left + 2.0 * past.std).max(), (past.left - 2.0 * past.std).min())
+        )

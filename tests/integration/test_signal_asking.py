@@ -25,7 +25,8 @@ from workshop.controller.controller import Controller
 from workshop.controller.table import engine_table, table_like
 from workshop.tester import signal_asking
 from workshop.tester.addresses import CanAddress
-from workshop.tester.signal_asking import SignalAsker, line_on
+from workshop.tester.can_line import line_on
+from workshop.tester.signal_asking import SignalAsker
 
 pytestmark = pytest.mark.asks
 

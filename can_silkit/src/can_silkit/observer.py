@@ -19,7 +19,7 @@ SILENT: Final = re.compile(r"(?:: |; )([^;:()]+) \([^)]*\) is waiting for reply"
 _LOG = logging.getLogger(__name__)
 
 
-class State(IntEnum):
+class ParticipantState(IntEnum):
     """States of participants and of the whole system, as SIL Kit numbers them."""
 
     INVALID = 0
@@ -37,8 +37,10 @@ class State(IntEnum):
     ABORTING = 120
 
 
-GATHERING: Final = frozenset({State.SERVICES_CREATED, State.COMMUNICATION_INITIALIZING})
-BUSY: Final = frozenset({State.READY_TO_RUN, State.RUNNING, State.PAUSED, State.STOPPING})
+GATHERING: Final = frozenset({ParticipantState.SERVICES_CREATED, ParticipantState.COMMUNICATION_INITIALIZING})
+BUSY: Final = frozenset(
+    {ParticipantState.READY_TO_RUN, ParticipantState.RUNNING, ParticipantState.PAUSED, ParticipantState.STOPPING}
+)
 
 
 class _Header(ctypes.Structure):
@@ -83,9 +85,9 @@ class Observer:
     def __init__(self, library: ctypes.CDLL, name: str, registry: str, on_change: Callable[[], None]) -> None:
         self._call = partial(_call, library)
         self._on_change = on_change
-        self._states: dict[str, State] = {}
+        self._states: dict[str, ParticipantState] = {}
         self._reasons: dict[str, str] = {}  # of errors
-        self._system = State.INVALID
+        self._system = ParticipantState.INVALID
         self._was_aborted = False
         self._lock = threading.Lock()
         monitor, self._participant = ctypes.c_void_p(), _joined(library, QUIET, name, registry)
@@ -101,7 +103,7 @@ class Observer:
     def failure(self) -> str | None:
         """Why the simulation cannot go on; None: nothing is known."""
         with self._lock:
-            if self._system is not State.ERROR and not self._was_aborted:
+            if self._system is not ParticipantState.ERROR and not self._was_aborted:
                 return None
         return "; ".join(sorted(self.errors())) or "it was aborted"
 
@@ -120,12 +122,12 @@ class Observer:
     @property
     def is_paused(self) -> bool:
         with self._lock:
-            return State.PAUSED in self._states.values()
+            return ParticipantState.PAUSED in self._states.values()
 
     def has_shut_down(self, name: str) -> bool:
         """Whether a participant's end is known here, and so all that led to it."""
         with self._lock:
-            return self._states.get(name) in {None, State.SHUTDOWN}
+            return self._states.get(name) in {None, ParticipantState.SHUTDOWN}
 
     def running(self) -> list[str]:
         """Return who takes part in time."""
@@ -143,19 +145,22 @@ class Observer:
         self._call("Participant_Destroy", self._participant)
 
     def _note_status(self, _context: object, _monitor: object, name: bytes, status: Any) -> None:  # noqa: ANN401
-        state, reason = State(status.contents.state), (status.contents.reason or b"").decode(errors="replace")
+        state, reason = (
+            ParticipantState(status.contents.state),
+            (status.contents.reason or b"").decode(errors="replace"),
+        )
         with self._lock:
             self._states[name.decode()] = state
-            if state is State.ERROR:
+            if state is ParticipantState.ERROR:
                 is_lost = reason == "Connection Lost"
                 said = "crashed: it left without a word" if is_lost else f"reports an error: {' '.join(reason.split())}"
                 self._reasons[name.decode()] = said
-            self._was_aborted |= state is State.ABORTING
+            self._was_aborted |= state is ParticipantState.ABORTING
         self._on_change()
 
     def _note_system(self, _context: object, _monitor: object, state: int) -> None:
         with self._lock:
-            self._system = State(state)
+            self._system = ParticipantState(state)
         self._on_change()
 
     def _note_left(self, _context: object, _monitor: object, connection: Any) -> None:  # noqa: ANN401

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from ecu_emulator.bus.pace import Pace, StepPace, WallPace, pace_of
+from ecu_emulator.bus.pace import SendingPace, StepPace, WallPace, pace_of
 from ecu_emulator.errors import EmulatorConfigError
 from ecu_emulator.live import check_step
 from tests.support.patience import HANG_S
@@ -66,7 +66,7 @@ def test_in_threads_it_is_done_until_the_end() -> None:
 @pytest.mark.parametrize("is_virtual", [False, True])
 def test_what_goes_wrong_is_raised_at_the_end_unless_something_else_is(*, is_virtual: bool) -> None:
     steps, tried = Steps(), threading.Event()
-    pace: Pace = StepPace(steps) if is_virtual else WallPace()
+    pace: SendingPace = StepPace(steps) if is_virtual else WallPace()
 
     def fail(_timeout_s: float = 0.0) -> bool:
         tried.set()

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol, Self
 
-from ecu_emulator.bus.pace import Pace, StepPace, WallPace, pace_of
+from ecu_emulator.bus.pace import SendingPace, StepPace, WallPace, pace_of
 from workshop.controller.controller import Controller
 from workshop.controller.state import Reply
 from workshop.controller.table import Timing
@@ -28,7 +28,7 @@ class Inquiry(AbstractContextManager["Inquiry"], Protocol):
     """Asks controllers while it is entered."""
 
     @property
-    def pace(self) -> Pace:
+    def pace(self) -> SendingPace:
         """In whose time."""
 
     def ask(self, controller: Controller, payload: bytes, is_functional: bool, wake: Callable[[], None]) -> Asked:  # noqa: FBT001 - of one caller
@@ -41,8 +41,8 @@ class Inquiry(AbstractContextManager["Inquiry"], Protocol):
 class ThreadInquiry:
     """Asks in threads, one for each link that asks: a reply takes as long as it takes."""
 
-    def __init__(self, pace: Pace | None = None) -> None:
-        self.pace: Pace = WallPace() if pace is None else pace
+    def __init__(self, pace: SendingPace | None = None) -> None:
+        self.pace: SendingPace = WallPace() if pace is None else pace
         self._pool = ThreadPoolExecutor(thread_name_prefix="diagnostics asks")
 
     def __enter__(self) -> Self:
@@ -80,7 +80,7 @@ class StepInquiry:
     """Asks within a step: time waits for the controller, whose reply is due after its time to answer."""
 
     def __init__(self, pace: StepPace, seed: int = 0) -> None:
-        self.pace: Pace = pace
+        self.pace: SendingPace = pace
         self._times = random.Random(seed)  # noqa: S311 - the same in each run
 
     def __enter__(self) -> Self:

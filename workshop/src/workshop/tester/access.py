@@ -12,13 +12,14 @@ from diag_service.settings.config import BusConfig
 from workshop.tester.adapters import Line, line_through, parse_adapter, rules_through
 from workshop.tester.addresses import is_extended
 from workshop.tester.asking import listen_at
+from workshop.tester.can_line import line_on
 from workshop.tester.listening import HeardTraffic
-from workshop.tester.signal_asking import NO_GROUPS, address_of, line_on
+from workshop.tester.signal_asking import NO_GROUPS, address_of
 
 GoesOn = Callable[[], bool]
 
 
-class Access(Protocol):
+class CarAccess(Protocol):
     """A way to controllers."""
 
     @property

@@ -16,7 +16,7 @@ from diag_service.mapping.interpretation import fit_of, open_database
 from diag_service.mapping.mapped_messages import fitting, is_of_lockup, lacking, tier_of
 from diag_service.mapping.profile import Profile
 from diag_service.mapping.signal_words import listed
-from workshop.tester.interview import Outcome, Reply, value_words
+from workshop.tester.interview import AskOutcome, CarReply, value_words
 from workshop.tester.listening import HeardTraffic
 from workshop.tester.transmissions import Transmission, transmission_of
 
@@ -36,13 +36,13 @@ class CarTrial:
     """What a car tells by one profile: what it answered, and what a database says is broadcast."""
 
     profile: Profile
-    replies: tuple[Reply, ...]
+    replies: tuple[CarReply, ...]
     broadcast: frozenset[Signal]
     doubt: Doubt
 
     @classmethod
     def of(
-        cls, profile: Profile, replies: Sequence[Reply], database: Database | None, traffic: HeardTraffic | None
+        cls, profile: Profile, replies: Sequence[CarReply], database: Database | None, traffic: HeardTraffic | None
     ) -> Self:
         broadcast, doubt = frozenset(profile.sources) - profile.asked.keys() - profile.groups.keys(), Doubt.UNKNOWN
         messages, _ = fitting(database or load_contract(), profile)
@@ -98,7 +98,7 @@ class CarTrial:
     @property
     def missing(self) -> str:
         """Why values are missing, and which; empty if none is."""
-        by_outcome: dict[Outcome, list[Signal]] = {}
+        by_outcome: dict[AskOutcome, list[Signal]] = {}
         for reply in self.replies:
             if not reply.has_answer:
                 by_outcome.setdefault(reply.outcome, []).extend(reply.signals)
@@ -107,7 +107,7 @@ class CarTrial:
     def summary(self) -> str:
         """Return in lines what the car tells, and what that suffices for."""
         values = [f"  {value_words(signal, value)}" for reply in self.replies for signal, value in reply.values.items()]
-        empty = [signal for reply in self.replies if reply.outcome is Outcome.EMPTY for signal in reply.signals]
+        empty = [signal for reply in self.replies if reply.outcome is AskOutcome.EMPTY for signal in reply.signals]
         lines = [f"{self.profile.name} fits best: the car answers {self.count_words} values", *values]
         lines += [f"  no value now: {listed(empty)}"] if empty else []
         lines += [f"  {self.missing}"] if self.missing else []

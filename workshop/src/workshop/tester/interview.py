@@ -19,13 +19,14 @@ from diag_service.mapping.signal_words import listed, signal_words
 from workshop.tester.adapters import Line
 from workshop.tester.addresses import CanAddress, id_text
 from workshop.tester.answers import BUSY, PENDING, STOPPED, refusal_text
-from workshop.tester.signal_asking import MOST_SILENT, CanLine, DataRequest, GroupQuestion, address_of
+from workshop.tester.can_line import CanLine, GroupQuestion
+from workshop.tester.signal_asking import MOST_SILENT, DataRequest, address_of
 
 BUSY_PAUSE_S: Final = 0.5
 Show = Callable[[str], object]
 
 
-class Outcome(StrEnum):
+class AskOutcome(StrEnum):
     """What became of a question."""
 
     TOLD = "told"
@@ -37,22 +38,22 @@ class Outcome(StrEnum):
     SILENT = "no answer"
 
 
-_LATER: Final = {BUSY: Outcome.BUSY, PENDING: Outcome.UNFINISHED}  # refusals that say "not yet"
+_LATER: Final = {BUSY: AskOutcome.BUSY, PENDING: AskOutcome.UNFINISHED}  # refusals that say "not yet"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reply:
+class CarReply:
     """What became of a question, and the values in SI."""
 
     question: DataRequest | GroupQuestion
     signals: tuple[Signal, ...]  # that it is about
-    outcome: Outcome
+    outcome: AskOutcome
     detail: str = ""
     values: Mapping[Signal, float] = field(default_factory=dict)
 
     @property
     def has_answer(self) -> bool:
-        return self.outcome in {Outcome.TOLD, Outcome.EMPTY}
+        return self.outcome in {AskOutcome.TOLD, AskOutcome.EMPTY}
 
     def __str__(self) -> str:
         """Return the reply with what was asked for, for whoever knows identifiers."""
@@ -69,10 +70,10 @@ def value_words(signal: Signal, value: float) -> str:
     return f"{signal_words(signal)} {digits(amount)} {unit}".rstrip()
 
 
-def _delay(answer: bytes | None, *, is_busy: bool) -> Outcome | None:
+def _delay(answer: bytes | None, *, is_busy: bool) -> AskOutcome | None:
     """Return what a controller does instead of an answer, None if that is no delay; who is busy may be silent, too."""
     if answer is None:
-        return Outcome.BUSY if is_busy else None
+        return AskOutcome.BUSY if is_busy else None
     return _LATER.get(answer[2]) if answer[0] == NEGATIVE and len(answer) > 2 else None
 
 
@@ -92,7 +93,7 @@ class Interview:
     """
 
     def __init__(self, line: Line, patience_s: float, show: Show, goes_on: Callable[[], bool]) -> None:
-        self.given_up: dict[CanAddress, Outcome] = {}
+        self.given_up: dict[CanAddress, AskOutcome] = {}
         self._line = line
         self.patience_s = patience_s
         self._show = show
@@ -100,7 +101,7 @@ class Interview:
         self._heard: set[CanAddress] = set()
         self._until_s: dict[CanAddress, float] = {}  # of patience with who is busy
 
-    def replies(self, profile: Profile) -> Iterator[Reply]:
+    def replies(self, profile: Profile) -> Iterator[CarReply]:
         """Ask for each datum of a profile, and yield what became of that; raises ControllerError, StoppedError."""
         signals = dict[tuple[CanAddress, DatumId], list[Signal]]()
         for signal, asked in profile.asked.items():
@@ -110,26 +111,26 @@ class Interview:
         for signal, pgn in profile.groups.items():
             group = GroupQuestion(pgn)
             is_told = isinstance(self._line, CanLine) and self._line.ask_group(group) is not None
-            yield Reply(question=group, signals=(signal,), outcome=Outcome.TOLD if is_told else Outcome.SILENT)
+            yield CarReply(question=group, signals=(signal,), outcome=AskOutcome.TOLD if is_told else AskOutcome.SILENT)
 
-    def _reply(self, profile: Profile, question: DataRequest, signals: tuple[Signal, ...]) -> Reply:
-        reply = partial(Reply, question=question, signals=signals)
+    def _reply(self, profile: Profile, question: DataRequest, signals: tuple[Signal, ...]) -> CarReply:
+        reply = partial(CarReply, question=question, signals=signals)
         answer = self._ask(question)
         if answer is None:
-            return reply(outcome=self.given_up.get(question.address, Outcome.SILENT))
+            return reply(outcome=self.given_up.get(question.address, AskOutcome.SILENT))
         if answer[0] == NEGATIVE:
-            return reply(outcome=Outcome.REFUSED, detail=refusal_text(answer[2] if len(answer) > 2 else 0))
+            return reply(outcome=AskOutcome.REFUSED, detail=refusal_text(answer[2] if len(answer) > 2 else 0))
         (datum,) = question.data
         data = data_in(question.request, answer, question.can_id, sizes_of(profile.asked.values()))
         if isinstance(data, str) or datum not in dict(data):
-            return reply(outcome=Outcome.UNREADABLE, detail=data if isinstance(data, str) else "left out")
+            return reply(outcome=AskOutcome.UNREADABLE, detail=data if isinstance(data, str) else "left out")
         raw = {signal: profile.asked[signal].value(dict(data)[datum]) for signal in signals}
         values = {
             signal: float(to_si(signal, profile.sources[signal], None)(np.array([float(value)]))[0])
             for signal, value in raw.items()
             if value not in profile.sources[signal].invalid
         }
-        return reply(outcome=Outcome.TOLD if values else Outcome.EMPTY, values=values)
+        return reply(outcome=AskOutcome.TOLD if values else AskOutcome.EMPTY, values=values)
 
     def _ask(self, question: DataRequest) -> bytes | None:
         """Return the answer to a question; None without, and from a controller that is given up."""
@@ -146,10 +147,10 @@ class Interview:
             else:
                 silent_count += 1
         if address not in self._heard:
-            self.given_up.setdefault(address, Outcome.SILENT)
+            self.given_up.setdefault(address, AskOutcome.SILENT)
         return None
 
-    def _wait_for(self, address: CanAddress, delay: Outcome) -> None:
+    def _wait_for(self, address: CanAddress, delay: AskOutcome) -> None:
         """Wait until a controller that is busy may be asked again, or give it up."""
         if address not in self._until_s:
             self._show(f"{id_text(address.request_id)} is busy: it is asked again for {self.patience_s:g} s at most")

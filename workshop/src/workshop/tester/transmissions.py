@@ -55,7 +55,7 @@ class Transmission(Protocol):
         """Diagnose a drive by commands that a person could type; return the words that name the vehicle in others."""
 
 
-class DualClutch:
+class DualClutchTransmission:
     """Two wet clutches; a drive teaches which gears and clutches the car has."""
 
     purpose: Final = {
@@ -89,7 +89,7 @@ class DualClutch:
         return named
 
 
-class LockUp:
+class LockUpTransmission:
     """A torque converter with a lock-up clutch; what is known of its type is shipped."""
 
     purpose: Final = {
@@ -122,7 +122,7 @@ class LockUp:
 
 def transmission_of(signals: AbstractSet[Signal]) -> Transmission:
     """Return the kind of transmission that has such signals."""
-    return LockUp() if is_of_lockup(signals) else DualClutch()
+    return LockUpTransmission() if is_of_lockup(signals) else DualClutchTransmission()
 
 
 def description_path(log: Path) -> Path:

@@ -18,12 +18,12 @@ from diag_service.mapping.interpretation import open_database
 from diag_service.mapping.profile import AskingRules, Profile, find_profile, load_shipped, shipped_profiles
 from diag_service.settings.config import BusConfig
 from diag_service.stopping import Controls
-from workshop.tester.access import Access, AdapterAccess, BusAccess
+from workshop.tester.access import AdapterAccess, BusAccess, CarAccess
 from workshop.tester.addresses import id_text
 from workshop.tester.asking import check_time
 from workshop.tester.car_trial import CarTrial
 from workshop.tester.first_drive import check_log, judge, record
-from workshop.tester.interview import Interview, Outcome, Show
+from workshop.tester.interview import AskOutcome, Interview, Show
 from workshop.tester.listening import HeardTraffic
 from workshop.tester.signal_asking import PollPlan, SignalAsker, address_of
 
@@ -75,7 +75,7 @@ def try_car(options: TryOptions, controls: Controls) -> None:
 
 def _tried(
     profiles: Sequence[Profile],
-    access: Access,
+    access: CarAccess,
     database: Database | None,
     traffic: HeardTraffic | None,
     options: TryOptions,
@@ -112,7 +112,7 @@ def _tried(
     return best
 
 
-def _measure(trial: CarTrial, access: Access, options: TryOptions, controls: Controls, show: Show) -> None:
+def _measure(trial: CarTrial, access: CarAccess, options: TryOptions, controls: Controls, show: Show) -> None:
     """Measure how fast a car answers, show what a drive will tell, and record one if that is wanted."""
     with SignalAsker(
         trial.profile.asked,
@@ -146,10 +146,10 @@ def _check_answers(interview: Interview, trials: Sequence[CarTrial], traffic: He
     late = {
         address: outcome
         for address, outcome in interview.given_up.items()
-        if outcome in {Outcome.BUSY, Outcome.UNFINISHED}
+        if outcome in {AskOutcome.BUSY, AskOutcome.UNFINISHED}
     }
     for address, outcome in late.items():
-        what = f"stayed busy for {interview.patience_s:g} s" if outcome is Outcome.BUSY else outcome
+        what = f"stayed busy for {interview.patience_s:g} s" if outcome is AskOutcome.BUSY else outcome
         next_step = "wait a minute with the ignition on, and try again"
         raise ControllerError(f"{id_text(address.request_id)} {what}; it may be starting: {next_step}")
     if any(trial.answered for trial in trials):
@@ -165,7 +165,7 @@ def _check_answers(interview: Interview, trials: Sequence[CarTrial], traffic: He
     raise ControllerError(f"{ids} answers, but tells nothing that a profile asks for: --profile names one of your own")
 
 
-def _show_requests(access: Access, profiles: Sequence[Profile], show: Show, *, has_details: bool) -> None:
+def _show_requests(access: CarAccess, profiles: Sequence[Profile], show: Show, *, has_details: bool) -> None:
     """Show what ``--active`` would send."""
     for profile in profiles if has_details else ():
         _show_requests_of(profile, access.rules(profile), show)
@@ -202,7 +202,7 @@ def _check_recording(options: TryOptions) -> None:
     check_log(options.record)
 
 
-def _access(options: TryOptions) -> Access:
+def _access(options: TryOptions) -> CarAccess:
     if options.adapter is None:
         bus = BusConfig(interface=options.interface, channel=options.channel, bitrate=options.bitrate, is_fd=options.fd)
         return BusAccess(bus=bus)

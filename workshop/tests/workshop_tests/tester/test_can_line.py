@@ -5,10 +5,10 @@ from unittest.mock import Mock
 
 import pytest
 
-from workshop.tester import signal_asking
+from workshop.tester import can_line
 from workshop.tester.addresses import CanAddress
+from workshop.tester.can_line import CanLine
 from workshop.tester.dialogue import TimeoutException
-from workshop.tester.signal_asking import CanLine
 
 GEARBOX = CanAddress(request_id=0x7E1, response_id=0x7E9)
 REQUEST, ANSWER = bytes.fromhex("22100C"), bytes.fromhex("62100C17")
@@ -29,8 +29,8 @@ def asked(monkeypatch: pytest.MonkeyPatch, frames: list[bytes]) -> tuple[bytes |
             raise TimeoutException
         return frames.pop(0) if len(frames) > 1 else frames[0]
 
-    monkeypatch.setattr(signal_asking, "CanConnection", lambda *_, **__: Mock(specific_wait_frame=wait_frame))
-    monkeypatch.setattr(signal_asking, "time", SimpleNamespace(monotonic=lambda: clock.now_s))
+    monkeypatch.setattr(can_line, "CanConnection", lambda *_, **__: Mock(specific_wait_frame=wait_frame))
+    monkeypatch.setattr(can_line, "time", SimpleNamespace(monotonic=lambda: clock.now_s))
     line = CanLine(Mock(), is_fd=False, goes_on=lambda: True)
     return line.ask(REQUEST, GEARBOX), clock.now_s
 
