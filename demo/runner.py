@@ -106,7 +106,7 @@ async def run_demo(options: DemoOptions, console: Console) -> int:
         outcome, points = await _drive(options, medium, console, scan_tool, parts)
         if (late := lateness_text(outcome)) is not None:
             console.print(f"{late}: the same drive once more, in virtual time, from its recording", soft_wrap=True)
-            outcome = await _drive_in_virtual_time(options)
+            outcome = await drive_in_virtual_time(options)
             parts.end("driving in virtual time")
         console.print(ageing.ageing_table(points))
         for table in tables(outcome):
@@ -199,7 +199,7 @@ async def _drive(
     return _outcome(options, shifts, IN_REAL_TIME, summary, truth, json.loads(driver.output)), aged.result()
 
 
-async def _drive_in_virtual_time(options: DemoOptions) -> Outcome:
+async def drive_in_virtual_time(options: DemoOptions) -> Outcome:
     """Let the service analyse the recording of the drive: frames carry their times, and no machine is too busy."""
     log = options.folder / RECORDING
     output = await run(SERVICE, "analyze", log, "--json", "--vehicle", options.vehicle, folder=options.folder)
