@@ -1,10 +1,12 @@
-"""Databases of other people, DBC, KCD, ARXML and SYM, by cantools; what it would misread is refused."""
+"""Databases of other people, DBC, KCD, ARXML and SYM, by cantools; what it would misread is left out or refused."""
 
 import logging
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -12,6 +14,20 @@ import cantools
 from cantools.database.can import Database, Message
 
 from canlog.database.addressing import J1939, is_of_groups
+from canlog.database.dbc_imports import with_imports
+from canlog.database.dbc_text import (
+    EXTENDED,
+    Edit,
+    edited,
+    left_out_at,
+    line_number,
+    message_count,
+    outside_grammar,
+    plain_of,
+    signals_left_out,
+    with_pages,
+    without_meaning,
+)
 from canlog.errors import NOTICE, DefinitionError
 from canlog.files import is_there, read_small_file
 
@@ -23,8 +39,6 @@ MAX_BITS: Final = 8 * 1785  # longest J1939 transport message, far above any CAN
 MAX_MULTIPLEXED: Final = 1_000_000  # values of multiplexers in a file, each of which the parser writes out
 MAX_DIGITS: Final = 9  # no number that sizes something needs more
 FLOAT_BITS: Final = frozenset({16, 32, 64})
-_EXTENDED: Final = 1 << 31
-_STRING: Final = re.compile(r'"(?:[^"\\]|\\.)*+(?:"|\Z)', re.DOTALL)
 # Of messages in bytes, of signals the place in bits; the possessive ones look at no character twice.
 _SIZES: Final = {
     "dbc": re.compile(
@@ -38,26 +52,25 @@ _RANGE: Final = re.compile(r"(?<!\d)(\d++)\s*+-\s*+(\d++)")
 _ITEM: Final = re.compile(
     r"(?<!\S)(?:BO_\s++(?P<message>\d++)\s|SG_\s++(?P<signal>\w++)(?:\s++(?P<mark>[\w-]++))?+\s*+:"
     r"|SG_MUL_VAL_\s++(?P<paged>\d++)\s++(?P<page>\w++)\s++(?P<multiplexer>\w++)(?P<ranges>[^;]*+)"
-    r"|SIG_VALTYPE_\s++(?P<typed>\d++)\s++\w++\s*+:\s*+(?P<type>\d++))"
+    r"|SIG_VALTYPE_\s++(?P<typed>\d++)\s++(?P<of_type>\w++)\s*+:\s*+(?P<type>\d++))"
 )
 
 
-def bare(text: str) -> str:
-    """Return a DBC text without its texts; what remains keeps its line."""
-    return _STRING.sub(lambda match: '"' + "\n" * match[0].count("\n") + '"', text)
-
-
 def line_of(text: str, position: int) -> str:
-    return f"line {text.count(chr(10), 0, position) + 1}"
+    return f"line {line_number(text, position)}"
 
 
-def check_sizes(text: str, database_format: str) -> None:
-    """Raise DefinitionError for sizes that would make the parser fill the memory, before it sees them."""
+def oversized(text: str, database_format: str) -> Iterator[tuple[int, str]]:
+    """Yield place and cause of sizes that would make the parser fill the memory, before it sees them."""
     for match in _SIZES[database_format].finditer(text):
         size = {name: _number(digits) for name, digits in match.groupdict(default="0").items()}
         if max(8 * size.get("bytes", 0), size.get("start", 0) + size["bits"]) > MAX_BITS:
-            raise DefinitionError(f"{line_of(text, match.start())}: {match[0][:60]}: no CAN message is so long")
-    ranges = [_RANGE.findall(item["ranges"] or "") for item in _ITEM.finditer(text)] if database_format == "dbc" else []
+            yield match.start(), f"{match[0][:60]}: no CAN message is so long"
+
+
+def check_ranges(plain: str) -> None:
+    """Raise DefinitionError for more values of multiplexers than the parser can write out."""
+    ranges = [_RANGE.findall(item["ranges"] or "") for item in _ITEM.finditer(plain)]
     if sum(_number(last) - _number(first) for pairs in ranges for first, last in pairs) > MAX_MULTIPLEXED:
         raise DefinitionError("the ranges of SG_MUL_VAL_ are wider than those of any multiplexer")
 
@@ -67,38 +80,44 @@ def _number(digits: str) -> int:
     return int(digits) if len(digits) <= MAX_DIGITS else 10**MAX_DIGITS
 
 
-def misreadings(text: str, database: Database) -> Iterator[str]:
-    """Yield what cannot be right in a database that cantools took; ``text`` is the bare one of a DBC file, or empty."""
+def misread_signals(plain: str, database: Database) -> Iterator[tuple[int, str, str]]:
+    """Yield message number, name and cause of signals that cannot be right in a database that cantools took.
+
+    ``plain`` is the text of a DBC file with blanks in its quotes, empty for other formats.
+    """
     signals: dict[int, dict[str, Signal]] = {}
     for message in database.messages:
-        number = message.frame_id | (_EXTENDED if message.is_extended_frame else 0)
+        number = message.frame_id | (EXTENDED if message.is_extended_frame else 0)
         signals.setdefault(number, {}).update((signal.name, signal) for signal in message.signals)
-        yield from _of_message(message)
+        yield from _misread_in(message, number)
     number = 0
-    for match in _ITEM.finditer(text):
-        number, mark, cause = int(match["message"] or number), match["mark"] or "M", ""
-        signal = signals.get(int(match["paged"] or number), {}).get(match["signal"] or match["page"] or "")
-        if not re.fullmatch(r"M|m\d+M?", mark):
-            cause = f"signal {match['signal']}: {mark} is not a multiplexer's mark (M, or m and a number)"
-        elif signal is not None and mark != "M" and not signal.multiplexer_ids:
-            cause = f"signal {signal.name}: nothing says which multiplexer (M) of its message selects it"
+    for match in _ITEM.finditer(plain):
+        number, cause = int(match["message"] or number), ""
+        owner, name = (
+            int(match["paged"] or match["typed"] or number),
+            match["signal"] or match["page"] or match["of_type"],
+        )
+        signal = signals.get(owner, {}).get(name or "")
+        if signal is not None and match["mark"] not in {None, "M"} and not signal.multiplexer_ids:
+            cause = f"signal {name}: nothing says which multiplexer (M) of its message selects it"
         elif signal is not None and match["page"] and signal.multiplexer_signal != match["multiplexer"]:
-            cause = f"SG_MUL_VAL_ of {signal.name}: its message has no multiplexer {match['multiplexer']}"
+            cause = f"SG_MUL_VAL_ of {name}: its message has no multiplexer {match['multiplexer']}"
         elif match["type"] not in {None, "0", "1", "2"}:
-            cause = f"SIG_VALTYPE_ {match['typed']}: there is no type {match['type']}"
+            cause = f"signal {name}: SIG_VALTYPE_ has no type {match['type']}"
         if cause:
-            yield f"{line_of(text, match.start())}: {cause}"
+            yield owner, name, cause
 
 
-def _of_message(message: Message) -> Iterator[str]:
+def _misread_in(message: Message, number: int) -> Iterator[tuple[int, str, str]]:
     pages = Counter((signal.name, str(signal.multiplexer_ids)) for signal in message.signals)
     for name in (name for (name, _), count in pages.items() if count > 1):
-        yield f"message {message.name} has another signal {name}"
+        yield number, name, f"message {message.name} has another signal {name}"
     for signal in message.signals:
         if signal.is_float and signal.length not in FLOAT_BITS:
-            yield f"signal {signal.name} of message {message.name} is a float of {signal.length} bits"
+            cause = f"signal {signal.name} of message {message.name} is a float of {signal.length} bits"
+            yield number, signal.name, cause
     for contained in message.contained_messages or ():
-        yield from _of_message(contained)
+        yield from _misread_in(contained, number)
 
 
 MAX_FILE_BYTES: Final = 16 * 2**20  # the largest public ones have 5 MB; parsing takes up to 70 times the memory
@@ -111,7 +130,9 @@ _ROOT: Final = re.compile(r"<(?:[\w.-]+:)?([A-Za-z_][\w.-]*)[\s/>]")
 _BUS_MARK: Final = "#"
 _NARROW_BYTES: Final = 64  # looked at for UTF-16 without a byte-order mark
 _BYTE_ORDER_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")  # of UTF-16
-_UNUSED: Final = re.compile(r"\b(VAL_|SIG_VALTYPE_) (\d+) (\w+)")  # as cantools names those of no signal
+_SYNTAX: Final = re.compile(r"Invalid syntax at line \d+, column (?P<column>\d+): (?P<text>.*)")
+MAX_ROUNDS: Final = 16  # of parsing; each leaves out all that it finds, but for quotes that nothing closes
+MAX_QUOTED: Final = 80  # characters of a line
 _VALUE: Final = re.compile(r"'[^']{1,80}'$")
 _MESSAGE: Final = re.compile(r"in message (\w+)\.?$")
 
@@ -132,11 +153,28 @@ class DatabaseFormat(StrEnum):
 _FORMAT_OF_ROOT: Final = {"NetworkDefinition": DatabaseFormat.KCD, "AUTOSAR": DatabaseFormat.ARXML}
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Source:
+    """The text of a database and where it came from."""
+
+    file: Path
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Loaded:
+    """What a loader made of a text, and what of it was left out or read otherwise than it stands, with lines."""
+
+    database: Database
+    notices: Sequence[str] = ()
+
+
 def load_database(path: Path | str, *, is_j1939: bool = False) -> Database:
     """Return the messages of a DBC, KCD, ARXML or SYM file; which one it is, its contents say.
 
-    Signals that overlap or lie outside their message are warned of, message by message, and texts of values of no
-    signal; whether the signals in use are sound is checked when they are mapped.
+    Of a DBC, a line that cannot be read costs what it says: it is left out and warned of with its line, and so is an
+    identifier or a multiplexer whose mark is missing and read as if it were there. Signals that overlap or lie outside
+    their message are warned of, message by message; whether signals in use are sound is checked when they are mapped.
 
     Parameters
     ----------
@@ -149,27 +187,13 @@ def load_database(path: Path | str, *, is_j1939: bool = False) -> Database:
     Raises
     ------
     DefinitionError
-        If the file is missing, unreadable, of another format, has no messages, names sizes that no CAN message has, or
-        has items that cannot be right.
+        If the file is missing, unreadable or of another format, if less than half of its messages can be read or no
+        signal, or if what is not a DBC has an item that cannot be right or a size that no CAN message has.
     """
     file, bus = bus_of(Path(path))
-    text = _read_text(file)
-    database_format = _format_of(text, file)
-    if database_format is DatabaseFormat.SYM and (begin := _SYM.match(text)):
-        text = "\n" * begin[1].count("\n") + text[begin.end(1) :]  # cantools takes no such comments
-    plain = bare(text) if database_format is DatabaseFormat.DBC else ""
-    try:
-        check_sizes(plain or text, database_format)
-        database, unused = _parsed(text, database_format)
-    except (cantools.Error, DefinitionError) as error:
-        raise DefinitionError(f"{file} is not {database_format.in_words}: {_reason(error, text)}") from error
-    if not database.messages:
-        raise DefinitionError(f"{file} is not {database_format.in_words}, or it has no messages")
-    wrong = list(misreadings(plain, database))
-    if wrong:
-        more = f"; {len(wrong) - 1} more like this" if len(wrong) > 1 else ""
-        raise DefinitionError(f"{file} would be misread: {wrong[0]}{more}")
-    _warn_each(file, [f"{statement} names no signal (left out)" for statement in unused])
+    loaded = read_database(file)
+    _warn_each(file, loaded.notices)
+    database = loaded.database
     complaints = [complaint for message in database.messages for complaint in _complaints_of(message)]
     _warn_each(file, [f"does not load strictly: {complaint}" for complaint in complaints])
     chosen = _chosen_messages(database, bus, file)
@@ -185,26 +209,109 @@ def load_database(path: Path | str, *, is_j1939: bool = False) -> Database:
     return chosen
 
 
-def _parsed(text: str, database_format: str) -> tuple[Database, list[str]]:
-    """Return what cantools makes of a text, and which texts of values had to be left out; raises cantools.Error."""
-    unused = list[str]()
-    while True:
-        try:
-            database = cantools.database.load_string(text, database_format=database_format, strict=False)
+def read_database(file: Path) -> Loaded:
+    """Return the messages of a file, and all that was left out of it or mended; raises as ``load_database``."""
+    text = _read_text(file)
+    database_format = _format_of(text, file)
+    try:
+        loaded = _LOADERS[database_format](Source(file=file, text=text))
+    except (cantools.Error, DefinitionError) as error:
+        raise DefinitionError(f"{file} is not {database_format.in_words}: {_reason(error, text)}") from error
+    if not loaded.database.messages:
+        raise DefinitionError(f"{file} is not {database_format.in_words}, or it has no messages")
+    return loaded
+
+
+def _load_whole(source: Source, database_format: DatabaseFormat) -> Loaded:
+    """Return a database that is taken as a whole or not at all; raises cantools.Error and DefinitionError."""
+    for place, cause in oversized(source.text, database_format):
+        raise DefinitionError(f"{line_of(source.text, place)}: {cause}")
+    database = _parsed(source.text, database_format)
+    for _, _, cause in misread_signals("", database):
+        raise DefinitionError(f"it would be misread: {cause}")
+    return Loaded(database=database)
+
+
+def _load_sym(source: Source) -> Loaded:
+    text = source.text
+    if begin := _SYM.match(text):
+        text = "\n" * begin[1].count("\n") + text[begin.end(1) :]  # cantools takes no such comments
+    return _load_whole(replace(source, text=text), DatabaseFormat.SYM)
+
+
+def _load_dbc(source: Source) -> Loaded:
+    """Return what can be read of a DBC; raises cantools.Error and DefinitionError where that is next to nothing."""
+    combined = with_imports(source.file, source.text, _read_text)
+    text, causes = combined.text, list[tuple[int, str]]()
+    message_lines = message_count(text)
+    if not message_lines:
+        return Loaded(database=_parsed(text, DatabaseFormat.DBC))
+    for _ in range(MAX_ROUNDS):
+        database, edits = _round(text)
+        if not edits:
             break
-        except cantools.Error as error:
-            statements = _UNUSED.findall(str(error)) if "unused VAL_" in str(error) else []
-            before = text
-            for _, number, signal in statements:
-                statement = rf'^[ \t]*VAL_\s+{number}\s+{signal}(?:\s+-?\d+\s+"(?:[^"\\]|\\.)*+")*\s*;'
-                for match in re.finditer(statement, text, re.MULTILINE):
-                    unused.append(f"{line_of(text, match.start())}: VAL_ {number} {signal}")
-                    text = text[: match.start()] + re.sub(r"[^\n]", " ", match[0]) + text[match.end() :]
-            if text == before:
-                raise
+        text, round_causes = edited(text, with_pages(text, edits))
+        causes += round_causes
+    else:
+        raise DefinitionError(f"{MAX_ROUNDS} times there was another line that cannot be read")
+    notices = [*combined.notices, *(f"{combined.place(line)}: {cause}" for line, cause in sorted(causes))]
+    read_count = message_count(text)
+    if causes and (2 * read_count < message_lines or not any(message.signals for message in database.messages)):
+        raise DefinitionError(f"{read_count} of {message_lines} messages can be read; {notices[-len(causes)]}")
+    return Loaded(database=database, notices=notices)
+
+
+def _round(text: str) -> tuple[Database, list[Edit]]:
+    """Return the database of a text, and what to leave out of it or to mend before that is right."""
+    plain = plain_of(text)
+    check_ranges(plain)
+    if edits := left_out_at(text, oversized(plain, DatabaseFormat.DBC)):
+        return Database(), edits
+    try:
+        database = _parsed(text, DatabaseFormat.DBC)
+    except cantools.Error as error:
+        edits = outside_grammar(text, _syntax_error) if _syntax_error_of(error) else without_meaning(text)
+        if not edits:
+            raise
+        return Database(), edits
+    wrong = list(misread_signals(plain, database))
+    edits = without_meaning(text) or signals_left_out(text, wrong)
+    if wrong and not edits:
+        raise DefinitionError(f"it would be misread: {wrong[0][-1]}")
+    return database, edits
+
+
+def _parsed(text: str, database_format: DatabaseFormat) -> Database:
+    database = cantools.database.load_string(text, database_format=database_format, strict=False)
     if not isinstance(database, Database):
         raise cantools.Error("it holds no CAN messages")
-    return database, unused
+    return database
+
+
+def _syntax_error(text: str) -> str:
+    """Return where the grammar of DBC ends in a text, empty if that is nowhere."""
+    try:
+        _parsed(text, DatabaseFormat.DBC)
+    except cantools.Error as error:
+        return _syntax_error_of(error)
+    return ""
+
+
+def _syntax_error_of(error: Exception) -> str:
+    """Return column and text of a syntax error, empty if it is another one."""
+    match = _SYNTAX.search(" ".join(str(error.__cause__ or error).split()))
+    if match is None:
+        return ""
+    text = match["text"] if len(match["text"]) <= MAX_QUOTED else f"{match['text'][:MAX_QUOTED]}..."
+    return f"invalid syntax at column {match['column']}: {text}"
+
+
+_LOADERS: Final[dict[DatabaseFormat, Callable[[Source], Loaded]]] = {
+    DatabaseFormat.DBC: _load_dbc,
+    DatabaseFormat.SYM: _load_sym,
+    DatabaseFormat.KCD: partial(_load_whole, database_format=DatabaseFormat.KCD),
+    DatabaseFormat.ARXML: partial(_load_whole, database_format=DatabaseFormat.ARXML),
+}
 
 
 def _reason(error: Exception, text: str) -> str:
@@ -213,8 +320,6 @@ def _reason(error: Exception, text: str) -> str:
     reason, place = " ".join(str(cause).split()) or type(cause).__name__, ""
     if isinstance(cause, KeyError):
         reason, place = f"{reason} is not defined", f'"{re.escape(str(cause.args[0]))}"'
-    elif unused := _UNUSED.search(reason):
-        reason, place = f"{unused[0]} names no signal", r"\s+".join(unused.groups())
     elif message := _MESSAGE.search(reason):
         place = rf"\bBO_\s+\d+\s+{message[1]}\s*:"
     elif isinstance(cause, ValueError) and (value := _VALUE.search(reason)):

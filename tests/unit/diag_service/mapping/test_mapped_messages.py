@@ -92,7 +92,7 @@ TORQUES = {Signal.ENGINE_TORQUE, Signal.CLUTCH1_TORQUE_COMMAND, Signal.CLUTCH2_T
         ({Signal.ENGINE_SPEED, Signal.TARGET_GEAR}, None),
         ({Signal.CURRENT_GEAR, Signal.TARGET_GEAR}, None),
         (set(), None),
-        *((frozenset(load_shipped(name).sources), Tier.TORQUE) for name in ("vw_mqb", "hyundai_dct")),
+        *((frozenset(load_shipped(name).sources), Tier.TORQUE) for name in ("vw_mqb", "vw_mqbevo", "hyundai_dct")),
         (frozenset(load_shipped("j1939").sources), Tier.KINEMATIC),
     ],
 )

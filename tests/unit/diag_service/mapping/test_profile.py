@@ -39,7 +39,18 @@ def test_the_profile_of_our_database_has_a_source_for_every_signal_of_ours() -> 
 
 
 def test_shipped_profiles_are_found_by_name() -> None:
-    names = ("bmw_dkg", "dct", "dct_asked", "gm_t87a", "hyundai_dct", "j1939", "lockup", "vw_dsg", "vw_mqb")
+    names = (
+        "bmw_dkg",
+        "dct",
+        "dct_asked",
+        "gm_t87a",
+        "hyundai_dct",
+        "j1939",
+        "lockup",
+        "vw_dsg",
+        "vw_mqb",
+        "vw_mqbevo",
+    )
     assert shipped_profiles() == names
     for name in shipped_profiles():
         profile = find_profile(Path(name))
