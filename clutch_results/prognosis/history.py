@@ -1,7 +1,7 @@
 """The past of one clutch as columns: a row per event of which the friction is known."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields, replace
 from math import isfinite
 from typing import Any, Final, Self
 
@@ -66,7 +66,7 @@ class History:
         return replace(self, **known, is_fluid_newer=False, is_stale=False)
 
 
-_COLUMNS: Final = tuple(one.name for one in fields(History) if not one.name.startswith(("new_", "left_", "is_")))
+_COLUMNS: Final = tuple(column.name for column in fields(History) if column.default is MISSING)
 
 
 def history_of(results: Iterable[ShiftResult], fills: Sequence[FluidFill], clutch: int) -> History:

@@ -12,7 +12,7 @@ import time
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any, Final
@@ -201,6 +201,7 @@ class LogRow:
 COLUMNS: Final = {
     column.name: _TYPES.get(column.name, "string") for column in fields(LogRow)
 }  # `parts` joined by semicolons
+_DEFAULTS: Final = {column.name: column.default for column in fields(LogRow) if column.default is not MISSING}
 
 
 class Manifest:
@@ -334,7 +335,7 @@ def _generation_of(name: str) -> int:
 
 
 def _table(place: Place, name: str, columns: list[str] | None = None) -> Any:  # noqa: ANN401 - of an untyped library
-    """Return columns of a file of the manifest."""
+    """Return columns of a file of the manifest; one that earlier programs did not write holds its default."""
     arrow = load_pyarrow()
     try:
         with place.opened(name) as file:
@@ -342,8 +343,11 @@ def _table(place: Place, name: str, columns: list[str] | None = None) -> Any:  #
             table = arrow.parquet.ParquetFile(file).read(columns, use_threads=False)
     except StoreError as exc:
         raise StoreError(f"{name} is not a file of a manifest: {exc}") from exc
-    if missing := set(columns or COLUMNS).difference(table.column_names):
-        raise StoreError(f"{name} is not a file of a manifest: no {min(missing)}")
+    missing = set(columns or COLUMNS).difference(table.column_names)
+    if needed := missing.difference(_DEFAULTS):
+        raise StoreError(f"{name} is not a file of a manifest: no {min(needed)}")
+    for absent in missing:
+        table = table.append_column(absent, arrow.array([_DEFAULTS[absent]] * table.num_rows))
     return table
 
 

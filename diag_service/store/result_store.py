@@ -12,7 +12,8 @@ import threading
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Final, Self
 
@@ -29,6 +30,9 @@ _LOG = logging.getLogger(__name__)
 
 MOST_REPORT_BYTES: Final = 16 * 2**20  # of them all, unless the store has a budget
 _REPORTS_SHARE: Final = 8  # of a budget, one part of so many
+# In the order of the columns; a record may have more fields.
+_KEY_VALUES: Final = attrgetter("vehicle", "stream", "seq", "algorithm_version", "calibration_version")
+_VERSION_VALUES: Final = attrgetter("algorithm", "calibration")
 _BY_KEY: Final = (
     " FROM result WHERE vehicle = ? AND stream = ? AND seq = ? AND algorithm_version = ? AND calibration_version = ?"
 )
@@ -176,7 +180,7 @@ class ResultStore:
             if inserted.rowcount == 0:
                 return False
             if running is not None and state is not None:
-                made_by = astuple(state.versions)
+                made_by = _VERSION_VALUES(state.versions)
                 sql.execute("INSERT OR REPLACE INTO state VALUES (?, ?, ?, ?, ?)", (*running, *made_by))
             last_seq = max(self._last_seq, result.seq) if result.stream == self.stream else self._last_seq
             if last_seq != self._last_seq:
@@ -244,7 +248,9 @@ class ResultStore:
     def note_receipts(self, receipts: Sequence[Receipt]) -> list[int]:
         """Note what a backend acknowledged; return the positions of what is known here, repetitions included."""
         with self._transaction() as sql:
-            rows = [sql.execute("SELECT position" + _BY_KEY, astuple(receipt.key)).fetchone() for receipt in receipts]
+            rows = [
+                sql.execute("SELECT position" + _BY_KEY, _KEY_VALUES(receipt.key)).fetchone() for receipt in receipts
+            ]
             known = [(int(row[0]), receipt) for row, receipt in zip(rows, receipts, strict=True) if row is not None]
             _mark(sql, [(_OUTCOMES[receipt.outcome], receipt.reason, position) for position, receipt in known])
         return [position for position, _ in known]
@@ -268,7 +274,9 @@ class ResultStore:
         """Return the last result of each clutch in each stream, of these versions or those stored last."""
         made_by = "SELECT algorithm_version, calibration_version FROM result WHERE vehicle = ? ORDER BY position DESC"
         with self._transaction() as sql:
-            made_by_versions = sql.execute(made_by, (vehicle,)).fetchone() if versions is None else astuple(versions)
+            made_by_versions = (
+                sql.execute(made_by, (vehicle,)).fetchone() if versions is None else _VERSION_VALUES(versions)
+            )
             rows = sql.execute(_ROWS + _ENDS, (vehicle, *(made_by_versions or ("", ""))))
             return list(map(_stored_result, rows))
 

@@ -5,7 +5,7 @@ A version holds a digest of its numbers, so what was read once of a vehicle and 
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, Final
 
@@ -14,6 +14,7 @@ from sqlalchemy import Connection, select
 from clutch_model.calibration import FrictionCurve, nominal_calibration
 from clutch_model.errors import CalibrationError
 from clutch_model.fingerprint import fingerprint
+from clutch_results.records import from_plain
 from fleet_backend.schema import CALIBRATION
 
 _MOST_NAMES: Final = 500  # of vehicles in one statement
@@ -73,12 +74,8 @@ def _known(vehicle: str, version: str) -> KnownCalibration | None:
 
 def _calibration(record: Mapping[str, Any]) -> KnownCalibration | None:
     """Return the calibration in a vehicle's status; None where no clutch can be like that."""
-    names = [field.name for field in fields(FrictionCurve)]  # newer programs tell more
     try:
-        curves = tuple(
-            FrictionCurve(**{name: float(curve[name]) for name in names if name in curve})
-            for curve in record["new_friction"]
-        )
-    except (CalibrationError, KeyError, TypeError):  # a TypeError of what has no default
+        curves = tuple(from_plain(curve, FrictionCurve) for curve in record["new_friction"])
+    except (CalibrationError, KeyError, TypeError, ValueError):  # a ValueError of what has no default
         return None
     return KnownCalibration(vehicle_type=record["vehicle_type"], new_friction=curves)

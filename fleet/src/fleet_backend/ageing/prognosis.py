@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from typing import Any, Final
 
@@ -33,6 +33,7 @@ from clutch_results.records import (
     ShiftEstimate,
     ShiftResult,
     Status,
+    from_plain,
     iso_utc,
 )
 from clutchdiag_io.people import is_dated
@@ -49,7 +50,6 @@ LEAST: Final = timedelta(days=1)
 _HORIZON: Final = timedelta(days=3653)
 _KINDS: Final = frozenset(EventKind)
 _SAME_IN_ROWS: Final = ("number", "from_gear", "to_gear", "clutch")  # of an estimate
-_GROUPS: Final = {"conditions": EventConditions, "fit": EventFit}  # of it, whose fields are columns
 NO_PROGNOSIS: Final = (
     "No prognosis: its service has not told what calibration these results are of, or their numbers are of no clutch."
 )
@@ -63,7 +63,8 @@ def estimate_of(row: Row) -> ShiftEstimate:
     """Return what one event said of the friction; what no prognosis asks for is left out."""
     return ShiftEstimate(
         **{name: row[name] for name in _SAME_IN_ROWS},
-        **{name: _group_in(row, kind) for name, kind in _GROUPS.items()},
+        conditions=from_plain(row, EventConditions),
+        fit=from_plain(row, EventFit),
         start_ns=row["start_bus_ns"],
         end_ns=row["end_bus_ns"],
         status=Status(row["status"]),
@@ -73,11 +74,6 @@ def estimate_of(row: Row) -> ShiftEstimate:
         kind=EventKind(row["kind"]) if row["kind"] in _KINDS else EventKind.SHIFT,  # newer programs may know more
         shift_quality=quality_in(row),
     )
-
-
-def _group_in(row: Row, kind: type[Any]) -> Any:  # noqa: ANN401 - whichever of the groups
-    """Return a group of fields of a row; one without a column takes its default, as a newer field of the message."""
-    return kind(**{field.name: row[field.name] for field in fields(kind) if field.name in row})
 
 
 def _scale_free(row: Row) -> ScaleFreeFriction | None:

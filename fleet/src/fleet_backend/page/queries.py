@@ -2,7 +2,6 @@
 
 import gc
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
 from datetime import datetime
 from types import MappingProxyType
 from typing import Any, Final, TypeVar
@@ -23,6 +22,7 @@ from sqlalchemy import (
     text,
 )
 
+from clutch_results.records import from_plain
 from fleet_backend.ageing.calibrations import remember
 from fleet_backend.ageing.records import ClutchNow
 from fleet_backend.alarms import book
@@ -52,7 +52,6 @@ SELECT {RUNNING_COLUMNS}, s.stored_at, s.causes, s.running_since_bus_ns, NULL AS
 FROM {{source}}
 """  # noqa: S608 - of our own texts
 _SCORE_OF_JSON: Final = "CAST(CAST(s.shift_quality AS json) ->> 'score' AS double precision)"
-_CLUTCH_NAMES: Final = tuple(field.name for field in fields(ClutchNow))
 
 
 def _statements(where: str) -> Mapping[bool, TextualSelect]:
@@ -139,7 +138,7 @@ class DatabaseSource:
 def _clutches(connection: Connection, rows: Iterable[Row], fluids: Mapping[str, PresentFluid]) -> list[ClutchNow]:
     """Return clutches with the orders for their vehicles, and read their calibrations."""
     ordered = with_orders(rows, fluids, clutch_names(connection))
-    clutches = [ClutchNow(**{name: row[name] for name in _CLUTCH_NAMES}) for row in ordered]
+    clutches = [from_plain(row, ClutchNow) for row in ordered]
     remember(connection, ((now.vehicle, now.calibration_version) for now in clutches))
     return clutches
 
