@@ -472,7 +472,8 @@ def quality_record(quality: ShiftQuality) -> JsonObject:
     """Return how well an event went as messages have it."""
     record = {**to_plain(quality), **to_plain(quality.parts), **to_plain(quality.control)}
     for clutch, pack in enumerate(quality.packs, 1):
-        record |= {_OF_PACKS[name].format(clutch): value for name, value in to_plain(pack).items()}
+        plain = to_plain(pack)
+        record |= {public.format(clutch): plain[name] for name, public in _OF_PACKS.items()}
     return {key: record[key] for key in quality_keys()}
 
 

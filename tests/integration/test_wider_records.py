@@ -89,6 +89,7 @@ def test_one_more_field_with_a_default_in_every_record_changes_nothing(postgres_
         "clutches now": [DEFAULT] * 2,
         "estimates": [DEFAULT] * 2,
         "conditions": [DEFAULT] * 2,
+        "qualities": [DEFAULT] * 2,
         "fits": [DEFAULT] * 2,
         "fleet fills": [DEFAULT],
         "foretold": [True] * 2,

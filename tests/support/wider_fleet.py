@@ -2,10 +2,12 @@
 
 from collections.abc import Iterable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from clutch_results.records import FluidFill, fill_record, shift_record
+from clutch_results.event_kinds import PackHeat, ShiftParts, ShiftQuality
+from clutch_results.records import FluidFill, ShiftResult, fill_record, shift_record
 from diag_service.lake.parts import Manifest, Place
 from diag_service.store import ResultStore, kept_event
 from diag_service.store.reading import StoreReader
@@ -40,7 +42,7 @@ def _fleet(database: str) -> dict[str, Any]:
     fill_database(engine)
     fill = FluidFill(vehicle="car2", filled_at="2026-01-01T00:00:00.000000Z", product="a fluid")
     fluid = fluid_message("car2", "2026-01-02T00:00:00.000000Z", [fill_record(fill)], is_to_vehicle=False)
-    messages = [*map(message_of, history(60, vehicle="car2")), delivered(fluid)]
+    messages = [*(message_of(_scored(result)) for result in history(60, vehicle="car2")), delivered(fluid)]
     received = [item for message in messages for item in receive_all(message, NOW)]
     Writer(engine).store(batch_of(received))
     raise_alarms(engine)
@@ -57,6 +59,7 @@ def _fleet(database: str) -> dict[str, Any]:
         "clutches now": _later(clutches),
         "estimates": _later(estimates),
         "conditions": _later(estimate.conditions for estimate in estimates),
+        "qualities": _later(estimate.shift_quality for estimate in estimates),
         "fits": _later(estimate.fit for estimate in estimates),
         "fleet fills": _later(fills),
         "foretold": [past.prognosis is not None for past in pasts],
@@ -66,6 +69,13 @@ def _fleet(database: str) -> dict[str, Any]:
         "has alarms": bool(told(sources, "/alarms")["alarms"]),
         "has shift": shift_of(engine, "car2", "stream-1", 1) is not None,
     }
+
+
+def _scored(result: ShiftResult) -> ShiftResult:
+    """Return a result that also tells how well its event went."""
+    packs = (PackHeat(), PackHeat(slip_energy_j=5e3))
+    quality = ShiftQuality(score=90.0, reasons=(), parts=ShiftParts(), packs=packs)
+    return replace(result, estimate=replace(result.estimate, shift_quality=quality))
 
 
 def _later(records: Iterable[object]) -> list[object]:
