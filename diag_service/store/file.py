@@ -4,13 +4,14 @@ import errno
 import logging
 import os
 import sqlite3
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
 from clutch_results.records import ShiftResult, parse_shift
-from clutchdiag_io.files import OPEN_FLAGS, PRIVATE_MODE, create_private, lock
+from clutchdiag_io.files import OPEN_FLAGS, PRIVATE_MODE, check_plain_file, create_private, lock
 from diag_service.errors import StoreError, StoreFullError
 from fleet_contract.errors import ResultError
 
@@ -177,6 +178,8 @@ def connect(path: Path) -> sqlite3.Connection:
     is_new = not path.exists()
     try:
         create_private(path)
+        with suppress(FileNotFoundError):  # a link to what SQLite will make
+            check_plain_file(path, most_bytes=sys.maxsize)
     except OSError as exc:
         raise StoreError(f"cannot use store {path}: {exc.strerror}") from exc
     try:

@@ -103,7 +103,8 @@ def test_two_services_do_not_share_a_store(path: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda path: path.mkdir(), "unable to open database file"),
+        (lambda path: path.mkdir(), "Is a directory"),
+        (os.mkfifo, "it is a pipe"),
         (lambda path: path.write_bytes(b"x" * 5000), "file is not a database"),
         (lambda path: edit(path, "CREATE TABLE guests (name)"), "of another program"),
         (lambda path: edit(path, "PRAGMA application_id = 7"), "of another program"),

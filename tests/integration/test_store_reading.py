@@ -7,7 +7,8 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import closing
-from datetime import date
+from dataclasses import dataclass
+from datetime import date, timedelta
 from itertools import count
 from pathlib import Path
 
@@ -30,7 +31,7 @@ def read(command: str, store: Path) -> Ended:
     more = {
         HISTORY: (),
         REPORT: ("-o", store.with_suffix(".html"), "--force"),
-        FLUID: ("--at", date(2020, 1, next(_days)).isoformat()),
+        FLUID: ("--at", (date(2020, 1, 1) + timedelta(days=next(_days))).isoformat()),
     }
     return ended(command, store, *more[command])
 
@@ -57,8 +58,17 @@ def copied(store: Path, folder: Path, *suffixes: str) -> Path:
     return folder / store.name
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FirstRun:
+    """A service on its first store; a copy of the store's file, made before anybody read the store."""
+
+    service: Service
+    store: Path
+    lone_copy: Path
+
+
 @pytest.fixture(name="first_run", scope="module")
-def _first_run(tmp_path_factory: pytest.TempPathFactory, cycle_log: Path) -> Iterator[tuple[Service, Path]]:
+def _first_run(tmp_path_factory: pytest.TempPathFactory, cycle_log: Path) -> Iterator[FirstRun]:
     """Run a service on a store that was not there before, until it has told of some shifts."""
     folder = tmp_path_factory.mktemp("first")
     store = folder / "car1.sqlite"
@@ -66,18 +76,18 @@ def _first_run(tmp_path_factory: pytest.TempPathFactory, cycle_log: Path) -> Ite
     arguments = ("run", "--store", store, "--json", "--vehicle", "car1")
     with service(folder / "service", *arguments, program=program) as running:
         running.wait_for(lambda: running.out.count("\n") >= 3)
-        yield running, store
+        yield FirstRun(service=running, store=store, lone_copy=copied(store, folder / "lone"))
 
 
-def test_it_is_read_beside_its_first_service(first_run: tuple[Service, Path]) -> None:
-    running, store = first_run
+def test_it_is_read_beside_its_first_service(first_run: FirstRun) -> None:
+    running, store = first_run.service, first_run.store
     assert is_only_in_the_log(store)
     assert_all_read(store, 3)
     assert running.process.poll() is None
 
 
-def test_it_is_read_after_its_first_service_was_killed(first_run: tuple[Service, Path], tmp_path: Path) -> None:
-    running, store = first_run
+def test_it_is_read_after_its_first_service_was_killed(first_run: FirstRun, tmp_path: Path) -> None:
+    running, store = first_run.service, first_run.store
     running.send(signal.SIGKILL)
     assert running.wait().status == -signal.SIGKILL
     for command in (HISTORY, REPORT, FLUID):
@@ -101,8 +111,8 @@ def as_stranger(command: str, store: Path, output: Path) -> Ended:
 
 
 @pytest.mark.parametrize("command", [HISTORY, REPORT, FLUID])
-def test_a_copy_without_its_log_is_named(command: str, first_run: tuple[Service, Path], tmp_path: Path) -> None:
-    store = copied(first_run[1], tmp_path / "copy")
+def test_a_copy_without_its_log_is_named(command: str, first_run: FirstRun, tmp_path: Path) -> None:
+    store = copied(first_run.lone_copy, tmp_path / "copy")
     is_refused(read(command, store), 4, f"store {store} is empty", "car1.sqlite-wal", "copy both")
 
 
@@ -190,7 +200,7 @@ def test_a_store_is_read_on_a_medium_that_cannot_be_written(
         medium = read_only(place, mount, *suffixes)
         found = run_service(tmp_path / "out", HISTORY, medium, "--json", wrapper=WRAPPER)
         assert sum(record["record"] == "event" for record in found.records) == 8
-        page = as_stranger(REPORT, medium, tmp_path / medium.parents[1].name)
+        page = as_stranger(REPORT, medium, tmp_path / "pages" / place.parent.name)
         assert (page.status, page.err) == (0, "")
         is_refused(as_stranger(FLUID, medium, tmp_path / "out"), 4, "cannot be written", str(medium))
 
