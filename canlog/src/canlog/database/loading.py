@@ -154,7 +154,7 @@ _FORMAT_OF_ROOT: Final = {"NetworkDefinition": DatabaseFormat.KCD, "AUTOSAR": Da
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Source:
+class DatabaseFile:
     """The text of a database and where it came from."""
 
     file: Path
@@ -214,7 +214,7 @@ def read_database(file: Path) -> Loaded:
     text = _read_text(file)
     database_format = _format_of(text, file)
     try:
-        loaded = _LOADERS[database_format](Source(file=file, text=text))
+        loaded = _LOADERS[database_format](DatabaseFile(file=file, text=text))
     except (cantools.Error, DefinitionError) as error:
         raise DefinitionError(f"{file} is not {database_format.in_words}: {_reason(error, text)}") from error
     if not loaded.database.messages:
@@ -222,7 +222,7 @@ def read_database(file: Path) -> Loaded:
     return loaded
 
 
-def _load_whole(source: Source, database_format: DatabaseFormat) -> Loaded:
+def _load_whole(source: DatabaseFile, database_format: DatabaseFormat) -> Loaded:
     """Return a database that is taken as a whole or not at all; raises cantools.Error and DefinitionError."""
     for place, cause in oversized(source.text, database_format):
         raise DefinitionError(f"{line_of(source.text, place)}: {cause}")
@@ -232,14 +232,14 @@ def _load_whole(source: Source, database_format: DatabaseFormat) -> Loaded:
     return Loaded(database=database)
 
 
-def _load_sym(source: Source) -> Loaded:
+def _load_sym(source: DatabaseFile) -> Loaded:
     text = source.text
     if begin := _SYM.match(text):
         text = "\n" * begin[1].count("\n") + text[begin.end(1) :]  # cantools takes no such comments
     return _load_whole(replace(source, text=text), DatabaseFormat.SYM)
 
 
-def _load_dbc(source: Source) -> Loaded:
+def _load_dbc(source: DatabaseFile) -> Loaded:
     """Return what can be read of a DBC; raises cantools.Error and DefinitionError where that is next to nothing."""
     combined = with_imports(source.file, source.text, _read_text)
     text, causes = combined.text, list[tuple[int, str]]()
@@ -306,7 +306,7 @@ def _syntax_error_of(error: Exception) -> str:
     return f"invalid syntax at column {match['column']}: {text}"
 
 
-_LOADERS: Final[dict[DatabaseFormat, Callable[[Source], Loaded]]] = {
+_LOADERS: Final[dict[DatabaseFormat, Callable[[DatabaseFile], Loaded]]] = {
     DatabaseFormat.DBC: _load_dbc,
     DatabaseFormat.SYM: _load_sym,
     DatabaseFormat.KCD: partial(_load_whole, database_format=DatabaseFormat.KCD),
