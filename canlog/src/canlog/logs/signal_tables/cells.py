@@ -25,7 +25,8 @@ GROUPED: Final = {
 SPACED: Final = re.compile(r"[+-]?\d{1,3}(?:[ '’\u00a0\u202f]\d{3})+(?:[.,]\d*)?")  # 1 195: no mark of decimals
 SPACES: Final = re.compile(r"[ '’\u00a0\u202f]")
 WITH_UNIT: Final = re.compile(
-    r"(?P<number>[+-]?[\d.,]+)(?P<blank>\s*)(?P<unit>(?:[^\W\d_]|[°%℃℉/])[^\s\d]{0,11}[23²³]?)"
+    r"(?P<number>[+-]?[\d.,]+(?:[ '’\u00a0\u202f]\d{3})*(?:[.,]\d+)?)(?P<blank>\s*)"
+    r"(?P<unit>(?:[^\W\d_]|[°%℃℉/])[^\s\d]{0,11}[23²³]?)"
 )
 WORD: Final = re.compile(r"[^\W\d_]+(?: [^\W\d_]+)*")
 PAYLOAD: Final = re.compile(r"(?:0x)?(?:[0-9A-Fa-f]{2}[\s:._-]?){1,64}")
