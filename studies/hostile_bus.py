@@ -20,7 +20,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from itertools import cycle
@@ -82,6 +82,8 @@ class Attacker:
 
     def replay(self, end_s: float) -> None:
         """Play some seconds of the bus again, four times as fast, again and again."""
+        while self.bus.recv(0.0) is not None:
+            pass  # what has gathered since the last time
         heard = [message for _ in range(REPLAYED) if (message := self.bus.recv(5.0)) is not None]
         while time.time() < end_s and heard and not self.stop.is_set():
             began_s = time.time()
@@ -250,13 +252,13 @@ BENCHES: Final[Mapping[str, Callable[[Mapping[str, str], Path, int], AbstractCon
 }
 
 
-def attack(attacker: Attacker, beside: str, end_s: float) -> list[Window]:
+def attack(attacker: Attacker, beside: str, names: Sequence[str], end_s: float) -> list[Window]:
     """Attack the bus until then; return when it was attacked, and how [s since 1970]."""
     windows: list[Window] = []
     if beside:
         ATTACKS[beside](attacker, end_s)
         return windows
-    for name in cycle(name for name in ATTACKS if name != "nothing"):
+    for name in cycle(names):
         attacker.nothing(min(time.time() + CALM_S, end_s))
         if time.time() >= end_s or attacker.stop.is_set():
             return windows
@@ -278,6 +280,8 @@ def main() -> int:
     parser.add_argument("-i", "--interface", default="udp_multicast")
     parser.add_argument("-c", "--channel", default="239.74.93.1")
     parser.add_argument("--minutes", type=float, default=20.0)
+    attacks = [name for name in ATTACKS if name != "nothing"]
+    parser.add_argument("--attacks", nargs="+", choices=attacks, default=attacks, help="in turn (all)")
     parser.add_argument("--beside", choices=tuple(ATTACKS), default="", help="one attack, all the time")
     options = parsed(parser, minutes=1.5, beside="foreign")
     place = {"interface": options.interface, "channel": options.channel}
@@ -290,7 +294,9 @@ def main() -> int:
     ):
         attacker = Attacker(bus, np.random.default_rng(options.seed), threading.Event())
         end_s = time.time() + 60.0 * options.minutes
-        attacking = threading.Thread(target=lambda: windows.extend(attack(attacker, options.beside, end_s)))
+        attacking = threading.Thread(
+            target=lambda: windows.extend(attack(attacker, options.beside, options.attacks, end_s))
+        )
         attacking.start()
         while time.time() < end_s and bench.is_alive:
             memory_mb.append(psutil.Process(bench.process_id).memory_info().rss / MB)
