@@ -13,12 +13,8 @@ import pytest
 import diag_service.cli
 import ecu_emulator.cli
 import fleet_backend.cli
-from clutch_results.records import Condition
-from fleet_backend.database import open_database
-from fleet_backend.writer import Batch, Writer
 from studies.builders import written
 from tests.support.documents import PAGES, ROOT, Shown, block_lines
-from tests.support.fleet import fleet_result, row_of
 from tests.support.in_process import workers_here
 from tests.tools.play_documents import (
     BLOCKS,
@@ -33,6 +29,7 @@ from tests.tools.play_documents import (
     makes,
     shown_blocks,
     unlisted,
+    with_known_vehicle,
 )
 from tests.tools.play_documents import main as play_documents
 
@@ -83,11 +80,7 @@ def _stage(workshop: Path, tmp_path: Path, sqlite_url: str, monkeypatch: pytest.
     """Go to a copy of the workshop, with a fleet of which a vehicle is known and alarms are pending."""
     stage = tmp_path / "stage"
     shutil.copytree(workshop, stage)
-    engine = open_database(sqlite_url)
-    worn = [fleet_result(seq, vehicle="CAR1", condition=Condition.CHANGE_FLUID) for seq in (1, 2, 3)]
-    rows = [row_of(result) | {"odometer_m": 80_200_000.0} for result in worn]
-    Writer(engine).store(Batch(shifts=rows, quarantined=[]))
-    engine.dispose()
+    with_known_vehicle(sqlite_url)
     monkeypatch.chdir(stage)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setenv("CLUTCHDIAG_DATABASE", sqlite_url)
@@ -133,7 +126,7 @@ def test_a_new_target_is_missed() -> None:
     assert set(helped_targets(make_help() + "make polish        the car\n")) - set(TARGETS) == {"polish"}
 
 
-@pytest.mark.parametrize("word", ["docs/verdict.md", "make sbom"])
+@pytest.mark.parametrize("word", ["docs/verdict.md", "docs/fleet.md", "make sbom"])
 def test_the_tool_plays_what_is_quick(word: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert play_documents([word]) == 0
     assert "ended well; git status is as it was" in capsys.readouterr().out

@@ -5,7 +5,8 @@
     python -m tests.tools.play_documents tutorial "make docs"   # what has one of these words in its name
 
 Lines of shell blocks run in a shell, page by page, in a folder with what the pages suppose to be there; Python blocks
-as scripts. It ends with 1 if something fails, is in no table, or leaves the tree other than it was.
+as scripts. It ends with 1 if something fails, is in no table, or leaves the tree other than it was. It needs
+``make setup-all``: pages show what takes extras.
 """
 
 import argparse
@@ -23,10 +24,13 @@ from typing import Final
 
 import numpy as np
 
+from clutch_results.records import Condition
 from fleet_backend.database import open_database
 from fleet_backend.migrate import migrate
+from fleet_backend.writer import Batch, Writer
 from studies.builders import written
 from tests.support.documents import PAGES, ROOT, Shown, block_lines, page_text
+from tests.support.fleet import fleet_result, row_of
 
 CAN: Final = "needs a CAN interface"
 CAR: Final = "needs a car"
@@ -234,8 +238,19 @@ def furnish(folder: Path) -> None:
         written(folder / log, folder / name, np.random.default_rng(1), left_out=frozenset())
     for name in ("dynamic-security.json", "nats.conf"):
         shutil.copy(ROOT / "docs" / "deploy" / name, folder)
-    engine = open_database(f"sqlite:///{folder / 'fleet.sqlite'}")
+    url = f"sqlite:///{folder / 'fleet.sqlite'}"
+    engine = open_database(url)
     migrate(engine)
+    engine.dispose()
+    with_known_vehicle(url)
+
+
+def with_known_vehicle(url: str) -> None:
+    """Store in a fleet's database what its pages suppose: a vehicle whose fluid is to be changed."""
+    engine = open_database(url)
+    worn = [fleet_result(seq, vehicle="CAR1", condition=Condition.CHANGE_FLUID) for seq in (1, 2, 3)]
+    rows = [row_of(result) | {"odometer_m": 80_200_000.0} for result in worn]
+    Writer(engine).store(Batch(shifts=rows, quarantined=[]))
     engine.dispose()
 
 
