@@ -117,6 +117,8 @@ class LoopedDrive:
 class DriveOpener:
     """Stands in for ``BusOpener``."""
 
+    counts_duration = False
+
     def __init__(self, drive: LoopedDrive, *_settings: object, **_options: object) -> None:
         self._drive = drive
 
@@ -138,10 +140,10 @@ def run_service(source: LoopedDrive) -> dict[str, object]:
         patch("diag_service.service.bus_run.BusOpener", partial(DriveOpener, source)),
     ):
         status = cli.main(["run", "--store", "results.sqlite", "--json"])
+    said = Path("out.jsonl").read_text(encoding="utf-8").splitlines()
     if status != cli.EXIT_OK:
-        raise SystemExit(f"diag-service ended with status {status}")
-    last = Path("out.jsonl").read_text(encoding="utf-8").splitlines()[-1]
-    record: dict[str, object] = json.loads(last)
+        raise SystemExit(f"diag-service ended with status {status}: {said[-1] if said else 'without a word'}")
+    record: dict[str, object] = json.loads(said[-1])
     return record
 
 

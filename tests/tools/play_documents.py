@@ -137,7 +137,7 @@ TARGETS: Mapping[str, Sequence[str] | Elsewhere] = {
     "test": Elsewhere("is the suite itself", ".ci/run"),
     "bench": (),
     "accuracy": ("SEEDS=1",),
-    "reproduce": ("SEEDS=1", "OUTPUT={folder}/reproduce"),
+    "reproduce": ("SEEDS=2", "OUTPUT={folder}/reproduce"),
     "operating-curve": ("SEEDS=1", "OUTPUT={folder}/curve"),
     "mismatch": ("SEEDS=1", "OUTPUT={folder}/mismatch"),
     "setup-system": Elsewhere(MACHINE, ".ci/run"),
