@@ -1,6 +1,6 @@
 """Log files of all formats, told apart by their contents, as batches of frames."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,7 +15,15 @@ from canlog.frames import FrameBatch
 from canlog.logs.blf import read_blf
 from canlog.logs.captures import read_capture
 from canlog.logs.columns import ColumnsLog
-from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect, utf_16_of
+from canlog.logs.detection import (
+    PROBE_BYTES,
+    TEXT_LOGS,
+    Detected,
+    LogFormat,
+    detect,
+    has_returns_alone,
+    utf_16_of,
+)
 from canlog.logs.log_counts import (
     BoundedStream,
     LogCounts,
@@ -82,6 +90,11 @@ def contents_of(stream: BinaryIO, columns: str = "") -> Contents:
         with stream:
             return _recoded(stream, encoding, columns)
     compression, counts = compression_of(probe), LogCounts()
+    if compression is None and has_returns_alone(probe):
+        with stream:
+            return _copied(
+                (piece.replace(b"\r", b"\n") for piece in iter(lambda: stream.read(COPY_BYTES), b"")), columns
+            )
     if compression is None:
         detected = detect(probe, columns)
         return Contents(stream=stream, detected=detected, counts=counts, is_packed=False, columns=columns)
@@ -99,9 +112,14 @@ def contents_of(stream: BinaryIO, columns: str = "") -> Contents:
 
 
 def _recoded(stream: BinaryIO, encoding: str, columns: str) -> Contents:
-    """Return the log that a text of two bytes a character is, as UTF-8 in a file that is closed if it is none."""
+    """Return the log that a text of two bytes a character is, as UTF-8."""
+    return _copied(as_utf_8(stream, encoding), columns)
+
+
+def _copied(pieces: Iterable[bytes], columns: str) -> Contents:
+    """Return the log that pieces of a text make, in a file that is closed if they make none."""
     with ExitStack() as opened:
-        recoded = opened.enter_context(temporary_log(as_utf_8(stream, encoding)))
+        recoded = opened.enter_context(temporary_log(pieces))
         contents = replace(contents_of(recoded, columns), is_packed=True)
         opened.pop_all()
         return contents

@@ -19,7 +19,7 @@ from canlog.logs.dates import moment_of
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.signal_tables.cells import MOST_VALUE, WORD, numbers_in, without_unit
 from canlog.logs.signal_tables.columns import LONG_UNITS, place_of
-from canlog.logs.signal_tables.dialect import lines_in, stripped
+from canlog.logs.signal_tables.dialect import is_comment, lines_in, stripped
 from canlog.logs.signal_tables.header import MOST_COLUMNS, PREAMBLE_ROWS, SECTION
 from canlog.logs.signal_tables.recordings import AS_BEFORE, first_rows, later_header
 from canlog.logs.signal_tables.table import PROBE_BYTES, TableHeader, table_header
@@ -125,6 +125,9 @@ class _Table:
                 self._counts.cut_off(f"line {number}")
                 cells = [*cells[:-1], *[""] * (header.width - len(cells) + 1)]
             if self._is_header(cells):
+                continue
+            if is_comment(cells):
+                self._counts.skipped += 1
                 continue
             if self._later.is_unknown:
                 self._counts.reject(LogReject.MALFORMED, f"line {number}, behind a header of other columns")
