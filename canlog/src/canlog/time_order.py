@@ -57,6 +57,12 @@ def compile_order() -> None:
     find_late(np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1, np.bool_))
 
 
+def _last_recording(t_ns: Int64Array) -> int:
+    """Return the first frame of the last recording."""
+    steps_back = np.flatnonzero(np.diff(t_ns) < 0)
+    return int(steps_back[-1]) + 1 if len(steps_back) else 0
+
+
 class TimeOrder:
     """Puts the frames of a stream in order; holds the last moments back, so that no cutting changes what comes out.
 
@@ -82,11 +88,11 @@ class TimeOrder:
 
     def _ready(self, batch: FrameBatch) -> FrameBatch:
         """Return the frames before which none can come any more, and hold the others back."""
-        frames, late_ns = in_order(join([self._held, batch]) if len(self._held) else batch)
+        batch = join([self._held, batch]) if len(self._held) else batch
+        frames, late_ns = in_order(batch)
         self.late_count += len(late_ns)
         self.most_late_ns = max(self.most_late_ns, int(late_ns.max(initial=0)))
-        steps_back = np.flatnonzero(np.diff(frames.t_ns) < 0)
-        begin = int(steps_back[-1]) + 1 if len(steps_back) else 0  # of the last recording
+        begin = 0 if frames is batch else _last_recording(frames.t_ns)
         sure = begin + int(np.searchsorted(frames.t_ns[begin:], frames.t_ns[-1] - LATE_NS))
         sure = max(sure, len(frames) - HELD_FRAMES)
         self._held = frames[np.arange(sure, len(frames))]  # a copy: readers use their room again

@@ -250,7 +250,7 @@ def utf_16_of(probe: bytes) -> str:
         low, high = (beginning[::2], beginning[1::2]) if encoding == "utf-16-le" else (beginning[1::2], beginning[::2])
         if probe.startswith(mark) and probe[len(mark) : 2 * len(mark)] != b"\0\0":
             return encoding
-        if high and not any(high) and min(low) >= LEAST_OF_TEXT:
+        if high and not any(high) and min(low, default=0) >= LEAST_OF_TEXT:
             return encoding
     return ""
 
