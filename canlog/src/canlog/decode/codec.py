@@ -11,7 +11,7 @@ import numpy as np
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
-from canlog.arrays import BoolArray, Int64Array
+from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.database.addressing import (
     FIRST_FAST_GROUP,
     NOBODY,
@@ -28,6 +28,7 @@ from canlog.decode.compiled import decode_block, signal_rules
 from canlog.decode.signals import Decoded, PayloadWords, SignalTable, compile_signal
 from canlog.errors import DefinitionError
 from canlog.frames import ERROR_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
+from canlog.jit import is_numba_loaded
 
 
 class SignalBlock:
@@ -41,12 +42,12 @@ class SignalBlock:
         row_of = {name: row for row, name in enumerate(plain)}
         self._signals = [(name, table, row_of.get(name)) for name, table in tables.items()]
         self._rules = signal_rules([tuple(plain.values())])
+        columns = ("left", "right", "sign", "scale", "offset")
+        self._beside = {name: self._rules.signal[name].reshape(-1, 1) for name in columns}  # of rows of numbers
+        self._starts = [(int(first_byte), bool(is_big)) for first_byte, is_big in self._rules.word]
 
     def decode(self, words: PayloadWords) -> dict[str, Decoded]:
-        count = len(self._rules.signal)
-        raw, value = np.empty((count, len(words)), np.int64), np.empty((count, len(words)), np.float64)
-        if count:
-            decode_block(words.payloads, words.rows, self._rules, np.empty(len(words), np.uint64), raw, value)
+        raw, value = self.plain_values(words, by_kernel=is_numba_loaded())
         signals: dict[str, Decoded] = {}
         for name, table, row in self._signals:
             if row is None:
@@ -54,6 +55,28 @@ class SignalBlock:
             else:
                 signals[name] = table.judged(value[row], raw[row]) if table.is_checked else Decoded(value[row], None)
         return signals
+
+    def plain_values(self, words: PayloadWords, *, by_kernel: bool) -> tuple[Int64Array, FloatArray]:
+        """Return raw and physical values of the plain signals, shape (m, n) each, bit by bit the same both ways.
+
+        A kernel takes half the time of array operations; to load numba takes a second, which a log of MF4 needs not.
+        """
+        rules, shape = self._rules, (len(self._rules.signal), len(words))
+        raw, value = np.empty(shape, np.int64), np.empty(shape, np.float64)  # no plain signal has 64 bits
+        if by_kernel and shape[0]:
+            decode_block(words.payloads, words.rows, rules, np.empty(len(words), np.uint64), raw, value)
+            return raw, value
+        bits, beside = raw.view(np.uint64), self._beside
+        for place, number in enumerate(rules.signal["word"].tolist()):
+            first_byte, is_big = self._starts[number]
+            bits[place] = words.word(first_byte, is_big=is_big)
+        bits <<= beside["left"]
+        bits >>= beside["right"]
+        bits ^= beside["sign"]
+        raw -= beside["sign"].view(np.int64)
+        np.multiply(raw, beside["scale"], out=value)
+        value += beside["offset"]
+        return raw, value
 
 
 class FrameFate(IntEnum):
