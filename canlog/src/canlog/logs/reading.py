@@ -161,7 +161,7 @@ class LogReader(Iterator[FrameBatch]):
         self._is_packed = contents.is_packed
         self._opened = None if path == STANDARD_INPUT else path.stat()
         self._bounded = BoundedStream(self._stream, self._counts)
-        if contents.detected.is_long:
+        if self.format is LogFormat.SIGNALS:  # later rows may name more
             self.columns = all_columns(self._stream)
         if self.format is LogFormat.MF4:
             _, self.columns, notes = measured_channels(self._stream)

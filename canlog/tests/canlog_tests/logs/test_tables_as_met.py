@@ -130,6 +130,77 @@ def test_midnight_shows_whether_month_or_day_is_first(tmp_path: Path, first: str
     assert not counts.notes
 
 
+FIRST_RECORDING = lines("Time,RPM,Clutch", "s,rpm,bar", rows())
+LATER: dict[str, tuple[str, Expected, str]] = {
+    "other columns": (
+        lines("Time,Gear,RPM", "s,,rpm", [f"{n / 10},{n % 5},{900 + n}" for n in range(COUNT)]),
+        (("Gear", "", COUNTED % 5),), "line 53 begins a recording with columns of its own: Gear, RPM",
+    ),
+    "other columns, a line before": (
+        lines("Recorder,4.2", "Time,Gear,RPM,X", "s,,rpm,", [f"{n / 10},{n % 5},{900 + n},7" for n in range(COUNT)]),
+        (("Gear", "", COUNTED % 5), ("X", "", np.full(COUNT, 7.0))),
+        "line 54 begins a recording with columns of its own: Gear, RPM, X",
+    ),
+    "other units": (
+        lines("Time,RPM,Clutch", "ms,rpm,kPa", [f"{100 * n},{900 + n},{10 * n}" for n in range(COUNT)]),
+        (("Clutch (kPa)", "kPa", 10.0 * COUNTED),),
+        "'Clutch' is in kPa in a later recording, not in bar: there it is 'Clutch (kPa)'",
+    ),
+    "another separator and mark": (
+        lines("Zeit;RPM;Gear", "s;rpm;", [f"{n / 10};{900 + n};{n % 5}".replace(".", ",") for n in range(COUNT)]),
+        (("Gear", "", COUNTED % 5),), "line 53 begins a recording with columns of its own: RPM, Gear",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", LATER)
+def test_a_later_recording_may_have_columns_and_units_of_its_own(tmp_path: Path, name: str) -> None:
+    text, others, note = LATER[name]
+    signals, counts = read(tmp_path, FIRST_RECORDING + text)
+    assert list(signals) == ["RPM", "Clutch", *(column for column, _, _ in others)]
+    check({column: signals[column] for column, _, _ in others}, others, times_s=PRESSURE)
+    np.testing.assert_allclose(signals["RPM"][1], [*PRESSURE, *PRESSURE])
+    np.testing.assert_array_equal(signals["RPM"][2], [*SPEED, *SPEED])
+    np.testing.assert_allclose(signals["Clutch"][2], PRESSURE)
+    assert note in counts.notes
+    assert counts.jumps_back == 1
+    assert not counts.rejected
+
+
+@pytest.mark.parametrize("row_count", [30_000, 70_000])
+def test_a_later_recording_is_found_wherever_blocks_of_a_file_end(tmp_path: Path, row_count: int) -> None:
+    first = lines("Time,RPM,Clutch", [f"{n / 100:.2f},{900 + n % 50},{n % 7}" for n in range(row_count)])
+    signals, counts = read(tmp_path, first + lines("Time,RPM,Gear", rows("{t:.1f},{rpm},{n}")))
+    assert {name: len(values) for name, (_, _, values) in signals.items()} == {
+        "RPM": row_count + COUNT, "Clutch": row_count, "Gear": COUNT,
+    }  # fmt: skip
+    assert not counts.rejected
+
+
+def test_recordings_of_vcds_of_other_channels_are_read(tmp_path: Path) -> None:
+    head = ["Sunday,15,March,2026,10:22:12:40001,Version: Release 24.7.1", "02E 300 000 X,ADVMB,DSG  DQ250,", ""]
+    first = ["Marker,TIME,Loc. IDE1,TIME,Loc. IDE2", ",STAMP,Engine,STAMP,Clutch 1", ",, /min,, bar"]
+    then = ["Marker,TIME,Loc. IDE1,TIME,Loc. IDE3,TIME,Loc. IDE4", ",STAMP,Engine,STAMP,Oil,STAMP,Clutch 2"]
+    at = [(0.25 + 0.4 * n, 0.45 + 0.4 * n) for n in range(COUNT)]
+    one = [f",{a:.2f},{1000 + n},{b:.2f},{n / 10}" for n, (a, b) in enumerate(at)]
+    other = [f",{a:.2f},{3000 + n},{b:.2f},{80 + n % 3},{b:.2f},{n / 4}" for n, (a, b) in enumerate(at)]
+    text = lines(head, first, one, "", head, then, ",, /min,, °C,, bar", other)
+    signals, counts = read(tmp_path, text)
+    units = {name: unit for name, (unit, _, _) in signals.items()}
+    assert units == {"Engine": "/min", "Clutch 1": "bar", "Oil": "°C", "Clutch 2": "bar"}
+    np.testing.assert_array_equal(signals["Engine"][2], [*(1000.0 + ROWS), *(3000.0 + ROWS)])
+    np.testing.assert_allclose(signals["Clutch 2"][1], 0.45 + 0.4 * ROWS)
+    np.testing.assert_array_equal(signals["Clutch 2"][2], ROWS / 4)
+    assert not counts.rejected
+    assert counts.jumps_back == 1
+
+
+def test_times_of_day_go_on_behind_another_header(tmp_path: Path) -> None:
+    first = lines("Time,RPM", [f"23:59:{n:02d},{n}" for n in range(10, 60)])
+    signals, _ = read(tmp_path, first + lines("Time,RPM,Gear", [f"00:00:{n:02d},{n},3" for n in range(50)]))
+    np.testing.assert_allclose(np.diff(signals["RPM"][1]), 1.0)
+
+
 NO_LOGS = {
     "a curve over speed": ("Engine Speed [rpm],Torque [Nm]", [f"{1000 + 50 * n},{200 + n % 7}" for n in range(COUNT)],
                            "no column holds times that rise"),

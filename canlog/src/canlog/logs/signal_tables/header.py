@@ -7,7 +7,7 @@ from typing import Final
 
 from canlog.database.signal_columns import SignalColumn
 from canlog.logs.dates import is_moment
-from canlog.logs.signal_tables.cells import NUMBER, UNIT_IN_BRACKETS, WITH_UNIT
+from canlog.logs.signal_tables.cells import BLANKS, NUMBER, UNIT_IN_BRACKETS, WITH_UNIT
 from canlog.logs.signal_tables.clock import TIME_UNITS_US, time_places
 from canlog.logs.signal_tables.dialect import Dialect, stripped
 
@@ -148,6 +148,12 @@ def _are_words(row: Sequence[str], width: int) -> bool:
     """Return whether a row below names has words alone: neither a number nor a time, and as many cells."""
     cells = [cell.strip() for cell in row]
     return max(width - 1, 2) <= len(cells) <= width + 1 and any(cells) and not any(_is_value(cell) for cell in cells)
+
+
+def is_header_row(cells: Sequence[str]) -> bool:
+    """Return whether a row between those of values holds words alone, as headers do."""
+    words = [word for cell in cells if (word := cell.strip()).casefold() not in BLANKS]
+    return len(words) > 1 and not any(_is_value(word) for word in words)
 
 
 def _is_value(cell: str) -> bool:

@@ -22,7 +22,7 @@ from canlog.logs.signal_tables.cells import (
 from canlog.logs.signal_tables.clock import NoRowClock, TimeReading, clock_of, stated_clock
 from canlog.logs.signal_tables.columns import plan_of_columns, plan_of_values
 from canlog.logs.signal_tables.dialect import PROBE_ROWS, Dialect, dialect_of, is_comment, lines_in, stripped
-from canlog.logs.signal_tables.header import HeaderRows, signal_columns, with_units_of_names
+from canlog.logs.signal_tables.header import HeaderRows, is_header_row, signal_columns, with_units_of_names
 from canlog.logs.signal_tables.layouts import LAYOUTS, Sheet, Stated
 
 PROBE_BYTES: Final = 64 * 1024  # as many as detection sees
@@ -192,8 +192,9 @@ def _body_of(rows: Sequence[Sequence[str]], header: HeaderRows) -> _Body | NoTab
     called, filled = {name.strip() for name in header.names} - {""}, list[Sequence[str]]()
     for row in rows[header.first :]:
         if any(row) and stripped(row) not in repeated and not is_comment(row):
-            if 2 * len(called.intersection(stripped(row))) >= max(len(called), 2):
-                break  # another header of the same recorder
+            is_same = 2 * len(called.intersection(stripped(row))) >= max(len(called), 2)
+            if is_same or (len(filled) >= LEAST_ROWS and is_header_row(row)):
+                break  # another header
             filled.append(row)
     whole = [row[:width] for row in filled if len(row) >= width and not any(row[width:])]
     short = [[*row, *[""] * (width - len(row))] for row in filled if 1 < len(row) < width]
