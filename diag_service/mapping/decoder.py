@@ -93,8 +93,7 @@ class SamplePass:
 
 def is_able(table: SourceTable) -> bool:
     """Return whether a signal is plain enough: an integer of its own, in one word, always in its message."""
-    is_alone = (table.less, table.times, table.valid, table.invalid) == (None, None, None, ())
-    return is_alone and not table.main.selectors and table.main.is_plain
+    return not table.is_corrected and not table.main.selectors and table.main.is_plain
 
 
 @kernel
