@@ -66,6 +66,12 @@ def _last_recording(t_ns: Int64Array) -> int:
 class TimeOrder:
     """Puts the frames of a stream in order; holds the last moments back, so that no cutting changes what comes out.
 
+    Parameters
+    ----------
+    least_count
+        Fewer frames wait for the next ones: each batch costs whoever decodes it a call for every message. For a stream
+        that somebody waits for it is 1.
+
     Attributes
     ----------
     late_count
@@ -74,7 +80,8 @@ class TimeOrder:
         By how much at most [ns].
     """
 
-    def __init__(self) -> None:
+    def __init__(self, least_count: int = 1) -> None:
+        self._least_count = least_count
         self.late_count = self.most_late_ns = 0
         self._held = empty_batch()
 
@@ -94,6 +101,6 @@ class TimeOrder:
         self.most_late_ns = max(self.most_late_ns, int(late_ns.max(initial=0)))
         begin = 0 if frames is batch else _last_recording(frames.t_ns)
         sure = begin + int(np.searchsorted(frames.t_ns[begin:], frames.t_ns[-1] - LATE_NS))
-        sure = max(sure, len(frames) - HELD_FRAMES)
+        sure = max(sure if sure >= self._least_count else 0, len(frames) - HELD_FRAMES)
         self._held = frames[np.arange(sure, len(frames))]  # a copy: readers use their room again
         return frames[:sure]

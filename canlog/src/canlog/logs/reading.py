@@ -50,6 +50,7 @@ from canlog.logs.streams import (
 from canlog.logs.text_log import reader_of
 from canlog.time_order import TimeOrder
 
+LEAST_FRAMES: Final = 8_192  # of a batch, while more are to come: one costs whoever decodes it more than its frames
 LOAD_FRAMES = 2_000  # the first ones, whose load is checked
 READERS: Mapping[LogFormat, Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]] = {
     LogFormat.BLF: read_blf,
@@ -168,7 +169,7 @@ class LogReader(Iterator[FrameBatch]):
             self.evidence += f"; {len(self.columns)} measured channels, no frames of a bus" * bool(self.columns)
             for note in notes:
                 self._counts.note(note)
-        self._order = TimeOrder()
+        self._order = TimeOrder(1 if self._bounded.is_live else LEAST_FRAMES)
         self._batches = self._order.ordered(_reader_of(contents)(cast("BinaryIO", self._bounded), self._counts))
         self._watch = TimeWatch(self._counts)
         self._is_strict = is_strict

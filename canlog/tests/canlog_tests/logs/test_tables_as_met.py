@@ -195,6 +195,16 @@ def test_recordings_of_vcds_of_other_channels_are_read(tmp_path: Path) -> None:
     assert counts.jumps_back == 1
 
 
+@pytest.mark.parametrize("mark", ["# mark, a", "Lap, beacon"])
+def test_words_between_rows_are_no_header(tmp_path: Path, mark: str) -> None:
+    cells = [f"{n / 10},{900 + n},{n if n % 4 == 0 else ''}" for n in range(COUNT)]
+    signals, counts = read(tmp_path, lines(HEAD, cells[:20], mark, cells[20:]))
+    assert list(signals) == ["RPM", "Clutch"]
+    np.testing.assert_array_equal(signals["RPM"][2], SPEED)
+    assert sum(counts.rejected.values()) == (0 if mark.startswith("#") else 1)
+    assert not [note for note in counts.notes if "recording" in note]
+
+
 def test_times_of_day_go_on_behind_another_header(tmp_path: Path) -> None:
     first = lines("Time,RPM", [f"23:59:{n:02d},{n}" for n in range(10, 60)])
     signals, _ = read(tmp_path, first + lines("Time,RPM,Gear", [f"00:00:{n:02d},{n},3" for n in range(50)]))

@@ -9,7 +9,8 @@ import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
 from canlog.database.signal_columns import SignalColumn
-from canlog.logs.signal_tables.dialect import stripped
+from canlog.logs.signal_tables.clock import time_places
+from canlog.logs.signal_tables.dialect import is_comment, stripped
 from canlog.logs.signal_tables.header import is_header_row
 from canlog.logs.signal_tables.table import PROBE_BYTES, TableHeader, table_header
 
@@ -57,7 +58,7 @@ def later_header(cells: Sequence[str], header: TableHeader) -> LaterHeader | Non
 
 def is_other_header(rows: Sequence[Sequence[str]], before: TableHeader) -> bool:
     """Return whether rows begin with words that are not all those of the header before."""
-    if before.name_place is not None or not rows or not is_header_row(rows[0]):
+    if before.name_place is not None or not rows or is_comment(rows[0]) or not is_header_row(rows[0]):
         return False
     filled = [cells for row in rows if (cells := stripped(row))]
     stop = next((number for number, row in enumerate(filled) if not is_header_row(row)), len(filled))
@@ -81,7 +82,9 @@ def other_header(lines: Sequence[str], before: TableHeader, known: Mapping[str, 
     rows = [before.dialect.cells(line) for line in lines[:MOST_HEADER_LINES]]
     if found is None or found.name_place is not None or found.lines > len(rows):
         return None
-    if any(_has_value(row, before) for row in rows[: found.lines]):
+    clock = found.names[found.time_place]
+    is_named = bool(time_places([clock])) or clock == before.names[before.time_place]
+    if not is_named or any(_has_value(row, before) for row in rows[: found.lines]):
         return None
     columns, notes = list[SignalColumn](), list[str]()
     for column in found.columns:
