@@ -135,7 +135,9 @@ def _are_revolutions(cells: Sequence[Sequence[str]], names: Sequence[str], mark:
 
 def number_in(cell: str, marks: Marks = PLAIN) -> float:
     """Return the number in a cell, NaN for a blank one, infinity for anything that is no measurement."""
-    text = _plain_minus(cell.strip())
+    text = cell.strip()
+    if text.startswith(MINUS):
+        text = _plain_minus(text)
     if marks.grouping and marks.grouping in text and GROUPED[marks.grouping].fullmatch(text):
         text = text.replace(marks.grouping, "")
     elif SPACED.fullmatch(text):

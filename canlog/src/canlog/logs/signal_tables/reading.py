@@ -5,6 +5,7 @@ counted and told, and costs no other cell of its row. Some have a column of time
 a row for each value, with the name of its signal.
 """
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, islice, pairwise
@@ -35,6 +36,7 @@ from canlog.logs.signal_tables.recordings import (
 from canlog.logs.signal_tables.table import TableHeader, table_header
 
 BLOCK_BYTES: Final = 1024 * 1024
+WORD_FIRST: Final = re.compile(rb"\n[ \t\r\"';,|#]*[A-Za-z\x80-\xff]")  # of a line that may be a header
 MOST_TRIES: Final = 50  # to read lines of words as a header, in one table
 MOST_ROW_BYTES: Final = 256 * 1024  # whatever is longer is no row
 MOST_US: Final = 2.0**53  # beyond, a time is not told to the microsecond
@@ -122,9 +124,11 @@ def _parts(stream: BinaryIO, counts: LogCounts) -> Iterator[_Part]:
     known = {column.name: column for column in header.columns}
     is_first, was_terminated, line, tries, lines = True, True, 0, 0, list[str]()
     for text, is_terminated in chain(first, blocks, [(b"", True)]):
-        if text:
-            lines, was_terminated = [*lines, *lines_in(text)], is_terminated
         begin = place = 0
+        if text:
+            has_words = bool(lines) or line < header.lines or WORD_FIRST.search(b"\n" + text) is not None
+            lines, was_terminated = [*lines, *lines_in(text)] if lines else lines_in(text), is_terminated
+            place = 0 if has_words else len(lines)
         while (place := _header_after(lines, place, header, line)) < len(lines):
             if len(lines) - place < LINES_OF_PROBE and text:
                 break  # what follows tells more
@@ -154,10 +158,16 @@ def _cells(line: str, header: TableHeader) -> Sequence[str]:
     return cells if len(cells) > 1 else dialect_of([line]).cells(line)
 
 
-def _header_after(lines: Sequence[str], place: int, header: TableHeader, line: int) -> int:
-    """Return the first line from a place on that may be a header between rows; how many there are if none is."""
-    for number in range(max(place, header.lines - line), len(lines)):
-        if BEGINS_WITH_WORD.match(lines[number]) and is_header_row(_cells(lines[number], header)):
+def _header_after(lines: Sequence[str], place: int, header: TableHeader, before: int) -> int:
+    """Return the first line from a place on that may be a header between rows; how many there are if none is.
+
+    ``before`` is how many lines of the file were before these.
+    """
+    for number in range(max(place, header.lines - before), len(lines)):
+        line = lines[number]
+        if line[:1].isdigit():  # of nearly all
+            continue
+        if BEGINS_WITH_WORD.match(line) and is_header_row(_cells(line, header)):
             return number
     return len(lines)
 
@@ -225,7 +235,7 @@ class _Table:
                 cells = [*cells[:-1], *[""] * (header.width - len(cells) + 1)]
             if self._is_header(cells):
                 continue
-            if is_comment(cells):
+            if not line[0].isdigit() and is_comment(cells):
                 self._counts.skipped += 1
                 continue
             if self._later.is_unknown:

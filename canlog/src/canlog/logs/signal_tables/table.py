@@ -6,6 +6,7 @@ dialect -> header -> marks of numbers -> clock -> columns
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 from canlog.database.signal_columns import SignalColumn
@@ -87,7 +88,12 @@ def table_of(text: bytes) -> TableHeader | NoTable:
     same columns.
     """
     is_all = len(text) < PROBE_BYTES
-    lines = lines_in(text if is_all else text[: text.rfind(b"\n", 0, PROBE_BYTES) + 1])
+    return _table_in(text if is_all else text[: text.rfind(b"\n", 0, PROBE_BYTES) + 1], is_all=is_all)
+
+
+@lru_cache(maxsize=4)  # whoever detects a table, lists its columns and reads it asks for the same
+def _table_in(text: bytes, *, is_all: bool) -> TableHeader | NoTable:
+    lines = lines_in(text)
     dialect = dialect_of(lines)
     rows = [dialect.cells(line) for line in lines]
     if codes := _trouble_codes(rows):
