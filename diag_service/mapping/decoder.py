@@ -7,10 +7,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from cantools.database.can import Database
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array, Series
+from canlog.arrays import BoolArray, FloatArray, Int64Array, Series, UInt64Array
 from canlog.database.addressing import NOBODY, kernel_filters, sorted_by_slot
 from canlog.decode.compiled import SignalRules, decode_signal, pick_word, signal_rules
-from canlog.decode.signals import NO_INVALID, InvalidCounts, PayloadWords, UInt64Array, payload_words
+from canlog.decode.signals import NO_INVALID, InvalidCounts, PayloadWords, payload_words
 from canlog.e2e.bus_time import BusTime
 from canlog.e2e.e2e_state import E2eState, E2eStates
 from canlog.e2e.protection_check import FrameReason, FrameVerdicts, LinkMonitor
@@ -93,8 +93,7 @@ class SamplePass:
 
 def is_able(table: SourceTable) -> bool:
     """Return whether a signal is plain enough: an integer of its own, in one word, always in its message."""
-    is_alone = (table.less, table.times, table.valid, table.invalid) == (None, None, None, ())
-    return is_alone and not table.main.selectors and table.main.is_plain
+    return not table.is_corrected and not table.main.selectors and table.main.is_plain
 
 
 @kernel

@@ -33,15 +33,23 @@ class SourceTable:
     times: SignalTable | None
     valid: tuple[float, float] | None
     invalid: tuple[float, ...]
+    values: tuple[float, ...]
+
+    @property
+    def is_corrected(self) -> bool:
+        """Whether what the signal says is more than its number."""
+        return (self.less, self.times, self.valid, self.invalid, self.values) != (None, None, None, (), ())
 
     def decode(self, words: PayloadWords) -> Decoded:
         """Return the source in every payload, in the unit of the database."""
         decoded = self.main.decode(words)
-        if self.less is None and self.times is None and self.valid is None and not self.invalid:
+        if not self.is_corrected:
             return decoded
         good = np.ones(len(decoded.value), np.bool_) if decoded.is_good is None else decoded.is_good
         lowest, highest = self.valid or (-np.inf, np.inf)
         is_valid, is_code = (decoded.value >= lowest) & (decoded.value <= highest), np.isin(decoded.value, self.invalid)
+        if self.values:
+            is_valid &= np.isin(decoded.value, np.arange(len(self.values)))
         invalid = decoded.invalid.plus(
             InvalidCounts(
                 not_available=int(np.count_nonzero(good & is_code)),
@@ -50,6 +58,8 @@ class SourceTable:
         )
         good = good & is_valid & ~is_code
         valid_count, value = int(np.count_nonzero(good)), decoded.value
+        if self.values:
+            value = np.array(self.values, np.float64)[np.where(good, value, 0.0).astype(np.int64)]
         for table, operation in ((self.less, np.subtract), (self.times, np.multiply)):
             if table is not None:
                 other = table.decode(words)
@@ -134,13 +144,13 @@ def fitting(database: Database, profile: Profile) -> tuple[tuple[MessageColumns,
 def _column(message: Message, signal: Signal, source: SignalSource, *, is_j1939: bool) -> MappedSignal:
     database_signal = message.get_signal_by_name(signal_name(message, source))
     convert = to_si(signal, source, database_signal.unit)
-    is_plain = source.check_range and not (isinstance(source, BusSource) and (source.less or source.times))
+    is_whole = not source.values and not (isinstance(source, BusSource) and (source.less or source.times))
     return MappedSignal(
         signal=signal,
         table=compile_source(message, source, is_j1939=is_j1939),
         to_si=convert,
         is_optional=source.optional,
-        limits=_limits(database_signal, convert) if is_plain else None,
+        limits=_limits(database_signal, convert) if source.check_range and is_whole else None,
         is_asked=isinstance(source, AskedSource),
     )
 
@@ -173,6 +183,7 @@ def compile_source(message: Message, source: SignalSource, *, is_j1939: bool = F
         times=None if times is None else compiled(times),
         valid=source.valid,
         invalid=source.invalid,
+        values=source.values,
     )
 
 

@@ -47,6 +47,7 @@ class SignalSource(ABC):
     check_codes: bool = True  # whether codes that say "not available" by their place in the scale are invalid
     valid: tuple[float, float] | None = None  # decoded values outside are invalid
     invalid: tuple[float, ...] = ()  # decoded values that are codes
+    values: tuple[float, ...] = ()  # what the decoded numbers 0, 1, 2, ... stand for, such as gears; others are invalid
     optional: bool = False  # a database without it serves as well
     origin: TorqueSource = TorqueSource.MEASURED  # of engine torque: what else goes with it
 
@@ -55,8 +56,8 @@ class SignalSource(ABC):
             raise ConfigError(f"scale {self.scale} and offset {self.offset} are not usable")
         if self.valid is not None and not self.valid[0] < self.valid[1]:
             raise ConfigError(f"valid {list(self.valid)} is no range")
-        if not all(math.isfinite(value) for value in (*(self.valid or ()), *self.invalid)):
-            raise ConfigError("valid and invalid must be finite")
+        if not all(math.isfinite(value) for value in (*(self.valid or ()), *self.invalid, *self.values)):
+            raise ConfigError("valid, invalid and values must be finite")
 
     @property
     @abstractmethod

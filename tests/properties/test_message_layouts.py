@@ -101,7 +101,13 @@ def test_signals_decode_together_as_each_by_itself(message: Message, seed: int) 
     data = random_payloads(seed, message.length)
     tables = message_table(message).signals
     rows = np.flatnonzero(np.random.default_rng(seed).random(ROWS) < 0.7)
-    together = SignalBlock(tables).decode(PayloadWords(data, rows))
+    block = SignalBlock(tables)
+    by_kernel, by_columns = (block.plain_values(PayloadWords(data, rows), by_kernel=way) for way in (True, False))
+    assert all(
+        np.array_equal(one.view(np.int64), other.view(np.int64))
+        for one, other in zip(by_kernel, by_columns, strict=True)
+    )
+    together = block.decode(PayloadWords(data, rows))
     assert list(together) == list(tables)
     for name, table in tables.items():
         alone, found = table.decode(PayloadWords(data[rows])), together[name]

@@ -163,3 +163,94 @@ def drive_of(speed_rpm: Sequence[float], pressure_bar: Sequence[float], step_ms:
         times_ms=[step_ms * row for row in range(len(speed_rpm))],
         channels={speed: (0, speed_rpm), pressure: (2, pressure_bar), temperature: (0, oil)},
     )
+
+
+def _rows(drive: Drive) -> list[tuple[int, list[str]]]:
+    """Return the time [ms] of each row, and its cells, blank where there is no value."""
+    series = [(digits, values) for digits, values in drive.channels.values()]
+    return [
+        (at, ["" if (value := values[place]) is None else f"{value:.{digits}f}" for digits, values in series])
+        for place, at in enumerate(drive.times_ms)
+    ]
+
+
+def _lines(*parts: str | Sequence[str]) -> bytes:
+    return "".join(f"{line}\r\n" for part in parts for line in ([part] if isinstance(part, str) else part)).encode()
+
+
+def vcds(drive: Drive) -> bytes:
+    """Return a log of VCDS: a clock before each channel, three rows of a header, a line of the car before it."""
+    head = [
+        "Marker," + "".join(f"TIME,Loc. IDE0{n:04d}," for n, _ in enumerate(drive.channels)),
+        "," + "".join(f"STAMP,{column.name}," for column in drive.channels),
+        "," + "".join(f", {column.unit}," for column in drive.channels),
+    ]
+    rows = ["," + "".join(f"{at / 1000:.3f},{cell}," for cell in cells) for at, cells in _rows(drive)]
+    return _lines("Sunday,15,March,2026,10:22:12:40001,Version: Release 24.7.1", "", head, rows)
+
+
+def car_scanner(drive: Drive) -> bytes:
+    """Return a log of Car Scanner: a row for each value."""
+    names = [(column.name, column.unit) for column in drive.channels]
+    rows = [
+        f'"{at / 1000:.3f}";"{name}";"{cell}";"{unit}";'
+        for at, cells in _rows(drive)
+        for (name, unit), cell in zip(names, cells, strict=True)
+    ]
+    return _lines('"SECONDS";"PID";"VALUE";"UNITS";', rows)
+
+
+def race_capture(drive: Drive) -> bytes:
+    """Return a log of RaceCapture: name, unit, range and rate of each channel between bars."""
+    names = [f'"{column.name}"|"{column.unit}"|0.0|9999.0|25' for column in drive.channels]
+    rows = [",".join([str(at), *cells]) for at, cells in _rows(drive)]
+    return _lines(",".join(['"Interval"|"ms"|0|0|1', *names]), rows)
+
+
+def aim(drive: Drive) -> bytes:
+    """Return an export of AiM: all cells quoted, names, units and numbers of columns apart by blank lines."""
+    quoted = [
+        ",".join(f'"{cell}"' for cell in row)
+        for row in (
+            ["Time", *(column.name for column in drive.channels)],
+            ["sec", *(column.unit for column in drive.channels)],
+            [str(number + 1) for number in range(1 + len(drive.channels))],
+        )
+    ]
+    rows = [",".join(f'"{cell}"' for cell in [f"{at / 1000:.3f}", *cells]) for at, cells in _rows(drive)]
+    before = ['"Format","AiM CSV File"', '"Date","03/15/2026"', '"Time","02:15 PM"', ""]
+    return _lines(before, quoted[:2], "", quoted[2], "", rows)
+
+
+def mega_log_viewer(drive: Drive) -> bytes:
+    """Return a log of TunerStudio: tabs, two lines of words before, marks between."""
+    names = ["Time", *(column.name for column in drive.channels)]
+    rows = ["\t".join([f"{at / 1000:.3f}", *cells]) for at, cells in _rows(drive)]
+    before = ['"MS2Extra comms342h2: MS3 Format"', '"Capture Date: Sun Mar 15 10:00:00 GMT 2026"']
+    return _lines(before, "\t".join(names), "\t".join(["s", *(column.unit for column in drive.channels)]), rows)
+
+
+def with_remarks(drive: Drive) -> bytes:
+    """Return a table with remarks before and between its rows, and its header commented."""
+    names = ["#Time [s]", *(f"{column.name} [{column.unit}]" for column in drive.channels)]
+    rows = [",".join([f"{at / 1000:.3f}", *cells]) for at, cells in _rows(drive)]
+    return _lines("# made by a logger, 4.2", ",".join(names), rows[:20], "// paused, 3", "# mark, a, b", rows[20:])
+
+
+def in_two_recordings(drive: Drive) -> bytes:
+    """Return a table whose second half has another header: other order of columns, other unit of time."""
+    names, units = [column.name for column in drive.channels], [column.unit for column in drive.channels]
+    rows, half = _rows(drive), len(drive.times_ms) // 2
+    first = [",".join([f"{at / 1000:.3f}", *cells]) for at, cells in rows[:half]]
+    then = [",".join([*reversed(cells), str(at)]) for at, cells in rows[half:]]
+    return _lines(
+        [",".join(["Time", *names]), ",".join(["s", *units])], first, "",
+        [",".join([*reversed(names), "Time"]), ",".join([*reversed(units), "ms"])], then,
+    )  # fmt: skip
+
+
+PROGRAMS: Final[Mapping[str, Callable[[Drive], bytes]]] = {
+    write.__name__: write
+    for write in (vcds, car_scanner, race_capture, aim, mega_log_viewer, with_remarks, in_two_recordings)
+}
+"""Layouts that are more than a dialect."""

@@ -4,6 +4,7 @@ Nothing is compiled before a kernel is called, and until then numba is not loade
 programs call no kernel.
 """
 
+import sys
 from collections.abc import Callable
 from functools import update_wrapper
 from typing import Any, Final, Generic, ParamSpec, TypeVar
@@ -50,6 +51,11 @@ class Kernel(Generic[P, R]):
     def _numba_type_(self) -> Any:  # noqa: ANN401 - likewise
         """What numba asks a global of another kernel for."""
         return self.compiled._numba_type_
+
+
+def is_numba_loaded() -> bool:
+    """Return whether numba is loaded, so that a kernel costs no second of waiting for it."""
+    return "numba" in sys.modules
 
 
 def kernel(function: Callable[P, R]) -> Kernel[P, R]:

@@ -57,8 +57,20 @@ def compile_order() -> None:
     find_late(np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1, np.bool_))
 
 
+def _last_recording(t_ns: Int64Array) -> int:
+    """Return the first frame of the last recording."""
+    steps_back = np.flatnonzero(np.diff(t_ns) < 0)
+    return int(steps_back[-1]) + 1 if len(steps_back) else 0
+
+
 class TimeOrder:
     """Puts the frames of a stream in order; holds the last moments back, so that no cutting changes what comes out.
+
+    Parameters
+    ----------
+    least_count
+        Fewer frames wait for the next ones: each batch costs whoever decodes it a call for every message. For a stream
+        that somebody waits for it is 1.
 
     Attributes
     ----------
@@ -68,7 +80,8 @@ class TimeOrder:
         By how much at most [ns].
     """
 
-    def __init__(self) -> None:
+    def __init__(self, least_count: int = 1) -> None:
+        self._least_count = least_count
         self.late_count = self.most_late_ns = 0
         self._held = empty_batch()
 
@@ -82,12 +95,12 @@ class TimeOrder:
 
     def _ready(self, batch: FrameBatch) -> FrameBatch:
         """Return the frames before which none can come any more, and hold the others back."""
-        frames, late_ns = in_order(join([self._held, batch]) if len(self._held) else batch)
+        batch = join([self._held, batch]) if len(self._held) else batch
+        frames, late_ns = in_order(batch)
         self.late_count += len(late_ns)
         self.most_late_ns = max(self.most_late_ns, int(late_ns.max(initial=0)))
-        steps_back = np.flatnonzero(np.diff(frames.t_ns) < 0)
-        begin = int(steps_back[-1]) + 1 if len(steps_back) else 0  # of the last recording
+        begin = 0 if frames is batch else _last_recording(frames.t_ns)
         sure = begin + int(np.searchsorted(frames.t_ns[begin:], frames.t_ns[-1] - LATE_NS))
-        sure = max(sure, len(frames) - HELD_FRAMES)
+        sure = max(sure if sure >= self._least_count else 0, len(frames) - HELD_FRAMES)
         self._held = frames[np.arange(sure, len(frames))]  # a copy: readers use their room again
         return frames[:sure]

@@ -75,3 +75,13 @@ def test_what_is_held_back_is_bounded() -> None:
     sizes = [len(part) for part in order.ordered(iter([batch] * 5))]
     assert sum(sizes) == 200_000
     assert max(sizes) <= HELD_FRAMES
+
+
+def test_few_frames_wait_for_more_but_for_whoever_waits_for_them() -> None:
+    batch = frames([LATE_NS * number for number in range(100)])
+    parts = [batch[begin : begin + 10] for begin in range(0, 100, 10)]
+    at_once, together = TimeOrder(), TimeOrder(40)
+    assert [len(one) for one in at_once.ordered(iter(parts))] == [8, *[10] * 9, 2]
+    assert [len(one) for one in together.ordered(iter(parts))] == [48, 40, 12]
+    late = frames([5, 3, *(LATE_NS * number for number in range(1, 60))])
+    assert join(list(TimeOrder(40).ordered(iter([late[:30], late[30:]])))).t_ns.tolist() == sorted(late.t_ns.tolist())

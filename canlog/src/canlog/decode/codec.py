@@ -5,14 +5,13 @@ from copy import copy
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
-from canlog.arrays import BoolArray, Int64Array
+from canlog.arrays import BoolArray, FloatArray, Int64Array
 from canlog.database.addressing import (
     FIRST_FAST_GROUP,
     NOBODY,
@@ -25,9 +24,11 @@ from canlog.database.addressing import (
     rows_by_slot,
 )
 from canlog.database.not_available import no_value_codes
-from canlog.decode.signals import WORD_BITS, Decoded, PayloadWords, SignalTable, compile_signal
+from canlog.decode.compiled import decode_block, signal_rules
+from canlog.decode.signals import Decoded, PayloadWords, SignalTable, compile_signal
 from canlog.errors import DefinitionError
 from canlog.frames import ERROR_FLAG, FD_FLAG, FD_PAYLOAD_BYTES, PAYLOAD_BYTES, REMOTE_FLAG, FrameBatch
+from canlog.jit import is_numba_loaded
 
 
 class SignalBlock:
@@ -37,40 +38,45 @@ class SignalBlock:
     """
 
     def __init__(self, tables: Mapping[str, SignalTable]) -> None:
-        self._tables = tables
         plain = {name: table for name, table in tables.items() if table.is_plain and not table.selectors}
-        self._row_of = {name: row for row, name in enumerate(plain)}
-        self._fields = [table.field for table in plain.values()]
-        self._left = _column([WORD_BITS - field.shift - field.length for field in self._fields], np.uint64)
-        self._right = _column([WORD_BITS - field.length for field in self._fields], np.uint64)
-        self._sign = _column([field.is_signed << field.length - 1 for field in self._fields], np.int64)
-        self._scale = _column([table.code.scale for table in plain.values()], np.float64)
-        self._offset = _column([table.code.offset for table in plain.values()], np.float64)
+        row_of = {name: row for row, name in enumerate(plain)}
+        self._signals = [(name, table, row_of.get(name)) for name, table in tables.items()]
+        self._rules = signal_rules([tuple(plain.values())])
+        columns = ("left", "right", "sign", "scale", "offset")
+        self._beside = {name: self._rules.signal[name].reshape(-1, 1) for name in columns}  # of rows of numbers
+        self._starts = [(int(first_byte), bool(is_big)) for first_byte, is_big in self._rules.word]
 
     def decode(self, words: PayloadWords) -> dict[str, Decoded]:
-        raw = np.empty((len(self._fields), len(words)), np.int64)  # no plain signal has 64 bits
-        bits = raw.view(np.uint64)
-        for place, field in enumerate(self._fields):
-            bits[place] = words.word(field.first_byte, is_big=field.is_big)
-        bits <<= self._left
-        bits >>= self._right
-        raw ^= self._sign
-        raw -= self._sign
-        value = raw.astype(np.float64)
-        value *= self._scale
-        value += self._offset
+        raw, value = self.plain_values(words, by_kernel=is_numba_loaded())
         signals: dict[str, Decoded] = {}
-        for name, table in self._tables.items():
-            if (row := self._row_of.get(name)) is None:
+        for name, table, row in self._signals:
+            if row is None:
                 signals[name] = table.decode(words)
             else:
                 signals[name] = table.judged(value[row], raw[row]) if table.is_checked else Decoded(value[row], None)
         return signals
 
+    def plain_values(self, words: PayloadWords, *, by_kernel: bool) -> tuple[Int64Array, FloatArray]:
+        """Return raw and physical values of the plain signals, shape (m, n) each, bit by bit the same both ways.
 
-def _column(values: Sequence[float], kind: npt.DTypeLike) -> npt.NDArray[Any]:
-    """Return values as a column beside rows of numbers, shape (n, 1)."""
-    return np.array(values, kind).reshape(-1, 1)
+        A kernel takes half the time of array operations; to load numba takes a second, which a log of MF4 needs not.
+        """
+        rules, shape = self._rules, (len(self._rules.signal), len(words))
+        raw, value = np.empty(shape, np.int64), np.empty(shape, np.float64)  # no plain signal has 64 bits
+        if by_kernel and shape[0]:
+            decode_block(words.payloads, words.rows, rules, np.empty(len(words), np.uint64), raw, value)
+            return raw, value
+        bits, beside = raw.view(np.uint64), self._beside
+        for place, number in enumerate(rules.signal["word"].tolist()):
+            first_byte, is_big = self._starts[number]
+            bits[place] = words.word(first_byte, is_big=is_big)
+        bits <<= beside["left"]
+        bits >>= beside["right"]
+        bits ^= beside["sign"]
+        raw -= beside["sign"].view(np.int64)
+        np.multiply(raw, beside["scale"], out=value)
+        value += beside["offset"]
+        return raw, value
 
 
 class FrameFate(IntEnum):
@@ -193,17 +199,19 @@ class Codec:
         """Yield the messages that are in a batch, in the order of the codec."""
         match = match or self.match(batch)
         lengths, short_counts = self._rules.min_length.tolist(), match.counts[:-1, FrameFate.SHORT].tolist()
+        payloads = PayloadWords(batch.data)
         for slot, rows in rows_by_slot(match.slot, len(self.tables)):
             if not short_counts[slot]:
-                yield self._values(batch, slot, rows, lengths[slot])
+                yield self._values(payloads.at(rows), slot, rows, lengths[slot])
                 continue
             sizes = np.minimum(batch.length[rows], lengths[slot])
             for size in sorted(set(sizes.tolist()), key=lambda size: (size < lengths[slot], size)):
-                yield self._values(batch, slot, rows[sizes == size], size)
+                these = rows[sizes == size]
+                yield self._values(payloads.at(these), slot, these, size)
 
-    def _values(self, batch: FrameBatch, slot: int, rows: Int64Array, size: int) -> MessageValues:
+    def _values(self, words: PayloadWords, slot: int, rows: Int64Array, size: int) -> MessageValues:
         """Return the signals that lie in payloads of some size, and how many values lie behind their end."""
-        tables, words = self.tables[slot].signals, PayloadWords(batch.data, rows)
+        tables = self.tables[slot].signals
         if (slot, size) not in self._blocks:
             self._blocks[slot, size] = SignalBlock(
                 {name: signal for name, signal in tables.items() if signal.needed_bytes <= size}

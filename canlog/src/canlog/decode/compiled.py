@@ -1,7 +1,4 @@
-"""Plain signals decoded inside a compiled loop: for a live bus, where a few frames come at a time.
-
-Parts for kernels of others. Whole logs are decoded column by column, in `canlog.decode.codec`.
-"""
+"""Plain signals decoded inside compiled loops: parts for kernels of others, and one for all of a message."""
 
 from collections.abc import Sequence
 from typing import Final, NamedTuple
@@ -9,10 +6,10 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array
-from canlog.decode.signals import WORD_BITS, WORD_BYTES, IntegerCode, SignalTable, UInt64Array
+from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt64Array
+from canlog.decode.signals import WORD_BITS, WORD_BYTES, IntegerCode, SignalTable
 from canlog.errors import DefinitionError
-from canlog.jit import part
+from canlog.jit import kernel, part
 
 _ODD_BYTES: Final = np.uint64(0x00FF_00FF_00FF_00FF)
 _ODD_PAIRS: Final = np.uint64(0x0000_FFFF_0000_FFFF)
@@ -118,6 +115,37 @@ def decode_signal(
         value[at] = np.float64(raw) * scale + offset
     if signal["is_checked"]:
         _check(word, signal, rules.code, good, bad_count)
+
+
+@kernel
+def decode_block(
+    payloads: UInt64Array, rows: Int64Array, rules: SignalRules, word: UInt64Array, raw: Int64Array, value: FloatArray
+) -> None:
+    """Fill in the raw and the physical values of all m signals of one message.
+
+    Parameters
+    ----------
+    payloads : (n, words) array
+        Little-endian words.
+    rows : (k,) array
+        The payloads that are read.
+    word : (k,) array
+        Room for a word of each.
+    raw, value : (m, k) array
+        Are filled in.
+    """
+    for number in range(rules.word.shape[0]):
+        pick_word(payloads, rows, rules.word[number], word)
+        for place in range(rules.signal.size):
+            signal = rules.signal[place]
+            if signal["word"] != number:
+                continue
+            left, right, sign = signal["left"], signal["right"], signal["sign"]
+            scale, offset = signal["scale"], signal["offset"]
+            for at in range(rows.size):  # as signed numbers, which become floats faster
+                code = np.int64((word[at] << left) >> right ^ sign) - np.int64(sign)
+                raw[place, at] = code
+                value[place, at] = np.float64(code) * scale + offset
 
 
 @part

@@ -12,16 +12,13 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from cantools.database.can import Message
 from cantools.database.can.signal import Signal
 
-from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt8Array
+from canlog.arrays import BoolArray, FloatArray, Int64Array, UInt8Array, UInt64Array
 from canlog.database.not_available import CodeRange
 from canlog.errors import DefinitionError
 from canlog.frames import FD_PAYLOAD_BYTES
-
-UInt64Array = npt.NDArray[np.uint64]
 
 WORD_BYTES: Final = 8
 WORD_BITS: Final = 64
@@ -31,14 +28,18 @@ LITTLE_WORD: Final = np.dtype(np.uint64)  # of the machines that numba compiles 
 class PayloadWords:
     """Some rows of payloads, or all, as 64-bit words; bytes past the end of the rows are zeros."""
 
-    def __init__(self, data: UInt8Array, rows: Int64Array | None = None) -> None:
-        self._payloads = payload_words(data)
-        self._rows: Int64Array | slice = slice(None) if rows is None else rows
-        self._count = len(data) if rows is None else len(rows)
+    def __init__(self, data: UInt8Array, rows: Int64Array | None = None, payloads: UInt64Array | None = None) -> None:
+        self._data = data
+        self.payloads = payload_words(data) if payloads is None else payloads  # (n, words)
+        self.rows: Int64Array = np.arange(len(data)) if rows is None else rows
         self._words: dict[tuple[int, bool], UInt64Array] = {}  # each serves many signals
 
     def __len__(self) -> int:
-        return self._count
+        return len(self.rows)
+
+    def at(self, rows: Int64Array) -> "PayloadWords":
+        """Return some of the rows, given by their places among all."""
+        return PayloadWords(self._data, rows, self.payloads)
 
     def word(self, first_byte: int, *, is_big: bool) -> UInt64Array:
         """Return the eight bytes from ``first_byte`` on, the first of them highest if ``is_big``, shape (n,)."""
@@ -53,8 +54,9 @@ class PayloadWords:
         return self._words[key]
 
     def _column(self, number: int) -> UInt64Array:
-        if number < self._payloads.shape[1]:
-            return self._payloads[self._rows, number]
+        if number < self.payloads.shape[1]:
+            column: UInt64Array = self.payloads[self.rows, number]
+            return column
         return np.zeros(len(self), np.uint64)
 
 
@@ -63,7 +65,7 @@ def payload_words(data: UInt8Array) -> UInt64Array:
     missing = -data.shape[1] % WORD_BYTES
     whole = np.pad(data, ((0, 0), (0, missing))) if missing else np.ascontiguousarray(data)
     words: UInt64Array = whole.view(LITTLE_WORD)
-    return words if words.flags.aligned else words.copy()
+    return words if words.flags.aligned and words.flags.writeable else words.copy()  # as loops are compiled for
 
 
 @dataclass(frozen=True, slots=True)

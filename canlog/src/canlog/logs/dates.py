@@ -4,9 +4,11 @@ import re
 import unicodedata
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timezone
+from itertools import pairwise
 from typing import NamedTuple
 
 US_PER_S, US_PER_MS = 1_000_000, 1_000
+US_PER_DAY = 86_400 * US_PER_S
 LONGEST_DATE = 100
 MILLISECOND_DIGITS = 3
 HALF_DAY_HOURS = 12
@@ -135,18 +137,34 @@ def is_day(cell: str) -> bool:
 def is_month_first(cells: Sequence[str]) -> tuple[bool, tuple[str, ...]]:
     """Return whether months stand before days in dates between slashes, and what had to be assumed.
 
-    A number above twelve shows it, or AM and PM, which the same people write; else whether numbers have leading zeros.
+    A number above twelve shows it, or that only one of both orders puts neighbours on the same day or the next one, or
+    AM and PM, which the same people write; else whether numbers have leading zeros.
     """
     found = [(cell, day) for cell in cells if (day := CELL_DAY.fullmatch(cell.strip())) and day["between"] == "/"]
     pairs = {(int(day["first"]), int(day["second"])) for _, day in found}
     if any(first > MOST_MONTHS for first, _ in pairs) or all(first == second for first, second in pairs):
         return False, ()
-    if any(second > MOST_MONTHS for _, second in pairs) or any(HALF.search(cell.casefold()) for cell, _ in found):
+    if any(second > MOST_MONTHS for _, second in pairs):
+        return True, ()
+    near = [_are_near(found, is_month_first=is_first) for is_first in (False, True)]
+    if near[0] != near[1]:
+        return near[1], ()
+    if any(HALF.search(cell.casefold()) for cell, _ in found):
         return True, ()
     is_padded = any(day["first"].startswith("0") or day["second"].startswith("0") for _, day in found)
     order = "day" if is_padded else "month"
     note = f"{found[0][0]} is taken as a date with the {order} first: no number in it is above 12"
     return not is_padded, (note,)
+
+
+def _are_near(found: Sequence[tuple[str, re.Match[str]]], *, is_month_first: bool) -> bool:
+    """Return whether each date is that of the one before it or of the day behind that."""
+    days = dict.fromkeys(_cell_day(day, is_month_first=is_month_first) for _, day in found)
+    starts = [None if day is None else _day_us(day) for day in days]
+    return all(
+        before is not None and after is not None and 0.0 <= after - before <= US_PER_DAY
+        for before, after in pairwise(starts)
+    )
 
 
 def _iso_moment(text: str) -> Moment | None:

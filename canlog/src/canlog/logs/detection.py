@@ -26,6 +26,7 @@ HEADER_LINES = 20  # looked at for a header
 LINES_LOOKED_AT = 100  # without a header; most of them must be frames of the format
 COMMENTS = (b"#", b"//")
 UTF_16_BYTES = 64
+LEAST_OF_TEXT = 9  # the code of a tab, the least of a text
 MDF_MAGICS = (b"MDF     ", b"UnFinMF ")
 MDF_VERSION = slice(8, 9)
 
@@ -107,6 +108,12 @@ OTHER_FORMATS: Mapping[bytes, str] = {
     b"<?xml": "an XML text",
 }
 PAGES: tuple[bytes, ...] = (b"<!doctype html", b"<html")  # in lower case
+TEXTS: Mapping[str, re.Pattern[bytes]] = {
+    "an XML or HTML text": re.compile(rb"\s*<[A-Za-z!][^<]*>"),
+    "a JSON text": re.compile(rb"""\s*(?:\{\s*"[^"\n]*"\s*:|\[\s*[\[{])"""),
+    "a message database (DBC): it belongs behind --dbc": re.compile(rb"(?:.*\n){0,60}BO_ \d+ \w+ *:"),
+}
+"""What begins so, as far as nothing else is known of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -241,9 +248,18 @@ def utf_16_of(probe: bytes) -> str:
     for encoding, mark in (("utf-16-le", codecs.BOM_UTF16_LE), ("utf-16-be", codecs.BOM_UTF16_BE)):
         beginning = probe[:UTF_16_BYTES].removeprefix(mark)
         low, high = (beginning[::2], beginning[1::2]) if encoding == "utf-16-le" else (beginning[1::2], beginning[::2])
-        if high and not any(high) and low.isascii() and all(low):
+        if probe.startswith(mark) and probe[len(mark) : 2 * len(mark)] != b"\0\0":
+            return encoding
+        if high and not any(high) and min(low, default=0) >= LEAST_OF_TEXT:
             return encoding
     return ""
+
+
+def has_returns_alone(probe: bytes) -> bool:
+    """Return whether the lines of a text end as on an old Macintosh: with a carriage return and no newline."""
+    return (
+        probe.count(b"\r") >= LEAST_ROWS and b"\n" not in probe and b"\0" not in probe and min(probe) >= LEAST_OF_TEXT
+    )
 
 
 def _counted(log_format: LogFormat, lines: Sequence[bytes]) -> tuple[int, int]:
@@ -261,6 +277,7 @@ def _not_known(probe: bytes, hint: str, no_table: NoTable) -> str:
     other = next((name for magic, name in OTHER_FORMATS.items() if probe.startswith(magic)), "")
     if probe.lstrip().lower().startswith(PAGES):  # whose styles look like columns
         other = "an HTML page"
+    other = other or next((name for name, beginning in TEXTS.items() if beginning.match(probe)), "")
     known = f"not a log of a known format ({', '.join(LogFormat)})"
     advice = "" if other or no_table.is_list else _as_table(probe)
     if not other and (no_table.why or advice):

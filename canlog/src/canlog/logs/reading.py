@@ -1,6 +1,6 @@
 """Log files of all formats, told apart by their contents, as batches of frames."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,7 +15,15 @@ from canlog.frames import FrameBatch
 from canlog.logs.blf import read_blf
 from canlog.logs.captures import read_capture
 from canlog.logs.columns import ColumnsLog
-from canlog.logs.detection import PROBE_BYTES, TEXT_LOGS, Detected, LogFormat, detect, utf_16_of
+from canlog.logs.detection import (
+    PROBE_BYTES,
+    TEXT_LOGS,
+    Detected,
+    LogFormat,
+    detect,
+    has_returns_alone,
+    utf_16_of,
+)
 from canlog.logs.log_counts import (
     BoundedStream,
     LogCounts,
@@ -42,6 +50,7 @@ from canlog.logs.streams import (
 from canlog.logs.text_log import reader_of
 from canlog.time_order import TimeOrder
 
+LEAST_FRAMES: Final = 8_192  # of a batch, while more are to come: one costs whoever decodes it more than its frames
 LOAD_FRAMES = 2_000  # the first ones, whose load is checked
 READERS: Mapping[LogFormat, Callable[[BinaryIO, LogCounts], Iterator[FrameBatch]]] = {
     LogFormat.BLF: read_blf,
@@ -82,6 +91,11 @@ def contents_of(stream: BinaryIO, columns: str = "") -> Contents:
         with stream:
             return _recoded(stream, encoding, columns)
     compression, counts = compression_of(probe), LogCounts()
+    if compression is None and has_returns_alone(probe):
+        with stream:
+            return _copied(
+                (piece.replace(b"\r", b"\n") for piece in iter(lambda: stream.read(COPY_BYTES), b"")), columns
+            )
     if compression is None:
         detected = detect(probe, columns)
         return Contents(stream=stream, detected=detected, counts=counts, is_packed=False, columns=columns)
@@ -99,9 +113,14 @@ def contents_of(stream: BinaryIO, columns: str = "") -> Contents:
 
 
 def _recoded(stream: BinaryIO, encoding: str, columns: str) -> Contents:
-    """Return the log that a text of two bytes a character is, as UTF-8 in a file that is closed if it is none."""
+    """Return the log that a text of two bytes a character is, as UTF-8."""
+    return _copied(as_utf_8(stream, encoding), columns)
+
+
+def _copied(pieces: Iterable[bytes], columns: str) -> Contents:
+    """Return the log that pieces of a text make, in a file that is closed if they make none."""
     with ExitStack() as opened:
-        recoded = opened.enter_context(temporary_log(as_utf_8(stream, encoding)))
+        recoded = opened.enter_context(temporary_log(pieces))
         contents = replace(contents_of(recoded, columns), is_packed=True)
         opened.pop_all()
         return contents
@@ -143,14 +162,14 @@ class LogReader(Iterator[FrameBatch]):
         self._is_packed = contents.is_packed
         self._opened = None if path == STANDARD_INPUT else path.stat()
         self._bounded = BoundedStream(self._stream, self._counts)
-        if contents.detected.is_long:
+        if self.format is LogFormat.SIGNALS:  # later rows may name more
             self.columns = all_columns(self._stream)
         if self.format is LogFormat.MF4:
             _, self.columns, notes = measured_channels(self._stream)
             self.evidence += f"; {len(self.columns)} measured channels, no frames of a bus" * bool(self.columns)
             for note in notes:
                 self._counts.note(note)
-        self._order = TimeOrder()
+        self._order = TimeOrder(1 if self._bounded.is_live else LEAST_FRAMES)
         self._batches = self._order.ordered(_reader_of(contents)(cast("BinaryIO", self._bounded), self._counts))
         self._watch = TimeWatch(self._counts)
         self._is_strict = is_strict

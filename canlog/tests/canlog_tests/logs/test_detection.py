@@ -3,7 +3,7 @@
 import pytest
 
 from canlog.errors import SourceError
-from canlog.logs.detection import LogFormat, detect
+from canlog.logs.detection import LogFormat, detect, utf_16_of
 
 LINES = {
     LogFormat.CANDUMP: b"(1700000000.000000) can0 0A0#0011223344556677",
@@ -82,3 +82,10 @@ def test_a_page_is_named_and_its_styles_are_no_columns(begin: bytes) -> None:
     with pytest.raises(SourceError, match="an HTML page") as raised:
         detect(begin + b"\n<head>" + styles * 20)
     assert "--" not in str(raised.value)
+
+
+@pytest.mark.parametrize("probe", [b"\0", b"\xff\xfe", b"\xfe\xff", b"\r"])
+def test_a_file_of_hardly_any_bytes_has_a_clear_error(probe: bytes) -> None:
+    assert utf_16_of(probe) in {"", "utf-16-le", "utf-16-be"}
+    with pytest.raises(SourceError):
+        detect(probe)

@@ -185,7 +185,7 @@ def test_columns_behind_a_later_header_are_found_by_their_names() -> None:
     assert values["Speed"][1].tolist() == list(range(30, 90))
     assert values["Engine RPM"][1].tolist() == list(range(930, 990))
     assert not counts.rejected
-    assert "columns that only a later header names are left out: Boost(psi)" in counts.notes
+    assert "line 32 begins a recording with columns of its own: Engine RPM, Boost, Speed" in counts.notes
 
 
 def test_rows_that_are_slower_than_a_bus_are_no_jumps_of_time(tmp_path: Path) -> None:

@@ -50,6 +50,7 @@ def test_shipped_profiles_are_found_by_name() -> None:
         "vw_dsg",
         "vw_mqb",
         "vw_mqbevo",
+        "vw_pq",
     )
     assert shipped_profiles() == names
     for name in shipped_profiles():

@@ -14,9 +14,12 @@ from canlog.arrays import FloatArray
 LEAST_ROWS: Final = 3
 MOST_VALUE: Final = 1e30  # beyond, a cell is no measurement, in any unit
 LEAST_OF_UNIT: Final = 0.6  # of the cells with a number behind which the same unit stands
-BLANKS: Final = frozenset({"", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none"})
+BLANKS: Final = frozenset({"", "-", "--", "---", "----", "?", "nan", "na", "n/a", "n.a.", "#n/a", "null", "none"})
+MINUS: Final = "\u2212"  # as spreadsheets of some countries write it
 WORDS: Final = {"true": 1.0, "on": 1.0, "yes": 1.0, "false": 0.0, "off": 0.0, "no": 0.0}
-UNIT_IN_BRACKETS: Final = re.compile(r"\s*[\[(](?P<unit>(?!\d+[\])])[^\[\]()]*)[\])]\s*$")  # a number is an index
+UNIT_IN_BRACKETS: Final = re.compile(
+    r"\s*[\[({<](?P<unit>(?!\d+[\])}>])(?:[^\[\](){}<>]|\([^\[\](){}<>]*\))*)[\])}>]\s*$"
+)  # a number is an index
 NUMBER: Final = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?")
 GROUPED: Final = {
     mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:\{mark}\d{{3}})+(?:\{other}\d*)?") for mark, other in (",.", ".,")
@@ -56,7 +59,7 @@ def marks_of(cells: Sequence[Sequence[str]], names: Sequence[str] = (), separato
     shows it by coming twice in a number, beside the other mark, or in a column whose numbers below 1000 have none.
     Where commas separate cells, nobody writes decimals with them unless a number shows it.
     """
-    comma, point = (_evidence(cells, mark) for mark in ",.")
+    comma, point = (_evidence([[_plain_minus(cell) for cell in column] for column in cells], mark) for mark in ",.")
     if comma.decimals:
         groups = point.grouped and not point.decimals
         note = f"points group thousands: {point.example} has three digits behind it, and commas stand before decimals"
@@ -133,6 +136,8 @@ def _are_revolutions(cells: Sequence[Sequence[str]], names: Sequence[str], mark:
 def number_in(cell: str, marks: Marks = PLAIN) -> float:
     """Return the number in a cell, NaN for a blank one, infinity for anything that is no measurement."""
     text = cell.strip()
+    if text.startswith(MINUS):
+        text = _plain_minus(text)
     if marks.grouping and marks.grouping in text and GROUPED[marks.grouping].fullmatch(text):
         text = text.replace(marks.grouping, "")
     elif SPACED.fullmatch(text):
@@ -142,6 +147,10 @@ def number_in(cell: str, marks: Marks = PLAIN) -> float:
         return value if abs(value) < MOST_VALUE else np.inf
     folded = text.casefold()
     return np.nan if folded in BLANKS else WORDS.get(folded, np.inf)
+
+
+def _plain_minus(cell: str) -> str:
+    return f"-{cell[1:]}" if cell.startswith(MINUS) else cell
 
 
 def numbers_in(cells: Sequence[str], marks: Marks = PLAIN) -> FloatArray:

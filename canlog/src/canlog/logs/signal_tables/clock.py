@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final, NamedTuple, Protocol
@@ -14,7 +14,15 @@ from canlog.database.signal_columns import SignalColumn
 from canlog.logs.columns.lines import Role
 from canlog.logs.columns.log import SYNONYMS, UNITS
 from canlog.logs.dates import Moment, is_day, is_moment, is_month_first, moment_of
-from canlog.logs.signal_tables.cells import LEAST_ROWS, PLAIN, UNIT_IN_BRACKETS, Marks, number_in, numbers_in
+from canlog.logs.signal_tables.cells import (
+    LEAST_ROWS,
+    PLAIN,
+    REVOLUTIONS,
+    UNIT_IN_BRACKETS,
+    Marks,
+    number_in,
+    numbers_in,
+)
 
 LEAST_RISING: Final = 0.9  # of all steps of a clock: a few may fall where a recorder began again
 LEAST_TICKS: Final = 20  # that tell the pace of a clock: one more or less is no other pace
@@ -48,6 +56,34 @@ COUNTERS: Final = re.compile(
     r"|identifier|spn|pgn|code|gear|gang|bit|startbit|length|dlc|laufendenummer|lfdnr|zeile"
 )
 """Names of columns that number rows, or what is listed in them."""
+QUANTITIES: Final = re.compile(
+    rf"{REVOLUTIONS.pattern}|\b(?:engine|motor|vehicle|wheel|gps)[ _]?speed\b|\bdist(?:ance)?\b|\bmileage\b"
+    r"|\bodometer\b|\btorque\b|drehmoment|\bpressure\b|druck|\btemp(?:erature)?\b",
+    re.IGNORECASE,
+)
+QUANTITY_UNITS: Final = frozenset(
+    (
+        *(
+            "rpm",
+            "1/min",
+            "u/min",
+            "tr/min",
+            "rad/s",
+            "nm",
+            "n·m",
+            "lb-ft",
+            "ft-lb",
+            "km/h",
+            "kph",
+            "mph",
+            "m/s",
+            "m",
+            "km",
+        ),
+        *("mi", "ft", "bar", "kpa", "psi", "%", "°c", "°f", "degc", "degf", "v", "kw", "hp"),
+    )
+)
+"""Names and units of what rises over a curve or a drive, and is no time."""
 
 
 class TimeReading(Protocol):
@@ -244,7 +280,10 @@ class NoRowClock:
 
 
 def clock_of(
-    columns: Sequence[SignalColumn], cells: Sequence[Sequence[str]], marks: Marks = PLAIN
+    columns: Sequence[SignalColumn],
+    cells: Sequence[Sequence[str]],
+    marks: Marks = PLAIN,
+    payloads: Collection[int] = (),
 ) -> RowClock | NoRowClock:
     """Return the clock of the rows of a table, or why there is none.
 
@@ -256,18 +295,20 @@ def clock_of(
         The cells of each column in the first rows.
     marks
         What points and commas in numbers mean.
+    payloads
+        Where bytes of frames stand, which name nothing.
     """
     names = [column.name for column in columns]
     named = time_places(names)
     days = [place for place, column in enumerate(cells) if any(column) and all(is_day(cell) for cell in column if cell)]
-    first = [0] if names and _may_be_first(cells, names) else []
+    first = [0] if names and 0 not in days and _may_be_first(cells, columns) else []
     counts = [place for place in first if _counts_rows(cells[place])]
     ranked = [*(place for place in named if place not in days), *(place for place in first if place not in counts)]
-    for place in dict.fromkeys([*ranked, *counts, *(place for place in named if place in days)]):
+    for place in dict.fromkeys([*ranked, *counts]):
         if (read := clock_reading(cells[place], columns[place], marks)) and _rises(cells[place], read):
             why = f"{columns[place].name!r} rises" + ("" if place in named else ", the first column")
             return _with_days(place, read, why, columns, cells, days)
-    return _steady_clock(columns, cells, marks) or _no_clock(names, cells, named)
+    return _steady_clock(columns, cells, marks) or _no_clock(names, cells, named, days, payloads)
 
 
 def stated_clock(
@@ -290,11 +331,19 @@ def stated_clock(
     return NoRowClock(why=f"the times in {columns[places[0]].name!r} cannot be read or do not rise")
 
 
-def _may_be_first(cells: Sequence[Sequence[str]], names: Sequence[str]) -> bool:
-    """Return whether the first column may hold times though its name does not say so: rows of a list are no moments."""
-    is_index = not names[0].strip() and _counts_rows(cells[0])
-    is_named = COUNTERS.fullmatch(_plain(names[0])) is not None or _is_duration(names[0])
-    return not is_index and not is_named and not _is_list(cells)
+def _may_be_first(cells: Sequence[Sequence[str]], columns: Sequence[SignalColumn]) -> bool:
+    """Return whether the first column may hold times though its name does not say so: rows of a list are no moments.
+
+    Nor are values of a quantity, such as the speeds over which a curve is told.
+    """
+    name = columns[0].name
+    is_index = not name.strip() and _counts_rows(cells[0])
+    is_named = COUNTERS.fullmatch(_plain(name)) is not None or _is_duration(name)
+    return not (is_index or is_named or _is_quantity(columns[0]) or _is_list(cells))
+
+
+def _is_quantity(column: SignalColumn) -> bool:
+    return QUANTITIES.search(column.name) is not None or column.unit.casefold() in QUANTITY_UNITS
 
 
 def _is_duration(name: str) -> bool:
@@ -358,7 +407,7 @@ def _is_steady(cells: Sequence[str], column: SignalColumn, marks: Marks) -> bool
     is_of_time = not column.unit or column.unit.casefold() in TIME_UNITS_US
     if len(cells) < LEAST_STEADY_ROWS or not all(cells) or _counts_rows(cells) or not is_of_time:
         return False
-    if COUNTERS.fullmatch(_plain(column.name)) or _is_duration(column.name):
+    if COUNTERS.fullmatch(_plain(column.name)) or _is_duration(column.name) or _is_quantity(column):
         return False
     read = clock_reading(cells, column, marks)
     if read is None or not np.all(np.isfinite(read.time_us)):
@@ -368,15 +417,23 @@ def _is_steady(cells: Sequence[str], column: SignalColumn, marks: Marks) -> bool
     return bool(np.all(steps_us > 0.0) and np.mean(np.abs(steps_us - usual_us) < 0.5 * usual_us) >= STEADY)
 
 
-def _no_clock(names: Sequence[str], cells: Sequence[Sequence[str]], named: Sequence[int]) -> NoRowClock:
+def _no_clock(
+    names: Sequence[str],
+    cells: Sequence[Sequence[str]],
+    named: Sequence[int],
+    days: Sequence[int],
+    payloads: Collection[int],
+) -> NoRowClock:
     """Return why no column holds times."""
+    if _is_list([column for place, column in enumerate(cells) if place not in {*payloads, *named, *days}]):
+        return NoRowClock(why="each row names another thing: a list or catalogue, not a log", is_list=True)
+    if days and len(set(cells[days[0]])) > 1:
+        return NoRowClock(why=f"{names[days[0]]!r} holds days without times of day: a list, not a log", is_list=True)
     if named:
         shown = next((cell for cell in cells[named[0]] if cell), "nothing")
         return NoRowClock(
             why=f"the times in {names[named[0]]!r} cannot be read or do not rise; it begins with {shown!r}"
         )
-    if _is_list(cells):
-        return NoRowClock(why="each row names another thing: a list or catalogue, not a log", is_list=True)
     counter = next((name for name, column in zip(names, cells, strict=True) if _counts_rows(column)), None)
     if counter is not None:
         shown = repr(counter) if counter else "the first column"

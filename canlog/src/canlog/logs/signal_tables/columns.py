@@ -78,7 +78,9 @@ def plan_of_columns(
     others = [place for place, column in enumerate(columns) if column.name and place not in {*kept, *payloads}]
     blanks = {place: words for place in others if (words := words_for_blanks(cells[place], marks)) is not None}
     left_out = [
-        column.name for place, column in enumerate(columns) if place not in kept | {*blanks} and any(cells[place])
+        column.name
+        for place, column in enumerate(columns)
+        if column.name and place not in kept | {*blanks} and any(cells[place])
     ]
     notes = [f"columns of words are left out: {', '.join(left_out)}"] * bool(left_out)
     names = [column.name for column in columns]

@@ -7,13 +7,14 @@ from typing import Final
 
 from canlog.database.signal_columns import SignalColumn
 from canlog.logs.dates import is_moment
-from canlog.logs.signal_tables.cells import NUMBER, UNIT_IN_BRACKETS, WITH_UNIT
+from canlog.logs.signal_tables.cells import BLANKS, NUMBER, UNIT_IN_BRACKETS, WITH_UNIT
 from canlog.logs.signal_tables.clock import TIME_UNITS_US, time_places
 from canlog.logs.signal_tables.dialect import Dialect, stripped
 
 PREAMBLE_ROWS: Final = 60
 MOST_COLUMNS: Final = 10_000
 MOST_HEADER_ROWS: Final = 8
+LEAST_NUMBERED: Final = 3  # columns, whose numbers are no row of values
 LONGEST_UNIT: Final = 20  # characters; words for people are longer
 SECTION: Final = re.compile(r"\[[\w ]+\]")  # a title between header and rows
 SPELLINGS: Final = """
@@ -29,6 +30,9 @@ l/h g/s kg/h mg/s mg/r mg/stk lb/min cc/min l/100km l ml cc gal hh:mm:ss sec.ms
 UNITS: Final = frozenset({*TIME_UNITS_US, *SPELLINGS.split(), "unix time", "deg c", "deg f"})
 """Spellings of units in rows that hold nothing but units, in small letters; a program may have others beside them."""
 LEAST_KNOWN: Final = 0.5  # of the cells of a row that is one of units, whatever stands around it
+BRACKETS: Final = "[](){}<>"
+UNIT_BEHIND: Final = re.compile(r".*?\S(?:\s+/\s*|,\s*|\s+|_)(?P<unit>(?:1/)?[^\s,_]*[^\W\d_][^\s,_]*|°|%)")
+ONE_LETTER: Final = frozenset("sv°%")  # others behind a name tell clutches and gears apart
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,7 +55,7 @@ def signal_columns(names: Sequence[str], units: Sequence[str] = ()) -> tuple[lis
     for place, text in enumerate(names):
         bracketed = UNIT_IN_BRACKETS.search(text)
         has_unit = bracketed is not None and bracketed.start() > 0
-        unit = (units[place] if place < len(units) else "").strip().strip("[]()")
+        unit = (units[place] if place < len(units) else "").strip().strip(BRACKETS)
         unit = unit or (bracketed["unit"].strip() if bracketed and has_unit else "")
         name = (text[: bracketed.start()] if bracketed and has_unit else text).strip()
         seen[name] = seen.get(name, 0) + 1
@@ -60,6 +64,26 @@ def signal_columns(names: Sequence[str], units: Sequence[str] = ()) -> tuple[lis
         columns.append(SignalColumn(name, unit))
     several = ", ".join(repr(name) for name, count in seen.items() if name and count > 1)
     return columns, [f"several columns are called {several}: the others are numbered"] * bool(several)
+
+
+def with_units_of_names(columns: Sequence[SignalColumn]) -> list[SignalColumn]:
+    """Return columns with the units in which their names end, as in ``oil_temp_degC``; the names stay as they are.
+
+    Only where no other unit is told, and where names of half of the columns or more end so.
+    """
+    behind = [_unit_behind(column.name) for column in columns]
+    count = sum(map(bool, behind))
+    if any(column.unit for column in columns) or count < max(2, LEAST_KNOWN * len(columns)):
+        return list(columns)
+    return [SignalColumn(column.name, unit) for column, unit in zip(columns, behind, strict=True)]
+
+
+def _unit_behind(name: str) -> str:
+    """Return the unit in which a name ends; empty if it ends in none."""
+    found = UNIT_BEHIND.fullmatch(name)
+    unit = "" if found is None else found["unit"].casefold()
+    is_of_clock = unit not in TIME_UNITS_US or bool(time_places([name]))
+    return found["unit"] if found and is_of_clock and unit in UNITS and (len(unit) > 1 or unit in ONE_LETTER) else ""
 
 
 def named_header(rows: Sequence[Sequence[str]], place: int, dialect: Dialect) -> HeaderRows | None:
@@ -94,6 +118,8 @@ def _words_below(rows: Sequence[Sequence[str]], place: int, width: int) -> tuple
         if _are_words(row, width):
             below[number] = row
             first = number + 1
+        elif _are_places(rows, number, width):
+            first = number + 1
         elif len(stripped(row)) > 1 and not _are_addresses(row):
             break
     return first, below
@@ -114,7 +140,7 @@ def _units_of(below: Mapping[int, Sequence[str]], above: Sequence[str]) -> tuple
 
 def known_units(row: Sequence[str]) -> float:
     """Return how many of the filled cells of a row are units that are known, of all."""
-    filled = [cell.strip().strip("[]()").casefold() for cell in row if cell.strip()]
+    filled = [cell.strip().strip(BRACKETS).casefold() for cell in row if cell.strip()]
     return sum(cell in UNITS for cell in filled) / len(filled) if filled else 0.0
 
 
@@ -122,6 +148,12 @@ def _are_words(row: Sequence[str], width: int) -> bool:
     """Return whether a row below names has words alone: neither a number nor a time, and as many cells."""
     cells = [cell.strip() for cell in row]
     return max(width - 1, 2) <= len(cells) <= width + 1 and any(cells) and not any(_is_value(cell) for cell in cells)
+
+
+def is_header_row(cells: Sequence[str]) -> bool:
+    """Return whether a row between those of values holds words alone, as headers do."""
+    words = [word for cell in cells if (word := cell.strip()).casefold() not in BLANKS]
+    return len(words) > 1 and not any(_is_value(word) for word in words)
 
 
 def _is_value(cell: str) -> bool:
@@ -137,6 +169,17 @@ def _are_addresses(row: Sequence[str]) -> bool:
     """Return whether a row holds numbers of channels: whole ones, some of them with letters, or 0x before them."""
     filled = [cell.strip() for cell in row if cell.strip()]
     return all(map(ADDRESS.fullmatch, filled)) and any(not cell.isdigit() for cell in filled)
+
+
+def _are_places(rows: Sequence[Sequence[str]], number: int, width: int) -> bool:
+    """Return whether a row numbers the columns: from one on, and beside a blank line or before times that fall."""
+    if stripped(rows[number]) != tuple(map(str, range(1, width + 1))) or width < LEAST_NUMBERED:
+        return False
+    before, behind = rows[number - 1], rows[number + 1 : number + 4]
+    if any(stripped(row) for row in behind) and not all(map(stripped, [before, *behind[:1]])):
+        return all(stripped(row) for row in behind[1:])  # a blank line behind each row says nothing
+    first = behind[0][0].strip().replace(",", ".") if behind and behind[0] else ""
+    return NUMBER.fullmatch(first) is not None and float(first) < 1.0
 
 
 def names_of(rows: Sequence[Sequence[str]], place: int, separator: str) -> tuple[list[str], list[str]]:

@@ -5,7 +5,9 @@ counted and told, and costs no other cell of its row. Some have a column of time
 a row for each value, with the name of its signal.
 """
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain, islice, pairwise
 from typing import BinaryIO, Final, NamedTuple
 
@@ -19,12 +21,23 @@ from canlog.logs.dates import moment_of
 from canlog.logs.log_counts import LogCounts, LogReject
 from canlog.logs.signal_tables.cells import MOST_VALUE, WORD, numbers_in, without_unit
 from canlog.logs.signal_tables.columns import LONG_UNITS, place_of
-from canlog.logs.signal_tables.dialect import lines_in, stripped
-from canlog.logs.signal_tables.header import MOST_COLUMNS, PREAMBLE_ROWS, SECTION
-from canlog.logs.signal_tables.recordings import AS_BEFORE, first_rows, later_header
-from canlog.logs.signal_tables.table import PROBE_BYTES, TableHeader, table_header
+from canlog.logs.signal_tables.dialect import dialect_of, is_comment, lines_in, stripped
+from canlog.logs.signal_tables.header import MOST_COLUMNS, PREAMBLE_ROWS, SECTION, is_header_row
+from canlog.logs.signal_tables.recordings import (
+    AS_BEFORE,
+    BEGINS_WITH_WORD,
+    LINES_OF_PROBE,
+    MOST_HEADER_LINES,
+    first_rows,
+    is_other_header,
+    later_header,
+    other_header,
+)
+from canlog.logs.signal_tables.table import TableHeader, table_header
 
 BLOCK_BYTES: Final = 1024 * 1024
+WORD_FIRST: Final = re.compile(rb"\n[ \t\r\"';,|#]*[A-Za-z\x80-\xff]")  # of a line that may be a header
+MOST_TRIES: Final = 50  # to read lines of words as a header, in one table
 MOST_ROW_BYTES: Final = 256 * 1024  # whatever is longer is no row
 MOST_US: Final = 2.0**53  # beyond, a time is not told to the microsecond
 
@@ -32,25 +45,33 @@ MOST_US: Final = 2.0**53  # beyond, a time is not told to the microsecond
 def all_columns(stream: BinaryIO) -> tuple[SignalColumn, ...]:
     """Return the columns of a table; of one with a row for each value all signals that it names anywhere.
 
-    The stream is at its beginning before and afterwards. Raises SourceError if it is no table of signals.
+    Of several recordings one behind the other all columns are returned. The stream is at its beginning before and
+    afterwards. Raises SourceError if it is no table of signals.
     """
-    header = table_header(stream.read(PROBE_BYTES))
-    stream.seek(0)
-    if header is None:
-        raise SourceError("no table of signals")
-    if header.name_place is None:
-        return header.columns
     columns = dict[str, SignalColumn]()
-    unit_place = place_of(header.names, LONG_UNITS)
-    for text, _ in _blocks(stream, LogCounts()):
-        for line in lines_in(text):
-            cells = header.row(header.dialect.cells(line))
-            if len(cells) >= header.width and stripped(cells) not in header.repeated:
-                name, unit = cells[header.name_place].strip(), "" if unit_place is None else cells[unit_place].strip()
-                if name and len(columns) < MOST_COLUMNS:
-                    columns.setdefault(name, SignalColumn(name, unit))
+    for part in _parts(stream, LogCounts()):
+        header = part.header
+        new: Iterable[SignalColumn] = header.columns if part.is_first else ()
+        if header.name_place is not None:
+            new = _named_in(part.lines, header, header.name_place)
+        for column in new:
+            if len(columns) < MOST_COLUMNS:
+                columns.setdefault(column.name, column)
     stream.seek(0)
     return tuple(columns.values())
+
+
+def _named_in(lines: Sequence[str], header: TableHeader, name_place: int) -> Iterator[SignalColumn]:
+    """Yield the signals that rows with a value each name."""
+    unit_place = place_of(header.names, LONG_UNITS)
+    for line in lines:
+        cells = header.row(header.dialect.cells(line))
+        if (
+            len(cells) >= header.width
+            and stripped(cells) not in header.repeated
+            and (name := cells[name_place].strip())
+        ):
+            yield SignalColumn(name, "" if unit_place is None else cells[unit_place].strip())
 
 
 def read_signal_table(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatch]:
@@ -58,29 +79,106 @@ def read_signal_table(stream: BinaryIO, counts: LogCounts) -> Iterator[FrameBatc
 
     Raises SourceError if its beginning is no table of signals.
     """
+    table: _Table | None = None
+    for part in _parts(stream, counts):
+        batches = list[FrameBatch]()
+        if part.is_first:
+            before, table = table, _Table(part.header, counts, part.line)
+            if before is not None:
+                batches.append(table.go_on_from(before))
+        if table is not None:
+            batches.append(table.read(part.lines, is_terminated=part.is_terminated))
+        if batch := _filled(batches, counts):
+            yield batch
+    if table is not None and (batch := _filled([table.finish()], counts)):
+        yield batch
+
+
+def _filled(batches: Sequence[FrameBatch], counts: LogCounts) -> FrameBatch | None:
+    """Return the frames of some batches, counted; None if there are none."""
+    filled = [batch for batch in batches if len(batch)]
+    counts.frames += sum(map(len, filled))
+    return join(filled) if filled else None
+
+
+class _Part(NamedTuple):
+    """Some lines that follow each other, all of one recording or of several with the same columns."""
+
+    header: TableHeader
+    line: int  # how many lines stand before them
+    lines: Sequence[str]
+    is_first: bool  # of that header, which is among them
+    is_terminated: bool = True  # whether the last line has its end
+
+
+def _parts(stream: BinaryIO, counts: LogCounts) -> Iterator[_Part]:
+    """Yield the lines of a table from the first on, parted where a header of other columns or units stands.
+
+    Raises SourceError if the beginning is no table of signals.
+    """
     blocks = _blocks(stream, counts)
     first = list(islice(blocks, 2))  # a short text and what follows its last newline
     header = table_header(b"".join(text for text, _ in first))
     if header is None:
         raise SourceError("no table of signals")
-    table = _Table(header, counts)
-    for text, is_terminated in chain(first, blocks):
-        batch = table.read(text, is_terminated=is_terminated)
-        if len(batch):
-            counts.frames += len(batch)
-            yield batch
-    if len(batch := table.finish()):
-        counts.frames += len(batch)
-        yield batch
+    known = {column.name: column for column in header.columns}
+    is_first, was_terminated, line, tries, lines = True, True, 0, 0, list[str]()
+    for text, is_terminated in chain(first, blocks, [(b"", True)]):
+        begin = place = 0
+        if text:
+            has_words = bool(lines) or line < header.lines or WORD_FIRST.search(b"\n" + text) is not None
+            lines, was_terminated = [*lines, *lines_in(text)] if lines else lines_in(text), is_terminated
+            place = 0 if has_words else len(lines)
+        while (place := _header_after(lines, place, header, line)) < len(lines):
+            if len(lines) - place < LINES_OF_PROBE and text:
+                break  # what follows tells more
+            rows = [_cells(other, header) for other in lines[place : place + MOST_HEADER_LINES]]
+            found = None
+            if tries < MOST_TRIES and is_other_header(rows, header):
+                found = other_header(lines[place:], header, known)
+                tries += found is None
+            if found is None:
+                place += 1
+                continue
+            if place > begin:
+                yield _Part(header, line + begin, lines[begin:place], is_first)
+            header, begin, is_first = replace(found, lines=line + place + found.lines), place, True
+            known = {**{column.name: column for column in header.columns}, **known}
+            place += found.lines
+        if place > begin:
+            is_cut = place == len(lines) and not was_terminated
+            yield _Part(header, line + begin, lines[begin:place], is_first, is_terminated=not is_cut)
+            is_first = False
+        line, lines = line + place, lines[place:]
+
+
+def _cells(line: str, header: TableHeader) -> Sequence[str]:
+    """Return the cells of a line, in another dialect if it has but one in that of the header."""
+    cells = header.dialect.cells(line)
+    return cells if len(cells) > 1 else dialect_of([line]).cells(line)
+
+
+def _header_after(lines: Sequence[str], place: int, header: TableHeader, before: int) -> int:
+    """Return the first line from a place on that may be a header between rows; how many there are if none is.
+
+    ``before`` is how many lines of the file were before these.
+    """
+    for number in range(max(place, header.lines - before), len(lines)):
+        line = lines[number]
+        if line[:1].isdigit():  # of nearly all
+            continue
+        if BEGINS_WITH_WORD.match(line) and is_header_row(_cells(line, header)):
+            return number
+    return len(lines)
 
 
 class _Table:
     """Reads the rows of one table."""
 
-    def __init__(self, header: TableHeader, counts: LogCounts) -> None:
+    def __init__(self, header: TableHeader, counts: LogCounts, line: int) -> None:
         self._header = header
         self._counts = counts
-        self._line = 0
+        self._line = line  # how many were read
         self._laps = {place: _Laps(reading.wraps_us) for place, reading in header.clocks.items()}
         self._later = AS_BEFORE
         self._is_new = False  # a header was the last that is not blank
@@ -91,10 +189,21 @@ class _Table:
         for note in header.notes:
             counts.note(note)
 
-    def read(self, text: bytes, *, is_terminated: bool) -> FrameBatch:
-        """Return the values of a block of whole lines; of a last line without its end all but the last cell."""
+    def go_on_from(self, before: "_Table") -> FrameBatch:
+        """Return what a recording before held back; times of day go on, and lines before this header belong to it."""
+        own, former = self._header, before._header  # noqa: SLF001 - of the same class
+        names = ", ".join(column.name for column in own.columns)
+        self._counts.note(f"line {self._line + 1} begins a recording with columns of its own: {names}")
+        if own.clocks[own.time_place] == former.clocks[former.time_place]:
+            self._laps[own.time_place] = before._laps[former.time_place]  # noqa: SLF001 - likewise
+        self._counts.skipped += len(before._odd_lines)  # noqa: SLF001 - likewise
+        before._odd_lines.clear()  # noqa: SLF001 - likewise
+        return before.finish()
+
+    def read(self, lines: Sequence[str], *, is_terminated: bool) -> FrameBatch:
+        """Return the values of some lines; of a last line without its end all but the last cell."""
         header = self._header
-        rows = self._rows(lines_in(text), is_terminated=is_terminated)
+        rows = self._rows(lines, is_terminated=is_terminated)
         columns = list(zip(*rows.cells, strict=True)) if rows.cells else [()] * header.width
         clocks = {place: self._times_us(place, columns, rows.numbers) for place in header.clocks}
         if header.name_place is not None:
@@ -125,6 +234,9 @@ class _Table:
                 self._counts.cut_off(f"line {number}")
                 cells = [*cells[:-1], *[""] * (header.width - len(cells) + 1)]
             if self._is_header(cells):
+                continue
+            if not line[0].isdigit() and is_comment(cells):
+                self._counts.skipped += 1
                 continue
             if self._later.is_unknown:
                 self._counts.reject(LogReject.MALFORMED, f"line {number}, behind a header of other columns")

@@ -1,13 +1,22 @@
-"""Recordings one behind the other in a file: headers that come again, and clocks that begin again."""
+"""Recordings one behind the other in a file: headers that come again, other headers, and clocks that begin again."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 from canlog.arrays import BoolArray, FloatArray
-from canlog.logs.signal_tables.dialect import stripped
-from canlog.logs.signal_tables.table import TableHeader
+from canlog.database.signal_columns import SignalColumn
+from canlog.logs.signal_tables.clock import time_places
+from canlog.logs.signal_tables.dialect import is_comment, stripped
+from canlog.logs.signal_tables.header import is_header_row
+from canlog.logs.signal_tables.table import PROBE_BYTES, TableHeader, table_header
+
+BEGINS_WITH_WORD: Final = re.compile(r"[\s\"';,|#]*[^\W\d]")  # of lines, all that may be headers
+LINES_OF_PROBE: Final = 400
+MOST_HEADER_LINES: Final = 20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,6 +54,55 @@ def later_header(cells: Sequence[str], header: TableHeader) -> LaterHeader | Non
         is_unknown=order[header.time_place] is None or not has_columns,
         new_names=frozenset(places.keys() - {name.strip() for name in header.names} - {""}),
     )
+
+
+def is_other_header(rows: Sequence[Sequence[str]], before: TableHeader) -> bool:
+    """Return whether rows begin with words that are not all those of the header before."""
+    if before.name_place is not None or not rows or is_comment(rows[0]) or not is_header_row(rows[0]):
+        return False
+    filled = [cells for row in rows if (cells := stripped(row))]
+    stop = next((number for number, row in enumerate(filled) if not is_header_row(row)), len(filled))
+    return not all(row in before.repeated for row in filled[:stop])
+
+
+def other_header(lines: Sequence[str], before: TableHeader, known: Mapping[str, SignalColumn]) -> TableHeader | None:
+    """Return the header of a recording of other columns or units; None if these lines do not begin with one.
+
+    Parameters
+    ----------
+    lines
+        The first of them is the first row of that header; its lines are counted from there.
+    before
+        What the rows until here are.
+    known
+        All columns until here, by their names. One that has another unit now is another column, and told.
+    """
+    text = "\n".join(lines[:LINES_OF_PROBE])
+    found = table_header(f"{text}\n".encode()[:PROBE_BYTES])
+    rows = [before.dialect.cells(line) for line in lines[:MOST_HEADER_LINES]]
+    if found is None or found.name_place is not None or found.lines > len(rows):
+        return None
+    clock = found.names[found.time_place]
+    is_named = bool(time_places([clock])) or clock == before.names[before.time_place]
+    if not is_named or any(_has_value(row, before) for row in rows[: found.lines]):
+        return None
+    columns, notes = list[SignalColumn](), list[str]()
+    for column in found.columns:
+        former = known.get(column.name)
+        if former is None or former.unit == column.unit or not (former.unit and column.unit):
+            columns.append(column)
+            continue
+        columns.append(SignalColumn(f"{column.name} ({column.unit})", column.unit))
+        notes.append(
+            f"{column.name!r} is in {column.unit} in a later recording, not in {former.unit}: there it is"
+            f" {columns[-1].name!r}"
+        )
+    return replace(found, columns=tuple(columns), notes=(*found.notes, *notes))
+
+
+def _has_value(row: Sequence[str], header: TableHeader) -> bool:
+    """Return whether a row is one of values, as far as its time tells."""
+    return len(row) == header.width and row[header.time_place].strip()[:1].isdigit()
 
 
 def first_rows(clocks: Sequence[FloatArray], behind_header: Sequence[int]) -> list[int]:

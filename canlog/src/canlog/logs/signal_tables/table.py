@@ -6,6 +6,7 @@ dialect -> header -> marks of numbers -> clock -> columns
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 from canlog.database.signal_columns import SignalColumn
@@ -21,8 +22,8 @@ from canlog.logs.signal_tables.cells import (
 )
 from canlog.logs.signal_tables.clock import NoRowClock, TimeReading, clock_of, stated_clock
 from canlog.logs.signal_tables.columns import plan_of_columns, plan_of_values
-from canlog.logs.signal_tables.dialect import PROBE_ROWS, Dialect, dialect_of, lines_in, stripped
-from canlog.logs.signal_tables.header import HeaderRows, signal_columns
+from canlog.logs.signal_tables.dialect import PROBE_ROWS, Dialect, dialect_of, is_comment, lines_in, stripped
+from canlog.logs.signal_tables.header import HeaderRows, is_header_row, signal_columns, with_units_of_names
 from canlog.logs.signal_tables.layouts import LAYOUTS, Sheet, Stated
 
 PROBE_BYTES: Final = 64 * 1024  # as many as detection sees
@@ -87,7 +88,12 @@ def table_of(text: bytes) -> TableHeader | NoTable:
     same columns.
     """
     is_all = len(text) < PROBE_BYTES
-    lines = lines_in(text if is_all else text[: text.rfind(b"\n", 0, PROBE_BYTES) + 1])
+    return _table_in(text if is_all else text[: text.rfind(b"\n", 0, PROBE_BYTES) + 1], is_all=is_all)
+
+
+@lru_cache(maxsize=4)  # whoever detects a table, lists its columns and reads it asks for the same
+def _table_in(text: bytes, *, is_all: bool) -> TableHeader | NoTable:
+    lines = lines_in(text)
     dialect = dialect_of(lines)
     rows = [dialect.cells(line) for line in lines]
     if codes := _trouble_codes(rows):
@@ -101,7 +107,15 @@ def table_of(text: bytes) -> TableHeader | NoTable:
             if isinstance(table, TableHeader):
                 return table
             refused.append(table)
-    return next((refusal for refusal in refused if refusal.why), NoTable())
+    if not refused and _are_values(rows):
+        return NoTable(why="no line names the columns: put one with their names before the rows, such as Time,RPM")
+    return next((refusal for refusal in refused if refusal.is_list or refusal.why), NoTable())
+
+
+def _are_values(rows: Sequence[Sequence[str]]) -> bool:
+    """Return whether the first rows hold numbers alone, and more than one each."""
+    filled = [cells for row in rows[:PROBE_ROWS] if (cells := stripped(row))]
+    return len(filled) >= LEAST_ROWS and all(len(row) > 1 and all(map(NUMBER.fullmatch, row)) for row in filled)
 
 
 def _trouble_codes(rows: Sequence[Sequence[str]]) -> str:
@@ -136,16 +150,19 @@ def _table_below(sheet: Sheet, stated: Stated, *, is_cut: bool) -> TableHeader |
         for place, column in enumerate(body.cells)
     ]
     columns = [SignalColumn(column.name, column.unit or behind.get(place, "")) for place, column in enumerate(columns)]
+    columns = with_units_of_names(columns)
     marks = marks_of(cells, [f"{column.name} {column.unit}" for column in columns], header.dialect.separator)
     payloads = [place for place, column in enumerate(cells) if is_payload(column)]
-    if len(payloads) > 1 or any(not STATUS.fullmatch(cell) for place in payloads for cell in cells[place] if cell):
-        return NoTable(why=f"{columns[payloads[0]].name!r} holds bytes of frames")
     if places := header.clock_places:
         clock = stated_clock(places, stated.reading, columns, cells, marks)
     else:
-        clock = clock_of(columns, cells, marks)
+        clock = clock_of(columns, cells, marks, payloads)
+    is_list = isinstance(clock, NoRowClock) and clock.is_list
+    of_frames = (not STATUS.fullmatch(cell) for place in payloads for cell in cells[place] if cell)
+    if not is_list and (len(payloads) > 1 or any(of_frames)):
+        return NoTable(why=f"{columns[payloads[0]].name!r} holds bytes of frames")
     if isinstance(clock, NoRowClock):
-        return NoTable(why=clock.why, is_list=clock.is_list)
+        return NoTable(why=clock.why, is_list=is_list)
     plan = plan_of_values(header.names, cells, clock, marks)
     if plan is None:
         plan = plan_of_columns(columns, cells, clock, payloads, header.clock_places, marks)
@@ -180,9 +197,10 @@ def _body_of(rows: Sequence[Sequence[str]], header: HeaderRows) -> _Body | NoTab
     repeated = frozenset(map(stripped, rows[header.place : header.first]))
     called, filled = {name.strip() for name in header.names} - {""}, list[Sequence[str]]()
     for row in rows[header.first :]:
-        if any(row) and stripped(row) not in repeated:
-            if 2 * len(called.intersection(stripped(row))) >= max(len(called), 2):
-                break  # another header of the same recorder
+        if any(row) and stripped(row) not in repeated and not is_comment(row):
+            is_same = 2 * len(called.intersection(stripped(row))) >= max(len(called), 2)
+            if is_same or (len(filled) >= LEAST_ROWS and is_header_row(row)):
+                break  # another header
             filled.append(row)
     whole = [row[:width] for row in filled if len(row) >= width and not any(row[width:])]
     short = [[*row, *[""] * (width - len(row))] for row in filled if 1 < len(row) < width]

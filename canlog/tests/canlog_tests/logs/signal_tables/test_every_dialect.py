@@ -12,13 +12,13 @@ from canlog.frames import EXTENDED_FLAG
 from canlog.logs.detection import LogFormat, detect
 from canlog.logs.signal_tables import read_signal_table
 from tests.support.batches import read_whole
-from tests.support.table_dialects import CLOCKS, Dialect, Drive, drawn, drive_of, written
+from tests.support.table_dialects import CLOCKS, PROGRAMS, Dialect, Drive, drawn, drive_of, written
 
 COUNT = 60
+DRIVE = drive_of([980 + 2 * row for row in range(COUNT)], [row / 100.0 for row in range(COUNT)], 50)
 
 
-def is_read(drive: Drive, dialect: Dialect) -> None:
-    text = written(drive, dialect)
+def is_read(drive: Drive, text: bytes) -> None:
     detected = detect(text)
     assert detected.format is LogFormat.SIGNALS
     columns = {column for column in detected.columns if column.name != "No"}
@@ -42,7 +42,8 @@ def is_read(drive: Drive, dialect: Dialect) -> None:
     step_ms=st.sampled_from([10, 50, 100, 430, 1000]),
 )
 def test_one_drive_in_every_dialect(seed: int, speed_rpm: list[int], pressure_bar: list[float], step_ms: int) -> None:
-    is_read(drive_of(speed_rpm, pressure_bar, step_ms), drawn(random.Random(seed)))  # noqa: S311 - a draw that repeats
+    drive = drive_of(speed_rpm, pressure_bar, step_ms)
+    is_read(drive, written(drive, drawn(random.Random(seed))))  # noqa: S311 - a draw that repeats
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
@@ -52,4 +53,9 @@ def test_one_drive_by_every_clock(clock: str) -> None:
         has_row_numbers=True, has_units_in_cells=False, has_surplus_name=False, is_ragged=True, encoding="utf-8",
         newline="\n",
     )  # fmt: skip
-    is_read(drive_of([980 + 2 * row for row in range(COUNT)], [row / 100.0 for row in range(COUNT)], 50), dialect)
+    is_read(DRIVE, written(DRIVE, dialect))
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_one_drive_in_the_layout_of_each_program(program: str) -> None:
+    is_read(DRIVE, PROGRAMS[program](DRIVE))
