@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from canlog.arrays import FloatArray
@@ -236,6 +236,7 @@ SERIES = st.lists(st.floats(-1e4, 1e4).map(lambda value: round(value, 3)), min_s
 @pytest.mark.parametrize("writer", WRITERS)
 @settings(max_examples=20, deadline=None)
 @given(series=SERIES, late=st.integers(0, 3))
+@example(series=[0.0] * 24 + [1.062], late=0)  # other cells show that points stand before decimals
 def test_whatever_is_written_is_read(writer: str, series: list[float], late: int) -> None:
     at = np.round(0.4 * np.arange(len(series)), 2)
     channels = {

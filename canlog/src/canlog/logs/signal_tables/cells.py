@@ -85,7 +85,7 @@ class _Evidence:
 def _likelier(cells: Sequence[Sequence[str]], names: Sequence[str], comma: "_Evidence", point: "_Evidence") -> Marks:
     """Return what points and commas probably mean where no number shows it."""
     for mark, other, evidence in ((",", ".", comma), (".", ",", point)):
-        if evidence.grouped and _are_revolutions(cells, names, mark):
+        if evidence.grouped and not evidence.decimals and _are_revolutions(cells, names, mark):
             why = f"{evidence.example} is taken as grouped by thousands: no shaft turns so slowly throughout"
             return Marks(decimal=other, grouping=mark, why=why, notes=(why,))
     if not comma.grouped:
