@@ -124,7 +124,8 @@ _NOTICES: ContextVar[list[str] | None] = ContextVar("notices of this run", defau
 
 
 _PROGRAM = "diag-service"
-LOGGERS = ("diag_service", "workshop", "canlog", "fleet_link", "clutchdiag_io")  # whose messages are shown unasked
+# Whose messages are shown unasked.
+LOGGERS = ("diag_service", "workshop", "canlog", "can_silkit", "fleet_link", "clutchdiag_io")
 COMPILING = "diag_service.compiling"
 
 
