@@ -1,15 +1,12 @@
-"""What all programs share: start and end, threads, standard output, errors in one line."""
+"""What all programs share: threads, standard output, errors in one line."""
 
-import gc
 import hashlib
 import io
 import os
 import shutil
-import signal
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from importlib import import_module
 from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
@@ -166,39 +163,3 @@ def choose_kernel_cache() -> None:
         versions = [path for path in parent.iterdir() if len(path.name) == len(chosen.name)]
         for path in sorted(versions, key=lambda path: path.stat().st_mtime)[:-KEPT_FOLDERS]:
             shutil.rmtree(path, ignore_errors=True)
-
-
-# Objects made before it is looked for garbage among them: loading makes hundreds of thousands, and none of it is.
-UNCOLLECTED: Final = 50_000
-STATUS_STOPPED: Final = 0
-STATUS_INTERRUPTED: Final = 130
-
-
-def run_program(module: str, services: Collection[str] = ()) -> int:
-    """Load the command line of a program, run its ``main`` and return the exit status.
-
-    Parameters
-    ----------
-    services :
-        First words of commands whose usual end is a signal: SIGINT and SIGTERM end them with 0, at once before and
-        after they heed signals themselves.
-    """
-    is_service = not {*sys.argv[1:2]}.isdisjoint(services)
-    status = STATUS_STOPPED if is_service else STATUS_INTERRUPTED
-    numbers = (signal.SIGINT, signal.SIGTERM) if is_service else (signal.SIGINT,)
-    before, *_ = [signal.signal(number, lambda *_: os._exit(status)) for number in numbers]
-    gc.set_threshold(UNCOLLECTED)
-    choose_kernel_cache()
-    program = import_module(module)
-    if not is_service:
-        signal.signal(signal.SIGINT, before)
-    from click import Abort  # noqa: PLC0415 - loading it takes a while, in which Ctrl-C must already be heeded
-
-    try:
-        return int(program.main())
-    except (KeyboardInterrupt, Abort):
-        return STATUS_INTERRUPTED
-    finally:
-        for number in numbers:  # a signal that comes while the interpreter winds down must not change the status
-            signal.signal(number, signal.SIG_IGN)
-        gc.freeze()  # or the interpreter looks through all there is, a fifth of the time of a short program

@@ -1,11 +1,14 @@
 """``python -m diag_service``, and ``diag-service`` itself."""
 
 import sys
-from functools import partial
 
-from clutchdiag_io.program import run_program
+from clutchdiag_io.start import run_program
 
-main = partial(run_program, "diag_service.cli", ("run", "monitor"))
+
+def main() -> int:
+    """Run the program and return its exit status."""
+    return run_program("diag_service.cli", ("run", "monitor"))
+
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -88,11 +88,11 @@ SILENT: Final = ReadingLine(StringIO())  # of a caller in Python: nobody watches
 
 
 def reading_text(reader: LogReader) -> str:
-    """Return how far a log has been read: its share where its size is known, and the frames in any case."""
+    """Return how far a log has been read: its share where its size is known, and the frames or values in any case."""
     name = legible(reader.name)
     short = name if len(name) <= _LONGEST_NAME else f"...{name[3 - _LONGEST_NAME :]}"
     share = f"{min(99, 100 * reader.read_bytes // reader.size_bytes)} %, " if reader.size_bytes else ""
-    return f"reading {short}: {share}{reader.counts.frames} frames"
+    return f"reading {short}: {share}{reader.counts.frames} {reader.format.content}"
 
 
 LOOK_S: Final = 0.2
@@ -124,7 +124,8 @@ _NOTICES: ContextVar[list[str] | None] = ContextVar("notices of this run", defau
 
 
 _PROGRAM = "diag-service"
-LOGGERS = ("diag_service", "workshop", "canlog", "fleet_link", "clutchdiag_io")  # whose messages are shown unasked
+# Whose messages are shown unasked.
+LOGGERS = ("diag_service", "workshop", "canlog", "can_silkit", "fleet_link", "clutchdiag_io")
 COMPILING = "diag_service.compiling"
 
 

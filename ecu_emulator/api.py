@@ -285,7 +285,7 @@ class Emulator:
         if self._drive is not None:
             raise EmulatorConfigError("an emulator drives only once; make another one")
         self._drive = Drive(self.scenario, scenarios.LIVE_PARKED_S if self._parked_s is None else self._parked_s)
-        bus = self.open_bus()
+        bus = self._choice.opened(self._notices.append, self._options)
         try:
             if self._truth_path is not None:
                 self._file = TruthWriter(self._truth_path)

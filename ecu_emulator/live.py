@@ -10,18 +10,21 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from socketserver import StreamRequestHandler, ThreadingUnixStreamServer
 from threading import Event
-from typing import Final, Protocol, Self
+from typing import Any, Final, Protocol, Self
 
 import can
 import can.typechecking
 
 from canlog.e2e.message_contract import message_contracts
+from canlog.live.multicast import NOTHING
 from clutchdiag_io.files import give_sign, make_sign
 from dbc.contract import load_contract
 from ecu_emulator.bus.frames import EncodedFrames
+from ecu_emulator.bus.lasting import lasting
 from ecu_emulator.bus.pace import SendingPace, WallPace, pace_of
 from ecu_emulator.bus.sender import CHUNKS_AHEAD, TransmitReport, WallClock, clock_of, open_bus, transmit
 from ecu_emulator.drive.orders import NO_CODES, FaultsOfCode, LiveOrders, Ordered, follow
@@ -283,6 +286,17 @@ class BusChoice:
         """What the user asked for, empty if it is left to the configuration."""
         return " ".join(part for part in (self.interface, self.channel) if part)
 
+    def opened(self, say: Callable[[str], None], options: Mapping[str, Any] = NOTHING) -> can.BusABC:
+        """Return the bus, kept open while it is used; ``say`` gets a line when it is lost, and when it is back.
+
+        ``options`` are more arguments of its driver. Raises BusError if it cannot be opened at first.
+        """
+        return lasting(
+            partial(open_bus, self.interface, self.channel, self.bitrate, fd=self.is_fd, options=options),
+            self.name,
+            say,
+        )
+
 
 class BusEnd(Protocol):
     """Where a controller that answers hears the bus."""
@@ -352,7 +366,7 @@ def run(
     console = people()
     drive = Drive(scenario, options.longest_stay_s)
     with (
-        open_bus(choice.interface, choice.channel, choice.bitrate, fd=choice.is_fd) as bus,
+        choice.opened(lambda line: console.print(line, markup=False)) as bus,
         answering_of(answers, bus, choice, scenario, drive) as answering,
         ExitStack() as begun,
     ):

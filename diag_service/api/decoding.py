@@ -194,7 +194,8 @@ def _done(task: TableTask, decoded: DecodedLogs) -> TableDone:
         "error": None,
     }
     rows = f"{account.row_count} rows in {task.output}"
-    line = f"{task.log}: {reader.format.value}, {account.log.frames} frames: {', '.join(frame_texts(account))}; {rows}"
+    fates = ", ".join(frame_texts(account))
+    line = f"{task.log}: {reader.format.value}, {account.log.frames} {reader.format.content}: {fates}; {rows}"
     fits_not = not task.columns and _fits_not(account)
     return TableDone(record=record, line=line, losses=tuple(losses(account)), fits_not=fits_not)
 

@@ -82,9 +82,10 @@ def _show(options: DecodeOptions, decoded: DecodedLogs, console: PeopleConsole) 
     lines = list[str]()
     for reader in decoded.readers:
         share = f": {fates}" if len(decoded.readers) == 1 else ""
-        lines.append(f"{reader.name}: {reader.format.value}, {reader.counts.frames} frames{share}")
+        lines.append(f"{reader.name}: {reader.format.value}, {reader.counts.frames} {reader.format.content}{share}")
         lines.append(f"taken for {reader.format.value}: {reader.evidence}")
-    lines += [f"{account.log.frames} frames: {fates}"] if len(decoded.readers) > 1 else []
+    content = " and ".join(sorted({reader.format.content for reader in decoded.readers}))
+    lines += [f"{account.log.frames} {content}: {fates}"] if len(decoded.readers) > 1 else []
     lines += [f"{account.row_count} rows in {place_of(options)}: {values_text(account)}"]
     hint = [NOTHING_KNOWN] if account.knows_nothing else []
     for line in (*lines, *losses(account), *remarks(account), *hint):

@@ -242,16 +242,22 @@ def tls_files(options: DeliveryOptions) -> TlsFiles:
 
 
 def _broker(options: DeliveryOptions) -> BrokerAddress | None:
-    """Return where results are sent, with the certificates and the password for it; raises ConfigError."""
+    """Return where results are sent, with the certificates and the password for it.
+
+    Raises ConfigError, also for a certificate that cannot be used: that is said now, not at the first connection.
+    """
     tls = tls_files(options)
     if not options.broker:
         if tls != TlsFiles() or options.password_file is not None:
             raise ConfigError("certificates and passwords need a broker")
         return None
     try:
-        return parse_broker(options.broker, tls, options.password_file)
+        address = parse_broker(options.broker, tls, options.password_file)
+        if address.tls is not None:
+            address.tls.context()
     except AddressError as exc:
         raise ConfigError(str(exc)) from exc
+    return address
 
 
 def bus_config(options: LiveOptions) -> BusConfig:

@@ -127,6 +127,8 @@ def own(path: Path) -> tuple[int, str | None]:
     """Lock a store; return the descriptor of the lock file and the mark in it, None if an earlier program wrote it."""
     lock_path = path.with_name(path.name + ".lock")
     try:
+        if path.exists() and not path.is_file():  # it can never become a store: no lock is left beside it
+            _check_place(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(lock_path, OPEN_FLAGS, PRIVATE_MODE)
     except OSError as exc:
@@ -173,15 +175,20 @@ def _mark_of(descriptor: int, stream: str) -> str:
     return f"{stream} {os.fstat(descriptor).st_ino}"  # whoever copies a lock makes another file
 
 
-def connect(path: Path) -> sqlite3.Connection:
-    """Open or create the database of a store, in its present form, on a full disk as well if it is there already."""
-    is_new = not path.exists()
+def _check_place(path: Path) -> None:
+    """Make the file of a store unless it is there; raises StoreError if something else has its place."""
     try:
         create_private(path)
         with suppress(FileNotFoundError):  # a link to what SQLite will make
             check_plain_file(path, most_bytes=sys.maxsize)
     except OSError as exc:
         raise StoreError(f"cannot use store {path}: {exc.strerror}") from exc
+
+
+def connect(path: Path) -> sqlite3.Connection:
+    """Open or create the database of a store, in its present form, on a full disk as well if it is there already."""
+    is_new = not path.exists()
+    _check_place(path)
     try:
         return _opened(path)
     except StoreFullError:

@@ -27,8 +27,32 @@ def enter_lock_up(memory: FloatArray, state: int) -> None:
 
 
 @part
+def turbine_rad_s(sense: FloatArray, gear: int, law: DrivingLaw) -> float:
+    """Return the speed of the turbine in a gear once no wheel slides any more [rad/s]."""
+    return float(law.drive.overall_ratios[gear] * sense[at.VEHICLE_SPEED] / law.drive.plant.vehicle.wheel_radius_m)
+
+
+@part
+def has_outrun(sense: FloatArray, gear: int, law: DrivingLaw) -> bool:
+    """Tell whether the car is too fast for a gear: somebody has moved it at once, and its wheels are yet to follow."""
+    is_too_fast = turbine_rad_s(sense, gear, law) > law.driving.choice.over_rad_s
+    return is_too_fast and not gear_choice.is_highest(gear, law)
+
+
+@part
+def found_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> int:
+    """Return the gear for the speed of the car, whatever its wheels do."""
+    rad_per_m = 1.0 / law.drive.plant.vehicle.wheel_radius_m
+    return gear_choice.highest_pulling_gear(memory, sense, rad_per_m, sense[at.VEHICLE_SPEED], law)
+
+
+@part
 def change(memory: FloatArray, sense: FloatArray, commands: FloatArray, law: DrivingLaw) -> None:
     """Open the lock-up clutch, then lead the ratio of the gearbox to that of the target gear."""
+    if has_outrun(sense, int(memory[tcu_data.TARGET_GEAR]), law):
+        memory[tcu_data.TARGET_GEAR] = found_gear(memory, sense, law)
+        memory[at.START_RATIO] = sense[at.GEAR_RATIO]
+        memory[at.STATE_TIME] = min(memory[at.STATE_TIME], law.driving.lock_up.release_s)
     p, time_s = law.driving.lock_up, memory[at.STATE_TIME] - law.driving.lock_up.release_s
     if time_s < 0.0:
         return
@@ -57,9 +81,8 @@ def choose_gear(memory: FloatArray, sense: FloatArray, law: DrivingLaw) -> None:
         enter_state(memory, DrivelineState.IN_GEAR.value)
     if is_standing:
         wanted = 1
-    elif gear_choice.is_gear_lost(memory, sense, law):
-        rad_per_m = 1.0 / law.drive.plant.vehicle.wheel_radius_m  # of wheels that no longer slide
-        wanted = gear_choice.highest_pulling_gear(memory, sense, rad_per_m, sense[at.VEHICLE_SPEED], law)
+    elif gear_choice.is_gear_lost(memory, sense, law) or has_outrun(sense, int(memory[tcu_data.CURRENT_GEAR]), law):
+        wanted = found_gear(memory, sense, law)
     else:
         wanted = gear_choice.wanted_gear(memory, sense, law)
     if wanted != memory[tcu_data.CURRENT_GEAR]:

@@ -31,6 +31,9 @@ READING = {
         "history open/car.sqlite --peers {}/peers.json",
         "history open/car.sqlite --calibration {}/car.toml",
         "config check -i virtual -c nothing --broker mqtts://127.0.0.1 --password-file {}/password",
+        *(f"{command} --broker mqtts://127.0.0.1 {files}"
+          for command in ("run -i virtual -c nothing", "analyze open/drive.log", "config check -i virtual -c nothing")
+          for files in ("--ca {}/car.crt", "--cert {0}/car.crt --key {0}/car.key")),
         "dtc -i virtual -c nothing --description {}/car.toml",
         "try -i virtual -c nothing --profile {}/car.toml",
     ),
@@ -110,7 +113,7 @@ def filled(folder: Path) -> Path:
     (folder / "logs").mkdir(parents=True)
     for name in ("drive.log", "second.log", "logs/drive.log"):
         (folder / name).write_text(LOG, encoding="ascii")
-    for name in ("car.toml", "car.crt", "peers.json", "password"):
+    for name in ("car.toml", "car.crt", "car.key", "peers.json", "password"):
         (folder / name).touch(0o600)
     (folder / "car.dbc").write_text(DATABASE, encoding="ascii")
     fill_store(folder / "car.sqlite", history(3))

@@ -3,11 +3,13 @@
 import json
 import re
 import socket
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from html import unescape
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import httpx
 import pytest
@@ -274,6 +276,124 @@ def test_programs_get_what_the_published_schema_says(reader: httpx.Client) -> No
         assert answer.keys() == description["components"]["schemas"][name]["properties"].keys(), path
     schema = answers["404"]["content"]["application/problem+json"]["schema"] | {"components": description["components"]}
     Draft202012Validator(schema).validate(reader.get("/api/v1/vehicles/nobody").json())
+
+
+def _is_allowed(word: str, schema: dict[str, Any]) -> bool:
+    """Return whether a word in an address is one that a schema allows: as text, or as the number or null it writes.
+
+    In the regular expressions of a schema ``$`` is the end of a text, not that of its last line (ECMA 262).
+    """
+    values: list[object] = [word]
+    if word == word.strip() and not word.startswith('"'):
+        with suppress(ValueError):
+            values.append(json.loads(word))
+    text = json.dumps(schema).replace('$"', r'\\Z"')
+    validator = Draft202012Validator(json.loads(text), format_checker=Draft202012Validator.FORMAT_CHECKER)
+    return any(validator.is_valid(value) for value in values)
+
+
+ODD_WORDS = (
+    *(
+        "",
+        " ",
+        "0",
+        "1",
+        "-1",
+        "5",
+        "5.0",
+        "5.5",
+        "1e1",
+        "+5",
+        " 5",
+        "007",
+        "0x1",
+        "5_0",
+        "50000",
+        "50001",
+        "2147483648",
+    ),
+    *(
+        "2147483649",
+        "300000",
+        "300001",
+        "9007199254740992",
+        "9007199254740993",
+        "true",
+        "null",
+        "NaN",
+        "[]",
+        "{}",
+        '"a"',
+    ),
+    *(
+        "2026-01-01",
+        "2026-1-1",
+        "20260101",
+        "2026-02-30",
+        "2026-01-01T00:00:00",
+        " 2026-01-01",
+        "0001-01-01",
+        "9999-12-31",
+    ),
+    *(
+        "10000-01-01",
+        "good",
+        "GOOD",
+        "watch",
+        "open",
+        "all",
+        "due",
+        "km",
+        "-km",
+        "--km",
+        "silence",
+        "car1",
+        "stream-1",
+        ".",
+    ),
+    *(
+        "..",
+        "a" * 64,
+        "a" * 65,
+        "ä" * 64,
+        "ä" * 200,
+        "ä" * 201,
+        "a\n",
+        "\n",
+        "a\tb",
+        "\0",
+        "\x7f",
+        "\x85",
+        "\u2028",
+        "\u202e",
+    ),
+    *("\xa0", "\U0001f600", "%", "%00", "'", '"><script>', "a" * 128, "a" * 129, "../../etc/passwd", "1.nominal-1"),
+)
+
+
+def test_every_odd_word_is_answered_as_the_published_schema_says(reader: httpx.Client) -> None:
+    """An odd word in each parameter, with all others as they should be, is refused where no schema allows it."""
+    description = told(reader, "/api/v1/openapi.json")
+    wrong, count = list[str](), Counter[bool]()
+    for path, example in EXAMPLES.items():
+        query = dict(httpx.URL(example).params)
+        for parameter in description["paths"][f"/api/v1{path}"]["get"]["parameters"]:
+            schema = parameter["schema"] | {"components": description["components"]}
+            for word in ODD_WORDS:
+                address, words = httpx.URL(f"/api/v1{path.replace('{vehicle}', 'car1')}"), dict(query)
+                if parameter["in"] == "path":
+                    if word in {"", ".", ".."} or "/" in word:  # other addresses
+                        continue
+                    address = httpx.URL(f"/api/v1{path.replace('{vehicle}', quote(word))}")
+                else:
+                    words[parameter["name"]] = word
+                status = reader.get(address, params=words).status_code
+                is_allowed = _is_allowed(word, schema)
+                count[is_allowed] += 1
+                if status not in ({200, 404} if is_allowed else {400}):
+                    wrong.append(f"{path} {parameter['name']}={word!r}: {status}, but allowed: {is_allowed}")
+    assert wrong == []
+    assert min(count.values()) > 200, count
 
 
 def test_pages_that_left_say_where_to_go(reader: httpx.Client) -> None:

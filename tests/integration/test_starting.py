@@ -13,7 +13,7 @@ from tests.support.patience import HANG_S
 REPOSITORY = Path(__file__).parents[2]
 START = (
     "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "  # which nohup leaves ignored
-    "from clutchdiag_io.program import run_program; sys.exit(run_program('slow_program'))"
+    "from clutchdiag_io.start import run_program; sys.exit(run_program('slow_program'))"
 )
 LOADING = f"import time\nprint('here', flush=True)\ntime.sleep({HANG_S})\n"
 RUNNING = f"import time\ndef main():\n    print('here', flush=True)\n    time.sleep({HANG_S})\n"

@@ -113,8 +113,11 @@ def test_two_services_do_not_share_a_store(path: Path) -> None:
 def test_what_is_no_store(path: Path, spoil: Callable[[Path], object], message: str) -> None:
     path.parent.mkdir()
     spoil(path)
+    before = sorted(path.parent.iterdir())
     with pytest.raises(StoreError, match=message):
         ResultStore.open(path)
+    if not path.is_file():  # it can never become a store: nothing is left beside it
+        assert sorted(path.parent.iterdir()) == before
 
 
 def test_a_store_of_a_newer_version_is_left_alone(path: Path) -> None:

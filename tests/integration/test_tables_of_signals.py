@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 import diag_service
+from canlog.logs import read_log
 from clutch_results.records import shift_record
 from dbc.contract import load_contract
+from diag_service.console import reading_text
 from diag_service.mapping.profile import PROFILE_PATH
 from ecu_emulator.cli import main as emulator
 from studies.builders import OF_FRICTION, OUTPUT, with_fuel, written
@@ -233,3 +235,21 @@ def test_without_torque_the_shifts_of_a_clutch_are_held_against_each_other(car_l
     assert "clutch 2, friction of each power upshift over its others: event " in shown
     assert ended("report", table, "--profile", profile, "--full", "-o", page).status == 0
     assert "Clutch 2: friction in power upshifts, up to a scale that is not known" in page.read_text(encoding="utf-8")
+
+
+def test_a_table_has_values_and_no_frames_where_it_is_read_and_decoded(tmp_path: Path) -> None:
+    (tmp_path / "logs").mkdir()
+    tables = [tmp_path / "logs" / f"{name}.csv" for name in ("a", "b")]
+    for table in tables:
+        rows = (f"{0.1 * row:.1f},{800 + row},{row}" for row in range(30))
+        table.write_text("\n".join(("time,Engine RPM (rpm),Vehicle speed (km/h)", *rows, "")), encoding="utf-8")
+    whole = ended("decode", tables[0], "-o", tmp_path / "whole")
+    assert (whole.status, "frames" in whole.out) == (0, False)
+    assert f"{tables[0]}: signals, 60 values: 60 decoded" in whole.out.splitlines()
+    each = ended("decode", tables[0].parent, "-o", tmp_path / "each")
+    assert (each.status, each.out.count("60 values: 60 decoded"), "frames" in each.out) == (0, 2, False), each
+    with read_log(tables[0]) as reader:
+        assert sum(map(len, reader)) == 60
+        assert reading_text(reader).endswith(" 60 values")
+    record = json.loads(ended("decode", tables[0], "-o", tmp_path / "again", "--json").out)
+    assert record["frames"]["read"] == 60  # programs know them by this name

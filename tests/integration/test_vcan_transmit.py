@@ -3,7 +3,7 @@
 import json
 import threading
 import time
-from contextlib import suppress
+from contextlib import closing, suppress
 
 import pytest
 
@@ -16,12 +16,13 @@ from tests.support.bus_end import RECEIVE_BYTES, raw_socket
 from tests.support.patience import HANG_S
 from tests.support.starvation import StarvationWatch, undisturbed
 from tests.support.traffic import random_frames
-from tests.uml.vcan import ip_link
+from tests.uml.vcan import create_vcan, ip_link
 
 pytestmark = pytest.mark.vcan
 
 
 DOWN_S = 10.0
+QUIET_S = 60.0  # in which a guest, however slow, sends a frame
 
 
 class Listener(Beside):
@@ -47,11 +48,26 @@ class Listener(Beside):
                     self.frame_count += 1
 
 
+def wait_for_frames(listener: Listener, count: int) -> None:
+    deadline_s = time.monotonic() + HANG_S
+    while listener.frame_count < count and time.monotonic() < deadline_s:
+        time.sleep(0.01)
+
+
+def hear(vcan: str, most: int) -> int:
+    """Return how many frames came before a long silence, at most so many."""
+    with closing(raw_socket(vcan)) as raw, suppress(TimeoutError):
+        raw.settimeout(QUIET_S)
+        for count in range(most):
+            if not raw.recv(16):
+                return count
+        return most
+    return 0
+
+
 def switch_off_and_on(listener: Listener, vcan: str) -> None:
     """Switch an interface off once a tenth of a second of a drive was heard on it, and on again after ten seconds."""
-    deadline_s = time.monotonic() + HANG_S
-    while listener.frame_count < 60 and time.monotonic() < deadline_s:
-        time.sleep(0.01)
+    wait_for_frames(listener, 60)
     ip_link("set", vcan, "down")
     time.sleep(DOWN_S)
     ip_link("set", vcan, "up")
@@ -71,9 +87,35 @@ def test_an_interface_that_is_down_for_ten_seconds_costs_the_frames_of_these_and
     assert result["is_complete"]
     assert result["interruptions"] == 1
     assert "the interface was down 1 times" in said.err
+    assert said.err.count("; waiting for its return") == said.err.count(f"socketcan {vcan} is there again after") == 1
     assert listener.frame_count == result["frames_sent"]
     lost_s = result["frames_given_up"] / (result["frames_sent"] + result["frames_given_up"]) * result["duration_s"]
     assert lost_s == pytest.approx(DOWN_S, abs=2.0)  # a guest may be late with either command
+
+
+def test_an_adapter_that_is_pulled_is_waited_for(vcan: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its interface goes away, and comes back as another one of that name."""
+    heard: list[int] = []
+
+    def pull_and_plug() -> None:
+        heard.append(hear(vcan, 60))
+        ip_link("delete", vcan)
+        time.sleep(2.0)
+        create_vcan(vcan)
+        heard.append(hear(vcan, 60))
+
+    thread = threading.Thread(target=pull_and_plug)
+    thread.start()
+    status = main(["run", "-i", "socketcan", "-c", vcan, "--scenario", "noise_only", "--cycles", "1", "--json"])
+    thread.join()
+    said = capsys.readouterr()
+    result = json.loads(said.out)
+    assert status == 0, said.err
+    assert result["is_complete"]
+    assert result["interruptions"] == 1
+    assert result["frames_given_up"] > 0
+    assert heard == [60, 60]
+    assert said.err.count("; waiting for its return") == said.err.count(f"socketcan {vcan} is there again after") == 1
 
 
 def test_an_interface_that_is_down_says_what_to_do(vcan: str) -> None:

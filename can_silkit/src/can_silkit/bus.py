@@ -35,7 +35,7 @@ GATHER_FRAMES: Final = 64  # a reader is woken for so many at once
 LONGEST_WAIT_S: Final = 0.02  # of this machine's time: or after so long
 LONGEST_STEP_S: Final = 0.1
 FAREWELL_NS: Final = 250_000_000  # from the last frame to the end: two of the others' longest steps, so all have it
-WORD_S: Final = 10.0  # of this machine's time, after which a simulation that does not begin is worth a word
+WORD_S: Final = 10.0  # of this machine's time, each of which a simulation that does not begin is worth a word
 STILL_S: Final = 5.0  # of this machine's time without a step, after which whoever holds time is named
 PATIENCE_S: Final = 60.0  # of this machine's time without a step, after which the simulation is given up
 LOOK_S: Final = 0.25  # how often is looked
@@ -210,7 +210,8 @@ class SilKitBus(can.BusABC):
         self._leaves_ns = 0  # virtual time at which all have the last frame
         self._last_ns = sys.maxsize  # virtual time at which to leave, whatever comes later is not heard
         self.dropped = 0  # frames that nobody read
-        self._warn_s = time.monotonic() + WORD_S
+        self._opened_s = time.monotonic()
+        self._warn_s = self._opened_s + WORD_S
         self._has_changed = threading.Event()  # what the observer knows
         try:
             self._participant = silkit.create_participant(
@@ -341,14 +342,15 @@ class SilKitBus(can.BusABC):
         return bool(self._inbox)
 
     def _begin(self) -> None:
-        """Let time pass: the program takes part; say once if there is no time yet."""
+        """Let time pass: the program takes part; say now and then that there is no time yet."""
         self._is_begun = True
         self._clock.let_go()
         if self._clock.step_count == 0 and time.monotonic() > self._warn_s:
-            self._warn_s = math.inf
+            self._warn_s = time.monotonic() + WORD_S
             _LOG.warning(
-                "%s: the simulation has not begun; a system controller that names all its participants, this one "
-                "included, begins it: silkit-system-controller %s OTHERS", self.channel_info, self._name,
+                "%s: the simulation has not begun for %.0f s; a system controller that names all its participants, "
+                "this one included, begins it: silkit-system-controller %s OTHERS",
+                self.channel_info, time.monotonic() - self._opened_s, self._name,
             )  # fmt: skip
 
     def _live(self) -> None:

@@ -137,3 +137,18 @@ def test_without_a_registry_or_a_simulation_it_says_what_to_start(simulations: S
         said += line
     alone.send_signal(signal.SIGINT)
     ended(alone)
+
+
+def test_a_simulation_that_never_begins_is_said_again_and_again(simulations: Simulations, tmp_path: Path) -> None:
+    """Without a system controller nobody can know how long others will need to be there."""
+    waiting = simulations.start("diag-service", "run", *BUS, "--once", "--store", str(tmp_path / "car.sqlite"))
+    assert waiting.stderr is not None
+    said = []
+    for line in waiting.stderr:
+        said += re.findall(r"the simulation has not begun for (\d+) s; a system controller", line)
+        if len(said) == 3:
+            break
+    assert all(int(since_s) >= 10 * number for number, since_s in enumerate(said, 1)), said
+    assert int(said[0]) < int(said[1]) < int(said[2])
+    waiting.send_signal(signal.SIGINT)
+    ended(waiting)

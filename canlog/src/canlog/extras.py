@@ -1,14 +1,10 @@
 """Libraries that only an extra brings, and the words that say how to install one."""
 
-import ast
 import sys
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib import import_module
-from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
-from importlib.util import LazyLoader
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -50,7 +46,7 @@ def extra_missing(what: str, extra: str, folder: str = "./canlog") -> ExtraMissi
     return ExtraMissingError(f"{what}: pip install '{folder}[{extra}]' in the checkout")
 
 
-class _LazyFinder(MetaPathFinder):
+class _LazyFinder:
     """Finds some modules as the system does, but lets them wait."""
 
     def __init__(self, names: frozenset[str]) -> None:
@@ -62,6 +58,8 @@ class _LazyFinder(MetaPathFinder):
         """Return a module that waits if it is one of them."""
         spec = PathFinder.find_spec(fullname, path, target) if fullname in self._names else None
         if spec is not None and spec.loader is not None:
+            from importlib.util import LazyLoader  # noqa: PLC0415 - every program imports this module before it heeds Ctrl-C
+
             spec.loader = LazyLoader(spec.loader)
         return spec
 
@@ -86,6 +84,9 @@ def on_demand(package: str, file: str) -> tuple[Callable[[str], object], Callabl
 
     @cache
     def homes() -> dict[str, str]:
+        import ast  # noqa: PLC0415 - every program imports this module before it heeds Ctrl-C
+        from pathlib import Path  # noqa: PLC0415 - see above
+
         blocks = (node for node in ast.parse(Path(file).read_bytes()).body if isinstance(node, ast.If))
         imports = (node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom))
         return {alias.name: str(node.module) for node in imports for alias in node.names}

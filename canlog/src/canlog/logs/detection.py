@@ -50,6 +50,11 @@ class LogFormat(StrEnum):
     COLUMNS = "columns"
     SIGNALS = "signals"
 
+    @property
+    def content(self) -> str:
+        """What such a log holds, for people: a table of signals has no frames."""
+        return "values" if self is LogFormat.SIGNALS else "frames"
+
 
 # In this order a text without a header is tried.
 TEXT_LOGS: Mapping[LogFormat, Callable[[], TextLog]] = {

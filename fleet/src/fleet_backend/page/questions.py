@@ -13,6 +13,7 @@ from fleet_backend.alarms.rules import AlarmRule
 from fleet_backend.page.fleet import vehicle_type
 
 Vehicle = Annotated[str, Meta(pattern="^[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}$")]
+NO_CONTROLS: Final = r"^[^\u0000-\u001f\u007f-\u009f]*$"
 Count = Annotated[int, Meta(ge=1, le=2**53)]
 
 
@@ -41,12 +42,12 @@ SORTS: Final = (*ORDERS, *(f"-{name}" for name in ORDERS))
 class VehiclesQuery(ListQuery, frozen=True, kw_only=True):
     """Filters and order of the list of vehicles; without ``sort`` the worst is first."""
 
-    q: Annotated[str, Meta(max_length=64)] | None = None  # a part of the vehicle's name
+    q: Annotated[str, Meta(max_length=64, pattern=NO_CONTROLS)] | None = None  # a part of the vehicle's name
     condition: Severity | None = None
-    fluid: Annotated[str, Meta(max_length=200)] | None = None
+    fluid: Annotated[str, Meta(max_length=200, pattern=NO_CONTROLS)] | None = None
     since: date | None = None  # first day (UTC) of the last event
     until: date | None = None
-    calibration: Annotated[str, Meta(max_length=200)] | None = None  # version, or its type
+    calibration: Annotated[str, Meta(max_length=200, pattern=NO_CONTROLS)] | None = None  # version, or its type
     sort: Literal[SORTS] | None = None  # type: ignore[valid-type]
     only: Literal["due", "silent", "alarm"] | None = None
 

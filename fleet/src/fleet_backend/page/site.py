@@ -46,6 +46,7 @@ API: Final = "/api/v1"
 NAVIGATION: Final = (("/", "Fleet"), ("/maintenance", "Maintenance"), ("/alarms", "Alarms"))
 _FORM: Final = "application/x-www-form-urlencoded"
 _LONGEST_FORM: Final = 16_384  # bytes
+_CONTROLS: Final = re.compile(r"[\x00-\x1f\x7f-\x9f]")  # in no word of an address, whatever stands in its pattern
 _FORM_S: Final = 10.0  # for all of its bytes
 _JSON: Final = "application/json"
 _TOKEN: Final = "token"  # noqa: S105 - the name of a field
@@ -171,8 +172,15 @@ def is_api(request: HTTPConnection) -> bool:
 
 
 def asked(request: Request, query: type[QueryT]) -> QueryT:
-    """Return the parameters of an address as a record; an empty one counts as missing. Raises AskError."""
-    return _checked([*request.path_params.items(), *request.query_params.multi_items()], query)
+    """Return the parameters of an address as a record; raises AskError.
+
+    An empty one counts as missing on a page, whose forms send the fields that nobody filled in; programs leave it out.
+    """
+    pairs = [*request.path_params.items(), *request.query_params.multi_items()]
+    for name, word in pairs:
+        if _CONTROLS.search(f"{name}{word}"):
+            raise _no_text(name)
+    return _checked(pairs, query, keeps_empty=is_api(request))
 
 
 async def form_of(request: Request, query: type[QueryT], role: UserRole) -> QueryT:
@@ -208,19 +216,24 @@ async def form_of(request: Request, query: type[QueryT], role: UserRole) -> Quer
     token = dict(words).get(_TOKEN, "")
     if not viewer.token or not hmac.compare_digest(viewer.token.encode(), token.encode()):  # of none of our pages
         raise ForbiddenError("this form is no longer valid; open it again")
-    return _checked([*request.path_params.items(), *(pair for pair in words if pair[0] != _TOKEN)], query)
+    pairs = [*request.path_params.items(), *(pair for pair in words if pair[0] != _TOKEN)]
+    for name, word in pairs:
+        if not f"{name}{word}".replace("\r\n", " ").isprintable():  # a note may have lines
+            raise _no_text(name)
+    return _checked(pairs, query, keeps_empty=False)
 
 
-def _checked(pairs: list[tuple[str, str]], query: type[QueryT]) -> QueryT:
+def _no_text(name: str) -> AskError:
+    return AskError(f"{ascii(name)[:40]}: holds characters that are not text")
+
+
+def _checked(pairs: list[tuple[str, str]], query: type[QueryT], *, keeps_empty: bool) -> QueryT:
     """Return words as a record; raises AskError, naming the first that is unknown, said twice, missing or wrong."""
     words = dict(pairs)
     if len(words) < len(pairs):
         raise AskError("a word of this address is given twice")
-    for name, word in pairs:
-        if not f"{name}{word}".replace("\r\n", " ").isprintable():  # a note may have lines
-            raise AskError(f"{ascii(name)[:40]}: holds characters that are not text")
     try:
-        return msgspec.convert({name: word for name, word in pairs if word}, query, strict=False)
+        return msgspec.convert({name: word for name, word in pairs if word or keeps_empty}, query, strict=False)
     except msgspec.ValidationError as exc:
         raise AskError(str(exc).replace(" - at `$.", " - at `")) from exc
 

@@ -2,8 +2,8 @@
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from contextlib import asynccontextmanager, suppress
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from contextlib import asynccontextmanager, closing, suppress
 from typing import ParamSpec, TypeVar
 
 import pytest
@@ -56,6 +56,12 @@ class Broker:
             self.ended_s.append(loop.time())
 
 
+@pytest.fixture(name="store")
+def _store() -> Iterator[ResultStore]:
+    with closing(ResultStore.in_memory()) as store:
+        yield store
+
+
 async def pauses_s(store: ResultStore, *lasts_s: float | None) -> Sequence[float]:
     """Return how long the outbox waits after each connection."""
     broker = Broker(*lasts_s)
@@ -68,8 +74,8 @@ async def pauses_s(store: ResultStore, *lasts_s: float | None) -> Sequence[float
 
 
 @in_virtual_time
-async def test_each_failure_doubles_the_pause_up_to_a_limit_and_chance_spreads_it() -> None:
-    pauses = await pauses_s(ResultStore.in_memory(), *[None] * 40)
+async def test_each_failure_doubles_the_pause_up_to_a_limit_and_chance_spreads_it(store: ResultStore) -> None:
+    pauses = await pauses_s(store, *[None] * 40)
     shares = [pause / min(600.0, 0.5 * 2.0 ** min(count, 10)) for count, pause in enumerate(pauses)]
     assert all(0.5 <= share <= 1.0 for share in shares)
     assert min(shares) < 0.6
@@ -78,27 +84,26 @@ async def test_each_failure_doubles_the_pause_up_to_a_limit_and_chance_spreads_i
 
 @pytest.mark.parametrize(("lasted_s", "is_forgotten"), [(599.0, False), (601.0, True)])
 def test_failures_are_forgotten_once_a_connection_lasts_longer_than_the_longest_pause(
-    lasted_s: float, is_forgotten: bool
+    store: ResultStore, lasted_s: float, is_forgotten: bool
 ) -> None:
     @in_virtual_time
     async def drive() -> None:
-        pauses = await pauses_s(ResultStore.in_memory(), *[None] * 6, lasted_s, None)
+        pauses = await pauses_s(store, *[None] * 6, lasted_s, None)
         assert (pauses[6] <= 0.5, pauses[7] <= 1.0) == (is_forgotten, is_forgotten)
 
     drive()
 
 
 @in_virtual_time
-async def test_failures_are_forgotten_once_results_arrive() -> None:
-    store = ResultStore.in_memory()
+async def test_failures_are_forgotten_once_results_arrive(store: ResultStore) -> None:
     put(store, [1, 2])
     *_, pause = await pauses_s(store, *[None] * 6, 1.0)
     assert pause <= 0.5
 
 
 @in_virtual_time
-async def test_numbers_are_told_at_once_and_each_minute_whatever_connection_there_is() -> None:
-    store, broker, told = ResultStore.in_memory(), Broker(90.0, 500.0), list[tuple[float, float]]()
+async def test_numbers_are_told_at_once_and_each_minute_whatever_connection_there_is(store: ResultStore) -> None:
+    broker, told = Broker(90.0, 500.0), list[tuple[float, float]]()
     put(store, [1, 2])
 
     def message(numbers: Mapping[str, float]) -> Outgoing:
@@ -114,9 +119,11 @@ async def test_numbers_are_told_at_once_and_each_minute_whatever_connection_ther
 
 
 @in_virtual_time
-async def test_a_broker_that_takes_results_again_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
+async def test_a_broker_that_takes_results_again_is_told_once(
+    store: ResultStore, caplog: pytest.LogCaptureFixture
+) -> None:
     caplog.set_level(logging.INFO, "diag_service")
-    store, broker = ResultStore.in_memory(), Broker(None, None, 50.0, 50.0)
+    broker = Broker(None, None, 50.0, 50.0)
     put(store, [1, 2])
     outbox = Outbox(store, "car1", broker.connect, "broker", limits=LIMITS)
     sender = asyncio.create_task(outbox.run())
@@ -137,10 +144,10 @@ async def test_a_broker_that_takes_results_again_is_told_once(caplog: pytest.Log
     [(Acknowledge.BACKEND, False, True), (Acknowledge.BACKEND, True, False), (Acknowledge.BROKER, False, False)],
 )
 def test_a_fleet_that_does_not_answer_is_told_if_its_word_counts(
-    acknowledge: Acknowledge, is_heard: bool, is_told: bool, caplog: pytest.LogCaptureFixture
+    store: ResultStore, acknowledge: Acknowledge, is_heard: bool, is_told: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     limits = DeliveryLimits(answer_s=0.001)
-    outbox = Outbox(ResultStore.in_memory(), "car1", Broker().connect, "broker", acknowledge=acknowledge, limits=limits)
+    outbox = Outbox(store, "car1", Broker().connect, "broker", acknowledge=acknowledge, limits=limits)
     if is_heard:
         outbox._state.fleet_is_heard.set()
     outbox.await_fleet()

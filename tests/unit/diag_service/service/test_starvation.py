@@ -5,8 +5,8 @@ end of all) are what the tests here are about, on this service's own path.
 """
 
 import threading
-from collections.abc import AsyncIterator, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import asynccontextmanager, closing
 from typing import Any
 
 import pytest
@@ -46,8 +46,9 @@ class BlockingReporter(MemoryReporter):
 
 
 @pytest.fixture(name="store")
-def _store() -> ResultStore:
-    return ResultStore.in_memory()
+def _store() -> Iterator[ResultStore]:
+    with closing(ResultStore.in_memory()) as store:
+        yield store
 
 
 def linked(link: Any, store: ResultStore) -> Outbox:  # noqa: ANN401 - whatever stands in for a link

@@ -107,6 +107,7 @@ def test_a_store_that_hangs_is_seen_from_outside(monkeypatch: pytest.MonkeyPatch
     assert stuck.stage is Stage.STORE
     may_go_on.set()
     worker.join()
+    store.close()
     assert session.progress.stuck is None
     store.close()
 
