@@ -205,13 +205,13 @@ def _read(
 def better_profile(meaning: Interpretation, tier: Tier | None, heard_ids: AbstractSet[int]) -> str:
     """Return a sentence: which shipped profile gets a better tier out of these identifiers; empty if none does.
 
-    Profiles are held against the database at hand; what that lacks all of, against the one that ships with them.
+    Profiles are held against the database at hand, and against the one that ships with them.
     """
     fits = list[tuple[Tier, int, str]]()
     for name in shipped_profiles():
-        signals, reached = _heard(load_shipped(name), meaning.database, heard_ids)
-        if name != meaning.profile.name and reached is not None and (tier is None or reached < tier):
-            fits.append((reached, -len(signals), name))
+        fit = _heard(load_shipped(name), meaning.database, heard_ids)
+        if name != meaning.profile.name and fit is not None and (tier is None or fit[0] < tier):
+            fits.append((fit[0], -fit[1], name))
     if not fits:
         return ""
     reached, _, name = min(fits)
@@ -223,13 +223,14 @@ def better_profile(meaning: Interpretation, tier: Tier | None, heard_ids: Abstra
     return f"this log holds the messages of profile {name}, which reaches tier {reached:d}: {options}"
 
 
-def _heard(profile: Profile, database: Database, heard_ids: AbstractSet[int]) -> tuple[frozenset[Signal], Tier | None]:
-    """Return which signals of a profile were heard, and what tier they suffice for."""
-    mapped = ()
-    for known in (database, open_database(profile.database)):  # the one at hand goes before the one that ships
-        mapped = mapped or fitting(known, profile)[0]
-    book = address_book([message.address for message in mapped])
-    slots = set(find_slots(book, np.array(sorted(heard_ids), np.uint32)).tolist()) - {NOBODY}
-    signals = frozenset(column.signal for slot in slots for column in mapped[slot].columns)
+def _heard(profile: Profile, database: Database, heard_ids: AbstractSet[int]) -> tuple[Tier, int] | None:
+    """Return the tier that the signals of a profile suffice for which were heard, and how many; None if for none."""
+    ids, tells = np.array(sorted(heard_ids), np.uint32), list[tuple[Tier, int]]()
     has_converter = is_of_lockup(profile.sources.keys())
-    return signals, tier_of(signals, knows_gears=profile.gears is not None, has_converter=has_converter)
+    for known in [open_database(profile.database)] if profile.database else [database, open_database(None)]:
+        mapped, _ = fitting(known, profile)
+        slots = set(find_slots(address_book([message.address for message in mapped]), ids).tolist()) - {NOBODY}
+        signals = frozenset(column.signal for slot in slots for column in mapped[slot].columns)
+        tier = tier_of(signals, knows_gears=profile.gears is not None, has_converter=has_converter)
+        tells += [] if tier is None else [(tier, len(signals))]
+    return min(tells, key=lambda fit: (fit[0], -fit[1]), default=None)
