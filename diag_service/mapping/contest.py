@@ -43,6 +43,7 @@ TURNS_RAD_S: Final = 50.0
 MOVES: Final = 2.0  # rad/s or m/s
 SMOOTH_S: Final = 0.4  # over which acceleration is taken
 SLOWEST_RAD_S: Final = 0.2  # of a shaft that turns, whatever its unit
+NEAR: Final = 0.7  # of a logarithm: rpm and rad/s differ by 2.3
 _SHAFT: Final = (0.33, 3.0)
 OVER_ENGINE: Final[Mapping[Signal, tuple[float, float]]] = {
     **dict.fromkeys((Signal.TURBINE_SPEED, Signal.INPUT_SPEED, Signal.HUB_SPEED), _SHAFT),
@@ -268,7 +269,8 @@ def needs_tracks(best: Best) -> bool:
 
 def _is_assumed(signal: Signal, candidates: Sequence[Candidate]) -> bool:
     """Return whether nothing says in which unit a shaft's speed is."""
-    return signal in OVER_ENGINE and any(candidate.reading.why.startswith("assumed") for candidate in candidates)
+    is_speed = signal in OVER_ENGINE or signal is Signal.LOCKUP_SLIP
+    return is_speed and any(candidate.reading.why.startswith("assumed") for candidate in candidates)
 
 
 def by_engine(best: Best, tracks: Tracks) -> tuple[Best, Tracks]:
@@ -283,26 +285,47 @@ def by_engine(best: Best, tracks: Tracks) -> tuple[Best, Tracks]:
     units, values = {signal: list(candidates) for signal, candidates in best.items()}, dict(tracks)
     for signal, rank in tracks:
         candidate = best[signal][rank]
-        if not _is_assumed(signal, [candidate]):
+        if signal not in OVER_ENGINE or not _is_assumed(signal, [candidate]):
             continue
-        grid_ns = _grid(engine, tracks[signal, rank])
-        driving, shaft = (np.interp(grid_ns, one.t_ns, one.value) for one in (engine, tracks[signal, rank]))
-        turns = (driving > TURNS_RAD_S) & (shaft > SLOWEST_RAD_S)
-        if np.count_nonzero(turns) < LEAST_BLOCKS * BLOCK_S / GRID_S:
-            continue
-        lowest, highest = OVER_ENGINE[signal]
-        ratio, now = float(np.median(driving[turns] / shaft[turns])), TO_SI["rad_s"][candidate.unit].factor
-        fitting = [
-            unit
-            for unit in USUAL["rad_s"]
-            if lowest < ratio * now / TO_SI["rad_s"][unit].factor < highest and not lowest < ratio < highest
-        ]
-        if fitting:
+        ratio, (lowest, highest) = _over_engine(engine, tracks[signal, rank]), OVER_ENGINE[signal]
+        now = TO_SI["rad_s"][candidate.unit].factor
+        fitting = [unit for unit in USUAL["rad_s"] if lowest < ratio * now / TO_SI["rad_s"][unit].factor < highest]
+        if fitting and ratio > 0.0 and not lowest < ratio < highest:
             why = f"assumed: in {candidate.unit} the engine would turn {digits(ratio)} times as fast"
-            units[signal][rank] = replace(candidate, reading=UnitReading(unit=fitting[0], why=why))
-            series, scale = tracks[signal, rank], TO_SI["rad_s"][fitting[0]].factor / now
-            values[signal, rank] = Series(t_ns=series.t_ns, sequence=series.sequence, value=scale * series.value)
+            units[signal][rank], values[signal, rank] = _in_unit(candidate, tracks[signal, rank], fitting[0], why)
+    slip = (Signal.LOCKUP_SLIP, 0)
+    turbine = values.get((Signal.TURBINE_SPEED, 0))
+    if turbine is not None and slip in values and _is_assumed(slip[0], best[slip[0]][:1]):
+        grid_ns = _grid(engine, turbine, values[slip])
+        left, told = (np.interp(grid_ns, one.t_ns, one.value) for one in (engine, values[slip]))
+        left -= np.interp(grid_ns, turbine.t_ns, turbine.value)
+        factor = float(left @ told) / max(float(told @ told), 1e-9)
+        now = TO_SI["rad_s"][best[slip[0]][0].unit].factor
+        near = [
+            unit for unit in USUAL["rad_s"] if abs(np.log(max(factor * now / TO_SI["rad_s"][unit].factor, 1e-9))) < NEAR
+        ]
+        if near and near[0] != best[slip[0]][0].unit:
+            why = f"assumed: engine less turbine speed is {digits(factor)} times as much in {best[slip[0]][0].unit}"
+            units[slip[0]][0], values[slip] = _in_unit(best[slip[0]][0], values[slip], near[0], why)
     return units, values
+
+
+def _over_engine(engine: Series, shaft: Series) -> float:
+    """Return how many times as fast as a shaft the engine turns, in the middle of a drive; 0 if they hardly turn."""
+    grid_ns = _grid(engine, shaft)
+    driving, driven = (np.interp(grid_ns, one.t_ns, one.value) for one in (engine, shaft))
+    turns = (driving > TURNS_RAD_S) & (driven > SLOWEST_RAD_S)
+    is_enough = np.count_nonzero(turns) >= LEAST_BLOCKS * BLOCK_S / GRID_S
+    return float(np.median(driving[turns] / driven[turns])) if is_enough else 0.0
+
+
+def _in_unit(candidate: Candidate, series: Series, unit: str, why: str) -> tuple[Candidate, Series]:
+    """Return a candidate and its values as they are in another unit."""
+    scale = TO_SI["rad_s"][unit].factor / TO_SI["rad_s"][candidate.unit].factor
+    reading = UnitReading(unit=unit, why=why)
+    return replace(candidate, reading=reading), Series(
+        t_ns=series.t_ns, sequence=series.sequence, value=scale * series.value
+    )
 
 
 def judged(best: Best, tracks: Tracks) -> tuple[dict[Signal, list[Candidate]], tuple[Contest, ...]]:

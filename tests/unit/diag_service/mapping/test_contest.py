@@ -7,7 +7,7 @@ import pytest
 
 from canlog.arrays import FloatArray, Series
 from diag_service.diagnosis.columns import Signal
-from diag_service.mapping.contest import Contest, Sureness, joined, judged, thinned
+from diag_service.mapping.contest import Contest, Sureness, by_engine, joined, judged, thinned
 from diag_service.mapping.proposal import Candidate, SignalStatistics
 from diag_service.mapping.units import UnitReading
 
@@ -193,3 +193,34 @@ def test_a_thinned_signal_has_one_sample_a_cell_and_pieces_come_in_order() -> No
     assert np.diff(thin.t_ns).min() >= 0.049e9
     halves = [thin.between(5 * 10**8, 10**9), thin.between(0, 5 * 10**8)]
     assert joined(halves).t_ns.tolist() == thin.t_ns.tolist()
+
+
+def bare(name: Signal, unit: str, why: str = "assumed: nothing says the unit") -> Candidate:
+    return Candidate(
+        signal=name,
+        statistics=SignalStatistics(message=name.value, signal=name.value, unit="", is_column=True),
+        reading=UnitReading(unit=unit, why=why),
+        score=6.0,
+    )
+
+
+@pytest.mark.parametrize("is_wrong", [True, False])
+def test_units_that_nothing_says_are_those_in_which_engine_gears_and_slip_agree(*, is_wrong: bool) -> None:
+    car, factor = converter_car(), np.pi / 30.0 if is_wrong else 1.0  # of what is rad/s, and is read as rpm
+    signals = (Signal.TURBINE_SPEED, Signal.OUTPUT_SPEED, Signal.LOCKUP_SLIP)
+    best = {Signal.ENGINE_SPEED: [bare(Signal.ENGINE_SPEED, "rpm", "")]} | {one: [bare(one, "rpm")] for one in signals}
+    tracks = {(one, 0): series(car[one] * (1.0 if one is Signal.ENGINE_SPEED else factor)) for one in best}
+    found, values = by_engine(best, tracks)
+    right = "rad/s" if is_wrong else "rpm"
+    units = {one: found[one][0].unit for one in signals}
+    assert units[Signal.TURBINE_SPEED] == units[Signal.LOCKUP_SLIP] == right
+    assert values[Signal.TURBINE_SPEED, 0].value == pytest.approx(car[Signal.TURBINE_SPEED])
+    assert values[Signal.LOCKUP_SLIP, 0].value == pytest.approx(car[Signal.LOCKUP_SLIP])
+    assert found[Signal.ENGINE_SPEED][0].unit == "rpm"
+
+
+def test_a_unit_that_the_header_says_is_left_as_it_is() -> None:
+    car = converter_car()
+    best = {one: [bare(one, "rpm", "")] for one in (Signal.ENGINE_SPEED, Signal.TURBINE_SPEED)}
+    tracks = {(one, 0): series(car[one] * (1.0 if one is Signal.ENGINE_SPEED else 0.1)) for one in best}
+    assert by_engine(best, tracks) == (best, tracks)
