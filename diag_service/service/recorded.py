@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from canlog.errors import InputLeftError
 from canlog.logs.reading import Watch
+from clutchdiag_io.program import legible
 from diag_service.delivery import Outbox, Reporter
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.summary import Contributions, FrameCounts, Gap, Summary
@@ -25,6 +26,7 @@ from diag_service.service.drive import (
     stream_of_drive,
     warn_of_faults,
 )
+from diag_service.service.log_decision import decide_log
 from diag_service.service.session import SenderWatch, Session
 from diag_service.service.stages import Stages
 from diag_service.settings.config import DiagnosisConfig
@@ -126,6 +128,11 @@ def frame_counts(logs: Sequence[OpenLog], stages: Stages, *, is_whole: bool) -> 
     return replace(counts, on_bus=read, unreadable=dict(unreadable))
 
 
+def warn(text: str) -> None:
+    """Warn of what is taken as absent, or of the profile that fits better."""
+    _LOG.warning("%s", legible(text))
+
+
 def warn_of_slow_messages(stages: Stages) -> None:
     """Warn of messages that come less often than the database says; they are held against their own cycle."""
     by_cycles: dict[tuple[int, int], list[str]] = {}
@@ -161,7 +168,16 @@ def run_recorded(
     of the same logs takes it up. Raises what ``open_drive`` and ``opened_store`` raise, ConfigError for frames that
     cannot be interpreted.
     """
-    meaning = meaning or config.interpretation()
+    decision = decide_log(
+        meaning or config.interpretation(),
+        config.calibration,
+        paths,
+        lambda: stop.is_set,
+        columns=config.columns,
+    )
+    for note in decision.notes:
+        warn(note)
+    meaning = decision.meaning
     decoder = meaning.decoder()
     with open_drive(
         paths, is_strict=config.is_strict, is_stopped=lambda: stop.is_set, watch=watch, columns=config.columns
@@ -170,6 +186,8 @@ def run_recorded(
         with opened_store(config, store_path, keeps_results=False) as store:
             kept_events = KeptEvents.beside(store_path)
             session = Session(config, decoder, store, stream, reporter, survey=survey, kept_events=kept_events)
+            if not decision.is_of_whole:  # what comes through a pipe cannot be looked at before
+                session.stages.judge_liveness(warn)
 
             def process(event: Event) -> None:
                 session.process(event)
