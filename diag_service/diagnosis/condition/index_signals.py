@@ -5,6 +5,7 @@ what is smooth. docs/model.md, indices of a shift.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Final, NamedTuple
@@ -39,7 +40,7 @@ WHEELS: Final = (Signal.WHEEL_FL_SPEED, Signal.WHEEL_FR_SPEED, Signal.WHEEL_RL_S
 GEARS: Final = (Signal.TARGET_GEAR, Signal.CURRENT_GEAR, Signal.SHIFT_ACTIVE)
 
 
-class Samples(NamedTuple):
+class SignalCourse(NamedTuple):
     """One signal of an event, two samples or more."""
 
     t_s: FloatArray  # (n,) since the start of the event, rising
@@ -47,7 +48,7 @@ class Samples(NamedTuple):
     std: float  # of a single value: its scatter and resolution
 
     @classmethod
-    def of(cls, series: Series | None, origin_ns: int) -> "Samples | None":
+    def of(cls, series: Series | None, origin_ns: int) -> "SignalCourse | None":
         """Return the samples of a column, None where there are fewer than two times."""
         if series is None or len(series.t_ns) < 2:
             return None
@@ -99,7 +100,7 @@ def _middle(values: FloatArray) -> float:
     return float(np.sort(values)[len(values) // 2])
 
 
-class Value(NamedTuple):
+class IndexValue(NamedTuple):
     """A number and its standard deviation."""
 
     value: float
@@ -122,8 +123,8 @@ class Ratios:
     """Engine speed over a speed behind the gears while the old gear and the new one are locked."""
 
     over: Signal | None = None
-    before: Value | None = None
-    after: Value | None = None
+    before: IndexValue | None = None
+    after: IndexValue | None = None
 
 
 def stated_ratios(event: Event, gears: GearRatios | None) -> Ratios:
@@ -131,7 +132,7 @@ def stated_ratios(event: Event, gears: GearRatios | None) -> Ratios:
     if gears is None:
         return Ratios()
     before, after = (
-        Value(gears.ratios[gear - 1], STATED_RATIO_STD * gears.ratios[gear - 1])
+        IndexValue(gears.ratios[gear - 1], STATED_RATIO_STD * gears.ratios[gear - 1])
         if 1 <= gear <= len(gears.ratios)
         else None
         for gear in (event.from_gear, event.to_gear)
@@ -139,13 +140,13 @@ def stated_ratios(event: Event, gears: GearRatios | None) -> Ratios:
     return Ratios(over=gears.over, before=before, after=after)
 
 
-def gear_ratios(event: Event, engine: Samples, duration_s: float, gaps_s: tuple[float, float]) -> Ratios:
+def gear_ratios(event: Event, engine: SignalCourse, duration_s: float, gaps_s: tuple[float, float]) -> Ratios:
     """Return the ratios of the gears before and after an event, each where engine and output turn together.
 
     ``gaps_s`` are those of the samples by which its beginning and its end are known.
     """
     for over in BEHIND:
-        behind = Samples.of(event.columns.get(over), event.start_ns)
+        behind = SignalCourse.of(event.columns.get(over), event.start_ns)
         if behind is None:
             continue
         least = LEAST_TURNING_RAD_S if over is Signal.OUTPUT_SPEED else LEAST_CAR_M_S
@@ -157,13 +158,13 @@ def gear_ratios(event: Event, engine: Samples, duration_s: float, gaps_s: tuple[
     return Ratios()
 
 
-def _is_one_gear(event: Event, before: Value, after: Value) -> bool:
+def _is_one_gear(event: Event, before: IndexValue, after: IndexValue) -> bool:
     return event.from_gear != event.to_gear and abs(after.value / before.value - 1.0) < LEAST_STEP_RATIO
 
 
 def _ratio(
-    engine: Samples, behind: Samples, least: float, begin_s: float, end_s: float, *, is_late: bool
-) -> Value | None:
+    engine: SignalCourse, behind: SignalCourse, least: float, begin_s: float, end_s: float, *, is_late: bool
+) -> IndexValue | None:
     """Return engine speed over another one, least squares over the longest stretch at one end in which it stays."""
     low, high = max(begin_s, behind.t_s[0]), min(end_s, behind.t_s[-1])
     rows = np.flatnonzero((engine.t_s >= low) & (engine.t_s <= high))
@@ -188,19 +189,19 @@ def _ratio(
                 noise / math.sqrt(len(t_s)),
                 ratio * slope * APART_STD_S,
             )
-            return Value(ratio, std / mean)
+            return IndexValue(ratio, std / mean)
         shorter = max(len(t_s) // 5, 1)
         part = slice(shorter, None) if is_late else slice(None, -shorter)
         t_s, turning, over = t_s[part], turning[part], over[part]
     return None
 
 
-def engine_samples(event: Event, calibration: Calibration) -> Samples | None:
+def engine_samples(event: Event, calibration: Calibration) -> SignalCourse | None:
     """Return the speed of the clutches' input side; that of an engine belongs to the middle of a crank segment."""
-    hub = Samples.of(event.columns.get(Signal.HUB_SPEED), event.start_ns)
+    hub = SignalCourse.of(event.columns.get(Signal.HUB_SPEED), event.start_ns)
     if hub is not None:
         return hub
-    engine = Samples.of(event.columns.get(Signal.ENGINE_SPEED), event.start_ns)
+    engine = SignalCourse.of(event.columns.get(Signal.ENGINE_SPEED), event.start_ns)
     if engine is None:
         return None
     centres_s = segment_centres_s(engine.t_s, engine.value, calibration.input_side.crank_segment_rad)
@@ -216,25 +217,27 @@ def is_one_shaft(event: Event) -> bool:
     )
 
 
-def shaft_samples(event: Event, gear: int, ratio: Value | None, over: Signal | None) -> tuple[Samples, float] | None:
+def shaft_samples(
+    event: Event, gear: int, ratio: IndexValue | None, over: Signal | None
+) -> tuple[SignalCourse, float] | None:
     """Return the speed of a gear's input shaft, by a ratio if need be, and the relative error that samples share."""
     shaft = None
     if gear >= 1:
-        shaft = Samples.of(event.columns.get(SHAFTS[clutch_of_gear(gear) - 1]), event.start_ns)
+        shaft = SignalCourse.of(event.columns.get(SHAFTS[clutch_of_gear(gear) - 1]), event.start_ns)
     if shaft is None and gear == event.to_gear:
-        shaft = Samples.of(event.columns.get(Signal.INPUT_SPEED), event.start_ns)
+        shaft = SignalCourse.of(event.columns.get(Signal.INPUT_SPEED), event.start_ns)
     if shaft is not None:
         return shaft, 0.0
     if is_one_shaft(event):
         return None
-    behind = None if over is None else Samples.of(event.columns.get(over), event.start_ns)
+    behind = None if over is None else SignalCourse.of(event.columns.get(over), event.start_ns)
     if behind is None or ratio is None:
         return None
-    return Samples(behind.t_s, ratio.value * behind.value, ratio.value * behind.std), ratio.std / ratio.value
+    return SignalCourse(behind.t_s, ratio.value * behind.value, ratio.value * behind.std), ratio.std / ratio.value
 
 
 def slip_on(
-    grid_s: FloatArray, engine: Samples, acceleration_rad_s2: FloatArray, shaft: Samples, shared: float
+    grid_s: FloatArray, engine: SignalCourse, acceleration_rad_s2: FloatArray, shaft: SignalCourse, shared: float
 ) -> Slip:
     """Return the slip between both sides on a grid, and how sure it is; ``shared`` is a relative error of the shaft."""
     turning, output = engine.at(grid_s), shaft.at(grid_s)
@@ -244,7 +247,7 @@ def slip_on(
     return Slip(turning - output, std, noise, between, acceleration_rad_s2, max(engine.gap_s, shaft.gap_s))
 
 
-def bend(samples: Samples, at_s: FloatArray) -> FloatArray:
+def bend(samples: SignalCourse, at_s: FloatArray) -> FloatArray:
     """Return by how much a smooth curve may leave the straight line between samples, one deviation, shape (n,).
 
     A parabola leaves its chord by h^2*y''/8 at most, rms over the chord sqrt(1/120) of h^2*y''; its second difference
@@ -263,7 +266,7 @@ SMOOTH_S: Final = 0.06  # half width of the parabola that differentiates the eng
 LEAST_APART: Final = 1e-6  # a determinant: three samples a few milliseconds apart have as much
 
 
-def slopes_at(samples: Samples, at_s: FloatArray) -> FloatArray:
+def slopes_at(samples: SignalCourse, at_s: FloatArray) -> FloatArray:
     """Return the slope of a parabola, fitted by least squares, around each of some rising times; 0 by fewer than 3.
 
     So it is of samples of fewer than 3 times: a log may tell them by the tenth of a second.
@@ -284,22 +287,32 @@ def slopes_at(samples: Samples, at_s: FloatArray) -> FloatArray:
     return slopes
 
 
-def car_speed(columns: Columns, origin_ns: int) -> Samples | None:
+def car_speed(columns: Columns, origin_ns: int) -> SignalCourse | None:
     """Return the speed of the car [m/s] by the signal that tells its changes best; None if nothing does.
 
     Wheels that drive turn faster than the car by what their tyres slip, which goes with the force: they stand in where
     the car's own speed is too coarse. An output shaft swings by itself and tells no jerk of the car.
     """
-    own = Samples.of(columns.get(Signal.VEHICLE_SPEED), origin_ns)
-    wheels = [one for signal in WHEELS if (one := Samples.of(columns.get(signal), origin_ns)) is not None]
-    together = [] if own is None else [own._replace(std=own.std * math.sqrt(_held_count(own.value)))]
-    if wheels and all(np.array_equal(one.t_s, wheels[0].t_s) for one in wheels):
-        mean = np.mean([one.value for one in wheels], axis=0)
-        std = math.sqrt(sum(one.std**2 for one in wheels)) / len(wheels)
-        together.append(Samples(wheels[0].t_s, mean, std * math.sqrt(_held_count(wheels[0].value))))
-    moving = [one for one in together if np.count_nonzero(np.diff(one.value)) >= LEAST_CHANGES] or together[:0]
-    fine = [one for one in moving if one.std * math.sqrt(one.gap_s) < FINE_M_S]
-    return min(fine[:1] or moving, key=lambda one: one.std * math.sqrt(one.gap_s), default=None)
+    own = _car_course(columns, (Signal.VEHICLE_SPEED,), origin_ns)
+    if own is not None and own.std * math.sqrt(own.gap_s) < FINE_M_S:
+        return own
+    wheels = _car_course(columns, WHEELS, origin_ns)
+    told = [one for one in (own, wheels) if one is not None]
+    return min(told, key=lambda one: one.std * math.sqrt(one.gap_s), default=None)
+
+
+def _car_course(columns: Columns, signals: Sequence[Signal], origin_ns: int) -> SignalCourse | None:
+    """Return the mean of speeds that came at the same times; None where there are none, or nothing moves."""
+    there = [one for signal in signals if (one := SignalCourse.of(columns.get(signal), origin_ns)) is not None]
+    if not there or not all(np.array_equal(one.t_s, there[0].t_s) for one in there):
+        return None
+    first = there[0].value
+    changes = int(np.count_nonzero(np.diff(first)))
+    if changes < LEAST_CHANGES:
+        return None
+    held = len(first) / (1.0 + changes)  # samples in a row that stay: what rounding makes of them is one error
+    std = math.sqrt(sum(one.std**2 for one in there) * held) / len(there)
+    return SignalCourse(there[0].t_s, np.asarray(np.mean([one.value for one in there], axis=0)), std)
 
 
 FINE_M_S: Final = 0.05 * math.sqrt(0.01)  # by samples every 10 ms: a speed that tells jerk to 5 m/s3
@@ -307,11 +320,6 @@ COARSE_M_S: Final = 3.0 * FINE_M_S
 
 
 LEAST_CHANGES: Final = 4  # of a speed around an event: of what stays nobody knows how coarse it is
-
-
-def _held_count(value: FloatArray) -> float:
-    """Return for how many samples in a row a value stays, in the mean: what rounding makes of them is one error."""
-    return len(value) / (1.0 + np.count_nonzero(np.diff(value)))
 
 
 SLOPE_S: Final = 0.08  # half width of the straight line that differentiates the car's speed
@@ -322,7 +330,7 @@ LEAST_SPREAD_RATIO: Final = 0.25  # of the spread of samples all over the line
 ROUNDING_S: Final = 1e-6  # of times: a sample at the very end of a line belongs to it
 
 
-def jerk_of(car: Samples, begin_s: float, end_s: float) -> Value | NotMeasured:
+def jerk_of(car: SignalCourse, begin_s: float, end_s: float) -> IndexValue | NotMeasured:
     """Return the largest change of the car's acceleration within 0.1 s, over that time [m/s3], and its deviation.
 
     Acceleration is the slope of a straight line through the samples of 0.16 s; docs/model.md eq. (I7).
@@ -340,7 +348,7 @@ def jerk_of(car: Samples, begin_s: float, end_s: float) -> Value | NotMeasured:
     return largest(np.abs(jerks[known]), std, 0.5 * JERK_S / JERK_GRID_S)  # either sign is a number of its own
 
 
-def largest(sizes: FloatArray, std: float, width: float) -> Value:
+def largest(sizes: FloatArray, std: float, width: float) -> IndexValue:
     """Return the largest of some numbers with one deviation, freed of what the choice among like ones adds.
 
     ``width`` neighbours are one number. The largest of n normal ones is beyond their mean by their deviation times the
@@ -349,10 +357,10 @@ def largest(sizes: FloatArray, std: float, width: float) -> Value:
     most = float(sizes.max())
     count = float(np.count_nonzero(sizes > most - 2.0 * std)) / width
     beyond = NormalDist().inv_cdf((count - 0.375) / (count + 0.25)) if count > 1.0 else 0.0
-    return Value(max(most - beyond * std, 0.0), std)
+    return IndexValue(max(most - beyond * std, 0.0), std)
 
 
-def _slopes_of_lines(samples: Samples, at_s: FloatArray) -> FloatArray:
+def _slopes_of_lines(samples: SignalCourse, at_s: FloatArray) -> FloatArray:
     """Return the slope of the straight line through the samples around each time, shape (n,); NaN for few."""
     origin_s = float(at_s[0])
     t_s, value = samples.t_s - origin_s, samples.value - float(samples.value[0])
@@ -379,7 +387,7 @@ LEAST_RATE_HZ: Final = 40.0  # twice the upper end of the band
 LEAST_JUDDER_S: Final = 0.4  # two periods of its lower end
 
 
-def judder_of(slip: Slip, is_slipping: BoolArray, grid_s: float) -> Value | NotMeasured:
+def judder_of(slip: Slip, is_slipping: BoolArray, grid_s: float) -> IndexValue | NotMeasured:
     """Return the root mean square of slip between 5 and 20 Hz from the first slip to the last [rad/s].
 
     A parabola is taken off, what is left is taken apart into cosines; docs/model.md eq. (I9).
@@ -397,7 +405,7 @@ def judder_of(slip: Slip, is_slipping: BoolArray, grid_s: float) -> Value | NotM
     lost = 1.0 - float(np.sinc(0.5 * sum(JUDDER_HZ) * slip.gap_s)) ** 2  # by lines between samples, mid-band
     rms = math.sqrt(max(square - noise**2, 0.0))
     std = math.hypot(noise / math.sqrt(components), noise**2 / (2.0 * math.sqrt(square) + noise), lost * rms)
-    return Value(rms, std)
+    return IndexValue(rms, std)
 
 
 def band_square(slip_rad_s: FloatArray, grid_s: float) -> tuple[float, float]:

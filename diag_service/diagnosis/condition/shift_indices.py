@@ -19,10 +19,10 @@ from diag_service.diagnosis.condition.index_signals import (
     GEARS,
     UNIFORM,
     WHEELS,
+    IndexValue,
     Ratios,
-    Samples,
+    SignalCourse,
     Slip,
-    Value,
     car_speed,
     engine_samples,
     gear_ratios,
@@ -39,6 +39,7 @@ from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.shifts.shifts import LOADED_NM, LOADED_PA, PRESSURES, SLIP_RAD_S
 
 INDEX_GRID_S = 0.005  # of the indices
+SLOPES_EVERY = 2  # rows of the grid: 0.01 s, a sixth of what they are smoothed by
 MIN_WINDOW_S = 0.1  # of slip under the engine's torque alone: less tells no capacity
 CORRELATION_S = 0.1  # residuals are alike for about as long as torque lags
 INERTIA_STD_RATIO = 0.1  # of engine and hub: below the first tier nobody has calibrated it for the vehicle
@@ -66,7 +67,6 @@ class _Grid(NamedTuple):
     event: Event
     clutch: int  # that of the gear
     engine_nm: FloatArray | None  # torque of the engine, of its latency ago
-    torque_slope_nm_s: FloatArray | None
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # a damaged value of a log may be any number
@@ -84,18 +84,16 @@ def measure(event: Event, calibration: Calibration, gears: GearRatios | None = N
         found.put(name, (ratio or NotMeasured.NOT_LOCKED) if is_told else NotMeasured.SIGNAL_MISSING)
     t_s = np.arange(0.0, max(duration_s, 2.0 * INDEX_GRID_S), INDEX_GRID_S)  # a slope needs two rows
     grid = _grid_of(event, t_s, calibration)
-    slips = dict[int, Slip]()
-    acceleration_rad_s2 = np.zeros(len(t_s)) if engine is None else slopes_at(engine, t_s)
-    stated = stated_ratios(event, gears)
-    for gear, ratio, other in (
-        (event.to_gear, ratios.after, stated.after),
-        (event.from_gear, ratios.before, stated.before),
-    ):
-        over = stated.over if ratio is None else ratios.over
-        shaft = None if engine is None else shaft_samples(event, gear, ratio or other, over)
-        if shaft is not None and engine is not None:
-            slips[gear] = slip_on(t_s, engine, acceleration_rad_s2, *shaft)
-    slip = slips.get(event.to_gear) or _stated_slip(grid)
+    on = off = None
+    if engine is not None:
+        stated = stated_ratios(event, gears)
+        on = _shaft(event, event.to_gear, ratios.after, stated.after, (ratios.over, stated.over))
+        off = _shaft(event, event.from_gear, ratios.before, stated.before, (ratios.over, stated.over))
+    if engine is None or on is None:
+        slip = _stated_slip(grid)
+    else:
+        slopes_s = t_s[::SLOPES_EVERY]
+        slip = slip_on(t_s, engine, np.interp(t_s, slopes_s, slopes_at(engine, slopes_s)), *on)
     if slip is None:
         why = NotMeasured.SIGNAL_MISSING if ratios.over is None or engine is None else NotMeasured.NOT_LOCKED
         if is_one_shaft(event):
@@ -104,13 +102,26 @@ def measure(event: Event, calibration: Calibration, gears: GearRatios | None = N
             why, "slip_duration_s", "peak_slip_rad_s", "judder_rad_s", "slip_energy_j", "torque_capacity_ratio"
         )
     else:
-        off = None if event.from_gear == event.to_gear else slips.get(event.from_gear)
-        _slip_indices(found, grid, slip, off, gaps_s, calibration)
+        off_rad_s = None
+        if engine is not None and off is not None and event.from_gear != event.to_gear:
+            off_rad_s = engine.at(t_s) - off[0].at(t_s)
+        _slip_indices(found, grid, slip, off_rad_s, gaps_s, calibration)
     found.put("jerk_m_s3", _jerk(event, duration_s))
     return ShiftIndices(**found.numbers, not_measured=found.reasons)
 
 
-def _jerk(event: Event, duration_s: float) -> Value | NotMeasured:
+def _shaft(
+    event: Event,
+    gear: int,
+    ratio: IndexValue | None,
+    stated: IndexValue | None,
+    over: tuple[Signal | None, Signal | None],
+) -> tuple[SignalCourse, float] | None:
+    """Return the speed of a gear's shaft; where its ratio was not seen, by the stated one."""
+    return shaft_samples(event, gear, ratio or stated, over[1] if ratio is None else over[0])
+
+
+def _jerk(event: Event, duration_s: float) -> IndexValue | NotMeasured:
     """Return the jerk of the car, if its speed is told finely enough."""
     car = car_speed(event.columns, event.start_ns)
     if car is None:
@@ -125,7 +136,7 @@ class _Found(NamedTuple):
     numbers: dict[str, float]
     reasons: dict[str, NotMeasured]
 
-    def put(self, name: str, found: Value | NotMeasured) -> None:
+    def put(self, name: str, found: IndexValue | NotMeasured) -> None:
         """Note an index and its deviation, or why there is none."""
         if isinstance(found, NotMeasured):
             self.reasons[name] = found
@@ -140,15 +151,12 @@ class _Found(NamedTuple):
 
 def _grid_of(event: Event, t_s: FloatArray, calibration: Calibration) -> _Grid:
     values = readings(event.columns, _GRID_SIGNALS, event.start_ns, t_s)
-    torque = Samples.of(event.columns.get(Signal.ENGINE_TORQUE), event.start_ns)
-    engine_nm = slope_nm_s = None
-    if torque is not None:
-        torque = torque._replace(t_s=torque.t_s - calibration.bias.torque_latency_s)
-        engine_nm, slope_nm_s = torque.at(t_s), slopes_at(torque, t_s)
-    return _Grid(t_s, values, event, clutch_of_gear(event.to_gear), engine_nm, slope_nm_s)
+    later_s = t_s + calibration.bias.torque_latency_s
+    engine_nm = readings(event.columns, [Signal.ENGINE_TORQUE], event.start_ns, later_s).get(Signal.ENGINE_TORQUE)
+    return _Grid(t_s, values, event, clutch_of_gear(event.to_gear), engine_nm)
 
 
-def _edge_gap_s(event: Event, t_ns: int, engine: Samples | None) -> float:
+def _edge_gap_s(event: Event, t_ns: int, engine: SignalCourse | None) -> float:
     """Return between which samples the beginning or end of an event lies [s]: those of gears, if these tell it."""
     for signal in GEARS:
         series = event.columns.get(signal)
@@ -167,8 +175,8 @@ def _between_std_s(begin_gap_s: float, end_gap_s: float) -> float:
 
 def _stated_slip(grid: _Grid) -> Slip | None:
     """Return the slip that the transmission controller states."""
-    stated = Samples.of(grid.event.columns.get(Signal.CLUTCH_SLIP), grid.event.start_ns)
-    engine = Samples.of(grid.event.columns.get(Signal.ENGINE_SPEED), grid.event.start_ns)
+    stated = SignalCourse.of(grid.event.columns.get(Signal.CLUTCH_SLIP), grid.event.start_ns)
+    engine = SignalCourse.of(grid.event.columns.get(Signal.ENGINE_SPEED), grid.event.start_ns)
     if stated is None or engine is None:
         return None
     turning = engine.at(grid.t_s)
@@ -184,9 +192,14 @@ def _stated_slip(grid: _Grid) -> Slip | None:
 
 
 def _slip_indices(
-    found: _Found, grid: _Grid, slip: Slip, off: Slip | None, gaps_s: tuple[float, float], calibration: Calibration
+    found: _Found,
+    grid: _Grid,
+    slip: Slip,
+    off_rad_s: FloatArray | None,
+    gaps_s: tuple[float, float],
+    calibration: Calibration,
 ) -> None:
-    """Note what the slip of the on-coming clutch tells; ``off`` is that of the off-going one, if it is known."""
+    """Note what the slip of the on-coming clutch tells; ``off_rad_s`` is that of the off-going one, if it is known."""
     size = np.abs(slip.rad_s)
     plain = {
         "slip_angle_rad": float(size.sum()) * INDEX_GRID_S,
@@ -196,12 +209,12 @@ def _slip_indices(
     found.put("slip_duration_s", _slip_time(size, slip.std_rad_s, gaps_s))
     found.put("peak_slip_rad_s", _peak(size, slip, gaps_s))
     found.put("judder_rad_s", judder_of(slip, size > SLIP_RAD_S, INDEX_GRID_S))
-    capacity = _torque_capacity(grid, slip, off, calibration)
+    capacity = _torque_capacity(grid, slip, off_rad_s, calibration)
     found.put("torque_capacity_ratio", capacity)
-    found.put("slip_energy_j", _heat(grid, slip, off, capacity, calibration))
+    found.put("slip_energy_j", _heat(grid, slip, off_rad_s, capacity, calibration))
 
 
-def _slip_time(size_rad_s: FloatArray, std_rad_s: FloatArray, gaps_s: tuple[float, float]) -> Value:
+def _slip_time(size_rad_s: FloatArray, std_rad_s: FloatArray, gaps_s: tuple[float, float]) -> IndexValue:
     """Return for how long slip is beyond its threshold [s]; what is on as the event begins began half a gap before."""
     beyond = size_rad_s - SLIP_RAD_S
     low, high = np.minimum(beyond[:-1], beyond[1:]), np.maximum(beyond[:-1], beyond[1:])
@@ -217,10 +230,10 @@ def _slip_time(size_rad_s: FloatArray, std_rad_s: FloatArray, gaps_s: tuple[floa
     if beyond[-1] > 0.0:
         time_s += INDEX_GRID_S - 0.5 * gaps_s[1]
         variance += (UNIFORM * gaps_s[1]) ** 2
-    return Value(max(time_s, 0.0), math.sqrt(variance + (UNIFORM * INDEX_GRID_S) ** 2))
+    return IndexValue(max(time_s, 0.0), math.sqrt(variance + (UNIFORM * INDEX_GRID_S) ** 2))
 
 
-def _peak(size_rad_s: FloatArray, slip: Slip, gaps_s: tuple[float, float]) -> Value:
+def _peak(size_rad_s: FloatArray, slip: Slip, gaps_s: tuple[float, float]) -> IndexValue:
     """Return the largest slip, mean over 0.05 s [rad/s], freed of what the choice among like ones adds."""
     reach = round(0.5 * PEAK_S / INDEX_GRID_S)
     width = 2 * reach + 1
@@ -238,7 +251,7 @@ def _peak(size_rad_s: FloatArray, slip: Slip, gaps_s: tuple[float, float]) -> Va
     rows = (round(gaps_s[0] / INDEX_GRID_S), len(means) - 1 - round(gaps_s[1] / INDEX_GRID_S))
     edge_s = gaps_s[0] if at <= rows[0] else gaps_s[1] if at >= rows[1] else 0.0
     change = AGE_STD_S * float(np.abs(slip.acceleration_rad_s2[near]).mean())
-    return Value(found.value + below, math.hypot(std, change, within, UNIFORM * edge_s * slope))
+    return IndexValue(found.value + below, math.hypot(std, change, within, UNIFORM * edge_s * slope))
 
 
 def _reslip(slip_rad_s: FloatArray, is_pressed: BoolArray) -> float:
@@ -288,10 +301,10 @@ def _asked(grid: _Grid) -> tuple[FloatArray, FloatArray, bool] | None:
     return None if total is None else (total, np.zeros(len(total)), True)
 
 
-def _is_released(off_nm: FloatArray, on_nm: FloatArray, off: Slip | None) -> BoolArray:
+def _is_released(off_nm: FloatArray, on_nm: FloatArray, off_rad_s: FloatArray | None) -> BoolArray:
     """Return where the off-going clutch carries nothing: asked for next to nothing, and not locked where that shows."""
     is_released = np.abs(off_nm) < RELEASED_RATIO * np.maximum(np.abs(on_nm), MIN_TORQUE_NM)
-    return is_released if off is None else is_released & (np.abs(off.rad_s) > SLIP_RAD_S)
+    return is_released if off_rad_s is None else is_released & (np.abs(off_rad_s) > SLIP_RAD_S)
 
 
 def _inertia_nm(slip: Slip, calibration: Calibration) -> FloatArray:
@@ -300,7 +313,9 @@ def _inertia_nm(slip: Slip, calibration: Calibration) -> FloatArray:
     return (side.engine_inertia_kg_m2 + side.hub_inertia_kg_m2) * slip.acceleration_rad_s2
 
 
-def _torque_capacity(grid: _Grid, slip: Slip, off: Slip | None, calibration: Calibration) -> Value | NotMeasured:
+def _torque_capacity(
+    grid: _Grid, slip: Slip, off_rad_s: FloatArray | None, calibration: Calibration
+) -> IndexValue | NotMeasured:
     """Return the torque transmitted at slip over the one asked for, and its standard deviation; docs/model.md eq. (I4).
 
     Least squares through the origin; the deviation adds the scatter of the residuals, the gain and the offset of the
@@ -310,7 +325,7 @@ def _torque_capacity(grid: _Grid, slip: Slip, off: Slip | None, calibration: Cal
     if asked is None or grid.engine_nm is None:
         return NotMeasured.SIGNAL_MISSING
     on_nm, off_nm, is_signed = asked
-    is_released = _is_released(off_nm, on_nm, off)
+    is_released = _is_released(off_nm, on_nm, off_rad_s)
     rows = np.flatnonzero((np.abs(slip.rad_s) > SLIP_RAD_S) & (np.abs(on_nm) > MIN_TORQUE_NM) & is_released)
     if len(rows) * INDEX_GRID_S < MIN_WINDOW_S:
         return NotMeasured.SLIP_TOO_SHORT
@@ -329,12 +344,12 @@ def _torque_capacity(grid: _Grid, slip: Slip, off: Slip | None, calibration: Cal
         spread.torque_offset_nm * by_offset,
         INERTIA_STD_RATIO * by_inertia,
     )
-    return Value(ratio, std)
+    return IndexValue(ratio, std)
 
 
 def _heat(
-    grid: _Grid, slip: Slip, off: Slip | None, capacity: Value | NotMeasured, calibration: Calibration
-) -> Value | NotMeasured:
+    grid: _Grid, slip: Slip, off_rad_s: FloatArray | None, capacity: IndexValue | NotMeasured, calibration: Calibration
+) -> IndexValue | NotMeasured:
     """Return the heat of slip in the on-coming clutch [J]; docs/model.md eq. (I6).
 
     Once the off-going clutch is released, the on-coming one carries the engine's torque less what its inertia takes.
@@ -351,18 +366,18 @@ def _heat(
     is_alone = np.ones(len(grid.t_s), np.bool_)
     handed_nm, std_handed, late_nm = 0.5 * np.abs(whole_nm), 2.0 * UNIFORM, np.zeros_like(whole_nm)
     if asked is not None and not asked[2]:
-        is_alone = _is_released(asked[1], asked[0], off)
-        known = capacity if isinstance(capacity, Value) else Value(1.0, CAPACITY_STD)
+        is_alone = _is_released(asked[1], asked[0], off_rad_s)
+        known = capacity if isinstance(capacity, IndexValue) else IndexValue(1.0, CAPACITY_STD)
         followed_nm = np.interp(grid.t_s - COMMAND_LAG_S, grid.t_s, asked[0])
         handed_nm, std_handed = known.value * np.maximum(followed_nm, 0.0), known.std
         late_nm = known.value * np.gradient(followed_nm, INDEX_GRID_S) * COMMAND_LAG_S
-    elif off is not None:
-        is_alone = np.abs(off.rad_s) > SLIP_RAD_S
+    elif off_rad_s is not None:
+        is_alone = np.abs(off_rad_s) > SLIP_RAD_S
     size, sign = np.abs(slip.rad_s), np.where(slip.rad_s > 0.0, 1.0, -1.0)
     alone, shared = np.where(is_slipping & is_alone, size * sign, 0.0), np.where(is_slipping & ~is_alone, size, 0.0)
     by_engine, by_inertia, by_offset, by_latency = (
         float(alone @ torque_nm) * INDEX_GRID_S
-        for torque_nm in (grid.engine_nm, inertia_nm, np.ones_like(size), grid.torque_slope_nm_s)
+        for torque_nm in (grid.engine_nm, inertia_nm, np.ones_like(size), np.gradient(grid.engine_nm, INDEX_GRID_S))
     )
     by_handing = float(shared @ handed_nm) * INDEX_GRID_S
     noise = float(np.sqrt(np.sum((whole_nm * slip.std_rad_s * (is_slipping & is_alone)) ** 2)))
@@ -375,7 +390,7 @@ def _heat(
         float(shared @ late_nm) * INDEX_GRID_S,
         noise * INDEX_GRID_S * math.sqrt(max(slip.gap_s / INDEX_GRID_S, 1.0)),
     )
-    return Value(max(by_engine - by_inertia + by_handing, 0.0), std)
+    return IndexValue(max(by_engine - by_inertia + by_handing, 0.0), std)
 
 
 CAPACITY_STD: Final = 0.2  # of the torque a clutch transmits over the one asked for, before anything tells it
