@@ -99,7 +99,7 @@ class ShiftIndices:
 
     shift_time_s: float | None = None  # None unless the shift was completed
     slip_duration_s: float | None = None  # of the on-coming clutch, inside the shift
-    peak_slip_rad_s: float | None = None
+    peak_slip_rad_s: float | None = None  # mean over 0.05 s
     slip_angle_rad: float | None = None  # slip integrated over time
     torque_capacity_ratio: float | None = None  # clutch torque transmitted at slip over the one asked for
     std_torque_capacity_ratio: float | None = None

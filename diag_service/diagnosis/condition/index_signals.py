@@ -87,7 +87,8 @@ def scatter(value: FloatArray) -> float:
     moved = np.abs(np.diff(value))
     step = float(moved[moved > 0.0].min(initial=math.inf))
     stds = [
-        _middle(np.abs(np.diff(value, order))) / NORMAL_MEDIAN / math.sqrt(math.comb(2 * order, order))
+        float(np.partition(np.abs(np.diff(value, order)), (len(value) - order) // 2)[(len(value) - order) // 2])
+        / (NORMAL_MEDIAN * math.sqrt(math.comb(2 * order, order)))
         for order in (2, 3, 4)
         if len(value) > order + 2
     ]
