@@ -14,7 +14,8 @@ from clutch_results.records import ClutchVerdict, Reason, ShiftEstimate, Status,
 from diag_service.diagnosis.columns import ColumnBatch, Signal
 from diag_service.diagnosis.condition.causes import CauseJudge
 from diag_service.diagnosis.condition.condition import ConditionMemory, VehicleCourse, judge, judge_lockup, no_verdict
-from diag_service.diagnosis.condition.shift_quality import ShiftScorer, measure
+from diag_service.diagnosis.condition.shift_indices import measure
+from diag_service.diagnosis.condition.shift_quality import ShiftScorer
 from diag_service.diagnosis.condition.verdict import Silence
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.friction import ALGORITHM_VERSION, Estimator, Posterior
@@ -176,7 +177,7 @@ class DualClutch:
             estimate,
             data_quality=data.quality,
             tier=self._reach.tier or Tier.KINEMATIC,
-            indices=measure(event, self._calibration) if is_believed else None,
+            indices=measure(event, self._calibration, self._gears) if is_believed else None,
             shift_quality=self._scorer.score(event, known, before.packs) if is_believed else None,
         )
         judged = self._judged if self._tells_friction else self._silent
