@@ -27,22 +27,11 @@ from clutch_results.records import (
     from_plain,
     to_plain,
 )
+from diag_service.diagnosis.condition.thresholds import FIT_WINDOW, THRESHOLDS, Cause, Silence, Situation
 from diag_service.diagnosis.condition.verdict import (
-    CALIBRATING_AT,
-    COLD_AT,
-    COLD_K,
-    FIT_WINDOW,
-    MAX_MISFIT_SHARE,
-    MIN_MISFIT_COUNT,
-    NEW_FLUID_CONTRADICTIONS,
-    SLIP_AT,
-    SURE_AT,
-    UNSURE_UP_TO_SCALE_AT,
-    Cause,
     Finding,
     Launches,
     RunningScatter,
-    Silence,
     advice,
     decide,
     decide_up_to_scale,
@@ -110,7 +99,11 @@ _MISFITS = frozenset({Reason.MISFIT, Reason.ZERO_JUMPED})
 CONTRADICTIONS: Final = frozenset({
     *(Reason.PRESSURE_OFF_COMMAND, Reason.SPEEDS_DISAGREE, Reason.SENSOR_FROZEN, Reason.SATURATED, Reason.IMPLAUSIBLE),
 })  # fmt: skip
-REFUSED_COUNT: Final = 10  # events of a clutch, one after the other: what was known before may no longer hold
+COLD_K: Final = THRESHOLDS[Situation.COLD, Situation.BEGINNING].value  # of a pack
+REFUSED_COUNT: Final = int(THRESHOLDS[Silence.DATA_CONTRADICT, Situation.ALWAYS].value)  # events of a clutch, in a row
+MAX_MISFIT_SHARE: Final = THRESHOLDS[Silence.CALIBRATION_MISFIT, Situation.ALWAYS].value
+MIN_MISFIT_COUNT: Final = THRESHOLDS[Silence.CALIBRATION_MISFIT, Situation.BEGINNING].value
+NEW_FLUID_CONTRADICTIONS: Final = THRESHOLDS[Silence.CALIBRATION_MISFIT, Situation.FLUID_IS_NEW].value
 
 
 class Fit(StrEnum):
@@ -129,7 +122,7 @@ FILLED_COUNT: Final = 15.0  # of the first ones after a fill
 FORGETTING: Final = 0.97  # weight of an event after each later one: some thirty count
 JUDGED_EVERY: Final = 10  # events: a judgement takes as long as an event, a sensor that drifts is soon refused
 SENSORS: Final = frozenset({"torque-sensor", "pressure-sensor"})
-SENSOR_SHARE: Final = 0.5  # that a sensor drifts: more, and its clutch is not judged
+SENSOR_SHARE: Final = THRESHOLDS[Silence.SENSOR_DRIFTED, Situation.ALWAYS].value  # that a sensor drifts
 MEASURED: Final = ("pressure_lag_s", "pressure_reach_ratio", "pressure_short_pa", "fill_time_s", "believed_touch_pa")
 LOWER: Final = np.tril_indices(PARAMETER_COUNT)
 
@@ -392,7 +385,7 @@ def judge(
     """Return the verdict on clutch 1 or 2 from its running state, and the memory with it.
 
     Each cause (negative slope, low friction, lost friction, thin margin) has a probability. A verdict is given when the
-    probability of a cause reaches its threshold and kept until that has fallen below ``LEAVE_PROBABILITY``.
+    probability of a cause reaches its threshold and kept until that has fallen below the one to call it off.
     """
     index = clutch - 1
     reference = calibration.clutches[index].friction
@@ -406,10 +399,11 @@ def judge(
     progress = calibration_ratio(state, calibration)
     is_cold = state.packs is not None and state.packs.clutch_k[index] < COLD_K
     slope = None if state.torque is TorqueSource.MEASURED else FrictionSlope.of(free, state.torque)
-    unsure_at = UNSURE_UP_TO_SCALE_AT if slope is not None else COLD_AT if is_cold else CALIBRATING_AT
-    give_at = unsure_at if is_cold or progress < CALIBRATED_RATIO else SURE_AT
+    unsure = Situation.COLD if is_cold else Situation.CALIBRATING
+    unsure = unsure if slope is None else Situation.UNSURE_UP_TO_SCALE
+    situations = (unsure,) if is_cold or progress < CALIBRATED_RATIO else ()
     rest = since, reference, shift_count, memory.conditions[index], memory.grounds[index], launches
-    finding = decide(now, *rest, common, give_at) if slope is None else decide_up_to_scale(slope, *rest, give_at)
+    finding = decide(now, *rest, common, situations) if slope is None else decide_up_to_scale(slope, *rest, situations)
     tells_level = known and slope is None
     if memory.misfit_text:
         finding = nothing(Silence.CALIBRATION_MISFIT, memory.misfit_text)
@@ -459,7 +453,7 @@ def judge_lockup(
     margin = left / (reference.mu_c - reference.mu_s)
     previous = memory.conditions[0], memory.grounds[0]
     finding = decide(
-        now, since, reference, state.shift_count, *previous, launches, margin, SLIP_AT, counted=SLIP_MINUTES
+        now, since, reference, state.shift_count, *previous, launches, margin, (Situation.LOCKUP,), counted=SLIP_MINUTES
     )
     if memory.misfit_text:
         finding = nothing(Silence.CONVERTER_MISFIT, memory.misfit_text.partition(";")[0])

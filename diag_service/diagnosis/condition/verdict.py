@@ -9,13 +9,11 @@ one order of what both of them say.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from operator import itemgetter
 from statistics import NormalDist
 from typing import Final, Self
 
 from clutch_model.calibration import FrictionCurve
-from clutch_results.curves import CHANGE_LEVEL_RATIO, WATCH_LEVEL_RATIO, WATCH_MARGIN_RATIO
 from clutch_results.event_kinds import EndReason, EventKind, Shudder
 from clutch_results.records import (
     Condition,
@@ -27,81 +25,27 @@ from clutch_results.records import (
     StickSlip,
 )
 from clutchdiag_io.people import plus_minus
+from diag_service.diagnosis.condition.thresholds import (
+    MIN_SHIFT_COUNT,
+    THRESHOLDS,
+    Cause,
+    Silence,
+    Situation,
+    given_at,
+)
 from fleet_contract.orders import title_of
 
-MIN_SHIFT_COUNT = 3  # of two that disagree nobody knows which is wrong
-MAX_MARGIN_STD_RATIO = 0.25  # of the reference margin: beyond it the slope is anyone's guess
-SURE_MARGIN_STD_RATIO = 0.05  # likewise: until it is known so well, more shifts will tell a thin margin from a good one
-CHANGE_PROBABILITY = 0.95  # a workshop visit costs: be sure
-WATCH_PROBABILITY = 0.80  # of friction that is low or falls: to look again costs less than a workshop visit
-WATCH_MARGIN_PROBABILITY = 0.70  # of a thin margin: films and torques of unknown law feign a level, rarely a difference
-THIN_PROBABILITY = 0.01  # of a thin margin, to call a fluid good before that: a drive is judged a hundred times
-EARLY_MARGIN_STD_RATIO = 0.15  # worse known, the margin of one clutch is believed only as far as both together say so
-COLD_K = 333.15  # of a pack: below it nobody knows the laws of film and drag well, and a drive has many looks at them
-UNSURE_CHANGE_PROBABILITY = 0.99  # in the cold, and until the margin is known to EARLY_MARGIN_STD_RATIO
-UNSURE_LEVEL_PROBABILITY = 0.98  # to watch low friction, in the cold and while a vehicle calibrates
-EARLY_MARGIN_PROBABILITY = 0.80  # to watch a thin margin, until it is known so well
-MAX_SLOPE_STD_RATIO = 0.5  # of the reference margin, by a modelled torque: worse known, a sure slope is no lining's
-SLIP_PROBABILITY = 0.999  # of a lock-up clutch, for either: its slip is judged every minute, for hours
-COMMON_THIN_PROBABILITY = 0.003  # the same by both clutches together: they slip in one oil
-LEAVE_PROBABILITY = 0.20  # to call off a verdict once given, its cause must have become unlikely
-FIT_WINDOW = 20  # shifts of both clutches: two cycles
-MAX_MISFIT_SHARE = 0.25  # none of the shifts of sound drives misfit; of another vehicle's calibration half do
-MIN_MISFIT_COUNT = 3  # one or two shifts are no share
-NEW_FLUID_CONTRADICTIONS = 6  # it contradicts what is known of each clutch up to three times, then that starts afresh
+MAX_MARGIN_STD_RATIO: Final = THRESHOLDS[Silence.MARGIN_UNSURE, Situation.ALWAYS].value
+SURE_MARGIN_STD_RATIO: Final = THRESHOLDS[Situation.UNSURE_BEFORE_GOOD, Situation.BEGINNING].value
+MAX_SLOPE_STD_RATIO: Final = THRESHOLDS[Silence.MARGIN_UNSURE, Situation.UP_TO_SCALE].value
+EARLY_MARGIN_STD_RATIO: Final = THRESHOLDS[Situation.EARLY, Situation.BEGINNING].value
+LEAVE_PROBABILITY: Final = THRESHOLDS[Cause.SHUDDER, Situation.STANDING].value
+WATCH_MARGIN_RATIO: Final = THRESHOLDS[Cause.MARGIN_THIN, Situation.MEANING].value
+CHANGE_LEVEL_RATIO: Final = THRESHOLDS[Cause.LEVEL_LOW, Situation.MEANING].value
+WATCH_LEVEL_RATIO: Final = THRESHOLDS[Cause.LEVEL_FALLING, Situation.MEANING].value
 _PERCENT: Final = 100.0  # of a ratio
 _NEARLY_SURE: Final = 0.995  # beyond it a rounded percentage would promise certainty
 _STEP: Final = 0.001  # to which a reason says a probability
-
-
-class Cause(StrEnum):
-    """What speaks for a change of the fluid, in the words of the verdict's reason."""
-
-    SHUDDER = "shudder"  # the slope is negative
-    LEVEL_LOW = "friction too low"
-    LOSS_LARGE = "too much friction lost since the baseline"
-    MARGIN_THIN = "margin against shudder halved"
-    LEVEL_FALLING = "friction falling"
-    LOSS_BEGUN = "friction lost since the baseline"
-
-
-class Silence(StrEnum):
-    """Why nothing is said of a clutch, and what would help."""
-
-    FEW_SHIFTS = f"fewer than {MIN_SHIFT_COUNT} of its shifts could be used so far; more drives will tell"
-    FEW_EVENTS = f"fewer than {MIN_SHIFT_COUNT} of its events could be used so far; more drives will tell"
-    MARGIN_UNSURE = "its friction is not known well enough yet; more drives will tell"
-    LAUNCHES_JUDDER = "it slips again after it has stuck when the car starts off, and its friction does not say why"
-    SLIP_SWINGS = "its slip swings by itself, and its friction does not say why"
-    CALIBRATION_MISFIT = "the calibration does not fit this vehicle; diag-service calibrate makes one that does"
-    CONVERTER_MISFIT = "the description of its converter does not fit this vehicle; have its numbers looked at"
-    SIGNALS_MISSING = "the signals of this vehicle do not tell its friction"
-    LEVEL_UNKNOWN = (
-        "the torque of the engine is not measured: friction is known up to a scale at best and cannot be called sound"
-    )
-    SENSOR_DRIFTED = "a sensor by which it is judged has probably drifted; have that mended, then calibrate anew"
-    DATA_CONTRADICT = (
-        "its last events were refused, ten or more, because its sensors contradict each other or the commands; have "
-        "them looked at"
-    )
-    INTERNAL_ERROR = "this program failed over its last event; what was known before stands, the next events will tell"
-    PART_OF_DRIVE = "only a part of the drive was seen; measure again on a whole one"
-
-
-_CHANGE: Final = (Cause.SHUDDER, Cause.LEVEL_LOW, Cause.LOSS_LARGE)
-_LEVEL: Final = (Cause.LEVEL_FALLING, Cause.LOSS_BEGUN)
-SURE_AT: Final = {
-    **dict.fromkeys(_CHANGE, CHANGE_PROBABILITY),
-    **dict.fromkeys(_LEVEL, WATCH_PROBABILITY),
-    Cause.MARGIN_THIN: WATCH_MARGIN_PROBABILITY,
-}
-"""From which probability of its cause on a bad verdict is given."""
-_UNSURE_CHANGE_AT: Final = dict.fromkeys(_CHANGE, UNSURE_CHANGE_PROBABILITY)
-CALIBRATING_AT: Final = SURE_AT | dict.fromkeys(_LEVEL, UNSURE_LEVEL_PROBABILITY)
-COLD_AT: Final = CALIBRATING_AT | _UNSURE_CHANGE_AT
-UNSURE_UP_TO_SCALE_AT: Final = COLD_AT | {Cause.MARGIN_THIN: UNSURE_LEVEL_PROBABILITY}  # a model feigns that, too
-SLIP_AT: Final = dict.fromkeys(Cause, SLIP_PROBABILITY)
-_EARLY_AT: Final = {**_UNSURE_CHANGE_AT, Cause.MARGIN_THIN: EARLY_MARGIN_PROBABILITY}
 _WHAT: Final = {
     Cause.SHUDDER: "it can shudder",
     Cause.LEVEL_LOW: f"its friction is below {_PERCENT * CHANGE_LEVEL_RATIO:.0f} % of new",
@@ -127,7 +71,7 @@ def advice(clutch: int, ground: Cause | Silence | None, probability: float = 0.0
         return f"{title}: {ground}."
     if ground is None:
         return f"{title}: its friction is sound ({_percent(probability)} sure)."
-    return f"{title}: {_WHAT[ground]} ({_until_called_off(probability, SURE_AT[ground])})."
+    return f"{title}: {_WHAT[ground]} ({_until_called_off(probability, given_at()[ground])})."
 
 
 def _until_called_off(probability: float, given_at: float) -> str:
@@ -144,12 +88,12 @@ def _percent(probability: float) -> str:
     return "over 99 %" if probability > _NEARLY_SURE else f"{_PERCENT * probability:.0f} %"
 
 
-JUDDER_RAD_S: Final = 5.2  # slip after the clutch had stuck: 5, and a little of what the noise of its speeds adds
+JUDDER_RAD_S: Final = THRESHOLDS[Silence.LAUNCHES_JUDDER, Situation.MEANING].value
+LEAST_COUNT: Final = THRESHOLDS[Silence.LAUNCHES_JUDDER, Situation.ALWAYS].value
+LEAST_SWUNG_SHARE: Final = THRESHOLDS[Silence.SLIP_SWINGS, Situation.MEANING].value
+LEAST_SWUNG_COUNT: Final = THRESHOLDS[Silence.SLIP_SWINGS, Situation.BEGINNING].value
 SHIFTS: Final = "shifts"  # what friction of a clutch is told by, where its kind has no word of its own
 LAUNCH_WINDOW: Final = 20  # launches of a clutch that are remembered
-LEAST_COUNT: Final = 2  # a single one may be a load that pulled the clutch open
-LEAST_SWUNG_COUNT: Final = 3  # windows of a stretch of slip: one may be a hole in the road
-LEAST_SWUNG_SHARE: Final = 0.04  # of its windows
 EVIDENCE_RATIO: Final = 10.0  # for each beyond the first: half of the launches of aged fluid, none of 102 of others
 MOST_EVIDENCE_RATIO: Final = 20.0  # drivelines differ: a witness that nobody has calibrated does not decide alone
 
@@ -283,7 +227,7 @@ def decide(  # noqa: PLR0911 - each rule may end it
     previous_cause: Cause | None,
     launches: Launches,
     common: NormalDist,
-    give_at: dict[Cause, float],
+    situations: tuple[Situation, ...],
     *,
     counted: str = SHIFTS,
 ) -> Finding:
@@ -303,8 +247,8 @@ def decide(  # noqa: PLR0911 - each rule may end it
         Which of its launches juddered.
     common
         Which part of the new fluid's margin is left by both clutches together.
-    give_at
-        From which probability of its cause on a bad verdict is given, where the margin is known.
+    situations
+        What the clutch is judged in, but for a margin that is hardly known.
     counted
         What the events are, in many; launches are then such events, too.
     """
@@ -318,7 +262,8 @@ def decide(  # noqa: PLR0911 - each rule may end it
     is_early = margin.stdev > EARLY_MARGIN_STD_RATIO * reference_margin
     negative, thin = friction.probability_negative_slope, _thin(own_thin, common_thin, is_early=is_early)
     if is_early and counted == SHIFTS:
-        negative, give_at = min(negative, common.cdf(0.0)), give_at | _EARLY_AT
+        negative, situations = min(negative, common.cdf(0.0)), (*situations, Situation.EARLY)
+    give_at = given_at(*situations)
     facts = _facts(friction, level, since, f"{shift_count} {counted}")
     facts += f", {launches.text(counted)}" if launches.speak else ""
     change = {
@@ -357,12 +302,14 @@ def _doubt(
     watch: Mapping[Cause, float], own_thin: float, common_thin: float, previous: Condition, *, is_sure: bool
 ) -> tuple[Cause, float] | None:
     """Return a cause that is too likely for a fluid to be called good, by its own clutch or by both together."""
-    may_be_thin = own_thin > (LEAVE_PROBABILITY if previous is Condition.GOOD else THIN_PROBABILITY)
-    may_be_thin |= common_thin > COMMON_THIN_PROBABILITY and previous is not Condition.GOOD
+    situation = Situation.STILL_GOOD if previous is Condition.GOOD else Situation.UNSURE_BEFORE_GOOD
+    may_be_thin = own_thin > THRESHOLDS[Cause.MARGIN_THIN, situation].value
+    common_least = THRESHOLDS[Cause.MARGIN_THIN, Situation.BOTH_BEFORE_GOOD].value
+    may_be_thin |= common_thin > common_least and previous is not Condition.GOOD
     if may_be_thin and not is_sure:
         return Cause.MARGIN_THIN, max(own_thin, common_thin)
     likeliest = max(watch.items(), key=itemgetter(1))
-    return likeliest if likeliest[1] >= WATCH_PROBABILITY else None
+    return likeliest if likeliest[1] >= THRESHOLDS[likeliest[0], Situation.BEFORE_GOOD].value else None
 
 
 def decide_up_to_scale(
@@ -373,7 +320,7 @@ def decide_up_to_scale(
     previous: Condition,
     previous_cause: Cause | None,
     launches: Launches,
-    give_at: dict[Cause, float],
+    situations: tuple[Situation, ...],
 ) -> Finding:
     """Return the verdict on a clutch whose level of friction is not known; arguments as of `decide`.
 
@@ -391,8 +338,7 @@ def decide_up_to_scale(
     std_ratio = slope.std_mu_s_ratio / (margin_ratio := 1.0 - reference.mu_s / reference.mu_c)
     falls = slope.probability_negative if std_ratio <= MAX_SLOPE_STD_RATIO else 0.0
     change = {Cause.SHUDDER: launches.probability_negative(falls), Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO)}
-    if std_ratio > EARLY_MARGIN_STD_RATIO:
-        give_at = {cause: max(at, _EARLY_AT.get(cause, at)) for cause, at in give_at.items()}
+    give_at = given_at(*situations, *((Situation.EARLY,) if std_ratio > EARLY_MARGIN_STD_RATIO else ()))
     if (bad := _standing(Condition.CHANGE_FLUID, change, give_at, previous, previous_cause, facts)) is not None:
         return bad
     watch = {Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO)}
@@ -436,7 +382,7 @@ def _lost(since: FrictionTrend | None, level_ratio: float) -> float:
 def _standing(
     condition: Condition,
     causes: Mapping[Cause, float],
-    give_at: dict[Cause, float],
+    give_at: Mapping[Cause, float],
     previous: Condition,
     previous_cause: Cause | None,
     facts: str,

@@ -7,8 +7,9 @@ import pytest
 
 from clutch_model.calibration import TorqueSource, nominal_calibration
 from clutch_results.records import ClutchVerdict, Condition, Reason, Status
-from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, Fit, judge
-from diag_service.diagnosis.condition.verdict import COLD_K, LEAST_SHIFT_COUNT, Cause
+from diag_service.diagnosis.condition.condition import COLD_K, REFUSED_COUNT, ConditionMemory, Fit, judge
+from diag_service.diagnosis.condition.thresholds import Cause
+from diag_service.diagnosis.condition.verdict import LEAST_SHIFT_COUNT
 from diag_service.diagnosis.friction.drives import PackTemperatures
 from diag_service.diagnosis.friction.evidence import (
     FRICTION_COUNT,

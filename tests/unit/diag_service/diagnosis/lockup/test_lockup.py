@@ -10,7 +10,7 @@ from clutch_model.calibration import shipped_calibration
 from clutch_results.event_kinds import EventKind
 from clutch_results.records import ClutchVerdict, Condition, Reason, ShiftEstimate, Status
 from diag_service.diagnosis.condition.condition import REFUSED_COUNT, ConditionMemory, judge_lockup
-from diag_service.diagnosis.condition.verdict import Silence
+from diag_service.diagnosis.condition.thresholds import Silence
 from diag_service.diagnosis.events import Event
 from diag_service.diagnosis.lockup.estimator import LockupEstimator, SlipFinder, shudder
 from diag_service.diagnosis.lockup.state import MICRO_SLIP_RAD_S, LockupState, samples_of
