@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from operator import itemgetter
 from statistics import NormalDist
-from typing import Final, Self
+from typing import Final, NamedTuple, Protocol, Self
 
 from clutch_model.calibration import FrictionCurve
 from clutch_results.event_kinds import EndReason, EventKind, Shudder
@@ -92,7 +92,6 @@ JUDDER_RAD_S: Final = THRESHOLDS[Silence.LAUNCHES_JUDDER, Situation.MEANING].val
 LEAST_COUNT: Final = THRESHOLDS[Silence.LAUNCHES_JUDDER, Situation.ALWAYS].value
 LEAST_SWUNG_SHARE: Final = THRESHOLDS[Silence.SLIP_SWINGS, Situation.MEANING].value
 LEAST_SWUNG_COUNT: Final = THRESHOLDS[Silence.SLIP_SWINGS, Situation.BEGINNING].value
-SHIFTS: Final = "shifts"  # what friction of a clutch is told by, where its kind has no word of its own
 LAUNCH_WINDOW: Final = 20  # launches of a clutch that are remembered
 EVIDENCE_RATIO: Final = 10.0  # for each beyond the first: half of the launches of aged fluid, none of 102 of others
 MOST_EVIDENCE_RATIO: Final = 20.0  # drivelines differ: a witness that nobody has calibrated does not decide alone
@@ -130,9 +129,8 @@ class Launches:
         """Whether enough of them juddered to say something of the slope."""
         return sum(self.juddered) >= LEAST_COUNT
 
-    def text(self, counted: str) -> str:
-        what = "launches juddered" if counted == SHIFTS else f"{counted} shuddered"
-        return f"{sum(self.juddered)} of {len(self.juddered)} {what}"
+    def text(self, swung: str) -> str:
+        return f"{sum(self.juddered)} of {len(self.juddered)} {swung}"
 
     def probability_negative(self, by_friction: float) -> float:
         """Return the probability of a negative slope, given what friction alone says of it."""
@@ -175,10 +173,10 @@ class RunningScatter:
         weight = 1.0 / (STATED_WEIGHT + min(count, MEMORY_SHIFT_COUNT))
         return type(self)(
             variance_mu_c=_next_variance(
-                self.variance_mu_c, alone.mu_c - running.mu_c, alone.random_std_mu_c, running.random_std_mu_c, weight
+                self.variance_mu_c, alone.mu_c - running.mu_c, (alone.random_std_mu_c, running.random_std_mu_c), weight
             ),
             variance_mu_s=_next_variance(
-                self.variance_mu_s, alone.mu_s - running.mu_s, alone.random_std_mu_s, running.random_std_mu_s, weight
+                self.variance_mu_s, alone.mu_s - running.mu_s, (alone.random_std_mu_s, running.random_std_mu_s), weight
             ),
             shift_count=count,
         )
@@ -198,7 +196,9 @@ class RunningScatter:
         )
 
 
-def _next_variance(variance: float, distance: float, alone_std: float, running_std: float, weight: float) -> float:
+def _next_variance(variance: float, distance: float, stds: tuple[float, float], weight: float) -> float:
+    """Return the variance after a ``distance`` between two numbers with these deviations, of which the first counts."""
+    alone_std, running_std = stds
     share = alone_std**2 / (alone_std**2 + running_std**2)
     return variance + weight * (min(share * distance**2, CLIP_STD**2 * variance) - variance)
 
@@ -218,146 +218,237 @@ def nothing(silence: Silence, reason: str) -> Finding:
     return Finding(condition=Condition.NO_VERDICT, reason=reason, ground=silence)
 
 
-def decide(  # noqa: PLR0911 - each rule may end it
-    friction: FrictionEstimate,
-    since: FrictionTrend | None,
-    reference: FrictionCurve,
-    shift_count: int,
-    previous: Condition,
-    previous_cause: Cause | None,
-    launches: Launches,
-    common: NormalDist,
-    situations: tuple[Situation, ...],
-    *,
-    counted: str = SHIFTS,
-) -> Finding:
-    """Return the verdict on a clutch.
+class Counted(NamedTuple):
+    """What the events of a clutch are called, and those of them that are a witness of its slope."""
 
-    Parameters
-    ----------
-    friction, since
-        Its running friction, and what became of it since the baseline; None: there is no baseline.
-    reference
-        The calibration's.
-    shift_count
-        Events that the running friction rests on.
-    previous, previous_cause
-        The last verdict, which stands until its cause has become unlikely.
-    launches
-        Which of its launches juddered.
-    common
-        Which part of the new fluid's margin is left by both clutches together.
-    situations
-        What the clutch is judged in, but for a margin that is hardly known.
-    counted
-        What the events are, in many; launches are then such events, too.
-    """
-    if shift_count < MIN_SHIFT_COUNT:
-        few, some = (Silence.FEW_SHIFTS, "shift(s)") if counted == SHIFTS else (Silence.FEW_EVENTS, counted)
-        return nothing(few, f"{shift_count} usable {some}, {MIN_SHIFT_COUNT} needed")
-    reference_margin = reference.mu_c - reference.mu_s
-    margin = NormalDist(friction.mu_c - friction.mu_s, friction.std_slope_s_rad * reference.stribeck_speed_rad_s)
-    level = NormalDist(friction.mu_c / reference.mu_c, friction.std_mu_c / reference.mu_c)
-    own_thin, common_thin = margin.cdf(WATCH_MARGIN_RATIO * reference_margin), common.cdf(WATCH_MARGIN_RATIO)
-    is_early = margin.stdev > EARLY_MARGIN_STD_RATIO * reference_margin
-    negative, thin = friction.probability_negative_slope, _thin(own_thin, common_thin, is_early=is_early)
-    if is_early and counted == SHIFTS:
-        negative, situations = min(negative, common.cdf(0.0)), (*situations, Situation.EARLY)
-    give_at = given_at(*situations)
-    facts = _facts(friction, level, since, f"{shift_count} {counted}")
-    facts += f", {launches.text(counted)}" if launches.speak else ""
-    change = {
-        Cause.SHUDDER: launches.probability_negative(negative),
-        Cause.LEVEL_LOW: level.cdf(CHANGE_LEVEL_RATIO),
-        Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO),
-    }
-    if (bad := _standing(Condition.CHANGE_FLUID, change, give_at, previous, previous_cause, facts)) is not None:
+    some: str
+    many: str
+    few: Silence  # where there are too few
+    swung: str  # witnesses that speak against the slope
+    witnesses: str
+    swings: Silence  # where they contradict friction
+
+
+SHIFTS: Final = Counted(
+    "shift(s)", "shifts", Silence.FEW_SHIFTS, "launches juddered", "launches", Silence.LAUNCHES_JUDDER
+)
+SLIP_MINUTES: Final = Counted(
+    "minutes of slip", "minutes of slip", Silence.FEW_EVENTS, "minutes of slip shuddered", "minutes of slip",
+    Silence.SLIP_SWINGS,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Course:
+    """What is known of a clutch beside its friction."""
+
+    counted: Counted
+    shift_count: int  # events that the running friction rests on
+    since: FrictionTrend | None  # what became of it since the baseline; None: there is no baseline
+    launches: Launches  # which of its launches juddered, or stretches of slip swung
+    previous: Condition  # the last verdict, which stands until its cause has become unlikely
+    previous_cause: Cause | None
+    situations: tuple[Situation, ...]  # that hold, whatever its friction
+
+    @property
+    def told_by(self) -> str:
+        """What friction is told by, and what launches say to it."""
+        text = f"{self.shift_count} {self.counted.many}"
+        return f"{text}, {self.launches.text(self.counted.swung)}" if self.launches.speak else text
+
+    def lost(self, level_ratio: float) -> float:
+        """Return the probability that mu_C has fallen below a share of the vehicle's own baseline."""
+        if (since := self.since) is None:
+            return 0.0
+        return NormalDist(1.0 + since.change_mu_c_ratio, max(since.std_change_mu_c_ratio, 1e-9)).cdf(level_ratio)
+
+
+class Case(Protocol):
+    """Friction of a clutch as far as it is known, and what speaks for each verdict."""
+
+    @property
+    def course(self) -> Course:
+        """What is known beside it."""
+
+    @property
+    def facts(self) -> str:
+        """All of it in words."""
+
+    @property
+    def situations(self) -> tuple[Situation, ...]:
+        """What the clutch is judged in."""
+
+    def change(self) -> Mapping[Cause, float]:
+        """Return the probability of each cause to change the fluid."""
+
+    def unknown(self) -> Finding | None:
+        """Return why nothing more can be said; None: something can."""
+
+    def watch(self) -> Mapping[Cause, float]:
+        """Return the probability of each cause to watch the fluid."""
+
+    def without_cause(self, watch: Mapping[Cause, float]) -> Finding:
+        """Return what is said where no cause is likely enough to ``watch``."""
+
+
+def decide(case: Case) -> Finding:
+    """Return the verdict on a clutch: the rules of docs/verdict.md in their order."""
+    count, counted = case.course.shift_count, case.course.counted
+    if count < MIN_SHIFT_COUNT:
+        return nothing(counted.few, f"{count} usable {counted.some}, {MIN_SHIFT_COUNT} needed")
+    if (bad := _standing(Condition.CHANGE_FLUID, case.change(), case)) is not None:
         return bad
-    if margin.stdev > MAX_MARGIN_STD_RATIO * reference_margin:
-        return nothing(Silence.MARGIN_UNSURE, f"mu_C - mu_S known to {margin.stdev:.4f} only: {facts}")
-    watch = {
-        Cause.MARGIN_THIN: thin,
-        Cause.LEVEL_FALLING: level.cdf(WATCH_LEVEL_RATIO),
-        Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO),
-    }
-    if (bad := _standing(Condition.WATCH, watch, give_at, previous, previous_cause, facts)) is not None:
-        return bad
-    is_sure = margin.stdev <= SURE_MARGIN_STD_RATIO * reference_margin
-    if (doubt := _doubt(watch, own_thin, common_thin, previous, is_sure=is_sure)) is not None:
-        return nothing(Silence.MARGIN_UNSURE, f"too early to say, {doubt[0]} ({likely(doubt[1])}): {facts}")
-    if launches.speak:
-        why, what = (Silence.LAUNCHES_JUDDER, "launches") if counted == SHIFTS else (Silence.SLIP_SWINGS, counted)
-        return nothing(why, f"its {what} contradict its friction: {facts}")
-    return Finding(condition=Condition.GOOD, reason=facts, ground=None, probability=1.0 - max(watch.values()))
+    if (unknown := case.unknown()) is not None:
+        return unknown
+    watch = case.watch()
+    bad = _standing(Condition.WATCH, watch, case)
+    return case.without_cause(watch) if bad is None else bad
 
 
-def _thin(own: float, common: float, *, is_early: bool) -> float:
-    """Return the probability of a thin margin by that of a clutch and of both: one may be misread, both rarely are."""
-    if own > 0.5:  # then both together tell better
-        return common if is_early else max(own, common)
-    return min(own, common) if is_early else own
+def _standing(condition: Condition, causes: Mapping[Cause, float], case: Case) -> Finding | None:
+    """Return a bad verdict by its likeliest cause, or by that for which it was given; None: no cause is likely."""
+    course, give_at = case.course, given_at(*case.situations)
+    given = [cause for cause, probability in causes.items() if probability >= give_at[cause]]
+    likeliest = max(given or causes, key=causes.__getitem__)
+    cause = likeliest if given or course.previous_cause is None else course.previous_cause
+    probability = causes.get(cause, 0.0)
+    if not given and (course.previous is not condition or probability < LEAVE_PROBABILITY):
+        return None
+    reason = f"{cause} ({likely(probability)}): {case.facts}"
+    return Finding(condition=condition, reason=reason, ground=cause, probability=probability)
 
 
-def _doubt(
-    watch: Mapping[Cause, float], own_thin: float, common_thin: float, previous: Condition, *, is_sure: bool
-) -> tuple[Cause, float] | None:
-    """Return a cause that is too likely for a fluid to be called good, by its own clutch or by both together."""
-    situation = Situation.STILL_GOOD if previous is Condition.GOOD else Situation.UNSURE_BEFORE_GOOD
-    may_be_thin = own_thin > THRESHOLDS[Cause.MARGIN_THIN, situation].value
-    common_least = THRESHOLDS[Cause.MARGIN_THIN, Situation.BOTH_BEFORE_GOOD].value
-    may_be_thin |= common_thin > common_least and previous is not Condition.GOOD
-    if may_be_thin and not is_sure:
-        return Cause.MARGIN_THIN, max(own_thin, common_thin)
-    likeliest = max(watch.items(), key=itemgetter(1))
-    return likeliest if likeliest[1] >= THRESHOLDS[likeliest[0], Situation.BEFORE_GOOD].value else None
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownLevel:
+    """A clutch whose level of friction is known, as torque is measured; `of` makes one."""
+
+    course: Course
+    facts: str
+    situations: tuple[Situation, ...]
+    negative: float  # probability of a negative slope
+    level: NormalDist  # mu_C over that of new fluid
+    margin: NormalDist  # mu_C - mu_S
+    new_margin: float  # of new fluid
+    own_thin: float  # probability that less than half of the margin is left, by this clutch
+    common_thin: float  # likewise by both together
+
+    @classmethod
+    def of(cls, friction: FrictionEstimate, reference: FrictionCurve, common: NormalDist, course: Course) -> Self:
+        """Return the case of running friction; ``common`` is the part of new fluid's margin left by both clutches."""
+        new_margin = reference.mu_c - reference.mu_s
+        margin = NormalDist(friction.mu_c - friction.mu_s, friction.std_slope_s_rad * reference.stribeck_speed_rad_s)
+        level = NormalDist(friction.mu_c / reference.mu_c, friction.std_mu_c / reference.mu_c)
+        negative, is_early = friction.probability_negative_slope, margin.stdev > EARLY_MARGIN_STD_RATIO * new_margin
+        changed = () if course.since is None else (_changed(course.since),)
+        level_text = plus_minus(level.mean, level.stdev, "{:.0f}", scale=_PERCENT)
+        facts = f"a negative mu-v slope is {likely(negative)}", f"mu_C {level_text} % of new", *changed, course.told_by
+        return cls(
+            course=course,
+            facts=", ".join(facts),
+            situations=(*course.situations, Situation.EARLY) if is_early else course.situations,
+            negative=min(negative, common.cdf(0.0)) if is_early else negative,
+            level=level,
+            margin=margin,
+            new_margin=new_margin,
+            own_thin=margin.cdf(WATCH_MARGIN_RATIO * new_margin),
+            common_thin=common.cdf(WATCH_MARGIN_RATIO),
+        )
+
+    def change(self) -> Mapping[Cause, float]:
+        return {
+            Cause.SHUDDER: self.course.launches.probability_negative(self.negative),
+            Cause.LEVEL_LOW: self.level.cdf(CHANGE_LEVEL_RATIO),
+            Cause.LOSS_LARGE: self.course.lost(CHANGE_LEVEL_RATIO),
+        }
+
+    def unknown(self) -> Finding | None:
+        if self.margin.stdev <= MAX_MARGIN_STD_RATIO * self.new_margin:
+            return None
+        return nothing(Silence.MARGIN_UNSURE, f"mu_C - mu_S known to {self.margin.stdev:.4f} only: {self.facts}")
+
+    def watch(self) -> Mapping[Cause, float]:
+        return {
+            Cause.MARGIN_THIN: self._thin(),
+            Cause.LEVEL_FALLING: self.level.cdf(WATCH_LEVEL_RATIO),
+            Cause.LOSS_BEGUN: self.course.lost(WATCH_LEVEL_RATIO),
+        }
+
+    def without_cause(self, watch: Mapping[Cause, float]) -> Finding:
+        if (doubt := self._doubt(watch)) is not None:
+            return nothing(Silence.MARGIN_UNSURE, f"too early to say, {doubt[0]} ({likely(doubt[1])}): {self.facts}")
+        if self.course.launches.speak:
+            counted = self.course.counted
+            return nothing(counted.swings, f"its {counted.witnesses} contradict its friction: {self.facts}")
+        sound = 1.0 - max(watch.values())
+        return Finding(condition=Condition.GOOD, reason=self.facts, ground=None, probability=sound)
+
+    def _thin(self) -> float:
+        """Return the probability of a thin margin by that of a clutch and of both: one may be misread, both rarely."""
+        own, common, is_early = self.own_thin, self.common_thin, Situation.EARLY in self.situations
+        if own > 0.5:  # then both together tell better
+            return common if is_early else max(own, common)
+        return min(own, common) if is_early else own
+
+    def _doubt(self, watch: Mapping[Cause, float]) -> tuple[Cause, float] | None:
+        """Return a cause that is too likely for a fluid to be called good, by its own clutch or by both together."""
+        was_good = self.course.previous is Condition.GOOD
+        own_most = THRESHOLDS[Cause.MARGIN_THIN, Situation.STILL_GOOD if was_good else Situation.UNSURE_BEFORE_GOOD]
+        common_most = THRESHOLDS[Cause.MARGIN_THIN, Situation.BOTH_BEFORE_GOOD]
+        may_be_thin = self.own_thin > own_most.value or (self.common_thin > common_most.value and not was_good)
+        if may_be_thin and self.margin.stdev > SURE_MARGIN_STD_RATIO * self.new_margin:
+            return Cause.MARGIN_THIN, max(self.own_thin, self.common_thin)
+        likeliest = max(watch.items(), key=itemgetter(1))
+        return likeliest if likeliest[1] >= THRESHOLDS[likeliest[0], Situation.BEFORE_GOOD].value else None
 
 
-def decide_up_to_scale(
-    slope: FrictionSlope,
-    since: FrictionTrend | None,
-    reference: FrictionCurve,
-    shift_count: int,
-    previous: Condition,
-    previous_cause: Cause | None,
-    launches: Launches,
-    situations: tuple[Situation, ...],
-) -> Finding:
-    """Return the verdict on a clutch whose level of friction is not known; arguments as of `decide`.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownUpToScale:
+    """A clutch whose level of friction is not known: slope and change are told without it, not that it is sound."""
 
-    Slope and change are told without it. That friction is low, or sound, is not.
-    """
-    if shift_count < MIN_SHIFT_COUNT:
-        return nothing(Silence.FEW_SHIFTS, f"{shift_count} usable shift(s), {MIN_SHIFT_COUNT} needed")
-    facts = ", ".join((
-        f"a negative mu-v slope is {likely(slope.probability_negative)}",
-        f"mu_S {plus_minus(slope.mu_s_ratio, slope.std_mu_s_ratio, '{:.0f}', scale=100.0)} % of mu_C",
-        *(() if since is None else (_changed(since),)),
-        f"{shift_count} shifts",
-        *((launches.text(SHIFTS),) if launches.speak else ()),
-    ))  # fmt: skip
-    std_ratio = slope.std_mu_s_ratio / (margin_ratio := 1.0 - reference.mu_s / reference.mu_c)
-    falls = slope.probability_negative if std_ratio <= MAX_SLOPE_STD_RATIO else 0.0
-    change = {Cause.SHUDDER: launches.probability_negative(falls), Cause.LOSS_LARGE: _lost(since, CHANGE_LEVEL_RATIO)}
-    give_at = given_at(*situations, *((Situation.EARLY,) if std_ratio > EARLY_MARGIN_STD_RATIO else ()))
-    if (bad := _standing(Condition.CHANGE_FLUID, change, give_at, previous, previous_cause, facts)) is not None:
-        return bad
-    watch = {Cause.LOSS_BEGUN: _lost(since, WATCH_LEVEL_RATIO)}
-    if std_ratio <= MAX_MARGIN_STD_RATIO:
-        margin = NormalDist(1.0 - slope.mu_s_ratio, slope.std_mu_s_ratio)
-        watch[Cause.MARGIN_THIN] = margin.cdf(WATCH_MARGIN_RATIO * margin_ratio)
-    if (bad := _standing(Condition.WATCH, watch, give_at, previous, previous_cause, facts)) is not None:
-        return bad
-    return nothing(Silence.LEVEL_UNKNOWN, f"engine torque is {slope.torque.replace('_', ' ')}, not measured: {facts}")
+    course: Course
+    facts: str
+    situations: tuple[Situation, ...]
+    slope: FrictionSlope
+    new_margin_ratio: float  # of new fluid, over its mu_C
+    std_ratio: float  # deviation of the margin over that of new fluid
 
+    @classmethod
+    def of(cls, slope: FrictionSlope, reference: FrictionCurve, course: Course) -> Self:
+        """Return the case of a slope that no scale moves."""
+        std_ratio = slope.std_mu_s_ratio / (new_margin_ratio := 1.0 - reference.mu_s / reference.mu_c)
+        mu_s = plus_minus(slope.mu_s_ratio, slope.std_mu_s_ratio, "{:.0f}", scale=_PERCENT)
+        changed = () if course.since is None else (_changed(course.since),)
+        negative = f"a negative mu-v slope is {likely(slope.probability_negative)}"
+        return cls(
+            course=course,
+            facts=", ".join((negative, f"mu_S {mu_s} % of mu_C", *changed, course.told_by)),
+            situations=(*course.situations, *((Situation.EARLY,) if std_ratio > EARLY_MARGIN_STD_RATIO else ())),
+            slope=slope,
+            new_margin_ratio=new_margin_ratio,
+            std_ratio=std_ratio,
+        )
 
-def _facts(friction: FrictionEstimate, level: NormalDist, since: FrictionTrend | None, told_by: str) -> str:
-    facts = (
-        f"a negative mu-v slope is {likely(friction.probability_negative_slope)}, "
-        f"mu_C {plus_minus(level.mean, level.stdev, '{:.0f}', scale=100.0)} % of new"
-    )
-    if since is not None:
-        facts += f", {_changed(since)}"
-    return f"{facts}, {told_by}"
+    def change(self) -> Mapping[Cause, float]:
+        falls = self.slope.probability_negative if self.std_ratio <= MAX_SLOPE_STD_RATIO else 0.0
+        return {
+            Cause.SHUDDER: self.course.launches.probability_negative(falls),
+            Cause.LOSS_LARGE: self.course.lost(CHANGE_LEVEL_RATIO),
+        }
+
+    def unknown(self) -> Finding | None:
+        """Return None: that friction is falling is told however badly the margin is known."""
+        return None
+
+    def watch(self) -> Mapping[Cause, float]:
+        lost = {Cause.LOSS_BEGUN: self.course.lost(WATCH_LEVEL_RATIO)}
+        if self.std_ratio > MAX_MARGIN_STD_RATIO:
+            return lost
+        margin = NormalDist(1.0 - self.slope.mu_s_ratio, self.slope.std_mu_s_ratio)
+        return {**lost, Cause.MARGIN_THIN: margin.cdf(WATCH_MARGIN_RATIO * self.new_margin_ratio)}
+
+    def without_cause(self, watch: Mapping[Cause, float]) -> Finding:  # noqa: ARG002 - nothing makes it good
+        source = self.slope.torque.replace("_", " ")
+        return nothing(Silence.LEVEL_UNKNOWN, f"engine torque is {source}, not measured: {self.facts}")
 
 
 def _changed(since: FrictionTrend) -> str:
@@ -370,28 +461,3 @@ def likely(probability: float) -> str:
     least, most = _STEP, 1.0 - _STEP
     bound = "under " if probability < 0.5 * least else "over " if probability > 1.0 - 0.5 * least else ""
     return f"{bound}{_PERCENT * min(max(probability, least), most):.1f} % likely"
-
-
-def _lost(since: FrictionTrend | None, level_ratio: float) -> float:
-    """Return the probability that mu_C has fallen below a share of the vehicle's own baseline."""
-    if since is None:
-        return 0.0
-    return NormalDist(1.0 + since.change_mu_c_ratio, max(since.std_change_mu_c_ratio, 1e-9)).cdf(level_ratio)
-
-
-def _standing(
-    condition: Condition,
-    causes: Mapping[Cause, float],
-    give_at: Mapping[Cause, float],
-    previous: Condition,
-    previous_cause: Cause | None,
-    facts: str,
-) -> Finding | None:
-    """Return a bad verdict by its likeliest cause, or by that for which it was given; None: no cause is likely."""
-    given = [cause for cause, probability in causes.items() if probability >= give_at[cause]]
-    cause = max(given or causes, key=causes.__getitem__) if given or previous_cause is None else previous_cause
-    probability = causes.get(cause, 0.0)
-    if not given and (previous is not condition or probability < LEAVE_PROBABILITY):
-        return None
-    reason = f"{cause} ({likely(probability)}): {facts}"
-    return Finding(condition=condition, reason=reason, ground=cause, probability=probability)
