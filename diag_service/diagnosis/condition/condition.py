@@ -420,7 +420,7 @@ def _silenced(memory: ConditionMemory, judged: JudgedClutch) -> Finding | None:
         return nothing(silence, memory.misfit_text + what_to_do)
     if (count := memory.refused[judged.clutch - 1]) >= REFUSED_COUNT:
         return nothing(Silence.DATA_CONTRADICT, f"{Silence.DATA_CONTRADICT} ({count} events)")
-    if (share := memory.course.sensor_share(judged.clutch)) >= SENSOR_SHARE:
+    if memory.course.found is not None and (share := memory.course.sensor_share(judged.clutch)) >= SENSOR_SHARE:
         return nothing(Silence.SENSOR_DRIFTED, f"{Silence.SENSOR_DRIFTED} ({100.0 * share:.0f} % likely)")
     return None
 
@@ -440,13 +440,13 @@ class PairClutch:
     free: ScaleFreeFriction
     since: FrictionTrend | None
     slope: FrictionSlope | None  # where no level is known
-    shift_count: int
+    shift_counts: tuple[int, int]  # of both clutches
     progress: float  # 0 to 1: how far the vehicle has calibrated itself
 
     @classmethod
     def of(cls, state: Posterior, clutch: int, calibration: Calibration) -> Self:
         """Return clutch 1 or 2 with what its running state says."""
-        stated, shift_count = state.stated, state.shift_counts[clutch - 1]
+        stated, shift_counts = state.stated, state.shift_counts
         friction, free = both_frictions(state, clutch, stated)
         return cls(
             clutch=clutch,
@@ -455,9 +455,9 @@ class PairClutch:
             stated=stated,
             friction=friction,
             free=free,
-            since=trend(state, clutch) if shift_count else None,
+            since=trend(state, clutch) if shift_counts[clutch - 1] else None,
             slope=None if state.torque is TorqueSource.MEASURED else FrictionSlope.of(free, state.torque),
-            shift_count=shift_count,
+            shift_counts=shift_counts,
             progress=calibration_ratio(state, calibration),
         )
 
@@ -466,7 +466,7 @@ class PairClutch:
         reference = self.calibration.clutches[index].friction
         course = Course(
             counted=SHIFTS,
-            shift_count=self.shift_count,
+            shift_count=self.shift_counts[index],
             since=self.since,
             launches=memory.launches[index],
             previous=memory.conditions[index],
@@ -475,8 +475,8 @@ class PairClutch:
         )
         if self.slope is not None:
             return KnownUpToScale.of(self.slope, reference, course)
-        curves = [clutch.friction for clutch in self.calibration.clutches]
-        common = common_margin(self.state, self.stated, both_clutches(curve.mu_c - curve.mu_s for curve in curves))
+        first, second = [clutch.friction for clutch in self.calibration.clutches]
+        common = common_margin(self.state, self.stated, (first.mu_c - first.mu_s, second.mu_c - second.mu_s))
         return KnownLevel.of(self.friction, reference, common, course)
 
     def _situations(self) -> tuple[Situation, ...]:
@@ -489,12 +489,12 @@ class PairClutch:
         return (Situation.COLD if is_cold else Situation.CALIBRATING,)
 
     def noted(self, finding: Finding) -> Finding:
-        if not self.shift_count or self.progress >= CALIBRATED_RATIO:
+        if not self.shift_counts[self.clutch - 1] or self.progress >= CALIBRATED_RATIO:
             return finding
         return replace(finding, reason=f"{finding.reason}, calibrating: {100.0 * self.progress:.0f} %")
 
     def verdict(self, memory: ConditionMemory, finding: Finding) -> ClutchVerdict:
-        index, known = self.clutch - 1, bool(self.shift_count)
+        index, known = self.clutch - 1, bool(self.shift_counts[self.clutch - 1])
         scatter, lining, tells_level = memory.scatters[index], memory.linings[index], known and self.slope is None
         new_mu_c = self.calibration.clutches[index].friction.mu_c
         return ClutchVerdict(
@@ -503,12 +503,12 @@ class PairClutch:
             reason=finding.reason,
             level_ratio=self.friction.mu_c / new_mu_c if tells_level else None,
             friction=self.friction if tells_level else None,
-            shift_count=self.shift_count,
+            shift_count=self.shift_counts[index],
             scale_free=self.free if known else None,
             common_scale_std_ratio=common_scale_std_ratio(self.state, self.clutch) if tells_level else None,
             shift_scatter=None if scatter is None else scatter.reported,
             trend=self.since,
-            clutch_ratio=clutch_ratio(self.stated) if all(self.state.shift_counts) else None,
+            clutch_ratio=clutch_ratio(self.stated) if all(self.shift_counts) else None,
             lining=lining.change(self.free) if lining is not None and known else None,
             stick_slip=memory.launches[index].reported,
             calibration_ratio=self.progress,

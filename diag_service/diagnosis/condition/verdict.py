@@ -323,12 +323,12 @@ class KnownLevel:
     """A clutch whose level of friction is known, as torque is measured; `of` makes one."""
 
     course: Course
-    facts: str
     situations: tuple[Situation, ...]
-    negative: float  # probability of a negative slope
+    friction: FrictionEstimate
     level: NormalDist  # mu_C over that of new fluid
     margin: NormalDist  # mu_C - mu_S
     new_margin: float  # of new fluid
+    common: NormalDist  # part of new fluid's margin that is left by both clutches together
     own_thin: float  # probability that less than half of the margin is left, by this clutch
     common_thin: float  # likewise by both together
 
@@ -338,25 +338,34 @@ class KnownLevel:
         new_margin = reference.mu_c - reference.mu_s
         margin = NormalDist(friction.mu_c - friction.mu_s, friction.std_slope_s_rad * reference.stribeck_speed_rad_s)
         level = NormalDist(friction.mu_c / reference.mu_c, friction.std_mu_c / reference.mu_c)
-        negative, is_early = friction.probability_negative_slope, margin.stdev > EARLY_MARGIN_STD_RATIO * new_margin
-        changed = () if course.since is None else (_changed(course.since),)
-        level_text = plus_minus(level.mean, level.stdev, "{:.0f}", scale=_PERCENT)
-        facts = f"a negative mu-v slope is {likely(negative)}", f"mu_C {level_text} % of new", *changed, course.told_by
+        is_early = margin.stdev > EARLY_MARGIN_STD_RATIO * new_margin
         return cls(
             course=course,
-            facts=", ".join(facts),
             situations=(*course.situations, Situation.EARLY) if is_early else course.situations,
-            negative=min(negative, common.cdf(0.0)) if is_early else negative,
+            friction=friction,
             level=level,
             margin=margin,
             new_margin=new_margin,
+            common=common,
             own_thin=margin.cdf(WATCH_MARGIN_RATIO * new_margin),
             common_thin=common.cdf(WATCH_MARGIN_RATIO),
         )
 
+    @property
+    def facts(self) -> str:
+        negative, since = likely(self.friction.probability_negative_slope), self.course.since
+        level = plus_minus(self.level.mean, self.level.stdev, "{:.0f}", scale=_PERCENT)
+        changed = () if since is None else (_changed(since),)
+        return ", ".join(
+            (f"a negative mu-v slope is {negative}", f"mu_C {level} % of new", *changed, self.course.told_by)
+        )
+
     def change(self) -> Mapping[Cause, float]:
+        negative = self.friction.probability_negative_slope
+        if Situation.EARLY in self.situations:  # one clutch may be misread
+            negative = min(negative, self.common.cdf(0.0))
         return {
-            Cause.SHUDDER: self.course.launches.probability_negative(self.negative),
+            Cause.SHUDDER: self.course.launches.probability_negative(negative),
             Cause.LEVEL_LOW: self.level.cdf(CHANGE_LEVEL_RATIO),
             Cause.LOSS_LARGE: self.course.lost(CHANGE_LEVEL_RATIO),
         }
@@ -406,7 +415,6 @@ class KnownUpToScale:
     """A clutch whose level of friction is not known: slope and change are told without it, not that it is sound."""
 
     course: Course
-    facts: str
     situations: tuple[Situation, ...]
     slope: FrictionSlope
     new_margin_ratio: float  # of new fluid, over its mu_C
@@ -416,16 +424,21 @@ class KnownUpToScale:
     def of(cls, slope: FrictionSlope, reference: FrictionCurve, course: Course) -> Self:
         """Return the case of a slope that no scale moves."""
         std_ratio = slope.std_mu_s_ratio / (new_margin_ratio := 1.0 - reference.mu_s / reference.mu_c)
-        mu_s = plus_minus(slope.mu_s_ratio, slope.std_mu_s_ratio, "{:.0f}", scale=_PERCENT)
-        changed = () if course.since is None else (_changed(course.since),)
-        negative = f"a negative mu-v slope is {likely(slope.probability_negative)}"
         return cls(
             course=course,
-            facts=", ".join((negative, f"mu_S {mu_s} % of mu_C", *changed, course.told_by)),
             situations=(*course.situations, *((Situation.EARLY,) if std_ratio > EARLY_MARGIN_STD_RATIO else ())),
             slope=slope,
             new_margin_ratio=new_margin_ratio,
             std_ratio=std_ratio,
+        )
+
+    @property
+    def facts(self) -> str:
+        negative, since = likely(self.slope.probability_negative), self.course.since
+        mu_s = plus_minus(self.slope.mu_s_ratio, self.slope.std_mu_s_ratio, "{:.0f}", scale=_PERCENT)
+        changed = () if since is None else (_changed(since),)
+        return ", ".join(
+            (f"a negative mu-v slope is {negative}", f"mu_S {mu_s} % of mu_C", *changed, self.course.told_by)
         )
 
     def change(self) -> Mapping[Cause, float]:

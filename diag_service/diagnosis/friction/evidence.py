@@ -185,14 +185,15 @@ class Evidence:
         return cls(matrix=empty, vector=np.zeros(PARAMETER_COUNT), constant=0.0, count=0)
 
     @classmethod
-    def sum(cls, some: Sequence[Self]) -> Self:
-        """Return the evidence of some events together."""
+    def sum(cls, some: Sequence[Self], weights: Sequence[float] | None = None) -> Self:
+        """Return the evidence of some events together, each residual with the weight of its event, by default 1."""
         if not some:
             return cls.none()
+        weighted = list(zip(some, [1.0] * len(some) if weights is None else weights, strict=True))
         return cls(
-            matrix=np.add.reduce([evidence.matrix for evidence in some]),
-            vector=np.add.reduce([evidence.vector for evidence in some]),
-            constant=sum([evidence.constant for evidence in some]),
+            matrix=np.add.reduce([weight * evidence.matrix for evidence, weight in weighted]),
+            vector=np.add.reduce([weight * evidence.vector for evidence, weight in weighted]),
+            constant=sum([weight * evidence.constant for evidence, weight in weighted]),
             count=sum([evidence.count for evidence in some]),
         )
 
@@ -566,7 +567,9 @@ def _with_change(base: Knowledge, events: Sequence[JudgedEvent], first: int, ste
 
 
 def together(events: Sequence[JudgedEvent], weights: Sequence[float]) -> Evidence:
-    return Evidence.sum([one.evidence.weighted(weight) for one, weight in zip(events, weights, strict=False) if weight])
+    """Return the evidence of some events, each residual with the weight of its event; those without weight are none."""
+    used = [(one.evidence, weight) for one, weight in zip(events, weights, strict=False) if weight]
+    return Evidence.sum([evidence for evidence, _ in used], [weight for _, weight in used])
 
 
 def after_change(known: Knowledge, clutch: int) -> Knowledge:

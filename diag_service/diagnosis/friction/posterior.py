@@ -10,7 +10,7 @@ module computes these values with their standard deviations.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from statistics import NormalDist
 from typing import Final, NamedTuple, Self
 
@@ -136,8 +136,7 @@ class Posterior:
     baselines: tuple[Baseline | None, Baseline | None] = (None, None)  # against the base
     packs: PackTemperatures | None = None
     prior: Prior
-    apart: float = 0.0  # chi-square that events would save, older ones faded, had each a friction of its own
-    apart_by_chance: float = 0.0  # likewise, were deviations as stated
+    scatter: EventScatter = field(default_factory=EventScatter)
     may_begin_again: bool = True  # no event is part of the base yet, and it has not begun again before
     torque: TorqueSource = TorqueSource.MEASURED
     torque_gain: float = 1.0  # of the calibration: the parameters say by how much it is wrong
@@ -174,9 +173,8 @@ class Posterior:
     def stated(self) -> Knowledge:
         """What is known, its covariance scaled by the scatter of events, its curve its own; docs/model.md, (38)."""
         known = self.fusion.knowledge
-        if self.apart_by_chance:
-            ratio = EventScatter(self.apart, self.apart_by_chance).ratio
-            known = Knowledge(mean=known.mean, covariance=self.prior.stated(known.covariance, ratio))
+        if self.scatter.by_chance:
+            known = Knowledge(mean=known.mean, covariance=self.prior.stated(known.covariance, self.scatter.ratio))
         return self.prior.with_own_laws(known)
 
     @property
@@ -192,9 +190,7 @@ class Posterior:
     def begun_again(self) -> "Posterior":
         """Return the state before the first event, which does not begin again a second time."""
         nothing = fuse(self.base, Evidence.none())
-        return replace(
-            self, recent=(), weights=(), fusion=nothing, apart=0.0, apart_by_chance=0.0, may_begin_again=False
-        )
+        return replace(self, recent=(), weights=(), fusion=nothing, scatter=EventScatter(), may_begin_again=False)
 
     def without(self, place: int) -> Knowledge:
         """Return the posterior without one of the recent events."""
@@ -232,9 +228,7 @@ class Posterior:
             state = state if is_sure else _judged(state)
         if not any(state.weights[-1:]):
             return state
-        scatter = EventScatter(self.apart, self.apart_by_chance)
-        scatter = scatter.with_event(state.fusion.knowledge, event, state.weights[-1])
-        return replace(state, apart=scatter.apart, apart_by_chance=scatter.by_chance)
+        return replace(state, scatter=self.scatter.with_event(state.fusion.knowledge, event, state.weights[-1]))
 
     def with_oldest_folded(self) -> "Posterior":
         """Return the same with room for one more event: of sixteen the oldest is in the base, if it belongs as yet."""
@@ -242,7 +236,9 @@ class Posterior:
 
     def agrees_with(self, earlier: "Posterior") -> bool:
         """Return whether of all but the newest event the same is believed as in ``earlier``, without that event."""
-        return self.base is earlier.base and self.is_used[:-1] == earlier.is_used
+        if self.base is not earlier.base or len(self.weights) != len(earlier.weights) + 1:
+            return False
+        return all((now > 0.0) == (then > 0.0) for now, then in zip(self.weights, earlier.weights, strict=False))
 
     def with_new_fluid(self) -> "Posterior":
         """Return the state after a fluid fill: friction is unknown again, and its baseline with it; the rest stays."""
@@ -253,6 +249,7 @@ class Posterior:
     def to_json(self) -> JsonObject:
         """Return the state as JSON-ready values; floats survive the round trip bit by bit."""
         plain = to_plain(replace(self, recent=()))
+        plain |= {"apart": self.scatter.apart, "apart_by_chance": self.scatter.by_chance}
         stored = {name: plain[name] for name in _STORED}
         return {"format": STATE_FORMAT, "recent": [_stored(event) for event in self.recent]} | stored
 
@@ -290,7 +287,8 @@ class Posterior:
         kept = judge(stored.base, recent).is_used if stored.weights is None else stored.weights
         if len(kept) != len(recent) or not all(0.0 <= weight <= 1.0 for weight in kept):
             raise ValueError("not a running state: bad weights of recent events")
-        told = {name: getattr(stored, name) for name in _STORED} | {"weights": tuple(map(float, kept))}
+        told = {name: getattr(stored, name) for name in _STORED if not name.startswith("apart")}
+        told |= {"weights": tuple(map(float, kept)), "scatter": EventScatter(stored.apart, stored.apart_by_chance)}
         return _together(replace(blank, recent=recent, **told))
 
 
