@@ -100,7 +100,7 @@ class LiningBaseline:
         )
 
 
-MEMORY_FORMAT = 2
+MEMORY_FORMAT = 2  # of what is stored
 _MISFITS = frozenset({Reason.MISFIT, Reason.ZERO_JUMPED})
 CONTRADICTIONS: Final = frozenset({
     *(Reason.PRESSURE_OFF_COMMAND, Reason.SPEEDS_DISAGREE, Reason.SENSOR_FROZEN, Reason.SATURATED, Reason.IMPLAUSIBLE),
